@@ -10,7 +10,7 @@ CASADI := build/casadi
 CORE   := build/core
 LOWEST := build/lowest
 TEST_TOOLS := hypothesis markdown-it-py packaging pytest pytest-xdist
-LOWEST_TESTS := tests/solvers tests/scenario tests/mpc tests/report/page/test_answer.py
+LOWEST_TESTS := tests/solvers tests/scenario tests/mpc tests/report/page/test_recommendation.py
 # Seconds of rounds of each benchmark.
 BENCH_S := 1.0
 # Of the mutants of `make soak`; all of them take some hours.
@@ -79,7 +79,7 @@ $(LOWEST)/.installed: pyproject.toml constraints-lowest.txt
 
 test-casadi: setup ## run the tests of the solvers whose library is an extra (HPIPM, qpOASES)
 	$(BIN)/python -m pip install --quiet --no-deps --upgrade --target $(CASADI) 'casadi>=3.7'
-	PYTHONPATH=$(CASADI) $(BIN)/python -m pytest $(SIDE_BY_SIDE) tests/solvers tests/bench/run/test_sparse_bar.py \
+	PYTHONPATH=$(CASADI) $(BIN)/python -m pytest $(SIDE_BY_SIDE) tests/solvers tests/bench/run/test_formulations.py::test_exact_solvers_meet_the_bar \
 	    -k "hpipm or qpoases"
 
 # Which file and how many: MUTANTS='dpbench/qp/residuals.py --all'.
@@ -95,7 +95,7 @@ chaos: setup ## run a small suite under accidents and check its rows (some ten m
 soak: setup ## read seeded mutants of all files that others may send, SHARE=0.01 for 1 % of them (a minute)
 	$(BIN)/python -m tests.soak.run --share $(SHARE) $(SOAK)
 
-lint: setup ## ruff, mypy --strict, import floors
+lint: setup ## ruff, mypy --strict, import layers
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

@@ -1,7 +1,5 @@
 """Shared problems of the benchmarks: the paper's scenario, scaled."""
 
-from __future__ import annotations
-
 import gc
 import time
 import tracemalloc
@@ -12,7 +10,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import load_scenario
 from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
-from dpbench.bench.run.replay import reference_kernel_ns
+from dpbench.bench.run.replay import time_kernels
 from dpbench.mpc.condense import ControlProblem
 from dpbench.scenario.scenario import Scenario
 
@@ -26,7 +24,7 @@ def scenario() -> Scenario:
 @pytest.fixture(scope="session")
 def problem(scenario: Scenario) -> ControlProblem:
     """Its control problem: 30/5, nine states, three inputs."""
-    return scenario.control_problem()
+    return scenario.problem
 
 
 @pytest.fixture(scope="session")
@@ -46,14 +44,11 @@ def no_garbage_collection() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def reference_kernel(benchmark: BenchmarkFixture) -> Iterator[None]:
-    """The reference kernel before and after each benchmark: what `make bench-compare` divides by.
-
-    Its first call compiles or loads it, so that one is not counted.
-    """
-    reference_kernel_ns(time.perf_counter_ns)
-    before = reference_kernel_ns(time.perf_counter_ns)
+    """The reference kernel before and after each benchmark."""
+    time_kernels(time.perf_counter_ns)
+    before = time_kernels(time.perf_counter_ns)
     yield
-    after = reference_kernel_ns(time.perf_counter_ns)
+    after = time_kernels(time.perf_counter_ns)
     benchmark.extra_info["reference_ns"] = min(before, after)
 
 
@@ -63,11 +58,7 @@ Exactly = Callable[..., None]
 
 @pytest.fixture
 def exactly(benchmark: BenchmarkFixture) -> Exactly:
-    """Notes what does not depend on the clock: Python memory of a call, and what it is given.
-
-    `peak_bytes` is the most that the call holds at a time beyond what it found, the smallest of
-    a few calls after one that filled the caches. What a library allocates itself is not in it.
-    """
+    """Notes what does not depend on the clock: Python memory of a call, and what it is given."""
 
     def note(call: Callable[[], object], **measures: int) -> None:
         call()

@@ -9,8 +9,6 @@ tenth of the draws holds the truth in less than 93 % or more than 99 % of them, 
 Carlo error.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Callable, Iterator
@@ -27,13 +25,13 @@ from scipy.signal import lfilter
 from scipy.special import log_ndtr, ndtri
 
 from dpbench.analysis.compare.pairs import Pair
-from dpbench.analysis.compare.times import compare_times, time_pairs
+from dpbench.analysis.compare.times import compare_times, compute_time_ratios
 from dpbench.analysis.statistics import (
     Interval,
-    none_of,
     paired_ratio,
     percentile_interval,
     pooled_mean,
+    upper_bound_of_none,
 )
 from dpbench.analysis.suites.study import paired_difference
 
@@ -53,8 +51,7 @@ Draw = Callable[[Random], tuple[float, Interval]]
 
 @dataclass(frozen=True)
 class Row:
-    """One row of the table: what was drawn, how often, in how many draws an interval was stated,
-    and the share of these that hold the truth, or of claims."""
+    """One row of the table: how many intervals were stated, and the share that hold the truth."""
 
     interval: str
     truth: str
@@ -134,9 +131,9 @@ def draw_study(
 def draw_none(rng: Random, count: int) -> tuple[float, Interval]:
     """The bound of a share of which none was found, of the share for which it is most often wrong:
     just above the bound."""
-    truth = 1.001 * none_of(count)
+    truth = 1.001 * upper_bound_of_none(count)
     found = rng.uniform(size=count) < truth
-    high = 1.0 if found.any() else none_of(count)
+    high = 1.0 if found.any() else upper_bound_of_none(count)
     return truth, Interval(float(found.mean()), 0.0, high)
 
 
@@ -216,19 +213,14 @@ STEPS: dict[str, dict[str, Draw]] = {
 }
 
 
-# Comparisons: two runs of the same configurations, through `time_pairs` and `compare_times`.
+# Comparisons of two runs, through `compute_time_ratios` and `compare_times`.
 
 CONFIGURATIONS, ROUNDS, STEPS_OF_TABLE = 12, 6, 100
 SEQUENCE = "paper"
 
 
 class SimulatedRecords:
-    """The step times of one run, in the form in which `time_pairs` reads them.
-
-    Parameters
-    ----------
-    slow : factor of each configuration; disturbed : whether neighbours slow some of the rounds.
-    """
+    """The step times of one run, in the form in which `compute_time_ratios` reads them."""
 
     has_steps = True
 
@@ -270,14 +262,13 @@ def _simulated_run(number: int, kernel_ns: float) -> Any:
 
 
 def compare_once(rng: Random, planted: float, *, disturbed: bool) -> tuple[bool, bool, bool]:
-    """Of one table: whether all intervals hold their truth, whether another configuration than the
-    slowed one is claimed to differ, and whether that one is called slower."""
+    """Whether all intervals of a table hold their truth, and its false and true claims."""
     truth = np.ones(CONFIGURATIONS)
     truth[0] += planted
     one = SimulatedRecords(rng, np.ones(CONFIGURATIONS), disturbed=disturbed)
     other = SimulatedRecords(rng, truth, disturbed=disturbed)
     pairs = [Pair(*both) for both in zip(one.runs, other.runs, strict=True)]
-    timings = time_pairs(cast(Any, one), cast(Any, other), pairs)
+    timings = compute_time_ratios(cast(Any, one), cast(Any, other), pairs)
     why = {SEQUENCE: "both runs were disturbed" if disturbed else ""}
     found, _ = compare_times(timings, 0.05, 0.05, why)
     assessments = [compared.assessment for compared in found]

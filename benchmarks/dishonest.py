@@ -1,13 +1,11 @@
-"""Check that solvers with a stated fault of time never meet the demand, and honest ones do.
+"""Check that solvers with a stated fault of time never pass, and honest ones do.
 
 The faults of `dishonest_solver.py` are run some at a time beside their honest twin, DAQP, and other
-solvers, while two processes keep both cores busy. A fault must end as late, open or wrong; the
-twin, and a copy of it that is loaded as the faults are, must meet.
+solvers, while two processes keep both cores busy. A fault must end as late, inconclusive or fail;
+the twin, and a copy of it that is loaded as the faults are, must meet.
 
     python benchmarks/dishonest.py [--passes N] [--neighbours N] [--together N] [FAULT ...]
 """
-
-from __future__ import annotations
 
 import argparse
 import multiprocessing
@@ -71,10 +69,10 @@ def states(faults: Sequence[str], folder: Path) -> dict[str, tuple[str, str]]:
     """Run faults in one campaign and return the state of each solver with the reason for it."""
     # Imported here, so that the variables for threads are set before NumPy loads.
     from dpbench import load_results, run_campaign
-    from dpbench.analysis.verdict.fastest import best_of_each
+    from dpbench.analysis.verdict.fastest import best_verdict_by_solver
     from dpbench.report.report import Report
-    from dpbench.report.verdict_text import clauses
-    from dpbench.solvers import load_solver_module
+    from dpbench.report.verdict_text import describe_findings
+    from dpbench.solvers.table import load_solver_module
 
     shutil.rmtree(Path(tempfile.gettempdir()) / f"dpbench-dishonest-{os.getuid()}", True)
     for fault in faults:
@@ -86,9 +84,9 @@ def states(faults: Sequence[str], folder: Path) -> dict[str, tuple[str, str]]:
     suite = folder / "dishonest.toml"
     solvers = _list([*faults, TWIN, *BESIDE])
     suite.write_text(SUITE.format(solvers=solvers, loops=loops), encoding="utf-8")
-    verdicts = Report.of(load_results(run_campaign(suite, folder / "out"))).facts.verdicts
-    best = {v.configuration.solver: v for v in best_of_each(verdicts)}
-    return {name: (v.state, clauses(v.causes or v.missing)) for name, v in best.items()}
+    verdicts = Report.of(load_results(run_campaign(suite, folder / "out"))).data.verdicts
+    best = {v.configuration.solver: v for v in best_verdict_by_solver(verdicts)}
+    return {name: (v.state, describe_findings(v.causes or v.missing)) for name, v in best.items()}
 
 
 def _list(names: Sequence[str]) -> str:
@@ -103,7 +101,7 @@ def _campaign(faults: Sequence[str]) -> int:
     wrong = 0
     for solver in (*faults, TWIN):
         state, why = found[solver]
-        wanted = ("meets",) if solver in (HONEST, TWIN) else ("late", "open", "wrong")
+        wanted = ("pass",) if solver in (HONEST, TWIN) else ("late", "inconclusive", "fail")
         wrong += state not in wanted
         print(f"{'ok ' if state in wanted else 'BAD'} {solver:18} {state:10} {why[:110]}")
     return wrong

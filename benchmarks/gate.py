@@ -10,8 +10,6 @@ only ever makes a minimum larger. Exit 0: nothing worse, or no baseline yet, whi
 1: a regression; 2: bad input.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess
@@ -26,7 +24,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from dpbench.analysis.compare.evidence import Assessment, Prior, assess, gather
+from dpbench.analysis.compare.evidence import (
+    Assessment,
+    Prior,
+    assess_ratios,
+    remove_machine_factor,
+)
 from dpbench.bench.record.machine import describe_machine
 from dpbench.errors import InputError
 
@@ -78,7 +81,9 @@ def time_changes(
     names = [name for name in now if name in was]
     logs = np.log([now[name]["relative"] / was[name]["relative"] for name in names])
     own = np.array([_error(was[name]) + _error(now[name]) for name in names])
-    found = assess(gather(logs, own, ["run"] * len(names), NOISE), MARGIN, ALPHA)
+    found = assess_ratios(
+        remove_machine_factor(logs, own, ["run"] * len(names), NOISE), MARGIN, ALPHA
+    )
     return dict(zip(names, found, strict=True))
 
 

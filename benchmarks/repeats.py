@@ -10,8 +10,6 @@ change holds a claim, or a slowed configuration is not found. An interrupted cal
 stopped.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import subprocess

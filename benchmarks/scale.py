@@ -12,8 +12,6 @@ tens of percent and not by factors; memory is that of the largest process. OUT i
 takes a gigabyte.
 """
 
-from __future__ import annotations
-
 import argparse
 import ctypes
 import json
@@ -33,11 +31,12 @@ import pyarrow.parquet as pq
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import load_suite
 from dpbench.bench.record.cell import HARNESS_VERSION
-from dpbench.bench.record.cell_store import CellStore, packed
+from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.record.result_folder import load_results
-from dpbench.bench.record.step_table import OF_STEPS
-from dpbench.solvers.table import available
+from dpbench.bench.record.step_table import STEPS_SCHEMA, Row, batch_part
+from dpbench.bench.workers.jobs import BATCH_CELLS
+from dpbench.solvers.table import check_availability
 
 EMPTY = Path(__file__).parent / "empty_solver.py"
 CONFIGURATIONS = 12
@@ -110,11 +109,8 @@ def stored(out: Path) -> tuple[int, int]:
 
 
 def cell_costs(out: Path, whole: int, seas: int = 4) -> Iterator[tuple[str, ...]]:
-    """A row for each length and horizon: a cell, and a sea, which all its cells share.
-
-    Of the same seas one configuration and five differ by cells alone; an empty campaign, of a
-    single step, is what starting costs.
-    """
+    """A row for each length and horizon: a cell, and a sea, which all its cells share."""
+    # One configuration and five in the same seas differ by cells alone.
     start = _twice(out / "start", seas, 1, 10)[0]
     for steps, moves in ((whole // 10, 10), *((whole, moves) for moves in (10, 5, 20, 40))):
         name = f"{steps}-{moves}"
@@ -143,10 +139,10 @@ def _twice(folder: Path, seas: int, steps: int, moves: int) -> list[Cost]:
 
 def empty_suite(folder: Path, cells: int, steps: int = 1) -> Path:
     """Some `cells` cells of the solver that does nothing."""
-    ways: dict[str, object] = {"settings": ["default", "low", "mid", "high"]}
-    ways["policies"] = ["fresh", "reuse", "warm"]
+    modes: dict[str, object] = {"settings": ["default", "low", "mid", "high"]}
+    modes["policies"] = ["fresh", "reuse", "warm"]
     folder.mkdir(parents=True, exist_ok=True)
-    return suite_of(folder / "empty.toml", "empty", -(-cells // CONFIGURATIONS), steps, **ways)
+    return suite_of(folder / "empty.toml", "empty", -(-cells // CONFIGURATIONS), steps, **modes)
 
 
 def empty_campaign(out: Path, cells: int) -> Iterator[tuple[str, ...]]:
@@ -190,33 +186,34 @@ def big_report(out: Path, cells: int, steps: int) -> Iterator[tuple[str, ...]]:
 def made_folder(out: Path, cells: int, steps: int) -> Path:
     """Fill a result folder with finished cells; the suite that takes them for its own.
 
-    Each has the row and the steps of a real one, of its settings at its point, changed as another
-    sea changes them: all numbers of a sea by one factor. What runs of one sea have in common, most
-    of what DAQP computes at whatever tolerance, stays in common, and nothing is in common with
-    another sea; so the steps pack as those of real loops do. The cells come sea by sea, as
-    a campaign keeps them but for the seas at the ends of its batches.
+    A sea multiplies the numbers of real cells by one factor, so that steps pack as real ones do.
     """
 
     def suite_in(folder: Path, seas: int) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
-        ways: dict[str, object] = {"settings": list(LEVELS), "product": POINTS}
-        return suite_of(folder / "made.toml", "daqp", seas, steps, **ways)
+        modes: dict[str, object] = {"settings": list(LEVELS), "product": POINTS}
+        return suite_of(folder / "made.toml", "daqp", seas, steps, **modes)
 
     suite, small = suite_in(out, -(-cells // (4 * len(LEVELS)))), suite_in(out / "real", 1)
     campaign(small, out / "real" / "results")
     real = _real_cells(out / "real" / "results")
-    identity, machine = available("daqp").identity, describe_machine()["id"]
+    identity, machine = check_availability("daqp").identity, describe_machine()["id"]
     rng, store = np.random.default_rng(1), CellStore(out / "results")
     factors: dict[tuple[int, int], float] = {}
+    batches: dict[str, dict[str, tuple[Row, pa.RecordBatch]]] = {}
     for planned in plan(load_suite(suite)[1], beside=out):
         study = planned.cell.study
-        row, batch = real[planned.cell.settings, study["point"]]
-        sea = study["point"], study["replicate"]
+        row, batch = real[planned.cell.settings, study.point]
+        sea = study.point, study.replicate
         factor = factors.setdefault(sea, float(np.exp(0.1 * rng.standard_normal())))
         run_id = planned.cell.run_id(identity, machine, HARNESS_VERSION)
         own = _changed_row(row, factor) | {"run_id": run_id, "cell": planned.cell.to_json()}
-        store.append(run_id, "finished", packed(own, _changed(batch, factor, rng)))
-    store.close()
+        waiting = batches.setdefault(planned.cell.settings, {})
+        waiting[run_id] = own, _changed(batch, factor, rng)
+        if len(waiting) == BATCH_CELLS:
+            store.add_part(batch_part(batches.pop(planned.cell.settings)))
+    for waiting in batches.values():
+        store.add_part(batch_part(waiting))
     return suite
 
 
@@ -225,9 +222,8 @@ def _real_cells(folder: Path) -> dict[tuple[str, int], tuple[dict[str, Any], pa.
     cells = {}
     for row in load_results(folder).runs.to_dict("records"):
         own = [("run_id", "==", row["run_id"])]
-        # As they are stored: what is equal to another column stays null.
-        steps = pq.read_table(folder / "steps.parquet", columns=OF_STEPS.names, filters=own)
-        (batch,) = steps.cast(OF_STEPS).combine_chunks().to_batches()
+        steps = pq.read_table(folder / "steps.parquet", columns=STEPS_SCHEMA.names, filters=own)
+        (batch,) = steps.cast(STEPS_SCHEMA).combine_chunks().to_batches()
         key = str(row["settings"]), int(row["study_point"])
         cells[key] = {str(name): value for name, value in row.items()}, batch
     return cells
@@ -240,8 +236,7 @@ def _changed_row(row: dict[str, Any], factor: float) -> dict[str, Any]:
 
 
 def _changed(batch: pa.RecordBatch, factor: float, rng: np.random.Generator) -> pa.RecordBatch:
-    """The same steps with other numbers that pack neither better nor worse: times, which no two
-    runs have in common, scatter by a tenth, all else is multiplied by the factor of the sea."""
+    """The same steps with other numbers that pack neither better nor worse."""
     columns = []
     for field, column in zip(batch.schema, batch.columns, strict=True):
         if not (pa.types.is_floating(field.type) or field.name.endswith("_ns")):

@@ -12,8 +12,6 @@ The first tenth is warm-up: what a library keeps once is no leak. Beyond it the 
 by more, and each line names the growth of one solver, and what that is for a step.
 """
 
-from __future__ import annotations
-
 import argparse
 import gc
 import multiprocessing
@@ -33,7 +31,7 @@ from dpbench.bench.record.raw_log import Layout, RawLog
 from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
 from dpbench.bench.run.closed_loop import closed_loop
 from dpbench.solvers.contract import Policy
-from dpbench.solvers.table import TABLE, available
+from dpbench.solvers.table import TABLE, check_availability
 
 STEPS, CELLS = 200_000, 5_000
 LOOPS, LONGEST = 40, 1000
@@ -151,7 +149,7 @@ def main() -> int:
     parser.add_argument("--skip-campaign", action="store_true", help="run the loops alone")
     asked = parser.parse_args()
     steps, cells = round(asked.share * STEPS), max(20, round(asked.share * CELLS))
-    solvers = asked.solver or [name for name in TABLE if available(name).ok]
+    solvers = asked.solver or [name for name in TABLE if check_availability(name).ok]
     found = []
     # A process of its own for each: what a library keeps is its own.
     with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:

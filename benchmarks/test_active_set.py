@@ -1,7 +1,5 @@
 """The paper's method as a controller uses it, beside bare calls of DAQP, on recorded sequences."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import daqp
@@ -10,7 +8,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import load_scenario, open_workspace
-from dpbench.bench.run.exact_loop import sequence_of, solve_exactly
+from dpbench.bench.run.exact_loop import rebuild_sequence, solve_exactly
 from dpbench.qp.program import QPSequence
 
 
@@ -18,7 +16,7 @@ from dpbench.qp.program import QPSequence
 def sequence(request: pytest.FixtureRequest) -> QPSequence:
     """The first 200 QPs of a scenario."""
     scenario = load_scenario(request.param).first(200)
-    return sequence_of(scenario, solve_exactly(scenario))
+    return rebuild_sequence(scenario, solve_exactly(scenario))
 
 
 def bare_daqp(sequence: QPSequence) -> Callable[[], int]:
@@ -75,10 +73,7 @@ def own(solver: str, sequence: QPSequence) -> Callable[[], int]:
 def test_warm_steps(
     benchmark: BenchmarkFixture, exactly: Callable[..., None], sequence: QPSequence, solver: str
 ) -> None:
-    """A whole pass over the sequence; divide by 200 for a step.
-
-    "daqp" less "daqp, bare" is what dpbench's adapter costs, to read the answer included.
-    """
+    """A whole pass over the sequence; divide by 200 for a step."""
     replay = bare_daqp(sequence) if solver == "daqp, bare" else own(solver, sequence)
     replay()  # the second pass starts warm from the end of the first, as all later ones do
     iterations = replay()

@@ -1,7 +1,5 @@
 """Building: condensing once, emitting every step. Read the ratios within each group."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable
@@ -14,22 +12,18 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import load_scenario
 from dpbench.bench.run.exact_loop import base_problem
-from dpbench.bench.run.formulation import Box
-from dpbench.bench.run.qp_builder import QPBuilder
-from dpbench.mpc.condense import ControlProblem, affine_map, condense_matrices
+from dpbench.bench.run.formulation import BoxFormulation, QPBuilder
+from dpbench.bench.sequences.recording import with_horizons
+from dpbench.mpc.condense import ControlProblem, build_affine_map, condense_matrices
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.kernels import hessian_blocks
+from dpbench.mpc.kernels import write_hessian_blocks
 from dpbench.scenario.scenario import Scenario, condense
 
 SIZES = (75, 150, 300, 600, 900)
 
 
 def qpmpc_build(problem: ControlProblem) -> Callable[[], Any]:
-    """A call that builds qpmpc's QP of the same horizon, its best form; skipped without qpmpc.
-
-    States [x; u(k−1)], inputs Δu, the same amplitude and rate rows at every step; weights, which
-    it takes as scalars, cost it the same whatever they are.
-    """
+    """A call that builds qpmpc's QP of the same horizon, its best form; skipped without qpmpc."""
     qpmpc = pytest.importorskip("qpmpc", reason="qpmpc is not installed")
     model = problem.model
     n_x, n_u = model.n_x, model.n_u
@@ -74,7 +68,7 @@ def test_condense(
 @pytest.mark.benchmark(group="condense 30/5 from given (A, B, C)")
 def test_condense_matrices_and_map(benchmark: BenchmarkFixture, problem: ControlProblem) -> None:
     """The algebra alone: what a re-linearised step needs."""
-    benchmark(lambda: affine_map(problem, condense_matrices(problem), "scaled"))
+    benchmark(lambda: build_affine_map(problem, condense_matrices(problem), "scaled"))
 
 
 @pytest.mark.benchmark(group="condense 30/5 from given (A, B, C)")
@@ -85,10 +79,7 @@ def test_qpmpc_builds(benchmark: BenchmarkFixture, problem: ControlProblem) -> N
 
 @pytest.mark.benchmark(group="condense 300/300 (n = 900), by turns with qpmpc")
 def test_condense_long(benchmark: BenchmarkFixture, problem: ControlProblem) -> None:
-    """The whole CondensedQP; before each round qpmpc builds the same, `extra_info` has its times.
-
-    By turns in one process, so that what slows the machine down slows both.
-    """
+    """The whole CondensedQP."""
     long = replace(problem, N_p=300, N_c=300)
     build, times = qpmpc_build(long), []
 
@@ -113,7 +104,7 @@ def test_hessian_grows(benchmark: BenchmarkFixture, problem: ControlProblem, n: 
     h = condense_matrices(replace(problem, N_p=horizon, N_c=horizon)).h
     benchmark.extra_info["n"] = n
     E = np.empty((n, n))
-    benchmark(hessian_blocks, np.ascontiguousarray(h), problem.Q, problem.R, horizon, E)
+    benchmark(write_hessian_blocks, np.ascontiguousarray(h), problem.Q, problem.R, horizon, E)
 
 
 @pytest.mark.benchmark(group="growth: the whole CondensedQP, N_p = N_c = n/3")
@@ -140,7 +131,7 @@ def test_emit(
 def test_emit_as_timed(benchmark: BenchmarkFixture, scenario: Scenario) -> None:
     """What `emit_ns` is of: the QP of a step, in the formulation that the solver gets."""
     builder = QPBuilder(scenario)
-    box, x, u_prev = Box(base_problem(builder.condensed)), np.full(9, 0.1), np.ones(3)
+    box, x, u_prev = BoxFormulation(base_problem(builder.condensed)), np.full(9, 0.1), np.ones(3)
     benchmark(lambda: box.step(builder.emit(0, x, u_prev)))
 
 
@@ -155,16 +146,15 @@ def test_bare_product(benchmark: BenchmarkFixture, problem: ControlProblem) -> N
 @pytest.fixture(scope="module", params=[(30, 5), (60, 10)], ids=["30/5", "60/10"])
 def loss(request: pytest.FixtureRequest) -> Scenario:
     """A ship that loses thrusters on the way."""
-    N_p, N_c = request.param
-    return replace(load_scenario("thrusters_loss"), N_p=N_p, N_c=N_c)
+    return with_horizons(load_scenario("thrusters_loss"), *request.param)
 
 
 @pytest.mark.benchmark(group="emit one step with thrusters")
 @pytest.mark.parametrize("behind", [-1, 1], ids=["intact", "lost"])
 def test_emit_with_thrusters(benchmark: BenchmarkFixture, loss: Scenario, behind: int) -> None:
     """θ → q, l, u before and after the fault."""
-    builder, fault = QPBuilder(loss), min(k for k, _, _ in loss.faults)
-    x, f = np.full(9, 0.1), np.full(builder.n_f, 5e3)
+    builder, fault = QPBuilder(loss), min(k for k, _ in loss.controller.changes)
+    x, f = np.full(9, 0.1), np.full(loss.controller.n_f, 5e3)
     benchmark(builder.emit, fault + behind, x, f)
 
 

@@ -1,7 +1,5 @@
 """One step of every installed solver on a recorded sequence, and one step of the closed loop."""
 
-from __future__ import annotations
-
 import time
 import warnings
 from collections.abc import Callable
@@ -13,17 +11,18 @@ from dpbench import open_workspace
 from dpbench.bench.plan.configurations import BASELINE_LAW
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
-from dpbench.bench.run.exact_loop import ExactLoop, ExactWorkspace, base_problem, sequence_of
-from dpbench.bench.run.formulation import Box
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.exact_loop import ExactLoop, ExactWorkspace, base_problem, rebuild_sequence
+from dpbench.bench.run.formulation import BoxFormulation, QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario
 from dpbench.solvers.contract import Workspace
-from dpbench.solvers.table import available, solver_names
+from dpbench.solvers.table import check_availability, solver_names
 
-INSTALLED = [name for name in solver_names() if available(name).ok and name != BASELINE_LAW]
+INSTALLED = [
+    name for name in solver_names() if check_availability(name).ok and name != BASELINE_LAW
+]
 
 
 @pytest.mark.benchmark(group="update + solve + read, mean over 120 steps of `paper`", min_rounds=3)
@@ -36,7 +35,7 @@ def test_step(
     solver: str,
 ) -> None:
     """A whole pass over the sequence; divide by 120 for a step."""
-    sequence = sequence_of(scenario, exact)
+    sequence = rebuild_sequence(scenario, exact)
     workspace = open_workspace(solver)
     workspace.setup(sequence.base)
     steps = [sequence.step(k) for k in range(len(sequence))]
@@ -86,7 +85,7 @@ def test_closed_loop(benchmark: BenchmarkFixture, scenario: Scenario, kind: str)
     log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes))
     workspace = _Stored() if kind == "harness alone" else ExactWorkspace()
     base = base_problem(builder.condensed)
-    timed_solver = TimedSolver(workspace, Box(base), time.perf_counter_ns)
+    timed_solver = TimedSolver(workspace, BoxFormulation(base), time.perf_counter_ns)
     setup = ClosedLoopSetup(
         scenario, builder, timed_solver, log, "hold", 2**62, time.perf_counter_ns
     )

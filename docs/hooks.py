@@ -1,7 +1,5 @@
 """Hooks of mkdocs: pages made from the code join those written by hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig

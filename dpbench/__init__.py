@@ -10,29 +10,43 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dpbench.bench.campaign import run_campaign
-    from dpbench.bench.run.exact_loop import record_sequence
-    from dpbench.bench.sequences.sequence_file import load_sequence, save_sequence
-    from dpbench.errors import DpbenchError, InputError
-    from dpbench.mpc.condensed_qp import CondensedQP
-    from dpbench.notebook.results import Results, load_results
-    from dpbench.notebook.runs import Run, replay, run_closed_loop
-    from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Refresh
-    from dpbench.qp.referee.referee import Optimum, certify
-    from dpbench.qp.residuals import Residuals, residuals
-    from dpbench.qp.solution import Solution, Status
-    from dpbench.report.compare.comparison import Comparison, compare
-    from dpbench.report.write import write_report
-    from dpbench.scenario.scenario import Scenario, condense, load_scenario
-    from dpbench.solvers.contract import Workspace
-    from dpbench.solvers.open import open_workspace
+    from dpbench.bench.campaign import run_campaign as run_campaign
+    from dpbench.bench.run.exact_loop import record_sequence as record_sequence
+    from dpbench.bench.sequences.sequence_file import load_sequence as load_sequence
+    from dpbench.bench.sequences.sequence_file import save_sequence as save_sequence
+    from dpbench.errors import DpbenchError as DpbenchError
+    from dpbench.errors import InputError as InputError
+    from dpbench.mpc.condensed_qp import CondensedQP as CondensedQP
+    from dpbench.notebook.results import Results as Results
+    from dpbench.notebook.results import load_results as load_results
+    from dpbench.notebook.runs import Run as Run
+    from dpbench.notebook.runs import replay as replay
+    from dpbench.notebook.runs import run_closed_loop as run_closed_loop
+    from dpbench.qp.program import QPSequence as QPSequence
+    from dpbench.qp.program import QPStep as QPStep
+    from dpbench.qp.program import QuadraticProgram as QuadraticProgram
+    from dpbench.qp.program import Refresh as Refresh
+    from dpbench.qp.referee.optimum import Optimum as Optimum
+    from dpbench.qp.referee.referee import certify as certify
+    from dpbench.qp.residuals import Residuals as Residuals
+    from dpbench.qp.residuals import residuals as residuals
+    from dpbench.qp.solution import Solution as Solution
+    from dpbench.qp.solution import Status as Status
+    from dpbench.report.compare.comparison import Comparison as Comparison
+    from dpbench.report.compare.comparison import compare as compare
+    from dpbench.report.write import write_report as write_report
+    from dpbench.scenario.scenario import Scenario as Scenario
+    from dpbench.scenario.scenario import condense as condense
+    from dpbench.scenario.scenario import load_scenario as load_scenario
+    from dpbench.solvers.contract import Workspace as Workspace
+    from dpbench.solvers.open import open_workspace as open_workspace
 
 _HOMES = {
     "Comparison": "report.compare.comparison",
     "CondensedQP": "mpc.condensed_qp",
     "DpbenchError": "errors",
     "InputError": "errors",
-    "Optimum": "qp.referee.referee",
+    "Optimum": "qp.referee.optimum",
     "QPSequence": "qp.program",
     "QPStep": "qp.program",
     "QuadraticProgram": "qp.program",
@@ -60,38 +74,7 @@ _HOMES = {
     "write_report": "report.write",
 }
 
-__all__ = [
-    "Comparison",
-    "CondensedQP",
-    "DpbenchError",
-    "InputError",
-    "Optimum",
-    "QPSequence",
-    "QPStep",
-    "QuadraticProgram",
-    "Refresh",
-    "Residuals",
-    "Results",
-    "Run",
-    "Scenario",
-    "Solution",
-    "Status",
-    "Workspace",
-    "certify",
-    "compare",
-    "condense",
-    "load_results",
-    "load_scenario",
-    "load_sequence",
-    "open_workspace",
-    "record_sequence",
-    "replay",
-    "residuals",
-    "run_campaign",
-    "run_closed_loop",
-    "save_sequence",
-    "write_report",
-]
+__all__ = list(_HOMES)
 
 
 def __getattr__(name: str) -> Any:

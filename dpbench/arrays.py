@@ -1,12 +1,10 @@
-"""Arrays, as every room names them; their shapes stand where they are used."""
-
-from __future__ import annotations
+"""Types of arrays; their shapes are documented where they are used."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
-"""One axis; its length stands where it is used."""
+"""One axis."""
 Matrix = NDArray[np.float64]
 """Two axes."""
 Floats = NDArray[np.float64]

@@ -1,6 +1,4 @@
-"""What a notebook shows of an object: plain HTML tables, without script and style."""
-
-from __future__ import annotations
+"""HTML tables that a notebook shows of an object, without script and style."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
@@ -9,9 +7,11 @@ from html import escape
 def table_html(
     heads: Sequence[str], rows: Iterable[Sequence[object]], *, title: str = "", note: str = ""
 ) -> str:
-    """A table with a title above and a note below it; every cell as text."""
+    """Make an HTML table of rows below column heads, with a title above and a note below."""
     head = "".join(f"<th>{escape(text)}</th>" for text in heads)
-    body = "".join(f"<tr>{_cells(row)}</tr>" for row in rows)
+    body = "".join(
+        f"<tr>{''.join(f'<td>{escape(str(cell))}</td>' for cell in row)}</tr>" for row in rows
+    )
     above = f"<caption>{escape(title)}</caption>" if title else ""
     below = f"<p>{escape(note)}</p>" if note else ""
     whole = f"<thead><tr>{head}</tr></thead>" if heads else ""
@@ -19,18 +19,14 @@ def table_html(
 
 
 def fields_html(title: str, fields: Mapping[str, object]) -> str:
-    """What an object says of itself, a row for each of its fields; empty ones are left out."""
+    """Make an HTML table with one row for each field, name and value, that is not empty."""
     rows = [(name, value) for name, value in fields.items() if str(value) != ""]
     return table_html((), rows, title=title)
 
 
 def numbers_text(numbers: Iterable[float], units: Sequence[str] = ()) -> str:
-    """Numbers to four digits with commas between, each with its unit where there are any."""
+    """Format numbers to four digits, separated by commas, each with its unit."""
     texts = [f"{number:.4g}" for number in numbers]
     if units:
         texts = [f"{text} {unit}" for text, unit in zip(texts, units, strict=True)]
     return ", ".join(texts)
-
-
-def _cells(row: Sequence[object]) -> str:
-    return "".join(f"<td>{escape(str(cell))}</td>" for cell in row)

@@ -1,8 +1,7 @@
-"""The error tree: everything dpbench raises on purpose, so a caller can catch one base class.
+"""The errors that dpbench raises on purpose.
 
-A *person's* mistake is an `InputError`: one line that names the place, what was found and what is
-allowed (the command line prints it and exits with 2). A *solver's* failure is never an exception
-that leaves the run: it is a `Status` in a record.
+Bad input is an `InputError`, one line that the command line prints and exits with 2. A solver's
+failure is never an exception that leaves the run: it is a `Status` in a record.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ class DpbenchError(Exception):
 
 
 class InputError(DpbenchError, ValueError):
-    """Bad input from a person.
+    """Bad user input: which file or option, which key, what was found, what is allowed.
 
     Parameters
     ----------
@@ -36,11 +35,23 @@ class InputError(DpbenchError, ValueError):
         return type(self), (self.where, self.key, self.found, self.allowed)
 
 
+class SituationError(InputError):
+    """Bad user input that is no single wrong value: one sentence with what to do."""
+
+    def __init__(self, where: str, sentence: str) -> None:
+        super().__init__(where, "", sentence, "")
+        self.args = (" ".join(f"{where}: {sentence}".split()),)
+
+    def __reduce__(self) -> tuple[type[SituationError], tuple[str, str]]:  # type: ignore[override] # of fewer parts
+        return type(self), (self.where, str(self.found))
+
+
 class ShapeError(InputError):
-    """An array of the wrong shape; names the array, the expected and the found shape."""
+    """An array of the wrong shape, with its name, found and expected shape."""
 
     @classmethod
     def of(cls, where: str, name: str, found: tuple[int, ...], expected: str) -> ShapeError:
+        """Make the error for an array of a wrong shape, from its name and both shapes."""
         return cls(where, name, f"shape {found}", expected)
 
 
@@ -53,31 +64,40 @@ class SettingsError(InputError):
 
 
 class PolicyError(InputError):
-    """A route or policy that a solver cannot run; `allowed` carries the reason."""
+    """A solver interface, or way of starting each solve, that a solver does not offer."""
 
 
-class SolverUnavailableError(InputError):
-    """A solver whose library is missing or fails to import; `found` carries the reason."""
+class SolverUnavailableError(SituationError):
+    """A solver whose library is missing or fails to import, with the reason."""
 
 
 class ResultsError(InputError):
-    """A result folder or file that is missing, damaged or of another schema."""
+    """A result folder or file that is missing, damaged or of an unknown format version."""
 
 
-def one_of(text: str, known: Sequence[str]) -> str:
-    """What could stand in place of `text`: the nearest of the known names, then all of them."""
-    near = get_close_matches(text, known, n=3)
-    return f"{'e.g. ' + ', '.join(near) + '; ' if near else ''}one of {', '.join(known)}"
+MOST_NAMES = 6
+"""A list of more names is cut to the nearest."""
+_NEAREST = 3
+
+
+def list_allowed(text: str, known: Sequence[str], *, listing: str = "") -> str:
+    """Return as text all known names, or the three nearest to `text` and a command for all."""
+    if len(known) <= MOST_NAMES:
+        return f"one of {', '.join(known)}"
+    # A text of a megabyte would be compared letter by letter.
+    near = get_close_matches(text[:80], known, n=_NEAREST, cutoff=0.0)
+    rest = f"{', '.join(near)}, … {len(known) - len(near)} more"
+    return f"{rest}: `{listing}`" if listing else rest
 
 
 class RenamedWarning(FutureWarning):
-    """An old word in a person's file or command, still read; the message names the new one."""
+    """Warning about an outdated name in a user's file or command, with the new name."""
 
 
-def renamed(where: str, old: str, new: str) -> None:
-    """Say that `old`, found in `where`, is now called `new`."""
+def warn_renamed(where: str, old: str, new: str) -> None:
+    """Warn that a name in a user's file or command is outdated, and state the new one."""
     warnings.warn(f"{where}: {old} is now called {new}", RenamedWarning, stacklevel=3)
 
 
 class CertificateError(DpbenchError):
-    """The referee could not certify a problem that by construction has a certificate."""
+    """A QP whose optimum could not be proven in exact arithmetic although it has one."""

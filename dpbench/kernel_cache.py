@@ -1,12 +1,9 @@
 """Compile kernels with Numba, and keep them where this user may write.
 
-Numba keeps what it compiled beside the sources, else in the user's cache folder, and refuses to
-compile where neither can be written: in a container, or in an installation of another user without
-a home. There the kernels are kept in a folder of this process, whose name the processes that it
-starts inherit (NUMBA_CACHE_DIR), with links to those that were compiled before.
+Numba keeps them beside the sources, else in the user's cache folder, and refuses to compile where
+neither can be written. Then they are kept in a folder of this process, which its child processes
+inherit (NUMBA_CACHE_DIR), with links to kernels that were compiled before.
 """
-
-from __future__ import annotations
 
 import os
 from collections.abc import Callable
@@ -29,11 +26,11 @@ _config: Any = numba.config  # type: ignore[attr-defined,unused-ignore] # as abo
 _app_dirs: Any = AppDirs
 _locator: Any = UserProvidedCacheLocator
 _NO_PLACE = "cannot cache function"
-"""How Numba's complaint begins where it finds no folder to write to."""
+"""Beginning of Numba's error where it finds no folder to write to."""
 
 
 def njit(*signature: str, **options: Any) -> Callable[[Function], Function]:
-    """`numba.njit` with these arguments, whatever can be written; without a cache at the last."""
+    """Compile a function with Numba, cached on disk if any folder can be written."""
 
     def compiled(function: Function) -> Function:
         def with_options(given: dict[str, Any]) -> Function:
@@ -45,42 +42,41 @@ def njit(*signature: str, **options: Any) -> Callable[[Function], Function]:
         except RuntimeError as error:
             if not str(error).startswith(_NO_PLACE):
                 raise
-        return with_options(options if _has_own_cache() else {**options, "cache": False})
+        return with_options(options if _make_own_cache() else {**options, "cache": False})
 
     return compiled
 
 
 def cache_folders() -> list[Path]:
-    """The folders below which Numba keeps compiled kernels."""
+    """Return the folders below which Numba keeps compiled functions."""
     given = _config.CACHE_DIR
-    return [Path(given)] if given else [PACKAGE, _of_user()]
+    return [Path(given)] if given else [PACKAGE, _user_cache_folder()]
 
 
-def _of_user() -> Path:
-    """Numba's cache folder in the user's home."""
+def _user_cache_folder() -> Path:
+    """Return the folder in which Numba keeps compiled functions of this user."""
     return Path(_app_dirs(appname="numba", appauthor=False).user_cache_dir)
 
 
 @cache
-def _has_own_cache() -> bool:
-    """Make the cache of this process, with links to all that was compiled before; whether there is
-    a place for it."""
+def _make_own_cache() -> bool:
+    """Make a temporary folder for compiled functions and have Numba use it; return if it worked."""
     try:
         own = process_folder() / "kernels"
         own.mkdir()
         for sources in {path.parent for path in PACKAGE.rglob("*.py")}:
-            _link(sources, own)
+            _link_kernels(sources, own)
     except OSError:
         return False
     _config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"] = str(own)
     return True
 
 
-def _link(sources: Path, own: Path) -> None:
-    """Link what was compiled of one folder of sources into the cache, as Numba names it there."""
+def _link_kernels(sources: Path, own: Path) -> None:
+    """Link functions already compiled from one source folder into the new cache folder."""
     name = _locator.get_suitable_cache_subpath(str(sources / "any.py"))
     given = [Path(folder) / name for folder in filter(None, [_config.CACHE_DIR])]
-    for place in (*given, sources / "__pycache__", _of_user() / name):
+    for place in (*given, sources / "__pycache__", _user_cache_folder() / name):
         files: list[Path] = []
         with suppress(OSError):
             files = [path for path in place.iterdir() if path.suffix in (".nbi", ".nbc")]

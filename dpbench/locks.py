@@ -1,8 +1,7 @@
-"""Locks between the processes of a machine (flock), with the name of who holds one.
+"""Locks between the processes of a machine (flock), with the names of their holders.
 
-A lock is on a file or a folder that all processes know, and ends with the process that holds it,
-however that ends. A holder writes its process, its work and the time into the file, for those who
-wait.
+A lock is on a file or a folder, and ends with the process that holds it, however that ends. A
+holder writes its process, its work and the time into the file, for those who wait.
 """
 
 from __future__ import annotations
@@ -23,24 +22,18 @@ from dpbench.errors import InputError
 
 FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
 FILE = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
-"""How what is locked is opened."""
-ALONE, TOGETHER = fcntl.LOCK_EX, fcntl.LOCK_SH
+"""Flags to open a lock."""
+EXCLUSIVE, SHARED = fcntl.LOCK_EX, fcntl.LOCK_SH
 MAX_BYTES = 2**16
-"""Of a lock file that is read."""
+"""Largest part of a lock file that is read."""
 MAX_WORK = 100
-"""Characters of the command of a holder."""
+"""Longest command of a holder."""
 _POLL_S = 0.1
 
 
 @dataclass(frozen=True)
 class Holder:
-    """A process that holds a lock, as it says in the file.
-
-    Parameters
-    ----------
-    work : what it does meanwhile: its result folder.
-    since : when it began that [s since the epoch].
-    """
+    """A process that holds a lock: its work, start time [s since the epoch] and process ID."""
 
     work: str
     since: float = field(default_factory=time.time)
@@ -52,7 +45,7 @@ class Holder:
 
     @classmethod
     def read(cls, line: str) -> Holder:
-        """The holder that a line names; ValueError, KeyError or TypeError where it names none."""
+        """Parse a lock holder from a JSON line; ValueError, KeyError or TypeError if invalid."""
         entry = json.loads(line)
         work = "".join(c for c in str(entry["work"]) if c.isprintable())
         holder = cls(work, float(entry["since"]), int(entry["pid"]))
@@ -61,39 +54,49 @@ class Holder:
 
 
 @dataclass(frozen=True)
-class Patience:
-    """How long a lock that others hold is waited for.
-
-    Parameters
-    ----------
-    limit_s : the longest wait, 0 for none; None without a limit.
-    required : whether `BusyError` is raised after it; else work goes on without the lock.
-    """
+class WaitLimit:
+    """Longest wait for a lock [s]: 0 for none, None without a limit."""
 
     limit_s: float | None = None
-    required: bool = True
-
-
-FOR_NOBODY = Patience(0.0, required=False)
-"""For work whose measurements nobody keeps."""
 
 
 class BusyError(InputError):
-    """A lock that others still hold at the end of the wait; `found` names them."""
+    """A file or folder lock that other processes still hold at the end of the wait."""
 
 
 @contextmanager
-def lease(path: Path, opened_as: int, how: int = ALONE | fcntl.LOCK_NB) -> Iterator[bool]:
-    """A lock as long as the block lasts; false where another holds it, where it is another user's,
-    or where the disk knows no locks."""
+def try_lease(path: Path, opened_as: int, how: int = EXCLUSIVE | fcntl.LOCK_NB) -> Iterator[bool]:
+    """Hold a file lock during the block, without waiting; yield false if it cannot be locked."""
     with ExitStack() as stack:
-        held = False
+        is_locked = False
         with suppress(OSError):
             lock = os.open(path, opened_as, 0o600)
             stack.callback(os.close, lock)
             fcntl.flock(lock, how)
-            held = True
-        yield held
+            is_locked = True
+        yield is_locked
+
+
+@contextmanager
+def _hold_lock(
+    path: Path,
+    opened_as: int,
+    how: int,
+    where: str,
+    patience: WaitLimit,
+    say_waiting: Callable[[str], None],
+) -> Iterator[int | None]:
+    """Wait for a file or folder lock and hold it during the block; yield its descriptor or None."""
+    with ExitStack() as stack:
+        locked = None
+        # Without a folder for the file, or on a disk that has no locks.
+        with suppress(OSError):
+            lock = os.open(path, opened_as, 0o600)
+            stack.callback(os.close, lock)
+            if not _try_lock(lock, how):
+                _wait_for_lock(lock, how, where, patience, say_waiting)
+            locked = lock if _try_lock(lock, how) else None
+        yield locked
 
 
 @contextmanager
@@ -103,59 +106,42 @@ def lock_file(
     holder: Holder,
     *,
     where: str,
-    patience: Patience = Patience(),
+    patience: WaitLimit = WaitLimit(),
     say_waiting: Callable[[str], None] = lambda holders: None,
 ) -> Iterator[bool]:
-    """The lock of a file as long as the block lasts; false where there is none to be had.
+    """Wait for the lock of a file and hold it during the block; yield whether it is held.
 
-    Parameters
-    ----------
-    how : ALONE, or TOGETHER with others that ask for that.
-    holder : this process, for those who wait for it.
-    where : what is locked, for the error.
+    how : EXCLUSIVE or SHARED.
+    holder : this process, written into the file for those who wait.
+    where : the name of the lock in the error.
     say_waiting : called once with the holders, before a wait.
-
-    Raises
-    ------
-    BusyError : see `Patience`.
+    Raises BusyError at the end of the wait.
     """
-    with ExitStack() as stack:
-        held = False
-        # Without a folder for the file, or on a disk that knows no locks.
-        with suppress(OSError):
-            lock = os.open(path, FILE, 0o600)
-            stack.callback(os.close, lock)
-            if not _locked(lock, how | fcntl.LOCK_NB):
-                _wait(lock, how, where, patience, say_waiting)
-            held = _locked(lock, how | fcntl.LOCK_NB)
-            if held:
-                _write(lock, [*_others(lock), holder])
-                stack.callback(lambda: _write(lock, _others(lock)))
-        yield held
+    with _hold_lock(path, FILE, how, where, patience, say_waiting) as lock:
+        if lock is not None:
+            _write_holders(lock, [*_read_other_holders(lock), holder])
+        try:
+            yield lock is not None
+        finally:
+            if lock is not None:
+                _write_holders(lock, _read_other_holders(lock))
 
 
 @contextmanager
 def lock_folder(
-    folder: Path, *, patience: Patience, say_waiting: Callable[[str], None]
+    folder: Path, *, patience: WaitLimit, say_waiting: Callable[[str], None]
 ) -> Iterator[bool]:
-    """Lock a folder alone as long as the block lasts; parameters and errors as in `lock_file`."""
-    with ExitStack() as stack:
-        held = False
-        with suppress(OSError):
-            lock = os.open(folder, FOLDER)
-            stack.callback(os.close, lock)
-            if not _locked(lock, ALONE | fcntl.LOCK_NB):
-                _wait(lock, ALONE, str(folder), patience, say_waiting)
-            held = _locked(lock, ALONE | fcntl.LOCK_NB)
-        yield held
+    """Wait for a folder's exclusive lock, hold it during the block; yield whether it is held."""
+    with _hold_lock(folder, FOLDER, EXCLUSIVE, str(folder), patience, say_waiting) as lock:
+        yield lock is not None
 
 
-def _wait(
-    lock: int, how: int, where: str, patience: Patience, say_waiting: Callable[[str], None]
+def _wait_for_lock(
+    lock: int, how: int, where: str, patience: WaitLimit, say_waiting: Callable[[str], None]
 ) -> None:
-    """Wait for the lock of an open file as long as there is time for it."""
+    """Wait for the lock of an open file; BusyError at the end of the wait."""
     if patience.limit_s != 0.0:
-        say_waiting(holders(lock))
+        say_waiting(describe_holders(lock))
     if patience.limit_s is None:
         # In the kernel's queue, where another that releases and locks again goes to the end.
         fcntl.flock(lock, how)
@@ -163,31 +149,30 @@ def _wait(
     end_s = time.monotonic() + patience.limit_s
     while time.monotonic() < end_s:
         time.sleep(_POLL_S)
-        if _locked(lock, how | fcntl.LOCK_NB):
+        if _try_lock(lock, how):
             return
-    if patience.required:
-        waited = f" after a wait of {patience.limit_s:g} s" if patience.limit_s else ""
-        found = f"in use by {holders(lock)}{waited}"
-        raise BusyError(where, "", found, "to wait for it, without --no-wait or longer")
+    waited = f" after a wait of {patience.limit_s:g} s" if patience.limit_s else ""
+    found = f"in use by {describe_holders(lock)}{waited}"
+    raise BusyError(where, "", found, "to wait for it, without --no-wait or longer")
 
 
-def _locked(lock: int, how: int) -> bool:
-    """Lock an open file if nobody else has it; OSError where there are no locks."""
+def _try_lock(lock: int, how: int) -> bool:
+    """Try to lock an open file; return whether it was free. OSError where locks are missing."""
     try:
-        fcntl.flock(lock, how)
+        fcntl.flock(lock, how | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     return True
 
 
-def holders(lock: int) -> str:
-    """Describe the holders of the lock of an open file or folder."""
-    named = _others(lock) or _known_to_kernel(lock)
+def describe_holders(lock: int) -> str:
+    """Describe the processes that hold the lock of an open file or folder."""
+    named = _read_other_holders(lock) or _read_kernel_holders(lock)
     return " and ".join(map(str, named)) or "another process, which left no name"
 
 
-def _known_to_kernel(lock: int) -> list[Holder]:
-    """Return the holders of a lock that the kernel lists; none where it does not show them."""
+def _read_kernel_holders(lock: int) -> list[Holder]:
+    """Return the processes that hold a file's lock according to Linux's /proc/locks."""
     status = os.fstat(lock)
     device = status.st_dev
     place = f"{os.major(device):02x}:{os.minor(device):02x}:{status.st_ino}"
@@ -203,8 +188,8 @@ def _known_to_kernel(lock: int) -> list[Holder]:
     return found
 
 
-def _others(lock: int) -> list[Holder]:
-    """Return the other live holders that a lock file names; none of a folder."""
+def _read_other_holders(lock: int) -> list[Holder]:
+    """Return other living processes that a lock file names as holders; none for a folder."""
     found: list[Holder] = []
     if stat.S_ISDIR(os.fstat(lock).st_mode):
         return found
@@ -217,8 +202,8 @@ def _others(lock: int) -> list[Holder]:
     return found
 
 
-def _write(lock: int, named: Sequence[Holder]) -> None:
-    """Write holders into a lock file. Of two that do so at once one may go unnamed."""
+def _write_holders(lock: int, named: Sequence[Holder]) -> None:
+    """Write lock holders into a lock file, one JSON line each."""
     with suppress(OSError):
         os.ftruncate(lock, 0)
         os.pwrite(lock, "".join(f"{json.dumps(asdict(one))}\n" for one in named).encode(), 0)

@@ -1,10 +1,8 @@
-"""Folders that go with the process that made them.
+"""Temporary folders that are removed with the process that made them.
 
-A folder is locked as long as its process lives. What a killed one has left is locked by nobody, and
-goes when the next one makes a folder in the same place.
+A folder is locked as long as its process lives; the folder of a killed process is removed when the
+next one makes a folder in the same place.
 """
-
-from __future__ import annotations
 
 import os
 import shutil
@@ -15,10 +13,10 @@ from functools import cache
 from multiprocessing.util import Finalize, get_temp_dir
 from pathlib import Path
 
-from dpbench.locks import FOLDER, lease
+from dpbench.locks import FOLDER, try_lease
 
 PREFIX = "dpbench-scratch-"
-"""What names of such folders begin with, and no other."""
+"""Beginning of the names of such folders alone."""
 LONGEST = 70
 """Bytes of the path of a folder of sockets: Linux allows 107, and Python adds up to 33."""
 _LAST = -200
@@ -29,28 +27,28 @@ ATTEMPTS = 10
 
 @contextmanager
 def temporary_folder(place: Path) -> Iterator[Path]:
-    """A folder for this user alone, with all that is in it gone at the end of the block."""
+    """Make a private temporary folder below `place`, removed at the end of the block."""
     clear_abandoned(place)
     # Nobody looks for this name: it gets the other when it is locked.
     made = Path(tempfile.mkdtemp(prefix=f".{PREFIX}", dir=place))
-    with lease(made, FOLDER):
+    with try_lease(made, FOLDER):
         folder = made.rename(made.with_name(made.name.removeprefix(".")))
         try:
             yield folder
         finally:
-            _remove(folder)
+            _remove_folder(folder)
 
 
 def clear_abandoned(place: Path) -> None:
-    """Remove the folders at a place whose process lives no more."""
+    """Remove temporary folders that processes which have ended left below `place`."""
     for folder in place.glob(f"{PREFIX}*"):
-        with lease(folder, FOLDER) as abandoned:
+        with try_lease(folder, FOLDER) as abandoned:
             if abandoned:
-                _remove(folder)
+                _remove_folder(folder)
 
 
-def _remove(folder: Path) -> None:
-    """Remove a folder; a worker that was interrupted may still write its last files meanwhile."""
+def _remove_folder(folder: Path) -> None:
+    """Remove a folder, with retries while another process still writes to it."""
     for _ in range(ATTEMPTS):
         shutil.rmtree(folder, ignore_errors=True)
         if not folder.exists():
@@ -58,18 +56,13 @@ def _remove(folder: Path) -> None:
 
 
 _held: list[object] = []
-"""Context that holds the folder of this process. A fork by `multiprocessing` clears the finalizers
-that it inherits; without another reference to the context it would remove its parent's folder."""
+"""Context of the folder of this process: a fork by `multiprocessing` clears the finalizers that it
+inherits, and without another reference would remove its parent's folder."""
 
 
 @cache
 def process_folder() -> Path:
-    """A folder of this process on the disk for temporary files, gone when the process ends.
-
-    Raises
-    ------
-    OSError : there is no place for one.
-    """
+    """Return this process's temporary folder, removed at its end; OSError if none can be made."""
     made = temporary_folder(Path(tempfile.gettempdir()))
     folder = made.__enter__()
     _held.append(made)
@@ -78,9 +71,8 @@ def process_folder() -> Path:
     return folder
 
 
-def keep_sockets() -> None:
-    """Have `multiprocessing` keep its sockets in the folder of this process, so that those of a
-    killed one go too; where Python keeps them else if that path is too long for a socket."""
+def place_sockets_in_process_folder() -> None:
+    """Make `multiprocessing` keep its sockets in this process's folder, if its path is short."""
     before = tempfile.tempdir
     try:
         folder = process_folder()

@@ -7,8 +7,6 @@ Processes are found by a variable of their environment; a row is right if all it
 equal those of the undisturbed run.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import shutil
@@ -115,10 +113,7 @@ def _check(right: bool, words: str) -> None:
 
 @dataclass
 class Place:
-    """A folder of its own for one scenario, and the commands that are run there.
-
-    wanted, took_s : folder of the undisturbed run of the same suite, and what that took.
-    """
+    """A folder of its own for one scenario, and the commands that are run there."""
 
     folder: Path
     wanted: Path | None = None

@@ -1,7 +1,5 @@
 """The workers of the tests, and seeded synthetic records for a report without a campaign."""
 
-from __future__ import annotations
-
 import gc
 import json
 import os
@@ -22,7 +20,6 @@ from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.errors import SolverUnavailableError
-from dpbench.report.ending import ending
 from dpbench.report.report import Report
 from dpbench.scenario.scenario import Scenario, load_scenario
 from tests.result_folder import write_results
@@ -53,7 +50,7 @@ SUITE: dict[str, Any] = {
     "rounds": 5,
     "warmup_steps": 50,
     "cell_limit_s": 5.0,
-    "demand": {"error_move": 1e-2, "failed_steps": 0, "p99_ms": 3.0, "deadline_ms": 300.0},
+    "requirements": {"error_move": 1e-2, "failed_steps": 0, "p99_ms": 3.0, "deadline_ms": 300.0},
     "harness_version": "0.1.0",
     "started_utc": "2026-01-01T00:00:00+00:00",
     "wall_s": 300.0,
@@ -373,7 +370,7 @@ class MadeRecords:
     def ending(self) -> dict[str, str]:
         """What a run that left these records ends with, by what each line is about."""
         report = Report.of(self.results())
-        return dict(ending(report.facts, report.answer, report.topics))
+        return dict(report.summary_rows())
 
     def write(self, folder: Path) -> Path:
         """Write a result folder."""
@@ -394,10 +391,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def standard(records: MadeRecords, scale: float = 1.0) -> MadeRecords:
-    """Fill `records` like the standard suite: good, inexact, failing, slow and absent solvers.
-
-    `scale` shortens the loops whose length no test asks for: all but those of the paper.
-    """
+    """Fill `records` like the standard suite: good, inexact, failing, slow and absent solvers."""
     configurations = {
         "daqp": (1e-13, 18.0),
         "quadprog": (1e-12, 22.0),

@@ -8,8 +8,6 @@ project, forks a child for each mutant; the child compiles the mutated text when
 Numba is off where a target has kernels: it would load the machine code of the original.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import importlib

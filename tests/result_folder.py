@@ -1,7 +1,5 @@
 """Write a result folder of records that no campaign made."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from dpbench.bench.record.result_folder import Results, write_json

@@ -1,10 +1,10 @@
-"""The way in for a maintainer: every place that the documents name exists."""
-
-from __future__ import annotations
+"""Documents for maintainers, the README and worked examples agree with the code."""
 
 import ast
+import doctest
 import re
 import tomllib
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -12,8 +12,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 WALK = re.findall(r"\| `(dpbench/[\w/]+\.py)` \| `(\w+)` \|", ARCHITECTURE)
-# The blocks of floors, one below the other: the names of a line before its text.
-FLOORS = [
+# The blocks of layers, one below the other: the names of a line before its text.
+LAYERS = [
     [set(re.findall(r"\w+", line.split("  ")[0])) for line in re.findall(r"^\w.*", block, re.M)]
     for block in re.findall(r"^```\n(.*?)^```", ARCHITECTURE, re.M | re.S)
 ]
@@ -31,22 +31,22 @@ def test_every_hop_of_the_walk_is_there(file: str, function: str) -> None:
 
 
 def test_the_walk_goes_from_the_ship_to_the_page() -> None:
-    """It begins in the loop and ends in the report, and no floor is left out."""
-    rooms = [file.split("/")[1] for file, _ in WALK]
-    assert (rooms[0], rooms[-1]) == ("bench", "report")
-    assert set(rooms) == {"bench", "mpc", "solvers", "qp", "analysis", "report"}
+    """It begins in the loop and ends in the report, and no layer is left out."""
+    packages = [file.split("/")[1] for file, _ in WALK]
+    assert (packages[0], packages[-1]) == ("bench", "report")
+    assert set(packages) == {"bench", "mpc", "solvers", "qp", "analysis", "report"}
 
 
-def test_the_floors_are_those_that_lint_checks() -> None:
-    """Of package, analysis, bench and solvers: the same rooms in the same order."""
+def test_the_layers_are_those_that_lint_checks() -> None:
+    """Of package, analysis, bench and solvers: the same packages in the same order."""
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     checked = [
         [set(re.findall(r"\w+", layer)) for layer in contract["layers"]]
         for contract in contracts["tool"]["importlinter"]["contracts"]
         if contract["type"] == "layers"
     ]
-    assert len(FLOORS) == 4
-    assert checked == FLOORS
+    assert len(LAYERS) == 4
+    assert checked == LAYERS
 
 
 @pytest.mark.parametrize("document", ["CONTRIBUTING.md", "docs/architecture.md", "README.md"])
@@ -57,3 +57,59 @@ def test_every_place_a_document_names_exists(document: str) -> None:
     assert named
     for name in named:
         assert (ROOT / name).exists() or (ROOT / "docs" / name).exists(), name
+
+
+@pytest.mark.parametrize("script", ["Makefile", ".ci/run"])
+def test_every_test_a_script_names_exists(script: str) -> None:
+    """What `make` and CI run of the tests is there, in whatever form it is given to pytest."""
+    named = re.findall(r"(?:tests|benchmarks)/[\w./]+", (ROOT / script).read_text(encoding="utf-8"))
+    assert named
+    for name in named:
+        assert (ROOT / name).exists(), name
+
+
+README = ROOT / "README.md"
+
+
+def test_the_readme_is_short() -> None:
+    """At most 150 lines: what is longer stands in the documentation."""
+    assert len(README.read_text(encoding="utf-8").splitlines()) <= 150
+
+
+def test_every_file_the_readme_links_to_exists() -> None:
+    """No link of the README leads nowhere."""
+    targets = re.findall(r"\]\((?!https?:)([^)#]+)\)", README.read_text(encoding="utf-8"))
+    assert targets
+    missing = [target for target in targets if not (README.parent / target).exists()]
+    assert not missing
+
+
+PACKAGE = ROOT / "dpbench"
+EXPLAINED = sorted(
+    ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
+    for path in PACKAGE.rglob("*.py")
+    if "\n>>> " in path.read_text(encoding="utf-8")
+)
+HARD = {
+    "dpbench.qp.referee.kernels",
+    "dpbench.qp.referee.nearby",
+    "dpbench.qp.referee.rational",
+    "dpbench.qp.referee.referee",
+    "dpbench.ship.estimation.kalman",
+    "dpbench.solvers.own.active_set.kernel",
+    "dpbench.solvers.own.hildreth",
+    "dpbench.solvers.own.exact_point",
+}
+
+
+@pytest.mark.parametrize("name", EXPLAINED)
+def test_the_examples_of_a_module_are_true(name: str) -> None:
+    """Every line of an example gives what stands below it."""
+    outcome = doctest.testmod(import_module(name))
+    assert outcome.attempted > 0
+    assert outcome.failed == 0
+
+
+def test_the_hard_kernels_have_an_example() -> None:
+    """None of them has lost its own."""
+    assert set(EXPLAINED) >= HARD

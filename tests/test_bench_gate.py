@@ -1,7 +1,5 @@
 """The gate of `make bench-compare` on JSON files with planted changes."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from collections.abc import Callable
@@ -92,10 +90,7 @@ def test_planted_changes(
     code: int,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """A slower benchmark, one iteration more and 30 % more memory fail; a slower machine does not.
-
-    Whatever fails is named.
-    """
+    """A slower benchmark, one iteration more or 30 % more memory fail; slow machines pass."""
     assert judged(gate, tmp_path, write("before"), write("later", **changes)) == [0, code]
     assert ("test_x.py::test[4]" in capsys.readouterr().out) or code == 0
 

@@ -3,8 +3,6 @@
 Made of namespaces of Linux where they are allowed, without a container engine.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

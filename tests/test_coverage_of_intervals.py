@@ -1,7 +1,5 @@
 """The script behind the table of intervals in docs/method.md, with few draws."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import sys
@@ -48,8 +46,7 @@ def test_the_documented_table_is_that_of_the_script(
 
 
 def test_every_documented_interval_holds_as_often_as_it_says(script: ModuleType) -> None:
-    """Between 93 and 99 %, beyond two Monte Carlo errors, or not stated; false claims in at most
-    5 % of the tables, likewise."""
+    """Between 93 and 99 %, beyond two Monte Carlo errors, or not stated."""
     text = script.METHOD.read_text(encoding="utf-8")
     start, end = (text.index(marker) for marker in script.MARKERS)
     for interval, truth, _, stated, share in _table(text[start:end]):

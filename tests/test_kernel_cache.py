@@ -1,7 +1,5 @@
 """Kernels where Numba finds no folder to keep them in."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -68,11 +66,11 @@ def test_without_any_folder_they_are_compiled_in_memory(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(kernel_cache, "process_folder", nowhere)
     monkeypatch.setattr(kernel_cache, "_numba_njit", refusing)
-    kernel_cache._has_own_cache.cache_clear()
+    kernel_cache._make_own_cache.cache_clear()
     try:
         assert njit(cache=True)(lambda x: x + 1)(1) == 2
     finally:
-        kernel_cache._has_own_cache.cache_clear()
+        kernel_cache._make_own_cache.cache_clear()
 
     def broken(**options: object) -> object:
         raise RuntimeError("another")

@@ -1,7 +1,5 @@
 """The lists of `make mutants` fit the code: its targets, and the lines of equivalent mutants."""
 
-from __future__ import annotations
-
 import tomllib
 
 import pytest

@@ -1,7 +1,5 @@
 """The script behind docs/guide/scale.md, with few cells."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import subprocess

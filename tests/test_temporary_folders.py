@@ -1,7 +1,5 @@
 """Folders of a process: gone with it, and of one that was killed with the next."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """The reference of columns, from the schema of the records."""
 
-from __future__ import annotations
-
 from dpbench.bench.record import schema
 from sitegen.markup import code, prose, table
 
@@ -14,43 +12,38 @@ GROUPS = {
 }
 INTRODUCTION = f"""# Columns
 
-A result folder has two tables. `runs.parquet` has a row for each cell: a problem, a solver, a way
-to run it. `steps.parquet` has a row for each step of each. Times are whole nanoseconds, everything
-else is in SI units. What is not known is missing (NaN or null), never made up; `Int64` is a whole
-number that may be missing. This is version {schema.SCHEMA_VERSION} of the schema. How the figures
-are computed stands in [Method](../method.md).
+A result folder has two tables. `runs.parquet` has a row for each cell: a problem, a solver and
+its call mode. `steps.parquet` has a row for each step of each. Times are whole nanoseconds,
+everything else is in SI units. What is not known is missing (NaN or null), never made up; `Int64`
+is a whole number that may be missing. This is version {schema.SCHEMA_VERSION} of the schema. How
+the figures are computed stands in [Method](../method.md).
 
 `load_results(folder).runs` and `.steps` are the two tables as data frames, with all columns below.
 """
 STORAGE = """## How they are stored
 
 Both are Parquet files, compressed with Zstandard, that pandas, polars, DuckDB and others read
-alone; each page carries its check sum. The rows of a run follow each other in the order of its
-steps, in one row group; the runs of `steps.parquet` stand in the order in which they were finished,
-those of `runs.parquet` in that of the suite. What follows from other columns, bit for bit, stands
-in no file:
-"""
-SAME = """Where one of these columns is equal, bit for bit, to the one beside it, it is null in the
-file and has that one's value:
-"""
-READERS = """In SQL, as of DuckDB, with `steps.parquet` alone:
+alone; each page carries its check sum. All columns above are in the file. The rows of a run follow
+each other in the order of its steps, in one row group; the runs of `steps.parquet` stand in the
+order in which they were finished, those of `runs.parquet` in that of the suite. In SQL, as of
+DuckDB:
 
 ```sql
-SELECT run_id, k, coalesce(cmd_x_N, tau_x_N) AS cmd_x_N,
-       setup_ns IS NULL AND update_ns IS NULL AND solve_ns IS NULL AND read_ns IS NULL AS untimed,
-       coalesce(setup_ns, 0) + coalesce(update_ns, 0) + coalesce(solve_ns, 0) + coalesce(read_ns, 0)
-         + coalesce(allocation_ns, 0) AS total_ns
-FROM 'steps.parquet'
+SELECT solver, max(total_ns) / 1e6 AS longest_ms
+FROM 'steps.parquet' JOIN 'runs.parquet' USING (run_id)
+WHERE counts GROUP BY solver
 ```
 
 `scan_steps(folder, columns, run_ids)` of `dpbench.bench.record.recorded_steps` gives the columns
-that are asked for, derived ones too, as Arrow tables of some hundred thousand rows, whatever the
-size of the file; `read_steps` gives them in one table. Files of earlier schemas store all columns,
-and are read as well.
+that are asked for as Arrow tables of some hundred thousand rows, whatever the size of the file;
+`read_steps` gives them in one table. A column that a file does not have is read as missing. Files
+of other versions of the schema are refused.
 
-While a campaign runs, finished cells stand in `cells/`: in `open.cells`, and in parts of some
-hundred cells, `steps-00001.parquet` and `runs-00001.parquet`, of the same columns. A cell whose row
-stands there is finished, and is not run again.
+While a campaign runs, finished cells are in `cells/`, the cells of a batch in one file, a part. It
+has the columns of `steps.parquet`, and in its metadata, under `runs`, those of `runs.parquet` as
+JSON; its name, `part-00001-0a1b2c3d.parquet`, ends with the CRC-32 of the file. A cell of a part is
+finished, and is not run again. At the end of the campaign the row groups of the parts become
+`steps.parquet`.
 """
 
 
@@ -60,10 +53,7 @@ def pages() -> dict[str, str]:
     for title, columns in GROUPS.items():
         parts += [f"### {title}\n", _table(columns)]
     parts += ["## `steps.parquet`\n", _table(schema.STEP_COLUMNS)]
-    derived = ((code(name), prose(formula)) for name, formula in schema.DERIVED.items())
-    same = ((code(name), code(other)) for name, other in schema.SAME_AS.items())
-    parts += [STORAGE, table(("derived column", "formula"), derived)]
-    parts += [SAME, table(("column", "equal to"), same), READERS]
+    parts += [STORAGE]
     return {"reference/columns.md": "\n".join(parts)}
 
 

@@ -1,7 +1,5 @@
 """The reference of the command line, from its parser."""
 
-from __future__ import annotations
-
 import argparse
 import textwrap
 from collections import defaultdict

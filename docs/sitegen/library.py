@@ -1,7 +1,5 @@
 """What comes with the package: its vessels, scenarios and suites, from their files."""
 
-from __future__ import annotations
-
 from dpbench.bench.plan.suite import load_suite
 from dpbench.scenario.problem_files import problem_names
 from dpbench.scenario.scenario import load_scenario, load_vessel
@@ -29,7 +27,7 @@ def _scenarios() -> str:
     rows = []
     for name in problem_names("scenarios"):
         run = load_scenario(name)
-        tuning = f"{run.tuning} {run.N_p}/{run.N_c}"
+        tuning = run.controller.label
         rows.append((code(name), run.vessel.id, tuning, str(run.steps), prose(run.shows)))
     return table(("scenario", "vessel", "tuning", "steps", "what it shows"), rows)
 

@@ -1,7 +1,5 @@
 """Markdown of generated pages: tables, prose that contains signs, docstrings."""
 
-from __future__ import annotations
-
 import inspect
 import re
 from collections.abc import Iterable, Sequence

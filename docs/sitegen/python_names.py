@@ -1,7 +1,5 @@
 """The reference of the Python interface: every public name, its signature and its docstring."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Iterator
 from enum import Enum

@@ -1,13 +1,11 @@
 """A page for every solver, from its record and from what is known of its faults."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 
 from dpbench.solvers.contract import Route
 from dpbench.solvers.record import NOT_OFFERED, POLICIES, RouteRecord, SolverRecord
-from dpbench.solvers.settings import level_options, setting_names, settings_matter
+from dpbench.solvers.settings import has_tolerance_levels, level_options, setting_names
 from dpbench.solvers.table import TABLE
 from sitegen.markup import code, prose, table
 
@@ -23,7 +21,7 @@ INTRODUCTION = """# Solvers
 
 One page for each solver that dpbench has an adapter for. A solver that qpsolvers serves works by
 its name without one, and [your own](../tutorials/add-a-solver.md) is one file.
-`dpbench list solvers` says which are installed here, in which version.
+`dpbench list solvers` lists which are installed here, in which version.
 """
 EXTRAS = {
     "core": "with dpbench",
@@ -78,7 +76,7 @@ def _facts(row: SolverRecord) -> str:
         ("comes", f"{install}{EXTRAS[row.extra]}", ""),
         ("matrices", {"dense": "dense", "csc": "sparse, by columns"}[row.form], ""),
         ("P has to be positive definite", _yes(row.needs_strict_convexity), ""),
-        ("may go aboard as it is", _unless(row.why_not_aboard), ""),
+        ("may go aboard as it is", _unless(row.deployment_blocker), ""),
     ]
     stated = {
         "licence": row.project.licence,
@@ -127,7 +125,7 @@ def _faults(can: RouteRecord) -> list[str]:
 
 
 def _settings(row: SolverRecord) -> str:
-    if not settings_matter(row.name):
+    if not has_tolerance_levels(row.name):
         return "It has no tolerance to set: all levels are the same.\n"
     rows = []
     for name in setting_names(row.name):

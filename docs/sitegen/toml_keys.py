@@ -3,8 +3,6 @@
 What a key means is the text below it in the model; type, bounds and default are pydantic's own.
 """
 
-from __future__ import annotations
-
 import ast
 import inspect
 import json

@@ -6,8 +6,6 @@ of a sequence and Student's t, not from single steps. `benchmarks/coverage.py` m
 each interval holds the truth.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +15,7 @@ from scipy.special import ndtri, stdtr, stdtrit
 from scipy.stats import beta
 
 from dpbench.arrays import Floats
-from dpbench.bench.judge.rules import supports
+from dpbench.bench.judge.rules import supports_percentile
 
 PARTS = 5
 """Consecutive parts of a sequence whose means give the error of its mean."""
@@ -38,14 +36,14 @@ TAILS = (0.025, 0.975)
 
 @dataclass(frozen=True)
 class Interval:
-    """An estimate with its 95 % interval; from -inf, or 0, to inf where none is stated."""
+    """Estimate with its 95 % confidence interval, infinitely wide where none is supported."""
 
     value: float
     low: float
     high: float
 
     def spans(self, number: float) -> bool:
-        """Whether the interval holds `number`; an undefined one holds every number."""
+        """Return whether the interval contains `number`; an undefined one contains every number."""
         return not (self.low > number or self.high < number)
 
 
@@ -54,13 +52,11 @@ UNKNOWN = Interval(np.nan, np.nan, np.nan)
 
 @dataclass(frozen=True)
 class MeanEstimate:
-    """An estimated mean.
+    """Mean of a sample with its standard error, degrees of freedom and skewness.
 
     Intervals and p-values are Student's, widened on the long side of a skewed estimate by Hall's
     transformation (1992, J. R. Stat. Soc. B 54, 221-228), and never narrowed by it.
 
-    Parameters
-    ----------
     value, error : the mean and its standard error, 0 without spread and NaN if unknown; df : its
         degrees of freedom; skew : skewness of the estimate.
     """
@@ -72,56 +68,58 @@ class MeanEstimate:
 
     @property
     def is_supported(self) -> bool:
-        """Whether the values support an interval: some spread, a degree of freedom."""
+        """True if the mean has a positive standard error and a degree of freedom."""
         return self.error > 0.0 and self.df >= 1.0
 
     @property
     def interval(self) -> Interval:
-        """The mean with its 95 % interval."""
+        """The mean with its 95 % confidence interval: Student's t, corrected for skewness."""
         if not self.is_supported:
             return Interval(self.value, -math.inf, math.inf)
         quantile = float(stdtrit(self.df, TAILS[1]))
-        below = max(quantile, self._unskewed(quantile))
-        above = max(quantile, -self._unskewed(-quantile))
+        below = max(quantile, self._invert_skew(quantile))
+        above = max(quantile, -self._invert_skew(-quantile))
         return Interval(
             self.value, self.value - self.error * below, self.value + self.error * above
         )
 
     def p_above(self, bound: float) -> float:
-        """One-sided p-value of "the mean is larger than `bound`"; 1 where unsupported."""
+        """Return the one-sided p-value of "the mean is larger than `bound`"; 1 if unsupported."""
         if not self.is_supported:
             return 1.0
         distance = (self.value - bound) / self.error
-        return float(max(stdtr(self.df, -distance), stdtr(self.df, -self._skewed(distance))))
+        return float(
+            max(stdtr(self.df, -distance), stdtr(self.df, -self._transform_skew(distance)))
+        )
 
     def p_below(self, bound: float) -> float:
-        """One-sided p-value of "the mean is smaller than `bound`"; 1 where unsupported."""
+        """Return the one-sided p-value of "the mean is smaller than `bound`"; 1 if unsupported."""
         return MeanEstimate(-self.value, self.error, self.df, -self.skew).p_above(-bound)
 
     def p_beyond(self, bound: float) -> float:
-        """Two-sided p-value of "the mean is farther than `bound` from 0"."""
+        """Return the two-sided p-value of "the mean is farther than `bound` from 0"."""
         return min(1.0, 2.0 * min(self.p_above(bound), self.p_below(-bound)))
 
-    def _skewed(self, statistic: float) -> float:
-        """Hall's transformation of a Studentised mean."""
+    def _transform_skew(self, statistic: float) -> float:
+        """Apply Hall's skewness correction to a t statistic."""
         skew = SKEW_SHARE * self.skew
         return statistic + skew * statistic**2 / 3 + skew**2 * statistic**3 / 27 + skew / 6
 
-    def _unskewed(self, quantile: float) -> float:
-        """The Studentised mean whose transformation is `quantile`."""
+    def _invert_skew(self, quantile: float) -> float:
+        """Invert Hall's skewness correction at a quantile of Student's t."""
         skew = SKEW_SHARE * self.skew
         if abs(skew) < 1e-9:
             return quantile
         return 3.0 / skew * (math.cbrt(1.0 + skew * (quantile - skew / 6)) - 1.0)
 
 
-def rounds_to_zero(spread: float, size: float) -> bool:
-    """Whether a spread is rounding of values of a size."""
+def is_rounding(spread: float, size: float) -> bool:
+    """Return whether a spread is only rounding error of values of magnitude `size`."""
     return spread <= 1e-12 * size
 
 
-def holm(p: Floats) -> Floats:
-    """Adjusted p-values (Holm 1979, step-down Bonferroni): ≤ α together at family-wise α."""
+def adjust_holm(p: Floats) -> Floats:
+    """Adjust p-values for multiple tests by Holm's step-down Bonferroni method (1979)."""
     order = np.argsort(p, kind="stable")
     factors = np.arange(len(p), 0, -1)
     adjusted = np.empty(len(p))
@@ -129,29 +127,31 @@ def holm(p: Floats) -> Floats:
     return adjusted
 
 
-def none_of(count: float) -> float:
-    """95 % upper bound of a share of which none was found among `count` draws: the rule of three
-    (Hanley & Lippman-Hand 1983)."""
+def upper_bound_of_none(count: float) -> float:
+    """Return the 95 % upper bound of a probability after `count` trials without an event.
+
+    The rule of three (Hanley & Lippman-Hand 1983).
+    """
     return min(1.0, 3.0 / count) if count > 0 else 1.0
 
 
-def supports_interval(steps: int) -> bool:
-    """Whether so many consecutive steps support an interval."""
+def has_interval_support(steps: int) -> bool:
+    """Return whether a number of consecutive steps suffices for a confidence interval."""
     return steps >= LEAST_STEPS
 
 
-def mean_of_steps(values: Floats) -> MeanEstimate:
-    """The mean over consecutive steps (K,), its error from the means of `PARTS` parts.
+def estimate_mean(values: Floats) -> MeanEstimate:
+    """Estimate the mean of a series (K,), its error from the means of consecutive parts.
 
     Parts that follow each other resemble each other: the error is widened by their correlation as
     for a first-order autoregression, after adding what so few parts underestimate.
     """
     mean, size = float(values.mean()), float(np.abs(values).max())
-    if not supports_interval(len(values)):
+    if not has_interval_support(len(values)):
         return MeanEstimate(mean)
     away = np.array([part.mean() for part in np.array_split(values, PARTS)]) - mean
     squares = float(away @ away)
-    if rounds_to_zero(math.sqrt(squares), size):
+    if is_rounding(math.sqrt(squares), size):
         return MeanEstimate(mean, 0.0, PARTS - 1)
     correlation = float(away[1:] @ away[:-1]) / squares + 2.0 / PARTS
     correlation = min(max(correlation, 0.0), LARGEST_CORRELATION)
@@ -160,19 +160,19 @@ def mean_of_steps(values: Floats) -> MeanEstimate:
 
 
 def percentile_interval(values: Floats, percent: float) -> Interval:
-    """A percentile over steps with its interval, unknown where the steps do not support it.
+    """Estimate a percentile of step times with its 95 % interval; NaN for too few steps.
 
     The share of steps beyond the percentile has an error from `PARTS` parts; as many independent
     steps as have that error give the interval of the share (Clopper & Pearson 1934), and its ends
     are percentiles again (Woodruff 1952).
     """
     steps, share = len(values), 1.0 - percent / 100.0
-    if not supports(steps, percent):
+    if not supports_percentile(steps, percent):
         return UNKNOWN
     value = float(np.percentile(values, percent))
-    if not supports_interval(steps):
+    if not has_interval_support(steps):
         return Interval(value, 0.0, np.inf)
-    found = mean_of_steps((values > value).astype(np.float64))
+    found = estimate_mean((values > value).astype(np.float64))
     widened = found.error * float(stdtrit(found.df, TAILS[1]) / ndtri(TAILS[1]))
     effect = max(LEAST_VARIANCE, widened**2 * steps / (share * (1.0 - share)))
     alone = steps / effect
@@ -188,27 +188,25 @@ def percentile_interval(values: Floats, percent: float) -> Interval:
     )
 
 
-def long_enough(logs: Sequence[Floats]) -> list[Floats]:
-    """Return the sequences of steps that support an interval; all of them where none does."""
-    return [one for one in logs if supports_interval(len(one))] or list(logs)
+def select_long_sequences(logs: Sequence[Floats]) -> list[Floats]:
+    """Return the step series long enough for a confidence interval; all if none is."""
+    return [one for one in logs if has_interval_support(len(one))] or list(logs)
 
 
 def paired_ratio(slower: Floats, faster: Floats) -> Interval:
-    """Geometric mean over the same steps (K,) of slower/faster, with its interval."""
+    """Return the geometric mean ratio of two step time arrays (K,) with its 95 % interval."""
     return pooled_mean([np.log(slower / faster)])
 
 
 def pooled_mean(logs: Sequence[Floats]) -> Interval:
-    """exp of the mean over sequences of the mean log ratio, with its interval.
+    """Return the geometric mean of time ratios over sequences, from logs, with 95 % interval.
 
-    Parameters
-    ----------
-    logs : the log ratios of the steps of each sequence, of which `long_enough` are taken; an empty
-        one makes the mean unknown.
+    logs : by sequence, the log ratios of its steps; only long sequences count where there are any,
+        and an empty one makes the mean unknown.
     """
     if not logs or not all(map(len, logs)):
         return UNKNOWN
-    means = [mean_of_steps(one) for one in long_enough(logs)]
+    means = [estimate_mean(one) for one in select_long_sequences(logs)]
     errors = np.array([one.error for one in means])
     fourth = float((errors**4 / np.array([max(1.0, one.df) for one in means])).sum())
     pooled = MeanEstimate(
@@ -220,8 +218,10 @@ def pooled_mean(logs: Sequence[Floats]) -> Interval:
 
 
 def resampled_error(values: Floats, block: int) -> float:
-    """Standard deviation of a mean over circular blocks of consecutive steps (Politis & Romano
-    1992): blocks are drawn independently, so the variances of their sums add up."""
+    """Return the standard error of a mean by bootstrap over blocks of consecutive steps.
+
+    Blocks are drawn independently (Politis & Romano 1992), so the variances of their sums add up.
+    """
     count = len(values)
     block = max(1, min(block, count))
     blocks = -(-count // block)

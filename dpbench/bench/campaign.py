@@ -4,8 +4,6 @@ A cell that was finished before with the same key is not run again, so an interr
 loses at most the cells in flight.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import time
@@ -19,99 +17,100 @@ import pandas as pd
 
 from dpbench.bench.capability.table import CAPABILITY_FILE, write_capability
 from dpbench.bench.design import Design, DesignStudy, plan_designs
-from dpbench.bench.engines.engine import Engine, TlsFiles, by_source, longest
-from dpbench.bench.engines.opened import opened
+from dpbench.bench.engines.dispatcher import Dispatcher, longest_cell
+from dpbench.bench.engines.engine import Engine, TlsFiles
+from dpbench.bench.engines.open_engine import open_engine
 from dpbench.bench.engines.shards import WHOLE, Shard, ShardRecord
 from dpbench.bench.engines.sources import SourceFiles
-from dpbench.bench.plan.asked import Asked, Plan
 from dpbench.bench.plan.cells import PlannedCell
-from dpbench.bench.plan.choices import remarks_on
-from dpbench.bench.plan.configurations import identity_of
-from dpbench.bench.plan.suite import naming
+from dpbench.bench.plan.configurations import library_identity
+from dpbench.bench.plan.run_request import Plan, RunRequest, list_plan_limits
+from dpbench.bench.plan.suite import name_file_in_errors
 from dpbench.bench.progress import Progress, Silent
-from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
+from dpbench.bench.record.cell import HARNESS_VERSION, CapabilitySource, Outcome
 from dpbench.bench.record.cell_store import CellStore
+from dpbench.bench.record.machine import Revision, append_revision, current_revision
 from dpbench.bench.record.result_folder import (
-    claimed,
+    MachineDescription,
     load_descriptions,
+    lock_result_folder,
     read_suite,
     write_json,
 )
-from dpbench.bench.record.revision import Revision, revision, revisions
-from dpbench.bench.sequences.at_edge import capability_in
-from dpbench.bench.sequences.source import is_at_edge, is_sound
-from dpbench.bench.tabulate import Wanted, is_tabulated, refuse_other_selection, tabulate
-from dpbench.bench.workers.executor import CellJob, Result, work_of
+from dpbench.bench.sequences.capability_boundary import read_capability_plot
+from dpbench.bench.sequences.source import is_readable
+from dpbench.bench.tabulate import RequestedRuns, is_tabulated, refuse_other_selection, tabulate
+from dpbench.bench.workers.jobs import CellJob, Result, count_steps, group_by_source
+from dpbench.bench.workers.scratch import clear_places
 from dpbench.bench.workers.worker import make_source
 from dpbench.errors import InputError, ResultsError
-from dpbench.locks import Patience
-from dpbench.solvers.table import available
+from dpbench.locks import WaitLimit
+from dpbench.solvers.table import check_availability
 
 
 class Campaign:
-    """One run of a plan into a folder; see `run_campaign`.
-
-    Parameters
-    ----------
-    machine : the one that cells run on, as `describe_machine` describes it.
-    shard : which part of the plan, and of how many.
-    """
+    """Execution of all runs of a suite into a result folder; can be interrupted and continued."""
 
     def __init__(
         self,
         plan: Plan,
         designs: Sequence[Design],
         out: Path,
-        machine: dict[str, Any],
+        machine: MachineDescription,
         *,
         fresh: bool = False,
         shard: Shard = WHOLE,
     ) -> None:
         self.machine, self._plan, self._out, self._shard = machine, plan, out, shard
         self.store = CellStore(out)
-        self.look_into(designs, machine["id"], fresh=fresh)
+        self.attach_designs(designs, machine["id"], fresh=fresh)
         solvers = {p.cell.solver for p in plan.cells}
-        self._libraries = {solver: available(solver) for solver in solvers}
-        self.work = shard.of_jobs([self._job(p) for p in plan.cells])
+        self._libraries = {solver: check_availability(solver) for solver in solvers}
+        self.work = shard.select_jobs([self._make_job(p) for p in plan.cells])
         self._fresh = fresh
         if fresh:
-            self.store.forget(Wanted(self.work).jobs)
-            SourceFiles(self.store.folder).drop()
+            self.store.mark_unfinished(RequestedRuns(self.work).jobs)
+            SourceFiles(self.store.folder).clear()
         # Capability plots stand in the files that the QPs at their edge come from.
-        self._at_edge = by_source([job for job in self.work if is_at_edge(job.cell)])
-        self.sources = SourceFiles(self.store.folder, self._at_edge)
+        at_boundary = [j for j in self.work if isinstance(j.cell.source, CapabilitySource)]
+        self._at_boundary = group_by_source(at_boundary)
+        self.sources = SourceFiles(self.store.folder, self._at_boundary)
 
-    def look_into(self, designs: Sequence[Design], machine_id: str, *, fresh: bool = False) -> None:
-        """Take designs of a machine along."""
+    def attach_designs(
+        self, designs: Sequence[Design], machine_id: str, *, fresh: bool = False
+    ) -> None:
+        """Set the controllers whose stability is studied; records are kept by `machine_id`."""
         cells = self.store.folder
         self.designs = DesignStudy(designs, cells, machine_id, fresh=fresh)
 
-    def _job(self, planned: PlannedCell) -> CellJob:
+    def _make_job(self, planned: PlannedCell) -> CellJob:
+        """Return a planned run with its run_id and the version of its solver's library."""
         library = self._libraries[planned.cell.solver]
-        identity = identity_of(planned.cell, library)
+        identity = library_identity(planned.cell, library)
         run_id = planned.cell.run_id(identity, self.machine["id"], HARNESS_VERSION)
         return CellJob(planned, run_id, library, self.machine["id"])
 
     def run(self, engine: Engine, progress: Progress) -> None:
-        """Run what is not finished yet and write the tables."""
+        """Do all unfinished runs and stability studies on an engine; write the result tables."""
         started_utc, started_s = datetime.now(UTC), time.monotonic()
-        pending = self.pending()
-        work = sum(work_of(job.cell) for job in pending) + self.designs.work
+        pending = self.find_pending()
+        work = sum(count_steps(job.cell) for job in pending) + self.designs.work
         progress.start(work)
-        if not work and self._is_written():
+        if not work and self._has_written_results():
+            clear_places(self.store.folder)
             return
-        solvers = [name for job in pending for name in (job.cell.solver, job.cell.backup) if name]
-        engine.prepare(self.sources, solvers, progress)
-        self._make_plots(engine, pending)
+        engine.prepare(self.sources, pending, progress)
+        dispatcher = Dispatcher(engine, self.sources, progress)
+        self._make_capability_files(dispatcher, pending)
         by_id = {job.run_id: job for job in pending}
-        for result in engine.run(pending):
-            self._keep(by_id[result.run_id], result)
-        self.sources.drop()
-        self.designs.run(engine, progress)
-        self.write(started_utc, time.monotonic() - started_s, engine.remarks)
+        for result in dispatcher.run(pending):
+            self._store_result(by_id[result.run_id], result)
+        self.sources.clear()
+        self.designs.run(dispatcher, progress)
+        self.write_results(started_utc, time.monotonic() - started_s, engine.remarks)
 
-    def pending(self) -> list[CellJob]:
-        """What is not finished; the outcome of all else is known."""
+    def find_pending(self) -> list[CellJob]:
+        """Return the runs still to be done; set the outcome of refused and of stored ones."""
         pending = []
         for job in self.work:
             if job.planned.refused:
@@ -122,71 +121,68 @@ class Campaign:
                 pending.append(job)
         return pending
 
-    def _keep(self, job: CellJob, result: Result) -> None:
-        """Keep what became of a cell; where there is no room for it, it is lost."""
+    def _store_result(self, job: CellJob, result: Result) -> None:
+        """Store a run's result on disk; its outcome is "lost" where there is no room for it."""
         job.outcome = result.outcome
-        if not result.record:
+        if result.part is None:
             return
         try:
-            self.store.append(result.run_id, result.outcome.outcome, result.record)
+            self.store.add_part(result.part)
         except OSError as error:
             job.outcome = Outcome("lost", f"it could not be kept: {error}")
 
-    def _make_plots(self, engine: Engine, pending: list[CellJob]) -> None:
-        """Make the files that hold capability plots; a cell whose file fails says so itself."""
-        wanted = {job.source_key for job in pending} & set(self._at_edge)
-        cells = {self.sources.path(key): longest(self._at_edge[key]) for key in wanted}
-        unmade = {path: cell.to_json() for path, cell in cells.items() if not is_sound(cell, path)}
-        for _ in engine.make_files(make_source, unmade):
+    def _make_capability_files(self, dispatcher: Dispatcher, pending: list[CellJob]) -> None:
+        """Make missing files of capability-plot QPs; a failure shows in the runs that use them."""
+        wanted = {job.source_key for job in pending} & set(self._at_boundary)
+        cells = {self.sources.path(key): longest_cell(self._at_boundary[key]) for key in wanted}
+        unmade = {p: cell.to_json() for p, cell in cells.items() if not is_readable(cell, p)}
+        for _ in dispatcher.make_files(make_source, unmade):
             pass
 
-    def _is_written(self) -> bool:
-        """Whether the folder says already what this campaign would write."""
+    def _has_written_results(self) -> bool:
+        """Return whether the result folder has all tables that this campaign would write."""
         try:
             found = load_descriptions(self._out)[1]
         except ResultsError:
             return False
-        asked = json.loads(json.dumps(self._document()))
+        asked = json.loads(json.dumps(self._request_document()))
         same = all(found.get(key) == value for key, value in asked.items())
-        if self._at_edge and not (self._out / CAPABILITY_FILE).is_file():
+        if self._at_boundary and not (self._out / CAPABILITY_FILE).is_file():
             return False
         return same and is_tabulated(self.work, self.store)
 
-    def _document(self) -> dict[str, Any]:
-        """What is asked of the campaign, as in `suite.json`."""
+    def _request_document(self) -> dict[str, Any]:
+        """Return the entries of `suite.json` that describe the requested suite."""
         document = self._plan.document.model_dump()
         asked = {"name": self._plan.name, **document, "harness_version": HARNESS_VERSION}
         return asked if self._shard == WHOLE else asked | {"shard": str(self._shard)}
 
     def _earlier_revisions(self) -> list[Revision]:
-        """Those of the cells that an interrupted campaign left in the folder."""
+        """Return the dpbench revisions that an interrupted campaign noted in `suite.json`."""
         previous = self._out / "suite.json"
         if self._fresh or not previous.is_file():
             return []
-        earlier: list[Revision] = read_suite(self._out).get("revisions", [])
-        return earlier
+        return [dict(one) for one in read_suite(self._out).get("revisions", [])]
 
-    def write(
+    def write_results(
         self,
         started: datetime,
         wall_s: float,
         remarks: Sequence[str],
         made_by: list[Revision] | None = None,
     ) -> None:
-        """Write the tables of what is finished, and what is to be said of them.
+        """Write all result files: runs, steps, stability, capability, machine, suite.
 
-        Parameters
-        ----------
-        made_by : the revisions of dpbench that cells were run with, if not with this one.
+        `made_by` are the revisions of dpbench that ran the cells, if not this one.
         """
         self.designs.write(self._out)
         runs, step_rows = tabulate(self.work, self.store)
         suite: dict[str, Any] = {
-            **self._document(),
-            "revisions": made_by or revisions(self._earlier_revisions(), revision()),
+            **self._request_document(),
+            "revisions": made_by or append_revision(self._earlier_revisions(), current_revision()),
             "started_utc": started.isoformat(timespec="seconds"),
             "wall_s": round(wall_s, 1),
-            **_accidents(runs, self.designs, remarks),
+            **_count_lost(runs, self.designs, remarks),
         }
         rows = {"run_rows": len(runs), "step_rows": step_rows}
         write_json(self._out / "machine.json", self.machine)
@@ -194,25 +190,21 @@ class Campaign:
         self._write_capability()
 
     def _write_capability(self) -> None:
-        """The capability plots, out of the files that the QPs at their edge come from."""
-        tables = [capability_in(self.sources.path(key)) for key in self._at_edge]
+        """Write `capability.parquet` from the files of capability plots; remove a stale one."""
+        tables = [read_capability_plot(self.sources.path(key)) for key in self._at_boundary]
         made = [table for table in tables if table is not None]
         if made:
             write_capability(self._out, made)
-        elif not self._at_edge:
+        elif not self._at_boundary:
             (self._out / CAPABILITY_FILE).unlink(missing_ok=True)
 
 
-def _accidents(runs: pd.DataFrame, designs: DesignStudy, remarks: Sequence[str]) -> dict[str, Any]:
-    """What of `suite.json` is about the harness's own accidents.
-
-    `lost_cells` counts rows, `lost_designs` designs; `remarks` are lines for whoever gave the
-    command.
-    """
+def _count_lost(runs: pd.DataFrame, designs: DesignStudy, remarks: Sequence[str]) -> dict[str, Any]:
+    """Return `suite.json` entries: how many runs and stability studies were lost, and remarks."""
     causes = runs.loc[runs["outcome"] == "lost", "outcome_detail"].tolist()
     lines = [
-        _lost_line(causes, f"{len(runs)} cells", ", not by their solvers"),
-        _lost_line(designs.lost, f"{len(designs)} designs"),
+        _describe_losses(causes, f"{len(runs)} cells", ", not by their solvers"),
+        _describe_losses(designs.lost, f"{len(designs)} designs"),
     ]
     return {
         "lost_cells": len(causes),
@@ -221,8 +213,8 @@ def _accidents(runs: pd.DataFrame, designs: DesignStudy, remarks: Sequence[str])
     }
 
 
-def _lost_line(causes: Sequence[str], of: str, beside: str = "") -> str:
-    """How many of what was lost, and why; "" where nothing was."""
+def _describe_losses(causes: Sequence[str], of: str, beside: str = "") -> str:
+    """Return a line on how many runs or stability studies were lost, and why; "" for none."""
     if not causes:
         return ""
     (cause, count), *others = Counter(causes).most_common()
@@ -233,12 +225,16 @@ def _lost_line(causes: Sequence[str], of: str, beside: str = "") -> str:
     )
 
 
-def designs_of(plan: Plan) -> list[Design]:
-    """The designs of a whole suite; a part of it is about its solvers and runs, on which none
-    depends."""
+def plan_suite_designs(plan: Plan) -> list[Design]:
+    """Return the controller-vessel pairs a suite studies for stability; none if run in part."""
     table = None if plan.part else plan.document.design
-    with naming(plan.path):
+    with name_file_in_errors(plan.path):
         return plan_designs(table, plan.path.parent) if table else []
+
+
+def default_folder(plan: Plan, out: str | Path | None) -> Path:
+    """Return the result folder: `out`, or `results/<name of the plan>` without one."""
+    return Path(out) if out is not None else Path("results") / f"{plan.name}{'-part' * plan.part}"
 
 
 def run_campaign(
@@ -261,33 +257,33 @@ def run_campaign(
     may_leave_out: bool = False,
     progress: Progress | None = None,
 ) -> Path:
-    """Run a suite and write `runs.parquet`, `steps.parquet`, `machine.json`, `suite.json`.
+    """Run a suite into a result folder and return its path.
 
     Parameters
     ----------
     suite : a name under `problems/suites/` or a TOML path; None with `sequence`.
-    out : result folder; by default `results/<suite>`, `results/sequence-<its file>`, and
-        `-part` behind it with a choice of any kind, so that a part never replaces the whole.
+    out : result folder; by default `results/<suite>`, `results/sequence-<its file>`, with `-part`
+        for any choice, so that a part never replaces the whole.
     solvers, scenarios, settings : only these; scenarios that the suite does not name, by name or
-        TOML file, take the place of its own.
+        TOML file, replace its own.
     steps : at most so many of each loop and replay.
     jobs : closed loops or random sequences at a time; all cores by default. Replays along a loop
         always run alone.
-    engine : who runs the cells: "local", the processes of this machine, or "dask", the workers of a
-        Dask cluster; without a `scheduler` so many as `jobs` on this machine.
+    engine : "local", the processes of this machine, or "dask", the workers of a Dask cluster;
+        without a `scheduler` so many as `jobs` on this machine.
     scheduler : the address of a Dask scheduler.
     tls : of a scheduler at tls://HOST:8786 the files of its certificate authority, of a client's
         certificate and of its key; those of Dask's configuration by default.
     shard : "i/n": only the i-th of n parts of about the same work, for `gather`.
-    fresh : run every cell again, also those finished before.
+    fresh : run every cell again, also finished ones.
     wait_s : the longest wait for another campaign that times replays on this machine; None without
         a limit, 0 for none.
-    may_leave_out : whether finished runs of the folder may go from its tables, where they are not
-        asked for.
+    may_leave_out : whether finished runs may leave the tables of the folder, where they are not
+        requested.
     solver_module : a Python file with a plug-in, whose solver then has a name like any other.
     sequence : instead of a suite: a stored sequence by name, a `.npz` of `dpbench export` or a
         folder of qpsolvers problems, replayed through every solver at default and high settings.
-    progress : told how far the campaign is.
+    progress : receives the progress of the campaign.
 
     Returns
     -------
@@ -296,10 +292,10 @@ def run_campaign(
     Raises
     ------
     InputError : for a bad suite, scenario, solver, job count or engine, or a folder with finished
-        runs that are not asked for, before anything runs.
+        runs that are not requested, before anything runs.
     BusyError : the machine was busy longer than `wait_s`; finished cells are kept.
     """
-    asked = Asked(
+    asked = RunRequest(
         suite=None if suite is None else str(suite),
         sequence=None if sequence is None else str(sequence),
         solvers=solvers,
@@ -310,24 +306,24 @@ def run_campaign(
     )
     if wait_s is not None and not 0.0 <= wait_s < math.inf:
         raise InputError("--wait", "", wait_s, "a number of seconds, 0 or more")
-    plan, some = asked.plan(), Shard.of_text(shard)
-    designs = designs_of(plan) if some.index == 1 else []
-    folder = Path(out) if out is not None else Path("results") / f"{plan.name}{'-part' * plan.part}"
+    plan, some = asked.plan(), Shard.from_text(shard)
+    designs = plan_suite_designs(plan) if some.index == 1 else []
+    folder = default_folder(plan, out)
     progress = progress or Silent()
     with (
-        opened(engine, jobs, scheduler, tls, Patience(wait_s)) as crew,
-        claimed(folder, plan.name, Patience(wait_s)),
+        open_engine(engine, jobs, scheduler, tls, WaitLimit(wait_s)) as opened,
+        lock_result_folder(folder, plan.name, WaitLimit(wait_s)),
     ):
-        for remark in remarks_on(plan.cells):
+        for remark in list_plan_limits(plan.cells):
             progress.remark(remark)
-        campaign = Campaign(plan, designs, folder, crew.machine, fresh=fresh, shard=some)
+        campaign = Campaign(plan, designs, folder, opened.machine, fresh=fresh, shard=some)
         if not (fresh or may_leave_out):
             work = [job.planned for job in campaign.work]
             refuse_other_selection(work, folder, "--fresh to replace them, or another --out")
         for remark in campaign.store.remarks:
             progress.remark(remark)
         if shard is not None:
-            record = ShardRecord(asked.from_anywhere(), some, plan.digest, crew.machine)
+            record = ShardRecord(asked.with_absolute_path(), some, plan.digest, opened.machine)
             record.write(folder)
-        campaign.run(crew, progress)
+        campaign.run(opened, progress)
     return folder

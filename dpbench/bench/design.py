@@ -1,13 +1,10 @@
-"""Stability of controllers in ships, and how far off sideways each still brings its ship back from.
+"""Stability of controllers in ships, and the largest sway offset each one recovers from.
 
 A design is the controller of one scenario in one vessel. Without limits its loop is linear, and
-stable where the roots of paper eq. 35 lie inside the unit circle. With limits the ship starts at
-rest at a pure sway offset, from starboard and from port, and the certified optimum of every step
-steers it; an offset is held when from both sides the ship stays near the reference over the end of
-a long run. No solver has a part in it.
+stable where the roots of paper eq. 35 are inside the unit circle. With limits the ship starts at
+rest at a sway offset, to starboard and to port, steered by the certified optimum of every step; an
+offset is held when from both sides the ship stays near the reference over the end of a long run.
 """
-
-from __future__ import annotations
 
 import hashlib
 import json
@@ -16,23 +13,21 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic import ConfigDict
 
-from dpbench.bench.engines.engine import Engine
+from dpbench.bench.engines.dispatcher import Dispatcher
 from dpbench.bench.plan.suite import DesignTable
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
-from dpbench.bench.record.descriptions import validated
-from dpbench.bench.record.result_folder import read_json, write_json
+from dpbench.bench.record.result_folder import parse_document, read_json, write_json
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.workers.worker import leave_verdict, pin, settle
+from dpbench.bench.workers.worker import disable_gc_and_warnings, pin_to_core, write_outcome
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
-from dpbench.mpc.law import closed_loop_eigenvalues, gains
-from dpbench.scenario.problem_files import problem_path
-from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
+from dpbench.mpc.law import compute_closed_loop_eigenvalues, gains
+from dpbench.scenario.problem_files import ScenarioDocuments, problem_path
+from dpbench.scenario.scenario import Scenario, build_scenario, load_scenario
 from dpbench.ship.characteristics import has_mirror_symmetry
 from dpbench.ship.froude import Froude
 from dpbench.ship.layout import AXES, HEADING, NORTH, YAW
@@ -66,7 +61,7 @@ Holds = Callable[[Scenario, float, Sequence[float]], bool]
 
 @dataclass(frozen=True)
 class Bracket:
-    """Sway offsets at full size: up to `holds_m` all that were tried are held, `fails_m` is not.
+    """Sway offsets [m, full size] between which a controller stops recovering the ship.
 
     `holds_m` is 0 when the smallest is not held, `fails_m` None when all of them are.
     """
@@ -77,11 +72,10 @@ class Bracket:
 
 @dataclass(frozen=True)
 class DesignRecord:
-    """What was found of a design.
+    """Closed-loop eigenvalues and held sway offsets of one controller in one vessel.
 
     Parameters
     ----------
-    vessel, controller : names of the vessel and of the scenario the controller is that of.
     tuning, N_p, N_c : of the controller.
     eigenvalues : real and imaginary parts of the closed loop without limits, by falling modulus.
     held : the bracket of each weather.
@@ -97,13 +91,13 @@ class DesignRecord:
 
     @property
     def spectral_radius(self) -> float:
-        """The largest modulus; below 1 the loop is stable as long as no limit is active."""
+        """Largest eigenvalue modulus; below 1 the loop is stable without active limits."""
         return float(np.hypot(*self.eigenvalues[0]))
 
 
 @dataclass(frozen=True)
-class MissingDesign:
-    """A design that could not be looked into, and why."""
+class UnanalysedStability:
+    """Controller and vessel whose closed-loop stability could not be analysed, and the reason."""
 
     vessel: str
     controller: str
@@ -112,61 +106,53 @@ class MissingDesign:
 
 @dataclass(frozen=True)
 class Designs:
-    """The content of `design.json`."""
+    """Content of `design.json`: stability of each controller and vessel, and what is missing."""
 
     # A key too many or a number that is none is damage.
     __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     records: tuple[DesignRecord, ...]
-    missing: tuple[MissingDesign, ...] = ()
+    missing: tuple[UnanalysedStability, ...] = ()
     schema: int = DESIGN_SCHEMA
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """A design to look into: `files` as in `Scenario.files`, in the weather of `calm`."""
+    """A controller and a vessel to study for stability, as scenario documents in calm weather."""
 
     controller: str
-    files: dict[str, Any]
+    files: ScenarioDocuments
 
     @property
     def vessel(self) -> str:
-        """Name of the vessel."""
+        """Name of the vessel that the controller steers."""
         return str(self.files["vessel_name"])
 
     @property
     def text(self) -> str:
-        """All that its record depends on, but for version and machine."""
+        """JSON text of controller and vessel, which identifies their stored stability record."""
         return json.dumps(vars(self), sort_keys=True, ensure_ascii=False)
 
 
 def plan_designs(table: DesignTable, beside: Path | None = None) -> list[Design]:
-    """Every controller of the table in every vessel of it; paths are relative to `beside`.
-
-    Raises
-    ------
-    InputError : for an unknown or a bad file, or two of one name.
-    """
+    """Pair each controller of a suite table with each vessel; InputError for a bad file."""
     controllers = [load_scenario(name, beside=beside) for name in table.controllers]
     vessels = [problem_path("vessels", name, beside) for name in table.vessels]
-    _different("controllers", [controller.name for controller in controllers])
-    _different("vessels", [vessel.stem for vessel in vessels])
+    given = {"controllers": [c.name for c in controllers], "vessels": [v.stem for v in vessels]}
+    for key, names in given.items():
+        for name in names:
+            if names.count(name) > 1:
+                allowed = "files of different names, each once"
+                raise InputError("suite", f"design.{key}", f"{name!r} twice", allowed)
     return [
-        Design(controller.name, _trial_files(controller, vessel))
+        Design(controller.name, _trial_documents(controller, vessel))
         for controller in controllers
         for vessel in vessels
     ]
 
 
-def _different(key: str, names: Sequence[str]) -> None:
-    for name in names:
-        if names.count(name) > 1:
-            allowed = "files of different names, each once"
-            raise InputError("suite", f"design.{key}", f"{name!r} twice", allowed)
-
-
-def _trial_files(controller: Scenario, vessel: Path) -> dict[str, Any]:
-    """The documents of a trial: a controller in a vessel, in the weather of `calm`."""
+def _trial_documents(controller: Scenario, vessel: Path) -> ScenarioDocuments:
+    """Return scenario documents with this controller, this vessel and the weather of `calm`."""
     own = controller.files["scenario"]
     files = load_scenario(f"{WEATHER}@{vessel.resolve()}").files
     trial = files["scenario"] | {
@@ -175,19 +161,20 @@ def _trial_files(controller: Scenario, vessel: Path) -> dict[str, Any]:
         "controller": own["controller"],
     }
     # Said here, before anything runs: what the two cannot make together.
-    scenario_of(files | {"scenario": trial}, where=f"suite: design: {controller.name}")
-    return files | {"scenario": trial}
+    design: ScenarioDocuments = {**files, "scenario": trial}
+    build_scenario(design, where=f"suite: design: {controller.name}")
+    return design
 
 
 SIDES = (1.0, -1.0)
 
 
 def is_held(scenario: Scenario, offset_m: float, sides: Sequence[float] = SIDES) -> bool:
-    """Whether the ship comes back from this offset at full size, from both sides.
+    """Return whether the ship recovers from a sway offset [m, full size] on every side.
 
-    A step without a certified optimum says nothing; such an offset does not count as held.
+    An offset with a step without a certified optimum does not count as held.
     """
-    scale = _scale(scenario)
+    scale = Froude(float(scenario.files["vessel"]["model_scale"]))
     tail = round(TAIL_S * scale.time / scenario.sample_s)
     for sign in sides:
         start = np.array([0.0, sign * offset_m * scale.length, 0.0])
@@ -202,15 +189,8 @@ def is_held(scenario: Scenario, offset_m: float, sides: Sequence[float] = SIDES)
     return True
 
 
-def _scale(scenario: Scenario) -> Froude:
-    return Froude(float(scenario.files["vessel"]["model_scale"]))
-
-
 def find_bracket(holds: Callable[[float], bool]) -> Bracket:
-    """Double the offset until one is not held, then bisect to `WIDTH`.
-
-    It is not narrowed when the smallest offset is not held, as then nothing is known to be.
-    """
+    """Return between which sway offsets recovery stops: double until it fails, then bisect."""
     held = 0.0
     for offset in OFFSETS_M:
         if not holds(offset):
@@ -228,10 +208,10 @@ def find_bracket(holds: Callable[[float], bool]) -> Bracket:
     return Bracket(held, fails)
 
 
-def design_record(design: Design) -> DesignRecord:
-    """Look into a design, in this process."""
-    scenario, documents = scenario_of(design.files), design.files["scenario"]
-    still = scenario_of(design.files | {"scenario": documents | {"environment": {}}})
+def study_design(design: Design) -> DesignRecord:
+    """Return a controller's closed-loop eigenvalues and the sway offsets it recovers from."""
+    scenario, documents = build_scenario(design.files), design.files["scenario"]
+    still = build_scenario(design.files | {"scenario": documents | {"environment": {}}})
     held = {
         STILL: find_bracket(partial(is_held, still)),
         WEATHER: find_bracket(partial(is_held, scenario)),
@@ -240,55 +220,47 @@ def design_record(design: Design) -> DesignRecord:
 
 
 def linear_record(scenario: Scenario) -> DesignRecord:
-    """What is known of a scenario's controller without a trial: the roots of paper eq. 35."""
-    problem = scenario.control_problem()
-    roots = closed_loop_eigenvalues(problem.model, gains(problem))
+    """Return a controller's closed-loop eigenvalues without active limits; simulate nothing."""
+    problem = scenario.problem
+    roots = compute_closed_loop_eigenvalues(problem.model, gains(problem))
     return DesignRecord(
         vessel=scenario.vessel.id,
         controller=scenario.name,
-        tuning=scenario.tuning,
-        N_p=scenario.N_p,
-        N_c=scenario.N_c,
+        tuning=scenario.controller.tuning,
+        N_p=problem.N_p,
+        N_c=problem.N_c,
         eigenvalues=tuple((float(root.real), float(root.imag)) for root in roots),
         held={},
     )
 
 
-def held_in_still_water(scenario: Scenario, holds: Holds = is_held) -> Bracket:
-    """The bracket of the scenario's controller in its vessel, whatever its weather, plant or goal.
+def find_still_water_bracket(scenario: Scenario, holds: Holds = is_held) -> Bracket:
+    """Return the sway offsets up to which a scenario's controller recovers in still water.
 
-    Parameters
-    ----------
-    holds : says of a trial, an offset [m] and its sides whether the ship comes back.
+    `holds` tells of a trial, an offset [m] and its sides whether the ship comes back.
     """
     own = scenario.files["scenario"]
     kept = ("title", "shows", "vessel", "sample_s", "controller")
     trial = {key: own[key] for key in kept} | {"duration_s": DURATION_S, "environment": {}}
-    still = scenario_of(scenario.files | {"scenario": trial})
+    still = build_scenario(scenario.files | {"scenario": trial})
     # In still water port mirrors starboard, where ship and model do.
-    mirrored = has_mirror_symmetry(still.vessel) and still.psi0_rad == 0.0
+    mirrored = has_mirror_symmetry(still.vessel) and still.controller.psi0_rad == 0.0
     sides = SIDES[:1] if mirrored else SIDES
     return find_bracket(lambda offset_m: holds(still, offset_m, sides))
 
 
 def run_design(text: str, folder: Path, name: str, core: int, path: Path) -> None:
-    """Look into a design, in a process of its own; its record appears in `path`."""
-    pin(core)
-    settle()
-    _write(path, Designs((design_record(Design(**json.loads(text))),)))
-    leave_verdict(folder / f"{name}.json", Outcome("finished", ""))
+    """Study a controller's stability in a process of its own; write the record to `path`."""
+    pin_to_core(core)
+    disable_gc_and_warnings()
+    _write_designs(path, Designs((study_design(Design(**json.loads(text))),)))
+    write_outcome(folder / f"{name}.json", Outcome("finished", ""))
 
 
 class DesignStudy:
-    """The designs of a suite; finished ones lie in the cells folder, one record each.
+    """Stability studies of a suite's controllers and vessels; records are stored in `cells`.
 
-    Parameters
-    ----------
-    designs : of `plan_designs`; cells : the folder; fresh : whether finished ones run again.
-
-    Attributes
-    ----------
-    lost : of each design that an accident of the benchmark cost, the cause.
+    `lost` has the cause of each design that an accident of the benchmark cost.
     """
 
     def __init__(
@@ -302,64 +274,60 @@ class DesignStudy:
             self._designs[cells / f"design-{key}.json"] = design
         self._reasons: dict[Path, str] = {}
         self.lost: list[str] = []
-        self._pending = [path for path in self._designs if fresh or _record(path) is None]
+        self._pending = [path for path in self._designs if fresh or _read_record(path) is None]
 
     def __len__(self) -> int:
         return len(self._designs)
 
     @property
     def work(self) -> int:
-        """What is left to do, for the progress bar."""
+        """Remaining work in equivalent solver steps, for the progress bar."""
         return WORK * len(self._pending)
 
-    def run(self, engine: Engine, progress: Progress) -> None:
-        """Look into what is not finished."""
+    def run(self, dispatcher: Dispatcher, progress: Progress) -> None:
+        """Study the stability of all controllers without a stored record, in own processes."""
         for path in self._pending:
             # One that is looked into again must not leave its old record behind if it fails.
             path.unlink(missing_ok=True)
         texts = {path: self._designs[path].text for path in self._pending}
-        for path, outcome in engine.make_files(run_design, texts, limit_s=LIMIT_S):
+        for path, outcome in dispatcher.make_files(run_design, texts, limit_s=LIMIT_S):
             design, self._reasons[path] = self._designs[path], outcome.detail
             if outcome.outcome == "lost":
                 self.lost.append(outcome.detail)
             progress.advance(WORK, f"design {design.controller} {design.vessel}")
 
     def write(self, out: Path) -> None:
-        """Write `design.json`; no designs leave no file."""
+        """Write all stability records to `design.json` in a result folder; remove it if none."""
         if not self._designs:
             (out / DESIGN_FILE).unlink(missing_ok=True)
             return
-        records = {path: _record(path) for path in self._designs}
+        records = {path: _read_record(path) for path in self._designs}
         gone = "its record is gone"
         missing = [
-            MissingDesign(design.vessel, design.controller, self._reasons.get(path, gone))
+            UnanalysedStability(design.vessel, design.controller, self._reasons.get(path, gone))
             for path, design in self._designs.items()
             if records[path] is None
         ]
         finished = tuple(record for record in records.values() if record is not None)
-        _write(out / DESIGN_FILE, Designs(finished, tuple(missing)))
+        _write_designs(out / DESIGN_FILE, Designs(finished, tuple(missing)))
 
 
-def _write(path: Path, designs: Designs) -> None:
+def _write_designs(path: Path, designs: Designs) -> None:
+    """Write controllers' stability records to a JSON file."""
     write_json(path, asdict(designs))
 
 
-def _record(path: Path) -> DesignRecord | None:
-    """The record of a finished design; None where there is none, or it is damaged."""
+def _read_record(path: Path) -> DesignRecord | None:
+    """Return a controller's stored stability record; None where it is missing or damaged."""
     try:
-        (record,) = _read(path).records
+        (record,) = _read_design_file(path).records
     except (ResultsError, ValueError):
         return None
     return record
 
 
 def load_designs(folder: Path) -> Designs | None:
-    """Read the `design.json` of a result folder; None where there is none, or an older one.
-
-    Raises
-    ------
-    ResultsError : naming file and key, when it is damaged.
-    """
+    """Return the stability records in `design.json`; None without it; ResultsError if damaged."""
     path = folder / DESIGN_FILE
     if not path.exists():
         return None
@@ -368,12 +336,13 @@ def load_designs(folder: Path) -> Designs | None:
         older = f"{path}: designs of schema {schema} are not shown; run again"
         warnings.warn(older, RenamedWarning, stacklevel=2)
         return None
-    return _read(path)
+    return _read_design_file(path)
 
 
-def _read(path: Path) -> Designs:
+def _read_design_file(path: Path) -> Designs:
+    """Return the stability records in a JSON file; ResultsError if damaged or of another schema."""
     document = read_json(path)
     if document.get("schema") != DESIGN_SCHEMA:
         schema = f"schema {document.get('schema')}"
         raise ResultsError(str(path), "schema", schema, f"schema {DESIGN_SCHEMA}; run again")
-    return validated(document, Designs, path)
+    return parse_document(document, Designs, path)

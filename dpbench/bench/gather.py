@@ -1,10 +1,8 @@
-"""Put the shards of a suite together that were run apart, on one machine or on several.
+"""Join the shards of a suite that were run apart, on one machine or on several.
 
-What is finished in their folders is copied into one, as if it had been run there; whatever of it
-is missing or damaged is a lost cell, which `dpbench run` into that folder runs.
+Finished cells are copied into one folder, as if they had been run there; missing and damaged ones
+are lost cells, which `dpbench run` into that folder runs.
 """
-
-from __future__ import annotations
 
 import re
 import stat
@@ -15,26 +13,26 @@ from contextlib import ExitStack, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
-from dpbench.bench.campaign import Campaign, designs_of
+from dpbench.bench.campaign import Campaign, plan_suite_designs
 from dpbench.bench.engines.shards import ShardRecord
-from dpbench.bench.plan.asked import Plan
+from dpbench.bench.plan.run_request import Plan
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
-from dpbench.bench.record.cell_store import DAMAGE, CellStore
-from dpbench.bench.record.result_folder import claimed
+from dpbench.bench.record.cell_store import CellStore
+from dpbench.bench.record.result_folder import MachineDescription, lock_result_folder
+from dpbench.bench.record.step_table import DAMAGE
 from dpbench.bench.tabulate import refuse_other_selection
-from dpbench.bench.workers.executor import CellJob
+from dpbench.bench.workers.jobs import CellJob
 from dpbench.errors import InputError
-from dpbench.files.tables import in_full, opened_table
+from dpbench.files.tables import decode_words, open_table
 from dpbench.files.writing import write_bytes
 from dpbench.solvers.record import Build
 from dpbench.solvers.table import Availability
 
 _WHERE = "gather"
-_BESIDE = re.compile(r"design-\w+\.json|exact-\w+\.npz")
+_EXTRA_FILE = re.compile(r"design-\w+\.json|exact-\w+\.npz")
 """Files of a folder of cells that are shown too: designs, and capability plots with their QPs."""
 
 
@@ -45,12 +43,12 @@ def gather(
     suite: str | Path | None = None,
     solver_module: str | Path | None = None,
 ) -> Path:
-    """Write one result folder of those that `dpbench cells` wrote.
+    """Join the result folders of a suite that was run in parts into one result folder `out`.
 
     Parameters
     ----------
-    folders : one of each shard; suite : where the suite lies now, if it lay elsewhere.
-    solver_module : the plug-in that they were run with. None is run because a shard names it.
+    folders : one of each shard; suite : path of the suite, if it was elsewhere.
+    solver_module : their plug-in. None is run because a shard names it.
 
     Returns
     -------
@@ -59,43 +57,43 @@ def gather(
     Raises
     ------
     InputError : for folders of different suites, plans or versions, one that is in use, a suite
-        that has changed since, shards of a plug-in without `solver_module`, or a finished result
-        in `out` that has other cells.
+        that has changed since, shards of a plug-in without `solver_module`, or a finished result in
+        `out` that has other cells.
     """
     started_utc, started_s = datetime.now(UTC), time.monotonic()
     shards = {Path(folder): ShardRecord.read(Path(folder)) for folder in folders}
-    plan, records = _plan_of(shards, suite, solver_module), list(shards.values())
-    designs, remarks = designs_of(plan), _missing(records)
-    with claimed(Path(out), plan.name):
+    plan, records = _make_common_plan(shards, suite, solver_module), list(shards.values())
+    designs, remarks = plan_suite_designs(plan), _missing_shards(records)
+    with lock_result_folder(Path(out), plan.name):
         refuse_other_selection(plan.cells, Path(out), "another folder")
-        finished, ignored = _collected(list(shards), Path(out), plan.name)
+        finished, ignored = _collect_cells(list(shards), Path(out), plan.name)
         remarks += ignored
-        machine, others = _machines(records, finished)
+        machine, others = _choose_machine(records, finished)
         if others:
             remarks.append(
                 f"cells ran on {len(others) + 1} kinds of machines: times of replays are ranked "
                 f"on {machine.get('cpu_model', 'an unnamed CPU')} ({machine['id']}) alone"
             )
-        kept = machine | ({"others": others} if others else {})
-        campaign = Campaign(plan, designs, Path(out), kept)
+            machine = {**machine, "others": others}
+        campaign = Campaign(plan, designs, Path(out), machine)
         for record in records:
             if record.shard.index == 1:
-                campaign.look_into(designs, record.machine["id"])
-        said = {cell: outcome for folder in shards for cell, outcome in _unfinished(folder)}
-        _as_found(campaign.work, finished, said, machine["id"])
-        campaign.pending()
+                campaign.attach_designs(designs, record.machine["id"])
+        said = {cell: outcome for folder in shards for cell, outcome in _read_unfinished(folder)}
+        _apply_finished(campaign.work, finished, said, machine["id"])
+        campaign.find_pending()
         made_by = [record.revision for record in records if record.revision]
         made_by = [one for i, one in enumerate(made_by) if one not in made_by[:i]]
-        campaign.write(started_utc, time.monotonic() - started_s, remarks, made_by)
+        campaign.write_results(started_utc, time.monotonic() - started_s, remarks, made_by)
     return Path(out)
 
 
-def _plan_of(
+def _make_common_plan(
     shards: Mapping[Path, ShardRecord],
     suite: str | Path | None,
     solver_module: str | Path | None,
 ) -> Plan:
-    """The plan that all shards are of; InputError where there is none."""
+    """Return the suite's plan that all folders are parts of; InputError where there is none."""
     where, first = next(iter(shards.items()))
     for folder, shard in shards.items():
         if shard.harness_version != HARNESS_VERSION:
@@ -108,11 +106,11 @@ def _plan_of(
             found = f"{folder} run with the plug-in {shard.asked.solver_module!r}"
             raise InputError(_WHERE, "", found, "its file, if you trust it, by --solver-module")
     # The same suite may lie elsewhere on each of their machines.
-    asked = next((one.asked for one in shards.values() if one.asked.is_here), first.asked)
+    asked = next((one.asked for one in shards.values() if one.asked.has_suite), first.asked)
     asked = asked if suite is None else replace(asked, suite=str(suite))
     # What a folder says is data: a file that is run comes from the command line alone.
     asked = replace(asked, solver_module=None if solver_module is None else str(solver_module))
-    if not asked.is_here:
+    if not asked.has_suite:
         raise InputError(_WHERE, "", f"no file {asked.suite}", "the suite's, by --suite")
     plan = asked.plan()
     if plan.digest != first.digest:
@@ -122,8 +120,8 @@ def _plan_of(
     return plan
 
 
-def _missing(shards: Sequence[ShardRecord]) -> list[str]:
-    """A line on the shards that are not there."""
+def _missing_shards(shards: Sequence[ShardRecord]) -> list[str]:
+    """Return a remark that names the parts of the suite without a folder; none if complete."""
     counts = {shard.shard.count for shard in shards}
     if len(counts) > 1:
         found = " and ".join(f"shards of {count}" for count in sorted(counts))
@@ -133,28 +131,24 @@ def _missing(shards: Sequence[ShardRecord]) -> list[str]:
     return [f"shards that are not among them: {named}"] if absent else []
 
 
-def _collected(folders: Sequence[Path], out: Path, name: str) -> tuple[pd.DataFrame, list[str]]:
-    """The rows of all finished cells, once they are copied into `out`; remarks on the folders."""
+def _collect_cells(folders: Sequence[Path], out: Path, name: str) -> tuple[pd.DataFrame, list[str]]:
+    """Copy all finished runs into `out`; return their rows, and remarks on the folders."""
     with ExitStack() as stack:
         for folder in folders:
-            stack.enter_context(claimed(folder, name))
+            stack.enter_context(lock_result_folder(folder, name))
         store, others = CellStore(out), [CellStore(folder) for folder in folders]
-        rows = [other.rows() for other in others]
-        _refuse_versions(pd.concat([store.rows(), *rows]))
-        for other, of_other in zip(others, rows, strict=True):
-            store.adopt(other, of_other)
-            for path in filter(_is_beside, other.folder.iterdir()):
-                write_bytes(store.folder / path.name, path.read_bytes())
-        return store.rows(), [line for one in (store, *others) for line in one.remarks]
+        _refuse_mixed_versions(pd.concat([one.finished_runs() for one in (store, *others)]))
+        for other in others:
+            store.copy_cells(other)
+            for path in other.folder.iterdir():
+                # No link to other files.
+                if _EXTRA_FILE.fullmatch(path.name) and stat.S_ISREG(path.lstat().st_mode):
+                    write_bytes(store.folder / path.name, path.read_bytes())
+        return store.finished_runs(), [line for one in (store, *others) for line in one.remarks]
 
 
-def _is_beside(path: Path) -> bool:
-    """Whether it is shown too: a design, or a capability plot with its QPs; no link to others."""
-    return _BESIDE.fullmatch(path.name) is not None and stat.S_ISREG(path.lstat().st_mode)
-
-
-def _refuse_versions(rows: pd.DataFrame) -> None:
-    """InputError for a solver of several versions or builds."""
+def _refuse_mixed_versions(rows: pd.DataFrame) -> None:
+    """Raise InputError where runs of one solver used several versions or builds of it."""
     versions = rows["solver_version"].str.cat(rows["build"], " ").str.strip()
     for solver, alike in versions.groupby(rows["solver"]):
         if alike.nunique() > 1:
@@ -162,10 +156,10 @@ def _refuse_versions(rows: pd.DataFrame) -> None:
             raise InputError(_WHERE, str(solver), found, "one version of a solver")
 
 
-def _machines(
+def _choose_machine(
     shards: Sequence[ShardRecord], finished: pd.DataFrame
-) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """The machine of most timed replays, or else of most cells; and the others."""
+) -> tuple[MachineDescription, list[MachineDescription]]:
+    """Return the machine with the most timed replays (else runs), and the other machines."""
     known = {shard.machine["id"]: shard.machine for shard in shards}
     timed = finished.loc[finished["concurrency"].notna(), "machine_id"]
     counts = Counter(timed if len(timed) else finished["machine_id"])
@@ -175,25 +169,25 @@ def _machines(
     return known.pop(first), list(known.values())
 
 
-def _unfinished(folder: Path) -> Iterator[tuple[str, Outcome]]:
-    """What a shard says of cells that it could not finish, by their descriptions."""
+def _read_unfinished(folder: Path) -> Iterator[tuple[str, Outcome]]:
+    """Yield description and outcome of each run in a folder that was lost or invalid."""
     with suppress(*DAMAGE):
         columns = ["cell", "outcome", "outcome_detail"]
         path = folder / "runs.parquet"
-        with opened_table(path) as file:
-            rows = in_full(file.read(columns=columns), path).to_pandas()
+        with open_table(path) as file:
+            rows = decode_words(file.read(columns=columns), path).to_pandas()
         for cell, outcome, detail in rows.itertuples(index=False):
             if outcome in ("lost", "invalid"):
                 yield str(cell), Outcome(str(outcome), str(detail))
 
 
-def _as_found(
+def _apply_finished(
     jobs: Sequence[CellJob],
     finished: pd.DataFrame,
     said: Mapping[str, Outcome],
     machine_id: str,
 ) -> None:
-    """Give jobs the names that their rows have, by the library and the machine that ran them."""
+    """Set each planned run's run_id, solver version and machine from its finished run's row."""
     # Of a cell that ran on several machines, that on the machine of the folder.
     there = finished.iloc[(finished["machine_id"] == machine_id).argsort(kind="stable")]
     by_cell = dict(zip(there["cell"], there.index, strict=True))

@@ -1,37 +1,35 @@
-"""Who is told how far a long work is."""
-
-from __future__ import annotations
+"""Receivers of the progress of a campaign."""
 
 from typing import Protocol
 
 
 class Progress(Protocol):
-    """Who is told how far a campaign is; `work` is in steps."""
+    """Receiver of a campaign's progress, such as a progress bar; `work` is in solver steps."""
 
     def start(self, work: int) -> None:
-        """So much is to be done."""
+        """Set a campaign's total work [solver steps]."""
 
     def advance(self, work: int, what: str) -> None:
-        """So much is done now, the last of it on `what`."""
+        """Add finished work [steps]; `what` names the latest part of it."""
 
     def remark(self, text: str) -> None:
-        """Something worth knowing before it goes on."""
+        """Show a remark to the user."""
 
     def waiting(self, text: str) -> None:
-        """What it waits for, shown even where all else is silent."""
+        """Show why the campaign waits, even where the progress is silent otherwise."""
 
 
 class Silent:
-    """A progress that shows nothing."""
+    """A progress receiver that shows nothing."""
 
     def start(self, work: int) -> None:
-        """Show nothing."""
+        """Ignore the total work."""
 
     def advance(self, work: int, what: str) -> None:
-        """Show nothing."""
+        """Ignore finished work."""
 
     def remark(self, text: str) -> None:
-        """Say nothing."""
+        """Ignore a remark."""
 
     def waiting(self, text: str) -> None:
-        """Say nothing."""
+        """Ignore the reason of a wait."""

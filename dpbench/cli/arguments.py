@@ -1,347 +1,341 @@
-"""The arguments of the command line: one function per command.
+"""The arguments of the command line, one function per command, and their completion in a shell.
 
-Each is kept under the name of the parameter that it is for.
+An argument has the name of the parameter that it is for.
 """
-
-from __future__ import annotations
 
 import argparse
 import sys
 from collections.abc import Callable, Mapping
+from functools import partial
 from importlib.metadata import version
 from typing import Any, NoReturn
 
-Commands = Any
-"""What `add_subparsers` gives, which argparse has no public name for."""
+Command = Any
+"""A parser of a command, or a group of its arguments."""
+HOW_TO_END = ("open", "json", "quiet")
+"""Arguments of what comes after a run or report."""
+_LISTED = ("vessels", "scenarios", "suites", "sequences", "solvers")
+_STORED = {
+    "suite": "suites",
+    "scenario": "scenarios",
+    "scenarios": "scenarios",
+    "sequence": "sequences",
+    "what": "scenarios",
+    "file": "scenarios",
+    "vessel": "vessels",
+}
+"""Arguments whose values are names of stored files, with their kind."""
+_LOST_CELLS = "1 cells were lost by the benchmark itself, give the same command again; 2 bad input."
 
 
-class _Parser(argparse.ArgumentParser):
-    """An argument parser whose complaints are one line, like every other complaint."""
+class _TerseParser(argparse.ArgumentParser):
+    """An argument parser that prints an error on one line."""
 
     def error(self, message: str) -> NoReturn:
+        """Print an error in the command line on one line and exit with code 2."""
         print(f"dpbench: {message} (see dpbench --help)", file=sys.stderr)
         raise SystemExit(2)
 
 
-def parser(
-    calls: Mapping[str, Callable[[argparse.Namespace], int]],
-) -> argparse.ArgumentParser:
-    """The parser; `calls` has for every command what is called with its arguments, as `call`."""
-    whole = _Parser(prog="dpbench", description="Benchmark QP solvers inside a ship's DP MPC.")
+def parser(calls: Mapping[str, Callable[..., int | None]]) -> argparse.ArgumentParser:
+    """Make the command line's parser; `calls` maps commands to the functions that run them."""
+    whole = _TerseParser(prog="dpbench", description="Benchmark QP solvers inside a ship's DP MPC.")
     whole.add_argument("--version", action="version", version=f"dpbench {version('dpbench')}")
     commands = whole.add_subparsers(
-        dest="command", metavar="COMMAND", required=True, parser_class=_Parser
+        dest="command", metavar="COMMAND", required=True, parser_class=_TerseParser
     )
-    for add in (
-        _run,
-        _cells,
-        _gather,
-        _report,
-        _compare,
-        _export,
-        _worst_case,
-        _paper,
-        _list,
-        _check,
-        _doctor,
-        _completion,
-        _init,
-        _capability,
-    ):
-        add(commands)
-    for name, command in commands.choices.items():
+    for name, (define, summary, epilog) in _COMMANDS.items():
+        command = commands.add_parser(name, help=summary, epilog=epilog)
+        define(command)
         command.set_defaults(call=calls[name])
     return whole
 
 
-def _option(command: Any, name: str, value: str, meaning: str, **keywords: Any) -> None:
-    """An option that takes a value; `keywords` as of `add_argument`."""
+def offer_completions(whole: argparse.ArgumentParser) -> None:
+    """Print shell completions of solver and file names and exit, when a shell requests them."""
+    import argcomplete
+
+    commands: Any = next(a for a in whole._actions if isinstance(a, argparse._SubParsersAction))
+    for command in commands.choices.values():
+        for action in command._actions:
+            is_solver, kind = action.dest in ("solver", "solvers"), _STORED.get(action.dest)
+            if action.choices is None and (is_solver or kind):
+                action.completer = (
+                    _list_solvers if is_solver else partial(_list_stored_files, str(kind))
+                )
+    argcomplete.autocomplete(whole)
+
+
+def _list_stored_files(kind: str, **_: object) -> list[str]:
+    """List names of stored vessels, scenarios, suites or QP sequences, for shell completion."""
+    from dpbench.scenario.problem_files import problem_names
+
+    return problem_names(kind)
+
+
+def _list_solvers(**_: object) -> list[str]:
+    """List the names of all QP solvers that dpbench can run, for shell completion."""
+    from dpbench.solvers.table import solver_names
+
+    return list(solver_names())
+
+
+def _add_option(command: Command, name: str, value: str, meaning: str, **keywords: Any) -> None:
+    """Add an option that takes a value to a command's parser, with value name and help text."""
     command.add_argument(name, metavar=value, help=meaning, **keywords)
 
 
-def _run(commands: Commands) -> None:
-    run = commands.add_parser(
-        "run",
-        help="run a suite and write its report",
-        epilog="Exit code: 0 done (a solver's failure is data); 1 cells were lost by the benchmark "
-        "itself, give the same command again; 2 bad input.",
-    )
+def _add_run_arguments(run: Command) -> None:
+    """Add the options and arguments of `dpbench run` to its parser."""
+    option = partial(_add_option, run)
     run.add_argument("--out", help="result folder (default: results/<suite>)")
-    _what_to_run(run)
-    _option(run, "--engine", "E", "local (default), or dask", default="local")
-    _option(run, "--scheduler", "ADDRESS", "of Dask (default: --jobs workers on this machine)")
-    run.add_argument(
-        "--tls",
-        nargs=3,
-        metavar=("CA", "CERT", "KEY"),
-        help="PEM files for a scheduler at tls://HOST:PORT (default: Dask's configuration)",
-    )
-    run.add_argument(
-        "--dry-run",
-        action="store_true",
-        help="say how many cells that is, how long and how large; run a few of them to know",
-    )
-    _how_to_end(run)
+    _add_suite_arguments(run)
+    option("--engine", "E", "local (default), or dask", default="local")
+    option("--scheduler", "ADDRESS", "of Dask (default: --jobs workers on this machine)")
+    tls = "PEM files for a scheduler at tls://HOST:PORT (default: Dask's configuration)"
+    run.add_argument("--tls", nargs=3, metavar=("CA", "CERT", "KEY"), help=tls)
+    estimate = "estimate cells, time and size by the runs in --out, or by stated rates"
+    run.add_argument("--dry-run", action="store_true", help=estimate)
+    _add_ending_arguments(run)
 
 
-def _what_to_run(run: Any) -> None:
-    """The suite, and what of it."""
+def _add_suite_arguments(run: Command) -> None:
+    """Add arguments that select a suite of runs, some of its runs, and how to wait for a lock."""
+    option = partial(_add_option, run)
+    repeated = partial(option, action="append")
+    sequence = "instead: a stored sequence, a .npz, or a folder of them by qpsolvers"
+    scenario = "only this scenario; another one, or a file, takes the place of the suite's"
     run.add_argument("suite", nargs="?", help="a suite by name, or a TOML file")
-    _option(
-        run,
-        "--sequence",
-        "S",
-        "instead: a stored sequence, a .npz, or a folder of them by qpsolvers",
-    )
-    _option(run, "--solver", "S", "only this solver; repeatable", action="append", dest="solvers")
-    _option(
-        run,
-        "--scenario",
-        "N",
-        "only this scenario; another one, or a file, takes the place of the suite's",
-        action="append",
-        dest="scenarios",
-    )
-    _option(run, "--settings", "L", "only at default, low, mid or high", action="append")
-    _option(run, "--steps", "N", "at most N steps of each run", type=int)
-    _option(run, "--jobs", "J", "loops or random configurations at a time", type=int)
-    _option(run, "--solver-module", "FILE.py", "a plug-in that brings a solver")
+    option("--sequence", "S", sequence)
+    repeated("--solver", "S", "only this solver; repeatable", dest="solvers")
+    repeated("--scenario", "N", scenario, dest="scenarios")
+    repeated("--settings", "L", "only at default, low, mid or high")
+    option("--steps", "N", "at most N steps of each run", type=int)
+    option("--jobs", "J", "loops or random configurations at a time", type=int)
+    option("--solver-module", "FILE.py", "a plug-in that brings a solver")
     run.add_argument("--fresh", action="store_true", help="run finished cells again too")
     wait = run.add_mutually_exclusive_group()
-    _option(
-        wait,
-        "--wait",
-        "SECONDS",
-        "the longest wait for another campaign on this machine (no limit)",
-        type=float,
-        dest="wait_s",
-    )
-    wait.add_argument(
-        "--no-wait",
-        action="store_const",
-        const=0.0,
-        dest="wait_s",
-        help="exit with 2 where another campaign would be waited for",
-    )
+    longest = "the longest wait for another campaign on this machine (no limit)"
+    _add_option(wait, "--wait", "SECONDS", longest, type=float, dest="wait_s")
+    never = "exit with 2 where another campaign would be waited for"
+    wait.add_argument("--no-wait", action="store_const", const=0.0, dest="wait_s", help=never)
 
 
-def _cells(commands: Commands) -> None:
-    cells = commands.add_parser(
-        "cells",
-        help="run a shard of a suite, for `gather`",
-        description="For schedulers that know only commands: the cells of one of N shards, which "
-        "several machines may run at a time. Give the same command again after an interruption.",
-        epilog="Exit code: 0 done (a solver's failure is data); 1 cells were lost by the benchmark "
-        "itself, give the same command again; 2 bad input.",
+def _add_cells_arguments(cells: Command) -> None:
+    """Add the options and arguments of `dpbench cells` to its parser."""
+    cells.description = (
+        "For schedulers that know only commands: the cells of one of N shards, which "
+        "several machines may run at a time. Give the same command again after an interruption."
     )
-    _option(cells, "--shard", "I/N", "which one (1/1)", default="1/1")
-    _option(cells, "--out", "DIR", "a folder of its own", required=True)
-    _what_to_run(cells)
+    _add_option(cells, "--shard", "I/N", "which one (1/1)", default="1/1")
+    _add_option(cells, "--out", "DIR", "a folder of its own", required=True)
+    _add_suite_arguments(cells)
 
 
-def _gather(commands: Commands) -> None:
-    gather = commands.add_parser(
-        "gather",
-        help="put the shards of a suite together that `cells` ran, and write the report",
-        epilog="Exit code: 0 done; 1 cells are missing: `dpbench run` into the folder runs them on "
-        "this machine; 2 bad input.",
-    )
+def _add_gather_arguments(gather: Command) -> None:
+    """Add the options and arguments of `dpbench gather` to its parser."""
     gather.add_argument("folders", metavar="DIR", nargs="+", help="a folder of each shard")
-    _option(gather, "--out", "DIR", "result folder", required=True)
-    _option(gather, "--suite", "FILE", "where the suite lies, if it lay elsewhere")
-    _option(gather, "--solver-module", "FILE.py", "the plug-in that the shards were run with")
-    _how_to_end(gather)
+    option = partial(_add_option, gather)
+    option("--out", "DIR", "result folder", required=True)
+    option("--suite", "FILE", "where the suite lies, if it lay elsewhere")
+    option("--solver-module", "FILE.py", "the plug-in that the shards were run with")
+    _add_ending_arguments(gather)
 
 
-HOW_TO_END = ("open", "json", "quiet")
-"""Arguments of what comes after a run or report."""
-
-
-def _how_to_end(command: Any) -> None:
+def _add_ending_arguments(command: Command) -> None:
+    """Add the options --open, --json and --quiet to a command's parser."""
     command.add_argument("--open", action="store_true", help="open the page in a browser")
     command.add_argument("--json", action="store_true", help="say how it ended as JSON")
     command.add_argument("--quiet", action="store_true", help="say nothing but where the page is")
 
 
-def _report(commands: Commands) -> None:
-    report = commands.add_parser("report", help="write the report of a result folder again")
+def _add_report_arguments(report: Command) -> None:
+    """Add the options and arguments of `dpbench report` to its parser."""
     report.add_argument("dir", help="a folder written by `dpbench run`")
-    _option(report, "--baseline", "S", "the solver set beside the answer")
-    _option(
-        report,
-        "--figures",
-        "FORMAT",
-        "figures as pdf or png too; repeatable",
-        action="append",
-        default=[],
+    option = partial(_add_option, report)
+    repeated = partial(option, action="append", default=[])
+    option("--baseline", "S", "the solver set beside the answer")
+    repeated("--figures", "FORMAT", "figures as pdf or png too; repeatable")
+    option("--statement", "FILE.pdf", "a one-page statement for a class society")
+    beside_others = (
+        "also DIR/S.md: this solver beside others, for a pull request, and its worst steps"
     )
-    _option(report, "--statement", "FILE.pdf", "a one-page statement for a class society")
-    _option(
-        report,
-        "--for",
-        "S",
-        "also DIR/S.md: this solver beside others, for a pull request, and its worst steps",
-        dest="solver",
-    )
-    _option(
-        report,
-        "--against",
-        "S",
-        "with --for: beside this one (osqp and daqp); repeatable",
-        action="append",
-        default=[],
-    )
-    _option(report, "--send", "FOLDER", "make a folder for results/community, to be sent to us")
-    _how_to_end(report)
+    option("--for", "S", beside_others, dest="solver")
+    repeated("--against", "S", "with --for: beside this one (osqp and daqp); repeatable")
+    option("--send", "FOLDER", "make a folder for results/community, to be sent to us")
+    _add_ending_arguments(report)
 
 
-def _compare(commands: Commands) -> None:
-    compare = commands.add_parser(
-        "compare",
-        help="what became slower or worse from A to B; solvers over their releases",
-        epilog="Exit code: 0 no regression is shown; 1 one is; 2 bad input.",
-    )
+def _add_compare_arguments(compare: Command) -> None:
+    """Add the options and arguments of `dpbench compare` to its parser."""
     compare.add_argument("folders", metavar="DIR", nargs="+", help="two result folders, A and B")
-    compare.add_argument(
-        "--releases",
-        action="store_true",
-        help="instead: each solver over its versions, in two folders or more",
-    )
-    _option(
-        compare,
-        "--reference",
-        "S",
-        "compare ratios to this solver; of two machines always (paper_active_set or daqp)",
-    )
+    releases = "instead: each solver over its versions, in two folders or more"
+    compare.add_argument("--releases", action="store_true", help=releases)
+    reference = "compare ratios to this solver; of two machines always (paper_active_set or daqp)"
+    _add_option(compare, "--reference", "S", reference)
     compare.add_argument("--any-machine", action="store_true", help=argparse.SUPPRESS)
     compare.add_argument("--margin", type=float, default=0.05, help="what is no difference (0.05)")
     compare.add_argument("--alpha", type=float, default=0.05, help="family-wise error (0.05)")
-    _option(compare, "--markdown", "FILE", "write Markdown; - for the screen")
-    _option(compare, "--html", "FILE", "write a page with figures")
+    _add_option(compare, "--markdown", "FILE", "write Markdown; - for the screen")
+    _add_option(compare, "--html", "FILE", "write a page with figures")
 
 
-def _export(commands: Commands) -> None:
-    export = commands.add_parser("export", help="write QPs with certified optima for others")
-    export.add_argument(
-        "what", nargs="?", help="a scenario, a sequence (by name or .npz) or a folder of problems"
-    )
+def _add_export_arguments(export: Command) -> None:
+    """Add the options and arguments of `dpbench export` to its parser."""
+    problems = "a scenario, a sequence (by name or .npz) or a folder of problems"
+    export.add_argument("what", nargs="?", help=problems)
     export.add_argument("--all", action="store_true", help="instead: all stored sequences anew")
     export.add_argument("--format", default="npz", help="npz (default) or qpbenchmark")
-    _option(export, "--out", "PATH", "the file to write; of --all a folder (results/sequences)")
-    _option(export, "--horizons", "N_p/N_c", "instead of the tuning's")
-    _option(export, "--steps", "N", "only the first N steps", type=int)
-    _option(export, "--every", "K", "each K-th of them", type=int, default=1)
-    _option(export, "--at", "K", "instead: step K alone", type=int)
-    export.add_argument(
-        "--part", default="controller", help="controller (default), or allocation of a cascade"
-    )
+    option = partial(_add_option, export)
+    option("--out", "PATH", "the file to write; of --all a folder (results/sequences)")
+    option("--horizons", "N_p/N_c", "instead of the tuning's")
+    option("--steps", "N", "only the first N steps", type=int)
+    option("--every", "K", "each K-th of them", type=int, default=1)
+    option("--at", "K", "instead: step K alone", type=int)
+    part = "controller (default), or allocation of a cascade"
+    export.add_argument("--part", default="controller", help=part)
 
 
-def _worst_case(commands: Commands) -> None:
-    worst_case = commands.add_parser(
-        "worst-case", help="search for a solver's slowest or least accurate step"
-    )
-    worst_case.add_argument("solver", help="the solver to search")
-    worst_case.add_argument("--goal", default="iterations", help="iterations (default) or error")
-    _option(worst_case, "--scenario", "N", "whose starts are varied", default="paper")
-    worst_case.add_argument("--route", help="native (default where there is one) or qpsolvers")
-    worst_case.add_argument("--policy", default="fresh", help="fresh (default), reuse or warm")
-    worst_case.add_argument("--settings", default="default", help="default, low, mid or high")
-    _option(worst_case, "--budget", "B", "cases to try (300)", type=int, default=300)
-    _option(worst_case, "--steps", "N", "length of a case (60)", type=int, default=60)
-    worst_case.add_argument("--seed", type=int, default=1, help="of the search (1)")
-    _option(worst_case, "--out", "FILE.npz", "default: worst-cases/<solver>-<goal>.npz")
-    _option(worst_case, "--solver-module", "FILE.py", "a plug-in that brings the solver")
+def _add_worst_case_arguments(worst_case: Command) -> None:
+    """Add the options and arguments of `dpbench worst-case` to its parser."""
+    add, option = worst_case.add_argument, partial(_add_option, worst_case)
+    add("solver", help="the solver to search")
+    add("--goal", default="iterations", help="iterations (default) or error")
+    option("--scenario", "N", "whose starts are varied", default="paper")
+    add("--route", help="native (default where there is one) or qpsolvers")
+    add("--policy", default="fresh", help="fresh (default), reuse or warm")
+    add("--settings", default="default", help="default, low, mid or high")
+    option("--budget", "B", "cases to try (300)", type=int, default=300)
+    option("--steps", "N", "length of a case (60)", type=int, default=60)
+    add("--seed", type=int, default=1, help="of the search (1)")
+    option("--out", "FILE.npz", "default: worst-cases/<solver>-<goal>.npz")
+    option("--solver-module", "FILE.py", "a plug-in that brings the solver")
 
 
-def _paper(commands: Commands) -> None:
-    paper = commands.add_parser(
-        "paper",
-        help="reproduce the paper: Figures 4-7, the data behind them, its claims",
-        epilog="Exit code: 0 done, whatever became of the claims; 1 runs were lost by the "
-        "benchmark itself, give the same command again; 2 bad input.",
-    )
-    _option(paper, "--out", "DIR", "folder (default: results/paper)")
+def _add_paper_arguments(paper: Command) -> None:
+    """Add the options and arguments of `dpbench paper` to its parser."""
+    _add_option(paper, "--out", "DIR", "folder (default: results/paper)")
 
 
-def _list(commands: Commands) -> None:
-    listing = commands.add_parser("list", help="what there is")
-    listing.add_argument("what", choices=_LISTED, type=_plural)
+def _add_list_arguments(listing: Command) -> None:
+    """Add the options and arguments of `dpbench list` to its parser."""
+    listing.add_argument("what", choices=_LISTED, type=_pluralise)
 
 
-_LISTED = ("vessels", "scenarios", "suites", "sequences", "solvers")
-
-
-def _plural(word: str) -> str:
-    """`solver` is as good as `solvers`; what is neither stays as it is."""
+def _pluralise(word: str) -> str:
+    """Return a kind for `dpbench list` in plural, `solvers` for `solver`; other words unchanged."""
     return f"{word}s" if f"{word}s" in _LISTED else word
 
 
-def _check(commands: Commands) -> None:
-    check = commands.add_parser(
-        "check", help="check a vessel, scenario, suite, sequence or sent result"
+def _add_check_arguments(check: Command) -> None:
+    """Add the options and arguments of `dpbench check` to its parser."""
+    file = (
+        "a name, scenario@vessel, a TOML file, or a .npz or folder of problems, whose every "
+        "step is certified anew; or a folder of results/community"
     )
-    check.add_argument(
-        "file",
-        help="a name, scenario@vessel, a TOML file, or a .npz or folder of problems, whose every "
-        "step is certified anew; or a folder of results/community",
-    )
+    check.add_argument("file", help=file)
 
 
-def _doctor(commands: Commands) -> None:
-    commands.add_parser("doctor", help="is this machine quiet, is the harness right")
-
-
-def _completion(commands: Commands) -> None:
-    completion = commands.add_parser(
-        "completion",
-        help="complete names in a shell",
-        epilog='bash, zsh: eval "$(dpbench completion bash)"; '
-        "fish: dpbench completion fish | source",
-    )
+def _add_completion_arguments(completion: Command) -> None:
+    """Add the options and arguments of `dpbench completion` to its parser."""
     completion.add_argument("shell", choices=("bash", "zsh", "fish"))
 
 
-def _init(commands: Commands) -> None:
-    init = commands.add_parser(
-        "init",
-        help="write vessel, scenario and suite of your own ship",
-        description="Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml, with what "
+def _add_init_arguments(init: Command) -> None:
+    """Add the options and arguments of `dpbench init` to its parser."""
+    init.description = (
+        "Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml, with what "
         "was derived how in their comments. With NAME.toml there and --sea N alone: the same ship "
-        "in another sea.",
+        "in another sea."
     )
     init.add_argument("name", metavar="NAME", help="of the ship: letters, digits, _ and -")
-    _option(init, "--length", "M", "between perpendiculars [m]")
-    _option(init, "--breadth", "M", "[m]")
-    _option(init, "--draught", "M", "[m]")
-    _option(init, "--displacement", "T", "[t]")
-    _option(init, "--thrust", "KN", "largest force ahead [kN]")
-    _option(init, "--sway-thrust", "KN", "sideways [kN] (a third of --thrust)")
-    _option(init, "--yaw-moment", "KNM", "[kN·m] (0.57 sway thrust times length)")
-    _option(init, "--like", "V", "library vessel to scale (the nearest)")
-    _option(init, "--from-mss", "FILE.mat", "a vessel of the MSS toolbox")
-    _option(init, "--from-csv", "FILE", "rows coefficient,value (see docs)")
-    _option(init, "--sea", "N", "DP number, 1 to 9 (what the ship can hold)")
-    _option(init, "--out", "DIR", "folder to write to (here)", default=".")
+    option = partial(_add_option, init)
+    option("--length", "M", "between perpendiculars [m]")
+    option("--breadth", "M", "[m]")
+    option("--draught", "M", "[m]")
+    option("--displacement", "T", "[t]")
+    option("--thrust", "KN", "largest force ahead [kN]")
+    option("--sway-thrust", "KN", "sideways [kN] (a third of --thrust)")
+    option("--yaw-moment", "KNM", "[kN·m] (0.57 sway thrust times length)")
+    option("--like", "V", "library vessel to scale (the nearest)")
+    option("--from-mss", "FILE.mat", "a vessel of the MSS toolbox")
+    option("--from-csv", "FILE", "rows coefficient,value (see docs)")
+    option("--sea", "N", "DP number, 1 to 9 (what the ship can hold)")
+    option("--out", "DIR", "folder to write to (here)", default=".")
     init.add_argument("--force", action="store_true", help="write over files that are there")
 
 
-def _capability(commands: Commands) -> None:
-    capability = commands.add_parser(
-        "capability",
-        help="the largest wind a ship's thrusters hold (DNV-ST-0111 level 1)",
-        description="For 36 directions, intact and after the loss of each failure group; with "
-        "--solver, which solvers tell the loads at that edge apart.",
+def _add_capability_arguments(capability: Command) -> None:
+    """Add the options and arguments of `dpbench capability` to its parser."""
+    capability.description = (
+        "For 36 directions, intact and after the loss of each failure group; with "
+        "--solver, which solvers tell the loads at that edge apart."
     )
     capability.add_argument("vessel", help="a vessel with thrusters by name, or a TOML file")
-    _option(capability, "--sides", "N", "polygons with N sides in place of circles", type=int)
-    capability.add_argument(
-        "--solver",
-        action="append",
-        metavar="S",
-        help="judge the answers of this solver to the QPs at the edge; repeatable; all: of every "
-        "one that is installed",
+    option = partial(_add_option, capability)
+    option("--sides", "N", "polygons with N sides in place of circles", type=int)
+    solver = (
+        "judge the answers of this solver to the QPs at the edge; repeatable; all: of every "
+        "one that is installed"
     )
-    _option(capability, "--out", "DIR", "where these QPs go (results/capability-<vessel>)")
-    _option(capability, "--figure", "FILE", "write the rose: .svg, .html, .png or .pdf")
+    option("--solver", "S", solver, action="append")
+    option("--out", "DIR", "where these QPs go (results/capability-<vessel>)")
+    option("--figure", "FILE", "write the rose: .svg, .html, .png or .pdf")
     capability.add_argument("--json", action="store_true", help="say it as JSON")
+
+
+_COMMANDS: dict[str, tuple[Callable[[Command], None], str, str | None]] = {
+    "run": (
+        _add_run_arguments,
+        "run a suite and write its report",
+        f"Exit code: 0 done (a solver's failure is data); {_LOST_CELLS}",
+    ),
+    "cells": (
+        _add_cells_arguments,
+        "run a shard of a suite, for `gather`",
+        f"Exit code: 0 done (a solver's failure is data); {_LOST_CELLS}",
+    ),
+    "gather": (
+        _add_gather_arguments,
+        "put the shards of a suite together that `cells` ran, and write the report",
+        "Exit code: 0 done; 1 cells are missing: `dpbench run` into the folder runs them on "
+        "this machine; 2 bad input.",
+    ),
+    "report": (_add_report_arguments, "write the report of a result folder again", None),
+    "compare": (
+        _add_compare_arguments,
+        "what became slower or worse from A to B; solvers over their releases",
+        "Exit code: 0 no regression is shown; 1 one is; 2 bad input.",
+    ),
+    "export": (_add_export_arguments, "write QPs with certified optima for others", None),
+    "worst-case": (
+        _add_worst_case_arguments,
+        "search for a solver's slowest or least accurate step",
+        None,
+    ),
+    "paper": (
+        _add_paper_arguments,
+        "reproduce the paper: Figures 4-7, the data behind them, its claims",
+        "Exit code: 0 done, whatever became of the claims; 1 runs were lost by the "
+        "benchmark itself, give the same command again; 2 bad input.",
+    ),
+    "list": (_add_list_arguments, "what there is", None),
+    "check": (
+        _add_check_arguments,
+        "check a vessel, scenario, suite, sequence or sent result",
+        None,
+    ),
+    "doctor": (lambda doctor: None, "is this machine quiet, is the harness right", None),
+    "completion": (
+        _add_completion_arguments,
+        "complete names in a shell",
+        'bash, zsh: eval "$(dpbench completion bash)"; fish: dpbench completion fish | source',
+    ),
+    "init": (_add_init_arguments, "write vessel, scenario and suite of your own ship", None),
+    "capability": (
+        _add_capability_arguments,
+        "the largest wind a ship's thrusters hold (DNV-ST-0111 level 1)",
+        None,
+    ),
+}
+"""By name: the function that adds its arguments, its summary and its epilog."""

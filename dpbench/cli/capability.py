@@ -1,11 +1,7 @@
-"""`dpbench capability`: what a ship holds, in a table, as JSON or as a rose; and which solvers can
-tell."""
-
-from __future__ import annotations
+"""The command `dpbench capability`: the wind a ship holds, and the accuracy of solvers there."""
 
 import argparse
 import json
-import math
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,83 +10,77 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.capability import Answers, answers_of
+from dpbench.analysis.suites.capability import Answers, count_answers
 from dpbench.bench.campaign import run_campaign
-from dpbench.bench.capability.frontier import INTACT, Frontier, Held
-from dpbench.bench.capability.study import FROM_DEG, Capability, capability_of, holds_most
+from dpbench.bench.capability.frontier import INTACT, CapabilityPlot, WindLimit
+from dpbench.bench.capability.study import (
+    FROM_DEG,
+    Capability,
+    compute_capability,
+    is_beyond_standard,
+)
 from dpbench.bench.record.result_folder import load_results
-from dpbench.bench.sequences.at_edge import write_batch
-from dpbench.cli.terminal import WIDTH, Bar
-from dpbench.errors import InputError, SolverUnavailableError
+from dpbench.bench.sequences.capability_boundary import write_capability_suite
+from dpbench.cli.terminal import WIDTH, ProgressBar
+from dpbench.errors import InputError
 from dpbench.report.formats import time_text
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.vessel import Vessel
-from dpbench.solvers.table import available, record
+from dpbench.solvers.table import check_available
 
 SIDES = 24
-"""Sides of the polygons in QPs, unless others are asked for: they give away 0.9 % of the thrust,
-within the 1 % that de Wit (2009) recommends."""
+"""Default sides of polygons: they lose 0.9 % of the thrust; de Wit (2009) recommends up to 1 %."""
 FIGURES = (".svg", ".html", ".png", ".pdf")
 _WIDE = 4
 """Cases that fit beside each other."""
 _CELL = 15
 
 
-def tell_capability(arguments: argparse.Namespace) -> str:
-    """What `dpbench capability` prints.
-
-    Raises
-    ------
-    InputError : a vessel without thrusters or hull, sides or a figure that cannot be, a solver that
-        is not there.
-    """
-    figure = _figure_file(arguments.figure)
+def capability_text(arguments: argparse.Namespace) -> str:
+    """Compute the largest wind that a vessel's thrusters hold, by direction, as text or JSON."""
+    figure = _parse_figure_path(arguments.figure)
     for name in arguments.solver or ():
-        _check_installed(name)
+        if name != "all":
+            check_available(name)
     vessel = load_vessel(arguments.vessel)
-    frontier = Frontier(vessel, arguments.sides)
+    frontier = CapabilityPlot(vessel, arguments.sides)
     quiet = arguments.json
-    with Bar(transient=True, quiet=quiet) as bar:
-        capability = capability_of(frontier, bar)
+    with ProgressBar(transient=True, quiet=quiet) as bar:
+        capability = compute_capability(frontier, bar)
     if figure is not None:
-        _draw(capability, vessel, figure)
+        _save_rose_figure(capability, vessel, figure)
     answers: list[Answers] = []
     out = Path(arguments.out or f"results/capability-{vessel.id}")
     if arguments.solver:
-        answers = _asked(frontier, capability, out, arguments)
+        answers = _judge_solvers(frontier, capability, out, arguments)
     if arguments.json:
-        return json.dumps(as_document(capability, vessel, answers), ensure_ascii=False, indent=2)
+        report = make_json_report(capability, vessel, answers)
+        return json.dumps(report, ensure_ascii=False, indent=2)
     lines = table_lines(capability, vessel)
     if answers:
         lines += ["", *answer_lines(answers), "", f"judged in {out / 'run'}"]
     return "\n".join(lines)
 
 
-def _check_installed(solver: str) -> None:
-    if solver != "all":
-        row, here = record(solver), available(solver)
-        if not here.ok:
-            raise SolverUnavailableError("solver", solver, here.reason, f"after {row.remedy}")
-
-
-def _asked(
-    frontier: Frontier, capability: Capability, out: Path, arguments: argparse.Namespace
+def _judge_solvers(
+    frontier: CapabilityPlot, capability: Capability, out: Path, arguments: argparse.Namespace
 ) -> list[Answers]:
-    """The answers of the solvers asked for, to the QPs at the edge of polygons."""
+    """Run solvers on the allocation QPs at a ship's wind limit; count right and wrong answers."""
     solvers = None if "all" in arguments.solver else arguments.solver
     quiet = arguments.json
     if frontier.sides is None:
-        frontier = Frontier(frontier.vessel, SIDES)
-        with Bar(transient=True, quiet=quiet) as bar:
-            capability = capability_of(frontier, bar)
-    suite = write_batch(frontier, capability, out)
-    with Bar(transient=True, quiet=quiet) as bar:
+        frontier = CapabilityPlot(frontier.vessel, SIDES)
+        with ProgressBar(transient=True, quiet=quiet) as bar:
+            capability = compute_capability(frontier, bar)
+    suite = write_capability_suite(frontier, capability, out)
+    with ProgressBar(transient=True, quiet=quiet) as bar:
         folder = run_campaign(suite, out / "run", solvers=solvers, may_leave_out=True, progress=bar)
     records = Records(load_results(folder))
-    return answers_of(records, [run for run in records.runs if run.default_route])
+    return count_answers(records, [run for run in records.runs if run.default_route])
 
 
-def _figure_file(name: str | None) -> Path | None:
+def _parse_figure_path(name: str | None) -> Path | None:
+    """Return the file path given to --figure; InputError unless its ending is a figure type."""
     if name is None:
         return None
     path = Path(name)
@@ -99,10 +89,11 @@ def _figure_file(name: str | None) -> Path | None:
     return path
 
 
-def _draw(capability: Capability, vessel: Vessel, path: Path) -> None:
+def _save_rose_figure(capability: Capability, vessel: Vessel, path: Path) -> None:
+    """Draw the largest wind by direction as a polar plot and save it."""
     from dpbench.report.charts.capability import COLUMNS as DRAWN
-    from dpbench.report.charts.capability import rose
-    from dpbench.report.charts.render import save
+    from dpbench.report.charts.capability import draw_capability_rose
+    from dpbench.report.charts.render import save_figure
 
     rows = [
         (case, from_deg, at.wind_mps, at.number)
@@ -110,20 +101,20 @@ def _draw(capability: Capability, vessel: Vessel, path: Path) -> None:
         for from_deg, at in zip(FROM_DEG, held, strict=True)
     ]
     title = f"{vessel.title}: largest wind held"
-    save(rose(pd.DataFrame(rows, columns=list(DRAWN)), title), path)
+    save_figure(draw_capability_rose(pd.DataFrame(rows, columns=list(DRAWN)), title), path)
 
 
 def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
-    """The table for a terminal: a row for each direction, at most 80 columns."""
+    """Format the largest wind held, by direction and lost thrusters, as a table of 80 columns."""
     columns = dict(capability.held)
     if len(columns) > _WIDE:
         columns = {INTACT: columns[INTACT], "worst failure": capability.worst_failure}
     room = _CELL - 2
     names = [case if len(case) <= room else f"{case[: room - 1]}…" for case in columns]
     head = "".join(f"  {name:<{room}}" for name in names)
+    cells = ("".join(map(_format_wind_limit, row)) for row in zip(*columns.values(), strict=True))
     rows = [
-        (f"{from_deg:4.0f}° " + "".join(_cell(held[k]) for held in columns.values())).rstrip()
-        for k, from_deg in enumerate(FROM_DEG)
+        f"{from_deg:4.0f}° {row}".rstrip() for from_deg, row in zip(FROM_DEG, cells, strict=True)
     ]
     shape = "circles" if capability.sides is None else f"{capability.sides}-sided polygons"
     about = (
@@ -132,15 +123,17 @@ def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
         "starboard); + where the standard knows no more weather."
     )
     table = [f" from {head}".rstrip(), *rows]
-    return [*textwrap.wrap(about, WIDTH), "", *table, "", *_verdict(capability)]
+    return [*textwrap.wrap(about, WIDTH), "", *table, "", *_notation_lines(capability)]
 
 
-def _cell(held: Held) -> str:
-    beyond = "+" if holds_most(held) else " "
+def _format_wind_limit(held: WindLimit) -> str:
+    """Format the largest wind held [m/s] and its DP capability number as a table cell."""
+    beyond = "+" if is_beyond_standard(held) else " "
     return f"  {held.wind_mps:5.1f}{beyond} {held.number:>2}".ljust(_CELL)
 
 
-def _verdict(capability: Capability) -> list[str]:
+def _notation_lines(capability: Capability) -> list[str]:
+    """Explain a DP capability notation, the thrusters lost in each case and assumptions."""
     lines = [
         f"{capability.notation}: least number intact within 30° of the bow and all round, and the "
         "same after the worst failure."
@@ -156,7 +149,7 @@ def _verdict(capability: Capability) -> list[str]:
 
 
 def answer_lines(answers: Sequence[Answers]) -> list[str]:
-    """Which solvers said rightly what is balanced and what is not."""
+    """Format solvers' counts of right and wrong thrust allocations and solve times as a table."""
     first = answers[0]
     about = (
         f"{first.asked} static allocations at the edge of what is held. Right are optima that are "
@@ -164,29 +157,21 @@ def answer_lines(answers: Sequence[Answers]) -> list[str]:
         "claimed."
     )
     widths = (20, 12, 13, 7, 10, 10)
-    heads = ("solver", "optimum", "infeasible", "wrong", "p50", "largest")
-    rows = [
-        (
-            a.solver,
-            f"{a.balanced}/{a.feasible}",
-            f"{a.refused}/{a.infeasible}",
-            str(a.wrong),
-            time_text(a.p50_ns),
-            time_text(a.max_ns),
-        )
-        for a in answers
-    ]
+    rows: list[tuple[str, ...]] = [("solver", "optimum", "infeasible", "wrong", "p50", "largest")]
+    for a in answers:
+        counts = f"{a.balanced}/{a.feasible}", f"{a.refused}/{a.infeasible}", str(a.wrong)
+        rows.append((a.solver, *counts, time_text(a.p50_ns), time_text(a.max_ns)))
     table = [
         "".join(f"{cell:{'<' if i == 0 else '>'}{widths[i]}}" for i, cell in enumerate(row))
-        for row in (heads, *rows)
+        for row in rows
     ]
     return [*textwrap.wrap(about, WIDTH), "", *table]
 
 
-def as_document(
+def make_json_report(
     capability: Capability, vessel: Vessel, answers: Sequence[Answers]
 ) -> dict[str, Any]:
-    """All of it, for JSON."""
+    """Return the largest winds held and the counts of solvers' right answers, for JSON."""
     return {
         "vessel": capability.vessel,
         "title": vessel.title,
@@ -204,13 +189,9 @@ def as_document(
             }
             for case, held in capability.held.items()
         ],
-        "solvers": [_without_nan(vars(answer)) for answer in answers],
-    }
-
-
-def _without_nan(fields: dict[str, Any]) -> dict[str, Any]:
-    """JSON has no NaN."""
-    return {
-        key: None if isinstance(value, float) and math.isnan(value) else value
-        for key, value in fields.items()
+        # JSON has no NaN, the one number that differs from itself.
+        "solvers": [
+            {key: value if value == value else None for key, value in vars(answer).items()}
+            for answer in answers
+        ],
     }

@@ -1,22 +1,17 @@
-"""Compile all that any command needs, so that none waits for it: `python -m dpbench.cli.compiling`.
-
-`make setup` ends with it; without it the first command that needs a kernel compiles that.
-"""
-
-from __future__ import annotations
+"""Compile all kernels, so that no command waits for one: `python -m dpbench.cli.compiling`."""
 
 import time
 
-from dpbench.bench.workers.compiled import LOOP, OWN, compile_in_processes, missing
+from dpbench.bench.workers.child import LOOP, OWN, compile_in_processes, list_uncompiled_modules
 from dpbench.notebook.runs import run_closed_loop
 from dpbench.scenario.problem_files import problem_names
 from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.open import open_workspace
 
 
-def compile_all() -> None:
-    """Fill Numba's cache, and say so; nothing where it is filled."""
-    absent = missing((OWN, LOOP))
+def compile_all_kernels() -> None:
+    """Compile all Numba functions that are not yet in the disk cache; print the time taken."""
+    absent = list_uncompiled_modules((OWN, LOOP))
     if not absent:
         return
     print("compiling the kernels, once after an installation: a minute or two", flush=True)
@@ -29,4 +24,4 @@ def compile_all() -> None:
 
 
 if __name__ == "__main__":
-    compile_all()
+    compile_all_kernels()

@@ -1,47 +1,46 @@
-"""What `dpbench doctor` says: this machine, is it quiet now, and is the harness right."""
-
-from __future__ import annotations
+"""Text of `dpbench doctor`: this machine, whether it is quiet, and whether the harness is right."""
 
 from dpbench.bench.judge.calibration import calibrate
-from dpbench.bench.record.disturbance import RULE
+from dpbench.bench.record.disturbance import QUIET_RULE
 from dpbench.bench.record.machine import describe_machine
-from dpbench.cli.terminal import wrapped
+from dpbench.cli.terminal import wrap_paragraph
 from dpbench.report.formats import MISSING
 from dpbench.report.machine_verdict import (
     calibration_text,
     disturbance_facts,
+    disturbance_text,
     machine_facts,
-    verdict_text,
 )
+from dpbench.solvers.table import check_availability, solver_names
 
 _WIDTH = 32
 
 
 def doctor_lines() -> list[str]:
-    """Facts, and the verdicts on machine and harness, from a few seconds of the harness's own
-    configurations.
-
-    They run in this process, on the core that timed replays are pinned to.
-    """
+    """Describe this machine, how quiet it is, and whether solve times are measured correctly."""
     machine = describe_machine()
     harness = calibrate()
+    available = ((name, check_availability(name)) for name in solver_names())
+    builds = [f"{name} {here.build.text}" for name, here in available if here.build.text]
     loads = ", ".join(f"{load:.2f}" for load in machine["load_average"])
     facts = [
         *machine_facts(machine),
         ("memory", f"{machine['memory_GiB']} GiB"),
         ("system", f"{machine['kernel']}, {machine['python']}"),
         ("versions", ", ".join(f"{k} {v}" for k, v in machine["versions"].items())),
+        ("solver builds", ", ".join(builds) or MISSING),
         ("load average", loads or MISSING),
         *disturbance_facts(harness.disturbance),
     ]
+    verdicts = (
+        f"machine: {disturbance_text(harness.disturbance)}",
+        f"quiet means: {QUIET_RULE}",
+        f"harness: {calibration_text(harness.p50_ns)}",
+    )
     return [
-        *(wrapped(said, first=f"{what:<{_WIDTH}}", others=" " * _WIDTH) for what, said in facts),
         *(
-            wrapped(said, others="  ")
-            for said in (
-                f"machine: {verdict_text(harness.disturbance)}",
-                f"quiet means: {RULE}",
-                f"harness: {calibration_text(harness.p50_ns)}",
-            )
+            wrap_paragraph(text, first=f"{what:<{_WIDTH}}", others=" " * _WIDTH)
+            for what, text in facts
         ),
+        *(wrap_paragraph(text, others="  ") for text in verdicts),
     ]

@@ -1,19 +1,14 @@
-"""What `dpbench list` says."""
+"""Tables of solvers and of the vessels, scenarios, suites and sequences of the package.
 
-from __future__ import annotations
+Each kind imports its own work: only the cells of a suite take the planner and its kernels.
+"""
 
-import numpy as np
+from pathlib import Path
+
 from rich.console import Group, RenderableType
 
-from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import load_suite
-from dpbench.bench.sequences.sequence_file import active_set, load_recorded
-from dpbench.cli.terminal import entry, plain, small_table
+from dpbench.cli.terminal import format_entry, make_small_table, unstyled_text
 from dpbench.report.formats import MISSING
-from dpbench.scenario.problem_files import SEQUENCES, problem_names, sequence_path
-from dpbench.scenario.scenario import load_scenario, load_vessel
-from dpbench.solvers.settings import describe_levels
-from dpbench.solvers.table import available, record, solver_names
 
 SEQUENCES_ARE = """
 Each is the exactly solved loop of the scenario it is named after, at the
@@ -21,46 +16,68 @@ horizons N_p-N_c of its name, every optimum certified. n: variables; m: rows;
 K: QPs; active: share of all limits; samples: which of the loop were kept."""
 
 
-def listing(what: str) -> RenderableType:
-    """The vessels, scenarios, suites, sequences or solvers there are, in 80 columns."""
-    makers = {"vessels": _vessels, "scenarios": _scenarios, "suites": _suites}
-    return (makers | {"sequences": _sequences, "solvers": _solvers})[what]()
+def list_table(kind: str) -> RenderableType:
+    """Make a table of all stored vessels, scenarios, suites, QP sequences or known solvers."""
+    makers = {"vessels": _list_vessels, "scenarios": _list_scenarios, "suites": _list_suites}
+    return (makers | {"sequences": _list_sequences, "solvers": _list_solvers})[kind]()
 
 
-def _vessels() -> RenderableType:
+def _list_vessels() -> RenderableType:
+    """Make a table of all stored vessels: time constants and acceleration at full thrust."""
+    from dpbench.scenario import problem_files as problems
+    from dpbench.scenario.tables.vessel_file import VesselFile
+
     entries = []
-    for name in problem_names("vessels"):
-        vessel = load_vessel(name)
+    for name in problems.problem_names("vessels"):
+        path = problems.problem_path("vessels", name)
+        vessel = problems.read_model(path, VesselFile).build_vessel(name, str(path))
         times = ", ".join(f"{t:.3g}" for t in vessel.time_constants_s())
         surge, sway, yaw = 1e3 * vessel.reachable_acceleration()[1]
         reached = f"{surge:.3g} and {sway:.3g} mm/s², {yaw:.3g} mrad/s²"
         about = [f"time constants: {times} s", f"acceleration at full thrust: {reached}"]
-        entries.append(entry(name, [vessel.title, *about]))
-    return plain("\n".join(entries))
+        entries.append(format_entry(name, [vessel.title, *about]))
+    return unstyled_text("\n".join(entries))
 
 
-def _scenarios() -> RenderableType:
+def _list_scenarios() -> RenderableType:
+    """Make a table of all stored scenarios: vessel, tuning, horizons and number of steps."""
+    from dpbench.scenario import problem_files as problems
+    from dpbench.scenario.tables.scenario_file import ScenarioFile
+
     entries = []
-    for name in problem_names("scenarios"):
-        scenario = load_scenario(name)
-        tuning = f"{scenario.tuning} {scenario.N_p}/{scenario.N_c}"
-        about = f"vessel {scenario.vessel.id}, tuning {tuning}, {scenario.steps} steps"
-        entries.append(entry(name, [about, scenario.shows]))
-    return plain("\n".join(entries))
+    for name in problems.problem_names("scenarios"):
+        scenario = problems.read_model(problems.problem_path("scenarios", name), ScenarioFile)
+        controller = scenario.controller
+        horizons = f"{controller.prediction_horizon}/{controller.control_horizon}"
+        vessel = Path(scenario.vessel).stem
+        about = f"vessel {vessel}, tuning {controller.tuning} {horizons}, {scenario.steps} steps"
+        entries.append(format_entry(name, [about, scenario.shows]))
+    return unstyled_text("\n".join(entries))
 
 
-def _suites() -> RenderableType:
-    table = small_table("name", "cells", "asks")
-    for name in problem_names("suites"):
+def _list_suites() -> RenderableType:
+    """Make a table of all stored suites with the number of solver runs in each."""
+    from dpbench.bench.plan.plan import plan
+    from dpbench.bench.plan.suite import load_suite
+    from dpbench.scenario import problem_files as problems
+
+    table = make_small_table("name", "cells", "asks")
+    for name in problems.problem_names("suites"):
         path, suite = load_suite(name)
         table.add_row(name, str(len(plan(suite, beside=path.parent))), suite.title)
     return table
 
 
-def _sequences() -> RenderableType:
-    table = small_table("name", "n", "m", "K", "active", "matrices", "samples")
-    for name in problem_names(SEQUENCES):
-        recorded = load_recorded(sequence_path(name))
+def _list_sequences() -> RenderableType:
+    """Make a table of all stored QP sequences with QP sizes and numbers of active limits."""
+    import numpy as np
+
+    from dpbench.bench.sequences.sequence_file import active_set, load_recorded
+    from dpbench.scenario import problem_files as problems
+
+    table = make_small_table("name", "n", "m", "K", "active", "matrices", "samples")
+    for name in problems.problem_names(problems.SEQUENCES):
+        recorded = load_recorded(problems.sequence_path(name))
         sequence, meta = recorded.sequence, recorded.sequence.meta
         sets = [active_set(o) for o in recorded.optima or [] if np.isfinite(o.bound)]
         base, every = sequence.base, int(meta.get("every", 1))
@@ -71,17 +88,24 @@ def _sequences() -> RenderableType:
             "constant" if sequence.P is None else "each step's",
             "each" if every == 1 else f"each {every}th",
         )
-    return Group(table, plain(SEQUENCES_ARE))
+    return Group(table, unstyled_text(SEQUENCES_ARE))
 
 
-def _solvers() -> RenderableType:
-    return plain("\n".join(map(_solver, solver_names())))
+def _list_solvers() -> RenderableType:
+    """Describe all known QP solvers, plug-ins included, as text."""
+    from dpbench.solvers.table import solver_names
+
+    return unstyled_text("\n".join(map(_describe_solver, solver_names())))
 
 
-def _solver(name: str) -> str:
-    row, library = record(name), available(name)
-    installed = library.version or "" if library.ok else f"not installed: {library.reason}"
-    build = f", {library.build.text}" if library.build.text else ""
+def _describe_solver(name: str) -> str:
+    """Describe a solver as text: version, method, start policies and tolerance settings."""
+    from dpbench.solvers.settings import describe_levels
+    from dpbench.solvers.table import check_availability, find_record
+
+    # Importing all libraries takes longer than all the rest.
+    row, library = find_record(name), check_availability(name, imported=False)
+    version = library.version or "" if library.ok else f"not installed: {library.reason}"
     policies = "; ".join(f"{route}: {', '.join(p)}" for route, p in row.policies.items())
     about = [row.method, f"form {row.form}; {policies}", *describe_levels(name).splitlines()]
-    return entry(f"{name} {installed}{build}".rstrip(), about)
+    return format_entry(f"{name} {version}".rstrip(), about)

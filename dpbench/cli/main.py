@@ -1,8 +1,7 @@
-"""The command line: parse arguments, call one public function, choose the exit code.
+"""The command line: parse arguments, call one public function, print, choose the exit code.
 
 Exit 0: done (a solver's failure is data). 1: a comparison shows a regression, or the benchmark lost
-cells of a run by an accident of its own. 2: bad input, said in one line. What is printed is printed
-here.
+cells of a run by an accident of its own. 2: bad input.
 """
 
 from __future__ import annotations
@@ -15,15 +14,13 @@ import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any
 
-from dpbench.bench.workers.interrupts import Interruption, one_interrupt
-from dpbench.cli.arguments import HOW_TO_END, parser
-from dpbench.cli.completion import complete
-from dpbench.cli.ending import say_ending
+from dpbench.bench.workers.interrupts import Interruption, first_signal_only
+from dpbench.cli.arguments import HOW_TO_END, offer_completions, parser
 from dpbench.cli.streams import PIPE_CLOSED, flush_streams, is_output_lost, open_streams
-from dpbench.errors import DpbenchError, InputError, RenamedWarning, renamed
-from dpbench.files.writing import write_given
+from dpbench.errors import DpbenchError, InputError, RenamedWarning, SituationError, warn_renamed
+from dpbench.files.writing import write_named_file
 
 if TYPE_CHECKING:
     from dpbench.report.table import Table
@@ -31,35 +28,32 @@ if TYPE_CHECKING:
 INTERRUPTED = 130
 """The exit code after Ctrl-C; after another signal 128 and its number."""
 OLD_COMMANDS = {"hunt": "worst-case"}
-"""Old names of commands that are still read, with what they are called now."""
+"""Old names of commands that are still read, with the new ones."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code.
-
-    Parameters
-    ----------
-    argv : the words after the command; None for those of this process, which ends with it.
-    """
+    """Run a dpbench command, by default that of this process; return the exit code."""
     if argv is not None:
-        with one_interrupt() as interruption:
-            return _ended(argv, interruption)
+        with first_signal_only() as interruption:
+            return _run_until_signal(argv, interruption)
     open_streams()
+    # Arrow's own allocator reserves 1 GB of addresses, half of what a limited process may have.
+    os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
     try:
-        with one_interrupt(for_good=True) as interruption:
-            return _ended(sys.argv[1:], interruption)
+        with first_signal_only(for_good=True) as interruption:
+            return _run_until_signal(sys.argv[1:], interruption)
     finally:
         flush_streams()
 
 
-def _ended(argv: Sequence[str], interruption: Interruption) -> int:
-    """The exit code of a command, also where a signal or the reader of its output ended it."""
+def _run_until_signal(argv: Sequence[str], interruption: Interruption) -> int:
+    """Run a dpbench command until it ends or a stop signal arrives; return the exit code."""
     try:
-        code = _called(argv, interruption)
+        code = _call_command(argv, interruption)
     except KeyboardInterrupt:
         code = INTERRUPTED
     except OSError:
-        # To a terminal that was closed nothing is said any more.
+        # Nothing is printed to a terminal that was closed.
         if not interruption.signal and not is_output_lost():
             raise
         code = PIPE_CLOSED
@@ -70,64 +64,50 @@ def _ended(argv: Sequence[str], interruption: Interruption) -> int:
     return 128 + interruption.signal if interruption.signal and code else code
 
 
-def _called(argv: Sequence[str], interruption: Interruption) -> int:
-    """Call the command that the words name; returns the exit code."""
+def _call_command(argv: Sequence[str], interruption: Interruption) -> int:
+    """Parse a dpbench command line and run its command; return the exit code."""
     words = list(argv)
     with warnings.catch_warnings():
         warnings.simplefilter("always", RenamedWarning)
-        warnings.showwarning = _one_line
+        warnings.showwarning = _print_warning
         if words and words[0] in OLD_COMMANDS:
-            renamed("command", words[0], OLD_COMMANDS[words[0]])
+            warn_renamed("command", words[0], OLD_COMMANDS[words[0]])
             words[0] = OLD_COMMANDS[words[0]]
         whole = parser(_CALLS)
         if "_ARGCOMPLETE" in os.environ:
-            complete(whole)
-        return _exit_code(whole.parse_args(words), interruption)
+            offer_completions(whole)
+        return _call_and_report_errors(whole.parse_args(words), interruption)
 
 
-def _one_line(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
+def _print_warning(
+    message: Warning | str, category: type[Warning], *where: Any, **file: Any
 ) -> None:
-    """A warning as one line; an old word without the name of its class."""
+    """Print a Python warning on one line, with its class unless it is about a renamed word."""
     kind = "" if issubclass(category, RenamedWarning) else f"{category.__name__}: "
     print(f"dpbench: {kind}{message}", file=sys.stderr)
 
 
-def _no_codes_at_exit() -> None:
-    """Keep colorama, which Numba starts, from a control code after all that was printed."""
-    colorama = sys.modules.get("colorama.initialise")
-    if colorama is not None:
-        atexit.unregister(colorama.reset_all)
-
-
-def _exit_code(arguments: argparse.Namespace, interruption: Interruption) -> int:
+def _call_and_report_errors(arguments: argparse.Namespace, interruption: Interruption) -> int:
+    """Run a parsed command; print an error on one line; return the exit code."""
     try:
         if sys.flags.optimize > 1:
             found = f"{sys.flags.optimize}, which removes docstrings that Altair reads"
             raise InputError("PYTHONOPTIMIZE", "", found, "0 or 1")
-        code = int(arguments.call(arguments))
-        # Here, where a full disk or a closed pipe gets its line, and not at the end of Python.
+        code = int(arguments.call(arguments) or 0)
+        # A full disk or a closed pipe is an error here, and not at the end of Python.
         sys.stdout.flush()
         return code
-    except InputError as error:
-        print(f"dpbench: {error}", file=sys.stderr)
-        return 2
     except DpbenchError as error:
         print(f"dpbench: {error}", file=sys.stderr)
-        return 1
+        return 2 if isinstance(error, InputError) else 1
     except OSError as error:
         if is_output_lost():
             raise
-        # The last net under all that is read and written: a full disk, a folder in a file's place.
+        # Whatever else cannot be read or written: a full disk, a folder in a file's place.
         name = f"{error.filename}: " if error.filename else ""
         print(
-            f"dpbench: {name}found {error.strerror or error}; allowed: a file or folder that "
-            "can be read and written",
+            f"dpbench: {name}{error.strerror or error}; name a file or folder that can be read "
+            "and written, on a disk with free space",
             file=sys.stderr,
         )
         return 2
@@ -135,119 +115,124 @@ def _exit_code(arguments: argparse.Namespace, interruption: Interruption) -> int
         print(f"dpbench: out of memory: {error or 'no details'}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        return _say_interrupted(arguments)
+        return _print_interrupted(arguments)
     except Exception:
         # A library whose code is loading when a signal comes makes an error of its own of it.
         if not interruption.signal:
             raise
-        return _say_interrupted(arguments)
+        return _print_interrupted(arguments)
     finally:
-        _no_codes_at_exit()
+        # Keep colorama, which Numba starts, from printing a control code at the end.
+        colorama = sys.modules.get("colorama.initialise")
+        if colorama is not None:
+            atexit.unregister(colorama.reset_all)
 
 
-def _say_interrupted(arguments: argparse.Namespace) -> int:
-    resumes = arguments.call in (_run, _cells)
+def _print_interrupted(arguments: argparse.Namespace) -> int:
+    """Print that a command was stopped by a signal; return its exit code."""
+    resumes = arguments.call in (_run_suite, _run_shard)
     kept = "; finished cells are kept, run again to go on" if resumes else ""
     print(f"dpbench: interrupted{kept}", file=sys.stderr)
     return INTERRUPTED
 
 
-def _given(arguments: argparse.Namespace, *without: str) -> dict[str, Any]:
-    """What was given, by the names of the parameters that it is for."""
+def _named_parameters(arguments: argparse.Namespace, *without: str) -> dict[str, Any]:
+    """Return parsed command-line options by name, except the command and those in `without`."""
     others = ("command", "call", *without)
     return {name: value for name, value in vars(arguments).items() if name not in others}
 
 
-_NOT_DRY = ("dry_run", "out", "fresh", "scheduler", "tls", "wait_s")
-"""Arguments of a run that have no part in what it takes."""
-
-
-def _dry_run(arguments: argparse.Namespace) -> int:
+def _print_estimate(arguments: argparse.Namespace) -> int:
+    """Print the estimated number of runs, time and disk size of a suite (`run --dry-run`)."""
     from dpbench.bench.estimate import estimate_campaign
-    from dpbench.cli.terminal import Bar
 
-    with Bar(transient=True, quiet=arguments.quiet or arguments.json) as bar:
-        estimate = estimate_campaign(**_given(arguments, *_NOT_DRY, *HOW_TO_END), progress=bar)
-    if arguments.json:
-        print(json.dumps(vars(estimate), indent=2))
-    else:
-        print("\n".join(estimate.lines))
+    unused = ("dry_run", "fresh", "scheduler", "tls", "wait_s")
+    estimate = estimate_campaign(**_named_parameters(arguments, *unused, *HOW_TO_END))
+    print(json.dumps(vars(estimate), indent=2) if arguments.json else "\n".join(estimate.lines))
     return 0
 
 
-def _run(arguments: argparse.Namespace) -> int:
+def _run_suite(arguments: argparse.Namespace) -> int:
+    """Run all solver runs of a suite and write the report (`dpbench run`)."""
     if arguments.dry_run:
-        return _dry_run(arguments)
+        return _print_estimate(arguments)
     from dpbench.bench.campaign import run_campaign
-    from dpbench.cli.terminal import Bar
-    from dpbench.report.write import report_and_ending
+    from dpbench.cli.terminal import ProgressBar, print_ending
+    from dpbench.report.write import write_report_with_summary
 
-    with Bar(quiet=arguments.quiet or arguments.json) as bar:
-        out = run_campaign(**_given(arguments, "dry_run", *HOW_TO_END), progress=bar)
+    with ProgressBar(quiet=arguments.quiet or arguments.json) as bar:
+        out = run_campaign(**_named_parameters(arguments, "dry_run", *HOW_TO_END), progress=bar)
         bar.advance(0, "writing the report")
-        page_and_ending = report_and_ending(out)
-    say_ending(*page_and_ending, arguments)
-    return _say_accidents(out)
+        page_and_ending = write_report_with_summary(out)
+    print_ending(*page_and_ending, arguments)
+    return _print_accidents(out)
 
 
-def _say_accidents(out: Path) -> int:
-    """What befell the benchmark itself, a line each; the exit code."""
-    from dpbench.bench.record.result_folder import accidents
+def _print_accidents(out: Path) -> int:
+    """Print failures of the benchmark itself, one per line; return 1 if runs were lost."""
+    from dpbench.bench.record.result_folder import read_accidents
 
-    lost, remarks = accidents(out)
+    lost, remarks = read_accidents(out)
     for line in remarks:
         print(f"dpbench: {line}", file=sys.stderr)
     return int(lost > 0)
 
 
-def _cells(arguments: argparse.Namespace) -> int:
+def _run_shard(arguments: argparse.Namespace) -> int:
+    """Do one share of a suite's solver runs and print where the results are (`dpbench cells`)."""
     from dpbench.bench.campaign import run_campaign
-    from dpbench.cli.terminal import Bar
+    from dpbench.cli.terminal import ProgressBar
 
-    with Bar() as bar:
-        out = run_campaign(**_given(arguments), progress=bar)
+    with ProgressBar() as bar:
+        out = run_campaign(**_named_parameters(arguments), progress=bar)
     print(f"shard {arguments.shard} is in {out}")
-    return _say_accidents(out)
+    return _print_accidents(out)
 
 
-def _gather(arguments: argparse.Namespace) -> int:
+def _gather_shards(arguments: argparse.Namespace) -> int:
+    """Merge the result folders of a suite's shares and write the report (`dpbench gather`)."""
     from dpbench.bench.gather import gather
-    from dpbench.report.write import report_and_ending
+    from dpbench.cli.terminal import print_ending
+    from dpbench.report.write import write_report_with_summary
 
-    out = gather(**_given(arguments, *HOW_TO_END))
-    say_ending(*report_and_ending(out), arguments)
-    return _say_accidents(out)
+    out = gather(**_named_parameters(arguments, *HOW_TO_END))
+    print_ending(*write_report_with_summary(out), arguments)
+    return _print_accidents(out)
 
 
-def _report(arguments: argparse.Namespace) -> int:
-    from dpbench.report.write import report_and_ending
+def _rewrite_report(arguments: argparse.Namespace) -> None:
+    """Write the report of an existing result folder again (`dpbench report`)."""
+    from dpbench.cli.terminal import print_ending
+    from dpbench.report.write import write_report_with_summary
 
     if arguments.against and arguments.solver is None:
-        raise InputError("--against", "", "no solver to set beside them", "--for SOLVER as well")
-    say_ending(
-        *report_and_ending(arguments.dir, **_given(arguments, "dir", *HOW_TO_END)), arguments
+        raise SituationError("--against", "name the solver to compare with these by --for SOLVER")
+    page_and_ending = write_report_with_summary(
+        arguments.dir, **_named_parameters(arguments, "dir", *HOW_TO_END)
     )
-    return 0
+    print_ending(*page_and_ending, arguments)
 
 
-def _completion(arguments: argparse.Namespace) -> int:
+def _print_completion(arguments: argparse.Namespace) -> None:
+    """Print shell code that completes dpbench's words on Tab (`dpbench completion`)."""
     from argcomplete.shell_integration import shellcode
 
     code = shellcode(["dpbench"], shell=arguments.shell)  # type: ignore[no-untyped-call] # argcomplete types nothing
     print(code)
-    return 0
 
 
-def _compare(arguments: argparse.Namespace) -> int:
+def _compare_folders(arguments: argparse.Namespace) -> int:
+    """Compare two result folders; return 1 if the second is worse (`dpbench compare`)."""
     from dpbench.report.compare.comparison import compare
 
     if arguments.any_machine:
         print("dpbench: --any-machine is no longer needed", file=sys.stderr)
     if arguments.releases:
-        return _releases(arguments)
+        _compare_releases(arguments)
+        return 0
     if len(arguments.folders) != 2:
-        found = f"{len(arguments.folders)} of them"
-        raise InputError("compare", "DIR", found, "two, A and B, or several with --releases")
+        given = f"{len(arguments.folders)} folders were given"
+        raise SituationError("compare", f"{given}; name two, A and B, or add --releases")
     compared = compare(
         *arguments.folders,
         reference=arguments.reference,
@@ -258,133 +243,132 @@ def _compare(arguments: argparse.Namespace) -> int:
         from dpbench.report.compare.page import write_comparison
 
         write_comparison(Path(arguments.html), compared)
-    _say_compared(compared.markdown(), compared.tables, compared.lines, arguments.markdown)
+    _print_comparison(compared.markdown(), compared.tables, compared.lines, arguments.markdown)
     return int(compared.worse)
 
 
-def _releases(arguments: argparse.Namespace) -> int:
-    from dpbench.report.compare.releases import releases
+def _compare_releases(arguments: argparse.Namespace) -> None:
+    """Compare versions of solvers over several result folders (`dpbench compare --releases`)."""
+    from dpbench.report.compare.releases import releases, write_releases
 
     over = releases(arguments.folders, reference=arguments.reference)
     if arguments.html is not None:
-        from dpbench.report.compare.releases_page import write_releases
-
         write_releases(Path(arguments.html), over)
-    _say_compared(over.markdown(), over.tables, [*over.lines, *over.lead], arguments.markdown)
-    return 0
+    _print_comparison(over.markdown(), over.tables, [*over.lines, *over.lead], arguments.markdown)
 
 
-def _say_compared(
+def _print_comparison(
     markdown: str, tables: Sequence[Table], lines: Sequence[str], file: str | None
 ) -> None:
-    """Tables, then lines, on the screen; the Markdown into a file, or alone for `-`."""
-    from dpbench.cli.terminal import console, report_table, say
+    """Print the tables and lines of a comparison; with `file`, write its Markdown there too."""
+    from dpbench.cli.terminal import make_console, make_report_table, print_wrapped
 
     if file == "-":
         print(markdown, end="")
         return
     if file is not None:
-        write_given(Path(file), markdown.encode())
-    screen = console()
+        write_named_file(Path(file), markdown.encode())
+    screen = make_console()
     for table in tables:
-        screen.print(report_table(table, screen))
+        screen.print(make_report_table(table, screen))
         screen.print()
-    say(lines)
+    print_wrapped(lines)
 
 
-def _export(arguments: argparse.Namespace) -> int:
-    from dpbench.bench.sequences.export import check_asked, export
-    from dpbench.cli.terminal import say
+def _export_qps(arguments: argparse.Namespace) -> None:
+    """Write QPs with certified optima to files (`dpbench export`)."""
+    from dpbench.bench.sequences.export import check_export_options, export
+    from dpbench.cli.terminal import print_wrapped
 
-    check_asked(vars(arguments))
+    check_export_options(vars(arguments))
     if arguments.all:
-        from dpbench.bench.sequences.shipped import regenerate
-        from dpbench.cli.terminal import Bar
+        from dpbench.bench.sequences.shipped import record_shipped_sequences
+        from dpbench.cli.terminal import ProgressBar
 
-        with Bar(transient=True) as bar:
-            said = regenerate(arguments.out or "results/sequences", progress=bar)
+        with ProgressBar(transient=True) as bar:
+            text = record_shipped_sequences(arguments.out or "results/sequences", progress=bar)
     else:
-        said = export(**_given(arguments, "all"))
-    say(said.splitlines())
-    return 0
+        text = export(**_named_parameters(arguments, "all"))
+    print_wrapped(text.splitlines())
 
 
-def _worst_case(arguments: argparse.Namespace) -> int:
+def _find_worst_case(arguments: argparse.Namespace) -> int:
+    """Search for a solver's slowest or least accurate control step (`dpbench worst-case`)."""
     from dpbench.bench.worst_case.find import find_worst_case
-    from dpbench.cli.terminal import Bar, say
+    from dpbench.cli.terminal import ProgressBar, print_wrapped
 
-    with Bar() as bar:
-        worst_case = find_worst_case(**_given(arguments), progress=bar)
-    say(worst_case.lines)
+    with ProgressBar() as bar:
+        worst_case = find_worst_case(**_named_parameters(arguments), progress=bar)
+    print_wrapped(worst_case.lines)
     return INTERRUPTED if worst_case.search.stopped == "interrupted" else 0
 
 
-def _paper(arguments: argparse.Namespace) -> int:
-    from dpbench.cli.terminal import Bar, say
+def _reproduce_paper(arguments: argparse.Namespace) -> int:
+    """Reproduce the figures and claims of the paper on DP by MPC (`dpbench paper`)."""
+    from dpbench.cli.terminal import ProgressBar, print_wrapped
     from dpbench.report.reproduce import reproduce_paper
 
-    with Bar(transient=True) as bar:
+    with ProgressBar(transient=True) as bar:
         reproduction = reproduce_paper(arguments.out, progress=bar)
-    say(reproduction.lines)
+    print_wrapped(reproduction.lines)
     for line in reproduction.remarks:
         print(f"dpbench: {line}", file=sys.stderr)
     return 0 if reproduction.complete else 1
 
 
-def _list(arguments: argparse.Namespace) -> int:
-    from dpbench.cli.listing import listing
-    from dpbench.cli.terminal import console
+def _print_listing(arguments: argparse.Namespace) -> None:
+    """Print a table of stored vessels, scenarios, suites, QPs or solvers (`dpbench list`)."""
+    from dpbench.cli.listing import list_table
+    from dpbench.cli.terminal import make_console
 
-    console().print(listing(arguments.what))
-    return 0
-
-
-def _init(arguments: argparse.Namespace) -> int:
-    from dpbench.cli.own_ship import make_own_ship
-    from dpbench.cli.terminal import say
-
-    say(make_own_ship(arguments))
-    return 0
+    make_console().print(list_table(arguments.what))
 
 
-def _capability(arguments: argparse.Namespace) -> int:
-    from dpbench.cli.capability import tell_capability
+def _write_own_ship(arguments: argparse.Namespace) -> None:
+    """Write vessel, scenario and suite files of a new ship (`dpbench init`)."""
+    from dpbench.cli.own_ship import write_own_ship
+    from dpbench.cli.terminal import print_wrapped
 
-    print(tell_capability(arguments))
-    return 0
+    print_wrapped(write_own_ship(arguments))
 
 
-def _doctor(arguments: argparse.Namespace) -> int:
+def _print_capability(arguments: argparse.Namespace) -> None:
+    """Print the largest wind that a ship's thrusters hold (`dpbench capability`)."""
+    from dpbench.cli.capability import capability_text
+
+    print(capability_text(arguments))
+
+
+def _print_machine_check(arguments: argparse.Namespace) -> None:
+    """Print facts about this machine and how well it measures times (`dpbench doctor`)."""
     from dpbench.cli.doctor import doctor_lines
 
-    for line in doctor_lines():
-        print(line)
-    return 0
+    print("\n".join(doctor_lines()))
 
 
-def _check(arguments: argparse.Namespace) -> int:
+def _check_named_file(arguments: argparse.Namespace) -> None:
+    """Check and describe a ship, scenario, suite or QPs, by file or name (`dpbench check`)."""
     from dpbench.cli.check import check_file
-    from dpbench.cli.terminal import Bar, say
+    from dpbench.cli.terminal import ProgressBar, print_wrapped
 
-    with Bar(transient=True) as bar:
-        said = check_file(arguments.file, bar)
-    say(said.splitlines())
-    return 0
+    with ProgressBar(transient=True) as bar:
+        text = check_file(arguments.file, bar)
+    print_wrapped(text.splitlines())
 
 
 _CALLS = {
-    "run": _run,
-    "cells": _cells,
-    "gather": _gather,
-    "report": _report,
-    "compare": _compare,
-    "export": _export,
-    "worst-case": _worst_case,
-    "paper": _paper,
-    "list": _list,
-    "check": _check,
-    "doctor": _doctor,
-    "completion": _completion,
-    "init": _init,
-    "capability": _capability,
+    "run": _run_suite,
+    "cells": _run_shard,
+    "gather": _gather_shards,
+    "report": _rewrite_report,
+    "compare": _compare_folders,
+    "export": _export_qps,
+    "worst-case": _find_worst_case,
+    "paper": _reproduce_paper,
+    "list": _print_listing,
+    "check": _check_named_file,
+    "doctor": _print_machine_check,
+    "completion": _print_completion,
+    "init": _write_own_ship,
+    "capability": _print_capability,
 }

@@ -1,51 +1,55 @@
-"""`dpbench init`: from what a master knows of his ship to its vessel, scenario and suite file."""
+"""`dpbench init`: from the particulars of a ship to its vessel, scenario and suite file."""
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import os
 import re
 import shlex
 import textwrap
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
-from dpbench.cli.own_ship_files import OwnShip, cautions, scenario_text, suite_text, vessel_text
+import numpy as np
+
 from dpbench.cli.terminal import WIDTH
-from dpbench.errors import InputError
-from dpbench.scenario.hull_files import Hull, read_mss, read_table
-from dpbench.scenario.own_ship import (
-    LIBRARY,
-    Particulars,
-    Thrust,
-    nearest_ship,
-    scale_vessel,
-    thrust_to_weight,
-)
+from dpbench.errors import InputError, SituationError, list_allowed
+from dpbench.report.words import render_document
+from dpbench.scenario import own_ship as scaling
+from dpbench.scenario.hull_files import Hull, read_coefficient_table, read_mss
 from dpbench.scenario.scenario import load_vessel
-from dpbench.scenario.sea_states import DP_NUMBERS, largest_sea, load_share
 from dpbench.ship.vessel import Vessel
+from dpbench.ship.weather.waves import WATER_DENSITY
 
 WHERE = "init"
+COMMENT_WIDTH = 96
+STEPS = 1000
+"""Steps of the scenario, as many as a p99 needs."""
+SAMPLE_S = 0.3
+START_M = (1.2, 1.3)
+"""North and east; sample and start are the paper's."""
+YAW_WEIGHT = 3000.0
+"""Heading weight of the robust tuning of the paper's ship [1/rad²]; its lever is 0.72 L."""
+FORM_DIFFERS = 0.2
+"""Relative difference of a ratio from the library vessel's that counts as another form."""
+SOLVERS = ("daqp", "quadprog", "osqp", "piqp", "proxqp", "clarabel", "paper_active_set")
 
 
 @dataclass(frozen=True)
-class Quantity:
-    """An option of the command line: what it is, its unit, and what it may be."""
+class OptionQuantity:
+    """A numeric ship property given to `dpbench init`: meaning, unit and allowed range."""
 
     what: str
     unit: str
     least: float
     most: float
 
-    def read(self, option: str, text: str | None) -> float | None:
-        """Its number; None where it is not given.
-
-        Raises
-        ------
-        InputError : naming the option, what was found and what is allowed.
-        """
+    def parse(self, option: str, text: str | None) -> float | None:
+        """Parse an option's text as a number; InputError outside its range, None for None."""
         if text is None:
             return None
         try:
@@ -58,18 +62,18 @@ class Quantity:
 
     @property
     def allowed(self) -> str:
-        """The range in words."""
+        """Allowed range of a numeric option, with unit and meaning, as text."""
         return f"{self.least:g} to {self.most:g} {self.unit} ({self.what})"
 
 
 QUANTITIES = {
-    "length": Quantity("length between perpendiculars", "m", 10, 500),
-    "breadth": Quantity("breadth", "m", 2, 100),
-    "draught": Quantity("draught", "m", 0.5, 40),
-    "displacement": Quantity("displacement", "t", 10, 1e6),
-    "thrust": Quantity("largest force ahead", "kN", 1, 1e5),
-    "sway-thrust": Quantity("largest force sideways", "kN", 1, 1e5),
-    "yaw-moment": Quantity("largest turning moment", "kN·m", 1, 1e7),
+    "length": OptionQuantity("length between perpendiculars", "m", 10, 500),
+    "breadth": OptionQuantity("breadth", "m", 2, 100),
+    "draught": OptionQuantity("draught", "m", 0.5, 40),
+    "displacement": OptionQuantity("displacement", "t", 10, 1e6),
+    "thrust": OptionQuantity("largest force ahead", "kN", 1, 1e5),
+    "sway-thrust": OptionQuantity("largest force sideways", "kN", 1, 1e5),
+    "yaw-moment": OptionQuantity("largest turning moment", "kN·m", 1, 1e7),
 }
 PARTICULARS = ("length", "breadth", "draught", "displacement")
 _KEYS = {"displacement": "displacement_t"} | {
@@ -81,45 +85,41 @@ TO_WEIGHT = (5e-4, 0.2)
 """Thrust over weight; the paper's ship has 0.028 ahead."""
 
 
-def make_own_ship(asked: argparse.Namespace) -> list[str]:
-    """Write the files of a ship; lines that say what was written and what comes next.
+def write_own_ship(options: argparse.Namespace) -> list[str]:
+    """Write vessel, scenario and suite files of the user's ship; return lines to print.
 
     Without any particulars, and with `NAME.toml` there, the ship stays as it is and only scenario
     and suite of another sea are written.
-
-    Raises
-    ------
-    InputError : naming option or file, what was found and what is allowed.
     """
-    name, folder = asked.name, Path(asked.out)
+    name, folder = options.name, Path(options.out)
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,60}", name):
         raise InputError(WHERE, "NAME", repr(name)[:80], "1 to 60 of letters, digits, _ and -")
     vessel_file = folder / f"{name}.toml"
     numbers = {
-        option: quantity.read(option, getattr(asked, option.replace("-", "_")))
+        option: quantity.parse(option, getattr(options, option.replace("-", "_")))
         for option, quantity in QUANTITIES.items()
     }
-    sea = _sea(asked.sea)
-    described = asked.from_mss or asked.from_csv or asked.like or any(numbers.values())
+    sea = _parse_sea_number(options.sea)
+    described = options.from_mss or options.from_csv or options.like or any(numbers.values())
     texts: dict[str, str] = {}
     remarks: list[str] = []
     if described or not os.path.isfile(vessel_file):
-        ship = _new_ship(asked, numbers)
-        texts[vessel_file.name] = vessel_text(ship, _command(asked))
-        vessel, remarks = ship.vessel, cautions(ship)
+        ship = _scale_new_ship(options, numbers)
+        texts[vessel_file.name] = vessel_text(ship, _restate_command(options))
+        vessel, remarks = ship.vessel, list_cautions(ship)
     else:
         if sea is None:
-            allowed = f"1 to {max(DP_NUMBERS)}, as {vessel_file} is there; or the ship anew"
-            raise InputError(WHERE, "--sea", "nothing", allowed)
+            instead = f"give --sea, 1 to {max(scaling.DP_NUMBERS)}, or describe the ship anew"
+            raise SituationError(WHERE, f"{vessel_file} exists; {instead}")
         vessel = load_vessel(vessel_file)
-    number = largest_sea(vessel) if sea is None else sea
-    texts |= _sea_files(name, vessel, number, chosen=sea is None)
-    _write(folder, texts, force=asked.force)
-    return _said(folder, texts, vessel, number, remarks)
+    number = scaling.largest_sea(vessel) if sea is None else sea
+    texts |= _render_sea_files(name, vessel, number, chosen=sea is None)
+    _write_new_files(folder, texts, force=options.force)
+    return _summary_lines(folder, texts, vessel, number, remarks)
 
 
-def _sea_files(name: str, vessel: Vessel, number: int, *, chosen: bool) -> dict[str, str]:
-    """Scenario and suite of a sea, which gives them its name where it was asked for."""
+def _render_sea_files(name: str, vessel: Vessel, number: int, *, chosen: bool) -> dict[str, str]:
+    """Render scenario and suite files for a DP capability number; return texts by file name."""
     stem = name if chosen else f"{name}_sea{number}"
     weather = f"{name}_weather.toml" if chosen else f"{stem}.toml"
     return {
@@ -128,46 +128,55 @@ def _sea_files(name: str, vessel: Vessel, number: int, *, chosen: bool) -> dict[
     }
 
 
-def _sea(text: str | None) -> int | None:
-    if text is not None and text not in map(str, DP_NUMBERS):
-        allowed = f"1 to {max(DP_NUMBERS)} (DP capability number)"
+def _parse_sea_number(text: str | None) -> int | None:
+    """Parse the DP capability number of the sea, 1 to 9; InputError for other text."""
+    if text is not None and text not in map(str, scaling.DP_NUMBERS):
+        allowed = f"1 to {max(scaling.DP_NUMBERS)} (DP capability number)"
         raise InputError(WHERE, "--sea", repr(text)[:80], allowed)
     return None if text is None else int(text)
 
 
-def _new_ship(asked: argparse.Namespace, numbers: dict[str, float | None]) -> OwnShip:
-    """The ship that the options describe."""
-    if asked.from_mss and asked.from_csv:
-        raise InputError(WHERE, "--from-csv", "--from-mss as well", "one of the two")
+def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None]) -> OwnShip:
+    """Make the user's ship from options by scaling a library vessel, the nearest by default."""
+    if options.from_mss and options.from_csv:
+        both = "--from-csv and --from-mss exclude each other; give one of them"
+        raise SituationError(WHERE, both)
     hull: Hull | None = None
-    if asked.from_mss or asked.from_csv:
+    if hull_file := options.from_mss or options.from_csv:
         hull = (
-            read_mss(Path(asked.from_mss)) if asked.from_mss else read_table(Path(asked.from_csv))
+            read_mss(Path(hull_file))
+            if options.from_mss
+            else read_coefficient_table(Path(hull_file))
         )
-    own = _particulars(numbers, hull)
-    thrust = _thrust(numbers, own)
-    if asked.like is not None and asked.like not in LIBRARY:
-        raise InputError(WHERE, "--like", repr(asked.like)[:80], f"one of {', '.join(LIBRARY)}")
-    like = asked.like or nearest_ship(own)
-    vessel = scale_vessel(like, own, thrust, asked.name)
+    own = _read_particulars(numbers, hull)
+    thrust = _read_thrust(numbers, own)
+    if options.like is not None and options.like not in scaling.LIBRARY:
+        raise InputError(
+            WHERE,
+            "--like",
+            repr(options.like)[:80],
+            list_allowed(options.like, list(scaling.LIBRARY)),
+        )
+    like = options.like or scaling.nearest_ship(own)
+    vessel = scaling.scale_vessel(like, own, thrust, options.name)
     if hull is not None:
-        vessel = replace(vessel, M=hull.M, D=hull.D, where=asked.from_mss or asked.from_csv)
-    return OwnShip(asked.name, own, vessel, like, hull)
+        vessel = replace(vessel, M=hull.M, D=hull.D, where=hull_file)
+    return OwnShip(options.name, own, vessel, like, hull)
 
 
-def _particulars(numbers: dict[str, float | None], hull: Hull | None) -> Particulars:
-    """What the options say, then what the file says; InputError for what neither does."""
+def _read_particulars(numbers: dict[str, float | None], hull: Hull | None) -> scaling.Particulars:
+    """Read the ship's length, breadth, draught and displacement from options or hull file."""
     values = {}
     for option in PARTICULARS:
         quantity = QUANTITIES[option]
         value = numbers[option]
         if value is None and hull is not None and _KEYS[option] in hull.particulars:
-            value = quantity.read(option, f"{hull.particulars[_KEYS[option]]:.9g}")
+            value = quantity.parse(option, f"{hull.particulars[_KEYS[option]]:.9g}")
         if value is None:
             raise InputError(WHERE, f"--{option}", "nothing", quantity.allowed)
         values[option] = value
     length, breadth, draught, displacement = (values[option] for option in PARTICULARS)
-    own = Particulars(length, breadth, draught, 1000.0 * displacement)
+    own = scaling.Particulars(length, breadth, draught, 1000.0 * displacement)
     if not BLOCK[0] <= own.block_coefficient <= BLOCK[1]:
         found = (
             f"{displacement:g} t in a block of {length:g} x {breadth:g} x {draught:g} m, a block "
@@ -177,13 +186,15 @@ def _particulars(numbers: dict[str, float | None], hull: Hull | None) -> Particu
     return own
 
 
-def _thrust(numbers: dict[str, float | None], own: Particulars) -> Thrust:
-    """The forces in N and N·m; InputError for one that no such ship has."""
+def _read_thrust(
+    numbers: dict[str, float | None], own: scaling.Particulars
+) -> scaling.ThrustLimits:
+    """Convert a new ship's thrust limits to N and N·m; InputError if implausible for its size."""
     for option, lever_m in (("thrust", 1.0), ("sway-thrust", 1.0), ("yaw-moment", own.length_m)):
         value = numbers[option]
         if value is None:
             continue
-        share = thrust_to_weight(own, 1000.0 * value / lever_m)
+        share = scaling.thrust_to_weight(own, 1000.0 * value / lever_m)
         if not TO_WEIGHT[0] <= share <= TO_WEIGHT[1]:
             weight = value / share
             unit = QUANTITIES[option].unit
@@ -192,44 +203,159 @@ def _thrust(numbers: dict[str, float | None], own: Particulars) -> Thrust:
     ahead = numbers["thrust"]
     if ahead is None:
         raise InputError(WHERE, "--thrust", "nothing", QUANTITIES["thrust"].allowed)
-    sway, yaw = numbers["sway-thrust"], numbers["yaw-moment"]
-    return Thrust(
-        1000.0 * ahead,
-        None if sway is None else 1000.0 * sway,
-        None if yaw is None else 1000.0 * yaw,
+    sway, yaw = (
+        None if force is None else 1000.0 * force
+        for force in (numbers["sway-thrust"], numbers["yaw-moment"])
     )
+    return scaling.ThrustLimits(1000.0 * ahead, sway, yaw)
 
 
-def _command(asked: argparse.Namespace) -> str:
-    """The command line again, as far as it describes the ship."""
-    words = ["dpbench", "init", asked.name]
+def _restate_command(options: argparse.Namespace) -> str:
+    """Return the `dpbench init` command line that would make this ship's files again."""
+    words = ["dpbench", "init", options.name]
     for option in (*QUANTITIES, "like", "from-mss", "from-csv", "sea"):
-        value = getattr(asked, option.replace("-", "_"))
+        value = getattr(options, option.replace("-", "_"))
         if value is not None:
             words += [f"--{option}", str(value)]
     return shlex.join(words)
 
 
-def _write(folder: Path, texts: dict[str, str], *, force: bool) -> None:
-    """Write all files, or none where one of them is there already."""
+def _write_new_files(folder: Path, texts: dict[str, str], *, force: bool) -> None:
+    """Write text files into a folder; SituationError if one exists, unless overwriting."""
     for name in texts:
         if os.path.lexists(folder / name) and not force:
-            allowed = "a name that is free, another folder (--out) or --force"
-            raise InputError(WHERE, str(folder / name), "a file", allowed)
+            instead = "choose another name or folder (--out), or add --force to overwrite it"
+            raise SituationError(WHERE, f"{folder / name} exists; {instead}")
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
 
 
-def _said(
+def _summary_lines(
     folder: Path, texts: dict[str, str], vessel: Vessel, number: int, remarks: list[str]
 ) -> list[str]:
-    """What was written, what the sea asks of the ship, and the next commands."""
+    """List the files written for a new ship, its load from weather, and the next commands."""
     paths = [str(folder / name) for name in texts]
-    share = load_share(vessel, number)
+    share = scaling.load_share(vessel, number)
     lines = [f"wrote {path}" for path in paths]
     lines += [line for remark in remarks for line in textwrap.wrap(remark, WIDTH)]
     lines.append(f"sea: DP number {number}; its mean force takes {share:.0%} of the limits")
     if share > 1.0:
         lines.append("This ship cannot hold there: see --sea, --sway-thrust and --yaw-moment.")
     return [*lines, f"next: dpbench check {paths[0]}", f"      dpbench run {paths[-1]}"]
+
+
+@dataclass(frozen=True, eq=False)
+class OwnShip:
+    """The user's ship, scaled from a library vessel, with inertia and damping of its hull file."""
+
+    name: str
+    own: scaling.Particulars
+    vessel: Vessel
+    like: str
+    hull: Hull | None
+
+
+def vessel_text(ship: OwnShip, command: str) -> str:
+    """Render the vessel file of a new ship; the command that made it is quoted in comments."""
+    vessel = ship.vessel
+    assert vessel.windage is not None and vessel.reflection is not None, "as every library vessel"
+    added = np.diag(vessel.M) - scaling.rigid_body_inertia(ship.own)
+    added = added / scaling.regression_added_mass(ship.own)
+    return render_document(
+        "own_vessel.toml",
+        **vars(ship),
+        command=command,
+        comment=_wrap_as_comment,
+        # TOML's escapes are those of JSON.
+        quoted=partial(json.dumps, ensure_ascii=False),
+        library=load_vessel(ship.like),
+        forms=_form_ratios(ship),
+        cautions=list_cautions(ship),
+        added=dict(zip(("surge", "sway", "yaw"), added.tolist(), strict=True)),
+        ranges=list(zip(vessel.tau_min, vessel.tau_max, strict=True)),
+    )
+
+
+def _wrap_as_comment(caller: Callable[[], str]) -> str:
+    """Wrap a paragraph of a template as `#` comment lines."""
+    text = " ".join(caller().split())
+    lines = textwrap.wrap(text, COMMENT_WIDTH, break_long_words=False, break_on_hyphens=False)
+    return "".join(f"# {line}\n" for line in lines)
+
+
+def _form_ratios(ship: OwnShip) -> list[tuple[str, float, float]]:
+    """Return hull ratios L/B and L/∇^(1/3) of the user's ship and of its library vessel."""
+    own, library = ship.own, scaling.LIBRARY[ship.like]
+    volumes_m3 = own.displacement_kg / WATER_DENSITY, library.mass_kg / WATER_DENSITY
+    slender = own.length_m / math.cbrt(volumes_m3[0]), library.length_m / math.cbrt(volumes_m3[1])
+    broad = own.length_m / own.breadth_m, library.length_m / library.breadth_m
+    return [("L/B", *broad), ("L/volume^(1/3)", *slender)]
+
+
+def list_cautions(ship: OwnShip) -> list[str]:
+    """Return warning sentences about the hull file or an unusual hull form."""
+    if ship.hull is not None:
+        return ship.hull.remarks
+    others = [
+        what for what, own, library in _form_ratios(ship) if abs(own / library - 1.0) > FORM_DIFFERS
+    ]
+    if not others:
+        return []
+    differs = f"differ{'s' * (len(others) == 1)} by more than {FORM_DIFFERS:.0%}"
+    return [f"CAUTION: another form than that of {ship.like}: {' and '.join(others)} {differs}."]
+
+
+def choose_sample_s(vessel: Vessel) -> float:
+    """Choose a new ship's MPC sample time [s]: 0.3 s, Froude-scaled, in steps of 0.05 s."""
+    slower = scaling.froude_time(vessel.length_m)
+    return max(0.05, round(round(SAMPLE_S * slower / 0.05) * 0.05, 2))
+
+
+def scenario_text(name: str, vessel: Vessel, number: int, *, chosen: bool) -> str:
+    """Render the scenario file of a new ship; `chosen` if dpbench chose the sea, not the user."""
+    longer = scaling.froude_time(vessel.length_m) ** 2
+    wind_mps, hs_m, _, current_mps = scaling.DP_NUMBERS[number]
+    return render_document(
+        "own_scenario.toml",
+        comment=_wrap_as_comment,
+        name=name,
+        number=number,
+        most=max(scaling.DP_NUMBERS),
+        why=_explain_sea_choice(scaling.load_share(vessel, number), chosen=chosen),
+        share=scaling.load_share(vessel, number),
+        wind_mps=wind_mps,
+        hs_m=hs_m,
+        current_mps=current_mps,
+        current_share=scaling.CURRENT_SHARE,
+        from_deg=scaling.FROM_DEG,
+        step_s=choose_sample_s(vessel),
+        steps=STEPS,
+        start=[round(metres * longer, 2) for metres in START_M],
+        sea=scaling.sea_state(number),
+        # A lever that grows with the ship.
+        yaw_weight=float(f"{YAW_WEIGHT * longer**2:.3g}"),
+    )
+
+
+def _explain_sea_choice(share: float, *, chosen: bool) -> str:
+    """State why a sea was chosen for a new ship, from the share of its limits that it takes."""
+    if not chosen:
+        return "as asked for"
+    limit = f"whose mean force takes at most {scaling.SPARE:.0%} of the limits"
+    if share <= scaling.SPARE:
+        return f"the largest {limit}"
+    return f"the smallest, as there is none {limit}"
+
+
+def suite_text(name: str, weather: str, vessel: Vessel, number: int) -> str:
+    """Render the file of a suite that compares solvers in a new ship's scenario."""
+    return render_document(
+        "own_suite.toml",
+        name=name,
+        weather=weather,
+        number=number,
+        solvers=json.dumps(SOLVERS),
+        steps=STEPS,
+        step_s=choose_sample_s(vessel),
+    )

@@ -1,6 +1,4 @@
-"""Standard streams that take whatever is printed: closed ones, pipes nobody reads, ASCII."""
-
-from __future__ import annotations
+"""Standard streams that accept any text, also when closed, in a closed pipe or in ASCII."""
 
 import codecs
 import io
@@ -13,31 +11,22 @@ PIPE_CLOSED = 141
 """The exit code of a program that a closed pipe ended, as a shell gives it."""
 _ERRORS = "dpbench"
 """The name of `_plain` among the handlers of encoding errors."""
+# fmt: off
 _PLAIN = {
-    "µ": "u",
-    "≤": "<=",
-    "≥": ">=",
-    "≈": "~",
-    "×": "x",
-    "·": "*",
-    "−": "-",
-    "–": "-",
-    "°": "deg",
-    "±": "+-",
-    "∞": "inf",
-    "§": "section ",
-    "•": "*",
+    "µ": "u", "≤": "<=", "≥": ">=", "≈": "~", "×": "x", "·": "*", "−": "-", "–": "-",
+    "°": "deg", "±": "+-", "∞": "inf", "§": "section ", "•": "*",
 }
-"""What stands for a character where there are fewer; of others their letter without its accent."""
+# fmt: on
+"""Replacements of characters that an encoding lacks; others lose their accent."""
 
 
 def open_streams() -> None:
-    """Give this process a standard input, output and error, whatever it was started with.
+    """Reopen closed standard streams and make them accept characters that their encoding lacks.
 
-    A closed one leads nowhere, before a result file gets its number. Those that cannot show a
-    character show what comes nearest; a path that is no text keeps its bytes where they can.
+    A closed one leads nowhere, before a result file gets its number. A character that an encoding
+    lacks is replaced by the nearest; a path that is no text keeps its bytes where that is possible.
     """
-    codecs.register_error(_ERRORS, _plain)
+    codecs.register_error(_ERRORS, _replace_unencodable)
     for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
         if not _is_open(number):
             os.open(os.devnull, os.O_RDWR)
@@ -50,6 +39,7 @@ def open_streams() -> None:
 
 
 def _is_open(number: int) -> bool:
+    """Return whether a file descriptor is open."""
     try:
         os.fstat(number)
     except OSError:
@@ -57,30 +47,25 @@ def _is_open(number: int) -> bool:
     return True
 
 
-def _plain(error: UnicodeError) -> tuple[str, int]:
-    """The characters that an encoding has not, by those it has."""
+def _replace_unencodable(error: UnicodeError) -> tuple[str, int]:
+    """Replace characters that an encoding lacks by similar ASCII ones."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     found = error.object[error.start : error.end]
-    return "".join(_PLAIN.get(c) or _without_accent(c) for c in found), error.end
-
-
-def _without_accent(character: str) -> str:
-    bare = unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode("ascii")
-    return bare or "?"
+    bare = (unicodedata.normalize("NFKD", c).encode("ascii", "ignore").decode() for c in found)
+    return "".join(_PLAIN.get(c) or b or "?" for c, b in zip(found, bare, strict=True)), error.end
 
 
 def is_output_lost() -> bool:
-    """Whether the reader of standard output or error went away: a closed pipe or terminal."""
-    listening = select.poll()
+    """Return whether standard output or error is a closed pipe or terminal."""
+    streams = select.poll()
     for number in (1, 2):
-        listening.register(number, 0)
-    return bool(listening.poll(0))
+        streams.register(number, 0)
+    return bool(streams.poll(0))
 
 
 def flush_streams() -> None:
-    """Write what is left in standard output and error, or drop it where nobody reads it: Python
-    tries it once more at its end, with a traceback."""
+    """Flush standard output and error; discard their content if they are closed."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

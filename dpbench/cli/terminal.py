@@ -1,11 +1,15 @@
-"""What a terminal shows: prose and tables in 80 columns, a bar of the progress."""
+"""Terminal output: prose and tables in 80 columns, a progress bar, the end of a run."""
 
 from __future__ import annotations
 
+import argparse
+import json
 import sys
 import textwrap
+import webbrowser
 from collections.abc import Iterable
-from types import TracebackType
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console, RenderableType
 from rich.markup import escape
@@ -13,29 +17,25 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.table import Table
 from rich.text import Text
 
-from dpbench.report.table import Table as ReportTable
+if TYPE_CHECKING:
+    from dpbench.report.table import Table as ReportTable
 
 WIDTH = 80
-"""Of a file or a pipe, and the most of prose on a terminal: longer lines are hard to read."""
-STYLES = dict.fromkeys(("slower", "worse"), "bold red") | dict.fromkeys(
-    ("faster", "better"), "green"
-)
-"""Colours of the words that a comparison is read for."""
+"""Columns of a file or a pipe, and the most of prose on a terminal."""
+STYLES = {"slower": "bold red", "worse": "bold red", "faster": "green", "better": "green"}
+"""Colours of words in a comparison."""
+ENDING_STYLES = {"answer": "bold green", "solver": "bold green", "next": "cyan", "page": "bold"}
+"""Styles of the lines that a run ends with."""
 _INDENT = 4 * " "
 
 
-def console() -> Console:
-    """Standard output: as wide as a terminal is, 80 columns into a file or a pipe."""
+def make_console() -> Console:
+    """Return a console on standard output: terminal width, or 80 columns to a file or pipe."""
     return Console() if sys.stdout.isatty() else Console(width=WIDTH)
 
 
-def wrapped(text: str, *, first: str = "", others: str = "") -> str:
-    """A paragraph in lines of 80 columns; a path or a key stays whole, so that it can be copied.
-
-    Parameters
-    ----------
-    first : what the first line begins with; others : the same of the lines after it.
-    """
+def wrap_paragraph(text: str, *, first: str = "", others: str = "") -> str:
+    """Wrap a paragraph at 80 columns with indents, without breaking long words."""
     return textwrap.fill(
         text,
         WIDTH,
@@ -46,32 +46,34 @@ def wrapped(text: str, *, first: str = "", others: str = "") -> str:
     )
 
 
-def say(lines: Iterable[str]) -> None:
-    """Print lines, each wrapped; what goes on is set in by two columns."""
+def print_wrapped(lines: Iterable[str]) -> None:
+    """Print lines of text, wrapped at 80 columns with a hanging indent of two."""
     for line in lines:
-        print(line if len(line) <= WIDTH else wrapped(line, others="  "))
+        print(line if len(line) <= WIDTH else wrap_paragraph(line, others="  "))
 
 
-def entry(head: str, paragraphs: Iterable[str]) -> str:
-    """A name with what is said of it below, set in by four columns."""
-    return "\n".join([head, *(wrapped(p, first=_INDENT, others=_INDENT) for p in paragraphs)])
+def format_entry(head: str, paragraphs: Iterable[str]) -> str:
+    """Return a heading with paragraphs below it, indented by four columns."""
+    return "\n".join(
+        [head, *(wrap_paragraph(p, first=_INDENT, others=_INDENT) for p in paragraphs)]
+    )
 
 
-def plain(text: str) -> Text:
-    """Text as it is: no markup, no colour, its own line ends."""
+def unstyled_text(text: str) -> Text:
+    """Make a text for the terminal as it is, without markup, colour or wrapping."""
     return Text(text, no_wrap=True, overflow="ignore")
 
 
-def small_table(*columns: str) -> Table:
-    """An empty table whose first column is never broken."""
+def make_small_table(*columns: str) -> Table:
+    """Make an empty table with these columns, the first never broken."""
     table = Table(show_edge=False, pad_edge=False)
     for i, column in enumerate(columns):
         table.add_column(column, no_wrap=i == 0)
     return table
 
 
-def report_table(table: ReportTable, screen: Console) -> RenderableType:
-    """A table of the report with its note below; row by row as text where it does not fit."""
+def make_report_table(table: ReportTable, screen: Console) -> RenderableType:
+    """Make a terminal table of a report's table; text in paragraphs if it is too wide."""
     shown = Table(
         title=table.title,
         title_justify="left",
@@ -85,27 +87,46 @@ def report_table(table: ReportTable, screen: Console) -> RenderableType:
     for row in table.rows:
         shown.add_row(*(Text(cell, style=STYLES.get(cell, "")) for cell in row))
     unbroken = screen.measure(shown, options=screen.options.update_width(1000)).minimum
-    return shown if unbroken <= screen.width else _row_by_row(table)
+    return shown if unbroken <= screen.width else _format_rows_as_text(table)
 
 
-def _row_by_row(table: ReportTable) -> Text:
+def _format_rows_as_text(table: ReportTable) -> Text:
+    """Format a report's table as text, one paragraph for each row."""
     named = table.text_columns
     rows = [
-        entry(
+        format_entry(
             ", ".join(row[:named]),
             ["; ".join(f"{h} {c}" for h, c in zip(table.heads[named:], row[named:], strict=True))],
         )
         for row in table.rows
     ]
-    said = plain("\n".join([table.title, *rows, wrapped(table.note)]))
+    text = unstyled_text("\n".join([table.title, *rows, wrap_paragraph(table.note)]))
     for word, style in STYLES.items():
-        said.highlight_words([f" {word}"], style)
-    return said
+        text.highlight_words([f" {word}"], style)
+    return text
 
 
-class Bar:
-    """A progress bar with the time left, fed by the campaign; a transient one leaves no line, a
-    quiet one shows nothing."""
+def print_ending(page: Path, rows: list[tuple[str, str]], arguments: argparse.Namespace) -> None:
+    """Print a report's main results as table or JSON, or the path of its page alone."""
+    if arguments.json:
+        print(json.dumps({"page": str(page)} | dict(rows), ensure_ascii=False, indent=2))
+    elif arguments.quiet:
+        print(page)
+    else:
+        screen = make_console()
+        screen.width = min(screen.width, WIDTH)
+        table = Table.grid(padding=(0, 2))
+        table.add_column(no_wrap=True)
+        table.add_column(overflow="fold")
+        for head, text in [*rows, ("page", str(page))]:
+            table.add_row(Text(head, "dim"), Text(text, ENDING_STYLES.get(head, "")))
+        screen.print(table)
+    if arguments.open:
+        webbrowser.open(page.resolve().as_uri())
+
+
+class ProgressBar:
+    """A terminal progress bar with the time left; it may vanish at the end or be hidden."""
 
     def __init__(self, *, transient: bool = False, quiet: bool = False) -> None:
         self._quiet = quiet
@@ -121,40 +142,35 @@ class Bar:
         )
         self._task = self._progress.add_task("starting", total=None)
 
-    def __enter__(self) -> Bar:
+    def __enter__(self) -> ProgressBar:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._progress.live.is_started:
             self._progress.stop()
 
     def start(self, work: int) -> None:
-        """So much is to be done; until now the input could still be refused, without a bar."""
+        """Show the progress bar with the total amount of work."""
         self._progress.start()
         self._progress.update(self._task, total=work)
 
     def remark(self, text: str) -> None:
-        """A line above the bar; beside the output where there is none, unless it is quiet."""
+        """Print a line above the progress bar, or on standard error without a bar, unless quiet."""
         if not self._progress.disable:
             self._progress.console.print(f"dpbench: {text}", highlight=False)
         elif not self._quiet:
             print(f"dpbench: {text}", file=sys.stderr)
 
     def waiting(self, text: str) -> None:
-        """A line beside the output, also where that is quiet."""
+        """Print why the program waits on standard error, even if the progress bar is quiet."""
         print(f"dpbench: {text}", file=sys.stderr, flush=True)
 
     def advance(self, work: int, what: str) -> None:
-        """So much is done now, the last of it on `what`."""
+        """Add finished work to the progress bar and show what it was."""
         self._progress.update(self._task, advance=work, description=what[:44])
 
 
 def _can_erase() -> bool:
-    """Whether standard output is a terminal that can take back what was printed."""
+    """Return whether standard output is a terminal that can erase a line."""
     console = Console()
     return console.is_terminal and not console.is_dumb_terminal

@@ -1,9 +1,6 @@
 """JSON and nesting: the bounds within which a document that others wrote is parsed."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +18,7 @@ _MOST_INTEGER = 2**1023
 def read_json_object(
     path: Path, what: str, *, error: type[InputError] = InputError
 ) -> dict[str, Any]:
-    """Read the JSON object of a file; `error`, naming the file, where there is none."""
+    """Read a JSON object from an untrusted file; raise `error` if it is damaged or too large."""
     data = read_bytes(path, "a JSON file", most_bytes=MOST_JSON_BYTES, error=error)
     try:
         document = parse_json(data.decode("utf-8"))
@@ -33,12 +30,7 @@ def read_json_object(
 
 
 def parse_json(text: str) -> Any:
-    """Parse JSON that others wrote.
-
-    Raises
-    ------
-    ValueError : it is damaged, too large, too deep, or has half a character.
-    """
+    """Parse untrusted JSON; ValueError if damaged, too large, too deep or not valid Unicode."""
     if len(text) > MOST_JSON_BYTES:
         raise ValueError(f"{len(text)} characters where {MOST_JSON_BYTES} are allowed")
     try:
@@ -53,8 +45,9 @@ def parse_json(text: str) -> Any:
 
 
 def check_values(document: object) -> None:
-    """ValueError for a document nested too deep, or with an integer that no float can be."""
-    depth, level = 0, [document]
+    """Raise ValueError for parsed JSON nested too deep, or with an integer beyond all floats."""
+    depth = 0
+    level: list[Any] = [document]
     while level:
         if any(isinstance(one, int) and abs(one) >= _MOST_INTEGER for one in level):
             raise ValueError("an integer of more than 300 digits")
@@ -62,8 +55,6 @@ def check_values(document: object) -> None:
         depth += bool(level)
         if depth > MOST_DEPTH:
             raise ValueError(f"more than {MOST_DEPTH} nested levels")
-        level = [inner for one in level for inner in _inner(one)]
-
-
-def _inner(one: Any) -> Iterable[object]:
-    return one.values() if isinstance(one, dict) else one
+        level = [
+            inner for one in level for inner in (one.values() if isinstance(one, dict) else one)
+        ]

@@ -1,7 +1,5 @@
 """Read MATLAB files that others made in a separate process: SciPy dies of some damaged ones."""
 
-from __future__ import annotations
-
 import io
 import os
 import signal
@@ -14,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.errors import InputError
-from dpbench.files.opening import opened
+from dpbench.files.opening import open_regular_file
 
 MOST_MAT_BYTES = 2**25
 """The largest vessel of the MSS toolbox has 2 MB."""
@@ -24,7 +22,7 @@ _ALLOWED = "a .mat file of version 7 or older (in MATLAB: save -v7)"
 
 
 def read_structure(path: Path, name: str) -> tuple[list[str], dict[str, NDArray[Any]]]:
-    """Read the numbers of a structure of a MATLAB file.
+    """Read the numeric fields of a structure in an untrusted MATLAB file, in a child process.
 
     Returns
     -------
@@ -38,7 +36,7 @@ def read_structure(path: Path, name: str) -> tuple[list[str], dict[str, NDArray[
     program = [sys.executable, "-P", str(Path(__file__).with_name("mat_child.py")), name]
     # A thread of a BLAS library reserves more memory than the process may have.
     alone = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    with opened(path, _ALLOWED, most_bytes=MOST_MAT_BYTES) as file:
+    with open_regular_file(path, _ALLOWED, most_bytes=MOST_MAT_BYTES) as file:
         try:
             ended = subprocess.run(
                 program, stdin=file, capture_output=True, timeout=WAIT_S, env=alone, check=False

@@ -3,8 +3,6 @@
 It imports nothing of dpbench, and limits itself before it reads a byte.
 """
 
-from __future__ import annotations
-
 import io
 import resource
 import sys
@@ -17,11 +15,10 @@ TIME_S = 10
 
 
 def main(name: str) -> int:
-    """Write the numbers of the structure `name`; exit with 1, a line on stderr, where there is no
-    MATLAB file."""
-    _limit(resource.RLIMIT_AS, MEMORY_BYTES)
-    _limit(resource.RLIMIT_CPU, TIME_S)
-    _limit(resource.RLIMIT_CORE, 0)
+    """Read a MATLAB file on stdin, write a structure's numbers to stdout; return 1 on failure."""
+    _lower_resource_limit(resource.RLIMIT_AS, MEMORY_BYTES)
+    _lower_resource_limit(resource.RLIMIT_CPU, TIME_S)
+    _lower_resource_limit(resource.RLIMIT_CORE, 0)
     import numpy as np
     import scipy.io
 
@@ -35,28 +32,28 @@ def main(name: str) -> int:
     arrays: dict[str, Any] = {"names": np.array(names, dtype="U63")}
     structure = content.get(name)
     if isinstance(structure, dict):
-        arrays |= {f"{name}.{key}": value for key, value in _numbers(structure).items()}
+        arrays |= {f"{name}.{key}": value for key, value in _collect_numbers(structure).items()}
     packed = io.BytesIO()
     np.savez(packed, **arrays)
     sys.stdout.buffer.write(packed.getvalue())
     return 0
 
 
-def _limit(kind: int, most: int) -> None:
-    """Lower a limit of this process; one that is lower already stays."""
+def _lower_resource_limit(kind: int, most: int) -> None:
+    """Lower a limit of this process's memory or time, unless it is lower already."""
     _, highest = resource.getrlimit(kind)
     most = most if highest == resource.RLIM_INFINITY else min(most, highest)
     resource.setrlimit(kind, (most, highest))
 
 
-def _numbers(structure: dict[str, Any]) -> dict[str, Any]:
-    """Each field as an array, and those of structures in it; empty where it holds no numbers."""
+def _collect_numbers(structure: dict[str, Any]) -> dict[str, Any]:
+    """Flatten a nested structure to arrays by dotted name; fields without numbers become empty."""
     import numpy as np
 
     numbers: dict[str, Any] = {}
     for key, value in structure.items():
         if isinstance(value, dict):
-            numbers |= {f"{key}.{inner}": one for inner, one in _numbers(value).items()}
+            numbers |= {f"{key}.{inner}": one for inner, one in _collect_numbers(value).items()}
             continue
         array = np.asarray(value)
         numbers[key] = array if array.dtype.kind in "biuf" else np.zeros(0)

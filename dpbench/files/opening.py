@@ -4,8 +4,6 @@ A FIFO or a device in place of a file would block or never end, and a text parse
 hundred times the size of its file in memory.
 """
 
-from __future__ import annotations
-
 import os
 import stat
 from collections.abc import Iterator
@@ -31,14 +29,14 @@ _KINDS = {
 
 
 @contextmanager
-def opened(
+def open_regular_file(
     path: Path,
     what: str = "a readable file",
     *,
     most_bytes: int | None = None,
     error: type[InputError] = InputError,
 ) -> Iterator[BinaryIO]:
-    """Open a file that others made, to read bytes.
+    """Open an untrusted file to read bytes; raise an error unless it is regular and not too large.
 
     Parameters
     ----------
@@ -73,8 +71,8 @@ def opened(
 def read_bytes(
     path: Path, what: str, *, most_bytes: int, error: type[InputError] = InputError
 ) -> bytes:
-    """The content of a file that others made; raises as `opened` does."""
-    with opened(path, what, most_bytes=most_bytes, error=error) as file:
+    """Read an untrusted regular file of at most `most_bytes`; `error` if it cannot be read."""
+    with open_regular_file(path, what, most_bytes=most_bytes, error=error) as file:
         try:
             return file.read(most_bytes)
         except OSError as failure:
@@ -85,7 +83,7 @@ def read_bytes(
 def check_unpacked(
     path: Path, unpacked: int, size: int, *, error: type[InputError] = InputError
 ) -> None:
-    """Refuse a file of `size` bytes that unpacks to far more than an honest one does."""
+    """Raise `error` if a compressed file would unpack to far more bytes than plausible."""
     most = FREE_BYTES + MOST_RATIO * size
     if unpacked > most:
         found = f"{size} bytes that unpack to {unpacked}"

@@ -5,8 +5,6 @@ file nor what its metadata call the uncompressed size tells: the numbers of valu
 lengths of words once they are read, each word once.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +16,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from dpbench.errors import InputError
-from dpbench.files.opening import check_unpacked, opened
+from dpbench.files.opening import check_unpacked, open_regular_file
 
 WHAT = "a table written by `dpbench run`"
 MOST_ENTRIES = 100_000
@@ -36,15 +34,15 @@ _IS_ALLOWED = (
 
 
 @contextmanager
-def opened_table(path: Path, *, error: type[InputError] = InputError) -> Iterator[pq.ParquetFile]:
-    """Open a table of numbers and words; its words are read as dictionaries.
+def open_table(path: Path, *, error: type[InputError] = InputError) -> Iterator[pq.ParquetFile]:
+    """Open an untrusted Parquet table of numbers and texts, with its unpacked size bounded.
 
     Raises
     ------
     InputError : it is no regular file, has columns of other types, or unpacks to too much.
     OSError, ValueError, ArrowException : it is damaged.
     """
-    with opened(path, WHAT, error=error) as file:
+    with open_regular_file(path, WHAT, error=error) as file:
         size = os.fstat(file.fileno()).st_size
         metadata = pq.ParquetFile(file, thrift_container_size_limit=MOST_ENTRIES).metadata
         schema = metadata.schema.to_arrow_schema()
@@ -55,33 +53,33 @@ def opened_table(path: Path, *, error: type[InputError] = InputError) -> Iterato
         words = [
             f.name for f in schema if pa.types.is_string(f.type) or pa.types.is_large_string(f.type)
         ]
-        check_unpacked(path, _unpacked(metadata, len(words)), size, error=error)
+        check_unpacked(path, _unpacked_bytes(metadata, len(words)), size, error=error)
     with pq.ParquetFile(
         path, metadata=metadata, read_dictionary=words, page_checksum_verification=True
     ) as table:
         yield table
 
 
-def _unpacked(metadata: pq.FileMetaData, words: int) -> int:
-    """Bytes of all values in memory, each word once, with as many columns of words."""
+def _unpacked_bytes(metadata: pq.FileMetaData, words: int) -> int:
+    """Return a Parquet table's size in memory [bytes], each distinct text counted once."""
     a_row = _CODE * words + _NUMBER * (metadata.num_columns - words)
     # Of row groups as a whole: where the entry of a column is damaged, asking for it aborts Python.
     groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
     return sum(a_row * group.num_rows + group.total_byte_size for group in groups)
 
 
-def in_full(table: pa.Table, path: Path, *, error: type[InputError] = InputError) -> pa.Table:
-    """The table with a word of its own in each row; raises as `opened_table` does."""
+def decode_words(table: pa.Table, path: Path, *, error: type[InputError] = InputError) -> pa.Table:
+    """Convert dictionary-encoded text columns to plain text; raise `error` if too large."""
     coded = {f.name: table[f.name] for f in table.schema if pa.types.is_dictionary(f.type)}
-    check_unpacked(path, sum(map(_bytes_of, coded.values())), os.path.getsize(path), error=error)
+    check_unpacked(path, sum(map(_word_bytes, coded.values())), os.path.getsize(path), error=error)
     for name, column in coded.items():
         at = table.schema.get_field_index(name)
         table = table.set_column(at, name, column.cast(column.type.value_type))
     return table
 
 
-def _bytes_of(column: pa.ChunkedArray) -> int:
-    """Bytes of the words of a column, each as often as it occurs."""
+def _word_bytes(column: pa.ChunkedArray) -> int:
+    """Return the bytes of a column's texts, each as often as it occurs."""
     total = 0
     for chunk in column.chunks:
         lengths = pc.binary_length(chunk.dictionary).fill_null(0).to_numpy()

@@ -4,8 +4,6 @@ A file is written under a new name beside its place and then renamed, which repl
 leaves what it points to as it was. A folder that is a link is refused.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import stat
@@ -20,18 +18,13 @@ _MOST_LIST_BYTES = 2**20
 
 
 def is_file_name(text: str) -> bool:
-    """Whether a text names a file in the very folder it is put into."""
+    """Return whether a text is a printable file name without folder or leading dot."""
     plain = text.isprintable() and not {"/", "\\"} & set(text) and not text.startswith(".")
     return plain and 0 < len(text.encode()) <= MOST_NAME_BYTES
 
 
 def make_folder(path: Path) -> Path:
-    """Make a folder where there is none.
-
-    Raises
-    ------
-    InputError : a link stands in its place.
-    """
+    """Make a folder unless it exists; InputError if a link has its name."""
     if path.is_symlink():
         raise InputError(str(path), "", "a link", "a folder: nothing is written through a link")
     path.mkdir(exist_ok=True)
@@ -39,7 +32,7 @@ def make_folder(path: Path) -> Path:
 
 
 def new_file(path: Path) -> Path:
-    """Make an empty regular file in place of whatever file or link has its name."""
+    """Make an empty regular file at a path, replacing a file or link of that name."""
     path.unlink(missing_ok=True)
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     os.close(os.open(path, flags, 0o666))
@@ -47,8 +40,8 @@ def new_file(path: Path) -> Path:
 
 
 @contextmanager
-def replaced(path: Path) -> Iterator[Path]:
-    """A new file that takes the place of `path` when the block ends, whole or not at all."""
+def replace_file(path: Path) -> Iterator[Path]:
+    """Yield a new file that replaces the one at `path` when the block ends, or not at all."""
     part = new_file(path.with_name(f"{path.name}.part"))
     try:
         yield part
@@ -57,14 +50,14 @@ def replaced(path: Path) -> Iterator[Path]:
         part.unlink(missing_ok=True)
 
 
-def put(part: Path, path: Path) -> None:
-    """Give a written file its name, so that both survive a power failure from then on."""
-    sync(part)
+def replace_durably(part: Path, path: Path) -> None:
+    """Rename a written file to its final name, so that it survives a power failure."""
+    sync_to_disk(part)
     part.replace(path)
-    sync(path.parent)
+    sync_to_disk(path.parent)
 
 
-def sync(path: Path) -> None:
+def sync_to_disk(path: Path) -> None:
     """Wait until a file or folder is on the disk."""
     number = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
@@ -74,18 +67,18 @@ def sync(path: Path) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file, whole or not at all."""
-    with replaced(path) as part:
+    """Write bytes to a file, completely or not at all."""
+    with replace_file(path) as part:
         part.write_bytes(content)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file in UTF-8, whole or not at all; what has no place there becomes `?`."""
+    """Write text to a file in UTF-8, completely or not at all; lone surrogates become `?`."""
     write_bytes(path, text.encode(errors="replace"))
 
 
-def write_given(path: Path, content: bytes) -> None:
-    """Write a file that a person named, which may be a device or a pipe too."""
+def write_named_file(path: Path, content: bytes) -> None:
+    """Write bytes to a file of the user's choice, which may be a device or a pipe."""
     if path.exists() and not stat.S_ISREG(path.stat().st_mode):
         path.write_bytes(content)
     else:
@@ -93,40 +86,33 @@ def write_given(path: Path, content: bytes) -> None:
 
 
 def write_together(folder: Path, contents: Mapping[str, Callable[[], bytes]]) -> None:
-    """Write the files of a folder anew, and remove those of an earlier time that are none now.
+    """Write a set of files into a folder, and remove files of an earlier set that are not in it.
 
-    A list beside the folder, `list_of` it, has their names: no other file is removed.
-
-    Parameters
-    ----------
-    contents : by the name of each file, what makes its bytes.
-
-    Raises
-    ------
-    InputError : the folder is a link, or a name is none of a file in it.
+    `contents` makes the bytes of each file by name; `file_list_path` records the names;
+    no other file is removed. InputError: the folder is a link, or a name is none of a file in it.
     """
     for name in contents:
         if not is_file_name(name):
             raise InputError(str(folder), "", f"a file called {name!r}", "a name without a folder")
-    earlier, now = _written(make_folder(folder)), set(contents)
+    earlier, now = _read_file_list(make_folder(folder)), set(contents)
     # Should this be interrupted, the next time has to know the files of both.
-    _note(folder, earlier | now)
+    _write_file_list(folder, earlier | now)
     for name in earlier - now:
         if stat.S_ISREG((folder / name).lstat().st_mode):
             (folder / name).unlink()
     for name, content in contents.items():
         write_bytes(folder / name, content())
-    _note(folder, now)
+    _write_file_list(folder, now)
 
 
-def list_of(folder: Path) -> Path:
-    """The file with the names of what `write_together` wrote into a folder."""
+def file_list_path(folder: Path) -> Path:
+    """Return the path of the list of files that dpbench wrote into a folder together."""
     return folder.with_name(f".{folder.name}.json")
 
 
-def _written(folder: Path) -> set[str]:
-    """The files of an earlier time that are there; anybody may have changed their list."""
-    path = list_of(folder)
+def _read_file_list(folder: Path) -> set[str]:
+    """Return the names of existing files that dpbench wrote into a folder together."""
+    path = file_list_path(folder)
     try:
         state = path.lstat()
         if not stat.S_ISREG(state.st_mode) or state.st_size > _MOST_LIST_BYTES:
@@ -139,5 +125,6 @@ def _written(folder: Path) -> set[str]:
     return {name for name in known if os.path.lexists(folder / name)}
 
 
-def _note(folder: Path, names: set[str]) -> None:
-    write_text(list_of(folder), json.dumps(sorted(names), indent=1) + "\n")
+def _write_file_list(folder: Path, names: set[str]) -> None:
+    """Write the list of files that dpbench has written into a folder together."""
+    write_text(file_list_path(folder), json.dumps(sorted(names), indent=1) + "\n")

@@ -10,18 +10,16 @@ With z = ΔU/Δu_max (`units="scaled"`) the rows are divided by Δu_max too, so 
 ub = 1 and the cost keeps its value; `units="si"` leaves everything in N and N·m. In both,
 [q; l; u] is an affine map of θ = [x; y_ref; u_prev], so a step is one matrix-vector product.
 
-A controller that steers thrusters has their forces f for u, the model's B T_e for B, and
+A controller that commands thrusters has their forces f for u, the model's B T_e for B, and
 
     J ← J + ½ Σ f_iᵀ W f_i over the N_c moves,   f = C1 f(k−1) + C2 ΔF:
     E ← E + C2ᵀ W̄ C2,   F_k ← F_k + C2ᵀ W̄ C1 f(k−1)
     u_min ≤ G f_i ≤ u_max,   the sides of their polygons (`thruster_rows`)
-
-One recursion G_t = C A^t (never a matrix power) gives every block of F and of Φ.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -30,11 +28,11 @@ from numpy.lib.stride_tricks import as_strided
 
 from dpbench.arrays import Floats, Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.mpc.kernels import condense_blocks, map_blocks, summed_blocks
-from dpbench.mpc.model import StateSpace, rotated
-from dpbench.mpc.terminal import TerminalCost, terminal_cost
-from dpbench.mpc.thruster_rows import ThrusterRows
-from dpbench.qp.program import shaped
+from dpbench.mpc.kernels import build_affine_blocks, condense_blocks, write_summed_rows
+from dpbench.mpc.model import StateSpace, rotate_model
+from dpbench.mpc.terminal import TerminalCost, build_terminal_cost
+from dpbench.mpc.thruster_rows import Limits, ThrusterRows
+from dpbench.qp.program import check_shape
 
 UnitSystem = Literal["scaled", "si"]
 Terminal = Literal["none", "riccati"]
@@ -42,10 +40,8 @@ Terminal = Literal["none", "riccati"]
 
 @dataclass(frozen=True, eq=False)
 class ControlProblem:
-    """What the controller wants and may do, in SI units.
+    """Model, horizons, weights and limits of a model predictive controller, in SI units.
 
-    Parameters
-    ----------
     model : the incremental model (eq. 11).
     N_p, N_c : prediction and control horizon, 1 ≤ N_c ≤ N_p.
     Q : (n_y, n_y) output weight; R : (n_u, n_u) weight of the increments; the same at all steps.
@@ -54,6 +50,8 @@ class ControlProblem:
     thrusters : the rows G whose limits u_min, u_max are, where u are forces of thrusters.
     W : (n_u, n_u) weight of u itself over the planned moves; None for none, as in the paper.
     terminal : "none", the paper's, or "riccati", the cost of the infinite horizon at its end.
+    G : (r, n_u) rows of the amplitude limits; limits : those of G u while nothing has failed.
+    row_max : (r,) the change of G u by a full rate-limit step along each row: the unit of the row.
     """
 
     model: StateSpace
@@ -67,69 +65,62 @@ class ControlProblem:
     terminal: Terminal = "none"
     thrusters: ThrusterRows | None = None
     W: Matrix | None = None
+    G: Matrix = field(init=False)
+    row_max: Vector = field(init=False)
+    limits: Limits = field(init=False)
 
     def __post_init__(self) -> None:
         n_u, n_y = self.model.n_u, self.model.n_y
-        shapes: dict[str, tuple[int, ...]] = {"Q": (n_y, n_y), "R": (n_u, n_u)}
         r = n_u if self.thrusters is None else len(self.thrusters.low)
-        shapes |= {"u_min": (r,), "u_max": (r,), "du_max": (n_u,)}
+        shapes: dict[str, tuple[int, ...]] = {"u_min": (r,), "u_max": (r,), "du_max": (n_u,)}
+        shapes |= {"Q": (n_y, n_y), "R": (n_u, n_u)}
         if self.W is not None:
-            shapes |= {"W": (n_u, n_u)}
+            shapes["W"] = (n_u, n_u)
         for name, shape in shapes.items():
-            array = shaped("ControlProblem", name, getattr(self, name), shape)
+            array = check_shape("ControlProblem", name, getattr(self, name), shape)
             object.__setattr__(self, name, array)
+        G, row_max, limits = np.eye(n_u), self.du_max, Limits(self.u_min, self.u_max)
+        if (rows := self.thrusters) is not None:
+            G, row_max, limits = rows.G, rows.row_units(self.du_max), rows.intact
+        for name, value in {"G": G, "row_max": row_max, "limits": limits}.items():
+            object.__setattr__(self, name, value)
         if not 1 <= self.N_c <= self.N_p:
             horizons = f"N_c = {self.N_c}, N_p = {self.N_p}"
             raise InputError("ControlProblem", "N_c", horizons, "1 ≤ N_c ≤ N_p")
         if self.terminal not in ("none", "riccati"):
-            raise InputError(
-                "ControlProblem", "terminal", repr(self.terminal), '"none" or "riccati"'
-            )
+            allowed = '"none" or "riccati"'
+            raise InputError("ControlProblem", "terminal", repr(self.terminal), allowed)
 
-    @cached_property
-    def G(self) -> Matrix:
-        """(r, n_u) the rows that the amplitude limits hold for."""
-        return np.eye(self.model.n_u) if self.thrusters is None else self.thrusters.G
+    @property
+    def horizons(self) -> dict[str, int]:
+        """Prediction horizon N_p and control horizon N_c, by name."""
+        return {"N_p": self.N_p, "N_c": self.N_c}
 
-    @cached_property
-    def row_max(self) -> Vector:
-        """(r,) the change of G u by a full rate-limit step along each row: the unit of the row."""
-        return self.du_max if self.thrusters is None else self.thrusters.units(self.du_max)
-
-    def turned(self, turn_rad: float) -> ControlProblem:
-        """The same problem with the ship's model linearised `turn_rad` further (eq. 5)."""
-        return replace(self, model=rotated(self.model, turn_rad))
+    def rotate(self, turn_rad: float) -> ControlProblem:
+        """Return the MPC problem with its model re-linearised, the heading turned by `turn_rad`."""
+        return replace(self, model=rotate_model(self.model, turn_rad))
 
 
 def toeplitz(h: Floats, N_c: int) -> Matrix:
-    """Φ (N_p·n_y, N_c·n_u) of eq. 15, the block-Toeplitz matrix of h (N_p, n_y, n_u)."""
+    """Return the block-Toeplitz prediction matrix Φ (N_p·n_y, N_c·n_u) of Markov parameters h."""
     N_p, n_y, n_u = h.shape
     padded = np.zeros((N_c - 1 + N_p, n_y, n_u))
     padded[N_c - 1 :] = h
     s_block, s_row, s_column = padded.strides
-    blocks = as_strided(
-        padded[N_c - 1 :],
-        shape=(N_p, n_y, N_c, n_u),
-        strides=(s_block, s_row, -s_block, s_column),
-        writeable=False,
-    )
+    strides = s_block, s_row, -s_block, s_column
+    blocks = as_strided(padded[N_c - 1 :], (N_p, n_y, N_c, n_u), strides, writeable=False)
     return blocks.reshape(N_p * n_y, N_c * n_u)
 
 
-def summed_moves(N_c: int, n_u: int) -> Matrix:
-    """C2 (eq. 19): U = C1 u(k−1) + C2 ΔU, block lower-triangular ones."""
-    return summed_rows(N_c, np.eye(n_u))
-
-
 def summed_rows(N_c: int, G: Matrix) -> Matrix:
-    """(I ⊗ G) C2 (N_c·r, N_c·n_u): the rows G (r, n_u) of each force that moves add up to."""
+    """Return the matrix that maps all increments Δu to the limited values G u of each move."""
     rows = np.empty((N_c * G.shape[0], N_c * G.shape[1]))
-    summed_blocks(G, rows)
+    write_summed_rows(G, rows)
     return rows
 
 
 def scaled_rows(problem: ControlProblem, units: UnitSystem) -> Matrix:
-    """G (r, n_u) between forces and rows in these units."""
+    """Return constraint rows G (r, n_u) of the input amplitude limits, in scaled or SI units."""
     if units == "si" or problem.thrusters is None:
         return problem.G
     return problem.G * problem.du_max / problem.row_max[:, np.newaxis]
@@ -137,12 +128,12 @@ def scaled_rows(problem: ControlProblem, units: UnitSystem) -> Matrix:
 
 @dataclass(frozen=True, eq=False)
 class CondensedMatrices:
-    """Constant parts of the condensed problem in SI units.
+    """Constant matrices of the condensed MPC problem, in SI units.
 
     E (n, n), F_x (n, n_x), F_held (n, n_y) with F_k = F_x x + F_held y_d for a reference that is
     constant over the horizon; F (N_p·n_y, n_x) and the Markov parameters h (N_p, n_y, n_u) of
-    eq. 15; Q (n_y, n_y); the terminal cost that E, F_x and F_held hold too, if there is one;
-    F_u (n, n_u), the part F_u u(k−1) of F_k that a weight of the force brings, n_u = 0 without.
+    eq. 15; Q (n_y, n_y); F_u (n, n_u), the part F_u u(k−1) of F_k by a weight of the force, n_u = 0
+    without; `end`, the terminal cost, which E, F_x and F_held include.
     """
 
     E: Matrix
@@ -156,12 +147,12 @@ class CondensedMatrices:
 
     @cached_property
     def Phi(self) -> Matrix:
-        """Φ (N_p·n_y, n) of eq. 15."""
+        """Prediction matrix Φ (N_p·n_y, n) from increments to outputs (eq. 15)."""
         return toeplitz(self.h, self.E.shape[0] // self.h.shape[2])
 
     @cached_property
     def F_y(self) -> Matrix:
-        """−Φᵀ Q̄ (n, N_p·n_y): F_k = F_x x + F_y Y_d for a reference Y_d that is not constant."""
+        """Map (n, N_p·n_y) from a reference that varies over the horizon to the QP gradient."""
         N_p, n_y, _ = self.h.shape
         n = self.E.shape[0]
         blocks = self.Phi.reshape(N_p, n_y, n).transpose(2, 0, 1)
@@ -172,34 +163,37 @@ class CondensedMatrices:
 
 
 def condense_matrices(problem: ControlProblem) -> CondensedMatrices:
-    """Condense the horizon: everything of eq. 15-24 that does not change from step to step."""
+    """Condense the MPC problem: eliminate the states, return its constant matrices (eq. 15-24)."""
     model, Q = problem.model, problem.Q
-    parts = condense_blocks(model.A, model.B, model.C, Q, problem.R, problem.N_p, problem.N_c)
-    E, F_x, F_held, F, h = parts
+    matrices = model.A, model.B, model.C, Q, problem.R
+    E, F_x, F_held, F, h = condense_blocks(*matrices, problem.N_p, problem.N_c)
     F_u = np.zeros((len(E), 0))
     if problem.W is not None:
-        thrust, F_u = _thrust_cost(problem.W, problem.N_c)
+        thrust, F_u = _condense_force_cost(problem.W, problem.N_c)
         E = E + thrust
     if problem.terminal == "none":
         return CondensedMatrices(E, F_x, F_held, F, h, Q, F_u)
-    end = terminal_cost(model, Q, problem.R, problem.du_max, problem.N_p, problem.N_c)
+    end = build_terminal_cost(model, Q, problem.R, problem.du_max, problem.N_p, problem.N_c)
     return CondensedMatrices(E + end.E, F_x + end.F_x, F_held + end.F_y, F, h, Q, F_u, end)
 
 
-def _thrust_cost(W: Matrix, N_c: int) -> tuple[Matrix, Matrix]:
-    """C2ᵀ W̄ C2 (n, n) and C2ᵀ W̄ C1 (n, n_u): move j adds to the forces of j and all that follow."""
+def _condense_force_cost(W: Matrix, N_c: int) -> tuple[Matrix, Matrix]:
+    """Return Hessian (n, n) and gradient map (n, n_u) of the summed input cost ½ Σ uᵢᵀ W uᵢ."""
+    # Move j adds to the forces of j and all that follow.
     i = np.arange(float(N_c))
     E: Matrix = np.kron(N_c - np.maximum.outer(i, i), W)
     F_u: Matrix = np.kron((N_c - i)[:, np.newaxis], W)
     return E, F_u
 
 
-def affine_map(problem: ControlProblem, matrices: CondensedMatrices, units: UnitSystem) -> Matrix:
-    """Z (n + 2m, n_x + n_y + n_u + 1) with [q; l; u] = Z [x; y_ref; u_prev; 1] (eq. 20-24)."""
+def build_affine_map(
+    problem: ControlProblem, matrices: CondensedMatrices, units: UnitSystem
+) -> Matrix:
+    """Return the matrix Z that gives a step's QP vectors: [q; l; u] = Z [x; y_ref; u_prev; 1]."""
     unit, row_unit = problem.du_max, problem.row_max
     if units == "si":
         unit, row_unit = np.ones(len(unit)), np.ones(len(row_unit))
     of_theta = matrices.F_x, matrices.F_held, matrices.F_u
     limits = problem.G, problem.u_min, problem.u_max
-    Z: Matrix = map_blocks(*of_theta, *limits, unit, row_unit)
+    Z: Matrix = build_affine_blocks(*of_theta, *limits, unit, row_unit)
     return Z

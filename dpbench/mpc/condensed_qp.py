@@ -1,10 +1,7 @@
-"""`CondensedQP`: the builder that emits the QP of every step of the DP controller.
+"""`CondensedQP`: the builder of the QP of every step of the DP controller.
 
-A constructor that may be slow, and `emit`, which may not: one product Z [θ; 1] into fresh memory
-and three views of it.
+The constructor may be slow; `emit` is one product Z [θ; 1] into fresh memory and three views of it.
 """
-
-from __future__ import annotations
 
 from typing import Literal, TypedDict
 
@@ -16,26 +13,25 @@ from dpbench.mpc.condense import (
     CondensedMatrices,
     ControlProblem,
     UnitSystem,
-    affine_map,
+    build_affine_map,
     condense_matrices,
     scaled_rows,
     summed_rows,
 )
 from dpbench.mpc.kernels import reachable_limits
 from dpbench.mpc.model import HORIZONTAL
-from dpbench.mpc.outputs import OutputBounds, instants, output_layers
-from dpbench.mpc.soft_limits import Layer, Penalty, amplitude_layer, lay
-from dpbench.mpc.thruster_rows import Retreat
+from dpbench.mpc.outputs import OutputBounds, bounded_steps, output_blocks
+from dpbench.mpc.soft_limits import ConstraintBlock, Penalty, amplitude_block, assemble_blocks
+from dpbench.mpc.thruster_rows import LimitRampDown, Limits
 from dpbench.qp.program import QPStep, QuadraticProgram, Units
 
+# Policy of amplitude limits for plan row i: `reachable`, as far as the rate can follow them;
+# `hard`, the limits, though no plan may satisfy them; `soft`, with a slack at an exact penalty.
 Amplitude = Literal["reachable", "hard", "soft"]
-"""What amplitude limits that `emit` is given mean for plan row i: `reachable`, the limits or what
-the rate leaves of them; `hard`, the limits, though no plan may satisfy them; `soft`, the limits
-with a slack at an exact penalty."""
 
 
-class Form(TypedDict, total=False):
-    """What the constructors of all condensed QPs take by name; see `CondensedQP`."""
+class CondensedOptions(TypedDict, total=False):
+    """Options of a condensed MPC QP: units, amplitude-limit policy, output bounds, penalties."""
 
     units: UnitSystem
     amplitude: Amplitude
@@ -44,7 +40,7 @@ class Form(TypedDict, total=False):
 
 
 class CondensedQP:
-    """The DP MPC problem in condensed form.
+    """Builder of the condensed QP of each control step, for one MPC problem.
 
     Parameters
     ----------
@@ -81,23 +77,23 @@ class CondensedQP:
         self.amplitude, self.outputs, self.penalty = amplitude, outputs, penalty
         self._matrices: CondensedMatrices = condense_matrices(problem)
         self._du: Vector = problem.du_max if units == "scaled" else np.ones(problem.model.n_u)
-        self._build_plain()
-        extra = self._extra_layers()
+        self._build_hard_qp()
+        extra = self._extra_blocks()
         if amplitude == "soft" or outputs is not None or extra:
-            self._add_layers(extra)
+            self._build_with_blocks(extra)
         self._prepare_emit()
 
     @property
     def matrices(self) -> CondensedMatrices:
-        """E, F, Φ of the paper in SI units."""
+        """Condensed MPC matrices in SI units: Hessian E, free response F, prediction matrix Φ."""
         return self._matrices
 
-    def _build_plain(self) -> None:
-        """The paper's problem: rate limits as bounds, amplitude limits as rows."""
+    def _build_hard_qp(self) -> None:
+        """Build the constant QP matrices with hard increment and amplitude limits, no slacks."""
         problem, N_c = self.control, self.control.N_c
         self.block = problem.model.n_u
         self.n, self.m = N_c * self.block, N_c * len(problem.G)
-        # To join copies takes a fraction of what numpy.tile does.
+        # Joining copies takes a fraction of the time of numpy.tile.
         du_max, one = np.concatenate([problem.du_max] * N_c), np.ones(self.n)
         if self.units == "scaled":
             own, du, rows = one, du_max, np.ones(self.m)
@@ -110,45 +106,39 @@ class CondensedQP:
         self.A: Matrix = summed_rows(N_c, scaled_rows(problem, self.units))
         self.ub: Vector = own.copy()
         self.lb: Vector = -own
-        self.Z: Matrix = affine_map(problem, self._matrices, self.units)
+        self.Z: Matrix = build_affine_map(problem, self._matrices, self.units)
 
-    def _extra_layers(self) -> list[Layer]:
-        """Rows that a more special problem has on top, behind all others of a move."""
+    def _extra_blocks(self) -> list[ConstraintBlock]:
+        """Return constraint blocks that a subclass adds to each move; none here."""
         return []
 
-    def _add_layers(self, extra: list[Layer]) -> None:
-        """The same moves with soft amplitude limits, bounds on the outputs, or both."""
+    def _build_with_blocks(self, extra: list[ConstraintBlock]) -> None:
+        """Rebuild the QP with soft amplitude limits, output bounds or further constraints."""
         problem, matrices = self.control, self._matrices
         du = np.tile(problem.du_max, problem.N_c)
-        P, Z = matrices.E * np.outer(du, du), affine_map(problem, matrices, "scaled")
+        P, Z = matrices.E * np.outer(du, du), build_affine_map(problem, matrices, "scaled")
         penalty = Penalty.default(problem, P) if self.penalty is None else self.penalty
         soft = self.amplitude == "soft"
-        layers = [amplitude_layer(problem, Z, penalty.amplitude if soft else None)]
+        blocks = [amplitude_block(problem, Z, penalty.amplitude if soft else None)]
         if self.outputs is not None:
-            layers += output_layers(problem, matrices, self.outputs, penalty.outputs)
-        layers += extra
-        built = lay(P, Z[: len(P)], problem.du_max, layers, penalty.curvature)
+            blocks += output_blocks(problem, matrices, self.outputs, penalty.outputs)
+        blocks += extra
+        built = assemble_blocks(P, Z[: len(P)], problem.du_max, blocks, penalty.curvature)
         self.block, self.penalty = built.block, penalty
         self.m, self.n = built.A.shape
-        scaled = Units(np.ones(self.n), np.ones(self.m))
-        self.scale = scaled if self.units == "scaled" else built.si
-        own = built if self.units == "scaled" else built.in_si()
+        own, self.scale = built, Units(np.ones(self.n), np.ones(self.m))
+        if self.units == "si":
+            own, self.scale = built.in_si(), built.si
         self.P, self.A, self.lb, self.ub, self.Z = own.P, own.A, own.lb, own.ub, own.Z
 
     def _prepare_emit(self) -> None:
+        """Allocate the parameter vector and compute the array slices that build each step's QP."""
         n_u, at = self.control.model.n_u, self.control.model.theta
         theta = np.ones(at.size)
         # One tuple of locals instead of eight look-ups, and the bound method, which costs half of
         # numpy.dot(Z, theta): emitting is measured against the bare product.
-        self._parts = (
-            theta[at.x],
-            theta[at.y_ref],
-            theta[at.u_prev],
-            theta,
-            self.Z.dot,
-            self.n,
-            self.n + self.m,
-        )
+        parts = theta[at.x], theta[at.y_ref], theta[at.u_prev]
+        self._parts = (*parts, theta, self.Z.dot, self.n, self.n + self.m)
         problem, N_c, r = self.control, self.control.N_c, len(self.control.G)
         first = r if self.amplitude == "soft" else 0
         self._shape, self._row_shape = (N_c, self.block), (N_c, self.m // N_c)
@@ -156,30 +146,25 @@ class CondensedQP:
         self._upper = slice(None), slice(0, r)
         self._lower = slice(None), slice(first, first + r)
         self._row_unit = self.scale.row[:r]
-        self._retreat: Retreat | None = None
+        self._ramp_down: LimitRampDown | None = None
         if problem.thrusters is not None and self.amplitude == "reachable":
             rates = problem.du_max, problem.row_max
-            self._retreat = Retreat(problem.thrusters, *rates, N_c, factor=self._row_unit)
+            self._ramp_down = LimitRampDown(problem.thrusters, *rates, N_c, factor=self._row_unit)
 
     def emit(
-        self,
-        x: Vector,
-        y_ref: Vector,
-        u_prev: Vector,
-        *,
-        limits: tuple[Vector, Vector] | None = None,
+        self, x: Vector, y_ref: Vector, u_prev: Vector, *, limits: Limits | None = None
     ) -> QPStep:
-        """The QP of one step (eq. 20-24), in memory of its own.
+        """Return the QP data q, l and u of one step (eq. 20-24), in newly allocated memory.
 
         Parameters
         ----------
         x : (n_x,) augmented state [Δν, Δη, y], SI; heading unwrapped.
         y_ref : (n_y,) reference, or (N_p, n_y) for preview; heading within π of y's.
         u_prev : (n_u,) force applied in the last sample [N, N, N·m], or those of thrusters [N].
-        limits : (u_min, u_max), each (r,), in force from now on instead of the vessel's. Under
-            the policy `reachable` plan row i gets max(u_max, u_prev − iΔu_max) and so on, because
-            a limit that drops below u_prev by more than one rate step leaves no feasible point.
-            A thruster whose limits drop may retreat straight to nothing (`Retreat`).
+        limits : those in force from now on instead of the vessel's, (r,) each. Under the policy
+            `reachable` plan row i gets max(u_max, u_prev − iΔu_max) and so on, because a limit that
+            drops below u_prev by more than one rate step leaves no feasible point. A thruster whose
+            limits drop may retreat straight to zero (`LimitRampDown`).
         """
         x_part, y_part, u_part, theta, product, n, cut = self._parts
         x_part[...] = x
@@ -189,13 +174,13 @@ class CondensedQP:
         out = product(theta)
         step = QPStep(out[:n], out[n:cut], out[cut:])
         if preview:
-            self._preview(step, y_ref)
+            self._add_preview(step, y_ref)
         if limits is not None:
-            self._limit(step, u_prev, *limits)
+            self._write_amplitude_limits(step, u_prev, limits)
         return step
 
-    def _preview(self, step: QPStep, y_ref: Matrix) -> None:
-        """Replace the reference held at y_ref[0] by the previewed one, (N_p, n_y)."""
+    def _add_preview(self, step: QPStep, y_ref: Matrix) -> None:
+        """Add the effect of a reference (N_p, n_y) that varies along the horizon to q and u."""
         change = y_ref - y_ref[0]
         slope = self._du_plan * (self._reference_map() @ change.reshape(-1))
         moves = step.q.reshape(self._shape)[self._moves]
@@ -207,49 +192,49 @@ class CondensedQP:
             circle = slice(first, first + bounds.sides)
             upper_map = self.Z[self.n + self.m :].reshape(*self._row_shape, -1)
             of_position = upper_map[0, circle, self.control.model.theta.y_ref][:, HORIZONTAL]
-            bounded = instants(self.control.N_p, self.control.N_c) - 1
+            bounded = bounded_steps(self.control.N_p, self.control.N_c) - 1
             moved = change[bounded, HORIZONTAL] @ of_position.T
             step.u.reshape(self._row_shape)[:, circle] += moved
 
     def _reference_map(self) -> Matrix:
-        """F_y (N_c·n_u, N_p·n_y) in SI units."""
+        """Return the map (N_c·n_u, N_p·n_y) from the reference to the QP gradient, in SI units."""
         return self._matrices.F_y
 
-    def _limit(self, step: QPStep, u_prev: Vector, u_min: Vector, u_max: Vector) -> None:
-        """Amplitude limits other than the vessel's, as the policy says."""
+    def _write_amplitude_limits(self, step: QPStep, u_prev: Vector, limits: Limits) -> None:
+        """Write changed input amplitude limits into a step's row limits l and u."""
         problem, unit = self.control, self._row_unit
-        if self._retreat is not None:
-            self._retreat.write(u_prev, u_min, u_max, step.l, step.u)
+        if self._ramp_down is not None:
+            self._ramp_down.write_limits(u_prev, limits, step.l, step.u)
         elif self.amplitude == "reachable":
-            limits = u_prev, u_min, u_max, problem.row_max, unit
-            reachable_limits(*limits, step.l, step.u, problem.N_c)
+            of_rows = limits.low, limits.high, problem.row_max, unit
+            reachable_limits(u_prev, *of_rows, step.l, step.u, problem.N_c)
         else:
             before = u_prev if problem.thrusters is None else problem.G @ u_prev
-            high, low = (u_max - before) / problem.row_max, (u_min - before) / problem.row_max
+            low, high = ((side - before) / problem.row_max for side in (limits.low, limits.high))
             step.l.reshape(self._row_shape)[self._lower] = low * unit
             step.u.reshape(self._row_shape)[self._upper] = high * unit
 
     def problem(self, step: QPStep) -> QuadraticProgram:
-        """The whole problem of one step."""
+        """Return the complete QP of one step, constant matrices included."""
         P = self.P if step.P is None else step.P
         A = self.A if step.A is None else step.A
-        n_u = len(self._du)
-        moves = n_u if self.block > n_u else 0
-        vectors = step.q, A, step.l, step.u, self.lb, self.ub
-        return QuadraticProgram(P, *vectors, block=self.block, moves=moves)
+        moves = len(self._du) if self.block > len(self._du) else 0
+        return QuadraticProgram(
+            P, step.q, A, step.l, step.u, self.lb, self.ub, block=self.block, moves=moves
+        )
 
     def moves(self, z: Vector) -> Matrix:
-        """ΔU as increments (N_c, n_u) in N, N, N·m."""
+        """Return the control increments ΔU (N_c, n_u) of a solution z, in N, N, N·m."""
         return z.reshape(self._shape)[self._moves] * self._du
 
     def plan(self, delta_u: Matrix) -> Vector:
-        """z of the increments (N_c, n_u) in N, N, N·m: the inverse of `moves`, with no slack."""
+        """Convert control increments (N_c, n_u) [N, N, N·m] to QP variables z, slacks at zero."""
         z = np.zeros(self.n)
         z.reshape(self._shape)[self._moves] = delta_u / self._du
         return z
 
     def constant_cost(self, x: Vector, y_ref: Vector, u_prev: Vector | None = None) -> float:
-        """J0 (eq. 24): objective(z) + J0 is the predicted cost J of eq. 17; u_prev matters to W."""
+        """Return the constant part J0 of the MPC cost, which no control increment changes."""
         problem = self.control
         y_d = np.tile(y_ref, problem.N_p) if y_ref.ndim == 1 else y_ref.reshape(-1)
         error = (y_d - self.matrices.F @ x).reshape(problem.N_p, -1)

@@ -30,22 +30,19 @@ F = (2, 4, 8), so F_x = ΦᵀF = (2 + 8 + 32, 4 + 16) and F_held = −Φᵀ(1, 1
 ([[22.0, 10.0], [10.0, 6.0]], [42.0, 20.0], [-7.0, -3.0])
 """
 
-# The functions are compiled by numba, which infers their types.
+# Compiled by numba, which infers the types.
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
-
-from __future__ import annotations
 
 import numpy as np
 
 from dpbench.kernel_cache import njit
 
-TILE = 32
-"""Rows and columns of a tile of P: 8 kB, of which two fit the smallest cache."""
+TILE = 32  # Rows and columns of a tile of P: 8 kB, of which two fit the smallest cache
 
 
 @njit(cache=True)
-def product(X, Y, out):
-    """out = X Y."""
+def write_product(X, Y, out):
+    """Write the matrix product X Y into `out`."""
     for i in range(X.shape[0]):
         for j in range(Y.shape[1]):
             total = 0.0
@@ -55,20 +52,20 @@ def product(X, Y, out):
 
 
 @njit(cache=True)
-def markov_blocks(A, B, C, F, h):
-    """F_t = C A^{t+1} and h_t = C A^t B by G_{t+1} = G_t A (eq. 15)."""
+def write_markov_blocks(A, B, C, F, h):
+    """Write F_t = C A^{t+1} and the Markov parameters h_t = C A^t B, t = 0 … N_p − 1 (eq. 15)."""
     N_p, n_y = h.shape[0], h.shape[1]
     G = C.copy()
     for t in range(N_p):
-        product(G, B, h[t])
+        write_product(G, B, h[t])
         following = F[t * n_y : (t + 1) * n_y]
-        product(G, A, following)
+        write_product(G, A, following)
         G = following
 
 
 @njit(cache=True)
-def _accumulate(left, right, out):
-    """out += leftᵀ right."""
+def _add_product(left, right, out):
+    """Add the matrix product leftᵀ right to out."""
     for a in range(left.shape[1]):
         for b in range(right.shape[1]):
             total = 0.0
@@ -78,8 +75,8 @@ def _accumulate(left, right, out):
 
 
 @njit(cache=True)
-def hessian_blocks(h, Q, R, N_c, E):
-    """E = Φᵀ Q̄ Φ + R̄ (eq. 24), symmetric to the last bit, without forming Φ.
+def write_hessian_blocks(h, Q, R, N_c, E):
+    """Write the Hessian E = Φᵀ Q̄ Φ + R̄ of the condensed QP (eq. 24), without forming Φ.
 
     Last block row by sums over the horizon, the others along the block diagonals,
     E_ij = E_{i+1,j+1} + h_{N_p−1−i}ᵀ Q h_{N_p−1−j}: the work grows like the output.
@@ -87,13 +84,13 @@ def hessian_blocks(h, Q, R, N_c, E):
     N_p, n_y, n_u = h.shape
     Qh = np.empty_like(h)
     for t in range(N_p):
-        product(Q, h[t], Qh[t])
+        write_product(Q, h[t], Qh[t])
     E[:] = 0.0
     last = N_c - 1
     for j in range(N_c):
         block = E[last * n_u :, j * n_u : (j + 1) * n_u]
         for t in range(N_p - last):
-            _accumulate(h[t], Qh[t + last - j], block)
+            _add_product(h[t], Qh[t + last - j], block)
     # Q h_{N_p−1−j} of all j side by side, so that a row of E is made in one sweep.
     beside = np.empty((n_y, N_c * n_u))
     for j in range(N_c):
@@ -115,15 +112,12 @@ def hessian_blocks(h, Q, R, N_c, E):
         for a in range(n_u):
             for b in range(n_u):
                 E[i * n_u + a, i * n_u + b] += R[a, b]
-    _mirror(E)
+    _copy_lower_to_upper(E)
 
 
 @njit(cache=True)
-def _mirror(E):
-    """Copy the part below the diagonal above it, tile by tile.
-
-    Row by row, each write would be to another line of the cache.
-    """
+def _copy_lower_to_upper(E):
+    """Copy the lower triangle of a square matrix to the upper one, tile by tile for cache speed."""
     n = E.shape[0]
     for top in range(0, n, TILE):
         for left in range(0, top + 1, TILE):
@@ -133,19 +127,19 @@ def _mirror(E):
 
 
 @njit(cache=True)
-def gradient_blocks(h, F, Q, F_x, F_held):
-    """F_x = Φᵀ Q̄ F and F_held = −Φᵀ Q̄ D (eq. 24), D stacking N_p identities (eq. 16)."""
+def write_gradient_blocks(h, F, Q, F_x, F_held):
+    """Write the maps from state (F_x) and constant reference (F_held) to the condensed gradient."""
     N_p, n_y, n_u = h.shape
     QF = np.empty_like(F)
     for t in range(N_p):
-        product(Q, F[t * n_y : (t + 1) * n_y], QF[t * n_y : (t + 1) * n_y])
+        write_product(Q, F[t * n_y : (t + 1) * n_y], QF[t * n_y : (t + 1) * n_y])
     F_x[:] = 0.0
     N_c, n_x = F_x.shape[0] // n_u, F_x.shape[1]
     part = np.empty(n_x)
     for j in range(N_c):
         for t in range(N_p - j):
             for a in range(n_u):
-                # The states innermost, as they lie in memory: this is what takes time here.
+                # The states innermost, as in memory: most of the time is spent here.
                 part[:] = 0.0
                 for k in range(n_y):
                     weight = h[t, k, a]
@@ -156,7 +150,7 @@ def gradient_blocks(h, F, Q, F_x, F_held):
     # A reference that is held meets each h_t in all moves up to N_p − t: one sum that goes on.
     held = np.zeros((n_u, n_y))
     for t in range(N_p):
-        _accumulate(h[t], Q, held)
+        _add_product(h[t], Q, held)
         j = N_p - 1 - t
         if j < N_c:
             for a in range(n_u):
@@ -166,22 +160,22 @@ def gradient_blocks(h, F, Q, F_x, F_held):
 
 @njit(cache=True)
 def condense_blocks(A, B, C, Q, R, N_p, N_c):
-    """Everything constant in eq. 15-24: E, F_x, F_held, F, h."""
+    """Condense an MPC problem: return Hessian, gradient maps, free response, Markov parameters."""
     n_x, n_u, n_y = A.shape[0], B.shape[1], C.shape[0]
     F = np.empty((N_p * n_y, n_x))
     h = np.empty((N_p, n_y, n_u))
     E = np.empty((N_c * n_u, N_c * n_u))
     F_x = np.empty((N_c * n_u, n_x))
     F_held = np.empty((N_c * n_u, n_y))
-    markov_blocks(A, B, C, F, h)
-    hessian_blocks(h, Q, R, N_c, E)
-    gradient_blocks(h, F, Q, F_x, F_held)
+    write_markov_blocks(A, B, C, F, h)
+    write_hessian_blocks(h, Q, R, N_c, E)
+    write_gradient_blocks(h, F, Q, F_x, F_held)
     return E, F_x, F_held, F, h
 
 
 @njit(cache=True)
-def summed_blocks(G, rows):
-    """rows (N_c·r, N_c·n_u) = (I ⊗ G) C2, C2 block lower-triangular ones (eq. 19)."""
+def write_summed_rows(G, rows):
+    """Write the matrix to `rows` that maps increments to G times their sum up to each move."""
     r, n_u = G.shape
     n = rows.shape[1]
     all_moves = np.empty((r, n))
@@ -199,7 +193,7 @@ def summed_blocks(G, rows):
 
 @njit(cache=True, error_model="numpy")
 def reachable_limits(u_prev, u_min, u_max, row_max, row_unit, l, u, N_c):  # noqa: E741 - as in the program
-    """Limits (r,) as far as the rate can follow them into the first r rows of each move in l, u.
+    """Write each move's amplitude limits, extended as far as the rate limit requires, into l and u.
 
     In rate-limit steps the reachable bounds −i and i are exact, so a row that is forced to its
     bound meets it to the last bit and no rounding makes the step infeasible.
@@ -214,8 +208,8 @@ def reachable_limits(u_prev, u_min, u_max, row_max, row_unit, l, u, N_c):  # noq
 
 
 @njit(cache=True)
-def map_blocks(F_x, F_held, F_u, G, u_min, u_max, unit, row_unit):
-    """Z (n + 2m, n_x + n_y + n_u + 1) with [q; l; u] = Z [x; y_ref; u_prev; 1] (eq. 20-24).
+def build_affine_blocks(F_x, F_held, F_u, G, u_min, u_max, unit, row_unit):
+    """Return the affine map Z from [x; y_ref; u_prev; 1] to the QP vectors [q; l; u] (eq. 20-24).
 
     `unit` (n_u,), `row_unit` (r,) are the forces that one unit of z and of a row stands for.
     """

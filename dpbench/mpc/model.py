@@ -8,8 +8,6 @@ Because the model is incremental, a constant disturbance and a constant u drop o
 paper's u = τ + Rᵀb (eq. 7) differs from τ by a constant at low frequency, and Δu = Δτ.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -19,20 +17,18 @@ import scipy.linalg
 
 from dpbench.arrays import Matrix
 from dpbench.errors import ShapeError
-from dpbench.qp.program import shaped
+from dpbench.qp.program import check_shape
 from dpbench.ship.layout import AXES
 
 SPEED_CHANGE, POSE_CHANGE, POSE = (slice(first, first + AXES) for first in (0, AXES, 2 * AXES))
 """Δν, Δη and y = η in the state x of a ship's incremental model."""
 SHIP_STATES = 3 * AXES
-HEADING = SHIP_STATES - 1
-"""The measured heading in x."""
-HORIZONTAL = slice(0, 2)
-"""North and east among the outputs."""
+HEADING = SHIP_STATES - 1  # The measured heading in x
+HORIZONTAL = slice(0, 2)  # North and east among the outputs
 
 
 class ThetaLayout(NamedTuple):
-    """Where the parts of [θ; 1] = [x; y_ref; u_prev; 1] stand, and its length."""
+    """Slices of state, reference and last input in the QP parameters [x; y_ref; u_prev; 1]."""
 
     x: slice
     y_ref: slice
@@ -41,15 +37,15 @@ class ThetaLayout(NamedTuple):
     size: int
 
 
-def rotation(psi_rad: float) -> Matrix:
-    """R(ψ) (3, 3) from the body to the NED frame (paper eq. 3)."""
+def rotation_matrix(psi_rad: float) -> Matrix:
+    """Return the rotation matrix R(ψ) (3, 3) from the body to the north-east-down frame (eq. 3)."""
     c, s = np.cos(psi_rad), np.sin(psi_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """x⁺ = A x + B u, y = C x; A (n_x, n_x), B (n_x, n_u), C (n_y, n_x)."""
+    """Linear discrete-time state-space model x⁺ = A x + B u, y = C x."""
 
     A: Matrix
     B: Matrix
@@ -58,7 +54,7 @@ class StateSpace:
     def __post_init__(self) -> None:
         n_x, n_u, n_y = np.shape(self.A)[0], np.shape(self.B)[-1], np.shape(self.C)[0]
         for name, shape in {"A": (n_x, n_x), "B": (n_x, n_u), "C": (n_y, n_x)}.items():
-            array = shaped("StateSpace", name, getattr(self, name), shape)
+            array = check_shape("StateSpace", name, getattr(self, name), shape)
             object.__setattr__(self, name, array)
 
     @property
@@ -68,7 +64,7 @@ class StateSpace:
 
     @property
     def n_u(self) -> int:
-        """Number of inputs."""
+        """Number n_u of the model's inputs u, the columns of B."""
         return int(self.B.shape[1])
 
     @property
@@ -78,7 +74,7 @@ class StateSpace:
 
     @property
     def theta(self) -> ThetaLayout:
-        """The layout of what a step of this model depends on."""
+        """Layout of the parameter vector [x; y_ref; u_prev; 1] for a model of this size."""
         reference, force = self.n_x, self.n_x + self.n_y
         one = force + self.n_u
         parts = slice(0, reference), slice(reference, force), slice(force, one)
@@ -86,19 +82,18 @@ class StateSpace:
 
 
 def linearise(M: Matrix, D: Matrix, psi0_rad: float) -> StateSpace:
-    """The continuous model A_c, B_c, C_c at heading ψ0 (paper eq. 5-8); x_m (6,) = [ν; η]."""
+    """Return continuous matrices A_c, B_c, C_c of the ship linearised at heading ψ0 (eq. 5-8)."""
     zero = np.zeros((AXES, AXES))
-    A_c = np.block([[-np.linalg.solve(M, D), zero], [rotation(psi0_rad), zero]])
+    A_c = np.block([[-np.linalg.solve(M, D), zero], [rotation_matrix(psi0_rad), zero]])
     B_c = np.vstack([np.linalg.inv(M), zero])
     C_c = np.hstack([zero, np.eye(AXES)])
     return StateSpace(A_c, B_c, C_c)
 
 
 def discretise(continuous: StateSpace, sample_s: float) -> StateSpace:
-    """Exact zero-order hold (paper eq. 9-10) by one matrix exponential.
+    """Discretise a continuous model exactly under zero-order hold (eq. 9-10).
 
-    exp([[A_c, B_c], [0, 0]] ΔT) = [[A_m, B_m], [0, I]]
-    (Van Loan 1978, IEEE Trans. Automat. Contr. 23(3)).
+    exp([[A_c, B_c], [0, 0]] ΔT) = [[A_m, B_m], [0, I]] (Van Loan 1978, IEEE TAC 23(3)).
     """
     n_x, n_u = continuous.n_x, continuous.n_u
     block = np.zeros((n_x + n_u, n_x + n_u))
@@ -111,7 +106,7 @@ def discretise(continuous: StateSpace, sample_s: float) -> StateSpace:
 
 
 def augment(discrete: StateSpace) -> StateSpace:
-    """The incremental model A, B, C on x = [Δx_m; y] (paper eq. 11)."""
+    """Return the incremental model on x = [Δx_m; y], which adds integral action (eq. 11)."""
     A_m, B_m, C_m = discrete.A, discrete.B, discrete.C
     n_x, n_y = discrete.n_x, discrete.n_y
     A = np.block([[A_m, np.zeros((n_x, n_y))], [C_m @ A_m, np.eye(n_y)]])
@@ -120,37 +115,31 @@ def augment(discrete: StateSpace) -> StateSpace:
     return StateSpace(A, B, C)
 
 
-def prediction_model(M: Matrix, D: Matrix, psi0_rad: float, sample_s: float) -> StateSpace:
-    """Eq. 5-11 in one go: the incremental model of a ship at heading ψ0.
-
-    Made once for all runs in a process that share it.
-    """
+def build_prediction_model(M: Matrix, D: Matrix, psi0_rad: float, sample_s: float) -> StateSpace:
+    """Return a ship's incremental discrete-time model linearised at heading ψ0, from a cache."""
     inertia, damping = (np.asarray(matrix, dtype=np.float64).tobytes() for matrix in (M, D))
-    return _model_of(inertia, damping, psi0_rad, sample_s)
+    return _cached_model(inertia, damping, psi0_rad, sample_s)
 
 
 @lru_cache(maxsize=64)
-def _model_of(M: bytes, D: bytes, psi0_rad: float, sample_s: float) -> StateSpace:
+def _cached_model(M: bytes, D: bytes, psi0_rad: float, sample_s: float) -> StateSpace:
+    """Build a ship's incremental model from its inertia and damping as bytes, the cache keys."""
     inertia, damping = (np.frombuffer(part).reshape(AXES, AXES) for part in (M, D))
     return augment(discretise(linearise(inertia, damping, psi0_rad), sample_s))
 
 
-def rotated(model: StateSpace, turn_rad: float) -> StateSpace:
-    """The incremental model of a ship, linearised `turn_rad` further, without a new exponential.
+def rotate_model(model: StateSpace, turn_rad: float) -> StateSpace:
+    """Return a ship's incremental model re-linearised at a heading turned by `turn_rad`.
 
     ψ0 enters A_c through η̇ = R(ψ0) ν alone, so with η_b = Rᵀη the model is that of ψ0 = 0 and
     x ↦ T x, T = diag(I, R, R), takes one to the other: A ↦ T A Tᵀ, B ↦ T B. As A keeps Δη and y
-    whole, only their rows over Δν, and those of B, change: both are linear in R.
-
-    Parameters
-    ----------
-    model : (9 states, 3 outputs) of `prediction_model`, at any heading.
-    turn_rad : by how much the heading of linearisation moves.
+    whole, only their rows over Δν, and those of B, change: both are linear in R. `model` has the 9
+    states and 3 outputs of `build_prediction_model`.
     """
     sizes = model.n_x, model.n_y
     if sizes != (SHIP_STATES, AXES):
-        raise ShapeError.of("rotated", "model", sizes, "the 9 states and 3 outputs of a ship")
-    R, A, B = rotation(turn_rad), model.A.copy(), model.B.copy()
+        raise ShapeError.of("rotate_model", "model", sizes, "the 9 states and 3 outputs of a ship")
+    R, A, B = rotation_matrix(turn_rad), model.A.copy(), model.B.copy()
     for rows in (POSE_CHANGE, POSE):
         A[rows, SPEED_CHANGE] = R @ A[rows, SPEED_CHANGE]
         B[rows] = R @ B[rows]

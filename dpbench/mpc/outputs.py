@@ -9,8 +9,6 @@ most. They hold at N_c instants i = N_p/N_c, 2N_p/N_c, …, N_p, one per move, s
 the same rows; each row has a slack of its own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,21 +16,18 @@ import numpy as np
 from dpbench.arrays import Floats, Indices, Matrix
 from dpbench.errors import ShapeError
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem
-from dpbench.mpc.model import HORIZONTAL, ThetaLayout
-from dpbench.mpc.soft_limits import Layer, unlimited
+from dpbench.mpc.model import HORIZONTAL
+from dpbench.mpc.soft_limits import ConstraintBlock, infinite_limits
 from dpbench.ship.layout import AXES
 
 
 @dataclass(frozen=True, eq=False)
 class OutputBounds:
-    """Where the ship may be and how fast it may go, predicted.
+    """Soft bounds on predicted position (a watch circle) and on predicted speed.
 
-    Parameters
-    ----------
+    sample_s : ΔT; sides : K.
     radius_m : of the watch circle around the reference, None for none.
     speed_mps : largest speed over ground, from Δη/ΔT, None for none.
-    sample_s : ΔT.
-    sides : K.
     """
 
     sample_s: float
@@ -42,25 +37,25 @@ class OutputBounds:
 
     @property
     def directions(self) -> Matrix:
-        """The outward normals d of the sides (K, 2)."""
+        """Outward unit normals (K, 2) of the polygon that replaces a circle."""
         angle = 2.0 * np.pi * np.arange(self.sides) / self.sides
         return np.column_stack((np.cos(angle), np.sin(angle)))
 
     @property
-    def inside(self) -> float:
-        """Distance of the sides from the centre, in radii."""
+    def inradius(self) -> float:
+        """Distance of the polygon's sides from its centre, as a share of the circle's radius."""
         return float(np.cos(np.pi / self.sides))
 
 
-def instants(N_p: int, N_c: int) -> Indices:
-    """The N_c steps i ≤ N_p at which outputs are bounded, spread evenly; the last is N_p."""
+def bounded_steps(N_p: int, N_c: int) -> Indices:
+    """Return the N_c prediction steps at which outputs are bounded, spread evenly up to N_p."""
     return np.arange(1, N_c + 1) * N_p // N_c
 
 
-def output_layers(
+def output_blocks(
     problem: ControlProblem, matrices: CondensedMatrices, bounds: OutputBounds, rho: float
-) -> list[Layer]:
-    """The layer of the watch circle and the one of the speed, whichever are asked for."""
+) -> list[ConstraintBlock]:
+    """Return the soft QP constraints of the position watch circle and of the ship-speed bound."""
     n_y, n_x, n = problem.model.n_y, problem.model.n_x, len(matrices.E)
     if n_y != AXES:
         raise ShapeError.of("OutputBounds", "model.C", problem.model.C.shape, "3 outputs of a ship")
@@ -68,30 +63,33 @@ def output_layers(
     free = np.vstack((problem.model.C, matrices.F)).reshape(-1, n_y, n_x)[:, HORIZONTAL]
     moved = matrices.Phi * np.tile(problem.du_max, problem.N_c)
     moved = np.vstack((np.zeros((n_y, n)), moved)).reshape(-1, n_y, n)[:, HORIZONTAL]
-    i = instants(problem.N_p, problem.N_c)
-    layers = []
+    i = bounded_steps(problem.N_p, problem.N_c)
+    blocks = []
     if bounds.radius_m is not None:
-        layer = _polygon(problem, bounds, free[i], moved[i], bounds.radius_m, rho)
-        _centre(layer, bounds, problem.model.theta)
-        layers.append(layer)
+        block = _polygon_block(problem, bounds, free[i], moved[i], bounds.radius_m, rho)
+        # The circle is centred on the reference.
+        block.high[:, :, problem.model.theta.y_ref][:, :, HORIZONTAL] = (
+            bounds.directions / block.row_unit[0]
+        )
+        blocks.append(block)
     if bounds.speed_mps is not None:
         per_s = 1.0 / bounds.sample_s
         rate, push = per_s * (free[i] - free[i - 1]), per_s * (moved[i] - moved[i - 1])
-        layers.append(_polygon(problem, bounds, rate, push, bounds.speed_mps, rho))
-    return layers
+        blocks.append(_polygon_block(problem, bounds, rate, push, bounds.speed_mps, rho))
+    return blocks
 
 
-def _polygon(
+def _polygon_block(
     problem: ControlProblem,
     bounds: OutputBounds,
     free: Floats,
     moved: Floats,
     radius: float,
     rho: float,
-) -> Layer:
-    """Sides around the origin for outputs free x + moved z, (N_c, 2, n_x) and (N_c, 2, n).
+) -> ConstraintBlock:
+    """Return constraints that keep a predicted horizontal vector in a polygon around the origin.
 
-    One unit of a row is what a full rate-limit step at k of the strongest axis does at the last
+    One unit of a row is the effect of a full rate-limit step at k of the strongest axis at the last
     instant; it is the same at every heading.
     """
     K, n_u, theta = bounds.sides, problem.model.n_u, problem.model.theta
@@ -99,13 +97,8 @@ def _polygon(
     d = bounds.directions / unit
     high = np.zeros((len(free), K, theta.size))
     high[:, :, theta.x] = -(d @ free)
-    high[:, :, theta.one] = bounds.inside * radius / unit
+    high[:, :, theta.one] = bounds.inradius * radius / unit
     units = np.full(K, unit)
     rows = d @ moved
-    return Layer(rows, -np.eye(K), unlimited(high, -1.0), high, units, units, np.full(K, rho))
-
-
-def _centre(layer: Layer, bounds: OutputBounds, theta: ThetaLayout) -> None:
-    """Move the polygon of a layer from the origin to the centre of the circle."""
-    d = bounds.directions / layer.row_unit[0]
-    layer.high[:, :, theta.y_ref][:, :, HORIZONTAL] = d
+    low, rhos = infinite_limits(high, -1.0), np.full(K, rho)
+    return ConstraintBlock(rows, -np.eye(K), low, high, units, units, rhos)

@@ -2,10 +2,8 @@
 
     η_d''' + (2ζ+1) ω η_d'' + (2ζ+1) ω² η_d' + ω³ η_d = ω³ η_r        (Fossen 2021, section 12.1.1)
 
-A third-order filter gives a reference with continuous acceleration, which a ship can follow.
+The third-order filter gives a reference with continuous acceleration, which a ship can follow.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass
 
@@ -21,34 +19,32 @@ FILTER_ORDER = 3
 
 @dataclass(frozen=True)
 class ReferenceFilter:
-    """Natural period 2π/ω [s] and relative damping ζ of the filter."""
+    """Natural period [s] and relative damping of the filter that smooths the reference."""
 
     period_s: float
     damping: float = 1.0
 
 
-def nearest_pose(target: Vector, start: Vector) -> Vector:
-    """The pose `target` (3,), its heading within π of the start's: the error is wrapped once."""
+def unwrap_pose(target: Vector, start: Vector) -> Vector:
+    """Return the pose `target` (3,) with its heading shifted to within π of that of `start`."""
     reference = target.copy()
     reference[YAW] = nearest_turn(target[YAW], start[YAW])
     return reference
 
 
-def reference_table(
+def build_reference_table(
     start: Vector,
     target: Vector,
     samples: int,
     sample_s: float,
     smoothed: ReferenceFilter | None = None,
 ) -> Matrix:
-    """The reference at each sample: (samples, 3) [m, m, rad], heading unwrapped.
+    """Return the reference pose at each sample (samples, 3) [m, m, rad], smoothed if required.
 
-    Parameters
-    ----------
-    start, target : (3,) poses; the filter begins at rest at the start.
-    smoothed : the filter; None for a set-point that is there from the first sample.
+    start, target : (3,) poses; the filter begins at rest at the start. smoothed : the filter; None
+    for a set-point from the first sample on.
     """
-    goal = nearest_pose(target, start)
+    goal = unwrap_pose(target, start)
     table = np.tile(goal, (samples, 1))
     if smoothed is None:
         return table

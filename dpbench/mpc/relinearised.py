@@ -1,13 +1,13 @@
 """`RelinearisedQP`: the condensed QP re-linearised at the measured heading, step by step.
 
-Linearising at ψ turns the model by T = diag(I, R, R) (`model.rotated`), so with R = R(ψ − ψ0)
+Linearising at ψ turns the model by T = diag(I, R, R) (`model.rotate_model`), so with R = R(ψ − ψ0)
 
     h_t ↦ R h_t,    F_t ↦ R F_t Tᵀ,    E ↦ Σ hᵀ (RᵀQR) h + R̄,    F_x ↦ Σ hᵀ (RᵀQR) F_t Tᵀ
 
 (eq. 15-24): every entry of P, A and Z is a trigonometric polynomial of degree 2 in ψ. Condensing at
-five headings 72° apart therefore gives them at all headings, to rounding, for the price of a few
-multiply-adds a step. For a Q that weighs north and east alike, RᵀQR = Q and P is the same at
-every heading: re-linearising then changes q alone.
+five headings 72° apart therefore gives them at all headings, to rounding, for a few multiply-adds a
+step. For a Q that weighs north and east alike, RᵀQR = Q and P is the same at every heading:
+re-linearising then changes q alone.
 """
 
 from __future__ import annotations
@@ -23,31 +23,27 @@ import numpy as np
 from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem, condense_matrices
-from dpbench.mpc.condensed_qp import CondensedQP, Form
+from dpbench.mpc.condensed_qp import CondensedOptions, CondensedQP
 from dpbench.mpc.model import HEADING
+from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.program import QPStep
 
-_POINTS = 5
-"""So many determine a trigonometric polynomial of degree 2."""
-_TURNS = 2.0 * np.pi * np.arange(_POINTS) / _POINTS
-"""Where the polynomials are sampled."""
-_CHECKED_TURN = 1.0
-"""A heading apart from all samples, where every polynomial must give what condensing gives."""
-_NOISE = 1e-13
-"""Changes below it, relative to the largest entry of their column, are rounding of the samples."""
-_DEGREE_TWO = 1e-9
-"""What an array may differ by at the checked heading, relative likewise."""
+_TURNS = 2.0 * np.pi * np.arange(5) / 5  # Five samples determine a polynomial of degree 2
+_CHECKED_TURN = 1.0  # A heading apart from all samples, where the polynomials are verified
+_NOISE = 1e-13  # Smaller changes, relative to the largest entry of a column, are rounding
+_DEGREE_TWO = 1e-9  # Tolerance at the checked heading, relative likewise
 
 Wave = TypeVar("Wave", float, Vector)
 
 
 @dataclass(frozen=True, eq=False)
 class HeadingSeries:
-    """A matrix whose entries are trigonometric polynomials of degree 2 in a turn δ.
+    """Matrix-valued trigonometric polynomial of degree 2 in the change of heading δ.
 
-    `varying` : places of the entries that change, in the flattened matrix; `terms` : (number of
-    the basis function, coefficients) of those that take part in
-    entry(δ) = c_0 + c_1 cos δ + c_2 sin δ + c_3 cos 2δ + c_4 sin 2δ.
+        entry(δ) = c_0 + c_1 cos δ + c_2 sin δ + c_3 cos 2δ + c_4 sin 2δ
+
+    `varying` : flat indices of the entries that change; `constant` : c_0; `terms` : (number of the
+    basis function − 1, coefficients) of the others that are not zero.
     """
 
     varying: Indices
@@ -56,19 +52,19 @@ class HeadingSeries:
 
     @classmethod
     def of(cls, samples: Sequence[Matrix]) -> HeadingSeries:
-        """The polynomial through the samples at the turns `_TURNS`, two-dimensional arrays."""
+        """Fit a trigonometric polynomial to matrices sampled at five equally spaced headings."""
         stack = np.array([np.where(np.isfinite(sample), sample, 0.0) for sample in samples])
         size = np.broadcast_to(_NOISE * np.abs(stack).max(axis=(0, 1)), stack.shape[1:]).reshape(-1)
         stack = stack.reshape(len(_TURNS), -1)
         varying = np.flatnonzero(np.ptp(stack, axis=0) > size)
         values, size = stack[:, varying], size[varying]
-        waves = 0.4 * np.array(_waves(np.cos(_TURNS), np.sin(_TURNS))) @ values
+        waves = 0.4 * np.array(_harmonics(np.cos(_TURNS), np.sin(_TURNS))) @ values
         terms = [(k, wave) for k, wave in enumerate(waves) if (np.abs(wave) > size).any()]
         return cls(varying, values.mean(axis=0), terms)
 
     def write(self, turn_rad: float, out: Matrix) -> None:
-        """Set the varying entries of a contiguous `out` to their values at a turn."""
-        waves = _waves(math.cos(turn_rad), math.sin(turn_rad))
+        """Evaluate the polynomial at a heading change [rad]; write varying entries to `out`."""
+        waves = _harmonics(math.cos(turn_rad), math.sin(turn_rad))
         # Entry by entry alike, so that a symmetric matrix stays so to the last bit.
         values = self.constant.copy()
         for k, coefficients in self.terms:
@@ -76,30 +72,21 @@ class HeadingSeries:
         out.reshape(-1)[self.varying] = values
 
 
-def _waves(c: Wave, s: Wave) -> tuple[Wave, Wave, Wave, Wave]:
-    """cos δ, sin δ, cos 2δ, sin 2δ from c = cos δ and s = sin δ."""
+def _harmonics(c: Wave, s: Wave) -> tuple[Wave, Wave, Wave, Wave]:
+    """Return cos δ, sin δ, cos 2δ, sin 2δ from c = cos δ and s = sin δ."""
     return c, s, c * c - s * s, 2.0 * c * s
 
 
 class RelinearisedQP(CondensedQP):
-    """The DP MPC problem re-linearised at the heading in x of each step.
+    """Builder of the condensed QP, re-linearised at the measured heading of each step.
 
-    Parameters
-    ----------
     problem, units, amplitude, outputs, penalty : as for `CondensedQP`.
     psi0_rad : heading at which the model of `problem` is linearised.
-    threshold_rad : re-linearise when the heading is at least this far from the last time; 0, each
-        step.
-    always : bring P with every re-linearised step, as a controller does that condenses anew; False,
+    threshold_rad : least distance of the heading from the last time; 0 re-linearises each step.
+    always : bring P with every re-linearised step, like a controller that condenses anew; False,
         only if entries of P depend on the heading.
-
-    Attributes
-    ----------
     P, A, Z, matrices : those of the last step; A and P in arrays that later steps leave alone.
     heading_rad : where they are linearised.
-
-    Raises
-    ------
     InputError : when the QP is no polynomial of degree 2 in the heading, as with a Riccati terminal
         cost under a Q that weighs north and east unlike.
     """
@@ -111,7 +98,7 @@ class RelinearisedQP(CondensedQP):
         psi0_rad: float,
         threshold_rad: float = 0.0,
         always: bool = True,
-        **form: Unpack[Form],
+        **form: Unpack[CondensedOptions],
     ) -> None:
         super().__init__(problem, **form)
         if not threshold_rad >= 0.0:
@@ -119,27 +106,23 @@ class RelinearisedQP(CondensedQP):
         self.psi0_rad = self.heading_rad = psi0_rad
         self.threshold_rad = threshold_rad
         self._condensed_at = psi0_rad
-        *samples, check = [self._built(turn) for turn in (*_TURNS, _CHECKED_TURN)]
+        *samples, check = [self._condense_at(turn) for turn in (*_TURNS, _CHECKED_TURN)]
         self._sampled = [sample.matrices for sample in samples]
         self._series = {
             name: HeadingSeries.of([getattr(sample, name) for sample in samples])
             for name in ("P", "A", "Z")
         }
-        self._check(check)
+        self._verify_series(check)
         self._brings_P = always or len(self._series["P"].varying) > 0
         self._brings_A = len(self._series["A"].varying) > 0
 
-    def _built(self, turn_rad: float) -> CondensedQP:
-        """The problem at another heading, with the penalty of this one."""
-        return CondensedQP(
-            self.control.turned(turn_rad),
-            units=self.units,
-            amplitude=self.amplitude,
-            outputs=self.outputs,
-            penalty=self.penalty,
-        )
+    def _condense_at(self, turn_rad: float) -> CondensedQP:
+        """Build the condensed QP of the model linearised at a heading turned by `turn_rad`."""
+        form = CondensedOptions(units=self.units, amplitude=self.amplitude, outputs=self.outputs)
+        return CondensedQP(self.control.rotate(turn_rad), **(form | {"penalty": self.penalty}))
 
-    def _check(self, check: CondensedQP) -> None:
+    def _verify_series(self, check: CondensedQP) -> None:
+        """Raise InputError if polynomials in heading miss the QP condensed at another heading."""
         for name, series in self._series.items():
             condensed, interpolated = getattr(check, name), getattr(self, name).copy()
             series.write(_CHECKED_TURN, interpolated)
@@ -152,24 +135,26 @@ class RelinearisedQP(CondensedQP):
 
     @property
     def matrices(self) -> CondensedMatrices:
-        """E, F, Φ of the paper in SI units at the heading of the last step; slow after a turn."""
+        """Condensed matrices E, F, Φ at the last heading, SI; recomputed after it changes."""
         if self._condensed_at != self.heading_rad:
             turn = self.heading_rad - self.psi0_rad
-            self._matrices = condense_matrices(self.control.turned(turn))
+            self._matrices = condense_matrices(self.control.rotate(turn))
             self._condensed_at = self.heading_rad
         return self._matrices
 
     @cached_property
     def _reference_series(self) -> HeadingSeries:
+        """Polynomial in the heading that gives the map from the reference to the QP gradient."""
         return HeadingSeries.of([matrices.F_y for matrices in self._sampled])
 
     def _reference_map(self) -> Matrix:
+        """Return the map from the reference to the QP gradient at the current heading."""
         F_y = self._sampled[0].F_y.copy()
         self._reference_series.write(self.heading_rad - self.psi0_rad, F_y)
         return F_y
 
     def linearise(self, psi_rad: float) -> None:
-        """Take the model linearised at a heading for this step and those that follow."""
+        """Update the QP matrices P, A and Z to the ship model linearised at heading `psi_rad`."""
         self.heading_rad = float(psi_rad)
         turn = self.heading_rad - self.psi0_rad
         if len(self._series["P"].varying):
@@ -182,14 +167,9 @@ class RelinearisedQP(CondensedQP):
         self._series["Z"].write(turn, self.Z)
 
     def emit(
-        self,
-        x: Vector,
-        y_ref: Vector,
-        u_prev: Vector,
-        *,
-        limits: tuple[Vector, Vector] | None = None,
+        self, x: Vector, y_ref: Vector, u_prev: Vector, *, limits: Limits | None = None
     ) -> QPStep:
-        """The QP of one step as `CondensedQP.emit`, with the matrices that came with its heading.
+        """Return the QP of one step, re-linearised if the heading has changed by the threshold.
 
         A re-linearised step brings P (see `always`), and A where its entries depend on the heading:
         those of output bounds do, scaled amplitude rows do not.

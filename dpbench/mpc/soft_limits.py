@@ -1,11 +1,10 @@
-"""Layers of rows and slacks on the moves of the condensed QP, in scaled units.
+"""Blocks of rows and slacks on the moves of the condensed QP, in scaled units.
 
-    variables of a move   [Δu/Δu_max; slacks of the layers in turn]
-    rows of a move        [rows of the layers in turn]
+    variables of a move   [Δu/Δu_max; slacks of the blocks in turn]
+    rows of a move        [rows of the blocks in turn]
     low [θ; 1] ≤ A_moves z + A_slack s ≤ high [θ; 1],   s ≥ 0,   cost ρᵀs + ½ ε sᵀs
 
-Every layer brings the same rows and slacks to each move, so a number of variables and a number of
-rows per move shift a warm start.
+Every block adds the same rows and slacks to each move, so that a warm start can be shifted.
 
 The penalty is exact (Fletcher 1987, section 14.3): where the problem with hard rows is feasible and
 ρ exceeds the sum of the multipliers on the rows of a slack, s = 0 is optimal and the plan is that
@@ -14,7 +13,7 @@ of the hard problem, whatever ε, because εs vanishes at s = 0. ε > 0 only kee
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,14 +24,11 @@ from dpbench.qp.program import Units
 
 @dataclass(frozen=True, eq=False)
 class Penalty:
-    """What a unit of slack costs, in scaled units.
+    """Linear and quadratic costs of the slack variables, in scaled units.
 
-    Parameters
-    ----------
     amplitude : (n_u,) ρ of the amplitude slacks, per rate-limit step above the limit; of thrusters
-        (p,), each of which has one slack for all its sides.
-    outputs : ρ of the output slacks, per unit of their rows.
-    curvature : ε.
+    (p,), each of which has one slack for all its sides. outputs : ρ of the output slacks, per unit
+    of their rows. curvature : ε.
     """
 
     amplitude: Vector
@@ -41,9 +37,9 @@ class Penalty:
 
     @classmethod
     def default(cls, problem: ControlProblem, P: Matrix) -> Penalty:
-        """Penalties above the multipliers' size, from the scaled P (n, n) of the moves.
+        """Return slack penalties large enough to be exact, from the scaled Hessian P (n, n).
 
-        A multiplier of an amplitude row is the slope of the cost along a force: what P makes of the
+        A multiplier of an amplitude row is the slope of the cost along a force: P times the
         distance d between the plan and the unconstrained one, at most ‖P_i‖_1 d while no rate limit
         acts. ρ takes d = ¼ (u_max − u_min)/Δu_max in every move, some 19 rate-limit steps: enough
         for offsets of 20 m or 25° under tuning `robust`, of 3.5 m or 15° under `paper`, with all
@@ -55,22 +51,19 @@ class Penalty:
         span = (problem.u_max - problem.u_min) / problem.row_max
         largest = size.sum(axis=1).reshape(-1, n_u).max(axis=0)
         if problem.thrusters is not None:
-            span, largest = problem.thrusters.of_each(span, largest)
+            span, largest = problem.thrusters.thruster_maxima(span, largest)
         amplitude = 0.25 * span * largest
         outputs = 0.5 * float(span.max() * size.max())
         return cls(amplitude, outputs, float(np.linalg.eigvalsh(P)[0]))
 
 
 @dataclass(frozen=True, eq=False)
-class Layer:
-    """r rows and s slacks per move.
+class ConstraintBlock:
+    """Constraint rows and slack variables that are added to every move of a condensed QP.
 
-    Parameters
-    ----------
     A_moves : (N_c, r, N_c·n_u) coefficients of the moves; A_slack : (r, s) of the move's slacks.
     low, high : (N_c, r, n_θ + 1) limits as maps of [θ; 1]; ±inf in the last column.
-    row_unit, slack_unit : (r,), (s,) what one scaled unit is in SI.
-    rho : (s,) penalties.
+    row_unit, slack_unit : (r,), (s,) SI values of one scaled unit; rho : (s,) penalties.
     """
 
     A_moves: Floats
@@ -82,15 +75,15 @@ class Layer:
     rho: Vector
 
 
-def unlimited(like: Floats, sign: float) -> Floats:
-    """The map of limits that are infinite whatever θ is."""
+def infinite_limits(like: Floats, sign: float) -> Floats:
+    """Return coefficients of row limits that are infinite for all parameters, shaped as `like`."""
     rows = np.zeros_like(like)
     rows[..., -1] = sign * np.inf
     return rows
 
 
-def amplitude_layer(problem: ControlProblem, Z: Matrix, rho: Vector | None) -> Layer:
-    """Amplitude rows G C2 z (eq. 20-21); with ρ softened by one slack per force or thruster.
+def amplitude_block(problem: ControlProblem, Z: Matrix, rho: Vector | None) -> ConstraintBlock:
+    """Return constraints of the input amplitude limits, softened by slacks if penalties are given.
 
     Z is the scaled map of the plain problem. Hard, a move has r two-sided rows; soft, it has r
     upper rows G C2 z − s ≤ u, then r lower rows G C2 z + s ≥ l.
@@ -101,25 +94,20 @@ def amplitude_layer(problem: ControlProblem, Z: Matrix, rho: Vector | None) -> L
     low, high = Z[n:].reshape(2, N_c, r, -1)
     if rho is None:
         nothing = np.zeros(0)
-        return Layer(sums, np.zeros((r, 0)), low, high, unit, nothing, nothing)
+        return ConstraintBlock(sums, np.zeros((r, 0)), low, high, unit, nothing, nothing)
     own, slack_unit = np.eye(r), unit
     if problem.thrusters is not None:
         own = np.eye(len(rho))[problem.thrusters.thruster]
-        slack_unit, _ = problem.thrusters.of_each(unit, problem.du_max)
-    return Layer(
-        np.concatenate((sums, sums), axis=1),
-        np.vstack((-own, own)),
-        np.concatenate((unlimited(high, -1.0), low), axis=1),
-        np.concatenate((high, unlimited(low, 1.0)), axis=1),
-        np.concatenate((unit, unit)),
-        slack_unit,
-        rho,
-    )
+        slack_unit, _ = problem.thrusters.thruster_maxima(unit, problem.du_max)
+    rows = np.concatenate((sums, sums), axis=1), np.vstack((-own, own))
+    lower = np.concatenate((infinite_limits(high, -1.0), low), axis=1)
+    upper = np.concatenate((high, infinite_limits(low, 1.0)), axis=1)
+    return ConstraintBlock(*rows, lower, upper, np.concatenate((unit, unit)), slack_unit, rho)
 
 
 @dataclass(frozen=True, eq=False)
-class Layered:
-    """The matrices of a QP with layers; `block` variables per move, `si` what a unit is in SI."""
+class AssembledBlocks:
+    """Matrices of a condensed QP with constraint blocks and slacks."""
 
     P: Matrix
     A: Matrix
@@ -129,26 +117,21 @@ class Layered:
     si: Units
     block: int
 
-    def in_si(self) -> Layered:
-        """The same problem with z and rows in SI units."""
+    def in_si(self) -> AssembledBlocks:
+        """Return the assembled QP with variables and rows converted to SI units."""
         z, row = self.si.z, self.si.row
-        stretch = np.concatenate((1.0 / z, row, row))[:, np.newaxis]
-        return Layered(
-            self.P / np.outer(z, z),
-            self.A * row[:, np.newaxis] / z,
-            self.lb * z,
-            self.ub * z,
-            self.Z * stretch,
-            self.si,
-            self.block,
-        )
+        P, A = self.P / np.outer(z, z), self.A * row[:, np.newaxis] / z
+        Z = self.Z * np.concatenate((1.0 / z, row, row))[:, np.newaxis]
+        return replace(self, P=P, A=A, lb=self.lb * z, ub=self.ub * z, Z=Z)
 
 
-def lay(P: Matrix, Z_q: Matrix, du_max: Vector, layers: list[Layer], epsilon: float) -> Layered:
-    """Assemble the layers on the scaled cost P (n_0, n_0), q = Z_q [θ; 1] of the moves."""
+def assemble_blocks(
+    P: Matrix, Z_q: Matrix, du_max: Vector, blocks: list[ConstraintBlock], epsilon: float
+) -> AssembledBlocks:
+    """Assemble a QP from the scaled cost of the moves and constraint blocks with slacks."""
     n_u, N_c = len(du_max), len(P) // len(du_max)
-    units = np.concatenate([du_max, *(layer.slack_unit for layer in layers)])
-    rows = np.concatenate([layer.row_unit for layer in layers])
+    units = np.concatenate([du_max, *(part.slack_unit for part in blocks)])
+    rows = np.concatenate([part.row_unit for part in blocks])
     block, m, width = len(units), N_c * len(rows), Z_q.shape[1]
     n = N_c * block
     whole_P, A = np.diag(np.full(n, epsilon)), np.zeros((m, n))
@@ -158,16 +141,16 @@ def lay(P: Matrix, Z_q: Matrix, du_max: Vector, layers: list[Layer], epsilon: fl
     whole_P[np.ix_(moves, moves)] = P
     of_q[moves] = Z_q
     row, column = 0, n_u
-    for layer in layers:
-        r, s = layer.A_slack.shape
+    for part in blocks:
+        r, s = part.A_slack.shape
         own, slacks = row_place[:, row : row + r], place[:, column : column + s]
-        A[own[:, :, np.newaxis], moves] = layer.A_moves
-        A[own[:, :, np.newaxis], slacks[:, np.newaxis]] = layer.A_slack
-        of_q[slacks, -1] = layer.rho
-        of_low[own], of_high[own] = layer.low, layer.high
+        A[own[:, :, np.newaxis], moves] = part.A_moves
+        A[own[:, :, np.newaxis], slacks[:, np.newaxis]] = part.A_slack
+        of_q[slacks, -1] = part.rho
+        of_low[own], of_high[own] = part.low, part.high
         row, column = row + r, column + s
     lb, ub = np.zeros((N_c, block)), np.full((N_c, block), np.inf)
     lb[:, :n_u], ub[:, :n_u] = -1.0, 1.0
     si = Units(np.tile(units, N_c), np.tile(rows, N_c))
     Z = np.concatenate((of_q, of_low, of_high))
-    return Layered(whole_P, A, lb.reshape(-1), ub.reshape(-1), Z, si, block)
+    return AssembledBlocks(whole_P, A, lb.reshape(-1), ub.reshape(-1), Z, si, block)

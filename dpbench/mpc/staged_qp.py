@@ -9,9 +9,9 @@
     cost        ½ Σ (C x_i − y_d,i)ᵀ Q (C x_i − y_d,i) + ½ Σ Δu_iᵀ R Δu_i            (eq. 17)
                 + ½ Σ u_iᵀ W u_i                           where thrusters are weighed too
 
-less the part of the cost that is constant. θ = [x; y_ref; u_prev] enters by the right-hand sides of
-the first two blocks of rows and, y_ref, by q: a step changes vectors only, and few of their
-entries. Forces and states cost nothing or little, so P is only semidefinite.
+less the constant part of the cost. θ = [x; y_ref; u_prev] enters by the right-hand sides of the
+first two blocks of rows and, y_ref, by q: a step changes vectors only. Forces and states cost
+nothing or little, so P is only semidefinite.
 
 Its optimum is that of the condensed problem, multipliers included. With λ_i of the first rows, μ_i
 of the second, y_i of the third and r_i of the bounds, stationarity along u_i reads
@@ -20,11 +20,9 @@ costate recursion μ_{i−1} = Aᵀ μ_i − CᵀQ (C x_i − y_d,i), so that �
 tracking cost along Δu_i; along Δu_i what is left is R Δu_i − Bᵀ μ_i − λ_i + r_i = 0: a row of
 E ΔU + F_k + C2ᵀ (I ⊗ Gᵀ) y + r = 0 (eq. 24, 28). A Farkas vector of the staged rows has μ = 0, by
 the same recursion without a cost, and leaves C2ᵀ (I ⊗ Gᵀ) y + r = 0 and the same negative sum over
-the limits: it proves the condensed problem infeasible too. What is kept here are therefore the
-Δu_i, the y_i and the r_i.
+the limits: it proves the condensed problem infeasible too. `condensed` therefore takes Δu_i, y_i
+and r_i.
 """
-
-from __future__ import annotations
 
 from typing import Literal
 
@@ -33,34 +31,24 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.condense import ControlProblem, UnitSystem
-from dpbench.mpc.terminal import riccati
-from dpbench.mpc.thruster_rows import Retreat
+from dpbench.mpc.terminal import solve_riccati
+from dpbench.mpc.thruster_rows import LimitRampDown, Limits
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
 
-PlainAmplitude = Literal["reachable", "hard"]
-"""The policies of the amplitude limits that need no slack; see `condensed_qp.Amplitude`."""
+PlainAmplitude = Literal["reachable", "hard"]  # Policies without slacks
 
 
 class StagedQP:
-    """The DP MPC problem with states kept.
+    """Builder of the sparse MPC QP, which keeps the predicted states as variables.
 
-    Parameters
-    ----------
     problem : model, horizons, weights and limits in SI units.
     units : "scaled" (Δu and u in steps of the rate limit) or "si"; states are in SI units in both.
     amplitude : policy of the amplitude limits, "reachable" or "hard".
 
-    Attributes
-    ----------
-    P (n, n), A (m, n), lb, ub (n,) : constant; n = N_c (2 n_u + n_x) + (N_p − N_c) n_x, and m the
-        same with r, the rows of G, for one of the n_u.
-    block : 0. Stages with a move and stages without one differ in size, so no number of variables
-        shifts a warm start by one move; it is kept as it is.
-
-    Raises
-    ------
-    InputError : for other units, or a policy with slacks.
+    P (n, n), A (m, n), lb, ub (n,) are constant; n = N_c (2 n_u + n_x) + (N_p − N_c) n_x, and m the
+    same with r, the rows of G, for one of the n_u. block is 0: stages with and without a move
+    differ in size, so that a warm start cannot be shifted by one move.
     """
 
     def __init__(
@@ -86,59 +74,56 @@ class StagedQP:
         self._row_unit: Vector = problem.row_max if scaled else np.ones(r)
         self._build_cost()
         self._build_rows()
-        # A solver that is set up anew at every step knows by this that they are the same again,
-        # without comparing megabytes.
+        # Read-only arrays need not be compared when a solver is set up anew at every step.
         for array in (self.P, self.A, self.lb, self.ub):
             array.setflags(write=False)
-        # What moves are at most, summed over the moves up to each: (N_c, r).
+        # Largest sum of the moves up to each: (N_c, r).
         self._reach: Matrix = np.outer(np.arange(1.0, N_c + 1), problem.row_max / self._row_unit)
-        self._retreat: Retreat | None = None
+        self._ramp_down: LimitRampDown | None = None
         if problem.thrusters is not None:
-            self._retreat = Retreat(problem.thrusters, problem.du_max, problem.row_max, N_c)
+            self._ramp_down = LimitRampDown(problem.thrusters, problem.du_max, problem.row_max, N_c)
 
-    def _start(self, i: int) -> int:
-        """The first variable of stage i."""
-        return self._first(i, self._width)
-
-    def _first(self, i: int, width: int) -> int:
-        """Where stage i begins if one with a move is so wide; those behind have a state alone."""
+    def _stage_start(self, i: int, width: int) -> int:
+        """Return the index of stage i in a QP vector, where stages with a move take `width`."""
         behind = max(i - self.control.N_c, 0)
         return (i - behind) * width + behind * self.control.model.n_x
 
-    def _state(self, i: int) -> slice:
-        """Where x_{i+1} stands among the variables."""
+    def _state_slice(self, i: int) -> slice:
+        """Return the slice of stage i's predicted state in the QP variables."""
         model = self.control.model
-        first = self._start(i) + (2 * model.n_u if i < self.control.N_c else 0)
+        first = self._stage_start(i, self._width) + (2 * model.n_u if i < self.control.N_c else 0)
         return slice(first, first + model.n_x)
 
     def _build_cost(self) -> None:
+        """Build the sparse QP's Hessian P and the maps from the reference to its gradient q."""
         problem, model, unit = self.control, self.control.model, self._unit
         weight = model.C.T @ problem.Q @ model.C
         move = problem.R * np.outer(unit, unit)
         self.P: Matrix = np.zeros((self.n, self.n))
         for i in range(problem.N_c):
-            at = slice(self._start(i), self._start(i) + model.n_u)
+            first = self._stage_start(i, self._width)
+            at = slice(first, first + model.n_u)
             self.P[at, at] = 0.5 * (move + move.T)
             if problem.W is not None:
                 force = slice(at.stop, at.stop + model.n_u)
                 self.P[force, force] = problem.W * np.outer(unit, unit)
         for i in range(problem.N_p):
-            self.P[self._state(i), self._state(i)] = 0.5 * (weight + weight.T)
+            self.P[self._state_slice(i), self._state_slice(i)] = 0.5 * (weight + weight.T)
         # q along each state, per unit of its reference, and what the last one has on top.
         self._slope: Matrix = -model.C.T @ problem.Q
         self._end: Matrix = np.zeros((model.n_x, model.n_y))
         if problem.terminal == "riccati":
-            S = riccati(model, problem.Q, problem.R, problem.du_max)
-            last = self._state(problem.N_p - 1)
+            S = solve_riccati(model, problem.Q, problem.R, problem.du_max)
+            last = self._state_slice(problem.N_p - 1)
             self.P[last, last] = 0.5 * (S + S.T)
             self._end = (weight - S) @ model.C.T
-        held = np.zeros((self.n, model.n_y))
+        self._held: Matrix = np.zeros((self.n, model.n_y))
         for i in range(problem.N_p):
-            held[self._state(i)] = self._slope
-        held[-model.n_x :] += self._end
-        self._held: Matrix = held
+            self._held[self._state_slice(i)] = self._slope
+        self._held[-model.n_x :] += self._end
 
     def _build_rows(self) -> None:
+        """Build the constraints of dynamics and amplitude limits: A, row limits and bounds."""
         problem, model, unit = self.control, self.control.model, self._unit
         n_u, n_x = model.n_u, model.n_x
         one, B = np.eye(n_u), model.B * unit
@@ -146,49 +131,44 @@ class StagedQP:
         self.A: Matrix = np.zeros((self.m, self.n))
         low, high = np.zeros(self.m), np.zeros(self.m)
         for i in range(problem.N_p):
-            row, first = self._first(i, self._row_width), self._start(i)
+            row, first = self._stage_start(i, self._row_width), self._stage_start(i, self._width)
             if i < problem.N_c:
                 du, u = slice(first, first + n_u), slice(first + n_u, first + 2 * n_u)
                 moved = slice(row, row + n_u)
                 limited = slice(row + n_u + n_x, row + self._row_width)
                 self.A[moved, du], self.A[moved, u] = -one, one
                 if i > 0:
-                    before = self._start(i - 1) + n_u
+                    before = self._stage_start(i - 1, self._width) + n_u
                     self.A[moved, before : before + n_u] = -one
                 self.A[limited, u] = G
                 low[limited] = problem.u_min / self._row_unit
                 high[limited] = problem.u_max / self._row_unit
                 row += n_u
                 self.A[row : row + n_x, du] = -B
-            self.A[row : row + n_x, self._state(i)] = np.eye(n_x)
+            self.A[row : row + n_x, self._state_slice(i)] = np.eye(n_x)
             if i > 0:
-                self.A[row : row + n_x, self._state(i - 1)] = -model.A
+                self.A[row : row + n_x, self._state_slice(i - 1)] = -model.A
         self._low, self._high = low, high
         self.ub: Vector = np.full(self.n, np.inf)
-        self._moves(self.ub)[...] = problem.du_max / unit
+        self._view_moves(self.ub)[...] = problem.du_max / unit
         self.lb: Vector = -self.ub
 
-    def _moves(self, along: Vector) -> Matrix:
-        """The entries of the moves in an array over the variables: a view (N_c, n_u)."""
+    def _view_moves(self, along: Vector) -> Matrix:
+        """Return a view (N_c, n_u) of the control increments in a vector of QP variables."""
         stages = along[: self._cut].reshape(self.control.N_c, self._width)
         return stages[:, : self.control.model.n_u]
 
-    def _amplitudes(self, along: Vector) -> Matrix:
-        """The entries of the amplitude rows in an array over the rows: a view (N_c, r)."""
+    def _view_amplitude_rows(self, along: Vector) -> Matrix:
+        """Return a view (N_c, r) of the amplitude limits' entries in a vector over QP rows."""
         stages = along[: self._row_cut].reshape(self.control.N_c, self._row_width)
         return stages[:, -len(self._row_unit) :]
 
     def emit(
-        self,
-        x: Vector,
-        y_ref: Vector,
-        u_prev: Vector,
-        *,
-        limits: tuple[Vector, Vector] | None = None,
+        self, x: Vector, y_ref: Vector, u_prev: Vector, *, limits: Limits | None = None
     ) -> QPStep:
-        """The QP of one step, in memory of its own; x, y_ref, u_prev, limits as `CondensedQP.emit`.
+        """Return the QP data q, l and u of one control step, in newly allocated memory.
 
-        Under the policy `reachable` a limit that acts is what the rate leaves of it, rounded to the
+        Under the policy `reachable` a limit is extended as far as the rate allows, rounded to the
         side of the forces that moves can reach, so that no rounding makes the step infeasible.
         """
         model = self.control.model
@@ -197,28 +177,28 @@ class StagedQP:
         before = u_prev / self._unit
         low[:n_u] = high[:n_u] = before
         low[n_u:first] = high[n_u:first] = model.A.dot(x)
-        q = self._held.dot(y_ref) if y_ref.ndim == 1 else self._preview(y_ref)
+        q = self._held.dot(y_ref) if y_ref.ndim == 1 else self._preview_gradient(y_ref)
         if limits is not None:
-            u_min, u_max = self._in_force(before, *limits)
-            self._amplitudes(low)[...], self._amplitudes(high)[...] = u_min, u_max
+            u_min, u_max = self._effective_limits(before, limits)
+            self._view_amplitude_rows(low)[...], self._view_amplitude_rows(high)[...] = u_min, u_max
         return QPStep(q, low, high)
 
-    def _in_force(self, before: Vector, u_min: Vector, u_max: Vector) -> tuple[Matrix, Matrix]:
-        """The limits of the rows from these forces on, in own units, as the policy says."""
-        low, high = u_min / self._row_unit, u_max / self._row_unit
+    def _effective_limits(self, before: Vector, limits: Limits) -> tuple[Matrix, Matrix]:
+        """Return each move's scaled amplitude limits, extended to what the rate limit can reach."""
+        low, high = limits.low / self._row_unit, limits.high / self._row_unit
         if self.amplitude != "reachable":
             return low, high
-        if self._retreat is None:
+        if self._ramp_down is None:
             room = self._reach - 2.0 * np.spacing(np.abs(before) + self._reach)
             return np.minimum(low, before + room), np.maximum(high, before - room)
         force = before * self._unit
         along = self.control.G @ force / self._row_unit
         unit = self.control.row_max / self._row_unit
-        low, high = self._retreat.limits(force, u_min, u_max)
+        low, high = self._ramp_down.compute_limits(force, limits)
         return along + low * unit, along + high * unit
 
-    def _preview(self, y_ref: Matrix) -> Vector:
-        """q of a reference that changes along the horizon (N_p, n_y)."""
+    def _preview_gradient(self, y_ref: Matrix) -> Vector:
+        """Return the gradient q (n,) for a reference (N_p, n_y) that changes along the horizon."""
         N_c, n_x = self.control.N_c, self.control.model.n_x
         along = y_ref @ self._slope.T
         along[-1] += self._end @ y_ref[-1]
@@ -228,16 +208,21 @@ class StagedQP:
         return q
 
     def problem(self, step: QPStep) -> QuadraticProgram:
-        """The whole problem of one step."""
-        return QuadraticProgram(self.P, step.q, self.A, step.l, step.u, self.lb, self.ub)
+        """Return the complete sparse QP of one step, with its stage sizes."""
+        n_x, n_u, N_c = self.control.model.n_x, self.control.model.n_u, self.control.N_c
+        # Of HPIPM's stages: u_{k-1} and x_k are states of stage k, Δu_k its input.
+        moved, last, behind = (n_u + n_x, n_u), (n_u + n_x, 0), (n_x, 0)
+        stages = ((0, n_u), *(moved,) * (N_c - 1), last, *(behind,) * (self.control.N_p - N_c))
+        vectors = step.q, self.A, step.l, step.u, self.lb, self.ub
+        return QuadraticProgram(self.P, *vectors, stages=stages)
 
     def condensed(self, solution: Solution) -> Solution:
-        """The answer to the condensed problem in the same units: moves and their multipliers.
+        """Convert a sparse solution to the condensed one: increments and limit multipliers.
 
-        An entry that is NaN stays so; a claim of infeasibility keeps its proof (see the module).
+        NaN stays NaN; a claim of infeasibility keeps its proof (see the module).
         """
         return solution.with_iterate(
-            self._moves(solution.z).reshape(-1),
-            self._amplitudes(solution.y).reshape(-1),
-            self._moves(solution.y_box).reshape(-1),
+            self._view_moves(solution.z).reshape(-1),
+            self._view_amplitude_rows(solution.y).reshape(-1),
+            self._view_moves(solution.y_box).reshape(-1),
         )

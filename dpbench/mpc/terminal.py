@@ -1,4 +1,4 @@
-"""The terminal cost: what the infinite horizon beyond the last predicted step would cost.
+"""Terminal cost: the cost of the infinite horizon beyond the last predicted step.
 
     S = AᵀSA − AᵀSB (R + BᵀSB)⁻¹ BᵀSA + CᵀQC                   (discrete algebraic Riccati equation)
     J ← J + ½ (x(N_p) − Cᵀy_d)ᵀ W (x(N_p) − Cᵀy_d),   W = S − CᵀQC
@@ -7,8 +7,6 @@
 Eq. 17 already counts Q at step N_p, hence W and not S: with W and N_c = N_p the unconstrained law
 is the linear-quadratic regulator at any horizon (Rawlings, Mayne & Diehl 2017, section 1.3).
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass
 
@@ -22,7 +20,7 @@ from dpbench.mpc.model import StateSpace
 
 @dataclass(frozen=True, eq=False)
 class TerminalCost:
-    """W (n_x, n_x), A^{N_p} (n_x, n_x), Γ (n_x, N_c·n_u) and C (n_y, n_x), in SI units."""
+    """Quadratic cost of the state at the end of the prediction horizon, in SI units."""
 
     W: Matrix
     A_N: Matrix
@@ -31,32 +29,30 @@ class TerminalCost:
 
     @property
     def E(self) -> Matrix:
-        """What it adds to E (n, n): Γᵀ W Γ, symmetric to the last bit."""
+        """Part (n, n) of the condensed Hessian due to the terminal cost, exactly symmetric."""
         E = self.Gamma.T @ self.W @ self.Gamma
         return 0.5 * (E + E.T)
 
     @property
     def F_x(self) -> Matrix:
-        """What it adds to F_x (n, n_x)."""
+        """Part (n, n_x) due to the terminal cost in the map from the state to the QP gradient."""
         return self.Gamma.T @ self.W @ self.A_N
 
     @property
     def F_y(self) -> Matrix:
-        """What it adds to the part of F_held, or F_y, of the last reference (n, n_y)."""
+        """Part (n, n_y) due to the terminal cost in the map from last reference to gradient."""
         return -self.Gamma.T @ self.W @ self.C.T
 
     def constant(self, x: Vector, y_d: Vector) -> float:
-        """What it adds to J0, for the reference y_d (n_y,) of the last step."""
+        """Return the terminal cost at zero increments, for the last reference y_d (n_y,)."""
         away = self.A_N @ x - self.C.T @ y_d
         return 0.5 * float(away @ self.W @ away)
 
 
-def riccati(model: StateSpace, Q: Matrix, R: Matrix, du_max: Vector) -> Matrix:
-    """S (n_x, n_x) of the incremental model, found with the inputs in units of du_max (n_u,).
+def solve_riccati(model: StateSpace, Q: Matrix, R: Matrix, du_max: Vector) -> Matrix:
+    """Return the solution S (n_x, n_x) of the discrete algebraic Riccati equation.
 
-    Raises
-    ------
-    InputError : when no stabilising solution exists, as for an output that no input steers.
+    InputError when no stabilising solution exists, as for an output that no input controls.
     """
     # In N and N·m the entries of B and R lie up to fourteen decades from those of A and Q.
     A, B, R = model.A, model.B * du_max, R * du_max * du_max[:, np.newaxis]
@@ -74,16 +70,16 @@ def riccati(model: StateSpace, Q: Matrix, R: Matrix, du_max: Vector) -> Matrix:
     return np.asarray(S, dtype=np.float64)
 
 
-def terminal_cost(
+def build_terminal_cost(
     model: StateSpace, Q: Matrix, R: Matrix, du_max: Vector, N_p: int, N_c: int
 ) -> TerminalCost:
-    """The terminal cost of a horizon N_p with N_c moves."""
+    """Return the terminal cost that extends an MPC of horizons N_p, N_c to an infinite horizon."""
     n_u = model.n_u
     Gamma = np.empty((model.n_x, N_c * n_u))
     reached = np.linalg.matrix_power(model.A, N_p - N_c) @ model.B
     for j in range(N_c - 1, -1, -1):
         Gamma[:, j * n_u : (j + 1) * n_u] = reached
         reached = model.A @ reached
-    W = riccati(model, Q, R, du_max) - model.C.T @ Q @ model.C
+    W = solve_riccati(model, Q, R, du_max) - model.C.T @ Q @ model.C
     A_N = np.linalg.matrix_power(model.A, N_p)
     return TerminalCost(0.5 * (W + W.T), A_N, Gamma, model.C)

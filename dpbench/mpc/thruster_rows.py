@@ -3,35 +3,44 @@
     −T cos(π/s) ≤ (cos a_k, sin a_k)·f_i ≤ T cos(π/s),   a_k = (2k + 1) π/s,   k = 0 … s/2 − 1
 
         a_1   ╱‾‾╲   a_0        s = 8: four rows in two-sided pairs, sides facing a_k and a_k + π;
-             │    │             corners ahead, abeam and between, so that full thrust T is to be
-        …     ╲__╱   …          had there, and T cos(π/s) at least anywhere else
+             │    │             corners ahead, abeam and between, where full thrust T is allowed,
+        …     ╲__╱   …          and T cos(π/s) at least anywhere else
 
-What satisfies the rows satisfies the circle; between corners the polygon gives away
-1 − cos(π/s) ≈ ½ (π/s)² of the thrust. Opposite sides share a row, because one-sided rows bring
-infinite limits that some solvers take badly. A sector adds two rows through the origin, whose
-other side is T, which no force exceeds. Every other thruster has one row of its own.
+Between corners the polygon gives away 1 − cos(π/s) ≈ ½ (π/s)² of the thrust. Opposite sides share
+a row, because one-sided rows bring infinite limits that some solvers take badly. A sector adds two
+rows through the origin, whose other side is T, which no force exceeds. Every other thruster has one
+row of its own.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
+import scipy.linalg
 
-from dpbench.arrays import Indices, Matrix, Vector
+from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.kernel_cache import njit
 from dpbench.ship.thrusters import Thruster, ThrusterSet
+
+NOTHING_LOST: Flags = np.zeros(0, dtype=np.bool_)  # Of limits that belong to no thrusters
+
+
+class Limits(NamedTuple):
+    """Lower and upper limits (r,) of r linear force constraints, and flags of lost thrusters."""
+
+    low: Vector
+    high: Vector
+    lost: Flags = NOTHING_LOST
 
 
 @dataclass(frozen=True, eq=False)
 class ThrusterRows:
-    """low ≤ G f ≤ high, the limits of all thrusters; r rows, those of a thruster together.
+    """Linear limits low ≤ G f ≤ high on the forces f of all thrusters, grouped by thruster.
 
-    Parameters
-    ----------
-    G : (r, n_f) rows, each of unit length on the entries of one thruster.
-    low, high : (r,) limits [N]; zero lies within.
-    thruster : (r,) the number of the thruster a row belongs to; entry : (n_f,) that of an entry.
+    G (r, n_f) : rows, each of unit length on the entries of one thruster.
+    low, high (r,) : limits [N]; zero lies within. intact : these limits with no thruster lost.
+    thruster (r,) : the number of the thruster a row belongs to; entry (n_f,) : that of an entry.
     """
 
     G: Matrix
@@ -39,23 +48,28 @@ class ThrusterRows:
     high: Vector
     thruster: Indices
     entry: Indices
+    intact: Limits = field(init=False)
 
-    def units(self, df_max: Vector) -> Vector:
-        """(r,) the change of G f by a full step df_max (n_f,) along each row: its unit."""
+    def __post_init__(self) -> None:
+        intact = Limits(self.low, self.high, np.zeros(self.entry[-1] + 1, dtype=np.bool_))
+        object.__setattr__(self, "intact", intact)
+
+    def row_units(self, df_max: Vector) -> Vector:
+        """Return each force constraint's unit (r,): its change by a full rate-limit step."""
         largest: Vector = np.sqrt(((self.G * df_max) ** 2).sum(axis=1))
         return largest
 
-    def of_each(self, of_row: Vector, of_entry: Vector) -> tuple[Vector, Vector]:
-        """The largest value among the rows (r,), and among the entries (n_f,), of each thruster."""
+    def thruster_maxima(self, of_row: Vector, of_entry: Vector) -> tuple[Vector, Vector]:
+        """Return each thruster's largest `of_row`, and its largest `of_entry`, as two vectors."""
         numbers = range(int(self.entry[-1]) + 1)
         rows = np.array([of_row[self.thruster == i].max() for i in numbers])
         return rows, np.array([of_entry[self.entry == i].max() for i in numbers])
 
-    def without(self, lost: set[int]) -> tuple[Vector, Vector]:
-        """Limits (r,) each in which the thrusters of these numbers give nothing.
+    def limits_after_loss(self, lost: Collection[int]) -> Limits:
+        """Return the limits after the loss of thrusters, given by index: those give no force.
 
         As many rows of a thruster become zero as it has entries, of an azimuth two that lie across
-        each other: all of them would say the same many times over.
+        each other: more would be redundant.
         """
         low, high = self.low.copy(), self.high.copy()
         for i in lost:
@@ -63,26 +77,21 @@ class ThrusterRows:
             sides = np.count_nonzero(self.low[rows] < 0.0)
             zero = rows[np.array([0, sides // 2])[: np.count_nonzero(self.entry == i)]]
             low[zero] = high[zero] = 0.0
-        return low, high
+        return Limits(low, high, np.isin(np.arange(self.entry[-1] + 1), list(lost)))
 
 
 def thruster_rows(thrusters: ThrusterSet, sides: int) -> ThrusterRows:
-    """The rows of a ship's thrusters, azimuths with an even number of sides."""
-    blocks = [_rows_of(thruster, sides) for thruster in thrusters.thrusters]
-    counts = [len(low) for _, low, _ in blocks]
-    G = np.zeros((sum(counts), thrusters.n_f))
-    first = 0
-    for (normals, low, _), place in zip(blocks, thrusters.places, strict=True):
-        G[first : first + len(low), place] = normals
-        first += len(low)
-    low, high = (np.concatenate([block[side] for block in blocks]) for side in (1, 2))
-    numbers = np.arange(len(blocks))
-    components = [thruster.components for thruster in thrusters.thrusters]
-    return ThrusterRows(G, low, high, np.repeat(numbers, counts), np.repeat(numbers, components))
+    """Return linear limits of a ship's thrusters: polygons of `sides` sides for azimuths."""
+    normals, lows, highs = zip(*(_limit_rows(t, sides) for t in thrusters.thrusters), strict=True)
+    numbers = np.arange(len(lows))
+    thruster = np.repeat(numbers, [len(low) for low in lows])
+    entry = np.repeat(numbers, [t.components for t in thrusters.thrusters])
+    G: Matrix = scipy.linalg.block_diag(*normals)
+    return ThrusterRows(G, np.concatenate(lows), np.concatenate(highs), thruster, entry)
 
 
-def _rows_of(thruster: Thruster, sides: int) -> tuple[Matrix, Vector, Vector]:
-    """Normals (r_i, components), low and high (r_i,) of one thruster."""
+def _limit_rows(thruster: Thruster, sides: int) -> tuple[Matrix, Vector, Vector]:
+    """Return one thruster's linear force limits: normals (r_i, components), low and high (r_i,)."""
     if thruster.kind != "azimuth":
         most = np.array([thruster.thrust_N])
         return np.ones((1, 1)), -thruster.astern * most, most
@@ -98,15 +107,14 @@ def _rows_of(thruster: Thruster, sides: int) -> tuple[Matrix, Vector, Vector]:
     return np.vstack((normals, edges)), low, high
 
 
-RETREAT = 0.9
-"""Share of the rate at which limits of a lost thruster close in, so that plans keep some freedom
-and no rounding decides whether there is one."""
-GONE = 0.05
-"""In rate-limit steps: what is left of a force that counts as nothing, well within that freedom."""
+# Share of the rate at which limits of a lost thruster close in: plans keep some freedom, so that no
+# rounding decides whether there is one.
+RAMP_DOWN_SHARE = 0.9
+NEGLIGIBLE_STEPS = 0.05  # A smaller rest of a force counts as zero, well within that freedom
 
 
-class Retreat:
-    """How limits that dropped below a force close in, so that they stay reachable at its rate.
+class LimitRampDown:
+    """Gradual tightening of limits below the present force, so that they stay reachable.
 
         λ_i = 1 − 0.9 i Δf_max / |f| at move i, zero where hardly anything is left
         lost thruster:  all its rows at λ_i g of their intact limits, g the share that holds f now
@@ -114,14 +122,10 @@ class Retreat:
 
     The straight way λ_i f lies within them at every move and keeps to the rate of each entry. The
     polygon of a lost thruster shrinks as a whole, with room inside until it is nothing: rows that
-    end at zero alone would let its force go round their corners for ever. A thruster is lost where
-    its limits in force leave it nothing, which its rows that are zero on both sides say.
+    end at zero alone would let its force go round their corners for ever.
 
-    Parameters
-    ----------
     rows : of the intact thrusters; du_max : (n_f,) rate limits of a sample; row_max : (r,) unit of
-        a row; N_c : moves.
-    factor : (r,) what limits in units of rows are multiplied by; None for 1.
+    a row; N_c : moves; factor : (r,) multiplies limits in units of rows, None for 1.
     """
 
     def __init__(
@@ -135,7 +139,7 @@ class Retreat:
     ) -> None:
         (r, n_f), p = rows.G.shape, int(rows.entry[-1]) + 1
         self._shape = N_c, r
-        # One array, because a call costs most for its arguments.
+        # One array, because most of the time of a call goes to its arguments.
         table = np.zeros((G_FROM + n_f, max(r, n_f, p + 1)))
         table[LOW, :r], table[HIGH, :r] = rows.low, rows.high
         table[ROW_MAX, :r] = row_max
@@ -146,24 +150,24 @@ class Retreat:
         table[G_FROM:, :r] = rows.G.T
         self._table: Matrix = table
 
-    def limits(self, f: Vector, low: Vector, high: Vector) -> tuple[Matrix, Matrix]:
-        """What low and high (r,) are at each move, less G f, in units of rows: (N_c, r) each."""
+    def compute_limits(self, f: Vector, limits: Limits) -> tuple[Matrix, Matrix]:
+        """Return limits (N_c, r) on the summed force change; lowered ones close in slowly."""
         l, u = np.empty(self._shape), np.empty(self._shape)  # noqa: E741 - as in the program
-        self.write(f, low, high, l.reshape(-1), u.reshape(-1))
+        self.write_limits(f, limits, l.reshape(-1), u.reshape(-1))
         return l, u
 
-    def write(self, f: Vector, low: Vector, high: Vector, l: Vector, u: Vector) -> None:  # noqa: E741 - as in the program
-        """The same into the first r of the rows of each move in l and u (m,)."""
-        _close_in(self._table, f, low, high, l, u, self._shape[0])
+    def write_limits(self, f: Vector, limits: Limits, l: Vector, u: Vector) -> None:  # noqa: E741 - as in the program
+        """Write each move's force limits, lowered ones tightened gradually, into l and u."""
+        _write_retreating_limits(self._table, f, *limits, l, u, self._shape[0])
 
 
-# Rows of the table that `_close_in` works on; its columns are rows k, entries or thrusters.
+# Rows of the table of `_write_retreating_limits`; its columns are rows k, entries or thrusters.
 LOW, HIGH, ROW_MAX, FACTOR, ALONG, DU_MAX, ROW_FROM, ENTRY_FROM, G_FROM = range(9)
 
 
 @njit(cache=True, error_model="numpy")
-def _close_in(table, f, low, high, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; as in the program
-    """Limits of each move less G f over row_max, times factor, into l and u (N_c rows of moves)."""
+def _write_retreating_limits(table, f, low, high, lost, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; as in the program
+    """Write each move's force limits into l and u, tightened gradually if f is outside them."""
     r, n_f, stride = low.shape[0], f.shape[0], l.shape[0] // N_c
     for k in range(r):
         table[ALONG, k] = 0.0
@@ -173,20 +177,20 @@ def _close_in(table, f, low, high, l, u, N_c):  # type: ignore[no-untyped-def] #
     t, first = 0, 0
     while first < r:
         end = int(table[ROW_FROM, t + 1])
-        gauge, lost = _state_of(table, first, end, low, high)
+        gauge = _used_share(table, first, end)
         steps = 0.0
         for j in range(int(table[ENTRY_FROM, t]), int(table[ENTRY_FROM, t + 1])):
             steps += (f[j] / table[DU_MAX, j]) ** 2
         steps = np.sqrt(steps)
         for i in range(N_c):
-            left = steps - RETREAT * (i + 1)
-            share = left / steps if left > GONE else 0.0
-            shrunk = lost and share > 0.0
+            left = steps - RAMP_DOWN_SHARE * (i + 1)
+            share = left / steps if left > NEGLIGIBLE_STEPS else 0.0
+            shrunk = lost[t] and share > 0.0
             for k in range(first, end):
                 along, least, most = table[ALONG, k], low[k], high[k]
                 if shrunk:
                     least, most = share * gauge * table[LOW, k], share * gauge * table[HIGH, k]
-                elif not lost:
+                elif not lost[t]:
                     least, most = min(least, share * along), max(most, share * along)
                 unit, factor = table[ROW_MAX, k], table[FACTOR, k]
                 l[i * stride + k] = (least - along) / unit * factor
@@ -195,14 +199,13 @@ def _close_in(table, f, low, high, l, u, N_c):  # type: ignore[no-untyped-def] #
 
 
 @njit(cache=True, error_model="numpy")
-def _state_of(table, first, end, low, high):  # type: ignore[no-untyped-def] # compiled: numba finds the types
-    """The share of a thruster's intact limits that holds its force, and whether it is lost."""
-    gauge, lost = 0.0, False
+def _used_share(table, first, end):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+    """Return the share of its intact limits that a thruster's force uses."""
+    gauge = 0.0
     for k in range(first, end):
         along = table[ALONG, k]
-        # A sector's edge has zero for a limit: no share of it tells where f is.
+        # A sector's edge has zero for a limit, of which f is no share.
         limit = table[HIGH if along > 0.0 else LOW, k]
         if limit != 0.0:
             gauge = max(gauge, along / limit)
-        lost |= low[k] == high[k]
-    return gauge, lost
+    return gauge

@@ -1,1 +1,1 @@
-"""The library's door: runs in this process and result folders, as a notebook shows them."""
+"""The library in a notebook: runs in this process, and result folders."""

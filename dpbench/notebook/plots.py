@@ -1,6 +1,4 @@
-"""The figures of the page for runs in memory; Altair is imported when the first is asked for."""
-
-from __future__ import annotations
+"""The figures of the page for runs in memory; Altair is imported with the first."""
 
 from typing import Any, Protocol
 
@@ -12,23 +10,23 @@ from dpbench.scenario.scenario import Scenario
 
 
 class JudgedRun(Protocol):
-    """What is drawn of a run; the fields of `runs.Run`."""
+    """Interface of a solver's run that can be plotted: label, table of steps, scenario."""
 
     @property
     def label(self) -> str:
-        """The solver, and the way it was called."""
+        """Solver and way of starting each solve, as a plot's label."""
 
     @property
     def steps(self) -> pd.DataFrame:
-        """A row for each answer, with the columns of steps.parquet."""
+        """Table with one row per step of the run."""
 
     @property
     def scenario(self) -> Scenario | None:
-        """What the ship was steered through; None of a replay."""
+        """Scenario of a closed loop; None where recorded QPs were solved instead."""
 
 
 class RunPlots:
-    """The figures of one run; each is an Altair chart, which a notebook draws.
+    """Plots of one solver's run whose answers have been judged, as Altair charts.
 
     `run.plot.ship(other)` draws other runs of the same scenario into the same figure. A chart has
     `save` for PNG, SVG, PDF and HTML.
@@ -41,39 +39,34 @@ class RunPlots:
         return "<figures: steps()" + (", ship(), errors()>" if self._run.scenario else ">")
 
     def steps(self) -> Any:
-        """Step time, error of the first move, iterations and forces over the steps."""
-        from dpbench.analysis.verdict.demand import Demand
-        from dpbench.report.charts.strips import strips
+        """Plot step time, error of the first move, iterations and forces over the steps."""
+        from dpbench.analysis.verdict.requirements import Requirements
+        from dpbench.report.charts.steps import draw_step_strips
 
         run = self._run
-        return strips(_steps_of(run.steps), _forces_of(run), Demand().error_move)
+        return draw_step_strips(
+            _make_step_rows(run.steps), _compute_force_shares(run), Requirements().error_move
+        )
 
     def ship(self, *others: JudgedRun) -> Any:
-        """The ship's path in the north-east plane with the 1 m circle (Fig. 4 of the paper).
+        """Plot the ship's path in the north-east plane with the 1 m circle (Fig. 4 of the paper).
 
-        Raises
-        ------
-        InputError : for a replay, which has no ship, or runs of two scenarios.
+        Raises InputError for a replay, which has no ship, or runs of two scenarios.
         """
-        from dpbench.report.charts.ship import path
+        from dpbench.report.charts.ship import draw_path
 
-        scenario = self._scenario(others)
-        return path(_laws((self._run, *others)), scenario)
+        return draw_path(_convert_to_laws((self._run, *others)), self._common_scenario(others))
 
     def errors(self, *others: JudgedRun) -> Any:
-        """North, east, heading and radial error of the ship against time (Fig. 5 of the paper).
+        """Plot north, east, heading and radial error of closed loops (Fig. 5 of the paper)."""
+        from dpbench.report.charts.ship import draw_pose_errors
 
-        Raises
-        ------
-        InputError : as `ship`.
-        """
-        from dpbench.report.charts.ship import precision
+        return draw_pose_errors(
+            _convert_to_laws((self._run, *others)), self._common_scenario(others)
+        )
 
-        scenario = self._scenario(others)
-        return precision(_laws((self._run, *others)), scenario)
-
-    def _scenario(self, others: tuple[JudgedRun, ...]) -> Scenario:
-        """The scenario of this run and of all others, which may differ in length."""
+    def _common_scenario(self, others: tuple[JudgedRun, ...]) -> Scenario:
+        """Return the scenario that all runs share; InputError if they differ or one has no ship."""
         scenario = self._run.scenario
         for run in (self._run, *others):
             if run.scenario is None or scenario is None:
@@ -85,8 +78,8 @@ class RunPlots:
         return scenario
 
 
-def _laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
-    """The runs as laws of a figure, those of one name numbered."""
+def _convert_to_laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
+    """Convert solvers' runs to labelled curves of a plot; number those of equal label."""
     from dpbench.analysis.suites.paper import Law
 
     names = [run.label for run in runs]
@@ -97,13 +90,12 @@ def _laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
     return [Law(label, run.steps) for label, run in zip(labels, runs, strict=True)]
 
 
-def _steps_of(steps: pd.DataFrame) -> pd.DataFrame:
-    """The rows of `charts.strips`, one a step: times in µs, the largest timing of a replay."""
-    from dpbench.analysis.records.counting_rows import counting_of
-    from dpbench.analysis.records.run_steps import run_steps
-    from dpbench.report.charts.strips import NO_ANSWER
+def _make_step_rows(steps: pd.DataFrame) -> pd.DataFrame:
+    """Return time [µs], error, iterations and active limits of each step, for a plot."""
+    from dpbench.analysis.records.run_steps import counting_rows, run_steps
+    from dpbench.report.charts.steps import NO_ANSWER
 
-    ((_, run),) = run_steps(counting_of(steps))
+    ((_, run),) = run_steps(counting_rows(steps))
     return pd.DataFrame(
         {
             "k": run.k,
@@ -117,9 +109,9 @@ def _steps_of(steps: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def _forces_of(run: JudgedRun) -> pd.DataFrame:
-    """The forces of a closed loop as shares of their limits; no row of a replay."""
-    from dpbench.analysis.records.kept_runs import FORCES as COLUMNS
+def _compute_force_shares(run: JudgedRun) -> pd.DataFrame:
+    """Return a closed loop's forces divided by their limits, by step; empty for a replay."""
+    from dpbench.analysis.records.thinned_runs import FORCES as COLUMNS
     from dpbench.bench.record.schema import FORCES
 
     if run.scenario is None:

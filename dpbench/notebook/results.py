@@ -1,4 +1,4 @@
-"""A result folder in memory, with everything that the report finds in it as data frames."""
+"""A result folder in memory, with the tables of the report as data frames."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from dpbench.analysis.verdict.fastest import best_of_each
+from dpbench.analysis.verdict.fastest import best_verdict_by_solver
 from dpbench.bench.capability.table import load_capability
 from dpbench.bench.design import load_designs
 from dpbench.bench.record import result_folder
@@ -23,47 +23,44 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Results(result_folder.Results):
-    """A result folder: its tables `runs` and `steps`, `machine`, `suite`, and what follows.
+    """A benchmark's results in memory: runs, steps, machine, suite, and tables of the report.
 
-    What follows is made when it is first asked for, from the tables alone, and is what
-    `dpbench report` writes into `tables/`.
+    The report's are made at first use, and are what `dpbench report` writes into `tables/`.
     """
 
     folder: Path
 
     @property
     def answer(self) -> str:
-        """What the page answers: which configuration to use and why, or what the suite asks."""
-        from dpbench.report.ending import ending
-
-        rows = ending(self._report.facts, self._report.answer, self._report.topics)
+        """Sentence that names the recommended solver and settings, or the question of the suite."""
+        rows = self._full_report.summary_rows()
         return next((text for about, text in rows if about == "answer"), "")
 
     @property
     def tables(self) -> Mapping[str, pd.DataFrame]:
-        """All tables of the analysis by name: the ones below, runs, places, and the topics'."""
-        return self._report.tables
+        """All tables of the benchmark's report as data frames, by name."""
+        return self._full_report.tables
 
     def verdict(self) -> pd.DataFrame:
-        """A row for each configuration: whether it meets the demand, why not, and its figures.
+        """Return a table of verdicts: a row per solver and settings, with reason and main numbers.
 
         Times in µs; error_move and failed_steps over all its runs.
         """
         return self.tables["verdicts"]
 
     def hard_steps(self) -> pd.DataFrame:
-        """The five hardest steps of each run by time [µs], by iterations and by error."""
+        """Return the five hardest steps of each solver's run by time [µs], iterations and error."""
         return self.tables["hard_steps"]
 
     def ladder(self) -> pd.DataFrame:
-        """The best configuration of each solver that was timed, with its step times [µs].
+        """Return each timed solver's best settings with its step times [µs], as a table.
 
         `share` is what calling a library that does nothing takes of its median.
         """
         return self.tables["ladder"]
 
     def paired_ratios(self) -> pd.DataFrame:
-        """How many times as long each of those takes as the fastest, on the same steps.
+        """Return solvers' step time ratios to the fastest, measured on the same steps, as a table.
 
         `low` and `high` bound the mean ratio, 0 and inf where the steps are too few to tell;
         `tied` where they include 1; `unstable` where another yardstick names another leader.
@@ -76,15 +73,18 @@ class Results(result_folder.Results):
         return f"<Results {self.suite.get('name', self.folder.name)}: {runs} of {solvers}>"
 
     def _repr_html_(self) -> str:
-        """The answer, and the best configuration of each solver."""
+        """Return the recommendation and each solver's best settings as HTML."""
         from dpbench.report.documents.markdown import HEAD, solver_rows
 
-        rows = solver_rows(self._report.facts, best_of_each(self._report.facts.verdicts))
+        rows = solver_rows(
+            self._full_report.data, best_verdict_by_solver(self._full_report.data.verdicts)
+        )
         title = str(self.suite.get("name", self.folder.name))
         return table_html(HEAD, rows, title=title, note=self.answer)
 
     @cached_property
-    def _report(self) -> Report:
+    def _full_report(self) -> Report:
+        """Report of these results, built at first use."""
         # The report draws, and Altair takes its time.
         from dpbench.report.report import Report
 
@@ -93,7 +93,7 @@ class Results(result_folder.Results):
 
 
 def load_results(out: str | Path) -> Results:
-    """Read a result folder, for its tables and the verdict on it.
+    """Read a benchmark's result folder into memory.
 
     Parameters
     ----------

@@ -7,22 +7,24 @@ that crashes, and no core is pinned. The assessment is the same.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
 
-from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
-from dpbench.bench.judge.memory_of_answers import is_remembered
+from dpbench.bench.judge.answer_caching import is_remembered
+from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_log
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row, step_rows
 from dpbench.bench.judge.step_columns import step_columns
-from dpbench.bench.record.cell import FALLBACKS, FORMULATIONS, Cell, Fallback, Formulation, Outcome
+from dpbench.bench.record.cell import DEFAULT_FALLBACK, FORMULATIONS, Cell, Formulation, Outcome
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.record.schema import as_runs
 from dpbench.bench.run.assemble import NO_LIMIT_NS, clock, closed_loop_setup, replay_parts
 from dpbench.bench.run.closed_loop import closed_loop
 from dpbench.bench.run.exact_loop import solve_exactly
+from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.display import fields_html
@@ -47,13 +49,13 @@ REMEMBERED = "times of remembered answers: steps seen before are faster than war
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A judged run.
+    """One solver's run of a scenario, answers judged: table of steps, summary row and scenario.
 
     Parameters
     ----------
     steps : a row for each answer, with the columns of steps.parquet.
-    summary : what they amount to, with the columns of runs.parquet.
-    scenario : what the ship was steered through; None of a replay, which has no ship.
+    summary : its row of runs.parquet.
+    scenario : of a closed loop; None of a replay, which has no ship.
     """
 
     steps: pd.DataFrame
@@ -62,52 +64,57 @@ class Run:
 
     @property
     def label(self) -> str:
-        """The solver, and the way it was called."""
+        """Solver, interface to its library and way of starting each solve, as text."""
         return "{solver} ({route}, {policy})".format(**self.summary)
 
     @property
     def remembers(self) -> bool:
-        """Whether the times of a replay are those of remembered answers, not of solving."""
+        """True if a replay's times are of answers the solver has cached, not of solving."""
         row = self.summary
         excess = float(row["first_visit_excess"])
         return is_remembered(float(row["first_visit_ratio"]), math.nan, excess)
 
     @property
     def plot(self) -> RunPlots:
-        """The figures of the page: `steps()`, and of a closed loop `ship()` and `errors()`."""
+        """Plots of the run: `steps()`, and of a closed loop `ship()` and `errors()`."""
         return RunPlots(self)
 
     def __repr__(self) -> str:
         row = self.summary
         return (
-            f"<Run of {self.label}: {self._where}, {self._done}, "
+            f"<Run of {self.label}: {self._sequence_text}, {self._steps_text}, "
             f"error_move ≤ {error_text(row['error_move_max'])}, p50 {time_text(row['raw_p50_ns'])}"
             f"{f', {REMEMBERED}' if self.remembers else ''}>"
         )
 
     def _repr_html_(self) -> str:
+        """Return the run's main results as an HTML table, which a notebook displays."""
         row = self.summary
         fields = {
-            "steps": self._done,
+            "steps": self._steps_text,
             "failed steps": count_text(row["failed_steps"]),
             "largest error of the first move": error_text(row["error_move_max"]),
             "median of the step time": time_text(row["raw_p50_ns"]),
         }
         fields |= {"times": REMEMBERED} if self.remembers else {}
-        return fields_html(f"{self.label}: {self._where}", fields | self._control())
+        return fields_html(
+            f"{self.label}: {self._sequence_text}", fields | self._describe_control()
+        )
 
     @property
-    def _where(self) -> str:
+    def _sequence_text(self) -> str:
+        """Closed loop or replay, and name of its scenario or QP sequence, as text."""
         mode = str(self.summary["mode"]).replace("_", " ")
         return f"{mode} {self.summary['scenario'] or self.summary['sequence']}"
 
     @property
-    def _done(self) -> str:
+    def _steps_text(self) -> str:
+        """Number of control steps done out of those planned, as text."""
         row = self.summary
         return f"{row['steps_done']} of {plural(row['steps_planned'], 'step')}"
 
-    def _control(self) -> dict[str, str]:
-        """What is said of the ship."""
+    def _describe_control(self) -> dict[str, str]:
+        """Return a closed loop's position errors and number of fallbacks, as text by field name."""
         if self.scenario is None:
             return {}
         row = self.summary
@@ -126,13 +133,13 @@ def run_closed_loop(
     *,
     units: UnitSystem = "scaled",
     formulation: Formulation = "condensed_box",
-    fallback: Fallback = "shifted_plan",
+    fallback: str = DEFAULT_FALLBACK,
     backup: str = "",
     slowdown: float = 0.0,
     deadline_s: float = 0.0,
     steps: int | None = None,
 ) -> Run:
-    """Let `workspace` steer the ship through `scenario`, and judge every answer.
+    """Simulate ship and MPC in closed loop with `workspace` as QP solver; judge every answer.
 
     Parameters
     ----------
@@ -147,11 +154,11 @@ def run_closed_loop(
     InputError : for an unknown formulation, fallback or backup, "sparse" for a scenario that has
         none, or a slow-down, deadline or number of steps that cannot be.
     """
-    _check("fallback", fallback, FALLBACKS)
+    _check_choice("fallback", fallback, FALLBACKS)
     _check_workspace(workspace, formulation)
     if steps is not None:
         scenario = scenario.first(steps)
-    cell = _cell_of(
+    cell = _make_cell(
         workspace,
         mode="closed_loop",
         scenario=scenario.files,
@@ -166,7 +173,7 @@ def run_closed_loop(
     setup = closed_loop_setup(cell, scenario, workspace, RawLog.in_memory, NO_LIMIT_NS)
     closed_loop(setup)
     evaluated = evaluate_log(cell, setup.log, solve_exactly(scenario))
-    return _run(cell, workspace, setup.solver, evaluated, scenario)
+    return _make_run(cell, workspace, setup.solver, evaluated, scenario)
 
 
 def replay(
@@ -177,7 +184,7 @@ def replay(
     warmup_steps: int = 50,
     formulation: Formulation = "condensed_box",
 ) -> Run:
-    """Replay `sequence` through `workspace`: a warm-up, then `repeats` rounds, all judged.
+    """Solve recorded QPs with a solver: a warm-up, then `repeats` rounds; judge every answer.
 
     Raises
     ------
@@ -191,8 +198,8 @@ def replay(
     replaying = ReplayRun(
         steps, solver, log, warmup_steps=warmup_steps, limit_ns=NO_LIMIT_NS, clock=clock
     )
-    replaying.rounds()
-    cell = _cell_of(
+    replaying.run_all_rounds()
+    cell = _make_cell(
         workspace,
         mode="replay",
         scenario={"name": sequence.name},
@@ -203,38 +210,36 @@ def replay(
         warmup_steps=warmup_steps,
     )
     sample_s = float(sequence.meta.get("sample_s", float("nan")))
-    return _run(cell, workspace, solver, evaluate_sequence(log, sequence, sample_s))
+    return _make_run(cell, workspace, solver, evaluate_sequence(log, sequence, sample_s))
 
 
-def _check(key: str, value: str, allowed: tuple[str, ...]) -> None:
+def _check_choice(key: str, value: str, allowed: Collection[str]) -> None:
+    """Raise InputError unless a value is one of those allowed."""
     if value not in allowed:
         raise InputError("run", key, repr(value), f"one of {', '.join(allowed)}")
 
 
 def _check_workspace(workspace: object, formulation: str) -> None:
-    _check("formulation", formulation, FORMULATIONS)
+    """Raise InputError for an unknown QP formulation, or if `workspace` is no solver workspace."""
+    _check_choice("formulation", formulation, FORMULATIONS)
     if not isinstance(workspace, Workspace):
         raise InputError("run", "workspace", repr(workspace), "a Workspace; see open_workspace")
 
 
-def _cell_of(workspace: Workspace, **fields: Any) -> Cell:
-    """The cell of a run of a workspace, whose settings have no name."""
-    return Cell(
-        solver=workspace.solver,
-        route=workspace.route,
-        policy=workspace.policy,
-        settings="",
-        **fields,
-    )
+def _make_cell(workspace: Workspace, **fields: Any) -> Cell:
+    """Describe a solver's run in this process: its scenario or QPs, policy, unnamed settings."""
+    route, policy = workspace.route, workspace.policy
+    return Cell(solver=workspace.solver, route=route, policy=policy, settings="", **fields)
 
 
-def _run(
+def _make_run(
     cell: Cell,
     workspace: Workspace,
     timed_solver: TimedSolver,
-    evaluated: Evaluated,
+    evaluated: EvaluatedCell,
     scenario: Scenario | None = None,
 ) -> Run:
+    """Make a run's table of steps and summary row from its judged answers."""
     steps = step_columns(cell, evaluated)
     outcome = Outcome("finished", "", workspace.form, *timed_solver.size)
     row = run_row("in-process", cell, outcome, Availability(True), "", evaluated, steps)

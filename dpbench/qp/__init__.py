@@ -1,1 +1,1 @@
-"""The language all rooms speak (QP, step, sequence, solution) and the referee."""
+"""The types all packages share (QP, step, sequence, solution) and the referee."""

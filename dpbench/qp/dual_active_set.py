@@ -1,4 +1,4 @@
-"""The dual active-set method on which the paper's eq. 30-32 is run to its end.
+"""The dual active-set method that completes eq. 30-32 of the paper.
 
 With P = L Lᵀ, x = Lᵀz, J = L⁻¹Mᵀ and M = [A; I], the QP is the projection of x0 = −L⁻¹q onto
 lower ≤ Jᵀx ≤ upper, and M P⁻¹ Mᵀ = JᵀJ. For an active set W with limits g the paper's formulas are
@@ -6,13 +6,13 @@ lower ≤ Jᵀx ≤ upper, and M P⁻¹ Mᵀ = JᵀJ. For an active set W with l
     λ_W = −(M_W P⁻¹ M_Wᵀ)⁻¹(−g + M_W P⁻¹ q) = (J_WᵀJ_W)⁻¹(J_Wᵀx0 − g)                  (eq. 31)
     z = −P⁻¹(q + M_Wᵀ λ_W),     that is     x = x0 − J_W λ_W                             (eq. 32)
 
-and eq. 30 asks for the W whose multipliers all have the sign of their limit. Which W to try next is
-what the paper leaves open. Here it is the rule of D. Goldfarb and A. Idnani, "A numerically stable
-dual method for solving strictly convex quadratic programs", Math. Programming 27 (1983) 1-33: start
-from the empty set (eq. 27), bring in the most violated row, and drop the row whose multiplier
-reaches zero first. Every row brought in raises the dual objective strictly, and between two of
-them the set only shrinks, so that no set returns and the method ends, degenerate or not (their
-theorem 3). Ties go to the lowest index.
+and eq. 30 requires the W whose multipliers all have the sign of their limit. The paper leaves open
+which W to try next; here it is the rule of D. Goldfarb and A. Idnani, "A numerically stable dual
+method for solving strictly convex quadratic programs", Math. Programming 27 (1983) 1-33: start from
+the empty set (eq. 27), add the most violated row, and drop the row whose multiplier reaches zero
+first. Every row added raises the dual objective strictly, and between two of them the set only
+shrinks, so that no set returns and the method ends, degenerate or not (their theorem 3). Ties go to
+the lowest index.
 
     J (n, p)    column i: row i of M in the coordinates x, of unit length (scaled by the caller)
     active W    positions k → rows i, in the order they came       J_W = Q R,  Q (n, w), R (w, w)
@@ -25,7 +25,7 @@ so that row 2 comes first and λ₂ = 3.5 s. Three more iterations end at x = (1
 >>> s = 0.5**0.5
 >>> J, upper = np.array([[1.0, 0.0, s], [0.0, 1.0, s]]), np.array([1.0, 1.0, 2.5 * s])
 >>> method = DualActiveSet(J, np.array([3.0, 3.0]), -upper - 10.0, upper, limit=9)
->>> method._most_violated(), method._bring_in(2, 1.0), bool(np.isclose(method._lam[2], 3.5 * s))
+>>> method._find_most_violated(), method._add_row(2, 1.0), bool(np.isclose(method._lam[2], 3.5 * s))
 ((2, 1.0), None, True)
 >>> outcome = method.run()
 >>> outcome.multipliers.round(12).tolist(), outcome.iterations
@@ -42,8 +42,7 @@ import scipy.linalg
 
 from dpbench.arrays import Indices, Matrix, Vector
 
-# A row counts as violated beyond this many roundings of the quantities it is computed from.
-VIOLATED = 1e-14
+VIOLATED = 1e-14  # relative violation from which a row counts as violated
 # A row is a combination of the active ones when less than this share of its length is left after
 # projection: far above rounding (1e-15), far below any angle that a step could be taken along.
 DEPENDENT = 1e-10
@@ -53,10 +52,8 @@ NO_PART = 1e-9
 # A violated dependent row is taken for a contradiction only when it is violated by more than this
 # share; below, it is an active row written twice with rounding, and is set aside.
 CONTRADICTION = 1e-11
-# What rounding of x0 leaves in x, of its length: at a vertex only what two projections leave.
+# Rounding of x0 in x, relative to its length: at a vertex only the rest of two projections.
 ROUNDING, AT_VERTEX = 1e-15, 1e-25
-
-
 # A dependent row is an active one written twice if violated by no more than this before any step.
 WRITTEN_TWICE = 1e-9
 # A guard against rounding only: the method ends by itself, usually within n + m iterations.
@@ -65,7 +62,7 @@ _State = tuple[list[int], Vector, Vector, Matrix, Matrix]
 
 
 class Ending(Enum):
-    """How the method ended."""
+    """Outcome of the dual active-set method: optimal, infeasible or iteration limit."""
 
     OPTIMAL = "optimal"
     INFEASIBLE = "infeasible"
@@ -74,15 +71,11 @@ class Ending(Enum):
 
 @dataclass(eq=False)
 class Outcome:
-    """Where the method ended.
+    """Result of the dual active-set method: final active set, multipliers and iteration count.
 
-    Parameters
-    ----------
-    ending : how.
-    active : rows of the final active set.
-    side : (p,) +1 where a row was brought in at its upper limit, -1 at its lower one.
-    multipliers : (p,) signed, positive at an upper limit; at `INFEASIBLE` a Farkas ray instead.
-    iterations : rows brought in or dropped.
+    active : rows of the final set; side : (p,) +1 where a row was added at its upper limit, −1 at
+    its lower one; multipliers : (p,) signed, positive at an upper limit, at `INFEASIBLE` a Farkas
+    ray; iterations : rows added or dropped.
     """
 
     ending: Ending
@@ -93,10 +86,8 @@ class Outcome:
 
 
 class DualActiveSet:
-    """One run of the method.
+    """Dual active-set solver for the projection of a point onto lower ≤ Jᵀx ≤ upper.
 
-    Parameters
-    ----------
     J : (n, p) columns of unit length, or zero.
     x0 : (n,) the point to project.
     lower, upper : (p,) limits, lower ≤ upper; ±inf where there is none.
@@ -115,65 +106,58 @@ class DualActiveSet:
         contradiction: float = CONTRADICTION,
     ) -> None:
         self._J, self._lower, self._upper = J, lower, upper
-        self._limit = limit
+        self._limit, self._contradiction = limit, contradiction
         self._free = lower == upper  # an equality, whose multiplier has either sign
-        self._base = x0
-        self._x = x0
+        self._base = self._x = x0
         self._active: list[int] = []
-        self._side = np.zeros(J.shape[1])
-        self._lam = np.zeros(J.shape[1])
+        self._side, self._lam = np.zeros(J.shape[1]), np.zeros(J.shape[1])
         self._aside = np.zeros(J.shape[1], dtype=bool)
         self._Q, self._R = np.empty((x0.size, 0)), np.empty((0, 0))
-        self._contradiction = contradiction
         self.iterations = 0
 
     def run(self, start: Vector | None = None) -> Outcome:
-        """Bring in violated rows until there is none left or no step is possible.
+        """Add violated rows to the active set until none is left or no step is possible.
 
-        Parameters
-        ----------
-        start : (p,) +1 or −1 for rows at their upper or lower limit to begin with, independent of
-            one another; None for the empty set.
+        start : (p,) +1 or −1 for independent rows to begin with, at their upper or lower limit.
         """
         if start is not None:
-            self._begin(start)
+            self._warm_start(start)
         while True:
-            j, side = self._most_violated()
+            j, side = self._find_most_violated()
             if j < 0:
-                return self._outcome(Ending.OPTIMAL)
-            ending = self._bring_in(j, side)
-            if ending is not None:
-                return self._outcome(ending)
+                return self._build_outcome(Ending.OPTIMAL)
+            if (ending := self._add_row(j, side)) is not None:
+                return self._build_outcome(ending)
 
-    def _begin(self, start: Vector) -> None:
-        """Hold the rows of `start` less those whose multipliers are wrong: a dual feasible set."""
+    def _warm_start(self, start: Vector) -> None:
+        """Start from the active set `start`, less the rows with multipliers of the wrong sign."""
         self._active = [int(i) for i in np.flatnonzero(start)]
         self._side[self._active] = start[self._active]
         while self._active:
-            self._factor()
-            self._settle()
+            self._factor_active_rows()
+            self._recompute_iterate()
             wrong = np.where(self._free, 0.0, self._side * self._lam)[self._active]
             worst = int(np.argmin(wrong))
             if wrong[worst] >= 0.0:
                 return
             self._lam[self._active.pop(worst)] = 0.0
-        self._factor()
+        self._factor_active_rows()
         self._x = self._base
 
-    def _outcome(self, ending: Ending) -> Outcome:
+    def _build_outcome(self, ending: Ending) -> Outcome:
+        """Return the present active set, multipliers and iteration count as the result."""
         active = np.array(self._active, dtype=np.intp)
         return Outcome(ending, active, self._side, self._lam, self.iterations)
 
-    def _most_violated(self) -> tuple[int, float]:
-        """The inactive row violated most, and +1 at its upper or −1 at its lower limit."""
+    def _find_most_violated(self) -> tuple[int, float]:
+        """Return the inactive row violated most, and +1 at its upper or −1 at its lower limit."""
         w = self._x @ self._J
         over, under = w - self._upper, self._lower - w
         noise = VIOLATED * float(np.max(np.abs(w), initial=0.0))
         vertex = len(self._active) == self._base.size
         noise += (AT_VERTEX if vertex else ROUNDING) * float(np.linalg.norm(self._base))
         excess = np.maximum(over, under)
-        excess[self._active] = -np.inf
-        excess[self._aside] = -np.inf
+        excess[self._active] = excess[self._aside] = -np.inf
         if excess.size == 0:
             return -1, 0.0
         j = int(np.argmax(excess))
@@ -183,26 +167,29 @@ class DualActiveSet:
             return -1, 0.0
         return j, side
 
-    def _bring_in(self, j: int, side: float) -> Ending | None:
-        """Raise the multiplier of row j until the row is active; rows that block are dropped."""
+    def _add_row(self, j: int, side: float) -> Ending | None:
+        """Raise a violated row's multiplier until the row is active; drop rows that block."""
         J, lam = self._J, self._lam
         limit = self._upper[j] if side > 0.0 else self._lower[j]
         self._side[j] = side
         before = self._active.copy(), lam.copy(), self._x, self._Q, self._R
         excess = side * (float(J[:, j] @ self._x) - limit)
-        rounding = excess <= WRITTEN_TWICE * self._size(limit)
+        rounding = excess <= WRITTEN_TWICE * self._violation_scale(limit)
         while self.iterations < self._limit:
             self.iterations += 1
             a = side * J[:, j]
             r, d = self._project(a)
             gap = float(a @ self._x) - side * limit
             dependent = len(self._active) == a.size or d @ d <= DEPENDENT**2 * (a @ a)
-            blocking, t_dual = self._first_to_block(r, NO_PART if dependent else 0.0)
+            blocking, t_dual = self._find_blocking_row(r, NO_PART if dependent else 0.0)
             t_primal = np.inf if dependent else max(gap, 0.0) / float(d @ d)
             if dependent and blocking < 0:
-                if gap > self._contradiction * self._size(limit):
-                    return self._contradicted(j, side, r)
-                self._put_aside(j, before if rounding else None)
+                if gap > self._contradiction * self._violation_scale(limit):
+                    # The ray that proves row j, dependent on the active ones, contradictory.
+                    lam[:] = 0.0
+                    lam[self._active], lam[j] = -r, side
+                    return Ending.INFEASIBLE
+                self._ignore_row(j, before if rounding else None)
                 return None
             t = min(t_primal, t_dual)
             lam[self._active] -= t * r
@@ -210,30 +197,28 @@ class DualActiveSet:
             self._x = self._x - t * d
             if t_primal <= t_dual:
                 self._active.append(j)
-                self._factor()
-                self._settle()
+                self._factor_active_rows()
+                self._recompute_iterate()
                 return None
             lam[self._active.pop(blocking)] = 0.0
-            self._factor()
+            self._factor_active_rows()
         return Ending.ITERATION_LIMIT
 
-    def _factor(self) -> None:
+    def _factor_active_rows(self) -> None:
+        """Compute the QR factorisation of the active constraints' normals."""
         self._Q, self._R = np.linalg.qr(self._J[:, self._active])
 
     def _project(self, a: Vector) -> tuple[Vector, Vector]:
-        """r and d with a = J_W r + d, d orthogonal to J_W; projected twice against rounding."""
+        """Return a vector's coefficients in the active normals, and the rest orthogonal to them."""
         if not self._active:
             return np.empty(0), a
         c = self._Q.T @ a
         d = a - self._Q @ c
         again = self._Q.T @ d
-        return _triangular(self._R, c + again), d - self._Q @ again
+        return _solve_triangular(self._R, c + again), d - self._Q @ again
 
-    def _first_to_block(self, r: Vector, least: float) -> tuple[int, float]:
-        """Position in W and step length at which a multiplier reaches zero; (−1, inf) if none.
-
-        Shares r of at most `least` are none.
-        """
+    def _find_blocking_row(self, r: Vector, least: float) -> tuple[int, float]:
+        """Return which active multiplier reaches zero first along a step, and that step length."""
         if not self._active:
             return -1, np.inf
         lam = self._lam[self._active]
@@ -248,32 +233,26 @@ class DualActiveSet:
         ties = np.flatnonzero(steps == shortest)
         return int(min(ties, key=lambda k: self._active[k])), shortest
 
-    def _settle(self) -> None:
-        """Multipliers and point of the active set anew (eq. 31, 32), free of gathered rounding."""
+    def _recompute_iterate(self) -> None:
+        """Recompute point and multipliers from the active set, free of accumulated rounding."""
         W = self._active
         g = np.where(self._side[W] > 0.0, self._upper[W], self._lower[W])
-        at_limits = _triangular(self._R.T, g, lower=True)
+        at_limits = _solve_triangular(self._R.T, g, lower=True)
         along = self._Q.T @ self._base
-        self._lam[W] = _triangular(self._R, along - at_limits)
+        self._lam[W] = _solve_triangular(self._R, along - at_limits)
         # Projected twice: x0 may be far longer than x, which is all of x0 that a vertex keeps.
         across = self._base - self._Q @ along
         self._x = across - self._Q @ (self._Q.T @ across - at_limits)
 
-    def _size(self, limit: float) -> float:
+    def _violation_scale(self, limit: float) -> float:
+        """Return the size that a violation is relative to: |limit| plus the largest entry of x."""
         return abs(limit) + float(np.max(np.abs(self._x), initial=0.0))
 
-    def _contradicted(self, j: int, side: float, r: Vector) -> Ending:
-        """Row j depends on rows that cannot give way, and is violated: the ray that shows it."""
-        self._lam[:] = 0.0
-        self._lam[self._active] = -r
-        self._lam[j] = side
-        return Ending.INFEASIBLE
-
-    def _put_aside(self, j: int, before: _State | None) -> None:
-        """Row j is the active ones written twice, with rounding.
+    def _ignore_row(self, j: int, before: _State | None) -> None:
+        """Exclude row j from the search: it repeats active rows up to rounding.
 
         If it was violated by no more than rounding at first, the steps since have followed nothing
-        else: they are taken back to `before`.
+        else: they are undone to `before`.
         """
         self._aside[j] = True
         if before is not None:
@@ -283,17 +262,17 @@ class DualActiveSet:
             self._base = self._base - self._lam[j] * self._J[:, j]
 
 
-def _triangular(R: Matrix, b: Vector, *, lower: bool = False) -> Vector:
+def _solve_triangular(R: Matrix, b: Vector, *, lower: bool = False) -> Vector:
+    """Solve the triangular system R x = b."""
     x = scipy.linalg.solve_triangular(R, b, lower=lower, check_finite=False)
     return np.asarray(x, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """The constant part of the QPs of one P and C: L (n, n), scaled J (n, N), scale (N,).
+    """Cholesky factor L (n, n) of P and scaled constraint normals J (n, N), shared by many QPs.
 
-    The columns of J are scaled to unit length, which makes the method independent of the units of
-    z and of the rows.
+    Columns of J have unit length: the method is independent of the units of z and of the rows.
     """
 
     L: Matrix
@@ -302,7 +281,7 @@ class Projection:
 
     @classmethod
     def of(cls, P: Matrix, C: Matrix) -> Projection:
-        """For P (n, n) and rows C (N, n); LinAlgError if P is not positive definite."""
+        """Factorise P (n, n) and scale rows C (N, n); LinAlgError if P is not positive definite."""
         L = np.linalg.cholesky(0.5 * (P + P.T)).astype(np.float64)
         J = scipy.linalg.solve_triangular(L, C.T, lower=True)
         length = np.linalg.norm(J, axis=0)
@@ -319,7 +298,7 @@ class Projection:
         start: Vector | None = None,
         contradiction: float = CONTRADICTION,
     ) -> Outcome:
-        """Where the dual active-set method ends; multipliers are those of the unscaled rows.
+        """Solve the QP with gradient q and row limits (N,); return active set and multipliers.
 
         start : (N,) signs of the rows to begin with, as in `DualActiveSet.run`.
         """

@@ -1,9 +1,9 @@
-"""The language all rooms speak: a quadratic program, one step of it, a recorded sequence.
+"""Types that all packages share: a quadratic program, one step of it, a recorded sequence.
 
     minimise ½ zᵀP z + qᵀz   subject to   l ≤ A z ≤ u,   lb ≤ z ≤ ub
 
-Arrays are float64 and C-contiguous. Nothing here checks values beyond shape and type: a NaN is
-data that the solvers must face and the referee must find.
+Arrays are float64 and C-contiguous. Only shape and type are checked: solvers and the referee have
+to face NaN.
 """
 
 from __future__ import annotations
@@ -21,29 +21,29 @@ from dpbench.errors import ShapeError
 if TYPE_CHECKING:
     from dpbench.qp.solution import Solution
 
-CONSTANT = ("P", "A", "lb", "ub")
-"""What of a problem stays the same along most sequences."""
+CONSTANT = ("P", "A", "lb", "ub")  # along most sequences
+ARRAYS = ("P", "q", "A", "l", "u", "lb", "ub")
 
 
 class Refresh(Flag):
-    """What a step changes in the problem a workspace was set up with."""
+    """Parts of a QP that a step changes in a solver's workspace: vectors, or also matrices."""
 
     VECTORS = auto()
     MATRICES = auto()
 
 
-def in_blocks(n: int, m: int, block: int) -> bool:
-    """Whether n variables and m rows fall into moves of `block` variables and equally many rows."""
+def has_equal_blocks(n: int, m: int, block: int) -> bool:
+    """Return whether n variables and m rows divide into equal moves of `block` variables."""
     return block == 0 or (n % block == 0 and m % (n // block) == 0)
 
 
 def rows_per_block(n: int, m: int, block: int) -> int:
-    """How many of m rows belong to each move of `block` of n variables; 0 where block is."""
+    """Return the number of constraint rows per control move of `block` variables."""
     return m * block // n
 
 
-def shaped(where: str, name: str, value: object, shape: tuple[int, ...]) -> Floats:
-    """`value` as a contiguous float64 array; ShapeError naming where and name unless of `shape`."""
+def check_shape(where: str, name: str, value: object, shape: tuple[int, ...]) -> Floats:
+    """Return `value` as a contiguous float64 array; ShapeError if its shape is not `shape`."""
     array = np.ascontiguousarray(value, dtype=np.float64)
     if array.shape != shape:
         raise ShapeError.of(where, name, array.shape, f"shape {shape}")
@@ -52,7 +52,7 @@ def shaped(where: str, name: str, value: object, shape: tuple[int, ...]) -> Floa
 
 @dataclass(frozen=True, eq=False)
 class QuadraticProgram:
-    """A convex QP in two-sided form.
+    """Convex quadratic program (QP) with two-sided rows and bounds.
 
     Parameters
     ----------
@@ -61,25 +61,24 @@ class QuadraticProgram:
     A : (m, n) rows; m may be 0.
     l, u : (m,) row limits, ±inf allowed.
     lb, ub : (n,) bounds, ±inf allowed.
-    block : variables per move, so that a workspace can shift a warm start by one move without
-        knowing ships; the rows belong to the n/block moves alike. 0 keeps a start as it is.
-    moves : how many variables of a block, its first ones, are moves of an actuator; the rest are
-        slacks, which no error of a move or of a plan counts. 0 = all.
-
-    Raises
-    ------
-    ShapeError : if the shapes do not fit each other.
+    block : variables per move, by which a warm start is shifted; every move has equally many rows.
+        0 = a start is not shifted.
+    moves : number of variables at the start of a block that are moves of an actuator; the others
+        are slacks, which no error of a move or of a plan counts. 0 = all.
+    stages : (states, inputs) of each stage of an optimal control problem whose variables are in
+        this order, for a solver that factorises stage by stage; () where there are none.
     """
 
     P: Matrix
     q: Vector
     A: Matrix
-    l: Vector  # noqa: E741 - the name of the lower row limit in OSQP's and the paper's notation
+    l: Vector  # noqa: E741 - OSQP's and the paper's name of the lower row limit
     u: Vector
     lb: Vector
     ub: Vector
     block: int = 0
     moves: int = 0
+    stages: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
         n = np.shape(self.q)[0] if np.ndim(self.q) == 1 else -1
@@ -90,9 +89,9 @@ class QuadraticProgram:
             raise ShapeError.of("QuadraticProgram", "A", np.shape(self.A), f"shape (m, {n})")
         shapes = {"P": (n, n), "q": (n,), "A": (m, n), "l": (m,), "u": (m,), "lb": (n,), "ub": (n,)}
         for name, shape in shapes.items():
-            array = shaped("QuadraticProgram", name, getattr(self, name), shape)
+            array = check_shape("QuadraticProgram", name, getattr(self, name), shape)
             object.__setattr__(self, name, array)
-        if not in_blocks(n, m, self.block):
+        if not has_equal_blocks(n, m, self.block):
             allowed = f"0, or a divisor of n={n} into moves that share m={m} rows alike"
             raise ShapeError.of("QuadraticProgram", "block", (self.block,), allowed)
         most = self.block or n
@@ -106,55 +105,40 @@ class QuadraticProgram:
 
     @property
     def m(self) -> int:
-        """Number of rows."""
+        """Number of constraint rows, without bounds."""
         return int(self.A.shape[0])
 
     def limits(self) -> tuple[Vector, Vector]:
-        """[l; lb] and [u; ub], the lower and upper limits of the rows of [A; I]: (m + n,) each."""
+        """Return lower and upper limits (m + n,) of rows and bounds together."""
         return np.concatenate((self.l, self.lb)), np.concatenate((self.u, self.ub))
 
     def objective(self, z: Vector) -> float:
-        """½ zᵀPz + qᵀz."""
+        """Return the objective value ½ zᵀPz + qᵀz at z."""
         return float(0.5 * z @ self.P @ z + self.q @ z)
 
     def copy(self) -> QuadraticProgram:
-        """The same problem in memory that nobody else holds."""
-        P, q, A, l, u, lb, ub = (  # noqa: E741 - the name in OSQP's notation, as `l` above
-            array.copy() for array in (self.P, self.q, self.A, self.l, self.u, self.lb, self.ub)
-        )
-        return QuadraticProgram(P, q, A, l, u, lb, ub, self.block, self.moves)
+        """Copy the problem with all its arrays."""
+        return replace(self, **{name: getattr(self, name).copy() for name in ARRAYS})
 
     def changed_by(self, step: QPStep) -> bool:
-        """Whether a step has to be solved with other matrices than those of this problem."""
+        """Return whether a step brings matrices or bounds that differ from this problem's."""
         if step.P is step.A is step.lb is step.ub is None:
             return False
-        for name in CONSTANT:
-            matrix, known = getattr(step, name), getattr(self, name)
-            if matrix is not None and matrix is not known and not np.array_equal(matrix, known):
-                return True
-        return False
+        pairs = [(getattr(step, name), getattr(self, name)) for name in CONSTANT]
+        return any(
+            new is not None and new is not old and not np.array_equal(new, old)
+            for new, old in pairs
+        )
 
     def at(self, step: QPStep) -> QuadraticProgram:
-        """The problem after `step`: its vectors, and its matrices where it brings any."""
-        return QuadraticProgram(
-            self.P if step.P is None else step.P,
-            step.q,
-            self.A if step.A is None else step.A,
-            step.l,
-            step.u,
-            self.lb if step.lb is None else step.lb,
-            self.ub if step.ub is None else step.ub,
-            self.block,
-            self.moves,
-        )
+        """Return this QP with a step's vectors q, l and u, and its matrices if the step has any."""
+        parts = {name: getattr(step, name) for name in ARRAYS}
+        return replace(self, **{name: part for name, part in parts.items() if part is not None})
 
 
 @dataclass(slots=True, eq=False)
 class QPStep:
-    """What changes from one step to the next; the vectors live in memory of the step's own.
-
-    `P, A, lb, ub` are None unless they changed.
-    """
+    """Data of a QP that change from one step to the next."""
 
     q: Vector
     l: Vector  # noqa: E741 - l ≤ Az ≤ u, the name of the field
@@ -166,23 +150,23 @@ class QPStep:
 
     @property
     def refresh(self) -> Refresh:
-        """`VECTORS`, or `VECTORS | MATRICES` when P, A, lb or ub changed."""
-        if self.P is None and self.A is None and self.lb is None and self.ub is None:
+        """Parts that this step changes: vectors alone, or matrices and bounds too."""
+        if self.P is self.A is self.lb is self.ub is None:
             return Refresh.VECTORS
         return Refresh.VECTORS | Refresh.MATRICES
 
     def copy(self) -> QPStep:
-        """The same step in memory that nobody else holds."""
+        """Copy the step with all its arrays."""
         P, A, lb, ub = (a if a is None else a.copy() for a in (self.P, self.A, self.lb, self.ub))
         return QPStep(self.q.copy(), self.l.copy(), self.u.copy(), P, A, lb, ub)
 
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """Diagonal change of units between a problem as solved and its scaled form.
+    """Diagonal scaling between a problem in its own units and its scaled form.
 
-    z_own = z * z_scaled and (A z)_own = row * (A z)_scaled; the objective is the same number in
-    both, so multipliers transform by y_scaled = row * y_own and y_box_scaled = z * y_box_own.
+    z_own = z * z_scaled and (A z)_own = row * (A z)_scaled; the objective is equal in both, so
+    y_scaled = row * y_own and y_box_scaled = z * y_box_own.
     """
 
     z: Vector
@@ -191,20 +175,18 @@ class Units:
 
 @dataclass(frozen=True, eq=False)
 class QPSequence:
-    """QPs recorded along one run: constant matrices in `base`, the rest per step.
+    """Sequence of QPs recorded along one run, with constant or varying matrices.
 
     Parameters
     ----------
     name : what it was recorded from.
-    base : the problem of step 0 (all its arrays are those of step 0).
+    base : the problem of step 0.
     q, l, u : (K, n), (K, m), (K, m) vectors of each step.
-    P, A : (K, n, n), (K, m, n) matrices of each step; None where they are those of `base`.
-    lb, ub : (K, n) bounds of each step; None where they are those of `base`.
-    units : how the variables of these QPs relate to the scaled ones; None means scaled.
-    scaled : the same sequence in scaled units, what the referee judges in; None when this is it.
-    meta : where it comes from: scenario, sample time [s], first step, versions.
-    sparse_equivalent : makes the same problems in sparse form with the states kept; None where
-        nobody can.
+    P, A, lb, ub : (K, …) matrices and bounds of each step; None where they are those of `base`.
+    units : relation of the variables to the scaled ones; None for a scaled sequence.
+    scaled : the same sequence in scaled units, in which answers are judged; None when this is it.
+    meta : origin: scenario, sample time [s], first step, versions.
+    sparse_equivalent : makes the sparse form with the states kept; None where there is none.
     """
 
     name: str
@@ -228,64 +210,46 @@ class QPSequence:
         for name, shape in shapes.items():
             if getattr(self, name) is None and name in CONSTANT:
                 continue
-            array = shaped("QPSequence", name, getattr(self, name), shape)
+            array = check_shape("QPSequence", name, getattr(self, name), shape)
             object.__setattr__(self, name, array)
 
     def __len__(self) -> int:
         return int(self.q.shape[0])
 
     def step(self, k: int) -> QPStep:
-        """Step k in memory of its own: whatever is written there, the sequence stays as it is."""
+        """Return a copy of the QP data of step k that change along the sequence."""
         step = QPStep(self.q[k].copy(), self.l[k].copy(), self.u[k].copy())
-        if not (self.P is None and self.A is None and self.lb is None and self.ub is None):
-            for name in CONSTANT:
-                array = getattr(self, name)
-                if array is not None:
-                    setattr(step, name, array[k].copy())
+        for name in CONSTANT:
+            if (array := getattr(self, name)) is not None:
+                setattr(step, name, array[k].copy())
         return step
 
     def problem(self, k: int) -> QuadraticProgram:
-        """The whole problem of step k."""
+        """Return the complete QP of step k."""
         return self.base.at(self.step(k))
 
 
-def in_own_units(scaled: QPSequence, units: Units) -> QPSequence:
-    """The same QPs in the units `units` stands for, with `scaled` as their scaled form.
+def convert_units(scaled: QPSequence, units: Units) -> QPSequence:
+    """Convert a scaled QP sequence to other units; the scaled one stays attached to it.
 
         P_own = U⁻¹ P U⁻¹,  q_own = U⁻¹ q,  A_own = W A U⁻¹,  l_own = W l,  lb_own = U lb
 
-    with U = diag(units.z) and W = diag(units.row).
-
-    Parameters
-    ----------
-    scaled : a sequence in scaled units.
-    units : z (n,) and row (m,), what 1 of a variable and of a row is in the other units.
-
-    Raises
-    ------
-    ShapeError : for units of another size than the QPs.
+    with U = diag(units.z) (n,) and W = diag(units.row) (m,); ShapeError for units of another size.
     """
     base = scaled.base
     for name, factors, size in (("z", units.z, base.n), ("row", units.row, base.m)):
         if factors.shape != (size,):
             raise ShapeError.of("Units", name, factors.shape, f"shape {(size,)}")
     z, row = units.z, units.row
-    factor: dict[str, Any] = {
-        "P": 1.0 / np.outer(z, z),
-        "q": 1.0 / z,
-        "A": np.outer(row, 1.0 / z),
-        "l": row,
-        "u": row,
-        "lb": z,
-        "ub": z,
-    }
+    factor: dict[str, Any] = {"l": row, "u": row, "lb": z, "ub": z, "q": 1.0 / z}
+    factor |= {"P": 1.0 / np.outer(z, z), "A": np.outer(row, 1.0 / z)}
     own = {name: getattr(base, name) * by for name, by in factor.items()}
-    problem = QuadraticProgram(**own, block=base.block, moves=base.moves)
+    problem = replace(base, **own)
     # The same factors for all steps: they are those of the last axes.
-    steps = {name: getattr(scaled, name) * factor[name] for name in ("q", "l", "u")}
-    for name in CONSTANT:
-        matrices = getattr(scaled, name)
-        steps[name] = None if matrices is None else matrices * factor[name]
+    parts = {name: getattr(scaled, name) for name in ARRAYS}
+    steps: dict[str, Any] = {
+        name: None if part is None else part * factor[name] for name, part in parts.items()
+    }
     return replace(
         scaled, base=problem, units=units, scaled=scaled, sparse_equivalent=None, **steps
     )
@@ -293,11 +257,7 @@ def in_own_units(scaled: QPSequence, units: Units) -> QPSequence:
 
 @dataclass(frozen=True, eq=False)
 class SparseEquivalent:
-    """The problems of a sequence in sparse form, and the way back from their answers.
-
-    `condensed` maps an answer to a problem of `sequence` to one of the sequence it is the
-    sparse_equivalent of.
-    """
+    """Sparse form of a condensed QP sequence, and the map of its solutions to condensed ones."""
 
     sequence: QPSequence
     condensed: Callable[[Solution], Solution]

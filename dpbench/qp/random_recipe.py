@@ -1,29 +1,19 @@
-"""Recipes of random parametric QPs: what a family is about, and all that makes a sequence."""
+"""Recipes of random parametric QPs: families, and the data a sequence is made from."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 from dpbench.errors import InputError
-from dpbench.qp.program import in_blocks
+from dpbench.qp.program import has_equal_blocks
 
-MARGIN = 0.25
-"""By how much the limits of an infeasible step contradict each other."""
-NEAR = 2.0**-26
-"""Distance to a limit that is missed by less than most tolerances."""
-LARGEST = (120, 300)
-"""Most variables and rows; with more, sums would be rounded."""
+MARGIN = 0.25  # By how much the limits of an infeasible step contradict each other
+NEAR = 2.0**-26  # Distance to a limit that is missed by less than most tolerances
+LARGEST = (120, 300)  # Most variables and rows; with more, sums would be rounded
 
 
 @dataclass(frozen=True)
 class Family:
-    """What makes a family of problems hard.
+    """Family of random QPs, defined by the properties that make them hard.
 
-    Parameters
-    ----------
-    shows : what it is, in words.
     cond : condition of P where a recipe names none; semidefinite : P has less than full rank.
     touching : rows and bounds met with a zero multiplier, as a share of n.
     twins : share of rows that are written twice; equal, free, one_sided : shares of rows.
@@ -65,18 +55,12 @@ FAMILIES: dict[str, Family] = {
 
 @dataclass(frozen=True)
 class RandomRecipe:
-    """All that a random sequence is made from.
+    """Parameters from which a random QP sequence is generated.
 
-    Parameters
-    ----------
     family : a name of `FAMILIES`.
     n, m : variables and rows, at most `LARGEST`; seed : of everything random.
     steps : length of the sequence; block : as in `QuadraticProgram`.
     cond : condition of P, 0 for that of the family.
-
-    Raises
-    ------
-    InputError : naming the field, what was found and what is allowed.
     """
 
     family: str
@@ -89,47 +73,32 @@ class RandomRecipe:
 
     def __post_init__(self) -> None:
         if self.family not in FAMILIES:
-            raise _refused("family", repr(self.family), f"one of {', '.join(FAMILIES)}")
+            raise _recipe_error("family", repr(self.family), f"one of {', '.join(FAMILIES)}")
         if not 2 <= self.n <= LARGEST[0]:
-            raise _refused("n", self.n, f"2 to {LARGEST[0]}")
-        least = self._least_rows
+            raise _recipe_error("n", self.n, f"2 to {LARGEST[0]}")
+        rows = {"degenerate": self.n, "no_rows": 0, "plain": 0, "semidefinite": 0}
+        least = rows.get(self.family, 2)
         most = LARGEST[1] if self.family != "no_rows" else 0
         if not least <= self.m <= most:
-            raise _refused("m", self.m, f"{least} to {most} for {self.family} with n = {self.n}")
+            allowed = f"{least} to {most} for {self.family} with n = {self.n}"
+            raise _recipe_error("m", self.m, allowed)
         if self.seed < 0 or self.steps < 1:
-            raise _refused("seed, steps", (self.seed, self.steps), "0 or more, 1 or more")
-        if self.block < 0 or not in_blocks(self.n, self.m, self.block):
+            raise _recipe_error("seed, steps", (self.seed, self.steps), "0 or more, 1 or more")
+        if self.block < 0 or not has_equal_blocks(self.n, self.m, self.block):
             allowed = f"0, or a divisor of n={self.n} into moves that share m={self.m} rows alike"
-            raise _refused("block", self.block, allowed)
+            raise _recipe_error("block", self.block, allowed)
         if self.cond != 0.0 and not 1.0 <= self.cond <= 1e8:
-            raise _refused("cond", self.cond, "1 to 1e8, or 0 for that of the family")
-
-    @property
-    def _least_rows(self) -> int:
-        """Fewest rows that can show what the family is about."""
-        rows = {"degenerate": self.n, "no_rows": 0, "plain": 0, "semidefinite": 0}
-        return rows.get(self.family, 2)
+            raise _recipe_error("cond", self.cond, "1 to 1e8, or 0 for that of the family")
 
     @property
     def name(self) -> str:
-        """A name that tells recipes apart, e.g. `plain-n12-m30-s1`."""
-        defaults = {field.name: field.default for field in fields(self)}
-        extra = "".join(
-            f"-{key}{getattr(self, key):g}"
-            for key in ("steps", "block", "cond")
-            if getattr(self, key) != defaults[key]
-        )
+        """Unique name of the recipe, e.g. `plain-n12-m30-s1`."""
+        usual = {"steps": 24, "block": 0, "cond": 0.0}
+        values = {key: getattr(self, key) for key in usual}
+        extra = "".join(f"-{key}{value:g}" for key, value in values.items() if value != usual[key])
         return f"{self.family}-n{self.n}-m{self.m}-s{self.seed}{extra}"
 
-    def to_dict(self) -> dict[str, Any]:
-        """The recipe as plain values, for JSON."""
-        return asdict(self)
 
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> RandomRecipe:
-        """The recipe that `to_dict` described."""
-        return cls(**values)
-
-
-def _refused(key: str, found: object, allowed: str) -> InputError:
+def _recipe_error(key: str, found: object, allowed: str) -> InputError:
+    """Return the InputError for a parameter that a recipe does not allow."""
     return InputError("random recipe", key, found, allowed)

@@ -1,4 +1,4 @@
-"""Random parametric QPs whose optimum is planted, so that the truth depends on no solver.
+"""Random parametric QPs with a planted optimum, which depends on no solver.
 
 Chosen first are z*, the limits it meets and their multipliers; what makes it the optimum follows:
 
@@ -11,11 +11,10 @@ P = Q Λ Qᵀ with λ = c^−½ … c^½ for a condition c, or P = B Bᵀ of les
 semidefinite to the last bit; A has rows of unit norm to within 1e-4, the spacing of its grid.
 """
 
-from __future__ import annotations
-
 import math
 import zlib
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,59 +22,53 @@ from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.random_recipe import FAMILIES, MARGIN, NEAR, Family, RandomRecipe
 
-POINT = 2.0**-10
-"""Grid of z, of multipliers and of slacks."""
-ROW = 2.0**-16
-"""Grid of the entries of A."""
+POINT = 2.0**-10  # Grid of z, of multipliers and of slacks
+ROW = 2.0**-16  # Grid of the entries of A
 COST_BITS = 36
 """Bits of an entry of P below the largest eigenvalue: with |z| ≤ 2 on its grid and n ≤ 120 every
 partial sum of Pz stays below 2^53 units, and the smallest of 1e8 eigenvalues is kept to 1 %."""
-FACTOR = 2.0**-7
-"""Grid of the factor of a semidefinite P."""
+FACTOR = 2.0**-7  # Grid of the factor of a semidefinite P
 
 
-def on_grid(x: Vector, unit: float) -> Vector:
-    """The nearest multiples of a power of two."""
+def round_to_grid(x: Vector, unit: float) -> Vector:
+    """Round numbers to the nearest multiples of `unit`, a power of two."""
     return np.rint(x / unit) * unit
 
 
-def definite_cost(rng: np.random.Generator, n: int, cond: float) -> Matrix:
-    """A positive definite P (n, n) with eigenvalues from cond^−½ to cond^½."""
+def draw_definite(rng: np.random.Generator, n: int, cond: float) -> Matrix:
+    """Draw a random positive definite P (n, n) with condition number `cond`."""
     Q, _ = np.linalg.qr(rng.normal(size=(n, n)))
     P = (Q * np.geomspace(cond**-0.5, cond**0.5, n)) @ Q.T
     unit = 2.0 ** (math.ceil(0.5 * math.log2(cond)) - COST_BITS)
-    return on_grid(0.5 * (P + P.T), unit)
+    return round_to_grid(0.5 * (P + P.T), unit)
 
 
-def semidefinite_cost(rng: np.random.Generator, n: int, rank: int) -> Matrix:
-    """A positive semidefinite P (n, n) of that rank, exactly."""
-    B = on_grid(rng.normal(size=(n, rank)) / math.sqrt(rank), FACTOR)
+def draw_semidefinite(rng: np.random.Generator, n: int, rank: int) -> Matrix:
+    """Draw a random positive semidefinite P (n, n) of exactly the given rank."""
+    B = round_to_grid(rng.normal(size=(n, rank)) / math.sqrt(rank), FACTOR)
     return B @ B.T
 
 
-def unit_rows(rng: np.random.Generator, m: int, n: int) -> Matrix:
-    """Rows (m, n) of unit norm; every second one with three entries in four left out."""
+def draw_unit_rows(rng: np.random.Generator, m: int, n: int) -> Matrix:
+    """Draw random constraint rows (m, n) of unit norm, every second one sparse."""
     A = rng.normal(size=(m, n))
     sparse = rng.random((m, n)) < 0.75
     sparse[::2] = False
     # One entry stays, so that there is a direction left.
     sparse[np.arange(m), rng.integers(0, n, m)] = False
     A[sparse] = 0.0
-    return on_grid(A / np.linalg.norm(A, axis=1, keepdims=True), ROW)
+    return round_to_grid(A / np.linalg.norm(A, axis=1, keepdims=True), ROW)
 
 
-JUMPS = 2
+JUMPS = 2  # of the signals
 
 
 @dataclass(frozen=True, eq=False)
-class Planted:
-    """A sequence with what was planted in it.
+class PlantedSequence:
+    """Random QP sequence together with its known optima, chosen before the QPs were built.
 
-    Parameters
-    ----------
-    feasible : (K,) whether a step has a feasible point.
-    z : (K, n) optimum, NaN where infeasible; y : (K, m), y_box : (K, n) multipliers of it, or the
-        Farkas vector of an infeasible step.
+    feasible (K,); z (K, n) optimum, NaN where infeasible; y (K, m), y_box (K, n) its multipliers,
+    or the Farkas vector of an infeasible step.
     """
 
     sequence: QPSequence
@@ -86,40 +79,36 @@ class Planted:
 
 
 def random_sequence(recipe: RandomRecipe) -> QPSequence:
-    """The sequence of a recipe; the same recipe gives the same bits."""
-    return planted(recipe).sequence
+    """Generate the random QP sequence of a recipe, identical to the bit each time."""
+    return plant_sequence(recipe).sequence
 
 
-def planted(recipe: RandomRecipe) -> Planted:
-    """The sequence of a recipe with its optima; the same recipe gives the same bits."""
+def plant_sequence(recipe: RandomRecipe) -> PlantedSequence:
+    """Generate the random QP sequence of a recipe together with its known optima."""
     family = FAMILIES[recipe.family]
     seed = [recipe.seed, recipe.n, recipe.m, zlib.crc32(recipe.family.encode())]
     rng = np.random.default_rng(seed)
-    frame = _frame(recipe, family, rng)
-    signals = _signals(rng, recipe.steps, recipe.m + recipe.n)
+    frame = _draw_frame(recipe, family, rng)
+    signals = _draw_signals(rng, recipe.steps, recipe.m + recipe.n)
     share = 0.4 + 0.2 * np.sin(2.0 * np.pi * (np.arange(recipe.steps) / 12.0 + rng.random()))
     steps = []
     for k in range(recipe.steps):
         count = max(1, round(float(share[k]) * recipe.n))
-        step = _plant(frame, family, signals[k], count)
+        step = _plant_step(frame, family, signals[k], count)
         if family.infeasible and k % 3 == 2:
-            step = _contradicted(frame, step, int(rng.integers(recipe.m)), k)
+            step = _make_infeasible(frame, step, int(rng.integers(recipe.m)), k)
         steps.append(step)
     first = steps[0]
-    base = QuadraticProgram(
-        frame.P, first.q, frame.A, first.l, first.u, frame.lb, frame.ub, recipe.block
-    )
-    q, l, u, z, y, y_box = (  # noqa: E741 - as in QuadraticProgram
-        np.array([getattr(step, name) for step in steps])
-        for name in ("q", "l", "u", "z", "y", "y_box")
-    )
+    limits = first.l, first.u, frame.lb, frame.ub
+    base = QuadraticProgram(frame.P, first.q, frame.A, *limits, recipe.block)
+    q, l, u, z, y, y_box = (np.array(part) for part in zip(*steps, strict=True))  # noqa: E741
     sequence = QPSequence(recipe.name, base, q, l, u, meta={"family": recipe.family})
-    return Planted(sequence, np.isfinite(z).all(axis=1), z, y, y_box)
+    return PlantedSequence(sequence, np.isfinite(z).all(axis=1), z, y, y_box)
 
 
 @dataclass(frozen=True, eq=False)
-class _Frame:
-    """What is constant along a sequence; masks and `twin` run over the rows of [A; I].
+class _ConstantParts:
+    """Parts of a random QP sequence that are constant over its steps.
 
     lo, hi (n,) : where bounds are, or would be; half (m,) : half the width of a row.
     above, below (m+n,) : whether there is an upper and a lower limit. equal (m+n,) : l = u.
@@ -139,18 +128,17 @@ class _Frame:
 
     @property
     def lb(self) -> Vector:
-        """Lower bounds."""
+        """Lower bounds (n,) of the variables, −inf where there is none."""
         return np.where(self.below[len(self.half) :], self.lo, -np.inf)
 
     @property
     def ub(self) -> Vector:
-        """Upper bounds."""
+        """Upper bounds (n,) of the variables, inf where there is none."""
         return np.where(self.above[len(self.half) :], self.hi, np.inf)
 
 
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """One step with its optimum, or its Farkas vector beside z = NaN."""
+class _PlantedStep(NamedTuple):
+    """One random QP step with its known optimum, or its Farkas vector where infeasible."""
 
     q: Vector
     l: Vector  # noqa: E741 - as in QuadraticProgram
@@ -160,13 +148,12 @@ class _Step:
     y_box: Vector
 
 
-def _frame(recipe: RandomRecipe, family: Family, rng: np.random.Generator) -> _Frame:
+def _draw_frame(recipe: RandomRecipe, family: Family, rng: np.random.Generator) -> _ConstantParts:
+    """Draw a random QP sequence's constant matrices and bounds, and which row limits exist."""
     n, m = recipe.n, recipe.m
-    if family.semidefinite:
-        P = semidefinite_cost(rng, n, n - max(1, n // 5))
-    else:
-        P = definite_cost(rng, n, recipe.cond or family.cond)
-    A = unit_rows(rng, m, n)
+    rank, cond = n - max(1, n // 5), recipe.cond or family.cond
+    P = draw_semidefinite(rng, n, rank) if family.semidefinite else draw_definite(rng, n, cond)
+    A = draw_unit_rows(rng, m, n)
     twin, sign = np.full(m + n, -1, dtype=np.intp), np.ones(m + n)
     for pair in range(min(m // 2, max(1, round(0.5 * family.twins * m))) if family.twins else 0):
         i, j = 2 * pair, 2 * pair + 1
@@ -181,22 +168,15 @@ def _frame(recipe: RandomRecipe, family: Family, rng: np.random.Generator) -> _F
         equal[rng.permutation(m)[: min(round(family.equal * m), max(1, n // 3))]] = True
     upper_kept = rng.random(m) < 0.5
     open_lo, open_hi = (rng.random(n) < family.open_bounds for _ in range(2))
-    return _Frame(
-        P,
-        A,
-        lo=-on_grid(rng.uniform(0.5, 1.5, n), POINT),
-        hi=on_grid(rng.uniform(0.5, 1.5, n), POINT),
-        half=on_grid(rng.uniform(0.25, 1.0, m), POINT),
-        above=np.concatenate((~free & ~(one_sided & ~upper_kept), ~open_hi)),
-        below=np.concatenate((~free & ~(one_sided & upper_kept), ~open_lo)),
-        equal=equal,
-        twin=twin,
-        sign=sign,
-    )
+    ends = (0.5, 1.5, n), (0.5, 1.5, n), (0.25, 1.0, m)
+    lo, hi, half = (round_to_grid(rng.uniform(*interval), POINT) for interval in ends)
+    above = np.concatenate((~free & ~(one_sided & ~upper_kept), ~open_hi))
+    below = np.concatenate((~free & ~(one_sided & upper_kept), ~open_lo))
+    return _ConstantParts(P, A, -lo, hi, half, above, below, equal, twin, sign)
 
 
-def _signals(rng: np.random.Generator, K: int, N: int) -> Matrix:
-    """Smooth paths (K, N) of size 0.5 to 2 with `JUMPS` jumps, of all at once."""
+def _draw_signals(rng: np.random.Generator, K: int, N: int) -> Matrix:
+    """Draw K steps of N smooth random signals of size 0.5 to 2, with common jumps."""
     size, speed = rng.uniform(0.5, 2.0, N), rng.uniform(0.2, 1.0, N)
     jumps = np.sort(rng.integers(1, max(2, K), JUMPS))
     phase = rng.random((JUMPS + 1, N))[np.searchsorted(jumps, np.arange(K), side="right")]
@@ -204,8 +184,10 @@ def _signals(rng: np.random.Generator, K: int, N: int) -> Matrix:
     return size * np.sin(2.0 * np.pi * turns)
 
 
-def _met(frame: _Frame, family: Family, s: Vector, count: int) -> tuple[Vector, Vector, Flags]:
-    """Which limits are met: side (N,) in {−1, 0, 1}, multipliers (N,) and the mask of near misses.
+def _choose_active_limits(
+    frame: _ConstantParts, family: Family, s: Vector, count: int
+) -> tuple[Vector, Vector, Flags]:
+    """Choose which limits the optimum of a step meets, with which multipliers.
 
     The `count` strongest signals carry a multiplier, the next ones touch without one.
     """
@@ -217,8 +199,8 @@ def _met(frame: _Frame, family: Family, s: Vector, count: int) -> tuple[Vector, 
     held = order[: max(1, count - int(frame.equal.sum()))]
     touched = order[len(held) :][: max(1, round(family.touching * n)) if family.touching else 0]
     y = np.zeros(len(s))
-    y[held] = side[held] * on_grid(0.125 + np.abs(s[held]), POINT)
-    y[frame.equal] = on_grid(s[frame.equal], POINT)
+    y[held] = side[held] * round_to_grid(0.125 + np.abs(s[held]), POINT)
+    y[frame.equal] = round_to_grid(s[frame.equal], POINT)
     met = np.zeros(len(s))
     met[held], met[touched] = side[held], side[touched]
     near = np.zeros(len(s), dtype=bool)
@@ -231,16 +213,18 @@ def _met(frame: _Frame, family: Family, s: Vector, count: int) -> tuple[Vector, 
     return met, y, near
 
 
-def _plant(frame: _Frame, family: Family, s: Vector, count: int) -> _Step:
-    """One step from its signals s (m+n,); `count` limits carry a multiplier."""
+def _plant_step(frame: _ConstantParts, family: Family, s: Vector, count: int) -> _PlantedStep:
+    """Build one QP step around a chosen optimum, from random numbers s (m + n,)."""
     m = len(frame.half)
-    met, y, near = _met(frame, family, s, count)
+    met, y, near = _choose_active_limits(frame, family, s, count)
     wave = 0.9 * np.clip(0.5 * s, -1.0, 1.0)
     middle, half = 0.5 * (frame.hi + frame.lo), 0.5 * (frame.hi - frame.lo)
-    z = on_grid(middle + half * wave[m:], POINT)
+    z = round_to_grid(middle + half * wave[m:], POINT)
     z = np.where(met[m:] > 0, frame.hi, np.where(met[m:] < 0, frame.lo, z))
     w = frame.A @ z
-    above, below = (on_grid(frame.half * (1.0 + side * wave[:m]), POINT) for side in (-1.0, 1.0))
+    above, below = (
+        round_to_grid(frame.half * (1.0 + side * wave[:m]), POINT) for side in (-1.0, 1.0)
+    )
     close = np.where(near[:m], NEAR, 0.0)
     upper, lower, equal = met[:m] > 0, met[:m] < 0, frame.equal[:m]
     u = w + np.where(equal, 0.0, np.where(upper, close, np.where(lower, 2.0 * frame.half, above)))
@@ -248,18 +232,12 @@ def _plant(frame: _Frame, family: Family, s: Vector, count: int) -> _Step:
         equal, 0.0, np.where(lower, close, np.where(upper, 2.0 * frame.half, below))
     )
     q = -(frame.P @ z + y[:m] @ frame.A + y[m:])
-    return _Step(
-        q,
-        np.where(frame.below[:m], l, -np.inf),
-        np.where(frame.above[:m], u, np.inf),
-        z,
-        y[:m],
-        y[m:],
-    )
+    limits = np.where(frame.below[:m], l, -np.inf), np.where(frame.above[:m], u, np.inf)
+    return _PlantedStep(q, *limits, z, y[:m], y[m:])
 
 
-def _contradicted(frame: _Frame, step: _Step, row: int, k: int) -> _Step:
-    """The step without a feasible point, and the Farkas vector that proves it.
+def _make_infeasible(frame: _ConstantParts, step: _PlantedStep, row: int, k: int) -> _PlantedStep:
+    """Return the step made infeasible, with a Farkas vector that proves it.
 
     In turn: a row demands more than the bounds allow, or than its copy does.
     """
@@ -278,4 +256,4 @@ def _contradicted(frame: _Frame, step: _Step, row: int, k: int) -> _Step:
         u[copy] = l[copy] + frame.half[copy]
         y[row], y[copy] = 1.0, -1.0
         y_box = np.zeros(len(step.z))
-    return _Step(step.q, l, u, np.full(len(step.z), np.nan), y, y_box)
+    return _PlantedStep(step.q, l, u, np.full(len(step.z), np.nan), y, y_box)

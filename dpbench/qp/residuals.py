@@ -1,15 +1,13 @@
-"""Residuals of an answer: what the referee measures without knowing the optimum.
+"""Residuals of an answer, which need no optimum.
 
     primal          = max(0, max(l − Az, Az − u, lb − z, z − ub))
     dual            = ‖r‖_∞,  r = Pz + q + Aᵀy + y_box
     complementarity = max_i |y_i|·|slack_i| towards the limit that the sign of y_i names
     gap             = Σ_i |y_i|·|slack_i| + |zᵀr|
 
-The gap is an upper bound of |primal − dual objective| (the identity is p − d = Σ y⁺(u − Az) +
-Σ y⁻(Az − l) + box terms + zᵀr), summed without cancellation, hence never negative.
+The gap is an upper bound of |primal − dual objective| (p − d = Σ y⁺(u − Az) + Σ y⁻(Az − l) + box
+terms + zᵀr), summed without cancellation, hence never negative.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
@@ -22,16 +20,15 @@ from dpbench.arrays import Flags, Matrix, Vector
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Solution
 
+# How much nearer the other limit must be for a multiplier to count as on the wrong side: below it
+# a solver cannot distinguish the two limits of an equality-like row.
 OPPOSITE = 1e-6
-"""How much nearer the other limit must be before a multiplier counts as on the wrong side: below
-it the two limits of an equality-like row cannot be told apart by a solver."""
 Number = TypeVar("Number", float, Vector)
 
 
 @dataclass(frozen=True, slots=True)
 class Residuals(Generic[Number]):
-    """How far an answer is from satisfying the optimality conditions, in the units of its QP; of
-    several answers (K,) each."""
+    """Residuals of the optimality (KKT) conditions of one answer, or of K answers (K,)."""
 
     primal: Number
     dual: Number
@@ -40,19 +37,19 @@ class Residuals(Generic[Number]):
 
 
 def residuals(qp: QuadraticProgram, solution: Solution) -> Residuals[float]:
-    """The residuals of `solution`; its status is not looked at.
+    """Compute the KKT residuals of a solution, whatever its status.
 
     A multiplier whose sign names an infinite limit, or the far side of a row that is nearer its
     other limit, is an error of full size: its slack counts as at least 1. NaN or Inf in z makes
     everything inf; in the multipliers, everything but `primal`.
     """
     vectors = qp.q, qp.l, qp.u, solution.z, solution.y, solution.y_box
-    of_all = residuals_of_all(qp, *(vector[np.newaxis] for vector in vectors))
+    of_all = compute_residuals_of_many(qp, *(vector[np.newaxis] for vector in vectors))
     numbers = of_all.primal, of_all.dual, of_all.complementarity, of_all.gap
     return Residuals(*(float(number[0]) for number in numbers))
 
 
-def residuals_of_all(
+def compute_residuals_of_many(
     qp: QuadraticProgram,
     q: Matrix,
     l: Matrix,  # noqa: E741 - l ≤ Az ≤ u, the name of the field
@@ -61,10 +58,10 @@ def residuals_of_all(
     y: Matrix,
     y_box: Matrix,
 ) -> Residuals[Vector]:
-    """As `residuals`, of K answers z, y_box (K, n), y (K, m) to K QPs with the matrices and bounds
-    of `qp` and with q (K, n), l, u (K, m) of their own.
+    """Compute the KKT residuals of K answers to K QPs with the same matrices.
 
-    Summed without BLAS, so that no answer's last bits depend on how many others there are.
+    The QPs have the matrices and bounds of `qp`, and q (K, n), l, u (K, m) of their own. Sums are
+    made without BLAS, so that no answer's last bits depend on the number of others.
     """
     bounds = np.broadcast_to(qp.lb, z.shape), np.broadcast_to(qp.ub, z.shape)
     with np.errstate(all="ignore"):
@@ -89,24 +86,21 @@ def residuals_of_all(
         no_point = ~(np.abs(z.sum(axis=1)) < inf)
         nothing = no_point | ~(np.abs(multiplier.sum(axis=1)) < inf)
     return Residuals(
-        _sized(primal, no_point), *(_sized(number, nothing) for number in of_multipliers)
+        _make_inf(primal, no_point), *(_make_inf(number, nothing) for number in of_multipliers)
     )
 
 
-def _sized(numbers: Vector, lost: Flags) -> Vector:
-    """The numbers, with NaN as the error it is, and inf where all is lost."""
+def _make_inf(numbers: Vector, lost: Flags) -> Vector:
+    """Replace NaN, and every value where `lost` is set, by inf."""
     return np.where(lost | np.isnan(numbers), inf, numbers)
 
 
-def best_multipliers(qp: QuadraticProgram, z: Vector, tol: float) -> tuple[Vector, Vector]:
-    """The multipliers that explain `z` best, for answers that come without any.
+def fit_multipliers(qp: QuadraticProgram, z: Vector, tol: float) -> tuple[Vector, Vector]:
+    """Compute multipliers y (m,) and y_box (n,) by non-negative least squares from z alone.
 
-    Non-negative least squares of Pz + q + Gᵀλ over the limits G that z meets to within
-    tol·(1 + |limit|); a row that meets both of its limits may have either sign.
-
-    Returns
-    -------
-    y (m,), y_box (n,) : zero on rows z does not touch; NaN where z is not finite.
+    Non-negative least squares of Pz + q + Gᵀλ over the limits G that z meets to within tol·(1 +
+    |limit|); a row that meets both of its limits may have either sign. Multipliers are zero on
+    other rows, and NaN where z is not finite.
     """
     n, m = qp.n, qp.m
     if not np.isfinite(z).all():
@@ -128,19 +122,16 @@ def best_multipliers(qp: QuadraticProgram, z: Vector, tol: float) -> tuple[Vecto
     return multiplier[:m], multiplier[m:]
 
 
-TRUE_TOL = 1e-3
-"""The tolerance at which an answer is called true, where no other is named."""
-PLAN_TOL_FACTOR = 10.0
-"""The distance of a plan to the optimum may be so many times the tolerance of its residuals."""
+TRUE_TOL = 1e-3  # The tolerance at which an answer is called true, where no other is named
+PLAN_TOL_FACTOR = 10.0  # allowed distance of a plan to the optimum, in tolerances of residuals
 
 
 def is_true(
     qp: QuadraticProgram, residuals: Residuals[float], error_plan: float, tol: float = TRUE_TOL
 ) -> bool:
-    """Whether an answer is true, whatever its solver claims.
+    """Return whether an answer is correct by its residuals and its distance to the optimum.
 
-    primal ≤ tol, dual ≤ tol·(1 + ‖q‖_∞) and error_plan ≤ 10·tol, all in scaled units; NaN in any
-    of them is not true.
+    primal ≤ tol, dual ≤ tol·(1 + ‖q‖_∞) and error_plan ≤ 10·tol, all in scaled units; not for NaN.
     """
     primal, dual = np.array([residuals.primal]), np.array([residuals.dual])
     at_once = Residuals(primal, dual, primal, dual)  # of which the last two are not looked at
@@ -148,7 +139,7 @@ def is_true(
 
 
 def are_true(q: Matrix, residuals: Residuals[Vector], error_plan: Vector, tol: float) -> Flags:
-    """As `is_true`, of K answers to QPs of q (K, n): (K,)."""
+    """Return for K answers to QPs of gradients q (K, n) whether each is correct: (K,)."""
     true: Flags = (
         (residuals.primal <= tol)
         & (residuals.dual <= tol * (1.0 + np.abs(q).max(axis=1)))

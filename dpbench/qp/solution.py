@@ -1,13 +1,13 @@
-"""What a solver answers: a status that is a claim, an iterate, its multipliers.
+"""Answers of solvers: a status, which is a claim, an iterate and its multipliers.
 
-Sign convention of multipliers: y > 0 at an upper limit, y < 0 at a lower one, so that
-stationarity reads P z + q + Aᵀy + y_box = 0.
+Sign convention: y > 0 at an upper limit, y < 0 at a lower one, so that stationarity reads
+P z + q + Aᵀy + y_box = 0.
 """
 
 from __future__ import annotations
 
 import operator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
 
@@ -17,7 +17,7 @@ from dpbench.arrays import Vector
 
 
 class Status(IntEnum):
-    """What the solver claims. The text of each is a sentence with the likely cause."""
+    """Status that a solver claims for its answer, in terms common to all solvers."""
 
     SOLVED = 0
     INACCURATE = 1
@@ -31,21 +31,26 @@ class Status(IntEnum):
 
     @property
     def sentence(self) -> str:
-        """A sentence for a reader of the report."""
+        """Explanation of the status for the report, with the likely cause."""
         return _SENTENCES[self]
 
     @property
-    def usable(self) -> bool:
-        """Whether a finite iterate under this status is applied to the ship.
+    def is_usable(self) -> bool:
+        """Return whether an answer with this status is applied to the ship, if it is finite.
 
-        Infeasible, error and time-limit claims come with no plan worth following; an inaccurate
-        or unfinished iterate is applied and marked.
+        Infeasible, error and time-limit claims come with no plan worth following; an inaccurate or
+        unfinished iterate is applied and marked.
         """
         return self in _USABLE
 
     @property
+    def is_unfinished(self) -> bool:
+        """Return whether an answer with this status is applied, but marked as not optimal."""
+        return self in _UNFINISHED
+
+    @property
     def denies_optimum(self) -> bool:
-        """Whether it is the claim that there is no optimum."""
+        """Return whether the status claims that no optimum exists: infeasible or unbounded."""
         return self in (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)
 
 
@@ -62,23 +67,22 @@ _SENTENCES = {
     Status.ERROR: "The library raised an exception or refused the problem.",
     Status.UNKNOWN: "The library's answer has no documented meaning, or makes no claim.",
 }
-_USABLE = frozenset({Status.SOLVED, Status.INACCURATE, Status.MAX_ITERATIONS, Status.UNKNOWN})
+_UNFINISHED = frozenset({Status.INACCURATE, Status.MAX_ITERATIONS})
+_USABLE = _UNFINISHED | {Status.SOLVED, Status.UNKNOWN}
 
 
 @dataclass(slots=True, eq=False)
 class Solution:
-    """The answer to one QP; arrays are the solution's own memory and NaN where there is none.
-
-    `received` turns an answer that is not so into one that says what is wrong with it.
+    """Answer of a solver to one QP: status, primal point, multipliers and counters.
 
     Parameters
     ----------
     status : the solver's claim.
     z : (n,) iterate, y : (m,) row multipliers, y_box : (n,) bound multipliers; of float64.
     iterations : the solver's own count, -1 when it gives none.
-    reported_ns : the solver's self-reported time, -1 when it gives none; a second opinion, never
-        a substitute for the clock.
-    detail : the library's own words, for the record of a failure.
+    reported_ns : the solver's self-reported time, -1 when it gives none; never a substitute for
+        the clock.
+    detail : message of the library, for the record of a failure.
     """
 
     status: Status
@@ -91,23 +95,22 @@ class Solution:
 
     @classmethod
     def missing(cls, n: int, m: int, status: Status, detail: str = "") -> Solution:
-        """No answer: NaN-filled arrays."""
+        """Return an answer without a point: all arrays are NaN."""
         nan = np.nan
         return cls(status, np.full(n, nan), np.full(m, nan), np.full(n, nan), detail=detail)
 
     def with_iterate(self, z: Vector, y: Vector, y_box: Vector) -> Solution:
-        """The same claim, count, time and words with other numbers, which are not copied."""
-        told = self.iterations, self.reported_ns, self.detail
-        return Solution(self.status, z, y, y_box, *told)
+        """Return a copy with other arrays z, y and y_box, and the same status and counters."""
+        return replace(self, z=z, y=y, y_box=y_box)
 
     @property
     def claimed(self) -> bool:
-        """Whether the solver claims to have solved the problem."""
+        """Return whether the solver claims to have solved the problem."""
         return self.status is Status.SOLVED
 
     @property
     def identity(self) -> bytes:
-        """Equal for answers that are judged alike: the claim and the bits of all numbers."""
+        """Status and array bits as bytes, equal for answers that are judged alike."""
         numbers = (self.z, self.y, self.y_box)
         return bytes([self.status]) + b"".join(array.tobytes() for array in numbers)
 
@@ -118,9 +121,9 @@ _LARGEST = int(np.iinfo(np.int64).max)
 
 
 def is_plain(answer: Any, n: int, m: int) -> bool:
-    """Whether an answer is as `Solution` says, and of nothing but types that cannot compute.
+    """Return whether an answer is a `Solution` of exactly the expected types and shapes.
 
-    What is taken from such an answer later is what was there, and taking it is no solver's work.
+    Reading such an answer later runs no code of a solver.
     """
     if type(answer) is not Solution:
         return False
@@ -139,49 +142,43 @@ def is_plain(answer: Any, n: int, m: int) -> bool:
     )
 
 
-def received(answer: Any, n: int, m: int) -> Solution:
-    """`answer` with everything in it taken out, so that nothing of it is computed later.
+def sanitise_answer(answer: Any, n: int, m: int) -> Solution:
+    """Return a copy of a solver's answer with checked types, or status ERROR if malformed.
 
-    Parameters
-    ----------
-    answer : what a solver gave; n, m : variables and rows of its QP.
-
-    Returns
-    -------
-    A plain `Solution`. Of an answer that is malformed: no answer, with the status ERROR and what is
-    wrong in words.
+    n, m : variables and rows of its QP; the fault of a malformed answer is in `detail`.
     """
     try:
-        return _taken(answer, n, m)
+        return _copy_answer(answer, n, m)
     except _MalformedError as error:
         return Solution.missing(n, m, Status.ERROR, f"malformed answer: {error}")
 
 
 class _MalformedError(Exception):
-    """What of an answer is not as the contract says."""
+    """Error for a part of a solver's answer of the wrong type or shape."""
 
 
-def _taken(answer: Any, n: int, m: int) -> Solution:
+def _copy_answer(answer: Any, n: int, m: int) -> Solution:
+    """Return a checked copy of a solver's answer; _MalformedError for a wrong type or shape."""
     if not isinstance(answer, Solution):
-        raise _MalformedError(f"{_kind(answer)} in place of a Solution")
+        raise _MalformedError(f"{_describe_type(answer)} in place of a Solution")
     status: Any = answer.status
     if type(status) is not Status:
-        raise _MalformedError(f"status is {_kind(status)}, not a Status")
-    z = _array("z", answer.z, n)
-    y, y_box = _array("y", answer.y, m), _array("y_box", answer.y_box, n)
-    iterations = _integer("iterations", answer.iterations)
-    reported_ns = _integer("reported_ns", answer.reported_ns)
+        raise _MalformedError(f"status is {_describe_type(status)}, not a Status")
+    z, y = _copy_array("z", answer.z, n), _copy_array("y", answer.y, m)
+    y_box = _copy_array("y_box", answer.y_box, n)
+    iterations = _read_integer("iterations", answer.iterations)
+    reported_ns = _read_integer("reported_ns", answer.reported_ns)
     detail: Any = answer.detail
     if type(detail) is not str:
-        raise _MalformedError(f"detail is {_kind(detail)}, not text")
+        raise _MalformedError(f"detail is {_describe_type(detail)}, not text")
     return Solution(status, z, y, y_box, iterations, reported_ns, detail)
 
 
-def _array(name: str, value: Any, size: int) -> Vector:
-    """A float64 array as it lies in memory; whatever else could be made one is none."""
+def _copy_array(name: str, value: Any, size: int) -> Vector:
+    """Return a copy of a float64 array of the given size; _MalformedError for anything else."""
     if not isinstance(value, np.ndarray):
-        raise _MalformedError(f"{name} is {_kind(value)}, not an array")
-    # Of a subclass the numbers in its memory, and nothing it would do when asked for them.
+        raise _MalformedError(f"{name} is {_describe_type(value)}, not an array")
+    # The numbers in memory, without any code of a subclass.
     array: Any = np.array(value, subok=False)
     if array.dtype != _FLOAT64 or array.shape != (size,):
         given = f"{array.dtype} of shape {array.shape}"
@@ -189,16 +186,17 @@ def _array(name: str, value: Any, size: int) -> Vector:
     return np.ascontiguousarray(array, dtype=np.float64)
 
 
-def _integer(name: str, value: Any) -> int:
+def _read_integer(name: str, value: Any) -> int:
+    """Return a counter as an int; _MalformedError if it is no integer of 64 bits."""
     try:
         number = operator.index(value)
     except TypeError as error:
-        raise _MalformedError(f"{name} is {_kind(value)}, not an integer") from error
+        raise _MalformedError(f"{name} is {_describe_type(value)}, not an integer") from error
     if not -_LARGEST <= number <= _LARGEST:
         raise _MalformedError(f"{name} is beyond 64 bits")
     return number
 
 
-def _kind(value: Any) -> str:
-    """The type of a value in words."""
+def _describe_type(value: Any) -> str:
+    """Return the type of a value in words, for an error message."""
     return "None" if value is None else f"of type {type(value).__name__}"

@@ -7,8 +7,6 @@ For N_p 30, N_c 5 these are the paper's 60 rows: M1 = [−C2; C2], M2 = [−I; I
 the two sides of one row combine to y = λ_upper − λ_lower.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from dpbench.qp.program import QPStep, QuadraticProgram
@@ -16,10 +14,7 @@ from dpbench.qp.solution import Solution
 
 
 def stack(qp: QuadraticProgram) -> QuadraticProgram:
-    """The same problem with 2m + 2n one-sided rows and no bounds (eq. 25).
-
-    Rows of one move lie apart here, so `block` is 0; `moves` is kept.
-    """
+    """Convert a QP with two-sided rows and bounds to 2m + 2n one-sided rows M z ≤ γ."""
     identity = np.eye(qp.n)
     M = np.vstack([-qp.A, qp.A, -identity, identity])
     gamma = np.concatenate([-qp.l, qp.u, -qp.lb, qp.ub])
@@ -29,9 +24,9 @@ def stack(qp: QuadraticProgram) -> QuadraticProgram:
 
 
 def stack_step(step: QPStep, stacked: QuadraticProgram) -> QPStep:
-    """The step of the stacked problem; its γ starts from that of `stacked`, whose box part stays.
+    """Convert one step of a QP with two-sided rows to a step of its one-sided form `stacked`.
 
-    Matrix updates bring P and A of the two-sided form; the stacked M is then rebuilt.
+    A step with matrices brings P and A of the two-sided form, from which M is built.
     """
     m = step.l.shape[0]
     gamma = stacked.u.copy()
@@ -51,7 +46,7 @@ def stack_step(step: QPStep, stacked: QuadraticProgram) -> QPStep:
 
 
 def unstack(solution: Solution, m: int) -> Solution:
-    """The solution of the two-sided problem with m rows, from that of the stacked one."""
+    """Convert a solution of the one-sided QP back to one of the two-sided QP with m rows."""
     n = solution.z.shape[0]
     lam = solution.y
     y, y_box = lam[m : 2 * m] - lam[:m], lam[2 * m + n :] - lam[2 * m : 2 * m + n]

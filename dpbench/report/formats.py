@@ -1,21 +1,17 @@
 """Write numbers the way the report prints them: significant digits, units, no made-up values."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from decimal import ROUND_DOWN, ROUND_UP, Decimal
-
-from dpbench.analysis.records.run_record import as_float
+from typing import Any
 
 MISSING = "–"
-"""Stands where there is no number."""
 NO_ANSWER = "no answer"
-"""Stands for an infinite error: a step without any answer."""
+"""Stands for an infinite error."""
 
 
 def time_text(nanoseconds: float) -> str:
-    """A duration in the unit that suits it, three significant digits."""
+    """Format a duration [ns] in ns, µs, ms or s, whichever suits, three significant digits."""
     if not math.isfinite(nanoseconds):
         return MISSING
     for factor, unit in ((1e3, "ns"), (1e6, "µs"), (1e9, "ms")):
@@ -24,13 +20,13 @@ def time_text(nanoseconds: float) -> str:
     return f"{significant(nanoseconds / 1e9)} s"
 
 
-def micro_text(nanoseconds: float) -> str:
-    """A duration in µs without the unit, three significant digits, for a column of a table."""
+def microseconds_text(nanoseconds: float) -> str:
+    """Format a duration [ns] as a number of µs without the unit, three significant digits."""
     return significant(nanoseconds / 1e3) if math.isfinite(nanoseconds) else MISSING
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """`value` with so many significant digits and no exponent within 1e-4..1e7."""
+    """Format a number in significant digits, without exponent from 1e-4 to 1e7."""
     if not math.isfinite(value):
         return MISSING
     if value == 0.0:
@@ -45,16 +41,17 @@ def significant(value: float, digits: int = 3) -> str:
 
 
 def rounded_down(value: float, digits: int = 3) -> str:
-    """As `significant`, but never more than `value`: what still holds when it is believed."""
-    return _rounded(value, digits, ROUND_DOWN)
+    """Format a number in significant digits, rounded down: a bound that still holds."""
+    return _round_significant(value, digits, ROUND_DOWN)
 
 
 def rounded_up(value: float, digits: int = 3) -> str:
-    """As `significant`, but never less than `value`."""
-    return _rounded(value, digits, ROUND_UP)
+    """Format a number in significant digits, rounded up: a bound that still holds."""
+    return _round_significant(value, digits, ROUND_UP)
 
 
-def _rounded(value: float, digits: int, way: str) -> str:
+def _round_significant(value: float, digits: int, way: str) -> str:
+    """Format a positive number in significant digits, rounded up or down."""
     if not (math.isfinite(value) and value > 0.0):
         return significant(value, digits)
     exact = Decimal(value)
@@ -63,7 +60,7 @@ def _rounded(value: float, digits: int, way: str) -> str:
 
 
 def error_text(value: float) -> str:
-    """An error: two significant digits, `no answer` when infinite."""
+    """Format an error: two significant digits, `no answer` when infinite."""
     if math.isnan(value):
         return MISSING
     if math.isinf(value):
@@ -74,7 +71,7 @@ def error_text(value: float) -> str:
 
 
 def share_text(share: float) -> str:
-    """A share in percent; 100 % and 0 % are printed only when they are exact."""
+    """Format a share in percent; 100 % and 0 % are printed only when they are exact."""
     if not math.isfinite(share):
         return MISSING
     percent = 100.0 * share
@@ -83,49 +80,65 @@ def share_text(share: float) -> str:
     return f"{min(max(percent, 0.1), 99.9):.1f} %"
 
 
-def of_sample_text(share: float) -> str:
-    """A time as a share of the sample in percent, two significant digits; it may exceed 100 %."""
+def sample_share_text(share: float) -> str:
+    """Format a share of a control sample in percent, two significant digits; may exceed 100 %."""
     return f"{significant(100.0 * share, 2)} %" if math.isfinite(share) else MISSING
 
 
+def as_float(value: object) -> float:
+    """Convert a table cell to float; a missing one (None, pd.NA, NaN) is NaN."""
+    try:
+        return float(value)  # type: ignore[arg-type] # any cell of a table; what fails is missing
+    except (TypeError, ValueError):
+        return math.nan
+
+
 def count_text(value: object) -> str:
-    """A count with thin spaces between thousands; a missing one is a dash."""
+    """Format a count with thin spaces between thousands; a missing one is a dash."""
     number = as_float(value)
     return f"{number:,.0f}".replace(",", "\u202f") if math.isfinite(number) else MISSING
 
 
 def plural(count: float, word: str) -> str:
-    """`1 step`, `2 steps`."""
+    """Format a count with its noun: `1 step`, `2 steps`."""
     return f"{count_text(count)} {word if count == 1 else word + 's'}"
 
 
 def seconds_text(value: float) -> str:
-    """A settling time; an infinite one never settled."""
+    """Format a settling time in seconds; "never" for an infinite one."""
     if math.isnan(value):
         return MISSING
     return "never" if math.isinf(value) else f"{value:.1f} s"
 
 
 def interval_text(low: float, high: float) -> str:
-    """An interval in brackets."""
+    """Format an interval as `[low, high]`; a dash if an end is not finite."""
     if not (math.isfinite(low) and math.isfinite(high)):
         return MISSING
     return f"[{significant(low)}, {significant(high)}]"
 
 
 def and_list(words: list[str]) -> str:
-    """`a`, `a and b`, `a, b and c`."""
+    """Join words: `a`, `a and b`, `a, b and c`."""
     if len(words) < 2:
         return "".join(words)
     return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def counted_list(counts: Iterable[tuple[str, int]]) -> str:
-    """Names with their counts, the largest first."""
+    """Join names with their counts, `a (3) and b (1)`, the largest count first."""
     ordered = sorted(counts, key=lambda item: -item[1])
     return and_list([f"{name} ({count})" for name, count in ordered])
 
 
-def unmarked(text: str) -> str:
-    """Without the marks of Markdown, which a page and a terminal would show."""
+def strip_markdown(text: str) -> str:
+    """Remove bold and code marks of Markdown from a text."""
     return text.replace("**", "").replace("`", "")
+
+
+def toml_text(value: Any) -> str:
+    """Format a number, or the rows of an array, as TOML text with six significant digits."""
+    if isinstance(value, Iterable):
+        return f"[{', '.join(map(toml_text, value))}]"
+    text = f"{float(value):.6g}"
+    return text if any(sign in text for sign in ".en") else f"{text}.0"

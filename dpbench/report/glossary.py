@@ -1,7 +1,5 @@
 """The glossary: every term that is printed, out of one file, as pages and tooltips need it."""
 
-from __future__ import annotations
-
 import tomllib
 from functools import cache
 from pathlib import Path
@@ -12,19 +10,19 @@ _HEAD = "# Glossary\n\nEvery term that dpbench prints. Columns stand in the refe
 
 @cache
 def topics() -> dict[str, dict[str, str]]:
-    """Meaning by term, by title of the topic."""
+    """Return the glossary as a dictionary: for each topic title, the meanings by term."""
     tables = tomllib.loads(_FILE.read_text(encoding="utf-8"))
     return {table.pop("title"): table for table in tables.values()}
 
 
 @cache
-def meanings() -> dict[str, str]:
-    """Meaning by term, whatever the topic."""
+def term_meanings() -> dict[str, str]:
+    """Return the meaning of each term of the glossary."""
     return {term: text for terms in topics().values() for term, text in terms.items()}
 
 
-def as_markdown() -> str:
-    """`docs/glossary.md`."""
+def glossary_markdown() -> str:
+    """Return the glossary as Markdown, the text of `docs/glossary.md`."""
     parts = [_HEAD]
     for title, terms in topics().items():
         rows = "\n".join(
@@ -35,4 +33,4 @@ def as_markdown() -> str:
 
 
 if __name__ == "__main__":
-    print(as_markdown(), end="")
+    print(glossary_markdown(), end="")

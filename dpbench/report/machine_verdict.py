@@ -1,15 +1,13 @@
 """The verdict on the machine: how quiet it was while replays were timed, what is known of it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import isnan
-from typing import Any
 
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.times.machine import largest_of
-from dpbench.bench.judge.calibration import within_bar
+from dpbench.analysis.times.machine import largest_by_name
+from dpbench.bench.judge.calibration import is_within_tolerance
 from dpbench.bench.record.disturbance import Disturbance
+from dpbench.bench.record.result_folder import MachineDescription
 from dpbench.report.formats import (
     MISSING,
     and_list,
@@ -21,22 +19,22 @@ from dpbench.report.formats import (
 )
 
 
-def verdict_text(disturbance: Disturbance) -> str:
-    """ "quiet", or "disturbed" and by what."""
+def disturbance_text(disturbance: Disturbance) -> str:
+    """Describe whether other programs disturbed the timing: "quiet", or disturbed by what."""
     complaints = disturbance.complaints()
     return f"disturbed: {and_list(complaints)}" if complaints else "quiet"
 
 
 def calibration_text(p50_ns: dict[str, float]) -> str:
-    """What the harness's own solvers say, from the median of each [ns]."""
-    missed = [name for name, p50 in p50_ns.items() if within_bar(name, p50) is False]
-    said = ", ".join(f"{name} {time_text(p50)}" for name, p50 in p50_ns.items())
+    """Describe how exactly the benchmark measured waits of known length."""
+    missed = [name for name, p50 in p50_ns.items() if is_within_tolerance(name, p50) is False]
+    wording = ", ".join(f"{name} {time_text(p50)}" for name, p50 in p50_ns.items())
     verdict = f"missed by {and_list(missed)}" if missed else "within the bar"
-    return f"{verdict} ({said})"
+    return f"{verdict} ({wording})"
 
 
-def machine_facts(machine: dict[str, Any]) -> list[tuple[str, str]]:
-    """What is known of a machine, whatever ran on it."""
+def machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
+    """List a machine's processor, cores, frequency, BLAS and clock, as label and text."""
 
     def of(key: str, unit: str = "") -> str:
         value = machine.get(key, "not recorded")
@@ -56,7 +54,7 @@ def machine_facts(machine: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
-    """What disturbed some replays, as the kernel shows it."""
+    """List what disturbed replays, as label and text: context switches, stolen time, throttling."""
     disturbed = f"{count_text(disturbance.disturbed)} of {plural(disturbance.rounds, 'round')}"
     throttled, steal_share = count_text(disturbance.throttled), disturbance.steal_share
     stolen = "not visible" if isnan(steal_share) else share_text(steal_share)
@@ -68,11 +66,10 @@ def disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
     ]
 
 
-def own_switches(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
-    """The configurations that leave the processor by their own doing, which is not the machine's
-    fault."""
-    own = largest_of(
+def list_own_switches(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
+    """List the solvers that cause context switches themselves, as label and text."""
+    own = largest_by_name(
         (f"{row.solver} ({row.route} {row.policy})", row.own_switches_a_step) for row in rows
     )
-    said = ", ".join(f"{name}: {significant(a_step, 2)} a step" for name, a_step in own.items())
-    return [("switches a configuration makes itself, not counted above", said)] if own else []
+    wording = ", ".join(f"{name}: {significant(a_step, 2)} a step" for name, a_step in own.items())
+    return [("switches a configuration makes itself, not counted above", wording)] if own else []

@@ -1,4 +1,4 @@
-"""What a report is made of: the results, what is known of them, the answer, the topics."""
+"""What a report is made of: the results, what is known of them, the recommendation, the topics."""
 
 from __future__ import annotations
 
@@ -10,26 +10,39 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.verdict.demand import Demand
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.times.machine import (
+    calibration_medians,
+    delayed_runs,
+    timed_runs,
+    total_disturbance,
+)
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.bench.design import Designs
 from dpbench.bench.record.result_folder import Results
-from dpbench.report.charts.render import can_draw
-from dpbench.report.csv_tables import tables_of
-from dpbench.report.page.answer import Answer, answer_of
-from dpbench.report.page.facts import Facts
-from dpbench.report.page.topic import Topic
-from dpbench.report.page.write import DRAWN, charts_of
-from dpbench.report.topics.all import topics_of
+from dpbench.report.charts.render import NOT_DRAWN, can_draw
+from dpbench.report.csv_tables import build_tables
+from dpbench.report.machine_verdict import calibration_text, disturbance_text
+from dpbench.report.page.data import PageData
+from dpbench.report.page.live import draw_section_charts, select_static_charts
+from dpbench.report.page.recommendation import Recommendation, build_recommendation
+from dpbench.report.page.section import Topic
+from dpbench.report.topics.all import build_topics
+from dpbench.report.verdict_text import count_solvers
+
+TERMINAL_NOTES = ("slower", "faster", "inconclusive", "next")
+"""Notes of the recommendation on a terminal."""
+BESIDE = ("slowdown", "random", "consequence")
+"""Topics with a line of their own on a terminal where they are not the answer."""
 
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """What a report is made of."""
+    """Report on a result folder: results, recommended solver, topics, charts and tables."""
 
     results: Results
-    facts: Facts
-    answer: Answer
+    data: PageData
+    recommendation: Recommendation
     topics: Sequence[Topic]
 
     @classmethod
@@ -40,36 +53,53 @@ class Report:
         baseline: str | None = None,
         capability: pd.DataFrame | None = None,
     ) -> Report:
-        """The report on some results, nothing written.
+        """Build the report on the results of a folder; write no file.
 
-        Parameters
-        ----------
-        designs, capability : what lies beside them, see `topics_of`; baseline : as in
-            `write_report`.
+        baseline : solver to compare with; designs, capability : stored tables of the folder.
         """
-        records, demand = Records(results), Demand.of(results.suite)
-        facts = Facts.of(records, verdicts_of(records, demand))
+        records, requirements = Records(results), Requirements.of(results.suite)
+        data = PageData.of(records, judge_solvers(records, requirements))
         named = results.suite.get("report", {}).get("baseline")
-        if named not in {v.configuration.solver for v in facts.verdicts.all if v.steps}:
+        if named not in {v.configuration.solver for v in data.verdicts.all if v.steps}:
             named = None  # a part of the suite was run, without it
-        answer = answer_of(facts, results.machine, baseline or named)
-        topics = topics_of(records, facts.verdicts, designs, capability, facts.studies)
+        recommendation = build_recommendation(data, results.machine, baseline or named)
+        topics = build_topics(records, data.verdicts, designs, capability, data.studies)
         if not can_draw():
             topics = [replace(topic, figures=()) for topic in topics]
-        return cls(results, facts, answer, topics)
+        return cls(results, data, recommendation, topics)
 
     @cached_property
-    def charts(self) -> Mapping[str, Any]:
-        """The figures of the page that follow what is chosen there, by name."""
-        return charts_of(self.facts) if can_draw() else {}
+    def charts(self) -> Mapping[str, dict[str, Any]]:
+        """Charts that follow the reader's selection, by section of the page and name."""
+        return draw_section_charts(self.data) if can_draw() else {}
 
     @cached_property
     def tables(self) -> Mapping[str, pd.DataFrame]:
-        """All tables, by name: see `csv_tables.tables_of`."""
-        return tables_of(self.results, self.facts, self.answer, self.topics)
+        """All tables of the report, by name."""
+        return build_tables(self.results, self.data, self.recommendation, self.topics)
 
     @property
     def figures(self) -> dict[str, Any]:
-        """The figures that stand alone, by name."""
-        own = {name: chart for name, chart in self.charts.items() if name in DRAWN}
+        """Charts that are written to files of their own, by name."""
+        own = select_static_charts(self.charts)
         return own | {f.name: f.chart for topic in self.topics for f in topic.figures}
+
+    def summary_rows(self) -> list[tuple[str, str]]:
+        """List the summary that a run prints last on the terminal, as keyword and text."""
+        lead = next((topic for topic in self.topics if topic.leads), None)
+        rows = [("answer", lead.lines[0])] if lead else []
+        headline, verdicts = self.recommendation, self.data.verdicts
+        if headline.sentence and not (lead and lead.id == "loops"):
+            rows.append(("solver" if lead else "answer", headline.sentence))
+        rows += [note for note in headline.notes if note[0] in TERMINAL_NOTES]
+        beside = (topic for topic in self.topics if topic.id in BESIDE and not topic.leads)
+        rows += [(topic.id, topic.lines[0]) for topic in beside]
+        if verdicts.of:
+            rows.append(("solvers", f"{count_solvers(verdicts)}."))
+        records = self.data.records
+        disturbance = total_disturbance(timed_runs(records) or delayed_runs(records))
+        if disturbance.seconds > 0:
+            rows.append(("machine", f"{disturbance_text(disturbance)}."))
+        if medians := calibration_medians(records.calibration):
+            rows.append(("harness", f"{calibration_text(medians)}."))
+        return rows if can_draw() else [*rows, ("figures", f"{NOT_DRAWN}.")]

@@ -1,7 +1,5 @@
 """The paper from nothing: its loops, Figures 4-7, the data behind each, the table of its claims."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,38 +7,34 @@ from pathlib import Path
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.paper import PAPER, Law, data_behind, laws_of
+from dpbench.analysis.suites.paper import PAPER, Law, find_paper_runs, paper_figure_data
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.design import Designs, linear_record
 from dpbench.bench.progress import Progress
-from dpbench.bench.record.result_folder import Results, accidents, load_results
-from dpbench.bench.record.revision import made_by
+from dpbench.bench.record.machine import describe_version
+from dpbench.bench.record.result_folder import Results, load_results, read_accidents
 from dpbench.files.writing import write_bytes, write_text
-from dpbench.report.charts.render import encoded
-from dpbench.report.escaped import csv_bytes
-from dpbench.report.formats import plural, unmarked
-from dpbench.report.page.topic import Topic
-from dpbench.report.table import markdown
-from dpbench.report.topics.claims import Claim, claims
-from dpbench.report.topics.paper import held_text, paper_topic
-from dpbench.report.words import document
+from dpbench.report.charts.render import encode_figure
+from dpbench.report.formats import plural, strip_markdown
+from dpbench.report.page.section import Topic
+from dpbench.report.table import csv_bytes, markdown_table
+from dpbench.report.topics.paper import Claim, count_reproduced, judge_claims, paper_topic
+from dpbench.report.words import render_document
 from dpbench.scenario.scenario import Scenario
 
 SUITE = "claims"
 RUNS = "runs"
-"""The folder of the runs, a result folder like any other, within that of the reproduction."""
+"""Result folder within that of the reproduction."""
 FORMATS = ("pdf", "svg")
 MOST_NAMED = 4
-"""So many claims that are not reproduced are named on the terminal."""
+"""Number of claims named on the terminal that are not reproduced."""
 
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What became of the paper.
+    """Outcome of reproducing the paper: summary lines, faults of runs, whether complete.
 
-    Parameters
-    ----------
-    lines : what to say of it, at most ten; remarks : what of the runs went wrong.
+    lines : its description, at most ten; remarks : faults of the runs.
     complete : whether the benchmark lost none of them.
     """
 
@@ -52,15 +46,14 @@ class Reproduction:
 def reproduce_paper(
     out: str | Path | None = None, *, progress: Progress | None = None
 ) -> Reproduction:
-    """Run the paper's case under an exact solver and the clipped law, and write what it shows.
+    """Run the paper's case under exactly solved MPC and the clipped law; write figures, claims.
 
-    What is written is said by `write_reproduction`; the runs lie in the folder `runs` beside it.
-    Loops that were finished before are not run again.
+    Files as of `write_reproduction`; the runs are in the folder `runs` beside them. Finished
+    loops are not run again.
 
     Parameters
     ----------
     out : the folder; by default `results/paper`.
-    progress : told how far it is.
 
     Raises
     ------
@@ -71,7 +64,7 @@ def reproduce_paper(
 
 
 def write_reproduction(runs: Path, folder: Path) -> Reproduction:
-    """Write what the runs of a result folder say of the paper.
+    """Write figures, data and claims of the paper from the runs of a result folder.
 
     `figure4_path` to `figure7_increments` as PDF, SVG and CSV; `claims.md` and `claims.csv`.
     """
@@ -81,53 +74,54 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
     # How far off the ship is brought back from takes a quarter of a minute more: suite `standard`.
     designs = Designs((linear_record(scenario),)) if scenario is not None else None
     topic = paper_topic(records, designs)
-    lost, remarks = accidents(runs)
+    lost, remarks = read_accidents(runs)
     if topic is None or scenario is None:
         nothing = f"nothing is reproduced: no loop of the paper's case was finished; see {runs}"
         return Reproduction((nothing,), tuple(remarks), complete=False)
-    _write_figures(folder, topic, laws_of(records), scenario)
+    _write_paper_figures(folder, topic, find_paper_runs(records), scenario)
     write_bytes(folder / "claims.csv", csv_bytes(topic.tables[0].frame))
-    write_text(folder / "claims.md", _document(topic, results))
-    judged = claims(records)
+    write_text(folder / "claims.md", _claims_document(topic, results))
+    judged = judge_claims(records)
     radius = linear_record(scenario).spectral_radius
     stable = (
         f"stability: largest |λ| {radius:.4f} (eq. 35); sway offset held: `dpbench check {PAPER}`"
     )
-    said = (f"{held_text(judged)}.", *_contradicted(judged), stable, *_places(folder))
-    return Reproduction(said, tuple(remarks), complete=lost == 0)
+    places = (
+        f"figures 4-7: {folder / 'figure*.pdf'}, .svg and .csv",
+        f"claims: {folder / 'claims.md'} and .csv",
+        f"runs: {folder / RUNS}; `dpbench report` makes their page",
+    )
+    wording = (f"{count_reproduced(judged)}.", *_list_contradicted(judged), stable, *places)
+    return Reproduction(wording, tuple(remarks), complete=lost == 0)
 
 
-def _write_figures(folder: Path, topic: Topic, laws: Sequence[Law], scenario: Scenario) -> None:
-    """Figures 4 to 7 in every format, and what each draws."""
+def _write_paper_figures(
+    folder: Path, topic: Topic, laws: Sequence[Law], scenario: Scenario
+) -> None:
+    """Write each figure of the paper as PDF and SVG, and its data as CSV."""
     for number, figure in enumerate(topic.figures, 4):
         short = figure.name.removeprefix(f"{topic.id}-")
         name = f"figure{number}_{short}"
         for kind in FORMATS:
-            write_bytes(folder / f"{name}.{kind}", encoded(figure.chart, kind))
-        data = pd.concat([data_behind(short, law, scenario) for law in laws])
+            write_bytes(folder / f"{name}.{kind}", encode_figure(figure.chart, kind))
+        data = pd.concat([paper_figure_data(short, law, scenario) for law in laws])
         write_bytes(folder / f"{name}.csv", csv_bytes(data))
 
 
-def _document(topic: Topic, results: Results) -> str:
-    """The claims and all that belongs to them, in Markdown."""
+def _claims_document(topic: Topic, results: Results) -> str:
+    """Return a Markdown document of the paper's claims and the solvers that ran."""
     versions = results.runs.drop_duplicates("solver")[["solver", "solver_version", "build"]]
     ran = [" ".join(filter(None, row)) for row in versions.itertuples(index=False)]
-    tables = [(t.title, markdown(t.heads, t.rows, len(t.heads))) for t in topic.tables]
-    made = made_by(results.suite)
-    return document("claims.md", topic=topic, tables=tables, ran=ran, made_by=made, runs=RUNS)
+    tables = [(t.title, markdown_table(t.heads, t.rows, len(t.heads))) for t in topic.tables]
+    made = describe_version(results.suite)
+    return render_document(
+        "claims.md", topic=topic, tables=tables, ran=ran, made_by=made, runs=RUNS
+    )
 
 
-def _contradicted(judged: Sequence[Claim]) -> list[str]:
-    """The claims that the runs contradict or say nothing of, at most `MOST_NAMED` of them."""
+def _list_contradicted(judged: Sequence[Claim]) -> list[str]:
+    """List the claims that the runs contradict or do not cover, at most `MOST_NAMED` of them."""
     named = [f"{claim.state}: {claim.claim}" for claim in judged if claim.state != "reproduced"]
     rest = len(named) - MOST_NAMED
     unnamed = [f"and {plural(rest, 'other')}: see claims.md"] if rest > 0 else []
-    return [unmarked(line) for line in named[:MOST_NAMED]] + unnamed
-
-
-def _places(folder: Path) -> list[str]:
-    return [
-        f"figures 4-7: {folder / 'figure*.pdf'}, .svg and .csv",
-        f"claims: {folder / 'claims.md'} and .csv",
-        f"runs: {folder / RUNS}; `dpbench report` makes their page",
-    ]
+    return [strip_markdown(line) for line in named[:MOST_NAMED]] + unnamed

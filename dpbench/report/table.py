@@ -1,7 +1,7 @@
-"""A table of the report: heads, cells of text, and the note that states its population."""
+"""Tables of text in Markdown and CSV, with words of others made harmless there."""
 
-from __future__ import annotations
-
+import re
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
@@ -9,20 +9,66 @@ from typing import Any, Self
 import pandas as pd
 
 from dpbench.display import table_html
-from dpbench.report.escaped import markdown_cell, markdown_line, markdown_text
-from dpbench.report.formats import unmarked
+from dpbench.report.formats import strip_markdown
+
+_TAG = re.compile(r"<(?=[A-Za-z/!?])")
+_LINK = re.compile(r"\](?=[(\[:])")
+_PIPE = re.compile(r"(\\*)\|")
+_BLOCK = re.compile(r"^(?=#{1,6}(\s|$)|>|```|~~~|[-+*]\s|[-_*=]{3})")
+_NOT_SHOWN = {"Cc", "Cf", "Cs", "Zl", "Zp"}
+"""Categories of characters that end a line, turn its direction or cannot be written."""
+_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
+"""First characters of a formula in a spreadsheet."""
+
+
+def one_line(text: str) -> str:
+    """Replace line breaks and other characters that are not shown by spaces."""
+    return "".join(" " if unicodedata.category(c) in _NOT_SHOWN else c for c in text)
+
+
+def markdown_text(text: str) -> str:
+    """Escape text within a line of Markdown: no HTML, link or picture; marks such as ` stay."""
+    return _LINK.sub(r"]\\", _TAG.sub("&lt;", one_line(text)))
+
+
+def markdown_line(text: str) -> str:
+    """Escape a paragraph of Markdown, so that it is no heading, list or block of code."""
+    return _BLOCK.sub(r"\\", markdown_text(text).lstrip())
+
+
+def markdown_cell(text: str) -> str:
+    """Escape a cell of a Markdown table."""
+    return _PIPE.sub(r"\1\1\\|", markdown_text(text))
+
+
+def csv_bytes(table: pd.DataFrame) -> bytes:
+    """Encode a table as CSV; an apostrophe precedes texts that a spreadsheet takes for formulas."""
+    named = table.rename(columns={name: _disarm_formula(name) for name in table.columns})
+    texts = [i for i, dtype in enumerate(named.dtypes) if not pd.api.types.is_numeric_dtype(dtype)]
+    for i in texts:
+        plain = named.iloc[:, i].map(_disarm_formula, na_action="ignore")
+        named.isetitem(i, plain.to_numpy(dtype=object))
+    return bytes(named.to_csv(index=False).encode())
+
+
+def _disarm_formula(value: Any) -> Any:
+    """Put an apostrophe before a text that a spreadsheet would take for a formula."""
+    if not isinstance(value, str) or not value.startswith(_FORMULA):
+        return value
+    try:
+        float(value)
+    except ValueError:
+        return f"'{value}"
+    return value
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the report, of text alone.
+    """Table of text with heads, a title and a note, for page, file and Markdown.
 
-    Parameters
-    ----------
-    heads : column heads with units; rows : cells, one tuple a row.
-    title : its heading; note : population, route, machine, and what a failure counted as.
+    heads : with units; note : population, route, machine, and what a failure counted as.
     text_columns : so many leading ones are left-aligned.
-    shown : so many rows the page has, by default all, with 0 no table; a file has all of them.
+    shown : number of rows on the page, by default all, with 0 no table; a file has all of them.
     folded : whether it opens there with a click.
     """
 
@@ -36,46 +82,45 @@ class Table:
 
     @classmethod
     def of(cls, rows: Sequence[Mapping[str, str]], title: str = "", **more: Any) -> Self:
-        """The table of rows that have the head beside each cell, one of them at least."""
+        """Build a table from rows that map column heads to text cells."""
         return cls(tuple(rows[0]), tuple(tuple(row.values()) for row in rows), title, **more)
 
     @property
     def page_rows(self) -> list[list[str]]:
-        """What a page shows, without the marks of Markdown, which it would show too."""
-        return [[unmarked(cell) for cell in row] for row in self.rows[: self.shown]]
+        """Rows of the table that the page shows, without Markdown marks."""
+        return [[strip_markdown(cell) for cell in row] for row in self.rows[: self.shown]]
 
     @property
     def frame(self) -> pd.DataFrame:
-        """All of it, as its file has it."""
+        """All rows of the table as a DataFrame of text."""
         return pd.DataFrame(self.rows, columns=list(self.heads))
 
     @property
     def cut(self) -> int:
-        """How many rows that leaves out."""
+        """Number of the table's rows that the page leaves out."""
         return len(self.rows[self.shown :]) if self.shown is not None else 0
 
 
-def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1) -> str:
-    """A pipe table of Markdown; columns after the first `text_columns` are right-aligned."""
+def markdown_table(
+    heads: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1
+) -> str:
+    """Return a Markdown table; columns after the first `text_columns` are right-aligned."""
     align = [":--" if i < text_columns else "--:" for i in range(len(heads))]
-    return "\n".join(map(_line, [heads, align, *rows]))
+    lines = (" | ".join(map(markdown_cell, cells)) for cells in [heads, align, *rows])
+    return "\n".join(f"| {line} |" for line in lines)
 
 
-def document(title: str, lines: Sequence[str], tables: Sequence[Table]) -> str:
-    """A Markdown document: the lines as a list, then every table under its title and note."""
+def markdown_document(title: str, lines: Sequence[str], tables: Sequence[Table]) -> str:
+    """Return a Markdown document: the lines as a list, then the tables with titles and notes."""
     parts = [f"# {markdown_text(title)}", "\n".join(f"- {markdown_text(line)}" for line in lines)]
     parts += [
         f"## {markdown_text(t.title)}\n\n{markdown_line(t.note)}\n\n"
-        f"{markdown(t.heads, t.rows, t.text_columns)}"
+        f"{markdown_table(t.heads, t.rows, t.text_columns)}"
         for t in tables
     ]
     return "\n\n".join(parts) + "\n"
 
 
-def html(table: Table) -> str:
-    """The table as plain HTML, for a notebook."""
+def html_table(table: Table) -> str:
+    """Return the table as plain HTML, which a notebook displays."""
     return table_html(table.heads, table.rows, title=table.title, note=table.note)
-
-
-def _line(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(map(markdown_cell, cells))} |"

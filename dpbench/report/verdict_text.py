@@ -1,7 +1,5 @@
 """Verdicts in plain words; every number in them comes from rows."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
@@ -9,11 +7,15 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.statistics import LEAST_STEPS
-from dpbench.analysis.times.pairs import PairedComparison
-from dpbench.analysis.verdict.demand import Demand
-from dpbench.analysis.verdict.fastest import Recommendation, best_of_each, known_record
+from dpbench.analysis.times.contrasts import PairedComparison
+from dpbench.analysis.verdict.fastest import (
+    SolverChoice,
+    best_verdict_by_solver,
+    find_solver_record,
+)
 from dpbench.analysis.verdict.findings import Finding
-from dpbench.analysis.verdict.verdict import Verdict, Verdicts, detail
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts, outcome_cause
 from dpbench.report.formats import (
     and_list,
     count_text,
@@ -21,62 +23,58 @@ from dpbench.report.formats import (
     plural,
     share_text,
     significant,
+    strip_markdown,
     time_text,
-    unmarked,
 )
+from dpbench.report.words import read_words
 
 NOBODY = "No solver was run, so there is nothing to judge."
 
 
-def demand_text(demand: Demand) -> str:
-    """The demand in one sentence."""
-    share = f"{100.0 * demand.p99_ms / demand.deadline_ms:.2g}"
+def requirements_text(requirements: Requirements) -> str:
+    """State the limits on a solver's error, failed steps and time in one sentence."""
+    share = f"{100.0 * requirements.p99_ms / requirements.deadline_ms:.2g}"
     failed = (
         "no failed step"
-        if demand.failed_steps == 0
-        else (f"at most {plural(demand.failed_steps, 'failed step')} a run")
+        if requirements.failed_steps == 0
+        else (f"at most {plural(requirements.failed_steps, 'failed step')} a run")
     )
     return (
-        f"The demand: on every step the first move within {demand.error_move:g} of "
+        f"The requirements: on every step the first move within {requirements.error_move:g} of "
         f"a rate-limit step of the certified optimum, {failed}, a p99 of the algorithmic step time "
-        f"of at most {demand.p99_ms:g} ms ({share} % of the deadline), and every step within the "
-        f"deadline of {demand.deadline_ms:g} ms."
+        f"of at most {requirements.p99_ms:g} ms ({share} % of the deadline), and every step within "
+        f"the deadline of {requirements.deadline_ms:g} ms."
     )
 
 
-def counted(verdicts: Verdicts) -> str:
-    """Count the solvers by their best outcome: meets as they come or only otherwise, borderline,
-    misses, open, not run; every solver once."""
-    if not verdicts.references:
-        return NOBODY
-    best = {verdict.configuration.solver: verdict for verdict in best_of_each(verdicts)}
-    groups: dict[str, list[str]] = {name: [] for name in ("default", *_GROUPS)}
-    for reference in verdicts.references:
-        solver = reference.configuration.solver
-        if best[solver].outcome != "meets":
-            groups[best[solver].outcome].append(solver)
-        elif reference.outcome == "meets":
-            groups["default"].append(solver)
-        else:
-            groups["meets"].append(best[solver].configuration.label)
-    run, good = len(best) - len(groups["not run"]), len(groups["default"])
-    said = [f"{good} of {run} meet the demand"] if good or not groups["open"] else []
-    said += [f"{_GROUPS[name]}: {', '.join(groups[name])}" for name in _GROUPS if groups[name]]
-    return "; ".join(said)
-
-
-_GROUPS = {
-    "meets": "only otherwise",
-    "borderline": "borderline",
-    "misses": "miss it",
-    "open": "open",
-    "not run": "not run",
+_GROUPS = {"pass": "only otherwise"} | {
+    state: state for state in ("borderline", "late", "fail", "inconclusive", "not run")
 }
 
 
-def aboard(solver: str) -> str:
-    """Licence, language and C code of a solver, in a sentence."""
-    known = known_record(solver)
+def count_solvers(verdicts: Verdicts) -> str:
+    """State how many solvers pass, and name those that are late, fail or are inconclusive."""
+    if not verdicts.references:
+        return NOBODY
+    best = {verdict.configuration.solver: verdict for verdict in best_verdict_by_solver(verdicts)}
+    groups: dict[str, list[str]] = {name: [] for name in ("default", *_GROUPS)}
+    for reference in verdicts.references:
+        solver = reference.configuration.solver
+        if best[solver].state != "pass":
+            groups[best[solver].state].append(solver)
+        elif reference.state == "pass":
+            groups["default"].append(solver)
+        else:
+            groups["pass"].append(best[solver].configuration.label)
+    run, good = len(best) - len(groups["not run"]), len(groups["default"])
+    wording = [f"{good} of {run} pass"] if good or not groups["inconclusive"] else []
+    wording += [f"{_GROUPS[name]}: {', '.join(groups[name])}" for name in _GROUPS if groups[name]]
+    return "; ".join(wording)
+
+
+def deployment_facts(solver: str) -> str:
+    """State a solver's licence, its language, and whether it generates C code."""
+    known = find_solver_record(solver)
     if known is None:
         return "Its licence and language are not known here."
     project = known.project
@@ -86,111 +84,68 @@ def aboard(solver: str) -> str:
     )
 
 
-def why_nothing(view: Records, verdicts: Verdicts, recommendation: Recommendation) -> str:
-    """Why nothing is recommended."""
+def explain_no_recommendation(
+    view: Records, verdicts: Verdicts, recommendation: SolverChoice
+) -> str:
+    """Explain why no solver is recommended: none deployable, none timed, or none passes."""
     if recommendation.faster is not None:
         return (
-            "Nothing that can go aboard meets the demand; "
+            "Nothing that can go aboard passes; "
             f"{recommendation.faster.configuration.label} does: {recommendation.because}."
         )
     if not any(row.has_steps for row in view.select(mode="replay", units="scaled")):
         return "Nothing is recommended, as no replay left a step, so nothing is timed."
-    outcomes = {verdict.outcome for verdict in verdicts.all}
-    if "open" in outcomes:
-        return "Nothing is recommended while it is open whether a solver meets the demand."
-    return "Nothing is recommended: no solver meets the demand in any configuration that was run."
+    states = {verdict.state for verdict in verdicts.all}
+    if "inconclusive" in states:
+        return "Nothing is recommended while the verdict on a solver is inconclusive."
+    return "Nothing is recommended: no solver passes in any configuration that was run."
 
 
-def usual_time(verdict: Verdict) -> str:
-    """Its p99, or its p50 where there are too few steps for one."""
+def usual_time_text(verdict: Verdict) -> str:
+    """Format a configuration's p99 step time, or its p50 if there are too few steps."""
     if verdict.p99_run is None or math.isnan(verdict.p99_ns):
         return f"p50 {time_text(verdict.p50_ns)} in the replay of {verdict.timed_on}"
-    return f"p99 {time_text(verdict.p99_ns)} in {unmarked(where(verdict.p99_run))}"
+    return f"p99 {time_text(verdict.p99_ns)} in {strip_markdown(experiment_text(verdict.p99_run))}"
 
 
 def paired_text(compared: PairedComparison) -> str:
-    """The ratio of the step times of two configurations, with its interval or why it has none."""
+    """State the ratio of two configurations' step times, with its interval or why it has none."""
     if compared.steps == 0:
         return "no step was replayed by both"
-    said = f"{significant(compared.ratio.value)} times as long over the same steps"
+    wording = f"{significant(compared.ratio.value)} times as long over the same steps"
     if not math.isfinite(compared.ratio.high):
         few = f"; fewer than {LEAST_STEPS} steps" if compared.steps < LEAST_STEPS else ""
-        said += f" (geometric mean of {plural(compared.steps, 'step')}{few}, so no interval)"
+        wording += f" (geometric mean of {plural(compared.steps, 'step')}{few}, so no interval)"
     else:
         interval = f"{significant(compared.ratio.low)} to {significant(compared.ratio.high)}"
-        said += f" (geometric mean, {interval})"
+        wording += f" (geometric mean, {interval})"
         if compared.tied:
-            return f"{said}: the two cannot be told apart"
-    return f"{said}; which is faster depends on the yardstick" if compared.unstable else said
+            return f"{wording}: the two cannot be told apart"
+    return f"{wording}; which is faster depends on the yardstick" if compared.unstable else wording
 
 
-def clauses(findings: Sequence[Finding]) -> str:
-    """What was found, in plain clauses."""
-    return "; ".join(map(clause, findings))
+def describe_findings(findings: Sequence[Finding]) -> str:
+    """Describe the reasons for a verdict in clauses joined by semicolons."""
+    return "; ".join(map(describe_finding, findings))
 
 
-_WORDS = {
-    "no answer": "it leaves steps without an answer in {places}",
-    "inaccurate": "its first move is up to {error} of a rate-limit step off the optimum in {where}"
-    "{also_over}",
-    "failed": "{value:.0f} of {of} fail in {where}{some_also}",
-    "crashed": "its process ended in {where}: {detail}{also}",
-    "hung": "it did not return in {where}: {detail}{also}",
-    "p99 late": "its p99 is {time} in {where}",
-    "p95 late": "its p95 is already {time} in {where}",
-    "window late": "its p99 is {time} by {where}",
-    "deadline late": "its hardest step takes {time} in {where}, beyond the deadline",
-    "slow loop": "the median of its timings is {time} in {where}, a closed loop{also}",
-    "late timings": "{share} of {timings} in {where} exceed the p99 limit; the machine "
-    "explains {machine}{also}",
-    "past the deadline": "{share} of {timings} in {where} exceed the deadline; the machine "
-    "explains {machine}{also}",
-    "late at random": "{share} of {timings} in {where} exceed the p99 limit though the same step "
-    "is in time in another round; the machine explains {machine}{also}",
-    "perhaps late timings": "{share} of {timings} in {where} exceed the p99 limit, perhaps by the "
-    "machine, which explains {machine}{also}",
-    "perhaps past the deadline": "{share} of {timings} in {where} exceed the deadline, perhaps by "
-    "the machine, which explains {machine}{also}",
-    "p99 borderline": "its p99 of {time} in {where} is as near to the limit as rounds differ",
-    "p95 borderline": "its p95 of {time} in {where} is as near to the limit as rounds differ",
-    "deadline borderline": "its hardest step takes {time} in {where}, as near to the deadline as "
-    "rounds differ",
-    "loop borderline": "the median of its timings is {time} in {where}, a closed loop, as near to "
-    "the limit as rounds differ{also}",
-    "stopped": "{where} was stopped at its time limit ({value:.0f} of {steps})",
-    "lost": "the harness lost {where}: {detail}",
-    "ended": "{where} {outcome}: {detail}",
-    "uncertified": "{counted} of {where} have no certified optimum",
-    "remembered": "in {where} it answers a step that it has seen before faster than warming "
-    "explains, so its times there are of remembered answers",
-    "hidden work": "its other threads work {value:.2g} times as long as all timed calls take in "
-    "{where}{also}",
-    "not alone": "{where} was timed beside other work, or on another machine",
-    "no step": "{where} left no counting step",
-    "no p99": "{steps} of {where} do not support a p99, and the slowest takes {time}",
-    "short slow loop": "the median of its few timings is {time} in {where}, a closed loop{also}",
-    "no closed loop": "no closed loop was run",
-    "no replay": "no replay was run, so its time is not judged",
-    "absent": "not run in {places}",
-    "refused": "not run in {where} ({detail})",
-    "short": "not run whole in {where} ({planned} of {steps})",
-}
+_WORDS: dict[str, str] = read_words(__file__)["findings"]
 
 
-def clause(finding: Finding) -> str:
-    """One finding as a plain clause."""
+def describe_finding(finding: Finding) -> str:
+    """Describe one reason for a verdict, as a late or wrong step, in a clause."""
     words = {"value": finding.value, "steps": plural(finding.steps, "step")}
     if not finding.runs:
         return _WORDS[finding.kind].format(**words)
     first, *others = finding.runs
-    also = _places(others)
+    also = _experiments_text(others)
     rounds = first.rounds
     done = first.steps_done * (rounds if rounds > 1.0 else 1.0)
     return _WORDS[finding.kind].format(
         **words,
-        where=where(first),
-        places=_places(finding.runs),
-        detail=detail(first),
+        where=experiment_text(first),
+        experiments=_experiments_text(finding.runs),
+        detail=outcome_cause(first),
         outcome=first.outcome,
         planned=count_text(first.steps_planned),
         of=plural(done, "step"),
@@ -202,18 +157,18 @@ def clause(finding: Finding) -> str:
         machine=share_text(finding.machine),
         also=f" (also in {also})" if also else "",
         some_also=f" (some also in {also})" if also else "",
-        also_over=f" (over the demand also in {also})" if also else "",
+        also_over=f" (over the requirements also in {also})" if also else "",
     )
 
 
 def answer_text(steps: RunSteps, at: int) -> str:
-    """What the answer at one place of a run is worth."""
+    """Describe a solver's answer at one step: claimed solved or not, true or not."""
     claimed = "claimed" if steps.claimed[at] else "not claimed"
     return f"{claimed}, {'true' if steps.true[at] else 'not true'}"
 
 
-def where(row: RunRecord) -> str:
-    """The place of a run in words."""
+def experiment_text(row: RunRecord) -> str:
+    """Name the scenario, replay or hardest steps that a run solved."""
     if row.window_of:
         return f"the hardest steps of `{row.scenario}`"
     if row.mode == "replay":
@@ -221,7 +176,8 @@ def where(row: RunRecord) -> str:
     return f"`{row.scenario}`"
 
 
-def _places(rows: Sequence[RunRecord]) -> str:
+def _experiments_text(rows: Sequence[RunRecord]) -> str:
+    """Name the scenarios, replays and hardest steps of several runs in one phrase."""
     loops = [f"`{row.scenario}`" for row in rows if row.mode != "replay"]
     windows = [f"`{row.scenario}`" for row in rows if row.window_of]
     replays = [f"`{row.sequence}`" for row in rows if row.mode == "replay" and not row.window_of]
@@ -233,7 +189,7 @@ def _places(rows: Sequence[RunRecord]) -> str:
     return and_list(loops)
 
 
-def judged_on(verdict: Verdict) -> str:
-    """What the answers of a configuration were judged on."""
+def judged_runs_text(verdict: Verdict) -> str:
+    """State on how many closed loops and replays a configuration was judged."""
     kinds = {"closed loop": verdict.loops, "replay": verdict.replays, "window": verdict.windows}
     return and_list([plural(count, kind) for kind, count in kinds.items() if count])

@@ -1,7 +1,5 @@
 """Fixed words with numbers put in: templates of text, with the formats of the report as filters."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from functools import cache
@@ -23,11 +21,13 @@ FILTERS = {
     "share": formats.share_text,
     "significant": formats.significant,
     "time": formats.time_text,
+    "toml": formats.toml_text,
 }
 
 
 @cache
-def _environment() -> Environment:
+def _template_environment() -> Environment:
+    """Return the Jinja environment with the number formats of the report as filters."""
     made = Environment(
         loader=PackageLoader("dpbench.report.documents", "templates"),
         undefined=StrictUndefined,
@@ -42,21 +42,22 @@ def _environment() -> Environment:
 
 
 @cache
-def _compiled(words: str) -> Template:
-    return _environment().from_string(words)
+def _compile_template(words: str) -> Template:
+    """Compile a text to a Jinja template; cached by text."""
+    return _template_environment().from_string(words)
 
 
-def filled(words: str, **values: Any) -> str:
-    """Words that are a template themselves, with values."""
-    return _compiled(words).render(values)
+def fill_template(words: str, **values: Any) -> str:
+    """Fill values into a text that is itself a Jinja template."""
+    return _compile_template(words).render(values)
 
 
-def document(template: str, **values: Any) -> str:
-    """A document out of `documents/templates`."""
-    return _environment().get_template(f"{template}.j2").render(values)
+def render_document(template: str, **values: Any) -> str:
+    """Render a document from a template in `documents/templates`."""
+    return _template_environment().get_template(f"{template}.j2").render(values)
 
 
 @cache
-def beside(module: str) -> dict[str, Any]:
-    """The words of a module, by its file: those of the TOML file of its name."""
+def read_words(module: str) -> dict[str, Any]:
+    """Read a module's texts from the TOML file of the same name beside it."""
     return tomllib.loads(Path(module).with_suffix(".toml").read_text(encoding="utf-8"))

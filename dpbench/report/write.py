@@ -1,34 +1,29 @@
 """Write the report of a result folder: `report.html`, `report.md`, `figures/` and `tables/`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 from dpbench.bench.capability.table import load_capability
 from dpbench.bench.design import load_designs
-from dpbench.bench.record.result_folder import load_results, writing
+from dpbench.bench.record.result_folder import load_results, lock_for_writing
 from dpbench.errors import InputError
 from dpbench.files.writing import make_folder, write_text, write_together
-from dpbench.report.charts.render import FORMATS, can_draw, encoded
+from dpbench.report.charts.render import FORMATS, can_draw, encode_figure
 from dpbench.report.csv_tables import write_tables
-from dpbench.report.documents.comment import beside, worst_text
-from dpbench.report.documents.markdown import report_markdown
-from dpbench.report.documents.sent import PAGE, prepare
+from dpbench.report.documents.markdown import compare_solver, report_markdown, worst_text
+from dpbench.report.documents.sent import PAGE, prepare_sent_folder
 from dpbench.report.documents.statement import write_statement
-from dpbench.report.ending import ending
 from dpbench.report.page.write import page_html
 from dpbench.report.report import Report
 
 
 def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
-    """Write the report of the result folder `out` into it.
+    """Write the report of a result folder into it: page, Markdown, figures, tables.
 
     Parameters
     ----------
-    baseline : the solver that the page sets beside the answer; by default the one the suite names,
-        or the next best.
+    baseline : solver to compare with; by default the one the suite names, or the next best.
 
     Returns
     -------
@@ -40,10 +35,10 @@ def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
     InputError : for a baseline that was not run, or a link in place of a folder to write into;
         nothing is written then.
     """
-    return report_and_ending(out, baseline=baseline)[0]
+    return write_report_with_summary(out, baseline=baseline)[0]
 
 
-def report_and_ending(
+def write_report_with_summary(
     out: str | Path,
     *,
     baseline: str | None = None,
@@ -53,14 +48,14 @@ def report_and_ending(
     solver: str | None = None,
     against: Sequence[str] = (),
 ) -> tuple[Path, list[tuple[str, str]]]:
-    """As `write_report`; with it what a run ends with: see `ending`.
+    """Write the report of a result folder; return the page's path and a summary.
 
     Parameters
     ----------
     figures : further formats of the figures, of `FORMATS`; SVG is always written.
-    statement : the file to write the one-page statement to, .pdf or .svg.
-    send : a folder to make that can be sent to others, see `documents/sent.py`.
-    solver, against : a solver to set beside others, in `SOLVER.md`, see `documents/comment.py`.
+    statement : file to write the one-page statement to, .pdf or .svg.
+    send : folder to make that can be sent to others, see `documents/sent.py`.
+    solver, against : solvers to compare in `SOLVER.md`, see `compare_solver`.
 
     Raises
     ------
@@ -71,39 +66,38 @@ def report_and_ending(
         if kind not in FORMATS:
             raise InputError("--figures", "", repr(kind), " | ".join(FORMATS))
     folder = Path(out)
-    with writing(folder):
+    with lock_for_writing(folder):
         beside_it = load_designs(folder), baseline, load_capability(folder)
         report = Report.of(load_results(folder), *beside_it)
-        comment, worst = ("", []) if solver is None else beside(report, solver, against)
+        comment, worst = ("", []) if solver is None else compare_solver(report, solver, against)
         drawn, tables = make_folder(folder / "figures"), make_folder(folder / "tables")
         if statement is not None:
-            write_statement(Path(statement), folder, report.results, report.facts)
+            write_statement(Path(statement), folder, report.results, report.data)
         _write_figures(drawn, report, ("svg", *figures))
         write_tables(tables, report.tables)
-        text = report_markdown(report.results, report.facts, report.answer, report.topics)
-        write_text(folder / "report.md", text)
+        write_text(folder / "report.md", report_markdown(report))
         page = folder / "report.html"
-        write_text(page, _page(folder, report))
+        write_text(page, _render_report_page(folder, report))
         if send is not None:
-            prepare(folder, Path(send))
-            write_text(Path(send) / PAGE, _page(Path(send), report, light=True))
-        ended = ending(report.facts, report.answer, report.topics)
+            prepare_sent_folder(folder, Path(send))
+            write_text(Path(send) / PAGE, _render_report_page(Path(send), report, light=True))
+        ended = report.summary_rows()
         if solver is not None:
             write_text(folder / f"{solver}.md", comment)
             ended += [*worst_text(worst), ("comment", str(folder / f"{solver}.md"))]
     return page, ended
 
 
-def _page(folder: Path, report: Report, *, light: bool = False) -> str:
-    """The page, with links to the files in `folder`; a light one where nothing can be drawn."""
+def _render_report_page(folder: Path, report: Report, *, light: bool = False) -> str:
+    """Return the report page of a folder as HTML; `light` leaves out the scripts."""
     r, light = report, light or not can_draw()
-    return page_html(folder, r.results, r.facts, r.answer, r.charts, r.topics, light=light)
+    return page_html(folder, r.results, r.data, r.recommendation, r.charts, r.topics, light=light)
 
 
 def _write_figures(folder: Path, report: Report, formats: Sequence[str]) -> None:
-    """Every figure that stands alone, in each format; those of an earlier report go."""
+    """Write each chart of the report to a file per format; remove an earlier report's."""
     files = {
-        f"{name}.{kind}": partial(encoded, chart, kind)
+        f"{name}.{kind}": partial(encode_figure, chart, kind)
         for name, chart in report.figures.items()
         for kind in dict.fromkeys(formats)
     }

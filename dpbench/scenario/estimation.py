@@ -1,6 +1,4 @@
-"""Which estimator a scenario asks for, tuned to its ship and to its sea."""
-
-from __future__ import annotations
+"""The estimator of a scenario, tuned to its ship and to its sea."""
 
 from dataclasses import dataclass
 
@@ -11,26 +9,20 @@ from dpbench.errors import InputError
 from dpbench.scenario.tables.scenario_file import EstimatorTable, ScenarioFile
 from dpbench.ship.estimation.estimator import Estimator, MeasuredState
 from dpbench.ship.estimation.kalman import SENSOR_STD, KalmanFilter, KalmanTuning
+from dpbench.ship.estimation.observer import WaveModel
 from dpbench.ship.estimation.passive_observer import PassiveObserver, PassiveTuning
-from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.froude import Froude
 from dpbench.ship.vessel import Vessel
 
 CALM_STD = np.array([0.05, 0.05, np.radians(0.05)])
-"""Wave motion a filter reckons with at least [m, m, rad]: one that expects none ignores all."""
+"""Least wave motion that a filter assumes [m, m, rad]: one that expects none ignores all."""
 
 
 @dataclass(frozen=True, eq=False)
 class EstimatorChoice:
-    """The estimator of a scenario before there is a ship.
+    """Estimator settings of a scenario, before the ship is known.
 
-    Parameters
-    ----------
-    kind : "measured", "kalman" or "passive".
-    wave_filter : whether it tells the motion of the waves from that of the ship.
-    waves : what it assumes of the wave motion; None where nothing is estimated.
-    sensor_std : (3,) noise it assumes of the sensors [m, m, rad].
-    where : the file named in errors.
+    waves, sensor_std : assumed wave motion, None where nothing is estimated, and noise (3,).
     """
 
     kind: str
@@ -39,27 +31,21 @@ class EstimatorChoice:
     sensor_std: Vector
     where: str
 
-    def make(self, ship: Vessel, sample_s: float) -> Estimator:
-        """A new estimator for the ship as the controller knows it."""
+    def build_estimator(self, ship: Vessel, sample_s: float) -> Estimator:
+        """Build the estimator for a ship and sample time."""
         if self.waves is None:
             return MeasuredState()
-        filtering = self.wave_filter
         if self.kind == "kalman":
             kalman = KalmanTuning.of_ship(
-                ship, self.waves, self.sensor_std, wave_filter=filtering, where=self.where
+                ship, self.waves, self.sensor_std, wave_filter=self.wave_filter, where=self.where
             )
             return KalmanFilter(ship, kalman, sample_s)
-        passive = PassiveTuning.of_ship(ship, self.waves, wave_filter=filtering)
+        passive = PassiveTuning.of_ship(ship, self.waves, wave_filter=self.wave_filter)
         return PassiveObserver(ship, passive, sample_s)
 
 
-def estimator_choice(spec: ScenarioFile, scale: Froude, where: str) -> EstimatorChoice:
-    """The estimator of a scenario file.
-
-    Raises
-    ------
-    InputError : for a filter that is told the period of no waves.
-    """
+def choose_estimator(spec: ScenarioFile, scale: Froude, where: str) -> EstimatorChoice:
+    """Return the estimator settings of a scenario file, scaled to the ship."""
     place, table, sea = f"{where}: estimator", spec.estimator, spec.environment
     sensor = SENSOR_STD * scale.pose
     if sea.noise is not None:
@@ -68,11 +54,12 @@ def estimator_choice(spec: ScenarioFile, scale: Froude, where: str) -> Estimator
     if table.kind != "measured":
         floor = CALM_STD * scale.pose
         std = floor if sea.waves is None else np.maximum(sea.waves.motion_std(scale), floor)
-        waves = WaveModel.of_sea(_peak_period(table, spec, place) * scale.time, std)
+        waves = WaveModel.of_sea(_assumed_peak_period_s(table, spec, place) * scale.time, std)
     return EstimatorChoice(table.kind, table.wave_filter, waves, sensor, place)
 
 
-def _peak_period(table: EstimatorTable, spec: ScenarioFile, where: str) -> float:
+def _assumed_peak_period_s(table: EstimatorTable, spec: ScenarioFile, where: str) -> float:
+    """Return the wave period [s] for the estimator; InputError where none is known."""
     if table.peak_period_s is not None:
         return table.peak_period_s
     if spec.environment.waves is None:

@@ -1,6 +1,4 @@
-"""Horizons as a person writes them: "N_p/N_c", e.g. 30/5."""
-
-from __future__ import annotations
+"""Horizons as text: "N_p/N_c", e.g. 30/5."""
 
 import re
 
@@ -9,7 +7,7 @@ Horizons = tuple[int, int]
 
 
 def parse_horizons(text: str) -> Horizons:
-    """(N_p, N_c) of "30/5"; ValueError that says what is allowed."""
+    """Parse horizons "N_p/N_c", e.g. "30/5", to two integers; ValueError if malformed."""
     match = re.fullmatch(r"([0-9]{1,4})/([0-9]{1,4})", text)
     N_p, N_c = (int(match[1]), int(match[2])) if match else (0, 0)
     if not 1 <= N_c <= N_p:
@@ -17,8 +15,8 @@ def parse_horizons(text: str) -> Horizons:
     return N_p, N_c
 
 
-def different_horizons(texts: list[str]) -> list[str]:
-    """`texts` as they are; ValueError for one that is malformed or there twice."""
+def check_distinct_horizons(texts: list[str]) -> list[str]:
+    """Return `texts` unchanged; ValueError if a pair of horizons is malformed or repeated."""
     seen: set[Horizons] = set()
     for text in texts:
         pair = parse_horizons(text)

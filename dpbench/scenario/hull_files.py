@@ -1,4 +1,4 @@
-"""Hulls from other people's files: a vessel structure of the MSS toolbox, a table of coefficients.
+"""Hulls from files: a vessel structure of the MSS toolbox, or a table of coefficients.
 
 **MSS** (Fossen & Perez, Marine Systems Simulator): a `.mat` file with a structure `vessel`, made by
 its `veres2vessel` or `wamit2vessel`. Surge, sway and yaw are rows and columns 1, 2 and 6. The ship
@@ -17,8 +17,6 @@ D11 D22 D26 D62 D66 are entries in SI units, numbered as the six degrees of free
 be left out and are zero then, D62 is then D26.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Mapping
@@ -30,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix
-from dpbench.errors import InputError
+from dpbench.errors import InputError, list_allowed
 from dpbench.files.mat import read_structure
 from dpbench.files.opening import MOST_TEXT_BYTES, read_bytes
 
@@ -38,7 +36,7 @@ _Fields = Mapping[str, NDArray[Any]]
 _NOTHING = np.zeros(0)
 _SURGE_SWAY_YAW = np.ix_([0, 1, 5], [0, 1, 5])
 NEXT_DIFFERS = 0.1
-"""From here on it is said how far off the added mass at the next frequency is."""
+"""Relative change of the added mass to the next frequency from which on there is a remark."""
 
 PARTICULARS = ("length_m", "breadth_m", "draught_m", "displacement_t")
 REQUIRED = ("M11", "M22", "M66", "D11", "D22", "D66")
@@ -47,13 +45,7 @@ COUPLINGS = ("M26", "D26", "D62")
 
 @dataclass(frozen=True, eq=False)
 class Hull:
-    """What a file says of a hull.
-
-    Parameters
-    ----------
-    M, D : (3, 3) inertia and damping [SI]. particulars : those of `PARTICULARS` that it has.
-    method : how they were made, a sentence. remarks : what the reader of the ship has to know.
-    """
+    """Inertia M and damping D (3, 3) [SI] read from a hull file, with main dimensions."""
 
     M: Matrix
     D: Matrix
@@ -63,17 +55,15 @@ class Hull:
 
 
 def read_mss(path: Path) -> Hull:
-    """The hull of a vessel structure of the MSS toolbox.
-
-    Raises
-    ------
-    InputError : naming file, field, what was found and what is allowed.
-    """
-    vessel = _structure(path)
-    rigid = _field(vessel, path, "MRB")
-    omega = np.atleast_1d(_field(vessel, path, "freqs")).ravel()
-    added, potential = (_by_frequency(vessel, path, key, omega) for key in ("A", "B"))
-    viscous = _viscous(vessel, path, omega)
+    """Read a hull from a `vessel` structure of the MSS toolbox, a MATLAB file."""
+    names, vessel = read_structure(path, "vessel")
+    if not vessel:
+        found = ", ".join(names)[:200] or "nothing"
+        raise InputError(str(path), "vessel", found, "a structure `vessel` of the MSS toolbox")
+    rigid = _read_field(vessel, path, "MRB")
+    omega = np.atleast_1d(_read_field(vessel, path, "freqs")).ravel()
+    added, potential = (_read_by_frequency(vessel, path, key, omega) for key in ("A", "B"))
+    viscous = _read_viscous_damping(vessel, path, omega)
     if rigid.shape != (6, 6):
         raise InputError(str(path), "vessel.MRB", f"shape {rigid.shape}", "shape (6, 6)")
     lowest, *others = np.argsort(omega)
@@ -85,24 +75,17 @@ def read_mss(path: Path) -> Hull:
         here, there = (np.diag(added[k][_SURGE_SWAY_YAW]) for k in (lowest, others[0]))
         ratios = there / here
         if (np.abs(ratios - 1.0) > NEXT_DIFFERS).any():
-            said = ", ".join(f"{ratio:.2f}" for ratio in ratios)
+            texts = ", ".join(f"{ratio:.2f}" for ratio in ratios)
             remarks.append(
                 f"At the next frequency, {omega[others[0]]:.3g} rad/s, the added mass of surge, "
-                f"sway, yaw is {said} times that at {first}: strip theory may be weak there."
+                f"sway, yaw is {texts} times that at {first}: strip theory may be weak there."
             )
     method = f"M = MRB + A and D = B + Bv of {path.name} at its lowest frequency, {first}"
-    return Hull(M, D, _main(vessel), method, remarks)
+    return Hull(M, D, _read_dimensions(vessel), method, remarks)
 
 
-def _structure(path: Path) -> _Fields:
-    names, fields = read_structure(path, "vessel")
-    if not fields:
-        found = ", ".join(names)[:200] or "nothing"
-        raise InputError(str(path), "vessel", found, "a structure `vessel` of the MSS toolbox")
-    return fields
-
-
-def _field(vessel: _Fields, path: Path, key: str) -> Matrix:
+def _read_field(vessel: _Fields, path: Path, key: str) -> Matrix:
+    """Return a hull file's field as finite floats; InputError if it is missing or not numeric."""
     array = vessel.get(f"vessel.{key}", _NOTHING)
     if not array.size:
         found = "no numbers" if f"vessel.{key}" in vessel else "nothing"
@@ -113,9 +96,9 @@ def _field(vessel: _Fields, path: Path, key: str) -> Matrix:
     return array
 
 
-def _by_frequency(vessel: _Fields, path: Path, key: str, omega: Matrix) -> Matrix:
-    """A field (6, 6, frequencies) or (6, 6, frequencies, speeds) as (frequencies, 6, 6)."""
-    array = _field(vessel, path, key)
+def _read_by_frequency(vessel: _Fields, path: Path, key: str, omega: Matrix) -> Matrix:
+    """Return a hull file's frequency-dependent matrices (frequencies, 6, 6) at the first speed."""
+    array = _read_field(vessel, path, key)
     # One frequency alone loses its axis in MATLAB.
     array = array[:, :, np.newaxis] if array.ndim == 2 else array
     array = array[..., 0] if array.ndim == 4 else array
@@ -125,18 +108,18 @@ def _by_frequency(vessel: _Fields, path: Path, key: str, omega: Matrix) -> Matri
     return np.moveaxis(array, -1, 0)
 
 
-def _viscous(vessel: _Fields, path: Path, omega: Matrix) -> Matrix:
-    """Bv at each frequency; one matrix stands for all, and potential damping alone is refused."""
+def _read_viscous_damping(vessel: _Fields, path: Path, omega: Matrix) -> Matrix:
+    """Return a hull file's viscous damping (frequencies, 6, 6); InputError if it has none."""
     if "vessel.Bv" not in vessel:
         allowed = "viscous damping (MSS: ABCtransform, viscous): at low frequency there is no other"
         raise InputError(str(path), "vessel.Bv", "nothing", allowed)
-    if _field(vessel, path, "Bv").ndim == 2:
-        return np.broadcast_to(_field(vessel, path, "Bv"), (omega.size, 6, 6))
-    return _by_frequency(vessel, path, "Bv", omega)
+    if _read_field(vessel, path, "Bv").ndim == 2:
+        return np.broadcast_to(_read_field(vessel, path, "Bv"), (omega.size, 6, 6))
+    return _read_by_frequency(vessel, path, "Bv", omega)
 
 
-def _main(vessel: _Fields) -> dict[str, float]:
-    """The particulars of `vessel.main`, as far as it has them as numbers above zero."""
+def _read_dimensions(vessel: _Fields) -> dict[str, float]:
+    """Return a hull file's length, breadth, draught and displacement, those given above zero."""
     keys = {"length_m": "Lpp", "breadth_m": "B", "draught_m": "T", "displacement_t": "m"}
     per = {"displacement_t": 1000.0}
     numbers = {name: vessel.get(f"vessel.main.{key}", _NOTHING) for name, key in keys.items()}
@@ -147,14 +130,9 @@ def _main(vessel: _Fields) -> dict[str, float]:
     }
 
 
-def read_table(path: Path) -> Hull:
-    """The hull of a table of coefficients.
-
-    Raises
-    ------
-    InputError : naming file, coefficient, what was found and what is allowed.
-    """
-    values = _values(path)
+def read_coefficient_table(path: Path) -> Hull:
+    """Read a hull from a CSV table of inertia and damping coefficients."""
+    values = _read_coefficients(path)
     for name in REQUIRED:
         if name not in values:
             needed = f"a row of each of {', '.join(REQUIRED)}"
@@ -168,7 +146,8 @@ def read_table(path: Path) -> Hull:
     return Hull(np.array(M, dtype=float), np.array(D, dtype=float), particulars, method)
 
 
-def _values(path: Path) -> dict[str, float]:
+def _read_coefficients(path: Path) -> dict[str, float]:
+    """Read the hull coefficients of a CSV table by name; InputError for a bad row."""
     what = "a readable CSV file in UTF-8"
     content = read_bytes(path, what, most_bytes=MOST_TEXT_BYTES)
     try:
@@ -185,13 +164,15 @@ def _values(path: Path) -> dict[str, float]:
         name = cell.strip()
         if name not in known or name in values:
             found = "a second row" if name in values else "an unknown coefficient"
-            raise InputError(str(path), repr(name)[:80], found, f"each once, of {', '.join(known)}")
-        values[name] = _number(path, name, rest[0] if rest else "")
+            raise InputError(
+                str(path), repr(name)[:80], found, f"each once, {list_allowed(name, known)}"
+            )
+        values[name] = _parse_coefficient(path, name, rest[0] if rest else "")
     return values
 
 
-def _number(path: Path, name: str, text: str) -> float:
-    """A finite number; all but couplings are above zero."""
+def _parse_coefficient(path: Path, name: str, text: str) -> float:
+    """Parse a hull coefficient, finite and, unless a coupling, above zero; InputError otherwise."""
     try:
         value = float(text)
     except ValueError:

@@ -1,16 +1,14 @@
-"""A ship of one's own from what its master knows: a library vessel scaled to its size.
+"""A ship made of its particulars: a library vessel scaled to its size, in a sea that it can hold.
 
-Inertia and damping are taken over in the Bis system (Norrbin 1970; Fossen 2021),
-which knows a ship by its mass m and its length L:
+Inertia and damping are scaled in the Bis system (Norrbin 1970; Fossen 2021), by the mass m and the
+length L:
 
     M = m N M_b N,   D = m √(g/L) N D_b N,   N = diag(1, 1, L)
 
 Two ships of one form and one fineness have the same M_b and D_b. The rest follows Froude's law.
-Breadth and draught have no part in it: they say how far the ship's form is from the library's, and
-the added masses of two published regressions say how far the result can be trusted.
+Breadth and draught have no part in it: they measure how far the ship's form is from the library's,
+and the added masses of two published regressions how far the result can be trusted.
 """
-
-from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
@@ -19,13 +17,17 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.scenario.scenario import load_vessel
+from dpbench.scenario.tables.weather import CurrentTable, EnvironmentTable, WavesTable, WindTable
+from dpbench.ship.capability.conditions import DP_CONDITIONS
+from dpbench.ship.characteristics import mean_load
+from dpbench.ship.froude import Froude
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather.waves import GRAVITY, WATER_DENSITY
 
 
 @dataclass(frozen=True)
 class Particulars:
-    """Length between perpendiculars, breadth, draught [m], displacement [kg]."""
+    """Main dimensions of the user's ship: length, breadth, draught [m], displacement [kg]."""
 
     length_m: float
     breadth_m: float
@@ -34,14 +36,14 @@ class Particulars:
 
     @property
     def block_coefficient(self) -> float:
-        """C_B = ∇/(L B T) in sea water."""
+        """Block coefficient C_B = ∇/(L B T) in sea water."""
         block_m3 = self.length_m * self.breadth_m * self.draught_m
         return self.displacement_kg / WATER_DENSITY / block_m3
 
 
 @dataclass(frozen=True)
 class LibraryShip:
-    """Size and mass that the matrices of a library vessel belong to; m, m, kg."""
+    """Length, breadth [m] and mass [kg] of the ship that a library vessel's matrices describe."""
 
     length_m: float
     breadth_m: float
@@ -58,13 +60,26 @@ LIBRARY = {
 
 PAPER_SHIP = "supply_fs99"
 NOT_CHOSEN = ("osv",)
-"""Taken only when asked for: MSS `osv.m` makes its damping from chosen time constants (100 s,
-100 s, 1 s), so it says nothing of another hull."""
+"""Used on request only: MSS `osv.m` makes its damping from chosen time constants."""
+
+DP_NUMBERS = {number: DP_CONDITIONS[number] for number in range(1, 10)}
+"""Wind [m/s], Hs [m], Tp [s], current [m/s] of DP capability numbers up to a strong gale."""
+
+FROM_DEG = 30.0
+"""Wind and waves come from the bow, not quite ahead: a heading a ship may choose."""
+
+CURRENT_SHARE = 0.4
+"""Of the standard's current. Linear damping is meant for some cm/s; on the supply ship of Fossen &
+Strand D·0.3 m/s abeam is the force that the standard gives to its 0.75 m/s (section 3.6)."""
+
+RAMP_S = 60.0
+SPARE = 0.5
+"""Share of the limits that the mean force may take: gusts and drift need the rest."""
 
 
 @dataclass(frozen=True, eq=False)
-class Thrust:
-    """Largest force ahead, sideways and in yaw [N, N, N·m]; None for the library vessel's share."""
+class ThrustLimits:
+    """Largest force of the user's ship ahead, sideways and in yaw [N, N, N·m]."""
 
     ahead_N: float
     sway_N: float | None = None
@@ -72,7 +87,7 @@ class Thrust:
 
 
 def nearest_ship(own: Particulars) -> str:
-    """The library vessel nearest in length, breadth and ∇^⅓, by the squares of their logarithms."""
+    """Return the library vessel most similar in length, breadth and displacement."""
 
     def distance(name: str) -> float:
         ship = LIBRARY[name]
@@ -87,12 +102,7 @@ def nearest_ship(own: Particulars) -> str:
 
 
 def scale_matrices(like: str, length_m: float, mass_kg: float) -> tuple[Matrix, Matrix]:
-    """M and D (3, 3) of a ship of that length and mass, and of the form of a library vessel.
-
-    Returns
-    -------
-    M [kg, kg·m, kg·m²], D [kg/s, kg·m/s, kg·m²/s].
-    """
+    """Return inertia and damping (3, 3) [SI] of a library vessel scaled to a length and mass."""
     vessel, ship = load_vessel(like), LIBRARY[like]
     longer = length_m / ship.length_m
     N = np.diag([1.0, 1.0, longer])
@@ -101,16 +111,12 @@ def scale_matrices(like: str, length_m: float, mass_kg: float) -> tuple[Matrix, 
     return M, D
 
 
-def scale_vessel(like: str, own: Particulars, thrust: Thrust, name: str = "own") -> Vessel:
-    """The library vessel `like` at the size of `own`, with its limits made of `thrust`.
+def scale_vessel(like: str, own: Particulars, thrust: ThrustLimits, name: str = "own") -> Vessel:
+    """Scale a library vessel to the dimensions and thrust of the user's ship.
 
     Forces that are not given keep the library vessel's share of the force ahead, the moment its
     share of sway force times length. Times, and with them the rate limits, grow with √L. Areas in
     the wind grow with L² on the side and with L·B in front.
-
-    Raises
-    ------
-    InputError : there is no such vessel; limits without zero inside.
     """
     vessel, ship = load_vessel(like), LIBRARY[like]
     longer, broader = own.length_m / ship.length_m, own.breadth_m / ship.breadth_m
@@ -141,7 +147,7 @@ def scale_vessel(like: str, own: Particulars, thrust: Thrust, name: str = "own")
 
 
 def regression_added_mass(own: Particulars) -> Vector:
-    """Added mass of surge, sway and yaw by published regressions: (3,) [kg, kg, kg·m²].
+    """Return the added mass (3,) [kg, kg, kg·m²] in surge, sway, yaw by published regressions.
 
     Surge: 2.7 ρ ∇^(5/3)/L² (Söding 1982). Sway and yaw, over ½ρL³ and ½ρL⁵ (Clarke, Gedling &
     Hine 1983; MSS has them as `addedMassSurge.m` and `clarke83.m`):
@@ -162,17 +168,44 @@ def regression_added_mass(own: Particulars) -> Vector:
     )
 
 
-def rigid_body(own: Particulars) -> Vector:
-    """Mass, mass and moment of inertia m (L/4)², the usual radius of a ship: (3,)."""
+def rigid_body_inertia(own: Particulars) -> Vector:
+    """Return the rigid-body inertia (3,) [kg, kg, kg·m²] in surge, sway and yaw."""
     m = own.displacement_kg
     return np.array([m, m, m * (0.25 * own.length_m) ** 2])
 
 
 def thrust_to_weight(own: Particulars, force_N: float) -> float:
-    """A force over the ship's weight."""
+    """Return the ratio of a force to the ship's weight."""
     return force_N / (own.displacement_kg * GRAVITY)
 
 
 def froude_time(length_m: float) -> float:
-    """How much longer all times are than those of the paper's ship: √(L/L_paper)."""
+    """Return the ratio of this ship's time scale to that of the paper's ship: √(L/L_paper)."""
     return math.sqrt(length_m / LIBRARY[PAPER_SHIP].length_m)
+
+
+def sea_state(number: int) -> EnvironmentTable:
+    """Return wind, waves and current of a DP capability number at full size, as settings."""
+    wind_mps, hs_m, tp_s, current_mps = DP_NUMBERS[number]
+    return EnvironmentTable(
+        ramp_s=RAMP_S,
+        seed=1,
+        wind=WindTable(speed_mps=wind_mps, from_deg=FROM_DEG),
+        current=CurrentTable(
+            speed_mps=round(CURRENT_SHARE * current_mps, 3), towards_deg=FROM_DEG + 180.0
+        ),
+        waves=WavesTable(hs_m=hs_m, tp_s=tp_s, from_deg=FROM_DEG),
+    )
+
+
+def load_share(vessel: Vessel, number: int) -> float:
+    """Return the largest ratio over the axes of mean force to limit, in a DP number's weather."""
+    load = mean_load(vessel, sea_state(number).build_environment(Froude()))
+    # What pushes astern is met with force ahead.
+    limit = np.where(load < 0.0, vessel.tau_max, -vessel.tau_min)
+    return float(np.max(np.abs(load) / limit))
+
+
+def largest_sea(vessel: Vessel) -> int:
+    """Return the largest DP number whose mean weather force takes at most half of the limits."""
+    return max((n for n in DP_NUMBERS if load_share(vessel, n) <= SPARE), default=1)

@@ -1,17 +1,10 @@
-"""Find and read the TOML files under `problems/`, and say in one line what is wrong with one.
+"""Find, read and validate the TOML files under `problems/`, and others by their path."""
 
-A name resolves among the files that ship with the package; anything that looks like a path is
-taken as a path, so an engineer's own files need no installation.
-"""
-
-from __future__ import annotations
-
-import difflib
 import os
 import re
 import tomllib
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypedDict, TypeVar
 
 from pydantic import (
     BaseModel,
@@ -21,7 +14,7 @@ from pydantic import (
     model_serializer,
 )
 
-from dpbench.errors import InputError, UnknownNameError, one_of, renamed
+from dpbench.errors import InputError, UnknownNameError, list_allowed, warn_renamed
 from dpbench.files.documents import MOST_DEPTH, check_values
 from dpbench.files.opening import MOST_TEXT_BYTES, read_bytes
 
@@ -38,18 +31,35 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 _Model = TypeVar("_Model", bound=BaseModel)
 
 
+class VesselDocuments(TypedDict, total=False):
+    """Contents of a vessel file as plain values, and the vessel's name."""
+
+    vessel_name: str
+    vessel: dict[str, Any]
+
+
+class ScenarioDocuments(VesselDocuments, total=False):
+    """Contents of a scenario file and its vessel file as plain values, with their names."""
+
+    name: str
+    scenario: dict[str, Any]
+
+
 class FileModel(BaseModel):
-    """Base of everything read from TOML: unknown keys and loose types are refused."""
+    """Base data model of TOML files that refuses unknown keys and loosely typed values."""
 
     old_keys: ClassVar[dict[str, str]] = {}
     """Old names of keys that are still read, with what they are called now."""
 
+    refused_keys: ClassVar[dict[str, str]] = {}
+    """Old names of keys that are refused, with what they are called now."""
+
     later_keys: ClassVar[frozenset[str]] = frozenset()
-    """Keys that came later: at their default they are not written, so that documents of before stay
-    equal, byte for byte."""
+    """Newer keys, not written at their default: older documents stay equal byte for byte."""
 
     @model_serializer(mode="wrap")
-    def _later_unsaid(self, write: SerializerFunctionWrapHandler) -> dict[str, object]:
+    def _omit_default_keys(self, write: SerializerFunctionWrapHandler) -> dict[str, object]:
+        """Return the settings to be written, without newer keys at their default value."""
         table: dict[str, object] = write(self)
         fields = type(self).model_fields
         for key in self.later_keys:
@@ -61,28 +71,25 @@ class FileModel(BaseModel):
 
 
 def problems_root() -> Path:
-    """The folder of the shipped problems: inside an installed wheel, beside the package else."""
+    """Return the folder of the vessels, scenarios, suites and sequences that dpbench ships."""
     installed = _PACKAGE / "problems"
     return installed if installed.is_dir() else _PACKAGE.parent / "problems"
 
 
 def problem_names(kind: str) -> list[str]:
-    """The names a person may use for vessels, scenarios, suites or sequences."""
+    """Return the names of the shipped vessels, scenarios, suites or sequences."""
     suffix = ".npz" if kind == SEQUENCES else ".toml"
     return sorted(path.stem for path in (problems_root() / kind).glob(f"*{suffix}"))
 
 
 def problem_path(kind: str, name: str | Path, beside: Path | None = None) -> Path:
-    """The file of a name or path; a relative path is looked for beside `beside` first.
+    """Return the path of a vessel, scenario or suite given by name or by path.
 
-    Raises
-    ------
-    UnknownNameError : with the nearest names, when there is no such name.
-    InputError : when it looks like a path and no such file exists.
+    Raises UnknownNameError, with the nearest names, for a name, and InputError for a path.
     """
     text = str(name)
     if (kind, text) in OLD_NAMES:
-        renamed(f"{kind[:-1]} name", text, OLD_NAMES[kind, text])
+        warn_renamed(f"{kind[:-1]} name", text, OLD_NAMES[kind, text])
         text = OLD_NAMES[kind, text]
     if not text.endswith(".toml") and "/" not in text:
         path = problems_root() / kind / f"{text}.toml"
@@ -98,13 +105,9 @@ def problem_path(kind: str, name: str | Path, beside: Path | None = None) -> Pat
 
 
 def sequence_path(name_or_path: str | Path, beside: Path | None = None) -> Path:
-    """The file of a stored sequence by name; else the path, looked for beside `beside` first.
+    """Return the path of a QP sequence given by name or by path, which may not exist.
 
-    Nothing is said of a path that does not exist: reading it does that.
-
-    Raises
-    ------
-    UnknownNameError : for what looks like a name, when there is no such name and no such folder.
+    Raises UnknownNameError for a name that is neither a stored sequence nor a folder.
     """
     text = str(name_or_path)
     if is_stored(text):
@@ -119,22 +122,19 @@ def sequence_path(name_or_path: str | Path, beside: Path | None = None) -> Path:
 
 
 def is_stored(name: str | Path) -> bool:
-    """Whether a sequence of this name ships with the package."""
+    """Return whether a QP sequence of this name is shipped with dpbench."""
     return str(name) in problem_names(SEQUENCES)
 
 
 def unknown_name(kind: str, text: str, otherwise: str) -> UnknownNameError:
-    """The error of a name that no file of its kind has, with the nearest names and all of them.
-
-    `otherwise` is what could stand there instead of a name.
-    """
-    allowed = one_of(text, problem_names(kind))
+    """Return an error for an unknown vessel, scenario, suite or sequence name, with near names."""
+    allowed = list_allowed(text, problem_names(kind), listing=f"dpbench list {kind}")
     shown = repr(text if len(text) <= 80 else f"{text[:77]}...")
     return UnknownNameError(f"{kind[:-1]} name", "", shown, f"{allowed}; or {otherwise}")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The TOML document at `path`; InputError when it cannot be read or parsed."""
+    """Read a TOML document as a dict; InputError where it cannot be read or parsed."""
     where, content = str(path), read_bytes(path, "a readable file", most_bytes=MOST_TEXT_BYTES)
     try:
         text = content.decode("utf-8-sig")
@@ -155,39 +155,39 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def read_model(path: Path, model: type[_Model]) -> _Model:
-    """The document at `path` as a `model`; InputError naming file, key, found and allowed."""
+    """Read and validate a TOML file as a data model; InputError names the faulty key."""
     return parse_model(read_toml(path), model, str(path))
 
 
 def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _Model:
-    """`document` as a `model`; `where` names it in errors."""
+    """Convert settings to a validated data model; InputError names the faulty key and value."""
     for old, new in getattr(model, "old_keys", {}).items():
         if old in document and new not in document:
-            renamed(where, old, new)
+            warn_renamed(where, old, new)
             document = {new if key == old else key: value for key, value in document.items()}
     try:
         return model.model_validate(document)
     except ValidationError as error:
         faults = error.errors(include_url=False)
-        # A misspelled required key is both missing and unknown; the second says more.
+        # A misspelled required key is both missing and unknown; the second helps more.
         first = next((fault for fault in faults if fault["type"] == "extra_forbidden"), faults[0])
         keys = [str(part) for part in first["loc"]]
         key = ".".join(keys)
         if first["type"] == "extra_forbidden":
-            names = _allowed_keys(model, keys[:-1])
-            near = difflib.get_close_matches(keys[-1], names, n=1)
-            hint = f"{near[0]}? All keys: " if near else ""
-            raise InputError(where, key, "an unknown key", hint + ", ".join(names)) from error
+            if new := getattr(model, "refused_keys", {}).get(key):
+                raise InputError(where, key, "an old name", f"{new}, its name now") from error
+            allowed = list_allowed(keys[-1], _allowed_keys(model, keys[:-1]))
+            raise InputError(where, key, "an unknown key", allowed) from error
         if first["type"] == "missing":
             raise InputError(where, key, "nothing", "this key is required") from error
         message = str(first["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
         value = first["input"]
-        stands = f"keys {', '.join(value)}" if isinstance(value, dict) else repr(value)[:200]
-        raise InputError(where, key, stands, message) from error
+        found = f"keys {', '.join(value)}" if isinstance(value, dict) else repr(value)[:200]
+        raise InputError(where, key, found, message) from error
 
 
 def _allowed_keys(model: type[BaseModel], keys: list[str]) -> list[str]:
-    """Field names of the table that `keys` leads to."""
+    """Return the keys that a data model allows in the nested table at a path of keys."""
     current: Any = model
     for key in keys:
         field = current.model_fields.get(key) if hasattr(current, "model_fields") else None

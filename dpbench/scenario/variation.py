@@ -5,103 +5,96 @@ A key is named as in the files, with dots: `environment.wind.speed_mps`, `start.
 `vessel.limits.rate_max_N_per_s.1` a key of its file.
 """
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-from dpbench.errors import InputError, one_of
-from dpbench.scenario.problem_files import problem_path, read_model
-from dpbench.scenario.scenario import Scenario, scenario_of
-from dpbench.scenario.tables.vessel_file import VesselFile
+from dpbench.errors import InputError, list_allowed
+from dpbench.scenario.problem_files import ScenarioDocuments
+from dpbench.scenario.scenario import Scenario, build_scenario, read_vessel_documents
 from dpbench.ship.plant import SUBSTEPS
 
-Files = dict[str, Any]
 VESSEL = "vessel"
 SEED = "environment.seed"
 """Any whole number makes a sea of its own, and changes nothing else."""
-_LABELS = {"name": "", "title": "", "shows": "", "tuning": "", "files": {}}
+_LABELS = {"name": "", "title": "", "shows": "", "files": {}}
 
 
-def varied(
+def replace_values(
     scenario: Scenario, values: Mapping[str, object], where: str, *, beside: Path | None = None
 ) -> Scenario:
-    """The scenario with other values of some keys, under its own name.
+    """Return a scenario with values replaced, given by dotted keys such as `start.east_m`.
 
-    Parameters
-    ----------
     values : by the dotted names of the keys, in the units of the files.
     where : what names the keys in errors; beside : the folder a vessel's file is looked for in.
-
-    Raises
-    ------
-    InputError : for a key that its files do not have, or a value that cannot be there.
     """
-    files = varied_files(scenario.files, values, where, beside=beside)
-    return scenario_of(files, where=where, vessel_where=f"{where}: vessel")
+    files = replace_document_values(scenario.files, values, where, beside=beside)
+    return build_scenario(files, where=where, vessel_where=f"{where}: vessel")
 
 
-def varied_files(
-    files: Files, values: Mapping[str, object], where: str, *, beside: Path | None = None
-) -> Files:
-    """The documents of `varied`; whether they make a scenario is not looked at."""
-    files = dict(files)
+def replace_document_values(
+    files: ScenarioDocuments,
+    values: Mapping[str, object],
+    where: str,
+    *,
+    beside: Path | None = None,
+) -> ScenarioDocuments:
+    """Return a scenario's file contents with values of dotted keys replaced, not validated."""
+    changed: dict[str, Any] = {**files}
     for key, value in values.items():
         if key == VESSEL:
-            path = problem_path("vessels", str(value), beside=beside)
-            files |= {"vessel": read_model(path, VesselFile).model_dump(), "vessel_name": path.stem}
+            changed |= read_vessel_documents(str(value), beside=beside)
     for key, value in values.items():
         if key != VESSEL:
             parts = key.split(".")
             file = "vessel" if parts[0] == VESSEL else "scenario"
             path_in_file = parts[1:] if file == "vessel" else parts
-            files[file] = _with(files[file], path_in_file, value, f"{where}: {key}")
-    return files
+            changed[file] = _replace_value(changed[file], path_in_file, value, f"{where}: {key}")
+    return cast(ScenarioDocuments, changed)
 
 
-def value_of(scenario: Scenario, key: str, where: str) -> object:
-    """The scenario's own value of a key; InputError, naming `where`, for one that it has not."""
+def read_value(scenario: Scenario, key: str, where: str) -> object:
+    """Return the value of a dotted key in a scenario's files; InputError without such a key."""
     if key == VESSEL:
         return scenario.files["vessel_name"]
     parts = key.split(".")
     at = scenario.files["vessel" if parts[0] == VESSEL else "scenario"]
     for part in parts[1:] if parts[0] == VESSEL else parts:
-        at = at[_place(at, part, f"{where}: {key}")]
+        at = at[_find_index(at, part, f"{where}: {key}")]
     return at
 
 
-def _with(table: Any, parts: list[str], value: object, where: str) -> Any:
-    """A copy of a table with one of its values replaced; what is not on the way is shared."""
-    place = _place(table, parts[0], where)
+def _replace_value(table: Any, parts: list[str], value: object, where: str) -> Any:
+    """Return a copy of a nested table with one value replaced."""
+    place = _find_index(table, parts[0], where)
     changed = table.copy()
-    changed[place] = _with(table[place], parts[1:], value, where) if parts[1:] else value
+    changed[place] = _replace_value(table[place], parts[1:], value, where) if parts[1:] else value
     return changed
 
 
-def _place(table: Any, part: str, where: str) -> Any:
-    """The key or index that `part` is in a table or list."""
+def _find_index(table: Any, part: str, where: str) -> Any:
+    """Return one part of a dotted key as a key or list index; InputError if there is none such."""
     if isinstance(table, dict):
         if part in table:
             return part
-        raise InputError(where, "", f"no key {part!r} there", one_of(part, sorted(table)))
+        raise InputError(where, "", f"no key {part!r} there", list_allowed(part, sorted(table)))
     if isinstance(table, list):
         if part.isdecimal() and int(part) < len(table):
             return int(part)
         raise InputError(where, "", part, f"an index from 0 to {len(table) - 1}")
-    stands = "nothing" if table is None else "a value"
-    raise InputError(where, "", f"{stands} above {part!r}", "a key of a table of the scenario")
+    found = "nothing" if table is None else "a value"
+    raise InputError(where, "", f"{found} above {part!r}", "a key of a table of the scenario")
 
 
-def differ(one: Scenario, other: Scenario, steps: int) -> bool:
-    """Whether two runs of so many steps can differ: in weather, ship, controller or reference."""
-    return _behaviour(one, steps) != _behaviour(other, steps)
+def behave_differently(one: Scenario, other: Scenario, steps: int) -> bool:
+    """Return whether two scenarios differ in anything that affects a run of `steps` samples."""
+    return _serialise_behaviour(one, steps) != _serialise_behaviour(other, steps)
 
 
-def _behaviour(scenario: Scenario, steps: int) -> bytes:
-    """All that a run of so many steps depends on; names and titles are no part of it."""
+def _serialise_behaviour(scenario: Scenario, steps: int) -> bytes:
+    """Return all of a scenario that affects a run as bytes, without names and titles."""
     sea, sample_s = scenario.environment, scenario.sample_s
     weather = (
         sea.stage_table(steps, sample_s, SUBSTEPS),
@@ -116,4 +109,5 @@ def _behaviour(scenario: Scenario, steps: int) -> bytes:
     estimation = replace(scenario.estimation, where="")
     fields = vars(scenario) | _LABELS | {"environment": None, "estimation": estimation}
     fields |= {"vessel": ships[0], "true_ship": ships[1], "steps": steps}
+    fields["controller"] = replace(scenario.controller, tuning="")
     return pickle.dumps((weather, fields))

@@ -1,4 +1,4 @@
-"""What happens to a commanded force on its way to the hull: lost thrust and dead time.
+"""Lost thrust and dead time between a commanded force and the hull.
 
 τ_hull(k) = efficiency · τ(k − delay),   τ = 0 before the start
 """
@@ -16,31 +16,19 @@ from dpbench.ship.thrusters import ThrusterSet
 
 @dataclass(frozen=True, eq=False)
 class Actuators:
-    """Imperfect thrusters behind the controller's limits: those hold for the command τ.
-
-    Parameters
-    ----------
-    efficiency : (3,) share of the command that reaches the hull in surge, sway, yaw, 0 to 1.
-    delay_samples : whole samples between command and force.
-    """
+    """Thrust losses and dead time between the commanded force and the hull."""
 
     efficiency: Vector = field(default_factory=lambda: np.ones(AXES))
     delay_samples: int = 0
 
-    def start(self) -> Thrust:
-        """The actuators of one run, at rest."""
-        return Thrust(self)
+    def start(self) -> DelayedThrust:
+        """Return the actuators' state at the start of a run, without thrust."""
+        return DelayedThrust(self)
 
 
 @dataclass(frozen=True, eq=False)
-class SteeredThrusters:
-    """Thrusters whose forces are the command.
-
-    Parameters
-    ----------
-    thrusters : those of the ship; sample_s : Δt [s]; lag_s : T [s], 0 for none.
-    behind : what is lost or late besides.
-    """
+class CommandedThrusters:
+    """Thrusters with commanded forces, with a first-order lag, dead time and thrust losses."""
 
     thrusters: ThrusterSet
     sample_s: float
@@ -48,18 +36,18 @@ class SteeredThrusters:
     behind: Actuators
 
     def start(self) -> ThrusterForces:
-        """The thrusters of one run, at rest."""
+        """Return the thrusters' state at the start of a run, without thrust."""
         return ThrusterForces(self)
 
 
-class Delayed:
-    """A ring of the commands still under way."""
+class DelayLine:
+    """Ring buffer that delays commands by a number of samples."""
 
     def __init__(self, samples: int, entries: int) -> None:
         self._ring, self._newest = np.zeros((samples + 1, entries)), 0
 
-    def oldest(self, command: Vector) -> Vector:
-        """The command that arrives in this sample, in which `command` is given; a view."""
+    def push(self, command: Vector) -> Vector:
+        """Store the newest command and return a view of the one that is due now."""
         self._ring[self._newest] = command
         self._newest = (self._newest + 1) % len(self._ring)
         # After the step the place to be written next holds the oldest command.
@@ -67,46 +55,41 @@ class Delayed:
         return arrived
 
 
-class Thrust:
-    """The state of the actuators in one run."""
+class DelayedThrust:
+    """State of the actuators in one run: commands under way, and the delivered force."""
 
     def __init__(self, actuators: Actuators) -> None:
         self._efficiency = actuators.efficiency
-        self._late = Delayed(actuators.delay_samples, AXES)
+        self._delay = DelayLine(actuators.delay_samples, AXES)
         self._delivered = np.zeros(AXES)
 
     def deliver(self, tau: Vector) -> Vector:
-        """The force on the hull in this sample for the command tau (3,); valid until the next."""
-        np.multiply(self._efficiency, self._late.oldest(tau), out=self._delivered)
+        """Return the force on the hull (3,) for a commanded force tau (3,)."""
+        np.multiply(self._efficiency, self._delay.push(tau), out=self._delivered)
         return self._delivered
 
 
 class ThrusterForces:
-    """The state of the thrusters in one run: what they give now, and the commands under way.
+    """State of commanded thrusters in one run; f (n_f,) are their present forces [N]."""
 
-    Attributes
-    ----------
-    f : (n_f,) their forces at the end of the last sample [N].
-    """
-
-    def __init__(self, steered: SteeredThrusters) -> None:
-        thrusters, behind = steered.thrusters, steered.behind
+    def __init__(self, commanded: CommandedThrusters) -> None:
+        thrusters, behind = commanded.thrusters, commanded.behind
         self.f = np.zeros(thrusters.n_f)
         self._efficient: Matrix = behind.efficiency[:, np.newaxis] * thrusters.T_e
-        self._step_max = thrusters.step_max(steered.sample_s)
-        self._late = Delayed(behind.delay_samples, thrusters.n_f)
+        self._step_max = thrusters.step_max(commanded.sample_s)
+        self._delay = DelayLine(behind.delay_samples, thrusters.n_f)
         self._circles = [
             (at, thruster.thrust_N)
-            for thruster, at in zip(thrusters.thrusters, thrusters.places, strict=True)
+            for thruster, at in zip(thrusters.thrusters, thrusters.slices, strict=True)
             if thruster.kind == "azimuth"
         ]
-        lag = steered.lag_s / steered.sample_s
+        lag = commanded.lag_s / commanded.sample_s
         self._left = np.exp(-1.0 / lag) if lag > 0.0 else 0.0
         self._mean = lag * (1.0 - self._left)
 
     def deliver(self, command: Vector) -> Vector:
-        """The force on the hull (3,) in this sample for the command f (n_f,)."""
-        goal, f = self._late.oldest(command), self.f
+        """Return the force on the hull (3,) in this sample for commanded thruster forces (n_f,)."""
+        goal, f = self._delay.push(command), self.f
         target = np.clip(goal, f - self._step_max, f + self._step_max)
         for at, thrust_N in self._circles:
             size = float(np.sqrt((target[at] ** 2).sum()))

@@ -1,11 +1,8 @@
-"""What a ship is, in the numbers its master knows: time constants, reach, drift, force in weather.
+"""Time constants, speeds, drift and mean force in weather of the linear model of a ship.
 
-Each is of the linear model M ν̇ + D ν = τ + w at rest in its reference, order surge, sway, yaw.
-Speeds are those at which linear damping balances the force; it is meant for some cm/s, and a hull
-that drifts faster meets quadratic drag as well (Fossen 2021, chapter 6).
+M ν̇ + D ν = τ + w, order surge, sway, yaw. Speeds are those at which linear damping balances the
+force; it is meant for some cm/s, a faster hull meets quadratic drag too (Fossen 2021, chapter 6).
 """
-
-from __future__ import annotations
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -18,15 +15,14 @@ from dpbench.ship.weather.waves import GRAVITY
 
 SWAY = 1
 SLOW_FROUDE_NUMBER = 0.2
-"""Beyond it linear damping says nothing of a hull: waves of its own making take over."""
+"""Beyond it waves of the hull's own making take over from linear damping."""
 
 
 def axis_time_constants_s(vessel: Vessel) -> Vector:
-    """Time constants of surge, sway and yaw: (3,) [s].
+    """Return the time constants (3,) [s] of the ship's motion in surge, sway and yaw.
 
-    1 over the real parts of the eigenvalues of M⁻¹D, each given to the axis that takes the largest
-    part in its mode: the moduli of left times right eigenvectors, entry by entry (participation
-    factors, Kundur 1994, chapter 12), assigned so that their sum is largest.
+    1 over the real parts of the eigenvalues of M⁻¹D, assigned to axes by participation factors
+    (Kundur 1994, chapter 12) so that their sum is largest.
     """
     rates, right = np.linalg.eig(np.linalg.solve(vessel.M, vessel.D))
     participation = np.abs(right * np.linalg.inv(right).T)
@@ -37,13 +33,12 @@ def axis_time_constants_s(vessel: Vessel) -> Vector:
 
 
 def steady_speed(vessel: Vessel) -> Matrix:
-    """Speed at which damping balances the full force astern, port, port; ahead, starboard,
-    starboard: (2, 3) [m/s, m/s, rad/s], each with the other axes held."""
+    """Return the steady speeds (2, 3) [m/s, m/s, rad/s] under the least and the largest force."""
     return np.stack([vessel.tau_min, vessel.tau_max]) / np.diag(vessel.D)
 
 
 def slow_speed(vessel: Vessel) -> Vector:
-    """Speeds up to which a number of the linear model is worth saying: (3,) [m/s, m/s, rad/s].
+    """Return the largest speeds (3,) [m/s, m/s, rad/s] at which linear damping is valid.
 
     Fr √(gL) along both axes, and that of bow and stern in a turn.
     """
@@ -52,33 +47,29 @@ def slow_speed(vessel: Vessel) -> Vector:
 
 
 def sideways_force(vessel: Vessel) -> Vector:
-    """Force (3,) [N, N, N·m] that holds the ship in a current abeam of 1 m/s, or moves it so."""
+    """Return the force (3,) [N, N, N·m] that holds the ship in a current abeam of 1 m/s."""
     force: Vector = vessel.D[:, SWAY].copy()
     return force
 
 
 def largest_current_abeam_mps(vessel: Vessel) -> float:
-    """Current abeam [m/s] that the weaker side of the limits of all axes still balances."""
+    """Return the largest current abeam [m/s] that the ship can hold against."""
     reach = np.minimum(-vessel.tau_min, vessel.tau_max)
     per_mps = np.abs(sideways_force(vessel))
     return float(np.min(reach[per_mps > 0] / per_mps[per_mps > 0]))
 
 
 def has_mirror_symmetry(vessel: Vessel) -> bool:
-    """Whether port mirrors starboard: surge uncoupled, limits of sway and yaw as far either way."""
+    """Return whether surge is uncoupled, and the limits of sway and yaw are symmetric."""
     across = np.concatenate([vessel.M[0, 1:], vessel.M[1:, 0], vessel.D[0, 1:], vessel.D[1:, 0]])
     return not across.any() and np.array_equal(vessel.tau_min[1:], -vessel.tau_max[1:])
 
 
 def mean_load(vessel: Vessel, weather: Environment, heading_rad: float = 0.0) -> Vector:
-    """Mean force of the weather on the ship at rest, along its axes: (3,) [N, N, N·m].
+    """Return the mean force (3,) [N, N, N·m] of weather without squalls on the ship at rest.
 
-    The mean of the slow forces, of the wind without gusts, of the current through D, and of the
-    drift, whose squared envelope has the mean Hs²/8. Squalls are left out.
-
-    Raises
-    ------
-    InputError : the weather has wind or drift and the vessel no hull data for it.
+    The squared envelope of the drift has the mean Hs²/8.
+    Raises InputError where the weather has wind or drift and the vessel no hull data for it.
     """
     c, s = np.cos(heading_rad), np.sin(heading_rad)
     load = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ weather.mean
@@ -87,10 +78,10 @@ def mean_load(vessel: Vessel, weather: Environment, heading_rad: float = 0.0) ->
         return load
     if weather.wind is not None:
         towards = weather.wind.to_rad - heading_rad
-        load = load + weather.wind.speed_mps**2 * hull[WIND_U:DRIFT_U] * _shares(towards)
+        load = load + weather.wind.speed_mps**2 * hull[WIND_U:DRIFT_U] * _flow_factors(towards)
     if weather.drift is not None:
         sea = weather.drift.sea
-        load = load + sea.hs_m**2 / 8.0 * hull[DRIFT_U:] * _shares(sea.to_rad - heading_rad)
+        load = load + sea.hs_m**2 / 8.0 * hull[DRIFT_U:] * _flow_factors(sea.to_rad - heading_rad)
     if weather.current is not None:
         towards = weather.current.to_rad - heading_rad
         flow = np.array([np.cos(towards), np.sin(towards), 0.0])
@@ -98,7 +89,7 @@ def mean_load(vessel: Vessel, weather: Environment, heading_rad: float = 0.0) ->
     return load
 
 
-def _shares(towards_rad: float) -> Vector:
-    """What |V| u, |V| v and −2 u v are for V of length 1 in that direction: (3,)."""
+def _flow_factors(towards_rad: float) -> Vector:
+    """Return the force factors (3,) of a unit flow in a direction: |V| u, |V| v and −2 u v."""
     u, v = np.cos(towards_rad), np.sin(towards_rad)
     return np.array([u, v, -2.0 * u * v])

@@ -1,4 +1,4 @@
-"""The weather of a run: everything that pushes the ship or disturbs its measurement.
+"""The weather of a run, and the noise of its measurement.
 
     b(t) = g(t) · (mean + amplitude · sin(2πt/T + phase)) + squalls,   g(t) = min(t / ramp, 1)
 
@@ -8,8 +8,6 @@ wave drift act through the ship's own velocity and heading, so they enter as vec
 laws of `wind`, `current` and `waves`. Nothing here depends on the ship, so a run evaluates it all
 once at the stage times of the integrator and the step loop only reads tables.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass
 
@@ -30,29 +28,77 @@ from dpbench.ship.layout import (
     WAVE,
     WIND_U,
 )
-from dpbench.ship.sensors import SensorNoise
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.current import Current
-from dpbench.ship.weather.squall import Squall
+from dpbench.ship.weather.harmonics import random_stream
 from dpbench.ship.weather.waves import FirstOrderMotion, WaveDrift
 from dpbench.ship.weather.wind import Wind
 
-Drawn = dict[str, Matrix]
-"""Wind speed and wave height at the stage times, see `Environment.drawn`."""
+WeatherDraw = dict[str, Matrix]
+"""Wind speed and wave height at the stage times, see `Environment.precompute_weather`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Squall:
+    """Force that rises, stays and decays along straight lines, added to the slow forces.
+
+    start_s, rise_s : it grows from zero at start_s to the full force at start_s + rise_s [s].
+    hold_until_s, decay_s : it stays until hold_until_s and is gone decay_s later [s].
+    force : (3,) full force, north, east, yaw [N, N, N·m].
+    """
+
+    start_s: float
+    rise_s: float
+    hold_until_s: float
+    decay_s: float
+    force: Vector
+
+    def force_at(self, t_s: ArrayLike) -> Matrix:
+        """Return the squall's force (..., 3) [N, N, N·m] at the times t_s."""
+        end_s = self.hold_until_s + self.decay_s
+        corners = [self.start_s, self.start_s + self.rise_s, self.hold_until_s, end_s]
+        share = np.interp(np.asarray(t_s, dtype=np.float64), corners, [0.0, 1.0, 1.0, 0.0])
+        return np.multiply.outer(share, self.force)
+
+
+@dataclass(frozen=True)
+class Current:
+    """Steady, irrotational ocean current of constant speed and direction.
+
+        M ν̇ + D (ν − ν_c) = τ + …,   ν_c = R(ψ)ᵀ [V_c cos β, V_c sin β, 0]
+
+    V_c = speed_mps, to the direction β = to_rad from north. D is meant for low relative speed. The
+    term of added mass in ν̇_c, which only a turning ship meets, is left out with the Coriolis terms
+    that the paper leaves out (eq. 4).
+    """
+
+    speed_mps: float
+    to_rad: float
+
+    @property
+    def velocity(self) -> Vector:
+        """Velocity (2,) of the current, north and east [m/s]."""
+        return self.speed_mps * np.array([np.cos(self.to_rad), np.sin(self.to_rad)])
+
+
+@dataclass(frozen=True, eq=False)
+class SensorNoise:
+    """White Gaussian noise on measured position and heading; std (3,) [m, m, rad]."""
+
+    std: Vector
+
+    def table(self, samples: int, seed: int) -> Matrix:
+        """Draw sensor noise (samples, 3) from a seed; more samples do not change the first."""
+        stream = random_stream(seed, "noise")
+        return np.asarray(self.std * stream.standard_normal((samples, AXES)))
 
 
 @dataclass(frozen=True, eq=False)
 class Environment:
-    """Slow forces, and whatever else of the weather there is.
+    """Weather of a run: slow forces, squalls, wind, current, waves, and the measurement's noise.
 
-    Parameters
-    ----------
-    mean, amplitude : (3,) slow force, north, east, yaw [N, N, N·m].
-    period_s : (3,) periods [s], positive.
-    phase_rad : (3,) phases [rad].
-    ramp_s : time over which the weather grows from zero [s]; 0 for none. Squalls have their own.
-    squalls, wind, current, drift : what else pushes the ship.
-    motion, noise : what the measurement shows beside the ship's low-frequency motion.
+    mean, amplitude : (3,) slow force, north, east, yaw [N, N, N·m], of periods and phases (3,).
+    ramp_s : time over which all but squalls grows from zero [s]; 0 for none.
+    motion, noise : what the measurement shows besides the ship's low-frequency motion.
     seed : of all random sources; each draws from its own stream of it.
     """
 
@@ -70,31 +116,30 @@ class Environment:
     seed: int = 0
 
     @property
-    def moves_with_the_ship(self) -> bool:
-        """Whether a load depends on the ship's velocity or heading: wind, current or drift."""
+    def depends_on_ship(self) -> bool:
+        """Return whether a load depends on the ship's velocity or heading, as wind does."""
         return any(source is not None for source in (self.wind, self.current, self.drift))
 
     @property
-    def draws(self) -> bool:
-        """Whether anything of it is drawn at random, so that the seed matters."""
+    def is_random(self) -> bool:
+        """Return whether any part of the weather is random, so that the seed matters."""
         gusty = self.wind is not None and self.wind.gusts != "none"
         return gusty or any(part is not None for part in (self.drift, self.motion, self.noise))
 
     def force(self, t_s: ArrayLike) -> Matrix:
-        """b at the times t_s (...,): array (..., 3) [N, N, N·m]."""
+        """Return slow forces and squalls (..., 3) [N, N, N·m], north, east, yaw, at times t_s."""
         t = np.asarray(t_s, dtype=np.float64)[..., np.newaxis]
         b = self.mean + self.amplitude * np.sin(2 * np.pi * t / self.period_s + self.phase_rad)
         if self.ramp_s > 0:
             b *= np.minimum(t / self.ramp_s, 1.0)
         for squall in self.squalls:
-            b += squall.at(t_s)
+            b += squall.force_at(t_s)
         return b
 
-    def drawn(self, steps: int, sample_s: float, substeps: int) -> Drawn:
-        """What of the stage table is summed up from harmonics, which takes most of its time: wind
-        speed and wave height, (steps, 2·substeps + 1) each; nothing of weather without them."""
-        start, offset = _stages(steps, sample_s, substeps)
-        drawn: Drawn = {}
+    def precompute_weather(self, steps: int, sample_s: float, substeps: int) -> WeatherDraw:
+        """Return wind speed and wave envelope at Runge-Kutta stages (steps, 2·substeps + 1)."""
+        start, offset = _stage_times(steps, sample_s, substeps)
+        drawn: WeatherDraw = {}
         if self.wind is not None:
             drawn["wind"] = self.wind.speed(start, offset, self.seed)
         if self.drift is not None:
@@ -102,49 +147,38 @@ class Environment:
         return drawn
 
     def stage_table(
-        self, steps: int, sample_s: float, substeps: int, drawn: Drawn | None = None
+        self, steps: int, sample_s: float, substeps: int, drawn: WeatherDraw | None = None
     ) -> Matrix:
-        """The weather at the stage times of Runge-Kutta 4: (steps, 2·substeps + 1, 3 or 9).
+        """Return the weather at all Runge-Kutta stages: (steps, 2·substeps + 1, 3 or 9).
 
         Entry [k, 2i] is the start of sub-step i of sample k, [k, 2i + 1] its middle, and the last
-        entry the end of the sample. The columns are those of `layout`: b, and where wind, current
-        or drift are present the velocities of air and water and the wave envelope
-        [m/s, m/s, m].
-
-        Parameters
-        ----------
-        drawn : of as many steps or more, where it is known.
+        entry the end of the sample; the columns are those of `layout`. `drawn` saves summing up
+        the harmonics; it may be of more steps.
         """
-        start, offset = _stages(steps, sample_s, substeps)
+        start, offset = _stage_times(steps, sample_s, substeps)
         t = start[:, np.newaxis] + offset
         b = np.ascontiguousarray(self.force(t))
-        if not self.moves_with_the_ship:
+        if not self.depends_on_ship:
             return b
-        drawn = self.drawn(steps, sample_s, substeps) if drawn is None else drawn
+        drawn = self.precompute_weather(steps, sample_s, substeps) if drawn is None else drawn
         table = np.zeros((*t.shape, LOADED))
         table[..., :PLAIN] = b
         if self.wind is not None:
-            table[..., AIR] = _along(drawn["wind"][:steps], self.wind.to_rad)
+            table[..., AIR] = _vectors_towards(drawn["wind"][:steps], self.wind.to_rad)
         if self.current is not None:
             table[..., WATER] = self.current.velocity
         if self.drift is not None:
-            table[..., WAVE] = _along(drawn["waves"][:steps], self.drift.sea.to_rad)
+            table[..., WAVE] = _vectors_towards(drawn["waves"][:steps], self.drift.sea.to_rad)
         if self.ramp_s > 0:
             table[..., PLAIN:] *= np.minimum(t / self.ramp_s, 1.0)[..., np.newaxis]
         return table
 
     def load_coefficients(self, vessel: Vessel) -> Vector | None:
-        """What the plant needs of the hull to feel wind and drift: (6,), zero where there is none.
+        """Return the hull's coefficients (6,) of wind and wave drift; None for other weather.
 
-        Returns
-        -------
-        None where nothing moves with the ship; the stage table then has 3 columns.
-
-        Raises
-        ------
-        InputError : the weather has wind or drift and the vessel no hull data for it.
+        Raises InputError where the weather has wind or drift and the vessel no hull data for it.
         """
-        if not self.moves_with_the_ship:
+        if not self.depends_on_ship:
             return None
         coefficients = np.zeros(COEFFICIENTS)
         if self.wind is not None:
@@ -160,26 +194,26 @@ class Environment:
         return coefficients
 
     def measured_motion(self, samples: int, sample_s: float) -> Matrix:
-        """Wave-frequency motion at the samples: (samples, 6) = [n, e, ψ, ṅ, ė, ψ̇], NED, SI."""
+        """Return wave-frequency motion [n, e, ψ] and its rate at the samples: (samples, 6), SI."""
         if self.motion is None:
             return np.zeros((samples, STATE))
         t = sample_s * np.arange(samples, dtype=np.float64)
         return self.motion.table(t, self.seed)
 
     def noise_table(self, samples: int) -> Matrix:
-        """Noise of the measured pose at the samples: (samples, 3) [m, m, rad]."""
+        """Return the noise (samples, 3) [m, m, rad] of the measured position and heading."""
         if self.noise is None:
             return np.zeros((samples, AXES))
         return self.noise.table(samples, self.seed)
 
 
-def _stages(steps: int, sample_s: float, substeps: int) -> tuple[Vector, Vector]:
-    """The times of samples (steps,), and those of stages from them on (2·substeps + 1,)."""
+def _stage_times(steps: int, sample_s: float, substeps: int) -> tuple[Vector, Vector]:
+    """Return the sample times (steps,) and the Runge-Kutta stage times after each sample [s]."""
     start = sample_s * np.arange(steps, dtype=np.float64)
     return start, np.linspace(0.0, sample_s, 2 * substeps + 1)
 
 
-def _along(length: Matrix, to_rad: float) -> Matrix:
-    """Vectors (..., 2), north and east, of the given lengths (...,) in one direction."""
+def _vectors_towards(length: Matrix, to_rad: float) -> Matrix:
+    """Return horizontal vectors (..., 2), north and east, of given lengths in one direction."""
     vectors: Matrix = np.multiply.outer(length, np.array([np.cos(to_rad), np.sin(to_rad)]))
     return vectors

@@ -5,8 +5,6 @@
 Accelerations and angles stay, so the model sees the same sea (Newman 1977, section 2.4).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -17,31 +15,31 @@ from dpbench.arrays import Vector
 
 @dataclass(frozen=True)
 class Froude:
-    """Factors from full size to a model of scale 1 : ratio; ratio 1 is full size itself."""
+    """Froude scaling factors from full size to a model of scale 1 : ratio."""
 
     ratio: float = 1.0
 
     @property
     def length(self) -> float:
-        """Of lengths."""
+        """Froude scale factor of lengths, model over full size."""
         return 1.0 / self.ratio
 
     @property
     def time(self) -> float:
-        """Of times, and of speeds."""
+        """Froude scale factor of times, which is also that of speeds."""
         return 1.0 / math.sqrt(self.ratio)
 
     @property
     def force(self) -> Vector:
-        """(3,) of the force in surge and sway and the moment in yaw."""
+        """Froude scale factors (3,) of surge force, sway force and yaw moment."""
         return np.array([self.ratio**-3, self.ratio**-3, self.ratio**-4])
 
     @property
     def velocity(self) -> Vector:
-        """(3,) of surge and sway speed and yaw rate."""
+        """Froude scale factors (3,) of surge speed, sway speed and yaw rate."""
         return np.array([self.time, self.time, 1.0 / self.time])
 
     @property
     def pose(self) -> Vector:
-        """(3,) of north, east, heading."""
+        """Froude scale factors (3,) of north, east and heading."""
         return np.array([self.length, self.length, 1.0])

@@ -1,4 +1,4 @@
-"""Where what stands in the ship's arrays; every room that indexes one takes the names from here.
+"""Positions in the ship's arrays.
 
     state (6,)         u    v    r  │  n    e    ψ         VELOCITY │ POSE
     wave motion (6,)   n    e    ψ  │  ṅ    ė    ψ̇         first-order motion of the pose, its rate
@@ -9,10 +9,8 @@
     load coefficients  wind on u, v, r │ drift on u, v, r
 
 Numbers and not an enum: numba compiles a kernel with the value of a global number. Its cache on
-disk does not see them change: after a change here, remove the `__pycache__` folders of this room.
+disk does not see them change: after a change here, remove the `__pycache__` folders of `ship`.
 """
-
-from __future__ import annotations
 
 AXES = 3
 """Surge, sway, yaw along the ship; or north, east, heading over ground."""
@@ -24,7 +22,7 @@ STATE = 6
 VELOCITY, POSE = slice(U, NORTH), slice(NORTH, STATE)
 
 RATE_NORTH, RATE_EAST, RATE_HEADING = range(AXES, 2 * AXES)
-"""Of wave motion, behind its pose."""
+"""Rates of wave motion, behind its pose."""
 
 FORCE_NORTH, FORCE_EAST, FORCE_YAW = range(AXES)
 AIR_NORTH, AIR_EAST, WATER_NORTH, WATER_EAST, WAVE_NORTH, WAVE_EAST = range(AXES, 9)
@@ -34,4 +32,4 @@ AIR, WATER, WAVE = (slice(first, first + 2) for first in (AIR_NORTH, WATER_NORTH
 
 WIND_U, WIND_V, WIND_R, DRIFT_U, DRIFT_V, DRIFT_R = range(6)
 COEFFICIENTS = 6
-"""Of the hull; the wind's three come first."""
+"""Number of load coefficients of the hull; the wind's three come first."""

@@ -19,15 +19,16 @@ State s and the rows b of a stage table are laid out as `layout` says:
 
 There are two kernels, because a branch in the derivative keeps it from being inlined and triples
 the cost of the ship that has no wind, current or drift.
-"""
 
-from __future__ import annotations
+What is measured: [ν; η] + [R(ψ)ᵀ η̇_w; η_w] + [0; noise], η_w the motion of the waves.
+"""
 
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.kernel_cache import njit
-from dpbench.ship.actuators import Actuators, SteeredThrusters
+from dpbench.ship.actuators import Actuators, CommandedThrusters
+from dpbench.ship.environment import Environment
 from dpbench.ship.layout import (
     AIR_EAST,
     AIR_NORTH,
@@ -43,6 +44,9 @@ from dpbench.ship.layout import (
     LOADED,
     NORTH,
     PLAIN,
+    RATE_EAST,
+    RATE_HEADING,
+    RATE_NORTH,
     STATE,
     WATER_EAST,
     WATER_NORTH,
@@ -64,22 +68,22 @@ SUBSTEPS = 10
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _towards(s, k, h, mid):  # type: ignore[no-untyped-def] # compiled by numba
-    """s + h k into mid; all (6,)."""
+def _write_midpoint(s, k, h, mid):  # type: ignore[no-untyped-def] # compiled by numba
+    """Write the intermediate state s + h k (6,) of a Runge-Kutta step to mid."""
     for j in range(STATE):
         mid[j] = s[j] + h * k[j]
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _step(s, k, h):  # type: ignore[no-untyped-def] # compiled by numba
-    """Advance s (6,) in place by the slopes k (4 or more, 6)."""
+def _combine_slopes(s, k, h):  # type: ignore[no-untyped-def] # compiled by numba
+    """Advance s (6,) in place by the weighted mean of four Runge-Kutta slopes k."""
     for j in range(STATE):
         s[j] += h / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _accelerate(s, c, sn, f0, f1, f2, u, v, Minv, MinvD, out):  # type: ignore[no-untyped-def] # compiled by numba
-    """ṡ into out (6,) under body force f, at u, v through the water; c, sn of the heading."""
+def _write_derivative(s, c, sn, f0, f1, f2, u, v, Minv, MinvD, out):  # type: ignore[no-untyped-def] # compiled by numba
+    """Write the state derivative (6,) for a body force and a velocity through the water to out."""
     for i in range(AXES):
         acceleration = Minv[i, 0] * f0 + Minv[i, 1] * f1 + Minv[i, 2] * f2
         acceleration -= MinvD[i, 0] * u
@@ -92,18 +96,18 @@ def _accelerate(s, c, sn, f0, f1, f2, u, v, Minv, MinvD, out):  # type: ignore[n
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _plain(s, tau, b, Minv, MinvD, out):  # type: ignore[no-untyped-def] # compiled by numba
-    """ṡ of s (6,) under force tau (3,) and NED force b (3,), into out (6,)."""
+def _derivative_in_calm(s, tau, b, Minv, MinvD, out):  # type: ignore[no-untyped-def] # compiled by numba
+    """Write the state derivative (6,) under thrust tau and slow forces b alone to out."""
     c, sn = np.cos(s[HEADING]), np.sin(s[HEADING])
     f0 = tau[0] + c * b[FORCE_NORTH] + sn * b[FORCE_EAST]
     f1 = tau[1] - sn * b[FORCE_NORTH] + c * b[FORCE_EAST]
     f2 = tau[2] + b[FORCE_YAW]
-    _accelerate(s, c, sn, f0, f1, f2, s[U], s[V], Minv, MinvD, out)
+    _write_derivative(s, c, sn, f0, f1, f2, s[U], s[V], Minv, MinvD, out)
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _loaded(s, tau, b, Minv, MinvD, loads, out):  # type: ignore[no-untyped-def] # compiled by numba
-    """The same in wind, current and drift: b (9,) of the stage table, loads (6,) of the hull."""
+def _derivative_in_weather(s, tau, b, Minv, MinvD, loads, out):  # type: ignore[no-untyped-def] # compiled by numba
+    """Write the state derivative (6,) under thrust, wind, current and wave drift to out."""
     c, sn = np.cos(s[HEADING]), np.sin(s[HEADING])
     air_u = c * b[AIR_NORTH] + sn * b[AIR_EAST] - s[U]
     air_v = c * b[AIR_EAST] - sn * b[AIR_NORTH] - s[V]
@@ -119,56 +123,50 @@ def _loaded(s, tau, b, Minv, MinvD, loads, out):  # type: ignore[no-untyped-def]
     f1 = f1 + loads[WIND_V] * air * air_v + loads[DRIFT_V] * wave * wave_v
     turning = loads[WIND_R] * air_u * air_v + loads[DRIFT_R] * wave_u * wave_v
     f2 = tau[2] + b[FORCE_YAW] - 2.0 * turning
-    _accelerate(s, c, sn, f0, f1, f2, s[U] - water_u, s[V] - water_v, Minv, MinvD, out)
+    _write_derivative(s, c, sn, f0, f1, f2, s[U] - water_u, s[V] - water_v, Minv, MinvD, out)
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
 def advance(s, tau, b, Minv, MinvD, h, work):  # type: ignore[no-untyped-def] # compiled by numba
-    """Advance s (6,) in place by the sub-steps that b (2·substeps + 1, 3) covers; work (5, 6)."""
+    """Advance the ship state s (6,) in place by one sample under thrust and slow forces b."""
     if b.shape[1] != PLAIN:
         raise ValueError("a stage table of 3 columns is for weather that ignores the ship")
     mid = work[STAGES]
     for i in range(b.shape[0] // 2):
-        _plain(s, tau, b[2 * i], Minv, MinvD, work[0])
-        _towards(s, work[0], 0.5 * h, mid)
-        _plain(mid, tau, b[2 * i + 1], Minv, MinvD, work[1])
-        _towards(s, work[1], 0.5 * h, mid)
-        _plain(mid, tau, b[2 * i + 1], Minv, MinvD, work[2])
-        _towards(s, work[2], h, mid)
-        _plain(mid, tau, b[2 * i + 2], Minv, MinvD, work[3])
-        _step(s, work, h)
+        _derivative_in_calm(s, tau, b[2 * i], Minv, MinvD, work[0])
+        _write_midpoint(s, work[0], 0.5 * h, mid)
+        _derivative_in_calm(mid, tau, b[2 * i + 1], Minv, MinvD, work[1])
+        _write_midpoint(s, work[1], 0.5 * h, mid)
+        _derivative_in_calm(mid, tau, b[2 * i + 1], Minv, MinvD, work[2])
+        _write_midpoint(s, work[2], h, mid)
+        _derivative_in_calm(mid, tau, b[2 * i + 2], Minv, MinvD, work[3])
+        _combine_slopes(s, work, h)
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def advance_loaded(s, tau, b, Minv, MinvD, loads, h, work):  # type: ignore[no-untyped-def] # compiled by numba
-    """The same with b (2·substeps + 1, 9) and the hull's loads (6,)."""
+def advance_in_weather(s, tau, b, Minv, MinvD, loads, h, work):  # type: ignore[no-untyped-def] # compiled by numba
+    """Advance the ship state s (6,) in place by one sample under thrust, wind, current, waves."""
     if b.shape[1] != LOADED:
         raise ValueError("a stage table of 9 columns is for weather that moves with the ship")
     mid = work[STAGES]
     for i in range(b.shape[0] // 2):
-        _loaded(s, tau, b[2 * i], Minv, MinvD, loads, work[0])
-        _towards(s, work[0], 0.5 * h, mid)
-        _loaded(mid, tau, b[2 * i + 1], Minv, MinvD, loads, work[1])
-        _towards(s, work[1], 0.5 * h, mid)
-        _loaded(mid, tau, b[2 * i + 1], Minv, MinvD, loads, work[2])
-        _towards(s, work[2], h, mid)
-        _loaded(mid, tau, b[2 * i + 2], Minv, MinvD, loads, work[3])
-        _step(s, work, h)
+        _derivative_in_weather(s, tau, b[2 * i], Minv, MinvD, loads, work[0])
+        _write_midpoint(s, work[0], 0.5 * h, mid)
+        _derivative_in_weather(mid, tau, b[2 * i + 1], Minv, MinvD, loads, work[1])
+        _write_midpoint(s, work[1], 0.5 * h, mid)
+        _derivative_in_weather(mid, tau, b[2 * i + 1], Minv, MinvD, loads, work[2])
+        _write_midpoint(s, work[2], h, mid)
+        _derivative_in_weather(mid, tau, b[2 * i + 2], Minv, MinvD, loads, work[3])
+        _combine_slopes(s, work, h)
 
 
 class Plant:
-    """The true ship, advanced one sample at a time.
+    """Simulated true ship, a nonlinear 3-DOF model advanced by one sample at a time.
 
-    Parameters
-    ----------
-    vessel : its M and D, which may differ from those of the controller's model.
     state : (6,) initial [u, v, r, n, e, ψ], copied.
-    sample_s : length of a sample [s].
     substeps : Runge-Kutta steps per sample.
-    loads : (6,) from `Environment.load_coefficients`, which is None where the weather has neither
-        wind nor current nor drift.
-    actuators : what stands between the command and the hull: what is lost or late of a force, or
-        thrusters; None for nothing.
+    loads : (6,) or None, from `Environment.load_coefficients`.
+    actuators : losses and delays, or thrusters, between the command and the hull.
     """
 
     def __init__(
@@ -179,7 +177,7 @@ class Plant:
         substeps: int = SUBSTEPS,
         *,
         loads: Vector | None = None,
-        actuators: Actuators | SteeredThrusters | None = None,
+        actuators: Actuators | CommandedThrusters | None = None,
     ) -> None:
         self.state: Vector = np.array(state, dtype=np.float64)
         self._Minv: Matrix = np.ascontiguousarray(np.linalg.inv(vessel.M))
@@ -190,13 +188,9 @@ class Plant:
         self._work = np.empty((STAGES + 1, STATE))
 
     def advance(self, tau: Vector, stages: Matrix) -> None:
-        """One sample under the command tau and weather (2·substeps + 1, 3 or 9).
+        """Advance the ship by one sample under a force (3,) or thruster forces (n_f,).
 
-        The command is the force (3,), or the forces of the thrusters (n_f,) where it goes to them.
-
-        Raises
-        ------
-        ValueError : the weather has 3 columns where the plant has loads, or 9 where it has none.
+        Raises ValueError unless the weather has 9 columns where the plant has loads, 3 elsewhere.
         """
         if self._thrust is not None:
             tau = self._thrust.deliver(tau)
@@ -204,4 +198,32 @@ class Plant:
         if self._loads is None:
             advance(s, tau, stages, Minv, MinvD, h, work)
         else:
-            advance_loaded(s, tau, stages, Minv, MinvD, self._loads, h, work)
+            advance_in_weather(s, tau, stages, Minv, MinvD, self._loads, h, work)
+
+
+@njit(cache=True)
+def _write_measurement(state, motion, noise, measured):  # type: ignore[no-untyped-def] # compiled by numba
+    """Write the measured state (6,): the true one plus wave motion (6,) and noise (3,)."""
+    c, s = np.cos(state[HEADING]), np.sin(state[HEADING])
+    measured[U] = state[U] + c * motion[RATE_NORTH] + s * motion[RATE_EAST]
+    measured[V] = state[V] - s * motion[RATE_NORTH] + c * motion[RATE_EAST]
+    measured[R] = state[R] + motion[RATE_HEADING]
+    for i in range(AXES):
+        measured[AXES + i] = state[AXES + i] + motion[i] + noise[i]
+
+
+class Sensors:
+    """Sensors of one run, which add wave-frequency motion and noise to the true state."""
+
+    def __init__(self, environment: Environment, samples: int, sample_s: float) -> None:
+        self._ideal = environment.motion is None and environment.noise is None
+        self._motion = environment.measured_motion(samples, sample_s)
+        self._noise = environment.noise_table(samples)
+        self._measured = np.empty(STATE)
+
+    def sense(self, state: Vector, k: int) -> Vector:
+        """Return the measured state [u, v, r, n, e, ψ] of sample k; overwritten next time."""
+        if self._ideal:
+            return state
+        _write_measurement(state, self._motion[k], self._noise[k], self._measured)
+        return self._measured

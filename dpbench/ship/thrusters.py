@@ -1,4 +1,4 @@
-"""Thrusters: where they stand, what they can give, and the force they make together.
+"""Thrusters: their places, their limits, and the force they make together.
 
     τ = T_e f,   f = [X_1, Y_1, …]: two components of an azimuth thruster, one of any other
     column of X_i: (1, 0, −y_i)        of Y_i, and of a tunnel: (0, 1, x_i)
@@ -11,8 +11,6 @@ optimiser chooses, because azimuths are replaced by force components.
              main      −a_i T_i ≤ f_i ≤ T_i                     a_i: share of the thrust astern
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,7 +19,7 @@ from typing import Literal
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.errors import InputError, one_of
+from dpbench.errors import InputError, list_allowed
 from dpbench.ship.layout import AXES
 
 ThrusterKind = Literal["azimuth", "tunnel", "main"]
@@ -33,24 +31,13 @@ MECHANICAL_EFFICIENCY = 0.93
 
 
 def nominal_thrust_N(power_kW: float, diameter_m: float, propeller: Propeller) -> float:
-    """T = η_1 (η_m P D)^(2/3) [N], bollard pull ahead (DNV-ST-0111 level 1, η_2 = 1).
-
-    Parameters
-    ----------
-    power_kW : P, brake power [kW]; diameter_m : D of the propeller [m].
-    propeller : open, in a nozzle, or in a tunnel.
-    """
+    """Return the bollard pull ahead [N] of a propeller by DNV-ST-0111 level 1."""
     return float(ETA_1[propeller] * (MECHANICAL_EFFICIENCY * power_kW * diameter_m) ** (2.0 / 3.0))
 
 
 @dataclass(frozen=True)
 class Screw:
-    """The propeller of a thruster, for what DNV-ST-0111 makes it lose.
-
-    Parameters
-    ----------
-    diameter_m, propeller : of its thrust; height_m : of its shaft above the keel, None for unknown.
-    """
+    """Propeller of a thruster: diameter, type, and height of its shaft above the keel."""
 
     diameter_m: float
     propeller: Propeller
@@ -59,24 +46,16 @@ class Screw:
 
 @dataclass(frozen=True)
 class Thruster:
-    """One thruster.
+    """One thruster of a ship: type, position, largest thrust and limits.
 
-    Parameters
-    ----------
-    name : for tables and faults; group : what fails together, as behind one switchboard.
-    kind : azimuth, tunnel (across the ship) or main (along it).
     x_m, y_m : place ahead and to starboard of the origin of the ship's matrices [m].
     thrust_N : T, the largest thrust ahead; of an azimuth, in any direction it may take [N].
     rise_s : time from zero to full thrust [s].
-    astern : thrust astern as a share of T; of a main propeller only.
+    astern : thrust astern of a main propeller as a share of T.
     sector_rad : (from, to), clockwise from ahead, in which an azimuth may push the ship; at most
         half a turn wide, so that the forces it can give are a convex set. None for all round.
-    turning_radps : fastest turning of an azimuth [rad/s]; None where it is not known.
-    screw : None where only its thrust is known.
-
-    Raises
-    ------
-    InputError : naming the key, what was found and what is allowed.
+    group : what fails together, as behind one switchboard.
+    turning_radps : fastest turning of an azimuth [rad/s], if known.
     """
 
     name: str
@@ -104,12 +83,12 @@ class Thruster:
 
     @property
     def components(self) -> int:
-        """Entries of f it has: 2 for an azimuth, 1 else."""
+        """Number of force components: 2 for an azimuth thruster, 1 for any other."""
         return 2 if self.kind == "azimuth" else 1
 
     @property
     def columns(self) -> Matrix:
-        """Its columns of T_e: (3, components)."""
+        """Columns (3, components) of this thruster in the configuration matrix T_e."""
         along, across = (1.0, 0.0, -self.y_m), (0.0, 1.0, self.x_m)
         parts = {"azimuth": (along, across), "tunnel": (across,), "main": (along,)}
         return np.array(parts[self.kind]).T
@@ -133,91 +112,82 @@ class ThrusterSet:
 
     @property
     def longest_arm_m(self) -> float:
-        """The largest distance of a thruster from the origin; 1 where all are there."""
+        """Largest distance [m] of a thruster from the origin; 1 where all are at the origin."""
         return max((float(np.hypot(t.x_m, t.y_m)) for t in self.thrusters), default=1.0) or 1.0
 
     @cached_property
     def T_e(self) -> Matrix:
-        """Extended configuration matrix (3, n_f): τ = T_e f."""
+        """Extended thruster configuration matrix (3, n_f), from forces f to τ = T_e f."""
         parts = [thruster.columns for thruster in self.thrusters]
         return np.ascontiguousarray(np.hstack(parts)) if parts else np.zeros((AXES, 0))
 
     @cached_property
     def n_f(self) -> int:
-        """Entries of f."""
+        """Number of force components of all thrusters."""
         return sum(thruster.components for thruster in self.thrusters)
 
     @cached_property
-    def places(self) -> tuple[slice, ...]:
-        """Where each thruster stands in f."""
+    def slices(self) -> tuple[slice, ...]:
+        """Slice of each thruster's components in the force vector f."""
         ends = np.cumsum([thruster.components for thruster in self.thrusters]).tolist()
         return tuple(slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True))
 
     def per_entry(self, values: Sequence[float] | Vector) -> Vector:
-        """A value a thruster (p,) as one an entry of f (n_f,)."""
+        """Repeat one value per thruster (p,) for each of its force components (n_f,)."""
         return np.repeat(np.asarray(values), [thruster.components for thruster in self.thrusters])
 
     @cached_property
     def thrust_N(self) -> Vector:
-        """T_i (p,) [N]."""
+        """Largest thrust of each thruster (p,) [N]."""
         return np.array([thruster.thrust_N for thruster in self.thrusters])
 
     def step_max(self, sample_s: float) -> Vector:
-        """Δf_max (n_f,) [N]: the largest change of each entry in one sample."""
+        """Return the largest change of each force component (n_f,) [N] in one sample."""
         rise_s = np.array([thruster.rise_s for thruster in self.thrusters])
         return self.per_entry(self.thrust_N * sample_s / rise_s)
 
-    def size(self, f: Matrix) -> Matrix:
-        """|f_i| (..., p) of forces f (..., n_f) [N]."""
-        sizes = [np.sqrt((f[..., place] ** 2).sum(axis=-1)) for place in self.places]
+    def magnitudes(self, f: Matrix) -> Matrix:
+        """Return the magnitude of each thruster's force (..., p), for forces f (..., n_f) [N]."""
+        sizes = [np.sqrt((f[..., place] ** 2).sum(axis=-1)) for place in self.slices]
         return np.stack(sizes, axis=-1)
 
     def support(self, direction: Vector) -> float:
-        """The largest τ·d over all f within their limits, for d (3,): the support function.
-
-        An azimuth all round gives T |column·d|; in a sector, the best of its ends, its middle part
-        and nothing.
-        """
+        """Return the largest force of all thrusters along a direction (3,): max of direction·τ."""
         slopes = direction @ self.T_e
         return float(
-            sum(_most(t, slopes[at]) for t, at in zip(self.thrusters, self.places, strict=True))
+            sum(_support(t, slopes[at]) for t, at in zip(self.thrusters, self.slices, strict=True))
         )
 
     def limits(self) -> tuple[Vector, Vector]:
-        """τ_min, τ_max (3,): the most in each axis, with no regard to the others [N, N, N·m]."""
+        """Return the least and largest force (3,) [N, N, N·m] in each axis by itself."""
         axes = np.eye(AXES)
         least = np.array([-self.support(-axis) for axis in axes])
         return least, np.array([self.support(axis) for axis in axes])
 
     def rate(self) -> Vector:
-        """(3,) the fastest change of τ, each axis by itself [N/s, N/s, N·m/s]."""
+        """Return the fastest change of force (3,) [N/s, N/s, N·m/s] in each axis by itself."""
         largest: Vector = np.abs(self.T_e) @ self.step_max(1.0)
         return largest
 
     @cached_property
     def groups(self) -> dict[str, tuple[int, ...]]:
-        """Numbers of the thrusters of each failure group; one without a group is its own."""
+        """Indices of the thrusters in each failure group, by name of the group."""
         members: dict[str, list[int]] = {}
         for i, thruster in enumerate(self.thrusters):
             members.setdefault(thruster.group or thruster.name, []).append(i)
         return {name: tuple(numbers) for name, numbers in members.items()}
 
-    def numbers(self, names: Sequence[str], where: str, key: str) -> set[int]:
-        """The numbers of thrusters, or of whole failure groups, by name.
-
-        Raises
-        ------
-        InputError : naming where and key, for a name that neither has.
-        """
+    def find_indices(self, names: Sequence[str], where: str, key: str) -> set[int]:
+        """Return the indices of thrusters given by name, or by name of their failure group."""
         known = {thruster.name: (i,) for i, thruster in enumerate(self.thrusters)} | self.groups
         for name in names:
             if name not in known:
-                raise InputError(where, key, repr(name), one_of(name, list(known)))
+                raise InputError(where, key, repr(name), list_allowed(name, list(known)))
         return {i for name in names for i in known[name]}
 
 
-def _most(thruster: Thruster, slope: Vector) -> float:
-    """The largest slope·f_i within the limits of one thruster; slope (components,)."""
+def _support(thruster: Thruster, slope: Vector) -> float:
+    """Return the largest value of slope·f over the forces f that one thruster can give."""
     if thruster.kind != "azimuth":
         low, high = -thruster.astern * thruster.thrust_N, thruster.thrust_N
         return float(max(slope[0] * low, slope[0] * high))

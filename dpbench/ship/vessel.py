@@ -11,7 +11,7 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.ship.capability.hull import CapabilityHull
+from dpbench.ship.capability.loads import CapabilityHull
 from dpbench.ship.thrusters import ThrusterSet
 from dpbench.ship.weather.waves import WaveReflection
 from dpbench.ship.weather.wind import Windage
@@ -19,26 +19,15 @@ from dpbench.ship.weather.wind import Windage
 
 @dataclass(frozen=True, eq=False)
 class Vessel:
-    """A 3-DOF ship with limits on the generalised control force and on its rate.
+    """Ship data: inertia, damping, limits of the control force and of its rate.
 
-    Parameters
-    ----------
-    id : name of the file it comes from.
-    title : the ship in words.
     source : where the numbers were published.
-    length_m : length the numbers belong to [m].
     M : (3, 3) inertia with added mass [kg, kg·m, kg·m²], positive definite.
     D : (3, 3) linear damping [kg/s, kg·m/s, kg·m²/s], positive definite symmetric part.
     tau_min, tau_max : (3,) limits of the force [N, N, N·m]; zero lies inside.
     rate_max : (3,) limits of its rate [N/s, N/s, N·m/s].
-    where : the file named in errors.
-    windage, reflection : the hull as wind and wave drift see it; needed in such weather only.
-    thrusters : what makes the force, for controllers that steer thrusters.
-    capability : the hull as DP capability level 1 asks for it; needed for that only.
-
-    Raises
-    ------
-    InputError : naming the key, what was found and what is allowed.
+    windage, reflection, thrusters, capability : for wind, wave drift, commanded thrusters, and DP
+        capability level 1.
     """
 
     id: str
@@ -63,6 +52,7 @@ class Vessel:
             raise InputError(self.where, "tau_min, tau_max", limits, "limits with zero inside")
 
     def _check_matrices(self) -> None:
+        """Raise InputError where M is not symmetric, or M or D is not positive definite."""
         if not np.allclose(self.M, self.M.T, rtol=1e-3, atol=0.0):
             raise InputError(self.where, "M", self.M.tolist(), "a symmetric matrix")
         for name in ("M", "D"):
@@ -73,36 +63,32 @@ class Vessel:
                 raise InputError(self.where, name, indefinite, "a positive definite matrix")
 
     def step_max(self, sample_s: float) -> Vector:
-        """Δu_max (3,) [N, N, N·m]: the largest change of the force in one sample."""
+        """Return the largest change of the control force (3,) [N, N, N·m] in one sample."""
         largest: Vector = self.rate_max * sample_s
         return largest
 
     def time_constants_s(self) -> Vector:
-        """Time constants of the three modes [s], fastest first: 1 over the eigenvalues of M⁻¹D."""
+        """Return the time constants (3,) [s] of the linear model, fastest first."""
         rates = np.linalg.eigvals(np.linalg.solve(self.M, self.D))
         return np.sort(1.0 / rates.real)
 
     def reachable_acceleration(self) -> Matrix:
-        """Largest acceleration astern, port, port and ahead, starboard, starboard: (2, 3).
-
-        τ_min and τ_max over the diagonal of M [m/s², m/s², rad/s²]: from rest, with the other
-        axes held.
-        """
+        """Return the accelerations (2, 3) under the least and the largest force, axis by axis."""
         return np.stack([self.tau_min, self.tau_max]) / np.diag(self.M)
 
     def with_mismatch(self, mass_percent: float = 0.0, damping_percent: float = 0.0) -> Vessel:
-        """The ship with M and D changed by per cent, as the plant behind an unchanged model."""
+        """Return a vessel with inertia M and damping D changed by per cent."""
         mass, damping = 1.0 + mass_percent / 100.0, 1.0 + damping_percent / 100.0
         return replace(self, M=mass * self.M, D=damping * self.D)
 
 
-def bis_descaled(Mb: Matrix, m_kg: float, length_m: float) -> Matrix:
-    """Inertia from the Bis system, M = m N Mb N with N = diag(1, 1, L) (Fossen 2021, ch. 7.2)."""
+def descale_bis(Mb: Matrix, m_kg: float, length_m: float) -> Matrix:
+    """Convert a dimensionless inertia matrix of the Bis system to SI units."""
     N = np.diag([1.0, 1.0, length_m])
     descaled: Matrix = m_kg * N @ np.asarray(Mb, dtype=np.float64) @ N
     return descaled
 
 
-def bis_descaled_damping(Db: Matrix, m_kg: float, length_m: float, g_mps2: float = 9.81) -> Matrix:
-    """Damping from the Bis system, D = m √(g/L) N Db N: unit time of Bis is √(L/g)."""
-    return float(np.sqrt(g_mps2 / length_m)) * bis_descaled(Db, m_kg, length_m)
+def descale_bis_damping(Db: Matrix, m_kg: float, length_m: float, g_mps2: float = 9.81) -> Matrix:
+    """Convert a dimensionless damping matrix of the Bis system to SI units."""
+    return float(np.sqrt(g_mps2 / length_m)) * descale_bis(Db, m_kg, length_m)

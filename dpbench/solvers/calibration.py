@@ -1,14 +1,12 @@
-"""The harness's own solvers: workspaces of a known cost, which solve nothing.
+"""Calibration workloads: workspaces of a known cost, which solve nothing.
 
     no_op              every method returns at once, `read` the same stored object: the harness
     copy_only          `update` copies q, l, u, `read` copies an answer out: the contract
-    busy_wait_<t>us    `solve` waits for t µs: whether the harness measures what is known
+    busy_wait_<t>us    `solve` waits for t µs: checks the measurement of a known time
 
-They run through the same path as every solver, and their answers are no answers: nobody judges or
-ranks them. What they cost is printed and subtracted nowhere.
+They run through the same path as every solver, but are neither judged nor ranked. Their cost is
+printed and subtracted nowhere.
 """
-
-from __future__ import annotations
 
 import time
 from collections.abc import Callable
@@ -18,15 +16,14 @@ import numpy as np
 
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Workspace, check_step, not_set_up
-from dpbench.solvers.record import NOT_STATED, RouteRecord, SolverRecord
+from dpbench.solvers.contract import Workspace, check_step, missing_setup_error
+from dpbench.solvers.record import NO_PROJECT_FACTS, RouteRecord, SolverRecord
 
 NO_OP, COPY_ONLY = "no_op", "copy_only"
 WAITS_NS = {f"busy_wait_{wait}us": 1000 * wait for wait in (5, 20, 50, 200, 1000)}
-"""What each that waits does so for [ns]."""
+"""Waiting time by name [ns]."""
 
-# Waiting is the only work on this floor that takes a clock. Where there is one that nobody
-# disciplines, it is another than the harness's own, so that one checks the other.
+# The raw clock, where there is one, is independent of the harness's own, so that it checks it.
 _steady_ns: Callable[[], int] = (
     partial(time.clock_gettime_ns, time.CLOCK_MONOTONIC_RAW)
     if hasattr(time, "CLOCK_MONOTONIC_RAW")
@@ -34,7 +31,8 @@ _steady_ns: Callable[[], int] = (
 )
 
 
-def _record(name: str, method: str) -> SolverRecord:
+def _make_record(name: str, method: str) -> SolverRecord:
+    """Make the facts of a dummy solver, which times the benchmark itself and has no settings."""
     return SolverRecord(
         name=name,
         family="harness",
@@ -52,91 +50,91 @@ def _record(name: str, method: str) -> SolverRecord:
             )
         },
         levels={},
-        project=NOT_STATED,
+        project=NO_PROJECT_FACTS,
     )
 
 
 CALIBRATION: dict[str, SolverRecord] = {
-    NO_OP: _record(NO_OP, "none: every method returns at once"),
-    COPY_ONLY: _record(COPY_ONLY, "none: copies q, l, u in and an answer out"),
-    **{n: _record(n, f"none: waits {ns // 1000} µs in solve") for n, ns in WAITS_NS.items()},
+    NO_OP: _make_record(NO_OP, "none: every method returns at once"),
+    COPY_ONLY: _make_record(COPY_ONLY, "none: copies q, l, u in and an answer out"),
+    **{n: _make_record(n, f"none: waits {ns // 1000} µs in solve") for n, ns in WAITS_NS.items()},
 }
-"""By name, in the order they are shown; none of them is a solver of the table."""
+"""By name, in the order of display; none is a solver of the table."""
 
 
-class NoOp(Workspace):
-    """Methods that do nothing; the answer is one stored object without a number in it."""
+class NoOpWorkspace(Workspace):
+    """A dummy solver that does nothing, to measure the time the benchmark itself takes."""
 
     def __init__(self, solver: str) -> None:
         super().__init__(solver, "native", "reuse")
         self._answer: Solution | None = None
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Store the answer that is none."""
+        """Store an answer without numbers, of the problem's size."""
         self._answer = Solution.missing(qp.n, qp.m, Status.UNKNOWN)
 
     def update(self, step: QPStep) -> None:
-        """Nothing."""
+        """Do nothing with the new vectors."""
 
     def solve(self) -> None:
-        """Nothing."""
+        """Return at once, without solving."""
 
     def read(self) -> Solution:
-        """The stored object: unlike a solver's, not in memory of its own."""
+        """Return the stored answer without numbers."""
         if self._answer is None:
-            raise not_set_up("read")
+            raise missing_setup_error("read")
         return self._answer
 
 
-class BusyWait(NoOp):
-    """Waits `wait_ns` by `clock` [ns] in `solve`, without giving the core away."""
+class BusyWaitWorkspace(NoOpWorkspace):
+    """A dummy solver whose solve takes `wait_ns` [ns], to test the time measurement."""
 
     def __init__(self, solver: str, wait_ns: int, clock: Callable[[], int] = _steady_ns) -> None:
         super().__init__(solver)
         self._wait_ns, self._clock = wait_ns, clock
 
     def solve(self) -> None:
-        """Read the clock until the time is over."""
+        """Wait `wait_ns` on the clock, without solving."""
         clock = self._clock
         over = clock() + self._wait_ns
         while clock() < over:
             pass
 
 
-class CopyOnly(Workspace):
-    """What the contract asks of any workspace, and nothing else."""
+class CopyOnlyWorkspace(Workspace):
+    """A dummy solver that copies vectors in and an empty answer out, to time the copies."""
 
     def __init__(self, solver: str) -> None:
         super().__init__(solver, "native", "reuse")
         self._size: tuple[int, int] | None = None
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Own buffers for the vectors in, and for the answer out."""
+        """Allocate buffers for q, l, u and the answer."""
         self._size = qp.n, qp.m
         self.q, self.l, self.u = qp.q.copy(), qp.l.copy(), qp.u.copy()
         self._z, self._y = np.full(qp.n, np.nan), np.full(qp.m, np.nan)
 
     def update(self, step: QPStep) -> None:
-        """Check the shapes and copy q, l, u."""
+        """Check the shapes of q, l, u and copy them."""
         if self._size is None:
-            raise not_set_up("update")
+            raise missing_setup_error("update")
         check_step(step, *self._size)
         self.q[:] = step.q
         self.l[:] = step.l
         self.u[:] = step.u
 
     def solve(self) -> None:
-        """Nothing."""
+        """Return at once, without solving."""
 
     def read(self) -> Solution:
-        """Copies of an answer that is none."""
+        """Return a copy of an answer without numbers."""
         if self._size is None:
-            raise not_set_up("read")
+            raise missing_setup_error("read")
         return Solution(Status.UNKNOWN, self._z.copy(), self._y.copy(), self._z.copy())
 
 
 def open_calibration(name: str) -> Workspace:
-    """The workspace of one of `CALIBRATION`."""
+    """Open a dummy solver by name, to test time measurement: no_op, copy_only, busy_wait_<t>us."""
     if name in WAITS_NS:
-        return BusyWait(name, WAITS_NS[name])
-    return NoOp(name) if name == NO_OP else CopyOnly(name)
+        return BusyWaitWorkspace(name, WAITS_NS[name])
+    return NoOpWorkspace(name) if name == NO_OP else CopyOnlyWorkspace(name)

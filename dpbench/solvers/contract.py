@@ -5,12 +5,11 @@
     solve()        the solver's work, and nothing else
     read()         copy the answer out, map signs and status
 
-The clock stands between these calls, so each must do its own duty only. A workspace turns the
+The time of each call is measured, so each must do its own duty only. A workspace turns the
 library's failures into a `Status`; it raises only for a person's mistake.
 
-What the harness hands over is for this workspace alone: answers are judged by other copies of it.
-The vectors of a step stay as they are for ever; where every step is set up, the matrices come in
-the same memory each time, made whole again before.
+The harness hands over arrays for this workspace alone. The vectors of a step never change later;
+where every step is set up, the matrices come in the same memory each time, restored before.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from collections.abc import Callable, Mapping
 from typing import Literal
 
 from dpbench.arrays import Vector
-from dpbench.errors import DpbenchError, InputError, ShapeError
+from dpbench.errors import DpbenchError, ShapeError, SituationError
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution
 
@@ -32,58 +31,54 @@ Form = Literal["dense", "csc"]
 
 
 class Workspace(ABC):
-    """One solver at work on a sequence of QPs of one shape.
+    """Interface that every QP solver implements: set up, update, solve, read, for QPs of one shape.
 
     Attributes
     ----------
-    solver, route, policy : what it is.
-    form : the form the library gets its matrices in: "dense" or "csc".
+    form : the form of the library's matrices.
     setup_every_step : the harness calls `setup` with the whole problem at every step instead of
         `update` (policy fresh on route native).
     matrix_updates : updates so far that brought new P, A, lb or ub.
-    opened_again : makes another workspace of the same solver, route, policy and settings; None
-        where whoever made this one did not say how.
+    reopen : makes another workspace of the same solver, route, policy and settings.
     """
 
     setup_every_step: bool = False
     matrix_updates: int = 0
     form: Form = "dense"
-    opened_again: Callable[[], Workspace] | None = None
+    reopen: Callable[[], Workspace] | None = None
 
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:
         self.solver, self.route, self.policy = solver, route, policy
 
     @abstractmethod
     def setup(self, qp: QuadraticProgram) -> None:
-        """Prepare `qp`, including its vectors: `solve` right after it solves `qp`."""
+        """Prepare the whole problem `qp`, so that the next `solve` solves it."""
 
     @abstractmethod
     def update(self, step: QPStep) -> None:
-        """Take over what `step` changes; raises ShapeError on arrays of another shape."""
+        """Take over the vectors and matrices of the next QP; ShapeError on wrong shapes."""
 
     @abstractmethod
     def solve(self) -> None:
-        """Solve the current problem; never raises for a failure of the library."""
+        """Solve the current problem; a failure of the library becomes a status, no exception."""
 
     @abstractmethod
     def read(self) -> Solution:
-        """The answer, in memory of its own."""
+        """Return a copy of the answer: status, solution z and multipliers."""
 
     def another(self) -> Workspace:
-        """A workspace of the same kind for other QPs, not yet set up; InputError if none is known.
-
-        A cascade solves two QPs at each sample, each in a workspace of its own.
-        """
-        if self.opened_again is None:
-            raise InputError(f"solver {self.solver}", "workspace", "one", "two by open_workspace")
-        return self.opened_again()
+        """Open the same solver again with equal settings; SituationError unless opened by name."""
+        if self.reopen is None:
+            sentence = "a cascade needs two workspaces; open this one by open_workspace"
+            raise SituationError(f"solver {self.solver}", sentence)
+        return self.reopen()
 
     def reset(self) -> None:  # noqa: B027 - a workspace without memory has nothing to forget
-        """Forget every earlier answer; called after a step that was not solved."""
+        """Discard earlier answers and warm-start data, after a step that was not solved."""
 
 
 def check_step(step: QPStep, n: int, m: int) -> None:
-    """Raise ShapeError unless the arrays of `step` fit n variables and m rows."""
+    """Raise ShapeError unless a step's arrays fit a QP of n variables and m rows."""
     rows = (m,)
     fits = step.q.shape == (n,) and step.l.shape == rows and step.u.shape == rows
     if fits and step.refresh is Refresh.VECTORS:
@@ -95,25 +90,22 @@ def check_step(step: QPStep, n: int, m: int) -> None:
             raise ShapeError.of("QPStep", name, array.shape, f"shape {shape}")
 
 
-def words_of(error: BaseException) -> str:
-    """What a library raised, in words; a person's interrupt is no failure and is raised again.
-
-    It takes whatever was raised: a panic of Rust is no `Exception`.
-    """
+def describe_exception(error: BaseException) -> str:
+    """Return class and message of a solver library's exception as text; re-raise an interrupt."""
     if isinstance(error, (KeyboardInterrupt, SystemExit)):
         raise error
     return f"{type(error).__name__}: {error}"
 
 
-def not_set_up(call: str) -> DpbenchError:
-    """What is raised when a workspace is used before its set-up."""
+def missing_setup_error(call: str) -> DpbenchError:
+    """Return the error for calling a solver's method before its set-up."""
     return DpbenchError(f"{call} before setup: call setup with the whole problem first")
 
 
-def shift_into(target: Vector, kept: Vector, block: int) -> None:
-    """target = kept, one block earlier; the last block is zero."""
+def shift_into(target: Vector, source: Vector, block: int) -> None:
+    """Write a vector shifted by one control increment for a warm start; the last block is zero."""
     if block == 0:
-        target[:] = kept
+        target[:] = source
     elif target.size:
-        target[:-block] = kept[block:]
+        target[:-block] = source[block:]
         target[-block:] = 0.0

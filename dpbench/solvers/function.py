@@ -1,22 +1,17 @@
-"""A plain function as a solver: the shortest way to a plug-in.
-
-It is set up from nothing at each step, so `fresh` is all it can be.
-"""
-
-from __future__ import annotations
+"""A plain function as a solver of policy `fresh`: the shortest plug-in."""
 
 from collections.abc import Callable
 from typing import Concatenate
 
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
-from dpbench.qp.solution import Solution, Status, received
-from dpbench.solvers.contract import Options, Policy, Workspace, check_step, not_set_up
+from dpbench.qp.solution import Solution, Status, sanitise_answer
+from dpbench.solvers.contract import Options, Policy, Workspace, check_step, missing_setup_error
 
 Solve = Callable[Concatenate[QuadraticProgram, ...], Solution]
 
 
 class FunctionWorkspace(Workspace):
-    """A workspace around `solve(qp, **options) -> Solution`; what it raises is an ERROR."""
+    """A solver made of a Python function that solves one QP; its exceptions become ERROR."""
 
     def __init__(self, name: str, policy: Policy, solve: Solve, options: Options) -> None:
         super().__init__(name, "native", policy)
@@ -26,51 +21,54 @@ class FunctionWorkspace(Workspace):
         self._solution: Solution | None = None
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Copy the problem."""
+        """Store a copy of the QP."""
         self._qp, self._solution = qp.copy(), None
 
     def update(self, step: QPStep) -> None:
-        """Copy the problem with what `step` changes."""
+        """Store a copy of the QP with the arrays that this step changes."""
         if self._qp is None:
-            raise not_set_up("update")
+            raise missing_setup_error("update")
         check_step(step, self._qp.n, self._qp.m)
         self.matrix_updates += step.refresh is not Refresh.VECTORS
         self.setup(self._qp.at(step))
 
     def solve(self) -> None:
-        """Call the function."""
+        """Call the user's function on the QP; store its answer or its exception."""
         assert self._qp is not None, "setup comes first"
         try:
             answer = self._function(self._qp, **self._options)
-            # None stands for no call here, so a function that gives it is answered for.
-            self._solution = received(answer, self._qp.n, self._qp.m) if answer is None else answer
+            # `_solution` is None before the call, so an answer None is replaced.
+            self._solution = (
+                sanitise_answer(answer, self._qp.n, self._qp.m) if answer is None else answer
+            )
         except MemoryError:
             raise
         except Exception as error:
-            self._solution = self._missing(f"{type(error).__name__}: {error}")
+            self._solution = self._make_error_solution(f"{type(error).__name__}: {error}")
 
     def read(self) -> Solution:
-        """The function's answer, copied."""
+        """Return a copy of the answer that the user's function gave."""
         answer = self._solution
         if answer is None:
-            return self._missing("read before solve")
+            return self._make_error_solution("read before solve")
         try:
             z, y, y_box = answer.z.copy(), answer.y.copy(), answer.y_box.copy()
         except AttributeError:
-            # No solution, or not of arrays: the words for what it is.
+            # No solution, or not of arrays.
             assert self._qp is not None, "setup comes first"
-            return received(answer, self._qp.n, self._qp.m)
+            return sanitise_answer(answer, self._qp.n, self._qp.m)
         return Solution(
             answer.status, z, y, y_box, answer.iterations, answer.reported_ns, answer.detail
         )
 
-    def _missing(self, detail: str) -> Solution:
+    def _make_error_solution(self, detail: str) -> Solution:
+        """Return an answer without numbers, of status ERROR, with an explanation."""
         assert self._qp is not None, "setup comes first"
         return Solution.missing(self._qp.n, self._qp.m, Status.ERROR, detail)
 
 
 def opener(name: str, solve: Solve) -> Callable[[Policy, Options], Workspace]:
-    """The `open` of a plug-in that is a function."""
+    """Make a plug-in solver's `open(policy, options)` from a Python function that solves one QP."""
 
     def open_function(policy: Policy, options: Options) -> Workspace:
         return FunctionWorkspace(name, policy, solve, options)

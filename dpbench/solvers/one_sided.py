@@ -6,12 +6,10 @@ Rows with l = u are equalities, infinite sides are left out. Multipliers come ba
 y = y_up − y_lo on inequalities and as they are on equalities.
 """
 
-from __future__ import annotations
-
 from typing import Any, Literal
 
 import numpy as np
-import scipy.sparse
+import scipy
 
 from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.qp.program import QuadraticProgram
@@ -20,8 +18,8 @@ from dpbench.solvers.contract import Form
 Box = Literal["native", "rows"]
 
 
-class Sides:
-    """Which limits of a block of rows are equalities, upper sides and lower sides."""
+class LimitSides:
+    """Which of a block of constraint rows are equalities or have a finite upper or lower limit."""
 
     def __init__(self, low: Vector, high: Vector) -> None:
         equal = low == high
@@ -30,20 +28,20 @@ class Sides:
         self.upper: Indices = np.flatnonzero(~equal & (high != np.inf))
         self.lower: Indices = np.flatnonzero(~equal & (low != -np.inf))
         self.full = self.upper.size == self.lower.size == self.size
-        self._pattern = self.pattern(low, high)
+        self._pattern = self.encode_pattern(low, high)
 
     @staticmethod
-    def pattern(low: Vector, high: Vector) -> bytes:
-        """Equal for limits of the same pattern; comparing bytes is the cheapest way to know."""
+    def encode_pattern(low: Vector, high: Vector) -> bytes:
+        """Encode as bytes which rows are equalities and which limits are infinite, to compare."""
         parts: tuple[Flags, ...] = (low == high, high == np.inf, low == -np.inf)
         return b"".join(part.tobytes() for part in parts)
 
-    def same(self, low: Vector, high: Vector) -> bool:
-        """Whether these limits have the same equal and infinite entries."""
-        return self.pattern(low, high) == self._pattern
+    def has_same_pattern(self, low: Vector, high: Vector) -> bool:
+        """Return whether the same limits are equal or infinite as when the rows were sorted."""
+        return self.encode_pattern(low, high) == self._pattern
 
     def fill(self, low: Vector, high: Vector, h: Vector, b: Vector) -> None:
-        """Write the limits into `h` (upper, then lower sides) and `b`."""
+        """Write two-sided limits as one-sided: [upper; −lower] into `h`, equalities' into `b`."""
         if self.full:
             h[: self.size] = high
             np.negative(low, out=h[self.size :])
@@ -54,18 +52,18 @@ class Sides:
         b[:] = high[self.equal]
 
     def rows(self, M: Matrix) -> tuple[Matrix, Matrix]:
-        """The inequality and the equality rows of this block of rows M."""
+        """Return rows [M; −M] with a finite limit, as inequalities, and the equality rows of M."""
         return np.vstack([M[self.upper], -M[self.lower]]), M[self.equal]
 
-    def split(self, y: Vector, z: Vector, y_equal: Vector) -> None:
-        """The inverse: two-sided multipliers y as those of inequality and of equality rows."""
+    def split_multipliers(self, y: Vector, z: Vector, y_equal: Vector) -> None:
+        """Split multipliers of two-sided rows into those of inequalities, ≥ 0, and equalities."""
         count = self.upper.size
         np.maximum(y[self.upper], 0.0, out=z[:count])
         np.maximum(-y[self.lower], 0.0, out=z[count:])
         y_equal[:] = y[self.equal]
 
-    def multipliers(self, z: Vector, y: Vector) -> Vector:
-        """Two-sided multipliers from those of the inequality rows z and the equality rows y."""
+    def merge_multipliers(self, z: Vector, y: Vector) -> Vector:
+        """Merge multipliers of inequalities and equalities into those of two-sided rows."""
         if self.full:
             return z[: self.size] - z[self.size :]
         count = self.upper.size
@@ -77,26 +75,26 @@ class Sides:
 
 
 class OneSidedForm:
-    """Constant matrices in a library's form, and the buffers its vectors are filled into.
+    """A QP with two-sided limits rewritten as G z ≤ h, A z = b, updated in place at each step.
 
     Parameters
     ----------
     qp : the problem; its matrices are copied.
     form : "dense" (C-contiguous) or "csc" matrices.
-    box : whether bounds stay bounds or become rows behind those of A.
+    box : "native" for bounds as bounds, "rows" for rows behind those of A.
     """
 
     def __init__(self, qp: QuadraticProgram, form: Form, box: Box) -> None:
         self._m, self._n = qp.m, qp.n
-        self._sides = Sides(qp.l, qp.u)
+        self._sides = LimitSides(qp.l, qp.u)
         G, A = self._sides.rows(qp.A)
         self._rows, self._equalities = G.shape[0], A.shape[0]
-        self._box: Sides | None = None
+        self._box: LimitSides | None = None
         bounded = bool(np.isfinite(qp.lb).any() or np.isfinite(qp.ub).any())
         self.lb = qp.lb.copy() if bounded and box == "native" else None
         self.ub = qp.ub.copy() if bounded and box == "native" else None
         if box == "rows":
-            self._box = Sides(qp.lb, qp.ub)
+            self._box = LimitSides(qp.lb, qp.ub)
             G_box, A_box = self._box.rows(np.eye(qp.n))
             G, A = np.vstack([G, G_box]), np.vstack([A, A_box])
         # One array [b; h] for a library that stacks equalities on inequalities.
@@ -106,57 +104,54 @@ class OneSidedForm:
         if self._box is not None:
             self._box.fill(qp.lb, qp.ub, h[self._rows :], b[self._equalities :])
         self.q = np.empty(qp.n)
-        self.P = _as_form(qp.P, form)
-        self.G: Any = _as_form(G, form) if h.size else None
-        self.A: Any = _as_form(A, form) if b.size else None
+        convert: Any = scipy.sparse.csc_matrix if form == "csc" else np.array
+        self.P = convert(qp.P)
+        self.G: Any = convert(G) if h.size else None
+        self.A: Any = convert(A) if b.size else None
         self.h, self.b = h if h.size else None, b if b.size else None
 
-    def fits(self, l: Vector, u: Vector) -> bool:  # noqa: E741 - l ≤ Az ≤ u, the name of the field
-        """Whether limits of the rows have the pattern this form was built for."""
-        return self._sides.same(l, u)
+    def has_same_pattern(self, l: Vector, u: Vector) -> bool:  # noqa: E741 - l ≤ Az ≤ u, the name of the field
+        """Return whether the same row limits are equal or infinite as in the QP first given."""
+        return self._sides.has_same_pattern(l, u)
 
     def fill(self, q: Vector, l: Vector, u: Vector) -> None:  # noqa: E741 - as above
-        """Take over the vectors of a step."""
+        """Write a step's q and two-sided row limits l, u into the one-sided QP's q, h and b."""
         self.q[:] = q
         self._sides.fill(l, u, self._h, self._b)
 
     def two_sided(self, z: Vector, y: Vector) -> tuple[Vector, Vector]:
-        """y (m,) and y_box (n,) from the multipliers of G and of A; for box "rows"."""
+        """Convert multipliers of G z ≤ h, A z = b to those of two-sided rows and bounds."""
         assert self._box is not None, "bounds have to be rows"
-        rows = self._sides.multipliers(z[: self._rows], y[: self._equalities])
-        return rows, self._box.multipliers(z[self._rows :], y[self._equalities :])
+        rows = self._sides.merge_multipliers(z[: self._rows], y[: self._equalities])
+        return rows, self._box.merge_multipliers(z[self._rows :], y[self._equalities :])
 
-    def split(self, y: Vector, y_box: Vector, dual: Vector) -> None:
-        """Write two-sided multipliers into `dual`, ordered as `bh`; for box "rows"."""
+    def split_multipliers(self, y: Vector, y_box: Vector, dual: Vector) -> None:
+        """Write multipliers of two-sided rows and bounds into `dual` as one-sided."""
         count = self.bh.size - (0 if self.h is None else self.h.size)
         equal, z = dual[:count], dual[count:]
-        self._sides.split(y, z[: self._rows], equal[: self._equalities])
+        self._sides.split_multipliers(y, z[: self._rows], equal[: self._equalities])
         if self._box is not None:
-            self._box.split(y_box, z[self._rows :], equal[self._equalities :])
+            self._box.split_multipliers(y_box, z[self._rows :], equal[self._equalities :])
 
-    def multipliers(self, z: Any, y: Any, z_box: Any) -> tuple[Vector, Vector] | None:
-        """y (m,) and y_box (n,) from the multipliers in a `qpsolvers.Solution`, None if absent."""
-        z = _vector(z, 0 if self.h is None else self.h.size)
-        y = _vector(y, 0 if self.b is None else self.b.size)
+    def convert_qpsolvers_multipliers(
+        self, z: Any, y: Any, z_box: Any
+    ) -> tuple[Vector, Vector] | None:
+        """Convert qpsolvers' multipliers to those of two-sided rows and bounds; None if absent."""
+        z = _as_vector_of_size(z, 0 if self.h is None else self.h.size)
+        y = _as_vector_of_size(y, 0 if self.b is None else self.b.size)
         if z is None or y is None:
             return None
         if self._box is not None:
             return self.two_sided(z, y)
-        rows = self._sides.multipliers(z[: self._rows], y[: self._equalities])
-        bounds = _vector(z_box, 0 if self.lb is None else self._n)
+        rows = self._sides.merge_multipliers(z[: self._rows], y[: self._equalities])
+        bounds = _as_vector_of_size(z_box, 0 if self.lb is None else self._n)
         if bounds is None:
             return None
         return rows, bounds.copy() if bounds.size else np.zeros(self._n)
 
 
-def _as_form(M: Matrix, form: Form) -> Any:
-    if form == "csc":
-        return scipy.sparse.csc_matrix(M)
-    return np.array(M, dtype=np.float64, order="C")
-
-
-def _vector(value: Any, size: int) -> Vector | None:
-    """`value` as a float64 vector, an empty one where none is expected, None if it is unfit."""
+def _as_vector_of_size(value: Any, size: int) -> Vector | None:
+    """Return `value` as a float64 vector of this size; None if it has another size."""
     if size == 0:
         return np.empty(0)
     if value is None:

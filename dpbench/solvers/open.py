@@ -1,15 +1,13 @@
-"""Opening a workspace: the one door through which a solver is asked for by name."""
-
-from __future__ import annotations
+"""Open a workspace by the name of its solver."""
 
 import warnings
 from functools import partial
 
-from dpbench.errors import PolicyError, SolverUnavailableError
+from dpbench.errors import PolicyError
 from dpbench.solvers.contract import Options, Policy, Route, Settings, Workspace
 from dpbench.solvers.record import POLICIES, SolverRecord
-from dpbench.solvers.settings import resolve
-from dpbench.solvers.table import available, native_adapter, qpsolvers_adapter, record
+from dpbench.solvers.settings import resolve_options
+from dpbench.solvers.table import check_available, find_record, native_adapter, qpsolvers_adapter
 
 
 def open_workspace(
@@ -20,56 +18,53 @@ def open_workspace(
     settings: Settings = "default",
     step_limit_s: float | None = None,
 ) -> Workspace:
-    """A workspace of `solver`, not yet set up.
+    """Open a QP solver by name, ready for its set-up with a first problem.
 
     Parameters
     ----------
     solver : a name of the table, of a plug-in, or one that qpsolvers serves.
-    route : "qpsolvers" or "native"; None takes the solver's own default.
+    route : "qpsolvers" or "native"; None for the solver's default.
     policy : "fresh", "reuse" or "warm", where the route has it.
     settings : a name of its settings, or a mapping of the solver's own keys.
-    step_limit_s : time after which a library that has an option for it ends a solve [s], unless
-        its settings say otherwise; None for the library's own.
+    step_limit_s : time limit of a solve [s] for a library with an option for it, unless `settings`
+        has this option.
 
     Raises
     ------
     UnknownNameError : there is no such solver.
-    PolicyError : the solver has no such route, or the route no such policy; says why.
+    PolicyError : the solver has no such route, or the route no such policy.
     SettingsError : unknown name, or a key or value that the library does not accept.
-    SolverUnavailableError : the library is missing or fails to import; names the remedy.
+    SolverUnavailableError : the library is missing or fails to import.
     """
-    row = record(solver)
+    row = find_record(solver)
     route = row.default_route if route is None else route
     _check_policy(row, route, policy)
-    opened = partial(_opened, row, route, policy, settings, step_limit_s)
-    workspace = opened()
-    workspace.opened_again = opened
+    make = partial(_make_workspace, row, route, policy, settings, step_limit_s)
+    workspace = make()
+    workspace.reopen = make
     return workspace
 
 
-def _opened(
+def _make_workspace(
     row: SolverRecord,
     route: Route,
     policy: Policy,
     settings: Settings,
     step_limit_s: float | None,
 ) -> Workspace:
-    """A workspace of a route and policy that the solver has."""
+    """Check the settings, import the solver's library and open the solver."""
     solver = row.name
-    here = available(solver)
-    if not here.ok:
-        raise SolverUnavailableError("solver", solver, here.reason, f"after {row.remedy}")
+    check_available(solver)
     limited = row.time_limit and step_limit_s is not None
     limits: Options = {row.time_limit: step_limit_s} if limited else {}
     if route == "native":
         native = native_adapter(solver)
-        return native.workspace(row, policy, {**limits, **resolve(settings, native)})
+        return native.workspace(row, policy, {**limits, **resolve_options(settings, native)})
     adapter = qpsolvers_adapter(solver)
-    options = {**limits, **resolve(settings, adapter)}
+    options = {**limits, **resolve_options(settings, adapter)}
     if adapter.prepare is not None:
         adapter.prepare()
-    # qpsolvers imports every library it finds, so it is imported only when it is needed, and
-    # without their warnings.
+    # qpsolvers imports every library it finds, so it is imported only when needed.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         from dpbench.solvers.libraries.qpsolvers_workspace import QpsolversWorkspace
@@ -78,6 +73,7 @@ def _opened(
 
 
 def _check_policy(row: SolverRecord, route: Route, policy: Policy) -> None:
+    """Raise PolicyError if a solver lacks this interface or this way of starting each solve."""
     where = f"solver {row.name}"
     if route not in row.routes:
         raise PolicyError(where, "route", repr(route), " | ".join(row.routes))

@@ -2,16 +2,14 @@
 
 A plug-in is a module (or any object) with
 
-    RECORD                   its row in the table; `solver_record` fills in what is usual
+    RECORD                   its row in the table, made by `solver_record`
     open(policy, options)    a Workspace, not yet set up; `options` maps its own keys to values
-    LEVELS                   optional: the options that "low", "mid" and "high" mean
+    LEVELS                   optional: the options of "low", "mid" and "high"
 
-An installed distribution names it by an entry point of the group `dpbench.solvers`, whose name is
-that of the solver; a file is loaded by `table.load_solver_module`. RECORD names the module of its
-library, so that it can be measured alone in a process; to import qpsolvers is up to `open`.
+An installed distribution names it by an entry point of the group `dpbench.solvers` with the name of
+the solver; a file is loaded by `table.load_solver_module`. RECORD names the module of its library,
+so that it can be measured alone in a process.
 """
-
-from __future__ import annotations
 
 import hashlib
 import importlib.util
@@ -30,26 +28,26 @@ from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Any, get_args
 
-from dpbench.errors import InputError, renamed
+from dpbench.errors import InputError, warn_renamed
 from dpbench.files.writing import is_file_name
-from dpbench.solvers.adapter import NativeAdapter, Opened
+from dpbench.solvers.adapter import NativeAdapter, OpenWorkspace
 from dpbench.solvers.contract import Form, Options, Policy, Workspace
 from dpbench.solvers.record import (
-    NOT_STATED,
+    NO_PROJECT_FACTS,
     Build,
     Family,
     Levels,
     Project,
     RouteRecord,
     SolverRecord,
-    unread,
+    unknown_build,
 )
 
 GROUP = "dpbench.solvers"
 TRIAL_S = 60.0
-"""Time for a plug-in's file to run in `try_file`."""
+"""Time limit of a plug-in's file in `try_file`."""
+# The last line that the process of `try_file` prints.
 _RAN = b"\ndpbench: ran\n"
-"""The last line that the process of `try_file` prints."""
 _TRIAL = f"""
 import json, os, sys
 sys.path[:], where, file = json.loads(sys.argv[1])
@@ -64,7 +62,7 @@ os._exit(0)
 
 @dataclass(frozen=True)
 class Plugin:
-    """A solver of a third party; `version` is that of its distribution, or a digest of its file."""
+    """A third-party solver: how to call it, version or file checksum, where it was loaded from."""
 
     adapter: NativeAdapter
     version: str
@@ -72,7 +70,7 @@ class Plugin:
 
     @property
     def record(self) -> SolverRecord:
-        """Its row in the table."""
+        """Facts about the plug-in solver: name, method, abilities."""
         return self.adapter.record
 
 
@@ -88,18 +86,18 @@ def solver_record(
     form: Form = "dense",
     distribution: str = "",
     module: str = "",
-    project: Project = NOT_STATED,
+    project: Project = NO_PROJECT_FACTS,
     needs_strict_convexity: bool = False,
-    build: Callable[[], Build] = unread,
+    build: Callable[[], Build] = unknown_build,
     refused: Mapping[Any, str] = MappingProxyType({}),
     **abilities: Any,
 ) -> SolverRecord:
-    """The record of a plug-in.
+    """Make the facts of a plug-in solver: name, method, and abilities of its own interface.
 
     Parameters
     ----------
-    refused : why a policy is not there, by the policy, or by ("native", policy) as it once was.
-    abilities : further fields of `RouteRecord`; all else as in `SolverRecord`.
+    refused : reasons of missing policies, by policy, or by ("native", policy) as in old releases.
+    abilities : further fields of `RouteRecord`.
     """
     why = {key[-1] if isinstance(key, tuple) else key: reason for key, reason in refused.items()}
     return SolverRecord(
@@ -119,38 +117,26 @@ def solver_record(
 
 
 def load_file(path: str | Path, taken: Collection[str]) -> SolverRecord:
-    """Load the plug-in in a Python file and return its record; `taken` are names it must not have.
-
-    Loading the same file again replaces what was loaded from it.
-
-    Raises
-    ------
-    InputError : the file is missing, fails when run, or is no plug-in; says which and why.
-    """
-    where, file = _plugin_file(path)
-    module = _run_file(where, file)
+    """Load a solver from a Python file; InputError if it fails or its name is in `taken`."""
+    where, file = _check_file_exists(path)
+    module = _import_file(where, file)
     version = hashlib.sha256(getsource(module).encode()).hexdigest()[:12]
-    return _register(where, module, version, str(file), taken).record
+    return _register_plugin(where, module, version, str(file), taken).record
 
 
 def try_file(path: str | Path) -> None:
-    """Run a plug-in's file in a process of its own first, for a program that must outlive it.
-
-    Raises
-    ------
-    InputError : the file is missing, or its process ended or did not come to an end. What it raises
-        is left for `load_file` to report.
-    """
-    where, file = _plugin_file(path)
-    inputs = json.dumps([sys.path, where, str(file)])
-    command = [sys.executable, "-c", _TRIAL, inputs]
-    nowhere = subprocess.DEVNULL
+    """Try a plug-in's file in a child process; InputError if it is missing, crashes or hangs."""
+    where, file = _check_file_exists(path)
+    command = [sys.executable, "-c", _TRIAL, json.dumps([sys.path, where, str(file)])]
+    null = subprocess.DEVNULL
     process = subprocess.Popen(
-        command, stdin=nowhere, stdout=subprocess.PIPE, stderr=nowhere, start_new_session=True
+        command, stdin=null, stdout=subprocess.PIPE, stderr=null, start_new_session=True
     )
     try:
-        said, _ = process.communicate(timeout=TRIAL_S)
-        found = "" if said.endswith(_RAN) else _how_it_ended(process.returncode)
+        output, _ = process.communicate(timeout=TRIAL_S)
+        code = process.returncode
+        how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+        found = "" if output.endswith(_RAN) else f"an end of its process, {how}"
     except subprocess.TimeoutExpired:
         found = f"an import that takes more than {TRIAL_S:g} s"
     finally:
@@ -163,29 +149,22 @@ def try_file(path: str | Path) -> None:
         raise InputError(where, "", found, "a file that runs")
 
 
-def _how_it_ended(code: int) -> str:
-    """The end of a process that did not come to its last line, in words."""
-    if code >= 0:
-        return f"an end of its process, exit code {code}"
-    return f"an end of its process, {signal.Signals(-code).name}"
-
-
 def run_quietly(where: str, file: str) -> None:
-    """Run a plug-in's file, whatever it raises: `try_file` calls this in its process."""
+    """Run a plug-in's file in a trial process, ignoring exceptions: only a crash matters."""
     with suppress(InputError):
-        _run_file(where, Path(file))
+        _import_file(where, Path(file))
 
 
-def _plugin_file(path: str | Path) -> tuple[str, Path]:
-    """What an error calls a plug-in's file, and its full path; InputError where there is none."""
+def _check_file_exists(path: str | Path) -> tuple[str, Path]:
+    """Return a plug-in file's label for errors and its full path; InputError if missing."""
     where, file = f"solver module {path}", Path(path).resolve()
     if not file.is_file():
         raise InputError(where, "", "no such file", "a Python file with RECORD and open")
     return where, file
 
 
-def _run_file(where: str, file: Path) -> ModuleType:
-    """The module that a file makes when it is run; InputError for whatever it raises."""
+def _import_file(where: str, file: Path) -> ModuleType:
+    """Execute a plug-in's Python file as a new module; turn any exception into an InputError."""
     digest = hashlib.sha256(str(file).encode()).hexdigest()[:12]
     spec = importlib.util.spec_from_file_location(f"dpbench_plugin_{digest}", file)
     if spec is None or spec.loader is None:
@@ -198,34 +177,29 @@ def _run_file(where: str, file: Path) -> ModuleType:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a stranger's code may raise anything; it becomes an InputError
-        raise InputError(where, "", _raised(error), "a file that runs") from error
+        raise InputError(where, "", _describe_raised(error), "a file that runs") from error
     return module
 
 
-def _raised(error: BaseException) -> str:
-    """What was raised, on one line."""
+def _describe_raised(error: BaseException) -> str:
+    """Return class and message of an exception, on one line of limited length."""
     text = " ".join(str(error).split())[:300]
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def entry_point_names() -> tuple[str, ...]:
-    """The solvers that installed distributions bring, not yet loaded."""
+    """List the names of plug-in solvers in installed packages, without loading them."""
     return tuple(sorted(_entry_points()))
 
 
 @cache
 def _entry_points() -> dict[str, metadata.EntryPoint]:
-    """By name; what is installed does not change while a process runs."""
+    """Return plug-in solvers that installed packages declare as entry points, by name."""
     return {point.name: point for point in metadata.entry_points(group=GROUP)}
 
 
 def find_plugin(name: str) -> Plugin | None:
-    """The plug-in of that name, loading its entry point if need be; None if there is none.
-
-    Raises
-    ------
-    InputError : its entry point fails to load, or is no plug-in.
-    """
+    """Return a plug-in solver by name; None if there is none, InputError if it fails to load."""
     if name in _LOADED:
         return _LOADED[name]
     point = _entry_points().get(name)
@@ -237,22 +211,23 @@ def find_plugin(name: str) -> Plugin | None:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a stranger's code may raise anything; it becomes an InputError
-        raise InputError(where, "", _raised(error), "an object that loads") from error
+        raise InputError(where, "", _describe_raised(error), "an object that loads") from error
     version = point.dist.version if point.dist is not None else ""
-    plugin = _register(where, module, version, point.value)
+    plugin = _register_plugin(where, module, version, point.value)
     if plugin.record.name != name:
         raise InputError(where, "RECORD.name", repr(plugin.record.name), repr(name))
     return plugin
 
 
 def loaded_names() -> tuple[str, ...]:
-    """The plug-ins loaded in this process."""
+    """List the names of plug-in solvers loaded in this process."""
     return tuple(sorted(_LOADED))
 
 
-def _register(
+def _register_plugin(
     where: str, module: Any, version: str, origin: str, taken: Collection[str] = ()
 ) -> Plugin:
+    """Check a loaded plug-in's RECORD and open(), and add it to the known solvers."""
     record, opener = getattr(module, "RECORD", None), getattr(module, "open", None)
     if not isinstance(record, SolverRecord):
         raise InputError(where, "RECORD", repr(record), "a SolverRecord, see solver_record")
@@ -268,25 +243,27 @@ def _register(
         raise InputError(where, "RECORD.routes", sorted(record.routes), "route native alone")
     if record.family not in get_args(Family):
         raise InputError(where, "RECORD.family", repr(record.family), " | ".join(get_args(Family)))
-    row = replace(record, extra="plugin", levels=_levels_of(where, module, record))
-    plugin = Plugin(NativeAdapter(row, _opened_by(opener), None), version, origin)
+    row = replace(record, extra="plugin", levels=_read_levels(where, module, record))
+    plugin = Plugin(NativeAdapter(row, _wrap_opener(opener), None), version, origin)
     _LOADED[row.name] = plugin
     return plugin
 
 
-def _levels_of(where: str, module: Any, record: SolverRecord) -> Levels:
-    """Its tolerance levels, also by the name they once had."""
+def _read_levels(where: str, module: Any, record: SolverRecord) -> Levels:
+    """Return a plug-in's presets of solver options by tolerance level."""
     if not hasattr(module, "LEVELS") and hasattr(module, "LADDER"):
-        renamed(where, "LADDER", "LEVELS")
+        warn_renamed(where, "LADDER", "LEVELS")
     return dict(getattr(module, "LEVELS", getattr(module, "LADDER", record.levels)))
 
 
-def _opened_by(opener: Callable[[Policy, Options], Workspace]) -> Opened:
+def _wrap_opener(opener: Callable[[Policy, Options], Workspace]) -> OpenWorkspace:
+    """Wrap a plug-in's open() so that InputError is raised if it does not return a solver."""
+
     def open_plugin(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
         workspace = opener(policy, options)
         if not isinstance(workspace, Workspace):
             raise InputError(f"solver {record.name}", "open", repr(workspace), "a Workspace")
-        # A plug-in's author need not know how the harness tells a fresh workspace.
+        # A plug-in need not set this.
         workspace.setup_every_step = policy == "fresh"
         return workspace
 

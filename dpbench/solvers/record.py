@@ -1,11 +1,8 @@
-"""The record of one solver: all that dpbench says about it, in one place.
+"""The record of one solver: all facts that dpbench has about it.
 
-Its row in every table, its colour and place in a legend, its tolerance levels, the conformance
-tests and why it may not go aboard are read from here. Nothing has a default that would hide what
-was forgotten: what is not known is said to be `UNSTATED`.
+Tables, legends, tolerance levels, conformance tests and deployability are read from here. No field
+has a default that would hide a forgotten one: what is not known is `UNKNOWN_FACT`.
 """
-
-from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
@@ -26,9 +23,9 @@ Family = Literal[
     "harness",
     "not stated",
 ]
-"""What kind of method it is; "harness" is none, "not stated" a plug-in whose author is silent."""
+"""Kind of method; "harness" is none, "not stated" that of a plug-in without one."""
 Levels = Mapping[str, Options]
-"""The options that each name of settings means; a tolerance level that is missing sets nothing."""
+"""The options of each name of settings; a tolerance level that is missing sets nothing."""
 
 POLICIES: Mapping[Policy, str] = {
     "fresh": "set up from nothing at each step",
@@ -49,67 +46,64 @@ NAN_FAULTS = {
     **NAN_IGNORED,
 }
 
-DEFAULT, LOW, MID, HIGH = LEVELS = ("default", "low", "mid", "high")
-"""The tolerance levels: the library's own choice, then 1e-3, 1e-6 and 1e-9."""
-TOLERANCES = {LOW: 1e-3, MID: 1e-6, HIGH: 1e-9}
+DEFAULT, MID, HIGH = "default", "mid", "high"
+TOLERANCES = {"low": 1e-3, MID: 1e-6, HIGH: 1e-9}
+LEVELS = (DEFAULT, *TOLERANCES)
+"""The tolerance levels: the library's own choice, then those of `TOLERANCES`."""
 
 
-def by_tolerance(*criteria: str, always: Options | None = None, **beside: object) -> Levels:
-    """The levels of a solver: at `low`, `mid` and `high` its absolute criteria are the tolerance.
+def by_tolerance(*criteria: str, always: Options | None = None, **constant: object) -> Levels:
+    """Make option presets default, low, mid and high, from the names of tolerance options.
 
     Parameters
     ----------
-    criteria : options that become the tolerance; relative ones where it needs them positive.
+    criteria : options that are the tolerance at the levels of `TOLERANCES`.
     always : options of every level, and of a person's own settings.
-    beside : options of the three levels that are the same for each: relative criteria off, those
-        on the duality gap on, iteration limits high enough to get there.
+    constant : further options of the levels of `TOLERANCES`.
     """
     always = always or {}
-    asked = {k: {**dict.fromkeys(criteria, eps), **beside} for k, eps in TOLERANCES.items()}
-    return {DEFAULT: always} | {name: {**always, **options} for name, options in asked.items()}
+    return {DEFAULT: always} | {
+        name: {**always, **dict.fromkeys(criteria, eps), **constant}
+        for name, eps in TOLERANCES.items()
+    }
 
 
 @dataclass(frozen=True)
 class Build:
-    """How the library that is installed was built, as read from it.
+    """How a solver library was compiled: its instruction set, and whether that is a generic one.
 
     Parameters
     ----------
-    text : in a few words; "" where nothing can be read from it.
-    generic : it has kernels for the vector instructions of processors, and this build has none.
+    text : in a few words; "" if unknown.
+    generic : it has kernels for vector instructions, and this build has none.
     """
 
     text: str = ""
     generic: bool = False
 
 
-UNREAD = Build()
+UNKNOWN_BUILD = Build()
 BUILDS = {"_avx512": "AVX-512", "_avx2": "AVX2", "": "no AVX"}
-"""What the end of a module's name says it was compiled for."""
+"""Instruction sets by the end of a module's name."""
 
 
 def vectorised_build(module: str) -> Build:
-    """The build that an imported library chose; it is never less than the processor has.
-
-    Parameters
-    ----------
-    module : the name its compiled modules share, without what they were compiled for.
-    """
+    """Return the CPU instruction set that the loaded library `module` was compiled for."""
     built = (text for end, text in BUILDS.items() if sys.modules.get(f"{module}{end}") is not None)
     return Build(next(built, ""))
 
 
-def unread() -> Build:
-    """Nothing is known of the build."""
-    return UNREAD
+def unknown_build() -> Build:
+    """Return an empty description, for a library that does not state how it was compiled."""
+    return UNKNOWN_BUILD
 
 
-UNSTATED = "not stated", ""
+UNKNOWN_FACT = "not stated", ""
 
 
 @dataclass(frozen=True)
 class Fact:
-    """A statement and where the project makes it, in words; no source, no statement."""
+    """A fact about a solver's project and its source, such as a licence and the file stating it."""
 
     value: str
     source: str
@@ -117,13 +111,7 @@ class Fact:
 
 @dataclass(frozen=True)
 class CSettings:
-    """The structure of a C library whose fields have the names of the options.
-
-    Parameters
-    ----------
-    struct : its type; `defaults` : the function that fills one, given its address.
-    source : where the library says so.
-    """
+    """Name of a solver's C settings structure and of the C function that fills its defaults."""
 
     struct: str
     defaults: str
@@ -132,7 +120,7 @@ class CSettings:
 
 @dataclass(frozen=True)
 class Project:
-    """What a controller's author asks about a solver, as its own documentation answers it.
+    """Facts on embedding a solver: licence, language, C code, memory allocation, single precision.
 
     Parameters
     ----------
@@ -140,7 +128,7 @@ class Project:
     c_code : whether it generates C code for a problem, or is C code one can embed.
     allocation_free : whether a solve after set-up allocates no memory.
     single_precision : whether it can be built in single precision.
-    c_settings : how its options are set in C; None where they have other names there.
+    c_settings : None where the options have other names in C.
     """
 
     licence: Fact
@@ -151,7 +139,7 @@ class Project:
     c_settings: CSettings | None = field(default=None, kw_only=True)
 
 
-def stated(
+def project_facts(
     *,
     licence: tuple[str, str] | None,
     language: tuple[str, str] | None,
@@ -160,33 +148,30 @@ def stated(
     single_precision: tuple[str, str] | None = None,
     c_settings: CSettings | None = None,
 ) -> Project:
-    """What a project states, each with the place; None where it does not, as far as is known here:
-    nothing is inferred."""
+    """Make the facts on embedding a solver from pairs (value, source), None where not stated."""
     facts = (licence, language, c_code, allocation_free, single_precision)
-    return Project(*(Fact(*(fact or UNSTATED)) for fact in facts), c_settings=c_settings)
+    return Project(*(Fact(*(fact or UNKNOWN_FACT)) for fact in facts), c_settings=c_settings)
 
 
-NOT_STATED = stated(licence=None, language=None)
+NO_PROJECT_FACTS = project_facts(licence=None, language=None)
 
 
 @dataclass(frozen=True)
 class RouteRecord:
-    """What a solver can do on one route.
+    """What a solver can do through one interface: ways of starting, updates, known faults.
 
     Parameters
     ----------
-    policies : those it runs; `refused` says why a missing one is missing, where there is more to
-        say than that.
-    updates : what the library takes over without being set up anew.
-    start : what a warm start is made of.
+    policies : those it runs; `refused` : the reasons for missing ones, where there is one to give.
+    updates : what the library takes over without a new set-up.
+    start : what a warm start consists of.
     keeps : what a kept workspace carries into the next solve beside factors, memory and a start;
         "" for nothing that would change an answer by more than rounding.
     two_sided : whether l ≤ A z ≤ u reaches the library as such.
     gives_multipliers : whether y and y_box come back.
     detects_infeasibility : whether an infeasible problem is reported as such, and not only as
         "no answer".
-    faults : known faulty behaviour, by the name of the conformance test that shows it; the test
-        fails when the fault disappears.
+    faults : known faults, by the name of their conformance test, which fails without them.
     """
 
     policies: tuple[Policy, ...]
@@ -202,23 +187,20 @@ class RouteRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class SolverRecord:
-    """One row of the table of solvers.
+    """All facts about one solver: method, package, interfaces, option presets, project.
 
     Parameters
     ----------
-    name : its name in dpbench.
-    family, method : the kind of method, and the algorithm in a line.
-    distribution, module : what `pip` installs and what Python imports; "" for dpbench's own.
-    extra : which part of dpbench's dependencies brings it; "own" needs nothing, "plugin" and
-        "qpsolvers" are none of dpbench's business.
-    form : the form its matrices are kept in, its own fastest.
-    routes : what it can do on each route; the first is the default.
-    levels : what each name of settings means, see `by_tolerance`; {} without a tolerance to set.
-    project : what its own documentation says to a controller's author.
+    method : the algorithm in a line.
+    distribution, module : of `pip install` and `import`; "" for dpbench's own.
+    extra : the part of dpbench's dependencies that installs it; "own", "plugin" and "qpsolvers" are
+        none.
+    form : the form of its matrices, its own fastest.
+    routes : the first is the default.
+    levels : see `by_tolerance`; {} without a tolerance to set.
     needs_strict_convexity : whether P has to be positive definite.
     needs_modules : further libraries that it imports, which isolation must not hide.
-    build : reads from the installed library how it was built, where that can be read and decides
-        how fast it is.
+    build : reads how the installed library was built, where that decides its speed.
     time_limit : its option that ends a solve after so many seconds; "" without one.
     """
 
@@ -234,29 +216,31 @@ class SolverRecord:
     project: Project
     needs_strict_convexity: bool = False
     needs_modules: tuple[str, ...] = ()
-    build: Callable[[], Build] = unread
+    build: Callable[[], Build] = unknown_build
     time_limit: str = ""
 
     @property
     def default_route(self) -> Route:
-        """The route taken when none is asked for."""
+        """Default interface to the solver's library, native or qpsolvers: the first listed."""
         return next(iter(self.routes))
 
     @property
     def policies(self) -> dict[Route, tuple[Policy, ...]]:
-        """The policies of each route."""
+        """Ways of starting each solve (fresh, reuse, warm) offered, by interface to the library."""
         return {route: can.policies for route, can in self.routes.items()}
 
     @property
     def remedy(self) -> str:
-        """The command that installs it."""
+        """Shell command that installs the solver."""
         # Not through an extra of dpbench: the package index knows another project by that name.
         return f"pip install {self.distribution}" if self.distribution else "install it"
 
     @property
-    def why_not_aboard(self) -> str:
-        """Why it cannot be deployed on a ship as it is; "" where it can: a project's own compiled
-        code, whose language its documentation states."""
+    def deployment_blocker(self) -> str:
+        """Reason why the solver cannot run on a ship's controller; "" if it can.
+
+        Compiled code whose language the project documents is deployable.
+        """
         language = self.project.language
         if self.extra == "own":
             return f"own code of this benchmark ({language.value})"
@@ -265,11 +249,11 @@ class SolverRecord:
         return f"written in {language.value}" if language.value.startswith("Python") else ""
 
     def on(self, route: Route) -> RouteRecord:
-        """What it can do on a route it has; KeyError on one it does not have."""
+        """Return what the solver can do through an interface; KeyError if it does not have it."""
         return self.routes[route]
 
     def refusal(self, route: Route, policy: Policy) -> str:
-        """Why a route it has does not run a policy; "" where it does."""
+        """Return why an interface lacks a way of starting each solve; "" if it offers it."""
         can = self.routes[route]
         if policy in can.policies:
             return ""

@@ -1,55 +1,46 @@
-"""What the names of a solver's settings mean, and whether its own keys and values are accepted.
+"""The options of a name of settings, and validation of a solver's own keys and values.
 
-The tolerance levels `default`, `low`, `mid` and `high` and further names of a solver stand in its
-record (`by_tolerance`); they mean the same on both routes.
+The tolerance levels `default`, `low`, `mid` and `high` and further names of a solver are in its
+record (`by_tolerance`), for both routes.
 """
 
-from __future__ import annotations
-
-import difflib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from dpbench.errors import SettingsError
-from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, attributes
+from dpbench.errors import SettingsError, list_allowed
+from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, list_attributes
 from dpbench.solvers.contract import Options, Settings
 from dpbench.solvers.record import DEFAULT, LEVELS, MID, TOLERANCES
-from dpbench.solvers.table import record
+from dpbench.solvers.table import find_record
 
 
-def settings_matter(solver: str) -> bool:
-    """Whether the tolerance levels differ for this solver."""
+def has_tolerance_levels(solver: str) -> bool:
+    """Return whether a solver's tolerance presets low, mid and high differ from its defaults."""
     return any(level_options(level, solver) != level_options(DEFAULT, solver) for level in LEVELS)
 
 
-def resolve(settings: Settings, adapter: NativeAdapter | QpsolversAdapter) -> Options:
-    """The options that `settings` means for a library.
-
-    Raises
-    ------
-    SettingsError : for a name that it does not have, a key the library does not have, or a value
-        that its settings object refuses.
-    """
+def resolve_options(settings: Settings, adapter: NativeAdapter | QpsolversAdapter) -> Options:
+    """Return solver options from a preset's name or a mapping; SettingsError if invalid."""
     name = adapter.record.name
     if isinstance(settings, str):
         return dict(level_options(settings, name))
-    target = None if adapter.settings_object is None else adapter.settings_object()
-    if adapter.option_names is not None:
-        check_names(name, settings, adapter.option_names())
+    target = None if adapter.make_settings is None else adapter.make_settings()
+    if adapter.list_options is not None:
+        check_option_names(name, settings, adapter.list_options())
     elif target is not None:
-        check_names(name, settings, attributes(target))
+        check_option_names(name, settings, list_attributes(target))
     if target is not None:
         _check_values(name, settings, target)
     return {**adapter.record.levels.get(DEFAULT, {}), **settings}
 
 
 def setting_names(solver: str) -> tuple[str, ...]:
-    """The names of settings of a solver: the tolerance levels and what it has beside them."""
-    return tuple(dict.fromkeys((*LEVELS, *record(solver).levels)))
+    """List the names of a solver's option presets: default, low, mid, high and its own."""
+    return tuple(dict.fromkeys((*LEVELS, *find_record(solver).levels)))
 
 
-def tolerance_of(name: str) -> float | None:
-    """The tolerance that a name of settings such as "1e-4" states; None for other names."""
+def parse_tolerance(name: str) -> float | None:
+    """Parse a preset name such as "1e-4" as a tolerance in (0, 1); None for other names."""
     try:
         tolerance = float(name)
     except ValueError:
@@ -58,75 +49,59 @@ def tolerance_of(name: str) -> float | None:
 
 
 def has_setting(solver: str, name: str) -> bool:
-    """Whether a solver has settings of that name: its own, or a tolerance it can be given."""
-    return name in setting_names(solver) or _at_tolerance(solver, name) is not None
+    """Return whether a solver has an option preset of this name, or takes it as a tolerance."""
+    return name in setting_names(solver) or _options_at_tolerance(solver, name) is not None
 
 
-def _at_tolerance(solver: str, name: str) -> Options | None:
-    """The options of a stated tolerance, between the levels or beyond them; None where neither.
+def _options_at_tolerance(solver: str, name: str) -> Options | None:
+    """Return a solver's options at a tolerance such as "1e-4"; None for other names.
 
-    What is the tolerance itself at `low`, `mid` and `high` is this one here; the rest is as at
-    `mid`. A solver without a tolerance to set has nothing to change.
+    Options that are the tolerance at `low`, `mid` and `high` are this one; all others are those of
+    `mid`.
     """
-    tolerance, levels = tolerance_of(name), record(solver).levels
+    tolerance, levels = parse_tolerance(name), find_record(solver).levels
     if tolerance is None:
         return None
-    if not settings_matter(solver):
+    if not has_tolerance_levels(solver):
         return levels.get(DEFAULT, {})
     mid = levels[MID]
-    stated = [
-        key for key in mid if all(levels[at].get(key) == eps for at, eps in TOLERANCES.items())
-    ]
-    return {**mid, **dict.fromkeys(stated, tolerance)} if stated else None
+    keys = [k for k in mid if all(levels[at].get(k) == eps for at, eps in TOLERANCES.items())]
+    return {**mid, **dict.fromkeys(keys, tolerance)} if keys else None
 
 
 def level_options(name: str, solver: str) -> Options:
-    """What the setting of that name means for a solver; SettingsError if there is none."""
-    names, stated = setting_names(solver), _at_tolerance(solver, name)
-    if name not in names and stated is None:
+    """Return the options of a solver's preset or tolerance; SettingsError if there is none."""
+    names, options = setting_names(solver), _options_at_tolerance(solver, name)
+    if name not in names and options is None:
         allowed = f"{' | '.join(names)} | a tolerance such as 1e-4"
         raise SettingsError(f"settings of {solver}", "", repr(name), allowed)
-    return record(solver).levels.get(name, {}) if stated is None else stated
+    return find_record(solver).levels.get(name, {}) if options is None else options
 
 
 def describe_levels(solver: str) -> str:
-    """One line per name of its settings: what it sets, "the library's defaults" for nothing."""
+    """Return one line of text for each of a solver's option presets, with the options it sets."""
     lines = []
     for name in setting_names(solver):
-        keys = ", ".join(f"{key}={value!r}" for key, value in level_options(name, solver).items())
-        lines.append(f"{name}: {keys or _nothing(name, solver)}")
+        text = ", ".join(f"{key}={value!r}" for key, value in level_options(name, solver).items())
+        if not text and (name == DEFAULT or has_tolerance_levels(solver)):
+            text = "the library's defaults"
+        lines.append(f"{name}: {text or 'as default: it has no tolerance to set'}")
     return "\n".join(lines)
 
 
-def _nothing(name: str, solver: str) -> str:
-    if settings_matter(solver) or name == DEFAULT:
-        return "the library's defaults"
-    return "as default: it has no tolerance to set"
-
-
-def check_names(solver: str, settings: Mapping[str, object], allowed: Iterable[str]) -> None:
-    """Raise SettingsError naming the first key that is not allowed, and its nearest neighbours.
-
-    The libraries behind qpsolvers cannot be trusted with this: several drop what they do not know.
-    """
+def check_option_names(solver: str, settings: Mapping[str, object], allowed: Iterable[str]) -> None:
+    """Raise SettingsError for the first option name that the solver does not have."""
     known = sorted(allowed)
-    for key in _flat(settings):
-        if key not in known:
-            near = difflib.get_close_matches(key, known, n=5, cutoff=0.4) or known
-            raise SettingsError(
-                f"settings of {solver}", key, "an unknown key", ", ".join(near) or "no settings"
-            )
-
-
-def _flat(settings: Mapping[str, object]) -> Iterable[str]:
-    for key, value in settings.items():
-        if isinstance(value, Mapping):
-            yield from (f"{key}.{member}" for member in value)
-        else:
-            yield key
+    for name, value in settings.items():
+        keys = [f"{name}.{member}" for member in value] if isinstance(value, Mapping) else [name]
+        for key in keys:
+            if key not in known:
+                allowed = list_allowed(key, known) if known else "no settings"
+                raise SettingsError(f"settings of {solver}", key, "an unknown key", allowed)
 
 
 def _check_values(solver: str, settings: Mapping[str, object], target: Any) -> None:
+    """Set options on a library's settings object; SettingsError for a value that it refuses."""
     for key, value in settings.items():
         try:
             setattr(target, key, value)

@@ -1,100 +1,143 @@
-"""The table of solvers: what there is, what each can do, and whether it is installed here."""
-
-from __future__ import annotations
+"""The table of solvers, their availability here, and isolation of one from the others."""
 
 import importlib
+import sys
 import warnings
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
+from importlib.abc import MetaPathFinder
+from importlib.machinery import PathFinder
+from importlib.util import find_spec
 from pathlib import Path
 
-from dpbench.errors import UnknownNameError, one_of
-from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter
+from dpbench.errors import DpbenchError, SolverUnavailableError, UnknownNameError, list_allowed
+from dpbench.solvers import plugins
+from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, read_found
 from dpbench.solvers.calibration import CALIBRATION, open_calibration
-from dpbench.solvers.contract import words_of
+from dpbench.solvers.contract import describe_exception
 from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
-from dpbench.solvers.libraries.generic import generic_adapter, is_served
 from dpbench.solvers.own.adapters import OWN
-from dpbench.solvers.plugins import (
-    entry_point_names,
-    find_plugin,
-    load_file,
-    loaded_names,
-    try_file,
+from dpbench.solvers.record import (
+    NO_PROJECT_FACTS,
+    UNKNOWN_BUILD,
+    Build,
+    RouteRecord,
+    SolverRecord,
 )
-from dpbench.solvers.record import UNREAD, Build, SolverRecord
 
+LISTING = "dpbench list solvers"
+"""The command that lists all solvers."""
 _ON_NATIVE: dict[str, NativeAdapter] = {**NATIVE, **OWN}
 TABLE: dict[str, SolverRecord] = {
-    name: _ON_NATIVE[name].record if name in _ON_NATIVE else THROUGH_QPSOLVERS[name].record
+    name: (_ON_NATIVE if name in _ON_NATIVE else THROUGH_QPSOLVERS)[name].record
     for name in sorted({*_ON_NATIVE, *THROUGH_QPSOLVERS})
 }
-"""The solvers of this house and the libraries it has adapters for, in alphabetical order."""
+"""The own solvers and the libraries with an adapter, in alphabetical order."""
+# Libraries that qpsolvers looks for and that are not in the table.
+OTHER_LIBRARIES = (
+    "coptpy",
+    "gurobipy",
+    "hpipm_python",
+    "jax",
+    "mosek",
+    "nppro",
+    "pdhcg",
+    "qpoases",
+    "qpSWIFT",
+)
 
 
 @dataclass(frozen=True)
 class Availability:
-    """Whether a solver can be used here; `reason` says why not and what installs it."""
+    """Whether a solver is installed here: version and build, or why it cannot be used."""
 
     ok: bool
     version: str = ""
     reason: str = ""
-    build: Build = UNREAD
+    build: Build = UNKNOWN_BUILD
 
     @property
     def identity(self) -> str:
-        """Version and build: times of another of the two are not those of this library."""
+        """Version of the solver's library and instruction set it was built for, as one text."""
         return f"{self.version} {self.build.text}".strip()
 
 
 def solver_names() -> tuple[str, ...]:
-    """Every solver of the table, installed or not, and every plug-in, in alphabetical order.
-
-    The harness's own (`calibration.py`) have records but are no solvers, and not among them.
-    """
-    return tuple(sorted({*TABLE, *loaded_names(), *entry_point_names()}))
+    """List the names of all known solvers, installed or not, plug-ins included, alphabetically."""
+    return tuple(sorted({*TABLE, *plugins.loaded_names(), *plugins.entry_point_names()}))
 
 
-def record(name: str) -> SolverRecord:
-    """The row of a solver: of the table, of a plug-in, or of one that only qpsolvers knows.
-
-    The harness's own have a row too.
-
-    Raises
-    ------
-    UnknownNameError : there is no such solver.
-    InputError : it is a plug-in that fails to load.
-    """
-    if name in TABLE:
-        return TABLE[name]
-    if name in CALIBRATION:
-        return CALIBRATION[name]
-    plugin = find_plugin(name)
+def find_record(name: str) -> SolverRecord:
+    """Return the facts about a solver by its name; UnknownNameError if there is none."""
+    row = TABLE.get(name) or CALIBRATION.get(name)
+    if row is not None:
+        return row
+    plugin = plugins.find_plugin(name)
     if plugin is not None:
         return plugin.record
-    if is_served(name):
-        return generic_adapter(name).record
-    raise UnknownNameError("solver", "", repr(name), one_of(name, solver_names()))
+    if _is_served_by_qpsolvers(name):
+        return _make_generic_adapter(name).record
+    raise UnknownNameError(
+        "solver", "", repr(name), list_allowed(name, solver_names(), listing=LISTING)
+    )
 
 
 def native_adapter(name: str) -> NativeAdapter:
-    """The adapter of a solver that has route native, a plug-in's too; KeyError for another."""
+    """Return how to call a solver by its own interface; KeyError if it has none."""
     if name in CALIBRATION:
         return NativeAdapter(
             CALIBRATION[name], lambda record, policy, options: open_calibration(name), lambda: ()
         )
-    plugin = None if name in TABLE else find_plugin(name)
+    plugin = _find_plugin(name)
     return _ON_NATIVE[name] if plugin is None else plugin.adapter
 
 
 def qpsolvers_adapter(name: str) -> QpsolversAdapter:
-    """The adapter of a solver on route qpsolvers."""
-    return THROUGH_QPSOLVERS[name] if name in THROUGH_QPSOLVERS else generic_adapter(name)
+    """Return how to call a solver through qpsolvers, in a generic way if dpbench lacks it."""
+    return THROUGH_QPSOLVERS.get(name) or _make_generic_adapter(name)
+
+
+def _find_plugin(name: str) -> plugins.Plugin | None:
+    """Return the plug-in solver of a name; None if dpbench has a solver of it or there is none."""
+    return None if name in TABLE else plugins.find_plugin(name)
+
+
+def _is_served_by_qpsolvers(name: str) -> bool:
+    """Return whether qpsolvers has a solver of this name, without importing it."""
+    loaded = sys.modules.get("qpsolvers")
+    if loaded is not None and name in loaded.available_solvers:
+        return True
+    spec = find_spec("qpsolvers") if loaded is None else loaded.__spec__
+    folders = [f"{folder}/solvers" for folder in (spec and spec.submodule_search_locations) or ()]
+    return name.isidentifier() and PathFinder.find_spec(f"{name}_", folders) is not None
+
+
+def _make_generic_adapter(name: str) -> QpsolversAdapter:
+    """Describe how to call a solver that only qpsolvers knows; its settings go unchecked."""
+    can = RouteRecord(
+        ("fresh",),
+        detects_infeasibility=False,
+        refused={"warm": "whether it takes a start is not known"},
+    )
+    record = SolverRecord(
+        name=name,
+        family="not stated",
+        method="not in the table; as qpsolvers drives it",
+        distribution=name,
+        module="qpsolvers",
+        extra="qpsolvers",
+        form="dense",
+        routes={"qpsolvers": can},
+        levels={},
+        project=NO_PROJECT_FACTS,
+    )
+    return QpsolversAdapter(record, "native", read_found)
 
 
 def load_solver_module(path: str | Path, *, tried: bool = False) -> SolverRecord:
-    """Load a plug-in from a Python file, so that its name is one of a solver in this process.
+    """Load a plug-in solver from a Python file into this process; return the facts about it.
 
     Parameters
     ----------
@@ -105,54 +148,100 @@ def load_solver_module(path: str | Path, *, tried: bool = False) -> SolverRecord
     InputError : the file is missing, fails when run, is no plug-in, or takes a name of the table.
     """
     if not tried:
-        try_file(path)
-    return load_file(path, {**TABLE, **CALIBRATION})
+        plugins.try_file(path)
+    return plugins.load_file(path, {**TABLE, **CALIBRATION})
 
 
+# Parsing takes 2 ms, and a suite calls this thousands of times.
 @cache
-def _version(distribution: str) -> str:
-    """Of an installed distribution: a suite asks thousands of times, parsing it takes 2 ms."""
+def _installed_version(distribution: str) -> str:
+    """Return the installed version of a Python package; PackageNotFoundError if missing."""
     return metadata.version(distribution)
 
 
-def available(name: str) -> Availability:
-    """Import the library of a solver and say whether it worked.
-
-    A library that fails in its own way while it is imported is a library that is not available,
-    whatever it raised.
-    """
-    row = record(name)
+def check_availability(name: str, *, imported: bool = True) -> Availability:
+    """Return whether a solver's library is installed and, if `imported`, can be imported."""
+    row = find_record(name)
     if row.extra == "own":
-        return Availability(True, _version("dpbench"))
+        return Availability(True, _installed_version("dpbench"))
     if row.extra == "qpsolvers":
-        return _through_qpsolvers(name)
-    plugin = None if name in TABLE else find_plugin(name)
+        return _check_qpsolvers_availability(name)
+    plugin = _find_plugin(name)
     if plugin is not None:
         return Availability(True, plugin.version)
     try:
-        version = _version(row.distribution)
+        version = _installed_version(row.distribution)
     except metadata.PackageNotFoundError:
         return Availability(False, "", f"{row.distribution} is not installed: {row.remedy}")
+    if not imported:
+        return Availability(True, version)
     try:
+        # A library that warns on import is available all the same.
         with warnings.catch_warnings():
-            # A library that warns on import is available all the same.
             warnings.simplefilter("ignore")
             importlib.import_module(row.module)
             build = row.build()
     except BaseException as error:
-        reason = f"importing {row.module} failed: {words_of(error)}"
+        reason = f"importing {row.module} failed: {describe_exception(error)}"
         return Availability(False, version, " ".join(reason.split()))
     return Availability(True, version, build=build)
 
 
-def _through_qpsolvers(name: str) -> Availability:
-    """Whether qpsolvers found the library of a solver that is not in the table."""
+def check_available(name: str) -> None:
+    """Raise SolverUnavailableError, with the install command, if a solver cannot be used."""
+    here, remedy = check_availability(name), find_record(name).remedy
+    if not here.ok:
+        advice = "" if remedy in here.reason else f"; {remedy}"
+        raise SolverUnavailableError(f"solver {name}", f"{here.reason}{advice}")
+
+
+def _check_qpsolvers_availability(name: str) -> Availability:
+    """Return whether qpsolvers finds a solver's library that dpbench does not know."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         served = importlib.import_module("qpsolvers").available_solvers
     if name not in served:
         return Availability(False, "", f"qpsolvers does not find it: pip install qpsolvers[{name}]")
     try:
-        return Availability(True, _version(name))
+        return Availability(True, _installed_version(name))
     except metadata.PackageNotFoundError:
-        return Availability(True, f"qpsolvers {_version('qpsolvers')}")
+        return Availability(True, f"qpsolvers {_installed_version('qpsolvers')}")
+
+
+class HiddenModules(MetaPathFinder):
+    """An import hook that makes modules of given names fail to import.
+
+    None in `sys.modules` hides a module too, but SciPy reads attributes of what is there as "jax".
+    """
+
+    def __init__(self, names: Collection[str]) -> None:
+        self._names = frozenset(names)
+
+    def find_spec(self, fullname: str, path: object = None, target: object = None) -> None:
+        """Raise ModuleNotFoundError for a module that is to stay hidden; return None for others."""
+        if fullname in self._names:
+            raise ModuleNotFoundError(f"{fullname} is hidden in this process", name=fullname)
+
+
+def isolate(*solvers: str) -> None:
+    """Block imports of all solver libraries but those of given solvers, for this whole process.
+
+    `import qpsolvers` imports every solver library it finds, which costs time and memory, starts
+    threads and lets one library's OpenMP or BLAS settings act on another's.
+
+    Raises
+    ------
+    UnknownNameError : there is no such solver.
+    DpbenchError : qpsolvers was imported before, so it is too late.
+    """
+    rows = [find_record(solver) for solver in solvers]
+    if "qpsolvers" in sys.modules:
+        raise DpbenchError("isolate comes too late: qpsolvers has been imported in this process")
+    used = {module for row in rows for module in (row.module, *row.needs_modules)}
+    modules = {entry.module for entry in TABLE.values() if entry.module}
+    # The modules that a solver outside the table needs are unknown.
+    others = () if any(row.extra == "qpsolvers" for row in rows) else OTHER_LIBRARIES
+    hidden = {*modules, *others} - used
+    for module in hidden:
+        sys.modules.pop(module, None)
+    sys.meta_path.insert(0, HiddenModules(hidden))

@@ -14,23 +14,23 @@ from dpbench.analysis.statistics import (
     UNKNOWN,
     Interval,
     MeanEstimate,
-    holm,
-    mean_of_steps,
-    none_of,
+    adjust_holm,
+    estimate_mean,
+    is_rounding,
     paired_ratio,
     percentile_interval,
     pooled_mean,
     resampled_error,
-    rounds_to_zero,
+    upper_bound_of_none,
 )
-from dpbench.bench.judge.rules import percentile, supports
+from dpbench.bench.judge.rules import percentile, supports_percentile
 
 
 @pytest.mark.parametrize(("percent", "enough"), [(50, 20), (95, 200), (99, 1000), (99.9, 10_000)])
 def test_a_percentile_needs_ten_samples_beyond_it(percent: float, enough: int) -> None:
     """A percentile is refused with fewer than ten samples beyond it and given from there on."""
-    assert supports(enough, percent)
-    assert not supports(enough - 1, percent)
+    assert supports_percentile(enough, percent)
+    assert not supports_percentile(enough - 1, percent)
     assert np.isnan(percentile(np.ones(enough - 1), percent))
     assert percentile(np.ones(enough), percent) == 1.0
 
@@ -69,7 +69,7 @@ def test_an_interval_worked_by_hand() -> None:
     """Part means 1, 3, 1, 3, 2 about 2: squares 4, lag products -1 -1 -1 + 0 = -3, correlation
     -0.75 + 0.4 < 0, so nothing widens sqrt(4 / 4 / 5); t of 4 degrees of freedom is 2.776."""
     values = np.repeat([1.0, 3.0, 1.0, 3.0, 2.0], LEAST_STEPS // PARTS)
-    found = mean_of_steps(values)
+    found = estimate_mean(values)
     assert (found.value, found.error, found.df) == pytest.approx((2.0, math.sqrt(0.2), 4.0))
     assert found.interval.high == pytest.approx(2.0 + 2.776445 * math.sqrt(0.2), rel=1e-6)
 
@@ -77,7 +77,7 @@ def test_an_interval_worked_by_hand() -> None:
 def test_parts_that_resemble_their_neighbours_widen_an_interval() -> None:
     """Part means 0, 1, 2, 3, 4 about 2: squares 10, lag products 2 + 0 + 0 + 2 = 4, correlation 0.4
     + 0.4, which widens sqrt(10 / 4 / 5) by sqrt(1.8 / 0.2) = 3."""
-    found = mean_of_steps(np.repeat(np.arange(5.0), LEAST_STEPS // PARTS))
+    found = estimate_mean(np.repeat(np.arange(5.0), LEAST_STEPS // PARTS))
     assert found.error == pytest.approx(3.0 * math.sqrt(0.5))
 
 
@@ -171,7 +171,7 @@ def test_nothing_is_claimed_of_a_mean_without_an_error() -> None:
 
 def test_none_of_a_few_bounds_little() -> None:
     """3/R, at most 1: of thirty draws without a loss up to a tenth may be lost."""
-    assert [none_of(count) for count in (0, 2, 3, 30)] == [1.0, 1.0, 1.0, 0.1]
+    assert [upper_bound_of_none(count) for count in (0, 2, 3, 30)] == [1.0, 1.0, 1.0, 0.1]
 
 
 @pytest.mark.parametrize(
@@ -224,19 +224,19 @@ def test_a_mean_beyond_a_bound_on_either_side(value: float, bound: float, p: flo
 )
 def test_a_spread_of_rounding_is_none(spread: float, size: float, zero: bool) -> None:
     """Up to 1e-12 of the size a spread is rounding."""
-    assert rounds_to_zero(spread, size) is zero
+    assert is_rounding(spread, size) is zero
 
 
 def test_adjusted_p_values_rise_in_their_order_up_to_one() -> None:
     """0.01 * 4, then 0.2 * 3 = 0.6, 0.25 * 2 = 0.5 that stays at 0.6, and 0.9."""
-    assert holm(np.array([0.25, 0.9, 0.01, 0.2])) == pytest.approx([0.6, 0.9, 0.04, 0.6])
-    assert holm(np.array([0.7, 0.6])).tolist() == [1.0, 1.0]
+    assert adjust_holm(np.array([0.25, 0.9, 0.01, 0.2])) == pytest.approx([0.6, 0.9, 0.04, 0.6])
+    assert adjust_holm(np.array([0.7, 0.6])).tolist() == [1.0, 1.0]
 
 
 @pytest.mark.parametrize(("count", "share"), [(0.5, 1.0), (1, 1.0), (4, 0.75), (6, 0.5)])
 def test_the_rule_of_three(count: float, share: float) -> None:
     """Three over the count, at most one."""
-    assert none_of(count) == share
+    assert upper_bound_of_none(count) == share
 
 
 def _in_turn(parts: int, each: int) -> np.ndarray:
@@ -330,7 +330,7 @@ def test_the_error_of_resampled_blocks_by_hand(
 def test_a_mean_of_499_steps_has_no_error() -> None:
     """From 500 steps on a mean has an error."""
     values = np.repeat([1.0, 3.0, 1.0, 3.0, 2.0], 100)
-    assert mean_of_steps(values).error > 0.0
-    assert math.isnan(mean_of_steps(values[1:]).error)
-    constant = mean_of_steps(np.full(500, 2.0))
+    assert estimate_mean(values).error > 0.0
+    assert math.isnan(estimate_mean(values[1:]).error)
+    constant = estimate_mean(np.full(500, 2.0))
     assert (constant.value, constant.error, constant.df) == (2.0, 0.0, 4)

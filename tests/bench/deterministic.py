@@ -1,7 +1,8 @@
-"""What another run of the same cells has, bit for bit."""
+"""Small suites of tests, and what another run of the same cells has, bit for bit."""
 
-from __future__ import annotations
-
+import json
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
@@ -31,3 +32,18 @@ def assert_same(found: Path, wanted: Path) -> None:
     tables = deterministic(results), deterministic(load_results(wanted))
     for one, other in zip(*tables, strict=True):
         pd.testing.assert_frame_equal(one, other, check_exact=True)
+
+
+def head(**fields: object) -> str:
+    """The head of a small suite in TOML, of daqp alone unless `fields` have other solvers."""
+    usual = {"solvers": ["daqp"], "baseline_law": False, "cell_limit_s": 60.0}
+    values = {"title": "A suite for one test"} | usual | fields
+    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
+
+
+def wait_until(is_true: Callable[[], object], failure: str) -> None:
+    """Wait for some seconds until a condition holds."""
+    deadline = time.monotonic() + 20.0
+    while not is_true():
+        assert time.monotonic() < deadline, failure
+        time.sleep(0.01)

@@ -1,18 +1,14 @@
 """How long a slow configuration goes on: rounds within a budget, limits, known waits."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest
 
 from dpbench import load_scenario, record_sequence
 from dpbench.bench.campaign import run_campaign
-from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.record.result_folder import Results, load_results
-from dpbench.bench.run.formulation import in_replay
+from dpbench.bench.run.formulation import replay_formulation
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.bench.workers.interleaved import FEWEST_ROUNDS
@@ -48,8 +44,6 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
 
 
 def test_a_slow_configuration_has_fewer_rounds_and_is_finished(results: Results) -> None:
-    """A configuration beyond its budget ends with the fewest rounds that count, not as timed
-    out."""
     runs = results.runs.set_index("solver")
     slow = runs.loc["busy_wait_1000us"]
     steps = results.steps[results.steps["run_id"] == slow["run_id"]]
@@ -60,35 +54,21 @@ def test_a_slow_configuration_has_fewer_rounds_and_is_finished(results: Results)
     assert (steps.groupby("repeat").size()[1:] == STEPS).all()
 
 
-def test_a_table_may_have_a_limit_of_its_own() -> None:
-    """The limit of a closed-loop table stands before that of the suite."""
-    tables = [
-        ClosedLoopTable(scenarios=["paper"], steps=5, limit_s=1.5),
-        ClosedLoopTable(scenarios=["calm"], steps=5),
-    ]
-    suite = SuiteFile(
-        title="x", solvers=["daqp"], baseline_law=False, cell_limit_s=7.0, closed_loop=tables
-    )
-    assert [planned.cell.limit_s for planned in plan(suite)] == [1.5, 7.0]
-
-
 def test_both_kernels_are_timed_around_every_round() -> None:
-    """By the clock of the harness, each pass of the load kernel for itself."""
     sequence = record_sequence(load_scenario("paper").first(3))
     now = iter(range(10**9))
     log = RawLog.in_memory(replay_layout(3, 3, sequence.base.n, sequence.base.m))
-    made, formulated = in_replay("condensed_box", sequence)
+    made, formulated = replay_formulation("condensed_box", sequence)
     timed_solver = TimedSolver(open_calibration(NO_OP), formulated, lambda: next(now))
     configuration = ReplayRun(
         made, timed_solver, log, warmup_steps=1, limit_ns=10**9, clock=lambda: next(now), preroll=0
     )
-    assert configuration.round(1)
+    assert configuration.run_round(1)
     assert (log.reference_kernel_ns[1] == 1).all() and (log.load_kernel_ns[1] == 1).all()
     assert not log.reference_kernel_ns[2].any() and not log.load_kernel_ns[2].any()
 
 
 def test_a_round_that_is_run_again_costs_a_configuration_nothing() -> None:
-    """The limit is of the rounds that are kept: of two attempts the last counts."""
     sequence = record_sequence(load_scenario("paper").first(3))
     ticks = iter(range(0, 10**9, 1000))
 
@@ -97,12 +77,12 @@ def test_a_round_that_is_run_again_costs_a_configuration_nothing() -> None:
 
     def configuration_of(limit_ns: int) -> Iterator[bool]:
         log = RawLog.in_memory(replay_layout(3, 3, sequence.base.n, sequence.base.m))
-        made, formulated = in_replay("condensed_box", sequence)
+        made, formulated = replay_formulation("condensed_box", sequence)
         timed_solver = TimedSolver(open_calibration(NO_OP), formulated, clock)
         configuration = ReplayRun(
             made, timed_solver, log, warmup_steps=1, limit_ns=limit_ns, clock=clock, preroll=0
         )
-        return (configuration.round(r) for r in (1, 1, 1, 2))
+        return (configuration.run_round(r) for r in (1, 1, 1, 2))
 
     began = next(ticks)
     assert list(configuration_of(10**9)) == [True] * 4

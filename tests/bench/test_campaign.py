@@ -1,7 +1,5 @@
 """A campaign writes the tables the outside relies on and keeps what is finished."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -12,8 +10,8 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.result_folder import Results, claimed
-from dpbench.bench.record.schema import RUN_COLUMNS, STEP_COLUMNS
+from dpbench.bench.record.result_folder import Results
+from dpbench.bench.record.schema import AXIS_FORCES, RUN_COLUMNS, STEP_COLUMNS
 from dpbench.errors import InputError, ResultsError, UnknownNameError
 from dpbench.scenario.problem_files import problem_path
 from dpbench.solvers import plugins
@@ -58,13 +56,23 @@ def results(folder: Path) -> Results:
 
 
 def test_tables_have_exactly_the_columns_of_the_schema(results: Results) -> None:
-    """runs.parquet and steps.parquet carry the columns of the schema, in its order."""
     assert list(results.runs.columns) == list(RUN_COLUMNS)
     assert list(results.steps.columns) == list(STEP_COLUMNS)
 
 
+def test_sums_and_changes_of_steps_follow_from_other_columns(results: Results) -> None:
+    steps = results.steps.merge(results.runs[["run_id", "mode", "sample_s"]], on="run_id")
+    phases = ["setup_ns", "update_ns", "solve_ns", "read_ns"]
+    timed = steps[steps[phases].notna().any(axis=1)]
+    assert len(timed) and (timed["total_ns"] == timed[phases].sum(axis=1)).all()
+    loops = steps[steps["mode"] == "closed_loop"]
+    for axis in AXIS_FORCES:
+        before = loops.groupby("run_id", observed=True)[f"tau_{axis}"].shift().fillna(0.0)
+        np.testing.assert_array_equal(loops[f"dtau_{axis}"], loops[f"tau_{axis}"] - before)
+    np.testing.assert_array_equal(loops["t_s"], loops["k"] * loops["sample_s"])
+
+
 def test_rows_tell_how_their_library_was_built(results: Results) -> None:
-    """Finished and refused rows alike say what the library says; none of these is generic."""
     builds = results.runs.groupby("solver")["build"].unique()
     assert list(builds["osqp"]) == [f"algebra {osqp.default_algebra()}"]
     assert list(builds["quadprog"]) == [""]
@@ -72,7 +80,6 @@ def test_rows_tell_how_their_library_was_built(results: Results) -> None:
 
 
 def test_every_planned_cell_is_a_row(results: Results) -> None:
-    """Finished cells, aliases of settings without effect and refused policies are all rows."""
     runs = results.runs
     closed = runs[runs["mode"] == "closed_loop"]
     assert len(closed) == 3 + 2 * 2, "two solvers and the baseline_law; SI at two settings each"
@@ -86,7 +93,6 @@ def test_every_planned_cell_is_a_row(results: Results) -> None:
 
 
 def test_settings_without_effect_run_once_and_show_under_both_names(results: Results) -> None:
-    """quadprog has no tolerance: `default` and `high` are the same numbers under two names."""
     runs = results.runs
     pair = runs[(runs["solver"] == "quadprog") & (runs["units"] == "si")]
     assert sorted(pair["settings"]) == ["default", "high"]
@@ -94,11 +100,8 @@ def test_settings_without_effect_run_once_and_show_under_both_names(results: Res
     assert pair["raw_max_ns"].nunique() == 1
 
 
-def test_times_are_there_and_add_up(results: Results) -> None:
-    """No timing column that must be there is empty, and total is the sum of its phases."""
+def test_loops_alone_have_times_of_emission(results: Results) -> None:
     steps = results.steps
-    phases = steps[["setup_ns", "update_ns", "solve_ns", "read_ns"]].fillna(0).sum(axis=1)
-    assert (steps["total_ns"] == phases).all()
     assert (steps["total_ns"] > 0).all()
     loops = steps["run_id"].isin(results.runs.loc[results.runs["mode"] == "closed_loop", "run_id"])
     assert steps.loc[loops, "emit_ns"].notna().all()
@@ -106,7 +109,6 @@ def test_times_are_there_and_add_up(results: Results) -> None:
 
 
 def test_replay_rows_carry_no_ship_columns(results: Results) -> None:
-    """A replay has no ship: its ship columns are NaN, and its warm-up is marked."""
     runs = results.runs
     ids = runs.loc[(runs["mode"] == "replay") & (runs["outcome"] == "finished"), "run_id"]
     rows = results.steps[results.steps["run_id"].isin(ids)]
@@ -117,8 +119,6 @@ def test_replay_rows_carry_no_ship_columns(results: Results) -> None:
 
 
 def test_replayed_qps_are_the_same_for_every_configuration(results: Results) -> None:
-    """All configurations of a replay are judged against the same optima: same bounds and active
-    limits."""
     runs = results.runs
     ids = runs.loc[(runs["mode"] == "replay") & (runs["outcome"] == "finished"), "run_id"]
     first = results.steps[~results.steps["warmup"]].drop_duplicates(["run_id", "k"])
@@ -127,7 +127,6 @@ def test_replayed_qps_are_the_same_for_every_configuration(results: Results) -> 
 
 
 def test_the_exact_solver_deviates_from_the_exact_loop_by_rounding(results: Results) -> None:
-    """quadprog in scaled units stays on the exactly solved loop."""
     runs = results.runs
     row = runs[
         (runs["solver"] == "quadprog")
@@ -140,7 +139,6 @@ def test_the_exact_solver_deviates_from_the_exact_loop_by_rounding(results: Resu
 
 
 def test_a_cell_runs_again_from_its_json(results: Results) -> None:
-    """The `cell` column describes the cell completely."""
     for text in results.runs["cell"]:
         cell = Cell.from_json(text)
         assert cell.to_json() == text
@@ -148,7 +146,6 @@ def test_a_cell_runs_again_from_its_json(results: Results) -> None:
 
 
 def test_finished_cells_are_not_run_again(folder: Path) -> None:
-    """Running the suite again over its folder reuses every finished cell."""
     before = load_results(folder).steps["total_ns"].to_numpy()
     run_campaign(folder.parent / "tiny.toml", folder)
     after = load_results(folder).steps["total_ns"].to_numpy()
@@ -156,13 +153,12 @@ def test_finished_cells_are_not_run_again(folder: Path) -> None:
 
 
 def test_unknown_names_are_refused_before_anything_runs(tmp_path: Path) -> None:
-    """An unknown suite, solver or scenario is one line, and nothing is written."""
     out = tmp_path / "out"
-    with pytest.raises(UnknownNameError, match=r"one of .*standard"):
+    with pytest.raises(UnknownNameError, match=r"allowed: standard, .*dpbench list suites"):
         run_campaign("standrad", out)
     with pytest.raises(UnknownNameError, match="quadprog"):
         run_campaign("smoke", out, solvers=["quadprgo"])
-    with pytest.raises(UnknownNameError, match=r"e\.g\. rough"):
+    with pytest.raises(UnknownNameError, match="allowed: rough, "):
         run_campaign("smoke", out, scenarios=["ruogh"])
     with pytest.raises(InputError, match="--steps: found 0"):
         run_campaign("smoke", out, steps=0)
@@ -172,7 +168,6 @@ def test_unknown_names_are_refused_before_anything_runs(tmp_path: Path) -> None:
 
 
 def test_damaged_results_are_said_in_one_line(folder: Path, tmp_path: Path) -> None:
-    """A missing folder, a truncated table and broken JSON each name the file."""
     with pytest.raises(ResultsError, match="no such folder"):
         load_results(tmp_path / "nowhere")
     with pytest.raises(ResultsError, match=r"runs\.parquet: found no such file"):
@@ -191,13 +186,11 @@ def test_damaged_results_are_said_in_one_line(folder: Path, tmp_path: Path) -> N
 def test_a_part_of_a_suite_never_replaces_the_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With a choice of solvers and no --out the results go to a folder of their own."""
     monkeypatch.chdir(tmp_path)
     assert run_campaign("smoke", solvers=["quadprog"]) == Path("results/smoke-part")
 
 
 def test_a_folder_with_other_things_is_left_alone(folder: Path, tmp_path: Path) -> None:
-    """Results of another suite, other files, a file in the way and no folder at all are refused."""
     with pytest.raises(InputError, match="results of suite 'tiny'"):
         run_campaign("smoke", folder)
     mine = tmp_path / "mine"
@@ -212,14 +205,7 @@ def test_a_folder_with_other_things_is_left_alone(folder: Path, tmp_path: Path) 
         run_campaign("smoke", "")
 
 
-def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
-    """Two campaigns never write into one folder at the same time."""
-    with claimed(tmp_path / "out", "smoke"), pytest.raises(InputError, match="in use"):
-        run_campaign("smoke", tmp_path / "out")
-
-
 def test_tables_that_do_not_belong_together_are_refused(folder: Path, tmp_path: Path) -> None:
-    """Rows missing from a table and columns of another type are damage, not a smaller result."""
     for name in ("runs.parquet", "steps.parquet", "machine.json", "suite.json"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
     steps = pd.read_parquet(folder / "steps.parquet")
@@ -232,7 +218,6 @@ def test_tables_that_do_not_belong_together_are_refused(folder: Path, tmp_path: 
 
 
 def test_scenarios_of_one_name_are_refused(tmp_path: Path) -> None:
-    """Two files called paper.toml could not be told apart in a report."""
     text = problem_path("scenarios", "paper").read_text(encoding="utf-8")
     for part in ("a", "b"):
         (tmp_path / part).mkdir()
@@ -246,7 +231,6 @@ def test_scenarios_of_one_name_are_refused(tmp_path: Path) -> None:
 def test_a_plug_in_runs_in_a_process_of_its_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A solver from a file has a name like any other, also inside its worker."""
     monkeypatch.setattr(plugins, "_LOADED", {})
     module = Path(__file__).parents[1] / "solvers" / "example_plugin.py"
     head = 'title = "x"\ncell_limit_s = 60.0\n[[closed_loop]]\n'

@@ -1,7 +1,5 @@
 """The design of the paper's controller: poles, the offset it holds, and how its record is kept."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable
@@ -29,6 +27,7 @@ from dpbench.bench.design import (
     load_designs,
     plan_designs,
 )
+from dpbench.bench.engines.dispatcher import Dispatcher
 from dpbench.bench.engines.local import LocalEngine
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.plan.suite import DesignTable
@@ -37,7 +36,7 @@ from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
 from dpbench.qp.referee.referee import certify
 from dpbench.scenario.problem_files import problems_root
-from dpbench.scenario.scenario import Scenario, condense, scenario_of
+from dpbench.scenario.scenario import Scenario, build_scenario, condense
 
 pytestmark = pytest.mark.slow
 
@@ -53,8 +52,9 @@ def run(designs: list[Design], out: Path) -> Designs:
     """What `design.json` says after a run of such designs into a folder."""
     with LocalEngine(len(os.sched_getaffinity(0))) as engine:
         looked_into = study(designs, out)
-        engine.prepare(SourceFiles(out / "cells"), [], Silent())
-        looked_into.run(engine, Silent())
+        sources = SourceFiles(out / "cells")
+        engine.prepare(sources, [], Silent())
+        looked_into.run(Dispatcher(engine, sources, Silent()), Silent())
         looked_into.write(out)
     designs_there = load_designs(out)
     assert designs_there is not None
@@ -63,7 +63,6 @@ def run(designs: list[Design], out: Path) -> Designs:
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A result folder."""
     return tmp_path_factory.mktemp("out")
 
 
@@ -77,18 +76,16 @@ def designs(out: Path) -> Designs:
 def still() -> Scenario:
     """Trials of the paper's controller in still water."""
     files = plan_designs(TABLE)[0].files
-    return scenario_of(files | {"scenario": files["scenario"] | {"environment": {}}})
+    return build_scenario(files | {"scenario": files["scenario"] | {"environment": {}}})
 
 
 def test_what_it_does_not_hold_ends_in_a_limit_cycle_of_some_five_metres(still: Scenario) -> None:
-    """From 1.8 m the ship neither comes back nor leaves: it circles 5 to 6 m away."""
     state = solve_exactly(replace(still, start=np.array([0.0, 1.8, 0.0]))).state
     away = np.hypot(state[-200:, 3], state[-200:, 4])
     assert 5.0 < away.max() < 6.0
 
 
 def test_the_paper_holds_1_65_m_and_not_1_8_m(designs: Designs, still: Scenario) -> None:
-    """In still water the edge is bracketed within 1.65 to 1.8 m, to 5 %; weather makes it less."""
     assert is_held(still, 1.65) and not is_held(still, 1.8)
     held = designs.records[0].held
     assert held["still water"].fails_m is not None
@@ -97,7 +94,6 @@ def test_the_paper_holds_1_65_m_and_not_1_8_m(designs: Designs, still: Scenario)
 
 
 def test_the_eigenvalues_are_the_poles_of_the_loop_the_optima_close(designs: Designs) -> None:
-    """Stepping the model with the certified optimum from each unit state gives the same poles."""
     builder = condense(load_scenario("paper"))
     model = builder.control.model
     columns = []
@@ -120,8 +116,6 @@ def test_the_eigenvalues_are_the_poles_of_the_loop_the_optima_close(designs: Des
 def test_a_step_without_a_certified_optimum_does_not_count_as_held(
     still: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without a certificate nothing is said about an offset."""
-
     def refuse(scenario: Scenario) -> None:
         raise CertificateError(f"{scenario.name}: step 0 has no certified optimum")
 
@@ -130,16 +124,14 @@ def test_a_step_without_a_certified_optimum_does_not_count_as_held(
 
 
 def test_a_model_ship_is_tried_on_its_own_scale() -> None:
-    """Time and tolerance follow Froude's law: at 1 : 70, 1 m holds, 1.25 m does not."""
     files = plan_designs(DesignTable(controllers=["paper"], vessels=["cybership2"]))[0].files
-    scenario = scenario_of(files)
+    scenario = build_scenario(files)
     assert scenario.steps == 2000
     assert is_held(scenario, 1.0) and not is_held(scenario, 1.25)
 
 
 @given(st.floats(min_value=OFFSETS_M[0], max_value=OFFSETS_M[-1], exclude_max=True))
 def test_the_bracket_holds_the_threshold_and_is_narrow(threshold: float) -> None:
-    """Whatever the edge, the bracket encloses it and is at most 5 % of its upper end wide."""
     bracket = find_bracket(lambda offset: offset <= threshold)
     assert bracket.fails_m is not None
     assert bracket.holds_m <= threshold < bracket.fails_m
@@ -147,13 +139,11 @@ def test_the_bracket_holds_the_threshold_and_is_narrow(threshold: float) -> None
 
 
 def test_a_bracket_may_have_one_end_only() -> None:
-    """Where all is held there is no upper end; below the smallest offset nothing is known."""
     assert find_bracket(lambda offset: True) == Bracket(64.0, None)
     assert find_bracket(lambda offset: offset <= 0.1) == Bracket(0.0, 0.25)
 
 
 def test_a_finished_design_is_not_looked_into_again(designs: Designs, out: Path) -> None:
-    """A second run takes the record from the cells folder; a damaged or foreign one it does not."""
     planned = plan_designs(TABLE)
     (path,) = (out / "cells").glob("design-*.json")
     written = path.stat().st_mtime_ns
@@ -169,7 +159,6 @@ def test_a_finished_design_is_not_looked_into_again(designs: Designs, out: Path)
 
 
 def test_a_design_whose_process_fails_is_missing_with_the_reason(tmp_path: Path) -> None:
-    """A crash ends no campaign: the design is named with the last words of its process."""
     (design,) = plan_designs(TABLE)
     broken = run([Design("paper", design.files | {"vessel": {}})], tmp_path)
     assert broken.records == ()
@@ -191,13 +180,11 @@ def test_a_design_whose_process_fails_is_missing_with_the_reason(tmp_path: Path)
 def test_a_bad_table_is_refused_before_anything_runs(
     controllers: list[str], vessels: list[str], says: str
 ) -> None:
-    """An unknown name, or one given twice, is an error in one line."""
     with pytest.raises(InputError, match=says):
         plan_designs(DesignTable(controllers=controllers, vessels=vessels))
 
 
 def test_files_beside_the_suite_are_designs_too(tmp_path: Path) -> None:
-    """A person's own ship and controller are looked for beside the suite, with its own sample."""
     problems = problems_root()
     ship = (problems / "vessels" / "osv.toml").read_text(encoding="utf-8")
     (tmp_path / "mine.toml").write_text(ship, encoding="utf-8")
@@ -207,8 +194,8 @@ def test_files_beside_the_suite_are_designs_too(tmp_path: Path) -> None:
     table = DesignTable(controllers=["coarse.toml"], vessels=["mine.toml"])
     (design,) = plan_designs(table, tmp_path)
     assert (design.controller, design.vessel) == ("coarse", "mine")
-    scenario = scenario_of(design.files)
-    assert (scenario.sample_s, scenario.steps, scenario.tuning) == (0.6, 1000, "robust")
+    scenario = build_scenario(design.files)
+    assert (scenario.sample_s, scenario.steps, scenario.controller.tuning) == (0.6, 1000, "robust")
 
 
 def _edited(edit: Callable[[dict[str, Any]], object]) -> Callable[[str], str]:
@@ -239,7 +226,6 @@ DAMAGE = {
 def test_a_damaged_file_is_refused_in_one_line(
     designs: Designs, out: Path, tmp_path: Path, kind: str
 ) -> None:
-    """The line names the file, the key and what was found there."""
     damage, says = DAMAGE[kind]
     path = tmp_path / "design.json"
     path.write_text(damage((out / "design.json").read_text(encoding="utf-8")), encoding="utf-8")
@@ -250,7 +236,6 @@ def test_a_damaged_file_is_refused_in_one_line(
 
 
 def test_an_older_file_is_passed_over_with_one_line(tmp_path: Path) -> None:
-    """Where there is none nothing is said; what an older version found is named and not shown."""
     assert load_designs(tmp_path) is None
     (tmp_path / "design.json").write_text('{"schema": 1, "records": []}', encoding="utf-8")
     with pytest.warns(RenamedWarning, match="schema 1 are not shown"):

@@ -1,42 +1,32 @@
 """Random problems as cells of a suite: planned, replayed, judged and reported."""
 
-from __future__ import annotations
-
-import json
 import re
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.random_claims import RandomClaims
-from dpbench.bench.plan.cells import NOT_STRICT
+from dpbench.bench.plan.cells import SEMIDEFINITE_REFUSAL
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import RandomTable, ReplayTable, SuiteFile, load_suite
-from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.result_folder import Results
-from dpbench.bench.sequences.source import source_of
 from dpbench.errors import InputError
-from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
+from dpbench.qp.random_recipe import FAMILIES
 from dpbench.report.write import write_report
 from dpbench.solvers import plugins
+from tests.bench.deterministic import head
 
 # What else runs could use up a limit of one second, which one of its solvers is to reach.
 pytestmark = pytest.mark.alone
 
 PLUGIN = Path(__file__).with_name("faulty_plugin.py")
 STEPS = 6
-SUITE = f"""
-title = "A suite for one test"
-solvers = ["quadprog", "daqp"]
-baseline_law = false
-rounds = 1
-warmup_steps = 0
-cell_limit_s = 1.0
-
+SUITE = (
+    head(solvers=["quadprog", "daqp"], rounds=1, warmup_steps=0, cell_limit_s=1.0)
+    + f"""
 [[random]]
 families = ["no_rows"]
 sizes = [[3, 0], [4, 0], [5, 0], [6, 0], [7, 0], [8, 0]]
@@ -50,6 +40,7 @@ steps = {STEPS}
 routes = ["native"]
 policies = ["fresh", "warm"]
 """
+)
 
 
 @pytest.fixture(scope="module")
@@ -77,8 +68,8 @@ def outcome(results: Results, n: int) -> str:
 
 
 def test_a_lie_is_a_row(results: Results) -> None:
-    """A claim of a wrong plan stands in the tables as claimed and not true, step by step."""
     runs = results.runs
+    assert (runs["scenario"] == "").all() and (runs["mode"] == "replay").all()
     row = runs[(runs["solver"] == "faulty") & (runs["sequence"] == "no_rows-n4-m0-s1-steps6")]
     assert row["claimed_not_true"].tolist() == [STEPS]
     steps = results.steps[results.steps["run_id"] == row["run_id"].iloc[0]]
@@ -88,52 +79,36 @@ def test_a_lie_is_a_row(results: Results) -> None:
 
 
 def test_sound_solvers_have_no_false_claim(results: Results) -> None:
-    """quadprog and daqp claim what is true and call infeasible what is."""
     claims = RandomClaims(Records(results))
     for solver in ("quadprog", "daqp"):
-        tally = claims.by("solver")[(solver,)]
+        tally = claims.tally_by("solver")[(solver,)]
         assert tally.wrong == 0 and tally.nothing == 0
-        assert tally.steps == tally.told + tally.empty_right
-    assert claims.by("solver", "family")["daqp", "infeasible_steps"].empty_right == 2 * 2
+        assert tally.steps == tally.right_claims + tally.right_refusals
+    assert claims.tally_by("solver", "family")["daqp", "infeasible_steps"].right_refusals == 2 * 2
 
 
 def test_every_step_is_counted_once(results: Results) -> None:
-    """Lies, true answers, false "infeasible", steps without an answer and unreached ones add up."""
-    tally = RandomClaims(Records(results)).by("solver")[("faulty",)]
-    seen = tally.told + tally.lies + tally.silent + tally.empty_right + tally.empty_wrong
+    tally = RandomClaims(Records(results)).tally_by("solver")[("faulty",)]
+    seen = (
+        tally.right_claims
+        + tally.false_claims
+        + tally.not_claimed
+        + tally.right_refusals
+        + tally.wrong_refusals
+    )
     assert tally.steps == seen + tally.nothing
     assert tally.steps + tally.missed == 7 * STEPS
     # n = 4 without rows, and all six steps of the sequence with infeasible ones: also n = 4.
-    assert (tally.lies, tally.empty_wrong) == (2 * STEPS, STEPS)
+    assert (tally.false_claims, tally.wrong_refusals) == (2 * STEPS, STEPS)
 
 
 def test_a_crash_or_a_hang_costs_only_its_own_cell(results: Results) -> None:
-    """The cells after one that dies are run by another process of the configuration; one that hangs
-    in every step is out of its time."""
     found = {n: outcome(results, n) for n in range(3, 9)}
-    assert found == {
-        3: "finished",
-        4: "finished",
-        5: "finished",
-        6: "crashed",
-        7: "timed_out",
-        8: "finished",
-    }
-
-
-def test_random_rows_have_no_scenario_and_run_again_from_their_cell(results: Results) -> None:
-    """Each row names its sequence, and its cell holds the recipe."""
-    runs = results.runs
-    assert (runs["scenario"] == "").all() and (runs["mode"] == "replay").all()
-    for text, sequence in zip(runs["cell"], runs["sequence"], strict=True):
-        cell = Cell.from_json(text)
-        assert cell.to_json() == text
-        assert cell.sequence == sequence
-        assert RandomRecipe.from_dict(cell.source["recipe"]).name == sequence
+    usual = dict.fromkeys(range(3, 9), "finished")
+    assert found == usual | {6: "crashed", 7: "timed_out"}
 
 
 def test_the_report_shows_who_lied(folder: Path) -> None:
-    """The answer counts the lies, and the liar stands first in the table."""
     text = (folder / "report.md").read_text(encoding="utf-8")
     answer = text.splitlines()[2]
     # Of the cell whose every step hangs some are there.
@@ -146,23 +121,11 @@ def test_the_report_shows_who_lied(folder: Path) -> None:
     assert "faulty 18" in answer and '<section id="matrix">' not in html
 
 
-def test_a_finished_random_cell_is_not_run_again(
-    folder: Path, results: Results, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Running the suite again over its folder keeps every row."""
-    monkeypatch.setattr(plugins, "_LOADED", {})
-    solvers = ["quadprog", "daqp", "faulty"]
-    again = run_campaign(folder.parent / "tiny.toml", folder, solvers=solvers, solver_module=PLUGIN)
-    kept = results.runs["raw_max_ns"].to_numpy()
-    np.testing.assert_array_equal(load_results(again).runs["raw_max_ns"].to_numpy(), kept)
-
-
 def suite(**tables: object) -> SuiteFile:
     return SuiteFile(title="x", solvers=["quadprog", "daqp"], baseline_law=False, **tables)  # type: ignore[arg-type] # lists of tables
 
 
 def test_a_choice_of_scenarios_leaves_random_problems_out() -> None:
-    """--scenario selects among scenarios; without any in the suite it is refused."""
     random = [RandomTable(families=["plain"], sizes=[[4, 6]])]
     both = suite(random=random, replay=[ReplayTable(scenario="paper", steps=20)])
     assert len(plan(both)) == 4
@@ -172,39 +135,25 @@ def test_a_choice_of_scenarios_leaves_random_problems_out() -> None:
 
 
 def test_a_solver_that_needs_a_definite_cost_is_refused_a_semidefinite_one() -> None:
-    """The refusal is a row with its reason; other solvers run."""
     planned = plan(suite(random=[RandomTable(families=["semidefinite"], sizes=[[4, 6]])]))
-    assert {p.cell.solver: p.refused for p in planned} == {"quadprog": NOT_STRICT, "daqp": ""}
+    assert {p.cell.solver: p.refused for p in planned} == {
+        "quadprog": SEMIDEFINITE_REFUSAL,
+        "daqp": "",
+    }
 
 
 def test_an_impossible_recipe_of_a_suite_is_refused_before_anything_runs(tmp_path: Path) -> None:
-    """An unknown family or a size without enough rows is one line."""
     for families, sizes in ((["plane"], [[4, 6]]), (["degenerate"], [[8, 4]])):
         with pytest.raises(InputError, match="random recipe"):
             plan(suite(random=[RandomTable(families=families, sizes=sizes)]))
 
 
 def test_the_random_suite_has_all_families_and_sizes() -> None:
-    """The suite that ships runs every family, from 2 to 120 variables and 0 to 300 rows."""
     _, shipped = load_suite("random")
-    recipes = [recipe for table in shipped.random for recipe in table.recipes()]
+    recipes = [recipe for table in shipped.random for recipe in table.list_recipes()]
     assert {recipe.family for recipe in recipes} == set(FAMILIES)
     assert {2, 120} <= {recipe.n for recipe in recipes}
     assert {0, 300} <= {recipe.m for recipe in recipes}
     cells = plan(shipped)
     keys = [planned.cell.to_json() for planned in cells]
     assert len(keys) == len(set(keys))
-
-
-def test_a_cell_of_a_scenario_says_nothing_of_a_source() -> None:
-    """Its JSON, and so its key, is that of a time without random problems."""
-    (planned, _) = plan(suite(replay=[ReplayTable(scenario="paper", steps=20)]))
-    assert "source" not in json.loads(planned.cell.to_json())
-
-
-def test_an_unknown_kind_of_source_is_refused() -> None:
-    """A cell from elsewhere whose QPs nobody here can make is bad input."""
-    (planned, _) = plan(suite(random=[RandomTable(families=["plain"], sizes=[[4, 6]])]))
-    text = planned.cell.to_json().replace('"kind": "random"', '"kind": "dice"')
-    with pytest.raises(InputError, match="dice"):
-        source_of(Cell.from_json(text))

@@ -1,7 +1,5 @@
 """A finished result is replaced on request alone: another selection into its folder is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -47,7 +45,6 @@ def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def whole(suite: Path) -> Path:
-    """The result of all of it."""
     return run_campaign(suite, suite.parent / "whole")
 
 
@@ -62,7 +59,6 @@ def whole(suite: Path) -> Path:
 def test_another_selection_is_refused(
     suite: Path, whole: Path, words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In one line that says what can be done; nothing in the folder changes."""
     files = {path: path.read_bytes() for path in whole.glob("*.*")}
     assert main(["run", str(suite), "--out", str(whole), "--quiet", *words]) == 2
     (line,) = capsys.readouterr().err.splitlines()
@@ -72,7 +68,6 @@ def test_another_selection_is_refused(
 
 
 def test_the_same_selection_and_a_larger_one_go_on(suite: Path, tmp_path: Path) -> None:
-    """Finished cells are kept; a smaller selection is run anew on request."""
     out = run_campaign(suite, tmp_path / "out", solvers=["daqp"], scenarios=["paper"])
     first = load_results(out).runs.set_index("run_id")["raw_max_ns"]
     run_campaign(suite, out, scenarios=["paper"], solvers=["daqp"])
@@ -86,7 +81,6 @@ def test_the_same_selection_and_a_larger_one_go_on(suite: Path, tmp_path: Path) 
 
 
 def test_an_unfinished_folder_takes_another_selection(suite: Path, tmp_path: Path) -> None:
-    """Nothing was shown of it yet."""
     out = run_campaign(suite, tmp_path / "out", solvers=["daqp"], scenarios=["calm"])
     for name in ("suite.json", "machine.json"):
         (out / name).unlink()
@@ -97,7 +91,6 @@ def test_an_unfinished_folder_takes_another_selection(suite: Path, tmp_path: Pat
 
 
 def test_shards_are_not_gathered_into_another_result(suite: Path, tmp_path: Path) -> None:
-    """Nor is a shard written over another."""
     shard = run_campaign(suite, tmp_path / "shard", solvers=["daqp"], shard="1/1")
     half = run_campaign(suite, tmp_path / "half", solvers=["daqp"], shard="1/2")
     with pytest.raises(InputError, match="not asked for"):

@@ -1,7 +1,5 @@
 """Whatever a solver writes over what it is given, it is judged against what it was asked."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 from typing import Any
@@ -26,6 +24,7 @@ from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario
 from dpbench.solvers import plugins
 from dpbench.solvers.contract import Policy, Workspace
+from tests.bench.deterministic import head
 
 PLUGIN = Path(__file__).with_name("spoiling_plugin.py")
 WAYS: list[tuple[str, Policy, Formulation, UnitSystem, str]] = [
@@ -70,8 +69,6 @@ def _bytes(sequence: QPSequence) -> list[bytes]:
 @pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS)
 def test_a_replay_judges_by_what_no_solver_can_reach(way: Any) -> None:
-    """Who leaves zeros in all it got, at once, later and through views, is judged like who does
-    not; the caller's sequence is as it was."""
     solver, policy, formulation, units, name = way
     sequence = record_sequence(_scenario(name), units=units)
     before = _bytes(sequence)
@@ -93,7 +90,6 @@ def test_a_replay_judges_by_what_no_solver_can_reach(way: Any) -> None:
 
 @pytest.mark.parametrize("way", WAYS)
 def test_a_loop_judges_by_what_no_solver_can_reach(way: Any) -> None:
-    """Steered by a solver that spoils all it gets, the ship goes where an honest one takes it."""
     solver, policy, formulation, units, name = way
     found = [
         run_closed_loop(
@@ -125,20 +121,14 @@ class Zero(Workspace):
 
 
 def test_the_zero_answer_to_a_cost_made_zero_is_wrong() -> None:
-    """Every step of every round is a false claim."""
     sequence = record_sequence(_scenario("paper"))
     run = replay(sequence, Zero("zero", "native", "reuse"), repeats=2)
     assert run.summary["true_share"] == 0.0 and not run.steps["true"].any()
 
 
-SUITE = """
-title = "One solver that spoils what it gets"
-solvers = ["quadprog"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 2
-warmup_steps = 12
-
+SUITE = (
+    head(solvers=["quadprog"], rounds=2, warmup_steps=12)
+    + """
 [[closed_loop]]
 scenarios = ["paper"]
 steps = 12
@@ -155,13 +145,13 @@ sizes = [[4, 6]]
 steps = 6
 routes = ["native"]
 """
+)
 
 
 @pytest.mark.slow
 def test_a_worker_hands_over_the_same_qps_in_every_round(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In processes of their own every round of the solver that spoils is answered right, too."""
     monkeypatch.setattr(plugins, "_LOADED", {})
     (tmp_path / "disturbed.toml").write_text(SUITE, encoding="utf-8")
     out = run_campaign(

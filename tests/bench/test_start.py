@@ -1,7 +1,5 @@
 """What starting a campaign brings along, and what it does not."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -10,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import dpbench
+from tests.bench.deterministic import head
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(dpbench.__file__).parents[1])}
 NEEDLESS = (
@@ -33,21 +32,18 @@ from dpbench import load_results, run_campaign
 out = run_campaign("tiny.toml", "out", engine="ENGINE")
 print(*load_results(out).runs["outcome"])
 """
-SUITE = """
-title = "A suite for one test"
-solvers = ["daqp"]
-baseline_law = false
-cell_limit_s = 60.0
-
+SUITE = (
+    head()
+    + """
 [[closed_loop]]
 scenarios = ["paper"]
 steps = 3
 """
+)
 
 
 @pytest.mark.slow
 def test_a_campaign_starts_without_what_it_does_not_need() -> None:
-    """Neither the page's libraries nor a solver's nor the large parts of SciPy."""
     from dpbench.solvers.table import TABLE
 
     solvers = [row.module for row in TABLE.values() if row.module]
@@ -66,7 +62,6 @@ print(*sorted({{*{NEEDLESS!r}, *{solvers!r}}} & set(sys.modules)))
 def test_a_script_that_runs_a_campaign_is_not_run_again_by_its_processes(
     tmp_path: Path, engine: str
 ) -> None:
-    """Also where it does not ask whether it is the main program."""
     if engine == "dask":
         pytest.importorskip("distributed", reason="engine dask needs the extra `cluster`")
     (tmp_path / "tiny.toml").write_text(SUITE, encoding="utf-8")

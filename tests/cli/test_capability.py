@@ -1,7 +1,5 @@
 """`dpbench capability`: the table within 80 columns, JSON, solvers judged, and bad input."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,14 +7,14 @@ from pathlib import Path
 import pytest
 
 from dpbench.bench.capability import study
-from dpbench.bench.capability.frontier import Held
+from dpbench.bench.capability.frontier import WindLimit
 from dpbench.bench.capability.study import FROM_DEG, Capability
 from dpbench.bench.sequences.sequence_file import load_sequence
-from dpbench.cli import capability as capability_command
 from dpbench.cli.capability import table_lines
 from dpbench.cli.main import main
 from dpbench.scenario.problem_files import problem_path
 from dpbench.scenario.scenario import load_vessel
+from dpbench.solvers import table
 from dpbench.solvers.table import Availability
 
 pytestmark = pytest.mark.slow
@@ -60,7 +58,7 @@ def test_json_and_a_figure_say_the_same_as_the_table(capsys: pytest.CaptureFixtu
 def test_many_groups_are_told_by_the_worst() -> None:
     """Six cases do not fit beside each other."""
     held = {
-        case: tuple(Held(20.0 - i, 7) for _ in FROM_DEG)
+        case: tuple(WindLimit(20.0 - i, 7) for _ in FROM_DEG)
         for i, case in enumerate(["intact", *"abcde"])
     }
     capability = Capability("osv", None, held, dict.fromkeys(held, ()), ())
@@ -73,10 +71,10 @@ def test_many_groups_are_told_by_the_worst() -> None:
 def test_the_notation_is_that_of_the_standard() -> None:
     """Least numbers: within 30° of the bow and all round, intact and after the worst failure."""
     numbers = [5 if from_deg == 90.0 else 7 + (from_deg > 180.0) for from_deg in FROM_DEG]
-    intact = tuple(Held(10.0 + n, n) for n in numbers)
+    intact = tuple(WindLimit(10.0 + n, n) for n in numbers)
     failures = {
-        "a": tuple(Held(held.wind_mps - 2.0, held.number - 1) for held in intact),
-        "b": tuple(Held(9.0, 4) if k == 3 else held for k, held in enumerate(intact)),
+        "a": tuple(WindLimit(held.wind_mps - 2.0, held.number - 1) for held in intact),
+        "b": tuple(WindLimit(9.0, 4) if k == 3 else held for k, held in enumerate(intact)),
     }
     capability = Capability("some", None, {"intact": intact, **failures}, {}, ())
     assert capability.numbers == (7, 5, 4, 4)
@@ -107,7 +105,7 @@ def test_solvers_are_asked_at_the_edge_and_judged(
     ("words", "said"),
     [
         (["supply_mss"], "thrusters: found none; allowed: [[thrusters]] of the vessel"),
-        (["nowhere"], "vessel name: found 'nowhere'; allowed: one of "),
+        (["nowhere"], "vessel name: found 'nowhere'; allowed: "),
         (["osv", "--sides", "5"], "sides: found 5; allowed: an even number from 4 on"),
         (["osv", "--figure", "rose.jpg"], "--figure: found rose.jpg; allowed: a file that ends"),
         (["osv", "--sides", "8", "--solver", "nobody"], "'nobody'"),
@@ -130,9 +128,9 @@ def test_a_solver_that_is_not_installed_is_named(
 ) -> None:
     """Before anything is computed, with what mends it."""
     missing = Availability(False, reason="not installed")
-    monkeypatch.setattr(capability_command, "available", lambda solver: missing)
+    monkeypatch.setattr(table, "check_availability", lambda solver: missing)
     assert main(["capability", "osv", "--solver", "quadprog"]) == 2
-    assert "solver: quadprog: found not installed; allowed: after " in capsys.readouterr().err
+    assert "solver quadprog: not installed; pip install quadprog\n" in capsys.readouterr().err
     assert list(Path().iterdir()) == []
 
 

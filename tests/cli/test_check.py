@@ -1,7 +1,5 @@
 """`dpbench check` takes what `dpbench run` takes, and says what is wrong in one line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,7 +8,7 @@ import pytest
 from qpsolvers import Problem
 
 from dpbench.bench.sequences.recording import read_sequence
-from dpbench.cli import check
+from dpbench.cli import check_ship
 from dpbench.cli.main import main
 from dpbench.scenario.problem_files import problem_names, problem_path
 
@@ -38,7 +36,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture(autouse=True)
 def _quick_trials(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a tuning holds is asked of the loop in `test_check_ship`; here it is 1 m."""
-    monkeypatch.setattr(check, "is_held", lambda trial, offset_m, sides: offset_m <= 1.0)
+    monkeypatch.setattr(check_ship, "is_held", lambda trial, offset_m, sides: offset_m <= 1.0)
 
 
 @pytest.mark.parametrize(
@@ -79,7 +77,8 @@ def test_the_tables_of_a_suite_are_named(place: Path, capsys: pytest.CaptureFixt
     (place / "else.toml").write_text('title = "x"', encoding="utf-8")
     assert main(["check", "else.toml"]) == 2
     tables = "[[study]], [[replay]], [[recorded]], [[random]], [[capability]]"
-    assert tables in capsys.readouterr().err
+    line = capsys.readouterr().err
+    assert tables in line and "[[thrusters]] (a vessel)" in line
 
 
 def spoil(name: str, **arrays: object) -> Callable[[Path], None]:

@@ -1,26 +1,24 @@
 """What `dpbench check` says of a ship: short, aligned, and what the loop itself says."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
-from dpbench.bench.design import find_bracket, held_in_still_water, is_held
-from dpbench.cli import check
+from dpbench.bench.design import find_bracket, find_still_water_bracket, is_held
+from dpbench.cli import check_ship
 from dpbench.scenario.problem_files import problem_names, problem_path
 from dpbench.scenario.scenario import Scenario, load_scenario, load_vessel
 
 
 def up_to(monkeypatch: pytest.MonkeyPatch, offset_m: float) -> None:
     """Every tuning holds what is not beyond `offset_m`."""
-    monkeypatch.setattr(check, "is_held", lambda trial, offset, sides: offset <= offset_m)
+    monkeypatch.setattr(check_ship, "is_held", lambda trial, offset, sides: offset <= offset_m)
 
 
-def text_of(name: str) -> str:
+def read_stored_text(name: str) -> str:
     """What is said of a library vessel."""
-    return check.vessel_text(problem_path("vessels", name), load_vessel(name))
+    return check_ship.vessel_text(problem_path("vessels", name), load_vessel(name))
 
 
 @pytest.mark.parametrize("name", problem_names("vessels"))
@@ -30,7 +28,7 @@ def test_a_vessel_fits_a_dozen_lines_of_a_terminal(
 ) -> None:
     """At most 12 lines of 80 columns, the four columns of the table below each other."""
     up_to(monkeypatch, offset_m)
-    lines = text_of(name).splitlines()
+    lines = read_stored_text(name).splitlines()
     assert len(lines) <= 12
     assert max(map(len, lines)) <= 80
     for line in lines[2:7]:
@@ -43,7 +41,7 @@ def test_a_scenario_fits_a_dozen_lines_of_a_terminal(
 ) -> None:
     """With its weather and its own tuning."""
     up_to(monkeypatch, 1.7)
-    lines = check.scenario_text(name, load_scenario(name)).splitlines()
+    lines = check_ship.scenario_text(name, load_scenario(name)).splitlines()
     assert len(lines) <= 12
     assert max(map(len, lines)) <= 80
 
@@ -51,7 +49,7 @@ def test_a_scenario_fits_a_dozen_lines_of_a_terminal(
 def test_the_numbers_of_the_papers_ship(monkeypatch: pytest.MonkeyPatch) -> None:
     """M/D of surge 105.7 s, 1240 kN over 5312 t, 417 kN over 272 t/s, and what 1 m/s takes."""
     up_to(monkeypatch, 1.65)
-    text = text_of("supply_fs99")
+    text = read_stored_text("supply_fs99")
     for said in ("-980..1240 kN", "±417 kN", "±18000 kN·m", "11.4 s", "106 s", "233 mm/s²"):
         assert said in text
     assert "1 m/s sideways needs 272 kN of 417; holds 1.5 m/s of current abeam" in text
@@ -70,13 +68,13 @@ def test_a_tuning_that_holds_nothing_or_everything(
 ) -> None:
     """Without a bracket it says which end it is."""
     up_to(monkeypatch, offset_m)
-    assert text_of("osv").count(said) == 2
+    assert read_stored_text("osv").count(said) == 2
 
 
 def test_a_drift_beyond_linear_damping_has_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
     """MSS osv would drift at 22 m/s ahead and 6 m/s sideways; 0.2 of Froude is 5.7 m/s."""
     up_to(monkeypatch, 1.0)
-    text = text_of("osv")
+    text = read_stored_text("osv")
     assert "> 5.7 m/s          > 5.7 m/s          0.296 °/s" in text
     assert "holds > 5.7 m/s of current abeam" in text
 
@@ -86,13 +84,13 @@ def test_a_weather_that_is_too_much_is_named(
 ) -> None:
     """417 kN of sway force: a mean of 330 kN is 79 % of it, one of 500 kN cannot be held."""
     up_to(monkeypatch, 1.0)
-    assert "weather: 11%, 79%, 14% of the limits\n" in check.scenario_text(
+    assert "weather: 11%, 79%, 14% of the limits\n" in check_ship.scenario_text(
         "extreme", load_scenario("extreme")
     )
     text = problem_path("scenarios", "extreme").read_text(encoding="utf-8")
     path = tmp_path / "worse.toml"
     path.write_text(text.replace("330.0", "500.0"), encoding="utf-8")
-    assert "120%, 14% of the limits - it cannot hold" in check.scenario_text(
+    assert "120%, 14% of the limits - it cannot hold" in check_ship.scenario_text(
         path, load_scenario(path)
     )
 
@@ -107,9 +105,9 @@ def test_what_the_paper_holds_is_what_the_loop_holds() -> None:
         tried.append(tuple(sides))
         return is_held(trial, offset_m, sides)
 
-    one_side = held_in_still_water(scenario, holds)
+    one_side = find_still_water_bracket(scenario, holds)
     assert set(tried) == {(1.0,)}
-    both = held_in_still_water(scenario, lambda trial, offset_m, _: is_held(trial, offset_m))
+    both = find_still_water_bracket(scenario, lambda trial, offset_m, _: is_held(trial, offset_m))
     assert one_side == both
     assert both.fails_m is not None and 1.5 < both.holds_m < both.fails_m < 1.8
     assert both == find_bracket(lambda offset_m: offset_m <= both.holds_m)

@@ -1,7 +1,5 @@
 """`dpbench init`: three files of one's own ship; what cannot be is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +10,10 @@ from hypothesis import strategies as st
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import load_suite
 from dpbench.cli.main import main
-from dpbench.cli.own_ship_files import OwnShip, scenario_text, suite_text, vessel_text
+from dpbench.cli.own_ship import OwnShip, scenario_text, suite_text, vessel_text
 from dpbench.scenario.hull_files import read_mss
-from dpbench.scenario.own_ship import LIBRARY, Particulars, Thrust, scale_vessel
+from dpbench.scenario.own_ship import DP_NUMBERS, LIBRARY, Particulars, ThrustLimits, scale_vessel
 from dpbench.scenario.scenario import load_scenario, load_vessel
-from dpbench.scenario.sea_states import DP_NUMBERS
 
 CUT = Path(__file__).parents[1] / "scenario" / "mss" / "supply_cut.mat"
 PARTICULARS = {"length": 80, "breadth": 18, "draught": 6, "displacement": 6000, "thrust": 300}
@@ -57,7 +54,7 @@ def test_the_three_files_are_of_one_ship(capsys: pytest.CaptureFixture[str]) -> 
     path, suite = load_suite(FILES[2])
     cells = plan(suite, beside=path.parent)
     assert {cell.cell.solver for cell in cells} >= {"daqp", "quadprog", "osqp"}
-    assert suite.demand.deadline_ms == pytest.approx(1000 * scenario.sample_s)
+    assert suite.requirements.deadline_ms == pytest.approx(1000 * scenario.sample_s)
 
 
 def test_the_vessel_file_says_how_it_was_made() -> None:
@@ -97,7 +94,7 @@ def test_any_ship_that_is_allowed_becomes_files_that_are(
     draught_m = breadth_m / shallow
     mass_kg = block * 1026.0 * length_m * breadth_m * draught_m
     own = Particulars(length_m, breadth_m, draught_m, mass_kg)
-    vessel = scale_vessel(like, own, Thrust(weight_share * mass_kg * 9.81), "own")
+    vessel = scale_vessel(like, own, ThrustLimits(weight_share * mass_kg * 9.81), "own")
     folder = tmp_path_factory.mktemp("own")
     texts = {
         "own.toml": vessel_text(OwnShip("own", own, vessel, like, None), "a command"),
@@ -184,7 +181,7 @@ def test_nothing_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[s
         ([*SHIP, "--yaw-moment", "9e6"], ["--yaw-moment", "9e+06", "kN·m"]),
         ([*SHIP, "--like", "ferry"], ["--like", "'ferry'", "supply_fs99"]),
         ([*SHIP, "--sea", "12"], ["--sea", "'12'", "1 to 9"]),
-        ([*SHIP, "--from-mss", "a.mat", "--from-csv", "b.csv"], ["--from-csv", "one of the two"]),
+        ([*SHIP, "--from-mss", "a.mat", "--from-csv", "b.csv"], ["--from-csv", "give one of them"]),
         ([*SHIP, "--from-mss", "no.mat"], ["no.mat", "no such file"]),
         (["init", "../my_ship", *SHIP[2:]], ["NAME", "'../my_ship'", "letters"]),
         (["init", "my_ship"], ["--length", "nothing"]),

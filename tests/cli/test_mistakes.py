@@ -1,7 +1,5 @@
 """Mistakes a person makes: one line with place, found and allowed, exit 2, nothing written."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -72,18 +70,32 @@ def test_a_ship_in_other_units_is_none(
     assert "length_m" in said and "m and kg" in said
 
 
-def test_settings_of_the_command_line_are_not_those_of_the_file(
-    capsys: pytest.CaptureFixture[str],
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        (["run", "standrad"], ["standrad", "standard"]),
+        (["run", "smoke", "--solver", "quadprgo"], ["quadprgo", "quadprog"]),
+        (["run", "smoke", "--jobs", "99"], ["--jobs", "99"]),
+        (["run", "smoke", "--settings", "hgh"], ["dpbench: --settings: found 'hgh'"]),
+        (["report", "no/such/folder"], ["no/such/folder", "dpbench run"]),
+        (["check", "no/such/file.toml"], ["no/such/file.toml", "no such file"]),
+        (["run"], ["suite"]),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_2(
+    words: list[str], parts: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each is named where it stands."""
-    line = mistake(["run", "smoke", "--settings", "hgh"], capsys)
-    assert line.startswith("dpbench: --settings: found 'hgh'")
+    """The line names what was found and what is allowed."""
+    line = mistake(words, capsys)
+    assert all(part in line for part in parts), line
 
 
-def test_what_is_no_kind_of_list_is_named_as_it_was_typed(
-    capsys: pytest.CaptureFixture[str],
+@pytest.mark.parametrize("words", [["list", "ship"], ["fly"]])
+def test_an_unknown_word_is_named_as_it_was_typed(
+    words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """No s is added to it."""
+    """No s is added to a kind of list."""
     with pytest.raises(SystemExit, match="2"):
-        main(["list", "ship"])
-    assert "'ship'" in capsys.readouterr().err
+        main(words)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"'{words[-1]}'" in line

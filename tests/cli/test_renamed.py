@@ -1,7 +1,5 @@
 """Old words in files and commands are still read, with one line that names the new word."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -10,23 +8,12 @@ import pytest
 
 from dpbench.bench.plan.suite import load_suite
 from dpbench.bench.record.result_folder import load_results
-from dpbench.bench.record.schema import READABLE, RENAMED, RUN_COLUMNS, STEP_COLUMNS
+from dpbench.bench.record.schema import SCHEMA_VERSION
 from dpbench.cli.main import main
 from dpbench.errors import RenamedWarning, ResultsError
 from dpbench.solvers.plugins import find_plugin, load_file
 
 SUITE = 'title = "Old"\ncontrast = false\n[[closed_loop]]\nscenarios = ["paper"]\n'
-NEW_OF = {new: old for old, new in RENAMED.items()}
-
-
-def _as_written_before(folder: Path, schema: int) -> None:
-    """Rewrite the tables of a folder with the column names and schema number of then."""
-    for name in ("runs", "steps"):
-        path = folder / f"{name}.parquet"
-        frame = pd.read_parquet(path).rename(columns=NEW_OF)
-        if name == "runs":
-            frame["schema"] = schema
-        frame.to_parquet(path)
 
 
 def test_an_old_key_of_a_suite_means_the_new_one(tmp_path: Path) -> None:
@@ -51,39 +38,14 @@ def test_the_old_name_of_a_suite_is_read() -> None:
         assert load_suite("ladder")[0].name == "levels.toml"
 
 
-def test_a_folder_of_an_early_schema_is_read_with_its_old_columns(
-    records: Any, tmp_path: Path
-) -> None:
-    """The same tables, but for the number of the schema."""
+@pytest.mark.parametrize("schema", [SCHEMA_VERSION - 1, SCHEMA_VERSION + 1])
+def test_another_schema_is_refused(schema: int, records: Any, tmp_path: Path) -> None:
+    """In one line that names it and the one that is read."""
     records.replay("daqp")
-    folder = records.write(tmp_path / "old")
-    now = load_results(folder)
-    steps = now.steps
-    _as_written_before(folder, min(READABLE))
-    with pytest.warns(RenamedWarning) as said:
-        before = load_results(folder)
-    assert {old for old in RENAMED if any(old in str(line.message) for line in said)} == set(
-        RENAMED
-    )
-    pd.testing.assert_frame_equal(before.steps, steps)
-    pd.testing.assert_frame_equal(
-        before.runs.drop(columns="schema"), now.runs.drop(columns="schema")
-    )
-
-
-def test_an_older_schema_is_refused(records: Any, tmp_path: Path) -> None:
-    """What differs in more than names is not read."""
-    records.replay("daqp")
-    folder = records.write(tmp_path / "older")
-    _as_written_before(folder, min(READABLE) - 1)
-    with pytest.raises(ResultsError, match="schema"):
-        load_results(folder)
-
-
-def test_new_names_are_columns_and_old_ones_are_none() -> None:
-    """No old name hides a column of today."""
-    columns = RUN_COLUMNS | STEP_COLUMNS
-    assert set(RENAMED.values()) <= set(columns) and not set(RENAMED) & set(columns)
+    path = records.write(tmp_path / "other") / "runs.parquet"
+    pd.read_parquet(path).assign(schema=schema).to_parquet(path)
+    with pytest.raises(ResultsError, match=rf"schema \[{schema}\]; allowed: schema"):
+        load_results(path.parent)
 
 
 def test_the_old_command_says_the_new_one(capsys: Any) -> None:
@@ -107,3 +69,12 @@ def test_a_plugin_may_still_say_ladder(tmp_path: Path) -> None:
         load_file(path, ())
     plugin = find_plugin("old_admm")
     assert plugin is not None and set(plugin.record.levels) == {"low", "mid", "high"}
+
+
+def test_a_refused_key_of_a_suite_names_the_new_one(tmp_path: Path, capsys: Any) -> None:
+    """`[demand]` is refused in one line that names `requirements`."""
+    path = tmp_path / "old.toml"
+    path.write_text('title = "Old"\n[demand]\np99_ms = 2.0\n[[replay]]\nscenario = "paper"\n')
+    assert main(["check", str(path)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "demand" in line and "requirements" in line

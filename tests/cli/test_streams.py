@@ -1,7 +1,5 @@
 """What is printed where it cannot be shown: closed streams and pipes, ASCII, a full disk."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What people read fits 80 columns and a dumb terminal, and has no codes in it."""
 
-from __future__ import annotations
-
 import os
 import pty
 import re
@@ -13,24 +11,14 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from dpbench.cli import check, doctor
+from dpbench.cli import check_ship, doctor
 from dpbench.cli.main import _CALLS, main
-from dpbench.cli.terminal import WIDTH, Bar, entry, report_table, say
+from dpbench.cli.terminal import WIDTH, ProgressBar, format_entry, make_report_table, print_wrapped
 from dpbench.report.table import Table
 
 CODES = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
-SHIP = [
-    "--length",
-    "80",
-    "--breadth",
-    "18",
-    "--draught",
-    "6",
-    "--displacement",
-    "6000",
-    "--thrust",
-    "300",
-]
+NUMBERS = {"length": 80, "breadth": 18, "draught": 6, "displacement": 6000, "thrust": 300}
+SHIP = [word for key, number in NUMBERS.items() for word in (f"--{key}", str(number))]
 EXPORT = ["export", "rough", "--steps", "2", "--out", "rough.npz"]
 KINDS = ("vessels", "scenarios", "suites", "sequences", "solvers")
 
@@ -90,7 +78,7 @@ def test_what_a_command_says_fits(
     words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Into a pipe. JSON is for scripts: a line each."""
-    monkeypatch.setattr(check, "is_held", lambda trial, offset_m, sides: offset_m <= 1.0)
+    monkeypatch.setattr(check_ship, "is_held", lambda trial, offset_m, sides: offset_m <= 1.0)
     assert main(words) == 0
     said = capsys.readouterr()
     if "--json" not in words:
@@ -110,10 +98,7 @@ def test_a_report_and_a_comparison_fit(campaign: Path, capsys: pytest.CaptureFix
 @pytest.mark.parametrize("setting", [{"TERM": "dumb"}, {"TERM": "xterm", "NO_COLOR": "1"}])
 @pytest.mark.parametrize("words", [["list", "vessels"], EXPORT], ids=lambda words: words[0])
 def test_a_terminal_of_80_columns(words: list[str], setting: dict[str, str]) -> None:
-    """A real one: no colour where none is wanted, no code at the end.
-
-    On one that can do bold, bold is no colour.
-    """
+    """A real one: no colour where none is wanted, no code at the end."""
     primary, secondary = pty.openpty()
     environment = {k: v for k, v in os.environ.items() if k != "NO_COLOR"} | setting
     program = [sys.executable, "-m", "dpbench", *words]
@@ -146,9 +131,9 @@ def wide_table(words: int) -> Table:
 def test_a_table_that_does_not_fit_is_told_row_by_row(capsys: pytest.CaptureFixture[str]) -> None:
     """Whole words, no cell cut: each with its head."""
     screen = Console(width=WIDTH)
-    screen.print(report_table(wide_table(4), screen))
+    screen.print(make_report_table(wide_table(4), screen))
     assert "┃" in capsys.readouterr().out
-    screen.print(report_table(wide_table(12), screen))
+    screen.print(make_report_table(wide_table(12), screen))
     said = capsys.readouterr().out
     assert "┃" not in said and "…" not in said
     assert "column11 slower" in " ".join(said.split())
@@ -158,11 +143,11 @@ def test_a_table_that_does_not_fit_is_told_row_by_row(capsys: pytest.CaptureFixt
 def test_a_line_is_broken_at_spaces_and_a_path_is_not(capsys: pytest.CaptureFixture[str]) -> None:
     """What is copied stays whole."""
     path = "/".join(["folder"] * 20)
-    say(["short", "word " * 30, f"see {path}"])
+    print_wrapped(["short", "word " * 30, f"see {path}"])
     said = capsys.readouterr().out
     assert_readable(said)
     assert path in said.splitlines()[-1]
-    assert entry("daqp", ["word " * 30]).splitlines()[1].startswith("    word")
+    assert format_entry("daqp", ["word " * 30]).splitlines()[1].startswith("    word")
 
 
 @pytest.mark.slow
@@ -178,8 +163,8 @@ def test_doctor_puts_a_long_fact_beside_its_name(monkeypatch: pytest.MonkeyPatch
 
 def test_a_remark_is_said_where_no_bar_can_be(capsys: pytest.CaptureFixture[str]) -> None:
     """That compiling takes a while, into a pipe: beside the output, not in it."""
-    with Bar(transient=True) as bar:
+    with ProgressBar(transient=True) as bar:
         bar.remark("compiling")
-    with Bar(quiet=True) as bar:
+    with ProgressBar(quiet=True) as bar:
         bar.remark("nothing")
     assert capsys.readouterr() == ("", "dpbench: compiling\n")

@@ -1,7 +1,5 @@
 """What the documentation names is there, and what the code has is in the documentation."""
 
-from __future__ import annotations
-
 import ast
 import fnmatch
 import re

@@ -1,7 +1,5 @@
 """Whoever follows a page of the documentation from top to bottom gets what it promises."""
 
-from __future__ import annotations
-
 import shlex
 import subprocess
 import sys
@@ -34,10 +32,7 @@ def test_the_five_ways_have_something_to_follow() -> None:
 def test_a_page_runs_from_top_to_bottom(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Files are saved under the names it gives, every command ends as it should, Python runs.
-
-    A long command is replaced by what its page says in a comment, `tested as`.
-    """
+    """Files are saved under the names it gives, every command ends as it should, Python runs."""
     monkeypatch.chdir(tmp_path)
     # Another page may have loaded the same name from another file.
     monkeypatch.setattr(plugins, "_LOADED", {})

@@ -1,7 +1,5 @@
 """JSON that others wrote: how deep and how large it may be."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -13,7 +11,6 @@ from dpbench.files.documents import MOST_DEPTH, MOST_JSON_BYTES, parse_json
 
 
 def test_deep_large_and_half_documents_are_refused(tmp_path: Path) -> None:
-    """In one line that names the file; a hundred thousand brackets end no parser."""
     path = tmp_path / "suite.json"
     for text, found in (
         ("[" * 100_000, "nested too deep"),
@@ -34,7 +31,6 @@ def test_deep_large_and_half_documents_are_refused(tmp_path: Path) -> None:
 
 
 def test_whole_characters_and_the_deepest_document_are_read() -> None:
-    """An escaped pair of surrogates is one character."""
     assert parse_json(r'{"title": "\ud83d\ude00"}') == {"title": "\U0001f600"}
     deepest = "[" * MOST_DEPTH + "]" * MOST_DEPTH
     assert parse_json(deepest) == json.loads(deepest)

@@ -1,7 +1,5 @@
 """What stands in the place of a file: whoever reads it says so in one line, and never waits."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket
@@ -14,30 +12,30 @@ import pytest
 from dpbench.bench.capability.table import CAPABILITY_FILE, load_capability
 from dpbench.bench.design import load_designs
 from dpbench.bench.engines.shards import ShardRecord
-from dpbench.bench.record.npz import kept
-from dpbench.bench.record.recorded_steps import StepsOnDisk, read_clock
+from dpbench.bench.record.npz import open_arrays
+from dpbench.bench.record.recorded_steps import StepsOnDisk
 from dpbench.bench.record.result_folder import load_descriptions, load_results, read_json
 from dpbench.bench.sequences.qpsolvers_files import read_problem
-from dpbench.bench.sequences.recording import digest
+from dpbench.bench.sequences.recording import hash_sequence_files
 from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.errors import InputError
-from dpbench.files.opening import opened, read_bytes
-from dpbench.scenario.hull_files import read_mss, read_table
+from dpbench.files.opening import open_regular_file, read_bytes
+from dpbench.scenario.hull_files import read_coefficient_table, read_mss
 from dpbench.scenario.problem_files import read_toml
 
 
 def _kept(path: Path) -> None:
-    with kept(path):
+    with open_arrays(path):
         pass
 
 
 READERS: dict[str, Callable[[Path], Any]] = {
     "ship.toml": read_toml,
-    "hull.csv": read_table,
+    "hull.csv": read_coefficient_table,
     "hull.mat": read_mss,
     "sequence.npz": load_recorded,
     "problem.npz": read_problem,
-    "digest.npz": digest,
+    "digest.npz": hash_sequence_files,
     "kept.npz": _kept,
     "suite.json": read_json,
     "machine.json": lambda path: load_descriptions(path.parent),
@@ -45,7 +43,6 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "design.json": lambda path: load_designs(path.parent),
     CAPABILITY_FILE: lambda path: load_capability(path.parent),
     "runs.parquet": lambda path: load_results(path.parent),
-    "clock/runs.parquet": lambda path: read_clock(path.parent),
     "steps.parquet": lambda path: StepsOnDisk(path.parent),
 }
 """Who reads which file of others."""
@@ -69,7 +66,6 @@ def impatient() -> Iterator[None]:
 @pytest.mark.parametrize("kind", ["FIFO", "device", "socket", "folder", "nothing"])
 @pytest.mark.parametrize("name", READERS)
 def test_what_is_no_file_is_one_line(name: str, kind: str, tmp_path: Path) -> None:
-    """It names the path; nothing blocks, and no device is read to an end that never comes."""
     path = tmp_path / name
     path.parent.mkdir(exist_ok=True)
     if kind == "FIFO":
@@ -93,24 +89,22 @@ def test_what_is_no_file_is_one_line(name: str, kind: str, tmp_path: Path) -> No
 
 
 def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
-    """Its size is said, and what is allowed; a sparse file takes no space to try it."""
     path = tmp_path / "large"
     with path.open("wb") as file:
         file.truncate(10**12)
     with pytest.raises(InputError, match="found 1000000000000 bytes; allowed: at most 1000"):
         read_bytes(path, "a file", most_bytes=1000)
-    for read in (read_toml, read_table, read_mss, read_json):
+    for read in (read_toml, read_coefficient_table, read_mss, read_json):
         with pytest.raises(InputError, match="1000000000000 bytes"):
             read(path)
 
 
 def test_nothing_stays_open(tmp_path: Path) -> None:
-    """Whether a file was read or refused."""
     (tmp_path / "file").write_bytes(b"abc")
     os.mkfifo(tmp_path / "fifo")
     before = os.listdir("/proc/self/fd")
-    with opened(tmp_path / "file") as file:
+    with open_regular_file(tmp_path / "file") as file:
         assert file.read() == b"abc"
-    with pytest.raises(InputError, match="a FIFO"), opened(tmp_path / "fifo"):
+    with pytest.raises(InputError, match="a FIFO"), open_regular_file(tmp_path / "fifo"):
         raise AssertionError
     assert os.listdir("/proc/self/fd") == before

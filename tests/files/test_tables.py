@@ -1,7 +1,5 @@
 """Parquet files that are small and unpack to gigabytes are refused by their metadata."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 
@@ -12,7 +10,7 @@ import pytest
 
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError, ResultsError
-from dpbench.files.tables import in_full, opened_table
+from dpbench.files.tables import decode_words, open_table
 
 ROWS = 4_000_000
 
@@ -24,47 +22,42 @@ def _written(path: Path, table: pa.Table) -> Path:
 
 
 def test_rows_that_are_all_the_same(tmp_path: Path) -> None:
-    """Run-length encoding keeps a million of them in some bytes."""
     table = pa.table({f"c{i}": np.zeros(ROWS) for i in range(4)})
     path = _written(tmp_path / "runs.parquet", table)
     found = r"unpack to 128\d{6}; allowed: at most"
-    with pytest.raises(InputError, match=found), opened_table(path):
+    with pytest.raises(InputError, match=found), open_table(path):
         raise AssertionError("it was read")
     with pytest.raises(ResultsError, match=r"runs\.parquet: found \d+ bytes that unpack to"):
         load_results(tmp_path)
 
 
 def test_a_long_word_in_each_row(tmp_path: Path) -> None:
-    """A dictionary keeps it once; it is measured before each row has a copy."""
     codes = pa.array(np.zeros(ROWS, dtype=np.int32))
     words = pa.DictionaryArray.from_arrays(codes, pa.array(["x" * 10_000]))
     path = _written(tmp_path / "runs.parquet", pa.table({"cell": words}))
-    with opened_table(path) as file, pytest.raises(InputError, match=f"to {10_000 * ROWS}"):
-        in_full(file.read(), path)
+    with open_table(path) as file, pytest.raises(InputError, match=f"to {10_000 * ROWS}"):
+        decode_words(file.read(), path)
 
 
 def test_a_damaged_entry_of_a_column_ends_no_process(tmp_path: Path) -> None:
-    """Arrow aborts where its statistics are asked for; here each byte of the footer is another."""
     path = tmp_path / "runs.parquet"
     pq.write_table(pa.table({"a": ["x", None, "y"], "b": [1.0, 2.0, None]}), path)
     whole = path.read_bytes()
     footer = int.from_bytes(whole[-8:-4], "little") + 8
     for at in range(len(whole) - footer, len(whole)):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 3]) + whole[at + 1 :])
-        with suppress(OSError, ValueError, pa.ArrowException), opened_table(path) as file:
-            in_full(file.read(), path)
+        with suppress(OSError, ValueError, pa.ArrowException), open_table(path) as file:
+            decode_words(file.read(), path)
 
 
 def test_other_types_than_numbers_and_words_are_refused(tmp_path: Path) -> None:
-    """A list in each row has a length that no metadata tell."""
     path = _written(tmp_path / "a.parquet", pa.table({"c": pa.array([[1.0] * 1000] * 100)}))
     found = r"c: found type list.*; allowed: numbers and words"
-    with pytest.raises(InputError, match=found), opened_table(path):
+    with pytest.raises(InputError, match=found), open_table(path):
         raise AssertionError("it was read")
 
 
 def test_words_and_numbers_come_back(tmp_path: Path) -> None:
-    """Of either string type, with missing ones among them."""
     table = pa.table(
         {
             "word": pa.array(["a", None, "bb", "a"]),
@@ -78,7 +71,7 @@ def test_words_and_numbers_come_back(tmp_path: Path) -> None:
     path = tmp_path / "a.parquet"
     for store_schema in (True, False):
         pq.write_table(table, path, store_schema=store_schema)
-        with opened_table(path) as file:
-            found = in_full(file.read(), path)
+        with open_table(path) as file:
+            found = decode_words(file.read(), path)
         assert found.to_pydict() == table.to_pydict()
         assert not any(pa.types.is_dictionary(field.type) for field in found.schema)

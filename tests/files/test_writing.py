@@ -1,7 +1,5 @@
 """What is written into a folder of others stays in it, and what was not written stays there."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path
@@ -10,13 +8,13 @@ import pytest
 
 from dpbench.errors import InputError
 from dpbench.files.writing import (
+    file_list_path,
     is_file_name,
-    list_of,
     make_folder,
     new_file,
-    put,
-    replaced,
-    write_given,
+    replace_durably,
+    replace_file,
+    write_named_file,
     write_text,
     write_together,
 )
@@ -36,7 +34,6 @@ def _linked(tmp_path: Path, kind: str, place: Path) -> Path:
 @pytest.mark.parametrize("kind", ["hard", "soft"])
 @pytest.mark.parametrize("linked", ["report.md", "report.md.part"])
 def test_a_link_is_replaced_and_not_followed(tmp_path: Path, kind: str, linked: str) -> None:
-    """The file itself, and the one that is written before it has its name."""
     other = _linked(tmp_path, kind, tmp_path / linked)
     write_text(tmp_path / "report.md", "new")
     assert other.read_text("utf-8") == "mine"
@@ -46,14 +43,12 @@ def test_a_link_is_replaced_and_not_followed(tmp_path: Path, kind: str, linked: 
 
 
 def test_a_link_to_nothing_makes_no_file_there(tmp_path: Path) -> None:
-    """A dangling link is replaced, too."""
     (tmp_path / "a").symlink_to(tmp_path / "elsewhere")
     assert new_file(tmp_path / "a").read_bytes() == b""
     assert not (tmp_path / "elsewhere").exists()
 
 
 def test_a_folder_that_is_a_link_is_refused(tmp_path: Path) -> None:
-    """In one line that names it."""
     (tmp_path / "pictures").mkdir()
     (tmp_path / "figures").symlink_to(tmp_path / "pictures")
     with pytest.raises(InputError, match="figures: found a link"):
@@ -61,9 +56,8 @@ def test_a_folder_that_is_a_link_is_refused(tmp_path: Path) -> None:
 
 
 def test_what_fails_leaves_the_old_file(tmp_path: Path) -> None:
-    """And nothing beside it."""
     write_text(tmp_path / "a", "old")
-    with pytest.raises(ZeroDivisionError), replaced(tmp_path / "a"):
+    with pytest.raises(ZeroDivisionError), replace_file(tmp_path / "a"):
         raise ZeroDivisionError
     (tmp_path / "folder").mkdir()
     with pytest.raises(IsADirectoryError):
@@ -73,7 +67,6 @@ def test_what_fails_leaves_the_old_file(tmp_path: Path) -> None:
 
 
 def test_only_files_that_were_written_before_are_removed(tmp_path: Path) -> None:
-    """Others stay, be they of the same kind; so do links that have the name of one."""
     folder = tmp_path / "tables"
     write_together(folder, {name: lambda: b"1" for name in ("a.csv", "b.csv", "c.csv")})
     (folder / "mine.csv").write_bytes(b"2")
@@ -88,21 +81,19 @@ def test_only_files_that_were_written_before_are_removed(tmp_path: Path) -> None
     "names", [["../thesis.txt"], ["/etc/passwd"], [1, None], {"a": 1}, ["tables"], ["x" * 9999]]
 )
 def test_a_list_that_others_wrote_removes_nothing_elsewhere(tmp_path: Path, names: object) -> None:
-    """It can name no file of another folder, and no folder."""
     folder = make_folder(tmp_path / "out")
     (folder / "tables").mkdir()
     (tmp_path / "thesis.txt").write_text("mine", encoding="utf-8")
-    list_of(folder).write_text(json.dumps(names), encoding="utf-8")
+    file_list_path(folder).write_text(json.dumps(names), encoding="utf-8")
     write_together(folder, {"a.csv": lambda: b""})
     assert (tmp_path / "thesis.txt").exists() and (folder / "tables").is_dir()
-    assert json.loads(list_of(folder).read_text("utf-8")) == ["a.csv"]
+    assert json.loads(file_list_path(folder).read_text("utf-8")) == ["a.csv"]
 
 
 @pytest.mark.parametrize(
     "name", ["../x", "a/b", "a\\b", "", ".x", "..", "a\nb", "\x1b[2J", "x" * 999]
 )
 def test_what_is_no_name_of_a_file(tmp_path: Path, name: str) -> None:
-    """Nothing is written under it."""
     assert not is_file_name(name)
     with pytest.raises(InputError, match="a name without a folder"):
         write_together(tmp_path / "out", {"a": lambda: b"", name: lambda: b""})
@@ -110,29 +101,26 @@ def test_what_is_no_name_of_a_file(tmp_path: Path, name: str) -> None:
 
 
 def test_usual_names_are_names_of_files() -> None:
-    """Of solvers, scenarios and windows of their steps."""
     for name in ("paper_active_set", "qpax-0.1", "rough (hold)", "thrusters[350:550]", "schöner"):
         assert is_file_name(name)
 
 
 def test_a_device_that_a_person_names_is_written_to(tmp_path: Path) -> None:
-    """A pipe stays a pipe; a link to a file is replaced."""
     pipe, read = tmp_path / "pipe", []
     os.mkfifo(pipe)
     end = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
-    write_given(pipe, b"text")
+    write_named_file(pipe, b"text")
     read.append(os.read(end, 9))
     os.close(end)
     assert read == [b"text"] and pipe.is_fifo()
     other = _linked(tmp_path, "soft", tmp_path / "comparison.md")
-    write_given(tmp_path / "comparison.md", b"new")
+    write_named_file(tmp_path / "comparison.md", b"new")
     assert other.read_text("utf-8") == "mine"
 
 
 def test_what_is_put_in_its_place_is_on_the_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The file before it has its name, and then the folder."""
     part, synced = tmp_path / "a.part", []
     part.write_bytes(b"1")
     fsync = os.fsync
@@ -142,5 +130,5 @@ def test_what_is_put_in_its_place_is_on_the_disk(
         fsync(number)
 
     monkeypatch.setattr(os, "fsync", watched)
-    put(part, tmp_path / "a")
+    replace_durably(part, tmp_path / "a")
     assert synced == [(str(part), False), (str(tmp_path), True)]

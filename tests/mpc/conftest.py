@@ -1,13 +1,9 @@
-"""Control problems of every size, and a second, naive construction of their QPs.
-
-The naive builder knows the paper only: explicit matrix powers, block matrices row by row, Q̄ and R̄
-as full block diagonals. It shares no line with the code under test.
-"""
-
-from __future__ import annotations
+"""Control problems of every size, and a second, naive construction of their QPs."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +11,7 @@ import quadprog
 from numpy.typing import NDArray
 
 from dpbench.mpc.condense import ControlProblem
-from dpbench.mpc.model import StateSpace, augment, prediction_model
+from dpbench.mpc.model import StateSpace, augment, build_prediction_model
 from dpbench.qp.program import QuadraticProgram
 from dpbench.scenario.scenario import load_vessel
 
@@ -24,61 +20,33 @@ Array = NDArray[np.float64]
 VESSELS = ("supply_fs99", "supply_mss", "supply_tmr", "osv", "cybership2")
 
 
-@dataclass
-class Naive:
-    """Everything of paper eq. 13-25 for one step, in SI units."""
-
-    F: Array
-    Phi: Array
-    E: Array
-    F_k: Array
-    C2: Array
-    lower: Array
-    upper: Array
-    move: Array
-    J0: float
-    Q_bar: Array
-    R_bar: Array
-
-
-def naive_build(problem: ControlProblem, x: Array, Y_d: Array, u_prev: Array) -> Naive:
-    """The QP of one step written out from the paper; Y_d (N_p, n_y)."""
+def naive_build(problem: ControlProblem, x: Array, Y_d: Array, u_prev: Array) -> Any:
+    """Paper eq. 13-25 for one step in SI units, written out; Y_d (N_p, n_y)."""
     A, B, C = problem.model.A, problem.model.B, problem.model.C
-    N_p, N_c = problem.N_p, problem.N_c
-    n_y, n_u = C.shape[0], B.shape[1]
+    N_p, N_c, zero = problem.N_p, problem.N_c, np.zeros((len(C), B.shape[1]))
+    n_u = B.shape[1]
     power = np.linalg.matrix_power
     F = np.vstack([C @ power(A, i) for i in range(1, N_p + 1)])
     Phi = np.block(
-        [
-            [C @ power(A, i - j) @ B if i >= j else np.zeros((n_y, n_u)) for j in range(N_c)]
-            for i in range(N_p)
-        ]
+        [[C @ power(A, i - j) @ B if i >= j else zero for j in range(N_c)] for i in range(N_p)]
     )
     Q_bar, R_bar = np.kron(np.eye(N_p), problem.Q), np.kron(np.eye(N_c), problem.R)
-    error = Y_d.reshape(-1) - F @ x
     C2 = np.zeros((N_c * n_u, N_c * n_u))
     for row in range(N_c):
         for column in range(row + 1):
             for axis in range(n_u):
                 C2[row * n_u + axis, column * n_u + axis] = 1.0
-    lower, upper, move = [], [], []
-    for _ in range(N_c):
-        for axis in range(n_u):
-            lower.append(problem.u_min[axis] - u_prev[axis])
-            upper.append(problem.u_max[axis] - u_prev[axis])
-            move.append(problem.du_max[axis])
-    return Naive(
-        F,
-        Phi,
-        Phi.T @ Q_bar @ Phi + R_bar,
-        -Phi.T @ Q_bar @ error,
-        C2,
-        np.array(lower),
-        np.array(upper),
-        np.array(move),
-        0.5 * float(error @ Q_bar @ error),
-        Q_bar,
-        R_bar,
+    return SimpleNamespace(
+        F=F,
+        Phi=Phi,
+        Q_bar=Q_bar,
+        R_bar=R_bar,
+        E=Phi.T @ Q_bar @ Phi + R_bar,
+        F_k=-Phi.T @ Q_bar @ (Y_d.reshape(-1) - F @ x),
+        C2=C2,
+        lower=np.concatenate([problem.u_min - u_prev for _ in range(N_c)]),
+        upper=np.concatenate([problem.u_max - u_prev for _ in range(N_c)]),
+        move=np.concatenate([problem.du_max for _ in range(N_c)]),
     )
 
 
@@ -93,6 +61,17 @@ def rolled_out_cost(problem: ControlProblem, x: Array, Y_d: Array, moves: Array)
     return J
 
 
+def assert_close(found: Array, expected: Array, relative: float = 1e-11) -> None:
+    """The same infinite entries, and finite ones equal up to `relative` of the largest.
+
+    Constructions that sum in another order differ by some N_p · 1e-16 of it.
+    """
+    finite = np.isfinite(expected)
+    np.testing.assert_array_equal(found[~finite], expected[~finite])
+    size = float(np.abs(expected[finite]).max(initial=0.0))
+    np.testing.assert_allclose(found[finite], expected[finite], rtol=0, atol=relative * size)
+
+
 def solve_by_quadprog(qp: QuadraticProgram) -> tuple[Array, Array, Array]:
     """z, y and y_box of a two-sided QP with quadprog (Goldfarb-Idnani), signs as in dpbench."""
     n, m = qp.n, qp.m
@@ -103,23 +82,20 @@ def solve_by_quadprog(qp: QuadraticProgram) -> tuple[Array, Array, Array]:
     return z, y, lam[2 * m : 2 * m + n] - lam[2 * m + n :]
 
 
+def sample_of(name: str) -> float:
+    """The paper's sample time, Froude-scaled for the model ship."""
+    return 0.3 if name != "cybership2" else float(0.3 / np.sqrt(70.0))
+
+
 def ship_problem(
-    name: str,
-    *,
-    psi0_rad: float = 0.0,
-    N_p: int = 30,
-    N_c: int = 5,
-    robust: bool = False,
+    name: str, *, psi0_rad: float = 0.0, N_p: int = 30, N_c: int = 5, robust: bool = False
 ) -> ControlProblem:
     """A vessel of the collection under tuning `paper`, or `robust`, in its own scale."""
     ship = load_vessel(name)
-    sample_s = 0.3 if name != "cybership2" else 0.3 / np.sqrt(70.0)
-    du_max = ship.step_max(sample_s)
-    model = prediction_model(ship.M, ship.D, psi0_rad, sample_s)
+    du_max = ship.step_max(sample_of(name))
+    model = build_prediction_model(ship.M, ship.D, psi0_rad, sample_of(name))
     Q = np.diag([1.0, 1.0, 3000.0 if robust else 100.0])
-    R = np.diag(0.1 / du_max**2)
-    if not robust:
-        R = np.diag([1e-10, 1e-10, 1e-14])
+    R = np.diag(0.1 / du_max**2) if robust else np.diag([1e-10, 1e-10, 1e-14])
     if name == "cybership2":
         # Froude: lengths /70 make position weights ·70², forces /70³ and moments /70⁴.
         Q = np.diag([4900.0, 4900.0, Q[2, 2]])
@@ -135,16 +111,10 @@ def random_problem(seed: int, n_u: int, n_y: int, N_p: int, N_c: int) -> Control
     A_m *= 0.95 / np.abs(np.linalg.eigvals(A_m)).max()
     plant = StateSpace(A_m, rng.normal(size=(n_m, n_u)), rng.normal(size=(n_y, n_m)))
     root_Q, root_R = rng.normal(size=(n_y, n_y)), rng.normal(size=(n_u, n_u))
-    return ControlProblem(
-        augment(plant),
-        N_p,
-        N_c,
-        root_Q @ root_Q.T + 0.1 * np.eye(n_y),
-        root_R @ root_R.T + 0.5 * np.eye(n_u),
-        -rng.uniform(0.5, 2.0, n_u),
-        rng.uniform(0.5, 2.0, n_u),
-        rng.uniform(0.1, 0.6, n_u),
-    )
+    weights = root_Q @ root_Q.T + 0.1 * np.eye(n_y), root_R @ root_R.T + 0.5 * np.eye(n_u)
+    limits = (rng.uniform(*ends, n_u) for ends in ((0.5, 2.0), (0.5, 2.0), (0.1, 0.6)))
+    low, high, move = limits
+    return ControlProblem(augment(plant), N_p, N_c, *weights, -low, high, move)
 
 
 @dataclass
@@ -202,37 +172,13 @@ def case(request: pytest.FixtureRequest) -> Case:
     return CASES[request.param]()
 
 
-@pytest.fixture(scope="session")
-def naive() -> Callable[..., Naive]:
-    """The naive builder."""
-    return naive_build
+def _fixture(name: str, function: Callable[..., Any]) -> Any:
+    return pytest.fixture(lambda: function, scope="session", name=name)
 
 
-@pytest.fixture(scope="session")
-def rollout() -> Callable[..., float]:
-    """The predicted cost by stepping the model."""
-    return rolled_out_cost
-
-
-@pytest.fixture(scope="session")
-def by_quadprog() -> Callable[[QuadraticProgram], tuple[Array, Array, Array]]:
-    """An independent solver with multipliers."""
-    return solve_by_quadprog
-
-
-@pytest.fixture(scope="session")
-def ship() -> Callable[..., ControlProblem]:
-    """The control problem of a vessel by name."""
-    return ship_problem
-
-
-@pytest.fixture(scope="session")
-def random_plant() -> Callable[..., ControlProblem]:
-    """A random control problem by seed and size."""
-    return random_problem
-
-
-@pytest.fixture(scope="session")
-def point() -> Callable[..., Case]:
-    """A point θ for a control problem."""
-    return at_sea
+naive_fixture = _fixture("naive", naive_build)
+rollout_fixture = _fixture("rollout", rolled_out_cost)
+quadprog_fixture = _fixture("by_quadprog", solve_by_quadprog)
+ship_fixture = _fixture("ship", ship_problem)
+random_plant_fixture = _fixture("random_plant", random_problem)
+point_fixture = _fixture("point", at_sea)

@@ -1,46 +1,26 @@
-"""One step of the condensed QP: the affine map, memory, reachable limits and units."""
+"""Steps of the condensed QP: the affine map, memory, limits and units; re-linearised steps."""
 
-from __future__ import annotations
-
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from dpbench.mpc.condense import summed_moves
+from dpbench.errors import InputError
+from dpbench.mpc.condense import summed_rows
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.relinearised import RelinearisedQP
+from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
-from dpbench.qp.referee.referee import certify
-from dpbench.qp.solution import Solution, Status
+from tests.mpc.conftest import assert_close
 
 
 def pieces(step: QPStep) -> np.ndarray:
     """[q; l; u] copied into one vector."""
     return np.concatenate([step.q, step.l, step.u])
-
-
-@pytest.mark.parametrize("units", ["scaled", "si"])
-def test_a_step_is_affine_in_its_parameters(case: Any, units: Any) -> None:
-    """emit(a θ1 + (1 − a) θ2) is the same combination of emit(θ1) and emit(θ2)."""
-    builder = CondensedQP(case.problem, units=units)
-    first = (case.x, case.y_ref, case.u_prev)
-    second = (-0.3 * case.x + 0.1, case.y_ref + 0.2, 0.5 * case.u_prev)
-    a = 0.37
-    mixed = [a * p + (1 - a) * s for p, s in zip(first, second, strict=True)]
-    found = pieces(builder.emit(*mixed))
-    expected = a * pieces(builder.emit(*first)) + (1 - a) * pieces(builder.emit(*second))
-    np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-11 * np.abs(expected).max())
-
-
-def test_a_step_is_the_map_times_its_parameters(case: Any) -> None:
-    """[q; l; u] = Z [x; y_ref; u_prev; 1] for the Z that the builder shows."""
-    builder = CondensedQP(case.problem)
-    theta = np.concatenate([case.x, case.y_ref, case.u_prev, [1.0]])
-    np.testing.assert_allclose(
-        pieces(builder.emit(case.x, case.y_ref, case.u_prev)), builder.Z @ theta, rtol=1e-13
-    )
 
 
 @pytest.mark.parametrize("units", ["scaled", "si"])
@@ -52,58 +32,45 @@ def test_every_condensed_formulation_is_one_affine_map(
 ) -> None:
     """At one heading: the map shown makes every step, and steps combine as their parameters do."""
     problem = ship("supply_fs99", N_p=20, N_c=4)
-    options: dict[str, Any] = {"units": units, "amplitude": amplitude}
-    options["outputs"] = OutputBounds(0.3, 5.0, 0.15) if bounded else None
-    builder = (
-        RelinearisedQP(problem, psi0_rad=0.0, **options)
-        if turning
-        else CondensedQP(problem, **options)
-    )
+    outputs = OutputBounds(0.3, 5.0, 0.15) if bounded else None
+    form: dict[str, Any] = {"units": units, "amplitude": amplitude, "outputs": outputs}
+    heading = {"psi0_rad": 0.0} if turning else {}
+    builder = (RelinearisedQP if turning else CondensedQP)(problem, **heading, **form)
     rng = np.random.default_rng(3)
     theta = rng.normal(size=(3, 15)) * np.repeat([0.1, 1e5], [12, 3])
     theta[:, 8] = 0.4
     theta[2] = 0.37 * theta[0] + 0.63 * theta[1]
-    steps = [pieces(builder.emit(row[:9], row[9:12], row[12:])) for row in theta]
+    steps = [builder.emit(row[:9], row[9:12], row[12:]) for row in theta]
+    assert turning or all(step.refresh is Refresh.VECTORS for step in steps)
+    parts = [pieces(step) for step in steps]
     finite = np.isfinite(builder.Z[:, -1])
     size = np.abs(builder.Z[finite]) @ np.append(np.abs(theta).max(axis=0), 1.0)
-    for row, step in zip(theta, steps, strict=True):
-        np.testing.assert_array_equal(step[~finite], builder.Z[~finite, -1])
-        apart = np.abs(step[finite] - builder.Z[finite] @ np.append(row, 1.0))
+    for row, part in zip(theta, parts, strict=True):
+        np.testing.assert_array_equal(part[~finite], builder.Z[~finite, -1])
+        apart = np.abs(part[finite] - builder.Z[finite] @ np.append(row, 1.0))
         assert (apart <= 1e-14 * size).all()
-    mixed = 0.37 * steps[0][finite] + 0.63 * steps[1][finite]
-    assert (np.abs(mixed - steps[2][finite]) <= 1e-14 * size).all()
+    mixed = 0.37 * parts[0][finite] + 0.63 * parts[1][finite]
+    assert (np.abs(mixed - parts[2][finite]) <= 1e-14 * size).all()
 
 
 def test_a_step_stays_valid_and_leaves_its_inputs_alone(case: Any) -> None:
-    """Later steps, previewed or limited, write neither into an earlier step nor into arguments."""
     builder = CondensedQP(case.problem)
-    arguments = (case.x.copy(), case.preview(), case.u_prev.copy())
-    limits = (0.5 * case.problem.u_min, 0.5 * case.problem.u_max)
-    saved = [a.copy() for a in (*arguments, *limits)]
-    matrices = [a.copy() for a in (builder.P, builder.A, builder.lb, builder.ub, builder.Z)]
-    first = builder.emit(*arguments, limits=limits)
-    kept = pieces(first)
+    theta = (case.x.copy(), case.preview(), case.u_prev.copy())
+    limits = Limits(0.5 * case.problem.u_min, 0.5 * case.problem.u_max)
+    watched = [*theta, *limits, builder.P, builder.A, builder.lb, builder.ub, builder.Z]
+    saved = [array.copy() for array in watched]
+    first = builder.emit(*theta, limits=limits)
+    before = pieces(first)
     builder.emit(0 * case.x, case.y_ref, 0 * case.u_prev)
     builder.emit(case.x + 1.0, case.preview(), 0.5 * case.u_prev, limits=limits)
-    np.testing.assert_array_equal(pieces(first), kept)
-    for now, then in zip((*arguments, *limits), saved, strict=True):
-        np.testing.assert_array_equal(now, then)
-    for now, then in zip(
-        (builder.P, builder.A, builder.lb, builder.ub, builder.Z), matrices, strict=True
-    ):
+    np.testing.assert_array_equal(pieces(first), before)
+    for now, then in zip(watched, saved, strict=True):
         np.testing.assert_array_equal(now, then)
     first.q[:] = np.nan
-    assert np.isfinite(pieces(builder.emit(*arguments))).all()
-
-
-def test_a_step_brings_vectors_only(case: Any) -> None:
-    """P, A, lb and ub are constant, so a step says that only vectors changed."""
-    step = CondensedQP(case.problem).emit(case.x, case.y_ref, case.u_prev)
-    assert step.refresh is Refresh.VECTORS
+    assert np.isfinite(pieces(builder.emit(*theta))).all()
 
 
 def test_a_previewed_constant_reference_is_the_held_one(case: Any) -> None:
-    """A reference (N_p, n_y) with equal rows gives the step of the reference (n_y,)."""
     builder = CondensedQP(case.problem)
     held = builder.emit(case.x, case.y_ref, case.u_prev)
     previewed = builder.emit(case.x, case.held, case.u_prev)
@@ -112,14 +79,12 @@ def test_a_previewed_constant_reference_is_the_held_one(case: Any) -> None:
 
 
 def test_a_preview_of_another_length_is_refused(ship: Any) -> None:
-    """A preview of other than N_p rows does not fit and raises."""
     builder = CondensedQP(ship("supply_fs99"))
     with pytest.raises(ValueError, match=r"mismatch|shapes|align"):
         builder.emit(np.zeros(9), np.zeros((29, 3)), np.zeros(3))
 
 
 def test_moves_and_plan_are_inverse(case: Any) -> None:
-    """z → moves → z changes nothing, and one unit of scaled z is one rate-limit step."""
     scaled, si = CondensedQP(case.problem), CondensedQP(case.problem, units="si")
     z = case.rng.normal(size=scaled.n)
     for builder in (scaled, si):
@@ -139,19 +104,15 @@ def test_reachable_limits_follow_the_rate_row_by_row(case: Any, units: Any, fact
     problem = case.problem
     u_min, u_max = factor * problem.u_min, factor * problem.u_max
     builder = CondensedQP(problem, units=units)
-    step = builder.emit(case.x, case.y_ref, case.u_prev, limits=(u_min, u_max))
+    step = builder.emit(case.x, case.y_ref, case.u_prev, limits=Limits(u_min, u_max))
     plain = builder.emit(case.x, case.y_ref, case.u_prev)
     np.testing.assert_array_equal(step.q, plain.q)
-    low, high = builder.moves(step.l), builder.moves(step.u)
-    for i in range(problem.N_c):
-        for axis in range(problem.model.n_u):
-            before, rate = case.u_prev[axis], problem.du_max[axis]
-            # Compared as forces, so rounding is relative to the amplitude limit.
-            size = 1e-12 * (problem.u_max[axis] - problem.u_min[axis])
-            reachable = max(u_max[axis], before - (i + 1) * rate)
-            assert before + high[i, axis] == pytest.approx(reachable, abs=size)
-            reachable = min(u_min[axis], before + (i + 1) * rate)
-            assert before + low[i, axis] == pytest.approx(reachable, abs=size)
+    # Compared as forces, so rounding is relative to the amplitude limit.
+    size = 1e-12 * (problem.u_max - problem.u_min)
+    for i, (low, high) in enumerate(zip(builder.moves(step.l), builder.moves(step.u), strict=True)):
+        force, change = case.u_prev, (i + 1) * problem.du_max
+        assert (np.abs(force + high - np.maximum(u_max, force - change)) <= size).all()
+        assert (np.abs(force + low - np.minimum(u_min, force + change)) <= size).all()
     if factor == 1.0:
         np.testing.assert_allclose(pieces(step), pieces(plain), rtol=1e-12, atol=1e-9)
 
@@ -159,60 +120,31 @@ def test_reachable_limits_follow_the_rate_row_by_row(case: Any, units: Any, fact
 def test_reachable_limits_always_leave_a_feasible_plan(case: Any) -> None:
     """Moving towards the new limits at full rate, and no further, satisfies every row."""
     problem = case.problem
-    u_min, u_max = 0.3 * problem.u_min, 0.3 * problem.u_max
+    limits = Limits(0.3 * problem.u_min, 0.3 * problem.u_max)
     builder = CondensedQP(problem)
-    step = builder.emit(case.x, case.y_ref, case.u_prev, limits=(u_min, u_max))
+    step = builder.emit(case.x, case.y_ref, case.u_prev, limits=limits)
     force, moves = case.u_prev, []
     for _ in range(problem.N_c):
-        target = np.clip(force, u_min, u_max)
+        target = np.clip(force, limits.low, limits.high)
         moves.append(np.clip(target - force, -problem.du_max, problem.du_max))
         force = force + moves[-1]
-    z = builder.plan(np.array(moves))
-    tolerance = 1e-9
-    assert (builder.A @ z <= step.u + tolerance).all()
-    assert (builder.A @ z >= step.l - tolerance).all()
-
-
-def test_the_hard_problem_after_a_lost_thruster_has_no_feasible_point(
-    ship: Any, by_quadprog: Any
-) -> None:
-    """A sway limit that falls to 45 % under full thrust is out of reach of the rate limit, while
-    the reachable limits lead down to it one rate step a row."""
-    problem = ship("supply_fs99", N_p=60, N_c=10, robust=True)
-    share = np.array([1.0, 0.45, 0.6])
-    limits = (problem.u_min * share, problem.u_max * share)
-    u_prev = np.array([0.0, problem.u_max[1], 0.0])
-    builder = CondensedQP(problem)
-    step = builder.emit(np.zeros(9), np.zeros(3), u_prev, limits=limits)
-    hard = QPStep(
-        step.q,
-        np.tile((limits[0] - u_prev) / problem.du_max, 10),
-        np.tile((limits[1] - u_prev) / problem.du_max, 10),
-    )
-    with pytest.raises(ValueError, match="inconsistent"):
-        by_quadprog(builder.problem(hard))
-    # Rows that are forced to their bounds leave no interior, where Goldfarb-Idnani may give up.
-    z = certify(builder.problem(step)).z
-    np.testing.assert_allclose(step.u.reshape(10, 3)[:, 1], -np.arange(1.0, 11.0), rtol=1e-12)
-    np.testing.assert_allclose(builder.moves(z)[:, 1], -problem.du_max[1], rtol=1e-9)
+    rows = builder.A @ builder.plan(np.array(moves))
+    assert (rows <= step.u + 1e-9).all() and (rows >= step.l - 1e-9).all()
 
 
 def test_scaled_and_si_problems_have_one_answer(case: Any, by_quadprog: Any) -> None:
     """Both systems of units have the same plan, cost and, mapped, the same multipliers."""
     scaled, si = CondensedQP(case.problem), CondensedQP(case.problem, units="si")
     theta = (case.x, case.y_ref, case.u_prev)
-    problem = scaled.problem(scaled.emit(*theta))
+    problem, raw = scaled.problem(scaled.emit(*theta)), si.problem(si.emit(*theta))
     z, y, y_box = by_quadprog(problem)
-    raw = si.problem(si.emit(*theta))
-    own = Solution(
-        Status.SOLVED, z * si.scale.z, y / si.scale.row, y_box / si.scale.z, 7, 11, "words"
-    )
+    unit, own = si.scale.z, z * si.scale.z
     # Stationarity of the mapped answer in the SI problem, each row in its own unit.
-    slope = raw.P @ own.z + raw.q + raw.A.T @ own.y + own.y_box
+    slope = raw.P @ own + raw.q + raw.A.T @ (y / si.scale.row) + y_box / unit
     size = 1.0 + np.abs(problem.q).max()
-    np.testing.assert_allclose(slope * si.scale.z, 0.0, atol=1e-10 * size)
-    assert raw.objective(own.z) == pytest.approx(problem.objective(z), rel=1e-9)
-    np.testing.assert_allclose(si.moves(own.z), scaled.moves(z), rtol=1e-14)
+    np.testing.assert_allclose(slope * unit, 0.0, atol=1e-10 * size)
+    assert raw.objective(own) == pytest.approx(problem.objective(z), rel=1e-9)
+    np.testing.assert_allclose(si.moves(own), scaled.moves(z), rtol=1e-14)
     # Solved on its own in N and N·m, where P has a condition of up to 1e5, the plan is the same.
     alone = si.moves(by_quadprog(raw)[0]) / case.problem.du_max
     np.testing.assert_allclose(alone, scaled.moves(z) / case.problem.du_max, rtol=0, atol=1e-7)
@@ -227,24 +159,146 @@ def test_amplitude_rows_beyond_the_control_horizon_change_nothing(
     builder = CondensedQP(here.problem)
     qp = builder.problem(builder.emit(here.x, here.y_ref, here.u_prev))
     # One row per axis and instant up to N_p, each the sum of all moves made so far.
-    rows = np.zeros((30, 3, 5, 3))
-    for i in range(30):
-        for j in range(min(i + 1, 5)):
-            rows[i, :, j, :] = np.eye(3)
-    limit = [
-        (bound - here.u_prev) / here.problem.du_max
-        for bound in (here.problem.u_min, here.problem.u_max)
-    ]
-    longer = QuadraticProgram(
-        qp.P,
-        qp.q,
-        rows.reshape(90, 15),
-        np.tile(limit[0], 30),
-        np.tile(limit[1], 30),
-        qp.lb,
-        qp.ub,
-    )
+    sums = np.array([[float(j <= i) for j in range(5)] for i in range(30)])
+    limits = [np.tile(side[:3], 30) for side in (qp.l, qp.u)]
+    longer = QuadraticProgram(qp.P, qp.q, np.kron(sums, np.eye(3)), *limits, qp.lb, qp.ub)
     z, y, _ = by_quadprog(qp)
     assert np.abs(y).max() > 0.0
     np.testing.assert_allclose(by_quadprog(longer)[0], z, rtol=0, atol=1e-9)
-    np.testing.assert_array_equal(longer.A[:15], summed_moves(5, 3))
+    np.testing.assert_array_equal(longer.A[:15], summed_rows(5, np.eye(3)))
+
+
+UNLIKE = np.array([[1.0, 0.3, 2.0], [0.3, 4.0, 0.0], [2.0, 0.0, 300.0]])
+"""A weight that tells north from east, and couples both with heading."""
+OPTIONS: list[dict[str, Any]] = [
+    {},
+    {"amplitude": "soft"},
+    {"outputs": OutputBounds(0.3, 5.0, 0.2)},
+    {"amplitude": "soft", "outputs": OutputBounds(0.3, 5.0)},
+]
+
+
+def state_at(psi_rad: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """x, a preview (30, 3) and u_prev of a ship under way at a heading."""
+    rng = np.random.default_rng(seed)
+    x = np.concatenate([0.05 * rng.normal(size=6), rng.normal(size=2), [psi_rad]])
+    preview = x[6:] + 0.1 * np.cumsum(rng.normal(size=(30, 3)), axis=0)
+    return x, preview, np.array([2e5, -3e5, 4e6]) * rng.uniform(-1, 1, 3)
+
+
+@pytest.mark.slow
+@settings(max_examples=25, derandomize=True, deadline=None)
+@given(
+    psi0_rad=st.floats(-4, 4),
+    psi_rad=st.floats(-7, 7),
+    options=st.sampled_from(OPTIONS),
+    units=st.sampled_from(["scaled", "si"]),
+    unlike=st.booleans(),
+)
+def test_a_relinearised_step_is_the_step_condensed_anew_at_its_heading(
+    psi0_rad: float, psi_rad: float, options: Any, units: Any, unlike: bool, ship: Any
+) -> None:
+    change = {"Q": UNLIKE} if unlike else {}
+    here, there = (replace(ship("supply_mss", psi0_rad=a), **change) for a in (psi0_rad, psi_rad))
+    builder = RelinearisedQP(here, psi0_rad=psi0_rad, units=units, **options)
+    fresh = CondensedQP(there, units=units, penalty=builder.penalty, **options)
+    x, preview, u_prev = state_at(psi_rad)
+    limits = Limits(0.4 * here.u_min, 0.5 * here.u_max)
+    for y_ref in (preview[0], preview):
+        for of_now in (None, limits):
+            found = builder.problem(builder.emit(x, y_ref, u_prev, limits=of_now))
+            expected = fresh.problem(fresh.emit(x, y_ref, u_prev, limits=of_now))
+            for name in ("P", "A", "q", "l", "u", "lb", "ub"):
+                assert_close(getattr(found, name), getattr(expected, name))
+            assert (found.block, found.moves) == (expected.block, expected.moves)
+
+
+@pytest.mark.parametrize("psi_rad", [0.0, np.pi / 2, -2.9, 9.0])
+def test_a_relinearised_step_agrees_with_the_naive_construction(
+    ship: Any, naive: Any, psi_rad: float
+) -> None:
+    builder = RelinearisedQP(replace(ship("supply_fs99"), Q=UNLIKE), psi0_rad=0.0)
+    x, preview, u_prev = state_at(psi_rad)
+    step = builder.emit(x, preview, u_prev)
+    there = replace(ship("supply_fs99", psi0_rad=psi_rad), Q=UNLIKE)
+    expected = naive(there, x, preview, u_prev)
+    assert step.P is not None
+    assert_close(step.P, expected.move[:, None] * expected.E * expected.move)
+    assert_close(step.q, expected.move * expected.F_k)
+
+
+@pytest.mark.parametrize("unlike", [False, True], ids=["round Q", "Q unlike"])
+def test_the_cost_matrix_turns_only_with_a_weight_that_tells_north_from_east(
+    ship: Any, unlike: bool
+) -> None:
+    """RᵀQR = Q keeps P to the last bit at all headings."""
+    problem = ship("supply_fs99", N_p=60, N_c=10, robust=True)
+    problem = replace(problem, Q=UNLIKE) if unlike else problem
+    for always in (True, False):
+        builder = RelinearisedQP(problem, psi0_rad=0.0, always=always)
+        x, preview, u_prev = state_at(1.3)
+        step = builder.emit(x, preview[0], u_prev)
+        sent = always or unlike
+        assert step.refresh == (Refresh.VECTORS | Refresh.MATRICES if sent else Refresh.VECTORS)
+        assert step.A is None
+        same = np.array_equal(builder.problem(step).P, CondensedQP(problem).P)
+        assert same is not unlike
+
+
+def test_steps_stay_valid_after_the_ship_has_turned(ship: Any) -> None:
+    problem = replace(ship("supply_fs99"), Q=UNLIKE)
+    builder = RelinearisedQP(problem, psi0_rad=0.0, outputs=OutputBounds(0.3, 5.0))
+    x, preview, u_prev = state_at(0.4)
+    step = builder.emit(x, preview, u_prev)
+    kept = {name: getattr(step, name).copy() for name in ("P", "A", "q", "l", "u")}
+    for psi_rad in (0.5, 2.0):
+        builder.emit(state_at(psi_rad)[0], preview, u_prev)
+    for name, then in kept.items():
+        np.testing.assert_array_equal(getattr(step, name), then)
+
+
+@pytest.mark.parametrize(
+    ("threshold_deg", "expected"),
+    # Headings of the steps below are 0, 0, 3, 5, 9, 9, 3.5, 400 degrees.
+    [(0.0, [1, 2, 3, 4, 5, 6, 7, 8]), (4.0, [0, 0, 0, 1, 2, 2, 3, 4])],
+)
+def test_the_model_follows_the_heading_beyond_a_threshold(
+    ship: Any, threshold_deg: float, expected: list[int]
+) -> None:
+    """Threshold 0 re-linearises each step."""
+    threshold = np.radians(threshold_deg)
+    builder, before = RelinearisedQP(ship("supply_fs99"), psi0_rad=0.0, threshold_rad=threshold), 0
+    for heading_deg, count in zip([0, 0, 3, 5, 9, 9, 3.5, 400], expected, strict=True):
+        x, preview, u_prev = state_at(np.radians(heading_deg))
+        step = builder.emit(x, preview[0], u_prev)
+        assert (Refresh.MATRICES in step.refresh) is (count > before)
+        fresh = CondensedQP(ship("supply_fs99", psi0_rad=builder.heading_rad))
+        assert_close(step.q, fresh.emit(x, preview[0], u_prev).q)
+        before = count
+
+
+def test_constant_cost_and_matrices_are_those_of_the_heading(ship: Any, rollout: Any) -> None:
+    """½zᵀPz + qᵀz + J0 is the cost by stepping the model of the step's heading."""
+    here = replace(ship("supply_fs99", psi0_rad=0.2), Q=UNLIKE)
+    builder = RelinearisedQP(here, psi0_rad=0.2)
+    x, preview, u_prev = state_at(1.9)
+    step = builder.emit(x, preview, u_prev)
+    there = replace(ship("supply_fs99", psi0_rad=1.9), Q=UNLIKE)
+    moves = np.random.default_rng(1).uniform(-1, 1, (5, 3)) * there.du_max
+    cost = builder.problem(step).objective(builder.plan(moves)) + builder.constant_cost(x, preview)
+    assert cost == pytest.approx(rollout(there, x, preview, moves), rel=1e-11)
+
+
+def test_a_round_terminal_cost_turns_with_the_ship_and_no_other_is_taken(ship: Any) -> None:
+    here = replace(ship("supply_tmr", psi0_rad=0.3), terminal="riccati")
+    builder = RelinearisedQP(here, psi0_rad=0.3)
+    x, preview, u_prev = state_at(-2.0)
+    found = builder.problem(builder.emit(x, preview, u_prev))
+    fresh = CondensedQP(replace(ship("supply_tmr", psi0_rad=-2.0), terminal="riccati"))
+    expected = fresh.problem(fresh.emit(x, preview, u_prev))
+    for name in ("P", "q"):
+        assert_close(getattr(found, name), getattr(expected, name))
+    with pytest.raises(InputError, match="terminal cost"):
+        RelinearisedQP(replace(here, Q=UNLIKE), psi0_rad=0.3)
+    with pytest.raises(InputError, match="threshold_rad"):
+        RelinearisedQP(here, psi0_rad=0.3, threshold_rad=-0.1)

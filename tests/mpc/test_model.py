@@ -1,43 +1,36 @@
-"""The prediction model against integration, against the paper's blocks and against itself driven
-by whole forces instead of increments."""
+"""The prediction model against integration."""
 
-from __future__ import annotations
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from scipy.signal import lti, step
 
 from dpbench.errors import ShapeError
 from dpbench.mpc.model import (
     StateSpace,
     augment,
+    build_prediction_model,
     discretise,
     linearise,
-    prediction_model,
-    rotated,
-    rotation,
+    rotate_model,
+    rotation_matrix,
 )
+from dpbench.mpc.reference import ReferenceFilter, build_reference_table, unwrap_pose
 from dpbench.scenario.scenario import load_vessel
-from dpbench.ship.environment import Environment
-from dpbench.ship.plant import SUBSTEPS, Plant
+from tests.mpc.conftest import VESSELS, sample_of
 
-VESSELS = ("supply_fs99", "supply_mss", "supply_tmr", "osv", "cybership2")
 HEADINGS = (0.0, 0.7, -2.5)
 
 
-def sample_of(name: str) -> float:
-    """The paper's sample, Froude-scaled for the model ship."""
-    return 0.3 if name != "cybership2" else 0.3 / np.sqrt(70.0)
-
-
 def test_rotation_maps_body_axes_to_compass_axes() -> None:
-    """A ship heading east moves east when it surges and south when it sways to starboard."""
-    R = rotation(np.pi / 2)
+    R = rotation_matrix(np.pi / 2)
     np.testing.assert_allclose(R @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-16)
     np.testing.assert_allclose(R @ [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], atol=1e-16)
-    np.testing.assert_allclose(rotation(0.4) @ rotation(0.4).T, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(rotation_matrix(0.4) @ rotation_matrix(0.4).T, np.eye(3), atol=1e-15)
 
 
 @pytest.mark.parametrize("psi0_rad", HEADINGS)
@@ -51,17 +44,12 @@ def test_linear_model_is_the_derivative_of_the_motion_at_rest(name: str, psi0_ra
         eta_dot = [c * nu[0] - s * nu[1], s * nu[0] + c * nu[1], nu[2]]
         return np.concatenate([np.linalg.solve(ship.M, tau - ship.D @ nu), eta_dot])
 
-    model = linearise(ship.M, ship.D, psi0_rad)
+    model, zero = linearise(ship.M, ship.D, psi0_rad), np.zeros(3)
     # The motion is linear in ν and τ and, at rest, independent of η: differences are exact.
-    for j in range(3):
-        unit = np.eye(3)[j]
-        np.testing.assert_allclose(
-            model.A[:, j], motion(unit, psi0_rad, np.zeros(3)), rtol=1e-12, atol=1e-15
-        )
-        step = ship.tau_max[j]
-        np.testing.assert_allclose(
-            model.B[:, j] * step, motion(np.zeros(3), psi0_rad, step * unit), rtol=1e-12, atol=1e-15
-        )
+    for j, unit in enumerate(np.eye(3)):
+        tau, close = ship.tau_max * unit, {"rtol": 1e-12, "atol": 1e-15}
+        np.testing.assert_allclose(model.A[:, j], motion(unit, psi0_rad, zero), **close)
+        np.testing.assert_allclose(model.B[:, j] * tau[j], motion(zero, psi0_rad, tau), **close)
     np.testing.assert_array_equal(model.A[:, 3:], 0.0)
     np.testing.assert_array_equal(model.C, np.hstack([np.zeros((3, 3)), np.eye(3)]))
 
@@ -69,7 +57,6 @@ def test_linear_model_is_the_derivative_of_the_motion_at_rest(name: str, psi0_ra
 @pytest.mark.parametrize("psi0_rad", HEADINGS)
 @pytest.mark.parametrize("name", VESSELS)
 def test_discrete_model_is_an_exact_zero_order_hold(name: str, psi0_rad: float) -> None:
-    """One step of (A_m, B_m) is the solution of (A_c, B_c) under a force held over the sample."""
     ship, sample_s = load_vessel(name), sample_of(name)
     continuous = linearise(ship.M, ship.D, psi0_rad)
     discrete = discretise(continuous, sample_s)
@@ -88,28 +75,6 @@ def test_discrete_model_is_an_exact_zero_order_hold(name: str, psi0_rad: float) 
 
 
 @pytest.mark.parametrize("psi0_rad", HEADINGS)
-def test_the_plant_follows_the_discrete_model_while_the_heading_stays(psi0_rad: float) -> None:
-    """At constant heading the nonlinear ship and the discrete model move alike."""
-    ship = load_vessel("supply_tmr")
-    M, D = np.diag(np.diag(ship.M)), ship.D
-    discrete = discretise(linearise(M, D, psi0_rad), 0.3)
-    # A diagonal ship does not turn under surge and sway forces, so the model is exact for it.
-    diagonal = type(ship)(
-        "diagonal", "", "", ship.length_m, M, D, ship.tau_min, ship.tau_max, ship.rate_max
-    )
-    x = np.array([0.3, -0.2, 0.0, 1.2, 1.3, psi0_rad])
-    plant = Plant(diagonal, x, 0.3)
-    b = np.array([4e4, -3e4, 0.0])
-    still = Environment(b, np.zeros(3), np.ones(3), np.zeros(3)).stage_table(1, 0.3, SUBSTEPS)[0]
-    tau = np.array([2e5, 1e5, 0.0])
-    for _ in range(100):
-        plant.advance(tau, still)
-        x = discrete.A @ x + discrete.B @ (tau + rotation(psi0_rad).T @ b)
-    # RK4's truncation, 1e-13 a sample, adds up over 100 samples.
-    np.testing.assert_allclose(plant.state, x, rtol=1e-10, atol=1e-10)
-
-
-@pytest.mark.parametrize("psi0_rad", HEADINGS)
 @pytest.mark.parametrize("name", VESSELS)
 def test_incremental_model_equals_the_whole_one_under_a_constant_disturbance(
     name: str, psi0_rad: float
@@ -117,7 +82,7 @@ def test_incremental_model_equals_the_whole_one_under_a_constant_disturbance(
     """Driven by Δu, eq. 11 gives the outputs of eq. 9 driven by u + w, for any constant w."""
     ship, sample_s = load_vessel(name), sample_of(name)
     discrete = discretise(linearise(ship.M, ship.D, psi0_rad), sample_s)
-    model = prediction_model(ship.M, ship.D, psi0_rad, sample_s)
+    model = build_prediction_model(ship.M, ship.D, psi0_rad, sample_s)
     rng = np.random.default_rng(5)
     w, u = 0.3 * ship.tau_max, 0.2 * ship.tau_min
     before = np.concatenate([0.1 * rng.normal(size=3), rng.normal(size=3)])
@@ -132,39 +97,32 @@ def test_incremental_model_equals_the_whole_one_under_a_constant_disturbance(
         np.testing.assert_allclose(x[:6], x_m - previous, rtol=1e-9, atol=1e-12)
 
 
-def test_augmented_blocks_stand_where_the_paper_puts_them() -> None:
+def test_augmented_blocks_are_where_the_paper_puts_them() -> None:
     """A = [A_m 0; C_m A_m I], B = [B_m; C_m B_m], C = [0 I] for sizes that are all different."""
     rng = np.random.default_rng(7)
-    n_x, n_u, n_y = 5, 2, 3
-    plant = StateSpace(
-        rng.normal(size=(n_x, n_x)), rng.normal(size=(n_x, n_u)), rng.normal(size=(n_y, n_x))
-    )
-    model = augment(plant)
-    assert (model.n_x, model.n_u, model.n_y) == (n_x + n_y, n_u, n_y)
-    np.testing.assert_array_equal(model.A[:n_x, :n_x], plant.A)
-    np.testing.assert_array_equal(model.A[:n_x, n_x:], 0.0)
-    np.testing.assert_allclose(model.A[n_x:, :n_x], plant.C @ plant.A, rtol=1e-14)
-    np.testing.assert_array_equal(model.A[n_x:, n_x:], np.eye(n_y))
-    np.testing.assert_array_equal(model.B[:n_x], plant.B)
-    np.testing.assert_allclose(model.B[n_x:], plant.C @ plant.B, rtol=1e-14)
-    np.testing.assert_array_equal(model.C, np.eye(n_y, n_x + n_y, n_x))
+    A, B, C = (rng.normal(size=shape) for shape in ((5, 5), (5, 2), (3, 5)))
+    model = augment(StateSpace(A, B, C))
+    assert (model.n_x, model.n_u, model.n_y) == (8, 2, 3)
+    expected = np.block([[A, np.zeros((5, 3))], [C @ A, np.eye(3)]])
+    np.testing.assert_allclose(model.A, expected, rtol=1e-14)
+    np.testing.assert_allclose(model.B, np.vstack((B, C @ B)), rtol=1e-14)
+    np.testing.assert_array_equal(model.C, np.eye(3, 8, 5))
 
 
 @pytest.mark.parametrize(
-    ("A", "B", "C", "named"),
+    ("shapes", "named"),
     [
-        (np.zeros((2, 3)), np.zeros((2, 1)), np.zeros((1, 2)), "A"),
-        (np.eye(2), np.zeros((3, 1)), np.zeros((1, 2)), "B"),
-        (np.eye(2), np.zeros((2, 1)), np.zeros((1, 3)), "C"),
+        (((2, 3), (2, 1), (1, 2)), "A"),
+        (((2, 2), (3, 1), (1, 2)), "B"),
+        (((2, 2), (2, 1), (1, 3)), "C"),
     ],
 )
-def test_matrices_that_do_not_fit_are_refused_by_name(
-    A: np.ndarray, B: np.ndarray, C: np.ndarray, named: str
-) -> None:
-    """A state-space model names the matrix whose shape is wrong."""
+def test_matrices_that_do_not_fit_are_refused_by_name(shapes: Any, named: str) -> None:
     with pytest.raises(ShapeError) as caught:
-        StateSpace(A, B, C)
+        StateSpace(*(np.zeros(shape) for shape in shapes))
     assert caught.value.key == named
+    with pytest.raises(ShapeError, match="9 states"):
+        rotate_model(StateSpace(np.eye(8), np.ones((8, 3)), np.eye(3, 8)), 0.1)
 
 
 @settings(max_examples=60, derandomize=True, deadline=None)
@@ -174,8 +132,10 @@ def test_a_rotated_model_is_the_one_discretised_at_the_new_heading(
 ) -> None:
     """Turning the discretised model from ψ0 to ψ gives what the matrix exponential gives at ψ."""
     ship, sample_s = load_vessel(name), sample_of(name)
-    found = rotated(prediction_model(ship.M, ship.D, psi0_rad, sample_s), psi_rad - psi0_rad)
-    expected = prediction_model(ship.M, ship.D, psi_rad, sample_s)
+    found = rotate_model(
+        build_prediction_model(ship.M, ship.D, psi0_rad, sample_s), psi_rad - psi0_rad
+    )
+    expected = build_prediction_model(ship.M, ship.D, psi_rad, sample_s)
     # Entries of A are 1 at most; those of B are compared in what a rate-limit step does.
     step = ship.step_max(sample_s)
     np.testing.assert_allclose(found.A, expected.A, rtol=0, atol=1e-12)
@@ -183,7 +143,38 @@ def test_a_rotated_model_is_the_one_discretised_at_the_new_heading(
     np.testing.assert_array_equal(found.C, expected.C)
 
 
-def test_only_a_ship_can_be_rotated() -> None:
-    """A model of other sizes has no heading to turn and is refused."""
-    with pytest.raises(ShapeError, match="9 states"):
-        rotated(StateSpace(np.eye(8), np.ones((8, 3)), np.eye(3, 8)), 0.1)
+START, GOAL = np.array([1.0, -2.0, 0.1]), np.array([21.0, 13.0, 0.6])
+
+
+def test_a_set_point_is_there_from_the_first_sample() -> None:
+    np.testing.assert_array_equal(build_reference_table(START, GOAL, 5, 0.3), np.tile(GOAL, (5, 1)))
+
+
+@pytest.mark.parametrize("damping", [0.7, 1.0])
+def test_the_filter_is_the_third_order_transfer_function(damping: float) -> None:
+    """η_d/η_r = ω³ / (s³ + (2ζ+1)ωs² + (2ζ+1)ω²s + ω³), stepped by scipy on its own."""
+    period, sample_s, samples = 40.0, 0.3, 400
+    omega = 2 * np.pi / period
+    middle = 2 * damping + 1
+    system = lti([omega**3], [1.0, middle * omega, middle * omega**2, omega**3])
+    _, rise = step(system, T=np.arange(samples) * sample_s)
+    table = build_reference_table(START, GOAL, samples, sample_s, ReferenceFilter(period, damping))
+    expected = START + np.multiply.outer(rise, GOAL - START)
+    np.testing.assert_allclose(table, expected, rtol=0, atol=1e-9)
+
+
+def test_the_filter_starts_at_rest_and_arrives() -> None:
+    table = build_reference_table(START, GOAL, 2000, 0.3, ReferenceFilter(40.0))
+    np.testing.assert_allclose(table[0], START, rtol=0, atol=1e-15)
+    # ω³t³/6 of 20 m at t = 0.3 s is 3.5e-4 m.
+    assert np.abs(table[1] - START).max() < 4e-4
+    np.testing.assert_allclose(table[-1], GOAL, atol=1e-9)
+
+
+def test_heading_goes_the_short_way() -> None:
+    """A goal at -175° seen from 175° is at 185°, filtered or not."""
+    start, goal = np.array([0.0, 0.0, np.radians(175)]), np.array([0.0, 0.0, np.radians(-175)])
+    assert np.degrees(unwrap_pose(goal, start)[2]) == pytest.approx(185.0)
+    heading = np.degrees(build_reference_table(start, goal, 100, 0.3, ReferenceFilter(20.0))[:, 2])
+    assert heading.min() >= 175.0 - 1e-9
+    assert heading.max() <= 185.0 + 1e-9

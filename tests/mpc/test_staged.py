@@ -1,7 +1,5 @@
 """The stage-ordered problem against the condensed one: the same optimum, proofs included."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
@@ -16,13 +14,14 @@ from dpbench.errors import InputError
 from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.staged_qp import StagedQP
+from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.feasibility.farkas import farkas_valid
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Solution, Status
+from tests.mpc.conftest import VESSELS
 
-VESSELS = ("supply_fs99", "supply_mss", "supply_tmr", "osv", "cybership2")
 ROUNDING = 1e-9
 """Of the sum of the sizes of all terms of an equation; optima are certified to 1e-10."""
 SAME = 1e-8
@@ -37,11 +36,7 @@ def both(problem: Any, units: UnitSystem = "scaled", **policy: Any) -> tuple[Any
 def rolled_out(
     problem: Any, unit: np.ndarray, theta: tuple[Any, ...], Y_d: np.ndarray, found: Solution
 ) -> Solution:
-    """All variables and multipliers of the staged problem from a condensed answer, stage by stage.
-
-    Forces and states by stepping the model, λ by summing multipliers backwards, μ by the costate
-    recursion from the last state; `unit` (n_u,) of the moves, Y_d (N_p, n_y).
-    """
+    """All variables and multipliers of the staged problem from a condensed answer."""
     x, u_prev = theta
     model, Q, N_c = problem.model, problem.Q, problem.N_c
     moves, y = found.z.reshape(N_c, -1), found.y.reshape(N_c, -1)
@@ -55,19 +50,14 @@ def rolled_out(
     for i in range(problem.N_p - 1, -1, -1):
         costate = model.A.T @ costate - model.C.T @ Q @ (model.C @ states[i] - Y_d[i])
         mu[i] = costate
-    lam = -np.cumsum(y[::-1], axis=0)[::-1]
-    z_parts, y_parts, box_parts = [], [], []
-    for i in range(problem.N_p):
-        box_parts.append(np.zeros(model.n_x))
-        z_parts.append(states[i])
-        y_parts.append(mu[i])
-        if i < N_c:
-            z_parts[-1:] = [moves[i], u[i], states[i]]
-            y_parts[-1:] = [lam[i], mu[i], y[i]]
-            bound = found.y_box.reshape(N_c, -1)[i]
-            box_parts[-1:] = [bound, np.zeros(model.n_u), np.zeros(model.n_x)]
-    whole = (np.concatenate(parts) for parts in (z_parts, y_parts, box_parts))
-    return Solution(Status.SOLVED, *whole)
+    lam, bounds = -np.cumsum(y[::-1], axis=0)[::-1], found.y_box.reshape(N_c, -1)
+    none, zero = np.zeros((N_c, model.n_u)), np.zeros(model.n_x)
+    parts = moves, u, states[:N_c], lam, mu[:N_c], y, bounds, none, [zero] * N_c
+    stages = list(zip(*parts, strict=True))
+    z = [part for stage in stages for part in stage[:3]] + states[N_c:]
+    multipliers = [part for stage in stages for part in stage[3:6]] + list(mu[N_c:])
+    box = [part for stage in stages for part in stage[6:]] + [zero] * (problem.N_p - N_c)
+    return Solution(Status.SOLVED, *(np.concatenate(parts) for parts in (z, multipliers, box)))
 
 
 def assert_optimal(qp: QuadraticProgram, answer: Solution) -> None:
@@ -76,11 +66,9 @@ def assert_optimal(qp: QuadraticProgram, answer: Solution) -> None:
     slope = qp.P @ z + qp.q + qp.A.T @ y + y_box
     size = abs(qp.P) @ abs(z) + abs(qp.q) + abs(qp.A).T @ abs(y) + abs(y_box)
     assert (np.abs(slope) <= ROUNDING * (size + 1e-12 * size.max())).all()
-    finite = [np.where(np.isfinite(limit), limit, 0.0) for limit in (qp.l, qp.u, qp.lb, qp.ub)]
-    for value, low, high, multiplier, scale in (
-        (qp.A @ z, qp.l, qp.u, y, abs(qp.A) @ abs(z) + abs(finite[0]) + abs(finite[1])),
-        (z, qp.lb, qp.ub, y_box, abs(z) + abs(finite[3])),
-    ):
+    l, u, ub = (np.abs(np.nan_to_num(side, posinf=0.0)) for side in (qp.l, qp.u, qp.ub))  # noqa: E741
+    rows = qp.A @ z, qp.l, qp.u, y, abs(qp.A) @ abs(z) + l + u
+    for value, low, high, multiplier, scale in (rows, (z, qp.lb, qp.ub, y_box, abs(z) + ub)):
         slack = ROUNDING * (scale + 1e-12 * scale.max())
         assert (value <= high + slack).all() and (value >= low - slack).all()
         pushed = np.abs(multiplier) > 1e-9 * np.abs(multiplier).max(initial=0.0)
@@ -107,9 +95,6 @@ def test_the_condensed_optimum_rolled_out_is_optimal_in_stages(
     units: UnitSystem,
     seed: int,
 ) -> None:
-    """States by simulation and costates by their recursion complete a certified condensed optimum
-    to a point that satisfies every optimality condition of the staged problem, for any vessel,
-    horizon and θ; `condensed` takes them away again."""
     problem = ship(name, psi0_rad=psi0_rad, N_p=sizes[0], N_c=sizes[1], robust=robust)
     case = point(problem, seed)
     scaled, builder = CondensedQP(problem), StagedQP(problem, units=units)
@@ -126,26 +111,18 @@ def test_the_condensed_optimum_rolled_out_is_optimal_in_stages(
         np.testing.assert_array_equal(getattr(back, name_), getattr(found, name_))
 
 
-ARMS: dict[str, Any] = {
-    "piqp_multistage": dict.fromkeys(
-        ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"), 1e-12
-    ),
-    "highs": "high",
-}
-"""Independent sparse solvers at tight settings: an interior point method, an active-set method."""
+# Independent sparse solvers at tight settings: an interior point method, an active-set method.
+TOLERANCES = "eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"
+SOLVERS: dict[str, Any] = {"piqp_multistage": dict.fromkeys(TOLERANCES, 1e-12), "highs": "high"}
 
 
 def distance(condensed: CondensedQP, staged: StagedQP, *theta: Any, **limits: Any) -> float:
-    """How far the staged answer is from the certified condensed plan, in rate-limit steps.
-
-    The nearer of two solvers: the interior point method comes to 1e-8 only where limits are weakly
-    active, the active-set method breaks down on some problems.
-    """
+    """How far the staged answer is from the certified condensed plan, in rate-limit steps."""
     optimum = certify(condensed.problem(condensed.emit(*theta, **limits)))
     assert optimum.bound < 1e-10
     qp = staged.problem(staged.emit(*theta, **limits))
     errors = []
-    for solver, options in ARMS.items():
+    for solver, options in SOLVERS.items():
         workspace = open_workspace(solver, route="native", policy="reuse", settings=options)
         workspace.setup(qp)
         workspace.solve()
@@ -156,47 +133,39 @@ def distance(condensed: CondensedQP, staged: StagedQP, *theta: Any, **limits: An
 
 
 def test_an_independent_sparse_solver_finds_the_same_moves(case: Any) -> None:
-    """Sparse solvers on the staged problem and the certified condensed optimum agree, with a
-    reference that is held and with one that changes along the horizon."""
     builders = both(case.problem)
     for y_ref in (case.y_ref, case.preview()):
         assert distance(*builders, case.x, y_ref, case.u_prev) <= SAME
 
 
-def lost(problem: Any) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+def lost(problem: Any) -> tuple[np.ndarray, Limits]:
     """A force near its limits, and limits that fall far below it at once."""
     u_prev = np.array([0.3, 1.0, -0.9]) * np.where([1, 1, 0], problem.u_max, -problem.u_min)
-    return u_prev, (0.4 * problem.u_min, 0.5 * problem.u_max)
+    return u_prev, Limits(0.4 * problem.u_min, 0.5 * problem.u_max)
 
 
 @pytest.mark.parametrize("what", ["held", "preview", "limits", "terminal", "everything"])
 def test_the_referee_certifies_the_same_moves(ship: Any, point: Any, what: str) -> None:
-    """The certificate of the staged problem itself, whose cost is only semidefinite, against that
-    of the condensed one; its multipliers satisfy the condensed problem's conditions."""
     problem = ship("supply_fs99", N_p=6, N_c=3, robust=True)
-    if what in ("terminal", "everything"):
-        problem = replace(problem, terminal="riccati")
+    problem = replace(problem, terminal="riccati" if what in ("terminal", "everything") else "none")
     case = point(problem)
     y_ref = case.preview() if what in ("preview", "everything") else case.y_ref
     u_prev, limits = case.u_prev, None
     if what in ("limits", "everything"):
         # Half a rate-limit step below the force: it has to fall at once, and no move is forced to
         # its own limit, where the multipliers of a plan would not be unique.
-        u_prev, _ = lost(problem)
-        half = 0.5 * problem.du_max
-        limits = np.maximum(problem.u_min, -np.abs(u_prev) + half), np.abs(u_prev) - half
+        u_prev, half = lost(problem)[0], 0.5 * problem.du_max
+        low = np.maximum(problem.u_min, half - np.abs(u_prev))
+        limits = Limits(low, np.abs(u_prev) - half)
     condensed, staged = both(problem)
     qp = condensed.problem(condensed.emit(case.x, y_ref, u_prev, limits=limits))
     expected = certify(qp)
     found = certify(staged.problem(staged.emit(case.x, y_ref, u_prev, limits=limits)))
     assert expected.bound < 1e-10 and found.bound < SAME
-    answer = Solution(Status.SOLVED, found.z, found.y, found.y_box)
-    back = staged.condensed(answer)
+    back = staged.condensed(Solution(Status.SOLVED, found.z, found.y, found.y_box))
     np.testing.assert_allclose(back.z, expected.z, rtol=0, atol=SAME)
-    checked = residuals(qp, back)
-    size = np.abs(qp.q).max()
-    assert checked.primal < SAME and checked.dual < SAME * size
-    assert checked.complementarity < SAME * size
+    error, size = residuals(qp, back), np.abs(qp.q).max()
+    assert error.primal < SAME and max(error.dual, error.complementarity) < SAME * size
 
 
 @pytest.mark.parametrize("units", ["scaled", "si"])
@@ -204,35 +173,21 @@ def test_the_referee_certifies_the_same_moves(ship: Any, point: Any, what: str) 
 def test_limits_that_fall_leave_a_feasible_step_and_the_same_plan(
     ship: Any, point: Any, name: str, units: UnitSystem
 ) -> None:
-    """Under the policy `reachable` every move down is forced: solvers find that plan, and in exact
-    arithmetic the amplitude rows leave room for it, by no more than rounding."""
     problem = ship(name, N_p=30, N_c=5, robust=True)
     case, (u_prev, limits) = point(problem), lost(problem)
     condensed, staged = both(problem)
     assert distance(condensed, staged, case.x, case.y_ref, u_prev, limits=limits) <= SAME
     own = StagedQP(problem, units=units)
     qp = own.problem(own.emit(case.x, case.y_ref, u_prev, limits=limits))
-    unit = problem.du_max if units == "scaled" else np.ones(3)
-    falling = -problem.du_max / unit
+    step = Fraction(1.0 if units == "scaled" else problem.du_max[1])
     for i in range(problem.N_c):
         # Exact: what the rows of the moves demand, and what the amplitude row allows.
-        first = i * (2 * 3 + problem.model.n_x)
-        high = qp.u[first + 3 + problem.model.n_x + 1]
-        reached = Fraction(qp.l[1]) + (i + 1) * Fraction(falling[1])
+        high, reached = qp.u[i * 15 + 3 + 9 + 1], Fraction(qp.l[1]) - (i + 1) * step
         assert Fraction(high) >= reached
         assert float(high) - float(reached) <= 1e-14 * abs(float(qp.l[1]))
 
 
-def test_with_a_terminal_cost_the_moves_are_the_same(ship: Any, point: Any) -> None:
-    """At the paper's horizon, with preview and a cost at the end."""
-    problem = replace(ship("supply_fs99", psi0_rad=0.4), terminal="riccati")
-    case = point(problem)
-    assert distance(*both(problem), case.x, case.preview(), case.u_prev) <= SAME
-
-
 def test_a_proof_of_infeasibility_is_one_of_the_condensed_problem(ship: Any, point: Any) -> None:
-    """Hard limits that no move reaches: the staged problem's Farkas vector, mapped, proves that the
-    condensed one has no feasible point."""
     problem = ship("supply_fs99", N_p=6, N_c=3)
     case, (u_prev, limits) = point(problem), lost(problem)
     condensed, staged = both(problem, amplitude="hard")
@@ -245,21 +200,8 @@ def test_a_proof_of_infeasibility_is_one_of_the_condensed_problem(ship: Any, poi
     assert back.status is Status.PRIMAL_INFEASIBLE and np.isnan(back.z).all()
 
 
-def test_a_missing_answer_stays_missing(ship: Any) -> None:
-    """No number is made of NaN, and words and counts are handed on."""
-    builder = StagedQP(ship("supply_fs99"))
-    nothing = Solution.missing(builder.n, builder.m, Status.ERROR, "no factorisation")
-    nothing.iterations, nothing.reported_ns = 7, 11
-    back = builder.condensed(nothing)
-    assert back.z.shape == back.y.shape == back.y_box.shape == (15,)
-    assert np.isnan([back.z, back.y, back.y_box]).all()
-    found = (back.status, back.iterations, back.reported_ns, back.detail)
-    assert found == (Status.ERROR, 7, 11, "no factorisation")
-
-
 def test_a_step_changes_vectors_only_and_keeps_them(ship: Any, point: Any) -> None:
-    """Stages in order, 15 rows and variables with a move and 9 without; a step outlives the next
-    one and leaves the vessel's limits in place."""
+    """Stages in order, 15 rows and variables with a move and 9 without."""
     problem = ship("supply_fs99")
     case, builder = point(problem), StagedQP(problem)
     assert builder.n == builder.m == 5 * 15 + 25 * 9
@@ -271,16 +213,14 @@ def test_a_step_changes_vectors_only_and_keeps_them(ship: Any, point: Any) -> No
     assert first.P is first.A is first.lb is first.ub is None
     builder.emit(2 * case.x, case.preview(), -case.u_prev, limits=lost(problem)[1])
     again = builder.emit(case.x, case.y_ref, case.u_prev)
-    for found, other, copy in zip(
-        (first.q, first.l, first.u), (again.q, again.l, again.u), kept, strict=True
-    ):
-        np.testing.assert_array_equal(found, copy)
-        np.testing.assert_array_equal(other, copy)
+    for name, then in zip("qlu", kept, strict=True):
+        found, other = getattr(first, name), getattr(again, name)
+        np.testing.assert_array_equal(found, then)
+        np.testing.assert_array_equal(other, then)
         assert not np.shares_memory(found, other)
 
 
 @pytest.mark.parametrize(("key", "value"), [("units", "kN"), ("amplitude", "soft")])
 def test_what_it_cannot_do_is_refused(ship: Any, key: str, value: str) -> None:
-    """Units of another name, and a policy that needs slacks."""
     with pytest.raises(InputError, match=f"{key}.*{value}"):
         StagedQP(ship("supply_fs99"), **{key: value})

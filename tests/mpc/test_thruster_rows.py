@@ -1,7 +1,4 @@
-"""Polygons of thrusters: corners on the circle, the same set as by cross products, a straight way
-back when a thruster is lost."""
-
-from __future__ import annotations
+"""Polygons of thrusters."""
 
 import math
 
@@ -10,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpbench.mpc.thruster_rows import Retreat, ThrusterRows, thruster_rows
+from dpbench.mpc.thruster_rows import LimitRampDown, Limits, ThrusterRows, thruster_rows
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
 T = 2e5
@@ -27,13 +24,11 @@ def one_azimuth(**other: object) -> ThrusterSet:
 def inside(rows: ThrusterRows, f: np.ndarray) -> np.ndarray:
     """Whether each of the forces f (..., n_f) satisfies all rows."""
     along = f @ rows.G.T
-    inside_all: np.ndarray = ((along <= rows.high + 1e-6) & (along >= rows.low - 1e-6)).all(-1)
-    return inside_all
+    return np.asarray(((along <= rows.high + 1e-6) & (along >= rows.low - 1e-6)).all(-1))
 
 
 @pytest.mark.parametrize("sides", [4, 6, 8, 16, 30])
 def test_the_polygon_has_its_corners_on_the_circle_and_one_of_them_ahead(sides: int) -> None:
-    """By cross products: inside is what lies to the left of every side of the regular polygon."""
     rows = thruster_rows(one_azimuth(), sides)
     angle = 2 * math.pi * np.arange(sides) / sides
     corner = T * np.column_stack((np.cos(angle), np.sin(angle)))
@@ -42,23 +37,20 @@ def test_the_polygon_has_its_corners_on_the_circle_and_one_of_them_ahead(sides: 
     to_point = points[:, np.newaxis] - corner
     left = side[:, 0] * to_point[..., 1] - side[:, 1] * to_point[..., 0]
     clear = np.abs(left).min(axis=1) > 1e-3 * T**2 / sides**2
-    f = np.zeros((len(points), 4))
-    f[:, :2] = points
-    np.testing.assert_array_equal(inside(rows, f)[clear], (left >= 0).all(axis=1)[clear])
+    others = {"pad_width": ((0, 0), (0, 2))}
+    found = inside(rows, np.pad(points, **others))
+    np.testing.assert_array_equal(found[clear], (left >= 0).all(axis=1)[clear])
     assert np.count_nonzero(clear) > 3000
-    f[:sides] = 0.0
-    f[:sides, :2] = corner
-    assert inside(rows, f[:sides]).all()
+    assert inside(rows, np.pad(corner, **others)).all()
     assert len(rows.low) == sides // 2 + 2
 
 
 def test_other_thrusters_have_one_row_each_and_all_limits_are_finite() -> None:
-    """A main propeller gives less astern; lost thrusters give nothing, the others what they did."""
     rows = thruster_rows(one_azimuth(), 8)
     np.testing.assert_allclose(rows.low[-2:], [-8e4, -1.2e5])
     np.testing.assert_allclose(rows.high[-2:], [8e4, 3e5])
     assert np.isfinite(rows.low).all() and np.isfinite(rows.high).all()
-    low, high = rows.without({0, 2})
+    low, high, _ = rows.limits_after_loss({0, 2})
     assert high[4] == 8e4
     f = np.random.default_rng(0).uniform(-1e5, 1e5, (1000, 4))
     f[:200, [0, 1, 3]] = 0.0
@@ -68,13 +60,11 @@ def test_other_thrusters_have_one_row_each_and_all_limits_are_finite() -> None:
 
 @pytest.mark.parametrize("width_deg", [60.0, 120.0, 180.0])
 def test_a_sector_keeps_the_directions_it_allows(width_deg: float) -> None:
-    """Forces in the sector, well inside the circle, are allowed; those beyond its edges are not."""
     start = math.radians(-30.0)
     end = start + math.radians(width_deg)
     rows = thruster_rows(one_azimuth(sector_rad=(start, end)), 16)
-    angle = np.linspace(start - 1.0, end + 1.0, 101)
-    f = np.zeros((101, 4))
-    f[:, 0], f[:, 1] = 0.5 * T * np.cos(angle), 0.5 * T * np.sin(angle)
+    angle, zero = np.linspace(start - 1.0, end + 1.0, 101), np.zeros(101)
+    f = 0.5 * T * np.column_stack((np.cos(angle), np.sin(angle), zero, zero))
     within = (angle >= start - 1e-9) & (angle <= end + 1e-9)
     np.testing.assert_array_equal(inside(rows, f), within)
 
@@ -91,18 +81,18 @@ def test_a_sector_keeps_the_directions_it_allows(width_deg: float) -> None:
 def test_the_straight_way_back_keeps_to_the_rate_and_to_what_the_rows_become(
     share: float, angle: float, tunnel: float, lost: set[int], sample_s: float
 ) -> None:
-    """From any force within the limits, every move of the retreat satisfies rate and rows."""
     thrusters = one_azimuth()
     rows, du_max = thruster_rows(thrusters, 16), thrusters.step_max(sample_s)
     row_max = np.sqrt(((rows.G * du_max) ** 2).sum(axis=1))
     size = share * T * math.cos(math.pi / 16)
     f = np.array([size * math.cos(angle), size * math.sin(angle), 8e4 * tunnel, -1.2e5 * share])
     N_c = 6
-    least, most = Retreat(rows, du_max, row_max, N_c).limits(f, *rows.without(lost))
+    ramp_down = LimitRampDown(rows, du_max, row_max, N_c)
+    least, most = ramp_down.compute_limits(f, rows.limits_after_loss(lost))
     before = f
     for i in range(N_c):
         now = f.copy()
-        for number, at in enumerate(thrusters.places):
+        for number, at in enumerate(thrusters.slices):
             if number in lost:
                 steps = float((np.abs(f[at]) / du_max[at]).max())
                 left = steps - 0.9 * (i + 1)
@@ -125,33 +115,29 @@ def test_the_straight_way_back_keeps_to_the_rate_and_to_what_the_rows_become(
 def test_limits_close_in_as_the_formula_says_wherever_they_are_written(
     parts: list[float], lost: set[int], left: float, behind: int
 ) -> None:
-    """Row by row in plain Python; rows of others behind a move's stay."""
     thrusters, N_c = one_azimuth(), 3
     rows, du_max = thruster_rows(thrusters, 8), thrusters.step_max(1.0)
-    row_max, f = rows.units(du_max), T * np.array(parts)
+    row_max, f = rows.row_units(du_max), T * np.array(parts)
     r, factor = len(row_max), np.linspace(0.5, 2.0, len(row_max))
-    gone_low, high = rows.without(lost)
-    low, high = left * gone_low, left * high
+    limits = rows.limits_after_loss(lost)
+    low, high = left * limits.low, left * limits.high
     stride = r + behind
     l, u = np.full(N_c * stride, 7.0), np.full(N_c * stride, 8.0)  # noqa: E741 - as in the program
-    Retreat(rows, du_max, row_max, N_c, factor=factor).write(f, low, high, l, u)
-    for i in range(N_c):
-        for k in range(r):
-            number = rows.thruster[k]
-            own, entries = rows.thruster == number, np.flatnonzero(rows.entry == number)
-            along = np.array([sum(rows.G[j, e] * f[e] for e in entries) for j in range(r)])
-            steps = math.sqrt(sum((f[e] / du_max[e]) ** 2 for e in entries))
-            gauge = max(
-                along[j] / (rows.high if along[j] > 0.0 else rows.low)[j]
-                for j in np.flatnonzero(own)
-            )
+    ramp = LimitRampDown(rows, du_max, row_max, N_c, factor=factor)
+    ramp.write_limits(f, Limits(low, high, limits.lost), l, u)
+    for k in range(r):
+        number = rows.thruster[k]
+        own, entries = np.flatnonzero(rows.thruster == number), rows.entry == number
+        along = rows.G[:, entries] @ f[entries]
+        steps = math.sqrt(((f[entries] / du_max[entries]) ** 2).sum())
+        gauge = max(along[j] / (rows.high if along[j] > 0.0 else rows.low)[j] for j in own)
+        for i in range(N_c):
             share = 1.0 - 0.9 * (i + 1) / steps if steps > 0.9 * (i + 1) + 0.05 else 0.0
-            if not (low == high)[own].any():
-                least, most = min(low[k], share * along[k]), max(high[k], share * along[k])
+            least, most = low[k], high[k]
+            if number not in lost:
+                least, most = min(least, share * along[k]), max(most, share * along[k])
             elif share > 0.0:
                 least, most = share * gauge * rows.low[k], share * gauge * rows.high[k]
-            else:
-                least, most = low[k], high[k]
             expected = np.array([least, most]) - along[k]
             found = np.array([l[i * stride + k], u[i * stride + k]]) / factor[k] * row_max[k]
             np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * T)

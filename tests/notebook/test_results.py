@@ -1,7 +1,5 @@
 """A result folder in a notebook: the tables of the report as data frames."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +7,7 @@ import pandas as pd
 import pytest
 
 from dpbench import compare, load_results
+from dpbench.analysis.verdict.findings import MISSED, STATES
 from dpbench.notebook.results import Results
 from dpbench.report.csv_tables import write_tables
 
@@ -19,13 +18,13 @@ def results(campaign: Path) -> Results:
 
 
 def test_the_verdict_has_a_row_for_each_configuration(results: Results) -> None:
-    """As judged by the report: who meets the demand, and why others do not."""
+    """As judged by the report: who passes, and why others do not."""
     verdict = results.verdict().set_index(["solver", "route", "policy", "settings"])
     assert verdict.index.is_unique
-    assert set(verdict["outcome"]) <= {"meets", "misses", "open", "not run"}
-    misses = verdict[verdict["outcome"] == "misses"]
-    assert len(misses) and (misses["why"] != "").all()
-    assert (verdict[verdict["outcome"] == "meets"]["why"] == "").all()
+    assert set(verdict["verdict"]) <= {*STATES}
+    missed = verdict[verdict["verdict"].isin(MISSED)]
+    assert len(missed) and (missed["why"] != "").all()
+    assert (verdict[verdict["verdict"] == "pass"]["why"] == "").all()
 
 
 def test_tables_are_those_beside_the_page(results: Results, tmp_path: Path) -> None:
@@ -33,7 +32,7 @@ def test_tables_are_those_beside_the_page(results: Results, tmp_path: Path) -> N
     write_tables(tmp_path, results.tables)
     written = {path.stem for path in tmp_path.glob("*.csv")}
     assert written == {name for name, table in results.tables.items() if len(table)}
-    assert {"verdicts", "hard_steps", "ladder", "paired_ratios", "places", "runs"} <= written
+    assert {"verdicts", "hard_steps", "ladder", "paired_ratios", "experiments", "runs"} <= written
     for name in ("ladder", "paired_ratios"):
         again = pd.read_csv(tmp_path / f"{name}.csv")
         assert list(again.columns) == list(results.tables[name].columns)

@@ -1,7 +1,5 @@
 """A run in this process: its length, its text, and the figures of the page."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The tutorial runs from its first cell to its last, and shows what it speaks of."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,15 +1,18 @@
-"""The language of QPs: what a step changes, what a sequence replays, which variables are moves."""
-
-from __future__ import annotations
+"""Steps and sequences of QPs, moves of their variables, and the paper's stacked form."""
 
 from typing import Any
 
+import daqp
 import numpy as np
 import pytest
+import quadprog
 
 from dpbench.errors import ShapeError
+from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Refresh
-from dpbench.qp.stacked import stack
+from dpbench.qp.solution import Solution, Status
+from dpbench.qp.stacked import stack, stack_step, unstack
+from dpbench.scenario.scenario import condense, load_scenario
 
 K, N, M = 4, 6, 4
 
@@ -17,30 +20,20 @@ K, N, M = 4, 6, 4
 def program(seed: int, **more: Any) -> QuadraticProgram:
     """A convex QP with random numbers everywhere."""
     rng = np.random.default_rng(seed)
-    root = rng.normal(size=(N, N))
-    return QuadraticProgram(
-        root @ root.T,
-        rng.normal(size=N),
-        rng.normal(size=(M, N)),
-        -rng.uniform(1, 2, M),
-        rng.uniform(1, 2, M),
-        -rng.uniform(1, 2, N),
-        rng.uniform(1, 2, N),
-        **more,
-    )
+    root, q, A = rng.normal(size=(N, N)), rng.normal(size=N), rng.normal(size=(M, N))
+    l, u, lb, ub = (sign * rng.uniform(1, 2, k) for k in (M, N) for sign in (-1, 1))  # noqa: E741
+    return QuadraticProgram(root @ root.T, q, A, l, u, lb, ub, **more)
 
 
 def sequence(problems: list[QuadraticProgram], *matrices: str) -> QPSequence:
     """The problems as a sequence that brings these matrices."""
-    stacked = {name: np.array([getattr(p, name) for p in problems]) for name in matrices}
-    vectors = {name: np.array([getattr(p, name) for p in problems]) for name in ("q", "l", "u")}
-    return QPSequence(name="random", base=problems[0], **vectors, **stacked)
+    names = "q", "l", "u", *matrices
+    stacked = {name: np.array([getattr(p, name) for p in problems]) for name in names}
+    return QPSequence(name="random", base=problems[0], **stacked)
 
 
 @pytest.mark.parametrize("matrices", [(), ("P",), ("A",), ("P", "A")], ids="".join)
 def test_a_sequence_replays_the_problem_of_every_step(matrices: tuple[str, ...]) -> None:
-    """problem(k) has the vectors of step k, its matrices where the sequence brings them and those
-    of the base elsewhere, however the steps are visited."""
     problems = [program(k) for k in range(K)]
     recorded = sequence(problems, *matrices)
     for k in (2, 0, 3, 1):
@@ -55,7 +48,6 @@ def test_a_sequence_replays_the_problem_of_every_step(matrices: tuple[str, ...])
 
 @pytest.mark.parametrize(("name", "shape"), [("P", (K, N, M)), ("A", (K, N, N)), ("P", (K, N))])
 def test_a_sequence_names_the_matrices_that_do_not_fit(name: str, shape: tuple[int, ...]) -> None:
-    """P must be (K, n, n) and A (K, m, n)."""
     base = program(0)
     vectors = {"q": np.zeros((K, N)), "l": np.zeros((K, M)), "u": np.zeros((K, M))}
     with pytest.raises(ShapeError) as caught:
@@ -64,8 +56,6 @@ def test_a_sequence_names_the_matrices_that_do_not_fit(name: str, shape: tuple[i
 
 
 def test_the_number_of_moves_survives_steps_and_stacking() -> None:
-    """Which variables are moves is a fact of the problem that neither a step nor its one-sided form
-    loses."""
     qp = program(0, block=3, moves=2)
     step = QPStep(2.0 * qp.q, qp.l, qp.u, P=3.0 * qp.P)
     assert (qp.at(step).block, qp.at(step).moves) == (3, 2)
@@ -75,7 +65,111 @@ def test_the_number_of_moves_survives_steps_and_stacking() -> None:
 
 @pytest.mark.parametrize(("block", "moves"), [(3, 4), (3, -1), (0, N + 1)])
 def test_more_moves_than_variables_of_a_block_are_refused(block: int, moves: int) -> None:
-    """A block cannot hold more moves than variables."""
     with pytest.raises(ShapeError) as caught:
         program(0, block=block, moves=moves)
     assert caught.value.key == "moves"
+
+
+def state(north_m: float, east_m: float, heading_rad: float) -> np.ndarray:
+    """An augmented state at rest at a pose."""
+    return np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, north_m, east_m, heading_rad])
+
+
+# Nothing active; rate limits active; rate and amplitude limits active (sway at its limit).
+STEPS = {
+    "inside": (state(0.01, -0.01, 0.0), np.zeros(3), 0),
+    "rate": (state(1.2, 1.3, 0.02), np.zeros(3), 3),
+    "amplitude": (state(1.2, 1.3, 0.05), np.array([-970e3, -415e3, 1e6]), 5),
+}
+
+
+@pytest.fixture(scope="module")
+def builder() -> CondensedQP:
+    """The paper's problem: N_p 30, N_c 5, three axes, scaled."""
+    return condense(load_scenario("paper"))
+
+
+def test_stacked_form_has_the_sixty_rows_of_the_paper_in_its_order() -> None:
+    """M = [−C2; C2; −I; I] and γ = [−U_min + C1 u; U_max − C1 u; −ΔU_min; ΔU_max] (eq. 23-25)."""
+    in_newtons = condense(load_scenario("paper"), units="si")
+    u_min = np.array([-980000.0, -417000.0, -18000000.0])
+    u_max = np.array([1240000.0, 417000.0, 18000000.0])
+    du_max = np.array([32736.0, 11008.0, 475200.0])
+    u, C2, eye = np.array([2e5, -1e5, 3e6]), np.kron(np.tri(5), np.eye(3)), np.eye(15)
+    step = in_newtons.emit(state(1.2, 1.3, 0.0), np.zeros(3), u)
+    found = stack(in_newtons.problem(step))
+    assert (found.n, found.m) == (15, 60)
+    np.testing.assert_array_equal(found.A, np.vstack([-C2, C2, -eye, eye]))
+    gamma = [np.tile(part, 5) for part in (-u_min + u, u_max - u, du_max, du_max)]
+    np.testing.assert_allclose(found.u, np.concatenate(gamma), rtol=1e-14)
+    assert all(np.isneginf(limit).all() for limit in (found.l, found.lb, -found.ub))
+    np.testing.assert_array_equal(found.P, in_newtons.P)
+    np.testing.assert_array_equal(found.q, step.q)
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_stacked_and_two_sided_forms_have_one_optimum(builder: CondensedQP, name: str) -> None:
+    """quadprog on the stacked rows, mapped back, and daqp on the two-sided form agree."""
+    x, u_prev, least_active = STEPS[name]
+    qp = builder.problem(builder.emit(x, np.zeros(3), u_prev))
+    limits = (np.concatenate(pair) for pair in ((qp.ub, qp.u), (qp.lb, qp.l)))
+    sense = np.zeros(qp.n + qp.m, dtype=np.intc)
+    z, _, flag, info = daqp.solve(qp.P.copy(), qp.q.copy(), qp.A.copy(), *limits, sense)
+    assert flag == 1
+    lam, stacked = np.asarray(info["lam"]), stack(qp)
+    raw = quadprog.solve_qp(stacked.P.copy(), -stacked.q, -stacked.A.T.copy(), -stacked.u, 0)
+    back = unstack(Solution(Status.SOLVED, raw[0], raw[4], np.zeros(qp.n), 3, 5, "words"), qp.m)
+    # daqp's primal tolerance is 1e-6; on its final active set both solve one linear system.
+    np.testing.assert_allclose(back.z, z, rtol=0, atol=1e-8)
+    size = 1e-8 * (1.0 + np.abs(qp.q).max())
+    np.testing.assert_allclose(back.y, lam[qp.n :], rtol=0, atol=size)
+    np.testing.assert_allclose(back.y_box, lam[: qp.n], rtol=0, atol=size)
+    slope = qp.P @ back.z + qp.q + qp.A.T @ back.y + back.y_box
+    np.testing.assert_allclose(slope, 0.0, atol=size)
+    active = np.count_nonzero(back.y) + np.count_nonzero(back.y_box)
+    assert active >= least_active and bool(active) == bool(least_active)
+    found = back.status, back.iterations, back.reported_ns, back.detail
+    assert found == (Status.SOLVED, 3, 5, "words")
+
+
+def test_both_amplitude_signs_come_back_as_signed_multipliers() -> None:
+    """λ of an upper row becomes y > 0, of a lower row y < 0, and the same for bounds."""
+    lam = np.arange(1.0, 11.0)
+    back = unstack(Solution(Status.SOLVED, np.zeros(3), lam, np.zeros(3)), 2)
+    np.testing.assert_array_equal(back.y, [3.0 - 1.0, 4.0 - 2.0])
+    np.testing.assert_array_equal(back.y_box, [8.0 - 5.0, 9.0 - 6.0, 10.0 - 7.0])
+
+
+def test_a_missing_answer_stays_missing() -> None:
+    back = unstack(Solution.missing(3, 10, Status.ERROR, "broke"), 2)
+    assert np.isnan(np.concatenate([back.z, back.y, back.y_box])).all()
+    assert (back.y.shape, back.y_box.shape) == ((2,), (3,))
+    assert (back.status, back.detail) == (Status.ERROR, "broke")
+
+
+def test_stacking_a_step_is_stacking_its_problem(builder: CondensedQP) -> None:
+    first = builder.problem(builder.emit(state(0.01, -0.01, 0.0), np.zeros(3), np.zeros(3)))
+    step = builder.emit(STEPS["amplitude"][0], np.zeros(3), STEPS["amplitude"][1])
+    base = stack(first)
+    kept = [a.copy() for a in (base.A, base.u, step.q, step.l, step.u)]
+    moved = base.at(stack_step(step, base))
+    expected = stack(first.at(step))
+    for name in ("P", "q", "A", "l", "u", "lb", "ub"):
+        np.testing.assert_array_equal(getattr(moved, name), getattr(expected, name))
+    for now, then in zip((base.A, base.u, step.q, step.l, step.u), kept, strict=True):
+        np.testing.assert_array_equal(now, then)
+
+
+@pytest.mark.parametrize("changed", [(), ("A",), ("P", "A"), ("lb",), ("ub",), ("P", "lb", "ub")])
+def test_a_chain_of_steps_stays_in_step_with_the_two_sided_form(changed: tuple[str, ...]) -> None:
+    """Each step is stacked against the problem it follows."""
+    two_sided = program(0)
+    one_sided = stack(two_sided)
+    for seed, brought in enumerate((changed, (), changed), 1):
+        new = program(seed)
+        step = QPStep(new.q, new.l, new.u, **{name: getattr(new, name) for name in brought})
+        one_sided = one_sided.at(stack_step(step, one_sided))
+        two_sided = two_sided.at(step)
+        expected = stack(two_sided)
+        for name in ("P", "q", "A", "l", "u", "lb", "ub"):
+            np.testing.assert_array_equal(getattr(one_sided, name), getattr(expected, name))

@@ -1,8 +1,6 @@
-"""Random sequences: reproducible, planted optima that are optima, and families that are what they
-are called."""
+"""Random sequences."""
 
-from __future__ import annotations
-
+from dataclasses import asdict, replace
 from fractions import Fraction
 
 import numpy as np
@@ -11,7 +9,7 @@ from scipy.optimize import linprog
 
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import FAMILIES, MARGIN, NEAR, RandomRecipe
-from dpbench.qp.random_sequence import Planted, planted, random_sequence
+from dpbench.qp.random_sequence import PlantedSequence, plant_sequence, random_sequence
 from dpbench.qp.referee.referee import Referee
 
 INF = np.inf
@@ -27,7 +25,7 @@ def exact(array: np.ndarray) -> np.ndarray:
     return np.array(flat, dtype=object).reshape(array.shape)
 
 
-def joint(found: Planted, k: int) -> tuple[np.ndarray, ...]:
+def joint(found: PlantedSequence, k: int) -> tuple[np.ndarray, ...]:
     """C, L, U, multipliers of step k, with C = [A; I]."""
     base, step = found.sequence.base, found.sequence.step(k)
     C = np.vstack((base.A, np.eye(base.n)))
@@ -37,49 +35,41 @@ def joint(found: Planted, k: int) -> tuple[np.ndarray, ...]:
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_recipe_gives_the_same_bits_again(family: str) -> None:
-    """Two sequences of one recipe agree in every bit; those of another seed do not."""
-    first, again = random_sequence(recipe(family)), random_sequence(recipe(family))
-    other = random_sequence(recipe(family, seed=2))
-    for name in ("q", "l", "u"):
-        assert getattr(first, name).tobytes() == getattr(again, name).tobytes()
+    first, again, other = (random_sequence(recipe(family, seed=seed)) for seed in (1, 1, 2))
     for name in ("P", "A", "lb", "ub"):
         assert getattr(first.base, name).tobytes() == getattr(again.base, name).tobytes()
+    for name in ("q", "l", "u"):
+        assert getattr(first, name).tobytes() == getattr(again, name).tobytes()
     assert first.q.tobytes() != other.q.tobytes()
 
 
-def _is_optimal(found: Planted, k: int) -> None:
-    """Optimality conditions of step k in rational arithmetic."""
-    C, L, U, y = (exact(array) for array in joint(found, k))
-    z, q = exact(found.z[k]), exact(found.sequence.q[k])
-    assert not (exact(found.sequence.base.P) @ z + q + C.T @ y).any()
-    value = C @ z
-    assert (value >= L).all() and (value <= U).all()
-    limit = np.where(y > 0, U, L)
-    assert (value == limit)[y != 0].all()
+LARGE = [
+    pytest.param(family, 120, 300, 2, marks=pytest.mark.slow)
+    for family in ("plain", "ill_conditioned")
+]
 
 
-@pytest.mark.parametrize("family", FAMILIES)
-def test_the_planted_optimum_satisfies_the_optimality_conditions_exactly(family: str) -> None:
-    """Stationarity, feasibility and complementarity hold without any rounding."""
-    found = planted(recipe(family))
+@pytest.mark.parametrize(
+    ("family", "n", "m", "steps"), [*((family, 12, 30, 24) for family in FAMILIES), *LARGE]
+)
+def test_the_planted_optimum_satisfies_the_optimality_conditions_exactly(
+    family: str, n: int, m: int, steps: int
+) -> None:
+    """In rational arithmetic, also with 120 variables and 300 rows."""
+    found = plant_sequence(recipe(family, n, m, steps=steps))
     for k in np.flatnonzero(found.feasible):
-        _is_optimal(found, int(k))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("family", ["plain", "ill_conditioned"])
-def test_no_sum_is_rounded_at_the_largest_size(family: str) -> None:
-    """With 120 variables and 300 rows the conditions hold exactly too."""
-    found = planted(recipe(family, 120, 300, steps=2))
-    _is_optimal(found, 1)
+        C, L, U, y = (exact(array) for array in joint(found, int(k)))
+        z, q = exact(found.z[k]), exact(found.sequence.q[k])
+        assert not (exact(found.sequence.base.P) @ z + q + C.T @ y).any()
+        assert (C @ z >= L).all() and (C @ z <= U).all()
+        assert (C @ z == np.where(y > 0, U, L))[y != 0].all()
 
 
 @pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize(("n", "m"), [(2, 4), (12, 30), (30, 60)])
 def test_the_referee_certifies_what_was_planted(family: str, n: int, m: int) -> None:
-    """Every step gets a certificate, and its optimum is the planted one to within its bound."""
     steps = 6 if n == 30 else 24
-    found = planted(recipe(family, n, m, seed=3, steps=steps))
+    found = plant_sequence(recipe(family, n, m, seed=3, steps=steps))
     base, sequence = found.sequence.base, found.sequence
     referee = Referee(base.P, base.A, base.lb, base.ub)
     for k in range(steps):
@@ -93,22 +83,20 @@ def test_the_referee_certifies_what_was_planted(family: str, n: int, m: int) -> 
 
 def test_infeasible_steps_have_no_feasible_point_by_a_margin() -> None:
     """Every third step would need limits moved by 1/40 at least; the planted vector proves it."""
-    found = planted(recipe("infeasible_steps", seed=4))
+    found = plant_sequence(recipe("infeasible_steps", seed=4))
     assert (~found.feasible).tolist() == [k % 3 == 2 for k in range(24)]
     for k in np.flatnonzero(~found.feasible):
         C, L, U, y = joint(found, int(k))
         assert not (C.T @ y).any()
         assert np.maximum(y, 0.0) @ U - np.maximum(-y, 0.0) @ L == -MARGIN
         # min t with L − t ≤ Cz ≤ U + t: a row and the bounds share the margin by their size.
-        ones = np.ones((len(C), 1))
-        rows = np.vstack((np.hstack((C, -ones)), np.hstack((-C, -ones))))
-        bounds = [(None, None)] * found.z.shape[1] + [(0, None)]
-        cost = np.append(np.zeros(found.z.shape[1]), 1.0)
-        answer = linprog(cost, A_ub=rows, b_ub=np.concatenate((U, -L)), bounds=bounds)
+        rows, n = np.column_stack((np.vstack((C, -C)), -np.ones(2 * len(C)))), C.shape[1]
+        bounds = [(None, None)] * n + [(0, None)]
+        answer = linprog(np.eye(n + 1)[n], rows, np.concatenate((U, -L)), bounds=bounds)
         assert answer.fun >= MARGIN / 10
 
 
-def _met(found: Planted, k: int) -> np.ndarray:
+def _met(found: PlantedSequence, k: int) -> np.ndarray:
     """Which limits the planted optimum of step k meets."""
     C, L, U, _ = joint(found, k)
     value = C @ found.z[k]
@@ -116,20 +104,18 @@ def _met(found: Planted, k: int) -> np.ndarray:
 
 
 def test_degenerate_vertices_meet_more_limits_than_there_are_variables() -> None:
-    """On every step more than n limits are met, some of them by rows that are written twice."""
-    found = planted(recipe("degenerate"))
+    found = plant_sequence(recipe("degenerate"))
     A = found.sequence.base.A
     copies = [(i, j) for i in range(30) for j in range(i) if (np.abs(A[i]) == np.abs(A[j])).all()]
     assert copies
-    for k in range(24):
-        met = _met(found, k)
-        assert met.sum() > 12
-    assert any(_met(found, k)[list(pair)].all() for k in range(24) for pair in copies)
+    met = [_met(found, k) for k in range(24)]
+    assert all(limits.sum() > 12 for limits in met)
+    assert any(limits[list(pair)].all() for limits in met for pair in copies)
 
 
 def test_weakly_active_limits_are_met_without_a_multiplier_or_nearly_met() -> None:
     """On every step some limit is met with a zero multiplier; others are missed by 2⁻²⁶."""
-    found = planted(recipe("weakly_active"))
+    found = plant_sequence(recipe("weakly_active"))
     near = 0
     for k in range(24):
         C, L, U, y = joint(found, k)
@@ -141,7 +127,7 @@ def test_weakly_active_limits_are_met_without_a_multiplier_or_nearly_met() -> No
 
 def test_plain_problems_are_strictly_complementary() -> None:
     """Every limit that is met has a multiplier, and every other one a slack of 1/50 at least."""
-    found = planted(recipe("plain"))
+    found = plant_sequence(recipe("plain"))
     for k in range(24):
         C, L, U, y = joint(found, k)
         value = C @ found.z[k]
@@ -179,7 +165,7 @@ def test_semidefinite_costs_lose_a_fifth_of_their_rank() -> None:
 @pytest.mark.parametrize("family", FAMILIES)
 def test_rows_have_unit_norm_and_paths_are_smooth_but_for_jumps(family: str) -> None:
     """Norms are 1 to 1e-4, the grid of A; between most steps a third of the limits met stays."""
-    found = planted(recipe(family))
+    found = plant_sequence(recipe(family))
     norms = np.linalg.norm(found.sequence.base.A, axis=1)
     np.testing.assert_allclose(norms, 1.0, atol=1e-4)
     active = np.hstack((found.y, found.y_box)) != 0.0
@@ -204,7 +190,6 @@ def test_rows_have_unit_norm_and_paths_are_smooth_but_for_jumps(family: str) -> 
 def test_a_recipe_that_cannot_be_is_refused_in_one_line(
     values: dict[str, object], said: str
 ) -> None:
-    """The message names the field, what was found and what is allowed."""
     usual: dict[str, object] = {"family": "plain", "n": 12, "m": 30, "seed": 1}
     with pytest.raises(InputError, match="random recipe") as caught:
         RandomRecipe(**(usual | values))  # type: ignore[arg-type] # wrong on purpose
@@ -212,16 +197,8 @@ def test_a_recipe_that_cannot_be_is_refused_in_one_line(
 
 
 def test_names_tell_recipes_apart_and_recipes_survive_json() -> None:
-    """What differs in a recipe shows in its name; its plain values make it again."""
-    variants = [
-        recipe("plain"),
-        recipe("free"),
-        recipe("plain", n=6),
-        recipe("plain", m=6),
-        recipe("plain", seed=2),
-        recipe("plain", steps=3),
-        recipe("plain", block=2),
-        RandomRecipe("plain", 12, 30, 1, cond=1e4),
-    ]
+    changes = {"n": 6, "m": 6, "seed": 2, "steps": 3, "block": 2, "cond": 1e4, "family": "free"}
+    usual = recipe("plain")
+    variants = [usual, *(replace(usual, **{key: value}) for key, value in changes.items())]
     assert len({variant.name for variant in variants}) == len(variants)
-    assert all(RandomRecipe.from_dict(variant.to_dict()) == variant for variant in variants)
+    assert all(RandomRecipe(**asdict(variant)) == variant for variant in variants)

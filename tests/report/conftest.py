@@ -1,14 +1,15 @@
 """A report that several tests look at, written once a session: drawing starts slowly."""
 
-from __future__ import annotations
-
+import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from dpbench.bench.record.result_folder import Results, load_results
+from dpbench.bench.record.schema import SCHEMA_VERSION
 from dpbench.report.report import Report
-from dpbench.report.write import report_and_ending
+from dpbench.report.write import write_report_with_summary
 from tests.conftest import MadeRecords
 
 HEIGHTS, OFFSETS, SEAS = (1.0, 2.0, 3.5), (0.0, 3.0), 4
@@ -21,7 +22,7 @@ class Written:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.page, self.lines = report_and_ending(folder, figures=("pdf",))
+        self.page, self.lines = write_report_with_summary(folder, figures=("pdf",))
         self.markdown = (folder / "report.md").read_text(encoding="utf-8")
         self.html = self.page.read_text(encoding="utf-8")
         self.results: Results = load_results(folder)
@@ -32,6 +33,20 @@ class Written:
 def written(campaign: Path) -> Written:
     """The report of a campaign like the standard one."""
     return Written(campaign)
+
+
+def run_row(run_id: str, mode: str, solver: str, steps: int, **columns: Any) -> dict[str, Any]:
+    """Return a row of runs.parquet, of a finished run."""
+    scenario = columns.get("scenario", "paper")
+    return {
+        **{"run_id": run_id, "mode": mode, "scenario": scenario, "solver": solver},
+        **{"sequence": scenario if mode == "replay" else "", "solver_version": "1.0"},
+        **{"route": "native", "policy": "fresh", "settings": "default"},
+        **{"formulation": "condensed_box", "units": "scaled", "outcome": "finished"},
+        **{"schema": SCHEMA_VERSION, "cell": json.dumps({"scenario": {"name": scenario}})},
+        **{"steps_planned": steps, "steps_done": steps},
+        **columns,
+    }
 
 
 def of_seas(records: MadeRecords) -> MadeRecords:

@@ -1,7 +1,5 @@
 """The tables beside the page hold the numbers of the records."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any
@@ -10,12 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.records.counting_rows import counting_of
-from dpbench.analysis.records.run_steps import run_steps
+from dpbench.analysis.records.run_steps import counting_rows, run_steps
 from dpbench.files.writing import write_together
-from dpbench.report.csv_tables import TABLES, tables_of
-from dpbench.report.page.answer import Answer
-from dpbench.report.page.topic import Topic
+from dpbench.report.csv_tables import TABLES, build_tables
+from dpbench.report.page.recommendation import Recommendation
+from dpbench.report.page.section import Topic
 from dpbench.report.report import Report
 from dpbench.report.table import Table
 from dpbench.report.write import write_report
@@ -26,7 +23,6 @@ def _table(folder: Path, name: str) -> pd.DataFrame:
 
 
 def test_runs_are_those_of_the_parquet_file(written: Any) -> None:
-    """Every column but the description of the cell, every row, to the last digit."""
     runs = pd.read_parquet(written.folder / "runs.parquet").drop(columns="cell")
     table = _table(written.folder, "runs")
     assert list(table.columns) == list(runs.columns)
@@ -42,14 +38,13 @@ def test_runs_are_those_of_the_parquet_file(written: Any) -> None:
 
 
 def test_verdicts_are_those_of_the_analysis(written: Any) -> None:
-    """A row a configuration, with what contradicts it."""
-    verdicts = written.report.facts.verdicts.all
+    verdicts = written.report.data.verdicts.all
     table = _table(written.folder, "verdicts")
     assert len(table) == len(verdicts)
     for row, verdict in zip(table.to_dict("records"), verdicts, strict=True):
         who = verdict.configuration
-        named = row["solver"], row["route"], row["policy"], row["settings"], row["outcome"]
-        assert named == (who.solver, who.route, who.policy, who.settings, verdict.outcome)
+        named = row["solver"], row["route"], row["policy"], row["settings"], row["verdict"]
+        assert named == (who.solver, who.route, who.policy, who.settings, verdict.state)
         for name in ("error_move", "failed_steps", "steps", "closed_loops", "replays"):
             attribute = {"closed_loops": "loops"}.get(name, name)
             np.testing.assert_equal(float(row[name]), float(getattr(verdict, attribute)))
@@ -57,13 +52,12 @@ def test_verdicts_are_those_of_the_analysis(written: Any) -> None:
         for name, attribute in times.items():
             ns = float(getattr(verdict, f"{attribute}_ns"))
             np.testing.assert_allclose(1e3 * float(row[f"{name}_us"]), ns, rtol=1e-12)
-        assert (row["why"] if isinstance(row["why"], str) else "") == Answer.why(verdict)
+        assert (row["why"] if isinstance(row["why"], str) else "") == Recommendation.why(verdict)
 
 
 def test_hard_steps_are_the_largest_of_each_run(written: Any) -> None:
-    """The hardest by time has the largest least time of its run, and so by error."""
     hard = _table(written.folder, "hard_steps")
-    steps = dict(run_steps(counting_of(written.results.steps)))
+    steps = dict(run_steps(counting_rows(written.results.steps)))
     assert set(hard["by"]) == {"time", "iterations", "error"}
     assert hard.groupby(["run_id", "by"]).size().max() == 5
     first = hard.drop_duplicates(["run_id", "by"]).set_index(["run_id", "by"])
@@ -75,23 +69,12 @@ def test_hard_steps_are_the_largest_of_each_run(written: Any) -> None:
         assert values[list(own.k).index(row["k"])] == pytest.approx(value, rel=1e-12)
 
 
-def test_every_place_and_level_of_a_solver_has_a_row(written: Any) -> None:
-    """States are those of the facts, run or not."""
-    facts = written.report.facts
-    table = _table(written.folder, "places")
-    solvers, levels = len(facts.verdicts.of), len(facts.levels)
-    assert len(table) == solvers * levels * len(facts.places)
-    for row in table.to_dict("records"):
-        assert row["state"] == facts.state(int(row["id"]), int(row["place_id"]))
-
-
 def test_a_table_that_the_page_cuts_is_whole_in_its_file(records: Any, tmp_path: Path) -> None:
-    """Once, with every row; the page has the first of them."""
     rows = tuple((str(i),) for i in range(9))
     topic = Topic("some", "Some", tables=(Table(("i",), rows, shown=4),))
     records.loop("daqp", steps=20)
     report = Report.of(records.results())
-    tables = tables_of(report.results, report.facts, report.answer, [topic])
+    tables = build_tables(report.results, report.data, report.recommendation, [topic])
     assert tables["some"]["i"].tolist() == [row[0] for row in rows]
     assert "some_2" not in tables
     assert topic.tables[0].page_rows == [list(row) for row in rows[:4]]
@@ -99,7 +82,6 @@ def test_a_table_that_the_page_cuts_is_whole_in_its_file(records: Any, tmp_path:
 
 @pytest.mark.slow
 def test_what_ended_early_stands_with_its_reason(records: Any, tmp_path: Path) -> None:
-    """No cell that failed is hidden, and tables of an earlier report go."""
     records.loop("daqp", steps=20)
     records.refused("ecos", "it keeps no workspace", policy="reuse")
     records.loop("highs", outcome="crashed", outcome_detail="signal 11", done=0)
@@ -107,11 +89,7 @@ def test_what_ended_early_stands_with_its_reason(records: Any, tmp_path: Path) -
     write_together(out / "tables", {"old.csv": lambda: b"x\n1\n"})
     write_report(out)
     table = _table(out, "runs").set_index("solver")
-    assert table["outcome"].to_dict() == {
-        "daqp": "finished",
-        "ecos": "refused",
-        "highs": "crashed",
-    }
+    assert table["outcome"].to_dict() == {"daqp": "finished", "ecos": "refused", "highs": "crashed"}
     assert table.loc["ecos", "outcome_detail"] == "it keeps no workspace"
     assert _table(out, "verdicts").set_index("solver")["why"]["highs"] == (
         "its process ended in paper: signal 11"
@@ -119,11 +97,9 @@ def test_what_ended_early_stands_with_its_reason(records: Any, tmp_path: Path) -
     assert not (out / "tables" / "old.csv").exists()
 
 
-@pytest.mark.parametrize("topic", ["paper"])
-def test_tables_of_topics_are_files_too(written: Any, topic: str) -> None:
-    """The rows on the page are those of the file."""
-    (shown,) = (one for one in written.report.topics if one.id == topic)
-    table = _table(written.folder, topic)
+def test_tables_of_topics_are_files_too(written: Any) -> None:
+    (shown,) = (topic for topic in written.report.topics if topic.id == "paper")
+    table = _table(written.folder, "paper")
     assert list(table.columns) == list(shown.tables[0].heads)
     assert [tuple(row) for row in table.to_numpy()] == list(shown.tables[0].rows)
 
@@ -136,5 +112,5 @@ def test_the_legend_explains_every_table_and_column(written: Any) -> None:
     assert set(parts) == files
     for name in files & set(TABLES):
         explained = set(re.findall(r"^- `(\w+)`: \S", parts[name], re.M))
-        plain = {"solver", "route", "policy", "settings", "way", "first", "second"}
+        plain = {"solver", "route", "policy", "settings", "call_mode", "first", "second"}
         assert set(_table(written.folder, name).columns) <= explained | plain, name

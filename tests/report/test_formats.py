@@ -1,82 +1,75 @@
-"""Numbers as the report prints them."""
+"""Numbers, tables and filled texts as the report prints them."""
 
-import math
+import tomllib
+from collections.abc import Callable, Iterator
+from math import inf, isnan, nan
+from pathlib import Path
+from typing import Any
 
 import pytest
+from jinja2 import Environment, UndefinedError, nodes
+from jinja2.defaults import DEFAULT_FILTERS
 
-from dpbench.analysis.records.run_record import as_float
-from dpbench.report.formats import (
-    and_list,
-    count_text,
-    error_text,
-    share_text,
-    significant,
-    time_text,
-)
+import dpbench.report
+from dpbench.report import formats
+from dpbench.report.table import markdown_table
+from dpbench.report.words import FILTERS, fill_template
 
-
-@pytest.mark.parametrize(
-    ("nanoseconds", "text"),
-    [
-        (7.0, "7.00 ns"),
-        (999.9, "1.00 µs"),
-        (28_449.0, "28.4 µs"),
-        (999_960.0, "1.00 ms"),
-        (3e6, "3.00 ms"),
-        (5e9, "5.00 s"),
-        (math.nan, "–"),
-    ],
-)
-def test_durations(nanoseconds: float, text: str) -> None:
-    """A duration has three significant digits, in the unit that keeps it below a thousand."""
-    assert time_text(nanoseconds) == text
-
-
-@pytest.mark.parametrize(
-    ("error", "text"),
-    [
-        (1.23e-9, "1.2e-09"),
-        (0.43, "0.43"),
-        (0.0, "0"),
-        (math.inf, "no answer"),
-        (math.nan, "–"),
-        (4.2e3, "4.2e+03"),
-    ],
-)
-def test_errors(error: float, text: str) -> None:
-    """An error has two significant digits, an infinite one means that there was no answer."""
-    assert error_text(error) == text
+REPORT = Path(dpbench.report.__file__).parent
+FILES = sorted(file for file in REPORT.rglob("*.toml") if file.with_suffix(".py").exists())
+PRINTED: list[tuple[Callable[[Any], str], dict[Any, str]]] = [
+    (
+        formats.time_text,
+        {7.0: "7.00 ns", 999.9: "1.00 µs", 28_449.0: "28.4 µs", 999_960.0: "1.00 ms"}
+        | {3e6: "3.00 ms", 5e9: "5.00 s", nan: "–"},
+    ),
+    (
+        formats.error_text,
+        {1.23e-9: "1.2e-09", 0.43: "0.43", 0.0: "0", inf: "no answer", nan: "–", 4.2e3: "4.2e+03"},
+    ),
+    (
+        formats.share_text,
+        {1.0: "100 %", 0.99999: "99.9 %", 1e-5: "0.1 %", 0.0: "0 %", 0.1234: "12.3 %"},
+    ),
+    (
+        formats.significant,
+        {0.0: "0", 1234.5: "1230", 123456.0: "123\u202f000", 9.996: "10.0", 1e-6: "1.00e-06"},
+    ),
+    (formats.count_text, {None: "–", nan: "–", 12: "12"}),
+    (lambda words: formats.and_list(list(words)), {"": "", "a": "a", "abc": "a, b and c"}),
+]
 
 
-@pytest.mark.parametrize(
-    ("share", "text"),
-    [(1.0, "100 %"), (0.99999, "99.9 %"), (1e-5, "0.1 %"), (0.0, "0 %"), (0.1234, "12.3 %")],
-)
-def test_shares(share: float, text: str) -> None:
-    """A share is 100 % or 0 % in print only when it is so exactly."""
-    assert share_text(share) == text
+@pytest.mark.parametrize(("text", "printed"), PRINTED)
+def test_numbers_and_lists(text: Callable[[Any], str], printed: dict[Any, str]) -> None:
+    assert {value: text(value) for value in printed} == printed
+    assert isnan(formats.as_float(None))
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0.0, "0"), (1234.5, "1230"), (123456.0, "123\u202f000"), (9.996, "10.0"), (1e-6, "1.00e-06")],
-)
-def test_significant_digits(value: float, text: str) -> None:
-    """Digits that are not significant are not printed."""
-    assert significant(value) == text
+def test_pipes_do_not_break_markdown() -> None:
+    text = markdown_table(("a", "b"), (("x | y", "1"),))
+    assert text.splitlines() == ["| a | b |", "| :-- | --: |", "| x \\| y | 1 |"]
 
 
-def test_missing_numbers_are_dashes() -> None:
-    """What is missing in a record is a dash, whatever kind of missing it is."""
-    assert [count_text(value) for value in (None, math.nan, 12)] == ["–", "–", "12"]
-    assert math.isnan(as_float(None))
+def _texts(found: Any) -> Iterator[str]:
+    if isinstance(found, str):
+        yield found
+    elif isinstance(found, dict | list):
+        for each in found.values() if isinstance(found, dict) else found:
+            yield from _texts(each)
 
 
-def test_lists_read_as_english() -> None:
-    """Names are joined by commas and a final 'and'."""
-    assert [and_list(words) for words in ([], ["a"], ["a", "b"], ["a", "b", "c"])] == [
-        "",
-        "a",
-        "a and b",
-        "a, b and c",
-    ]
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_templates_have_closed_tags_and_known_filters(file: Path) -> None:
+    texts = list(_texts(tomllib.loads(file.read_text(encoding="utf-8"))))
+    assert texts
+    used = {f.name for text in texts for f in Environment().parse(text).find_all(nodes.Filter)}
+    assert used <= {*FILTERS, *DEFAULT_FILTERS}
+
+
+def test_formats_are_filters_and_a_missing_value_is_an_error() -> None:
+    output = fill_template("{{ n | plural('step') }} in {{ t | time }}", n=2, t=1500.0)
+    assert output == "2 steps in 1.50 µs"
+    assert fill_template("{% if x == inf %}never{% endif %}, {{ x | share }}", x=inf) == "never, –"
+    with pytest.raises(UndefinedError):
+        fill_template("{{ nobody }}")

@@ -1,7 +1,5 @@
 """Every term the tool prints is in the glossary once, and the page of the docs is made of it."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from pathlib import Path
@@ -9,36 +7,39 @@ from types import SimpleNamespace
 from typing import Any, get_args
 
 import pytest
+from markupsafe import escape
 from rich.console import Console
 
-from dpbench.analysis.compare.answers import DONE, Answer
+from dpbench.analysis.compare.answers import DONE, FigureChange
 from dpbench.analysis.compare.evidence import Verdict as Compared
 from dpbench.analysis.statistics import Interval
 from dpbench.analysis.suites.consequence import BatchAnswers
-from dpbench.analysis.suites.study import studies
-from dpbench.analysis.verdict.demand import Demand
-from dpbench.analysis.verdict.verdict import Outcome as Verdict
+from dpbench.analysis.suites.study import find_studies
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.verdict import State as Verdict
 from dpbench.bench.plan.suite import FormulationName, RouteName
-from dpbench.bench.record.cell import OUTCOMES, Cell, Fallback, Formulation, Units
-from dpbench.cli.check import ship_lines
+from dpbench.bench.record.cell import OUTCOMES, Cell, Formulation, Units
+from dpbench.bench.run.fallback_policies import FALLBACKS
+from dpbench.cli.check_ship import ship_lines
 from dpbench.cli.doctor import doctor_lines
-from dpbench.cli.listing import listing
+from dpbench.cli.listing import list_table
 from dpbench.qp.random_recipe import FAMILIES
 from dpbench.qp.referee.joint import Kind
 from dpbench.qp.solution import Status
-from dpbench.report.compare.tables import answers_table, solvers_table, times_table
-from dpbench.report.ending import BESIDE, TERMINAL_NOTES
-from dpbench.report.glossary import as_markdown, meanings, topics
+from dpbench.report.compare.comparison import changes_table, solvers_table, times_table
+from dpbench.report.glossary import glossary_markdown, term_meanings, topics
+from dpbench.report.page.terms import PHRASES, Terms
+from dpbench.report.report import BESIDE, TERMINAL_NOTES
 from dpbench.report.table import Table
+from dpbench.report.topics.capability import consequence_row
 from dpbench.report.topics.study import study_topic
-from dpbench.report.topics.thrusters.consequence import row_of
-from dpbench.report.topics.thrusters.thrusters import row_of as thruster_row
+from dpbench.report.topics.thrusters import wear_row
 from dpbench.scenario.scenario import load_vessel
 from dpbench.solvers.record import POLICIES
 from dpbench.solvers.settings import LEVELS
 from tests.report.conftest import of_seas
 
-CHANGED = Answer(
+CHANGED = FigureChange(
     SimpleNamespace(label="daqp", a=SimpleNamespace(mode="replay", problem="paper")),
     DONE,
     (2.0, 2.0),
@@ -65,7 +66,7 @@ PRINTED = {
     "tolerance levels": tuple(LEVELS),
     "formulations": {*get_args(FormulationName), *get_args(Formulation)},
     "units": get_args(Units),
-    "fallbacks": get_args(Fallback),
+    "fallbacks": tuple(FALLBACKS),
     "certificates": get_args(Kind),
     "statuses": [status.name.lower() for status in Status],
     "verdicts": get_args(Verdict),
@@ -76,49 +77,44 @@ PRINTED = {
 
 @pytest.mark.parametrize("what", PRINTED)
 def test_every_value_of_an_enumeration_is_explained(what: str) -> None:
-    """Whatever stands in a column of words."""
     assert PRINTED[what]
-    assert not set(PRINTED[what]) - set(meanings())
+    assert not set(PRINTED[what]) - set(term_meanings())
 
 
 def _spoken() -> set[str]:
     """Terms, each alone: those that share an entry are set apart by commas."""
-    return {part for term in meanings() for part in (term, *term.split(", "))}
+    return {part for term in term_meanings() for part in (term, *term.split(", "))}
 
 
 @pytest.mark.slow
 def test_every_word_that_a_run_ends_with_is_explained(records: Any) -> None:
-    """What stands before each line on a terminal."""
     records.replay("daqp")
     assert {"answer", "solvers"} <= set(records.ending())
-    said = {*records.ending(), *TERMINAL_NOTES, *BESIDE, "solver", "machine", "harness", "page"}
-    assert said <= _spoken()
+    output = {*records.ending(), *TERMINAL_NOTES, *BESIDE, "solver", "machine", "harness", "page"}
+    assert output <= _spoken()
 
 
 @pytest.mark.parametrize(
     "table",
-    [solvers_table([TIMED], []), times_table([TIMED], 0.05, 0.05), answers_table([CHANGED], 0.05)],
+    [solvers_table([TIMED], []), times_table([TIMED], 0.05, 0.05), changes_table([CHANGED], 0.05)],
     ids=["solvers", "times", "answers"],
 )
 def test_every_head_of_a_comparison_is_explained(table: Table) -> None:
-    """Without the unit; A and B are the two folders."""
     heads = {re.sub(r"^[AB] | \[.*\]$", "", head) for head in table.heads}
     assert len(heads) > 4
     assert heads <= _spoken()
 
 
 def test_what_check_says_of_a_ship_is_explained() -> None:
-    """The names of its rows and of its axes; the other lines by how they begin."""
     axes, *rows, sideways = ship_lines(load_vessel("osv"))
     names = {row[:22].strip() for row in rows}
     assert len(names) == 5
     assert {*names, *axes.split()} <= _spoken()
-    assert sideways.startswith("1 m/s sideways") and "1 m/s sideways" in meanings()
+    assert sideways.startswith("1 m/s sideways") and "1 m/s sideways" in term_meanings()
 
 
 @pytest.mark.slow
 def test_what_doctor_says_is_explained() -> None:
-    """The name of each fact, and of each verdict before its colon."""
     lines = [line for line in doctor_lines() if not line.startswith(" ")]
     names = {re.split(r":| {2,}", line)[0] for text in lines for line in text.splitlines()[:1]}
     assert {"memory", "quiet means", "harness"} <= names
@@ -128,10 +124,9 @@ def test_what_doctor_says_is_explained() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["suites", "sequences"])
 def test_every_head_of_a_list_is_explained(kind: str) -> None:
-    """The first line of it, as it is printed."""
     screen = Console(width=80)
     with screen.capture() as printed:
-        screen.print(listing(kind))
+        screen.print(list_table(kind))
     heads = {head.strip() for head in printed.get().splitlines()[0].split("┃")}
     assert "name" in heads
     assert heads <= _spoken()
@@ -139,7 +134,6 @@ def test_every_head_of_a_list_is_explained(kind: str) -> None:
 
 @pytest.mark.slow
 def test_every_head_of_a_table_of_the_page_is_explained(written: Any) -> None:
-    """Of each topic; without the unit."""
     tables = [table for topic in written.report.topics for table in topic.tables]
     heads = {re.sub(r" \[.*\]$", "", head).lower() for table in tables for head in table.heads}
     assert {"claim", "configuration"} & heads
@@ -147,35 +141,68 @@ def test_every_head_of_a_table_of_the_page_is_explained(written: Any) -> None:
 
 
 def test_every_head_of_a_consequence_analysis_is_explained() -> None:
-    """Which the page above has not."""
     answers = BatchAnswers("daqp", "daqp", 1, 1, 0, 1, 0, 0, 0, p99=0.01, largest=0.02)
-    heads = set(row_of(answers, [True]))
+    heads = set(consequence_row(answers, [True]))
     assert len(heads) == 9
     assert heads <= _spoken()
 
 
 @pytest.mark.slow
 def test_every_head_of_a_study_and_of_thrusters_is_explained(records: Any) -> None:
-    """Which the page above has not; without the unit."""
-    topic = study_topic(studies(of_seas(records).view()))
-    assert topic is not None
+    topic = study_topic(find_studies(of_seas(records).view()))
     heads = {re.sub(r" \[.*\]$", "", head) for table in topic.tables for head in table.heads}
     assert len(heads) > 8
-    assert {*heads, *thruster_row("", [], {}, Demand())} <= _spoken()
+    assert {*heads, *wear_row("", [], {}, Requirements())} <= _spoken()
 
 
 def test_a_word_that_is_not_explained_would_be_found() -> None:
-    """The tests above can fail."""
     assert not {"answer", "no such word"} <= _spoken()
 
 
 def test_a_term_is_explained_once_and_in_a_sentence() -> None:
-    """No term in two topics; every meaning ends as a sentence does."""
     counts = Counter(term for terms in topics().values() for term in terms)
     assert max(counts.values()) == 1
-    assert all(text.endswith(".") or text.endswith("?") for text in meanings().values())
+    assert all(text.endswith(".") or text.endswith("?") for text in term_meanings().values())
 
 
 def test_the_page_of_the_documentation_is_the_glossary() -> None:
-    """`python -m dpbench.report.glossary > docs/glossary.md` renews it."""
-    assert DOCS.read_text(encoding="utf-8") == as_markdown()
+    assert DOCS.read_text(encoding="utf-8") == glossary_markdown()
+
+
+def test_a_term_is_linked_where_a_section_names_it_first() -> None:
+    terms = Terms([])
+    output = terms("Replays of a<b: the requirements, the replay and requirements.")
+    assert output.count("<a ") == 2 and "a&lt;b" in output
+    assert output.startswith('<a class="term" href="#word-replay"')
+    assert f'title="{escape(term_meanings()["replay"])}">Replays</a>' in output
+    assert "<a " not in terms("The requirements again.")
+    terms.section()
+    assert "<a " in terms("The requirements in a new section.")
+    assert [word.term for word in terms.words] == ["replay", "requirements"]
+
+
+def test_the_longest_phrase_is_the_term() -> None:
+    output = Terms([])("one rate-limit step, paired ratios, unwarm, step-warm")
+    assert re.findall(r"#word-([\w-]+)", output) == ["rate-limit-step", "paired-ratio"]
+
+
+def test_heads_are_terms_without_their_unit() -> None:
+    terms = Terms([])
+    assert ">behind [cm]</a>" in terms.head("behind [cm]")
+    assert terms.head("<b>") == "&lt;b&gt;"
+
+
+@pytest.mark.parametrize("phrase", PHRASES)
+def test_every_phrase_stands_for_a_term_of_the_glossary(phrase: str) -> None:
+    terms = Terms([])
+    assert f">{phrase}</a>" in terms(f"a {phrase} there")
+    assert [word.term for word in terms.words] == [PHRASES[phrase]]
+    assert PHRASES[phrase] in term_meanings()
+
+
+def test_every_link_of_the_page_leads_to_its_meaning(written: Any) -> None:
+    links = re.findall(r'class="term" href="#([\w-]+)" title="([^"]*)"', written.html)
+    listed = re.findall(r'<dt id="([\w-]+)">[^<]*</dt><dd>(.*?)</dd>', written.html)
+    assert len(links) > 15
+    assert set(links) <= {(word, meaning.replace('"', "&#34;")) for word, meaning in listed}
+    assert len(listed) == len({word for word, _ in listed})

@@ -1,7 +1,5 @@
 """A report on a folder that a stranger made writes nowhere else, and shows his words as words."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os
@@ -44,7 +42,6 @@ def test_a_linked_folder_is_refused_and_left_alone(
 
 @pytest.mark.parametrize("link", [os.symlink, os.link], ids=["soft", "hard"])
 def test_linked_files_are_replaced(records: Any, tmp_path: Path, link: Any) -> None:
-    """What they pointed to is as it was, with every file that a report and a sent folder has."""
     out, send = _folder(records, tmp_path / "out"), tmp_path / "send"
     names = [
         *("report.html", "report.md", "daqp.md", "tables/runs.csv", "tables/README.md"),
@@ -63,7 +60,6 @@ def test_linked_files_are_replaced(records: Any, tmp_path: Path, link: Any) -> N
 
 
 def test_files_of_others_beside_figures_and_tables_stay(records: Any, tmp_path: Path) -> None:
-    """Of its own, those that are no longer drawn go."""
     out = _folder(records, tmp_path / "out")
     for name in ("figures/mine.svg", "tables/mine.csv"):
         (out / name).parent.mkdir()
@@ -80,7 +76,6 @@ def test_files_of_others_beside_figures_and_tables_stay(records: Any, tmp_path: 
 def test_a_solver_without_a_name_of_a_file_is_refused(
     records: Any, tmp_path: Path, capsys: Any, name: str
 ) -> None:
-    """In one line, and nothing is written."""
     out = _folder(records, tmp_path / "a" / "b", "daqp", name)
     there = sorted(tmp_path.rglob("*"))
     assert main(["report", str(out), "--for", name]) == 2
@@ -104,10 +99,7 @@ def test_markdown_has_no_html_or_links_of_the_folder(records: Any, tmp_path: Pat
     records.refused("ecos", HOSTILE)
     out = _spoilt(records, tmp_path / "out")
     assert main(["report", str(out), "--for", FORMULA.replace("/", ""), "--quiet"]) == 0
-    files = [
-        out / "report.md",
-        out / f"{FORMULA.replace('/', '')}.md",
-    ]
+    files = [out / "report.md", out / f"{FORMULA.replace('/', '')}.md"]
     for path in files:
         tokens = MarkdownIt("commonmark").enable("table").parse(path.read_text("utf-8"))
         inline = [child for token in tokens for child in token.children or []]
@@ -121,7 +113,6 @@ def test_markdown_has_no_html_or_links_of_the_folder(records: Any, tmp_path: Pat
 
 
 def test_no_cell_of_a_table_is_a_formula(records: Any, tmp_path: Path) -> None:
-    """Texts begin with an apostrophe then; numbers below zero stay numbers."""
     records.refused("ecos", "@SUM(A1)", dev_position_max_m=-0.5)
     out = _spoilt(records, tmp_path / "out")
     assert main(["report", str(out), "--quiet"]) == 0

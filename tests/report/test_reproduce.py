@@ -1,7 +1,5 @@
 """The paper from nothing: files, numbers and claims, as the page of the same runs has them."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -33,7 +31,6 @@ def _check_figures(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_the_data_are_those_of_the_steps(records: Any, tmp_path: Path) -> None:
-    """Every step of both laws, unthinned, with the limits that the figure shows."""
     records.loop("daqp", steps=1000)
     records.loop("unconstrained_clipped", steps=1000, formulation="none", error=1.0)
     _made(records, tmp_path)
@@ -55,7 +52,6 @@ def test_the_data_are_those_of_the_steps(records: Any, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_claims_that_fail_are_named_and_the_rest_is_counted(records: Any, tmp_path: Path) -> None:
-    """At most ten lines, whatever the runs contradict."""
     records.loop("daqp", steps=1000, tail_m=2.0, limit_violations=3, overshoot_e=5.0)
     found = _made(records, tmp_path)
     assert found.complete and len(found.lines) <= 10
@@ -69,7 +65,6 @@ def test_claims_that_fail_are_named_and_the_rest_is_counted(records: Any, tmp_pa
 
 
 def test_without_the_papers_loops_nothing_is_claimed(records: Any, tmp_path: Path) -> None:
-    """No figure and no table of what was not run."""
     records.loop("daqp", steps=1000, outcome="crashed")
     found = _made(records, tmp_path)
     assert not found.complete
@@ -77,26 +72,21 @@ def test_without_the_papers_loops_nothing_is_claimed(records: Any, tmp_path: Pat
     assert not list(tmp_path.glob("figure*")) and not list(tmp_path.glob("claims*"))
 
 
-def test_a_folder_of_other_things_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_of_other_things_is_refused(tmp_path: Path, capsys: Any) -> None:
     """Exit code 2 and one line, before anything runs."""
     (tmp_path / "runs").mkdir()
     (tmp_path / "runs" / "letter.txt").write_text("keep me")
     assert main(["paper", "--out", str(tmp_path)]) == 2
-    said = capsys.readouterr()
-    assert said.out == "" and said.err.count("\n") == 1 and "--out" in said.err
+    output = capsys.readouterr()
+    assert output.out == "" and output.err.count("\n") == 1 and "--out" in output.err
 
 
 @pytest.mark.slow
-def test_the_paper_is_reproduced_from_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The command writes all of it, and its claims are those of the page of the same runs."""
+def test_the_paper_is_reproduced_from_nothing(tmp_path: Path, capsys: Any) -> None:
     assert main(["paper", "--out", str(tmp_path)]) == 0
-    said = capsys.readouterr()
-    lines = said.out.splitlines()
-    assert said.err == "" and 5 <= len(lines) <= 15
+    output = capsys.readouterr()
+    lines = output.out.splitlines()
+    assert output.err == "" and 5 <= len(lines) <= 15
     assert max(len(line) for line in lines if str(tmp_path) not in line) <= 80
     _check_figures(tmp_path)
     write_report(tmp_path / "runs")

@@ -4,8 +4,6 @@
 that are read and to its three lowest frequencies.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,7 +14,7 @@ import scipy.io
 
 from dpbench.errors import InputError
 from dpbench.files import mat
-from dpbench.scenario.hull_files import read_mss, read_table
+from dpbench.scenario.hull_files import read_coefficient_table, read_mss
 from dpbench.scenario.own_ship import Particulars, regression_added_mass
 from dpbench.scenario.scenario import load_vessel
 
@@ -127,8 +125,7 @@ def test_files_that_are_no_such_structure_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_file_that_kills_scipy_is_one_line(tmp_path: Path) -> None:
-    """Two elements whose types and lengths SciPy's C code follows out of the file: in this process
-    it would end the tests with a segmentation fault."""
+    """Two elements whose types and lengths SciPy's C code follows out of the file."""
     path = save(tmp_path / "ship.mat", {"MRB": np.eye(6), "main": {"Lpp": 82.8}, "name": "x"})
     whole = path.read_bytes()
     for at in (260, 668):
@@ -166,7 +163,7 @@ def test_a_table_gives_back_what_was_written_into_it(name: str, tmp_path: Path) 
     path = tmp_path / "ship.csv"
     head = ["# a comment", "coefficient,value,remark", "length_m,80"]
     path.write_text("\n".join([*head, *reversed(rows)]), encoding="utf-8")
-    hull = read_table(path)
+    hull = read_coefficient_table(path)
     np.testing.assert_allclose(hull.M, ship.M, rtol=1e-15)
     np.testing.assert_allclose(hull.D, ship.D, rtol=1e-15)
     assert hull.particulars == {"length_m": 80.0}
@@ -179,9 +176,9 @@ def test_couplings_may_be_left_out(tmp_path: Path) -> None:
     """They are zero then, and D62 is D26."""
     path = tmp_path / "ship.csv"
     path.write_text(GOOD, encoding="utf-8")
-    np.testing.assert_array_equal(read_table(path).M, np.diag([7e6, 8e6, 4e9]))
+    np.testing.assert_array_equal(read_coefficient_table(path).M, np.diag([7e6, 8e6, 4e9]))
     path.write_text(GOOD + "D26,-3e6\n", encoding="utf-8")
-    D = read_table(path).D
+    D = read_coefficient_table(path).D
     assert D[1, 2] == D[2, 1] == -3e6
 
 
@@ -203,5 +200,5 @@ def test_a_bad_table_is_refused_in_one_line(text: str, parts: list[str], tmp_pat
     path = tmp_path / "ship.csv"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as caught:
-        read_table(path)
+        read_coefficient_table(path)
     assert all(part in str(caught.value) for part in [str(path), *parts]), caught.value

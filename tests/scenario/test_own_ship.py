@@ -1,25 +1,25 @@
 """A library vessel at another size: back to its own size, by Froude's law, beside regressions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dpbench.scenario.own_ship import (
+    DP_NUMBERS,
     LIBRARY,
     NOT_CHOSEN,
+    SPARE,
     LibraryShip,
     Particulars,
-    Thrust,
-    froude_time,
+    ThrustLimits,
+    largest_sea,
+    load_share,
     nearest_ship,
     regression_added_mass,
     scale_vessel,
 )
 from dpbench.scenario.scenario import load_vessel
-from dpbench.scenario.sea_states import DP_NUMBERS, SPARE, largest_sea, load_share
 from dpbench.ship.characteristics import axis_time_constants_s
 from dpbench.ship.froude import Froude
 from dpbench.ship.weather.waves import WATER_DENSITY
@@ -35,7 +35,7 @@ def own_size(ship: LibraryShip, factor: float = 1.0) -> Particulars:
 def test_a_library_vessel_at_its_own_size_is_itself(name: str) -> None:
     """Inertia, damping, limits, rates and areas come back."""
     vessel, ship = load_vessel(name), LIBRARY[name]
-    same = scale_vessel(name, own_size(ship), Thrust(vessel.tau_max[0]))
+    same = scale_vessel(name, own_size(ship), ThrustLimits(vessel.tau_max[0]))
     for key in ("M", "D", "tau_min", "tau_max", "rate_max"):
         np.testing.assert_allclose(getattr(same, key), getattr(vessel, key), rtol=1e-12)
     assert same.length_m == vessel.length_m
@@ -48,7 +48,7 @@ def test_a_library_vessel_at_its_own_size_is_itself(name: str) -> None:
 def test_a_larger_ship_of_one_form_follows_froudes_law(name: str, factor: float) -> None:
     """Masses grow with λ³, times with √λ, accelerations stay; limits and rates as the forces."""
     vessel, ship, law = load_vessel(name), LIBRARY[name], Froude(1.0 / factor)
-    thrust = Thrust(vessel.tau_max[0] * law.force[0])
+    thrust = ThrustLimits(vessel.tau_max[0] * law.force[0])
     large = scale_vessel(name, own_size(ship, factor), thrust)
     arm = np.array([1.0, 1.0, law.length])
     by_mass = law.length**3 * np.outer(arm, arm)
@@ -76,7 +76,7 @@ def test_a_heavier_ship_of_one_length_keeps_its_time_constants(
     """In the Bis system mass scales inertia and damping alike; thrust has no part in either."""
     vessel, ship = load_vessel("supply_mss"), LIBRARY["supply_mss"]
     own = Particulars(ship.length_m, ship.breadth_m, 6.0, heavier * ship.mass_kg)
-    heavy = scale_vessel("supply_mss", own, Thrust(stronger * vessel.tau_max[0]))
+    heavy = scale_vessel("supply_mss", own, ThrustLimits(stronger * vessel.tau_max[0]))
     times = axis_time_constants_s(heavy), axis_time_constants_s(vessel)
     np.testing.assert_allclose(*times, rtol=1e-9)
     np.testing.assert_allclose(heavy.tau_max, stronger * vessel.tau_max, rtol=1e-12)
@@ -85,10 +85,10 @@ def test_a_heavier_ship_of_one_length_keeps_its_time_constants(
 def test_forces_that_are_given_are_taken() -> None:
     """Sway force and moment replace the shares, and the moment follows the sway force."""
     own = own_size(LIBRARY["supply_fs99"])
-    given_ = scale_vessel("supply_fs99", own, Thrust(3e5, 2e5, 5e6))
+    given_ = scale_vessel("supply_fs99", own, ThrustLimits(3e5, 2e5, 5e6))
     np.testing.assert_allclose(given_.tau_max, [3e5, 2e5, 5e6])
     np.testing.assert_allclose(given_.tau_min[1:], [-2e5, -5e6])
-    half = scale_vessel("supply_fs99", own, Thrust(3e5, 417e3 / 2))
+    half = scale_vessel("supply_fs99", own, ThrustLimits(3e5, 417e3 / 2))
     assert half.tau_max[2] == pytest.approx(9e6)
     rise_s = given_.tau_max / given_.rate_max
     vessel = load_vessel("supply_fs99")
@@ -111,12 +111,6 @@ def test_the_regressions_of_a_ship_worked_out_by_hand() -> None:
     np.testing.assert_allclose(regression_added_mass(own), by_hand, rtol=1e-4)
 
 
-def test_times_are_those_of_the_papers_ship() -> None:
-    """1 for it; twice for a ship four times as long."""
-    assert froude_time(76.2) == 1.0
-    assert froude_time(4 * 76.2) == 2.0
-
-
 @pytest.mark.parametrize("name", LIBRARY)
 def test_the_largest_sea_leaves_thrust_to_spare(name: str) -> None:
     """Its mean force is within the share, that of the next beyond it, and loads grow."""
@@ -131,6 +125,6 @@ def test_the_largest_sea_leaves_thrust_to_spare(name: str) -> None:
 def test_a_ship_that_no_sea_suits_gets_the_smallest() -> None:
     """A hundredth of the thrust."""
     own = own_size(LIBRARY["supply_fs99"])
-    weak = scale_vessel("supply_fs99", own, Thrust(5e3))
+    weak = scale_vessel("supply_fs99", own, ThrustLimits(5e3))
     assert load_share(weak, 1) > SPARE
     assert largest_sea(weak) == 1

@@ -4,8 +4,6 @@ The numbers below are typed from the sources (paper section IV; vessel data of t
 publications), not read from the files under `problems/`.
 """
 
-from __future__ import annotations
-
 import json
 from typing import Any
 
@@ -14,7 +12,7 @@ import pytest
 
 from dpbench.scenario.own_ship import scale_matrices
 from dpbench.scenario.problem_files import problem_names
-from dpbench.scenario.scenario import condense, load_scenario, load_vessel, scenario_of
+from dpbench.scenario.scenario import build_scenario, condense, load_scenario, load_vessel
 
 FULL_LIMITS = (
     [-980e3, -417e3, -18e6],
@@ -153,7 +151,7 @@ def test_scenarios_are_those_of_the_table(name: str) -> None:
 def test_tunings_are_those_of_the_table(name: str) -> None:
     """`paper` is 30/5 with R in SI, `robust` 60/10 with R = 0.1·diag(1/Δu_max²); ψ0 = 0."""
     row, scenario = SCENARIOS[name], load_scenario(name)
-    control = scenario.control_problem()
+    control = scenario.problem
     du_max = np.array(FULL_LIMITS[2])
     robust = row["R"] is None
     assert (control.N_p, control.N_c) == ((60, 10) if robust else (30, 5))
@@ -163,10 +161,10 @@ def test_tunings_are_those_of_the_table(name: str) -> None:
     np.testing.assert_array_equal(control.u_min, FULL_LIMITS[0])
     np.testing.assert_array_equal(control.u_max, FULL_LIMITS[1])
     np.testing.assert_allclose(control.du_max, du_max, rtol=1e-14)
-    np.testing.assert_array_equal(scenario.du_max, control.du_max)
+    np.testing.assert_array_equal(scenario.problem.du_max, control.du_max)
     # ψ0 = 0: the model turns body into compass axes by nothing.
-    assert scenario.psi0_rad == 0.0
-    assert scenario.tuning.startswith("robust" if robust else "paper")
+    assert scenario.controller.psi0_rad == 0.0
+    assert scenario.controller.tuning.startswith("robust" if robust else "paper")
 
 
 def test_condensed_sizes_are_those_of_the_paper() -> None:
@@ -183,7 +181,7 @@ def test_condensed_sizes_are_those_of_the_paper() -> None:
 def test_a_scenario_comes_back_from_its_documents(name: str) -> None:
     """The documents of a scenario survive JSON and make the same run again."""
     scenario = load_scenario(name)
-    again = scenario_of(json.loads(json.dumps(scenario.files)))
+    again = build_scenario(json.loads(json.dumps(scenario.files)))
     assert (again.name, again.steps, again.vessel.id) == (name, scenario.steps, scenario.vessel.id)
     first, second = condense(scenario), condense(again)
     np.testing.assert_array_equal(first.P, second.P)

@@ -1,7 +1,5 @@
 """Other values of a scenario's keys, against a file written with those values by hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +7,8 @@ import pytest
 
 from dpbench.errors import InputError
 from dpbench.scenario.problem_files import problems_root
-from dpbench.scenario.scenario import load_scenario, scenario_of, scenario_once
-from dpbench.scenario.variation import differ, value_of, varied
+from dpbench.scenario.scenario import build_scenario, cached_scenario, load_scenario
+from dpbench.scenario.variation import behave_differently, read_value, replace_values
 
 
 def _by_hand(tmp_path: Path, name: str, *edits: tuple[str, str]) -> Path:
@@ -40,15 +38,18 @@ def test_a_varied_scenario_is_the_file_with_these_values(tmp_path: Path) -> None
         ("prediction_horizon = 60", "prediction_horizon = 30"),
         ("[1.0, 1.0, 3000.0]", "[1.0, 1.0, 2500.0]"),
     )
-    assert varied(load_scenario("weather"), values, "test").files == load_scenario(edited).files
+    assert (
+        replace_values(load_scenario("weather"), values, "test").files
+        == load_scenario(edited).files
+    )
 
 
 def test_keys_of_the_vessel_and_another_vessel() -> None:
     """A vessel by name gives what scenario@vessel gives; a key of it changes that ship alone."""
     base = load_scenario("rough")
-    other = varied(base, {"vessel": "supply_mss"}, "test")
+    other = replace_values(base, {"vessel": "supply_mss"}, "test")
     assert other.files["vessel"] == load_scenario("rough@supply_mss").files["vessel"]
-    heavier = varied(base, {"vessel.limits.surge_N.1": 5e5}, "test")
+    heavier = replace_values(base, {"vessel.limits.surge_N.1": 5e5}, "test")
     assert heavier.vessel.tau_max[0] == 5e5 and base.vessel.tau_max[0] != 5e5
     np.testing.assert_array_equal(heavier.vessel.M, base.vessel.M)
 
@@ -68,17 +69,17 @@ def test_keys_of_the_vessel_and_another_vessel() -> None:
 def test_what_cannot_be_is_said_in_a_line(values: dict[str, object], said: str) -> None:
     """An unknown key, a key of what the scenario has not, a value of a wrong type or size."""
     with pytest.raises(InputError, match=said):
-        varied(load_scenario("weather"), values, "study")
+        replace_values(load_scenario("weather"), values, "study")
 
 
 def test_own_values_and_what_has_none() -> None:
     """The base's own values are read by the same names."""
     base = load_scenario("weather")
-    assert value_of(base, "environment.waves.hs_m", "x") == 2.1
-    assert value_of(base, "vessel", "x") == "supply_fs99"
-    assert value_of(base, "controller.output_weight.1", "x") == 1.0
+    assert read_value(base, "environment.waves.hs_m", "x") == 2.1
+    assert read_value(base, "vessel", "x") == "supply_fs99"
+    assert read_value(base, "controller.output_weight.1", "x") == 1.0
     with pytest.raises(InputError, match="seeed"):
-        value_of(base, "environment.seeed", "x")
+        read_value(base, "environment.seeed", "x")
 
 
 @pytest.mark.parametrize(
@@ -99,17 +100,17 @@ def test_whether_a_key_makes_a_difference(
 ) -> None:
     """Names and a seed without randomness make none; weather, ship and controller do."""
     base = load_scenario(scenario)
-    one, other = (varied(base, {key: value}, "test") for value in pair)
-    assert differ(one, other, steps) is expected
+    one, other = (replace_values(base, {key: value}, "test") for value in pair)
+    assert behave_differently(one, other, steps) is expected
 
 
 def test_weather_after_the_last_step_makes_no_difference() -> None:
     """A squall that begins later than the steps that are run changes none of them."""
     base = load_scenario("squall")
     key = "environment.squalls.0.start_s"
-    one, other = (varied(base, {key: start_s}, "test") for start_s in (10.0, 12.0))
-    assert not differ(one, other, round(5.0 / base.sample_s))
-    assert differ(one, other, round(20.0 / base.sample_s))
+    one, other = (replace_values(base, {key: start_s}, "test") for start_s in (10.0, 12.0))
+    assert not behave_differently(one, other, round(5.0 / base.sample_s))
+    assert behave_differently(one, other, round(20.0 / base.sample_s))
 
 
 @pytest.mark.parametrize("name", ["weather", "waves", "rough"])
@@ -117,8 +118,8 @@ def test_a_scenario_that_is_made_once_is_made_for_all_seas(name: str) -> None:
     """What was made for one seed serves another, and is what its own documents make."""
     base = load_scenario(name)
     for seed in (5, 0, 6):
-        files = varied(base, {"environment.seed": seed}, "test").files
-        once, alone = scenario_once(files), scenario_of(files)
+        files = replace_values(base, {"environment.seed": seed}, "test").files
+        once, alone = cached_scenario(files), build_scenario(files)
         assert once.files == files and once.environment.seed == seed
-        assert not differ(once, alone, 50)
-        assert differ(once, base, 50) == base.environment.draws
+        assert not behave_differently(once, alone, 50)
+        assert behave_differently(once, base, 50) == base.environment.is_random

@@ -1,7 +1,5 @@
 """Weather, estimator, plant and faults as a person writes them."""
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable
@@ -12,8 +10,9 @@ import pytest
 
 from dpbench import load_scenario
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.errors import DpbenchError, UnknownNameError
-from dpbench.scenario.scenario import Scenario, scenario_of
+from dpbench.errors import DpbenchError
+from dpbench.scenario.controllers.controller import stack_limits
+from dpbench.scenario.scenario import Scenario, build_scenario
 from dpbench.ship.estimation.estimator import MeasuredState
 from dpbench.ship.estimation.kalman import KalmanFilter
 from dpbench.ship.estimation.passive_observer import PassiveObserver
@@ -27,7 +26,7 @@ def changed(name: str, change: Change, vessel: Change | None = None) -> Scenario
     change(files["scenario"])
     if vessel is not None:
         vessel(files["vessel"])
-    return scenario_of(files, "my.toml", "ship.toml")
+    return build_scenario(files, "my.toml", "ship.toml")
 
 
 def test_sailors_name_wind_and_waves_by_where_they_come_from() -> None:
@@ -61,7 +60,7 @@ def test_an_estimator_starts_where_the_ship_starts() -> None:
 def test_limits_change_at_the_sample_of_the_fault() -> None:
     """Until 121 s the vessel's limits hold, from then on the share the file says."""
     scenario = load_scenario("thruster_loss")
-    low, high = scenario.limit_tables(scenario.steps)
+    low, high = stack_limits(scenario.controller.limits(scenario.steps))
     k = round(121.0 / 0.3)
     np.testing.assert_array_equal(high[k - 1], scenario.vessel.tau_max)
     np.testing.assert_allclose(high[k], [1240e3, 187.65e3, 10.8e6], rtol=1e-12)
@@ -80,10 +79,7 @@ def test_the_true_ship_differs_by_per_cent() -> None:
 
 @pytest.mark.slow
 def test_a_model_ship_sails_the_full_size_run_at_its_scale() -> None:
-    """A ship scaled 1 : 70 by hand makes the same run, lengths /70 and times /√70.
-
-    Weather, waves, noise, limits, faults, horizon and weights all have to scale for this to hold.
-    """
+    """A ship scaled 1 : 70 by hand makes the same run, lengths /70 and times /√70."""
     ratio = 70.0
     full = load_scenario("thruster_loss")
 
@@ -110,14 +106,6 @@ def test_a_model_ship_sails_the_full_size_run_at_its_scale() -> None:
     np.testing.assert_allclose(
         small.tau * [ratio**3, ratio**3, ratio**4], large.tau, rtol=0, atol=1.0
     )
-
-
-def test_a_scenario_takes_another_vessel_by_name() -> None:
-    """`rough@osv` is `rough` with the vessel `osv`, and says so in its name."""
-    scenario = load_scenario("rough@osv")
-    assert (scenario.name, scenario.vessel.id) == ("rough@osv", "osv")
-    with pytest.raises(UnknownNameError, match="osv"):
-        load_scenario("rough@osw")
 
 
 CASCADE = "thrusters_cascade"

@@ -1,7 +1,5 @@
 """What the tests of the loads share: a ship with hull data and the force that it feels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -24,12 +22,8 @@ def hull() -> Vessel:
 
 
 @pytest.fixture
-def felt_force() -> Callable[..., np.ndarray]:
-    """The force of the weather at time zero on a ship at a heading and velocity.
-
-    It is read off the motion: F = M (ν(h) − ν)/h + D ν for an instant h of 10 µs, which leaves an
-    error of h over the ship's time constants, 1e-6 of the force.
-    """
+def weather_force() -> Callable[..., np.ndarray]:
+    """The force of the weather at time zero on a ship at a heading and velocity."""
 
     def force(
         ship: Vessel, weather: Environment, heading_rad: float = 0.0, nu: np.ndarray | None = None

@@ -1,7 +1,5 @@
 """Lost thrust and dead time between the command and the hull."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What a ship is, in numbers: against its equations solved in other ways, and the plant itself."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -18,10 +16,9 @@ from dpbench.ship.characteristics import (
     slow_speed,
     steady_speed,
 )
-from dpbench.ship.environment import Environment
+from dpbench.ship.environment import Current, Environment
 from dpbench.ship.plant import Plant
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.current import Current
 from dpbench.ship.weather.waves import Sea, WaveDrift
 from dpbench.ship.weather.wind import Wind
 
@@ -127,13 +124,6 @@ def test_the_mean_drift_is_what_an_anchored_ship_feels() -> None:
     weather = replace(CALM, drift=WaveDrift(Sea(3.1, 8.5, np.radians(200.0))), seed=4)
     felt = anchored_mean(ship, weather, 0.0, 2.0)
     np.testing.assert_allclose(mean_load(ship, weather), felt, rtol=0.2)
-
-
-def test_weather_that_only_pushes_needs_no_hull() -> None:
-    """A ship without windage has a mean load in slow forces alone."""
-    bare = replace(load_vessel("supply_fs99"), windage=None, reflection=None)
-    mean = np.array([1e4, 2e4, 3e5])
-    np.testing.assert_allclose(mean_load(bare, replace(CALM, mean=mean)), mean)
 
 
 def test_slow_is_the_same_froude_number_at_any_size() -> None:

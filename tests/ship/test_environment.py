@@ -1,20 +1,18 @@
 """The weather against plain arithmetic, its independent sources, and what it refuses."""
 
-from __future__ import annotations
-
 import math
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dpbench.errors import InputError
-from dpbench.ship.environment import Environment
-from dpbench.ship.sensors import SensorNoise
+from dpbench.ship.environment import Current, Environment, SensorNoise, Squall
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.current import Current
-from dpbench.ship.weather.squall import Squall
-from dpbench.ship.weather.streams import stream
+from dpbench.ship.weather.harmonics import random_stream
 from dpbench.ship.weather.waves import FirstOrderMotion, Sea, WaveDrift
 from dpbench.ship.weather.wind import Wind
 
@@ -57,12 +55,6 @@ def test_stage_table_holds_the_force_at_start_middle_and_end_of_every_sub_step()
                 )
 
 
-def test_samples_join_without_a_gap() -> None:
-    """The end of a sample and the start of the next see the same force."""
-    table = sea(60.0).stage_table(50, 0.3, 10)
-    np.testing.assert_allclose(table[:-1, -1], table[1:, 0], rtol=1e-12, atol=1e-6)
-
-
 WAVES = Sea(3.1, 8.5, 0.4)
 SOURCES = {
     "wind": Wind(13.8, -1.0),
@@ -103,26 +95,23 @@ def test_motion_and_noise_do_not_hang_on_the_other_sources() -> None:
 def test_every_random_source_draws_from_a_stream_of_its_own(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Wind, waves and noise each ask for one stream by a name that no other uses."""
-    asked: dict[str, set[tuple[int, str]]] = {
-        "weather.wind": set(),
-        "weather.waves": set(),
-        "sensors": set(),
-    }
-    for module, names in asked.items():
+    """Wind, waves and noise each take one stream by a name that no other uses."""
+    streams: dict[str, set[tuple[int, str]]] = {}
+    for module in ("weather.wind", "weather.waves", "environment"):
+        names = streams.setdefault(module, set())
 
-        def recorded(
+        def record(
             seed: int, name: str, names: set[tuple[int, str]] = names
         ) -> np.random.Generator:
             names.add((seed, name))
-            return stream(seed, name)
+            return random_stream(seed, name)
 
-        monkeypatch.setattr(f"dpbench.ship.{module}.stream", recorded)
+        monkeypatch.setattr(f"dpbench.ship.{module}.random_stream", record)
     rough(seed=6).stage_table(1, 0.3, 10)
     rough(seed=6).measured_motion(1, 0.3)
     rough(seed=6).noise_table(1)
-    assert all(len(names) == 1 and next(iter(names))[0] == 6 for names in asked.values())
-    assert len(set.union(*asked.values())) == 3
+    assert all(len(names) == 1 and next(iter(names))[0] == 6 for names in streams.values())
+    assert len(set.union(*streams.values())) == 3
 
 
 def test_weather_is_a_function_of_its_seed() -> None:
@@ -178,7 +167,7 @@ def test_weather_that_ignores_the_ship_keeps_three_columns() -> None:
     """Squalls, motion and noise add no column and no load, so the plain plant serves them."""
     weather = replace(sea(), squalls=(SQUALL,), motion=SOURCES["motion"], noise=SOURCES["noise"])  # type: ignore[arg-type] # one type per key
     assert weather.stage_table(4, 0.3, 10).shape == (4, 21, 3)
-    assert not weather.moves_with_the_ship
+    assert not weather.depends_on_ship
 
 
 @pytest.mark.parametrize(("source", "key"), [("wind", "windage"), ("drift", "reflection")])
@@ -195,3 +184,77 @@ def test_weather_that_needs_hull_data_says_so_in_one_line(
     assert (caught.value.where, caught.value.key) == (hull.where, key)
     assert source in caught.value.allowed
     assert "\n" not in str(caught.value)
+
+
+def test_noise_has_its_standard_deviations() -> None:
+    """Each measured axis has white noise of the given size."""
+    noise = SensorNoise(np.array([0.1, 0.2, 0.001])).table(40_000, 3)
+    # 40 000 draws: 0.35 % on a standard deviation, 0.5 % on a correlation; five of those.
+    np.testing.assert_allclose(noise.std(axis=0), [0.1, 0.2, 0.001], rtol=0.02)
+    np.testing.assert_allclose(np.corrcoef(noise.T), np.eye(3), atol=0.025)
+    neighbours = np.mean(noise[1:] * noise[:-1], axis=0) / noise.var(axis=0)
+    np.testing.assert_allclose(neighbours, 0.0, atol=0.025)
+
+
+STEADY = Environment(np.array([-30e3, 120e3, 600e3]), np.zeros(3), np.ones(3), np.zeros(3), 60.0)
+
+
+@pytest.mark.parametrize(
+    ("t_s", "share"),
+    [(0, 0), (60, 0), (62.5, 0.5), (65, 1), (90, 1), (105, 1), (120, 0.5), (135, 0), (300, 0)],
+)
+def test_a_squall_rises_holds_and_decays_on_straight_lines(t_s: float, share: float) -> None:
+    """The squall of the library grows within 5 s, holds to 105 s and is gone 30 s later."""
+    gusty = replace(STEADY, squalls=(SQUALL, SQUALL))
+    expected = STEADY.force(t_s) + 2 * share * SQUALL.force
+    np.testing.assert_allclose(gusty.force(t_s), expected, rtol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("t_s", "force"),
+    [
+        # A quarter of the mean after 15 s of a ramp of 60 s, and no squall yet
+        (15.0, [-7.5e3, 30e3, 150e3]),
+        # Half of the mean and half of the squall; half of the mean and all of it
+        (30.0, [-75e3, 230e3, 1800e3]),
+        (32.5, [-136.25e3, 405e3, 3325e3]),
+        # All of the mean, and half of the squall that decays
+        (80.0, [-90e3, 290e3, 2100e3]),
+    ],
+)
+def test_a_squall_does_not_grow_with_the_ramp(t_s: float, force: list[float]) -> None:
+    """The ramp multiplies the slow forces only; a squall has its own rise."""
+    squall = replace(SQUALL, start_s=27.5, hold_until_s=65.0)
+    gusty = replace(STEADY, squalls=(squall,))
+    np.testing.assert_allclose(gusty.force(t_s), force, rtol=1e-13)
+
+
+NAMES = ("wind", "waves", "noise")
+
+
+def test_sources_draw_from_different_streams() -> None:
+    """No two sources of one seed, and no two seeds of one source, begin with the same numbers."""
+    draws = {tuple(random_stream(seed, name).random(4)) for seed in range(50) for name in NAMES}
+    assert len(draws) == 150
+
+
+def test_streams_of_one_seed_are_uncorrelated() -> None:
+    """The streams of different sources have no common part."""
+    draws = np.array([random_stream(7, name).standard_normal(40_000) for name in NAMES])
+    # The correlation of independent series has a standard deviation of 1/√40000 = 0.005.
+    np.testing.assert_allclose(np.corrcoef(draws), np.eye(3), atol=0.025)
+
+
+@pytest.mark.parametrize("hash_seed", ["0", "1"])
+def test_a_stream_is_the_same_in_another_process(hash_seed: str) -> None:
+    """The key does not hang on anything that a process draws at its start."""
+    imported = "from dpbench.ship.weather.harmonics import random_stream"
+    script = f"{imported}; print(random_stream(3, 'wind').random().hex())"
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env={"PYTHONHASHSEED": hash_seed, "PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.strip() == random_stream(3, "wind").random().hex()

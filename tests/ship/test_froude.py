@@ -1,7 +1,5 @@
 """Froude factors of a model ship, and a scenario of the 1 : 70 model in SI units."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,13 +16,6 @@ def test_factors_of_a_model_of_one_to_four() -> None:
     assert scale.force.tolist() == [1 / 64, 1 / 64, 1 / 256]
     assert scale.velocity.tolist() == [0.5, 0.5, 2.0]
     assert scale.pose.tolist() == [0.25, 0.25, 1.0]
-
-
-def test_full_size_stays_as_it_is() -> None:
-    """All factors of a full-size ship are 1."""
-    scale = Froude()
-    assert (scale.length, scale.time) == (1.0, 1.0)
-    assert scale.force.tolist() == scale.velocity.tolist() == scale.pose.tolist() == [1.0] * 3
 
 
 @settings(derandomize=True, max_examples=50)
@@ -63,9 +54,9 @@ def test_the_model_ship_is_weighed_as_the_full_ship() -> None:
     """Weights scale with the inverse squares of lengths and forces."""
     calm = load_scenario("calm@cybership2")
     # 1·70², and 100 of the heading as it is
-    np.testing.assert_allclose(calm.Q, np.diag([4900.0, 4900.0, 100.0]), rtol=1e-12)
+    np.testing.assert_allclose(calm.problem.Q, np.diag([4900.0, 4900.0, 100.0]), rtol=1e-12)
     # 1e-10·(70³)² and 1e-14·(70⁴)²
-    np.testing.assert_allclose(calm.R, np.diag([11.7649, 11.7649, 5.764801]), rtol=1e-12)
+    np.testing.assert_allclose(calm.problem.R, np.diag([11.7649, 11.7649, 5.764801]), rtol=1e-12)
 
 
 def test_the_squall_of_the_model_ship() -> None:

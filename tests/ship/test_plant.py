@@ -1,7 +1,5 @@
 """The plant against closed forms, balances, symmetries and a second integrator."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -9,13 +7,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dpbench.scenario.scenario import load_vessel
-from dpbench.ship.environment import Environment
-from dpbench.ship.plant import SUBSTEPS, Plant
+from dpbench.ship.environment import Environment, SensorNoise
+from dpbench.ship.plant import SUBSTEPS, Plant, Sensors
 from dpbench.ship.vessel import Vessel
+from dpbench.ship.weather.waves import FirstOrderMotion, Sea
 
 FULL_SCALE = ("supply_fs99", "supply_mss", "supply_tmr", "osv")
 SAMPLE_S = 0.3
-MODEL_SAMPLE_S = 0.3 / np.sqrt(70.0)
 
 CALM = Environment(np.zeros(3), np.zeros(3), np.ones(3), np.zeros(3))
 
@@ -82,21 +80,6 @@ def test_constant_surge_force_follows_the_closed_form() -> None:
     north = tau[0] / d * (t - m / d * grown)
     np.testing.assert_allclose(states[:, 3], north, rtol=1e-12, atol=1e-11)
     np.testing.assert_array_equal(states[:, [1, 2, 4, 5]], 0.0)
-
-
-def test_constant_yaw_moment_follows_the_closed_form() -> None:
-    """With a decoupled yaw axis a constant moment turns the ship by the closed form of one lag."""
-    ship = load_vessel("supply_tmr")
-    inertia = np.diag(np.diag(ship.M))
-    alone = Vessel(
-        "alone", "", "", ship.length_m, inertia, ship.D, ship.tau_min, ship.tau_max, ship.rate_max
-    )
-    states = simulate(alone, np.zeros(6), np.array([0.0, 0.0, 5e6]), CALM, 200)
-    t = SAMPLE_S * np.arange(201)
-    m, d = inertia[2, 2], ship.D[2, 2]
-    grown = -np.expm1(-d * t / m)
-    np.testing.assert_allclose(states[:, 2], 5e6 / d * grown, rtol=1e-12, atol=1e-14)
-    np.testing.assert_allclose(states[:, 5], 5e6 / d * (t - m / d * grown), rtol=1e-12, atol=1e-11)
 
 
 def test_a_constant_force_is_balanced_by_damping_in_the_end() -> None:
@@ -183,23 +166,6 @@ def test_the_plant_agrees_with_an_adaptive_integrator(name: str) -> None:
     np.testing.assert_allclose(ours[-1], state, rtol=2e-9, atol=1e-9)
 
 
-def test_the_error_falls_with_the_fourth_power_of_the_sub_step() -> None:
-    """Halving the sub-step divides the error by about 16, disturbance and rotation included."""
-    ship = load_vessel("osv")
-    sample_s = 2.4
-    sea = weather(ship, 8.0)
-    tau, start = 0.3 * ship.tau_max, turning(ship)
-    exact = simulate(ship, start, tau, sea, 20, sample_s, 384)
-    size = np.abs(exact).max(axis=0)
-    errors = [
-        np.linalg.norm((simulate(ship, start, tau, sea, 20, sample_s, substeps) - exact) / size)
-        for substeps in (12, 24, 48)
-    ]
-    # h is 0.2, 0.1, 0.05 s at a fastest mode of 1/s: the next term of the expansion adds O(h).
-    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.1)
-    assert errors[1] / errors[2] == pytest.approx(16.0, rel=0.05)
-
-
 @pytest.mark.parametrize("name", FULL_SCALE)
 def test_ten_sub_steps_leave_less_than_a_nanometre_per_sample(name: str) -> None:
     """At 0.3 s and ten sub-steps one sample is exact to 1e-10 m and 1e-10 rad for every ship."""
@@ -240,16 +206,41 @@ def test_the_heading_is_never_wrapped() -> None:
     assert np.abs(np.diff(states[:, 5])).max() < 0.05
 
 
-def test_the_model_ship_is_the_full_ship_in_froude_scale() -> None:
-    """Limits of the 1:70 model are those of the paper with lengths /70 and times /√70."""
-    model = load_vessel("cybership2")
-    force, moment = 70.0**3, 70.0**4
-    # The published scaled numbers carry 4-5 digits.
-    np.testing.assert_allclose(
-        model.tau_max * [force, force, moment], [1240e3, 417e3, 18e6], rtol=1e-12
-    )
-    np.testing.assert_allclose(
-        model.step_max(MODEL_SAMPLE_S) * [force, force, moment],
-        [32736.0, 11008.0, 475200.0],
-        rtol=1e-12,
-    )
+ZEROS = (np.zeros(3), np.zeros(3), np.ones(3), np.zeros(3))
+
+
+def measured_weather(**more: object) -> Environment:
+    return Environment(*ZEROS, seed=3, **more)  # type: ignore[arg-type] # what the test asks for
+
+
+def test_ideal_sensors_show_the_state() -> None:
+    """Without wave motion and noise the measurement is the state itself."""
+    state = np.arange(6.0)
+    np.testing.assert_array_equal(Sensors(measured_weather(), 4, 0.3).sense(state, 2), state)
+
+
+def test_wave_motion_and_noise_are_added_to_pose_and_speed() -> None:
+    """The pose gets η_w and noise, the speed R(ψ)ᵀ dη_w/dt, for a ship that heads 40°."""
+    sea = Sea(2.0, 8.5, 0.5)
+    motion = FirstOrderMotion(sea, 0.6, 0.2, 0.01)
+    sky = measured_weather(motion=motion, noise=SensorNoise(np.array([0.1, 0.2, 0.003])))
+    state = np.array([0.5, -0.2, 0.01, 3.0, 4.0, np.radians(40.0)])
+    k, sample_s = 7, 0.3
+    moved, noise = sky.measured_motion(10, sample_s)[k], sky.noise_table(10)[k]
+    c, s = np.cos(state[5]), np.sin(state[5])
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    found = Sensors(sky, 10, sample_s).sense(state, k)
+    np.testing.assert_allclose(found[:3], state[:3] + R.T @ moved[3:], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(found[3:], state[3:] + moved[:3] + noise, rtol=0, atol=1e-14)
+    assert np.abs(found - state).min() > 0
+
+
+def test_measured_speed_is_the_rate_of_the_measured_pose() -> None:
+    """For a ship at rest that heads north the measured speed is the derivative of its pose."""
+    sky = measured_weather(motion=FirstOrderMotion(Sea(2.0, 8.5, 0.5), 0.6, 0.2, 0.01))
+    sample_s = 1e-3
+    sensors, rest = Sensors(sky, 3, sample_s), np.zeros(6)
+    before, here, after = (sensors.sense(rest, k).copy() for k in range(3))
+    slope = (after[3:] - before[3:]) / (2 * sample_s)
+    # A central difference over 2 ms of motion with ω up to 3.7 rad/s: ω³h²/6 of a metre.
+    np.testing.assert_allclose(here[:3], slope, rtol=0, atol=1e-4)

@@ -1,8 +1,6 @@
 """Thrusters: published thrusts, the configuration matrix by the lever rule, what they give at most,
 and what is refused."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -12,22 +10,10 @@ from hypothesis import strategies as st
 
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_vessel
-from dpbench.ship.thrusters import Thruster, ThrusterSet, nominal_thrust_N
+from dpbench.ship.thrusters import Thruster, ThrusterSet
 
 place = st.floats(-50.0, 50.0)
 thrust = st.floats(1e4, 1e6)
-
-
-@pytest.mark.parametrize(
-    ("power_kW", "diameter_m", "propeller", "published_kN"),
-    [(1325, 3.10, "open", 195.3), (880, 1.65, "nozzle", 146.6), (900, 1.74, "tunnel", 116.0)],
-)
-def test_nominal_thrust_is_the_published_one_within_half_a_per_cent(
-    power_kW: float, diameter_m: float, propeller: str, published_kN: float
-) -> None:
-    """The three kinds of thrusters of the rescue ship Ratownik."""
-    thrust_N = nominal_thrust_N(power_kW, diameter_m, propeller)  # type: ignore[arg-type] # of a table
-    assert thrust_N / 1e3 == pytest.approx(published_kN, rel=0.005)
 
 
 def test_the_vessel_file_of_ratownik_has_the_published_thrusts() -> None:
@@ -56,7 +42,7 @@ def test_force_and_moment_are_those_of_the_lever(
     thrusters = ship(azimuth(x_m, y_m, thrust_N))
     force = thrust_N * np.array([math.cos(angle), math.sin(angle), 0.0])
     f = np.zeros(thrusters.n_f)
-    f[thrusters.places[1]] = force[:2]
+    f[thrusters.slices[1]] = force[:2]
     moment = np.cross([x_m, y_m, 0.0], force)[2]
     np.testing.assert_allclose(thrusters.T_e @ f, [force[0], force[1], moment], atol=1e-6)
 
@@ -64,7 +50,7 @@ def test_force_and_moment_are_those_of_the_lever(
 def allowed_forces(thrusters: ThrusterSet, rng: np.random.Generator, count: int) -> np.ndarray:
     """Random f within the limits, many at the edge."""
     f = np.zeros((count, thrusters.n_f))
-    for thruster, at in zip(thrusters.thrusters, thrusters.places, strict=True):
+    for thruster, at in zip(thrusters.thrusters, thrusters.slices, strict=True):
         if thruster.kind == "azimuth":
             start, end = thruster.sector_rad or (0.0, 2 * math.pi)
             angle = rng.uniform(start, end, count)
@@ -107,7 +93,7 @@ def test_limits_of_a_ship_are_those_of_each_axis_by_itself() -> None:
         (lambda: ThrusterSet((azimuth(0, 0),)), "forces in surge, sway and yaw"),
         (lambda: azimuth(0, 0, sector_rad=(0.0, 3.5)), "above 0 and up to 180"),
         (
-            lambda: ship(azimuth(-30, 0)).numbers(["bow"], "my.toml", "faults"),
+            lambda: ship(azimuth(-30, 0)).find_indices(["bow"], "my.toml", "faults"),
             "my.toml: faults.*one of tunnel",
         ),
     ],

@@ -1,15 +1,13 @@
 """Mutations of files: bytes, tokens of texts, values of JSON, arrays, columns of tables."""
 
-from __future__ import annotations
-
 import io
 import json
 import random
 import re
 import struct
 import zipfile
-import zlib
 from collections.abc import Callable
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -81,11 +79,12 @@ def of_json(data: bytes, rng: random.Random) -> bytes:
         if kind == 0:
             del place[key]
         elif kind == 1 and isinstance(place, dict):
-            place[str(rng.choice(STRANGE))] = rng.choice(SWAPS)
+            place[str(rng.choice(STRANGE))] = deepcopy(rng.choice(SWAPS))
         elif kind == 2:
             place[key] = [place[key]] * rng.randint(1, 5)
         else:
-            place[key] = rng.choice(SWAPS)
+            # A copy, which later mutations of the document may change.
+            place[key] = deepcopy(rng.choice(SWAPS))
         if not _places(document):
             break
     return json.dumps(document).encode()
@@ -176,14 +175,16 @@ def _other_array(member: bytes, rng: random.Random) -> bytes:
     return packed.getvalue()
 
 
-def of_journal(data: bytes, rng: random.Random) -> bytes:
-    """Bytes of a journal of cells; or those of its first record, under a right check sum."""
+def of_part(data: bytes, rng: random.Random) -> bytes:
+    """Bytes of a part of cells, or values of its rows."""
     if rng.random() < 0.5:
         return of_bytes(data, rng)
-    head = struct.Struct("<4sQI")
-    mark, length, _ = head.unpack_from(data)
-    record = of_bytes(data[head.size : head.size + length], rng)
-    return head.pack(mark, len(record), zlib.crc32(record)) + record
+    table = pq.read_table(io.BytesIO(data), use_threads=False)
+    metadata = pq.read_metadata(io.BytesIO(data)).metadata
+    packed = io.BytesIO()
+    rows = of_json(metadata[b"runs"], rng).decode("utf-8", errors="replace")
+    pq.write_table(table.replace_schema_metadata({"runs": rows}), packed, compression="zstd")
+    return packed.getvalue()
 
 
 def of_table(data: bytes, rng: random.Random) -> bytes:

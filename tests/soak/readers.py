@@ -1,9 +1,8 @@
 """What is soaked: real files of each kind, how they are mutated, and who reads them."""
 
-from __future__ import annotations
-
 import json
 import random
+import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from pathlib import Path
@@ -13,21 +12,21 @@ import numpy as np
 from dpbench.bench.capability.table import COLUMNS, load_capability, write_capability
 from dpbench.bench.design import load_designs
 from dpbench.bench.engines.shards import SHARD_FILE, Shard, ShardRecord
-from dpbench.bench.plan.asked import Asked
 from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.plan.suite import load_suite
-from dpbench.bench.record.cell_store import CellStore, packed
-from dpbench.bench.record.recorded_steps import ALL
-from dpbench.bench.record.result_folder import accidents, load_results
-from dpbench.bench.record.step_table import step_batch
+from dpbench.bench.record.cell_store import CellStore
+from dpbench.bench.record.recorded_steps import ALL_COLUMNS
+from dpbench.bench.record.result_folder import load_results, read_accidents
+from dpbench.bench.record.step_table import batch_part, step_batch
 from dpbench.bench.sequences.recording import read_sequence
-from dpbench.bench.sequences.shipped import stored_rules
+from dpbench.bench.sequences.shipped import load_rules
 from dpbench.report.report import Report
-from dpbench.scenario.hull_files import read_mss, read_table
+from dpbench.scenario.hull_files import read_coefficient_table, read_mss
 from dpbench.scenario.problem_files import problems_root
 from dpbench.scenario.scenario import load_scenario, load_vessel
 from tests.conftest import MadeRecords
-from tests.soak.mutations import of_archive, of_bytes, of_journal, of_json, of_table, of_text
+from tests.soak.mutations import of_archive, of_bytes, of_json, of_part, of_table, of_text
 
 Mutation = Callable[[bytes, random.Random], bytes]
 ROOT = Path(__file__).resolve().parents[2]
@@ -79,7 +78,7 @@ class Toml(Soaked):
         elif name.startswith("scenarios"):
             load_scenario(path)
         elif name.startswith("sequences"):
-            stored_rules(path)
+            load_rules(path)
         else:
             path, suite = load_suite(path)
             if rng.random() < 0.2:
@@ -136,8 +135,8 @@ class Results(Soaked):
     def read(self, folder: Path, name: str, rng: random.Random) -> None:
         results = load_results(folder)
         designs, plots = load_designs(folder), load_capability(folder)
-        accidents(folder)
-        for table in results.recorded.scan(ALL):
+        read_accidents(folder)
+        for table in results.recorded.scan(ALL_COLUMNS):
             len(table)
         if rng.random() < REPORTED:
             _ = Report.of(results, designs, None, plots).figures
@@ -148,7 +147,8 @@ REPORTED = 0.05
 
 
 class Shards(Soaked):
-    """The folder of a shard: its description, a part, and a journal."""
+    """The folder of a shard: its description, and two parts, whose names have the check sums of
+    whatever is in them."""
 
     whole = True
 
@@ -161,13 +161,10 @@ class Shards(Soaked):
         store = CellStore(out)
         rows = json.loads(results.runs.to_json(orient="records"))
         steps = step_batch({"k": np.arange(5)})
-        for row in rows[:2]:
-            store.append(row["run_id"], row["outcome"], packed(row, steps))
-        store.close()
-        store = CellStore(out)
-        store.append(rows[2]["run_id"], rows[2]["outcome"], packed(rows[2], steps))
+        store.add_part(batch_part({row["run_id"]: (row, steps) for row in rows[:2]}))
+        store.add_part(batch_part({rows[2]["run_id"]: (rows[2], steps)}))
         about = {"id": "abc", "cpu_model": "x"}
-        ShardRecord(Asked(suite="smoke"), Shard(1, 2), "0" * 16, about).write(out)
+        ShardRecord(RunRequest(suite="smoke"), Shard(1, 2), "0" * 16, about).write(out)
         self.files = _contents(out, "*.*")
 
     def choose(self, rng: random.Random) -> str:
@@ -176,14 +173,16 @@ class Shards(Soaked):
     def mutate(self, name: str, data: bytes, rng: random.Random) -> bytes:
         if name.endswith(".json"):
             return of_json(data, rng)
-        return (of_table if name.endswith(".parquet") else of_journal)(data, rng)
+        return (of_table if rng.random() < 0.3 else of_part)(data, rng)
 
     def read(self, folder: Path, name: str, rng: random.Random) -> None:
         ShardRecord.read(folder)
+        for path in list((folder / "cells").iterdir()):
+            sound = f"{path.name[:10]}-{zlib.crc32(path.read_bytes()):08x}.parquet"
+            path.rename(path.with_name(sound))
         store = CellStore(folder)
-        store.rows()
-        for table in store.steps():
-            len(table)
+        store.finished_runs()
+        CellStore(folder / "gathered").copy_cells(store)
 
 
 class Hulls(Soaked):
@@ -202,7 +201,7 @@ class Hulls(Soaked):
         return of_bytes(data, rng) if name.endswith(".mat") else of_text(data, rng)
 
     def read(self, folder: Path, name: str, rng: random.Random) -> None:
-        (read_mss if name.endswith(".mat") else read_table)(folder / name)
+        (read_mss if name.endswith(".mat") else read_coefficient_table)(folder / name)
 
 
 KINDS: dict[str, type[Soaked]] = {

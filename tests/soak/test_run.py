@@ -1,7 +1,6 @@
 """The soak finds what it looks for: exceptions, deaths, endless loops, and memory."""
 
-from __future__ import annotations
-
+import json
 import os
 import random
 from pathlib import Path
@@ -10,6 +9,7 @@ import pytest
 
 from dpbench.errors import InputError
 from tests.soak import run
+from tests.soak.mutations import of_json
 from tests.soak.readers import KINDS, Soaked
 
 
@@ -65,3 +65,10 @@ def test_a_seed_makes_the_same_mutants(kind: str, tmp_path: Path) -> None:
             name, _ = run._lay_out(soaked, f"{kind}:1:{i}", tmp_path / part / str(i))
             made.append((name, (tmp_path / part / str(i) / name).read_bytes()))
         assert made[0] == made[1]
+
+
+def test_a_document_leaves_nothing_to_the_next() -> None:
+    """Values put into one document are changed in it, and not for all that follow."""
+    document = json.dumps({"a": [1, {"b": 2}], "c": "x"}).encode()
+    first, again = ([of_json(document, random.Random(i)) for i in range(2000)] for _ in range(2))
+    assert first == again

@@ -1,20 +1,23 @@
 """Problems with a known optimum, and every solver that is installed here."""
 
-from __future__ import annotations
-
+import os
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
+import dpbench
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.record import Family, RouteRecord
 from dpbench.solvers.settings import level_options
-from dpbench.solvers.table import TABLE, available
+from dpbench.solvers.table import TABLE, check_availability
 
 INF = np.inf
 
@@ -77,7 +80,7 @@ class Configuration(NamedTuple):
 
 
 # The baseline law solves another problem and has tests of its own.
-INSTALLED = [n for n in TABLE if n != "unconstrained_clipped" and available(n).ok]
+INSTALLED = [n for n in TABLE if n != "unconstrained_clipped" and check_availability(n).ok]
 ARMS = [
     Configuration(name, route, policy)
     for name in INSTALLED
@@ -89,15 +92,36 @@ ARMS = [
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run a test that takes a `configuration` or an `installed` solver for each there is."""
     limited = [a for a in ARMS if a.limit_key and (a.solver, a.route) not in SILENT]
-    for name, configurations in (("configuration", ARMS), ("limited_configuration", limited)):
-        if name in metafunc.fixturenames:
-            metafunc.parametrize(
-                name,
-                configurations,
-                ids=["-".join(configuration) for configuration in configurations],
-            )
+    warm = [a for a in ARMS if a.policy == "warm"]
+    kinds = {"configuration": ARMS, "limited_configuration": limited, "warm_configuration": warm}
+    for name in kinds.keys() & metafunc.fixturenames:
+        metafunc.parametrize(name, kinds[name], ids=["-".join(a) for a in kinds[name]])
     if "installed" in metafunc.fixturenames:
         metafunc.parametrize("installed", INSTALLED)
+
+
+def solve_qp(workspace: Workspace, qp: QuadraticProgram) -> Solution:
+    """Set a workspace up with a problem, solve it and read."""
+    workspace.setup(qp)
+    workspace.solve()
+    return workspace.read()
+
+
+def solve_next(workspace: Workspace, step: QPStep) -> Solution:
+    """Update a workspace, solve and read."""
+    workspace.update(step)
+    workspace.solve()
+    return workspace.read()
+
+
+def run_program(program: str) -> str:
+    """Run a program in a process of its own; return its output."""
+    path = os.pathsep.join([str(Path(dpbench.__file__).parents[1]), *sys.path])
+    command, environment = [sys.executable, "-c", program], {**os.environ, "PYTHONPATH": path}
+    done = subprocess.run(
+        command, env=environment, check=True, timeout=200, capture_output=True, text=True
+    )
+    return done.stdout
 
 
 class Sequence(NamedTuple):
@@ -109,12 +133,7 @@ class Sequence(NamedTuple):
     def answers(self, workspace: Workspace) -> list[Solution]:
         """Those of a workspace that is set up with the problem and then follows the steps."""
         workspace.setup(self.base)
-        answers = []
-        for step in self.steps:
-            workspace.update(step)
-            workspace.solve()
-            answers.append(workspace.read())
-        return answers
+        return [solve_next(workspace, step) for step in self.steps]
 
 
 def mpc_like() -> Sequence:
@@ -141,13 +160,12 @@ def sequence() -> Sequence:
     return mpc_like()
 
 
-@pytest.fixture
-def solve_at_once() -> Callable[..., object]:
-    """Set a new workspace up with a problem, solve it and read."""
+# For tests that also run in a copy of their folder, without this package.
+@pytest.fixture(name="solve_qp")
+def _solve_qp() -> Callable[..., Solution]:
+    return solve_qp
 
-    def run(workspace: Workspace, qp: QuadraticProgram) -> object:
-        workspace.setup(qp)
-        workspace.solve()
-        return workspace.read()
 
-    return run
+@pytest.fixture(name="solve_next")
+def _solve_next() -> Callable[..., Solution]:
+    return solve_next

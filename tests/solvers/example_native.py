@@ -5,7 +5,13 @@ It is quadprog under another name, which keeps nothing from step to step.
 
 from dpbench.solvers.adapter import NativeAdapter
 from dpbench.solvers.libraries.quadprog import QuadprogWorkspace
-from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.record import (
+    NAN_FAULTS,
+    RouteRecord,
+    SolverRecord,
+    by_tolerance,
+    project_facts,
+)
 
 RECORD = SolverRecord(
     name="newcomer",
@@ -23,7 +29,7 @@ RECORD = SolverRecord(
         )
     },
     levels=by_tolerance("precision", always={"care": 1}),
-    project=stated(
+    project=project_facts(
         licence=("MIT", "the example"),
         language=("C", "the example"),
         c_code=("yes, all of it", "the example"),

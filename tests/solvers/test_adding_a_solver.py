@@ -1,7 +1,5 @@
 """To add a solver is to add its file: in a copy of the package, as CONTRIBUTING says."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -15,13 +13,13 @@ import pytest
 
 import dpbench
 from dpbench.errors import DpbenchError
-from dpbench.solvers.adapter import adapters_in
+from dpbench.solvers.adapter import find_adapters
 
 HERE, ROOT = Path(__file__).parent, Path(dpbench.__file__).parents[1]
 (TEXT,) = re.findall(
     r"^- \*\*a solver\*\*:(.*?)^- ", (ROOT / "CONTRIBUTING.md").read_text(), re.M | re.S
 )
-(ROOM,) = re.findall(r"`(dpbench/solvers/\w+/)`", TEXT)
+(LIBRARIES,) = re.findall(r"`(dpbench/solvers/\w+/)`", TEXT)
 NEWCOMERS = ("newcomer", "newcomer_wrapped")
 
 
@@ -34,8 +32,8 @@ def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
     passing = shutil.ignore_patterns("*.pyc*", "*.tmp*")
     shutil.copytree(ROOT / "dpbench", root / "dpbench", ignore=passing)
     shutil.copytree(HERE, root / "tests", ignore=passing)
-    shutil.copy(HERE / "example_native.py", root / ROOM / "newcomer.py")
-    shutil.copy(HERE / "example_wrapped.py", root / ROOM / "newcomer_wrapped.py")
+    shutil.copy(HERE / "example_native.py", root / LIBRARIES / "newcomer.py")
+    shutil.copy(HERE / "example_wrapped.py", root / LIBRARIES / "newcomer_wrapped.py")
     return root
 
 
@@ -55,31 +53,29 @@ def test_a_file_is_all_that_a_solver_takes(copied: Path) -> None:
     program = f"""
 import json
 from dpbench.report.charts.style import FAMILY_COLOURS
-from dpbench.solvers.settings import describe_levels, resolve, setting_names
-from dpbench.solvers.table import TABLE, available, native_adapter
-told = {{}}
+from dpbench.solvers.settings import describe_levels, resolve_options, setting_names
+from dpbench.solvers.table import TABLE, check_availability, native_adapter
+facts = {{}}
 for name in {NEWCOMERS}:
     row = TABLE[name]
-    told[name] = dict(
-        routes=row.policies, ok=available(name).ok, levels=describe_levels(name).splitlines(),
+    facts[name] = dict(
+        routes=row.policies, ok=check_availability(name).ok,
+        levels=describe_levels(name).splitlines(),
         licence=row.project.licence.value, language=row.project.language.value,
-        c_code=row.project.c_code.value, aboard=row.why_not_aboard == "",
+        c_code=row.project.c_code.value, aboard=row.deployment_blocker == "",
         refusal=row.refusal(row.default_route, "reuse"), family=row.family,
         coloured=row.family in FAMILY_COLOURS)
-told["own key"] = dict(resolve({{"precision": 0.5}}, native_adapter("newcomer")))
-print(json.dumps(told))
+facts["own key"] = dict(resolve_options({{"precision": 0.5}}, native_adapter("newcomer")))
+print(json.dumps(facts))
 """
-    told: dict[str, Any] = json.loads(_run(copied, "-c", program))
-    native, wrapped = (told[name] for name in NEWCOMERS)
+    facts: dict[str, Any] = json.loads(_run(copied, "-c", program))
+    native, wrapped = (facts[name] for name in NEWCOMERS)
     assert native["routes"] == {"native": ["fresh"]}
     assert wrapped["routes"] == {"qpsolvers": ["fresh"]}
     assert native["levels"][:2] == ["default: care=1", "low: care=1, precision=0.001"]
-    assert told["own key"] == {"care": 1, "precision": 0.5}
-    assert (native["licence"], native["language"], native["c_code"]) == (
-        "MIT",
-        "C",
-        "yes, all of it",
-    )
+    assert facts["own key"] == {"care": 1, "precision": 0.5}
+    project = native["licence"], native["language"], native["c_code"]
+    assert project == ("MIT", "C", "yes, all of it")
     assert native["refusal"] == "the example keeps nothing"
     assert (native["family"], wrapped["family"]) == ("augmented Lagrangian", "active set")
     assert all(one[key] for one in (native, wrapped) for key in ("ok", "aboard", "coloured"))
@@ -89,9 +85,7 @@ print(json.dumps(told))
 def test_it_is_listed(copied: Path) -> None:
     """`dpbench list solvers` tells of it."""
     listed = _run(copied, "-m", "dpbench", "list", "solvers")
-    assert re.search(r"^newcomer\b", listed, re.M) and re.search(
-        r"^newcomer_wrapped\b", listed, re.M
-    )
+    assert all(re.search(rf"^{name}\b", listed, re.M) for name in NEWCOMERS)
     assert "that of the" in listed[listed.index("newcomer") :]
 
 
@@ -117,10 +111,10 @@ def test_a_file_without_an_adapter_is_an_error(
         (folder / f"{name}.py").write_text((HERE / "example_native.py").read_text())
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(DpbenchError, match=r"two_solvers.helper holds no adapter"):
-        adapters_in("two_solvers", besides=())
+        find_adapters("two_solvers", besides=())
     with pytest.raises(DpbenchError, match=r"two_solvers.two: solver newcomer is there twice"):
-        adapters_in("two_solvers", besides=("helper",))
-    native, wrapped = adapters_in("two_solvers", besides=("helper", "two"))
+        find_adapters("two_solvers", besides=("helper",))
+    native, wrapped = find_adapters("two_solvers", besides=("helper", "two"))
     assert list(native) == ["newcomer"] and not wrapped
 
 

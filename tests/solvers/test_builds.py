@@ -1,7 +1,5 @@
 """How a library was built is read from the library, not asserted."""
 
-from __future__ import annotations
-
 import ctypes
 import sys
 from importlib import import_module
@@ -10,9 +8,9 @@ from types import ModuleType
 
 import pytest
 
-from dpbench.solvers.libraries.hpipm.library import build_of
+from dpbench.solvers.libraries.hpipm import read_blasfeo_build
 from dpbench.solvers.record import Build, vectorised_build
-from dpbench.solvers.table import Availability, available
+from dpbench.solvers.table import Availability, check_availability
 
 AVX2, FMA = 0x2, 0x4
 
@@ -37,23 +35,22 @@ class Blasfeo:
         (Blasfeo(AVX2 | FMA, b" AVX2 FMA"), Build("BLASFEO AVX2 FMA")),
         (object(), Build()),
     ],
-    ids=["generic", "haswell", "silent"],
 )
 def test_a_blasfeo_is_generic_where_it_needs_no_vector_instruction(
     library: object, build: Build
 ) -> None:
     """A target with vector instructions is named by them; a library that does not say is not."""
-    assert build_of(library) == build
+    assert read_blasfeo_build(library) == build
 
 
-@pytest.mark.skipif(not available("hpipm").ok, reason="casadi is not installed")
+@pytest.mark.skipif(not check_availability("hpipm").ok, reason="casadi is not installed")
 @pytest.mark.parametrize("solver", ["hpipm", "hpipm_ocp"])
-def test_the_build_of_hpipm_is_that_of_the_headers_beside_it(solver: str) -> None:
+def test_the_read_blasfeo_build_hpipm_is_that_of_the_headers_beside_it(solver: str) -> None:
     """The library says generic exactly where the header it was installed with has that target."""
     header = Path(str(import_module("casadi").__file__)).parent / "include" / "blasfeo_target.h"
     target = "#define TARGET_GENERIC" in header.read_text(encoding="utf-8")
-    assert available(solver).build.generic is target
-    assert not available("qpoases").build.generic
+    assert check_availability(solver).build.generic is target
+    assert not check_availability("qpoases").build.generic
 
 
 @pytest.mark.parametrize(
@@ -61,7 +58,7 @@ def test_the_build_of_hpipm_is_that_of_the_headers_beside_it(solver: str) -> Non
 )
 def test_a_build_chosen_at_import_is_the_one_in_memory(solver: str, loaded: str) -> None:
     """What is said is compiled into the one file of the library that this process has mapped."""
-    text = available(solver).build.text
+    text = check_availability(solver).build.text
     end = {"AVX-512": "_avx512", "AVX2": "_avx2", "no AVX": ""}[text]
     maps = Path("/proc/self/maps").read_text(encoding="utf-8")
     mapped = {Path(line.split()[-1]).name for line in maps.splitlines()}

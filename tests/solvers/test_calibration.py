@@ -1,6 +1,7 @@
 """The harness's own configurations: what they do, and that no list of solvers has them."""
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,9 +9,16 @@ import pytest
 from dpbench.errors import InputError, PolicyError, UnknownNameError
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Status
-from dpbench.solvers.calibration import CALIBRATION, COPY_ONLY, NO_OP, WAITS_NS, BusyWait, CopyOnly
+from dpbench.solvers.calibration import (
+    CALIBRATION,
+    COPY_ONLY,
+    NO_OP,
+    BusyWaitWorkspace,
+    CopyOnlyWorkspace,
+)
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import load_solver_module, record, solver_names
+from dpbench.solvers.table import find_record, load_solver_module, solver_names
+from tests.solvers.conftest import solve_next
 
 
 @pytest.fixture
@@ -24,19 +32,15 @@ def qp() -> QuadraticProgram:
 def test_they_have_names_but_are_no_solvers() -> None:
     """Each is found by its name and listed nowhere; another name is unknown all the same."""
     assert not set(CALIBRATION) & set(solver_names())
-    assert all(record(name).name == name for name in CALIBRATION)
+    assert all(find_record(name).name == name for name in CALIBRATION)
     with pytest.raises(UnknownNameError):
-        record("busy_wait_30us")
+        find_record("busy_wait_30us")
 
 
 def test_no_plug_in_takes_their_name(tmp_path) -> None:
     """A plug-in called like one of them would have its results hidden."""
-    text = (
-        "from dpbench.solvers.plugins import solver_record\n"
-        f"RECORD = solver_record({NO_OP!r}, method='x')\n"
-        "def open(policy, options): raise NotImplementedError\n"
-    )
-    (tmp_path / "mine.py").write_text(text, encoding="utf-8")
+    text = Path(__file__).with_name("example_plugin.py").read_text(encoding="utf-8")
+    (tmp_path / "mine.py").write_text(text.replace('"admm", m', f'"{NO_OP}", m'), encoding="utf-8")
     with pytest.raises(InputError, match=NO_OP):
         load_solver_module(tmp_path / "mine.py")
 
@@ -48,9 +52,7 @@ def test_they_run_one_way_and_claim_nothing(name: str, qp: QuadraticProgram) -> 
         open_workspace(name)
     workspace = open_workspace(name, policy="reuse")
     workspace.setup(qp)
-    workspace.update(QPStep(qp.q, qp.l, qp.u))
-    workspace.solve()
-    answer = workspace.read()
+    answer = solve_next(workspace, QPStep(qp.q, qp.l, qp.u))
     assert (answer.status, answer.iterations) == (Status.UNKNOWN, -1)
     assert np.isnan(answer.z).all() and answer.z.shape == (3,) and answer.y.shape == (2,)
     assert (workspace.read() is answer) == (name != COPY_ONLY)
@@ -58,7 +60,7 @@ def test_they_run_one_way_and_claim_nothing(name: str, qp: QuadraticProgram) -> 
 
 def test_copy_only_copies_in_and_out(qp: QuadraticProgram) -> None:
     """It holds the numbers of the step, not the step's memory, and gives out memory of its own."""
-    workspace = CopyOnly(COPY_ONLY)
+    workspace = CopyOnlyWorkspace(COPY_ONLY)
     workspace.setup(qp)
     step = QPStep(qp.q + 1, qp.l - 1, qp.u + 2)
     workspace.update(step)
@@ -75,18 +77,7 @@ def test_copy_only_copies_in_and_out(qp: QuadraticProgram) -> None:
 def test_a_wait_ends_with_the_first_reading_that_is_late_enough(wait_ns: int) -> None:
     """On a clock that advances 300 ns a reading it reads as often as the wait holds such steps."""
     readings = itertools.count(5_000, 300)
-    workspace = BusyWait("busy", wait_ns, lambda: next(readings))
+    workspace = BusyWaitWorkspace("busy", wait_ns, lambda: next(readings))
     workspace.solve()
     took = next(readings) - 300 - 5_000
     assert wait_ns <= took < wait_ns + 300
-
-
-def test_their_names_say_what_they_wait() -> None:
-    """5, 20, 50, 200 and 1000 µs."""
-    assert [ns for name, ns in WAITS_NS.items() if name == f"busy_wait_{ns // 1000}us"] == [
-        5_000,
-        20_000,
-        50_000,
-        200_000,
-        1_000_000,
-    ]

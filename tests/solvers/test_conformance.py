@@ -1,7 +1,5 @@
 """What every solver of the table has to keep, whatever its library does."""
 
-from __future__ import annotations
-
 import gc
 import time
 
@@ -9,7 +7,7 @@ import numpy as np
 import psutil
 import pytest
 
-from dpbench.bench.run.formulation import Box
+from dpbench.bench.run.formulation import BoxFormulation
 from dpbench.bench.run.timed_solver import StepTimeLimitError, TimedSolver, is_usable
 from dpbench.errors import ShapeError
 from dpbench.qp.program import QPStep, QuadraticProgram
@@ -24,75 +22,55 @@ TWO = 2.0 * np.eye(2)
 
 
 def problem(P, q, A, l, u, lb, ub):  # noqa: E741 - l ≤ Az ≤ u, the name of the field
-    """A problem from nested lists."""
+    """Return a problem from nested lists."""
     rows = np.reshape(np.asarray(A, dtype=float), (-1, len(q)))
     return QuadraticProgram(P, q, rows, l, u, lb, ub)
 
 
-# name: problem, z, y, y_box; each derived by hand from P z + q + Aᵀy + y_box = 0.
+# name: problem, then z, y and y_box; each derived by hand from P z + q + Aᵀy + y_box = 0.
 KNOWN = {
     # Unconstrained optimum (3, −3) cut to (1, −1); 2z + q = (−4, 4).
     "row 0 at its upper limit, row 1 at its lower one": (
         problem(TWO, [-6, 6], np.eye(2), [-9, -1], [1, 9], [-9, -9], [9, 9]),
-        [1, -1],
-        [4, -4],
-        [0, 0],
+        ([1, -1], [4, -4], [0, 0]),
     ),
-    # The same with bounds, and without any row.
+    # With bounds, and without any row.
     "variable 0 at its upper bound, variable 1 at its lower one": (
         problem(TWO, [-6, 6], [], [], [], [-9, -1], [1, 9]),
-        [1, -1],
-        [],
-        [4, -4],
+        ([1, -1], [], [4, -4]),
     ),
     # By symmetry z = (½, ½) on z0 + z1 = 1; P z + q = −5/2 in both.
     "a coupled cost on one row": (
         problem([[2, 1], [1, 2]], [-4, -4], [[1, 1]], [-1], [1], [-9, -9], [9, 9]),
-        [0.5, 0.5],
-        [2.5],
-        [0, 0],
+        ([0.5, 0.5], [2.5], [0, 0]),
     ),
     # z0 = ½ at its bound, z0 − z1 = −1 at its lower limit; 2z + q = (−1, −3).
     "one side of each limit infinite": (
         problem(TWO, [-2, -6], [[1, 1], [1, -1]], [-INF, -1], [INF, INF], [-INF, -5], [0.5, INF]),
-        [0.5, 1.5],
-        [0, -3],
-        [4, 0],
+        ([0.5, 1.5], [0, -3], [4, 0]),
     ),
     # Projection of (1, 3) on z0 + z1 = 1.
     "an equality row": (
         problem(TWO, [-2, -6], [[1, 1]], [1], [1], [-9, -9], [9, 9]),
-        [-0.5, 1.5],
-        [3],
-        [0, 0],
+        ([-0.5, 1.5], [3], [0, 0]),
     ),
     "a fixed variable": (
         problem(TWO, [-2, -6], [[1, 1]], [-9], [9], [-9, 0.5], [9, 0.5]),
-        [1, 0.5],
-        [0],
-        [0, 5],
+        ([1, 0.5], [0], [0, 5]),
     ),
     "nothing active": (
         problem(TWO, [-2, -6], [[1, 1]], [-9], [9], [-9, -9], [9, 9]),
-        [1, 3],
-        [0],
-        [0, 0],
+        ([1, 3], [0], [0, 0]),
     ),
     "nothing limited": (
         problem(TWO, [-2, -6], [[1, 1]], [-INF], [INF], [-INF, -INF], [INF, INF]),
-        [1, 3],
-        [0],
-        [0, 0],
+        ([1, 3], [0], [0, 0]),
     ),
 }
 
 
 def patience(configuration):
-    """Settings under which an infeasible or undefined problem is given up soon.
-
-    On a NaN, and natively on an infeasible problem, ProxQP runs to its iteration limits, which
-    takes it half a minute by default; so does SCS natively on a NaN.
-    """
+    """Settings under which an infeasible or undefined problem is given up soon."""
     if configuration.solver == "scs":
         return {"max_iters": 2000}
     if not configuration.solver.startswith("proxqp"):
@@ -104,7 +82,7 @@ INFEASIBLE = problem(TWO, [-2, -6], [[1, 1]], [3], [4], [-1, -1], [1, 1])
 
 
 def kkt_residual(qp, s):
-    """Stationarity, feasibility and complementarity with the signs of the house."""
+    """Stationarity, feasibility and complementarity with the signs of `Solution`."""
     worst = [np.abs(qp.P @ s.z + qp.q + qp.A.T @ s.y + s.y_box).max()]
     for w, low, high, y in ((qp.A @ s.z, qp.l, qp.u, s.y), (s.z, qp.lb, qp.ub, s.y_box)):
         worst += [(w - high).max(initial=0.0), (low - w).max(initial=0.0)]
@@ -112,137 +90,110 @@ def kkt_residual(qp, s):
     return max(worst)
 
 
+def assert_certified(configuration, answer, qp):
+    np.testing.assert_allclose(answer.z, certify(qp).z, rtol=0, atol=configuration.tolerance)
+
+
 @pytest.mark.parametrize("name", KNOWN)
-def test_known_optimum(configuration, name, solve_at_once):
+def test_known_optimum(configuration, name, solve_qp):
     """Every solver finds the optimum and the signed multipliers of a problem solved by hand."""
-    qp, z, y, y_box = KNOWN[name]
-    answer = solve_at_once(configuration.open(), qp)
+    qp, expected = KNOWN[name]
+    answer = solve_qp(configuration.open(), qp)
     assert answer.status is Status.SOLVED
-    np.testing.assert_allclose(answer.z, z, rtol=0, atol=configuration.tolerance)
-    np.testing.assert_allclose(answer.y, y, rtol=0, atol=10 * configuration.tolerance)
-    np.testing.assert_allclose(answer.y_box, y_box, rtol=0, atol=10 * configuration.tolerance)
+    for part, known, factor in zip(parts(answer), expected, (1, 10, 10), strict=True):
+        np.testing.assert_allclose(part, known, rtol=0, atol=factor * configuration.tolerance)
 
 
-def test_answers_satisfy_the_optimality_conditions(configuration, sequence):
-    """Along a sequence every answer fulfils the KKT conditions to the accuracy of its class."""
-    workspace = configuration.open()
-    workspace.setup(sequence.base)
-    for step in sequence.steps:
-        workspace.update(step)
-        workspace.solve()
-        qp, answer = sequence.base.at(step), workspace.read()
+def parts(answer):
+    return answer.z, answer.y, answer.y_box
+
+
+def test_updated_answers_are_those_of_a_new_setup_and_optimal(configuration, sequence, solve_qp):
+    """Bit for bit those of a new workspace, or to tolerance with a memory; KKT conditions hold."""
+    atol = 0.0 if configuration.exact_again else 2 * configuration.tolerance
+    answers = sequence.answers(configuration.open())
+    for step, answer in zip(sequence.steps, answers, strict=True):
+        qp = sequence.base.at(step)
         assert answer.status is Status.SOLVED
         assert kkt_residual(qp, answer) <= 10 * configuration.tolerance
+        new = solve_qp(configuration.open(), qp)
+        np.testing.assert_allclose(answer.z, new.z, rtol=0, atol=atol)
 
 
-def test_update_equals_a_new_setup(configuration, sequence, solve_at_once):
-    """An updated workspace gives bit for bit what a new one gives; with a memory, to tolerance.
-
-    Scalings, penalties and factors kept from an earlier step are such a memory, and so is a start.
-    """
-    workspace = configuration.open()
-    workspace.setup(sequence.base)
-    for step in sequence.steps:
-        workspace.update(step)
-        workspace.solve()
-        answer = workspace.read()
-        fresh = solve_at_once(configuration.open(), sequence.base.at(step))
-        atol = 0.0 if configuration.exact_again else 2 * configuration.tolerance
-        np.testing.assert_allclose(answer.z, fresh.z, rtol=0, atol=atol)
-
-
-def test_limits_may_become_infinite_equal_and_finite_again(configuration, sequence, solve_at_once):
+def test_limits_may_become_infinite_equal_and_finite_again(configuration, sequence):
     """A step may change which limits are infinite or equal."""
-    workspace = configuration.open()
-    workspace.setup(sequence.base)
     first, second, third = sequence.steps[:3]
     low, high = second.l.copy(), second.u.copy()
     low[0], high[1], low[2:4], high[2] = -INF, INF, (0.25, -INF), 0.25
-    for step in (first, QPStep(second.q, low, high), third):
-        workspace.update(step)
-        workspace.solve()
-        qp = sequence.base.at(step)
-        exact = certify(qp)
-        np.testing.assert_allclose(
-            workspace.read().z, exact.z, rtol=0, atol=configuration.tolerance
-        )
+    steps = [first, QPStep(second.q, low, high), third]
+    answers = sequence._replace(steps=steps).answers(configuration.open())
+    for step, answer in zip(steps, answers, strict=True):
+        assert_certified(configuration, answer, sequence.base.at(step))
 
 
-def test_matrices_may_change(configuration, sequence, solve_at_once):
+def test_matrices_may_change(configuration, sequence, solve_next):
     """A step that brings matrices and bounds is solved with them, and so are those after it."""
     workspace = configuration.open()
-    base, step = sequence.base, sequence.steps[0]
+    base, (step, later) = sequence.base, sequence.steps[:2]
+    matrices = 2.0 * base.P, -base.A, 0.5 * base.lb, 0.25 * base.ub
+    changed = QPStep(step.q, step.l, step.u, *matrices)
     workspace.setup(base)
-    workspace.update(
-        QPStep(step.q, step.l, step.u, 2.0 * base.P, -base.A, 0.5 * base.lb, 0.25 * base.ub)
-    )
-    later = sequence.steps[1]
-    workspace.update(later)
+    workspace.update(changed)
+    answer = solve_next(workspace, later)
     assert workspace.matrix_updates == 1
-    workspace.solve()
-    qp = QuadraticProgram(
-        2.0 * base.P, later.q, -base.A, later.l, later.u, 0.5 * base.lb, 0.25 * base.ub
-    )
-    exact = certify(qp)
-    np.testing.assert_allclose(workspace.read().z, exact.z, rtol=0, atol=configuration.tolerance)
+    assert_certified(configuration, answer, base.at(changed).at(later))
 
 
-def test_inputs_stay_as_they_are_and_are_not_kept(configuration, sequence, solve_at_once):
-    """No solver writes to the caller's arrays, and none sees what the caller writes later."""
+@pytest.mark.parametrize("rebuilt", [False, True])
+def test_inputs_stay_unchanged_and_are_not_shared(
+    configuration, sequence, rebuilt, solve_qp, solve_next
+):
+    """No solver writes to the caller's arrays or sees later writes, also if the pattern changes."""
     base, step = sequence.base, sequence.steps[0]
-    names = ("P", "q", "A", "l", "u", "lb", "ub")
-    before = {name: getattr(base, name).copy() for name in names}
-    vectors = [step.q.copy(), step.l.copy(), step.u.copy()]
-    workspace = configuration.open()
-    solve_at_once(workspace, base)
-    workspace.update(step)
-    workspace.solve()
-    expected = workspace.read().z
-    for name in names:
-        np.testing.assert_array_equal(getattr(base, name), before[name])
-    for handed_over, kept in zip((step.q, step.l, step.u), vectors, strict=True):
-        np.testing.assert_array_equal(handed_over, kept)
-    again = configuration.open()
-    again.setup(base)
-    again.solve()
-    again.read()
+    if rebuilt:
+        step.l[1] = -INF
+    vectors = [step.q, step.l, step.u]
+    arrays = [base.P, base.q, base.A, base.l, base.u, base.lb, base.ub, *vectors]
+    copies, qp = [array.copy() for array in arrays], base.at(step).copy()
+    workspace, again = configuration.open(), configuration.open()
+    solve_qp(workspace, base)
+    expected = solve_next(workspace, step).z
+    for array, copy in zip(arrays, copies, strict=True):
+        np.testing.assert_array_equal(array, copy)
+    solve_qp(again, base)
+    for array in arrays[: -len(vectors)]:
+        array.fill(np.nan)
     again.update(step)
-    for array in (*(getattr(base, name) for name in names), step.q, step.l, step.u):
+    for array in vectors:
         array.fill(np.nan)
     again.solve()
     np.testing.assert_array_equal(again.read().z, expected)
+    assert_certified(configuration, again.read(), qp)
 
 
-def test_a_rebuild_uses_the_workspaces_own_matrices(configuration, sequence, solve_at_once):
-    """What the caller writes after setup is not seen by a step that changes the pattern either."""
-    base, step = sequence.base, sequence.steps[0]
-    low = step.l.copy()
-    low[1] = -INF
-    last = QPStep(step.q, low, step.u)
-    exact = certify(base.at(last))
-    workspace = configuration.open()
-    workspace.setup(base)
-    for array in (base.P, base.q, base.A, base.l, base.u, base.lb, base.ub):
-        array.fill(np.nan)
-    workspace.update(last)
-    workspace.solve()
-    np.testing.assert_allclose(workspace.read().z, exact.z, rtol=0, atol=configuration.tolerance)
-
-
-def test_an_answer_is_the_callers_own(configuration, sequence):
+def test_an_answer_is_the_callers_own(configuration, sequence, solve_qp, solve_next):
     """Neither the next solve nor a second read changes an answer, nor does writing to it."""
     workspace = configuration.open()
-    workspace.setup(sequence.base)
-    workspace.solve()
-    first, second = workspace.read(), workspace.read()
-    kept = first.z.copy(), first.y.copy(), first.y_box.copy()
-    for array in (second.z, second.y, second.y_box):
+    first = solve_qp(workspace, sequence.base)
+    before = [array.copy() for array in parts(first)]
+    for array in parts(workspace.read()):
         array.fill(7.0)
-    workspace.update(sequence.steps[0])
-    workspace.solve()
-    workspace.read()
-    for answered, before in zip((first.z, first.y, first.y_box), kept, strict=True):
-        np.testing.assert_array_equal(answered, before)
+    solve_next(workspace, sequence.steps[0])
+    for array, copy in zip(parts(first), before, strict=True):
+        np.testing.assert_array_equal(array, copy)
+
+
+def test_reset_forgets_the_start(warm_configuration, sequence, solve_qp, solve_next):
+    """After a reset a warm workspace gives bit for bit what it gives after its setup."""
+    configuration, step = warm_configuration, sequence.steps[0]
+    workspace, new = configuration.open("default"), configuration.open("default")
+    first = sequence.answers(workspace)[0]
+    workspace.reset()
+    again = solve_next(workspace, step)
+    if configuration.route == "qpsolvers":
+        first = solve_qp(new, sequence.base.at(step))
+    np.testing.assert_array_equal(again.z, first.z)
+    assert again.iterations == first.iterations
 
 
 @pytest.mark.parametrize("name", ["q", "l", "u", "P", "A", "lb", "ub"])
@@ -256,9 +207,9 @@ def test_wrong_shapes_are_refused(configuration, sequence, name):
         workspace.update(step)
 
 
-def test_infeasible_problems_are_not_claimed_solved(configuration, solve_at_once):
+def test_infeasible_problems_are_not_claimed_solved(configuration, solve_qp):
     """An infeasible problem is reported as such where the table says so, and never as solved."""
-    answer = solve_at_once(configuration.open("default"), INFEASIBLE)
+    answer = solve_qp(configuration.open("default"), INFEASIBLE)
     if configuration.record.detects_infeasibility:
         assert answer.status is Status.PRIMAL_INFEASIBLE
     else:
@@ -281,28 +232,19 @@ def spoil(step, fault):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("reset", [True, False], ids=["reset", "no reset"])
 @pytest.mark.parametrize("fault", ["infeasible", "nan in q", "nan in u"])
-def test_recovery(configuration, sequence, fault, reset, solve_at_once):
-    """After a step that cannot be solved the next one is solved, with a reset and without."""
+def test_recovery_without_a_reset(configuration, sequence, fault, solve_qp, solve_next):
+    """After a step that cannot be solved the next one is solved, even if nobody resets."""
     workspace = configuration.open(**patience(configuration))
-    workspace.setup(sequence.base)
-    workspace.solve()
-    workspace.read()
+    solve_qp(workspace, sequence.base)
     bad, after = sequence.steps[:2]
     workspace.update(spoil(bad, fault))
     workspace.solve()
-    if reset:
-        workspace.read()
-        workspace.reset()
-    workspace.update(after)
-    workspace.solve()
-    answer = workspace.read()
-    qp = sequence.base.at(after)
+    answer, qp = solve_next(workspace, after), sequence.base.at(after)
     assert answer.status is Status.SOLVED
     assert kkt_residual(qp, answer) <= 10 * configuration.tolerance
     if configuration.exact_again:
-        expected = solve_at_once(configuration.open(**patience(configuration)), qp)
+        expected = solve_qp(configuration.open(**patience(configuration)), qp)
         np.testing.assert_array_equal(answer.z, expected.z)
 
 
@@ -310,12 +252,9 @@ def test_recovery(configuration, sequence, fault, reset, solve_at_once):
 @pytest.mark.filterwarnings("ignore:invalid value encountered")
 @pytest.mark.parametrize("fault", ["infeasible", "nan in q", "nan in u", "interrupted"])
 def test_no_state_of_a_failed_step_survives(configuration, sequence, fault, monkeypatch):
-    """Driven as in a loop, the answers after a failed step are those the referee certifies.
-
-    A solve that is interrupted has changed whatever it changes, and its answer is lost.
-    """
+    """Driven as in a loop, the answers after a failed step are those the referee certifies."""
     workspace = configuration.open(**patience(configuration))
-    solver = TimedSolver(workspace, Box(sequence.base), time.perf_counter_ns)
+    solver = TimedSolver(workspace, BoxFormulation(sequence.base), time.perf_counter_ns)
     solver.prepare()
     first, bad, *after = sequence.steps[:5]
     assert solver.answer(solver.formulate(first)).status is Status.SOLVED
@@ -329,13 +268,12 @@ def test_no_state_of_a_failed_step_survives(configuration, sequence, fault, monk
         solver.reset()
     for step in after:
         answer = solver.answer(solver.formulate(step))
-        exact = certify(sequence.base.at(step))
         assert answer.status is Status.SOLVED
-        np.testing.assert_allclose(answer.z, exact.z, rtol=0, atol=configuration.tolerance)
+        assert_certified(configuration, answer, sequence.base.at(step))
 
 
 def interrupted(solver):
-    """What reading an answer comes to after an alarm."""
+    """Return a `read` that raises as after an alarm."""
 
     def read():
         solver.interrupted = "interrupted"
@@ -347,66 +285,50 @@ def interrupted(solver):
 # Multipliers may come back infinite.
 @pytest.mark.filterwarnings("ignore:invalid value encountered")
 @pytest.mark.parametrize("fault", ["nan in q", "nan in u"])
-def test_a_nan_is_not_claimed_solved(configuration, sequence, fault):
+def test_a_nan_is_not_claimed_solved(configuration, sequence, fault, solve_next):
     """Nobody claims to have solved a problem with a NaN in it, but for the faults in the table."""
     workspace = configuration.open(**patience(configuration))
     workspace.setup(sequence.base)
-    workspace.update(spoil(sequence.steps[0], fault))
-    workspace.solve()
-    assert workspace.read().claimed == (f"solved despite a {fault}" in configuration.record.faults)
+    assert solve_next(workspace, spoil(sequence.steps[0], fault)).claimed == (
+        f"solved despite a {fault}" in configuration.record.faults
+    )
 
 
-def test_recovery_from_an_iteration_limit(limited_configuration, sequence, solve_at_once):
+def test_recovery_from_an_iteration_limit(limited_configuration, sequence, solve_qp, solve_next):
     """After a step that was stopped by the iteration limit, one within the limit is solved."""
     configuration, base = limited_configuration, sequence.base
     hard = QPStep(40.0 * sequence.steps[0].q, base.l, base.u)
     easy = QPStep(0.0 * hard.q, base.l - 5.0, base.u + 5.0)
-    few, many = (
-        solve_at_once(configuration.open(), base.at(step)).iterations for step in (easy, hard)
-    )
+    few, many = (solve_qp(configuration.open(), base.at(step)).iterations for step in (easy, hard))
     assert few < many, "the problems do not tell the limits apart"
     limit = 1 if configuration.solver.startswith("proxqp") else (few + many) // 2
     workspace = configuration.open(**{configuration.limit_key: limit})
     workspace.setup(base.at(easy))
-    workspace.update(hard)
-    workspace.solve()
-    assert workspace.read().status in (Status.MAX_ITERATIONS, Status.INACCURATE)
+    assert solve_next(workspace, hard).status in (Status.MAX_ITERATIONS, Status.INACCURATE)
     if configuration.policy == "warm":
         # From a start that is far away the easy step may need more than the limit, too.
         workspace.reset()
-    workspace.update(easy)
-    workspace.solve()
-    answer = workspace.read()
+    answer = solve_next(workspace, easy)
     assert answer.status is Status.SOLVED
     assert kkt_residual(base.at(easy), answer) <= 10 * configuration.tolerance
 
 
 def test_two_workspaces_do_not_disturb_each_other(configuration, sequence):
     """Workspaces that take turns give bit for bit what each gives alone."""
-    base = sequence.base
+    base, steps = sequence.base, sequence.steps[:4]
     other = QuadraticProgram(2.0 * base.P, base.q, -base.A, -base.u, -base.l, base.lb, base.ub)
-    problems = base, other
-
-    def opened():
-        workspaces = [configuration.open() for _ in problems]
-        for workspace, qp in zip(workspaces, problems, strict=True):
-            workspace.setup(qp)
-        return workspaces
-
-    def answer(workspace, step):
-        workspace.update(step)
-        workspace.solve()
-        return workspace.read().z
-
-    alone = [[answer(w, step) for step in sequence.steps[:4]] for w in opened()]
-    together = opened()
-    for k, step in enumerate(sequence.steps[:4]):
+    cases = [sequence._replace(base=qp, steps=steps) for qp in (base, other)]
+    alone = [case.answers(configuration.open()) for case in cases]
+    together = [configuration.open() for _ in cases]
+    for workspace, case in zip(together, cases, strict=True):
+        workspace.setup(case.base)
+    for k, step in enumerate(steps):
         for workspace in together:
             workspace.update(step)
         for workspace in together:
             workspace.solve()
-        for workspace, expected in zip(together, alone, strict=True):
-            np.testing.assert_array_equal(workspace.read().z, expected[k])
+        for workspace, answers in zip(together, alone, strict=True):
+            np.testing.assert_array_equal(workspace.read().z, answers[k].z)
 
 
 def resident_bytes():
@@ -416,7 +338,7 @@ def resident_bytes():
 
 
 @pytest.mark.slow
-def test_workspaces_do_not_leak(configuration):
+def test_workspaces_do_not_leak(configuration, solve_qp):
     """Workspaces that are made, used and dropped leave no memory behind."""
     n = 40
     rng = np.random.default_rng(5)
@@ -427,9 +349,7 @@ def test_workspaces_do_not_leak(configuration):
     def cycles(count):
         for _ in range(count):
             workspace = configuration.open("default")
-            workspace.setup(qp)
-            workspace.solve()
-            workspace.read()
+            solve_qp(workspace, qp)
 
     # A leak grows in each window, an allocator's pool in some: one window without growth is enough.
     # Whoever forgets P and A alone loses some four times this much.
@@ -443,10 +363,10 @@ def test_workspaces_do_not_leak(configuration):
     assert min(growth) <= bound
 
 
-def test_a_cost_that_is_not_convex_enough(configuration, solve_at_once):
+def test_a_cost_that_is_not_convex_enough(configuration, solve_qp):
     """Where the table asks for strict convexity, a semidefinite cost is refused, not mis-solved."""
     qp = problem([[2, 0], [0, 0]], [-2, -1], [[1, 1]], [-9], [1], [-1, -1], [1, 0.5])
-    answer = solve_at_once(configuration.open(), qp)
+    answer = solve_qp(configuration.open(), qp)
     if TABLE[configuration.solver].needs_strict_convexity:
         assert not answer.claimed
     else:

@@ -1,9 +1,5 @@
 """Solvers of third parties: from a file, from an entry point, and through qpsolvers by name."""
 
-from __future__ import annotations
-
-import os
-import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -12,16 +8,17 @@ import numpy as np
 import pytest
 import qpsolvers
 
-import dpbench
 from dpbench.errors import InputError, PolicyError, SettingsError, UnknownNameError
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Status
 from dpbench.solvers import plugins
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.settings import describe_levels, settings_matter
-from dpbench.solvers.table import available, load_solver_module, record, solver_names
+from dpbench.solvers.settings import describe_levels, has_tolerance_levels
+from dpbench.solvers.table import check_availability, find_record, load_solver_module, solver_names
+from tests.solvers.conftest import solve_qp
 
 EXAMPLE = Path(__file__).with_name("example_plugin.py")
+TEXT = EXAMPLE.read_text()
 
 
 @pytest.fixture(autouse=True)
@@ -35,25 +32,17 @@ def nothing_loaded(monkeypatch):
 
 def test_the_example_is_short():
     """The example of a plug-in fits into thirty lines."""
-    assert len(EXAMPLE.read_text().splitlines()) <= 30
+    assert len(TEXT.splitlines()) <= 30
 
 
 def test_a_file_adds_a_solver(sequence):
     """The example file is a solver: listed, available, opened by name and right."""
     row = load_solver_module(EXAMPLE)
-    assert row.name == "admm"
-    assert row.extra == "plugin"
-    assert "admm" in solver_names()
-    assert record("admm") is row
-    assert available("admm").ok
+    assert (row.name, row.extra) == ("admm", "plugin")
+    assert "admm" in solver_names() and find_record("admm") is row and check_availability("admm").ok
     workspace = open_workspace("admm", settings="high")
-    assert workspace.route == "native"
-    assert workspace.setup_every_step
-    workspace.setup(sequence.base)
-    for step in sequence.steps:
-        workspace.update(step)
-        workspace.solve()
-        answer = workspace.read()
+    assert workspace.route == "native" and workspace.setup_every_step
+    for step, answer in zip(sequence.steps, sequence.answers(workspace), strict=True):
         assert answer.status is Status.SOLVED
         # Residuals of 1e-9 grow by the conditioning of the problem, some hundred.
         exact = certify(sequence.base.at(step)).z
@@ -62,29 +51,22 @@ def test_a_file_adds_a_solver(sequence):
 
 def test_a_files_version_is_its_content(tmp_path):
     """Another content is another version, so that results of the two are never mixed."""
-    copy = tmp_path / "mine.py"
-    copy.write_text(EXAMPLE.read_text())
-    load_solver_module(copy)
-    before = available("admm").version
-    load_solver_module(copy)
-    assert available("admm").version == before
-    copy.write_text(EXAMPLE.read_text() + "# changed\n")
-    load_solver_module(copy)
-    assert available("admm").version != before
+    file, versions = tmp_path / "mine.py", []
+    for text in (TEXT, TEXT, TEXT + "# changed\n"):
+        file.write_text(text)
+        load_solver_module(file)
+        versions.append(check_availability("admm").version)
+    assert versions[0] == versions[1] != versions[2]
 
 
 def test_the_levels_of_a_plugin_reaches_it(sequence):
     """The names of settings mean what the plug-in says, and its own keys pass through."""
     load_solver_module(EXAMPLE)
-    assert settings_matter("admm")
+    assert has_tolerance_levels("admm")
     assert "high: tolerance=1e-09" in describe_levels("admm")
-    counts = []
-    for settings in ("low", "high", {"tolerance": 1e-1}):
-        workspace = open_workspace("admm", settings=settings)
-        workspace.setup(sequence.base)
-        workspace.solve()
-        counts.append(workspace.read().iterations)
-    assert counts[2] < counts[0] < counts[1]
+    workspaces = (open_workspace("admm", settings=s) for s in ({"tolerance": 0.1}, "low", "high"))
+    few, more, most = (solve_qp(workspace, sequence.base).iterations for workspace in workspaces)
+    assert few < more < most
     with pytest.raises(SettingsError, match="hihg"):
         open_workspace("admm", settings="hihg")
     with pytest.raises(PolicyError, match="warm"):
@@ -93,9 +75,7 @@ def test_the_levels_of_a_plugin_reaches_it(sequence):
 
 def test_a_plugin_of_yesterday_is_read(tmp_path):
     """Old words are read: LADDER with a line that names LEVELS, no family, a refusal by route."""
-    old = (
-        EXAMPLE.read_text().replace("LEVELS = ", "LADDER = ").replace('family="first order", ', "")
-    )
+    old = TEXT.replace("LEVELS = ", "LADDER = ").replace('family="first order", ', "")
     file = tmp_path / "old.py"
     refused = 'refused={("native", "warm"): "it has no start"}'
     file.write_text(old.replace("detects_infeasibility=False", refused))
@@ -105,16 +85,6 @@ def test_a_plugin_of_yesterday_is_read(tmp_path):
     assert "high: tolerance=1e-09" in describe_levels("admm")
     assert row.refusal("native", "warm") == "it has no start"
     assert row.refusal("native", "reuse") == "not offered"
-
-
-def test_an_unknown_family_is_refused(tmp_path):
-    """A family is one of those there are, so that no figure paints a solver without a word."""
-    file = tmp_path / "mine.py"
-    file.write_text(EXAMPLE.read_text().replace("first order", "first ordre"))
-    with pytest.raises(
-        InputError, match=r"RECORD.family: found 'first ordre'; allowed: active set"
-    ):
-        load_solver_module(file)
 
 
 def test_what_a_plugin_raises_is_an_answer(sequence):
@@ -136,14 +106,15 @@ def test_what_a_plugin_raises_is_an_answer(sequence):
         ("1/0", "ZeroDivisionError"),
         ("x = 1", "RECORD: found None"),
         ("from example import RECORD", "ModuleNotFoundError"),
-        (EXAMPLE.read_text().replace("open = ", "shut = "), "open: found None"),
-        (EXAMPLE.read_text().replace('"admm", method', '"daqp", method'), "RECORD.name.*'daqp'"),
+        (TEXT.replace("open = ", "shut = "), "open: found None"),
+        (TEXT.replace('"admm", method', '"daqp", method'), "RECORD.name.*'daqp'"),
+        (TEXT.replace("first order", "first ordre"), "family: found 'first ordre'; allowed: act"),
         ("raise SystemExit(0)", "SystemExit: 0"),
         ("raise type('Own', (BaseException,), {})('two\\nlines')", "Own: two lines"),
         ("import os; os._exit(0)", "an end of its process, exit code 0"),
         ("import signal; signal.raise_signal(signal.SIGSEGV)", "an end of its process, SIGSEGV"),
-        (EXAMPLE.read_text().replace('"admm", method', '"../../x", method'), "RECORD.name.*x'"),
-        (EXAMPLE.read_text().replace('"admm", method', '"a\\x1b", method'), "RECORD.name.*x1b'"),
+        (TEXT.replace('"admm", method', '"../../x", method'), "RECORD.name.*x'"),
+        (TEXT.replace('"admm", method', '"a\\x1b", method'), "RECORD.name.*x1b'"),
     ],
 )
 def test_what_is_no_plugin_is_refused(tmp_path, text, words):
@@ -169,14 +140,14 @@ def test_two_files_cannot_have_one_name(tmp_path):
     """A second file with the name of the first is refused."""
     load_solver_module(EXAMPLE)
     copy = tmp_path / "other.py"
-    copy.write_text(EXAMPLE.read_text())
+    copy.write_text(TEXT)
     with pytest.raises(InputError, match="example_plugin"):
         load_solver_module(copy)
 
 
 def test_an_entry_point_adds_a_solver(monkeypatch, tmp_path):
     """A distribution that names an entry point adds a solver under its name and version."""
-    (tmp_path / "their_solver.py").write_text(EXAMPLE.read_text())
+    (tmp_path / "their_solver.py").write_text(TEXT)
     folder = tmp_path / "their_solver-2.5.dist-info"
     folder.mkdir()
     (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: their-solver\nVersion: 2.5\n")
@@ -185,35 +156,11 @@ def test_an_entry_point_adds_a_solver(monkeypatch, tmp_path):
     )
     monkeypatch.syspath_prepend(tmp_path)
     assert {"admm", "broken"} <= set(solver_names())
-    assert available("admm").version == "2.5"
+    assert check_availability("admm").version == "2.5"
     assert open_workspace("admm").solver == "admm"
     with pytest.raises(InputError, match=r"entry point broken.*nothing"):
         open_workspace("broken")
     monkeypatch.delitem(sys.modules, "their_solver")
-
-
-@pytest.mark.slow
-def test_a_plugin_runs_in_an_isolated_process():
-    """In a process of its own a plug-in is loaded, isolated from the libraries, and solves."""
-    program = f"""
-import sys
-from dpbench.solvers.isolation import isolate
-from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import TABLE, load_solver_module
-load_solver_module({str(EXAMPLE)!r})
-isolate("admm")
-import numpy as np
-from dpbench.qp.program import QuadraticProgram
-workspace = open_workspace("admm")
-I = np.eye(2)
-workspace.setup(QuadraticProgram(I, [-3.0, 0.0], I, [-1, -1], [1, 1], [-2, -2], [2, 2]))
-workspace.solve()
-assert abs(workspace.read().z - [1.0, 0.0]).max() < 1e-3
-assert not [m for row in TABLE.values() if (m := row.module) and sys.modules.get(m)]
-"""
-    root = Path(dpbench.__file__).parents[1]
-    environment = {**os.environ, "PYTHONPATH": str(root)}
-    subprocess.run([sys.executable, "-c", program], env=environment, check=True)
 
 
 def test_a_solver_that_only_qpsolvers_knows_works_by_its_name(monkeypatch, sequence):
@@ -221,19 +168,17 @@ def test_a_solver_that_only_qpsolvers_knows_works_by_its_name(monkeypatch, seque
     inner = qpsolvers.solvers.solve_function["quadprog"]
     monkeypatch.setitem(qpsolvers.solvers.solve_function, "brandnew", inner)
     monkeypatch.setattr(qpsolvers, "available_solvers", [*qpsolvers.available_solvers, "brandnew"])
-    assert record("brandnew").policies == {"qpsolvers": ("fresh",)}
-    assert available("brandnew").version == f"qpsolvers {metadata.version('qpsolvers')}"
+    assert find_record("brandnew").policies == {"qpsolvers": ("fresh",)}
+    assert check_availability("brandnew").version == f"qpsolvers {metadata.version('qpsolvers')}"
     workspace = open_workspace("brandnew")
-    workspace.setup(sequence.base)
-    workspace.solve()
-    answer = workspace.read()
+    answer = solve_qp(workspace, sequence.base)
     assert answer.status is Status.SOLVED
     np.testing.assert_allclose(answer.z, certify(sequence.base).z, rtol=0, atol=1e-9)
 
 
 def test_a_solver_that_qpsolvers_serves_but_does_not_find_says_so():
     """A name that qpsolvers has an interface for is known, and why it cannot run is said."""
-    assert not available("gurobi").ok
-    assert "pip install qpsolvers[gurobi]" in available("gurobi").reason
+    assert not check_availability("gurobi").ok
+    assert "pip install qpsolvers[gurobi]" in check_availability("gurobi").reason
     with pytest.raises(UnknownNameError):
-        record("gurobii")
+        find_record("gurobii")

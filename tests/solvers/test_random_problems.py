@@ -3,19 +3,17 @@
 Truth comes from the planted optimum, which is exact, and from no solver.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
-from dpbench.qp.random_sequence import Planted, planted
+from dpbench.qp.random_sequence import PlantedSequence, plant_sequence
 from dpbench.qp.referee.feasibility.farkas import farkas_valid
 from dpbench.qp.residuals import is_true, residuals
-from dpbench.qp.solution import Solution, Status
+from dpbench.qp.solution import Status
 from dpbench.solvers.contract import Policy
 from dpbench.solvers.open import open_workspace
+from tests.solvers.conftest import solve_next
 
 # It needs P > 0 and says so where P is only semidefinite.
 STRICT = [name for name, family in FAMILIES.items() if not family.semidefinite]
@@ -25,29 +23,19 @@ SEEDS: dict[Policy, range] = {"fresh": range(4), "reuse": range(4, 8), "warm": r
 """Each policy has problems of its own."""
 
 
-def answers(
-    problem: Planted, policy: Policy, solver: str = "paper_active_set", settings: str = "default"
-) -> list[tuple[QuadraticProgram, Solution]]:
-    """The problem and the answer of every step."""
+def answers(problem, policy, solver="paper_active_set", settings="default"):
+    """Yield the problem and the answer of every step."""
     sequence = problem.sequence
     workspace = open_workspace(solver, route="native", policy=policy, settings=settings)
     workspace.setup(sequence.base)
-    pairs = []
     for k in range(len(sequence)):
-        qp = sequence.problem(k)
-        if workspace.setup_every_step:
-            workspace.setup(qp)
-        else:
-            workspace.update(sequence.step(k))
-        workspace.solve()
-        answer = workspace.read()
-        pairs.append((qp, answer))
-        if not answer.status.usable:
+        answer = solve_next(workspace, sequence.step(k))
+        yield sequence.problem(k), answer
+        if not answer.status.is_usable:
             workspace.reset()
-    return pairs
 
 
-def check(problem: Planted, policy: Policy) -> None:
+def check(problem: PlantedSequence, policy: Policy) -> None:
     """Every feasible step is solved and true at 1e-6, every other one proven infeasible."""
     for k, (qp, answer) in enumerate(answers(problem, policy)):
         where = f"{problem.sequence.name}, {policy}, step {k}: {answer.status.name} {answer.detail}"
@@ -70,7 +58,7 @@ def test_it_solves_every_random_problem_and_claims_nothing_untrue(
     for n, m, block in SIZES:
         for seed in SEEDS[policy]:
             rows = 0 if family == "no_rows" else m
-            check(planted(RandomRecipe(family, n, rows, seed, block=block)), policy)
+            check(plant_sequence(RandomRecipe(family, n, rows, seed, block=block)), policy)
 
 
 @pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
@@ -78,19 +66,16 @@ def test_it_solves_every_random_problem_and_claims_nothing_untrue(
 def test_the_same_at_the_largest_size(family: str, policy: Policy) -> None:
     """With 120 variables and 300 rows every answer is true at 1e-6 too."""
     rows = 0 if family == "no_rows" else 300
-    check(planted(RandomRecipe(family, 120, rows, 1, steps=9)), policy)
+    check(plant_sequence(RandomRecipe(family, 120, rows, 1, steps=9)), policy)
 
 
 @pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
 def test_high_settings_tighten_the_proximal_steps_of_daqp(policy: Policy) -> None:
     """Where P is semidefinite its answers at `high` are right to 1e-5, those at `default` not."""
-    problem = planted(RandomRecipe("semidefinite", 12, 30, 2, block=2))
+    problem = plant_sequence(RandomRecipe("semidefinite", 12, 30, 2, block=2))
 
     def worst(settings: str) -> float:
-        pairs = answers(problem, policy, "daqp", settings)
-        return max(
-            float(np.abs(answer.z - z).max())
-            for (_, answer), z in zip(pairs, problem.z, strict=True)
-        )
+        pairs = zip(answers(problem, policy, "daqp", settings), problem.z, strict=True)
+        return max(float(np.abs(answer.z - z).max()) for (_, answer), z in pairs)
 
     assert worst("high") <= 1e-5 < worst("default")

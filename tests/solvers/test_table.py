@@ -1,62 +1,42 @@
 """The table of solvers, who is available, and how a workspace is opened."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.metadata
-import os
 import re
-import subprocess
 import sys
 import tomllib
 from importlib import import_module
 from pathlib import Path
 
 import pytest
+import qpsolvers
 
 import dpbench
 from dpbench.errors import DpbenchError, PolicyError, SolverUnavailableError, UnknownNameError
 from dpbench.solvers import table
-from dpbench.solvers.isolation import isolate
 from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import TABLE, available, qpsolvers_adapter, record, solver_names
+from dpbench.solvers.table import (
+    TABLE,
+    check_availability,
+    find_record,
+    isolate,
+    qpsolvers_adapter,
+    solver_names,
+)
+from tests.solvers.conftest import run_program
 
-NATIVE_ONLY = [
-    "hpipm",
-    "hpipm_ocp",
-    "piqp_multistage",
-    "piqp_sparse",
-    "proxqp_sparse",
-    "qoco",
-    "qpoases",
-]
-SERVED = [
-    "clarabel",
-    "cvxopt",
-    "daqp",
-    "ecos",
-    "highs",
-    "jaxopt",
-    "kvxopt",
-    "osqp",
-    "piqp",
-    "proxqp",
-    "pyqpmad",
-    "qpalm",
-    "qpax",
-    "qtqp",
-    "quadprog",
-    "scs",
-    "sip",
-]
+PROMISED = (
+    "clarabel cvxopt daqp ecos highs hpipm hpipm_ocp jaxopt kvxopt osqp piqp piqp_multistage "
+    "piqp_sparse proxqp proxqp_sparse pyqpmad qoco qpalm qpax qpoases qtqp quadprog scs sip"
+)
 
 
 def test_every_promised_solver_is_in_the_table():
-    """The table holds all that qpsolvers serves from wheels, the native ones and the own ones."""
+    """The table has all that qpsolvers serves from wheels, the native ones and the own ones."""
     own = [name for name, row in TABLE.items() if row.extra == "own"]
     assert {"paper_active_set", "unconstrained_clipped"} <= set(own)
-    assert {*SERVED, *NATIVE_ONLY, *own} <= set(TABLE) <= set(solver_names())
+    assert {*PROMISED.split(), *own} <= set(TABLE) <= set(solver_names())
     assert list(solver_names()) == sorted(solver_names())
 
 
@@ -78,19 +58,14 @@ def test_a_distribution_is_declared_where_its_record_says():
             assert row.distribution in names, row.name
 
 
-def test_names_are_those_of_qpsolvers(installed):
-    """Every installed library is known to qpsolvers under the name the table gives."""
-    import qpsolvers
-
-    if "qpsolvers" in record(installed).routes:
-        assert qpsolvers_adapter(installed).called in qpsolvers.available_solvers
-
-
-def test_an_available_solver_has_the_version_of_its_distribution(installed):
-    """The version is the one the package index knows."""
-    row = record(installed)
+def test_an_installed_solver_has_name_version_and_form_of_its_record(installed):
+    """The name is one of qpsolvers, the version that of the index, the form that of the record."""
+    row = find_record(installed)
+    if "qpsolvers" in row.routes:
+        assert qpsolvers_adapter(installed).qpsolvers_key in qpsolvers.available_solvers
     if row.extra != "own":
-        assert available(installed).version == importlib.metadata.version(row.distribution)
+        assert check_availability(installed).version == importlib.metadata.version(row.distribution)
+    assert open_workspace(installed).form == row.form
 
 
 def test_a_missing_distribution_is_listed_with_reason_and_remedy(monkeypatch):
@@ -99,9 +74,9 @@ def test_a_missing_distribution_is_listed_with_reason_and_remedy(monkeypatch):
     def missing(name):
         raise importlib.metadata.PackageNotFoundError(name)
 
-    monkeypatch.setattr(table, "_version", missing)
-    assert available("hpipm").reason == "casadi is not installed: pip install casadi"
-    assert available("daqp").reason.endswith("pip install daqp")
+    monkeypatch.setattr(table, "_installed_version", missing)
+    assert check_availability("hpipm").reason == "casadi is not installed: pip install casadi"
+    assert check_availability("daqp").reason.endswith("pip install daqp")
     with pytest.raises(SolverUnavailableError, match=r"qpax is not installed.*pip install qpax"):
         open_workspace("qpax")
 
@@ -112,7 +87,7 @@ def test_a_library_that_fails_to_import_is_listed_with_its_words(monkeypatch, tm
     (tmp_path / "daqp.py").write_text(f"raise {raised}('no such  instruction')\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "daqp", raising=False)
-    daqp = available("daqp")
+    daqp = check_availability("daqp")
     assert not daqp.ok
     assert daqp.reason == f"importing daqp failed: {raised}: no such instruction"
 
@@ -147,21 +122,14 @@ def test_routes_and_policies_that_do_not_exist_are_refused(solver, route, policy
 
 def test_the_default_route_is_the_solvers_own():
     """Without a route, libraries go through qpsolvers and the own solvers run natively."""
-    assert open_workspace("daqp").route == "qpsolvers"
-    assert open_workspace("piqp_sparse").route == "native"
-    assert open_workspace("paper_active_set").route == "native"
-
-
-def test_the_form_is_recorded(installed):
-    """A workspace tells the form of its matrices as the table does."""
-    assert open_workspace(installed).form == TABLE[installed].form
+    routes = {"daqp": "qpsolvers", "piqp_sparse": "native", "paper_active_set": "native"}
+    assert {solver: open_workspace(solver).route for solver in routes} == routes
 
 
 def test_native_workspaces_set_up_anew_only_when_fresh(configuration):
     """The harness sets a native workspace up at every step under `fresh`, and never else."""
-    assert configuration.open().setup_every_step == (
-        configuration.route == "native" and configuration.policy == "fresh"
-    )
+    fresh = configuration.route == "native" and configuration.policy == "fresh"
+    assert configuration.open().setup_every_step == fresh
 
 
 def test_no_fact_without_a_source():
@@ -177,8 +145,7 @@ def test_no_fact_without_a_source():
 
 
 def test_settings_in_c_have_the_names_of_the_options():
-    """The headers that OSQP installs beside its Python interface have the structure, each option
-    of each level as a field, and the function that fills it."""
+    """OSQP's installed headers have the structure, each option as a field, and its function."""
     row = TABLE["osqp"]
     headers = Path(import_module("osqp").__file__).parent.rglob("osqp_api_*.h")
     text = "".join(header.read_text(encoding="utf-8") for header in headers)
@@ -189,15 +156,6 @@ def test_settings_in_c_have_the_names_of_the_options():
         assert re.search(rf"\b{option};", fields), option
 
 
-def test_a_record_tells_the_routes_apart():
-    """What a library can do depends on the way it is reached, and so does its record."""
-    row = TABLE["daqp"]
-    assert not row.on("qpsolvers").detects_infeasibility
-    assert row.on("native").detects_infeasibility
-    assert row.on("qpsolvers").start == "primal"
-    assert row.on("native").start == "active set"
-
-
 def test_isolation_comes_before_qpsolvers():
     """Isolating after qpsolvers was imported is refused."""
     open_workspace("daqp")
@@ -206,32 +164,26 @@ def test_isolation_comes_before_qpsolvers():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", ["daqp", "sip", "clarabel"])
-def test_an_isolated_process_loads_one_library(solver):
+@pytest.mark.parametrize(
+    ("solver", "loaded"),
+    [("daqp", "daqp"), ("sip", "cvxopt sip_qp_python"), ("clarabel", "clarabel"), ("admm", "")],
+)
+def test_an_isolated_process_loads_one_library(solver, loaded):
     """After isolation a fresh process solves with its solver and has loaded no other one."""
     program = f"""
 import sys
-from dpbench.solvers.isolation import isolate
 from dpbench.solvers.open import open_workspace
-import numpy as np
+from dpbench.solvers.table import TABLE, isolate, load_solver_module
+load_solver_module({str(Path(__file__).with_name("example_plugin.py"))!r})
 from dpbench.qp.program import QuadraticProgram
 isolate({solver!r})
+import scipy.linalg
+I = scipy.linalg.block_diag(1.0, 1.0)  # SciPy looks at JAX where that is in sys.modules
 workspace = open_workspace({solver!r})
-I = np.eye(2)
 workspace.setup(QuadraticProgram(I, [-3.0, 0.0], I, [-1, -1], [1, 1], [-2, -2], [2, 2]))
 workspace.solve()
 assert abs(workspace.read().z - [1.0, 0.0]).max() < 1e-3
-from dpbench.solvers.table import TABLE
 modules = [row.module for row in TABLE.values() if row.module]
 print(*sorted(m for m in modules if sys.modules.get(m) is not None))
 """
-    root = Path(dpbench.__file__).parents[1]
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        env={**os.environ, "PYTHONPATH": str(root)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    expected = {TABLE[solver].module} | ({"cvxopt"} if solver == "sip" else set())
-    assert set(done.stdout.split()) == expected
+    assert run_program(program).split() == loaded.split()

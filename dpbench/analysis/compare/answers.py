@@ -1,12 +1,10 @@
 """Accuracy and control of the same configurations in two runs, as far as no clock enters them.
 
-A deterministic solver repeats them bit for bit, so there is nothing to estimate: what differs by
-more than the margin, beyond what the replay rounds of one run differ among themselves, differs.
-Where a time limit stopped a run or an answer, the figures of the whole run depend on the clock and
-are not comparable; accuracy is compared on the steps before that.
+A deterministic solver repeats them bit for bit, so nothing is estimated: a figure differs by more
+than the margin, beyond what the replay rounds of one run differ among themselves, or not. Where a
+time limit stopped a run or an answer, the figures of the whole run are not comparable; accuracy
+is compared on the steps before that.
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
@@ -16,10 +14,10 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.compare.pairs import Pair, key_of
+from dpbench.analysis.compare.pairs import Pair, cell_key
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.bench.judge.rules import decided, failed_steps
+from dpbench.bench.judge.rules import decided_steps, failed_steps
 from dpbench.qp.solution import Status
 
 Change = Literal["worse", "better", "same", "not comparable"]
@@ -37,10 +35,7 @@ BY_CLOCK = ({"finished", "timed_out"}, {"timed_out", "hung"})
 
 @dataclass(frozen=True)
 class Measure:
-    """A figure of a run: its column, whether less of it is better, what counts as zero.
-
-    `relative` says that a change counts beyond the margin, else that any change does.
-    """
+    """Accuracy or control quantity of a run, as RMS position, and the least change that counts."""
 
     column: str
     head: str
@@ -65,8 +60,8 @@ DONE = Measure("steps_done", "steps done", False, False, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
-    """One figure of a pair: its range over the rounds of either run, and what became of it."""
+class FigureChange:
+    """Accuracy or control quantity of two paired runs A and B: ranges in both and its change."""
 
     pair: Pair
     measure: Measure
@@ -76,67 +71,62 @@ class Answer:
 
     @property
     def row(self) -> dict[str, Any]:
-        """Identity, figure, ranges in A and B and what became of it, for a table."""
-        return key_of(self.pair.a) | {
-            "figure": self.measure.column,
-            "a_low": self.a[0],
-            "a_high": self.a[1],
-            "b_low": self.b[0],
-            "b_high": self.b[1],
-            "change": self.change,
-        }
+        """Table row: run identity, name of the compared quantity, its ranges in A and B, change."""
+        ranges = dict(zip(("a_low", "a_high", "b_low", "b_high"), self.a + self.b, strict=True))
+        figure = {"figure": self.measure.column}
+        return cell_key(self.pair.a) | figure | ranges | {"change": self.change}
 
 
-def compare_answers(a: Records, b: Records, pairs: Sequence[Pair], margin: float) -> list[Answer]:
-    """Every figure of every pair; a pair whose outcome changed is judged by that."""
-    return [
-        Answer(
-            pair,
-            measure,
-            range_a,
-            range_b,
-            _change(measure, range_a, range_b, margin) if repeats else "not comparable",
-        )
-        for pair in pairs
-        for measure, range_a, range_b, repeats in _figures(a, b, pair)
-    ]
+def compare_figures(
+    a: Records, b: Records, pairs: Sequence[Pair], margin: float
+) -> list[FigureChange]:
+    """Compare accuracy and control of each pair of runs A and B: worse, better or same."""
+    answers = []
+    for pair in pairs:
+        for measure, in_a, in_b, repeats in _compare_figures(a, b, pair):
+            change = _classify_change(measure, in_a, in_b, margin) if repeats else "not comparable"
+            answers.append(FigureChange(pair, measure, in_a, in_b, change))
+    return answers
 
 
-def _figures(a: Records, b: Records, pair: Pair) -> Iterator[tuple[Measure, Range, Range, bool]]:
-    """Every figure of a pair with its ranges in A and B, and whether two runs repeat it."""
+def _compare_figures(
+    a: Records, b: Records, pair: Pair
+) -> Iterator[tuple[Measure, Range, Range, bool]]:
+    """Yield each accuracy or control quantity of a pair of runs: both ranges, if comparable."""
     outcomes = pair.a.outcome, pair.b.outcome
     if pair.a.outcome != pair.b.outcome:
         by_clock = set(outcomes) in BY_CLOCK
-        places = [_point(ORDER.index(outcome)) for outcome in outcomes]
-        yield OUTCOME, places[0], places[1], not by_clock
+        in_a, in_b = (_point_range(ORDER.index(outcome)) for outcome in outcomes)
+        yield OUTCOME, in_a, in_b, not by_clock
         if not by_clock:
             return
     if not (pair.a.has_steps or pair.b.has_steps):
         return
-    steps = [_counting(view, run) for view, run in ((a, pair.a), (b, pair.b))]
+    steps = [view.counting_steps(run, _STEPS) for view, run in ((a, pair.a), (b, pair.b))]
     complete = "timed_out" not in outcomes and "hung" not in outcomes
     if complete:
-        yield DONE, _point(pair.a.steps_done), _point(pair.b.steps_done), True
-    repeated = min(pair.a.steps_done, pair.b.steps_done, *map(_before_time_limit, steps))
-    unlimited = complete and all(np.isinf(_before_time_limit(one)) for one in steps)
+        yield DONE, _point_range(pair.a.steps_done), _point_range(pair.b.steps_done), True
+    repeated = min(pair.a.steps_done, pair.b.steps_done, *map(_first_time_limited_step, steps))
+    unlimited = complete and all(np.isinf(_first_time_limited_step(one)) for one in steps)
     accurate = unlimited or (repeated > 0 and not any(one.empty for one in steps))
     ranges_a, ranges_b = (
-        _accuracy(one, run, repeated) for one, run in zip(steps, (pair.a, pair.b), strict=True)
+        _accuracy_ranges(one, run, repeated)
+        for one, run in zip(steps, (pair.a, pair.b), strict=True)
     )
     for measure in ACCURACY:
         yield measure, ranges_a[measure.column], ranges_b[measure.column], accurate
     for measure in CONTROL if pair.a.mode == "closed_loop" else ():
-        column = measure.column
-        values = _point(getattr(pair.a, column)), _point(getattr(pair.b, column))
-        yield measure, *values, unlimited
+        in_a, in_b = (_point_range(getattr(run, measure.column)) for run in (pair.a, pair.b))
+        yield measure, in_a, in_b, unlimited
 
 
-def _point(value: float) -> Range:
+def _point_range(value: float) -> Range:
+    """Return a single number as the range (low, high) with both ends equal to it."""
     return float(value), float(value)
 
 
-def _change(measure: Measure, a: Range, b: Range, margin: float) -> Change:
-    """What became of a figure; two missing ones are the same, one that went missing is worse."""
+def _classify_change(measure: Measure, a: Range, b: Range, margin: float) -> Change:
+    """Classify a quantity by its ranges in runs A and B: worse, better or the same in B."""
     missing_a, missing_b = math.isnan(a[0]), math.isnan(b[0])
     if missing_a or missing_b:
         return "same" if missing_a and missing_b else "worse" if missing_b else "better"
@@ -154,23 +144,18 @@ _STEPS = (
 )
 
 
-def _counting(records: Records, run: RunRecord) -> pd.DataFrame:
-    """The counting steps of a run; none of a folder without steps."""
-    return records.counting_steps(run, _STEPS)
-
-
-def _before_time_limit(steps: pd.DataFrame) -> float:
-    """The first step whose answer its solver's own time limit cut short; infinite without one."""
+def _first_time_limited_step(steps: pd.DataFrame) -> float:
+    """Return a run's first step whose solve the solver's time limit cut short; inf for none."""
     stopped = steps["k"][steps["status"] == Status.TIME_LIMIT.name]
     return float(stopped.min()) if len(stopped) else np.inf
 
 
-def _accuracy(steps: pd.DataFrame, run: RunRecord, common: float) -> dict[str, Range]:
-    """Least and largest over the counting rounds of each figure, on the first `common` steps."""
+def _accuracy_ranges(steps: pd.DataFrame, run: RunRecord, common: float) -> dict[str, Range]:
+    """Return each accuracy number's range over a run's repetitions, on steps before `common`."""
     counting = steps[steps["k"] < common]
     if counting.empty:
-        return {m.column: _point(getattr(run, m.column)) for m in ACCURACY}
-    failed, true = failed_steps(counting), counting["true"].where(decided(counting))
+        return {m.column: _point_range(getattr(run, m.column)) for m in ACCURACY}
+    failed, true = failed_steps(counting), counting["true"].where(decided_steps(counting))
     rounds = counting.assign(failed=failed.astype(float), true=true.astype(float)).groupby("repeat")
     by_round = {
         "error_move_max": rounds["error_move"].max(),
@@ -178,8 +163,4 @@ def _accuracy(steps: pd.DataFrame, run: RunRecord, common: float) -> dict[str, R
         "true_share": rounds["true"].mean(),
         "failed_steps": rounds["failed"].sum(),
     }
-    return {column: _range(values) for column, values in by_round.items()}
-
-
-def _range(values: pd.Series[float]) -> Range:
-    return float(values.min()), float(values.max())
+    return {name: (float(own.min()), float(own.max())) for name, own in by_round.items()}

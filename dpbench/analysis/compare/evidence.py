@@ -10,8 +10,6 @@ and moderated by a prior, as in the moderated t-statistic (Smyth 2004, Stat. App
 far as it exceeds the usual one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -20,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from dpbench.analysis.statistics import Interval, holm
+from dpbench.analysis.statistics import Interval, adjust_holm
 from dpbench.arrays import Floats, Ints
 
 Verdict = Literal["slower", "faster", "equivalent", "no difference shown"]
@@ -39,7 +37,7 @@ _MEDIAN_VARIANCE = np.pi / 2
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of a noise before the data: its standard deviation (log), its weight in df."""
+    """Assumed noise of log time ratios between two runs: standard deviation, degrees of freedom."""
 
     sd: float
     df: float
@@ -57,10 +55,8 @@ is wider."""
 
 @dataclass(frozen=True)
 class Assessment:
-    """What two runs say of one ratio.
+    """Verdict on one step time ratio between two runs, with interval and p-values.
 
-    Parameters
-    ----------
     raw : ratio as measured; machine : factor taken out of it; ratio : raw / machine with an
         interval that holds for all ratios of the table together (Bonferroni).
     p_differs, p_equal : adjusted (Holm) for "beyond the margin" and "within the margin".
@@ -76,10 +72,7 @@ class Assessment:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Estimated log ratios, (N,) each: `effect` after `machine` was taken out, its error, its df.
-
-    `effect` + `machine` is what was measured.
-    """
+    """Log step time ratios (N,) without the machine's factor; that factor, errors and df."""
 
     effect: Floats
     machine: Floats
@@ -87,7 +80,7 @@ class Evidence:
     df: Floats
 
 
-def gather(
+def remove_machine_factor(
     logs: Floats,
     own: Floats,
     groups: Sequence[str],
@@ -95,10 +88,8 @@ def gather(
     kernel: Floats | None = None,
     own_share: float = 1.0,
 ) -> Evidence:
-    """The evidence on each of N log ratios.
+    """Subtract from log step time ratios what all of a group share; estimate their errors.
 
-    Parameters
-    ----------
     logs : (N,) measured; own : (N,) standard errors from inside the two runs.
     groups : (N,) which ratios share a machine factor: the sequence they were measured on.
     prior : of the noise between runs.
@@ -115,7 +106,7 @@ def gather(
         # would count.
         keep = np.arange(len(logs)) != i
         typical2 = float(np.median(own[keep] ** 2)) if keep.any() else 0.0
-        spread2, df[i] = _spread(logs[keep], labels[keep], prior, own_share * typical2)
+        spread2, df[i] = _estimate_spread(logs[keep], labels[keep], prior, own_share * typical2)
         others = logs[keep & (labels == labels[i])]
         if len(others) >= MIN_OTHERS:
             centre[i] = np.median(others)
@@ -128,26 +119,25 @@ def gather(
     return Evidence(logs - centre, centre, error, df)
 
 
-def gather_against(
+def remove_reference_factor(
     logs: Floats,
     own: Floats,
     groups: Sequence[str],
     reference: Ints,
     own_share: float = 1.0,
 ) -> Evidence:
-    """As `gather`, each ratio held against that of a reference solver in the same group.
+    """Divide each step time ratio by a reference solver's in its group; estimate its error.
 
-    Parameters
-    ----------
-    reference : (N,) where the reference stands among the ratios; −1 for none, which leaves nothing
-        known of the ratio.
+    reference : (N,) index of the reference among the ratios; −1 leaves nothing known of the ratio.
     """
     labels, rows = np.asarray(groups), np.arange(len(logs))
     centre, error, df = np.zeros(len(logs)), np.empty(len(logs)), np.empty(len(logs))
     for i, at in enumerate(reference.tolist()):
         keep = (rows != i) & (rows != at)
         typical2 = float(np.median(own[keep] ** 2)) if keep.any() else 0.0
-        spread2, df[i] = _spread(logs[keep], labels[keep], MACHINES_NOISE, own_share * typical2)
+        spread2, df[i] = _estimate_spread(
+            logs[keep], labels[keep], MACHINES_NOISE, own_share * typical2
+        )
         centre[i] = logs[at] if at >= 0 else 0.0
         # The reference has noise of its own, as large as any other's.
         both2 = [max(0.0, own[j] ** 2 - typical2) for j in (i, at)]
@@ -155,10 +145,10 @@ def gather_against(
     return Evidence(logs - centre, centre, error, df)
 
 
-def _spread(
+def _estimate_spread(
     logs: Floats, labels: NDArray[np.str_], prior: Prior, inside2: float
 ) -> tuple[float, float]:
-    """Variance of the configurations around the median of their group, moderated, and its df.
+    """Estimate log time ratios' variance around their group's median, and degrees of freedom.
 
     Moderation never makes it smaller than it is found: too quiet a prior would make claims.
     `inside2` is the variance that errors from inside the runs lead to expect beside the prior's.
@@ -177,8 +167,8 @@ def _spread(
     return max(variance, sd**2), prior.df + df
 
 
-def assess(evidence: Evidence, margin: float, alpha: float) -> list[Assessment]:
-    """A verdict on each ratio, all of which hold together at family-wise error `alpha`.
+def assess_ratios(evidence: Evidence, margin: float, alpha: float) -> list[Assessment]:
+    """Test each step time ratio of two runs: slower, faster, equivalent or undecided.
 
     "slower" and "faster" reject a ratio within the margin (minimum-effect test of |log ratio| ≤
     log(1 + margin), at its least favourable point); "equivalent" rejects one beyond it (two
@@ -187,8 +177,8 @@ def assess(evidence: Evidence, margin: float, alpha: float) -> list[Assessment]:
     bound, size = np.log1p(margin), np.abs(evidence.effect)
     tail = stats.t(evidence.df)
     beyond = tail.sf((size - bound) / evidence.error) + tail.sf((size + bound) / evidence.error)
-    differs = holm(np.minimum(1.0, beyond))
-    equal = holm(tail.sf((bound - size) / evidence.error))
+    differs = adjust_holm(np.minimum(1.0, beyond))
+    equal = adjust_holm(tail.sf((bound - size) / evidence.error))
     reach = tail.isf(alpha / 2 / max(1, len(size))) * evidence.error
     verdicts: list[Assessment] = []
     for i, effect in enumerate(evidence.effect):

@@ -1,6 +1,4 @@
-"""Solvers over their releases: the same configuration on the same problem, version by version."""
-
-from __future__ import annotations
+"""Solver releases compared: one configuration on one problem, version by version."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,21 +10,18 @@ import pandas as pd
 from packaging.version import InvalidVersion, Version
 
 from dpbench.analysis.compare.answers import ORDER
-from dpbench.analysis.compare.pairs import key_of, problem_of
-from dpbench.analysis.compare.times import REFERENCES, usualness
-from dpbench.analysis.records.grouping import grouped
+from dpbench.analysis.compare.pairs import cell_key, problem_key
+from dpbench.analysis.compare.times import REFERENCES, usual_first_key
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
-from dpbench.bench.judge.rules import largest
-from dpbench.errors import InputError, UnknownNameError, one_of
+from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.bench.judge.rules import largest_known
+from dpbench.errors import InputError, UnknownNameError, list_allowed
 
 
 @dataclass(frozen=True, eq=False)
 class Release:
-    """One version of a solver in one configuration on one problem.
+    """Runs and step times of one solver version on one problem in one configuration.
 
-    Parameters
-    ----------
     runs : of every folder that has it, with the folder's name.
     p50, p99, largest : of the algorithmic step time, geometric mean over the folders, in ns, or as
         multiples of the reference solver's p50 in the same folder; NaN where nothing was timed.
@@ -40,67 +35,69 @@ class Release:
 
     @property
     def load_ns(self) -> float:
-        """The load kernel beside its replays, geometric mean over the folders [ns]."""
-        return _mean([run.load_kernel_ns for run in self.runs.values()])
+        """Geometric mean time [ns] of the speed test that senses load, over the version's runs."""
+        return _geometric_mean([run.load_kernel_ns for run in self.runs.values()])
 
     @property
     def error_move(self) -> float:
-        """The largest error of the first move."""
-        return largest([run.error_move_max for run in self.runs.values()])
+        """Largest error of the first control move over all runs of a solver version."""
+        return largest_known([run.error_move_max for run in self.runs.values()])
 
     @property
     def claimed_not_true(self) -> float:
-        """Most steps a round of a run that were claimed solved and are not."""
-        return largest([_per_round(run, run.claimed_not_true) for run in self.runs.values()])
+        """Number of steps wrongly claimed solved, per repetition of a run; largest of all runs."""
+        return largest_known(
+            [_count_per_round(run, run.claimed_not_true) for run in self.runs.values()]
+        )
 
     @property
     def failed_steps(self) -> float:
-        """Most failed steps a round of a run."""
-        return largest([_per_round(run, run.failed_steps) for run in self.runs.values()])
+        """Number of failed steps per repetition of a run; largest over a solver version's runs."""
+        return largest_known(
+            [_count_per_round(run, run.failed_steps) for run in self.runs.values()]
+        )
 
     @property
     def outcome(self) -> str:
-        """The worst outcome of its runs."""
+        """Worst outcome, from finished to crashed, of all runs of a solver version."""
         outcomes = {run.outcome for run in self.runs.values()}
         return max(outcomes, key=lambda one: ORDER.index(one) if one in ORDER else len(ORDER))
 
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """The releases of a solver in one configuration on one problem, the oldest first."""
+    """Versions of a solver in one configuration on one problem, the oldest first."""
 
     releases: Sequence[Release]
 
     @property
     def run(self) -> RunRecord:
-        """A run of it, for what all of them share."""
+        """One run of the oldest version, for what all versions share: solver, problem, settings."""
         return next(iter(self.releases[0].runs.values()))
 
     @property
     def changed(self) -> bool:
-        """Whether there are several versions."""
+        """True if more than one version of the solver was run."""
         return len(self.releases) > 1
 
     def change(self, i: int) -> float:
-        """p50 of release i over that of the one before; NaN for the first."""
+        """Return the p50 step time of version i over that of the one before; NaN for the first."""
         return self.releases[i].p50 / self.releases[i - 1].p50 if i else math.nan
 
     def load_change(self, i: int) -> float:
-        """The load kernel, timed in the same rounds, likewise: what else ran on the machine."""
+        """Return the load-sensing speed test's time with version i over that with the previous."""
         return self.releases[i].load_ns / self.releases[i - 1].load_ns if i else math.nan
 
     @property
     def whole_change(self) -> float:
-        """p50 of the newest release over that of the oldest; NaN where one was not timed."""
+        """p50 step time of the newest version over that of the oldest; NaN if untimed."""
         return self.releases[-1].p50 / self.releases[0].p50
 
 
 @dataclass(frozen=True, eq=False)
 class Histories:
-    """All histories of some folders.
+    """Version histories of all solvers in several result folders, and the unit of their times.
 
-    Parameters
-    ----------
     reference : the solver whose p50 is the unit of all times; "" where they are in ns.
     spread : the largest ratio between the folders of two p50 of one version of one configuration:
         what lies within it is no change; NaN where no version was run twice.
@@ -114,117 +111,131 @@ class Histories:
     folders: int
 
 
-def histories(folders: Mapping[str, Records], reference: str | None = None) -> Histories:
-    """The releases of every configuration and problem that two folders have.
+def compare_releases(folders: Mapping[str, Records], reference: str | None = None) -> Histories:
+    """Compare solver versions' step times and errors, per problem, over several result folders.
 
     Parameters
     ----------
-    folders : by the name each is to be called.
-    reference : the solver by whose p50 times are divided. Folders of two machines always are: by
-        default by the first of `times.REFERENCES` that all of them timed.
+    folders : by name.
+    reference : the solver whose p50 divides all times. Folders of two machines always have one: by
+        default the first of `times.REFERENCES` that all of them timed.
 
     Raises
     ------
-    InputError : without a reference that all folders timed, where one is needed; where no two
-        folders have a cell in common.
+    InputError : where a reference is needed and was not timed in all folders; where no two folders
+        have a cell in common.
     """
     machines = {records.machine["id"] for records in folders.values()}
-    solver = _reference(folders, reference) if reference or len(machines) > 1 else ""
-    cells = _cells(folders)
+    solver = _choose_reference_solver(folders, reference) if reference or len(machines) > 1 else ""
+    cells = _runs_by_cell(folders)
     common = {key: runs for key, runs in cells.items() if len(runs) > 1}
     if not common:
         allowed = "folders of the same suite"
         raise InputError("--releases", "", "no cell that two of the folders have", allowed)
-    units = {name: _units(records, solver) for name, records in folders.items()}
-    by_cell = [_history(runs, units) for runs in common.values()]
-    by_cell.sort(key=lambda h: (h.run.solver, h.run.mode != "replay", usualness(h.run)))
-    ratios = [ratio for history in by_cell for ratio in _repeated(history, units)]
+    units = {name: _reference_times(records, solver) for name, records in folders.items()}
+    by_cell = [_build_history(runs, units) for runs in common.values()]
+    by_cell.sort(key=lambda h: (h.run.solver, h.run.mode != "replay", usual_first_key(h.run)))
+    ratios = [ratio for history in by_cell for ratio in _ratios_between_folders(history, units)]
     spread = max(ratios, default=math.nan)
     return Histories(by_cell, solver, spread, len(cells) - len(common), len(folders))
 
 
-def _cells(folders: Mapping[str, Records]) -> dict[str, dict[str, RunRecord]]:
-    """Every cell with the folders that have it; the harness's own and lost ones are none."""
+def _runs_by_cell(folders: Mapping[str, Records]) -> dict[str, dict[str, RunRecord]]:
+    """Group all folders' runs by problem and configuration, without lost, refused, slowed ones."""
     cells: dict[str, dict[str, RunRecord]] = {}
     for name, records in folders.items():
         for run in records.all_runs:
             if run.slowdown > 0.0 or run.is_baseline_law or run.outcome in ("lost", "refused"):
                 continue
-            cells.setdefault(repr((key_of(run), problem_of(run))), {})[name] = run
+            cells.setdefault(repr((cell_key(run), problem_key(run))), {})[name] = run
     return cells
 
 
-def _reference(folders: Mapping[str, Records], asked: str | None) -> str:
-    timed = [{run.solver for run in _timed(records)} for records in folders.values()]
+def _choose_reference_solver(folders: Mapping[str, Records], asked: str | None) -> str:
+    """Choose the solver by whose median step time each folder's times are divided."""
+    timed = [{run.solver for run in _timed_replays(records)} for records in folders.values()]
     common = sorted(set.intersection(*timed))
     known = [name for name in ((asked,) if asked else REFERENCES) if name in common]
     if not known:
         found = repr(asked) if asked else f"none of {', '.join(REFERENCES)} in all folders"
-        allowed = one_of(asked or "", common) if common else "a solver that all folders replayed"
+        allowed = (
+            list_allowed(asked or "", common) if common else "a solver that all folders replayed"
+        )
         raise UnknownNameError("--reference", "", found, allowed)
     return known[0]
 
 
-def _timed(records: Records) -> Iterator[RunRecord]:
+def _timed_replays(records: Records) -> Iterator[RunRecord]:
+    """Yield the replays of a result folder that have a median step time."""
     return (r for r in records.select(mode="replay") if math.isfinite(r.algo_p50_ns))
 
 
-def _units(records: Records, solver: str) -> Mapping[str, float] | None:
-    """What times are divided by, by problem: the p50 of the most usual run of the reference."""
+def _reference_times(records: Records, solver: str) -> Mapping[str, float] | None:
+    """Return the reference solver's p50 [ns] by problem; None without a reference."""
     if not solver:
         return None
-    runs = sorted((r for r in _timed(records) if r.solver == solver), key=usualness, reverse=True)
+    runs = sorted(
+        (r for r in _timed_replays(records) if r.solver == solver),
+        key=usual_first_key,
+        reverse=True,
+    )
     return {run.problem: run.algo_p50_ns for run in runs}
 
 
-def _history(
+def _build_history(
     runs: Mapping[str, RunRecord], units: Mapping[str, Mapping[str, float] | None]
 ) -> History:
+    """Group the runs of one configuration on one problem by solver version, oldest first."""
     builds = len({run.build for run in runs.values()})
 
-    def version_of(of_folder: tuple[str, RunRecord]) -> str:
-        _, run = of_folder
+    def version_of(run: RunRecord) -> str:
         return f"{run.solver_version} {run.build if builds > 1 else ''}".strip() or "no version"
 
     releases = []
-    for version, of_version in grouped(runs.items(), version_of).items():
+    for version, of_version in group_by(runs.items(), lambda item: version_of(item[1])).items():
         times = (
-            _mean([_time(run, column, units[name]) for name, run in of_version])
+            _geometric_mean([_relative_time(run, column, units[name]) for name, run in of_version])
             for column in ("algo_p50_ns", "algo_p99_ns", "algo_max_ns")
         )
         releases.append(Release(version, dict(of_version), *times))
-    return History(sorted(releases, key=lambda release: _order(release.version)))
+    return History(sorted(releases, key=lambda release: _version_key(release.version)))
 
 
-def _time(run: RunRecord, column: str, unit: Mapping[str, float] | None) -> float:
+def _relative_time(run: RunRecord, column: str, unit: Mapping[str, float] | None) -> float:
+    """Return a replay's step time [ns] or its ratio to the reference's; NaN for closed loops."""
     if run.mode != "replay":
         return math.nan  # loops run beside each other
     divisor = 1.0 if unit is None else unit.get(run.problem, math.nan)
     return float(getattr(run, column)) / divisor
 
 
-def _repeated(history: History, units: Mapping[str, Mapping[str, float] | None]) -> Iterator[float]:
-    """How far the folders of one version lie apart."""
+def _ratios_between_folders(
+    history: History, units: Mapping[str, Mapping[str, float] | None]
+) -> Iterator[float]:
+    """Yield each solver version's largest p50 step time over its smallest, among the folders."""
     for release in history.releases:
-        times = [_time(run, "algo_p50_ns", units[name]) for name, run in release.runs.items()]
+        times = [
+            _relative_time(run, "algo_p50_ns", units[name]) for name, run in release.runs.items()
+        ]
         if len(times) > 1 and all(map(math.isfinite, times)):
             yield max(times) / min(times)
 
 
-def _per_round(run: RunRecord, count: float) -> float:
-    """A count over all rounds of a replay, for one of them; a loop has one."""
+def _count_per_round(run: RunRecord, count: float) -> float:
+    """Divide a count over all repetitions of a run by the number of repetitions."""
     return count / run.rounds if run.rounds > 1.0 else count
 
 
-def _order(version: str) -> tuple[Any, ...]:
-    """Sort key: releases by number, what has none before them."""
+def _version_key(version: str) -> tuple[Any, ...]:
+    """Return a sort key of a solver version: by number, texts without a number first."""
     try:
         return True, Version(version.partition(" ")[0]), version
     except InvalidVersion:
         return False, Version("0"), version
 
 
-def _mean(values: Sequence[float]) -> float:
+def _geometric_mean(values: Sequence[float]) -> float:
+    """Return the geometric mean of positive values."""
     return float(np.exp(np.mean(np.log(values))))
 
 
@@ -233,8 +244,11 @@ FIGURES = ("p50", "p99", "largest", "error")
 
 
 def release_table(histories: Histories, most: int) -> pd.DataFrame:
-    """Of each solver its most usual configuration on each of the first `most` replayed problems: a
-    row per version, label, age (0 of the newest, else 1), problem and `FIGURES`."""
+    """Tabulate times and errors of each solver version on the first `most` problems.
+
+    Its most usual configuration: a row per version, label, age (0 of the newest, else 1), problem
+    and `FIGURES`.
+    """
     chosen: dict[tuple[str, str], History] = {}
     for history in sorted(histories.all, key=lambda history: not history.changed):
         if history.run.mode == "replay" and math.isfinite(history.releases[0].p50):

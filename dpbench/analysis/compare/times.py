@@ -1,7 +1,4 @@
-"""Step times of the same configurations in two runs: one ratio per configuration and sequence, with
-its own noise."""
-
-from __future__ import annotations
+"""Step times of the same configurations in two runs: one ratio each, with its own noise."""
 
 import math
 from collections import Counter
@@ -17,20 +14,19 @@ from dpbench.analysis.compare.evidence import (
     MACHINE_NOISE,
     Assessment,
     Evidence,
-    assess,
-    gather,
-    gather_against,
+    assess_ratios,
+    remove_machine_factor,
+    remove_reference_factor,
 )
-from dpbench.analysis.compare.pairs import Pair, key_of
-from dpbench.analysis.records.grouping import firsts, grouped
+from dpbench.analysis.compare.pairs import Pair, cell_key
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
 from dpbench.analysis.statistics import resampled_error
 from dpbench.analysis.times.machine import disturbed_sequences
 from dpbench.arrays import Floats, Ints
-from dpbench.bench.judge.rules import median
+from dpbench.bench.judge.rules import median_known
 from dpbench.bench.record.configuration import settings_level
-from dpbench.errors import UnknownNameError, one_of
+from dpbench.errors import UnknownNameError, list_allowed
 
 BLOCK_STEPS, LEAST_BLOCKS = 20, 4
 """Length of a block of steps, and how many there must be for their spread to be an error. It leaves
@@ -47,9 +43,8 @@ LOAD_SHARE, LOAD_ERROR = 0.5, 0.3
 times feel, measured in the same runs (0.5 to 0.6), and how far that differs from configuration to
 configuration."""
 LOAD_WEIGHT, LOAD_WEIGHT_ERROR = 0.8, 0.3
-"""What all configurations together feel of a change of the load kernel that the reference kernel
-does not show (0.76 to 0.82 in those runs, with a correlation of 0.98), and how far that may be
-off."""
+"""Share that all configurations together feel of a change of the load kernel beyond the reference
+kernel (0.76 to 0.82 in those runs, with a correlation of 0.98), and its error."""
 
 REFERENCES = ("paper_active_set", "daqp")
 """The reference solver between two machines: the first that both have timed. Both are small active
@@ -58,9 +53,12 @@ sets without a library below them, so that a build matters least."""
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """log(B/A) of one configuration on one sequence, its standard error from inside the runs, its
-    sizes, the median step in either run [ns]; of each step in both runs `k`, and `a_ns`, `b_ns`,
-    the minima over as many rounds: none where a folder has no steps."""
+    """Log step time ratio of runs B and A for a configuration on one QP sequence, with error.
+
+    own : standard error from inside the runs.
+    median_ns : the median step in A and in B [ns].
+    k, a_ns, b_ns : the steps of both runs and their minima [ns]; empty without steps.
+    """
 
     pair: Pair
     log: float
@@ -74,42 +72,34 @@ class Timing:
 
     @property
     def problem(self) -> str:
-        """The sequence it was measured on."""
+        """Name of the QP sequence on which the times were measured."""
         return self.pair.a.problem
 
 
 @dataclass(frozen=True, eq=False)
-class Compared:
-    """A timing with its verdict."""
+class ComparedTimes:
+    """Step time ratio of one configuration between two runs, with the verdict on it."""
 
     timing: Timing
     assessment: Assessment
 
     @property
     def row(self) -> dict[str, Any]:
-        """Identity, ratios, interval, adjusted p-values and verdict, for a table."""
-        timing, assessment = self.timing, self.assessment
-        return key_of(timing.pair.a) | {
-            "raw": assessment.raw,
-            "machine": assessment.machine,
-            "ratio": assessment.ratio.value,
-            "low": assessment.ratio.low,
-            "high": assessment.ratio.high,
-            "own": timing.own,
-            "p_differs": assessment.p_differs,
-            "p_equal": assessment.p_equal,
-            "steps": timing.steps,
-            "rounds": timing.rounds,
-            "verdict": assessment.verdict,
-        }
+        """Table row: run identity, step time ratio with interval, adjusted p-values and verdict."""
+        timing, found = self.timing, self.assessment
+        ratio = {"ratio": found.ratio.value, "low": found.ratio.low, "high": found.ratio.high}
+        p_values = {"p_differs": found.p_differs, "p_equal": found.p_equal}
+        return (
+            cell_key(timing.pair.a)
+            | {"raw": found.raw, "machine": found.machine, **ratio, "own": timing.own, **p_values}
+            | {"steps": timing.steps, "rounds": timing.rounds, "verdict": found.verdict}
+        )
 
 
 @dataclass(frozen=True)
-class Shared:
-    """All configurations of a sequence together.
+class SharedFactor:
+    """Step time ratio of runs B and A that all configurations on one QP sequence share.
 
-    Parameters
-    ----------
     factor : median over the configurations of B/A; kernel, load : the same of the reference kernel
         and the load kernel, NaN where a folder does not have it.
     assessment : on factor / what the kernels lead to expect; None where it cannot be judged, for
@@ -125,47 +115,48 @@ class Shared:
     unjudged: str
 
 
-def time_pairs(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
-    """The timings of all replayed pairs that have one."""
+def compute_time_ratios(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
+    """Return the log step time ratio B/A, with its error, of each timed pair of replays."""
     time_of = _steps_timing if a.has_steps and b.has_steps else _medians_timing
     # A window has too few steps for an interval, and each claim costs the others power.
     replays = (pair for pair in pairs if pair.a.mode == "replay" and not pair.a.window_of)
     timings = [time_of(a, b, pair) for pair in replays]
-    return list(firsts(filter(None, timings), _identity).values())
+    return list(first_by(filter(None, timings), _measurement_key).values())
 
 
-def _identity(timing: Timing) -> tuple[object, ...]:
-    """Settings without effect are one run under several names, and one piece of evidence."""
-    unnamed = key_of(timing.pair.a) | {"settings": ""}
+def _measurement_key(timing: Timing) -> tuple[object, ...]:
+    """Return a key that is equal for one measured run listed under two names of settings."""
+    unnamed = cell_key(timing.pair.a) | {"settings": ""}
     return *unnamed.values(), timing.log, timing.own
 
 
-def why_unjudged(a: Records, b: Records, timings: Sequence[Timing]) -> dict[str, str]:
-    """Why the reference kernel cannot stand for the machine, by sequence; "" where it can.
+def find_unjudged_sequences(a: Records, b: Records, timings: Sequence[Timing]) -> dict[str, str]:
+    """Return, by QP sequence, why its speed test cannot tell how fast the machine was; or "".
 
-    A kernel feels only some of what a solver feels of a busy machine, so both runs must have
-    called theirs quiet while they timed the sequence.
+    A kernel feels only some of what a solver feels of a busy machine, so both runs must have been
+    quiet while they timed the sequence.
     """
     known = disturbed_sequences(a), disturbed_sequences(b)
     reasons = {}
-    for name, own in grouped(timings, lambda t: t.problem).items():
+    for name, own in group_by(timings, lambda t: t.problem).items():
         disturbances = [by_sequence.get(name) for by_sequence in known]
         hidden = [one is None for one in disturbances]
         disturbed = [one is not None and bool(one.complaints()) for one in disturbances]
-        if not np.isfinite(_machine(own).kernel):
+        if not np.isfinite(_kernel_ratios(own).kernel):
             reasons[name] = "the reference kernel was not timed"
         elif any(disturbed):
-            reasons[name] = f"{_which(disturbed)} disturbed"
+            reasons[name] = f"{_flagged_runs_text(disturbed)} disturbed"
         elif any(hidden):
-            reasons[name] = f"nothing tells how quiet {_which(hidden)}"
+            reasons[name] = f"nothing tells how quiet {_flagged_runs_text(hidden)}"
         else:
             reasons[name] = ""
     return reasons
 
 
 def reference_solver(timings: Sequence[Timing], asked: str | None) -> str:
-    """The solver that two machines are compared by: the one asked for, of `REFERENCES`, or the one
-    that both timed on the most sequences; "" where nothing was timed in both.
+    """Choose the solver by whose times two machines are compared; "" for none.
+
+    It is the one asked for, else one of `REFERENCES`, else the one timed on the most sequences.
 
     Raises
     ------
@@ -173,7 +164,7 @@ def reference_solver(timings: Sequence[Timing], asked: str | None) -> str:
     """
     counts = Counter(t.pair.a.solver for t in timings)
     if asked is not None and asked not in counts:
-        allowed = one_of(asked, sorted(counts)) if counts else "a solver that both replayed"
+        allowed = list_allowed(asked, sorted(counts)) if counts else "a solver that both replayed"
         raise UnknownNameError("--reference", "", repr(asked), allowed)
     known = [name for name in REFERENCES if name in counts]
     most = [name for name, _ in counts.most_common(1)]
@@ -181,69 +172,69 @@ def reference_solver(timings: Sequence[Timing], asked: str | None) -> str:
 
 
 def reference_rows(timings: Sequence[Timing], solver: str) -> Ints:
-    """(N,) where the timing of the reference solver on the same sequence stands; −1 for none.
+    """Return for each timing the index of the reference solver's on its QP sequence, or −1.
 
-    Of several the most usual: default settings, each step from nothing, in scaled units.
+    Of several the most usual, see `usual_first_key`.
     """
     runs = [timing.pair.a for timing in timings]
     own = [i for i, run in enumerate(runs) if run.solver == solver]
-    usual_first = sorted(own, key=lambda i: usualness(runs[i]))
-    usual = firsts(usual_first, lambda i: runs[i].problem)
+    usual_first = sorted(own, key=lambda i: usual_first_key(runs[i]))
+    usual = first_by(usual_first, lambda i: runs[i].problem)
     return np.array([usual.get(run.problem, -1) for run in runs], dtype=np.int64)
 
 
-def usualness(run: RunRecord) -> tuple[Any, ...]:
-    """Sort key: default settings, each step from nothing, in scaled units first."""
+def usual_first_key(run: RunRecord) -> tuple[Any, ...]:
+    """Return a sort key of a run: scaled units, default settings, cold start first."""
     settings = settings_level(run.settings)
     return run.units != "scaled", settings, run.policy != "fresh", run.route, run.formulation
 
 
 def compare_to_reference(
     timings: Sequence[Timing], margin: float, alpha: float, rows: Ints
-) -> list[Compared]:
-    """Verdicts on the ratios to a reference solver, which says what the machine did to all.
+) -> list[ComparedTimes]:
+    """Judge each solver's step time ratio B/A after division by a reference solver's ratio.
 
-    Parameters
-    ----------
-    rows : (N,) as of `reference_rows`; what they name is the measure and has no verdict.
+    rows : (N,) as of `reference_rows`; the timings they name have no verdict.
     """
     groups = [t.problem for t in timings]
     logs, own = np.array([t.log for t in timings]), np.array([t.own for t in timings])
-    evidence = gather_against(logs, own, groups, rows, JACKKNIFE_SHARE)
+    evidence = remove_reference_factor(logs, own, groups, rows, JACKKNIFE_SHARE)
     judged = np.setdiff1d(np.arange(len(timings)), rows)
     family = Evidence(
         *(part[judged] for part in (evidence.effect, evidence.machine, evidence.error, evidence.df))
     )
-    assessments = assess(family, margin, alpha) if len(judged) else []
-    return [Compared(timings[i], one) for i, one in zip(judged, assessments, strict=True)]
+    assessments = assess_ratios(family, margin, alpha) if len(judged) else []
+    return [ComparedTimes(timings[i], one) for i, one in zip(judged, assessments, strict=True)]
 
 
-def _which(of: Sequence[bool]) -> str:
-    """Which of two runs, with its verb."""
+def _flagged_runs_text(of: Sequence[bool]) -> str:
+    """Name the flagged runs of a pair: "run A was", "run B was" or "both runs were"."""
     return "both runs were" if all(of) else f"run {'AB'[list(of).index(True)]} was"
 
 
 def compare_times(
     timings: Sequence[Timing], margin: float, alpha: float, unjudged: Mapping[str, str]
-) -> tuple[list[Compared], list[Shared]]:
-    """Verdicts on the configurations and on what they share: one family of claims.
+) -> tuple[list[ComparedTimes], list[SharedFactor]]:
+    """Judge step time ratios B/A: each configuration's own, and what a QP sequence's all share.
 
-    `unjudged` says of each sequence why the reference kernel cannot stand for the machine; then
-    what the configurations share is not judged, nor are configurations that have only that kernel
-    to be held against.
+    unjudged : see `find_unjudged_sequences`; such a sequence has no assessment of what its
+        configurations share, nor of those that only the reference kernel is compared with.
     """
     groups = [t.problem for t in timings]
     labels = np.asarray(groups)
-    machines = {n: _machine(own) for n, own in grouped(timings, lambda t: t.problem).items()}
+    machines = {n: _kernel_ratios(own) for n, own in group_by(timings, lambda t: t.problem).items()}
     fit = np.array([np.nan if unjudged[name] else machines[name].expected for name in groups])
     logs = np.array([t.log for t in timings])
-    met = _load_met(timings, labels)
+    met = _relative_load_ratios(timings, labels)
     own = np.hypot([t.own for t in timings], LOAD_ERROR * np.abs(met))
     less = logs - LOAD_SHARE * met
-    configurations = gather(less, own, groups, kernel=fit, own_share=JACKKNIFE_SHARE)
+    configurations = remove_machine_factor(less, own, groups, kernel=fit, own_share=JACKKNIFE_SHARE)
     factors = {name: float(np.median(logs[labels == name])) for name in machines}
     together = [
-        (factors[name] - machine.expected, machine.error_of(configurations.error[labels == name]))
+        (
+            factors[name] - machine.expected,
+            machine.prediction_error(configurations.error[labels == name]),
+        )
         for name, machine in machines.items()
         if not unjudged[name]
     ]
@@ -253,80 +244,70 @@ def compare_times(
         np.concatenate([configurations.error, [error for _, error in together]]),
         np.concatenate([configurations.df, np.full(len(together), MACHINE_NOISE.df)]),
     )
-    assessments = assess(family, margin, alpha)
-    compared = [Compared(*both) for both in zip(timings, assessments, strict=False)]
+    assessments = assess_ratios(family, margin, alpha)
+    compared = [ComparedTimes(*both) for both in zip(timings, assessments, strict=False)]
     rest = iter(assessments[len(timings) :])
-    shared = [
-        Shared(
-            name,
-            float(np.exp(factors[name])),
-            float(np.exp(machine.kernel)),
-            float(np.exp(machine.load)),
-            groups.count(name),
-            None if unjudged[name] else next(rest),
-            unjudged[name],
-        )
-        for name, machine in machines.items()
-    ]
+    shared = []
+    for name, machine in machines.items():
+        common_logs = factors[name], machine.kernel, machine.load
+        factor, kernel, load = (float(np.exp(log)) for log in common_logs)
+        assessment, count = None if unjudged[name] else next(rest), groups.count(name)
+        shared.append(SharedFactor(name, factor, kernel, load, count, assessment, unjudged[name]))
     return compared, shared
 
 
 @dataclass(frozen=True)
-class _Machine:
-    """log(B/A) of the two kernels, medians over the workers of a sequence."""
+class _KernelRatios:
+    """Log time ratios B/A of two machine-speed tests: a fixed computation, and one sensing load."""
 
     kernel: float
     load: float
 
     @property
-    def beyond(self) -> float:
-        """What the load kernel shows and the reference kernel does not; 0 where it is unknown."""
+    def load_excess(self) -> float:
+        """Log time ratio of the load-sensing speed test less the fixed one's; 0 if unknown."""
         return self.load - self.kernel if np.isfinite(self.load) else 0.0
 
     @property
     def expected(self) -> float:
-        """The factor of the step times they lead to expect."""
-        return self.kernel + LOAD_WEIGHT * self.beyond
+        """Log ratio B/A of solver step times that both machine-speed tests predict."""
+        return self.kernel + LOAD_WEIGHT * self.load_excess
 
-    def error_of(self, configurations: Floats) -> float:
-        """How far that may be off the median of configurations that have the errors
-        `configurations`."""
+    def prediction_error(self, configurations: Floats) -> float:
+        """Return the standard error of the predicted less the median log step time ratio."""
         median2 = np.pi / 2 * float(np.median(configurations)) ** 2 / len(configurations)
-        return float(
-            np.sqrt(MACHINE_NOISE.sd**2 + (LOAD_WEIGHT_ERROR * self.beyond) ** 2 + median2)
-        )
+        load2 = (LOAD_WEIGHT_ERROR * self.load_excess) ** 2
+        return float(np.sqrt(MACHINE_NOISE.sd**2 + load2 + median2))
 
 
-def _load_met(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:
-    """(N,) log(B/A) of the load kernel in a configuration's worker less the median over its
-    sequence.
+def _relative_load_ratios(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:
+    """Return each run pair's log time ratio of the load test less its QP sequence's median.
 
     Rounds of two configurations meet different neighbours; 0 where a folder does not tell.
     """
-    logs = _logs(timings, "load_kernel_ns")
+    logs = _log_ratios(timings, "load_kernel_ns")
     met = np.zeros(len(logs))
-    for name in np.unique(labels):
+    for name in np.unique(labels[np.isfinite(logs)]):
         known = (labels == name) & np.isfinite(logs)
-        if known.any():
-            met[known] = logs[known] - np.median(logs[known])
+        met[known] = logs[known] - np.median(logs[known])
     return met
 
 
-def _logs(timings: Sequence[Timing], column: str) -> Floats:
-    """(N,) log(B/A) of a column of times."""
+def _log_ratios(timings: Sequence[Timing], column: str) -> Floats:
+    """Return log(B/A) (N,) of one recorded time, named by its column, of each pair of runs."""
     times = [[getattr(run, column) for run in (t.pair.a, t.pair.b)] for t in timings]
     a_ns, b_ns = np.array(times, dtype=np.float64).reshape(-1, 2).T
     return np.asarray(np.log(b_ns / a_ns), dtype=np.float64)
 
 
-def _machine(timings: Sequence[Timing]) -> _Machine:
-    """The kernels of one sequence, timed in every worker; NaN where a folder does not tell."""
-    columns = (_logs(timings, name) for name in ("reference_kernel_ns", "load_kernel_ns"))
-    return _Machine(*(median(logs[np.isfinite(logs)]) for logs in columns))
+def _kernel_ratios(timings: Sequence[Timing]) -> _KernelRatios:
+    """Return the median log time ratio B/A of each of two machine-speed tests; NaN if untimed."""
+    columns = (_log_ratios(timings, name) for name in ("reference_kernel_ns", "load_kernel_ns"))
+    return _KernelRatios(*(median_known(logs[np.isfinite(logs)]) for logs in columns))
 
 
-def _rounds(records: Records, run: RunRecord) -> pd.DataFrame | None:
-    """(rounds, steps) times [ns] of the rounds that count."""
+def _round_times(records: Records, run: RunRecord) -> pd.DataFrame | None:
+    """Return a run's step times (repetitions, steps) [ns], undisturbed ones; None if unranked."""
     counting = records.counting_steps(run, ("repeat", "k", "total_ns"))
     if counting.empty or not records.is_ranked(run):
         return None
@@ -338,7 +319,7 @@ def _rounds(records: Records, run: RunRecord) -> pd.DataFrame | None:
 
 
 def _medians_timing(a: Records, b: Records, pair: Pair) -> Timing | None:
-    """By the medians that `runs.parquet` has; nothing there tells their error."""
+    """Compute a pair's log step time ratio B/A from recorded medians; its error is unknown."""
     medians = pair.a.algo_p50_ns, pair.b.algo_p50_ns
     if not all(map(math.isfinite, medians)):
         return None
@@ -349,7 +330,8 @@ def _medians_timing(a: Records, b: Records, pair: Pair) -> Timing | None:
 
 
 def _steps_timing(records_a: Records, records_b: Records, pair: Pair) -> Timing | None:
-    a, b = _rounds(records_a, pair.a), _rounds(records_b, pair.b)
+    """Compute two runs' log step time ratio from the fastest repetition of their common steps."""
+    a, b = _round_times(records_a, pair.a), _round_times(records_b, pair.b)
     if a is None or b is None:
         return None
     steps = a.columns.intersection(b.columns)
@@ -366,22 +348,19 @@ def _steps_timing(records_a: Records, records_b: Records, pair: Pair) -> Timing 
         # As good as a single step: that all of so few resemble each other cannot be excluded.
         else logs.std()
     )
-    own = float(np.sqrt(over_steps**2 + _variance(a_ns) + _variance(b_ns)))
+    own = float(np.sqrt(over_steps**2 + _jackknife_variance(a_ns) + _jackknife_variance(b_ns)))
     k = steps.to_numpy(dtype=np.int64)
     medians = float(np.median(best_a_ns)), float(np.median(best_b_ns))
     mean = float(logs.mean())
     return Timing(pair, mean, own, len(steps), rounds, medians, k, best_a_ns, best_b_ns)
 
 
-def _variance(times: Floats) -> float:
-    """Variance of a run's mean log minimum time: the jackknife over consecutive parts of rounds.
+def _jackknife_variance(times: Floats) -> float:
+    """Return the jackknife variance, over repetitions, of the mean log fastest step time.
 
-    What is left out is a part, not what is kept: a stretch of slow rounds leaves the minimum over
-    the others where it was, and a minimum that one part alone reached is not to be relied on.
-
-    Parameters
-    ----------
-    times : (rounds, steps); a single round says nothing, which leaves the noise between runs.
+    A consecutive part of the rounds is left out at a time: a stretch of slow rounds leaves the
+    minimum over the others unchanged, and one reached in a single part is not reliable. A single
+    round has 0.
     """
     parts = min(PARTS, len(times))
     if parts < 2:

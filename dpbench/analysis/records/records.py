@@ -1,49 +1,46 @@
-"""Look into the records: which runs belong to which question, and the step times of a replay."""
-
-from __future__ import annotations
+"""Records of one result folder: runs by topic, and the step times of a replay."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.records import counting_rows, step_times
-from dpbench.analysis.records.counting_rows import counting_of
-from dpbench.analysis.records.delays import COLUMNS as DELAY_COLUMNS
-from dpbench.analysis.records.delays import Delays, delays_by_run
-from dpbench.analysis.records.run_record import RunRecord, records_of
-from dpbench.analysis.records.run_steps import RunSteps, run_steps
-from dpbench.analysis.records.step_times import StepTimes, times_by_run
+from dpbench.analysis.records.run_record import RunRecord, build_records
+from dpbench.analysis.records.run_steps import COUNTING_COLUMNS, RunSteps, counting_rows, run_steps
+from dpbench.analysis.records.step_times import (
+    DELAY_COLUMNS,
+    TIME_COLUMNS,
+    Delays,
+    StepTimes,
+    delays_by_run,
+    times_by_run,
+)
 from dpbench.bench.judge.rules import is_ranked
-from dpbench.bench.record.configuration import COMMON
-from dpbench.bench.record.recorded_steps import ALL, places_of
+from dpbench.bench.record.configuration import COMMON_FORMULATION
+from dpbench.bench.record.recorded_steps import ALL_COLUMNS, row_ranges_by_run
 from dpbench.bench.record.result_folder import Results
-from dpbench.scenario.scenario import Scenario, scenario_of
+from dpbench.scenario.problem_files import ScenarioDocuments
+from dpbench.scenario.scenario import Scenario, build_scenario
 from dpbench.solvers.calibration import CALIBRATION
 
 
 class Records:
-    """The records of one result folder, asked by question.
+    """All runs of one result folder, grouped by subject, with access to their steps and times.
 
-    Runs are in memory, steps are read when a question is about them: those of many runs together
-    by `scan` and what is made of it, those of one by `steps`.
-
-    `all_runs`: each row is one of `runs`, which are about the ship, of `delayed`, closed loops on a
-    slow computer, of `random`, which have no ship, of `consequence`, which ask whether a loss could
-    be held, of `at_edge`, static allocations around a capability plot, of `study`, which steer one
-    scenario at many points, or of another formulation than the common one of its problem; what is
-    selected below is selected from `runs`, so that nothing mixes formulations, nor a solver's
-    mistakes with a computer's. The harness's own configurations are no solvers: they are in
-    `calibration` and nowhere else. A replay that must not be ranked has no times.
+    Runs are in memory; steps are read when needed, those of many runs by `scan`, those of one by
+    `steps`. Each of `all_runs` is in one of: `runs`, about the ship in the common formulation of
+    their problem, from which all selections below are made; `delayed`, loops on a slow computer;
+    `random`, without a ship; `consequence`, whether a loss can be held; `at_edge`, static
+    allocations around a capability plot; `study`, one scenario at many points; or in none, of
+    another formulation. The harness's own configurations are in `calibration` only. A replay that
+    must not be ranked has no times.
     """
 
     def __init__(self, results: Results) -> None:
         self.machine, self.suite = results.machine, results.suite
-        runs = [
-            run if self.is_ranked(run) else run.without_times() for run in records_of(results.runs)
-        ]
+        every = build_records(results.runs)
+        runs = [run if self.is_ranked(run) else run.without_times() for run in every]
         self.calibration = [run for run in runs if run.solver in CALIBRATION]
         runs = [run for run in runs if run.solver not in CALIBRATION]
         # What a solver is judged on is not for the random problems to say.
@@ -55,10 +52,10 @@ class Records:
         self.delayed = [run for run in self.all_runs if run.slowdown > 0.0]
         self.random = [run for run in self.all_runs if run.family]
         self.consequence = [run for run in self.all_runs if run.lost_group]
-        self.at_edge = [run for run in self.all_runs if run.at_edge_of]
+        self.at_edge = [run for run in self.all_runs if run.is_at_boundary]
         self.study = [run for run in self.all_runs if run.study]
         undelayed = [run for run in self.all_runs if not run.slowdown > 0.0]
-        self.runs = _commonly_formulated([run for run in undelayed if not run.has_topic])
+        self.runs = _select_common_formulation([run for run in undelayed if not run.has_topic])
         self._steps = results.recorded
         self._times: dict[str, StepTimes | None] = {}
         self._delays: dict[str, Delays] = {}
@@ -66,139 +63,129 @@ class Records:
 
     @property
     def has_steps(self) -> bool:
-        """Whether the folder has the steps of its runs: what is sent to others has not."""
+        """True if the folder has `steps.parquet`; one sent to others has none."""
         return self._steps.rows > 0
 
-    def steps(self, run: RunRecord, columns: Sequence[str] = ALL) -> pd.DataFrame:
-        """The step rows of a run, with some of `STEP_COLUMNS`; empty when it left none."""
-        return self._steps.of(run.run_id, columns)
+    def steps(self, run: RunRecord, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
+        """Return the table of a run's steps with the given columns; empty without steps."""
+        return self._steps.read_run(run.run_id, columns)
 
-    def counting_steps(self, run: RunRecord, columns: Sequence[str] = ALL) -> pd.DataFrame:
-        """The step rows of a run that count."""
+    def counting_steps(self, run: RunRecord, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
+        """Return a run's step table without warm-up and disturbed repetitions."""
         steps = self.steps(run, tuple(dict.fromkeys([*columns, "counts"])))
         return steps[steps["counts"]]
 
     def scan(self, runs: Sequence[RunRecord], columns: Sequence[str]) -> Iterator[pd.DataFrame]:
-        """The step rows of some runs in the order of the file, some hundred thousand at a time."""
+        """Yield the step rows of given runs from file, in tables of some hundred thousand rows."""
         wanted = {run.run_id for run in runs if run.has_steps}
         return self._steps.scan(columns, wanted) if wanted else iter(())
 
     def run_steps(
         self, runs: Sequence[RunRecord], columns: Sequence[str] = ()
     ) -> Iterator[tuple[str, RunSteps, pd.DataFrame]]:
-        """Of some runs that left a counting row, in the order of the file: id, steps, and rows with
-        the columns that are asked for."""
-        asked = tuple(dict.fromkeys([*counting_rows.COLUMNS, *columns]))
+        """Yield per run its id, its steps merged over repetitions, and the unmerged step rows."""
+        asked = tuple(dict.fromkeys([*COUNTING_COLUMNS, *columns]))
         for table in self.scan(runs, asked):
-            rows, places = table[list(columns)], places_of(table["run_id"])
-            for run_id, steps in run_steps(counting_of(table)):
+            rows, places = table[list(columns)], row_ranges_by_run(table["run_id"])
+            for run_id, steps in run_steps(counting_rows(table)):
                 first, end = places[run_id]
                 yield run_id, steps, rows.iloc[first:end]
 
     def select(self, **wanted: object) -> list[RunRecord]:
-        """Runs whose columns have the wanted values, or one of a tuple of values."""
+        """Return the runs of this folder whose columns equal given values, or one of a tuple."""
+        allowed = {name: v if isinstance(v, tuple) else (v,) for name, v in wanted.items()}
         return [
-            run
-            for run in self.runs
-            if all(
-                getattr(run, column) in value
-                if isinstance(value, tuple)
-                else getattr(run, column) == value
-                for column, value in wanted.items()
-            )
+            run for run in self.runs if all(getattr(run, name) in v for name, v in allowed.items())
         ]
 
     @cached_property
     def solvers(self) -> list[str]:
-        """The solvers that are ranked, in the order of the suite: all but the baseline law."""
+        """Names of the solvers in the order of the suite, without the law that solves no QP."""
         return list(dict.fromkeys(r.solver for r in self.all_runs if not r.is_baseline_law))
 
     @cached_property
     def scenarios(self) -> list[str]:
-        """Scenarios in the order of the suite."""
+        """Names of all scenarios in this folder's runs, in the order of the suite."""
         return list(dict.fromkeys(run.scenario for run in self.runs))
 
-    def full_steps(self, scenario: str) -> int:
-        """Steps of the longest closed loop of a scenario that the suite asks for; 0 if none."""
+    def count_planned_steps(self, scenario: str) -> int:
+        """Return the number of steps of a scenario's longest planned closed loop; or 0."""
         loops = self.select(mode="closed_loop", scenario=scenario)
         return max((run.steps_planned for run in loops), default=0)
 
-    def whole_steps(self, scenario: str) -> int:
-        """Steps of the whole scenario; those the suite asks for where no row carries it."""
+    def count_scenario_steps(self, scenario: str) -> int:
+        """Return the number of steps of a whole scenario, run or not."""
         carried = self.scenario(scenario)
-        return self.full_steps(scenario) if carried is None else carried.steps
+        return self.count_planned_steps(scenario) if carried is None else carried.steps
 
-    def full_loops(self, scenario: str) -> list[RunRecord]:
-        """Full-length closed loops of a scenario at default settings in scaled units, the baseline
-        law included."""
+    def select_full_loops(self, scenario: str) -> list[RunRecord]:
+        """Return a scenario's full-length closed loops with default settings and scaled QPs."""
         return self.select(
             mode="closed_loop",
             scenario=scenario,
             settings="default",
             units="scaled",
-            steps_planned=self.full_steps(scenario),
+            steps_planned=self.count_planned_steps(scenario),
         )
 
     @cached_property
     def sequences(self) -> list[str]:
-        """Replayed sequences in the order of the suite, without windows of hardest steps."""
+        """Names of the replayed QP sequences in the order of the suite."""
         replays = (run for run in self.select(mode="replay") if not run.window_of)
         return list(dict.fromkeys(run.sequence for run in replays))
 
     def replays(self, sequence: str, **wanted: object) -> list[RunRecord]:
-        """Replays of a sequence in scaled units."""
+        """Return the replays of a QP sequence in scaled units whose columns have given values."""
         return self.select(mode="replay", sequence=sequence, units="scaled", **wanted)
 
     def is_ranked(self, run: RunRecord) -> bool:
-        """Whether the times of a run may stand beside those of others; those of a loop never do."""
+        """Return whether a run's step times may be compared with those of other runs."""
         of_folder = str(self.machine.get("id", ""))
         return run.mode != "replay" or is_ranked(run.concurrency, run.machine_id, of_folder)
 
     def times(self, run: RunRecord) -> StepTimes | None:
-        """Step times of a replay; None when no counting round left a step, or it is not ranked.
-
-        Those of all that are timed are read at once when the first is asked for.
-        """
+        """Return a replay's step times; None without a valid step or if not comparable."""
         if not self.is_ranked(run):
             return None
         if not self._times:
             runs = (*self.calibration, *self.all_runs)
-            self._read_times([run for run in runs if run.mode == "replay" and not run.family])
+            self._cache_times([run for run in runs if run.mode == "replay" and not run.family])
         if run.run_id not in self._times:
-            self._read_times([run])
+            self._cache_times([run])
         return self._times[run.run_id]
 
-    def _read_times(self, runs: Sequence[RunRecord]) -> None:
+    def _cache_times(self, runs: Sequence[RunRecord]) -> None:
+        """Read the step times of given replays from file, and keep them in memory."""
         self._times |= dict.fromkeys(run.run_id for run in runs)
-        for table in self.scan(runs, step_times.COLUMNS):
+        for table in self.scan(runs, TIME_COLUMNS):
             self._times |= dict(times_by_run(table))
 
     def delays(self, runs: Sequence[RunRecord]) -> dict[str, Delays]:
-        """Return the delays of runs by id, of those that left a counting row; read once."""
+        """Return unusually long step timings of given runs, by run id."""
         unread = [run for run in runs if run.run_id not in self._delays]
         for table in self.scan(unread, DELAY_COLUMNS):
             self._delays |= dict(delays_by_run(table))
         return {run.run_id: self._delays[run.run_id] for run in runs if run.run_id in self._delays}
 
     @cached_property
-    def _carried(self) -> dict[str, dict[str, Any]]:
-        """The first documents of each scenario that a run carries."""
-        carried: dict[str, dict[str, Any]] = {}
-        for run in self.runs:
-            if run.scenario not in carried and (files := run.scenario_files) is not None:
-                carried[run.scenario] = files
-        return carried
+    def _documents_by_scenario(self) -> dict[str, ScenarioDocuments]:
+        """Recorded definition (scenario and vessel documents) of each scenario, by its name."""
+        return {
+            run.scenario: files
+            for run in reversed(self.runs)
+            if (files := run.scenario_files) is not None
+        }
 
     def scenario(self, name: str) -> Scenario | None:
-        """The scenario a run was made from; None when no row carries it."""
+        """Build the named scenario from its recorded documents; None without them."""
         if name not in self._scenarios:
-            carried = self._carried.get(name)
-            self._scenarios[name] = None if carried is None else scenario_of(carried)
+            carried = self._documents_by_scenario.get(name)
+            self._scenarios[name] = None if carried is None else build_scenario(carried)
         return self._scenarios[name]
 
 
 def _default_routes(runs: Sequence[RunRecord]) -> dict[str, str]:
-    """The route each solver is judged on: qpsolvers where it ran so, else its first one."""
+    """Return the interface by which each solver is judged: qpsolvers, else the first recorded."""
     routes: dict[str, str] = {}
     for run in runs:
         if run.solver not in routes or run.route == "qpsolvers":
@@ -206,18 +193,21 @@ def _default_routes(runs: Sequence[RunRecord]) -> dict[str, str]:
     return routes
 
 
-def _commonly_formulated(runs: Sequence[RunRecord]) -> list[RunRecord]:
-    """The runs in the common formulation of their problem, and those of the baseline law.
+def _select_common_formulation(runs: Sequence[RunRecord]) -> list[RunRecord]:
+    """Select the runs in the common QP formulation, and those of the law that solves no QP.
 
-    Where a problem was never run in `COMMON`, its first formulation is the common one.
+    Where a problem was never run in `COMMON_FORMULATION`, its first formulation is the common one.
     """
     common: dict[tuple[str, ...], str] = {}
     for run in runs:
-        problem = _problem(run)
-        if not run.is_baseline_law and (problem not in common or run.formulation == COMMON):
+        problem = _problem_columns(run)
+        if not run.is_baseline_law and (
+            problem not in common or run.formulation == COMMON_FORMULATION
+        ):
             common[problem] = run.formulation
-    return [r for r in runs if r.is_baseline_law or r.formulation == common[_problem(r)]]
+    return [r for r in runs if r.is_baseline_law or r.formulation == common[_problem_columns(r)]]
 
 
-def _problem(run: RunRecord) -> tuple[str, ...]:
+def _problem_columns(run: RunRecord) -> tuple[str, ...]:
+    """Return the values that identify a run's problem: mode, scenario, QP sequence, units."""
     return run.mode, run.scenario, run.sequence, run.units

@@ -1,22 +1,34 @@
-"""A row of `runs.parquet`, typed: read once, and asked by attribute from there on."""
+"""Typed rows of `runs.parquet`, and their grouping."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ValidationError
 
-from dpbench.bench.judge.memory_of_answers import is_remembered
-from dpbench.bench.record.cell import HARDEST, Formulation, Units
-from dpbench.bench.record.configuration import COMMON, Configuration
+from dpbench.bench.judge.answer_caching import is_remembered
+from dpbench.bench.record.cell import (
+    CONTROLLER,
+    CapabilitySource,
+    ConsequenceSource,
+    Formulation,
+    HardestSource,
+    QPSource,
+    RandomSource,
+    RecordedSource,
+    Units,
+    parse_source,
+)
+from dpbench.bench.record.configuration import COMMON_FORMULATION, Configuration
 from dpbench.bench.record.schema import RUN_COLUMNS
-from dpbench.errors import ResultsError
+from dpbench.errors import InputError, ResultsError
 from dpbench.files.documents import parse_json
 from dpbench.scenario.horizons import Horizons
+from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.solvers.contract import Policy, Route
 
 Count = float
@@ -26,20 +38,14 @@ Mode = Literal["closed_loop", "replay"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunRecord:
-    """One run of one configuration: of its columns those that somebody asks for.
+    """One run of a solver configuration on one problem: a typed row of `runs.parquet`.
 
-    They mean what `bench/record/schema.py` says of them.
-
-    Parameters
-    ----------
-    description : what `cell` says, read.
-    family : of a random sequence; "" of every other run.
-    lost_group : the failure group whose loss its QPs are about; "" of every other run.
-    at_edge_of : the vessel at whose capability's edge its QPs are; "" of every other run.
+    files : the documents of its scenario; empty where the row carries none.
+    first, fallback, backup : as in its cell; "" where that has none.
     x : of a study, the values of its keys at the run's point.
-    default_route : whether it runs on its solver's own route, which `Records` finds out.
-    own_switches_a_step : involuntary switches a step that the configuration makes itself, which
-        `machine.py` finds out; they are not among `involuntary_switches` then. NaN for none.
+    default_route : whether it runs on its solver's own route, set by `Records`.
+    own_switches_a_step : involuntary switches a step of the configuration's own making, set by
+        `machine.py` and then not among `involuntary_switches`. NaN for none.
     """
 
     # identity and outcome: `IDENTITY_COLUMNS`
@@ -128,213 +134,209 @@ class RunRecord:
     exact_cost: float
     dev_position_max_m: float
 
-    description: dict[str, Any] = field(repr=False)
-    family: str = ""
-    lost_group: str = ""
-    at_edge_of: str = ""
+    files: ScenarioDocuments = field(default_factory=ScenarioDocuments, repr=False)
+    source: QPSource = field(default=CONTROLLER, repr=False)
+    first: int = 0
+    fallback: str = ""
+    backup: str = ""
     x: Mapping[str, Any] = field(default_factory=dict)
     default_route: bool = False
     own_switches_a_step: float = np.nan
 
-    @classmethod
-    def of(cls, columns: Mapping[str, Any], description: dict[str, Any]) -> RunRecord:
-        """The record of a row of `runs.parquet`: the columns that it has, read, and `cell`."""
-        source = description.get("source", {})
-        kind, recipe = source.get("kind"), source.get("recipe") or {}
-        family = str(recipe.get("family", "")) if kind == "random" else ""
-        group = str(source.get("group", "")) if kind == "consequence" else ""
-        vessel = str(source.get("vessel_name", "")) if kind == "capability" else ""
-        return cls(
-            **columns,
-            description=description,
-            family=family,
-            lost_group=group,
-            at_edge_of=vessel,
-            x=description.get("study", {}).get("x", {}),
-        )
-
     def without_times(self) -> RunRecord:
-        """The same run as if nothing of it had been timed."""
-        timed: dict[str, Any] = {
-            one.name: np.nan for one in fields(self) if one.name.endswith("_ns")
-        }
+        """Return a copy of the run with all times set to NaN."""
+        times = (one.name for one in fields(self) if one.name.endswith("_ns"))
+        timed: dict[str, Any] = dict.fromkeys(times, np.nan)
         return replace(self, **timed)
 
     @property
     def configuration(self) -> Configuration:
-        """The configuration that ran."""
+        """Solver configuration of the run: interface, warm start, settings, units, formulation."""
         return Configuration(
             self.solver, self.route, self.policy, self.settings, self.units, self.formulation
         )
 
     @property
     def has_topic(self) -> bool:
-        """Whether a topic of its own is about it, and no verdict: its QPs steer no ship, or one of
-        many in a study."""
-        return bool(self.family or self.lost_group or self.at_edge_of or self.study)
+        """True if the run counts in no solver's verdict: a study, or a problem without a ship."""
+        return bool(self.study) or not self.source.is_judged
 
     @property
-    def source(self) -> str:
-        """Where its QPs are from: the file of a stored sequence, a scenario, or else its name."""
-        return self.description.get("source", {}).get("path") or self.scenario or self.sequence
+    def family(self) -> str:
+        """Name of the family of random QPs that the run solves; "" for any other run."""
+        return self.source.recipe.family if isinstance(self.source, RandomSource) else ""
+
+    @property
+    def lost_group(self) -> str:
+        """Name of the thruster group whose loss the run's QPs assume; "" for any other run."""
+        return self.source.group if isinstance(self.source, ConsequenceSource) else ""
+
+    @property
+    def is_at_boundary(self) -> bool:
+        """True if the run solves the QPs at the limits of a vessel's capability plot."""
+        return isinstance(self.source, CapabilitySource)
+
+    @property
+    def export_argument(self) -> str:
+        """Argument with which `dpbench export` finds the run's QPs: file, scenario or sequence."""
+        path = self.source.path if isinstance(self.source, RecordedSource) else ""
+        return path or self.scenario or self.sequence
 
     @property
     def first_step(self) -> int:
-        """The step of its scenario that it begins with."""
+        """Index of the scenario's step at which the run begins."""
         if self.window_of and not np.isnan(self.first_sample):
             return int(self.first_sample)
-        return int(self.description.get("first", 0))
+        return self.first
 
     @property
     def window_of(self) -> int:
-        """Steps of the stretch whose hardest steps it replays; 0 of every other run."""
-        source = self.description.get("source", {})
-        return int(source.get("of", 0)) if source.get("kind") == HARDEST else 0
+        """Number of steps of which the hardest are replayed by this run; 0 of other runs."""
+        return self.source.of if isinstance(self.source, HardestSource) else 0
 
     @property
     def problem(self) -> str:
-        """The sequence of a replay, the scenario of a closed loop."""
+        """Name of the problem that the run solves: QP sequence of a replay, else its scenario."""
         return self.sequence or self.scenario
 
     @property
     def horizons(self) -> Horizons | None:
-        """N_p and N_c; None without a ship."""
+        """Prediction and control horizon (N_p, N_c); None for a QP without a ship."""
         return None if np.isnan(self.N_c) else (int(self.N_p), int(self.N_c))
 
     @property
     def sequence_without_horizons(self) -> str:
-        """`paper[0:300]` of the sequence `paper-60-10[0:300]`."""
+        """Sequence name without horizons: `paper[0:300]` of `paper-60-10[0:300]`."""
         name, bracket, window = self.sequence.partition("[")
         horizons = "" if self.horizons is None else "-{}-{}".format(*self.horizons)
         return name.removesuffix(horizons) + bracket + window
 
     @property
-    def scenario_files(self) -> dict[str, Any] | None:
-        """The documents of its scenario; None where the row carries none."""
-        files = self.description.get("scenario") or {}
-        return files if "scenario" in files else None
+    def scenario_files(self) -> ScenarioDocuments | None:
+        """Scenario and vessel documents of the run; None where it has none."""
+        return self.files if "scenario" in self.files else None
 
     @property
-    def steers_thrusters(self) -> bool:
-        """Whether its controller commands thrusters; False where the row carries no scenario."""
-        files = self.scenario_files
-        return (
-            files is not None and files["scenario"]["controller"].get("kind", "forces") != "forces"
-        )
+    def commands_thrusters(self) -> bool:
+        """True if the controller commands thrusters instead of three forces."""
+        scenario = (self.scenario_files or {}).get("scenario")
+        return scenario is not None and scenario["controller"].get("kind", "forces") != "forces"
 
     @property
     def is_baseline_law(self) -> bool:
-        """Whether it is of the baseline law, which solves no QP and is never ranked."""
+        """True if the run is of the baseline control law, which solves no QP."""
         return self.formulation == "none"
 
     @property
     def has_steps(self) -> bool:
-        """Whether the run left rows."""
+        """True if the run completed a step."""
         return self.steps_done > 0
 
     @property
     def cause(self) -> str:
-        """The cause of its outcome, in the library's or the harness's words; "" for none."""
+        """Message of the solver library or benchmark on how the run ended; "" for none."""
         return self.outcome_detail.strip().rstrip(".")
 
     @property
     def remembers(self) -> bool:
-        """Whether its times are those of remembered answers."""
+        """True if the times show that the solver returned cached answers."""
         return is_remembered(
             self.first_visit_ratio, self.loop_ratio, self.first_visit_excess, self.loop_tail_ratio
         )
 
     @property
     def name(self) -> str:
-        """The solver, with its route, policy, settings, units and formulation where they are not
-        the default."""
+        """Name of the run's solver, with what differs from its default configuration."""
         words = [] if self.default_route else [str(self.route)]
         words += [] if self.policy == "fresh" else [str(self.policy)]
         words += [] if self.settings == "default" else [self.settings]
         names = [f"{self.solver} ({', '.join(words)})" if words else self.solver]
         names += [] if self.units == "scaled" else [self.units]
-        common = self.formulation in (COMMON, "none")
+        common = self.formulation in (COMMON_FORMULATION, "none")
         return ", ".join(names if common else [*names, self.formulation.replace("_", " ")])
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(strict=True, extra="allow")
+class _Table(BaseModel, strict=True, extra="allow"):
+    """Base class of validated JSON tables that may have unknown keys."""
 
 
 class _Scenario(_Table):
+    """Scenario document, of which only the controller is checked."""
+
     controller: dict[str, Any]
 
 
 class _Files(_Table):
+    """Scenario part of a run's JSON description."""
+
     scenario: _Scenario | None = None
 
 
-class _Recipe(_Table):
-    family: str
-
-
-class _Source(_Table):
-    kind: str = ""
-    path: str = ""
-    group: str = ""
-    vessel_name: str = ""
-    of: int = 0
-    recipe: _Recipe | None = None
-
-
 class _Study(_Table):
+    """Study part of a run's JSON description: the parameter values varied in this run."""
+
     x: dict[str, Any] = {}
 
 
-class _Described(_Table):
-    """What of the description of a cell is read here."""
+class _RunDescription(_Table):
+    """Parts that are read of a run's JSON description: scenario, origin of QPs, fallbacks."""
 
     scenario: _Files | None = None
-    source: _Source = _Source()
+    source: dict[str, Any] = {}
     study: _Study = _Study()
     first: int = 0
+    fallback: str = ""
+    backup: str = ""
 
 
-def records_of(runs: pd.DataFrame) -> list[RunRecord]:
-    """The records of a table of runs."""
+def build_records(runs: pd.DataFrame) -> list[RunRecord]:
+    """Convert a data frame of runs to a list of `RunRecord`, one per row."""
     names = [name for name in RunRecord.__annotations__ if name in RUN_COLUMNS]
     values = [_READ[RUN_COLUMNS[name][0]](runs[name]) for name in names]
     shared: dict[str, Any] = {}
     return [
-        RunRecord.of(dict(zip(names, row, strict=True)), _described(str(cell), shared))
+        RunRecord(**dict(zip(names, row, strict=True)), **_read_description(str(cell), shared))
         for *row, cell in zip(*values, runs["cell"], strict=True)
     ]
 
 
-def _described(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
-    """What `cell` says. The runs of a campaign say nearly the same: a part that another run has too
-    is kept once, in `shared`."""
+def _read_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
+    """Parse a run's JSON description into record fields; equal parts share one object."""
     if not cell.startswith("{"):
         return {}
     try:
-        described: dict[str, Any] = parse_json(cell)
-        _Described.model_validate(described)
+        described = parse_json(cell)
+        read = _RunDescription.model_validate(described)
     except ValueError as error:
-        first = error.errors()[0] if isinstance(error, ValidationError) else None
-        key = ".".join(["cell", *map(str, first["loc"])]) if first else "cell"
-        found = first["msg"] if first else f"no JSON ({str(error)[:80]})"
-        raise ResultsError("runs.parquet", key, found, "the description of a cell") from error
-    for whole in (described, *(described.get("scenario") or {}).values()):
+        raise _description_error("cell", error) from error
+    files = described.get("scenario") or {}
+    for whole in files.values():
         if isinstance(whole, dict):
             for name, part in whole.items():
                 whole[name] = shared.setdefault(repr(part), part) if name != "scenario" else part
-    return described
+    key = f"source {read.source!r}"
+    if key not in shared:
+        try:
+            shared[key] = parse_source(read.source)
+        except ValueError as error:
+            raise _description_error("cell.source", error) from error
+    same = {name: getattr(read, name) for name in ("first", "fallback", "backup")}
+    x = shared.setdefault(repr(read.study.x), read.study.x)
+    return {"files": files, "source": shared[key], "x": x, **same}
 
 
-def as_float(value: object) -> float:
-    """A number out of a table; a missing one (None, pd.NA, NaN) is NaN."""
-    try:
-        return float(value)  # type: ignore[arg-type] # any cell of a table; what fails is missing
-    except (TypeError, ValueError):
-        return float(np.nan)
+def _description_error(key: str, error: ValueError) -> ResultsError:
+    """Return the ResultsError for a ValueError in reading a run's JSON description."""
+    if isinstance(error, InputError):
+        return ResultsError("runs.parquet", f"cell.{error.key}", error.found, error.allowed)
+    first = error.errors()[0] if isinstance(error, ValidationError) else None
+    key = ".".join([key, *map(str, first["loc"])]) if first else key
+    found = first["msg"] if first else f"no JSON ({str(error)[:80]})"
+    return ResultsError("runs.parquet", key, found, "the description of a cell")
 
 
-def _floats(column: pd.Series[Any]) -> list[float]:
+def _column_to_floats(column: pd.Series[Any]) -> list[float]:
+    """Convert a numeric column to a list of floats, null to NaN."""
     return column.to_numpy(dtype=np.float64, na_value=np.nan).tolist()
 
 
@@ -342,7 +344,26 @@ _READ: Mapping[str, Callable[[pd.Series[Any]], list[Any]]] = {
     "str": lambda column: [str(value) for value in column],
     "bool": lambda column: [bool(value) for value in column],
     "int64": lambda column: [int(value) for value in column],
-    "Int64": _floats,
-    "float64": _floats,
+    "Int64": _column_to_floats,
+    "float64": _column_to_floats,
 }
 """How a column of each type is read; a null of a nullable integer becomes NaN."""
+
+Item = TypeVar("Item")
+Key = TypeVar("Key")
+
+
+def group_by(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+    """Group items by key, keys and items in order of appearance."""
+    groups: dict[Key, list[Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
+
+
+def first_by(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, Item]:
+    """Map each key to the first of the items that have it."""
+    first: dict[Key, Item] = {}
+    for item in items:
+        first.setdefault(key(item), item)
+    return first

@@ -1,16 +1,95 @@
-"""The steps of a run, one value each: over the rounds that count, and the hardest of them."""
+"""Steps of runs from the rows that count: one value a step over the rounds, and the hardest.
+
+A table of many runs is turned into arrays at once; a run is then a slice of them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
-from dpbench.analysis.records.counting_rows import CountingRows
 from dpbench.arrays import Flags, Floats, Ints
+from dpbench.bench.judge.rules import decided_steps, failed_steps
+from dpbench.bench.record.recorded_steps import row_ranges_by_run
+
+
+@dataclass(frozen=True, eq=False)
+class CountingRows:
+    """Arrays (N,) of all valid step rows of several runs, ordered by run; NaN where missing.
+
+    run_id, repeat, k : run, round and step.
+    total_ns, iterations, error_move, n_active : as in the step table.
+    known : whether the right answer is known; true : whether this one is, by the referee.
+    failed : see `failed_steps`; claimed, late, fallback, clipped, status : as in the step table.
+    """
+
+    run_id: NDArray[np.object_]
+    repeat: Ints
+    k: Ints
+    total_ns: Floats
+    iterations: Floats
+    error_move: Floats
+    n_active: Floats
+    known: Flags
+    true: Flags
+    failed: Flags
+    claimed: Flags
+    late: Flags
+    fallback: Flags
+    clipped: Flags
+    status: NDArray[np.object_]
+
+    def __len__(self) -> int:
+        return len(self.k)
+
+    @cached_property
+    def bounds(self) -> dict[str, tuple[int, int]]:
+        """First and one-past-last row index of each run, by run id."""
+        return row_ranges_by_run(self.run_id)
+
+    def of(self, run_id: str) -> CountingRows:
+        """Return the step arrays of one run only; empty where it has none."""
+        first, end = self.bounds.get(run_id, (0, 0))
+        return CountingRows(*(getattr(self, f.name)[first:end] for f in fields(self)))
+
+
+_COUNTING_FLAGS = ("true", "claimed", "late", "fallback", "clipped")
+_INTS = ("repeat", "k")
+COUNTING_COLUMNS = (
+    *("run_id", "repeat", "k", "counts", "total_ns", "iterations", "error_move", "n_active"),
+    *("certificate", "status", "fallback", "unconverged", *_COUNTING_FLAGS[:3], "clipped"),
+)
+
+
+def counting_rows(steps: pd.DataFrame) -> CountingRows:
+    """Convert a step table to arrays, without warm-up and disturbed repetitions."""
+    counts = steps["counts"].to_numpy(dtype=np.bool_)
+    arrays: dict[str, NDArray[np.generic]] = {
+        "known": decided_steps(steps)[counts],
+        "failed": failed_steps(steps)[counts],
+    }
+    for name in ("run_id", "status"):
+        # One object a name, not one a row.
+        codes, names = pd.factorize(steps[name])
+        arrays[name] = np.asarray(names, dtype=object)[codes[counts]]
+    for field in fields(CountingRows):
+        if field.name in arrays:
+            continue
+        column = steps[field.name]
+        if field.name in _COUNTING_FLAGS:
+            arrays[field.name] = column.to_numpy(dtype=np.bool_)[counts]
+        elif field.name in _INTS:
+            arrays[field.name] = column.to_numpy(dtype=np.int64)[counts]
+        else:
+            arrays[field.name] = column.to_numpy(dtype=np.float64, na_value=np.nan)[counts]
+    return CountingRows(**arrays)  # type: ignore[arg-type] # each array has its field's type, made so above
+
 
 Measure = Literal["time", "iterations", "error"]
 MEASURES: tuple[Measure, ...] = ("time", "iterations", "error")
@@ -19,16 +98,14 @@ _FLAGS = ("claimed", "failed", "late", "fallback", "clipped")
 
 @dataclass(frozen=True, eq=False)
 class RunSteps:
-    """One run by step, from the rows that count.
+    """Steps (K,) of one run merged over its repetitions: times, errors, iterations and flags.
 
-    Parameters
-    ----------
     k : (K,) the steps, rising; time_ns, raw_ns : (K,) least and largest time over the rounds.
     error, iterations : (K,) the largest over them, NaN where there is none.
     n_active : (K,) active limits at the optimum.
-    claimed, true, failed, late, fallback, clipped : (K,) of the last round; an answer whose right
-        one is not known is taken as true.
-    status : (K,) what the solver said in the round of the largest error, else in the last.
+    claimed, true, failed, late, fallback, clipped : (K,) of the last round; an answer without a
+        known right one counts as true.
+    status : (K,) of the round of the largest error, else of the last.
     rounds : how many there are.
     """
 
@@ -48,48 +125,47 @@ class RunSteps:
     rounds: int
 
     def values(self, measure: Measure) -> Floats:
-        """(K,) what makes a step hard by a measure."""
+        """Return the times [ns], iterations or errors of all steps (K,), by measure."""
         return {"time": self.time_ns, "iterations": self.iterations, "error": self.error}[measure]
 
     def at(self, places: Ints) -> RunSteps:
-        """Some of the steps alone."""
+        """Return a copy of a run's steps with only those at the given indices."""
         arrays = [f.name for f in fields(self) if f.name != "rounds"]
         return RunSteps(**{n: getattr(self, n)[places] for n in arrays}, rounds=self.rounds)
 
 
 @dataclass(frozen=True)
 class HardStep:
-    """A step of a run and what made it hard: its least time [ns], its most iterations or error."""
+    """One of a run's steps that are largest in time [ns], iterations or error, with its index."""
 
     measure: Measure
     value: float
     at: int
-    """Where it stands in the arrays of `RunSteps`."""
 
 
 def run_steps(counting: CountingRows) -> Iterator[tuple[str, RunSteps]]:
-    """Every run that left a counting row, in the order of the table."""
+    """Yield each run's id and its steps merged over repetitions, in table order."""
     for run_id in counting.bounds:
-        yield run_id, _one(counting.of(run_id))
+        yield run_id, _merge_rounds(counting.of(run_id))
 
 
-def _one(rows: CountingRows) -> RunSteps:
-    """The steps of the rows of one run."""
+def _merge_rounds(rows: CountingRows) -> RunSteps:
+    """Merge a run's repetitions: least and largest time, and largest error, of each step."""
     steps, at = np.unique(rows.k, return_inverse=True)
     last = np.zeros(len(steps), dtype=np.int64)
     last[at] = np.arange(len(at))
-    error = _over(np.fmax, at, len(steps), rows.error_move)
+    error = _reduce_by_step(np.fmax, at, len(steps), rows.error_move)
     said = last.copy()
     worst = np.flatnonzero(rows.error_move == error[at])
     said[at[worst]] = worst
     flags = {name: getattr(rows, name)[last] for name in _FLAGS}
     return RunSteps(
         k=steps,
-        time_ns=_over(np.fmin, at, len(steps), rows.total_ns),
-        raw_ns=_over(np.fmax, at, len(steps), rows.total_ns),
+        time_ns=_reduce_by_step(np.fmin, at, len(steps), rows.total_ns),
+        raw_ns=_reduce_by_step(np.fmax, at, len(steps), rows.total_ns),
         error=error,
-        iterations=_over(np.fmax, at, len(steps), rows.iterations),
-        n_active=_over(np.fmax, at, len(steps), rows.n_active),
+        iterations=_reduce_by_step(np.fmax, at, len(steps), rows.iterations),
+        n_active=_reduce_by_step(np.fmax, at, len(steps), rows.n_active),
         true=(rows.true | ~rows.known)[last],
         **flags,
         status=rows.status[said],
@@ -97,8 +173,8 @@ def _one(rows: CountingRows) -> RunSteps:
     )
 
 
-def hardest(run: RunSteps, measure: Measure, count: int = 5) -> list[HardStep]:
-    """The hardest steps of a run, the hardest first; those without a figure are none of them."""
+def find_hardest_steps(run: RunSteps, measure: Measure, count: int = 5) -> list[HardStep]:
+    """Return a run's steps with the largest time, iterations or error, hardest first."""
     values = run.values(measure)
     there = np.flatnonzero(~np.isnan(values))
     if len(there) > count:
@@ -109,8 +185,8 @@ def hardest(run: RunSteps, measure: Measure, count: int = 5) -> list[HardStep]:
     return [HardStep(measure, float(values[i]), int(i)) for i in order]
 
 
-def _over(choose: np.ufunc, at: Ints, count: int, values: Floats) -> Floats:
-    """Of each step the least or largest value that is there; NaN for none."""
+def _reduce_by_step(choose: np.ufunc, at: Ints, count: int, values: Floats) -> Floats:
+    """Return the minimum or maximum over the repetitions of each step (K,); NaN for none."""
     out = np.full(count, np.nan)
     choose.at(out, at, values)
     return out

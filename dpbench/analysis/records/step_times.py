@@ -1,26 +1,24 @@
-"""Step times of one replayed configuration, out of its step rows."""
+"""Step times of a replay, and single timings that took much longer than their step does."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
 
-from dpbench.arrays import Floats, Ints
-from dpbench.bench.record.recorded_steps import places_of
+from dpbench.arrays import Flags, Floats, Ints
+from dpbench.bench.record.recorded_steps import row_ranges_by_run
 
-COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns")
-"""What `times_by_run` asks of a step table."""
+TIME_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns")
 
 
 @dataclass(frozen=True, eq=False)
 class StepTimes:
-    """Step times of one replayed configuration, over the rounds that count.
+    """Step times of one replay: the fastest repetition of each step, and the largest timing.
 
-    Parameters
-    ----------
     k : (K,) steps, rising; algo_ns : (K,) least over the rounds, the algorithmic time.
     raw_max_ns : the largest single timing.
     rounds_ns : (R,) median of the samples of each round, in the order of the rounds: how far they
@@ -34,19 +32,121 @@ class StepTimes:
 
 
 def times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
-    """Those of every run of a table that left a counting row."""
+    """Convert a table of steps to step times: yield each run's id and its times."""
+    for run_id, repeat, k, (total_ns,) in _counting_rows(steps, "total_ns"):
+        best = np.full(int(k.max()) + 1, np.inf)
+        np.minimum.at(best, k, total_ns)
+        done = np.flatnonzero(np.isfinite(best))
+        rounds = [float(np.median(total_ns[repeat == r])) for r in np.unique(repeat)]
+        yield run_id, StepTimes(done, best[done], float(total_ns.max()), np.array(rounds))
+
+
+def _counting_rows(
+    steps: pd.DataFrame, *times: str
+) -> Iterator[tuple[str, Ints, Ints, list[Floats]]]:
+    """Yield each run's id, repetition and step indices, and times [ns] from valid step rows."""
     counting = steps[steps["counts"]]
     repeat, k = (counting[name].to_numpy(dtype=np.int64) for name in ("repeat", "k"))
-    total_ns = counting["total_ns"].to_numpy(dtype=np.float64, na_value=np.nan)
-    for run_id, (first, end) in places_of(counting["run_id"]).items():
+    columns = [counting[name].to_numpy(dtype=np.float64, na_value=np.nan) for name in times]
+    for run_id, (first, end) in row_ranges_by_run(counting["run_id"]).items():
         own = slice(first, end)
-        yield run_id, step_times_of(repeat[own], k[own], total_ns[own])
+        yield run_id, repeat[own], k[own], [column[own] for column in columns]
 
 
-def step_times_of(repeat: Ints, k: Ints, total_ns: Floats) -> StepTimes:
-    """Step times of the rows (N,) of one replay that count: their round, step and time."""
-    best = np.full(int(k.max()) + 1, np.inf)
-    np.minimum.at(best, k, total_ns)
-    done = np.flatnonzero(np.isfinite(best))
-    rounds = [float(np.median(total_ns[repeat == r])) for r in np.unique(repeat)]
-    return StepTimes(done, best[done], float(total_ns.max()), np.array(rounds))
+DELAY_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns", "waited_ns")
+DELAYED = 2.0
+"""A timing over this multiple of the fastest time of its step is a delay."""
+OWN_SHARE = 0.1
+"""Share of a limit that must be a step's own time, net of its base time and of its wait for the
+core, for its timing to be late. Refilling a cache after a wait takes a hundredth of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Delays:
+    """Timings of one run that took much longer than their step usually does.
+
+    The base time of a timing is the fastest time of its step where the run has several rounds. A
+    run of one round, such as a closed loop, has the median over its steps as the base of all, and
+    every timing above it is a delay: of slow steps or of the machine.
+
+    Where the kernel shows how long a step waited for the core (`waited_ns`), a delay in which the
+    step itself did next to nothing more than usual is neither late nor a stall: another program
+    ran.
+
+    samples : (R,) timings of each round.
+    base_ns : (R,) sum of their base times: the time that the run is exposed to the machine.
+    step_ns : median over the timings.
+    round : (D,) index of the round of each delay; delay_ns : (D,) its timing; own_ns : (D,) its
+        base time; net_ns : (D,) its timing less the wait for the core, where that is known.
+    has_waits : whether the wait of every timing is recorded.
+    """
+
+    samples: Ints
+    base_ns: Floats
+    step_ns: float
+    round: Ints
+    delay_ns: Floats
+    own_ns: Floats
+    net_ns: Floats
+    has_waits: bool
+    _stalls: dict[float, Ints] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def without_waits(self) -> Delays:
+        """Copy of these delays without the recorded waits for the processor core."""
+        return replace(self, net_ns=self.delay_ns, has_waits=False)
+
+    def count_late(self, limit_ns: float) -> Ints:
+        """Count, by repetition (R,), the timings over a limit by the solver's own work."""
+        by_itself = (self.net_ns > limit_ns) | (self.net_ns - self.own_ns > OWN_SHARE * limit_ns)
+        return self._count_by_round((self.delay_ns > limit_ns) & by_itself)
+
+    def count_stalls(self, longer_than_ns: float) -> Ints:
+        """Count, by repetition (R,), the timings that exceed their step's usual time by so much."""
+        if longer_than_ns not in self._stalls:
+            excess_ns, net_ns = self.delay_ns - self.own_ns, self.net_ns - self.own_ns
+            of_limit = OWN_SHARE * 2.0 * longer_than_ns
+            chosen = (excess_ns > longer_than_ns) & (net_ns > of_limit)
+            self._stalls[longer_than_ns] = self._count_by_round(chosen)
+        return self._stalls[longer_than_ns]
+
+    def _count_by_round(self, chosen: Flags) -> Ints:
+        """Count the selected delays in each repetition (R,) of the run."""
+        return np.bincount(self.round[chosen], minlength=len(self.samples)).astype(np.int64)
+
+
+def delays_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, Delays]]:
+    """Yield each run's id and its unusually long timings, from a table of steps."""
+    for run_id, repeat, k, (total_ns, waited_ns) in _counting_rows(steps, "total_ns", "waited_ns"):
+        yield run_id, find_delays(repeat, k, total_ns, waited_ns)
+
+
+def find_delays(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> Delays:
+    """Find the timings (N,) of a run that took much longer than their step usually does.
+
+    Steps without a computation, NaN, are left out. Where some wait is NaN, none is known.
+    """
+    timed = ~np.isnan(total_ns)
+    repeat, k, total_ns, waited_ns = repeat[timed], k[timed], total_ns[timed], waited_ns[timed]
+    has_waits = not np.isnan(waited_ns).any()
+    net_ns = total_ns - waited_ns if has_waits else total_ns
+    rounds, index = np.unique(repeat, return_inverse=True)
+    middle = float(np.median(total_ns)) if len(total_ns) else np.nan
+    if len(rounds) > 1:
+        fastest = np.full(int(k.max()) + 1, np.inf)
+        np.minimum.at(fastest, k, total_ns)
+        base = fastest[k]
+        delayed = total_ns > DELAYED * base
+    else:
+        base = np.full(len(total_ns), middle)
+        delayed = total_ns > base
+    return Delays(
+        samples=np.bincount(index, minlength=len(rounds)).astype(np.int64),
+        base_ns=np.bincount(index, weights=base, minlength=len(rounds)).astype(np.float64),
+        step_ns=middle,
+        round=index[delayed].astype(np.int64),
+        delay_ns=total_ns[delayed],
+        own_ns=base[delayed],
+        net_ns=net_ns[delayed],
+        has_waits=has_waits,
+    )

@@ -1,7 +1,5 @@
 """The hardest steps of a solver over all of its runs."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -9,18 +7,15 @@ import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.records.run_steps import MEASURES, Measure, RunSteps, hardest
-from dpbench.bench.judge.rules import median
+from dpbench.analysis.records.run_steps import MEASURES, Measure, RunSteps, find_hardest_steps
+from dpbench.bench.judge.rules import median_known
 from dpbench.bench.record.configuration import Configuration
 
 
 @dataclass(frozen=True)
 class WorstStep:
-    """The hardest step of a solver by one measure, in whichever run it was.
+    """A solver's step of largest error, time or iterations over all runs, with its run's median.
 
-    Parameters
-    ----------
-    step : the step alone.
     value, median : of the measure, at the step and over its run: ns, iterations, or an error.
     """
 
@@ -32,23 +27,25 @@ class WorstStep:
 
     @property
     def k(self) -> int:
-        """The step of the run."""
+        """Index k within its run of a solver's worst step by time, iterations or error."""
         return int(self.step.k[0])
 
     @property
-    def export(self) -> str:
-        """The command that writes this step alone, with its certified optimum."""
+    def export_command(self) -> str:
+        """Shell command that writes the worst step's QP and certified optimum to a file."""
         run = self.run
         k = self.k + run.first_step
-        return f"dpbench export {run.source} --at {k} --out worst-{self.measure}.npz"
+        return f"dpbench export {run.export_argument} --at {k} --out worst-{self.measure}.npz"
 
 
 def worst_steps(records: Records, solver: str) -> list[WorstStep]:
-    """The hardest step of a solver by error, time and iterations, each once; in its replays, whose
-    QPs are those that `export` writes, or else in its loops."""
+    """Return, over all runs, a solver's step of largest error, of largest time, of most iterations.
+
+    It is one of its replays, whose QPs are those that `export` writes, or else of its loops.
+    """
     runs = {run.run_id: run for run in records.runs if run.solver == solver}
     worst_of_run = {
-        run_id: _worst_of(runs[run_id], steps)
+        run_id: _worst_by_measure(runs[run_id], steps)
         for run_id, steps, _ in records.run_steps(list(runs.values()))
     }
     stepped = [run_id for run_id in runs if run_id in worst_of_run]
@@ -62,18 +59,18 @@ def worst_steps(records: Records, solver: str) -> list[WorstStep]:
     return worst
 
 
-def _worst_of(run: RunRecord, steps: RunSteps) -> dict[Measure, WorstStep]:
-    """The hardest step of a run by each measure that it has."""
+def _worst_by_measure(run: RunRecord, steps: RunSteps) -> dict[Measure, WorstStep]:
+    """Return one run's step of largest error, of largest time, and of most iterations."""
     worst: dict[Measure, WorstStep] = {}
     for measure in MEASURES:
-        for hard in hardest(steps, measure, 1):
-            alone, usual = steps.at(np.array([hard.at])), median(steps.values(measure))
+        for hard in find_hardest_steps(steps, measure, 1):
+            alone, usual = steps.at(np.array([hard.at])), median_known(steps.values(measure))
             worst[measure] = WorstStep(measure, run, alone, hard.value, usual)
     return worst
 
 
-def value_at(records: Records, worst: WorstStep, configuration: Configuration) -> float:
-    """The same figure of another configuration at the same step; NaN where it did not get there."""
+def find_step_value(records: Records, worst: WorstStep, configuration: Configuration) -> float:
+    """Return another configuration's time, iterations or error at a solver's worst step; or NaN."""
     place = worst.run.mode, worst.run.problem, worst.run.units
     for run in records.runs:
         same = (run.mode, run.problem, run.units) == place

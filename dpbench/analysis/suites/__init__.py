@@ -1,1 +1,1 @@
-"""What the suites of one topic ask beyond a verdict: claims, losses, slow-downs, studies."""
+"""Results of suites of one topic beyond a verdict: claims, losses, slow-downs, studies."""

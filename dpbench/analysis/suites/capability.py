@@ -1,29 +1,24 @@
 """Capability plots, and which solvers tell what thrusters balance from what they do not."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import pandas as pd
 
-from dpbench.analysis.records.grouping import firsts
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.suites.random_claims import CLAIMS, claims_by_run, claims_of
+from dpbench.analysis.records.run_record import RunRecord, first_by
+from dpbench.analysis.suites.random_claims import CLAIMS, claims_by_run, classify_steps
 from dpbench.bench.judge.rules import INFEASIBLE
+from dpbench.bench.record.cell import CapabilitySource
 
 
 @dataclass(frozen=True)
 class Answers:
-    """What a solver said of a batch of static allocations.
+    """Counts of a solver's right and wrong answers to static thrust allocation QPs.
 
-    Parameters
-    ----------
-    solver, outcome : of `runs.parquet`.
-    asked : QPs it should have answered; feasible, infeasible : how many it was given of each.
+    asked : QPs of the batch; feasible, infeasible : how many of each it reached.
     balanced : claimed optima that are true; refused : infeasible ones rightly called so.
-    wrong : untrue claims of either kind; the rest it said nothing of.
+    wrong : untrue claims of either kind.
     p50_ns, max_ns : of its step times; NaN without any.
     """
 
@@ -39,36 +34,34 @@ class Answers:
     max_ns: float
 
     @property
-    def silent(self) -> int:
-        """QPs without a claim or a true answer, and those it never reached."""
+    def unanswered(self) -> int:
+        """Number of QPs that a solver left without an answer, those never reached included."""
         return self.asked - self.right - self.wrong
 
     @property
-    def all_right(self) -> bool:
-        """Whether every answer is right."""
+    def is_all_right(self) -> bool:
+        """True if the solver answered every QP correctly."""
         return self.right == self.asked
 
     @property
     def right(self) -> int:
-        """Right answers of either kind."""
+        """Number of a solver's correct answers: true optima, true claims of infeasibility."""
         return self.balanced + self.refused
 
 
-def answers_of(records: Records, runs: Sequence[RunRecord]) -> list[Answers]:
-    """The answers of each run, most right ones first, then the fastest."""
-    answers = [_answers(records, run) for run in runs if run.outcome != "refused"]
+def count_answers(records: Records, runs: Sequence[RunRecord]) -> list[Answers]:
+    """Count each run's right and wrong answers to thrust allocation QPs, the best run first."""
+    answers = [_count_run_answers(records, run) for run in runs if run.outcome != "refused"]
     return sorted(answers, key=lambda a: (a.wrong > 0, -a.right, a.wrong, a.p50_ns))
 
 
 @dataclass(frozen=True, eq=False)
-class Plot:
-    """A capability plot, and who answers rightly at its edge.
+class CapabilityResult:
+    """Capability plot of a vessel, and solvers' answers to QPs at the largest winds held.
 
-    Parameters
-    ----------
-    vessel, sides : the ship, and the polygons of its QPs.
+    sides : of the polygons of its QPs.
     edges : columns `EDGES`, a row for each case and direction; empty where the folder has no plot.
-    answers : the best configuration of each solver; empty where nobody was asked.
+    answers : the best configuration of each solver; empty where none was run.
     """
 
     vessel: str
@@ -78,7 +71,7 @@ class Plot:
 
     @property
     def qps(self) -> int:
-        """QPs at the edge that were asked of each solver."""
+        """Number of QPs at the largest winds held that each solver was given."""
         return max((answers.asked for answers in self.answers), default=0)
 
 
@@ -87,12 +80,9 @@ EDGES = ("case", "lost", "from_deg", "wind_mps", "number", "untrue")
 wind held, the DP capability number, and how many solvers made an untrue claim of a QP there."""
 
 
-def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Plot]:
-    """The plots of a result folder, in the order of its suite; of one that could not be made there
-    is none.
+def capability_plots(records: Records, table: pd.DataFrame | None) -> list[CapabilityResult]:
+    """Return a folder's capability plots (wind held by direction), in suite order.
 
-    Parameters
-    ----------
     table : of `load_capability`; None where the folder has none.
     """
     at_edge = [run for run in records.at_edge if run.has_steps]
@@ -101,34 +91,44 @@ def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Plot]
     plots = []
     for name in {**names, **dict.fromkeys(map(str, known))}:
         runs = [run for run in at_edge if run.sequence == name]
-        answers = firsts(answers_of(records, runs), lambda of_solver: of_solver.solver)
-        source = runs[0].description["source"] if runs else {}
+        answers = first_by(count_answers(records, runs), lambda of_solver: of_solver.solver)
         own = known.get(name)
-        vessel = str(source["vessel_name"] if own is None else own["vessel"].iloc[0])
-        sides = int(source["sides"] if own is None else own["sides"].iloc[0])
-        edges = pd.DataFrame(columns=list(EDGES)) if own is None else _edges(records, own, runs)
-        plots.append(Plot(vessel, sides, edges, tuple(answers.values())))
+        if own is not None:
+            vessel, sides = str(own["vessel"].iloc[0]), int(own["sides"].iloc[0])
+        else:
+            source = runs[0].source
+            assert isinstance(source, CapabilitySource), "runs at the boundary"
+            vessel, sides = source.vessel_name, source.sides
+        edges = (
+            pd.DataFrame(columns=list(EDGES))
+            if own is None
+            else _wind_by_direction(records, own, runs)
+        )
+        plots.append(CapabilityResult(vessel, sides, edges, tuple(answers.values())))
     return plots
 
 
-def _edges(records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]) -> pd.DataFrame:
-    """Columns `EDGES`, of the rows of one plot in `capability.parquet`."""
-    liars: dict[int, set[str]] = {}
+def _wind_by_direction(
+    records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]
+) -> pd.DataFrame:
+    """Tabulate the largest wind at which thrusters hold the ship, by failure and direction."""
+    false_claimants: dict[int, set[str]] = {}
     for run in runs:
         steps = records.counting_steps(run, ("k", *CLAIMS))
-        claims = claims_of(steps)
-        for k in steps["k"][claims["lies"] | claims["empty_wrong"]]:
-            liars.setdefault(int(k), set()).add(run.solver)
+        claims = classify_steps(steps)
+        for k in steps["k"][claims["false_claims"] | claims["wrong_refusals"]]:
+            false_claimants.setdefault(int(k), set()).add(run.solver)
     rows = []
     for (case, from_deg), of_direction in points.groupby(["case", "from_deg"], sort=False):
         first = of_direction.iloc[0]
-        said = set().union(*(liars.get(int(k), set()) for k in of_direction["k"]))
+        said = set().union(*(false_claimants.get(int(k), set()) for k in of_direction["k"]))
         wind_mps, number = first["edge_mps"], first["number"]
         rows.append((case, first["lost"], from_deg, wind_mps, number, len(said)))
     return pd.DataFrame(rows, columns=list(EDGES))
 
 
-def _answers(records: Records, run: RunRecord) -> Answers:
+def _count_run_answers(records: Records, run: RunRecord) -> Answers:
+    """Count one run's right and wrong answers to static thrust allocation QPs."""
     steps = records.counting_steps(run, ("run_id", "total_ns", *CLAIMS))
     counts = claims_by_run(steps).reindex([run.run_id], fill_value=0).iloc[0]
     infeasible = int((steps["certificate"] == INFEASIBLE).sum())
@@ -139,9 +139,9 @@ def _answers(records: Records, run: RunRecord) -> Answers:
         run.steps_planned,
         len(steps) - infeasible,
         infeasible,
-        int(counts["told"]),
-        int(counts["empty_right"]),
-        int(counts["lies"] + counts["empty_wrong"]),
+        int(counts["right_claims"]),
+        int(counts["right_refusals"]),
+        int(counts["false_claims"] + counts["wrong_refusals"]),
         float(times.median()),
         float(times.max()),
     )

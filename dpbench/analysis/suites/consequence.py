@@ -15,30 +15,25 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.suites.random_claims import CLAIMS, claims_of
+from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
+from dpbench.analysis.suites.random_claims import CLAIMS, classify_steps
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, percentile
-from dpbench.scenario.scenario import scenario_once
+from dpbench.scenario.scenario import cached_scenario
 
 HELD, LOST, UNKNOWN = "can be held", "cannot be held", "not known"
-"""What is proven of the loss of a group at a sample."""
+"""Proven states of the loss of a group at a sample."""
 SPAN = ("group", "from_s", "to_s", "state")
 
 
 @dataclass(frozen=True)
 class BatchAnswers:
-    """What one configuration said of all QPs of a consequence analysis.
+    """Counts of a configuration's right and wrong answers on possible thruster losses.
 
-    Parameters
-    ----------
-    solver, name : the solver, and the configuration.
-    feasible, infeasible : QPs it was given of each kind; asked : all it should have answered.
+    asked : all QPs; feasible, infeasible : how many of each it reached.
     held : feasible, with a true optimum; refused : infeasible, and rightly called so.
-    missed : infeasible, and claimed solved; untrue : all claims that are not true, those among
-        them.
+    missed : infeasible, and claimed solved; untrue : all untrue claims, those included.
     p99, largest : share of the sample that a batch takes, over the samples; NaN for too few, or
         where a group was not run to its end.
     """
@@ -56,23 +51,20 @@ class BatchAnswers:
     largest: float
 
     @property
-    def silent(self) -> int:
-        """QPs without a claim or a true answer, and those it never reached."""
+    def unanswered(self) -> int:
+        """Number of QPs that a configuration left without an answer or never reached."""
         return self.asked - self.held - self.refused - self.untrue
 
     @property
-    def all_right(self) -> bool:
-        """Whether every answer is right."""
+    def is_all_right(self) -> bool:
+        """True if the solver configuration answered every QP correctly."""
         return self.held + self.refused == self.asked
 
 
 @dataclass(frozen=True, eq=False)
-class Analysis:
-    """One consequence analysis.
+class ConsequenceAnalysis:
+    """When a ship can hold position after losing thrusters, and what solvers answered.
 
-    Parameters
-    ----------
-    name : of the run; groups : its failure groups.
     spans : columns `SPAN`, in which time what is proven of which loss.
     answers : of every configuration, right ones first, then the fastest.
     """
@@ -84,40 +76,43 @@ class Analysis:
 
     @property
     def best(self) -> dict[str, BatchAnswers]:
-        """The best configuration of each solver, by its name."""
-        return firsts(self.answers, lambda answers: answers.solver)
+        """Answers of each solver's best configuration, by solver name."""
+        return first_by(self.answers, lambda answers: answers.solver)
 
 
-def consequence_analyses(records: Records) -> list[Analysis]:
-    """Those of the records that have a step, in the order of the suite."""
+def consequence_analyses(records: Records) -> list[ConsequenceAnalysis]:
+    """Return the folder's analyses of thruster losses, those in which a QP was solved."""
     asked = [run for run in records.consequence if run.outcome != "refused"]
-    batches = grouped(asked, lambda run: run.sequence.removesuffix(f", {run.lost_group} lost"))
+    batches = group_by(asked, lambda run: run.sequence.removesuffix(f", {run.lost_group} lost"))
     return [
-        _analysis(records, name, runs)
+        _build_analysis(records, name, runs)
         for name, runs in batches.items()
         if any(run.has_steps for run in runs)
     ]
 
 
-def _analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> Analysis:
-    groups = grouped(runs, lambda run: run.lost_group)
+def _build_analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> ConsequenceAnalysis:
+    """Build the analysis of possible thruster losses from the runs of all lost groups."""
+    groups = group_by(runs, lambda run: run.lost_group)
     longest = [max(of_group, key=lambda run: run.steps_done) for of_group in groups.values()]
     files = runs[0].scenario_files
-    sample_s = float("nan") if files is None else scenario_once(files).sample_s
-    by_configuration = grouped(runs, lambda run: run.name)
-    answers = [_answers(records, own, len(groups), sample_s) for own in by_configuration.values()]
+    sample_s = math.nan if files is None else cached_scenario(files).sample_s
+    by_configuration = group_by(runs, lambda run: run.name)
+    answers = [
+        _count_batch_answers(records, own, len(groups), sample_s)
+        for own in by_configuration.values()
+    ]
     answers.sort(key=lambda a: (a.untrue > 0, -(a.held + a.refused), a.untrue, a.largest))
-    spans = pd.concat([_spans(records, run, sample_s) for run in longest if run.has_steps])
-    return Analysis(name, tuple(groups), spans, tuple(answers))
-
-
-def _spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
-    """Columns `SPAN` of one group, neighbours of one state joined."""
-    steps = (
-        records.counting_steps(run, ("k", "t_s", "certificate"))
-        .drop_duplicates("k")
-        .sort_values("k")
+    spans = pd.concat(
+        [_loss_state_spans(records, run, sample_s) for run in longest if run.has_steps]
     )
+    return ConsequenceAnalysis(name, tuple(groups), spans, tuple(answers))
+
+
+def _loss_state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
+    """Return time spans in which the loss of this run's group can, cannot, or may be held."""
+    rows = records.counting_steps(run, ("k", "t_s", "certificate"))
+    steps = rows.drop_duplicates("k").sort_values("k")
     certificate, t_s = steps["certificate"], steps["t_s"].to_numpy()
     known = np.where(certificate == INFEASIBLE, LOST, HELD)
     state = np.where(certificate.isin((UNCERTIFIED, UNDECIDED)), UNKNOWN, known)
@@ -127,50 +122,43 @@ def _spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
     return pd.DataFrame([(run.lost_group, *span) for span in spans], columns=list(SPAN))
 
 
-def _answers(
+def _count_batch_answers(
     records: Records, runs: Sequence[RunRecord], groups: int, sample_s: float
 ) -> BatchAnswers:
-    """The answers of one configuration, a run for each group."""
-    of_runs = [_counts(records.counting_steps(run, ("k", *CLAIMS))) for run in runs]
+    """Count a configuration's answers over all thruster losses; add times per control sample."""
+    of_runs = [_count_claims(records.counting_steps(run, ("k", *CLAIMS))) for run in runs]
     counts = pd.concat(of_runs, axis=1).sum(axis=1)
-    batch_ns = _batch_ns(records, runs) if len(runs) == groups else np.zeros(0)
+    batch_ns = _batch_times_ns(records, runs) if len(runs) == groups else np.zeros(0)
     shares = batch_ns / (1e9 * sample_s)
     return BatchAnswers(
         solver=runs[0].solver,
         name=runs[0].name,
         asked=sum(run.steps_planned for run in runs),
         p99=percentile(shares, 99),
-        largest=float(shares.max()) if len(shares) else float("nan"),
+        largest=float(shares.max()) if len(shares) else math.nan,
         **{str(name): int(count) for name, count in counts.items()},
     )
 
 
-def _counts(steps: pd.DataFrame) -> pd.Series[int]:
-    """Feasible, infeasible, held, refused, missed and untrue of one run."""
-    claims = claims_of(steps)
+def _count_claims(steps: pd.DataFrame) -> pd.Series[int]:
+    """Count a run's answers on feasible and infeasible QPs: right, missed alarm, untrue."""
+    claims = classify_steps(steps)
     infeasible = steps["certificate"] == INFEASIBLE
-    always = pd.DataFrame(
-        {
-            "feasible": claims["steps"] & ~infeasible,
-            "infeasible": infeasible,
-            "held": claims["told"],
-            "refused": claims["empty_right"] & infeasible,
-        }
-    )
-    ever = pd.DataFrame(
-        {
-            "missed": claims["lies"] & infeasible,
-            "untrue": claims["lies"] | claims["empty_wrong"],
-        }
-    )
-    counts: pd.Series[int] = pd.concat(
-        [always.groupby(steps["k"]).all().sum(), ever.groupby(steps["k"]).any().sum()]
-    )
+    always = {
+        "feasible": claims["steps"] & ~infeasible,
+        "infeasible": infeasible,
+        "held": claims["right_claims"],
+        "refused": claims["right_refusals"] & infeasible,
+    }
+    lies = claims["false_claims"]
+    ever = {"missed": lies & infeasible, "untrue": lies | claims["wrong_refusals"]}
+    by_step = [pd.DataFrame(columns).groupby(steps["k"]) for columns in (always, ever)]
+    counts: pd.Series[int] = pd.concat([by_step[0].all().sum(), by_step[1].any().sum()])
     return counts
 
 
-def _batch_ns(records: Records, runs: Sequence[RunRecord]) -> Floats:
-    """Time of the batch at each sample (K,), the sum over the groups; empty where one has a gap."""
+def _batch_times_ns(records: Records, runs: Sequence[RunRecord]) -> Floats:
+    """Return the time (K,) [ns] to solve the QPs of all thruster losses per sample; or empty."""
     times = [records.times(run) for run in runs]
     timed = [known.algo_ns for known in times if known is not None]
     steps = {len(of_group) for of_group in timed} | {run.steps_planned for run in runs}
@@ -180,14 +168,14 @@ def _batch_ns(records: Records, runs: Sequence[RunRecord]) -> Floats:
     return total
 
 
-def in_all(analyses: Sequence[Analysis]) -> dict[str, list[BatchAnswers]]:
-    """The answers of each configuration that was run in every analysis, by its name."""
+def answers_in_all(analyses: Sequence[ConsequenceAnalysis]) -> dict[str, list[BatchAnswers]]:
+    """Return, by name, the configurations run in every consequence analysis with their answers."""
     answers = [own for analysis in analyses for own in analysis.answers]
-    by_name = grouped(answers, lambda own: own.name)
+    by_name = group_by(answers, lambda own: own.name)
     return {name: own for name, own in by_name.items() if len(own) == len(analyses)}
 
 
 def largest_share(answers: Sequence[BatchAnswers]) -> float:
-    """The largest share of a sample of some analyses; NaN where one is not known."""
+    """Return the largest share of a control sample that solving takes in any analysis; or NaN."""
     shares = [own.largest for own in answers]
     return max(shares) if all(map(math.isfinite, shares)) else math.nan

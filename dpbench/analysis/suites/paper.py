@@ -1,12 +1,14 @@
-"""The paper's case in the records: its two control laws side by side, the data of its figures."""
+"""The paper's case in the records: its two control laws, the data of its figures, its claims.
 
-from __future__ import annotations
+Claims are those of section IV and Figures 4-7 of Xia, Liu, Pang & Xue, "Constrained model
+predictive control design for dynamic positioning of a supply ship".
+"""
 
 import json
-import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -27,8 +29,8 @@ CIRCLE_M = 1.0
 
 
 @dataclass(frozen=True)
-class Pair:
-    """The constrained loop that follows the exact one most closely, and the baseline law.
+class LawPair:
+    """Runs of the paper's MPC law, and of its unconstrained law with clipped forces.
 
     whole : steps of the whole scenario; the loops are complete but may have been asked for fewer.
     """
@@ -38,31 +40,27 @@ class Pair:
     whole: int = 0
 
 
-def pair_of(view: Records, scenario: str) -> Pair:
-    """The two laws of a scenario, each from a complete one of its longest closed loops."""
-    loops = [r for r in view.full_loops(scenario) if r.has_steps and r.outcome == "finished"]
+def find_laws(view: Records, scenario: str) -> LawPair:
+    """Find a scenario's complete runs of the MPC law and of the clipped unconstrained law."""
+    loops = [r for r in view.select_full_loops(scenario) if r.has_steps and r.outcome == "finished"]
     solved = [row for row in loops if not row.is_baseline_law and row.policy == "fresh"]
-    best = min(solved, key=_deviation, default=None)
+    off_m = {row: np.nan_to_num(row.dev_position_max_m, nan=np.inf) for row in solved}
+    best = min(solved, key=lambda row: (off_m[row], row.solver), default=None)
     clipped = next((row for row in loops if row.is_baseline_law), None)
-    return Pair(best, clipped, view.whole_steps(scenario))
-
-
-def paper_pair(view: Records, name: str) -> Pair:
-    """The same where the scenario is the paper's own of that name; else nothing."""
-    return pair_of(view, name) if is_of_paper(view, name) else Pair(None, None)
+    return LawPair(best, clipped, view.count_scenario_steps(scenario))
 
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """One control law's run: what it is called, and its step rows."""
+    """Closed loop under one control law: name of the law and table of steps."""
 
     label: str
     steps: pd.DataFrame
 
 
-def laws_of(view: Records) -> list[Law]:
-    """The constrained law of the paper's own scenario, and the clipped one if it was run."""
-    pair = pair_of(view, PAPER)
+def find_paper_runs(view: Records) -> list[Law]:
+    """Return the steps of MPC and of clipped unconstrained control in the paper's scenario."""
+    pair = find_laws(view, PAPER)
     if pair.constrained is None:
         return []
     laws = [Law(f"constrained ({pair.constrained.solver})", view.steps(pair.constrained))]
@@ -71,20 +69,19 @@ def laws_of(view: Records) -> list[Law]:
     return laws
 
 
-def errors(steps: pd.DataFrame, reference: Vector) -> dict[str, Floats]:
-    """North, east, radial [m] and heading [°] errors of the rows of a loop."""
+def pose_errors(steps: pd.DataFrame, reference: Vector) -> dict[str, Floats]:
+    """Return north, east and radial [m] and heading [°] errors at each step of a loop, by name."""
     n = steps["n_m"].to_numpy() - reference[0]
     e = steps["e_m"].to_numpy() - reference[1]
     psi = np.degrees(steps["psi_rad"].to_numpy() - reference[2])
     return {"north": n, "east": e, "heading": psi, "radial": np.hypot(n, e)}
 
 
-def data_behind(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
-    """What a figure draws of every step of a law: law, t_s, and its columns with their units; of
-    forces and increments each axis, then its limits.
+def paper_figure_data(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
+    """Tabulate what one of the paper's figures shows, for one control law.
 
-    Parameters
-    ----------
+    Forces and increments have each axis, then its limits.
+
     figure : path, errors, forces or increments.
     """
     steps = law.steps
@@ -93,7 +90,7 @@ def data_behind(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
         columns |= {name: steps[name] for name in ("n_m", "e_m")}
     elif figure == "errors":
         units = {"north": "m", "east": "m", "heading": "deg", "radial": "m"}
-        by_name = errors(steps, scenario.reference)
+        by_name = pose_errors(steps, scenario.reference)
         columns |= {f"{name}_{unit}": by_name[name] for name, unit in units.items()}
     else:
         vessel, most = scenario.vessel, scenario.force_step_max
@@ -105,27 +102,108 @@ def data_behind(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def _deviation(row: RunRecord) -> tuple[float, str]:
-    value = row.dev_position_max_m
-    return (math.inf if math.isnan(value) else value, row.solver)
-
-
-def is_of_paper(view: Records, name: str) -> bool:
-    """Whether a scenario of the rows is the paper's own of that name, and not one named alike."""
+def is_paper_scenario(view: Records, name: str) -> bool:
+    """Return whether a recorded scenario equals the paper's scenario in this package."""
     scenario = view.scenario(name) if name in OF_PAPER else None
-    return scenario is not None and _content(scenario) == _own_content(name)
+    return scenario is not None and _document_content(scenario) == _packaged_content(name)
 
 
 @cache
-def _own_content(name: str) -> str:
-    return _content(load_scenario(name))
+def _packaged_content(name: str) -> str:
+    """Return the named scenario of this package as JSON, without descriptive text."""
+    return _document_content(load_scenario(name))
 
 
-def _content(scenario: Scenario) -> str:
-    """What a scenario computes with: its documents without the prose, which may be reworded."""
+def _document_content(scenario: Scenario) -> str:
+    """Return a scenario's documents as JSON, without descriptive text."""
     files = scenario.files
     documents = {
         key: {name: value for name, value in files[key].items() if name not in PROSE}
         for key in ("scenario", "vessel")
     }
     return json.dumps(documents, sort_keys=True)
+
+
+State = Literal["reproduced", "not reproduced", "opposite", "not measured"]
+
+STEADY_M = 0.05
+"""A steady radial error below this counts as nearly stationary."""
+SAME = 0.01
+"""Errors closer than this share of the larger one are equal."""
+
+
+@dataclass(frozen=True, eq=False)
+class ClaimFinding:
+    """Evidence on one claim of the paper: criterion, whether reproduced, and measured values.
+
+    by : a key of `HOLDS` or `SMALLER`; "no loop", "one law" or "short" where nothing decides.
+    values : `run`, the constrained law, `law`, the clipped one, and what those two do not hold.
+    """
+
+    by: str
+    state: State
+    values: dict[str, Any]
+
+
+HOLDS: dict[str, Callable[[RunRecord], bool]] = {
+    "circle": lambda run: run.r_tail_max_m <= CIRCLE_M,
+    "stationary": lambda run: run.r_tail_max_m < STEADY_M,
+    "rates": lambda run: max(run.at_rate_surge, run.at_rate_sway, run.at_rate_yaw) > 0.0,
+    "violations": lambda run: run.limit_violations == 0,
+}
+"""Conditions on the constrained law."""
+SMALLER = {
+    "transient": ("overshoot_e", 0.0),
+    "settling": ("settle_0p1m_s", 0.0),
+    "steady": ("r_tail_max_m", SAME),
+    "heading": ("heading_max_deg", 0.0),
+}
+"""Figures that the constrained law has smaller, by more than which share of the larger."""
+
+
+def assess_claim(records: Records, scenario: str, by: str) -> ClaimFinding:
+    """Judge one claim of the paper by the runs of MPC and of the clipped unconstrained law."""
+    is_own = is_paper_scenario(records, scenario)
+    pair = find_laws(records, scenario) if is_own else LawPair(None, None)
+    laws = 1 if by in HOLDS else 2
+    runs = [run for run in (pair.constrained, pair.clipped)[:laws] if run is not None]
+    if len(runs) < laws:
+        return ClaimFinding("no loop" if laws == 1 else "one law", "not measured", {})
+    done = min(run.steps_done for run in runs)
+    if done < pair.whole:
+        return ClaimFinding("short", "not measured", {"done": done, "whole": pair.whole})
+    values: dict[str, Any] = dict(zip(("run", "law"), runs, strict=False))
+    if by == "circle":
+        values["entered_s"] = find_circle_entry_s(records, runs[0])
+    if by == "steady":
+        values["alike"] = _is_equal_at_rest(records, *runs)
+    return ClaimFinding(by, _claim_state(by, *runs), values)
+
+
+def _claim_state(by: str, run: RunRecord, law: RunRecord | None = None) -> State:
+    """Return whether runs reproduce a claim of the paper, or show the opposite."""
+    if law is None:
+        return "reproduced" if HOLDS[by](run) else "not reproduced"
+    column, margin = SMALLER[by]
+    constrained, clipped = getattr(run, column), getattr(law, column)
+    if constrained < (1.0 - margin) * clipped:
+        return "reproduced"
+    return "opposite" if clipped < (1.0 - margin) * constrained else "not reproduced"
+
+
+def find_circle_entry_s(records: Records, run: RunRecord) -> float:
+    """Return the time [s] from which the ship stays within 1 m; inf if it never does."""
+    scenario, steps = records.scenario(run.scenario), records.steps(run)
+    assert scenario is not None, "a run of the paper's own scenario"
+    outside = np.flatnonzero(pose_errors(steps, scenario.reference)["radial"] > CIRCLE_M)
+    if not len(outside):
+        return 0.0
+    last = int(outside[-1])
+    return np.inf if last == len(steps) - 1 else float(steps["t_s"].iloc[last + 1])
+
+
+def _is_equal_at_rest(records: Records, run: RunRecord, law: RunRecord) -> bool:
+    """Return whether MPC and clipped law end with equal errors, as no limit is active."""
+    two = run.r_tail_max_m, law.r_tail_max_m
+    active = records.steps(run)["n_active"].to_numpy()
+    return abs(two[0] - two[1]) <= SAME * max(two) and not active[len(active) // 2 :].any()

@@ -6,21 +6,18 @@ Every certified step of a configuration counts once:
             infeasible + no answer
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.bench.judge.rules import (
     NO_ANSWER_CLAIMS,
     claimed_not_true,
-    decided,
+    decided_steps,
     true_not_claimed,
 )
 from dpbench.bench.record.configuration import settings_level
@@ -28,40 +25,38 @@ from dpbench.bench.record.configuration import settings_level
 
 @dataclass(frozen=True)
 class Tally:
-    """What became of the steps of some cells.
+    """Counts of true and false solver claims, of an optimum or infeasibility, over QPs.
 
-    Parameters
-    ----------
     steps : certified steps that were reached; missed : asked for and never reached.
-    told : claimed and true; lies : claimed and not true; silent : true and not claimed.
-    empty_right, empty_wrong : called infeasible or unbounded, rightly and wrongly.
+    right_claims, false_claims : claimed, and true or not; not_claimed : true and not claimed.
+    right_refusals, wrong_refusals : called infeasible or unbounded, rightly and wrongly.
     nothing : neither a claim nor a true answer.
     """
 
     steps: int
-    told: int
-    lies: int
-    silent: int
-    empty_right: int
-    empty_wrong: int
+    right_claims: int
+    false_claims: int
+    not_claimed: int
+    right_refusals: int
+    wrong_refusals: int
     nothing: int
     missed: int
 
     @property
     def wrong(self) -> int:
-        """Untrue claims of either kind."""
-        return self.lies + self.empty_wrong
+        """Number of untrue claims, of an optimum or of infeasibility."""
+        return self.false_claims + self.wrong_refusals
 
 
 class RandomClaims:
-    """The steps of all random sequences with what they count as.
+    """True and false claims of optimality or infeasibility by solvers on all random QPs.
 
-    `runs` are those that were not refused, each once: settings without effect, one run shown
-    under several names, stand as one run with all of them in `settings`.
+    `runs` are those that were not refused, each once: settings without effect, one run shown under
+    several names, are one run with all of them in `settings`.
     """
 
     def __init__(self, records: Records) -> None:
-        self.runs = _once([run for run in records.random if run.outcome != "refused"])
+        self.runs = _merge_equal_runs([run for run in records.random if run.outcome != "refused"])
         ids = [run.run_id for run in self.runs]
         tables = [
             claims_by_run(table[table["counts"]])
@@ -72,50 +67,50 @@ class RandomClaims:
         counts = counts.reindex(ids, fill_value=0)
         self._counts = counts.assign(missed=[r.steps_planned - r.steps_done for r in self.runs])
 
-    def by(self, *names: str) -> dict[tuple[str, ...], Tally]:
-        """Tallies by the values of some columns of the runs."""
+    def tally_by(self, *names: str) -> dict[tuple[str, ...], Tally]:
+        """Sum the counts of true and false claims over runs with equal values in given columns."""
         keys = [tuple(str(getattr(run, name)) for name in names) for run in self.runs]
         sums = self._counts.groupby(pd.Index(keys, tupleize_cols=False), sort=False).sum()
         tallies = [Tally(*counts) for counts in sums.to_numpy(dtype=int).tolist()]
         return dict(zip(dict.fromkeys(keys), tallies, strict=True))
 
 
-def _once(runs: Sequence[RunRecord]) -> list[RunRecord]:
+def _merge_equal_runs(runs: Sequence[RunRecord]) -> list[RunRecord]:
+    """Merge runs that are one measurement listed under several names of settings."""
     kept: list[RunRecord] = []
-    for own in grouped(runs, lambda run: replace(run.configuration, settings="")).values():
-        by_level = grouped(own, lambda run: run.settings)
-        for alike in grouped(by_level.items(), lambda level: _figures(level[1])).values():
+    for own in group_by(runs, lambda run: replace(run.configuration, settings="")).values():
+        by_level = group_by(own, lambda run: run.settings)
+        for alike in group_by(by_level.items(), lambda level: _measurement_key(level[1])).values():
             shown = ", ".join(sorted((settings for settings, _ in alike), key=settings_level))
             kept += [replace(run, settings=shown) for run in alike[0][1]]
     return kept
 
 
-def _figures(runs: Sequence[RunRecord]) -> str:
-    """Times never repeat to the nanosecond, so equal ones are those of one run."""
+def _measurement_key(runs: Sequence[RunRecord]) -> str:
+    """Return a text that is equal for lists of runs with the same measured values."""
     return repr(sorted((run.sequence, run.raw_max_ns, run.steps_done) for run in runs))
 
 
 CLAIMS = ("status", "certificate", "claimed", "true")
-"""What `claims_of` asks of steps."""
 
 
 def claims_by_run(steps: pd.DataFrame) -> pd.DataFrame:
-    """How many of the steps of each run are what `Tally` says, less `missed`, by run_id."""
-    return claims_of(steps).groupby(steps["run_id"]).sum()
+    """Count each run's true and false claims of optimality or infeasibility, by run id."""
+    return classify_steps(steps).groupby(steps["run_id"]).sum()
 
 
-def claims_of(steps: pd.DataFrame) -> pd.DataFrame:
-    """Whether each step is what `Tally` says, less `missed`."""
-    known, none_said = decided(steps), steps["status"].isin(NO_ANSWER_CLAIMS)
+def classify_steps(steps: pd.DataFrame) -> pd.DataFrame:
+    """Classify each step's claim as true or false: a table with a Boolean column per kind."""
+    known, none_said = decided_steps(steps), steps["status"].isin(NO_ANSWER_CLAIMS)
     claimed, true = steps["claimed"], steps["true"]
     return pd.DataFrame(
         {
             "steps": known,
-            "told": known & claimed & true,
-            "lies": claimed_not_true(steps),
-            "silent": true_not_claimed(steps),
-            "empty_right": known & none_said & true,
-            "empty_wrong": known & none_said & ~true,
+            "right_claims": known & claimed & true,
+            "false_claims": claimed_not_true(steps),
+            "not_claimed": true_not_claimed(steps),
+            "right_refusals": known & none_said & true,
+            "wrong_refusals": known & none_said & ~true,
             "nothing": known & ~claimed & ~none_said & ~true,
         },
         index=steps.index,

@@ -1,36 +1,33 @@
 """Closed loops on slow computers, gathered: which slow-down each solver survives."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.demand import cost_ratio, survived
+from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.analysis.verdict.requirements import cost_ratio, has_survived
 from dpbench.bench.record.configuration import Configuration
 
 
 @dataclass(frozen=True, eq=False)
 class DelayedConfiguration:
-    """A configuration on slower and slower computers: `loops` by slow-down, rising."""
+    """Closed loops of a configuration on simulated slower computers, by slow-down."""
 
     configuration: Configuration
     loops: dict[float, RunRecord]
 
     @property
-    def survives(self) -> float:
-        """Largest slow-down up to which every loop that was run survives; NaN for none."""
-        survived_slowdowns = takewhile(lambda s: survived(self.loops[s]), self.loops)
+    def survived_slowdown(self) -> float:
+        """Largest computer slow-down up to which every closed loop survives; NaN for none."""
+        survived_slowdowns = takewhile(lambda s: has_survived(self.loops[s]), self.loops)
         return max(survived_slowdowns, default=math.nan)
 
 
 @dataclass(frozen=True, eq=False)
 class DelayedGroup:
-    """All configurations of one scenario, with the same length and budget of a step."""
+    """Closed loops of all configurations on slow computers in one scenario."""
 
     scenario: str
     steps: int
@@ -39,26 +36,24 @@ class DelayedGroup:
 
 
 def delayed_groups(records: Records) -> list[DelayedGroup]:
-    """The loops on slow computers by scenario, configurations that survive most first."""
-    groups = grouped(records.delayed, lambda r: (r.scenario, r.steps_planned, r.deadline_s))
-    return [DelayedGroup(*key, _configurations(runs)) for key, runs in groups.items()]
+    """Group the closed loops on simulated slow computers by scenario."""
+    groups = group_by(records.delayed, lambda r: (r.scenario, r.steps_planned, r.deadline_s))
+    return [DelayedGroup(*key, _group_by_configuration(runs)) for key, runs in groups.items()]
 
 
-def _configurations(runs: Sequence[RunRecord]) -> tuple[DelayedConfiguration, ...]:
+def _group_by_configuration(runs: Sequence[RunRecord]) -> tuple[DelayedConfiguration, ...]:
+    """Group closed loops on slow computers by configuration; most slow-down survived first."""
     rising = sorted(runs, key=lambda run: run.slowdown)
     delayed = [
         DelayedConfiguration(configuration, {run.slowdown: run for run in loops})
-        for configuration, loops in grouped(rising, lambda run: run.configuration).items()
+        for configuration, loops in group_by(rising, lambda run: run.configuration).items()
     ]
-    return tuple(sorted(delayed, key=_by_survival))
+    return tuple(sorted(delayed, key=_survival_key))
 
 
-def _by_survival(configuration: DelayedConfiguration) -> tuple[float, float, str]:
-    """Those that survive most first, then those whose last loop costs least."""
+def _survival_key(configuration: DelayedConfiguration) -> tuple[float, float, str]:
+    """Return a sort key of configurations: largest slow-down survived, then least cost."""
     last = list(configuration.loops.values())[-1]
-    survives, cost = configuration.survives, cost_ratio(last)
-    return (
-        math.inf if math.isnan(survives) else -survives,
-        math.inf if math.isnan(cost) else cost,
-        last.name,
-    )
+    values = -configuration.survived_slowdown, cost_ratio(last)
+    survives, cost = (math.inf if math.isnan(value) else value for value in values)
+    return survives, cost, last.name

@@ -15,8 +15,6 @@ run once are the sample.
 A difference is conditional on the runs that both configurations finished.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,14 +25,13 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.statistics import LEAST_SKEW_DF, TAILS, Interval, MeanEstimate, holm
-from dpbench.analysis.verdict.fastest import known_record
+from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.analysis.statistics import LEAST_SKEW_DF, TAILS, Interval, MeanEstimate, adjust_holm
+from dpbench.analysis.verdict.fastest import find_solver_record
 from dpbench.arrays import Floats
 from dpbench.solvers.record import TOLERANCES
-from dpbench.solvers.settings import settings_matter, tolerance_of
+from dpbench.solvers.settings import has_tolerance_levels, parse_tolerance
 
 SMALL_M = 0.01
 """A difference of 1 cm in the 95 % radial error is what a tolerance may cost."""
@@ -56,15 +53,11 @@ EXACT_FIRST = ("paper_active_set", "daqp")
 
 @dataclass(frozen=True)
 class PairedDifference:
-    """Difference of a figure between two configurations in the same realisations.
+    """Mean difference of an error or cost between two configurations in the same seas.
 
-    Parameters
-    ----------
     estimate : the mean difference with its error; the error is NaN where none is supported.
     pairs : realisations that both finished; points : at how many points.
     spread : standard deviation of the mean of one realisation of every point.
-    unpaired : by what factor the interval were wider if realisations were not paired; NaN if
-        unknown.
     is_constant : whether it is the same in all pairs of a point, within `NOTHING`.
     """
 
@@ -72,17 +65,15 @@ class PairedDifference:
     pairs: int
     points: int
     spread: float
-    unpaired: float
     is_constant: bool
 
     @property
     def mean(self) -> Interval:
-        """With its 95 % interval; infinitely wide where none is supported."""
+        """Mean difference with its 95 % interval; infinitely wide if unsupported."""
         return self.estimate.interval
 
     def replicates_for(self, difference: float) -> int | None:
-        """Replicates of each point after which a difference of this size would be told from none;
-        None where the spread is not known."""
+        """Return how many seas per point make a difference of given size significant; or None."""
         if math.isnan(self.spread):
             return None
         # The quantile falls with the count, so the first count that satisfies its own is it.
@@ -94,35 +85,29 @@ class PairedDifference:
 
 
 def paired_difference(one: pd.Series, other: pd.Series) -> PairedDifference:
-    """Return the difference one − other over the realisations that both have.
+    """Return the mean difference of two configurations over the seas that both finished.
 
-    Parameters
-    ----------
     one, other : values indexed by (point, replicate).
     """
     both = pd.concat([one, other], axis=1, join="inner").dropna()
     if both.empty:
-        return PairedDifference(MeanEstimate(np.nan), 0, 0, np.nan, np.nan, is_constant=False)
+        return PairedDifference(MeanEstimate(np.nan), 0, 0, np.nan, is_constant=False)
     columns = [both.iloc[:, i].unstack().to_numpy(dtype=np.float64) for i in (0, 1)]
     difference = columns[0] - columns[1]
     estimate = mean_over_points(difference)
-    alone = math.hypot(*(mean_over_points(column).error for column in columns))
     extent = np.nanmax(difference, axis=1) - np.nanmin(difference, axis=1)
     return PairedDifference(
         estimate,
         len(both),
         len(difference),
         estimate.error * math.sqrt(len(both) / len(difference)),
-        alone / estimate.error,
         is_constant=bool((extent <= NOTHING).all()),
     )
 
 
 def mean_over_points(values: Floats) -> MeanEstimate:
-    """The mean over points of the means over realisations; see the module.
+    """Estimate the mean over study points of their means over sea realisations, with error.
 
-    Parameters
-    ----------
     values : (points, realisations), NaN where a run is lost; each point has one at least.
     """
     known = np.isfinite(values)
@@ -153,19 +138,16 @@ def mean_over_points(values: Floats) -> MeanEstimate:
 
 @dataclass(frozen=True, eq=False)
 class StudiedConfiguration:
-    """One configuration in a study.
+    """Results of a configuration in a study: share of runs in position, cost, error, p-values.
 
-    Parameters
-    ----------
-    name, solver, settings : as everywhere.
     runs, finished : how many it was given, and how many came to their end.
     held : share of runs whose radial error stays within the radius in their second half; a run
         that did not end is not held.
     cost : closed-loop cost over that of the exactly solved loop in the same sea, less one: mean
         over runs.
     r_95_m : 95 % radial error, mean over runs [m].
-    behind, dearer : against the reference, of the 95 % radial error [m] and of the logarithm of the
-        closed-loop cost; None of the reference itself.
+    error_excess_m, log_cost_excess : 95 % radial error [m] and logarithm of the closed-loop cost,
+        less those of the reference; None of the reference itself.
     p_differs : of "its radial error differs from the reference's by more than `NOTHING`";
     p_cheap : of "it costs less than `SMALL_M` and less than `SMALL_COST`"; both adjusted for all
         configurations of the study (Holm), 1 of the reference.
@@ -179,52 +161,48 @@ class StudiedConfiguration:
     held: float
     cost: float
     r_95_m: float
-    behind: PairedDifference | None
-    dearer: PairedDifference | None
+    error_excess_m: PairedDifference | None
+    log_cost_excess: PairedDifference | None
     p_differs: float = 1.0
     p_cheap: float = 1.0
 
     @property
     def differs(self) -> bool:
-        """Whether its radial error differs significantly from that of the reference."""
+        """True if the configuration's radial error differs significantly from the reference's."""
         return self.p_differs <= ALPHA
 
     @property
-    def is_behind(self) -> bool:
-        """Whether its radial error is significantly larger than that of the reference."""
-        return self.behind is not None and self.differs and self.behind.estimate.value > 0.0
+    def has_larger_error(self) -> bool:
+        """True if the configuration's radial error is significantly over the reference's."""
+        excess = self.error_excess_m
+        return excess is not None and self.differs and excess.estimate.value > 0.0
 
     @property
     def tolerance(self) -> float | None:
-        """As of `_tolerance`."""
-        return _tolerance(self.solver, self.settings)
+        """Solver tolerance that a configuration's settings state; None if default or without."""
+        return _find_tolerance(self.solver, self.settings)
 
     @property
     def is_cheap(self) -> bool:
-        """Whether it costs significantly less than 1 cm and less than 1 % of the cost."""
+        """True if the configuration adds significantly less than 1 cm error and 1 % cost."""
         if self.finished < self.runs:
             return False
-        return self.behind is None or self.p_cheap <= ALPHA
+        return self.error_excess_m is None or self.p_cheap <= ALPHA
 
     @property
     def p_unadjusted(self) -> tuple[float, float]:
-        """`p_differs` and `p_cheap` of this configuration alone."""
-        if self.behind is None or self.dearer is None:
+        """P-values, uncorrected, of differing from the reference, and of adding little to it."""
+        if self.error_excess_m is None or self.log_cost_excess is None:
             return 1.0, 1.0
-        cheap = self.dearer.estimate.p_below(math.log1p(SMALL_COST))
+        cheap = self.log_cost_excess.estimate.p_below(math.log1p(SMALL_COST))
         return (
-            self.behind.estimate.p_beyond(NOTHING),
-            max(self.behind.estimate.p_below(SMALL_M), cheap),
+            self.error_excess_m.estimate.p_beyond(NOTHING),
+            max(self.error_excess_m.estimate.p_below(SMALL_M), cheap),
         )
 
 
 class Study:
-    """The runs of one study.
-
-    Parameters
-    ----------
-    radius_m : within which a run is held.
-    """
+    """All runs of one study: solver configurations over parameter points and sea realisations."""
 
     def __init__(self, name: str, runs: Sequence[RunRecord], radius_m: float) -> None:
         self.name, self.radius_m = name, radius_m
@@ -255,50 +233,58 @@ class Study:
 
     @property
     def replicates(self) -> int:
-        """How many seas each point was run in."""
+        """Number of sea realisations in which each parameter point was run."""
         return int(self.runs["replicate"].nunique())
 
     @property
     def realisations(self) -> int:
-        """Number of independent draws: of the sea, or of points that are all run once."""
+        """Number of independent samples: sea realisations, or points if each is run once."""
         return self.replicates if self.replicates > 1 else len(self.points)
 
     @cached_property
     def reference(self) -> str:
-        """The configuration that the others are compared with: of those that finished most runs the
-        most exact by its settings. No error or cost decides, as those are what is compared."""
+        """Name of the most exact configuration, with which all others are compared.
+
+        Of those that finished most runs the most exact by its settings. No error or cost decides:
+        those are compared.
+        """
         solving = self.runs[~self.runs["baseline_law"]]
         pool = solving if len(solving) else self.runs
         finished = pool.groupby("configuration", sort=False)["finished"].sum()
         most = finished[finished == finished.max()].index
         candidates = pool[pool["configuration"].isin(most)].drop_duplicates("configuration")
         ranked = candidates[["solver", "settings", "configuration"]].itertuples(index=False)
-        return min((*_exactness(row[0], row[1]), str(row[2])) for row in ranked)[-1]
+        return min((*_exactness_key(row[0], row[1]), str(row[2])) for row in ranked)[-1]
 
     @cached_property
     def configurations(self) -> list[StudiedConfiguration]:
-        """Every configuration against the reference, which is the first; then the nearest first."""
-        known = [self._of(str(name)) for name in self.runs["configuration"].unique()]
-        known.sort(key=lambda c: (c.name != self.reference, _nan_last(abs(c.cost))))
+        """Results of every configuration, the reference first, then by increasing cost change."""
+        known = [
+            self._summarise_configuration(str(name)) for name in self.runs["configuration"].unique()
+        ]
+        known.sort(key=lambda c: (c.name != self.reference, np.nan_to_num(abs(c.cost), nan=np.inf)))
         reference, *others = known
-        adjusted = [holm(np.array(p)) for p in zip(*(c.p_unadjusted for c in others), strict=True)]
+        adjusted = [
+            adjust_holm(np.array(p)) for p in zip(*(c.p_unadjusted for c in others), strict=True)
+        ]
         return [reference] + [
             replace(one, p_differs=float(differs), p_cheap=float(cheap))
             for one, differs, cheap in zip(others, *adjusted, strict=True)
         ]
 
     def values(self, configuration: str, column: str) -> pd.Series:
-        """A column of a configuration's finished runs, by (point, replicate)."""
+        """Return one result of a configuration's finished runs, as a series by point and sea."""
         chosen = (self.runs["configuration"] == configuration) & self.runs["finished"]
         return self.runs[chosen].set_index(["point", "replicate"])[column]
 
     def difference(self, configuration: str, column: str) -> PairedDifference:
-        """A column of a configuration less that of the reference, in the same seas."""
+        """Return a configuration's mean difference from the reference in the same seas."""
         return paired_difference(
             self.values(configuration, column), self.values(self.reference, column)
         )
 
-    def _of(self, name: str) -> StudiedConfiguration:
+    def _summarise_configuration(self, name: str) -> StudiedConfiguration:
+        """Summarise one configuration's runs in this study, compared with the reference."""
         runs = self.runs[self.runs["configuration"] == name]
         itself = name == self.reference
         log_cost = [np.log(self.values(c, "cost")) for c in (name, self.reference)]
@@ -311,58 +297,52 @@ class Study:
             held=float(runs["held"].mean()),
             cost=float(runs["over_exact"].mean()),
             r_95_m=float(runs["r_95_m"].mean()),
-            behind=None if itself else self.difference(name, "r_95_m"),
-            dearer=None if itself else paired_difference(*log_cost),
+            error_excess_m=None if itself else self.difference(name, "r_95_m"),
+            log_cost_excess=None if itself else paired_difference(*log_cost),
         )
 
     @cached_property
     def loosest(self) -> dict[str, StudiedConfiguration | None]:
-        """Of each solver that was run at stated tolerances, the loosest that is cheap; None where
-        none is."""
+        """Loosest tolerance of each solver that adds next to no error or cost; None if none."""
         stated = [(c.tolerance, c) for c in self.configurations if c.tolerance is not None]
         loosest: dict[str, StudiedConfiguration | None] = {}
-        for solver, of_solver in grouped(stated, lambda one: one[1].solver).items():
+        for solver, of_solver in group_by(stated, lambda one: one[1].solver).items():
             cheap = [one for one in of_solver if one[1].is_cheap]
             loosest[solver] = max(cheap, key=itemgetter(0))[1] if cheap else None
         return loosest
 
     def held_map(self, configuration: str) -> pd.DataFrame:
-        """Share of seas held at each point: the keys' values, `runs`, `held` (a share)."""
+        """Tabulate a configuration's runs, and share with position held, at each study point."""
         runs = self.runs[self.runs["configuration"] == configuration]
         held = runs.groupby("point")["held"].agg(runs="count", held="mean")
         return self.points.join(held, how="inner")
 
 
-def studies(records: Records) -> list[Study]:
-    """All studies of a result folder."""
-    tables = {table.get("name") or table["base"]: table for table in records.suite.get("study", [])}
-    by_name: dict[str, list[RunRecord]] = {}
-    for run in records.study:
-        by_name.setdefault(run.study, []).append(run)
-    return [
-        Study(name, runs, float(tables.get(name, {}).get("radius_m", 1.0)))
-        for name, runs in by_name.items()
-    ]
+def find_studies(records: Records) -> list[Study]:
+    """Return all studies of a result folder: solvers over many parameter points and seas."""
+    radii = {
+        table.get("name") or table["base"]: table.get("radius_m", 1.0)
+        for table in records.suite.get("study", [])
+    }
+    by_name = group_by(records.study, lambda run: run.study)
+    return [Study(name, runs, float(radii.get(name, 1.0))) for name, runs in by_name.items()]
 
 
-def _tolerance(solver: str, settings: str) -> float | None:
-    """The tolerance of its settings; None of a library's own choice, with none to set, or of a
-    solver that this installation does not know."""
-    if known_record(solver) is None or not settings_matter(solver):
+def _find_tolerance(solver: str, settings: str) -> float | None:
+    """Return the tolerance that a solver's settings state; None if default or without one."""
+    if find_solver_record(solver) is None or not has_tolerance_levels(solver):
         return None
-    return TOLERANCES.get(settings) or tolerance_of(settings)
+    return TOLERANCES.get(settings) or parse_tolerance(settings)
 
 
-def _exactness(solver: str, settings: str) -> tuple[int, float]:
-    """Sort key, the most exact first: `EXACT_FIRST`, solvers without a tolerance, the tightest
-    tolerance, then what does not tell."""
-    tolerance = _tolerance(solver, settings)
+def _exactness_key(solver: str, settings: str) -> tuple[int, float]:
+    """Return a sort key of a solver's settings, the most exact first.
+
+    `EXACT_FIRST`, solvers without a tolerance, the tightest tolerance, then unknown ones.
+    """
+    tolerance = _find_tolerance(solver, settings)
     if solver in EXACT_FIRST:
         return 0, EXACT_FIRST.index(solver) + (tolerance or 0.0)
-    if known_record(solver) is not None and not settings_matter(solver):
+    if find_solver_record(solver) is not None and not has_tolerance_levels(solver):
         return 1, 0.0
     return (3, 0.0) if tolerance is None else (2, tolerance)
-
-
-def _nan_last(value: float) -> float:
-    return np.inf if math.isnan(value) else value

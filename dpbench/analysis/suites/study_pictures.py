@@ -1,4 +1,4 @@
-"""What pictures of a study show: shares held over its keys, and how far seas lie behind."""
+"""Data of a study's pictures: shares held over its keys, and excess errors of its seas."""
 
 from __future__ import annotations
 
@@ -10,22 +10,23 @@ import pandas as pd
 from dpbench.analysis.suites.study import PairedDifference, Study
 
 MOST_MAPS = 6
-"""The reference, and those that hold least, are mapped; more maps than these nobody compares."""
+"""The reference, and those that hold least, are mapped."""
 MOST_POINTS, FIELDS = 300, 14
 """A map of more points shows fields instead, so many along each key."""
 MOST_DOTS = 1500
-"""So many seas a figure draws: of more, some of each configuration at even ranks, the least and the
-largest among them."""
+"""Most seas of a figure: of more, some of each configuration at even ranks, with its extremes."""
 
 
-def fits(study: Study) -> bool:
-    """Whether every point has a place of its own on a map."""
+def has_point_per_tile(study: Study) -> bool:
+    """Return whether a study has few enough parameter points to draw each as its own tile."""
     return len(study.points) <= MOST_POINTS
 
 
 def held_maps(study: Study) -> pd.DataFrame:
-    """The maps of the reference and of those that hold least: configuration, x and y (the first
-    numeric keys), held (a share) and runs."""
+    """Tabulate shares of seas in position over two parameters, for reference and worst solvers.
+
+    Columns: configuration, x and y (the first numeric keys), held (a share) and runs.
+    """
     ordered = sorted(study.configurations[1:], key=lambda c: c.held)[: MOST_MAPS - 1]
     numeric = study.points.select_dtypes("number").columns.tolist()
     columns = dict(zip(numeric, ("x", "y"), strict=False))
@@ -34,8 +35,8 @@ def held_maps(study: Study) -> pd.DataFrame:
     for configuration in [study.configurations[0], *ordered]:
         table = study.held_map(configuration.name).rename(columns=columns)
         part = table[[*names, "held", "runs"]]
-        if not fits(study):
-            part = part.assign(**{name: _fields(part[name]) for name in names})
+        if not has_point_per_tile(study):
+            part = part.assign(**{name: _bin_centres(part[name]) for name in names})
         # Points that differ in a third key lie on one another: their seas are counted together.
         seas = part.assign(held=part["held"] * part["runs"])
         summed = seas.groupby(names, as_index=False).sum() if names else seas
@@ -44,41 +45,40 @@ def held_maps(study: Study) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def _fields(values: pd.Series[float]) -> pd.Series[float]:
-    """The middle of the field that each value lies in."""
+def _bin_centres(values: pd.Series[float]) -> pd.Series[float]:
+    """Return for each value the centre of its bin, of equally wide bins over the range."""
     least, most = float(values.min()), float(values.max())
     width = (most - least) / FIELDS or 1.0
     number = ((values - least) / width).astype(int).clip(upper=FIELDS - 1)
     return least + width * (number + 0.5)
 
 
-def mean_cm(behind: PairedDifference) -> dict[str, float | None]:
-    """A mean with the ends of its interval [cm], None where none is stated; and its pairs."""
-    mean = behind.mean
+def mean_cm(difference: PairedDifference) -> dict[str, float | None]:
+    """Convert a paired mean difference [m] to [cm]: mean, interval ends (or None), pairs."""
+    mean = difference.mean
     low, high = (100 * end if np.isfinite(end) else None for end in (mean.low, mean.high))
-    return {"mean_cm": 100 * mean.value, "low_cm": low, "high_cm": high, "pairs": behind.pairs}
+    return {"mean_cm": 100 * mean.value, "low_cm": low, "high_cm": high, "pairs": difference.pairs}
 
 
-def seas_behind(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
-    """How far configurations are behind the reference: their means, see `mean_cm`, some of their
-    seas [cm], and how many seas there are."""
+def error_excess_by_sea(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
+    """Tabulate configurations' errors over the reference [cm]: means, values by sea, count."""
     reference = study.values(study.reference, "r_95_m")
     most = max(2, MOST_DOTS // max(1, len(study.configurations) - 1))
     rows, seas, count = [], [], 0
     for configuration in study.configurations:
-        if configuration.behind is None or configuration.behind.pairs == 0:
+        if configuration.error_excess_m is None or configuration.error_excess_m.pairs == 0:
             continue
-        rows.append({"name": configuration.name} | mean_cm(configuration.behind))
+        rows.append({"name": configuration.name} | mean_cm(configuration.error_excess_m))
         each = 100 * (study.values(configuration.name, "r_95_m") - reference).dropna()
         count += len(each)
         ranks = np.unique(np.linspace(0, len(each) - 1, min(most, len(each))).round().astype(int))
         some = each.sort_values().iloc[ranks] if len(each) > most else each
-        seas.append(some.rename("behind_cm").reset_index().assign(name=configuration.name))
+        seas.append(some.rename("error_excess_cm").reset_index().assign(name=configuration.name))
     return pd.DataFrame(rows), pd.concat(seas, ignore_index=True) if seas else pd.DataFrame(), count
 
 
-def behind_cm(study: Study, rows: pd.DataFrame) -> pd.Series[float]:
-    """How far each run is behind that of the reference in the same sea [cm]; NaN without one."""
+def error_excess_cm(study: Study, rows: pd.DataFrame) -> pd.Series[float]:
+    """Return each run's position error less the reference's in the same sea [cm], or NaN."""
     reference = study.values(study.reference, "r_95_m")
     sea = pd.MultiIndex.from_frame(rows[["point", "replicate"]])
     other = pd.Series(reference.reindex(sea).to_numpy(), index=rows.index)
@@ -86,9 +86,11 @@ def behind_cm(study: Study, rows: pd.DataFrame) -> pd.Series[float]:
 
 
 def worst_run(study: Study, among: Sequence[str]) -> str | None:
-    """Of some runs, by their ids, one of the configuration that holds fewest seas, or else of that
-    farthest from the exactly solved loop: a sea that it does not hold, or else the one in which it
-    is farthest off; None of none."""
+    """Return the id of the run with the largest position error of a study's worst configuration.
+
+    It is of the configuration that holds fewest seas, or else of that farthest from the exactly
+    solved loop: in a sea that it does not hold, or else in the one of its largest error.
+    """
     rows = study.runs[study.runs["run_id"].isin(among)]
     if rows.empty:
         return None

@@ -1,50 +1,227 @@
-"""The same QPs, one thing changed: settings levels that are right, forms that are fastest, replays
-that two solvers have in common."""
+"""Contrasts on the same QPs: routes, settings, formulations, and two solvers.
 
-from __future__ import annotations
+Routes are compared with their neighbours, in the order qpsolvers fresh, native fresh, native
+reuse, native warm: the first step is the cost of the wrapper, the second the gain of a kept
+workspace, the third that of a warm start.
+"""
 
+import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
 
-from dpbench.analysis.records.grouping import grouped
+import numpy as np
+
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
 from dpbench.analysis.records.step_times import StepTimes
-from dpbench.analysis.verdict.demand import Demand, is_right
-from dpbench.bench.judge.rules import median
+from dpbench.analysis.statistics import (
+    UNKNOWN,
+    Interval,
+    paired_ratio,
+    pooled_mean,
+    select_long_sequences,
+)
+from dpbench.analysis.verdict.requirements import Requirements, is_right
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts
+from dpbench.arrays import Floats
+from dpbench.bench.judge.rules import median_known
 from dpbench.bench.record.configuration import settings_level
 
 
-def right_levels(records: Records, demand: Demand) -> dict[str, list[str]]:
-    """The settings levels at which each solver is right on every step, the most usual first."""
+@dataclass(frozen=True)
+class PairedComparison:
+    """Step time ratio second/first of two configurations on the same steps.
+
+    `leaders` names the faster one by each yardstick; where they differ the order is unstable.
+    """
+
+    first: str
+    second: str
+    ratio: Interval
+    steps: int
+    leaders: dict[str, str]
+
+    @property
+    def tied(self) -> bool:
+        """True if the time ratio's interval contains 1, so that neither solver is faster."""
+        return self.ratio.spans(1.0)
+
+    @property
+    def unstable(self) -> bool:
+        """True if it depends on p99 or median which of two configurations is faster."""
+        return len(set(self.leaders.values())) > 1 or self.ratio.high < 1.0
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """Table row: names of both configurations, time ratio with interval, tied, unstable."""
+        ratio = {"ratio": self.ratio.value, "low": self.ratio.low, "high": self.ratio.high}
+        names = {"first": self.first, "second": self.second}
+        return names | ratio | {"steps": self.steps, "tied": self.tied, "unstable": self.unstable}
+
+
+def match_steps(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
+    """Return the step times of two configurations on the steps that both have done."""
+    if np.array_equal(first.k, second.k):
+        return first.algo_ns, second.algo_ns
+    _, in_first, in_second = np.intersect1d(first.k, second.k, return_indices=True)
+    return first.algo_ns[in_first], second.algo_ns[in_second]
+
+
+def log_half_width(first: Mapping[int, StepTimes], second: Mapping[int, StepTimes]) -> float:
+    """Return the interval half-width of two configurations' log time ratio; NaN if unknown.
+
+    first, second : step times by the index of the replay.
+    """
+    common = (match_steps(first[p], second[p]) for p in first if p in second)
+    ratio = pooled_mean([np.log(b_ns / a_ns) for a_ns, b_ns in common if len(a_ns)])
+    known = ratio.low > 0.0 and ratio.high < math.inf
+    return 0.5 * math.log(ratio.high / ratio.low) if known else math.nan
+
+
+def paired_comparison(records: Records, first: Verdict, second: Verdict) -> PairedComparison:
+    """Compare two configurations' step times on the QP sequences that both replayed.
+
+    Each sequence has equal weight; `first` has the smaller p99, or the smaller largest step where
+    there is none.
+    """
+    names = first.configuration.label, second.configuration.label
+    logs: list[Floats] = []
+    leaders: dict[str, str] = {}
+    for sequence in records.sequences:
+        times = [_find_step_times(records, sequence, verdict) for verdict in (first, second)]
+        if times[0] is None or times[1] is None:
+            continue
+        first_ns, second_ns = match_steps(times[0], times[1])
+        if not len(first_ns):
+            continue
+        logs.append(np.log(second_ns / first_ns))
+        leaders[f"median on `{sequence}`"] = names[int(np.median(first_ns) > np.median(second_ns))]
+    if not logs:
+        return PairedComparison(*names, UNKNOWN, 0, {})
+    leaders["p99" if math.isfinite(first.p99_ns) else "largest step"] = names[0]
+    steps = sum(map(len, select_long_sequences(logs)))
+    return PairedComparison(*names, pooled_mean(logs), steps, leaders)
+
+
+def find_faster_inconclusive(
+    records: Records, verdicts: Verdicts, chosen: Verdict
+) -> list[Verdict]:
+    """Find configurations of inconclusive verdict that are surely faster than the chosen one.
+
+    Those without anything against the requirements.
+    """
+    unsettled = [v for v in verdicts.all if v.state == "inconclusive" and v.timed_on]
+    ratios = [paired_comparison(records, chosen, verdict).ratio for verdict in unsettled]
+    faster = [pair for pair in zip(ratios, unsettled, strict=True) if pair[0].high < 1.0]
+    ordered = (verdict for _, verdict in sorted(faster, key=lambda pair: pair[0].value))
+    return list(first_by(ordered, lambda verdict: verdict.configuration.solver).values())
+
+
+def _find_step_times(records: Records, sequence: str, verdict: Verdict) -> StepTimes | None:
+    """Return a judged configuration's step times on a QP sequence; None without a replay."""
+    for run in records.replays(sequence):
+        if run.configuration.in_common_formulation == verdict.configuration:
+            return records.times(run)
+    return None
+
+
+RoutePolicy = tuple[str, str]
+
+WRAPPED, NATIVE, KEPT, WARM = (
+    ("qpsolvers", "fresh"),
+    ("native", "fresh"),
+    ("native", "reuse"),
+    ("native", "warm"),
+)
+WRAPPED_WARM = ("qpsolvers", "warm")
+ABOVE: dict[RoutePolicy, tuple[RoutePolicy, ...]] = {
+    NATIVE: (WRAPPED,),
+    KEPT: (NATIVE,),
+    WARM: (KEPT, NATIVE),
+    WRAPPED_WARM: (WRAPPED,),
+}
+"""Neighbours a route is compared with: the first that was measured."""
+
+
+@dataclass(frozen=True)
+class RouteGain:
+    """Speed-up of one way to call a solver (interface, warm start) over the next simpler one.
+
+    gain : geometric mean of the neighbour's time over this one's, over their common steps.
+    median_ns : median of its algorithmic step time.
+    """
+
+    solver: str
+    settings: str
+    above: RoutePolicy
+    route: RoutePolicy
+    gain: Interval
+    median_ns: float
+
+
+def compare_routes(records: Records, sequence: str) -> list[RouteGain]:
+    """Compare the ways to call each solver, native or not, by step time; fastest solver first.
+
+    None where no native route has a neighbour.
+    """
+    medians: dict[tuple[float, str], list[RouteGain]] = {}
+    by_solver = group_by(records.replays(sequence), lambda run: (run.solver, run.settings))
+    for (solver, settings), runs in by_solver.items():
+        timed = ((run, records.times(run)) for run in runs)
+        times: dict[RoutePolicy, StepTimes] = {
+            (run.route, run.policy): own for run, own in timed if own is not None
+        }
+        if any(route == "native" for route, _ in times):
+            fastest = min(float(np.median(of_route.algo_ns)) for of_route in times.values())
+            own = medians.setdefault((fastest, solver), [])
+            own += [RouteGain(solver, settings, *gain) for gain in _gains_by_route(times)]
+    gains = [gain for key in sorted(medians) for gain in medians[key]]
+    return gains if any(gain.route[0] == "native" for gain in gains) else []
+
+
+def _gains_by_route(
+    times: Mapping[RoutePolicy, StepTimes],
+) -> Iterator[tuple[RoutePolicy, RoutePolicy, Interval, float]]:
+    """Yield each way to call a solver with its speed-up over the next simpler, and median time."""
+    for route, own in times.items():
+        above = next((above for above in ABOVE.get(route, ()) if above in times), None)
+        if above is not None:
+            above_ns, own_ns = match_steps(times[above], own)
+            if len(own_ns):
+                yield above, route, paired_ratio(above_ns, own_ns), float(np.median(own.algo_ns))
+
+
+def find_right_levels(records: Records, requirements: Requirements) -> dict[str, list[str]]:
+    """Return, by solver, the tolerance settings at which it is right on every step."""
     runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
-    levels_of = {
-        solver: grouped(own, lambda run: run.settings)
-        for solver, own in grouped(runs, lambda run: run.solver).items()
-    }
-    return {
-        solver: [level for level, own in of.items() if all(is_right(run, demand) for run in own)]
-        for solver, of in levels_of.items()
-    }
+    levels: dict[str, list[str]] = {run.solver: [] for run in runs}
+    for (solver, level), own in group_by(runs, lambda run: (run.solver, run.settings)).items():
+        if all(is_right(run, requirements) for run in own):
+            levels[solver].append(level)
+    return levels
 
 
-def fastest_forms(records: Records, demand: Demand) -> Counter[str]:
-    """How often each formulation has the least median step time, of the configurations that are
-    right on a sequence in two at least."""
+def count_fastest_forms(records: Records, requirements: Requirements) -> Counter[str]:
+    """Count how often each QP formulation has the least median step time.
+
+    Of the configurations that are right on a sequence in two at least.
+    """
     by_case: dict[tuple[str, str, str], dict[str, float]] = {}
     for run in records.all_runs:
         times = records.times(run) if run.mode == "replay" and not run.has_topic else None
-        if times is not None and is_right(run, demand):
+        if times is not None and is_right(run, requirements):
             case = run.sequence, run.units, run.configuration.in_common_formulation.label
-            by_case.setdefault(case, {})[run.formulation] = median(times.algo_ns)
+            by_case.setdefault(case, {})[run.formulation] = median_known(times.algo_ns)
     cases = [forms for forms in by_case.values() if len(forms) > 1]
     return Counter(min(forms, key=lambda form: forms[form]) for forms in cases)
 
 
-def common_replays(
+def match_replays(
     records: Records, first: str, second: str
 ) -> Iterator[tuple[RunRecord, StepTimes, StepTimes]]:
-    """Every timed replay of a solver that another has done in the same way, and both step times."""
+    """Yield timed replays of two solvers called the same way, with both solvers' step times."""
     for sequence in records.sequences:
         for run in records.replays(sequence, solver=first):
             rivals = (

@@ -1,7 +1,4 @@
-"""Horizon sweeps: which replays are of one scenario under several horizons, and their
-configurations."""
-
-from __future__ import annotations
+"""Horizon sweeps: replays of one scenario under several horizons."""
 
 import json
 import math
@@ -11,12 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.statistics import UNKNOWN, Interval, percentile_interval
-from dpbench.analysis.verdict.demand import Demand, is_right
+from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import percentile
 from dpbench.bench.record.configuration import Configuration
@@ -28,13 +24,13 @@ LEAST_SIZES = 3
 """Two points lie on a line whatever the law is."""
 
 
-def moves_of(horizons: Horizons) -> int:
-    """How many moves a plan has: the n of the condensed form, on which all forms are compared."""
+def count_variables(horizons: Horizons) -> int:
+    """Return the number of variables of the condensed QP: forces times control horizon."""
     return len(FORCES) * horizons[1]
 
 
 def growth_exponent(sizes: Sequence[int], times: Sequence[Floats]) -> float | None:
-    """p of the power law t = c · size^p through the medians of the step times (K,) at each size.
+    """Fit p of the power law t = c · size^p to median times; None for few sizes.
 
     Least squares of log t on log size; None with fewer than `LEAST_SIZES` different sizes.
     """
@@ -44,8 +40,8 @@ def growth_exponent(sizes: Sequence[int], times: Sequence[Floats]) -> float | No
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
-    """One configuration at one pair of horizons; `times` None where it did not do every step."""
+class SweepPoint:
+    """Replay, step times and correctness of one configuration at one pair of horizons."""
 
     run: RunRecord
     times: StepTimes | None
@@ -53,67 +49,67 @@ class Point:
 
     @property
     def median_ns(self) -> float:
-        """Median of the algorithmic step time; NaN where steps are missing."""
+        """Median step time [ns], each step's fastest repetition; NaN where steps are missing."""
         return float(np.median(self.times.algo_ns)) if self.times else math.nan
 
     @property
     def p99_ns(self) -> float:
-        """Its p99; NaN where the steps do not support one."""
+        """p99 step time [ns], each step's fastest repetition; NaN for too few steps."""
         return percentile(self.times.algo_ns, 99) if self.times else math.nan
 
     @cached_property
     def p99_interval(self) -> Interval:
-        """It with its bootstrap interval over steps."""
+        """p99 step time [ns], each step's fastest repetition, with its 95 % interval."""
         return percentile_interval(self.times.algo_ns, 99) if self.times else UNKNOWN
 
 
 @dataclass(frozen=True, eq=False)
 class SweptConfiguration:
-    """A configuration over the horizons of a sweep."""
+    """Replays of one solver configuration over several MPC horizons."""
 
     configuration: Configuration
-    points: dict[Horizons, Point]
+    points: dict[Horizons, SweepPoint]
 
     @property
-    def timed(self) -> dict[Horizons, Point]:
-        """The points with a time for every step."""
+    def timed(self) -> dict[Horizons, SweepPoint]:
+        """Replays with a time for every step, by prediction and control horizon."""
         return {h: point for h, point in self.points.items() if point.times is not None}
 
     @property
     def growth(self) -> float | None:
-        """`growth_exponent` over the number of moves."""
-        sizes = [moves_of(horizons) for horizons in self.timed]
+        """Exponent p of median step time growing as n^p with the number n of QP variables."""
+        sizes = [count_variables(horizons) for horizons in self.timed]
         return growth_exponent(sizes, [p.times.algo_ns for p in self.timed.values() if p.times])
 
     @property
     def has_p99(self) -> bool:
-        """Whether it has enough steps for a p99 anywhere."""
+        """True if any of this configuration's replays has enough steps for a p99 time."""
         return any(math.isfinite(point.p99_ns) for point in self.timed.values())
 
     def largest_within(self, limit_ns: float) -> Horizons | None:
-        """The largest horizons measured with right answers and a p99 of at most `limit_ns`."""
+        """Return the largest measured horizons with right answers and a p99 within `limit_ns`."""
         fit = [h for h, p in self.timed.items() if p.right and p.p99_ns <= limit_ns]
-        return max(fit, key=_by_moves, default=None)
+        return max(fit, key=_moves_key, default=None)
 
-    def measured_beyond(self, horizons: Horizons) -> bool:
-        """Whether longer horizons have a p99, be their answers right or not."""
-        beyond = (p for h, p in self.timed.items() if _by_moves(h) > _by_moves(horizons))
+    def has_p99_beyond(self, horizons: Horizons) -> bool:
+        """Return whether a replay at horizons longer than given ones has a p99 time."""
+        beyond = (p for h, p in self.timed.items() if _moves_key(h) > _moves_key(horizons))
         return any(math.isfinite(point.p99_ns) for point in beyond)
 
-    def settled(self, limit_ns: float) -> bool:
-        """Whether no interval of a p99 of right answers from there on holds `limit_ns`."""
+    def is_settled(self, limit_ns: float) -> bool:
+        """Return whether p99 intervals leave no doubt on the largest horizons within a time."""
         largest = self.largest_within(limit_ns)
         beyond = [
             point
             for h, point in self.timed.items()
-            if point.right and (largest is None or _by_moves(h) >= _by_moves(largest))
+            if point.right and (largest is None or _moves_key(h) >= _moves_key(largest))
         ]
         return not any(point.p99_interval.spans(limit_ns) for point in beyond)
 
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """The replays of one scenario under several horizons, the shortest first."""
+    """Replays of one scenario with several MPC horizons, the shortest horizons first."""
 
     name: str
     steps: int
@@ -122,17 +118,19 @@ class Sweep:
 
     @property
     def horizons(self) -> list[Horizons]:
-        """All pairs, by the number of moves."""
+        """All pairs of prediction and control horizon in the sweep, the shortest first."""
         return list(self.sequences)
 
     @property
     def has_p99(self) -> bool:
-        """Whether any of its replays has enough steps for a p99."""
+        """True if any replay of the sweep has enough steps for a p99 step time."""
         return any(swept.has_p99 for swept in self.swept)
 
     def longest_within(self, swept: SweptConfiguration, limit_ns: float) -> Horizons | None:
-        """The longest horizons with right answers within a limit: by p99, or by the largest step
-        where there are too few for one."""
+        """Return a configuration's longest horizons solved rightly within a time limit, or None.
+
+        By p99, or by the largest step where there are too few for one.
+        """
         if self.has_p99:
             return swept.largest_within(limit_ns)
         held = [
@@ -140,31 +138,34 @@ class Sweep:
             for horizons, point in swept.timed.items()
             if point.right and point.times is not None and point.times.algo_ns.max() <= limit_ns
         ]
-        return max(held, key=moves_of, default=None)
+        return max(held, key=count_variables, default=None)
 
     @property
     def best(self) -> list[SweptConfiguration]:
         """The best configuration of each solver and formulation; the fastest solvers first."""
-        best = sorted(self.swept, key=_preference)
-        kinds = firsts(best, lambda s: (s.configuration.solver, s.configuration.formulation))
+        best = sorted(self.swept, key=_preference_key)
+        kinds = first_by(best, lambda s: (s.configuration.solver, s.configuration.formulation))
         return list(kinds.values())
 
 
-def sweeps(records: Records, demand: Demand) -> list[Sweep]:
-    """The sweeps in the records: scenarios that were replayed under two horizons at least."""
+def find_sweeps(records: Records, requirements: Requirements) -> list[Sweep]:
+    """Find the scenarios replayed with two or more pairs of MPC horizons."""
     # A sweep compares formulations, which `Records.select` does not.
     replays = [run for run in records.all_runs if run.mode == "replay" and run.units == "scaled"]
-    problems = grouped(replays, _problem_key)
-    candidates = [_sweep(records, runs, demand) for key, runs in problems.items() if key]
+    problems = group_by(replays, _swept_problem_key)
+    candidates = [
+        _build_sweep(records, runs, requirements) for key, runs in problems.items() if key
+    ]
     return [sweep for sweep in candidates if len(sweep.sequences) > 1]
 
 
-def _by_moves(horizons: Horizons) -> tuple[int, int]:
+def _moves_key(horizons: Horizons) -> tuple[int, int]:
+    """Return a sort key of an MPC horizon pair: control horizon, then prediction horizon."""
     return horizons[1], horizons[0]
 
 
-def _problem_key(run: RunRecord) -> str:
-    """Equal for replays that differ in their horizons only; empty where there is no scenario."""
+def _swept_problem_key(run: RunRecord) -> str:
+    """Return a text equal for replays of one scenario differing only in MPC horizons; or ""."""
     files = run.scenario_files
     if files is None or run.horizons is None:
         return ""
@@ -175,34 +176,30 @@ def _problem_key(run: RunRecord) -> str:
     return json.dumps([scenario, files["vessel"], window], sort_keys=True)
 
 
-def _sweep(records: Records, runs: Sequence[RunRecord], demand: Demand) -> Sweep:
+def _build_sweep(records: Records, runs: Sequence[RunRecord], requirements: Requirements) -> Sweep:
+    """Build a comparison over MPC horizons from the replays of one scenario."""
     sequences: dict[Horizons, str] = {}
-    points: dict[Configuration, dict[Horizons, Point]] = {}
+    points: dict[Configuration, dict[Horizons, SweepPoint]] = {}
     for run in runs:
         horizons = run.horizons
         assert horizons is not None  # or it would be of no problem that is swept
         sequences.setdefault(horizons, run.sequence)
         if run.outcome != "refused":
-            of_configuration = points.setdefault(run.configuration, {})
-            of_configuration.setdefault(horizons, _point(records, run, demand))
+            times = records.times(run)
+            whole = times is not None and len(times.algo_ns) == run.steps_planned
+            point = SweepPoint(run, times if whole else None, is_right(run, requirements))
+            points.setdefault(run.configuration, {}).setdefault(horizons, point)
     return Sweep(
         name=runs[0].sequence_without_horizons,
         steps=runs[0].steps_planned,
-        sequences=dict(sorted(sequences.items(), key=lambda item: _by_moves(item[0]))),
+        sequences=dict(sorted(sequences.items(), key=lambda item: _moves_key(item[0]))),
         swept=[SweptConfiguration(*item) for item in points.items()],
     )
 
 
-def _point(records: Records, run: RunRecord, demand: Demand) -> Point:
-    """A cell that was stopped before it had done every step once has no time to compare."""
-    times = records.times(run)
-    whole = times is not None and len(times.algo_ns) == run.steps_planned
-    return Point(run, times if whole else None, is_right(run, demand))
-
-
-def _preference(swept: SweptConfiguration) -> tuple[int, int, float, str]:
-    """Sort key: most horizons with right answers, most with a time, then the fastest."""
+def _preference_key(swept: SweptConfiguration) -> tuple[int, int, float, str]:
+    """Return a sort key of configurations: most horizons right, most timed, then fastest."""
     right = sum(point.right for point in swept.timed.values())
-    largest = max(swept.timed, key=_by_moves, default=None)
+    largest = max(swept.timed, key=_moves_key, default=None)
     slowest_ns = swept.timed[largest].median_ns if largest else math.inf
     return -right, -len(swept.timed), slowest_ns, swept.configuration.solver

@@ -1,6 +1,4 @@
-"""What disturbed the timed runs: which of them, on which sequence, and by whose doing."""
-
-from __future__ import annotations
+"""Disturbances of the timed runs, by sequence and cause."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -8,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from dpbench.analysis.records.grouping import firsts, grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.uncertainty import uncertainty_of, usual_factor
+from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
+from dpbench.analysis.verdict.uncertainty import estimate_uncertainty, factor_quantile
 from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S, Disturbance
 from dpbench.solvers.calibration import COPY_ONLY, WAITS_NS
 
@@ -23,59 +20,60 @@ neighbours too."""
 
 
 def round_spread(records: Records) -> tuple[float, float]:
-    """Return how many times as long the slowest round of a configuration takes as its fastest: the
-    median over the configurations, and what 95 % of them stay below; NaN without two rounds."""
-    slowest = list(uncertainty_of(records).slowest.values())
-    return (float(np.median(slowest)), usual_factor(slowest)) if slowest else (math.nan, math.nan)
+    """Return median and 95 % quantile, over configurations, of slowest over fastest repetition.
+
+    NaN without two rounds.
+    """
+    slowest = list(estimate_uncertainty(records).slowest.values())
+    return (
+        (float(np.median(slowest)), factor_quantile(slowest)) if slowest else (math.nan, math.nan)
+    )
 
 
 def timed_runs(records: Records) -> list[RunRecord]:
-    """Every replay that was timed, the harness's own configurations too; once where it has several
-    names.
+    """Return every timed replay, those of the benchmark's test solvers included, each once.
 
-    The involuntary switches that a configuration makes itself stand in `own_switches_a_step`, and
-    are NaN among those that the machine is judged by.
+    Involuntary switches that a configuration makes itself are in `own_switches_a_step`, and are NaN
+    among those that the machine is judged by.
     """
-    return _own_apart(_once_each(records))
+    runs = [*records.calibration, *records.all_runs]
+    timed = [run for run in runs if run.mode == "replay" and not run.family and run.has_steps]
+    return _separate_own_switches(list(first_by(timed, _measurement_key).values()))
 
 
 def delayed_runs(records: Records) -> list[RunRecord]:
-    """Every loop on a slow computer that left a step, switches of its own doing told apart."""
-    return _own_apart([run for run in records.delayed if run.has_steps])
+    """Return every closed loop on a simulated slow computer that did a step."""
+    return _separate_own_switches([run for run in records.delayed if run.has_steps])
 
 
-def _own_apart(runs: Sequence[RunRecord]) -> list[RunRecord]:
+def _separate_own_switches(runs: Sequence[RunRecord]) -> list[RunRecord]:
+    """Tell context switches that a solver causes itself from those of the machine, per run."""
     rates = np.array([run.involuntary_switches / run.replay_s for run in runs])
     known = rates[np.isfinite(rates)]
     allowed = max(float(np.median(known)), MAX_SWITCHES_PER_S) if len(known) else np.inf
     return [
         replace(run, involuntary_switches=np.nan, own_switches_a_step=a_step)
-        if (a_step := _switches_a_step(run)) >= OWN_A_STEP and rate > OWN_TIMES * allowed
+        if (a_step := _switches_per_step(run)) >= OWN_A_STEP and rate > OWN_TIMES * allowed
         else run
         for run, rate in zip(runs, rates, strict=True)
     ]
 
 
-def _switches_a_step(run: RunRecord) -> float:
+def _switches_per_step(run: RunRecord) -> float:
+    """Return a run's involuntary context switches per step; NaN without a repetition."""
     rounds = 1.0 if run.mode == "closed_loop" else run.rounds
     # One that was stopped before its first round that counts has none.
     return run.involuntary_switches / (rounds * run.steps_done) if rounds else np.nan
 
 
-def _once_each(records: Records) -> list[RunRecord]:
-    runs = [*records.calibration, *records.all_runs]
-    timed = [run for run in runs if run.mode == "replay" and not run.family and run.has_steps]
-    return list(firsts(timed, _identity).values())
-
-
-def _identity(run: RunRecord) -> tuple[object, ...]:
-    """Settings without effect are one run under several names, to the nanosecond."""
+def _measurement_key(run: RunRecord) -> tuple[object, ...]:
+    """Return a key equal for one measured replay listed under several names of settings."""
     unnamed = replace(run.configuration, settings="")
     return run.sequence, unnamed, str(run.replay_s), str(run.raw_max_ns)
 
 
-def disturbance_of(runs: Sequence[RunRecord]) -> Disturbance:
-    """What disturbed some replays together."""
+def total_disturbance(runs: Sequence[RunRecord]) -> Disturbance:
+    """Sum what disturbed replays: repetitions, context switches, stolen processor time."""
     parts = [
         Disturbance(
             rounds=run.rounds + run.disturbed_rounds - run.counting_disturbed,
@@ -92,38 +90,33 @@ def disturbance_of(runs: Sequence[RunRecord]) -> Disturbance:
 
 
 def disturbed_sequences(records: Records) -> dict[str, Disturbance]:
-    """What disturbed the timed replays of each sequence; one that nothing is known of is left out.
+    """Return what disturbed the timing of replays, by QP sequence, where it is known.
 
-    Random problems, which are not timed alone, are none of them.
+    Random problems, which are not timed alone, are not included.
     """
-    replays = grouped(timed_runs(records), lambda run: run.sequence)
-    disturbances = {sequence: disturbance_of(runs) for sequence, runs in replays.items()}
+    replays = group_by(timed_runs(records), lambda run: run.sequence)
+    disturbances = {sequence: total_disturbance(runs) for sequence, runs in replays.items()}
     return {sequence: one for sequence, one in disturbances.items() if one.seconds > 0}
 
 
-def largest_of(figures: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """By name the largest of its figures; those that are not known are left out."""
-    largest: dict[str, float] = {}
-    for name, figure in figures:
-        if not math.isnan(figure):
-            largest[name] = max(figure, largest.get(name, 0.0))
-    return largest
+def largest_by_name(figures: Iterable[tuple[str, float]]) -> dict[str, float]:
+    """Return the largest number that is not NaN for each name, from pairs (name, number)."""
+    known = group_by((f for f in figures if not math.isnan(f[1])), lambda figure: figure[0])
+    return {name: max(0.0, *(figure for _, figure in own)) for name, own in known.items()}
 
 
 def calibration_medians(calibration: Sequence[RunRecord]) -> dict[str, float]:
-    """Of each of the harness's own solvers the median [ns] of the timings of the rounds that count,
-    the largest of its replays."""
-    return largest_of((run.solver, run.raw_p50_ns) for run in calibration)
+    """Return the largest median timing [ns] of each of the benchmark's test solvers."""
+    return largest_by_name((run.solver, run.raw_p50_ns) for run in calibration)
 
 
 def shortest_wait_ns(calibration: Sequence[RunRecord]) -> float:
-    """The shortest wait of known length that was measured [ns]; NaN for none."""
+    """Return the shortest known wait by which the timing was checked [ns]; NaN for none."""
     waits = (WAITS_NS[name] for name in calibration_medians(calibration) if name in WAITS_NS)
     return float(min(waits, default=math.nan))
 
 
-def calling_ns(records: Records) -> float:
-    """What calling a library that only copies takes [ns]; NaN where it was not measured."""
-    times = [r.algo_p50_ns for r in records.calibration if r.solver == COPY_ONLY]
-    known = [t for t in times if math.isfinite(t)]
-    return min(known) if known else math.nan
+def library_call_ns(records: Records) -> float:
+    """Return the time of a solver call that only copies data [ns]; NaN if not run."""
+    times = (run.algo_p50_ns for run in records.calibration if run.solver == COPY_ONLY)
+    return min((ns for ns in times if math.isfinite(ns)), default=math.nan)

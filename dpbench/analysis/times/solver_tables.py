@@ -1,46 +1,48 @@
-"""Tables of solvers: verdicts, times, tiles of solver and place, accuracy against time, hard steps.
+"""Tables of solvers: verdicts, times, solver by experiment, accuracy against time, hard steps.
 
-A configuration and a place are told by their numbers in `PlacedRuns`, as text, where a table has
-`id` and `place_id`; −1 is a configuration that was not run.
+A configuration and an experiment are numbered as in `RunMatrix`, as text, where a table has
+`id` and `experiment_id`; −1 is a configuration that was not run.
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from dataclasses import replace
-from itertools import combinations
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, combinations
 from math import isnan, nan
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records.kept_runs import KeptRun
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.records.step_times import StepTimes
-from dpbench.analysis.times.machine import calling_ns
-from dpbench.analysis.times.pairs import log_reach, paired_comparison
-from dpbench.analysis.times.work_precision import LevelPoint, level_points
-from dpbench.analysis.verdict.fastest import best_of_each, family_of, fastest_first
-from dpbench.analysis.verdict.places import PlacedRuns
+from dpbench.analysis.records.thinned_runs import ThinnedRun
+from dpbench.analysis.times.contrasts import log_half_width, paired_comparison
+from dpbench.analysis.times.machine import library_call_ns
+from dpbench.analysis.verdict.fastest import best_verdict_by_solver, fastest_first, solver_family
+from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import Verdict
-from dpbench.bench.record.configuration import Configuration
+from dpbench.bench.judge.rules import percentile, supports_percentile
+from dpbench.bench.record.configuration import Configuration, settings_level
 
 LARGEST_ERROR = 1e3
 """Answers that are farther off are none, and have no point beside others."""
 
 
-def way_of(configuration: Configuration) -> dict[str, str]:
-    """What a configuration is told apart by where a solver stands in a column of its own."""
+def configuration_columns(configuration: Configuration) -> dict[str, str]:
+    """Return a configuration's solver, interface, warm start and settings by column name."""
     names = ("solver", "route", "policy", "settings")
     return {name: getattr(configuration, name) for name in names}
 
 
-def verdict_table(placed: PlacedRuns) -> pd.DataFrame:
-    """Every configuration held against the demand over all its runs; times in µs."""
+def verdict_table(matrix: RunMatrix) -> pd.DataFrame:
+    """Tabulate the verdict, errors and step times [µs] of every configuration."""
     return pd.DataFrame(
         [
             {
-                **way_of(v.configuration),
-                "outcome": v.outcome,
+                **configuration_columns(v.configuration),
+                "verdict": v.state,
                 "closed_loops": v.loops,
                 "replays": v.replays,
                 "windows": v.windows,
@@ -55,16 +57,16 @@ def verdict_table(placed: PlacedRuns) -> pd.DataFrame:
                 "raw_max_us": v.raw_max_ns / 1e3,
                 "timed_on": v.timed_on,
                 "p99_on": v.p99_on,
-                **_margin_columns(placed, v),
+                **_margin_columns(matrix, v),
             }
-            for v in placed.verdicts.all
+            for v in matrix.verdicts.all
         ]
     )
 
 
-def _margin_columns(placed: PlacedRuns, verdict: Verdict) -> dict[str, Any]:
-    """Return the speed margin of a configuration, and the step that bounds each of its parts."""
-    margin = placed.margin(verdict.configuration)
+def _margin_columns(matrix: RunMatrix, verdict: Verdict) -> dict[str, Any]:
+    """Return how much slower a computer may be for a configuration, and the limiting steps."""
+    margin = matrix.margin(verdict.configuration)
     if margin is None:
         return {"margin": nan}
     columns: dict[str, Any] = {"margin": margin.factor}
@@ -79,7 +81,7 @@ def _margin_columns(placed: PlacedRuns, verdict: Verdict) -> dict[str, Any]:
 
 
 TIMES = (
-    *("id", "solver", "label", "state", "p50_ms", "p99_ms", "max_ms", "longest_ms"),
+    *("id", "solver", "label", "verdict", "p50_ms", "p99_ms", "max_ms", "longest_ms"),
     *("replay_p99_ms", "raw_p99_ms", "margin", "share"),
 )
 """`longest_ms`: largest single timing of everything that was judged, loops too. `margin`: speed
@@ -87,109 +89,102 @@ margin, see `speed_margin.py`. `share`: part of the median that calling the libr
 calibration configuration that only copies; 0 where it was not run."""
 
 
-def time_table(placed: PlacedRuns) -> pd.DataFrame:
-    """Columns `TIMES`: the best configuration of each solver that was timed, see `best_of_each`."""
-    called_ns = calling_ns(placed.records)
+def time_table(matrix: RunMatrix) -> pd.DataFrame:
+    """Tabulate the step times [ms] of each solver's best configuration."""
+    called_ns = library_call_ns(matrix.records)
     rows = [
         {
-            "id": str(placed.index(verdict.configuration)),
+            "id": str(matrix.index(verdict.configuration)),
             "solver": verdict.configuration.solver,
             "label": verdict.configuration.label,
-            "state": verdict.state,
+            "verdict": verdict.state,
             "p50_ms": verdict.p50_ns / 1e6,
             "p99_ms": verdict.p99_ns / 1e6,
             "replay_p99_ms": verdict.replay_p99_ns / 1e6,
             "raw_p99_ms": verdict.raw_p99_ns / 1e6,
             "max_ms": verdict.algo_max_ns / 1e6,
-            "longest_ms": _longest_ms(placed, verdict),
-            "margin": nan if (m := placed.margin(verdict.configuration)) is None else m.factor,
+            "longest_ms": nan
+            if (longest := matrix.longest_timing(verdict.configuration)) is None
+            else longest[1].raw_max_ns / 1e6,
+            "margin": nan if (m := matrix.margin(verdict.configuration)) is None else m.factor,
             "share": 0.0 if isnan(called_ns) else min(1.0, called_ns / verdict.p50_ns),
         }
-        for verdict in best_of_each(placed.verdicts)
+        for verdict in best_verdict_by_solver(matrix.verdicts)
         if verdict.timed_on
     ]
     return pd.DataFrame(rows, columns=list(TIMES))
 
 
-def _longest_ms(placed: PlacedRuns, verdict: Verdict) -> float:
-    longest = placed.longest_timing(verdict.configuration)
-    return nan if longest is None else longest[1].raw_max_ns / 1e6
-
-
-def tile_table(placed: PlacedRuns) -> pd.DataFrame:
-    """Solver × place × settings, of each solver in the way of its best configuration, so that of
-    the one to use these are its own places."""
-    best = {v.configuration.solver: v.configuration for v in best_of_each(placed.verdicts)}
-    ways = [best.get(reference.solver, reference) for reference in placed.references]
+def experiment_table(matrix: RunMatrix) -> pd.DataFrame:
+    """Tabulate the verdict on each solver by scenario or replay, and tolerance settings."""
+    best = {
+        v.configuration.solver: v.configuration for v in best_verdict_by_solver(matrix.verdicts)
+    }
+    modes = [best.get(reference.solver, reference) for reference in matrix.references]
     return pd.DataFrame(
         [
-            _tile(placed, replace(way, settings=level), p)
-            for way in ways
-            for level in placed.levels
-            for p in placed.judged_places
+            _experiment_row(matrix, replace(mode, settings=level), p)
+            for mode in modes
+            for level in matrix.levels
+            for p in matrix.judged_experiments
         ]
     )
 
 
-def _tile(placed: PlacedRuns, wanted: Configuration, p: int) -> dict[str, Any]:
-    c = placed.index(wanted)
-    run, verdict = placed.runs.get((c, p)), placed.states.get((c, p))
+def _experiment_row(matrix: RunMatrix, wanted: Configuration, p: int) -> dict[str, Any]:
+    """Return the verdict on a configuration in one scenario or replay as a table row."""
+    c = matrix.index(wanted)
+    run, verdict = matrix.runs.get((c, p)), matrix.states.get((c, p))
     findings = () if verdict is None else (*verdict.causes, *verdict.doubts, *verdict.near)
     return {
         "solver": wanted.solver,
         "settings": wanted.settings,
-        "way": f"{wanted.route} {wanted.policy}",
-        "place": placed.places[p].label,
-        "state": placed.state(c, p),
+        "call_mode": f"{wanted.route} {wanted.policy}",
+        "experiment": matrix.experiments[p].label,
+        "verdict": matrix.state(c, p),
         "error": None if run is None else run.error_move_max,
         "failed": None if run is None else run.failed_steps,
         "id": str(c),
-        "place_id": str(p),
+        "experiment_id": str(p),
         "detail": ", ".join(dict.fromkeys(f.kind for f in findings)),
     }
 
 
-def level_table(placed: PlacedRuns) -> pd.DataFrame:
-    """Error and time at each settings level of each solver, in the way of its best configuration;
-    no row for an answer beyond `LARGEST_ERROR`."""
-    best = (v.configuration for v in best_of_each(placed.verdicts))
-    ways = {c.solver: (c.route, c.policy) for c in best}
-    levels = level_points(placed.records, placed.records.sequences, ways)
-    states: dict[Configuration, str] = {v.configuration: v.state for v in placed.verdicts.all}
-    rows = [
-        _point(placed, point, states)
-        for points in levels.values()
-        for point in points
-        if point.error_move < LARGEST_ERROR and not isnan(point.p50_ns)
-    ]
+def level_table(matrix: RunMatrix) -> pd.DataFrame:
+    """Tabulate largest error and step time of each solver at each of its tolerance settings.
+
+    In the call mode of its best configuration; no row for an answer beyond `LARGEST_ERROR`.
+    """
+    best = (v.configuration for v in best_verdict_by_solver(matrix.verdicts))
+    modes = {c.solver: (c.route, c.policy) for c in best}
+    levels = level_points(matrix.records, matrix.records.sequences, modes)
+    states: dict[Configuration, str] = {v.configuration: v.state for v in matrix.verdicts.all}
+    rows = []
+    for point in chain.from_iterable(levels.values()):
+        if not point.error_move < LARGEST_ERROR or isnan(point.p50_ns):
+            continue
+        judged = point.configuration.in_common_formulation
+        columns = {
+            "id": str(matrix.index(judged)),
+            "family": solver_family(judged.solver),
+            "error": point.error_move,
+            "p50_us": point.p50_ns / 1e3,
+            "p99_us": point.p99_ns / 1e3,
+            "verdict": states.get(judged, "not judged"),
+        }
+        rows.append(configuration_columns(point.configuration) | columns)
     return pd.DataFrame(rows)
 
 
-def _point(
-    placed: PlacedRuns, point: LevelPoint, states: Mapping[Configuration, str]
-) -> dict[str, Any]:
-    judged = point.configuration.in_common_formulation
-    return way_of(point.configuration) | {
-        "id": str(placed.index(judged)),
-        "family": family_of(judged.solver),
-        "error": point.error_move,
-        "p50_us": point.p50_ns / 1e3,
-        "p99_us": point.p99_ns / 1e3,
-        "state": states.get(judged, "not judged"),
-    }
+def hard_step_table(matrix: RunMatrix, kept: Mapping[str, ThinnedRun]) -> pd.DataFrame:
+    """Tabulate the steps of every run that are largest in time, iterations and error.
 
-
-def hard_step_table(placed: PlacedRuns, kept: Mapping[str, KeptRun]) -> pd.DataFrame:
-    """The hardest steps of every run outside studies by each measure; times in µs.
-
-    Parameters
-    ----------
-    kept : what is kept of each run, by its id.
+    kept : by run id.
     """
     labels = {
-        run.run_id: placed.configurations[c].label
-        for (c, p), run in placed.runs.items()
-        if not placed.places[p].study
+        run.run_id: matrix.configurations[c].label
+        for (c, p), run in matrix.runs.items()
+        if not matrix.experiments[p].study
     }
     rows = [
         {"run_id": run_id, "configuration": labels[run_id], "by": measure}
@@ -203,19 +198,75 @@ def hard_step_table(placed: PlacedRuns, kept: Mapping[str, KeptRun]) -> pd.DataF
     return pd.DataFrame(rows)
 
 
-def ratio_table(placed: PlacedRuns) -> pd.DataFrame:
-    """How many times as long each solver's best configuration takes as the fastest of them, step
-    by step, with the interval of the mean."""
-    timed = fastest_first([v for v in best_of_each(placed.verdicts) if v.timed_on])
-    pairs = [paired_comparison(placed.records, timed[0], verdict) for verdict in timed[1:]]
+def ratio_table(matrix: RunMatrix) -> pd.DataFrame:
+    """Tabulate each solver's step time over that of the fastest, best configurations of both."""
+    timed = fastest_first([v for v in best_verdict_by_solver(matrix.verdicts) if v.timed_on])
+    pairs = [paired_comparison(matrix.records, timed[0], verdict) for verdict in timed[1:]]
     return pd.DataFrame([pair.row for pair in pairs])
 
 
-def pair_reaches(placed: PlacedRuns) -> tuple[list[int], list[float]]:
-    """The configurations that were timed, and of any two of them, (0, 1), (0, 2), ... (1, 2), ...,
-    how far the 95 % interval of their paired ratio reaches, see `log_reach`."""
+def pair_half_widths(matrix: RunMatrix) -> tuple[list[int], list[float]]:
+    """Return the timed configurations, and of each two the log time ratio's half-width.
+
+    In the order (0, 1), (0, 2), ... (1, 2), ...
+    """
     timed: dict[int, dict[int, StepTimes]] = {}
-    for (c, p), run in placed.runs.items():
-        if placed.places[p].mode == "replay" and (times := placed.records.times(run)) is not None:
+    for (c, p), run in matrix.runs.items():
+        times = matrix.records.times(run) if matrix.experiments[p].mode == "replay" else None
+        if times is not None:
             timed.setdefault(c, {})[p] = times
-    return list(timed), [log_reach(*two) for two in combinations(timed.values(), 2)]
+    return list(timed), [log_half_width(*two) for two in combinations(timed.values(), 2)]
+
+
+@dataclass(frozen=True)
+class LevelPoint:
+    """Step times and error of a solver at one tolerance setting, over all QP sequences.
+
+    p50_ns, p99_ns : algorithmic step time, each the worst over the sequences that support a p99,
+        so that both are of the same steps; where none does, p50 over all and p99 NaN.
+    error_move : the largest error of the first move, NaN where no optimum is certified.
+    """
+
+    configuration: Configuration
+    p50_ns: float
+    p99_ns: float
+    error_move: float
+    failed: int
+
+
+def level_points(
+    records: Records, sequences: Sequence[str], modes: Mapping[str, tuple[str, str]]
+) -> dict[str, list[LevelPoint]]:
+    """Return, by solver, step times and error at each of its tolerance settings.
+
+    sequences : all of which a configuration was replayed on, or it has no point.
+    modes : route and policy by solver; one that is not in it has no points.
+    """
+    replays = records.select(mode="replay", units="scaled", sequence=tuple(sequences))
+    wanted = [run for run in replays if (run.route, run.policy) == modes.get(run.solver)]
+    configurations = group_by(wanted, lambda run: run.configuration.in_common_formulation)
+    points = [
+        point
+        for configuration, runs in configurations.items()
+        if len({run.sequence for run in runs}) == len(sequences)
+        and (point := _build_level_point(records, configuration, runs)) is not None
+    ]
+    points.sort(key=lambda point: settings_level(point.configuration.settings))
+    return group_by(points, lambda point: point.configuration.solver)
+
+
+def _build_level_point(
+    records: Records, configuration: Configuration, runs: Sequence[RunRecord]
+) -> LevelPoint | None:
+    """Return one configuration's worst step times and error over QP sequences; or None."""
+    timed = [times.algo_ns for times in map(records.times, runs) if times is not None]
+    if len(timed) < len(runs):
+        return None
+    whole = [algo for algo in timed if supports_percentile(len(algo), 99)]
+    return LevelPoint(
+        configuration,
+        p50_ns=max(float(np.median(algo)) for algo in whole or timed),
+        p99_ns=max((percentile(algo, 99) for algo in whole), default=math.nan),
+        error_move=float(np.fmax.reduce([run.error_move_max for run in runs])),
+        failed=int(np.nansum([run.failed_steps for run in runs])),
+    )

@@ -1,1 +1,1 @@
-"""Solvers against the demand of a suite: who meets it, who is fastest, which one to use."""
+"""Solvers against the requirements of a suite: verdicts, the fastest, and the one to use."""

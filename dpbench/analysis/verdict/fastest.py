@@ -1,96 +1,101 @@
-"""Who is fastest of all verdicts, and which one to use.
+"""Fastest configurations of all verdicts, and the one to use.
 
-To use is the fastest that nothing contradicts and that can go aboard a ship. The fastest of all may
-exist only as this benchmark's own Python code. It is named, and never recommended by itself.
+To use is the fastest that nothing contradicts and that can be deployed. The fastest of all may
+exist only as this benchmark's own Python code; it is named, and never recommended by itself.
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dpbench.analysis.records.grouping import grouped
+from dpbench.analysis.records.run_record import group_by
 from dpbench.analysis.verdict.findings import STATES
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.bench.record.configuration import settings_level
 from dpbench.errors import UnknownNameError
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.table import record
+from dpbench.solvers.table import find_record
 
 ALIKE = 0.03
 """Settings whose figures differ by less are equally fast: another day may swap them."""
 
 
 def fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
-    """By p99, those without one by their largest step time, those without time last."""
+    """Sort verdicts on configurations by p99 step time, else the largest; untimed ones last."""
     return sorted(
         verdicts,
-        key=lambda v: (_known(v.p99_ns), _known(v.algo_max_ns), v.configuration.solver),
+        key=lambda v: (
+            _finite_or_inf(v.p99_ns),
+            _finite_or_inf(v.algo_max_ns),
+            v.configuration.solver,
+        ),
     )
 
 
-def _known(time_ns: float) -> float:
+def _finite_or_inf(time_ns: float) -> float:
+    """Return a time [ns], infinity for NaN, so that missing times sort last."""
     return time_ns if math.isfinite(time_ns) else math.inf
 
 
-def ranked(verdicts: Verdicts) -> list[Verdict]:
-    """The configurations that nothing is said against, timed on as many sequences as any; the
-    fastest first, and of two names of one run the more usual settings."""
-    ranks = [verdict for verdict in verdicts.all if verdict.ranks]
+def rank_configurations(verdicts: Verdicts) -> list[Verdict]:
+    """Return the configurations without faults timed on most QP sequences, fastest first.
+
+    Of two names of one run the more usual settings.
+    """
+    ranks = [verdict for verdict in verdicts.all if verdict.is_rankable]
     widest = max((verdict.replays for verdict in ranks), default=0)
     wide = [verdict for verdict in ranks if verdict.replays == widest]
-    return fastest_first(sorted(wide, key=_level))
+    return fastest_first(sorted(wide, key=_settings_key))
 
 
-def fastest_of(verdicts: Verdicts, solver: str) -> Verdict | None:
-    """The fastest configuration of one solver, at its most usual settings where others are hardly
-    faster."""
-    return next((v for v in podium(verdicts) if v.configuration.solver == solver), None)
+def fastest_configuration(verdicts: Verdicts, solver: str) -> Verdict | None:
+    """Return a solver's fastest configuration without faults, usual settings preferred."""
+    return next((v for v in rank_solvers(verdicts) if v.configuration.solver == solver), None)
 
 
-def podium(verdicts: Verdicts) -> list[Verdict]:
-    """The fastest configuration of each solver, the fastest solver first."""
-    by_solver = grouped(ranked(verdicts), lambda verdict: verdict.configuration.solver)
-    return list(map(_most_usual, by_solver.values()))
+def rank_solvers(verdicts: Verdicts) -> list[Verdict]:
+    """Return each solver's fastest configuration without faults, the fastest solver first."""
+    by_solver = group_by(
+        rank_configurations(verdicts), lambda verdict: verdict.configuration.solver
+    )
+    return list(map(_prefer_usual_settings, by_solver.values()))
 
 
-def _most_usual(own: Sequence[Verdict]) -> Verdict:
-    """Of one solver's verdicts, the fastest first: the most usual settings that are as fast."""
+def _prefer_usual_settings(own: Sequence[Verdict]) -> Verdict:
+    """Return of a solver's about equally fast configurations the one of most usual settings."""
     best = own[0]
+    mode = best.configuration.route, best.configuration.policy
+    usual, (fastest, slowest) = (1.0 + ALIKE) * _ranking_time_ns(best), best.rounds_ns
     alike = [
         verdict
         for verdict in own
-        if verdict.configuration.route == best.configuration.route
-        and verdict.configuration.policy == best.configuration.policy
-        and (_figure(verdict) <= (1.0 + ALIKE) * _figure(best) or _rounds_overlap(verdict, best))
+        if (verdict.configuration.route, verdict.configuration.policy) == mode
+        # Where rounds overlap, the least of a few may be lower for the slower one by chance.
+        and (
+            _ranking_time_ns(verdict) <= usual
+            or (verdict.rounds_ns[0] <= slowest and fastest <= verdict.rounds_ns[1])
+        )
     ]
-    return min(alike, key=_level)
+    return min(alike, key=_settings_key)
 
 
-def _rounds_overlap(a: Verdict, b: Verdict) -> bool:
-    """Whether a round of either was as slow as one of the other: by chance the least of a few
-    rounds may then be lower for the slower one."""
-    return a.rounds_ns[0] <= b.rounds_ns[1] and b.rounds_ns[0] <= a.rounds_ns[1]
-
-
-def _level(verdict: Verdict) -> tuple[int, str]:
+def _settings_key(verdict: Verdict) -> tuple[int, str]:
+    """Return a sort key of a configuration's settings, the most usual first."""
     return settings_level(verdict.configuration.settings)
 
 
-def _figure(verdict: Verdict) -> float:
+def _ranking_time_ns(verdict: Verdict) -> float:
+    """Return the time by which a configuration is ranked [ns]: p99, else p50."""
     return verdict.p99_ns if math.isfinite(verdict.p99_ns) else verdict.p50_ns
 
 
 @dataclass(frozen=True)
-class Recommendation:
-    """The answer of a result folder.
+class SolverChoice:
+    """Recommended solver configuration of a result folder, the runner-up, and any faster one.
 
-    Parameters
-    ----------
-    chosen : the fastest configuration that can be deployed; None where nobody qualifies.
+    chosen : the fastest configuration that can be deployed; None where none qualifies.
     runner_up : the fastest one of another solver that can be.
-    faster : the fastest of all, where that is another one; `because` says why it is not chosen.
+    faster : the fastest of all, where that is another one; `because` is why it is not chosen.
     """
 
     chosen: Verdict | None
@@ -99,48 +104,48 @@ class Recommendation:
     because: str = ""
 
 
-def recommend(verdicts: Verdicts) -> Recommendation:
-    """The recommendation: by p99, among those that meet the demand.
+def choose_solver(verdicts: Verdicts) -> SolverChoice:
+    """Choose, of the solvers that pass and can be deployed, the one of smallest p99 step time.
 
     Where none does, those that are borderline are compared, else those that nothing contradicts, as
     where the suite has no closed loop; their outcome says so.
     """
-    known = podium(verdicts)
-    met, near = ([v for v in known if v.outcome == name] for name in ("meets", "borderline"))
+    known = rank_solvers(verdicts)
+    met, near = ([v for v in known if v.state == name] for name in ("pass", "borderline"))
     candidates = met or near or known
-    aboard = [v for v in candidates if not why_not_aboard(v.configuration.solver)]
-    chosen = aboard[0] if aboard else None
+    deployable = [v for v in candidates if not deployment_blocker(v.configuration.solver)]
+    chosen = deployable[0] if deployable else None
     faster = candidates[0] if candidates and candidates[0] is not chosen else None
-    because = why_not_aboard(faster.configuration.solver) if faster is not None else ""
-    return Recommendation(chosen, aboard[1] if aboard[1:] else None, faster, because)
+    because = deployment_blocker(faster.configuration.solver) if faster is not None else ""
+    return SolverChoice(chosen, deployable[1] if deployable[1:] else None, faster, because)
 
 
-def known_record(solver: str) -> SolverRecord | None:
-    """The record of a solver; None for one that this installation does not know."""
+def find_solver_record(solver: str) -> SolverRecord | None:
+    """Return the description of a solver by its name; None if it is not known here."""
     try:
-        return record(solver)
+        return find_record(solver)
     except UnknownNameError:
         return None
 
 
-def family_of(solver: str) -> str:
-    """The family of methods a solver belongs to; "not stated" of one that is not known here."""
-    return str(getattr(known_record(solver), "family", "not stated"))
+def solver_family(solver: str) -> str:
+    """Return a solver's method family, as "active set"; "not stated" if unknown."""
+    return str(getattr(find_solver_record(solver), "family", "not stated"))
 
 
-def why_not_aboard(solver: str) -> str:
-    """Why a solver cannot go aboard as it is; "" where it can."""
-    known = known_record(solver)
-    return "not in the table of this installation" if known is None else known.why_not_aboard
+def deployment_blocker(solver: str) -> str:
+    """Return why a solver cannot be used aboard as it is; "" where it can."""
+    known = find_solver_record(solver)
+    return "not in the table of this installation" if known is None else known.deployment_blocker
 
 
-def best_of_each(verdicts: Verdicts) -> list[Verdict]:
-    """Return the configuration that shows each solver, the best state first, then by time.
+def best_verdict_by_solver(verdicts: Verdicts) -> list[Verdict]:
+    """Return each solver's best verdict, solvers sorted from pass to fail, then by time.
 
-    It is one of the solver's best state: the one that `podium` names, else its reference, else the
-    fastest. Where some were run in both modes, one without a loop or a replay shows nothing.
+    It is one of the solver's best state: that of `rank_solvers`, else its reference, else the
+    fastest. Where some were run in both modes, those without a loop or a replay do not count.
     """
-    fastest = {verdict.configuration.solver: verdict for verdict in podium(verdicts)}
+    fastest = {verdict.configuration.solver: verdict for verdict in rank_solvers(verdicts)}
     chosen = []
     for solver, own in verdicts.of.items():
         whole = [verdict for verdict in own if verdict.loops and verdict.replays] or own

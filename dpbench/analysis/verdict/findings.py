@@ -1,6 +1,4 @@
-"""Findings on a configuration: its outcome, causes, doubts, and times near a limit."""
-
-from __future__ import annotations
+"""Findings on a configuration: its verdict, causes, doubts, and times near a limit."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -9,9 +7,11 @@ from typing import Literal, get_args
 
 from dpbench.analysis.records.run_record import RunRecord
 
-Outcome = Literal["meets", "borderline", "open", "misses", "not run"]
-OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
-"""The best first."""
+State = Literal["pass", "borderline", "inconclusive", "late", "fail", "not run"]
+STATES: tuple[State, ...] = get_args(State)
+"""The verdicts, the best first."""
+MISSED: tuple[State, ...] = ("late", "fail")
+"""Verdicts of configurations that something contradicts."""
 LateCause = Literal[
     "p99 late",
     "p95 late",
@@ -43,26 +43,20 @@ Doubt = Literal[
 Near = Literal["p99 borderline", "p95 borderline", "deadline borderline", "loop borderline"]
 Gap = Literal["absent", "refused", "short"]
 LATE: tuple[Cause, ...] = get_args(LateCause)
-"""Causes that say that right answers came too late, or never; all others that one was wrong."""
-State = Literal["meets", "borderline", "open", "late", "wrong", "not run"]
-STATES: tuple[State, ...] = get_args(State)
-"""The outcomes, with what misses told apart by its causes."""
+"""Causes by which right answers came too late, or never; by all others an answer was wrong."""
 DOUBTS: tuple[Doubt, ...] = get_args(Doubt)
 NEAR: tuple[Near, ...] = get_args(Near)
 OWN_DOING: tuple[Cause, ...] = ("crashed", "hung")
-"""Outcomes that are the solver's own doing, and contradict any demand."""
+"""Outcomes of runs that the solver itself caused, and that contradict any requirements."""
 
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """Something found against a configuration, or that could not be found out.
+    """Reason for a verdict on a configuration: fault, doubt, time near a limit, missing run.
 
-    Parameters
-    ----------
     runs : the runs it was found in, the worst first.
-    value : the figure: an error, a time [ns], a share of timings, or steps where the kind is about
-        steps.
-    steps : the steps or timings the figure is from.
+    value : an error, a time [ns], a share of timings, or steps, by kind.
+    steps : the steps or timings of the figure.
     machine : of a share of late timings, the share that the machine explains.
     """
 
@@ -73,10 +67,10 @@ class Finding:
     machine: float = math.nan
 
 
-def worst_first(
+def finding_on_worst(
     kind: Cause | Doubt | Near, runs: Sequence[RunRecord], figure: Callable[[RunRecord], float]
 ) -> list[Finding]:
-    """Return one finding with the worst run by a figure in front, the others in their order."""
+    """Return a list of one finding on several runs, the worst first; empty without a run."""
     if not runs:
         return []
     worst = max(runs, key=figure)

@@ -2,11 +2,11 @@
 
 The algorithmic time of a step is its fastest round, so a solver that is late at random has a good
 one. The single timings show it, but so do interrupts of the machine. Where another program took
-the core, the kernel shows for how long, and the step is not to blame (`delays.py`). What is left of
-the machine is told apart by what the other configurations suffered in the same interleaved rounds:
-a stall strikes whoever runs, in proportion to the time that it runs. A solver that waits for
-threads of its own (`THREAD_WAITS`) is tested without regard to who had the core, and so are those
-that it is compared with.
+the core, the kernel shows for how long, and the step is not to blame (`step_times.py`). What is
+left of the machine is told apart by what the other configurations suffered in the same interleaved
+rounds: a stall strikes whoever runs, in proportion to the time that it runs. A solver that waits
+for threads of its own (`THREAD_WAITS`) is tested without regard to who had the core, and so are
+those that it is compared with.
 
 Replays. A timing is late if it exceeds the limit and twice the fastest time of its step. Let x be
 the count of late timings in the middle round (the lower median over rounds, as a burst of the
@@ -19,9 +19,9 @@ hundred, which a p99 allows ("late timings").
 
 Closed loops, and replays of one round. Each step is timed once, so hard steps and delays look the
 same, and one late timing in a hundred is allowed. Late is here what exceeds the limit by more than
-the uncertainty of the times. The count is held against a binomial one with a share of 1 %. Where
-nobody knows who had the core, each involuntary context switch explains one late timing; of all
-switches only those count that can have hit the base time of a timed call (`explained_by`).
+the uncertainty of the times. The count is compared with a binomial one with a share of 1 %. Where
+waits for the core are not recorded, each involuntary context switch explains one late timing; only
+those switches count that can have hit the base time of a timed call (`explained_late_timings`).
 
 Deadline. One stall of the machine as long as a sample is rare in a whole campaign, so its rate is
 that of all replays together, for loops and replays alike.
@@ -30,25 +30,24 @@ The tests of one kind are one family (Holm 1979): "proven" holds at a family-wis
 "doubtful" at one of `DOUBTFUL`.
 """
 
-from __future__ import annotations
-
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import Literal
 
 import numpy as np
 from scipy.stats import binom, nbinom
 
-from dpbench.analysis.records.delays import Delays
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.statistics import holm
-from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.analysis.records.step_times import Delays
+from dpbench.analysis.statistics import adjust_holm
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.uncertainty import Uncertainty
 from dpbench.arrays import Floats
-from dpbench.bench.judge.rules import explained_by
+from dpbench.bench.judge.rules import explained_late_timings
 
 Kind = Literal["late timings", "late at random", "past the deadline"]
 PROVEN, DOUBTFUL = 0.001, 0.05
@@ -71,12 +70,9 @@ PASSES = 3
 
 @dataclass(frozen=True)
 class LateTimings:
-    """Late timings of one run, with the share that the machine explains.
+    """Number of a run's solver calls that took too long, and the share the machine explains.
 
-    Parameters
-    ----------
-    run : the replay or closed loop.
-    late, samples : late timings of how many, over all rounds.
+    late, samples : late timings and all timings, over all rounds.
     machine : share of late timings that the machine leads to expect; NaN where nothing shows it.
     p : one-sided p-value, adjusted within its kind (Holm).
     """
@@ -90,24 +86,24 @@ class LateTimings:
 
     @property
     def share(self) -> float:
-        """Share of the timings that are late."""
+        """Share of a run's timings that are late."""
         return self.late / self.samples
 
     @property
-    def proven(self) -> bool:
-        """True where the machine is excluded as the cause; otherwise that is doubtful."""
+    def is_proven(self) -> bool:
+        """True if the test excludes the machine as the cause of a run's late timings."""
         return self.p <= PROVEN
 
 
 @dataclass(frozen=True)
-class Machine:
-    """Stalls of the machine: rate per ns of exposed time, shape of their counts per round."""
+class StallModel:
+    """Model of a computer's stalls: rate per ns of computing time, dispersion of counts."""
 
     rate: float
     shape: float
 
-    def tail(self, count: int, exposed_ns: float, allowed: int = 0) -> float:
-        """Return P(X ≥ count) of X stalls in `exposed_ns`, plus 1 % of `allowed` timings."""
+    def tail_probability(self, count: int, exposed_ns: float, allowed: int = 0) -> float:
+        """Return P(`count` or more late): stalls in `exposed_ns`, 1 % of `allowed` timings."""
         mean = self.rate * exposed_ns
         if count <= 0:
             return 1.0
@@ -119,119 +115,128 @@ class Machine:
         return float(both.sum() + binom.sf(count - 1, allowed, ALLOWED))
 
 
+MachineAt = Callable[[float], StallModel]
+"""The machine by the limit [ns]."""
+
+
 def find_late_timings(
-    records: Records, demand: Demand, uncertainty: Uncertainty
+    records: Records, requirements: Requirements, uncertainty: Uncertainty
 ) -> dict[str, list[LateTimings]]:
-    """Return the late timings, proven or doubtful, of every scaled replay and loop by run id."""
-    runs = [run for run in records.runs if run.units == "scaled" and _is_tested(run)]
+    """Test all replays and closed loops for solver calls that are late; return them by run id."""
+    scaled = [run for run in records.runs if run.units == "scaled" and run.has_steps]
+    runs = [run for run in scaled if not run.is_baseline_law]
     replays = [run for run in runs if run.mode == "replay" and records.is_ranked(run)]
     loops = [run for run in runs if run.mode == "closed_loop"]
     arms = [run for run in records.calibration if run.mode == "replay"]
     found = records.delays([*replays, *loops, *arms])
-    left = [run for run in (*replays, *loops, *arms) if run.run_id in found]
-    delays = {run.run_id: _known(run, found[run.run_id]) for run in left}
-    replays, loops, arms = ([r for r in of if r.run_id in delays] for of in (replays, loops, arms))
+    replays, loops, arms = ([r for r in of if r.run_id in found] for of in (replays, loops, arms))
+    delays = {
+        run.run_id: _usable_delays(run, found[run.run_id]) for run in (*replays, *loops, *arms)
+    }
     repeated = [run for run in replays if len(delays[run.run_id].samples) > 1]
     once = [*loops, *(run for run in replays if run not in repeated)]
     tests: dict[Kind, list[LateTimings]] = {
-        "late at random": _test_replays(repeated, arms, delays, demand, "late at random"),
+        "late at random": _test_replays(repeated, arms, delays, requirements, "late at random"),
         "late timings": [
-            *_test_replays(repeated, arms, delays, demand, "late timings"),
+            *_test_replays(repeated, arms, delays, requirements, "late timings"),
             *(
-                _test_once(run, delays[run.run_id], demand.p99_ns * uncertainty.of(run))
+                _test_single_round(
+                    run, delays[run.run_id], requirements.p99_ns * uncertainty.of(run)
+                )
                 for run in once
             ),
         ],
-        "past the deadline": _test_deadline(loops, replays, arms, delays, demand),
+        "past the deadline": _test_deadline(loops, replays, arms, delays, requirements),
     }
-    late = [test for of_kind in tests.values() for test in adjust(of_kind) if test.p <= DOUBTFUL]
-    return grouped(late, lambda test: test.run.run_id)
+    adjusted = (test for family in tests.values() for test in adjust_p_values(family))
+    return group_by((test for test in adjusted if test.p <= DOUBTFUL), lambda test: test.run.run_id)
 
 
-def _known(run: RunRecord, delays: Delays) -> Delays:
-    """Return the delays of a run; gross where its own threads may be what it waits for."""
+def _usable_delays(run: RunRecord, delays: Delays) -> Delays:
+    """Return a run's delays, ignoring waits for the core that its own threads may cause."""
     waits = run.voluntary_switches >= THREAD_WAITS * float(delays.samples.sum())
-    return delays.gross if waits else delays
+    return delays.without_waits if waits else delays
 
 
-def _beside(own: Delays, others: Sequence[Delays]) -> list[Delays]:
-    """Return what other runs show of the machine, as the own delays are known."""
-    if own.knows_waits:
-        return [other for other in others if other.knows_waits]
-    return [other.gross for other in others]
-
-
-def adjust(tests: Sequence[LateTimings]) -> list[LateTimings]:
-    """Adjust the p-values of one family (Holm); a test without a machine has none to adjust."""
+def adjust_p_values(tests: Sequence[LateTimings]) -> list[LateTimings]:
+    """Adjust the p-values of tests for late timings by Holm's method, as one family."""
     family = [test for test in tests if not math.isnan(test.machine)]
-    adjusted = holm(np.array([test.p for test in family]))
+    adjusted = adjust_holm(np.array([test.p for test in family]))
     return [
         *(replace(test, p=float(p)) for test, p in zip(family, adjusted, strict=True)),
         *(test for test in tests if math.isnan(test.machine)),
     ]
 
 
-def _is_tested(run: RunRecord) -> bool:
-    return run.has_steps and not (run.is_baseline_law or run.slowdown > 0.0)
-
-
 def _test_replays(
     replays: Sequence[RunRecord],
     arms: Sequence[RunRecord],
     delays: Mapping[str, Delays],
-    demand: Demand,
+    requirements: Requirements,
     kind: Kind,
 ) -> list[LateTimings]:
-    """Test every replay against the machine as the other solvers on its sequence met it."""
+    """Test each replay for late timings against stalls in other solvers' replays."""
     tests: list[LateTimings] = []
-    beside = trusted(replays, arms, delays, demand)
+    sources = choose_trusted_runs(replays, arms, delays, requirements)
     for _ in range(PASSES):
-        machines = grouped(beside, lambda run: run.sequence)
+        on_sequence = group_by(sources, lambda run: run.sequence)
+        machines: dict[tuple[str, str, bool], MachineAt | None] = {}
         tests = []
         for run in replays:
-            others = [one for one in machines.get(run.sequence, []) if one.solver != run.solver]
             own = delays[run.run_id]
-            around = _beside(own, [delays[other.run_id] for other in others])
-            tests.append(_test_replay(run, own, around, demand, kind))
-        late = {test.run for test in adjust(tests) if test.proven}
-        beside = [run for run in (*replays, *arms) if run not in late]
+            key = run.sequence, run.solver, own.has_waits
+            if key not in machines:
+                runs = on_sequence.get(run.sequence, [])
+                others = [delays[one.run_id] for one in runs if one.solver != run.solver]
+                machines[key] = _build_stall_model(others, own.has_waits)
+            tests.append(_test_replay(run, own, machines[key], requirements, kind))
+        late = {test.run for test in adjust_p_values(tests) if test.is_proven}
+        sources = [run for run in (*replays, *arms) if run not in late]
     return tests
 
 
-def trusted(
+def _build_stall_model(others: Sequence[Delays], has_waits: bool) -> MachineAt | None:
+    """Return a function from time limit to stall model, fitted to other runs; or None."""
+    if has_waits:
+        comparable = [other for other in others if other.has_waits]
+    else:
+        comparable = [other.without_waits for other in others]
+    return cache(partial(_fit_stalls, comparable)) if comparable else None
+
+
+def choose_trusted_runs(
     replays: Sequence[RunRecord],
     arms: Sequence[RunRecord],
     delays: Mapping[str, Delays],
-    demand: Demand,
+    requirements: Requirements,
 ) -> list[RunRecord]:
-    """Choose whom the machine is first estimated from, so that late solvers do not hide each other.
+    """Choose runs to estimate the machine's stalls from: test solvers, else the calmest.
 
     These are the calibration configurations, or else the half of the solvers with fewer stalls.
     """
     if arms:
         return list(arms)
-    stalls: dict[str, int] = {}
+    stalls: Counter[str] = Counter()
     for run in replays:
-        count = delays[run.run_id].count_stalls(0.5 * demand.p99_ns).sum()
-        stalls[run.solver] = stalls.get(run.solver, 0) + int(count)
+        stalls[run.solver] += int(delays[run.run_id].count_stalls(0.5 * requirements.p99_ns).sum())
     half = sorted(stalls, key=lambda solver: stalls[solver])[: max(1, len(stalls) // 2)]
     return [run for run in replays if run.solver in half]
 
 
-def machine_of(beside: Sequence[Delays], limit_ns: float) -> Machine:
-    """Estimate the machine from other solvers' stalls longer than half a limit.
+def _fit_stalls(others: Sequence[Delays], limit_ns: float) -> StallModel:
+    """Estimate the rate of machine stalls beyond half a limit from other solvers' runs.
 
-    Their first round is left out: whoever remembers answers is slow in it, and the machine is not.
+    Their first round is left out: it is slow where answers are remembered, and not by the machine.
     """
-    counts = [one.count_stalls(0.5 * limit_ns) for one in beside]
+    counts = [one.count_stalls(0.5 * limit_ns) for one in others]
     first = [min(1, len(count) - 1) for count in counts]
     stalls = np.concatenate([count[i:] for count, i in zip(counts, first, strict=True)])
-    exposed_ns = np.concatenate([one.base_ns[i:] for one, i in zip(beside, first, strict=True)])
-    return estimate_machine(stalls.astype(np.float64), exposed_ns)
+    exposed_ns = np.concatenate([one.base_ns[i:] for one, i in zip(others, first, strict=True)])
+    return estimate_stalls(stalls.astype(np.float64), exposed_ns)
 
 
-def estimate_machine(stalls: Floats, exposed_ns: Floats) -> Machine:
-    """Estimate rate and dispersion from the stalls (R,) of rounds exposed for `exposed_ns` (R,).
+def estimate_stalls(stalls: Floats, exposed_ns: Floats) -> StallModel:
+    """Estimate stall rate and dispersion from counts (R,) in computing times (R,) [ns].
 
     The rate has half a stall added (Jeffreys), the shape is that of the moments.
     """
@@ -239,42 +244,40 @@ def estimate_machine(stalls: Floats, exposed_ns: Floats) -> Machine:
     mean = rate * exposed_ns
     beyond = float(((stalls - mean) ** 2 - stalls).sum())
     shape = float((mean**2).sum()) / beyond if beyond > 0.0 else math.inf
-    return Machine(rate, float(np.clip(shape, *DISPERSION)))
+    return StallModel(rate, float(np.clip(shape, *DISPERSION)))
 
 
 def _test_replay(
-    run: RunRecord, own: Delays, beside: Sequence[Delays], demand: Demand, kind: Kind
+    run: RunRecord, own: Delays, machine: MachineAt | None, requirements: Requirements, kind: Kind
 ) -> LateTimings:
-    """Test the middle round of a replay; doubtful where there is no machine to compare with."""
-    counts, samples = own.count_late(demand.p99_ns), int(own.samples.sum())
-    late = int(own.gross.count_late(demand.p99_ns).sum())
-    if not beside:
+    """Test whether a replay has more late timings than the machine's stalls explain."""
+    counts, samples = own.count_late(requirements.p99_ns), int(own.samples.sum())
+    late = int(own.without_waits.count_late(requirements.p99_ns).sum())
+    if machine is None:
         x = int(np.sort(counts)[(len(counts) - 1) // 2])
         p = DOUBTFUL if x > ALLOWED * own.samples.mean() else 1.0
         return LateTimings(kind, run, late, samples, math.nan, p)
     allowed = round(float(own.samples.mean())) if kind == "late timings" else 0
-    multiples = (1.0,) if allowed else MULTIPLES
-    ps = [_p_of_middle_round(own, beside, m * demand.p99_ns, allowed) for m in multiples]
-    stalls = machine_of(beside, demand.p99_ns).rate * float(own.base_ns.sum())
+    limits_ns = [m * requirements.p99_ns for m in ((1.0,) if allowed else MULTIPLES)]
+    ps = [_middle_round_p_value(own, machine(limit), limit, allowed) for limit in limits_ns]
+    stalls = machine(requirements.p99_ns).rate * float(own.base_ns.sum())
     expected = (stalls + late - int(counts.sum())) / samples
     return LateTimings(kind, run, late, samples, expected, min(1.0, len(ps) * min(ps)))
 
 
-def _p_of_middle_round(
-    own: Delays, beside: Sequence[Delays], limit_ns: float, allowed: int
-) -> float:
-    """Return the probability of as many timings beyond a limit in the middle round or more."""
+def _middle_round_p_value(own: Delays, machine: StallModel, limit_ns: float, allowed: int) -> float:
+    """Return the p-value of the late timings in a replay's repetition of median count."""
     counts, rounds = own.count_late(limit_ns), len(own.samples)
     middle = (rounds - 1) // 2
     x = int(np.sort(counts)[middle])
-    one_round = machine_of(beside, limit_ns).tail(x, float(own.base_ns.mean()), allowed)
+    one_round = machine.tail_probability(x, float(own.base_ns.mean()), allowed)
     return float(binom.sf(rounds - middle - 1, rounds, one_round))
 
 
-def _test_once(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
-    """Test the late timings of a run of one round that the machine does not explain."""
-    late, samples = int(own.gross.count_late(limit_ns).sum()), int(own.samples.sum())
-    explained = _explained(run, own, late, limit_ns)
+def _test_single_round(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
+    """Test a run timed once per step for late timings that the machine does not explain."""
+    late, samples = int(own.without_waits.count_late(limit_ns).sum()), int(own.samples.sum())
+    explained = _count_explained(run, own, late, limit_ns)
     p = float(binom.sf(late - np.nan_to_num(explained) - 1, samples, ALLOWED))
     if own.step_ns > limit_ns:
         # The median is the plainer answer.
@@ -284,14 +287,14 @@ def _test_once(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
     return LateTimings("late timings", run, late, samples, explained / samples, p)
 
 
-def _explained(run: RunRecord, own: Delays, late: int, limit_ns: float) -> float:
-    """Return how many of the late timings of a run the machine explains; NaN if it is unknown."""
-    if own.knows_waits:
+def _count_explained(run: RunRecord, own: Delays, late: int, limit_ns: float) -> float:
+    """Return how many late timings of a run the machine explains; NaN if unknown."""
+    if own.has_waits:
         return late - int(own.count_late(limit_ns).sum())
     if math.isnan(run.involuntary_switches):
         return math.nan
     timed_share = 1e-9 * float(own.base_ns.sum()) / run.replay_s
-    return explained_by(run.involuntary_switches, timed_share)
+    return explained_late_timings(run.involuntary_switches, timed_share)
 
 
 def _test_deadline(
@@ -299,27 +302,28 @@ def _test_deadline(
     replays: Sequence[RunRecord],
     arms: Sequence[RunRecord],
     delays: Mapping[str, Delays],
-    demand: Demand,
+    requirements: Requirements,
 ) -> list[LateTimings]:
-    """Test timings past the deadline against such stalls in all replays of other solvers."""
+    """Test step timings past the deadline against equally long stalls in other solvers' runs."""
+    limit_ns = requirements.deadline_ns
     stalls: dict[str, list[tuple[int, float]]] = {}
     for run in (*replays, *arms):
         own = delays[run.run_id]
-        long = int(own.count_stalls(0.5 * demand.deadline_ns).sum())
-        stalls.setdefault(run.solver, []).append((long, float(own.base_ns.sum())))
+        count = int(own.count_stalls(0.5 * limit_ns).sum())
+        stalls.setdefault(run.solver, []).append((count, float(own.base_ns.sum())))
     tests = []
     for run in (*loops, *replays):
         own = delays[run.run_id]
-        late, samples = int(own.count_late(demand.deadline_ns).sum()), int(own.samples.sum())
-        beside = [one for solver, of in stalls.items() if solver != run.solver for one in of]
+        late, samples = int(own.count_late(limit_ns).sum()), int(own.samples.sum())
+        others = [one for solver, of in stalls.items() if solver != run.solver for one in of]
         if not late:
             p, expected = 1.0, 0.0
-        elif not beside:
+        elif not others:
             p, expected = DOUBTFUL, math.nan
         else:
-            count, exposed_ns = (sum(part) for part in zip(*beside, strict=True))
-            machine = Machine((count + 0.5) / exposed_ns, DEADLINE_SHAPE)
+            count, exposed_ns = (sum(part) for part in zip(*others, strict=True))
+            machine = StallModel((count + 0.5) / exposed_ns, DEADLINE_SHAPE)
             expected = machine.rate * float(own.base_ns.sum()) / samples
-            p = machine.tail(late, float(own.base_ns.sum()))
+            p = machine.tail_probability(late, float(own.base_ns.sum()))
         tests.append(LateTimings("past the deadline", run, late, samples, expected, p))
     return tests

@@ -1,13 +1,10 @@
-"""How much slower a computer may be, from steps that were timed several times.
+"""Speed margins: how much slower a computer may be, from steps timed several times.
 
-Two limits bound it: the deadline, which the hardest step must keep, and the limit of the p99. Both
-times are algorithmic: the fastest round of a step is the work of the solver, which grows with the
-slowness of a computer, while an interrupt does not. The hardest step is searched for in all
-replays, of which windows hold the hardest steps of each scenario. Stalls are stated apart, as they
-were measured.
+Two limits bound it: the deadline, for the hardest step, and the limit of the p99. Both times are
+algorithmic: the fastest round of a step is the work of the solver, which grows with the slowness
+of a computer, while an interrupt does not. The hardest step is of all replays, of which windows
+hold the hardest steps of each scenario. Stalls are stated apart, as they were measured.
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Mapping
@@ -16,22 +13,19 @@ from functools import lru_cache
 
 import numpy as np
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.records.run_steps import RunSteps
-from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.time_findings import p99_ns
 from dpbench.bench.record.configuration import Configuration
 
 
 @dataclass(frozen=True)
 class SlowStep:
-    """A step that bounds the speed of a computer.
+    """Step whose solve time limits how slow a computer may be.
 
-    Parameters
-    ----------
-    time_ns : its algorithmic time; run : the replay it is in; k : the sample of the scenario.
+    time_ns : its algorithmic time; k : the sample of the scenario.
     iterations : the solver's own count, NaN without one; n_active : active limits at the optimum.
     """
 
@@ -44,10 +38,8 @@ class SlowStep:
 
 @dataclass(frozen=True)
 class SpeedMargin:
-    """How much slower than the one measured a computer may be for one configuration.
+    """How much slower a computer may be, and the steps that limit it.
 
-    Parameters
-    ----------
     hardest : the step with the largest algorithmic time.
     p99 : the step whose time is the largest p99 of all replays; the hardest step where none
         supports a p99.
@@ -62,15 +54,17 @@ class SpeedMargin:
 
     @property
     def factor(self) -> float:
-        """The speed margin: up to this factor the times stay within both limits."""
+        """Factor by which a computer may be slower with p99 and deadline still kept."""
         return min(self.deadline, self.p99_limit)
 
 
 @lru_cache(maxsize=2)
-def speed_margins(records: Records, demand: Demand) -> Mapping[Configuration, SpeedMargin]:
-    """Return the speed margin of every configuration that was timed."""
+def speed_margins(
+    records: Records, requirements: Requirements
+) -> Mapping[Configuration, SpeedMargin]:
+    """Compute, for each timed configuration, how much slower a computer may be."""
     replays = [run for run in records.select(mode="replay", units="scaled") if run.has_steps]
-    of_configuration = grouped(replays, lambda run: run.configuration.in_common_formulation)
+    of_configuration = group_by(replays, lambda run: run.configuration.in_common_formulation)
     bounds: dict[Configuration, tuple[RunRecord, RunRecord]] = {}
     for configuration, runs in of_configuration.items():
         algo = {run: times.algo_ns for run in runs if (times := records.times(run)) is not None}
@@ -79,41 +73,42 @@ def speed_margins(records: Records, demand: Demand) -> Mapping[Configuration, Sp
             p99 = {run: p99_ns(run, algo[run]) for run in algo}
             known = [run for run in algo if not math.isnan(p99[run])]
             bounds[configuration] = hardest, max(known, key=lambda run: p99[run], default=hardest)
-    steps = _bounding_steps(records, {run.run_id: run for both in bounds.values() for run in both})
+    steps = _find_bounding_steps(
+        records, {run.run_id: run for both in bounds.values() for run in both}
+    )
     margins = {}
     for configuration, (slowest, at_p99) in bounds.items():
         step, p99_step = steps[slowest.run_id][0], steps[at_p99.run_id][1]
-        factors = demand.deadline_ns / step.time_ns, demand.p99_ns / p99_step.time_ns
+        factors = requirements.deadline_ns / step.time_ns, requirements.p99_ns / p99_step.time_ns
         margins[configuration] = SpeedMargin(step, p99_step, *factors)
     return margins
 
 
-def _bounding_steps(
+def _find_bounding_steps(
     records: Records, runs: Mapping[str, RunRecord]
 ) -> dict[str, tuple[SlowStep, SlowStep]]:
-    """Return the hardest step of each run, and the step at its p99."""
+    """Find each run's step of largest time, and the one whose time is the run's p99."""
     found: dict[str, tuple[SlowStep, SlowStep]] = {}
     for run_id, steps, _ in records.run_steps(list(runs.values())):
-        run, time_ns = runs[run_id], steps.time_ns
-        p99 = p99_ns(run, time_ns)
-        largest = float(np.nanmax(time_ns))
+        run, largest = runs[run_id], float(np.nanmax(steps.time_ns))
+        p99 = p99_ns(run, steps.time_ns)
+        times_ns = largest, largest if math.isnan(p99) else p99
         found[run_id] = (
-            _slow_step(run, steps, largest),
-            _slow_step(run, steps, largest if math.isnan(p99) else p99),
+            _nearest_step(run, steps, times_ns[0]),
+            _nearest_step(run, steps, times_ns[1]),
         )
     return found
 
 
-def _slow_step(run: RunRecord, steps: RunSteps, time_ns: float) -> SlowStep:
-    """Return the step whose time is nearest to `time_ns`, with that time: a p99 lies between two
-    steps."""
+def _nearest_step(run: RunRecord, steps: RunSteps, time_ns: float) -> SlowStep:
+    """Return a run's step whose solve time is nearest to `time_ns`, labelled with `time_ns`."""
     at = int(np.nanargmin(np.abs(steps.time_ns - time_ns)))
     k = run.first_step + int(steps.k[at])
     return SlowStep(time_ns, run, k, float(steps.iterations[at]), float(steps.n_active[at]))
 
 
 def largest_stall_ns(records: Records) -> float:
-    """Return the longest that a calibration configuration exceeded its step [ns]; NaN without."""
+    """Return the longest delay by the machine in runs of the test solvers [ns]; or NaN."""
     arms = [run for run in records.calibration if run.mode == "replay"]
     delays = records.delays(arms).values()
     stalls = [float((one.delay_ns - one.own_ns).max()) for one in delays if len(one.delay_ns)]

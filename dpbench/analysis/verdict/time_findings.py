@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.records.step_times import StepTimes
-from dpbench.analysis.verdict.demand import Demand
-from dpbench.analysis.verdict.findings import Cause, Doubt, Finding, Near, worst_first
+from dpbench.analysis.verdict.findings import Cause, Doubt, Finding, Near, finding_on_worst
 from dpbench.analysis.verdict.lateness import LateTimings, find_late_timings
-from dpbench.analysis.verdict.uncertainty import Uncertainty, uncertainty_of
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.uncertainty import Uncertainty, estimate_uncertainty
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import percentile
 
@@ -31,71 +30,56 @@ SHORTEST_S = 1e-3
 one: two clocks that are read in turn differ by some 25 µs a round."""
 
 
-@dataclass(frozen=True, eq=False)
-class TimeEvidence:
-    """What a result folder shows of its times as a whole.
-
-    Parameters
-    ----------
-    late : proven and doubtful late timings by run id; uncertainty : of the times.
-    """
-
-    late: Mapping[str, Sequence[LateTimings]]
-    uncertainty: Uncertainty
-
-
 @lru_cache(maxsize=2)
-def time_evidence(records: Records, demand: Demand) -> TimeEvidence:
-    """Return the evidence on the times of a result folder."""
-    uncertainty = uncertainty_of(records)
-    return TimeEvidence(find_late_timings(records, demand, uncertainty), uncertainty)
+def late_timing_evidence(
+    records: Records, requirements: Requirements
+) -> tuple[Mapping[str, Sequence[LateTimings]], Uncertainty]:
+    """Return a folder's solver calls that took too long, by run, and the times' uncertainty."""
+    uncertainty = estimate_uncertainty(records)
+    return find_late_timings(records, requirements, uncertainty), uncertainty
 
 
 def find_slow_loops(
-    runs: Sequence[RunRecord], demand: Demand, uncertainty: Uncertainty
+    runs: Sequence[RunRecord], requirements: Requirements, uncertainty: Uncertainty
 ) -> list[Finding]:
-    """Return closed loops whose median timing is near or beyond what is allowed of a p99.
+    """Find closed loops whose median solve time is near or beyond the limit on the p99.
 
     The median of `LOOP_TIMINGS` or more is an answer: the loop is late where it lies beyond the
     limit by more than its uncertainty, and borderline within that.
     """
-    kinds: dict[Cause | Doubt | Near, list[RunRecord]] = {
-        "slow loop": [],
-        "short slow loop": [],
-        "loop borderline": [],
-    }
+    order: tuple[Cause | Doubt | Near, ...] = ("slow loop", "short slow loop", "loop borderline")
+    kinds: dict[Cause | Doubt | Near, list[RunRecord]] = {kind: [] for kind in order}
     for run in runs:
         if run.mode != "closed_loop" or run.slowdown > 0.0:
             continue
-        ratio, factor = run.raw_p50_ns / demand.p99_ns, uncertainty.of(run)
+        ratio, factor = run.raw_p50_ns / requirements.p99_ns, uncertainty.of(run)
         if run.steps_done < LOOP_TIMINGS and ratio > 1.0:
             kinds["short slow loop"].append(run)
         elif ratio > factor:
             kinds["slow loop"].append(run)
         elif ratio >= 1.0 / factor:
             kinds["loop borderline"].append(run)
-    found = (worst_first(kind, of_kind, _median_ns) for kind, of_kind in kinds.items())
-    return [finding for findings in found for finding in findings]
+    return [
+        finding
+        for kind, of_kind in kinds.items()
+        for finding in finding_on_worst(kind, of_kind, lambda run: run.raw_p50_ns)
+    ]
 
 
 def find_hidden_work(runs: Sequence[RunRecord]) -> list[Finding]:
-    """Return runs whose other threads took more processor time than all timed calls together.
+    """Find runs whose solver computed more in other threads than in the timed calls.
 
     A worker has one core, so what exceeds the timed calls was done outside of them. Of a window the
     few steps that are solved before each round without a record would count.
     """
     long = (run for run in runs if not run.window_of)
-    hidden = [run for run in long if _hidden_share(run) > HIDDEN]
-    return worst_first("hidden work", hidden, _hidden_share)
+    hidden = [run for run in long if _other_threads_share(run) > HIDDEN]
+    return finding_on_worst("hidden work", hidden, _other_threads_share)
 
 
-def _hidden_share(run: RunRecord) -> float:
-    """Return the processor time of other threads over that of the timed calls."""
+def _other_threads_share(run: RunRecord) -> float:
+    """Return the processor time of a run's other threads over that of its timed calls."""
     return run.thread_s / max(run.solve_s, SHORTEST_S)
-
-
-def _median_ns(run: RunRecord) -> float:
-    return run.raw_p50_ns
 
 
 _DOUBTFUL: Mapping[str, Doubt] = {
@@ -103,16 +87,16 @@ _DOUBTFUL: Mapping[str, Doubt] = {
     "past the deadline": "perhaps past the deadline",
     "late at random": "late at random",
 }
-"""Findings on late timings that prove no miss of the demand."""
+"""Findings on late timings that prove no miss of the requirements."""
 
 
 def report_late_timings(
     runs: Sequence[RunRecord], late: Mapping[str, Sequence[LateTimings]]
 ) -> list[Finding]:
-    """Return findings on the single timings of runs, the worst run of each kind first."""
+    """Convert late timings of runs to findings for a verdict, the worst run of each kind first."""
     found = [one for run in runs for one in late.get(run.run_id, ())]
-    by_kind: dict[Cause | Doubt, list[LateTimings]] = grouped(
-        found, lambda one: one.kind if one.proven else _DOUBTFUL[one.kind]
+    by_kind: dict[Cause | Doubt, list[LateTimings]] = group_by(
+        found, lambda one: one.kind if one.is_proven else _DOUBTFUL[one.kind]
     )
     findings = []
     for kind, of_kind in by_kind.items():
@@ -125,12 +109,12 @@ def report_late_timings(
 def judge_times(
     records: Records,
     replays: Sequence[RunRecord],
-    demand: Demand,
+    requirements: Requirements,
     uncertainty: Uncertainty,
 ) -> tuple[list[Finding], dict[str, Any]]:
-    """Return what the algorithmic times of replays show, and the figures of the verdict."""
+    """Judge replays' step times by the limits; return findings, and percentiles by name."""
     findings: list[Finding] = []
-    figures: list[_Figures] = []
+    figures: list[_ReplayTimes] = []
     for run in replays:
         if run.remembers:
             findings.append(Finding("remembered", (run,)))
@@ -139,8 +123,8 @@ def judge_times(
             continue
         times = records.times(run)
         if times is not None:
-            figures.append(_Figures.of(run, times))
-            findings += _held_against(figures[-1], times.algo_ns, demand, uncertainty.of(run))
+            figures.append(_ReplayTimes.of(run, times))
+            findings += _check_limits(figures[-1], times.algo_ns, requirements, uncertainty.of(run))
         elif run.outcome == "finished":
             findings.append(Finding("no step", (run,)))
     if not figures:
@@ -163,7 +147,7 @@ def judge_times(
 
 
 def p99_ns(run: RunRecord, algo_ns: Floats) -> float:
-    """Return the p99 of the algorithmic times of a replay [ns]; NaN where it is not supported.
+    """Return a replay's p99 step time, of each step's fastest repetition [ns], or NaN.
 
     A window holds the hardest steps of a stretch: one in a hundred steps of the stretch may be
     slower than its p99, and those are in the window.
@@ -175,8 +159,8 @@ def p99_ns(run: RunRecord, algo_ns: Floats) -> float:
 
 
 @dataclass(frozen=True)
-class _Figures:
-    """Times of one replay [ns]; NaN for a percentile that its steps do not support."""
+class _ReplayTimes:
+    """Median, p95, p99 and maxima of one replay's step times [ns]; NaN if too few steps."""
 
     run: RunRecord
     p50_ns: float
@@ -187,23 +171,24 @@ class _Figures:
     rounds_ns: tuple[float, float]
 
     @classmethod
-    def of(cls, run: RunRecord, times: StepTimes) -> _Figures:
+    def of(cls, run: RunRecord, times: StepTimes) -> _ReplayTimes:
+        """Compute the percentiles and extremes of one replay's step times."""
         algo, rounds = times.algo_ns, times.rounds_ns
         p95, p99 = percentile(algo, 95), p99_ns(run, algo)
         ends = float(rounds.min()), float(rounds.max())
         return cls(run, float(np.median(algo)), p95, p99, float(algo.max()), times.raw_max_ns, ends)
 
 
-def _held_against(
-    figures: _Figures, algo_ns: Floats, demand: Demand, factor: float
+def _check_limits(
+    figures: _ReplayTimes, algo_ns: Floats, requirements: Requirements, factor: float
 ) -> list[Finding]:
-    """Hold the times of one replay against the limits, within a factor of uncertainty."""
+    """Compare a replay's times with p99 limit and deadline; return findings if late or near."""
     run, findings = (figures.run,), list[Finding]()
-    if figures.max_ns > factor * demand.deadline_ns:
+    if figures.max_ns > factor * requirements.deadline_ns:
         findings.append(Finding("deadline late", run, figures.max_ns))
-    elif figures.max_ns >= demand.deadline_ns / factor:
+    elif figures.max_ns >= requirements.deadline_ns / factor:
         findings.append(Finding("deadline borderline", run, figures.max_ns))
-    limits = demand.p99_ns / factor, demand.p99_ns * factor
+    limits = requirements.p99_ns / factor, requirements.p99_ns * factor
     if figures.p99_ns > limits[1]:
         kind: Cause = "window late" if figures.run.window_of else "p99 late"
         findings.append(Finding(kind, run, figures.p99_ns))
@@ -213,7 +198,7 @@ def _held_against(
         return findings
     elif figures.p95_ns > limits[1]:
         findings.append(Finding("p95 late", run, figures.p95_ns))
-    elif figures.max_ns > demand.p99_ns:
+    elif figures.max_ns > requirements.p99_ns:
         findings.append(Finding("no p99", run, figures.max_ns, len(algo_ns)))
     elif figures.p95_ns >= limits[0]:
         findings.append(Finding("p95 borderline", run, figures.p95_ns))

@@ -1,7 +1,5 @@
 """The uncertainty of step times between rounds: how near to a limit a time decides nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -15,22 +13,20 @@ from dpbench.bench.record.configuration import Configuration
 QUANTILE = 0.95
 """Share of the configurations whose rounds differ by less than the usual factor."""
 LEAST = 1.05
-"""Smallest uncertainty that is believed, however even the rounds are."""
+"""Smallest uncertainty, however even the rounds are."""
 UNKNOWN = 1.5
 """Uncertainty without any replay of two rounds: machines of one kind differ by as much."""
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Factors within which the times of a campaign are uncertain.
+    """Factors within which step times are uncertain, by configuration.
 
     The algorithmic time of a step is its fastest round, which one slow round does not change, so
     that of a replay is as uncertain as the middle round is slower than the fastest. A closed loop
-    is timed once, at a moment that may be like a slow round: the upper quartile of them, as one
-    round may have been robbed by other work.
+    is timed once, maybe in a slow round: the upper quartile of them, as other work may have
+    disturbed one round.
 
-    Parameters
-    ----------
     middle, slow, slowest : by configuration, the median of the middle round, of the upper quartile
         and of the slowest round over that of the fastest, the largest of its replays.
     usual : the quantile `QUANTILE` of `middle`, at least `LEAST`.
@@ -42,13 +38,13 @@ class Uncertainty:
     usual: float
 
     def of(self, run: RunRecord) -> float:
-        """Return the factor of a run: that of its configuration, and at least the usual one."""
+        """Return the factor within which a run's step times are uncertain."""
         own = self.middle if run.mode == "replay" else self.slow
         return max(self.usual, own.get(run.configuration.in_common_formulation, 0.0))
 
 
-def uncertainty_of(records: Records) -> Uncertainty:
-    """Return the uncertainty of the times of a result folder."""
+def estimate_uncertainty(records: Records) -> Uncertainty:
+    """Estimate the uncertainty factors of step times from the spread between repetitions."""
     factors: dict[Configuration, list[Floats]] = {}
     for run in records.select(mode="replay", units="scaled"):
         times = records.times(run)
@@ -59,10 +55,10 @@ def uncertainty_of(records: Records) -> Uncertainty:
         factors.setdefault(run.configuration.in_common_formulation, []).append(quantiles)
     largest = {key: np.max(own, axis=0).tolist() for key, own in factors.items()}
     middle, slow, slowest = ({key: own[i] for key, own in largest.items()} for i in range(3))
-    usual = max(LEAST, usual_factor(middle.values())) if middle else UNKNOWN
+    usual = max(LEAST, factor_quantile(middle.values())) if middle else UNKNOWN
     return Uncertainty(middle, slow, slowest, usual)
 
 
-def usual_factor(factors: Iterable[float]) -> float:
-    """Return the factor that the share `QUANTILE` of the configurations stay below."""
+def factor_quantile(factors: Iterable[float]) -> float:
+    """Return the 95 % quantile of some factors, as of the configurations' uncertainty."""
     return float(np.quantile(list(factors), QUANTILE))

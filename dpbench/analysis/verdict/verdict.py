@@ -1,75 +1,60 @@
-"""Evaluate every configuration of every solver by the suite's demand, from rows alone.
+"""Evaluate every configuration of every solver by the suite's requirements, from rows alone.
 
-A configuration *meets* the demand when it was run, whole, in every scenario and replay in which its
-solver's reference was judged, every judged step has error_move within the demand, no more steps
-fail than it allows, the p99 of its algorithmic step time stays below the demand in every replayed
+A configuration *passes* when it was run, whole, in every scenario and replay in which its solver's
+reference was judged, every judged step has error_move within the requirements, no more steps fail
+than they allow, the p99 of its algorithmic step time stays below their limit in every replayed
 sequence, and its single timings are no later than the machine explains (`lateness.py`).
 
-It *misses* the demand by a wrong, failed or late step, a process that crashed, a call that did not
-return. It is *open* where it was not run, could not be measured, or may be late. It is *borderline*
-where nothing of that holds and a time is within its uncertainty of a limit (`uncertainty.py`).
+It *fails* by a wrong or failed step or a process that crashed, and is *late* by time alone: a late
+step, or a call that did not return. It is *inconclusive* where it was not run, could not be
+measured, or may be late. It is *borderline* where nothing of that holds and a time is within its
+uncertainty of a limit (`uncertainty.py`).
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.analysis.verdict import time_findings
 from dpbench.analysis.verdict.findings import (
     DOUBTS,
     LATE,
     NEAR,
     OWN_DOING,
-    Doubt,
     Finding,
-    Outcome,
     State,
-    worst_first,
+    finding_on_worst,
 )
-from dpbench.analysis.verdict.time_findings import (
-    find_hidden_work,
-    find_slow_loops,
-    judge_times,
-    report_late_timings,
-    time_evidence,
-)
-from dpbench.bench.judge.rules import largest
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.bench.judge.rules import largest_known
 from dpbench.bench.record.configuration import Configuration, settings_level
 from dpbench.solvers.record import POLICIES
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """The assessment of one configuration.
+    """Verdict on one solver configuration, from pass to fail: reasons, step times, errors.
 
-    Parameters
-    ----------
-    causes : why it misses the demand; doubts : what could not be judged.
     near : times within their uncertainty of a limit.
     gaps : where its solver's reference was judged and this configuration was not, or not whole.
     refusal : why it was not run at all.
     loops, replays, windows : how many of its runs were judged.
-    steps : the steps with a judged answer.
-    error_move : the largest error of the first move among them.
+    steps : the steps with a judged answer; error_move : their largest error of the first move.
     p99_ns : largest p99 of the algorithmic step time, of the replay `p99_run`; a window has the p99
         of the stretch whose hardest steps it holds.
     p50_ns : algorithmic step time on the sequence `timed_on`, of those replayed whole the one of
         the worst p99, or of the worst p50 where none supports a p99.
     rounds_ns : median of the fastest and of the slowest round there.
-    replay_p99_ns, raw_p99_ns : p99 of the algorithmic step time there, and of the single timings,
-        with what the machine adds.
+    replay_p99_ns, raw_p99_ns : p99 of the algorithmic step time there, and of the single timings.
     algo_max_ns, raw_max_ns : largest algorithmic step time and largest single timing of all
         sequences.
     """
 
     configuration: Configuration
-    outcome: Outcome
+    state: State
     causes: tuple[Finding, ...] = ()
     doubts: tuple[Finding, ...] = ()
     near: tuple[Finding, ...] = ()
@@ -92,103 +77,74 @@ class Verdict:
     raw_max_ns: float = math.nan
 
     @property
-    def state(self) -> State:
-        """The outcome; of one that misses, whether it is late alone or an answer is wrong."""
-        if self.outcome != "misses":
-            return self.outcome
-        return "late" if all(cause.kind in LATE for cause in self.causes) else "wrong"
-
-    @property
     def p99_on(self) -> str:
-        """The sequence of `p99_ns`; "" where nothing was timed."""
+        """Name of the QP sequence with the largest p99 step time; "" if nothing was timed."""
         return "" if self.p99_run is None else self.p99_run.sequence
 
     @property
-    def ranks(self) -> bool:
-        """Whether nothing is said against it, and it is timed: of what the suite never runs,
-        such as closed loops, nobody has to show any."""
+    def is_rankable(self) -> bool:
+        """True if the configuration was timed and no fault, doubt or missing run is known."""
         return not (self.causes or self.doubts or self.gaps) and self.timed_on != ""
 
     @property
     def missing(self) -> tuple[Finding, ...]:
-        """Why it is open or borderline: what could not be judged, times near a limit, where it was
-        not run, which kind of run."""
-        kinds: tuple[tuple[int, Doubt], ...] = (
-            (self.loops, "no closed loop"),
-            (self.replays + self.windows, "no replay"),
-        )
-        absent = tuple(Finding(kind) for count, kind in kinds if not count)
-        return (*self.doubts, *self.near, *self.gaps, *absent)
+        """Findings that bar a pass but are no failure: doubts, times near a limit, missing runs."""
+        no_loop = () if self.loops else (Finding("no closed loop"),)
+        no_replay = () if self.replays or self.windows else (Finding("no replay"),)
+        return (*self.doubts, *self.near, *self.gaps, *no_loop, *no_replay)
 
 
 @dataclass(frozen=True, eq=False)
 class Verdicts:
-    """The verdicts on a result folder: of each solver, its reference first."""
+    """Verdicts on all configurations of a result folder, by solver."""
 
-    demand: Demand
+    requirements: Requirements
     of: Mapping[str, Sequence[Verdict]]
 
     @property
     def references(self) -> list[Verdict]:
-        """The verdict on each solver's reference, in the order of the suite."""
+        """Verdict on each solver's reference configuration, in suite order."""
         return [verdicts[0] for verdicts in self.of.values()]
 
     @property
     def all(self) -> list[Verdict]:
-        """The verdicts on all configurations."""
+        """Verdicts on all configurations of all solvers, in one list."""
         return [verdict for verdicts in self.of.values() for verdict in verdicts]
 
 
-def verdicts_of(
-    records: Records, demand: Demand, among: Sequence[RunRecord] | None = None
+def judge_solvers(
+    records: Records, requirements: Requirements, among: Sequence[RunRecord] | None = None
 ) -> Verdicts:
-    """The verdicts on all configurations of all solvers, in the order of the suite.
+    """Judge all solver configurations by accuracy and time limits, in suite order.
 
-    Parameters
-    ----------
     among : the runs that are judged, of `records.runs`; by default all of them.
     """
     runs = records.runs if among is None else among
     judged = [run for run in runs if run.units == "scaled" and not run.is_baseline_law]
     verdicts: dict[str, list[Verdict]] = {}
-    for solver, of_solver in grouped(judged, lambda run: run.solver).items():
-        by_configuration = grouped(of_solver, lambda run: run.configuration.in_common_formulation)
-        longest = {it: _longest(runs) for it, runs in by_configuration.items()}
-        ordered = sorted(longest.items(), key=lambda item: _reference_first(*item))
-        asked = [run for run in ordered[0][1].values() if run.outcome != "refused"]
+    for solver, of_solver in group_by(judged, lambda run: run.solver).items():
+        by_configuration = group_by(of_solver, lambda run: run.configuration.in_common_formulation)
+        longest = {it: _select_longest(runs) for it, runs in by_configuration.items()}
+        ordered = sorted(longest.items(), key=lambda item: _reference_key(*item))
+        asked = [run for run in ordered[0][1] if run.outcome != "refused"]
         verdicts[solver] = [
-            verdict_of(records, configuration, runs, asked, demand)
+            judge_configuration(records, configuration, runs, asked, requirements)
             for configuration, runs in ordered
         ]
-    return Verdicts(demand, verdicts)
+    return Verdicts(requirements, verdicts)
 
 
-Place = tuple[str, str]
-"""Mode, and scenario or sequence."""
+def _select_longest(runs: Iterable[RunRecord]) -> list[RunRecord]:
+    """Return the longest run of each scenario and of each replayed QP sequence."""
+    alike = group_by(runs, lambda run: (run.mode, run.problem))
+    return [max(own, key=lambda run: run.steps_planned) for own in alike.values()]
 
 
-def _longest(runs: Iterable[RunRecord]) -> dict[Place, RunRecord]:
-    """The longest run of a configuration in each place."""
-    best: dict[Place, RunRecord] = {}
-    for run in runs:
-        place = _place(run)
-        if place not in best or run.steps_planned > best[place].steps_planned:
-            best[place] = run
-    return best
-
-
-def _place(run: RunRecord) -> Place:
-    return run.mode, run.problem
-
-
-def _reference_first(
-    configuration: Configuration, runs: Mapping[Place, RunRecord]
-) -> tuple[Any, ...]:
-    """Sort key: a solver's reference is its most usual configuration that ran at all, closed loops
-    and replays both if there is such a one."""
-    ran = [run for run in runs.values() if run.outcome != "refused"]
+def _reference_key(configuration: Configuration, runs: Sequence[RunRecord]) -> tuple[Any, ...]:
+    """Return a sort key that puts a solver's reference configuration first."""
+    ran = [run for run in runs if run.outcome != "refused"]
     kinds = len({run.mode for run in ran})
-    default = any(run.default_route for run in runs.values())
+    default = any(run.default_route for run in runs)
     return (
         settings_level(configuration.settings) if ran else (99, ""),
         -kinds,
@@ -197,33 +153,34 @@ def _reference_first(
     )
 
 
-def verdict_of(
+def judge_configuration(
     records: Records,
     configuration: Configuration,
-    runs: Mapping[Place, RunRecord],
+    runs: Sequence[RunRecord],
     asked: Sequence[RunRecord],
-    demand: Demand,
+    requirements: Requirements,
 ) -> Verdict:
-    """The verdict on one configuration.
+    """Judge one configuration by its runs and the limits on accuracy and time.
 
-    Parameters
-    ----------
-    runs : its longest run in each place; asked : the runs of its solver's reference.
+    runs : its longest run of each scenario and replay; asked : those of its solver's reference.
     """
-    ran = [run for run in runs.values() if run.outcome != "refused"]
+    ran = [run for run in runs if run.outcome != "refused"]
     if not ran:
-        return Verdict(configuration, "not run", refusal=detail(next(iter(runs.values()))))
+        return Verdict(configuration, "not run", refusal=outcome_cause(runs[0]))
     replays = [run for run in ran if run.mode == "replay"]
-    evidence = time_evidence(records, demand)
-    times, figures = judge_times(records, replays, demand, evidence.uncertainty)
-    times += find_slow_loops(ran, demand, evidence.uncertainty)
-    times += report_late_timings(ran, evidence.late) + find_hidden_work(ran)
-    late, unsure, near = (_of_kinds(times, kinds) for kinds in (LATE, DOUBTS, NEAR))
-    causes = [*_wrong(ran, demand), *_failing(ran, demand), *_own_doing(ran), *late]
-    doubts, gaps = [*_unfinished(ran), *unsure], _gaps(runs, asked)
+    late_timings, uncertainty = time_findings.late_timing_evidence(records, requirements)
+    times, figures = time_findings.judge_times(records, replays, requirements, uncertainty)
+    times += time_findings.find_slow_loops(ran, requirements, uncertainty)
+    times += time_findings.report_late_timings(ran, late_timings)
+    times += time_findings.find_hidden_work(ran)
+    late, unsure, near = ([f for f in times if f.kind in kinds] for kinds in (LATE, DOUBTS, NEAR))
+    own_doing = {kind: tuple(run for run in ran if run.outcome == kind) for kind in OWN_DOING}
+    ended = [Finding(kind, of_kind) for kind, of_kind in own_doing.items() if of_kind]
+    causes = [*_find_wrong_answers(ran, requirements), *ended, *late]
+    doubts, gaps = [*_find_unfinished(ran), *unsure], _find_gaps(runs, asked)
     return Verdict(
         configuration,
-        _outcome(causes, [*doubts, *gaps], near, len({run.mode for run in ran})),
+        _overall_state(causes, [*doubts, *gaps], near, len({run.mode for run in ran})),
         tuple(causes),
         tuple(doubts),
         tuple(near),
@@ -231,50 +188,47 @@ def verdict_of(
         loops=len(ran) - len(replays),
         replays=sum(not run.window_of for run in replays),
         windows=sum(run.window_of > 0 for run in replays),
-        steps=sum(_evaluated_steps(run) for run in ran),
-        error_move=largest([run.error_move_max for run in ran]),
-        failed_steps=sum(_count(run.failed_steps) for run in ran),
+        steps=sum(_count_judged_steps(run) for run in ran),
+        error_move=largest_known([run.error_move_max for run in ran]),
+        failed_steps=sum(_count_or_zero(run.failed_steps) for run in ran),
         **figures,
     )
 
 
-def _of_kinds(findings: Sequence[Finding], kinds: Sequence[str]) -> list[Finding]:
-    return [finding for finding in findings if finding.kind in kinds]
-
-
-def _outcome(
+def _overall_state(
     causes: Sequence[Finding], doubts: Sequence[Finding], near: Sequence[Finding], modes: int
-) -> Outcome:
-    """Return the outcome of findings, and of how many modes, loop and replay, were run."""
+) -> State:
+    """Return the verdict, pass to fail, that faults, doubts and times near a limit lead to."""
     if causes:
-        return "misses"
+        return "late" if all(cause.kind in LATE for cause in causes) else "fail"
     if doubts or modes < 2:
-        return "open"
-    return "borderline" if near else "meets"
+        return "inconclusive"
+    return "borderline" if near else "pass"
 
 
-def detail(run: RunRecord) -> str:
-    """The cause of a run's outcome, in the library's or the harness's words."""
+def outcome_cause(run: RunRecord) -> str:
+    """Return why a run ended as it did, in words of the solver library or benchmark."""
     return run.cause or "no reason was recorded"
 
 
-def _count(count: float) -> int:
-    """A count; a missing one is 0."""
+def _count_or_zero(count: float) -> int:
+    """Convert a count to an integer; a missing one (NaN) is 0."""
     return int(count) if math.isfinite(count) else 0
 
 
-def _evaluated_steps(run: RunRecord) -> int:
-    """Steps with a judged answer; a replay counts those without in each of its rounds."""
-    without = _count(run.uncertified) + _count(run.undecided_steps)
-    return max(0, run.steps_done - without // max(1, _count(run.rounds)))
+def _count_judged_steps(run: RunRecord) -> int:
+    """Return how many steps of a run have an answer whose accuracy was judged."""
+    without = _count_or_zero(run.uncertified) + _count_or_zero(run.undecided_steps)
+    return max(0, run.steps_done - without // max(1, _count_or_zero(run.rounds)))
 
 
-def _gaps(runs: Mapping[Place, RunRecord], asked: Sequence[RunRecord]) -> list[Finding]:
-    """Where the reference was run and these runs were not, or not as far."""
+def _find_gaps(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Finding]:
+    """Find the reference configuration's runs that another configuration lacks or cut short."""
+    known = {(run.mode, run.problem): run for run in runs}
     absent: list[RunRecord] = []
     gaps: list[Finding] = []
     for run in asked:
-        own = runs.get(_place(run))
+        own = known.get((run.mode, run.problem))
         if own is None:
             absent.append(run)
         elif own.outcome == "refused":
@@ -284,28 +238,22 @@ def _gaps(runs: Mapping[Place, RunRecord], asked: Sequence[RunRecord]) -> list[F
     return [Finding("absent", tuple(absent)), *gaps] if absent else gaps
 
 
-def _wrong(runs: Sequence[RunRecord], demand: Demand) -> list[Finding]:
-    """Answers too far from the optimum, and steps without one."""
-    off = [run for run in runs if run.error_move_max > demand.error_move]
+def _find_wrong_answers(runs: Sequence[RunRecord], requirements: Requirements) -> list[Finding]:
+    """Find runs with inaccurate answers, without an answer, or with failed steps."""
+    off = [run for run in runs if run.error_move_max > requirements.error_move]
     silent = tuple(run for run in off if math.isinf(run.error_move_max))
     wrong = [run for run in off if math.isfinite(run.error_move_max)]
     no_answer = [Finding("no answer", silent)] if silent else []
-    return [*no_answer, *worst_first("inaccurate", wrong, lambda run: run.error_move_max)]
+    failing = [run for run in runs if run.failed_steps > requirements.failed_steps]
+    return [
+        *no_answer,
+        *finding_on_worst("inaccurate", wrong, lambda run: run.error_move_max),
+        *finding_on_worst("failed", failing, lambda run: run.failed_steps),
+    ]
 
 
-def _failing(runs: Sequence[RunRecord], demand: Demand) -> list[Finding]:
-    failing = [run for run in runs if run.failed_steps > demand.failed_steps]
-    return worst_first("failed", failing, lambda run: run.failed_steps)
-
-
-def _own_doing(runs: Sequence[RunRecord]) -> list[Finding]:
-    """Runs that the solver ended, or never came back from."""
-    ended = {kind: tuple(run for run in runs if run.outcome == kind) for kind in OWN_DOING}
-    return [Finding(kind, of_kind) for kind, of_kind in ended.items() if of_kind]
-
-
-def _unfinished(runs: Sequence[RunRecord]) -> list[Finding]:
-    """Runs that ended early or could not be judged."""
+def _find_unfinished(runs: Sequence[RunRecord]) -> list[Finding]:
+    """Find the runs that stopped early or have steps without a certified optimum."""
     doubts = []
     for run in runs:
         done, asked = run.steps_done, run.steps_planned
@@ -320,6 +268,6 @@ def _unfinished(runs: Sequence[RunRecord]) -> list[Finding]:
             doubts.append(Finding("lost", (run,)))
         elif run.outcome != "finished":
             doubts.append(Finding("ended", (run,)))
-        elif _count(run.uncertified):
-            doubts.append(Finding("uncertified", (run,), value=_count(run.uncertified)))
+        elif _count_or_zero(run.uncertified):
+            doubts.append(Finding("uncertified", (run,), value=_count_or_zero(run.uncertified)))
     return doubts

@@ -1,13 +1,10 @@
 """The static allocations at the edge of what a ship holds, as a sequence of QPs.
 
 For each case and direction there are four: the two winds of the standard's table between which the
-edge lies, and the edge itself, a thousandth of the wind before and beyond. Half of them have no
-feasible point. Before the first row half of the edge stands in; beyond the last nothing is known,
-and the last four rows are taken.
+edge lies, and the edge itself, a thousandth of the wind before and beyond; half have no feasible
+point. Below the first row half of the edge is taken; beyond the last row the last four rows are.
 Where several pieces of an azimuth may be chosen, the QP has the choice that uses the least thrust.
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Sequence
@@ -15,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.bench.capability.frontier import Case, Frontier, Held
+from dpbench.bench.capability.frontier import CapabilityPlot, Case, WindLimit
 from dpbench.bench.capability.study import FROM_DEG, Capability
 from dpbench.mpc.thrusters.static_allocation import StaticAllocation
 from dpbench.qp.program import QPSequence
@@ -29,7 +26,7 @@ POINTS = 4
 
 @dataclass(frozen=True)
 class Point:
-    """One QP: the case, where the weather comes from [rad], the wind, and whether it is held."""
+    """A capability QP: failure case, weather direction [rad], wind [m/s], whether it is held."""
 
     case: Case
     from_rad: float
@@ -37,8 +34,8 @@ class Point:
     held: bool
 
 
-def all_points(frontier: Frontier, capability: Capability) -> list[Point]:
-    """The points of all cases and directions, those of one direction in a row."""
+def all_points(frontier: CapabilityPlot, capability: Capability) -> list[Point]:
+    """Return the QPs to pose at the wind limit of every failure case and direction."""
     return [
         point
         for case in frontier.cases
@@ -47,8 +44,8 @@ def all_points(frontier: Frontier, capability: Capability) -> list[Point]:
     ]
 
 
-def points_at_edge(case: Case, from_rad: float, edge: Held) -> list[Point]:
-    """The points of one direction, `POINTS` of them."""
+def points_at_edge(case: Case, from_rad: float, edge: WindLimit) -> list[Point]:
+    """Return the capability QPs at `POINTS` winds around one direction's and failure's limit."""
     number, wind_mps = edge.number, edge.wind_mps
     if number == max(DP_CONDITIONS):
         rows = range(number + 1 - POINTS, number + 1)
@@ -63,27 +60,24 @@ def points_at_edge(case: Case, from_rad: float, edge: Held) -> list[Point]:
     return [Point(case, from_rad, *wind) for wind in sorted(winds)]
 
 
-def allocation_sequence(frontier: Frontier, points: Sequence[Point]) -> QPSequence:
-    """The QPs of the points, in their order; `frontier` has polygons.
-
-    P is constant; rows change with the pieces that are chosen.
-    """
+def allocation_sequence(frontier: CapabilityPlot, points: Sequence[Point]) -> QPSequence:
+    """Return the static allocation QP of each capability point, in their order."""
     assert frontier.sides is not None, "a QP has polygons"
-    allocation = _allocation(frontier, {point.case for point in points}, frontier.sides)
+    allocation = _build_allocation(frontier, {point.case for point in points}, frontier.sides)
     problems = []
     for point in points:
         weather = frontier.weather(point.from_rad, point.wind_mps)
-        _, chosen = frontier.best(point.case, point.from_rad, point.wind_mps)
-        lost = frontier.lost(point.case)
-        problems.append(allocation.qp(weather.load, weather.shares, chosen, lost))
+        _, chosen = frontier.best_choice(point.case, point.from_rad, point.wind_mps)
+        lost = frontier.lost_thrusters(point.case)
+        problems.append(allocation.build_qp(weather.load, weather.shares, chosen, lost))
     q, low, high = (np.array([getattr(qp, name) for qp in problems]) for name in ("q", "l", "u"))
     rows = np.array([qp.A for qp in problems])
     changed = None if (rows == rows[0]).all() else rows
     return QPSequence(f"{frontier.vessel.id} capability", problems[0], q, low, high, A=changed)
 
 
-def _allocation(frontier: Frontier, cases: set[Case], sides: int) -> StaticAllocation:
-    """The QPs with room for the pieces of every case."""
+def _build_allocation(frontier: CapabilityPlot, cases: set[Case], sides: int) -> StaticAllocation:
+    """Return an allocation QP with rows for the thrusters' convex areas in any failure case."""
     every = [frontier.pieces_of(case) for case in cases]
     count = len(frontier.thrusters.thrusters)
     pieces = [[piece for of_case in every for piece in of_case[i]] for i in range(count)]

@@ -1,10 +1,8 @@
 """The largest wind a ship holds from each direction, intact and after each failure."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from itertools import product
 
 import numpy as np
@@ -13,16 +11,10 @@ from scipy.optimize import brentq
 from dpbench.arrays import Vector
 from dpbench.bench.capability.utilisation import Utilisation
 from dpbench.errors import InputError
-from dpbench.ship.capability.conditions import DP_CONDITIONS, condition_of_wind
+from dpbench.ship.capability import losses
+from dpbench.ship.capability.conditions import DP_CONDITIONS, interpolate_condition
 from dpbench.ship.capability.loads import DYNAMIC_FACTOR, mean_loads
-from dpbench.ship.capability.losses import (
-    MISCELLANEOUS,
-    dead_losses,
-    forbidden_zones,
-    skeg_losses,
-    vented_share,
-)
-from dpbench.ship.capability.shapes import Piece, pieces
+from dpbench.ship.capability.shapes import Piece, convex_pieces
 from dpbench.ship.vessel import Vessel
 
 DIRECTIONS = 36
@@ -38,15 +30,15 @@ Combination = tuple[Piece, ...]
 
 @dataclass(frozen=True)
 class Case:
-    """What has failed: the numbers of the thrusters that give nothing."""
+    """A failure case: its name and the indices of the lost thrusters."""
 
     name: str
     lost: frozenset[int]
 
 
 @dataclass(frozen=True)
-class Held:
-    """What is held from one direction: the largest wind [m/s], and the DP capability number.
+class WindLimit:
+    """The largest wind [m/s] held from one direction, and the DP capability number.
 
     At number 11 the wind is that of the standard's last row: nothing is known beyond.
     """
@@ -57,23 +49,19 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class Weather:
-    """Mean load times the factor (3,) [N, N, N·m], and β_misc β_vent of each thruster (p,)."""
+    """Load (3,) [N, N, N·m] of one weather, and the share of thrust (p,) that losses leave."""
 
     load: Vector
     shares: Vector
 
 
-class Frontier:
-    """How far the thrusters of a ship reach.
+class CapabilityPlot:
+    """Solver of the largest wind a ship's thrusters hold, by direction and failure case.
 
     Parameters
     ----------
     vessel : with thrusters and the hull of `[capability]`.
     sides : of the polygons in place of circles, even and at least 4; None for circles.
-
-    Attributes
-    ----------
-    weather : of a direction [rad] and a wind [m/s].
 
     Raises
     ------
@@ -91,111 +79,101 @@ class Frontier:
         self.vessel, self.thrusters, self.hull = vessel, vessel.thrusters, vessel.capability
         self.sides = sides
         self._utilisation = Utilisation(self.thrusters, sides)
-        self._pieces: dict[frozenset[int], list[list[Piece]]] = {}
-        self._choices: dict[frozenset[int], list[Combination]] = {}
+        self.pieces_of, self.combinations = (
+            cache(self._split_thrust_areas),
+            cache(self._list_combinations),
+        )
         # One wind is asked with many choices of pieces in a row.
-        self.weather = lru_cache(maxsize=64)(self._weather)
+        self.weather = lru_cache(maxsize=64)(self._compute_weather)
 
     @property
     def cases(self) -> list[Case]:
-        """Intact first, then the loss of each failure group."""
+        """The intact ship, then the loss of each group of thrusters that fail together."""
         groups = self.thrusters.groups.items()
         return [
             Case(INTACT, frozenset()),
             *(Case(name, frozenset(numbers)) for name, numbers in groups),
         ]
 
-    def _weather(self, from_rad: float, wind_mps: float) -> Weather:
-        condition = condition_of_wind(wind_mps)
+    def _compute_weather(self, from_rad: float, wind_mps: float) -> Weather:
+        """Return load and usable shares of thrust in wind, waves and current from `from_rad`."""
+        condition = interpolate_condition(wind_mps)
         loads = mean_loads(self.hull, condition, from_rad)
         vented = [
-            vented_share(thruster, self.hull, condition, from_rad)
+            losses.thrust_share_when_vented(thruster, self.hull, condition, from_rad)
             for thruster in self.thrusters.thrusters
         ]
-        return Weather(DYNAMIC_FACTOR * loads.sum(axis=0), MISCELLANEOUS * np.array(vented))
+        return Weather(DYNAMIC_FACTOR * loads.sum(axis=0), losses.MISCELLANEOUS * np.array(vented))
 
-    def pieces_of(self, case: Case) -> list[list[Piece]]:
-        """The convex pieces of each thruster (p,); one without any is as good as lost."""
-        if case.lost not in self._pieces:
-            count = len(self.thrusters.thrusters)
-            self._pieces[case.lost] = [self._pieces_of(i, case) for i in range(count)]
-        return self._pieces[case.lost]
-
-    def _pieces_of(self, i: int, case: Case) -> list[Piece]:
+    def _split_thrust_areas(self, case: Case) -> list[list[Piece]]:
+        """Return each thruster's thrust area in one failure case, split into convex pieces."""
         every = self.thrusters.thrusters
-        thruster = every[i]
-        if thruster.kind != "azimuth" or i in case.lost:
-            return [Piece()]
         working = [every[j] for j in range(len(every)) if j not in case.lost]
         dead = [every[j] for j in sorted(case.lost)]
         step = CHORD_RAD if self.sides is None else 2.0 * math.pi / self.sides
-        return pieces(
-            thruster.sector_rad,
-            forbidden_zones(thruster, working),
-            dead_losses(thruster, dead),
-            skeg_losses(thruster, self.hull),
-            step,
-        )
+        return [
+            [Piece()]
+            if thruster.kind != "azimuth" or i in case.lost
+            else convex_pieces(
+                thruster.sector_rad,
+                losses.forbidden_zones(thruster, working),
+                losses.dead_losses(thruster, dead),
+                losses.skeg_losses(thruster, self.hull),
+                step,
+            )
+            for i, thruster in enumerate(every)
+        ]
 
-    def lost(self, case: Case) -> frozenset[int]:
-        """Those lost, and those that may not push anywhere."""
+    def lost_thrusters(self, case: Case) -> frozenset[int]:
+        """Return the indices of the lost thrusters and of those that may push in no direction."""
         nowhere = {i for i, parts in enumerate(self.pieces_of(case)) if not parts}
         return case.lost | nowhere
 
-    def combinations(self, case: Case) -> list[Combination]:
-        """Every choice of a piece for each thruster."""
-        if case.lost not in self._choices:
-            parts = [some or [Piece()] for some in self.pieces_of(case)]
-            self._choices[case.lost] = list(product(*parts))
-        return self._choices[case.lost]
+    def _list_combinations(self, case: Case) -> list[Combination]:
+        """Return every choice of one convex piece of thrust area for each thruster."""
+        return list(product(*(some or [Piece()] for some in self.pieces_of(case))))
 
-    def use(self, case: Case, from_rad: float, wind_mps: float, chosen: Combination) -> float:
-        """The least utilisation with one choice of pieces."""
+    def least_use(self, case: Case, from_rad: float, wind_mps: float, chosen: Combination) -> float:
+        """Return the least share of full thrust that holds a wind, in given convex thrust areas."""
         weather = self.weather(from_rad, wind_mps)
-        return self._utilisation.least(weather.load, weather.shares, chosen, self.lost(case))
+        return self._utilisation.least_use(
+            weather.load, weather.shares, chosen, self.lost_thrusters(case)
+        )
 
-    def best(self, case: Case, from_rad: float, wind_mps: float) -> tuple[float, Combination]:
-        """The least utilisation of all choices, and the choice."""
+    def best_choice(
+        self, case: Case, from_rad: float, wind_mps: float
+    ) -> tuple[float, Combination]:
+        """Return the least share of full thrust that holds a wind, and its convex thrust areas."""
         uses = [
-            (self.use(case, from_rad, wind_mps, chosen), chosen)
+            (self.least_use(case, from_rad, wind_mps, chosen), chosen)
             for chosen in self.combinations(case)
         ]
         return min(uses, key=lambda use: use[0])
 
-    def held(self, case: Case, from_rad: float) -> Held:
-        """The largest wind that is balanced, with all winds of the table below it."""
+    def find_wind_limit(self, case: Case, from_rad: float) -> WindLimit:
+        """Return the largest wind held, with all weaker winds of the standard's table held too."""
         number, low, choices = 0, 0.0, self.combinations(case).copy()
         for wind_mps, *_ in DP_CONDITIONS.values():
-            holding = self._first_that_holds(case, from_rad, wind_mps, choices)
+            uses = (self.least_use(case, from_rad, wind_mps, chosen) for chosen in choices)
+            holding = next((i for i, use in enumerate(uses) if use <= 1.0), None)
             if holding is None:
-                return Held(self._largest(case, from_rad, (low, wind_mps), choices), number)
+                return WindLimit(
+                    self._solve_wind_limit(case, from_rad, (low, wind_mps), choices), number
+                )
             # What holds this wind most likely holds the next.
             choices.insert(0, choices.pop(holding))
             number, low = number + 1, wind_mps
-        return Held(low, number)
+        return WindLimit(low, number)
 
-    def _first_that_holds(
-        self, case: Case, from_rad: float, wind_mps: float, choices: list[Combination]
-    ) -> int | None:
-        for i, chosen in enumerate(choices):
-            if self.use(case, from_rad, wind_mps, chosen) <= 1.0:
-                return i
-        return None
-
-    def _largest(
-        self,
-        case: Case,
-        from_rad: float,
-        between: tuple[float, float],
-        choices: list[Combination],
+    def _solve_wind_limit(
+        self, case: Case, from_rad: float, between: tuple[float, float], choices: list[Combination]
     ) -> float:
-        """Where the best choice reaches full thrust, between a wind that is held and one that is
-        not; below `low` each wind is held by some choice."""
+        """Return the wind [m/s] within `between` that takes full thrust, in the best areas."""
         low, high = between
         for chosen in choices:
 
             def missing(wind_mps: float, chosen: Combination = chosen) -> float:
-                return min(self.use(case, from_rad, wind_mps, chosen), 10.0) - 1.0
+                return min(self.least_use(case, from_rad, wind_mps, chosen), 10.0) - 1.0
 
             if missing(low) < 0.0:
                 low = float(brentq(missing, low, high, xtol=WIND_TOLERANCE))

@@ -1,42 +1,38 @@
 """The capability of a ship from all directions, intact and after each failure."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
-from dpbench.bench.capability.frontier import DIRECTIONS, INTACT, Frontier, Held
+from dpbench.bench.capability.frontier import DIRECTIONS, INTACT, CapabilityPlot, WindLimit
 from dpbench.bench.progress import Progress, Silent
 from dpbench.ship.capability.conditions import DP_CONDITIONS
 
 BOW_DEG = 30.0
 """The sector to either side of the bow that the notation names (2.5.1)."""
 FROM_DEG = tuple(360.0 * k / DIRECTIONS for k in range(DIRECTIONS))
-"""Where wind, waves and current come from, clockwise from ahead."""
+"""Directions of wind, waves and current, clockwise from ahead."""
 
 
 @dataclass(frozen=True)
 class Capability:
-    """What a ship holds from each of `FROM_DEG`.
+    """Wind limits of a ship from each direction of `FROM_DEG`, by failure case.
 
     Parameters
     ----------
-    vessel : its name.
-    sides : of the polygons that stand for circles; None for circles.
-    held : by case: intact first, then after the loss of each failure group.
-    lost : names of the thrusters that each case lacks.
+    sides : of the polygons in place of circles; None for circles.
+    held, lost : by case, intact first: what is held, and the thrusters that the case lacks.
     assumed : keys of the hull that its file leaves out.
     """
 
     vessel: str
     sides: int | None
-    held: dict[str, tuple[Held, ...]]
+    held: dict[str, tuple[WindLimit, ...]]
     lost: dict[str, tuple[str, ...]]
     assumed: tuple[str, ...]
 
     @property
-    def worst_failure(self) -> tuple[Held, ...]:
-        """The least that is held after any failure, by direction."""
+    def worst_failure(self) -> tuple[WindLimit, ...]:
+        """The lowest wind limit after any failure, by direction."""
         failures = [held for case, held in self.held.items() if case != INTACT]
         return tuple(
             min(at_once, key=lambda held: held.wind_mps) for at_once in zip(*failures, strict=True)
@@ -44,18 +40,17 @@ class Capability:
 
     @property
     def numbers(self) -> tuple[int, int, int, int]:
-        """The least DP capability number: intact near the bow and all round, and the same after
-        the worst failure."""
-        return (*_least(self.held[INTACT]), *_least(self.worst_failure))
+        """Least DP capability numbers near the bow and all round: intact, then worst failure."""
+        return (*_least_numbers(self.held[INTACT]), *_least_numbers(self.worst_failure))
 
     @property
     def notation(self) -> str:
-        """`numbers` as the standard writes them (2.5.1)."""
+        """The four DP capability numbers in the standard's notation (2.5.1)."""
         return f"DP capability-L1({', '.join(map(str, self.numbers))})"
 
 
-def _least(held: tuple[Held, ...]) -> tuple[int, int]:
-    """The least number within `BOW_DEG` of the bow, and all round."""
+def _least_numbers(held: tuple[WindLimit, ...]) -> tuple[int, int]:
+    """Return the least DP capability number within `BOW_DEG` of the bow, and all round."""
     near = [
         at.number
         for at, from_deg in zip(held, FROM_DEG, strict=True)
@@ -64,20 +59,15 @@ def _least(held: tuple[Held, ...]) -> tuple[int, int]:
     return min(near), min(at.number for at in held)
 
 
-def capability_of(frontier: Frontier, progress: Progress | None = None) -> Capability:
-    """The capability within a frontier.
-
-    Raises
-    ------
-    ArithmeticError : the cone solver fails.
-    """
+def compute_capability(frontier: CapabilityPlot, progress: Progress | None = None) -> Capability:
+    """Return the wind limits from all directions; ArithmeticError if the cone solver fails."""
     progress, cases = progress or Silent(), frontier.cases
     progress.start(len(cases) * DIRECTIONS)
-    held: dict[str, tuple[Held, ...]] = {}
+    held: dict[str, tuple[WindLimit, ...]] = {}
     for case in cases:
         edges = []
         for from_deg in FROM_DEG:
-            edges.append(frontier.held(case, math.radians(from_deg)))
+            edges.append(frontier.find_wind_limit(case, math.radians(from_deg)))
             progress.advance(1, f"{frontier.vessel.id}, {case.name}")
         held[case.name] = tuple(edges)
     names = [thruster.name for thruster in frontier.thrusters.thrusters]
@@ -85,6 +75,6 @@ def capability_of(frontier: Frontier, progress: Progress | None = None) -> Capab
     return Capability(frontier.vessel.id, frontier.sides, held, lost, frontier.hull.assumed)
 
 
-def holds_most(held: Held) -> bool:
-    """Whether the standard has no weather beyond what is held."""
+def is_beyond_standard(held: WindLimit) -> bool:
+    """Return whether a wind limit is in the last row of the standard's weather table."""
     return held.number == max(DP_CONDITIONS)

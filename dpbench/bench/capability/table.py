@@ -1,24 +1,23 @@
-"""The capability plots of a suite as a table of its result folder, `capability.parquet`.
+"""The capability plots of a suite as the table `capability.parquet` of its result folder.
 
-A row is a QP at the edge, in the order of the sequence that solvers replay; four rows or fewer are
-a direction.
+A row is a QP at the edge, in the order of the sequence that solvers replay.
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 
 from dpbench.bench.capability.batch import Point
+from dpbench.bench.capability.frontier import INTACT
 from dpbench.bench.capability.study import FROM_DEG, Capability
 from dpbench.errors import ResultsError
-from dpbench.files.tables import in_full, opened_table
-from dpbench.files.writing import replaced
+from dpbench.files.tables import decode_words, open_table
+from dpbench.files.writing import replace_file
 
 CAPABILITY_FILE = "capability.parquet"
 COLUMNS = {
@@ -34,20 +33,15 @@ COLUMNS = {
     "edge_mps": "float64",
     "number": "int64",
 }
-"""Name of the sequence and step in it; ship, and sides of its polygons; what has failed, and the
-thrusters lost with it; where wind, waves and current come from, the wind of the QP and whether it
-is held; the largest wind held from there, and the DP capability number."""
+"""Sequence and step in it; ship, and sides of its polygons; failure, and thrusters lost with it;
+direction of the weather; wind of the QP and whether it is held; largest wind held, and number.
+"""
 
 
-def table_of(
+def capability_columns(
     sequence: str, capability: Capability, points: Sequence[Point]
 ) -> dict[str, list[Any]]:
-    """The columns of `COLUMNS`, as JSON has them, of one plot.
-
-    Parameters
-    ----------
-    capability : with polygons; points : `all_points` of it.
-    """
+    """Return one capability plot and its QPs as columns of `capability.parquet`, by name."""
     direction = {round(from_deg, 6): k for k, from_deg in enumerate(FROM_DEG)}
     rows = []
     for k, point in enumerate(points):
@@ -64,29 +58,39 @@ def table_of(
 
 
 def write_capability(out: Path, tables: Sequence[dict[str, list[Any]]]) -> None:
-    """Write the plots into a result folder."""
+    """Write capability plots to `capability.parquet` in a result folder."""
     frame = pd.concat([pd.DataFrame(table) for table in tables], ignore_index=True)
-    with replaced(out / CAPABILITY_FILE) as part:
+    with replace_file(out / CAPABILITY_FILE) as part:
         frame.astype(COLUMNS).to_parquet(part, index=False, compression="zstd")
 
 
 def load_capability(folder: Path) -> pd.DataFrame | None:
-    """The plots of a result folder, columns `COLUMNS`; None where there are none.
-
-    Raises
-    ------
-    ResultsError : naming the file, when it is damaged.
-    """
+    """Return `capability.parquet` of a result folder, None without one; ResultsError if damaged."""
     path = folder / CAPABILITY_FILE
     if not path.exists():
         return None
     try:
-        with opened_table(path, error=ResultsError) as file:
-            table = in_full(file.read(columns=list(COLUMNS)), path, error=ResultsError)
+        with open_table(path, error=ResultsError) as file:
+            table = decode_words(file.read(columns=list(COLUMNS)), path, error=ResultsError)
         plots: pd.DataFrame = table.to_pandas(ignore_metadata=True)[list(COLUMNS)]
-        return plots.astype(COLUMNS)
+        plots = plots.astype(COLUMNS)
     except ResultsError:
         raise
     except (OSError, ValueError, TypeError, KeyError, pa.ArrowException) as error:
         found = f"a damaged file ({str(error)[:80]})"
         raise ResultsError(str(path), "", found, "a parquet table; run again") from error
+    _check_plots(plots, path)
+    return plots
+
+
+def _check_plots(plots: pd.DataFrame, path: Path) -> None:
+    """Raise ResultsError for winds that are no numbers, and for a plot without the intact ship."""
+    for name in ("from_deg", "wind_mps", "edge_mps"):
+        finite = np.isfinite(plots[name].to_numpy())
+        if not finite.all():
+            found = plots.loc[~finite, name].iloc[0]
+            raise ResultsError(str(path), name, found, "a finite number; run again")
+    whole = set(plots.loc[plots["case"] == INTACT, "sequence"])
+    for sequence in set(plots["sequence"]) - whole:
+        found = f"no row {INTACT!r} of {sequence!r}"
+        raise ResultsError(str(path), "case", found, "some of the intact ship; run again")

@@ -1,1 +1,1 @@
-"""Who runs the cells of a campaign: the processes of this machine, or the workers of a cluster."""
+"""Engines that run the cells of a campaign: this machine, or the workers of a cluster."""

@@ -1,17 +1,15 @@
 """A Dask cluster: reached by the address of its scheduler, or made of processes of this machine."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import socket
 import ssl
 import tempfile
+import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +22,10 @@ from distributed.comm.registry import get_backend
 from distributed.security import Security
 
 from dpbench.bench.engines.engine import TlsFiles
-from dpbench.bench.engines.on_worker import About, about, end_tasks
+from dpbench.bench.engines.on_worker import WorkerInfo, end_tasks, worker_info
 from dpbench.bench.record.cell import HARNESS_VERSION
-from dpbench.bench.workers.child import without_main
-from dpbench.bench.workers.interrupts import signals_wait, terminal_signals_blocked
+from dpbench.bench.workers.child import hide_main_module
+from dpbench.bench.workers.interrupts import block_terminal_signals, delay_signals
 from dpbench.errors import InputError
 from dpbench.temporary_folders import temporary_folder
 
@@ -35,6 +33,8 @@ EXCLUSIVE = "exclusive"
 """The resource of which a machine's workers offer one together, if replays may be timed there."""
 ANSWER_S = 5.0
 """How long a scheduler may take to answer."""
+RETURN_S = 30.0
+"""How long a campaign waits for a scheduler that went away."""
 WHERE, TLS = "--scheduler", "--tls"
 _OWN = {
     # A worker that is a daemon could start no processes.
@@ -52,54 +52,32 @@ LOOPBACK = "127.0.0.1"
 
 
 class _WithoutHttp:
-    """A node of Dask whose pages nobody asked for: they have no TLS, and no option leaves them
-    out."""
+    """A Dask node without HTTP pages, which have no TLS and no option to turn them off."""
 
     def start_http_server(self, *_: object, **__: object) -> None:
-        """Listen nowhere."""
+        """Start no HTTP server."""
 
 
 class OwnScheduler(_WithoutHttp, Scheduler):  # type: ignore[misc] # Dask is untyped here
-    """The scheduler of a cluster of this machine."""
+    """The scheduler of a Dask cluster started on this machine."""
 
 
 class OwnWorker(_WithoutHttp, Worker):  # type: ignore[misc] # Dask is untyped here
-    """A worker of a cluster of this machine."""
+    """A worker of a Dask cluster started on this machine."""
 
     async def close(self, *args: Any, **kwargs: Any) -> Any:
-        """Dask would wait for its task for some seconds, then kill it with what lies around it."""
+        """Interrupt the running task, then close the worker; Dask would wait for the task."""
         end_tasks()
         return await super().close(*args, **kwargs)
 
 
-@dataclass(frozen=True)
-class Fleet:
-    """The workers of a cluster.
-
-    slots : tasks at a time; concurrency : the most of them on one machine so far.
-    exclusive : whether one of them offered `EXCLUSIVE` when the campaign began.
-    machine : that of the one that times replays; kinds : how many kinds of machines there were.
-    """
-
-    slots: int
-    concurrency: int
-    exclusive: bool
-    machine: dict[str, Any]
-    kinds: int
-
-
 @contextmanager
-def connected(address: str, tls: TlsFiles | None = None) -> Iterator[Client]:
-    """A client of the scheduler at an address; InputError where none answers, or refuses it.
-
-    Parameters
-    ----------
-    tls : what Dask's configuration tells, where they are not given.
-    """
-    with _quiet():
-        security = Security() if tls is None else _security(address, tls)
+def connect_client(address: str, tls: TlsFiles | None = None) -> Iterator[Client]:
+    """Connect a client to a Dask scheduler; InputError where none answers or it refuses."""
+    with _silence_dask():
+        security = Security() if tls is None else _build_security(address, tls)
         try:
-            _knock(address)
+            _check_reachable(address)
         except (OSError, ValueError) as error:
             found = f"{address}, where nobody answers ({type(error).__name__})"
             allowed = "the address of a Dask scheduler that runs, as tcp://HOST:8786"
@@ -107,8 +85,8 @@ def connected(address: str, tls: TlsFiles | None = None) -> Iterator[Client]:
         try:
             # In a thread: a notebook has a loop of its own in this one.
             with ThreadPoolExecutor(1) as pool:
-                pool.submit(asyncio.run, _greet(address, security)).result()
-            client = Client(address, security=security, timeout=ANSWER_S, set_as_default=False)
+                pool.submit(asyncio.run, _connect_once(address, security)).result()
+            client = Client(address, security=security, timeout=RETURN_S, set_as_default=False)
         # Those that are no OSError: one of both wants TLS, and the other has none.
         except (OSError, TypeError, RuntimeError) as error:
             found = f"{address}, which refuses this client ({type(error).__name__})"
@@ -118,24 +96,23 @@ def connected(address: str, tls: TlsFiles | None = None) -> Iterator[Client]:
             yield client
 
 
-def _knock(address: str) -> None:
-    """OSError or ValueError where nobody listens, which a client finds out only after long
-    tries."""
+def _check_reachable(address: str) -> None:
+    """Raise OSError or ValueError where nobody listens at a scheduler's address."""
     scheme, place = parse_address(address)
     get_backend(scheme)
     with socket.create_connection(parse_host_port(place), timeout=ANSWER_S):
         pass
 
 
-async def _greet(address: str, security: Security) -> None:
-    """Come and go; a client that is refused leaves threads behind."""
+async def _connect_once(address: str, security: Security) -> None:
+    """Test that a Dask scheduler accepts a connection, and close it; OSError if refused."""
     arguments = security.get_connection_args("client")
     comm = await connect(address, timeout=ANSWER_S, **arguments)
     await comm.close()
 
 
-def _security(address: str, tls: TlsFiles) -> Security:
-    """What a client shows to a scheduler; InputError where the files are not what they should."""
+def _build_security(address: str, tls: TlsFiles) -> Security:
+    """Return a Dask client's TLS set-up; InputError for wrong certificate or key files."""
     if not address.startswith("tls://"):
         found = f"files with {WHERE} {address}"
         raise InputError(TLS, "", found, f"{WHERE} tls://HOST:8786, where the scheduler has TLS")
@@ -159,26 +136,25 @@ def _security(address: str, tls: TlsFiles) -> Security:
 
 
 @contextmanager
-def own_cluster(workers: int) -> Iterator[Client]:
-    """A client of so many workers on this machine, one of which times replays; the program that
-    started the campaign is hidden meanwhile, for a worker may have to be started again at any
-    time."""
+def start_own_cluster(workers: int) -> Iterator[Client]:
+    """Start a Dask cluster of `workers` processes on this machine; one may time replays."""
     stack = ExitStack()
     try:
         # Half a cluster cannot be closed.
-        with signals_wait():
-            client = stack.enter_context(_own_cluster(workers))
+        with delay_signals():
+            client = stack.enter_context(_open_own_cluster(workers))
         yield client
     finally:
-        with signals_wait():
+        with delay_signals():
             stack.close()
 
 
 @contextmanager
-def _own_cluster(workers: int) -> Iterator[Client]:
+def _open_own_cluster(workers: int) -> Iterator[Client]:
+    """Start scheduler and workers of a Dask cluster on this machine; yield its client."""
     with (
-        _quiet(),
-        without_main(),
+        _silence_dask(),
+        hide_main_module(),
         temporary_folder(Path(tempfile.gettempdir())) as folder,
         dask.config.set({**_OWN, "temporary-directory": str(folder)}),
         ExitStack() as stack,
@@ -200,66 +176,102 @@ def _own_cluster(workers: int) -> Iterator[Client]:
             for i in range(workers)
         }
         scheduler = {"cls": OwnScheduler, "options": {**closed, "dashboard": False}}
-        with terminal_signals_blocked():
+        with block_terminal_signals():
             cluster = SpecCluster(spec, scheduler, security=security, silence_logs=logging.CRITICAL)
             stack.enter_context(cluster)
             client = stack.enter_context(Client(cluster, set_as_default=False))
         yield client
 
 
-def fleet_of(client: Client) -> Fleet:
-    """The workers of a cluster, waiting for the first of them.
+class Cluster:
+    """The workers of a Dask cluster that can take a campaign's runs, as they come and go.
+
+    Parameters
+    ----------
+    is_own : whether all workers are processes of this campaign.
+
+    Attributes
+    ----------
+    slots : tasks at a time; concurrency : the most of them on one machine so far.
+    exclusive : whether a worker offered `EXCLUSIVE` when the campaign began.
+    machine : that of the one that times replays; kinds : number of kinds of machines.
+    addresses : of the workers that may have a task.
 
     Raises
     ------
     InputError : for a worker that cannot run cells as they are here.
     """
-    client.wait_for_workers(1)
-    offered: Mapping[str, Any] = client.scheduler_info(n_workers=-1)["workers"]
-    said = client.run(about, on_error="return")
-    abouts = {address: _checked(address, answer) for address, answer in said.items()}
-    workers = {address: offered[address] for address in abouts if address in offered}
-    exclusive = [a for a, worker in workers.items() if worker["resources"].get(EXCLUSIVE, 0) >= 1]
-    first = (exclusive or [*abouts])[0]
-    offers: Counter[str] = Counter()
-    for worker in workers.values():
-        offers[worker["host"]] += worker["resources"].get(EXCLUSIVE, 0)
-    if many := [host for host, count in offers.items() if count > 1]:
-        found = f"resource {EXCLUSIVE} {offers[many[0]]:g} times on {many[0]}"
-        raise InputError(WHERE, "", found, f"one worker of a machine with {EXCLUSIVE}=1")
-    on_host = _threads(workers)
-    return Fleet(
-        slots=max(1, sum(on_host.values())),
-        concurrency=max(1, *on_host.values()),
-        exclusive=bool(exclusive),
-        machine=abouts[first].machine,
-        kinds=len({one.machine["id"] for one in abouts.values()}),
-    )
+
+    def __init__(self, client: Client, *, is_own: bool = False) -> None:
+        self.client, self.is_own = client, is_own
+        self._infos: dict[str, WorkerInfo] = {}
+        self._refused: set[str] = set()
+        self.concurrency, self.addresses = 1, frozenset[str]()
+        client.wait_for_workers(1)
+        for error in self._update_workers():
+            raise error
+        workers = {address: self._workers[address] for address in self._infos}
+        exclusive = [a for a, w in workers.items() if w["resources"].get(EXCLUSIVE, 0) >= 1]
+        offers: Counter[str] = Counter()
+        for worker in workers.values():
+            offers[worker["host"]] += worker["resources"].get(EXCLUSIVE, 0)
+        if many := [host for host, times in offers.items() if times > 1]:
+            found = f"resource {EXCLUSIVE} {offers[many[0]]:g} times on {many[0]}"
+            raise InputError(WHERE, "", found, f"one worker of a machine with {EXCLUSIVE}=1")
+        self.exclusive = bool(exclusive)
+        self.machine = self._infos[(exclusive or [*workers])[0]].machine
+        self.kinds = len({info.machine["id"] for info in self._infos.values()})
+
+    def refresh(self) -> list[str]:
+        """Read the current workers from the Dask scheduler; return a remark on each refused one.
+
+        Nothing changes where the scheduler does not answer, or has none.
+        """
+        try:
+            return [f"a worker is given no cells: {error}" for error in self._update_workers()]
+        except OSError:
+            return []
+
+    def wait_for_reconnection(self) -> bool:
+        """Wait until a lost Dask scheduler is back with a worker; return False if it stays away."""
+        deadline = time.monotonic() + RETURN_S
+        while time.monotonic() < deadline and self.client.status != "closed":
+            with suppress(OSError):
+                if self.client.status == "running" and self.client.scheduler_info()["workers"]:
+                    return True
+            time.sleep(0.1)
+        return False
+
+    def _update_workers(self) -> list[InputError]:
+        """Read the current workers from the scheduler; return an error for each refused one."""
+        if self.client.status != "running":
+            return []
+        workers: dict[str, Any] = self.client.scheduler_info(n_workers=-1)["workers"]
+        refused = []
+        new = [a for a in workers if a not in self._infos and a not in self._refused]
+        answers = self.client.run(worker_info, workers=new, on_error="return") if new else {}
+        infos = {address: info for address, info in self._infos.items() if address in workers}
+        for address, answer in answers.items():
+            if isinstance(answer, OSError):
+                continue  # it went, or does not answer yet
+            try:
+                infos[address] = _check_worker(address, answer)
+            except InputError as error:
+                refused.append(error)
+                self._refused.add(address)
+        if infos:
+            self._infos, self._workers, self.addresses = infos, workers, frozenset(infos)
+            on_host: Counter[str] = Counter()
+            for address in infos:
+                on_host[workers[address]["host"]] += int(workers[address]["nthreads"])
+            self.slots = max(1, sum(on_host.values()))
+            self.concurrency = max(self.concurrency, *on_host.values())
+        return refused
 
 
-def counted_anew(client: Client, fleet: Fleet) -> Fleet:
-    """The fleet with the threads of the workers that are there now; as it was, where the scheduler
-    does not tell or has none."""
-    if client.status != "running":
-        return fleet
-    on_host = _threads(client.scheduler_info(n_workers=-1)["workers"])
-    if not on_host:
-        return fleet
-    most = max(fleet.concurrency, *on_host.values())
-    return replace(fleet, slots=sum(on_host.values()), concurrency=most)
-
-
-def _threads(workers: Mapping[str, Any]) -> Counter[str]:
-    """How many threads the workers of each machine have together."""
-    on_host: Counter[str] = Counter()
-    for worker in workers.values():
-        on_host[worker["host"]] += int(worker["nthreads"])
-    return on_host
-
-
-def _checked(address: str, answer: object) -> About:
-    """What a worker said of itself; InputError where it cannot run cells."""
-    if not isinstance(answer, About):
+def _check_worker(address: str, answer: object) -> WorkerInfo:
+    """Check a Dask worker's description of itself; InputError where it cannot take runs."""
+    if not isinstance(answer, WorkerInfo):
         found = f"worker {address} without dpbench {HARNESS_VERSION} ({answer!r})"
         raise InputError(WHERE, "", found, "workers in the environment of the campaign")
     if answer.harness_version != HARNESS_VERSION:
@@ -273,14 +285,15 @@ def _checked(address: str, answer: object) -> About:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """What Dask would log of lost workers and connections; a campaign says it in its own words."""
-    logger = logging.getLogger("distributed")
-    levels = {handler: handler.level for handler in logger.handlers}
+def _silence_dask() -> Iterator[None]:
+    """Silence Dask's log messages in the block, as campaigns report lost workers themselves."""
+    loggers = [logging.getLogger("tornado.application"), logging.getLogger("distributed")]
+    quiet: list[logging.Logger | logging.Handler] = [loggers[0], *loggers[1].handlers]
+    levels = [one.level for one in quiet]
     try:
-        for handler in levels:
-            handler.setLevel(logging.CRITICAL + 1)
+        for one in quiet:
+            one.setLevel(logging.CRITICAL + 1)
         yield
     finally:
-        for handler, level in levels.items():
-            handler.setLevel(level)
+        for one, level in zip(quiet, levels, strict=True):
+            one.setLevel(level)

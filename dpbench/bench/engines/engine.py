@@ -1,114 +1,74 @@
-"""What a campaign asks of whoever runs its cells, and the order in which cells are run.
+"""The protocol of an engine: it takes batches, and hands back their results."""
 
-An engine runs cells and hands over their results; it knows no result folder. The campaign alone
-writes what is kept, one record a cell, so that nothing is there twice whatever an engine loses.
-"""
-
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Protocol
 
 from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.progress import Progress
-from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.sequences.source import is_timed, last_step
-from dpbench.bench.workers.executor import CellJob, Result
+from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.result_folder import MachineDescription
+from dpbench.bench.workers.jobs import Batch, CellJob, Result
+from dpbench.errors import DpbenchError
 
-WAVE_STEPS = 100_000
-"""Steps of the sources that cells run from at a time: some 2 kB each."""
-Kind = Literal["closed loops", "replays", "problems without a deadline"]
-Target = Callable[[str, Path, str, int, Path], None]
-"""What makes a file in a process of its own; see `Errand`."""
-MadeFile = tuple[Path, Outcome]
-"""A file, and what became of whoever made it."""
+BATCHES_AHEAD = 2
+"""Batches handed over at a time for each slot, so that no slot waits for the campaign."""
 TlsFiles = Sequence[str | Path]
 """Of a cluster with TLS, in PEM format: its certificate authority, a client's certificate, its
 key."""
+Completed = tuple[Batch, Sequence[Result]]
+"""A batch and the results of its cells or files. One without a result took its process along."""
+
+
+class HandOverError(DpbenchError):
+    """Raised when an engine has dropped all its batches of runs; they must be submitted again."""
+
+
+class EngineGoneError(DpbenchError):
+    """Raised when an engine, such as a cluster, cannot run anything any more."""
 
 
 class Engine(AbstractContextManager["Engine"], Protocol):
-    """Runs cells; whatever it has started ends with the `with` block.
+    """Protocol of what does batches of runs: this machine's processes, or a cluster's workers.
+
+    Of a result folder it writes only the files that it is asked to make.
 
     Attributes
     ----------
-    machine : the machine that cells run on, as `describe_machine` describes it; of several the one
-        that times replays.
-    remarks : lines for whoever started the campaign, at its end.
+    machine : the machine of the cells, as `describe_machine` describes it; of several the one that
+        times replays.
     """
 
-    machine: dict[str, Any]
+    machine: MachineDescription
 
     @property
-    def remarks(self) -> Sequence[str]: ...
+    def slots(self) -> int:
+        """Number of batches of runs that are done at a time."""
 
-    def prepare(self, sources: SourceFiles, solvers: Sequence[str], progress: Progress) -> None:
-        """Get ready to run cells of some solvers.
+    @property
+    def remarks(self) -> Sequence[str]:
+        """Remarks to show at the end of the campaign."""
 
-        Parameters
-        ----------
-        sources : where the files behind QPs lie on the machine of the campaign.
-        progress : told how far it is.
+    def prepare(self, sources: SourceFiles, jobs: Sequence[CellJob], progress: Progress) -> None:
+        """Start the processes or workers needed for the runs `jobs`."""
+
+    def capacity(self, *, timed: bool) -> int:
+        """Return how many batches of runs to submit ahead: of timed replays, or of others."""
+
+    def submit(self, batch: Batch) -> None:
+        """Start or queue a batch of runs, whose files of QPs must exist."""
+
+    def completed(self) -> Iterator[Completed]:
+        """Wait for completed batches of runs, some seconds at most; yield each with its results.
+
+        Raises
+        ------
+        HandOverError, EngineGoneError : also of `submit`.
         """
 
-    def run(self, jobs: Sequence[CellJob]) -> Iterator[Result]:
-        """Run cells; yields the result of each, once, when it is known."""
+    def has_source(self, key: str, cell: Cell) -> bool:
+        """Return whether a file of QPs is still intact, after a run that needs it was lost."""
 
-    def make_files(
-        self, target: Target, descriptions: Mapping[Path, str], *, limit_s: float | None = None
-    ) -> Iterator[MadeFile]:
-        """Make files from their descriptions, each in a process of its own; as in `Errand`."""
-
-
-def stages(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob]]]:
-    """Cells in the order they run: what is timed alone has nothing else beside it."""
-    loops = [job for job in jobs if job.cell.mode == "closed_loop"]
-    replays = [job for job in jobs if job.cell.mode == "replay"]
-    yield "closed loops", loops
-    yield "replays", [job for job in replays if is_timed(job.cell)]
-    yield "problems without a deadline", [job for job in replays if not is_timed(job.cell)]
-
-
-def waves(jobs: Sequence[CellJob]) -> Iterator[list[CellJob]]:
-    """Jobs in groups whose sources have some `WAVE_STEPS` steps together."""
-    wave: list[CellJob] = []
-    steps = 0
-    for alike in by_source(jobs).values():
-        wave += alike
-        steps += max(last_step(job.cell) for job in alike)
-        if steps >= WAVE_STEPS:
-            yield wave
-            wave, steps = [], 0
-    if wave:
-        yield wave
-
-
-def by_source(jobs: Sequence[CellJob]) -> dict[str, list[CellJob]]:
-    """Jobs by the key of the source of their QPs."""
-    of_key: dict[str, list[CellJob]] = {}
-    for job in jobs:
-        of_key.setdefault(job.source_key, []).append(job)
-    return of_key
-
-
-def interleaved(jobs: Sequence[CellJob]) -> list[list[CellJob]]:
-    """Replay jobs that see the same QPs, which are timed by turns."""
-    groups: dict[str, list[CellJob]] = {}
-    for job in jobs:
-        groups.setdefault(job.cell.problem_key, []).append(job)
-    return list(groups.values())
-
-
-def longest(jobs: Sequence[CellJob]) -> Cell:
-    """Of the cells of one source the one that needs most of it."""
-    return max((job.cell for job in jobs), key=last_step)
-
-
-def without_source(jobs: Sequence[CellJob], outcome: Outcome) -> list[Result]:
-    """Of cells whose QPs could not be made: by their nature, or by an accident of the harness."""
-    what = "exactly solved loop" if jobs[0].cell.scenario else "sequence"
-    became = "lost" if outcome.outcome == "lost" else "invalid"
-    cause = Outcome(became, f"the {what} failed: {outcome.detail}")
-    return [Result(job.run_id, cause) for job in jobs]
+    def release_source(self, key: str) -> None:
+        """Delete a file of QPs that no run needs any more."""

@@ -1,11 +1,8 @@
-"""What a worker of a cluster does for a campaign that was started elsewhere.
+"""Tasks that a worker of a cluster runs for a campaign of another machine.
 
-Cells run as on the campaign's own machine, in processes of their own that `Bench` starts; files lie
-in a scratch folder of the worker's machine and are gone when a task ends. What comes and goes over
-the network are bytes. Nothing here needs Dask.
+Cells run as on the campaign's own machine, in processes of their own (`CellExecutor`); files are in
+a scratch folder until a task ends. Arguments and results are bytes. Nothing here needs Dask.
 """
-
-from __future__ import annotations
 
 import ctypes
 import multiprocessing
@@ -18,64 +15,58 @@ from dataclasses import dataclass, field
 from functools import cache
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
-from typing import Any
 
-from dpbench.bench.engines.engine import Kind, Target, by_source, interleaved, without_source
 from dpbench.bench.progress import Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.machine import describe_machine
-from dpbench.bench.workers.child import template_context
-from dpbench.bench.workers.executor import BATCH_CELLS, Bench, CellJob, Result
-from dpbench.bench.workers.leases import leased_core
+from dpbench.bench.record.result_folder import MachineDescription
+from dpbench.bench.workers.child import start_forkserver
+from dpbench.bench.workers.executor import CellExecutor
+from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, Target
+from dpbench.bench.workers.leases import lease_core
 from dpbench.bench.workers.scratch import Scratch
-from dpbench.bench.workers.worker import make_source
 from dpbench.errors import DpbenchError
-from dpbench.solvers.table import available
+from dpbench.solvers.table import check_availability
 from dpbench.temporary_folders import temporary_folder
 
 
 @dataclass(frozen=True)
-class About:
-    """What a campaign wants to know of a worker before it gives it cells.
-
-    may_start : whether it may start processes, as one that is a daemon itself may not.
-    """
+class WorkerInfo:
+    """A cluster worker's dpbench version and machine, and whether it may start processes."""
 
     harness_version: str
     may_start: bool
-    machine: dict[str, Any]
+    machine: MachineDescription
 
 
 @dataclass(frozen=True)
-class Order:
-    """What all tasks of a campaign have in common.
+class CampaignContext:
+    """Solver names and plug-in source code that all cluster tasks of a campaign share.
 
-    harness_version : of the campaign; solvers : all that it runs.
-    modules : the text of plug-ins, by the paths in the cells.
+    solvers : all that it runs; modules : the text of plug-ins, by the paths in the cells.
     """
 
-    harness_version: str = HARNESS_VERSION
     solvers: tuple[str, ...] = ()
     modules: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class Made:
-    """A file that was made: its bytes, none where it failed."""
+class MadeFile:
+    """A file made on a cluster worker: its outcome and its bytes, none where it failed."""
 
     outcome: Outcome
     data: bytes = b""
 
 
 @cache
-def about() -> About:
-    """What is to be known of this process."""
+def worker_info() -> WorkerInfo:
+    """Return a cluster worker's dpbench version, machine and whether it may start processes."""
     may_start = not multiprocessing.current_process().daemon
-    return About(HARNESS_VERSION, may_start, describe_machine())
+    return WorkerInfo(HARNESS_VERSION, may_start, describe_machine())
 
 
 class TaskEndedError(DpbenchError):
-    """The campaign of a task ended before it."""
+    """Raised in a cluster task whose worker is being closed."""
 
 
 _TASKS: set[int] = set()
@@ -84,8 +75,8 @@ _ENDING = threading.Lock()
 
 
 @contextmanager
-def _task() -> Iterator[None]:
-    """`end_tasks` may end the block."""
+def _registered_task() -> Iterator[None]:
+    """Register the thread of a cluster task in the block, so that `end_tasks` can interrupt it."""
     thread = threading.get_ident()
     with _ENDING:
         _TASKS.add(thread)
@@ -97,102 +88,92 @@ def _task() -> Iterator[None]:
 
 
 def end_tasks() -> None:
-    """End the tasks of this process, as Ctrl-C ends a campaign: what they wait for wakes them
-    within a tenth of a second, and their folders go with them."""
+    """Interrupt all cluster tasks of this process by `TaskEndedError` in their threads."""
     with _ENDING:
         for thread in _TASKS:
             set_error = ctypes.pythonapi.PyThreadState_SetAsyncExc
             set_error(ctypes.c_ulong(thread), ctypes.py_object(TaskEndedError))
 
 
-@_task()
+@_registered_task()
 def make_files(
-    order: Order, target: Target, texts: Mapping[str, str], limit_s: float | None
-) -> list[Made]:
-    """Make files from their descriptions by name, on a core of this machine; as in `Errand`."""
-    with leased_core() as core, _bench(order, [core]) as (bench, folder):
-        paths = {folder / name: text for name, text in texts.items()}
-        errands = bench.make_files(target, paths, limit_s=limit_s)
-        became = {errand.path: errand.outcome for errand in errands}
-        return [_made(path, became[path]) for path in paths]
+    context: CampaignContext,
+    target: Target,
+    texts: Mapping[str, str],
+    limit_s: float | None,
+    *,
+    isolated: bool,
+) -> dict[str, MadeFile]:
+    """Make files on one core of this cluster worker; return each with its outcome, by path."""
+    with lease_core() as core, _open_executor(context, [core]) as (executor, folder):
+        paths = {folder / Path(name).name: name for name in texts}
+        here = {path: texts[name] for path, name in paths.items()}
+        results = _run_batch(executor, FileBatch(target, here, limit_s, isolated=isolated), {})
+        made = {}
+        for path, outcome in ((Path(result.run_id), result.outcome) for result in results):
+            data = path.read_bytes() if outcome.outcome == "finished" else b""
+            made[paths[path]] = MadeFile(outcome, data)
+        return made
 
 
-def _made(path: Path, outcome: Outcome) -> Made:
-    return Made(outcome, path.read_bytes() if outcome.outcome == "finished" else b"")
-
-
-def given(made: Made) -> Made:
-    """A file that the campaign's machine had."""
+def return_file(made: MadeFile) -> MadeFile:
+    """Return `made` unchanged: a cluster task that carries a file of the campaign's machine."""
     return made
 
 
-@_task()
+def list_outcomes(made: Mapping[str, MadeFile | None]) -> list[Result]:
+    """Return the outcome of each made file as a result; None entries are left out."""
+    return [Result(name, file.outcome) for name, file in made.items() if file is not None]
+
+
+@_registered_task()
 def run_cells(
-    order: Order,
-    kind: Kind,
-    jobs: Sequence[CellJob],
-    sources: Mapping[str, Made],
+    context: CampaignContext,
+    batch: CellBatch,
+    sources: Mapping[str, MadeFile],
     *,
-    unmade: Mapping[str, str],
     alone: bool,
     concurrency: int,
 ) -> list[Result]:
-    """Run cells of one configuration, or replay one sequence through several, and judge them.
+    """Do a batch of runs on this cluster worker and return their evaluated results.
 
     Parameters
     ----------
-    sources : what their QPs are made from, by key; unmade : what nobody else needs, to be made here
-        from its description.
-    alone : whether they have all cores of this machine; one of them else.
+    sources : of their QPs, by key.
+    alone : whether they have all cores of this machine, or one.
     concurrency : of timed replays, see the column of that name.
     """
-    results = [*_of_other_versions(order, jobs)]
-    with ExitStack() as stack:
-        cores = sorted(os.sched_getaffinity(0)) if alone else [stack.enter_context(leased_core())]
-        bench, folder = stack.enter_context(_bench(order, cores, concurrency))
-        of_key = by_source(_others(jobs, results))
-        paths = {key: folder / f"exact-{key}.npz" for key in of_key}
-        for key, outcome in _put(bench, paths, sources, unmade):
-            if outcome.outcome != "finished":
-                results += without_source(of_key[key], outcome)
-        jobs = _others(jobs, results)
-        if not jobs:
-            return results
-        if kind == "replays":
-            return [*results, *bench.replays(interleaved(jobs), paths)]
-        return [*results, *bench.batches(jobs, paths, kind, most=BATCH_CELLS)]
-
-
-def _put(
-    bench: Bench, paths: Mapping[str, Path], sources: Mapping[str, Made], unmade: Mapping[str, str]
-) -> Iterator[tuple[str, Outcome]]:
-    """Put the sources of keys at their paths; yields each key with what became of its file."""
-    for key in paths.keys() & sources.keys():
-        paths[key].write_bytes(sources[key].data)
-        yield key, sources[key].outcome
-    keys = {paths[key]: key for key in paths.keys() & unmade.keys()}
-    texts = {path: unmade[key] for path, key in keys.items()}
-    for errand in bench.make_files(make_source, texts):
-        yield keys[errand.path], errand.outcome
-
-
-def _others(jobs: Sequence[CellJob], results: Sequence[Result]) -> list[CellJob]:
-    """The jobs that have no result yet."""
+    results = [*_lose_other_versions(batch.jobs)]
     known = {result.run_id for result in results}
-    return [job for job in jobs if job.run_id not in known]
+    jobs = [job for job in batch.jobs if job.run_id not in known]
+    if not jobs:
+        return results
+    with ExitStack() as stack:
+        cores = sorted(os.sched_getaffinity(0)) if alone else [stack.enter_context(lease_core())]
+        executor, folder = stack.enter_context(_open_executor(context, cores, concurrency))
+        paths = {key: folder / f"exact-{key}.npz" for key in sources}
+        for key, path in paths.items():
+            path.write_bytes(sources[key].data)
+        here = CellBatch(batch.kind, jobs, batch.isolated)
+        return [*results, *_run_batch(executor, here, paths)]
 
 
-def _of_other_versions(order: Order, jobs: Sequence[CellJob]) -> Iterator[Result]:
-    """Jobs whose solver, or dpbench, is another one here than where the campaign was planned."""
+def _run_batch(
+    executor: CellExecutor, batch: Batch, sources: Mapping[str, Path]
+) -> Sequence[Result]:
+    """Do one batch of runs on an executor and return their results."""
+    executor.submit(batch, sources)
+    ((_, results),) = executor.wait_for_batches()
+    return results
+
+
+def _lose_other_versions(jobs: Sequence[CellJob]) -> Iterator[Result]:
+    """Yield a "lost" result for each run whose solver has another version here than planned."""
     node = os.uname().nodename
     for job in jobs:
-        if order.harness_version != HARNESS_VERSION:
-            other = f"dpbench {HARNESS_VERSION} on {node}, {order.harness_version} of the campaign"
-            yield Result(job.run_id, Outcome("lost", other))
-            continue
         wanted = job.library.identity
         # A plug-in comes with the cells.
-        identity = wanted if job.cell.solver_module else _identity(job.cell.solver)
+        identity = wanted if job.cell.solver_module else _find_library_identity(job.cell.solver)
         if identity != wanted:
             where = f"{job.cell.solver} {identity or 'missing'} on {node}"
             cause = Outcome("lost", f"{where}, {wanted} where the campaign was started")
@@ -200,34 +181,37 @@ def _of_other_versions(order: Order, jobs: Sequence[CellJob]) -> Iterator[Result
 
 
 @cache
-def _identity(solver: str) -> str:
-    return available(solver).identity
+def _find_library_identity(solver: str) -> str:
+    """Return version and build of a solver's library on this worker."""
+    return check_availability(solver).identity
 
 
 @cache
-def _context(solvers: tuple[str, ...]) -> ForkServerContext:
-    """Looking after kernels that were not compiled takes longer than a short cell."""
-    return template_context(solvers)
+def _get_forkserver(solvers: tuple[str, ...]) -> ForkServerContext:
+    """Return the starter of this worker's processes, made once for each set of solvers."""
+    return start_forkserver(solvers)
 
 
 @contextmanager
-def _bench(order: Order, cores: list[int], concurrency: int = 1) -> Iterator[tuple[Bench, Path]]:
-    """A bench with one slot on these cores, and a folder for the files it runs from."""
+def _open_executor(
+    context: CampaignContext, cores: list[int], concurrency: int = 1
+) -> Iterator[tuple[CellExecutor, Path]]:
+    """Open an executor of runs, one at a time, on these cores, and its temporary folder."""
     with ExitStack() as stack:
         place = stack.enter_context(temporary_folder(Path(tempfile.gettempdir())))
         modules = {}
-        for i, (path, text) in enumerate(order.modules.items()):
+        for i, (path, text) in enumerate(context.modules.items()):
             modules[path] = str(place / str(i) / Path(path).name)
             Path(modules[path]).parent.mkdir()
             Path(modules[path]).write_text(text, encoding="utf-8")
-        bench = Bench(
-            _context(order.solvers),
+        executor = CellExecutor(
+            _get_forkserver(context.solvers),
             stack.enter_context(Scratch(place)),
             cores,
             1,
             Silent(),
-            about().machine["id"],
+            worker_info().machine["id"],
             modules=modules,
             concurrency=concurrency,
         )
-        yield bench, place
+        yield stack.enter_context(executor), place

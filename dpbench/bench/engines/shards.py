@@ -1,4 +1,4 @@
-"""Parts of a plan that can be run apart, by whatever starts commands on several machines."""
+"""Parts of a plan that run apart, on several machines."""
 
 from __future__ import annotations
 
@@ -7,18 +7,26 @@ import re
 from dataclasses import asdict, dataclass, field
 from heapq import heapify, heapreplace
 from pathlib import Path
-from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
-from dpbench.bench.engines.engine import by_source, interleaved
-from dpbench.bench.plan.asked import Asked
+from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell import HARNESS_VERSION
-from dpbench.bench.record.descriptions import MachineFile, validated
-from dpbench.bench.record.result_folder import read_json, write_json
-from dpbench.bench.record.revision import Revision, revision
-from dpbench.bench.sequences.source import is_timed
-from dpbench.bench.workers.executor import BATCH_CELLS, CellJob, configuration_key, work_of
+from dpbench.bench.record.machine import Revision, current_revision
+from dpbench.bench.record.result_folder import (
+    MachineDescription,
+    parse_document,
+    read_json,
+    write_json,
+)
+from dpbench.bench.workers.jobs import (
+    BATCH_CELLS,
+    CellJob,
+    configuration_key,
+    count_steps,
+    group_by_problem,
+    group_by_source,
+)
 from dpbench.errors import InputError
 
 SHARD_FILE = "shard.json"
@@ -31,7 +39,7 @@ MOST_SHARDS = 10_000
 
 @dataclass(frozen=True)
 class Shard:
-    """The part `index` of `count`, from 1; InputError for what is no part."""
+    """Part `index` (from 1) of the `count` parts into which a suite's runs are divided."""
 
     index: int
     count: int
@@ -45,8 +53,8 @@ class Shard:
         return f"{self.index}/{self.count}"
 
     @classmethod
-    def of_text(cls, text: str | None) -> Shard:
-        """Of "i/n"; the whole for None. InputError for what is no part."""
+    def from_text(cls, text: str | None) -> Shard:
+        """Return part i of n from a text "i/n", the whole for None; InputError for other texts."""
         if text is None:
             return WHOLE
         parts = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
@@ -54,28 +62,27 @@ class Shard:
             raise InputError("--shard", "", repr(text)[:80], "i/n, as 1/4, with i from 1 to n")
         return cls(*map(int, parts.groups()))
 
-    def of_jobs(self, jobs: list[CellJob]) -> list[CellJob]:
-        """The jobs of this part, in their order: the same wherever it is asked for.
+    def select_jobs(self, jobs: list[CellJob]) -> list[CellJob]:
+        """Return the runs of this part of a suite, in order; all parts have about equal work.
 
-        Parts are of about the same work. Each makes the sources of its own cells, so that cells of
-        one source stay together as far as that allows; replays of one sequence always do, which are
-        timed by turns.
+        Cells of one source stay together as far as possible, as each part makes its own sources;
+        replays of one sequence always do, as they are timed by turns.
         """
         if self == WHOLE:
             return jobs
-        share = sum(_work(job) for job in jobs) / self.count
+        share = _total_steps(jobs) / self.count
         bundles = []
-        for alike in by_source(jobs).values():
-            whole = sum(map(_work, alike)) <= share
-            bundles += [alike] if whole else _units(alike)
+        for alike in group_by_source(jobs).values():
+            whole = _total_steps(alike) <= share
+            bundles += [alike] if whole else _split_jobs(alike)
         # The largest first, each to whoever has least: a cell's own text settles who that is.
-        bundles.sort(key=lambda some: (-sum(map(_work, some)), some[0].cell.to_json()))
+        bundles.sort(key=lambda some: (-_total_steps(some), some[0].cell.to_json()))
         loads = [(0, part) for part in range(1, self.count + 1)]
         heapify(loads)
         mine: set[str] = set()
         for some in bundles:
             load, part = loads[0]
-            heapreplace(loads, (load + sum(map(_work, some)), part))
+            heapreplace(loads, (load + _total_steps(some), part))
             if part == self.index:
                 mine |= {job.run_id for job in some}
         return [job for job in jobs if job.run_id in mine]
@@ -84,18 +91,17 @@ class Shard:
 WHOLE = Shard(1, 1)
 
 
-def _work(job: CellJob) -> int:
-    """What it takes where it can run: who divides it knows not what the others have installed."""
-    return work_of(job.cell)
+def _total_steps(jobs: list[CellJob]) -> int:
+    """Return the number of solver steps that some runs take together."""
+    return sum(count_steps(job.cell) for job in jobs)
 
 
-def _units(jobs: list[CellJob]) -> list[list[CellJob]]:
-    """Jobs of one source in the smallest groups that stay together: replays of one sequence, and
-    batches of one configuration."""
-    units = interleaved([job for job in jobs if is_timed(job.cell)])
+def _split_jobs(jobs: list[CellJob]) -> list[list[CellJob]]:
+    """Split runs on one file of QPs into the smallest groups that must stay on one machine."""
+    units = group_by_problem([job for job in jobs if job.cell.is_timed])
     alike: dict[tuple[str, ...], list[CellJob]] = {}
     for job in jobs:
-        if not is_timed(job.cell):
+        if not job.cell.is_timed:
             alike.setdefault(configuration_key(job.cell), []).append(job)
     for some in alike.values():
         units += [some[i : i + BATCH_CELLS] for i in range(0, len(some), BATCH_CELLS)]
@@ -104,50 +110,38 @@ def _units(jobs: list[CellJob]) -> list[list[CellJob]]:
 
 @dataclass(frozen=True, eq=False)
 class ShardRecord:
-    """What a folder says of the shard in it.
+    """Content of `shard.json`: what was asked, which part of it ran, machine and version."""
 
-    Parameters
-    ----------
-    digest : of the whole plan; machine : the one it runs on; revision : of dpbench.
-    """
-
-    asked: Asked
+    asked: RunRequest
     shard: Shard
     digest: str
-    machine: dict[str, Any]
+    machine: MachineDescription
     harness_version: str = HARNESS_VERSION
-    revision: Revision = field(default_factory=revision)
+    revision: Revision = field(default_factory=current_revision)
 
     def write(self, folder: Path) -> None:
-        """Write it into a folder."""
+        """Write `shard.json` into a result folder."""
         write_json(folder / SHARD_FILE, json.loads(json.dumps(asdict(self))))
 
     @classmethod
     def read(cls, folder: Path) -> ShardRecord:
-        """That of a folder; InputError where it has none, or a damaged one."""
+        """Read `shard.json` of a result folder; InputError where it is missing or damaged."""
         path = folder / SHARD_FILE
         if not path.exists():
             found, allowed = f"{folder} without a shard", "a folder of `dpbench cells`"
             raise InputError("gather", "", found, allowed)
-        read = validated(read_json(path), _ShardFile, path)
-        validated({"machine": read.machine}, _WithMachine, path)
+        read = parse_document(read_json(path), _ShardFile, path)
         return cls(**{name: getattr(read, name) for name in _ShardFile.model_fields})
 
 
 class _ShardFile(BaseModel):
-    """`shard.json`."""
+    """Types of the keys of `shard.json`, for validation."""
 
     model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 
-    asked: Asked
+    asked: RunRequest
     shard: Shard
     digest: str
-    machine: dict[str, Any]
+    machine: MachineDescription
     harness_version: str
     revision: Revision
-
-
-class _WithMachine(BaseModel):
-    """That the machine in it is one, of which all that is said is kept."""
-
-    machine: MachineFile

@@ -1,1 +1,1 @@
-"""What the referee, the clock and the ship say of a run: rules, columns, rows."""
+"""Judgement of runs: rules of counting, columns of steps, rows of runs."""

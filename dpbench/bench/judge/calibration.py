@@ -1,7 +1,4 @@
-"""What the harness's own configurations say: the bar each is held to, and a quick run of all of
-them here."""
-
-from __future__ import annotations
+"""Tolerances of the harness's own configurations, and a quick run of all of them."""
 
 import gc
 import os
@@ -11,50 +8,48 @@ import numpy as np
 
 from dpbench.bench.judge.rules import WARM_UP, disturbed_rounds
 from dpbench.bench.record.disturbance import Disturbance, disturbance_metrics
-from dpbench.bench.record.raw_log import RawLog, step_ns
+from dpbench.bench.record.raw_log import RawLog, sum_step_ns
 from dpbench.bench.run.assemble import NO_LIMIT_NS, clock, replay_parts
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.solvers.calibration import CALIBRATION, NO_OP, WAITS_NS, open_calibration
 
 BAR_NS, BAR_SHARE = 1000.0, 0.01
-"""A known wait is measured within the one or the other; doing nothing takes at most the first."""
+"""A known wait is measured within either of them; doing nothing takes at most the first."""
 _SIZE, _STEPS, _ROUNDS = 15, 200, 5
-"""A quick run: the size of the paper's QP, a second and a half of waiting."""
+"""Size of the paper's QP; together a second and a half of waiting."""
 
 
-def off_by_ns(configuration: str, p50_ns: float) -> float:
-    """What a configuration was measured to take beyond what it waits [ns]."""
+def excess_over_wait_ns(configuration: str, p50_ns: float) -> float:
+    """Return by how much a measured median exceeds the known wait of a dummy solver [ns]."""
     return p50_ns - WAITS_NS.get(configuration, 0)
 
 
-def within_bar(configuration: str, p50_ns: float) -> bool | None:
-    """Whether the measured median is what is known of the configuration; None where nothing is
-    known."""
+def is_within_tolerance(configuration: str, p50_ns: float) -> bool | None:
+    """Return whether a dummy solver's measured median is right; None if its time is not known."""
     if configuration not in WAITS_NS and configuration != NO_OP:
         return None
-    return abs(off_by_ns(configuration, p50_ns)) <= max(
+    return abs(excess_over_wait_ns(configuration, p50_ns)) <= max(
         BAR_NS, BAR_SHARE * WAITS_NS.get(configuration, 0)
     )
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Medians of all samples by configuration [ns], and what disturbed the machine meanwhile."""
+    """Median step times of dummy solvers of known duration [ns], and the machine's disturbance."""
 
     p50_ns: dict[str, float]
     disturbance: Disturbance
 
 
 def calibrate() -> Calibration:
-    """Replay made-up QPs through every configuration in this process, pinned to its last core
-    meanwhile."""
+    """Time made-up QPs with every dummy solver of known duration, on this process's last core."""
     allowed = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {max(allowed)})
     collecting = gc.isenabled()
     gc.disable()
     try:
-        runs = {name: _replayed(name) for name in CALIBRATION}
+        runs = {name: _replay_configuration(name) for name in CALIBRATION}
     finally:
         os.sched_setaffinity(0, allowed)
         if collecting:
@@ -63,26 +58,27 @@ def calibrate() -> Calibration:
     return Calibration(medians, Disturbance.total([part for _, part in runs.values()]))
 
 
-def _made_up() -> QPSequence:
-    """QPs nobody solves; their numbers do not matter."""
+def _build_sequence() -> QPSequence:
+    """Return a sequence of made-up QPs to time dummy solvers with, which do not solve them."""
     eye, zero = np.eye(_SIZE), np.zeros(_SIZE)
     base = QuadraticProgram(eye, zero, eye, zero - 1, zero + 1, zero - 1, zero + 1)
     many = np.zeros((_STEPS, _SIZE))
     return QPSequence("made up", base, many, many - 1, many + 1)
 
 
-def _replayed(name: str) -> tuple[float, Disturbance]:
+def _replay_configuration(name: str) -> tuple[float, Disturbance]:
+    """Replay made-up QPs with a dummy solver; return its median step time [ns] and disturbance."""
     steps, timed_solver, log = replay_parts(
-        _made_up(), open_calibration(name), "condensed_box", _ROUNDS, RawLog.in_memory
+        _build_sequence(), open_calibration(name), "condensed_box", _ROUNDS, RawLog.in_memory
     )
     replaying = ReplayRun(
         steps, timed_solver, log, warmup_steps=_STEPS, limit_ns=NO_LIMIT_NS, clock=clock
     )
-    replaying.rounds()
+    replaying.run_all_rounds()
     rounds = np.arange(_ROUNDS + 1, dtype=np.int32)
     slowed = disturbed_rounds(rounds, log.reference_kernel_ns) != WARM_UP
     seen = disturbance_metrics(log)
-    return float(np.median(step_ns(log.times[1:]))), Disturbance(
+    return float(np.median(sum_step_ns(log.times[1:]))), Disturbance(
         rounds=_ROUNDS,
         disturbed=float(slowed.sum()),
         rerun=0.0,

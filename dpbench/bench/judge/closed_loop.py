@@ -1,10 +1,8 @@
-"""Judge the raw log of a cell: the referee's columns, after the clock has stopped.
+"""Evaluation of the raw log of a cell, after the clock has stopped.
 
-Every step is judged against the certified optimum of the *same* QP in scaled units, rebuilt from
-the recorded θ; the residuals are given in the solver's own units too.
+Every step is compared with the certified optimum of the *same* QP in scaled units, rebuilt from the
+recorded θ; residuals are given in the solver's own units too.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,34 +12,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Floats, Matrix, Vector
-from dpbench.bench.judge.control_metrics import control_metrics
+from dpbench.bench.judge.control_metrics import (
+    axis_limit_metrics,
+    control_metrics,
+    joint_limit_metrics,
+)
 from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.raw_log import COUNTERS, TIMES, AnswerLog, RawLog
-from dpbench.bench.record.step_table import times_of
-from dpbench.bench.run.assemble import as_run
+from dpbench.bench.record.raw_log import COUNTERS, PHASES, AnswerLog, RawLog
+from dpbench.bench.run.assemble import with_cell_formulation
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
-from dpbench.qp.referee.referee import (
-    ACTIVE_MULTIPLIER,
-    Optimum,
-    Referee,
-    claim_is_true,
-    errors_of,
-    referee_of,
-)
-from dpbench.qp.residuals import TRUE_TOL, are_true, best_multipliers, residuals_of_all
+from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
+from dpbench.qp.referee.referee import Referee, claim_is_true, get_shared_referee, measure_errors
+from dpbench.qp.residuals import TRUE_TOL, are_true, compute_residuals_of_many, fit_multipliers
 from dpbench.qp.solution import Solution, Status
-from dpbench.scenario.scenario import Scenario, scenario_once
+from dpbench.scenario.controllers.controller import MetricGroup
+from dpbench.scenario.scenario import Scenario, cached_scenario
 
 Columns = dict[str, NDArray[Any]]
 """Arrays of several types over the recorded rows of a cell."""
-OF_SECOND = "allocation_"
-"""Before the names of columns that belong to the second QPs of a cascade."""
-OF_BACKUP = "backup_"
-"""Before the names of columns that belong to the backup."""
-Rebuilt = Callable[[int], tuple[QPStep, QPStep]]
+SECOND_QP_PREFIX = "allocation_"
+"""Prefix of columns of a cascade's second QPs."""
+BACKUP_PREFIX = "backup_"
+"""Prefix of columns of the backup."""
+RebuildStep = Callable[[int], tuple[QPStep, QPStep]]
 """The QP of a step in scaled units and in those the solver was given."""
 EVALUATION = (
     "primal",
@@ -58,22 +54,43 @@ EVALUATION = (
     "true_1e4",
     "true_1e6",
 )
-AT_ONCE = 128
-"""Answers that are judged at once, at most: some megabytes of them where n is 500."""
+BATCH_SIZE = 128
+"""Most answers that are evaluated together: some megabytes where n is 500."""
 CERTIFICATES = ("linear", "gap", "rational", "infeasible", "none", "undecided")
-_SOLVE = TIMES.index("solve")
+_SOLVE = PHASES.index("solve")
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluated:
-    """Columns of a judged cell: arrays over its recorded rows, and the metrics of the run."""
+class AppliedForces:
+    """Scenario, QPs, step columns and thruster forces (K, n_f), for control metrics of a run."""
+
+    scenario: Scenario
+    builder: QPBuilder
+    columns: Columns
+    thrust: Matrix
+
+
+METRICS: dict[MetricGroup, Callable[[AppliedForces], dict[str, float]]] = {
+    "axis_limits": lambda of: axis_limit_metrics(of.scenario, of.columns["tau"], of.builder.limits),
+    "joint_limits": lambda of: joint_limit_metrics(
+        of.scenario, of.columns["tau"], of.builder.limits
+    ),
+    "thrusters": lambda of: thruster_metrics(of.scenario, of.thrust, of.builder.thruster_limits),
+    "delivery": lambda of: {"undelivered_share": float(of.columns["undelivered_share"].max())},
+}
+"""Metrics of each group that a controller may name."""
+
+
+@dataclass(frozen=True, eq=False)
+class EvaluatedCell:
+    """Evaluated steps of one run as columns, and the metrics of the run."""
 
     columns: Columns
     metrics: dict[str, float]
 
 
 class StepEvaluator:
-    """Judges answers to the QPs of one base problem, many at once.
+    """Evaluator of a solver's answers against certified optima, many steps at once.
 
     Parameters
     ----------
@@ -88,46 +105,46 @@ class StepEvaluator:
         self._waiting: list[tuple[QPStep, QPStep, Solution, Optimum]] = []
         self._evaluated: list[Matrix] = []
 
-    def follow(self, step: QPStep, own: QPStep) -> None:
-        """Take over the matrices of a step where it brings other ones; they hold from now on."""
+    def switch_matrices(self, step: QPStep, own: QPStep) -> None:
+        """Switch to the QP matrices of a step where it has new ones."""
         if self._scaled.changed_by(step):
-            self._evaluate()
+            self._evaluate_queue()
             self._scaled, self._own = self._scaled.at(step), self._own.at(own)
             self._referee = None
 
     def certify(self, step: QPStep) -> Optimum:
-        """The certified optimum of a step in scaled units."""
+        """Return the certified optimum of a step's QP, in scaled units."""
         if self._referee is None:
             qp = self._scaled
-            self._referee = referee_of(qp.P, qp.A, qp.lb, qp.ub)
+            self._referee = get_shared_referee(qp.P, qp.A, qp.lb, qp.ub)
         return self._referee.certify(step.q, step.l, step.u)
 
-    def add(self, scaled: QPStep, own: QPStep, answer: Solution, optimum: Optimum) -> None:
-        """Judge an answer, in the solver's own units, to the QP of a step that was followed."""
+    def add_answer(self, scaled: QPStep, own: QPStep, answer: Solution, optimum: Optimum) -> None:
+        """Queue an answer, in the solver's own units, for evaluation against its optimum."""
         self._waiting.append((scaled, own, answer, optimum))
-        if len(self._waiting) >= AT_ONCE:
-            self._evaluate()
+        if len(self._waiting) >= BATCH_SIZE:
+            self._evaluate_queue()
 
     def evaluations(self) -> Matrix:
-        """The numbers of `EVALUATION` for each answer that was added, in their order (K, …)."""
-        self._evaluate()
+        """Return the errors and residuals (K, len(EVALUATION)) of all queued answers, in order."""
+        self._evaluate_queue()
         return np.concatenate([np.empty((0, len(EVALUATION))), *self._evaluated])
 
-    def _evaluate(self) -> None:
-        """Judge what waits: answers to QPs of the same matrices."""
+    def _evaluate_queue(self) -> None:
+        """Compute residuals, errors and correctness of all queued answers, of equal matrices."""
         if not self._waiting:
             return
         scaled, own, answers, optima = zip(*self._waiting, strict=True)
         self._waiting = []
-        z, y, y_box = (_stacked(answers, part) for part in ("z", "y", "y_box"))
-        self._explain(own, z, y, y_box)
-        in_own = residuals_of_all(self._own, *_vectors(own), z, y, y_box)
-        q, l, u = _vectors(scaled)  # noqa: E741 - l ≤ Az ≤ u, the name of the field
+        z, y, y_box = (_stack_attribute(answers, part) for part in ("z", "y", "y_box"))
+        self._add_multipliers(own, z, y, y_box)
+        in_own = compute_residuals_of_many(self._own, *_step_vectors(own), z, y, y_box)
+        q, l, u = _step_vectors(scaled)  # noqa: E741 - l ≤ Az ≤ u, the name of the field
         in_scaled, qp = in_own, self._scaled
         if not self._same:
             z, y, y_box = z / self._units.z, y * self._units.row, y_box * self._units.z
-            in_scaled = residuals_of_all(qp, q, l, u, z, y, y_box)
-        move, plan = errors_of(z, optima, qp.block, qp.moves)
+            in_scaled = compute_residuals_of_many(qp, q, l, u, z, y, y_box)
+        move, plan = measure_errors(z, optima, qp.block, qp.moves)
         levels = [are_true(q, in_scaled, plan, tol) for tol in (TRUE_TOL, 1e-4, 1e-6)]
         for i, answer in enumerate(answers):
             if answer.status.denies_optimum:
@@ -137,82 +154,84 @@ class StepEvaluator:
                     level[i] = is_so
         of_scaled = in_scaled.primal, in_scaled.dual, in_scaled.complementarity, in_scaled.gap
         errors = in_own.primal, in_own.dual, move, plan
-        self._evaluated.append(np.column_stack((*of_scaled, *errors, *_facts(optima), *levels)))
+        self._evaluated.append(
+            np.column_stack((*of_scaled, *errors, *_optimum_figures(optima), *levels))
+        )
 
-    def _explain(self, steps: Sequence[QPStep], z: Matrix, y: Matrix, y_box: Matrix) -> None:
-        """Give the best multipliers the referee finds to answers whose solver gave none."""
+    def _add_multipliers(
+        self, steps: Sequence[QPStep], z: Matrix, y: Matrix, y_box: Matrix
+    ) -> None:
+        """Fill in best-fitting Lagrange multipliers, in place, where a solver returned none."""
         without = np.isnan(y).any(axis=1) & np.isfinite(z).all(axis=1)
         for i in np.flatnonzero(without).tolist():
-            y[i], y_box[i] = best_multipliers(self._own.at(steps[i]), z[i], 1e-6)
+            y[i], y_box[i] = fit_multipliers(self._own.at(steps[i]), z[i], 1e-6)
 
 
-def _stacked(parts: Sequence[object], name: str) -> Matrix:
-    """One array of theirs as rows."""
+def _stack_attribute(parts: Sequence[object], name: str) -> Matrix:
+    """Stack one array attribute of several objects as the rows of a matrix."""
     return np.array([getattr(part, name) for part in parts])
 
 
-def _vectors(steps: Sequence[QPStep]) -> tuple[Matrix, Matrix, Matrix]:
-    """q (K, n), l, u (K, m) of K steps."""
-    return _stacked(steps, "q"), _stacked(steps, "l"), _stacked(steps, "u")
+def _step_vectors(steps: Sequence[QPStep]) -> tuple[Matrix, Matrix, Matrix]:
+    """Return the QP vectors q (K, n), l (K, m) and u (K, m) of K steps."""
+    return _stack_attribute(steps, "q"), _stack_attribute(steps, "l"), _stack_attribute(steps, "u")
 
 
-def _facts(optima: Sequence[Optimum]) -> tuple[Vector, Vector]:
-    """The bound of each optimum, and how many limits are active at it: (K,) each."""
+def _optimum_figures(optima: Sequence[Optimum]) -> tuple[Vector, Vector]:
+    """Return the error bound (K,) and the number of active limits (K,) of each optimum."""
     bound = np.array([optimum.bound for optimum in optima])
-    multipliers = np.concatenate((_stacked(optima, "y"), _stacked(optima, "y_box")), axis=1)
+    multipliers = np.concatenate(
+        (_stack_attribute(optima, "y"), _stack_attribute(optima, "y_box")), axis=1
+    )
     return bound, (np.abs(multipliers) > ACTIVE_MULTIPLIER).sum(axis=1).astype(np.float64)
 
 
 def recorded_answer(log: AnswerLog, r: int, k: int) -> Solution:
-    """The answer in row (r, k) of a log, in the solver's own units."""
+    """Return a solver's answer of round r, step k from a raw log, in the solver's own units."""
     return Solution(Status(int(log.status[r, k])), log.z[r, k], log.y[r, k], log.y_box[r, k])
 
 
-def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> Evaluated:
-    """The judged columns and metrics of a closed loop."""
-    scenario = as_run(cell, scenario_once(cell.scenario).first(cell.steps))
+def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCell:
+    """Evaluate a closed loop's raw log; return its step columns and control metrics."""
+    scenario = with_cell_formulation(cell, cached_scenario(cell.scenario).first(cell.steps))
     scaled = QPBuilder(scenario)
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
     done = int(log.done[0])
-    columns, matrix_steps = _controller(scaled, own, log)
+    # On a slow computer a step may pass without a computation: it has no answer to evaluate.
+    asked = log.times[0, :done, _SOLVE] >= 0
+    columns, matrix_steps = _evaluate_steps(
+        log, *_rebuild_controller_steps(scaled, own, log), asked
+    )
     columns |= {
-        "t_s": times_of(columns["k"], 0, 1, scenario.sample_s),
+        "asked": asked,
+        "t_s": columns["k"] * scenario.sample_s,
         "latency_ns": log.latency_ns[:done].copy(),
         "fallback": log.flags[:done, 0].astype(bool),
         "unconverged": log.flags[:done, 1].astype(bool),
         "clipped": log.flags[:done, 2].astype(bool),
         "state": log.state[: done + 1].copy(),
         "tau": log.tau[:done].copy(),
-        "command": scenario.forces(log.command[:done]).copy(),
+        "command": scenario.controller.force(log.command[:done]).copy(),
     }
     if not done:
-        return Evaluated(columns, {})
+        return EvaluatedCell(columns, {})
     thrust = log.thrust[:done]
-    columns |= shares_of_full(scenario, thrust) | _allocation(scenario, scaled, own, log)
-    columns |= _backup(cell, scenario, log)
-    limits, state = (scaled.u_min, scaled.u_max), columns["state"]
-    run = columns["tau"] if scenario.steered is None else thrust
-    metrics = control_metrics(scenario, state, run, scaled.reference, limits, exact)
-    if scenario.allocation is not None:
-        limits = scaled.f_min, scaled.f_max
-        metrics["undelivered_share"] = float(columns["undelivered_share"].max())
-    metrics |= thruster_metrics(scenario, thrust, limits)
+    columns |= shares_of_full(scenario, thrust) | _allocation_columns(scenario, scaled, own, log)
+    columns |= _backup_columns(cell, scenario, log)
+    applied = scenario.controller.select_applied(columns["tau"], thrust)
+    metrics = control_metrics(scenario, columns["state"], applied, scaled.reference, exact)
+    for group in scenario.controller.metric_groups:
+        metrics |= METRICS[group](AppliedForces(scenario, scaled, columns, thrust))
     metrics |= {"sample_s": scenario.sample_s, "first_sample": 0.0, "every_sample": 1.0}
     metrics["matrix_steps"] = float(matrix_steps)
     metrics |= dict(zip(COUNTERS, log.counters[0].tolist(), strict=True))
-    return Evaluated(columns, metrics)
+    return EvaluatedCell(columns, metrics)
 
 
-def _controller(scaled: QPBuilder, own: QPBuilder, log: RawLog) -> tuple[Columns, int]:
-    """The columns of a controller's QPs, and how many steps brought matrices of their own."""
-    # On a slow computer a step may pass without a computation: it has no answer to evaluate.
-    asked = log.times[0, : int(log.done[0]), _SOLVE] >= 0
-    columns, matrix_steps = _evaluate_steps(log, *_rebuilt(scaled, own, log), asked)
-    return columns | {"asked": asked}, matrix_steps
-
-
-def _rebuilt(scaled: QPBuilder, own: QPBuilder, log: RawLog) -> tuple[StepEvaluator, Rebuilt]:
-    """An evaluator of answers to a controller's QPs, and the QPs from the recorded θ."""
+def _rebuild_controller_steps(
+    scaled: QPBuilder, own: QPBuilder, log: RawLog
+) -> tuple[StepEvaluator, RebuildStep]:
+    """Return an evaluator of a controller's QPs, and a function that rebuilds each step's QP."""
     base = base_problem(scaled.condensed)
     own_base = base if own is scaled else base_problem(own.condensed)
 
@@ -223,10 +242,11 @@ def _rebuilt(scaled: QPBuilder, own: QPBuilder, log: RawLog) -> tuple[StepEvalua
     return StepEvaluator(base, own_base, own.condensed.scale), rebuilt
 
 
-def _allocation(scenario: Scenario, scaled: QPBuilder, own: QPBuilder, log: RawLog) -> Columns:
-    """The columns of a cascade: how much of the demand is not delivered, and those of its second
-    QPs, `OF_SECOND` before their names."""
-    if scenario.allocation is None:
+def _allocation_columns(
+    scenario: Scenario, scaled: QPBuilder, own: QPBuilder, log: RawLog
+) -> Columns:
+    """Return, of a loop with thrust allocation, the undelivered force and allocation columns."""
+    if not scenario.controller.allocates:
         return {}
     done, ship = int(log.done[0]), scenario.vessel
     missing = np.abs(log.demand[:done] - log.tau[:done])
@@ -240,17 +260,16 @@ def _allocation(scenario: Scenario, scaled: QPBuilder, own: QPBuilder, log: RawL
 
     def rebuilt(k: int) -> tuple[QPStep, QPStep]:
         recorded = k, log.demand, log.thrust
-        step = scaled.allocate_again(*recorded)
-        return step, step if own is scaled else own.allocate_again(*recorded)
+        step = scaled.rebuild_allocation(*recorded)
+        return step, step if own is scaled else own.rebuild_allocation(*recorded)
 
     evaluator = StepEvaluator(base, own_base, second_own.scale)
     evaluated, _ = _evaluate_steps(answers, evaluator, rebuilt, np.ones(done, dtype=np.bool_))
-    return columns | {f"{OF_SECOND}{name}": column for name, column in evaluated.items()}
+    return columns | {f"{SECOND_QP_PREFIX}{name}": column for name, column in evaluated.items()}
 
 
-def _backup(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
-    """The columns of a backup, `OF_BACKUP` before their names: those of its answers, in steps in
-    which it was asked, whether it acted, and when it was ready; none without a backup."""
+def _backup_columns(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
+    """Return the backup solver's step columns: its answers, whether and when they were applied."""
     answers = log.backup
     if answers is None:
         return {}
@@ -259,29 +278,24 @@ def _backup(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
     done = int(log.done[0])
     asked = answers.times[0, :done, _SOLVE] >= 0
-    evaluated, _ = _evaluate_steps(answers, *_rebuilt(scaled, own, log), asked)
+    evaluated, _ = _evaluate_steps(answers, *_rebuild_controller_steps(scaled, own, log), asked)
     acted, ready_ns = answers.acted[:done].astype(bool), answers.ready_ns[:done].copy()
     facts = evaluated | {"asked": asked, "acted": acted, "ready_ns": ready_ns}
-    return {f"{OF_BACKUP}{name}": column for name, column in facts.items()}
+    return {f"{BACKUP_PREFIX}{name}": column for name, column in facts.items()}
 
 
 def _evaluate_steps(
-    answers: AnswerLog, evaluator: StepEvaluator, rebuilt: Rebuilt, asked: Flags
+    answers: AnswerLog, evaluator: StepEvaluator, rebuilt: RebuildStep, asked: Flags
 ) -> tuple[Columns, int]:
-    """The columns of the steps of a loop, those `asked` (K,) with their answers judged.
-
-    Returns
-    -------
-    The columns, and how many steps brought matrices of their own.
-    """
+    """Evaluate a solver's answers in the `asked` steps (K,); count steps with new matrices."""
     evaluations = np.full((len(asked), len(EVALUATION)), np.nan)
     certificates = np.full(len(asked), CERTIFICATES.index("none"), dtype=np.int8)
     matrix_steps = 0
     for k in np.flatnonzero(asked).tolist():
         step, step_own = rebuilt(k)
-        evaluator.follow(step, step_own)
+        evaluator.switch_matrices(step, step_own)
         optimum = evaluator.certify(step)
-        evaluator.add(step, step_own, recorded_answer(answers, 0, k), optimum)
+        evaluator.add_answer(step, step_own, recorded_answer(answers, 0, k), optimum)
         certificates[k] = CERTIFICATES.index(optimum.kind)
         matrix_steps += Refresh.MATRICES in step.refresh
     evaluations[asked] = evaluator.evaluations()
@@ -295,8 +309,7 @@ def common_columns(
     evaluations: Floats,
     certificates: NDArray[np.int8],
 ) -> Columns:
-    """The columns of both modes: `counts` recorded steps of each of `rounds`, and their
-    evaluations."""
+    """Return times, status, iterations and errors of the recorded steps of `rounds`, as columns."""
 
     def rows(array: NDArray[Any]) -> NDArray[Any]:
         parts = [array[r, :count] for r, count in zip(rounds, counts, strict=True)]

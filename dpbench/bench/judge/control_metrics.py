@@ -1,46 +1,41 @@
 """Closed-loop metrics of one run (method.md section 3), from arrays alone."""
 
-from __future__ import annotations
+from collections.abc import Sequence
 
 import numpy as np
 
 from dpbench.arrays import Flags, Floats, Matrix, Vector
 from dpbench.bench.record.schema import FORCES, POSE_AXES
 from dpbench.bench.run.exact_loop import ExactLoop
+from dpbench.mpc.thruster_rows import Limits
+from dpbench.scenario.controllers.controller import stack_limits
 from dpbench.scenario.scenario import Scenario
-from dpbench.ship.layout import AXES, POSE, VELOCITY
+from dpbench.ship.layout import POSE, VELOCITY
 
 AT_LIMIT = 1e-6
-"""In units of the limit's own step: closer than this counts as being at the limit."""
+"""Share of the limit's own step within which a force is at the limit."""
 
 
 def control_metrics(
-    scenario: Scenario,
-    state: Matrix,
-    u: Matrix,
-    reference: Matrix,
-    limits: tuple[Matrix, Matrix],
-    exact: ExactLoop,
+    scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix, exact: ExactLoop
 ) -> dict[str, float]:
-    """Metrics of a run of K steps.
+    """Return pose error, settling, effort and cost metrics of a closed loop of K steps.
 
     Parameters
     ----------
-    state : (K + 1, 6) [u, v, r, n, e, ψ] at the sample times; u : (K, n_u) what was applied, force
-        or forces of thrusters.
-    reference : at least (K + 1, 3) [n, e, ψ] at the sample times; limits : those of u in force in
-        each sample, at least (K, r).
+    state : (K + 1, 6) [u, v, r, n, e, ψ] at the samples; u : (K, n_u) force or thruster forces.
+    reference : at least (K + 1, 3) [n, e, ψ] at the sample times.
     exact : the exactly solved loop, at least as long.
     """
-    K, tau = len(u), scenario.forces(u)
+    K, controller = len(u), scenario.controller
+    tau = controller.force(u)
+    exact_u = controller.select_applied(exact.tau, exact.thrust)[:K]
     dt = scenario.sample_s
     error = state[:K, POSE] - reference[:K]
     north, east, turn = error.T
     radius = np.hypot(north, east)
     heading = np.degrees(np.abs(turn))
     t = np.arange(K, dtype=np.float64) * dt
-    before = np.vstack([np.zeros(AXES), tau[:-1]])
-    change = tau - before
     metrics = {
         "r_rms_m": _rms(radius),
         "r_95_m": float(np.quantile(radius, 0.95)),
@@ -48,32 +43,29 @@ def control_metrics(
         "r_tail_max_m": float(radius[K // 2 :].max()),
         "heading_rms_deg": _rms(heading),
         "heading_max_deg": float(heading.max()),
-        "settle_s": _settling(t, (radius <= 1.0) & (heading <= 1.0), dt, hold_s=30.0),
-        "settle_0p1m_s": _settling(t, radius <= 0.1, dt, hold_s=None),
+        "settle_s": _settling_time(t, (radius <= 1.0) & (heading <= 1.0), dt, hold_s=30.0),
+        "settle_0p1m_s": _settling_time(t, radius <= 0.1, dt, hold_s=None),
         "share_1m": float(np.mean(radius <= 1.0)),
         "pose_error": float(np.mean(radius + 0.75**radius * np.abs(turn))),
-        "closed_loop_cost": _cost(scenario, state[: K + 1], u, reference),
-        "exact_cost": _cost(
-            scenario, exact.state[: K + 1], _applied(scenario, exact)[:K], reference
-        ),
+        "closed_loop_cost": _quadratic_cost(scenario, state[: K + 1], u, reference),
+        "exact_cost": _quadratic_cost(scenario, exact.state[: K + 1], exact_u, reference),
     }
     return (
         metrics
         | _watch_shares(radius, heading)
-        | _of_axes(t, error, dt)
-        | _effort(scenario, state[:K, VELOCITY], tau, change)
-        | ({} if scenario.commanded else _limit_shares(scenario, tau, before, limits))
-        | _deviation(state[:K], tau, exact)
+        | _axis_metrics(t, error, dt)
+        | _effort_metrics(scenario, state[:K, VELOCITY], tau)
+        | _deviation_metrics(state[:K], tau, exact)
     )
 
 
-def _applied(scenario: Scenario, exact: ExactLoop) -> Matrix:
-    """What the exactly solved loop applied: forces of thrusters where they are steered."""
-    return exact.tau if scenario.steered is None else exact.thrust
+def previous_forces(forces: Matrix) -> Matrix:
+    """Return the force before each of K forces (K, n); zero before the first."""
+    return np.vstack([np.zeros(forces.shape[1]), forces[:-1]])
 
 
 def _watch_shares(radius: Vector, heading: Vector) -> dict[str, float]:
-    """Shares of the run in the green, yellow and red zones of a watch circle."""
+    """Return the shares of time in the green, yellow and red zone of a watch circle."""
     green = (radius <= 3.0) & (heading <= 3.0)
     red = (radius > 5.0) | (heading > 5.0)
     return {
@@ -83,8 +75,8 @@ def _watch_shares(radius: Vector, heading: Vector) -> dict[str, float]:
     }
 
 
-def _of_axes(t: Vector, error: Matrix, dt: float) -> dict[str, float]:
-    """Integrals of the error of each axis, and its overshoot."""
+def _axis_metrics(t: Vector, error: Matrix, dt: float) -> dict[str, float]:
+    """Return IAE, ISE, ITAE and overshoot of the pose error on each axis."""
     metrics = {}
     for i, axis in enumerate(POSE_AXES):
         size = np.abs(error[:, i])
@@ -96,11 +88,12 @@ def _of_axes(t: Vector, error: Matrix, dt: float) -> dict[str, float]:
 
 
 def _rms(values: Floats) -> float:
+    """Return the root mean square of some values."""
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _settling(t: Vector, inside: Flags, dt: float, hold_s: float | None) -> float:
-    """First time from which `inside` holds for hold_s (None: to the end); inf if it never does."""
+def _settling_time(t: Vector, inside: Flags, dt: float, hold_s: float | None) -> float:
+    """Return the first time [s] after which `inside` stays true for `hold_s` (None: to the end)."""
     if hold_s is None:
         outside = np.flatnonzero(~inside)
         first = int(outside[-1]) + 1 if len(outside) else 0
@@ -113,27 +106,27 @@ def _settling(t: Vector, inside: Flags, dt: float, hold_s: float | None) -> floa
 
 
 def _overshoot(error: Vector) -> float:
-    """Furthest excursion to the other side of the reference than the start's.
-
-    From a start in the reference there is no other side, and the measure is NaN.
-    """
+    """Return the overshoot: the largest error of opposite sign to the first; NaN if that is 0."""
     if error[0] == 0.0:
         return np.nan
     return float(max(0.0, np.max(-np.sign(error[0]) * error)))
 
 
-def _cost(scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix) -> float:
-    """½ Σ eᵀQe + ½ Σ ΔuᵀRΔu, and ½ Σ uᵀWu of thrusters, over the K steps of u."""
+def _quadratic_cost(scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix) -> float:
+    """Return the quadratic control cost of K steps: pose error, input change, thruster input."""
     error = state[1:, POSE] - reference[1 : len(state)]
     change = np.diff(u, axis=0, prepend=np.zeros((1, u.shape[1])))
-    cost = np.einsum("ki,ij,kj->", error, scenario.Q, error)
-    cost += np.einsum("ki,ij,kj->", change, scenario.R, change)
-    if scenario.steered is not None:
-        cost += np.einsum("ki,ij,kj->", u, scenario.steered.W, u)
+    problem = scenario.problem
+    cost = np.einsum("ki,ij,kj->", error, problem.Q, error)
+    cost += np.einsum("ki,ij,kj->", change, problem.R, change)
+    if problem.W is not None:
+        cost += np.einsum("ki,ij,kj->", u, problem.W, u)
     return 0.5 * float(cost)
 
 
-def _effort(scenario: Scenario, nu: Matrix, tau: Matrix, change: Matrix) -> dict[str, float]:
+def _effort_metrics(scenario: Scenario, nu: Matrix, tau: Matrix) -> dict[str, float]:
+    """Return thrust effort [s], total variation and work [J] of the applied forces."""
+    change = tau - previous_forces(tau)
     largest = np.maximum(scenario.vessel.tau_max, -scenario.vessel.tau_min)
     power = np.abs(np.einsum("ki,ki->k", tau, nu))
     return {
@@ -143,55 +136,8 @@ def _effort(scenario: Scenario, nu: Matrix, tau: Matrix, change: Matrix) -> dict
     }
 
 
-def _limit_shares(
-    scenario: Scenario, tau: Matrix, u_before: Matrix, limits: tuple[Matrix, Matrix]
-) -> dict[str, float]:
-    ship, du_max, change = scenario.vessel, scenario.du_max, tau - u_before
-    low, high = (limit[: len(tau)] for limit in limits)
-    near = AT_LIMIT * du_max
-    # Beyond one unit in the last place of the force itself a difference is no rounding.
-    rounding = 4 * np.spacing(np.maximum(ship.tau_max, -ship.tau_min))
-    too_fast = (np.abs(change) > du_max + rounding).any(axis=1)
-    at_rate = np.abs(change) >= du_max - near
-    shares = {f"at_rate_{force}": float(at_rate[:, i].mean()) for i, force in enumerate(FORCES)}
-    if scenario.attainable is not None:
-        return shares | _set_shares(scenario, tau, u_before, (low, high), too_fast)
-    at_amplitude = (tau >= high - near) | (tau <= low + near)
-    # What the rate leaves of a limit that has just dropped is no violation.
-    above = tau > np.maximum(high, u_before - du_max)
-    below = tau < np.minimum(low, u_before + du_max)
-    shares["limit_violations"] = float(((above | below).any(axis=1) | too_fast).sum())
-    for i, force in enumerate(FORCES):
-        shares[f"at_amplitude_{force}"] = float(at_amplitude[:, i].mean())
-    return shares
-
-
-def _set_shares(
-    scenario: Scenario,
-    tau: Matrix,
-    u_before: Matrix,
-    limits: tuple[Matrix, Matrix],
-    too_fast: Flags,
-) -> dict[str, float]:
-    """The same of a force that is limited as a whole, by what its thrusters give together."""
-    problem = scenario.control_problem()
-    near = AT_LIMIT * problem.row_max
-    (low, high), along, before = limits, tau @ problem.G.T, u_before @ problem.G.T
-    at_limit = ((along >= high - near) | (along <= low + near)).any(axis=1)
-    # Outside a set that has shrunk the force must come nearer: a smaller share of the whole set.
-    outside = ((along > high + near) | (along < low - near)).any(axis=1)
-    share, share_before = (
-        np.maximum(rows / problem.u_max, rows / problem.u_min).max(axis=1)
-        for rows in (along, before)
-    )
-    violated = (outside & (share > share_before + 1e-9)) | too_fast
-    return {
-        "limit_violations": float(violated.sum()),
-        "at_limit_thrusters": float(at_limit.mean()),
-    }
-
-
-def _deviation(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str, float]:
+def _deviation_metrics(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str, float]:
+    """Return the largest and RMS deviation of pose and force from the exactly solved loop."""
     K = len(tau)
     north, east, turn = (state - exact.state[:K])[:, POSE].T
     position = np.hypot(north, east)
@@ -205,3 +151,66 @@ def _deviation(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str, float]
         "dev_force_max_N": float(force.max()),
         "dev_force_rms_N": _rms(force),
     }
+
+
+def axis_limit_metrics(
+    scenario: Scenario, tau: Matrix, limits: Sequence[Limits]
+) -> dict[str, float]:
+    """Return the shares of steps at each axis's limits, and the number of violations.
+
+    Parameters
+    ----------
+    tau : (K, 3) applied forces; limits : of at least K samples.
+    """
+    du_max, before = scenario.problem.du_max, previous_forces(tau)
+    low, high = stack_limits(limits[: len(tau)])
+    near = AT_LIMIT * du_max
+    at_amplitude = (tau >= high - near) | (tau <= low + near)
+    # What the rate leaves of a limit that has just dropped is no violation.
+    above = tau > np.maximum(high, before - du_max)
+    below = tau < np.minimum(low, before + du_max)
+    violated = (above | below).any(axis=1) | _exceeds_rate(scenario, tau)
+    shares = {f"at_amplitude_{force}": at_amplitude[:, i] for i, force in enumerate(FORCES)}
+    return (
+        _rate_shares(scenario, tau)
+        | {name: float(share.mean()) for name, share in shares.items()}
+        | {"limit_violations": float(violated.sum())}
+    )
+
+
+def joint_limit_metrics(
+    scenario: Scenario, tau: Matrix, limits: Sequence[Limits]
+) -> dict[str, float]:
+    """Return shares of steps at limits that thrusters set jointly, and the number of violations."""
+    problem = scenario.problem
+    near = AT_LIMIT * problem.row_max
+    low, high = stack_limits(limits[: len(tau)])
+    along, before = tau @ problem.G.T, previous_forces(tau) @ problem.G.T
+    at_limit = ((along >= high - near) | (along <= low + near)).any(axis=1)
+    # Outside a set that has shrunk the force must come nearer: a smaller share of the whole set.
+    outside = ((along > high + near) | (along < low - near)).any(axis=1)
+    share, share_before = (
+        np.maximum(rows / problem.u_max, rows / problem.u_min).max(axis=1)
+        for rows in (along, before)
+    )
+    violated = (outside & (share > share_before + 1e-9)) | _exceeds_rate(scenario, tau)
+    return _rate_shares(scenario, tau) | {
+        "limit_violations": float(violated.sum()),
+        "at_limit_thrusters": float(at_limit.mean()),
+    }
+
+
+def _rate_shares(scenario: Scenario, tau: Matrix) -> dict[str, float]:
+    """Return the share of steps at the rate limit of each axis."""
+    du_max = scenario.problem.du_max
+    at_rate = np.abs(tau - previous_forces(tau)) >= du_max - AT_LIMIT * du_max
+    return {f"at_rate_{force}": float(at_rate[:, i].mean()) for i, force in enumerate(FORCES)}
+
+
+def _exceeds_rate(scenario: Scenario, tau: Matrix) -> Flags:
+    """Return whether each applied force (K, 3) changed faster than the rate limit: (K,)."""
+    ship, du_max = scenario.vessel, scenario.problem.du_max
+    # Beyond one unit in the last place of the force itself a difference is no rounding.
+    rounding = 4 * np.spacing(np.maximum(ship.tau_max, -ship.tau_min))
+    too_fast: Flags = (np.abs(tau - previous_forces(tau)) > du_max + rounding).any(axis=1)
+    return too_fast

@@ -1,28 +1,25 @@
-"""Judge the raw log of a replay; how it repeated itself, what disturbed it, what it took."""
-
-from __future__ import annotations
+"""Evaluation of the raw log of a replay: its answers, repeatability and disturbance."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.arrays import Floats
+from dpbench.arrays import Flags, Floats
+from dpbench.bench.judge.answer_caching import caching_metrics
 from dpbench.bench.judge.closed_loop import (
     CERTIFICATES,
     EVALUATION,
-    Evaluated,
+    EvaluatedCell,
     StepEvaluator,
     common_columns,
     recorded_answer,
 )
-from dpbench.bench.judge.memory_of_answers import memory_metrics
 from dpbench.bench.record.disturbance import disturbance_metrics
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.record.step_table import times_of
 from dpbench.bench.run.footprint import footprint_metrics
 from dpbench.qp.program import QPSequence, Units
-from dpbench.qp.referee.referee import Optimum
+from dpbench.qp.referee.optimum import Optimum
 
 
 def evaluate_sequence(
@@ -32,73 +29,68 @@ def evaluate_sequence(
     optima: Sequence[Optimum] | None = None,
     *,
     judged: bool = True,
-) -> Evaluated:
-    """The judged columns of a replay of the sequence `own`; `optima` where they are certified.
+) -> EvaluatedCell:
+    """Evaluate a replay's raw log; return its step columns and metrics.
 
-    Without `judged` the answers are none, and nothing is said of them.
+    Parameters
+    ----------
+    optima : of the steps, where they are certified.
+    judged : False for configurations whose answers are none.
     """
-    rounds = [r for r in range(len(log.done)) if log.done[r] > 0]
-    counts = [int(log.done[r]) for r in rounds]
+    rounds = np.flatnonzero(log.done > 0).tolist()
+    counts = log.done[rounds].tolist()
+    units = own.units
+    if units is None:
+        units = Units(np.ones(own.base.n), np.ones(own.base.n))
     evaluations = np.full((sum(counts), len(EVALUATION)), np.nan)
     certificates = np.full(sum(counts), CERTIFICATES.index("none"), dtype=np.int8)
-    units = _units(own)
     if judged:
-        _evaluate_rounds(log, own, units, optima, rounds, counts, evaluations, certificates)
+        evaluations, certificates = _evaluate_rounds(log, own, units, optima)
     columns = common_columns(log, rounds, counts, evaluations, certificates)
     first, every = int(own.meta.get("first", 0)), int(own.meta.get("every", 1))
-    columns["t_s"] = times_of(columns["k"], first, every, sample_s)
-    columns["reference_kernel_ns"] = log.reference_kernel_ns[rounds].copy()
-    columns["load_kernel_ns"] = log.load_kernel_ns[rounds].copy()
+    columns["t_s"] = (first + every * columns["k"]) * sample_s
+    for kernel in ("reference_kernel_ns", "load_kernel_ns"):
+        columns[kernel] = getattr(log, kernel)[rounds].copy()
     metrics = {"sample_s": sample_s, "first_sample": float(first), "every_sample": float(every)}
     metrics |= repeatability(log, units.z) | disturbance_metrics(log) | footprint_metrics(log)
-    return Evaluated(columns, metrics | memory_metrics(log))
+    return EvaluatedCell(columns, metrics | caching_metrics(log))
 
 
-def _units(own: QPSequence) -> Units:
-    ones = np.ones(own.base.n)
-    return Units(ones, ones) if own.units is None else own.units
+def _find_recorded_steps(log: RawLog) -> Flags:
+    """Return a mask (R, K) of the steps that each round of a replay has recorded."""
+    recorded: Flags = np.arange(log.z.shape[1]) < log.done[:, np.newaxis]
+    return recorded
 
 
 def _evaluate_rounds(
-    log: RawLog,
-    own: QPSequence,
-    units: Units,
-    optima: Sequence[Optimum] | None,
-    rounds: list[int],
-    counts: list[int],
-    evaluations: Floats,
-    certificates: NDArray[np.int8],
-) -> None:
-    """Judge the answers of all rounds into the rows of `evaluations` and `certificates`."""
+    log: RawLog, own: QPSequence, units: Units, optima: Sequence[Optimum] | None
+) -> tuple[Floats, NDArray[np.int8]]:
+    """Evaluate a replay's answers; return errors and kinds of optimum proof, round after round."""
     scaled: QPSequence = own if own.scaled is None else own.scaled
     evaluator = StepEvaluator(scaled.base, own.base, units)
-    place = np.empty(len(evaluations), dtype=np.intp)  # of the evaluation of each row
-    judged_answers = 0
-    starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)
-    for k in range(max(counts, default=0)):
+    recorded, added = _find_recorded_steps(log), 0
+    # The number of the evaluation of each answer.
+    numbers, kinds = np.zeros(recorded.shape, np.intp), np.zeros(recorded.shape, np.int8)
+    for k in np.flatnonzero(recorded.any(axis=0)).tolist():
         step = scaled.step(k)
         step_own = step if own is scaled else own.step(k)
-        evaluator.follow(step, step_own)
+        evaluator.switch_matrices(step, step_own)
         optimum = evaluator.certify(step) if optima is None else optima[k]
+        kinds[:, k] = CERTIFICATES.index(optimum.kind)
         seen: dict[bytes, int] = {}
-        for r, start, count in zip(rounds, starts, counts, strict=True):
-            if k >= count:
-                continue
-            # Most solvers repeat themselves bit for bit; an identical answer has its assessment.
+        for r in np.flatnonzero(recorded[:, k]).tolist():
+            # Most solvers repeat themselves bit for bit; an equal answer is evaluated once.
             answer = recorded_answer(log, r, k)
             identity = answer.identity
             if identity not in seen:
-                evaluator.add(step, step_own, answer, optimum)
-                seen[identity] = judged_answers
-                judged_answers += 1
-            place[start + k] = seen[identity]
-            certificates[start + k] = CERTIFICATES.index(optimum.kind)
-    evaluations[:] = evaluator.evaluations()[place]
+                evaluator.add_answer(step, step_own, answer, optimum)
+                seen[identity], added = added, added + 1
+            numbers[r, k] = seen[identity]
+    return evaluator.evaluations()[numbers[recorded]], kinds[recorded]
 
 
 def repeatability(log: RawLog, own_per_scaled: Floats) -> dict[str, float]:
-    """The columns on how a replay repeats itself, over all rounds, the warm-up and disturbed ones
-    too.
+    """Return how equal a solver's answers and iterations are over all rounds of a replay.
 
     Parameters
     ----------
@@ -106,21 +98,16 @@ def repeatability(log: RawLog, own_per_scaled: Floats) -> dict[str, float]:
 
     Returns
     -------
-    Shares of the steps with two rounds or more whose status and bits of z are the same in all of
-    them, and whose count of iterations is the same; the largest difference of a z between two
-    rounds, in scaled units, and of iterations. NaN where no step was repeated, or the solver counts
-    nothing.
+    Shares of the steps with two rounds or more that have equal status and bits of z, and equal
+    iterations, in all of them; the largest difference of a z between two rounds, in scaled units,
+    and of iterations. NaN where no step was repeated, or iterations are not counted.
     """
-    z, iterations, done = log.z, log.iterations, log.done
-    steps = z.shape[1]
-    recorded = np.arange(steps) < done[:, None]
+    z, iterations, recorded = log.z, log.iterations, _find_recorded_steps(log)
     repeated = recorded.sum(axis=0) >= 2
-    nothing = float("nan")
     if not repeated.any():
         names = ("bit_identical_share", "answer_spread_max")
-        return dict.fromkeys((*names, "iterations_identical_share", "iterations_spread"), nothing)
-    first = recorded.argmax(axis=0)
-    index = np.arange(steps)
+        return dict.fromkeys((*names, "iterations_identical_share", "iterations_spread"), np.nan)
+    first, index = recorded.argmax(axis=0), np.arange(z.shape[1])
     reference = z[first, index]
     # Bits, so that NaN equals NaN and 0.0 is not −0.0.
     same_bits = (z.view(np.uint64) == reference.view(np.uint64)).all(axis=2)
@@ -132,11 +119,10 @@ def repeatability(log: RawLog, own_per_scaled: Floats) -> dict[str, float]:
     whole = repeated & (counted.sum(axis=0) == recorded.sum(axis=0))
     most = np.where(counted, iterations, -1).max(axis=0)
     least = np.where(counted, iterations, np.iinfo(np.int64).max).min(axis=0)
+    spreads = (most - least)[whole]
     return {
         "bit_identical_share": float(same_answer.all(axis=0)[repeated].mean()),
         "answer_spread_max": float(spread[repeated].max()),
-        "iterations_identical_share": (
-            float((most == least)[whole].mean()) if whole.any() else nothing
-        ),
-        "iterations_spread": float((most - least)[whole].max()) if whole.any() else nothing,
+        "iterations_identical_share": float((spreads == 0).mean()) if whole.any() else np.nan,
+        "iterations_spread": float(spreads.max()) if whole.any() else np.nan,
     }

@@ -1,7 +1,4 @@
-"""Turn the columns of a judged cell into its rows of `steps.parquet` and its row of
-`runs.parquet`."""
-
-from __future__ import annotations
+"""Rows of `steps.parquet` and `runs.parquet` from the columns of an evaluated cell."""
 
 from typing import Any
 
@@ -9,35 +6,22 @@ import numpy as np
 import pandas as pd
 
 from dpbench.arrays import Flags
-from dpbench.bench.judge.closed_loop import Evaluated
-from dpbench.bench.judge.deadlines import deadline_metrics, longest_streak, steps_to_recover
-from dpbench.bench.judge.rules import (
-    INFEASIBLE,
-    UNDECIDED,
-    claimed_not_true,
-    decided,
-    errors,
-    failed_steps,
-    largest,
-    median,
-    true_not_claimed,
-    unusable,
-)
-from dpbench.bench.judge.step_columns import StepColumns, chosen
-from dpbench.bench.judge.timing import timing_metrics
+from dpbench.bench.judge import rules, timing
+from dpbench.bench.judge.closed_loop import EvaluatedCell
+from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.schema import ABSENT, SCHEMA_VERSION, STEP_COLUMNS, as_steps
-from dpbench.scenario.scenario import scenario_once
+from dpbench.bench.record.schema import MISSING_INT, SCHEMA_VERSION, STEP_COLUMNS, as_steps
+from dpbench.scenario.scenario import cached_scenario
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.table import Availability
 
 
 def step_rows(run_id: str, steps: StepColumns) -> pd.DataFrame:
-    """The rows of `steps.parquet` of one cell."""
+    """Return the step columns of one run as rows of `steps.parquet`."""
     columns: dict[str, Any] = {"run_id": np.full(len(steps["k"]), run_id, dtype=object)}
     for name, column in steps.items():
         whole = STEP_COLUMNS[name][0] == "Int64"
-        columns[name] = pd.arrays.IntegerArray(column, column == ABSENT) if whole else column
+        columns[name] = pd.arrays.IntegerArray(column, column == MISSING_INT) if whole else column
     return as_steps(pd.DataFrame(columns))
 
 
@@ -47,17 +31,12 @@ def run_row(
     outcome: Outcome,
     library: Availability,
     machine_id: str,
-    evaluated: Evaluated | None,
+    evaluated: EvaluatedCell | None,
     steps: StepColumns | None,
     *,
     concurrency: int | None = None,
 ) -> dict[str, Any]:
-    """The row of `runs.parquet` of one cell; a cell without steps has its identity only.
-
-    Parameters
-    ----------
-    concurrency : of a timed replay, the column of that name; None of every other cell.
-    """
+    """Return the row of one run in `runs.parquet`; without steps only what identifies the run."""
     row: dict[str, Any] = {
         "run_id": run_id,
         "mode": cell.mode,
@@ -72,7 +51,7 @@ def run_row(
         "settings": cell.settings,
         "formulation": cell.formulation,
         "form": outcome.form,
-        **_sizes(cell, outcome),
+        **_size_columns(cell, outcome),
         "units": cell.units,
         "slowdown": cell.slowdown,
         "deadline_s": _deadline_s(cell),
@@ -91,28 +70,34 @@ def run_row(
         return row
     counts = steps["counts"]
     if not counts.any():
-        # It ended within its warm-up, which says nothing about it.
+        # The warm-up does not count.
         return row | evaluated.metrics
     row["steps_done"] = int(np.bincount(steps["repeat"][counts]).max())
-    judged = _evaluated(cell, chosen(steps, counts))
-    row |= evaluated.metrics | timing_metrics(cell, evaluated, judged)
+    judged = rules.steps_with_answers(rules.select_rows(steps, counts), cell.slowdown)
+    row |= evaluated.metrics | timing.timing_metrics(cell, evaluated, judged)
     if cell.solver not in CALIBRATION:
-        row |= _accuracy(judged) | _worst_of_all(_evaluated(cell, steps))
+        row |= _accuracy_columns(judged) | _worst_error_columns(
+            rules.steps_with_answers(steps, cell.slowdown)
+        )
     if cell.mode == "closed_loop":
-        row |= _failures(steps) | _backup(steps) | deadline_metrics(steps, cell.slowdown)
+        row |= (
+            _fallback_columns(steps)
+            | _backup_columns(steps)
+            | timing.deadline_metrics(steps, cell.slowdown)
+        )
     return row
 
 
 def _deadline_s(cell: Cell) -> float:
-    """The budget of a step [s]; NaN in a replay, which has none."""
+    """Return the time budget of a step [s]; NaN in a replay, which has none."""
     if cell.mode == "replay":
         return float("nan")
-    return cell.deadline_s or scenario_once(cell.scenario).sample_s
+    return cell.deadline_s or cached_scenario(cell.scenario).sample_s
 
 
-def _sizes(cell: Cell, outcome: Outcome) -> dict[str, Any]:
-    """Horizons and size of the QP; null where it has none, or the solver never got a QP."""
-    scenario = cell.scenario.get("scenario", {}) if cell.is_of_controller else {}
+def _size_columns(cell: Cell, outcome: Outcome) -> dict[str, Any]:
+    """Return horizons and QP size of a run; null where there are none."""
+    scenario = cell.scenario.get("scenario", {}) if cell.source.is_of_controller else {}
     controller = scenario.get("controller", {})
     sizes = {
         "N_p": controller.get("prediction_horizon"),
@@ -123,78 +108,71 @@ def _sizes(cell: Cell, outcome: Outcome) -> dict[str, Any]:
     return {name: pd.NA if value is None else int(value) for name, value in sizes.items()}
 
 
-def _evaluated(cell: Cell, steps: StepColumns) -> StepColumns:
-    """The steps with an answer to judge; a late one is not for that reason a failed one."""
-    if cell.slowdown == 0.0:
-        return steps
-    asked = chosen(steps, steps["total_ns"] > ABSENT)
-    return asked | {"fallback": unusable(asked)}
-
-
-def _accuracy(steps: StepColumns) -> dict[str, Any]:
-    known, undecided = decided(steps), steps["certificate"] == UNDECIDED
-    charged = chosen(steps, ~undecided)
-    moves = errors(charged)
+def _accuracy_columns(steps: StepColumns) -> dict[str, Any]:
+    """Return the shares of claimed and of correct answers, errors and iterations of a run."""
+    known, undecided = rules.decided_steps(steps), steps["certificate"] == rules.UNDECIDED
+    charged = rules.select_rows(steps, ~undecided)
+    moves = rules.first_move_errors(charged)
     moves = moves[~np.isnan(moves)]
-    iterations = steps["iterations"][steps["iterations"] > ABSENT]
+    iterations = steps["iterations"][steps["iterations"] > MISSING_INT]
     bounds = steps["optimum_bound"]
     return {
-        "claimed_share": _mean(steps["claimed"]),
-        "true_share": _mean(steps["true"][known]),
-        "true_1e4_share": _mean(steps["true_1e4"][known]),
-        "true_1e6_share": _mean(steps["true_1e6"][known]),
-        "claimed_not_true": int(claimed_not_true(steps).sum()),
-        "true_not_claimed": int(true_not_claimed(steps).sum()),
+        "claimed_share": _share_of_true(steps["claimed"]),
+        "true_share": _share_of_true(steps["true"][known]),
+        "true_1e4_share": _share_of_true(steps["true_1e4"][known]),
+        "true_1e6_share": _share_of_true(steps["true_1e6"][known]),
+        "claimed_not_true": int(rules.claimed_not_true(steps).sum()),
+        "true_not_claimed": int(rules.true_not_claimed(steps).sum()),
         "error_move_p50": np.quantile(moves, 0.5, method="higher") if len(moves) else np.nan,
-        "primal_max": largest(charged["primal"]),
-        "dual_max": largest(charged["dual"]),
-        "optimum_bound_max": largest(bounds[np.isfinite(bounds)]),
+        "primal_max": rules.largest_known(charged["primal"]),
+        "dual_max": rules.largest_known(charged["dual"]),
+        "optimum_bound_max": rules.largest_known(bounds[np.isfinite(bounds)]),
         "uncertified": int((~known & ~undecided).sum()),
         "undecided_steps": int(undecided.sum()),
-        "infeasible_steps": int((steps["certificate"] == INFEASIBLE).sum()),
-        "iterations_p50": median(iterations),
-        "iterations_max": largest(iterations),
+        "infeasible_steps": int((steps["certificate"] == rules.INFEASIBLE).sum()),
+        "iterations_p50": rules.median_known(iterations),
+        "iterations_max": rules.largest_known(iterations),
     }
 
 
-def _worst_of_all(steps: StepColumns) -> dict[str, Any]:
-    """Return the largest error and the failed steps of all rounds: no disturbance excuses a wrong
-    answer, and a fault on a first visit may be in the warm-up alone."""
-    charged = chosen(steps, steps["certificate"] != UNDECIDED)
+def _worst_error_columns(steps: StepColumns) -> dict[str, Any]:
+    """Return a run's largest errors and number of failed steps, of all rounds with warm-up."""
+    charged = rules.select_rows(steps, steps["certificate"] != rules.UNDECIDED)
     return {
-        "error_move_max": largest(errors(charged)),
-        "error_plan_max": largest(charged["error_plan"]),
-        "failed_steps": int(failed_steps(steps).sum()),
+        "error_move_max": rules.largest_known(rules.first_move_errors(charged)),
+        "error_plan_max": rules.largest_known(charged["error_plan"]),
+        "failed_steps": int(rules.failed_steps(steps).sum()),
     }
 
 
-def _mean(flags: Flags) -> float:
-    """Their share; NaN of none."""
+def _share_of_true(flags: Flags) -> float:
+    """Return the share of true flags; NaN without any flag."""
     return float(flags.mean()) if len(flags) else float("nan")
 
 
-def _backup(steps: StepColumns) -> dict[str, Any]:
-    """The columns on a backup; none without one."""
+def _backup_columns(steps: StepColumns) -> dict[str, Any]:
+    """Return how often the backup solver was asked, acted and failed; none without one."""
     if "backup" not in steps:
         return {}
-    asked = steps["backup_ns"] > ABSENT
+    asked = steps["backup_ns"] > MISSING_INT
     times = steps["backup_ns"][asked].astype(np.float64)
     return {
         "backup_asked": int(asked.sum()),
         "backup_acted": int(steps["backup"].sum()),
         "backup_failures": int(steps["backup_failed"].sum()),
-        "backup_p50_ns": median(times),
-        "backup_max_ns": largest(times),
-        "backup_error_max": largest(steps["backup_error"][asked]),
+        "backup_p50_ns": rules.median_known(times),
+        "backup_max_ns": rules.largest_known(times),
+        "backup_error_max": rules.largest_known(steps["backup_error"][asked]),
     }
 
 
-def _failures(steps: StepColumns) -> dict[str, Any]:
+def _fallback_columns(steps: StepColumns) -> dict[str, Any]:
+    """Return how often the fallback acted, its longest streak, and the steps to recover."""
     failed = steps["fallback"]
-    recovered = steps_to_recover(failed, steps["true"])
+    recovered = timing.steps_to_recover(failed, steps["true"])
     return {
         "fallbacks": int(failed.sum()),
-        "fallback_longest": longest_streak(failed),
+        "fallback_longest": timing.longest_streak(failed),
         "recover_steps_max": pd.NA if recovered is None else recovered,
         "unconverged": int(steps["unconverged"].sum()),
         "clipped": int(steps["clipped"].sum()),

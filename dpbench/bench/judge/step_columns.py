@@ -1,120 +1,99 @@
-"""Judged columns of a cell → the columns of its steps: one array for each of `steps.parquet`.
+"""Columns of the steps of a cell: one array for each column of `steps.parquet`.
 
-Plain arrays, as a cell of a hundred steps would spend ten times its loop in data frames. A column
-that a run has not is left out; a whole number that is missing is `ABSENT`.
+Plain arrays, as data frames would take ten times as long as a loop of a hundred steps. A column
+that a run has not is left out; a missing integer is `MISSING_INT`.
 """
 
-from __future__ import annotations
-
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.arrays import Flags, Ints
+from dpbench.arrays import Flags, Floats, Ints
+from dpbench.bench.judge import rules
 from dpbench.bench.judge.closed_loop import (
+    BACKUP_PREFIX,
     CERTIFICATES,
     EVALUATION,
-    OF_BACKUP,
-    OF_SECOND,
+    SECOND_QP_PREFIX,
     Columns,
-    Evaluated,
+    EvaluatedCell,
 )
-from dpbench.bench.judge.deadlines import late_columns
-from dpbench.bench.judge.rules import (
-    INFEASIBLE,
-    UNCERTIFIED,
-    UNDECIDED,
-    WARM_UP,
-    counting_rows,
-    unusable,
-)
-from dpbench.bench.judge.timing import disturbed_rounds_of
+from dpbench.bench.judge.rules import StepColumns
+from dpbench.bench.judge.timing import deadline_columns, find_disturbed_rounds
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.raw_log import TIMES
-from dpbench.bench.record.schema import ABSENT, AXIS_FORCES
-from dpbench.bench.record.step_table import INSIDE, change_of, total_of
-from dpbench.bench.run.slow_computer import delay_of
+from dpbench.bench.record.raw_log import PHASES, SOLVER_PHASES
+from dpbench.bench.record.schema import AXIS_FORCES, MISSING_INT
+from dpbench.bench.run.slow_computer import find_delay
 from dpbench.qp.solution import Status
-from dpbench.scenario.scenario import scenario_once
+from dpbench.scenario.scenario import cached_scenario
 
-StepColumns = dict[str, NDArray[Any]]
-"""(N,) arrays by the names of `STEP_COLUMNS`, all but `run_id`."""
+SOLVER_COLUMNS = tuple(f"{phase}_ns" for phase in SOLVER_PHASES)
+"""Columns of the phases of a solver."""
 _STATUS_NAMES = np.array([status.name for status in Status])
 _CERTIFICATE_NAMES = np.array(CERTIFICATES)
 _STATE = ("u_mps", "v_mps", "r_radps", "n_m", "e_m", "psi_rad")
 _OF_THRUSTERS = ("thrust_share", "power_share", "undelivered_share")
 
 
-def step_columns(cell: Cell, evaluated: Evaluated) -> StepColumns:
-    """The columns of the recorded steps of a cell."""
+def step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
+    """Return the columns of `steps.parquet` for the recorded steps of a run."""
     columns = evaluated.columns
     asked = columns["asked"] if cell.slowdown > 0.0 else None
-    steps = _of_qps(columns, asked)
-    second = {
-        name.removeprefix(OF_SECOND): column
-        for name, column in columns.items()
-        if name.startswith(OF_SECOND)
-    }
+    steps = _answer_columns(columns, asked)
+    second = _select_prefix(columns, SECOND_QP_PREFIX)
     if second:
-        steps = joined(steps, _of_qps(second, None))
-    steps["total_ns"] = total_of(steps)
-    steps["t_s"] = columns["t_s"]
-    rows = len(steps["k"])
+        steps = join_cascade_steps(steps, _answer_columns(second, None))
+    steps |= {"total_ns": step_time_ns(steps), "t_s": columns["t_s"]}
     if cell.mode == "replay":
-        disturbed = np.isin(columns["repeat"], disturbed_rounds_of(columns))
-        steps["warmup"], steps["disturbed"] = steps["repeat"] == WARM_UP, disturbed
-        steps["counts"] = counting_rows(columns["repeat"], disturbed)
-        steps["unconverged"] = np.isin(steps["status"], ("INACCURATE", "MAX_ITERATIONS"))
-        steps["fallback"] = unusable(steps)
-        return steps
-    steps["counts"] = np.ones(rows, dtype=np.bool_)
-    delay = delay_of(cell, scenario_once(cell.scenario).sample_s)
-    steps |= _of_backup(columns)
-    steps |= late_columns(delay, columns["latency_ns"], _waited_ns(steps))
-    if "backup" in steps and delay.simulated:
-        ready_ns = columns[f"{OF_BACKUP}ready_ns"]
+        disturbed = np.isin(columns["repeat"], find_disturbed_rounds(columns))
+        steps["warmup"], steps["disturbed"] = steps["repeat"] == rules.WARM_UP, disturbed
+        steps["counts"] = rules.counting_rows(columns["repeat"], disturbed)
+        return steps | {
+            "unconverged": rules.unfinished_steps(steps),
+            "fallback": rules.unusable_steps(steps),
+        }
+    steps["counts"] = np.ones(len(steps["k"]), dtype=np.bool_)
+    delay = find_delay(cell, cached_scenario(cell.scenario).sample_s)
+    steps |= _backup_columns(columns)
+    waited_ns: Ints = steps["total_ns"]
+    if "backup" in steps:
+        waited_ns = waited_ns + np.maximum(steps["backup_ns"], 0)
+    steps |= deadline_columns(delay, columns["latency_ns"], waited_ns)
+    if "backup" in steps and delay.is_simulated:
+        ready_ns = columns[f"{BACKUP_PREFIX}ready_ns"]
         steps["late"] |= ready_ns > delay.budget_ns
         steps["backup_failed"] |= ready_ns > delay.sample_ns
-    return steps | _of_ship(columns)
+    return steps | _ship_columns(columns)
 
 
-def _of_backup(columns: Columns) -> StepColumns:
-    """What is recorded of a backup in each step; nothing without one."""
-    if f"{OF_BACKUP}asked" not in columns:
+def _select_prefix(columns: Columns, prefix: str) -> Columns:
+    """Return the step columns whose names have a prefix, under names without it."""
+    names = [name for name in columns if name.startswith(prefix)]
+    return {name.removeprefix(prefix): columns[name] for name in names}
+
+
+def _backup_columns(columns: Columns) -> StepColumns:
+    """Return whether the backup solver acted or failed in each step, its time and error."""
+    own = _select_prefix(columns, BACKUP_PREFIX)
+    if not own:
         return {}
-    own = {
-        name.removeprefix(OF_BACKUP): column
-        for name, column in columns.items()
-        if name.startswith(OF_BACKUP)
-    }
-    answers = _of_qps(own, own["asked"])
+    answers = _answer_columns(own, own["asked"])
     return {
         "backup": own["acted"],
-        "backup_failed": own["asked"] & unusable(answers),
-        "backup_ns": total_of({phase: answers[phase] for phase in INSIDE}),
+        "backup_failed": own["asked"] & rules.unusable_steps(answers),
+        "backup_ns": step_time_ns({phase: answers[phase] for phase in SOLVER_COLUMNS}),
         "backup_error": answers["error_move"],
     }
 
 
-def _waited_ns(steps: StepColumns) -> Ints:
-    """(K,) what a loop that waits for answers waited in each step: for the backup too."""
-    total = steps["total_ns"]
-    return total + np.maximum(steps["backup_ns"], 0) if "backup" in steps else total
-
-
-def chosen(steps: StepColumns, rows: Flags) -> StepColumns:
-    """Some of the rows."""
-    return {name: column[rows] for name, column in steps.items()}
-
-
-def _of_qps(columns: Columns, asked: Flags | None) -> StepColumns:
-    """What is said of each answer to a QP; `asked` (K,) in which steps there is one, None for
-    all."""
+def _answer_columns(columns: Columns, asked: Flags | None) -> StepColumns:
+    """Return times, status, errors and residuals of answers; empty in steps not `asked` (K,)."""
     status, times = _STATUS_NAMES[columns["status"].astype(int)], columns["times"]
     if asked is not None:
         status = np.where(asked, status, "")
-        times = np.where(asked[:, None] | (np.array(TIMES) == "overhead"), times, ABSENT)
+        times = np.where(asked[:, None] | (np.array(PHASES) == "overhead"), times, MISSING_INT)
     steps: StepColumns = {
         "repeat": columns["repeat"],
         "k": columns["k"],
@@ -122,8 +101,10 @@ def _of_qps(columns: Columns, asked: Flags | None) -> StepColumns:
         "claimed": columns["status"] == Status.SOLVED,
         "certificate": _CERTIFICATE_NAMES[columns["certificate"].astype(int)],
     }
-    steps |= {f"{phase}_ns": _whole(times[:, i]) for i, phase in enumerate(TIMES)}
-    steps |= {name: _whole(columns[name]) for name in ("iterations", "reported_ns", "waited_ns")}
+    steps |= {f"{phase}_ns": _as_integers(times[:, i]) for i, phase in enumerate(PHASES)}
+    steps |= {
+        name: _as_integers(columns[name]) for name in ("iterations", "reported_ns", "waited_ns")
+    }
     for i, figure in enumerate(EVALUATION):
         values = columns["evaluations"][:, i]
         steps[figure] = values == 1.0 if figure.startswith("true") else values
@@ -131,42 +112,62 @@ def _of_qps(columns: Columns, asked: Flags | None) -> StepColumns:
     return steps
 
 
-def joined(first: StepColumns, second: StepColumns) -> StepColumns:
-    """Steps of a cascade, from the columns of its two QPs (K rows each).
+def join_cascade_steps(first: StepColumns, second: StepColumns) -> StepColumns:
+    """Join the step columns of a cascade's two QPs, control and thrust allocation, into one set.
 
     A step is claimed, and true, only if both answers are; its time is that of both. Status and
     certificate are those of the first QP, or of the second where the first is solved, or has no
     feasible point, and the second is not solved; where the right answer to either is not known,
-    that to the step is not. All else is of the first; of the second, `allocation_ns` is the time
-    and `allocation_error` that of its first move.
+    that to the step is not. All else is of the first; `allocation_ns` and `allocation_error` are
+    the time and the error of the first move of the second.
     """
     both = first.copy()
     for name in ("claimed", "true", "true_1e4", "true_1e6"):
         both[name] = first[name] & second[name]
-    of_second = ~second["claimed"] & (first["claimed"] | (first["certificate"] == INFEASIBLE))
+    of_second = ~second["claimed"] & (first["claimed"] | (first["certificate"] == rules.INFEASIBLE))
     for name in ("status", "certificate"):
         both[name] = np.where(of_second, second[name], first[name])
-    for unknown in (UNDECIDED, UNCERTIFIED):
+    for unknown in (rules.UNDECIDED, rules.UNCERTIFIED):
         either = (first["certificate"] == unknown) | (second["certificate"] == unknown)
         both["certificate"] = np.where(either, unknown, both["certificate"])
     waited = first["waited_ns"], second["waited_ns"]
-    both["waited_ns"] = np.where(np.minimum(*waited) > ABSENT, sum(waited), ABSENT)
-    both["allocation_ns"] = total_of({phase: second[phase] for phase in INSIDE})
+    both["waited_ns"] = np.where(np.minimum(*waited) > MISSING_INT, sum(waited), MISSING_INT)
+    both["allocation_ns"] = step_time_ns({phase: second[phase] for phase in SOLVER_COLUMNS})
     both["allocation_error"] = second["error_move"]
     return both
 
 
-def _whole(values: NDArray[Any]) -> Ints:
-    """Whole numbers, each that is not there as `ABSENT`."""
-    return np.maximum(values.astype(np.int64), ABSENT)
+def _as_integers(values: NDArray[Any]) -> Ints:
+    """Return values as int64, with `MISSING_INT` (−1) as the least."""
+    return np.maximum(values.astype(np.int64), MISSING_INT)
 
 
-def _of_ship(columns: Columns) -> StepColumns:
+def _ship_columns(columns: Columns) -> StepColumns:
+    """Return pose, velocity, force and command of the ship in each step of a closed loop."""
     state, tau = columns["state"][:-1], columns["tau"].astype(np.float64)
     ship = {name: columns[name] for name in ("fallback", "unconverged", "clipped")}
     ship |= {name: state[:, i] for i, name in enumerate(_STATE)}
     for i, axis in enumerate(AXIS_FORCES):
         ship[f"tau_{axis}"] = tau[:, i]
-        ship[f"dtau_{axis}"] = change_of(tau[:, i], columns["k"])
+        ship[f"dtau_{axis}"] = row_changes(tau[:, i], columns["k"])
         ship[f"cmd_{axis}"] = columns["command"][:, i]
     return ship | {name: columns[name] for name in _OF_THRUSTERS if name in columns}
+
+
+def step_time_ns(steps: Mapping[str, NDArray[Any]]) -> Ints:
+    """Return each step's solver time [ns] (N,), thrust allocation included; −1 if not solved."""
+    phases = [steps[phase] for phase in SOLVER_COLUMNS]
+    parts = [*phases, steps["allocation_ns"]] if "allocation_ns" in steps else phases
+    total = np.zeros(len(phases[0]), dtype=np.int64)
+    for part in parts:
+        total += np.maximum(part, 0)
+    total[np.maximum.reduce(phases) < 0] = MISSING_INT
+    return total
+
+
+def row_changes(values: Floats, k: NDArray[Any]) -> Floats:
+    """Return the change (N,) of a column from row to row, from zero at k = 0."""
+    before = np.roll(values, 1)
+    before[k == 0] = 0.0
+    change: Floats = values - before
+    return change

@@ -1,17 +1,18 @@
-"""What a controller that commands thrusters asks of them: thrust, power, wear, limits.
+"""Metrics of controllers that command thrusters: thrust, power, wear, limits.
 
-Power of a propeller grows as |f|^1.5 (constant pitch, at zero speed); the wear of its drive is told
-by how much its thrust varies and how far its azimuth travels.
+Power of a propeller grows as |f|^1.5 (constant pitch, at zero speed); the wear of its drive is
+measured by how much its thrust varies and how far its azimuth travels.
 """
 
-from __future__ import annotations
+from collections.abc import Sequence
 
 import numpy as np
 
-from dpbench.arrays import Flags, Matrix, Vector
-from dpbench.bench.judge.control_metrics import AT_LIMIT
-from dpbench.mpc.thruster_rows import Retreat
-from dpbench.scenario.commanded_thrusters import ThrusterControl
+from dpbench.arrays import Matrix, Vector
+from dpbench.bench.judge.control_metrics import AT_LIMIT, previous_forces
+from dpbench.mpc.thruster_rows import LimitRampDown, Limits
+from dpbench.scenario.controllers.commanded import ThrusterControl
+from dpbench.scenario.controllers.controller import stack_limits
 from dpbench.scenario.scenario import Scenario
 
 PUSHING = 0.01
@@ -19,38 +20,28 @@ PUSHING = 0.01
 
 
 def shares_of_full(scenario: Scenario, f: Matrix) -> dict[str, Vector]:
-    """Σ|f_i|/ΣT_i and Σ|f_i|^1.5/ΣT_i^1.5 of each step of f (K, n_f): (K,) each.
-
-    Nothing where no thrusters are commanded.
-    """
-    if scenario.commanded is None:
+    """Return the used shares of full thrust and power (K,) from thruster forces f (K, n_f) [N]."""
+    control = scenario.controller.commanded
+    if control is None:
         return {}
-    thrusters = scenario.commanded.thrusters
-    size, most = thrusters.size(f), thrusters.thrust_N
+    thrusters = control.thrusters
+    size, most = thrusters.magnitudes(f), thrusters.thrust_N
     power: Vector = (size**1.5).sum(axis=1) / (most**1.5).sum()
     return {"thrust_share": size.sum(axis=1) / most.sum(), "power_share": power}
 
 
-def thruster_metrics(
-    scenario: Scenario, f: Matrix, limits: tuple[Matrix, Matrix]
-) -> dict[str, float]:
-    """Metrics of the forces f (K, n_f) [N] of a run; nothing where no thrusters are commanded.
-
-    Parameters
-    ----------
-    limits : least and most of the thrusters' rows in force in each sample, at least (K, r).
-    """
-    control = scenario.commanded
-    if control is None:
-        return {}
+def thruster_metrics(scenario: Scenario, f: Matrix, limits: Sequence[Limits]) -> dict[str, float]:
+    """Return thrust, power, wear and limit metrics of the thruster forces f (K, n_f) [N]."""
+    control = scenario.controller.commanded
+    assert control is not None, "a controller of thrusters"
     step_max = control.thrusters.step_max(scenario.sample_s)
-    before = np.vstack([np.zeros(f.shape[1]), f[:-1]])
+    before = previous_forces(f)
     change = f - before
     shares = shares_of_full(scenario, f)
     per_entry = control.thrusters.per_entry(control.thrusters.thrust_N)
-    turned_deg, reversals = _directions(control, f, before)
+    turned_deg, reversals = _azimuth_travel(control, f, before)
     at_rate = np.abs(change) >= (1.0 - AT_LIMIT) * step_max
-    at_limit, violated = _at_limits(control, step_max, f, before, limits)
+    at_limit, violated = _count_at_limits(control, step_max, f, before, limits)
     return {
         "thrust_share": float(shares["thrust_share"].mean()),
         "power_share": float(shares["power_share"].mean()),
@@ -63,10 +54,10 @@ def thruster_metrics(
     }
 
 
-def _directions(control: ThrusterControl, f: Matrix, before: Matrix) -> tuple[float, float]:
-    """How far azimuths turned while pushing [°], and how often other thrusters reversed."""
+def _azimuth_travel(control: ThrusterControl, f: Matrix, before: Matrix) -> tuple[float, float]:
+    """Return how far azimuth thrusters turned [°], and how often fixed thrusters reversed."""
     turned, reversals = 0.0, 0
-    parts = zip(control.thrusters.thrusters, control.thrusters.places, strict=True)
+    parts = zip(control.thrusters.thrusters, control.thrusters.slices, strict=True)
     for thruster, at in parts:
         now, then = f[:, at], before[:, at]
         least = PUSHING * thruster.thrust_N
@@ -80,35 +71,27 @@ def _directions(control: ThrusterControl, f: Matrix, before: Matrix) -> tuple[fl
     return float(np.degrees(turned)), float(reversals)
 
 
-def _at_limits(
-    control: ThrusterControl,
-    step_max: Vector,
-    f: Matrix,
-    before: Matrix,
-    limits: tuple[Matrix, Matrix],
+def _count_at_limits(
+    control: ThrusterControl, step_max: Vector, f: Matrix, before: Matrix, limits: Sequence[Limits]
 ) -> tuple[float, float]:
-    """Share of steps with a thruster at its limit, and steps in which one is beyond it.
+    """Return the share of steps with a thruster at its limit, and how many violate a limit.
 
     What the rate leaves of a limit that has just dropped is not beyond it.
     """
-    unit, G = control.rows.units(step_max), control.rows.G
-    low, high = (limit[: len(f)] for limit in limits)
+    unit, G = control.rows.row_units(step_max), control.rows.G
+    low, high = stack_limits(limits[: len(f)])
+    lost = np.array([in_force.lost for in_force in limits[: len(f)]])[:, control.rows.thruster]
     along = f @ G.T
     near = AT_LIMIT * unit
     # A thruster that was lost is at nothing, not at a limit.
-    at_limit = (((along >= high - near) | (along <= low + near)) & (low < high)).any(axis=1)
+    at_limit = (((along >= high - near) | (along <= low + near)) & ~lost).any(axis=1)
     beyond = ((along > high) | (along < low)).any(axis=1)
-    too_fast: Flags = np.any(np.abs(f - before) > step_max * (1.0 + 1e-12), axis=1)
-    if control.turning is not None:
-        for k in np.flatnonzero(~too_fast).tolist():
-            kept = control.turning.kept(before[k], f[k] - before[k], step_max)
-            away = np.abs(kept - (f[k] - before[k]))
-            too_fast[k] = bool((away > 1e-6 * step_max).any())
-    retreat = Retreat(control.rows, step_max, unit, 1)
+    too_fast = control.exceeds_rate(f, before, step_max)
+    ramp_down = LimitRampDown(control.rows, step_max, unit, 1)
     violated = int(too_fast.sum())
     for k in np.flatnonzero(beyond & ~too_fast).tolist():
         change = along[k] - G @ before[k]
-        least, most = (side[0] * unit for side in retreat.limits(before[k], low[k], high[k]))
+        least, most = (side[0] * unit for side in ramp_down.compute_limits(before[k], limits[k]))
         outside = (change > most + 1e-9 * unit) | (change < least - 1e-9 * unit)
         violated += bool(outside.any())
     return float(at_limit.mean()), float(violated)

@@ -1,27 +1,27 @@
-"""The columns of `runs.parquet` on step times, from the judged steps of one cell."""
-
-from __future__ import annotations
+"""Columns of `runs.parquet` on step times and deadlines, from the steps of one cell."""
 
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
-from dpbench.arrays import Floats
-from dpbench.bench.judge.closed_loop import OF_SECOND, Columns, Evaluated
-from dpbench.bench.judge.rules import WARM_UP, disturbed_rounds, median, percentile
+from dpbench.arrays import Flags, Floats, Ints
+from dpbench.bench.judge.closed_loop import SECOND_QP_PREFIX, Columns, EvaluatedCell
+from dpbench.bench.judge.rules import WARM_UP, disturbed_rounds, median_known, percentile
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.schema import ABSENT
+from dpbench.bench.record.schema import MISSING_INT
+from dpbench.bench.run.slow_computer import ComputationalDelay
 
 Steps = Mapping[str, NDArray[Any]]
 
 
-def timing_metrics(cell: Cell, evaluated: Evaluated, counting: Steps) -> dict[str, Any]:
-    """Step times over the steps that count; percentiles where the samples support them."""
+def timing_metrics(cell: Cell, evaluated: EvaluatedCell, counting: Steps) -> dict[str, Any]:
+    """Return percentiles of a run's step times, of all samples and of each step's best round."""
     columns = evaluated.columns
     once = int(columns["setup_once_ns"][0])
-    second = f"{OF_SECOND}setup_once_ns"
+    second = f"{SECOND_QP_PREFIX}setup_once_ns"
     if once > 0 and second in columns:
         once += int(columns[second][0])
     raw = counting["total_ns"].astype(np.float64)
@@ -39,17 +39,17 @@ def timing_metrics(cell: Cell, evaluated: Evaluated, counting: Steps) -> dict[st
         timing["solve_s"] = 1e-9 * float((raw - np.maximum(counting["waited_ns"], 0)).sum())
         for phase in ("emit", "overhead"):
             times_ns = counting[f"{phase}_ns"]
-            timing[f"{phase}_p50_ns"] = median(times_ns[times_ns > ABSENT])
-        return timing | _parts(counting)
-    rounds, by_round = _by_round(counting, raw)
+            timing[f"{phase}_p50_ns"] = median_known(times_ns[times_ns > MISSING_INT])
+        return timing | _cascade_times(counting)
+    rounds, by_round = _values_by_round(counting, raw)
     best = np.nanmin(by_round, axis=0)
     return timing | {
         "rounds": len(rounds),
-        # The warm-up is never run again and never counts, so it is not said to be disturbed either.
-        "disturbed_rounds": int((disturbed_rounds_of(evaluated.columns) != WARM_UP).sum()),
+        # The warm-up is never run again and never counts, so it is not counted as disturbed.
+        "disturbed_rounds": int((find_disturbed_rounds(evaluated.columns) != WARM_UP).sum()),
         "counting_disturbed": len(np.unique(counting["repeat"][counting["disturbed"]])),
         "reference_kernel_ns": reference_kernel_median(evaluated.columns),
-        "load_kernel_ns": load_time(evaluated.columns, rounds),
+        "load_kernel_ns": load_kernel_time_ns(evaluated.columns, rounds),
         "algo_p50_ns": percentile(best, 50),
         "algo_p95_ns": percentile(best, 95),
         "algo_p99_ns": percentile(best, 99),
@@ -58,11 +58,8 @@ def timing_metrics(cell: Cell, evaluated: Evaluated, counting: Steps) -> dict[st
     }
 
 
-def _by_round(counting: Steps, values: Floats) -> tuple[NDArray[np.int32], Floats]:
-    """The rounds (R,), and the values (R, K) by round and step; NaN where a round has no such step.
-
-    Only steps that some round has.
-    """
+def _values_by_round(counting: Steps, values: Floats) -> tuple[NDArray[np.int32], Floats]:
+    """Arrange values of steps by replay round and step (R, K), NaN if missing; and the rounds."""
     rounds, row = np.unique(counting["repeat"], return_inverse=True)
     steps, column = np.unique(counting["k"], return_inverse=True)
     by_round = np.full((len(rounds), len(steps)), np.nan)
@@ -70,8 +67,8 @@ def _by_round(counting: Steps, values: Floats) -> tuple[NDArray[np.int32], Float
     return rounds, by_round
 
 
-def _parts(counting: Steps) -> dict[str, float]:
-    """The times of both QPs of a cascade by themselves; nothing of other loops."""
+def _cascade_times(counting: Steps) -> dict[str, float]:
+    """Return percentiles of a cascade's control and thrust-allocation QP times; else none."""
     if "allocation_ns" not in counting:
         return {}
     second = counting["allocation_ns"].astype(np.float64)
@@ -84,17 +81,14 @@ def _parts(counting: Steps) -> dict[str, float]:
 
 
 def reference_kernel_median(columns: Columns) -> float:
-    """Median over rounds of the reference kernel, the better of its timings around a round [ns]."""
+    """Return the machine-speed test's time [ns]: the better of each round, median over rounds."""
     kernel_ns = columns["reference_kernel_ns"].astype(np.float64)
     best = np.where(kernel_ns > 0, kernel_ns, np.inf).min(axis=1)
-    return median(best[np.isfinite(best)])
+    return median_known(best[np.isfinite(best)])
 
 
-def load_time(columns: Columns, counting: NDArray[np.int32]) -> float:
-    """The load kernel as a step is timed [ns]: per pass the minimum over the rounds that count.
-
-    Of the passes before and after a round the geometric mean.
-    """
+def load_kernel_time_ns(columns: Columns, counting: NDArray[np.int32]) -> float:
+    """Return the machine-load test's time [ns]: minimum over rounds, mean over repetitions."""
     rounds = np.unique(columns["repeat"])
     passes = columns["load_kernel_ns"].astype(np.float64)[np.isin(rounds, counting)]
     passes = np.where(passes > 0, passes, np.nan)
@@ -102,7 +96,65 @@ def load_time(columns: Columns, counting: NDArray[np.int32]) -> float:
     return float(np.exp(np.log(whole.min(axis=0)).mean())) if len(whole) else float(np.nan)
 
 
-def disturbed_rounds_of(columns: Columns) -> NDArray[np.int32]:
-    """The disturbed rounds of a judged replay."""
+def find_disturbed_rounds(columns: Columns) -> NDArray[np.int32]:
+    """Return the rounds of a replay in which the machine-speed test ran too slowly."""
     rounds: NDArray[np.int32] = np.unique(columns["repeat"]).astype(np.int32)
     return disturbed_rounds(rounds, columns["reference_kernel_ns"].astype(np.float64))
+
+
+def deadline_columns(
+    delay: ComputationalDelay, latency_ns: Ints, total_ns: Ints
+) -> dict[str, NDArray[Any]]:
+    """Return whether each step (K,) of a loop missed its deadline, and simulated latency [ns]."""
+    if not delay.is_simulated:
+        return {"late": total_ns > delay.budget_ns}
+    idle = latency_ns < 0
+    late = idle | (latency_ns > delay.budget_ns)
+    return {"late": late, "latency_ns": np.maximum(latency_ns, MISSING_INT)}
+
+
+def longest_streak(flags: Flags) -> int:
+    """Return the length of the longest streak of true entries."""
+    starts, ends = _find_true_runs(flags)
+    return int((ends - starts).max()) if len(starts) else 0
+
+
+def steps_to_recover(bad: Flags, good: Flags) -> int | None:
+    """Return the most steps from the start of a bad streak to a good step; None if never."""
+    starts, _ = _find_true_runs(bad)
+    good_at = np.flatnonzero(good)
+    after = np.searchsorted(good_at, starts)
+    recovered = after < len(good_at)
+    if not len(starts) or not recovered.all():
+        return None
+    return int((good_at[after] - starts).max())
+
+
+def _find_true_runs(flags: Flags) -> tuple[Ints, Ints]:
+    """Return the first index of each streak of true entries, and the index after its last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+    return edges[::2], edges[1::2]
+
+
+def deadline_metrics(steps: Mapping[str, NDArray[Any]], slowdown: float) -> dict[str, Any]:
+    """Return a closed loop's deadline misses, their longest streak, recovery and latencies."""
+    late, true = steps["late"], steps["true"]
+    recovered = steps_to_recover(late, true & ~late)
+    total = _drop_missing(steps["total_ns"])
+    metrics: dict[str, Any] = {
+        "deadline_misses": int(late.sum()),
+        "longest_miss_streak": longest_streak(late),
+        "miss_recover_steps_max": pd.NA if recovered is None else recovered,
+        "computations": len(total),
+    }
+    if slowdown > 0.0:
+        latency = _drop_missing(steps["latency_ns"])
+        # Rounding apart, only a time without that of others is less than what was measured.
+        metrics["interrupted"] = int((latency < slowdown * total - 0.5).sum())
+        metrics |= {"latency_p50_ns": np.median(latency), "latency_max_ns": latency.max()}
+    return metrics
+
+
+def _drop_missing(times_ns: Ints) -> Floats:
+    """Return the times that are not missing, as floats [ns]."""
+    return times_ns[times_ns > MISSING_INT].astype(np.float64)

@@ -1,1 +1,1 @@
-"""Suites and the cells they mean."""
+"""Suites, and the cells they mean."""

@@ -1,6 +1,4 @@
-"""Planned cells, and those of QPs that no controller made: recorded, random, of a capability."""
-
-from __future__ import annotations
+"""Planned cells, and those of QPs without a controller: recorded, random, of a capability."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,13 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from dpbench.bench.capability.batch import POINTS
-from dpbench.bench.capability.frontier import DIRECTIONS, Frontier
+from dpbench.bench.capability.frontier import DIRECTIONS, CapabilityPlot
 from dpbench.bench.plan.configurations import (
     BASELINE_LAW,
     Table,
-    configurations_of,
-    module_of,
-    refusal_of,
+    find_refusal,
+    list_configurations,
+    plugin_file,
 )
 from dpbench.bench.plan.suite import (
     CapabilityTable,
@@ -24,23 +22,25 @@ from dpbench.bench.plan.suite import (
     ReplayTable,
     SuiteFile,
 )
-from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.configuration import Configuration
-from dpbench.bench.sequences.recording import read_sequence
-from dpbench.bench.sequences.source import (
-    capability_source,
-    random_source,
-    recorded_source,
+from dpbench.bench.record.cell import (
+    CONTROLLER,
+    CapabilitySource,
+    Cell,
+    QPSource,
+    RandomSource,
+    RecordedSource,
 )
+from dpbench.bench.record.configuration import Configuration
+from dpbench.bench.sequences.recording import hash_sequence_files, read_sequence
 from dpbench.errors import InputError
-from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
-from dpbench.qp.referee.kkt import positive_definite
-from dpbench.scenario.problem_files import sequence_path
-from dpbench.scenario.scenario import vessel_files, vessel_of
+from dpbench.qp.random_recipe import FAMILIES
+from dpbench.qp.referee.kkt import is_positive_definite
+from dpbench.scenario.problem_files import is_stored, sequence_path
+from dpbench.scenario.scenario import build_vessel, read_vessel_documents
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
-from dpbench.solvers.table import record
+from dpbench.solvers.table import find_record
 
-NOT_STRICT = "P is only semidefinite, and the solver needs P > 0"
+SEMIDEFINITE_REFUSAL = "P is only semidefinite, and the solver needs P > 0"
 WINDOW_WARMUP_STEPS = 5
 """Of a window of the hardest steps: its configuration mostly has replayed another sequence."""
 NO_MODEL = "sparse: there is no model whose states to keep"
@@ -48,7 +48,7 @@ NO_MODEL = "sparse: there is no model whose states to keep"
 
 @dataclass(frozen=True)
 class PlannedCell:
-    """A cell to run, or the reason why it is a row without running.
+    """A planned run of one solver on one problem, or the reason why it is refused.
 
     `alias_settings` are further names of the same settings, shown as rows of their own.
     """
@@ -58,22 +58,23 @@ class PlannedCell:
     alias_settings: tuple[str, ...] = ()
 
 
-def cell_of(
+def plan_cell(
     configuration: Configuration,
     suite: SuiteFile,
     table: Table,
     *,
-    no_stages: str = NO_MODEL,
+    why_no_sparse_form: str = NO_MODEL,
     **fields: Any,
 ) -> PlannedCell:
-    """The cell of one configuration of a table, or why it is refused.
+    """Return the planned run of one solver configuration of a suite table, refused or not.
 
     Parameters
     ----------
-    no_stages : why the QPs cannot be formulated with the states kept; "" where they can.
+    why_no_sparse_form : reason why the QPs have no sparse form; "" where they have one.
     fields : those of the cell's mode.
     """
     baseline_law = configuration.solver == BASELINE_LAW
+    own_limit_s = table.limit_s if isinstance(table, ClosedLoopTable | ReplayTable) else None
     cell = Cell(
         solver=configuration.solver,
         route=configuration.route,
@@ -81,16 +82,16 @@ def cell_of(
         settings=configuration.settings,
         formulation="none" if baseline_law else configuration.formulation,
         units=configuration.units,
-        limit_s=(_own_limit_s(table) or suite.cell_limit_s) + _waiting_s(configuration, **fields),
-        solver_module=module_of(configuration.solver),
+        limit_s=(own_limit_s or suite.cell_limit_s) + _intended_wait_s(configuration, **fields),
+        solver_module=plugin_file(configuration.solver),
         memory_gb=suite.cell_memory_gb,
         **fields,
     )
-    planned = PlannedCell(cell, refusal_of(configuration), configuration.alias)
+    planned = PlannedCell(cell, find_refusal(configuration), configuration.alias)
     if cell.formulation != "sparse":
         return planned
     # States cost nothing along most of their directions, so P is only semidefinite.
-    return _if_semidefinite(replace(planned, refused=planned.refused or no_stages))
+    return _refuse_semidefinite(replace(planned, refused=planned.refused or why_no_sparse_form))
 
 
 def replay_cells(
@@ -99,15 +100,16 @@ def replay_cells(
     solvers: Sequence[str],
     steps: int,
     *,
-    no_stages: str = NO_MODEL,
+    source: QPSource = CONTROLLER,
+    why_no_sparse_form: str = NO_MODEL,
     **fields: Any,
 ) -> list[PlannedCell]:
-    """The cells of a replay of so many steps; `fields` say of what, the rest is as in `cell_of`.
+    """Plan replays of `steps` QPs, one for each solver configuration of a suite table.
 
-    Untimed ones, random or at the edge of a capability, have no budget of their own. A window of
-    the hardest steps has its share of the budgets of its stretch, and a short warm-up.
+    Untimed ones, random or of a capability, have no budget. A window of the hardest steps has its
+    share of the budgets of its stretch, and a short warm-up.
     """
-    share = steps / (fields.get("source") or {}).get("of", steps)
+    share = steps / source.count_stretch_steps(steps)
     if not isinstance(table, RandomTable | CapabilityTable):
         fields |= {
             "budget_s": share * suite.replay_budget_s,
@@ -115,97 +117,90 @@ def replay_cells(
         }
     most = suite.warmup_steps if share == 1.0 else min(suite.warmup_steps, WINDOW_WARMUP_STEPS)
     return [
-        cell_of(
+        plan_cell(
             configuration,
             suite,
             table,
-            no_stages=no_stages,
+            why_no_sparse_form=why_no_sparse_form,
             mode="replay",
+            source=source,
             steps=steps,
             rounds=suite.rounds,
             warmup_steps=min(most, steps),
             **fields,
         )
-        for configuration in configurations_of(solvers, table)
+        for configuration in list_configurations(solvers, table)
         if configuration.solver != BASELINE_LAW
     ]
 
 
-def _own_limit_s(table: Table) -> float | None:
-    """The limit of a table's cells, where it has one of its own."""
-    return table.limit_s if isinstance(table, ClosedLoopTable | ReplayTable) else None
-
-
-def _waiting_s(configuration: Configuration, steps: int, rounds: int = 0, **_: Any) -> float:
-    """What a waiting configuration waits on purpose, every round run again; 0 for every other
-    configuration."""
+def _intended_wait_s(configuration: Configuration, steps: int, rounds: int = 0, **_: Any) -> float:
+    """Return how long a dummy solver of known duration waits on purpose [s]; 0 for real ones."""
     return 2e-9 * WAITS_NS.get(configuration.solver, 0) * steps * (rounds + 1)
 
 
 def recorded_cells(
     suite: SuiteFile, solvers: Sequence[str], beside: Path | None, taken: Sequence[str]
 ) -> list[PlannedCell]:
-    """The cells of all recorded sequences of a suite.
+    """Plan the replays of all recorded sequences of QPs that a suite names.
 
     Parameters
     ----------
-    beside : folder of the suite; taken : names that scenarios of it have.
+    beside : folder of the suite; taken : names of its scenarios.
 
     Raises
     ------
     InputError : for a file that is no sequence, or two sequences of one name.
     """
     cells: list[PlannedCell] = []
-    places: dict[str, str] = {}
+    digests: dict[str, str] = {}
     for table in suite.recorded:
         path = sequence_path(table.sequence, beside)
-        source = recorded_source(table.sequence, path, "")
-        sequence = read_sequence(path).sequence
-        source["name"] = sequence.name
-        known = places.setdefault(sequence.name, source["sha256"])
-        if known != source["sha256"] or sequence.name in taken:
+        # Another installation has a stored sequence in another folder.
+        origin = table.sequence if is_stored(table.sequence) else str(path)
+        sha256, sequence = hash_sequence_files(path), read_sequence(path).sequence
+        known = digests.setdefault(sequence.name, sha256)
+        if known != sha256 or sequence.name in taken:
             allowed = "sequences and scenarios of different names, which tell their results apart"
             raise InputError(str(path), "name", f"another called {sequence.name!r}", allowed)
+        source = RecordedSource(sequence.name, origin, sha256)
         planned = replay_cells(suite, table, solvers, len(sequence), scenario={}, source=source)
         matrices = [sequence.base.P] if sequence.P is None else list(sequence.P)
-        strict = all(positive_definite(P) for P in matrices)
-        cells += planned if strict else map(_if_semidefinite, planned)
+        strict = all(is_positive_definite(P) for P in matrices)
+        cells += planned if strict else map(_refuse_semidefinite, planned)
     return cells
 
 
 def capability_cells(
     suite: SuiteFile, table: CapabilityTable, solvers: Sequence[str], beside: Path | None
 ) -> list[PlannedCell]:
-    """The cells of a capability plot.
-
-    Raises
-    ------
-    InputError : for a vessel without thrusters or the hull that the plot needs.
-    """
-    files = vessel_files(table.vessel, beside=beside)
-    cases = Frontier(vessel_of(files, table.vessel), table.sides).cases
+    """Plan the runs that solve a capability plot's QPs; InputError without thrusters or hull."""
+    files = read_vessel_documents(table.vessel, beside=beside)
+    cases = CapabilityPlot(build_vessel(files, table.vessel), table.sides).cases
     own = [name for name in solvers if name not in CALIBRATION]
-    source = capability_source(files, table.sides)
+    name = f"{files['vessel_name']} capability, {table.sides} sides"
+    source = CapabilitySource(name, table.sides, **files)
     steps = POINTS * DIRECTIONS * len(cases)
     cells = replay_cells(suite, table, own, steps, scenario={}, source=source)
     # What a solver claims of a QP does not change from round to round.
     return [replace(planned, cell=replace(planned.cell, rounds=1)) for planned in cells]
 
 
-def _if_semidefinite(planned: PlannedCell) -> PlannedCell:
-    """The same cell, refused if its solver needs P > 0."""
-    needs = record(planned.cell.solver).needs_strict_convexity
-    return replace(planned, refused=planned.refused or NOT_STRICT) if needs else planned
+def _refuse_semidefinite(planned: PlannedCell) -> PlannedCell:
+    """Return a planned run, marked as refused if its solver needs P > 0 in the QP's cost."""
+    needs = find_record(planned.cell.solver).needs_strict_convexity
+    return replace(planned, refused=planned.refused or SEMIDEFINITE_REFUSAL) if needs else planned
 
 
 def random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -> list[PlannedCell]:
-    """The cells of a table of random sequences."""
+    """Plan the runs that solve the random QPs of a suite table."""
     # What depends on the configuration alone is found out once: a table may make thousands of
     # cells.
     blanks = replay_cells(suite, table, solvers, table.steps, scenario={})
-    return [_of_recipe(blank, recipe) for recipe in table.recipes() for blank in blanks]
-
-
-def _of_recipe(blank: PlannedCell, recipe: RandomRecipe) -> PlannedCell:
-    planned = replace(blank, cell=replace(blank.cell, source=random_source(recipe)))
-    return _if_semidefinite(planned) if FAMILIES[recipe.family].semidefinite else planned
+    cells: list[PlannedCell] = []
+    for recipe in table.list_recipes():
+        source = RandomSource.from_recipe(recipe)
+        planned = [replace(blank, cell=replace(blank.cell, source=source)) for blank in blanks]
+        semidefinite = FAMILIES[recipe.family].semidefinite
+        cells += map(_refuse_semidefinite, planned) if semidefinite else planned
+    return cells

@@ -1,7 +1,4 @@
-"""The configurations of a suite: which solvers it means, and every way to run one that it asks
-for."""
-
-from __future__ import annotations
+"""The configurations of a suite: its solvers in every mode of each table."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -17,40 +14,42 @@ from dpbench.bench.plan.suite import (
 )
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.configuration import Configuration
-from dpbench.errors import InputError, SettingsError, UnknownNameError
+from dpbench.errors import InputError, SettingsError, UnknownNameError, list_allowed
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Route
 from dpbench.solvers.own.adapters import UNCONSTRAINED_CLIPPED
 from dpbench.solvers.plugins import find_plugin
-from dpbench.solvers.settings import has_setting, setting_names, settings_matter
-from dpbench.solvers.table import TABLE, Availability, available, record, solver_names
+from dpbench.solvers.settings import has_setting, has_tolerance_levels, setting_names
+from dpbench.solvers.table import TABLE, Availability, check_availability, find_record, solver_names
 
 BASELINE_LAW = UNCONSTRAINED_CLIPPED.name
 Table = ClosedLoopTable | ReplayTable | RandomTable | RecordedTable | CapabilityTable
 
 
 def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
-    """The solvers of a suite, or those of `only`.
+    """Return the solvers of a suite, or those of `only` where some are chosen.
 
-    "all" means every solver of the table except those of an optional extra that is not installed:
-    they are left out by default (`dpbench list solvers` says so), and asked for by name.
+    "all" means every solver of the table except those of an optional extra that is not installed
+    (`dpbench list solvers`), which have to be named.
 
     Raises
     ------
     UnknownNameError : for an unknown solver.
     InputError : for a baseline of the report, or solvers of a replay, that the suite has not.
     """
-    named = _asked("solvers", suite.solvers)
-    allowed = f"a solver of the suite: {', '.join(named)}"
+    named = _resolve_solvers("solvers", suite.solvers)
     for kind, tables in (("closed_loop", suite.closed_loop), ("replay", suite.replay)):
         key = f"{kind}.solvers"
         for table in tables:
-            if table.solvers and not set(_asked(key, table.solvers)) & set(named):
-                raise InputError("suite", key, ", ".join(table.solvers), allowed)
+            if table.solvers and not set(_resolve_solvers(key, table.solvers)) & set(named):
+                found = ", ".join(table.solvers)
+                allowed = f"a solver of the suite: {list_allowed(found, named)}"
+                raise InputError("suite", key, found, allowed)
     baseline = suite.report.baseline
     if baseline is not None and baseline not in named:
+        allowed = f"a solver of the suite: {list_allowed(baseline, named)}"
         raise InputError("suite", "report.baseline", repr(baseline), allowed)
-    chosen = _named(only) if only else named
+    chosen = _expand_names(only) if only else named
     if not only and suite.baseline_law:
         chosen.append(BASELINE_LAW)
     if not only and suite.calibration:
@@ -58,31 +57,32 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     return list(dict.fromkeys(chosen))
 
 
-def _asked(key: str, names: Sequence[str]) -> list[str]:
-    """The solvers that a key of a suite names."""
+def _resolve_solvers(key: str, names: Sequence[str]) -> list[str]:
+    """Return the solvers that an entry of the suite names; UnknownNameError, naming the entry."""
     try:
-        return _named(names)
+        return _expand_names(names)
     except UnknownNameError as error:
         raise UnknownNameError("suite", key, error.found, error.allowed) from error
 
 
-def _named(names: Sequence[str]) -> list[str]:
-    """The solvers of some names, "all" spelt out."""
+def _expand_names(names: Sequence[str]) -> list[str]:
+    """Return solver names without repeats, with "all" replaced by all default solvers."""
     chosen: list[str] = []
     for name in names:
         if name == "all":
-            chosen += [s for s in solver_names() if s != BASELINE_LAW and _by_default(s)]
+            chosen += [s for s in solver_names() if s != BASELINE_LAW and _is_default_solver(s)]
         else:
-            chosen.append(record(name).name)
+            chosen.append(find_record(name).name)
     return list(dict.fromkeys(chosen))
 
 
-def _by_default(solver: str) -> bool:
-    return record(solver).extra not in ("jax", "casadi") or available(solver).ok
+def _is_default_solver(solver: str) -> bool:
+    """Return whether "all solvers" includes one: it is no optional extra, or is installed."""
+    return find_record(solver).extra not in ("jax", "casadi") or check_availability(solver).ok
 
 
-def checked_backup(name: str) -> tuple[str, str]:
-    """The backup of a closed loop and why it cannot be opened here; "" for no backup or reason.
+def check_backup(name: str) -> tuple[str, str]:
+    """Return the backup solver of a closed loop, and why it cannot be opened; "" for neither.
 
     Raises
     ------
@@ -91,36 +91,34 @@ def checked_backup(name: str) -> tuple[str, str]:
     """
     if not name:
         return "", ""
-    (solver,) = _asked("closed_loop.backup", [name]) if name != "all" else ("",)
-    if not solver or module_of(solver) or solver in CALIBRATION:
+    (solver,) = _resolve_solvers("closed_loop.backup", [name]) if name != "all" else ("",)
+    if not solver or plugin_file(solver) or solver in CALIBRATION:
         allowed = "one solver of `dpbench list solvers`, or of an installed plug-in"
         raise InputError("suite", "closed_loop.backup", repr(name), allowed)
-    here = available(solver)
+    here = check_availability(solver)
     return solver, "" if here.ok else f"backup {solver}: {here.reason}"
 
 
-def identity_of(cell: Cell, library: Availability) -> str:
-    """Version and build of the library of a cell's solver, and of that of its backup."""
+def library_identity(cell: Cell, library: Availability) -> str:
+    """Return version and build of the libraries of a run's solver and backup solver."""
     if not cell.backup:
         return library.identity
-    return f"{library.identity}, backup {available(cell.backup).identity}"
+    return f"{library.identity}, backup {check_availability(cell.backup).identity}"
 
 
-def module_of(solver: str) -> str:
-    """The file of a plug-in that a worker has to load; "" for every other solver."""
+def plugin_file(solver: str) -> str:
+    """Return the Python plug-in file that a solver is loaded from; "" for other solvers."""
     plugin = None if solver in TABLE else find_plugin(solver)
     return plugin.origin if plugin is not None and Path(plugin.origin).is_file() else ""
 
 
-def configurations_of(solvers: Sequence[str], table: Table) -> list[Configuration]:
-    """The configurations of one table of a suite; a solver is left out of a route it does not have.
+def list_configurations(solvers: Sequence[str], table: Table) -> list[Configuration]:
+    """Return each solver of a suite table in every way to call it: settings, units, QP form.
 
-    A table may name solvers of its own: those of them that the suite has, too, take part.
-
-    The harness's own configurations have one way to run, whatever the table asks for, and take part
-    in timed replays alone.
+    Of solvers named by the table, those of the suite take part. The harness's own configurations
+    have one call mode, whatever the table has, and take part in timed replays alone.
     """
-    solvers = _taking_part(solvers, table)
+    solvers = _select_solvers(solvers, table)
     if not solvers:
         return []
     for name in table.settings:
@@ -134,12 +132,12 @@ def configurations_of(solvers: Sequence[str], table: Table) -> list[Configuratio
     for units, formulation, policy, wanted, solver in product(
         table.units, table.formulations, table.policies, table.routes, solvers
     ):
-        row = record(solver)
+        row = find_record(solver)
         route: Route = row.default_route if wanted == "default" else wanted
         if route not in row.policies:
             continue
         names = [name for name in table.settings if has_setting(solver, name)]
-        if settings_matter(solver):
+        if has_tolerance_levels(solver):
             configurations += [
                 Configuration(solver, route, policy, name, units, formulation) for name in names
             ]
@@ -152,20 +150,20 @@ def configurations_of(solvers: Sequence[str], table: Table) -> list[Configuratio
     return configurations + [Configuration(name, "native", "reuse") for name in own if timed]
 
 
-def _taking_part(solvers: Sequence[str], table: Table) -> list[str]:
-    """Those of the suite's solvers that a table means."""
+def _select_solvers(solvers: Sequence[str], table: Table) -> list[str]:
+    """Return the suite's solvers that take part in a table, by its `solvers` and `without`."""
     if not isinstance(table, ClosedLoopTable | ReplayTable):
         return list(solvers)
-    named = _named(table.solvers) if table.solvers else solvers
-    without = _named(table.without)
+    named = _expand_names(table.solvers) if table.solvers else solvers
+    without = _expand_names(table.without)
     return [name for name in solvers if name in named and name not in without]
 
 
-def refusal_of(configuration: Configuration) -> str:
-    """Why a configuration cannot run; "" where it can."""
-    here = available(configuration.solver)
+def find_refusal(configuration: Configuration) -> str:
+    """Return why a solver configuration cannot run on this machine; "" where it can."""
+    here = check_availability(configuration.solver)
     if not here.ok:
         return here.reason
     policy = configuration.policy
-    reason = record(configuration.solver).refusal(configuration.route, policy)
+    reason = find_record(configuration.solver).refusal(configuration.route, policy)
     return f"policy {policy}: {reason}" if reason else ""

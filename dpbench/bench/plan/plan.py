@@ -1,34 +1,31 @@
-"""Expand a suite into cells, before anything runs."""
-
-from __future__ import annotations
+"""Expansion of a suite into cells, before anything runs."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from dpbench.bench.plan.cells import (
     PlannedCell,
     capability_cells,
-    cell_of,
+    plan_cell,
     random_cells,
     recorded_cells,
     replay_cells,
 )
 from dpbench.bench.plan.configurations import (
     BASELINE_LAW,
-    checked_backup,
+    check_backup,
     choose_solvers,
-    configurations_of,
+    list_configurations,
 )
 from dpbench.bench.plan.study_cells import study_cells
 from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile
-from dpbench.bench.sequences.consequence import steered_rows
+from dpbench.bench.record.cell import CONTROLLER, ConsequenceSource, HardestSource, QPSource
+from dpbench.bench.sequences.loop_sequences import select_thruster_rows
 from dpbench.bench.sequences.recording import with_horizons
-from dpbench.bench.sequences.source import consequence_source, hardest_source
-from dpbench.errors import InputError
+from dpbench.errors import InputError, list_allowed
 from dpbench.scenario.horizons import Horizons
-from dpbench.scenario.scenario import Scenario, load_scenario, no_delay, no_stages
+from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.solvers.calibration import CALIBRATION
 
 
@@ -39,11 +36,10 @@ def plan(
     scenarios: Sequence[str] | None = None,
     beside: Path | None = None,
 ) -> list[PlannedCell]:
-    """All cells of a suite in the order they run: closed loops, replays, recorded and random
-    ones, capability plots.
+    """Return all planned runs of a suite in the order they run.
 
-    Paths of scenarios and sequences are relative to the folder `beside`, that of the suite. A
-    choice of `scenarios` leaves all that have no scenario out.
+    Paths of scenarios and sequences are relative to `beside`, the folder of the suite. A choice of
+    `scenarios` leaves out all that have no scenario.
 
     Raises
     ------
@@ -53,21 +49,21 @@ def plan(
     known = suite.scenario_names
     for name in scenarios or ():
         if name not in known:
-            allowed = ", ".join(known) or "none, the suite has no scenario"
+            allowed = list_allowed(name, known) if known else "none, the suite has no scenario"
             raise InputError("--scenario", "", repr(name), f"a scenario of the suite: {allowed}")
     loaded = {name: load_scenario(name, beside=beside) for name in known}
-    swept = _under_horizons(suite, loaded)
-    stems = _different_names([*loaded.values(), *swept.values()])
+    swept = _load_horizon_variants(suite, loaded)
+    stems = _list_unique_names([*loaded.values(), *swept.values()])
     wanted = set(scenarios) if scenarios else set(known)
     cells: list[PlannedCell] = []
     for closed in suite.closed_loop:
-        for name in closed.names:
+        for name in closed.scenario_list:
             if name in wanted:
                 cells += _closed_loop_cells(suite, closed, loaded[name], chosen)
     if not scenarios:
         cells += study_cells(suite, chosen, beside)
     for replay in suite.replay:
-        for pair in replay.pairs if replay.scenario in wanted else ():
+        for pair in replay.horizon_pairs if replay.scenario in wanted else ():
             name = replay.scenario
             scenario = loaded[name] if pair is None else swept[name, pair]
             cells += _replay_cells(suite, replay, scenario, chosen)
@@ -80,11 +76,11 @@ def plan(
     if not cells:
         allowed = "[[closed_loop]] or another table of runs, with a solver to run"
         raise InputError("suite", "", "nothing to run", allowed)
-    return _merged(cells)
+    return _merge_equal_cells(cells)
 
 
-def _different_names(scenarios: Sequence[Scenario]) -> list[str]:
-    """Their names; InputError when two have the same."""
+def _list_unique_names(scenarios: Sequence[Scenario]) -> list[str]:
+    """Return the names of scenarios; InputError where two have the same."""
     stems = [scenario.name for scenario in scenarios]
     for stem in stems:
         if stems.count(stem) > 1:
@@ -93,19 +89,18 @@ def _different_names(scenarios: Sequence[Scenario]) -> list[str]:
     return stems
 
 
-def _under_horizons(
+def _load_horizon_variants(
     suite: SuiteFile, loaded: dict[str, Scenario]
 ) -> dict[tuple[str, Horizons], Scenario]:
-    """The scenarios of the replays under each pair of horizons that a table asks for."""
-    asked = {(table.scenario, pair) for table in suite.replay for pair in table.pairs if pair}
+    """Return each replayed scenario with the other MPC horizons that the suite names."""
+    asked = {
+        (table.scenario, pair) for table in suite.replay for pair in table.horizon_pairs if pair
+    }
     return {(name, pair): with_horizons(loaded[name], *pair) for name, pair in sorted(asked)}
 
 
-def _merged(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
-    """Each cell once, with all names of its settings.
-
-    Two tables may ask for the same cell, e.g. by its route's name and as the default one.
-    """
+def _merge_equal_cells(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
+    """Return each planned run once; equal ones are merged with all names of their settings."""
     once: dict[str, PlannedCell] = {}
     for planned in cells:
         key = planned.cell.key
@@ -119,20 +114,21 @@ def _merged(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
 def _closed_loop_cells(
     suite: SuiteFile, table: ClosedLoopTable, scenario: Scenario, solvers: Sequence[str]
 ) -> list[PlannedCell]:
+    """Plan the closed loops of a scenario, one per solver configuration and computer slow-down."""
     steps = min(table.steps or scenario.steps, scenario.steps)
     if table.deadline_s > scenario.sample_s:
         where, allowed = f"suite: closed loop of {scenario.name}", f"at most {scenario.sample_s:g}"
         raise InputError(where, "deadline_s", table.deadline_s, f"{allowed}, its sample")
-    backup, missing = checked_backup(table.backup)
+    backup, missing = check_backup(table.backup)
     # The baseline law does not look at units or settings: it runs where the default configurations
     # do.
     plain = ("scaled", "default", "fresh")
     cells = [
-        cell_of(
+        plan_cell(
             configuration,
             suite,
             table,
-            no_stages=no_stages(scenario),
+            why_no_sparse_form=scenario.controller.why_no_sparse_form,
             mode="closed_loop",
             scenario=scenario.files,
             steps=steps,
@@ -142,11 +138,11 @@ def _closed_loop_cells(
             deadline_s=table.deadline_s,
         )
         for slowdown in table.slowdowns
-        for configuration in configurations_of(solvers, table)
+        for configuration in list_configurations(solvers, table)
         if configuration.solver != BASELINE_LAW
         or (configuration.units, configuration.settings, configuration.policy) == plain
     ]
-    why = no_delay(scenario)
+    why = scenario.controller.why_no_delay
     cells = [replace(planned, refused=planned.refused or missing) for planned in cells]
     return [
         replace(planned, refused=planned.refused or why) if planned.cell.slowdown else planned
@@ -157,6 +153,7 @@ def _closed_loop_cells(
 def _replay_cells(
     suite: SuiteFile, table: ReplayTable, scenario: Scenario, solvers: Sequence[str]
 ) -> list[PlannedCell]:
+    """Plan replays of a scenario's QPs: along the exact loop, its hardest steps, or failures."""
     if table.first >= scenario.steps:
         raise InputError(
             f"suite: replay of {scenario.name}", "first", table.first, f"below {scenario.steps}"
@@ -166,11 +163,11 @@ def _replay_cells(
         _check_window(table, scenario)
     if table.consequence:
         return _consequence_cells(suite, table, scenario, solvers, steps)
-    source: dict[str, Any] = {}
+    source: QPSource = CONTROLLER
     if table.hardest:
         # A scenario given in place of the suite's own may have fewer steps.
         of, steps = steps, min(table.hardest, steps)
-        source = hardest_source(_replay_name(table, scenario, of), steps, of)
+        source = HardestSource(f"{_replay_name(table, scenario, of)} hardest {steps}", of)
         # The machine is measured in the replays that are long enough for it.
         solvers = [name for name in solvers if name not in CALIBRATION]
     return replay_cells(
@@ -178,7 +175,7 @@ def _replay_cells(
         table,
         solvers,
         steps,
-        no_stages=no_stages(scenario),
+        why_no_sparse_form=scenario.controller.why_no_sparse_form,
         scenario=scenario.files,
         first=table.first,
         source=source,
@@ -186,21 +183,21 @@ def _replay_cells(
 
 
 def _check_window(table: ReplayTable, scenario: Scenario) -> None:
-    """InputError for a window that is larger than its stretch, or of other QPs than a loop's."""
-    where = f"suite: replay of {scenario.name}"
+    """Raise InputError where a suite table asks for an impossible window of hardest steps."""
+    allowed = ""
     if table.steps and table.hardest > table.steps:
         allowed = f"at most {table.steps}, the steps it is chosen from"
-        raise InputError(where, "hardest", table.hardest, allowed)
-    if table.consequence:
+    elif table.consequence:
         allowed = "0 with consequence: hardness is that of the controller's QPs"
-        raise InputError(where, "hardest", table.hardest, allowed)
-    if table.horizons:
+    elif table.horizons:
         allowed = "0 with horizons: each pair has other hardest steps, and they are compared"
+    if allowed:
+        where = f"suite: replay of {scenario.name}"
         raise InputError(where, "hardest", table.hardest, allowed)
 
 
 def _replay_name(table: ReplayTable, scenario: Scenario, steps: int) -> str:
-    """The name of a replay of so many steps of a scenario from the table's first on."""
+    """Return the name of a replayed part of a scenario, with its steps unless from the start."""
     window = "" if table.first == 0 else f"[{table.first}:{table.first + steps}]"
     return f"{scenario.name}{window}"
 
@@ -212,12 +209,13 @@ def _consequence_cells(
     solvers: Sequence[str],
     steps: int,
 ) -> list[PlannedCell]:
-    """The cells of each failure group; the harness's own configurations have no part in them."""
-    thrusters, _ = steered_rows(scenario)
+    """Plan the consequence-analysis replays of each failure group of a scenario's ship."""
+    thrusters, _ = select_thruster_rows(scenario)
     if table.units != ["scaled"]:
         where = f"suite: consequence analysis of {scenario.name}"
         raise InputError(where, "units", ", ".join(table.units), "scaled, its only units")
     own = [name for name in solvers if name not in CALIBRATION]
+    sequence = _replay_name(table, scenario, steps)
     return [
         cell
         for group in thrusters.groups
@@ -228,6 +226,6 @@ def _consequence_cells(
             steps,
             scenario=scenario.files,
             first=table.first,
-            source=consequence_source(_replay_name(table, scenario, steps), group),
+            source=ConsequenceSource(f"{sequence}, {group} lost", group),
         )
     ]

@@ -32,7 +32,7 @@ RouteName = Literal["default", "qpsolvers", "native"]
 
 
 class RunsTable(FileModel):
-    """In which ways solvers run; settings that a solver does not have are left out."""
+    """How a suite table calls its solvers: settings, library interface, what steps hand on."""
 
     settings: list[str] = ["default"]
     """default, low, mid, high, a name that a solver has beside them, or a tolerance: "1e-4"."""
@@ -43,7 +43,7 @@ class RunsTable(FileModel):
 
 
 class ReplicatesTable(FileModel):
-    """The same point again under other values of one whole number, by default another sea."""
+    """Repetitions of each study point with other values of one parameter, by default the sea."""
 
     key: str = "environment.seed"
     """Dotted name of the key that tells replicates apart."""
@@ -54,7 +54,7 @@ class ReplicatesTable(FileModel):
 
 
 class DesignOfPointsTable(FileModel):
-    """Points drawn from ranges of keys, spread evenly by a low-discrepancy sequence."""
+    """Study points drawn evenly from ranges of parameters, by Sobol or Latin hypercube."""
 
     kind: Literal["sobol", "latin_hypercube"]
     """sobol: a scrambled Sobol sequence; latin_hypercube: a Latin hypercube sample."""
@@ -66,7 +66,8 @@ class DesignOfPointsTable(FileModel):
     """Least and largest value of each key, by its dotted name."""
 
     @model_validator(mode="after")
-    def _drawable(self) -> DesignOfPointsTable:
+    def _check_points(self) -> DesignOfPointsTable:
+        """Raise ValueError for a Sobol size that is no power of two, or a range without growth."""
         if self.kind == "sobol" and self.points & (self.points - 1):
             raise ValueError("a power of two points for sobol: 64, 128, 256, ...")
         for key, (least, largest) in self.ranges.items():
@@ -74,8 +75,8 @@ class DesignOfPointsTable(FileModel):
                 raise ValueError(f"a range that grows for {key!r}, as [5.0, 18.0]")
         return self
 
-    def draws(self) -> Matrix:
-        """The points (points, keys) in the units of the files."""
+    def draw_points(self) -> Matrix:
+        """Return drawn parameter values (points, parameters), in the scenario file's units."""
         # A campaign that draws nothing starts half a second sooner, and 40 MB smaller, without.
         from scipy.stats import qmc
 
@@ -91,7 +92,7 @@ class DesignOfPointsTable(FileModel):
 
 
 class StudyTable(RunsTable):
-    """One scenario steered at many points of its keys, each again in several seas.
+    """A study of a suite: closed loops of one scenario with many parameter values and seas.
 
     A key is named with dots: environment.wind.speed_mps, start.east_m, vessel (a ship by name),
     vessel.length_m. Solvers, routes, policies and settings are as in a closed loop.
@@ -117,7 +118,8 @@ class StudyTable(RunsTable):
     """The same points again in other seas; once by default."""
 
     @model_validator(mode="after")
-    def _consistent(self) -> StudyTable:
+    def _check_keys(self) -> StudyTable:
+        """Raise ValueError for parameters that appear twice, or paired lists of unequal length."""
         lengths = {len(values) for values in self.zip.values()}
         if len(lengths) > 1:
             raise ValueError("as many values of each key in zip")
@@ -131,22 +133,21 @@ class StudyTable(RunsTable):
 
     @property
     def title(self) -> str:
-        """Its name, or that of its scenario."""
+        """Name of the study, or of its scenario where it has none."""
         return self.name or self.base
 
     @property
     def keys(self) -> list[str]:
-        """The dotted names of all keys that tell points apart."""
+        """Dotted names of all scenario parameters that a study varies."""
         drawn = [] if self.design is None else list(self.design.ranges)
         return [*self.product, *self.zip, *drawn]
 
 
 @dataclass(frozen=True)
 class StudyPoint:
-    """One run of each configuration of a study.
+    """One parameter point and repetition of a study, which every solver configuration runs once.
 
-    index : of the point; replicate : from 1 on; values : of its keys; of_replicate : the same of
-    the key that tells replicates apart.
+    `values` are those of its keys, `of_replicate` that of the key that tells replicates apart.
     """
 
     index: int
@@ -155,13 +156,10 @@ class StudyPoint:
     of_replicate: Point
 
 
-def points_of(table: StudyTable, own: Mapping[str, object]) -> list[StudyPoint]:
-    """All points of a study, each with all its replicates.
+def list_points(table: StudyTable, own: Mapping[str, object]) -> list[StudyPoint]:
+    """Return all parameter points of a study, each with all its repetitions.
 
-    Parameters
-    ----------
-    own : the base scenario's own values of the drawn keys: where one is a whole number, so are the
-        values drawn for it.
+    Draws are rounded where the base scenario's `own` value of the key is a whole number.
     """
     axes: list[list[Point]] = [[{key: v} for v in values] for key, values in table.product.items()]
     if table.zip:
@@ -169,8 +167,8 @@ def points_of(table: StudyTable, own: Mapping[str, object]) -> list[StudyPoint]:
         axes.append([dict(zip(table.zip, values, strict=True)) for values in together])
     if table.design is not None:
         names = list(table.design.ranges)
-        rows: Sequence[Sequence[float]] = table.design.draws().tolist()
-        axes.append([_typed(dict(zip(names, row, strict=True)), own) for row in rows])
+        rows: Sequence[Sequence[float]] = table.design.draw_points().tolist()
+        axes.append([_round_whole_numbers(dict(zip(names, row, strict=True)), own) for row in rows])
     merged: list[Point] = [
         {key: value for part in parts for key, value in part.items()} for parts in product(*axes)
     ]
@@ -183,7 +181,7 @@ def points_of(table: StudyTable, own: Mapping[str, object]) -> list[StudyPoint]:
     ]
 
 
-def _typed(drawn: Point, own: Mapping[str, object]) -> Point:
-    """Draws as the files want them: whole numbers where the scenario has a whole number."""
+def _round_whole_numbers(drawn: Point, own: Mapping[str, object]) -> Point:
+    """Return drawn parameter values, rounded where the scenario's own is a whole number."""
     whole = {key for key in drawn if isinstance(own.get(key), int)}
     return {key: round(value) if key in whole else value for key, value in drawn.items()}

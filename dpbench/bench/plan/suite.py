@@ -1,19 +1,18 @@
-"""Suites: which cells a campaign runs, and the demand its report judges them by."""
-
-from __future__ import annotations
+"""Suites: which cells a campaign runs, and the requirements its report judges them by."""
 
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, get_args
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, WithJsonSchema
 
 from dpbench.bench.plan.study_points import RouteName, RunsTable, StudyTable
-from dpbench.bench.record.cell import SLOWEST, Fallback, Units
+from dpbench.bench.record.cell import DEFAULT_FALLBACK, SLOWEST, Units
+from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import RandomRecipe
-from dpbench.scenario.horizons import Horizons, different_horizons, parse_horizons
+from dpbench.scenario.horizons import Horizons, check_distinct_horizons, parse_horizons
 from dpbench.scenario.problem_files import FileModel, parse_model, problem_path, read_toml
 from dpbench.solvers.contract import Policy
 from dpbench.solvers.record import LEVELS
@@ -25,18 +24,28 @@ Size = Annotated[list[Count], Field(min_length=2, max_length=2)]
 FormulationName = Literal["condensed_box", "condensed_stacked", "sparse"]
 
 
-def _off_or_slower(value: float) -> float:
-    """A computer is not faster than the one that is measured."""
+def _check_slowdown(value: float) -> float:
+    """Check a slow-down of the ship's computer; ValueError outside 0 and 1 to `SLOWEST`."""
     if value != 0.0 and not 1.0 <= value <= SLOWEST:
         raise ValueError(f"0 (off), or 1 to {SLOWEST:g}")
     return value
 
 
-Slowdown = Annotated[float, AfterValidator(_off_or_slower)]
+def _check_fallback(name: str) -> str:
+    """Check the name of a policy for steps without an answer; ValueError for an unknown one."""
+    if name not in FALLBACKS:
+        raise ValueError(" | ".join(map(repr, FALLBACKS)))
+    return name
 
 
-class DemandTable(FileModel):
-    """What a controller demands of a solver."""
+Fallback = Annotated[
+    str, AfterValidator(_check_fallback), WithJsonSchema({"enum": list(FALLBACKS)})
+]
+Slowdown = Annotated[float, AfterValidator(_check_slowdown)]
+
+
+class RequirementsTable(FileModel):
+    """Requirements of a controller on a solver: errors, failed steps, step time, deadline."""
 
     error_move: Positive = 1e-2
     """Largest error of the first move on any step, in rate-limit steps."""
@@ -49,14 +58,7 @@ class DemandTable(FileModel):
 
 
 class ClosedLoopTable(RunsTable):
-    """Every solver steers the ship itself; route "default" is each solver's own.
-
-    With `vessels` every scenario is run with each of them instead of its own. `slowdowns` says how
-    much slower than this machine the ship's computer is (≥ 1), 0 that the ship waits for every
-    answer; `deadline_s` what a step may take of its time, 0 the whole sample. `limit_s` is the
-    limit of a cell here, where it is not that of the suite. With `solvers` only those of the suite
-    take part that are named here, and none of `without`.
-    """
+    """Closed loops of a suite: every solver controls the ship of each scenario by itself."""
 
     scenarios: list[str]
     """Scenarios by name, scenario@vessel, or TOML files beside the suite."""
@@ -70,7 +72,7 @@ class ClosedLoopTable(RunsTable):
     """Units of the QP a solver is given."""
     formulations: list[FormulationName] = ["condensed_box"]
     """Forms of the QP a solver is given."""
-    fallback: Fallback = "shifted_plan"
+    fallback: Fallback = DEFAULT_FALLBACK
     """What acts where there is no usable answer."""
     backup: str = ""
     """Second solver that is asked first where there is no usable answer in time; "" for none."""
@@ -84,22 +86,19 @@ class ClosedLoopTable(RunsTable):
     """Only the first steps; 0: all."""
 
     @property
-    def names(self) -> list[str]:
-        """The scenarios, each with each vessel."""
+    def scenario_list(self) -> list[str]:
+        """Names of the scenarios to run, each with each vessel."""
         if not self.vessels:
             return self.scenarios
         return [f"{scenario}@{vessel}" for scenario in self.scenarios for vessel in self.vessels]
 
 
 class ReplayTable(RunsTable):
-    """Identical QPs, recorded along the exactly solved loop, through every solver.
+    """Replays of a suite: the QPs along one exactly solved loop, through every solver.
 
-    With `horizons` ("30/5") the scenario is run under each of them instead of those of its tuning.
-    With `solvers` only those of the suite take part that are named here, and none of `without`.
-    With `consequence` the QPs are not the controller's: a sequence for each failure group of the
-    ship says whether the other thrusters could take over at each sample. With `hardest` only a
-    window of the steps is replayed: so many in a row around the hardest of them, which has most
-    active limits and changes of them at the optimum.
+    Consequence analysis has a sequence for each failure group of the ship, which tells whether the
+    other thrusters could take over at each sample. The hardest step has most active limits and
+    changes of them at the optimum.
     """
 
     scenario: str
@@ -110,7 +109,7 @@ class ReplayTable(RunsTable):
     """Only these of the suite's solvers; all where it is empty."""
     without: list[str] = []
     """All but these of the suite's solvers."""
-    horizons: Annotated[list[str], AfterValidator(different_horizons)] = []
+    horizons: Annotated[list[str], AfterValidator(check_distinct_horizons)] = []
     """Pairs such as 30/5, instead of the scenario's own."""
     first: Count = 0
     """The first step that is replayed."""
@@ -126,13 +125,13 @@ class ReplayTable(RunsTable):
     """Forms of the QP a solver is given."""
 
     @property
-    def pairs(self) -> list[Horizons | None]:
-        """The horizons to run under; None for those of the tuning."""
+    def horizon_pairs(self) -> list[Horizons | None]:
+        """Pairs of MPC horizons (N_p, N_c) to replay under; None for the controller's own."""
         return [parse_horizons(text) for text in self.horizons] or [None]
 
 
 class RandomTable(RunsTable):
-    """Random QPs with a planted optimum, through every solver: families × sizes × seeds.
+    """Random QPs of a suite, built from a known optimum: each family, size and seed.
 
     A size is [n, m]. Such QPs have no units but their own.
     """
@@ -152,8 +151,8 @@ class RandomTable(RunsTable):
     cond: NotNegative = 0.0
     """Condition number of P, 1 to 1e8; 0: that of the family."""
 
-    def recipes(self) -> list[RandomRecipe]:
-        """The recipes of the table; InputError for one that cannot be."""
+    def list_recipes(self) -> list[RandomRecipe]:
+        """Return family, size and seed of all random sequences of QPs; InputError if impossible."""
         return [
             RandomRecipe(family, n, m, seed, self.steps, self.block, self.cond)
             for family in self.families
@@ -163,7 +162,7 @@ class RandomTable(RunsTable):
 
 
 class RecordedTable(RunsTable):
-    """Recorded QPs through every solver: a stored sequence by name, a `.npz`, or a folder.
+    """Recorded QPs of a suite: a stored sequence by name, a `.npz` file, or a folder.
 
     A relative path is looked for beside the suite first. Such QPs have no units but their own.
     """
@@ -176,10 +175,10 @@ class RecordedTable(RunsTable):
 
 
 class CapabilityTable(RunsTable):
-    """The capability plot of a ship: the largest wind its thrusters hold from 36 directions, intact
-    and after each failure (DNV-ST-0111, level 1), and the QPs at that edge through every solver.
+    """A DP capability plot (DNV-ST-0111, level 1), and its QPs through every solver.
 
-    Such QPs have no units but their own, and no deadline: each is solved in one round.
+    It is the largest wind the thrusters hold from 36 directions, intact and after each failure. Its
+    QPs have no units but their own, and no deadline: each is solved in one round.
     """
 
     units: ClassVar[list[Units]] = ["scaled"]
@@ -191,8 +190,7 @@ class CapabilityTable(RunsTable):
 
 
 class DesignTable(FileModel):
-    """Stability and region of attraction of controllers, those of some scenarios, in vessels; no
-    solver's part."""
+    """Stability and region of attraction of controllers in vessels, without any solver."""
 
     controllers: Annotated[list[str], Field(min_length=1)]
     """Scenarios whose controllers are studied."""
@@ -201,11 +199,7 @@ class DesignTable(FileModel):
 
 
 class ReportTable(FileModel):
-    """What the report shows first.
-
-    `baseline` is the solver set beside the answer, by default the next best. A suite that is about
-    one step names it, `step`, and the `configuration` it was found for, as the report calls it.
-    """
+    """Settings of a suite's report: the solver to compare with, and the step it shows first."""
 
     baseline: str | None = None
     """The solver set beside the answer; by default the next best."""
@@ -216,16 +210,13 @@ class ReportTable(FileModel):
 
 
 class SuiteFile(FileModel):
-    """`problems/suites/*.toml`; 0 steps means all steps.
+    """Content of a suite, a TOML file of solvers and what they run; 0 steps means all steps.
 
-    A replay that has taken `replay_budget_s` gets no further round, once `FEWEST_ROUNDS` count;
-    0 for all of them whatever they take. Rounds in which other work slowed the load kernel run
-    again, for up to `repeat_budget_s` of each replay (both in `interleaved.py`). With
-    `baseline_law` the clipped unconstrained law steers too; with `calibration` the harness's own
-    configurations, whose cost is known, take part in every replay.
+    A replay gets at least `FEWEST_ROUNDS` rounds, whatever its budget (`interleaved.py`).
     """
 
     old_keys: ClassVar[dict[str, str]] = {"contrast": "baseline_law"}
+    refused_keys: ClassVar[dict[str, str]] = {"demand": "requirements"}
 
     title: str
     """The suite in words."""
@@ -247,8 +238,8 @@ class SuiteFile(FileModel):
     """Rounds of a replay that count."""
     warmup_steps: Count = 50
     """Steps of the round before them, which does not count."""
-    demand: DemandTable = DemandTable()
-    """What is demanded of a solver."""
+    requirements: RequirementsTable = RequirementsTable()
+    """What is required of a solver."""
     report: ReportTable = ReportTable()
     """What the report shows first."""
     design: DesignTable | None = None
@@ -267,20 +258,20 @@ class SuiteFile(FileModel):
     """Capability plots, and the QPs at their edge through every solver."""
 
     @classmethod
-    def tables_of_cells(cls) -> list[str]:
-        """The names of the tables of which a suite has several, each a group of its cells."""
+    def list_cell_tables(cls) -> list[str]:
+        """Return the names of the suite's tables that become runs."""
         return [name for name, field in cls.model_fields.items() if field.default == []]
 
     @property
     def scenario_names(self) -> list[str]:
-        """All scenarios that it names, once each."""
-        known = [name for table in self.closed_loop for name in table.names]
+        """Names of all scenarios in the suite's loops and replays, once each."""
+        known = [name for table in self.closed_loop for name in table.scenario_list]
         return list(dict.fromkeys([*known, *(table.scenario for table in self.replay)]))
 
 
 @contextmanager
-def naming(path: Path, *, chosen: bool = False) -> Iterator[None]:
-    """Complaints about "the suite", its scenarios and settings name its file.
+def name_file_in_errors(path: Path, *, chosen: bool = False) -> Iterator[None]:
+    """Replace "the suite" by its path in input errors raised within the block.
 
     Settings that were `chosen` on the command line are not the file's.
     """
@@ -304,7 +295,7 @@ _OTHER_FILES = {"limits": "a vessel", "environment": "a scenario", "controller":
 
 
 def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
-    """A suite by name or TOML path, with its file; InputError in one line if it is bad."""
+    """Return path and content of a suite, by name or TOML path; InputError if it is bad."""
     path = problem_path("suites", name_or_path)
     document = read_toml(path)
     kind = next((kind for key, kind in _OTHER_FILES.items() if key in document), None)
@@ -314,7 +305,7 @@ def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
     return path, parse_model(document, SuiteFile, str(path))
 
 
-_WAY: dict[str, Collection[str]] = {
+_MODE_VALUES: dict[str, Collection[str]] = {
     "route": get_args(RouteName),
     "policy": get_args(Policy),
     "settings": LEVELS,
@@ -322,32 +313,33 @@ _WAY: dict[str, Collection[str]] = {
 _TABLE_KEY = {"route": "routes", "policy": "policies", "settings": "settings"}
 
 
-def sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -> SuiteFile:
-    """The suite that replays one recorded sequence through every solver, default and high.
+def build_sequence_suite(path: str | Path, meta: Mapping[str, object] | None = None) -> SuiteFile:
+    """Build a suite that replays one sequence of QPs through every solver.
 
-    What a search found, as `meta` of the sequence says, is replayed in the way its solver was run
-    as well: another route or policy shows other iterations, or none.
+    A found worst case, as in `meta` of the sequence, is also replayed in the mode of its solver:
+    another route or policy has other iterations, or none.
     """
-    ways: list[dict[str, list[str]]] = [{"settings": ["default", "high"]}]
+    calls: list[dict[str, list[str]]] = [{"settings": ["default", "high"]}]
     meta = meta or {}
-    # Files of version 0.1 say "hunt" for it.
-    worst_case = {key: meta.get(f"worst_case_{key}", meta.get(f"hunt_{key}")) for key in _WAY}
+    worst_case = {key: meta.get(f"worst_case_{key}") for key in _MODE_VALUES}
     report = ReportTable()
     # A file may say anything, and not every solver has the settings one of them has.
-    if all(name in known for name, known in zip(worst_case.values(), _WAY.values(), strict=True)):
-        ways.append({_TABLE_KEY[key]: [str(name)] for key, name in worst_case.items()})
-        report = _searched_step(meta)
-    tables = [RecordedTable.model_validate({"sequence": str(path)} | way) for way in ways]
+    if all(
+        name in known
+        for name, known in zip(worst_case.values(), _MODE_VALUES.values(), strict=True)
+    ):
+        calls.append({_TABLE_KEY[key]: [str(name)] for key, name in worst_case.items()})
+        report = _read_worst_case_step(meta)
+    tables = [RecordedTable.model_validate({"sequence": str(path)} | call) for call in calls]
     title = f"Recorded sequence {Path(path).name}"
     return SuiteFile(title=title, baseline_law=False, recorded=tables, report=report)
 
 
-def _searched_step(meta: Mapping[str, object]) -> ReportTable:
-    """The step that a search found, and for whom; an empty table where the file does not say."""
-    step = meta.get("worst_case_step", meta.get("hunt_step"))
-    solver = meta.get("worst_case_solver", meta.get("hunt_solver"))
+def _read_worst_case_step(meta: Mapping[str, object]) -> ReportTable:
+    """Return report settings that show the worst-case step noted in a sequence of QPs, if any."""
+    step, solver = meta.get("worst_case_step"), meta.get("worst_case_solver")
     if not isinstance(step, int) or step < 0 or not isinstance(solver, str):
         return ReportTable()
-    way = [str(meta.get(f"worst_case_{key}", meta.get(f"hunt_{key}"))) for key in _WAY]
-    settings = "" if way[2] == "default" else f", {way[2]}"
-    return ReportTable(step=step, configuration=f"{solver} ({way[0]} {way[1]}{settings})")
+    call = [str(meta.get(f"worst_case_{key}")) for key in _MODE_VALUES]
+    settings = "" if call[2] == "default" else f", {call[2]}"
+    return ReportTable(step=step, configuration=f"{solver} ({call[0]} {call[1]}{settings})")

@@ -1,1 +1,1 @@
-"""What is kept of a run: its cell, its raw log, the result folder, the machine."""
+"""Records of a run: its cell, its raw log, its result folder and its machine."""

@@ -1,26 +1,149 @@
-"""A cell: one configuration of the benchmark as a JSON description that runs it again."""
+"""A cell: one configuration with the source of its QPs, as JSON that runs it again.
+
+`sequences/source.py` makes and reads the QPs.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from importlib.metadata import version
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
+
+from pydantic import TypeAdapter
 
 from dpbench.bench.record.schema import SCHEMA_VERSION
+from dpbench.errors import InputError
+from dpbench.qp.random_recipe import RandomRecipe
+from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.solvers.contract import Policy, Route
+
+
+@dataclass(frozen=True)
+class QPSource:
+    """Where a replay's QPs come from; `name` is that of the replayed sequence.
+
+    Attributes
+    ----------
+    kind : its name in descriptions of cells.
+    is_timed : whether its QPs follow each other in time, so that times of replays are compared.
+    is_judged : whether replays of it are part of verdicts.
+    is_of_controller : whether its QPs are those of the scenario's controller.
+    """
+
+    kind: ClassVar[str] = ""
+    is_timed: ClassVar[bool] = True
+    is_judged: ClassVar[bool] = True
+    is_of_controller: ClassVar[bool] = False
+
+    name: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the origin of the QPs as a JSON object; empty for the controller's own QPs."""
+        return {"kind": self.kind, **asdict(self)} if self.kind else {}
+
+    def count_stretch_steps(self, steps: int) -> int:
+        """Return how many steps of its closed loop a replay of `steps` steps is chosen from."""
+        return steps
+
+
+class ControllerSource(QPSource):
+    """QPs of the scenario's controller along its exactly solved loop."""
+
+    is_of_controller = True
+
+
+@dataclass(frozen=True)
+class HardestSource(QPSource):
+    """The hardest consecutive QPs of a controller, among `of` steps of its exactly solved loop."""
+
+    kind = "hardest"
+    is_of_controller = True
+
+    of: int = 0
+
+    def count_stretch_steps(self, steps: int) -> int:
+        """Return how many steps of the loop the hardest ones are chosen from."""
+        return self.of
+
+
+@dataclass(frozen=True)
+class ConsequenceSource(QPSource):
+    """QPs along a loop that ask if thrusters hold the ship without the failure group `group`."""
+
+    kind = "consequence"
+    is_judged = False
+
+    group: str = ""
+
+
+@dataclass(frozen=True)
+class CapabilitySource(QPSource):
+    """QPs at a ship's wind limits, with polygons of `sides` in place of thrust circles."""
+
+    kind = "capability"
+    is_timed = is_judged = False
+
+    sides: int = 0
+    vessel_name: str = ""
+    vessel: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomSource(QPSource):
+    """Random QPs, generated from family, size and seed."""
+
+    kind = "random"
+    is_timed = is_judged = False
+
+    recipe: RandomRecipe
+
+    @classmethod
+    def from_recipe(cls, recipe: RandomRecipe) -> RandomSource:
+        """Return the origin of random QPs from their family, size and seed, named after these."""
+        return cls(name=recipe.name, recipe=recipe)
+
+
+@dataclass(frozen=True)
+class RecordedSource(QPSource):
+    """QPs read from a recorded file or folder, identified by its SHA-256."""
+
+    kind = "recorded"
+
+    path: str = ""
+    sha256: str = ""
+
+
+CONTROLLER = ControllerSource()
+_KINDS = (RandomSource, RecordedSource, HardestSource, ConsequenceSource, CapabilitySource)
+SOURCES: Mapping[str, type[QPSource]] = {source.kind: source for source in _KINDS}
+
+
+def parse_source(values: Mapping[str, Any]) -> QPSource:
+    """Return the origin of a replay's QPs that a JSON object describes; an error if it is bad."""
+    if not values:
+        return CONTROLLER
+    kind = str(values.get("kind"))
+    if kind not in SOURCES:
+        raise InputError("cell", "source.kind", repr(kind), ", ".join(map(repr, SOURCES)))
+    return _source_validator(kind).validate_python(values)
+
+
+@cache
+def _source_validator(kind: str) -> TypeAdapter[QPSource]:
+    """Return the pydantic validator for one kind of origin of QPs."""
+    return TypeAdapter(SOURCES[kind])
+
 
 Formulation = Literal["condensed_box", "condensed_stacked", "sparse", "none"]
 Units = Literal["scaled", "si"]
-Fallback = Literal["shifted_plan", "hold", "clip"]
 FORMULATIONS: tuple[Formulation, ...] = ("condensed_box", "condensed_stacked", "sparse", "none")
-FALLBACKS: tuple[Fallback, ...] = ("shifted_plan", "hold", "clip")
+DEFAULT_FALLBACK = "shifted_plan"
 SLOWEST = 1e9
 """Largest slow-down: with it a latency of some seconds still is a 64-bit integer [ns]."""
-HARDEST = "hardest"
-"""The kind of a source that is a window of the loop of the scenario, around its hardest step."""
 _PROBLEM = ("mode", "source", "scenario", "units", "first", "steps")
 _OPTIONAL = (
     "source",
@@ -35,40 +158,40 @@ _OPTIONAL = (
 
 
 @dataclass(frozen=True)
+class StudyRealisation:
+    """Parameter point and repetition of a study that a closed loop runs; `x` has the values."""
+
+    name: str
+    point: int
+    replicate: int
+    x: Mapping[str, object]
+
+
+@dataclass(frozen=True)
 class Cell:
-    """problem × solver × route × policy × settings × formulation × units, in one mode.
+    """One run of a campaign: closed loop or replay of a problem by a solver with its settings.
 
     Parameters
     ----------
-    mode : "closed_loop" or "replay".
-    scenario : the documents of the scenario (`Scenario.files`); empty where the QPs have none.
-    steps : steps to run from `first` on; the whole run in closed loop starts at 0.
-    first : first step of a replayed sequence; of the hardest steps, that of the stretch they are
-        chosen from.
-    rounds, warmup_steps : replay only: counting rounds, and steps of the round before them.
+    scenario : documents of the scenario (`Scenario.files`); empty where the QPs have none.
+    steps : steps to run from `first` on; a closed loop starts at 0.
+    first : first step of a replayed sequence, or of the stretch whose hardest steps are replayed.
+    rounds, warmup_steps : of a replay: counting rounds, and steps of the round before them.
     limit_s : the cell's own run time after which it stops.
-    memory_gb : memory of its own that its process may have; 0 for the usual share of the machine's
-        (`footprint.py`).
-    budget_s : replay only: run time after which the rounds that are left are left out, once
-        `FEWEST_ROUNDS` count (`interleaved.py`); 0 for none.
-    repeat_budget_s : replay only: run time for rounds that were robbed, again (`interleaved.py`).
-    fallback : what acts when there is no usable answer.
-    backup : closed loop only: the second solver that steps in before the fallback does
-        (`bench/run/backup.py`); "" for none.
-    slowdown, deadline_s : closed loop only: how much slower than this machine the ship's computer
-        is, ≥ 1, and what a step may take of its time; 0 for a loop that waits for every answer,
-        and for the whole sample (`slow_computer.py`).
+    memory_gb : own memory of its process; 0 for the usual share of the machine's (`footprint.py`).
+    budget_s : of a replay: run time after which no further round begins, once `FEWEST_ROUNDS`
+        count (`interleaved.py`); 0 for no limit.
+    repeat_budget_s : of a replay: run time for repeated rounds (`interleaved.py`).
+    fallback : policy of `FALLBACKS` without a usable answer.
+    backup : of a closed loop: second solver used before the fallback; "" for none.
+    slowdown, deadline_s : of a closed loop: factor ≥ 1 by which the ship's computer is slower, and
+        deadline of a step; 0 to wait for every answer, and for the whole sample.
     seed : of the order of configurations within a round.
-    solver_module : file of the plug-in that brings the solver; "" for none.
-    source : replay only: what its QPs are made from where they are not those of `steps` steps of
-        the scenario's controller from `first` on; its `kind`, the `name` of the sequence, and
-        whatever else `source.py` needs.
-    study : closed loop of a study only: its `name`, the `point` and `replicate` it stands for, and
-        `x`, the values of the point's keys by their dotted names.
+    solver_module : file of the solver's plug-in; "" for none.
     """
 
     mode: Literal["closed_loop", "replay"]
-    scenario: dict[str, Any]
+    scenario: ScenarioDocuments
     solver: str
     route: Route
     policy: Policy
@@ -80,11 +203,11 @@ class Cell:
     rounds: int = 0
     warmup_steps: int = 0
     limit_s: float = 5.0
-    fallback: Fallback = "shifted_plan"
+    fallback: str = DEFAULT_FALLBACK
     seed: int = 0
     solver_module: str = ""
-    source: dict[str, Any] = field(default_factory=dict)
-    study: dict[str, Any] = field(default_factory=dict)
+    source: QPSource = CONTROLLER
+    study: StudyRealisation | None = None
     slowdown: float = 0.0
     deadline_s: float = 0.0
     budget_s: float = 0.0
@@ -94,13 +217,12 @@ class Cell:
 
     @property
     def scenario_name(self) -> str:
-        """Name of the scenario, with the backup and the fallback where these are not the usual
-        ones; may be empty."""
+        """Name of the scenario, with backup and fallback where unusual; empty without scenario."""
         name = str(self.scenario["name"]) if self.scenario else ""
         if self.mode == "replay":
             return name
         backup = [f"backup {self.backup}"] if self.backup else []
-        unusual = backup + [self.fallback] * (self.fallback != "shifted_plan")
+        unusual = backup + [self.fallback] * (self.fallback != DEFAULT_FALLBACK)
         return f"{name} ({', '.join(unusual)})" if unusual else name
 
     @property
@@ -108,65 +230,78 @@ class Cell:
         """Name of the replayed sequence; empty in closed loop."""
         if self.mode == "closed_loop":
             return ""
-        if self.source:
-            return str(self.source["name"])
+        if self.source != CONTROLLER:
+            return self.source.name
         whole = self.first == 0
         last = self.first + self.steps
         return self.scenario_name if whole else f"{self.scenario_name}[{self.first}:{last}]"
 
     @property
-    def is_of_controller(self) -> bool:
-        """Whether its QPs are those of the scenario's controller."""
-        return not self.source or self.is_window
+    def is_timed(self) -> bool:
+        """Return whether the run is a replay whose times are compared between solvers."""
+        return self.mode == "replay" and self.source.is_timed
 
     @property
     def is_window(self) -> bool:
-        """Whether it replays the hardest steps of a stretch."""
-        return self.source.get("kind") == HARDEST
+        """Return whether the run replays only the hardest steps of a sequence."""
+        return isinstance(self.source, HardestSource)
+
+    @property
+    def last_step(self) -> int:
+        """Number of steps that the file of the run's QPs must have."""
+        return self.first + self.source.count_stretch_steps(self.steps)
+
+    def source_key(self, harness_version: str) -> str:
+        """Return a hash shared by all runs whose QPs are read from the same file."""
+        # A loop is solved once, whatever is made of it.
+        return _hash_json(
+            [self.scenario or self.source.to_dict(), harness_version, SCHEMA_VERSION]
+        )[:12]
 
     @property
     def problem_key(self) -> str:
-        """Cells with the same problem key see the same QPs (replay) or the same ship."""
-        return _problem_key(self._description())
+        """Hash shared by runs on the same QPs (replay) or the same scenario (closed loop)."""
+        description = self._to_dict()
+        return _hash_json([description.get(name) for name in _PROBLEM])
 
     @property
     def key(self) -> str:
-        """Equal for equal cells, and for no others."""
-        return _digest(self._description())
+        """Hash of all fields that describe the run."""
+        return _hash_json(self._to_dict())
 
-    def _description(self) -> dict[str, Any]:
-        """All fields, less those of `_OPTIONAL` that are not used: other cells keep their keys."""
-        return {k: v for k, v in vars(self).items() if k not in _OPTIONAL or v}
+    def _to_dict(self) -> dict[str, Any]:
+        """Return the run's description as a JSON object, without unused optional fields."""
+        study = {} if self.study is None else vars(self.study)
+        values = vars(self) | {"source": self.source.to_dict(), "study": study}
+        return {k: v for k, v in values.items() if k not in _OPTIONAL or v}
 
     def to_json(self) -> str:
-        """The description as JSON."""
-        return json.dumps(self._description(), sort_keys=True, ensure_ascii=False)
+        """Return the run's description as JSON text, from which it can be run again."""
+        return json.dumps(self._to_dict(), sort_keys=True, ensure_ascii=False)
 
     @classmethod
     def from_json(cls, text: str) -> Cell:
-        """The cell that `to_json` described."""
-        return cls(**json.loads(text))
+        """Return the run that a JSON text describes."""
+        values = json.loads(text)
+        values["source"] = parse_source(values.get("source", {}))
+        if "study" in values:
+            values["study"] = StudyRealisation(**values["study"])
+        return cls(**values)
 
     def with_settings(self, name: str) -> Cell:
-        """The same cell under another name of its settings."""
+        """Return this run under another name of its solver settings."""
         return replace(self, settings=name)
 
     def run_id(self, solver_version: str, machine_id: str, harness_version: str) -> str:
-        """Hash of the cell and of everything a result of it depends on (method.md section 5)."""
-        description = self._description()
-        return _digest([description, solver_version, machine_id, harness_version, SCHEMA_VERSION])
+        """Return the run's id: hash of its description, solver version, machine and dpbench."""
+        description = self._to_dict()
+        return _hash_json(
+            [description, solver_version, machine_id, harness_version, SCHEMA_VERSION]
+        )
 
 
-def problem_key_of(text: str) -> str:
-    """The `problem_key` of a cell by what `to_json` made of it, in whatever release."""
-    return _problem_key(json.loads(text))
-
-
-def _problem_key(description: Mapping[str, Any]) -> str:
-    return _digest([description.get(name) for name in _PROBLEM])
-
-
-def _digest(value: object) -> str:
+def _hash_json(value: object) -> str:
+    """Return the first 16 hexadecimal digits of the SHA-256 of a value as JSON."""
     text = json.dumps(value, sort_keys=True, ensure_ascii=False)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -177,10 +312,10 @@ OUTCOMES = ("finished", "crashed", "hung", "timed_out", "refused", "invalid", "l
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a process: `outcome` as in `runs.parquet`, its cause, the solver's form.
+    """How a run ended (finished, crashed, hung, ...), why, and the size of its QP.
 
-    n, m : size of the QP the solver was given; None where it never got one.
-    peak_bytes : largest resident memory of its process; None where it is not known.
+    n, m : size of the QP given to the solver; None where it got none.
+    peak_bytes : largest resident memory of its process; None where unknown.
     """
 
     outcome: str

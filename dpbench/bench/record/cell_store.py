@@ -1,472 +1,460 @@
-"""Finished cells on disk, from the first record to the public tables.
+"""Finished cells on disk: parts while a campaign runs, the public tables at its end.
 
-A finished cell goes into a journal, a file that only grows. Each of its records is an Arrow IPC
-stream of one batch, the steps of a run, whose schema carries the row of the run as JSON; before it
-stand its length and its check sum. What was cut off in the midst of a record, or damaged since, is
-no record; all others are.
-
-Some hundred cells become a part, two files in `cells/`, the steps first and the runs last; in it
-runs of one problem lie behind each other. At the end of a campaign all parts become
-`steps.parquet` and `runs.parquet`. A cell is finished when its row stands in a table of runs, or in
-the journal, and its steps can be read. Where a cell is in several places, after a campaign was
-killed as it tidied up, the latest holds.
+The cells of a batch are one file in `cells/`, a part with its checksum in its name. At the end of a
+campaign all parts become `steps.parquet` and `runs.parquet`: large row groups are copied as they
+are, small ones are merged. A cell is finished when its row is in a part or in `runs.parquet` and
+its steps can be read. Of several copies, as after a kill, the latest counts.
 """
 
 from __future__ import annotations
 
+import io
 import json
-import os
 import re
-import struct
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, suppress
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from dpbench.bench.record.cell import OUTCOMES, problem_key_of
-from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs
+from dpbench.bench.record.cell import OUTCOMES
+from dpbench.bench.record.schema import SCHEMA_VERSION
 from dpbench.bench.record.step_table import (
-    OF_FILE,
-    OF_RUNS,
-    OF_STEPS,
-    frame_of_runs,
-    of_runs,
-    step_writer,
-    stored_runs,
-    with_names,
+    DAMAGE,
+    FILE_SCHEMA,
+    NO_RUNS,
+    BatchPart,
+    build_runs_table,
+    complete_runs,
+    complete_steps,
+    encode_part,
+    encode_steps,
+    filter_steps,
+    read_part_runs,
+    runs_to_frame,
     write_runs,
-    write_steps,
 )
 from dpbench.errors import InputError
-from dpbench.files.documents import parse_json
-from dpbench.files.opening import opened
-from dpbench.files.tables import in_full, opened_table
-from dpbench.files.writing import make_folder, new_file, put
-
-_HEAD = struct.Struct("<4sQI")
-"""Mark, length and CRC-32 of the record behind it."""
-_MARK = b"DPB1"
-_ROW = b"run"
-
-Row = dict[str, Any]
-"""A row of `runs.parquet`, by column."""
-
-
-def packed(row: Row, steps: pa.RecordBatch) -> bytes:
-    """A finished run as the bytes of a record."""
-    text = json.dumps(row, default=_plain, ensure_ascii=False)
-    batch = steps.replace_schema_metadata({_ROW: text.encode()})
-    sink = pa.BufferOutputStream()
-    with pa.ipc.new_stream(sink, batch.schema) as stream:
-        stream.write_batch(batch)
-    record: bytes = sink.getvalue().to_pybytes()
-    return record
-
-
-def unpacked(record: bytes) -> tuple[Row, pa.RecordBatch]:
-    """What `packed` made bytes of."""
-    with pa.ipc.open_stream(record) as stream:
-        batch = stream.read_next_batch()
-    row: Row = json.loads(batch.schema.metadata[_ROW])
-    return row, batch.replace_schema_metadata(None)
-
-
-def _is_sound(row: Row, batch: pa.RecordBatch) -> bool:
-    """Whether a record, whose check sum anybody can make, is of a run of this schema; ValueError or
-    ArrowInvalid where its parts do not fit."""
-    batch.validate(full=True)
-    described = isinstance(parse_json(str(row["cell"])), dict)
-    return described and row["schema"] == SCHEMA_VERSION and batch.schema.equals(OF_STEPS)
-
-
-def _of_right_types(rows: Mapping[str, Row]) -> dict[str, Row]:
-    """Rows without those that have a value of another type."""
-    try:
-        as_runs(pd.DataFrame(list(rows.values())))
-    except (ValueError, TypeError, OverflowError):
-        alone = [_of_right_types({name: row}) for name, row in rows.items() if len(rows) > 1]
-        return {name: row for one in alone for name, row in one.items()}
-    return dict(rows)
-
-
-def _plain(value: object) -> object:
-    """What JSON has for a number of NumPy, and for one that is missing."""
-    if value is pd.NA:
-        return None
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"{type(value).__name__} in a row")
-
-
-class Journal:
-    """Appends records to a new file at `path`; OSError where it cannot be made."""
-
-    def __init__(self, path: Path) -> None:
-        self._file = os.open(new_file(path), os.O_WRONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
-        self.size = 0
-
-    def append(self, record: bytes) -> None:
-        """Write one record behind the last; OSError where there is no room, and nothing is left of
-        it then."""
-        data = memoryview(_HEAD.pack(_MARK, len(record), zlib.crc32(record)) + record)
-        try:
-            written = 0
-            while written < len(data):
-                written += os.pwrite(self._file, data[written:], self.size + written)
-        except OSError:
-            os.ftruncate(self._file, self.size)
-            raise
-        self.size += len(data)
-
-    def close(self) -> None:
-        """No more records."""
-        os.close(self._file)
-
-
-def records_in(path: Path) -> Iterator[bytes]:
-    """The whole records of a journal; none where there is no file.
-
-    Behind a damaged head nothing can be found any more.
-    """
-    try:
-        with opened(path) as file:
-            data = memoryview(file.read())
-    except (OSError, InputError):
-        return
-    at = 0
-    while at + _HEAD.size <= len(data):
-        mark, length, check = _HEAD.unpack_from(data, at)
-        record = data[at + _HEAD.size : at + _HEAD.size + length]
-        if mark != _MARK or len(record) < length:
-            return
-        if zlib.crc32(record) == check:
-            yield bytes(record)
-        at += _HEAD.size + length
-
+from dpbench.files.opening import open_regular_file
+from dpbench.files.row_groups import Footer, RowGroupWriter, read_footer
+from dpbench.files.tables import decode_words, open_table
+from dpbench.files.writing import make_folder, new_file, replace_durably, write_bytes
 
 PART_CELLS = 256
-PART_BYTES = 2**26
-"""Cells, or bytes, of a journal from which it becomes a part."""
+"""Cells of a part that is made of others, at most."""
 GROUP_ROWS = 2**17
-"""Rows of a row group, unless a single run has more."""
+"""Rows of a row group that is put together, unless a single run has more."""
+COPIED_ROWS = 2**12
+"""Rows from which a row group is copied as it is."""
 CHECKED_ROWS = 512
 """Rows of runs that are looked through at a time."""
-_FINISHED = set(OUTCOMES) - {"lost", "invalid"}
-_CHECK = "steps_crc32"
-"""What the metadata of a table of runs say of the file of its steps."""
-_PART = re.compile(r"(?P<kind>runs|steps)-(?P<number>\d{5}|[1-9]\d{5,8})\.parquet")
-_STEM = r"(?:(?:runs|steps)-\d{5,9}|(?:exact|design)-\w+)"
-_LEFT_OVER = re.compile(rf"{_STEM}(?:\.\w+)*\.part|exact-\w+(?:\.part)+\.npz")
+_FINISHED = sorted(set(OUTCOMES) - {"lost", "invalid"})
+_CHECKSUM_KEY = "steps_crc32"
+"""What the metadata of `runs.parquet` say of the file of its steps."""
+_PART = re.compile(r"part-(?P<number>\d{5}|[1-9]\d{5,8})-(?P<crc32>[0-9a-f]{8})\.parquet")
+_UNFINISHED_FILE = re.compile(
+    r"(?:part-|exact-|design-)[\w-]+(?:\.\w+)*\.part|exact-\w+(?:\.part)+\.npz"
+)
 """What a file is called before it is whole."""
-_OWN = re.compile(
-    rf"{_PART.pattern}|{_LEFT_OVER.pattern}|exact-\w+\.npz|design-\w+\.json|open\.cells|\.\w+"
+_OWN_FILE = re.compile(
+    rf"{_PART.pattern}|{_UNFINISHED_FILE.pattern}|exact-\w+\.npz|design-\w+\.json|\.\w+"
 )
 """The names of all files that campaigns write beside their cells."""
-DAMAGE = (OSError, ValueError, KeyError, pa.ArrowException)
-"""What reading a damaged table raises."""
 
 
-@dataclass(frozen=True)
-class Part:
-    """A table of runs, and the file of their steps."""
+@dataclass(frozen=True, eq=False)
+class StepGroup:
+    """Step rows of some runs in one Parquet row group, read on demand.
 
-    runs: Path
+    Parameters
+    ----------
+    index : of the row group; names : run_ids of these runs, in order.
+    may_copy : whether the row group has no other runs, is sound, and is not small.
+    """
+
+    path: Path
+    index: int
+    names: list[str]
+    may_copy: bool
+    footer: Footer | None
+    read: Callable[[], pa.Table]
+
+    def read_table(self) -> pa.Table:
+        """Return the steps of these runs as an Arrow table; an error of `DAMAGE` if unreadable."""
+        return filter_steps(complete_steps(self.read()), set(self.names))
+
+
+class Source(ABC):
+    """Files that finished runs are read from: the result tables, or one batch's file."""
+
     steps: Path
 
-    def table(self) -> pa.Table:
-        """The rows of finished runs, as `OF_RUNS`; none where the table is damaged or not there."""
+    @abstractmethod
+    def iterate_rows(self) -> Iterator[pa.Table]:
+        """Yield rows of finished runs as Arrow tables; an error of `DAMAGE` if damaged."""
+
+    @abstractmethod
+    def is_sound(self) -> bool:
+        """Return whether the file of steps is undamaged, by its checksum."""
+
+    @abstractmethod
+    def remove(self) -> None:
+        """Delete the files that finished runs are read from."""
+
+    def read_rows(self) -> pa.Table:
+        """Return the rows of finished runs as one table; an empty one if unreadable."""
         try:
-            # Hundreds of columns of some hundred rows: threads would cost more than they save.
-            with opened_table(self.runs) as file:
-                rows = stored_runs(in_full(file.read(use_threads=False), self.runs))
+            return pa.concat_tables([NO_RUNS, *self.iterate_rows()])
         except DAMAGE:
-            return OF_RUNS.empty_table()
-        became = pc.is_in(rows["outcome"], pa.array(sorted(_FINISHED)))
-        return rows.filter(pc.and_(became, pc.equal(rows["schema"], SCHEMA_VERSION)))
+            return NO_RUNS
 
-    def rows(self) -> pd.DataFrame:
-        """The same by run_id."""
-        return frame_of_runs(self.table())
-
-    def names(self) -> list[str]:
-        """The run_ids of all its rows, in their order."""
+    def outcomes(self) -> dict[str, str]:
+        """Return the outcome of finished runs by run_id, without runs whose steps are damaged."""
+        finished: dict[str, str] = {}
         try:
-            with opened_table(self.runs) as file:
+            for table in self.iterate_rows():
+                key = (table[name].to_pylist() for name in ("run_id", "outcome"))
+                finished |= dict(zip(*key, strict=True))
+        except DAMAGE:
+            return {}
+        if not finished or self.is_sound():
+            return finished
+        read = {name for group in self.find_groups(finished) for name in group.names}
+        return {name: outcome for name, outcome in finished.items() if name in read}
+
+    def find_groups(self, names: Collection[str]) -> Iterator[StepGroup]:
+        """Yield the readable Parquet row groups with steps of the runs `names`."""
+        footer = _read_sound_footer(self.steps) if self.is_sound() else None
+        with suppress(*DAMAGE), open_table(self.steps) as file:
+            for index in range(file.num_row_groups):
+                try:
+                    table = file.read_row_group(index, columns=["run_id"] if footer else None)
+                    there = pc.unique(table["run_id"]).to_pylist()
+                except DAMAGE:
+                    continue
+                own = [name for name in there if name in names]
+                may_copy = (
+                    footer is not None and len(own) == len(there) and len(table) >= COPIED_ROWS
+                )
+                if own:
+                    read = partial(file.read_row_group, index)
+                    yield StepGroup(self.steps, index, own, may_copy, footer, read)
+
+
+class PublicTables(Source):
+    """The files `runs.parquet` and `steps.parquet` of a result folder."""
+
+    def __init__(self, out: Path) -> None:
+        self.runs, self.steps = out / "runs.parquet", out / "steps.parquet"
+
+    def iterate_rows(self) -> Iterator[pa.Table]:
+        """Yield the rows of finished runs in `runs.parquet`, some hundred at a time."""
+        with open_table(self.runs) as file:
+            # All columns, which tells whether they can be read, of some rows at a time, as the
+            # descriptions of cells are long. Threads would cost more than they save.
+            for batch in file.iter_batches(batch_size=CHECKED_ROWS, use_threads=False):
+                table = decode_words(pa.Table.from_batches([batch]), self.runs)
+                yield _select_finished(complete_runs(table))
+
+    def run_ids(self) -> list[str]:
+        """Return the run_ids of all rows of `runs.parquet`, in order."""
+        try:
+            with open_table(self.runs) as file:
                 return [str(n) for n in file.read(columns=["run_id"])["run_id"].to_pylist()]
         except DAMAGE:
             return []
 
-    def groups(self) -> Iterator[pa.Table]:
-        """The row groups of the steps that can be read."""
-        with ExitStack() as stack:
-            try:
-                file = stack.enter_context(opened_table(self.steps))
-            except DAMAGE:
-                return
-            for i in range(file.num_row_groups):
-                with suppress(*DAMAGE):
-                    yield file.read_row_group(i).select(OF_FILE.names).cast(OF_FILE)
-
-    def outcomes(self) -> dict[str, str]:
-        """Of each finished run its outcome; a run whose steps cannot be read is none."""
-        finished: dict[str, str] = {}
+    def is_sound(self) -> bool:
+        """Return whether `steps.parquet` has the checksum noted in `runs.parquet`."""
         try:
-            with opened_table(self.runs) as file:
-                # All columns, which tells whether they can be read; some rows at a time, as the
-                # descriptions of cells are long.
-                for rows in file.iter_batches(batch_size=CHECKED_ROWS, use_threads=False):
-                    key = (rows[name].to_pylist() for name in ("run_id", "outcome", "schema"))
-                    finished |= {
-                        name: outcome
-                        for name, outcome, schema in zip(*key, strict=True)
-                        if outcome in _FINISHED and schema == SCHEMA_VERSION
-                    }
-        except DAMAGE:
-            return {}
-        if self._is_sound():
-            return finished
-        groups = [pc.unique(group["run_id"]).to_pylist() for group in self.groups()]
-        read = {name for names in groups for name in names}
-        return {name: became for name, became in finished.items() if name in read}
-
-    def _is_sound(self) -> bool:
-        """Whether the steps are, byte for byte, those that the runs were written beside."""
-        try:
-            said = (pq.read_metadata(self.runs).metadata or {}).get(_CHECK.encode())
+            metadata = pq.read_metadata(self.runs).metadata or {}
         except DAMAGE:
             return False
-        return said == _check_sum(self.steps)
+        return metadata.get(_CHECKSUM_KEY.encode()) == b"%08x" % _file_checksum(self.steps)
 
-    def write_runs(self, rows: pd.DataFrame, steps: Path) -> None:
-        """Write the rows beside `steps`, and put those in their place before."""
-        check = _check_sum(steps)
-        if steps != self.steps:
-            put(steps, self.steps)
-        write_runs(self.runs, rows, {_CHECK: check.decode()})
+    def write(self, rows: pa.Table, steps: StepFile) -> None:
+        """Move a finished file of steps to `steps.parquet`, then write `runs.parquet`."""
+        steps.close()
+        replace_durably(steps.path, self.steps)
+        write_runs(self.runs, rows, {_CHECKSUM_KEY: f"{steps.crc32:08x}"})
 
     def remove(self) -> None:
-        """Both files, the runs first."""
+        """Delete `runs.parquet` and `steps.parquet`."""
         self.runs.unlink(missing_ok=True)
         self.steps.unlink(missing_ok=True)
 
 
-def public_part(out: Path) -> Part:
-    """The tables of a result folder that others read."""
-    return Part(out / "runs.parquet", out / "steps.parquet")
+class Part(Source):
+    """A Parquet file in the folder `cells` with the finished runs of one batch."""
+
+    def __init__(self, steps: Path) -> None:
+        self.steps, self._cells = steps, 0
+        self._rows: pa.Table | None = None
+
+    def iterate_rows(self) -> Iterator[pa.Table]:
+        """Yield the rows of finished runs in a batch's file; ValueError if it is damaged."""
+        if not self.is_sound():
+            raise ValueError("a damaged part")
+        if self._rows is None:
+            with open_regular_file(self.steps) as file:
+                columns = read_part_runs(pq.read_metadata(file).metadata)
+            self._cells = len(columns["run_id"])
+            self._rows = _select_finished(_parse_runs(columns))
+        yield self._rows
+
+    def is_sound(self) -> bool:
+        """Return whether a batch's file has the checksum in its name."""
+        named = _PART.fullmatch(self.steps.name)
+        return named is not None and int(named["crc32"], 16) == _file_checksum(self.steps)
+
+    def find_groups(self, names: Collection[str]) -> Iterator[StepGroup]:
+        """Yield the one row group with the steps in a batch's file, if it has any rows."""
+        # It was sound when its rows were read, which tell the runs in its only row group.
+        footer = _read_sound_footer(self.steps)
+        if footer is not None and footer.rows:
+            may_copy = len(names) == self._cells and footer.rows >= COPIED_ROWS
+            yield StepGroup(self.steps, 0, list(names), may_copy, footer, self._read_row_group)
+
+    def _read_row_group(self) -> pa.Table:
+        """Return the steps in a batch's file as an Arrow table."""
+        with open_table(self.steps) as file:
+            return file.read_row_group(0)
+
+    def remove(self) -> None:
+        """Delete the file of one batch's finished runs."""
+        self.steps.unlink(missing_ok=True)
 
 
-def _check_sum(path: Path) -> bytes:
-    """CRC-32 of a file; of one that is not there, of nothing."""
+def _read_sound_footer(path: Path) -> Footer | None:
+    """Return the footer of a Parquet file; None where it is damaged."""
+    try:
+        with open_regular_file(path) as file:
+            return read_footer(file)
+    except DAMAGE:
+        return None
+
+
+def _parse_runs(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
+    """Return a batch file's runs as an Arrow table, without rows of wrong types."""
+    try:
+        runs = build_runs_table(columns)
+    except (ValueError, TypeError, OverflowError):
+        each = range(len(columns["run_id"]))
+        alone = [{name: [column[at]] for name, column in columns.items()} for at in each]
+        single = [_parse_runs(one) for one in alone if len(alone) > 1]
+        return pa.concat_tables([NO_RUNS, *single])
+    described = [_is_json_object(text) for text in runs["cell"].to_pylist()]
+    return runs if all(described) else runs.filter(pa.array(described))
+
+
+def _is_json_object(text: str | None) -> bool:
+    """Return whether a text is a JSON object."""
+    try:
+        return isinstance(json.loads(text or ""), dict)
+    except (ValueError, RecursionError):
+        return False
+
+
+def _select_finished(runs: pa.Table) -> pa.Table:
+    """Return the rows of finished runs of the current schema version."""
+    became = pc.is_in(runs["outcome"], pa.array(_FINISHED))
+    wanted = pc.and_(became, pc.equal(runs["schema"], SCHEMA_VERSION))
+    # Filtering so many columns takes longer than all else, and mostly keeps all rows.
+    return runs if pc.all(wanted, min_count=0, skip_nulls=False).as_py() else runs.filter(wanted)
+
+
+def _file_checksum(path: Path) -> int:
+    """Return the CRC-32 of a file; of a missing one, that of no bytes."""
     check = 0
-    with suppress(OSError, InputError), opened(path) as file:
+    with suppress(OSError, InputError), open_regular_file(path) as file:
         while block := file.read(2**20):
             check = zlib.crc32(block, check)
-    return b"%08x" % check
+    return check
 
 
 class StepFile:
-    """A file of steps on its way: tables of whole runs, gathered into row groups."""
+    """A Parquet file of steps that is being written, whole runs at a time."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.rows = new_file(path), 0
-        self._writer, self._waiting, self._count = step_writer(path), list[pa.Table](), 0
+        self.path = new_file(path)
+        self._writer = RowGroupWriter(path)
+        self._waiting, self._count = list[pa.Table](), 0
+
+    @property
+    def rows(self) -> int:
+        """Number of step rows added so far."""
+        return self._writer.rows + self._count
+
+    @property
+    def crc32(self) -> int:
+        """CRC-32 of the file of steps, once it is closed."""
+        return self._writer.crc32
+
+    def copy_group(self, group: StepGroup) -> bool:
+        """Copy a Parquet row group of steps unchanged; return False where that is impossible."""
+        if not group.may_copy or group.footer is None:
+            return False
+        try:
+            with open_regular_file(group.path) as file:
+                self._writer.copy(file, group.footer, group.index)
+        except (ValueError, KeyError, IndexError):
+            return False
+        return True
 
     def add(self, table: pa.Table) -> None:
-        """Add whole runs."""
+        """Add the steps of whole runs, to be merged into large row groups."""
         self._waiting.append(table)
         self._count += table.num_rows
-        self.rows += table.num_rows
         if self._count >= GROUP_ROWS:
             self._flush()
 
     def _flush(self) -> None:
-        if self._waiting:
-            group = pa.concat_tables(self._waiting).unify_dictionaries().combine_chunks()
-            write_steps(self._writer, group)
+        """Write the added steps as one row group of the Parquet file."""
+        if self._count:
+            file = io.BytesIO(encode_steps(pa.concat_tables(self._waiting)))
+            self._writer.copy(file, read_footer(file), 0)
         self._waiting, self._count = [], 0
 
     def close(self) -> None:
-        """Write what is left; nothing the second time."""
+        """Write the steps that are left and the Parquet footer; nothing the second time."""
         self._flush()
-        self._writer.close()
-
-
-def _by_problem(rows: Mapping[str, Row]) -> list[str]:
-    """The names of runs, those of one problem behind each other: of loops in one sea most steps
-    have numbers in common, which are stored once where they are near."""
-    problems = {name: problem_key_of(row["cell"]) for name, row in rows.items()}
-    places = {problem: at for at, problem in enumerate(dict.fromkeys(problems.values()))}
-    return sorted(rows, key=lambda name: places[problems[name]])
+        self._writer.close(read_footer(io.BytesIO(encode_steps(FILE_SCHEMA.empty_table()))))
 
 
 class CellStore:
-    """The finished cells of a result folder.
+    """The finished runs of a result folder: its result tables, and files of newer batches.
 
-    Attributes
-    ----------
-    folder : where journal and parts lie, `cells/`.
-    finished : of each finished cell its outcome, by run_id.
+    `folder` holds the part files; `finished` has the outcome of each finished cell, by run_id.
     """
 
     def __init__(self, out: Path) -> None:
-        self.out, self.folder = out, out / "cells"
+        self.out, self.folder, self.public = out, out / "cells", PublicTables(out)
         out.mkdir(parents=True, exist_ok=True)
         make_folder(self.folder)
-        self._journal_path = self.folder / "open.cells"
-        self._journal: Journal | None = None
-        self._cells, self._turn_at = 0, PART_CELLS
         self._stale: set[str] = set()
-        self._tidy()
-        self._turn()
-        self._before = set(self.parts())
+        self._remove_leftovers()
+        numbers = {
+            path: int(named["number"])
+            for path in self.folder.iterdir()
+            if (named := _PART.fullmatch(path.name))
+        }
+        self.parts = [
+            Part(path) for path in sorted(numbers, key=lambda path: (numbers[path], path))
+        ]
+        self._next = max(numbers.values(), default=0) + 1
+        self._before: set[Source] = {self.public, *self.parts}
+        self._latest = b""
         self.finished: dict[str, str] = {}
-        for part in self.parts():
-            self.finished |= part.outcomes()
+        for source in self._list_sources():
+            self.finished |= source.outcomes()
 
-    @property
-    def public(self) -> Part:
-        """The tables that others read."""
-        return public_part(self.out)
+    def _list_sources(self) -> list[Source]:
+        """Return the result tables and all batch files of finished runs, oldest first."""
+        return [self.public, *self.parts]
 
-    def parts(self) -> list[Part]:
-        """All there are, the public tables first, the latest last."""
-        return [self.public, *map(self._part, self._numbers("runs"))]
-
-    def _numbers(self, kind: str) -> list[int]:
-        """Those of the files of runs or of steps, in their order."""
-        names = (_PART.fullmatch(path.name) for path in self.folder.iterdir())
-        return sorted(int(name["number"]) for name in names if name and name["kind"] == kind)
-
-    def _part(self, number: int) -> Part:
-        runs, steps = (self.folder / f"{kind}-{number:05d}.parquet" for kind in ("runs", "steps"))
-        return Part(runs, steps)
-
-    def new_part(self) -> Part:
-        """The next one."""
-        return self._part(max(self._numbers("runs"), default=0) + 1)
+    def _remove_leftovers(self) -> None:
+        """Delete the unfinished files of a killed campaign."""
+        for path in (self.public.runs, self.public.steps):
+            path.with_name(f"{path.name}.part").unlink(missing_ok=True)
+        for path in self.folder.iterdir():
+            if _UNFINISHED_FILE.fullmatch(path.name):
+                path.unlink(missing_ok=True)
 
     @property
     def remarks(self) -> list[str]:
-        """A line on the files in it that no campaign writes, such as copies of a program that
-        keeps folders in sync; none of them is read."""
-        others = sorted(p.name for p in self.folder.iterdir() if not _OWN.fullmatch(p.name))
+        """A remark on unknown files in the folder `cells`, such as those of sync programs."""
+        others = sorted(p.name for p in self.folder.iterdir() if not _OWN_FILE.fullmatch(p.name))
         more = f" and {len(others) - 1} more" if len(others) > 1 else ""
         said = (
             f"{self.folder}: ignored {others[0]!r}{more}, which no campaign wrote" if others else ""
         )
         return [said] if said else []
 
-    def forget(self, run_ids: Iterable[str]) -> None:
-        """Take these cells as unfinished, whatever is there of them."""
+    def mark_unfinished(self, run_ids: Iterable[str]) -> None:
+        """Treat stored runs as unfinished, so that they are done again."""
         self._stale |= set(run_ids)
         for run_id in self._stale:
             self.finished.pop(run_id, None)
 
-    def append(self, run_id: str, outcome: str, record: bytes) -> None:
-        """Keep a finished cell, as `packed` makes it; OSError where there is no room."""
-        if self._journal is None:
-            self._journal = Journal(self._journal_path)
-        self._journal.append(record)
-        self.finished[run_id] = outcome
-        self._cells += 1
-        if self._cells >= self._turn_at or self._journal.size >= PART_BYTES:
-            # Without room for a part the journal goes on, and the next ones try again.
-            self._turn_at = self._cells + PART_CELLS
-            with suppress(OSError):
-                self._turn()
+    def add_part(self, part: BatchPart) -> None:
+        """Write the file of a batch's finished runs, once; OSError where there is no room."""
+        if part.data == self._latest:
+            return
+        name = f"part-{self._next:05d}-{zlib.crc32(part.data):08x}.parquet"
+        write_bytes(self.folder / name, part.data)
+        self.parts.append(Part(self.folder / name))
+        self._next, self._latest = self._next + 1, part.data
+        self.finished |= part.outcomes
 
-    def close(self) -> None:
-        """Make a part of what the journal holds; nothing is appended any more."""
-        self._turn()
+    def add_rows(self, rows: pa.Table, steps: pa.Table) -> None:
+        """Write finished runs and their steps, read from other files, as new batch files."""
+        for first in range(0, len(rows), PART_CELLS):
+            columns = rows.slice(first, PART_CELLS).to_pydict()
+            some = filter_steps(steps, set(columns["run_id"])) if len(steps) else steps
+            self.add_part(encode_part(columns, some))
 
-    def _turn(self) -> None:
-        """Make the journal a part."""
-        rows: dict[str, Row] = {}
-        steps: dict[str, pa.RecordBatch] = {}
-        for record in records_in(self._journal_path):
+    def copy_cells(self, other: CellStore) -> None:
+        """Copy the readable finished runs of another result folder into this one."""
+        rows, sources = other.collect_rows()
+        read: set[str] = set()
+        for group in other.find_groups(sources):
             try:
-                row, batch = unpacked(record)
-                name = str(row["run_id"])
-                if _is_sound(row, batch):
-                    rows[name], steps[name] = row, batch
+                table = group.read_table()
             except DAMAGE:
                 continue
-        rows = _of_right_types(rows)
-        if rows:
-            part = self.new_part()
-            file = StepFile(part.steps.with_suffix(".part"))
-            try:
-                ordered = _by_problem(rows)
-                file.add(with_names({name: steps[name] for name in ordered}))
-                file.close()
-                table = pd.DataFrame([rows[name] for name in ordered])
-                part.write_runs(as_runs(table), file.path)
-            finally:
-                file.path.unlink(missing_ok=True)
-        if self._journal is not None:
-            self._journal.close()
-        self._journal, self._cells, self._turn_at = None, 0, PART_CELLS
-        self._journal_path.unlink(missing_ok=True)
+            self.add_rows(filter_rows(rows, group.names), table)
+            read |= set(group.names)
+        self.add_rows(select_stepless(rows, read), FILE_SCHEMA.empty_table())
 
-    def _tidy(self) -> None:
-        """Remove what a killed campaign left half done."""
-        for path in (self.public.runs, self.public.steps):
-            path.with_name(f"{path.name}.part").unlink(missing_ok=True)
-        for path in self.folder.iterdir():
-            if _LEFT_OVER.fullmatch(path.name):
-                path.unlink(missing_ok=True)
-        for number in set(self._numbers("steps")) - set(self._numbers("runs")):
-            self._part(number).steps.unlink(missing_ok=True)
+    def collect_rows(self) -> tuple[pa.Table, dict[str, Source]]:
+        """Return the rows of all finished runs, and the files that hold the latest copy of each."""
+        tables, sources = [NO_RUNS], dict[str, Source]()
+        for source in self._list_sources():
+            table = source.read_rows()
+            if self._stale and source in self._before:
+                stale = pc.is_in(table["run_id"], pa.array(sorted(self._stale)))
+                table = table.filter(pc.invert(stale))
+            tables.append(table)
+            sources |= dict.fromkeys(table["run_id"].to_pylist(), source)
+        rows = pa.concat_tables(tables)
+        last = {name: at for at, name in enumerate(rows["run_id"].to_pylist())}
+        if len(last) < len(rows):
+            rows = rows.take(pa.array(sorted(last.values())))
+        return rows, sources
 
-    def adopt(self, other: CellStore, rows: pd.DataFrame) -> None:
-        """Take over the finished cells of another store, as a part; what cannot be read is none.
+    def finished_runs(self) -> pd.DataFrame:
+        """Return the rows of all finished runs as a data frame, by run_id."""
+        return runs_to_frame(self.collect_rows()[0])
 
-        Parameters
-        ----------
-        rows : those of the other store.
-        """
-        part, read = self.new_part(), set[str]()
-        file = StepFile(part.steps.with_suffix(".part"))
-        try:
-            for table in other.steps():
-                read |= set(pc.unique(table["run_id"]).to_pylist())
-                file.add(table)
-            file.close()
-            rows = rows[rows.index.isin(read) | (rows["steps_done"] == 0)]
-            if len(rows):
-                part.write_runs(rows, file.path)
-        finally:
-            file.close()
-            file.path.unlink(missing_ok=True)
+    def find_groups(self, sources: Mapping[str, Source]) -> Iterator[StepGroup]:
+        """Yield the Parquet row groups with the steps of finished runs, from the given files."""
+        names: dict[Source, set[str]] = {}
+        for name, source in sources.items():
+            names.setdefault(source, set()).add(name)
+        for source, own in names.items():
+            yield from source.find_groups(own)
 
-    def rows(self) -> pd.DataFrame:
-        """The rows of all finished cells, by run_id: of several the latest."""
-        rows = frame_of_runs(pa.concat_tables([self._valid(part) for part in self.parts()]))
-        return rows[~rows.index.duplicated(keep="last")]
+    def remove_parts(self, parts: Iterable[Part]) -> None:
+        """Delete batch files whose runs are now stored in the result tables."""
+        for part in list(parts):
+            part.remove()
+            self.parts.remove(part)
 
-    def _valid(self, part: Part) -> pa.Table:
-        """The rows of a part but for those that were forgotten since they were written."""
-        rows = part.table()
-        if part not in self._before or not self._stale:
-            return rows
-        return rows.filter(pc.invert(pc.is_in(rows["run_id"], pa.array(sorted(self._stale)))))
 
-    def steps(self) -> Iterator[pa.Table]:
-        """The steps of all finished cells once, in tables of whole runs: of several the latest."""
-        owner: dict[str, Part] = {}
-        for part in self.parts():
-            owner |= dict.fromkeys(self._valid(part)["run_id"].to_pylist(), part)
-        owned: dict[Part, set[str]] = {part: set() for part in self.parts()}
-        for name, part in owner.items():
-            owned[part].add(name)
-        for part, names in owned.items():
-            for group in part.groups():
-                yield of_runs(group, names)
+def select_stepless(runs: pa.Table, read: Collection[str]) -> pa.Table:
+    """Return the rows of runs that recorded no steps, except those in `read`."""
+    none = runs.filter(pc.equal(runs["steps_done"], 0))
+    return filter_rows(none, set(none["run_id"].to_pylist()) - set(read))
+
+
+def filter_rows(runs: pa.Table, names: Collection[str]) -> pa.Table:
+    """Return the rows of a table of runs whose run_id is in `names`."""
+    return runs.filter(pc.is_in(runs["run_id"], pa.array(sorted(names), pa.string())))

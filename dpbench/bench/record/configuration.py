@@ -1,4 +1,4 @@
-"""A configuration: one way of running one solver, from the plan to the page."""
+"""A configuration: one solver, its call mode and its settings, from the plan to the page."""
 
 from __future__ import annotations
 
@@ -6,21 +6,19 @@ from dataclasses import dataclass, field, replace
 
 from dpbench.bench.record.cell import Formulation, Units
 from dpbench.solvers.contract import Policy, Route
+from dpbench.solvers.record import LEVELS
 
-COMMON: Formulation = "condensed_box"
+COMMON_FORMULATION: Formulation = "condensed_box"
 """The formulation that solvers are compared in."""
-COLUMNS = ("solver", "route", "policy", "settings", "formulation", "units")
+CONFIGURATION_COLUMNS = ("solver", "route", "policy", "settings", "formulation", "units")
 """The columns of `runs.parquet` that name a configuration."""
-SETTINGS_LEVELS = ("default", "low", "mid", "high")
 
 
 @dataclass(frozen=True)
 class Configuration:
-    """solver × route × policy × settings × units × formulation.
+    """A solver with call mode, settings, units and formulation, as results are compared by.
 
-    Parameters
-    ----------
-    alias : further names of the same settings, where settings have no effect.
+    `alias` has further names of the same settings, where settings have no effect.
     """
 
     solver: str
@@ -28,36 +26,35 @@ class Configuration:
     policy: Policy
     settings: str = "default"
     units: Units = "scaled"
-    formulation: Formulation = COMMON
+    formulation: Formulation = COMMON_FORMULATION
     alias: tuple[str, ...] = field(default=(), compare=False)
 
     @property
     def options(self) -> str:
-        """Route, policy and, where they are not `default`, settings: `native warm, high`."""
+        """How the solver is called, with unusual settings, as text such as `native warm, high`."""
         settings = "" if self.settings == "default" else f", {self.settings}"
         return f"{self.route} {self.policy}{settings}"
 
     @property
     def label(self) -> str:
-        """What it is called beside others: `osqp (native warm, high, si, sparse)`."""
+        """Solver and options as text, such as `osqp (native warm, high, si, sparse)`."""
         return self.label_of(self.solver)
 
     def label_of(self, solver: str) -> str:
-        """The label with another name of the solver, as one that tells its version."""
+        """Return the label with another name of the solver, such as one with its version."""
         units = "" if self.units == "scaled" else f", {self.units}"
-        formulated = self.formulation not in (COMMON, "none")
+        formulated = self.formulation not in (COMMON_FORMULATION, "none")
         formulation = f", {self.formulation.replace('_', ' ')}" if formulated else ""
         return f"{solver} ({self.options}{units}{formulation})"
 
     @property
     def in_common_formulation(self) -> Configuration:
-        """The same over problems of which each has a common formulation of its own: see
-        `Records.runs`."""
-        return replace(self, formulation=COMMON)
+        """The configuration moved to the condensed formulation, in which results are compared."""
+        return replace(self, formulation=COMMON_FORMULATION)
 
 
 def settings_level(settings: str) -> tuple[int, str]:
-    """Sort key of a settings level, the most usual first."""
-    known = settings in SETTINGS_LEVELS
-    level = SETTINGS_LEVELS.index(settings) if known else len(SETTINGS_LEVELS)
+    """Return a sort key of a settings name: default and tolerance presets first, in order."""
+    known = settings in LEVELS
+    level = LEVELS.index(settings) if known else len(LEVELS)
     return level, settings

@@ -1,7 +1,7 @@
-"""What disturbs a replay, as far as the kernel shows it: counters around every round.
+"""Disturbances of a replay: kernel counters around every round.
 
-Read outside the timed phases. A counter that the kernel does not show is NaN; a steal time of 0 may
-also mean that the host of a virtual machine does not tell.
+They are read outside of the timed phases. A hidden counter is NaN; a steal time of 0 may also mean
+that the host of a virtual machine hides it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from dpbench.arrays import Floats
-from dpbench.bench.record.raw_log import COUNTERS, RawLog, step_ns
+from dpbench.bench.record.raw_log import COUNTERS, RawLog, sum_step_ns
 
 _STEAL = 8
 """Place of the steal time in a line of /proc/stat (proc(5)), behind the name of the core."""
@@ -29,7 +29,7 @@ MAX_STEAL_SHARE = 0.01
 MAX_SWITCHES_PER_S = 10.0
 """At ten a second fewer than one in a hundred samples of 1 ms is hit, so a p99 is still a solver's;
 of shorter samples fewer are."""
-RULE = (
+QUIET_RULE = (
     f"at most {100 * MAX_DISTURBED_SHARE:g} % of the rounds still disturbed after a second "
     "attempt, "
     f"steal time at most {100 * MAX_STEAL_SHARE:g} % of the replays' time, at most "
@@ -37,12 +37,11 @@ RULE = (
 )
 
 
-def counters() -> Floats:
-    """(6,) the counters of `COUNTERS` now, since any moment: only differences mean something.
+def read_counters() -> Floats:
+    """Read clock, context switches, host's time, throttling, thread time of this process (6,).
 
-    Clock [s], context switches of this process, steal time [s] and throttle events of the core it
-    is pinned to (their mean over cores where it is pinned to several), processor time of all
-    threads but the calling one [s].
+    Clock [s], context switches of this process, steal time [s] and throttle events of its core (the
+    mean over several), processor time of all threads but the calling one [s].
     """
     used = resource.getrusage(resource.RUSAGE_SELF)
     # Both by the precise clock of the scheduler, the process last: an idle one adds nothing to it.
@@ -53,14 +52,15 @@ def counters() -> Floats:
             time.perf_counter(),
             used.ru_nvcsw,
             used.ru_nivcsw,
-            _steal_s(cores),
-            _throttled(cores),
+            _read_steal_s(cores),
+            _count_throttling(cores),
             1e-9 * (all_ns - alone_ns),
         ]
     )
 
 
-def _steal_s(cores: set[int]) -> float:
+def _read_steal_s(cores: set[int]) -> float:
+    """Return the mean time [s] a virtual machine's host took from some cores; NaN if hidden."""
     try:
         lines = Path("/proc/stat").read_text(encoding="ascii").splitlines()
         of_core = {fields[0]: fields for fields in map(str.split, lines) if fields}
@@ -70,7 +70,8 @@ def _steal_s(cores: set[int]) -> float:
     return sum(ticks) / len(ticks) / os.sysconf("SC_CLK_TCK")
 
 
-def _throttled(cores: set[int]) -> float:
+def _count_throttling(cores: set[int]) -> float:
+    """Return the thermal throttle events of some cores, averaged; NaN where hidden."""
     seen = []
     for core in cores:
         for name in _THROTTLE:
@@ -83,29 +84,29 @@ def _throttled(cores: set[int]) -> float:
 
 
 def disturbance_metrics(log: RawLog) -> dict[str, float]:
-    """The columns on what disturbed a replay: sums over the rounds that count.
+    """Return a replay's context switches, time taken by the host, throttling, in counted rounds.
 
-    Of a round that was run again, the last attempt counts; `rerun_rounds` says how many were.
-    `solve_s` is the time of the steps of the same rounds, less what they waited for the core.
+    Of repeated rounds the last attempt counts. `solve_s` is the time of the steps of these rounds,
+    less what they waited for the core.
     """
     whole = np.flatnonzero(log.done[1:] > 0) + 1
     metrics = {"rerun_rounds": float((log.attempts[whole] > 1).sum())}
     measured = [r for r in whole if np.isfinite(log.counters[r, 0])]
     sums = log.counters[measured].sum(axis=0) if measured else np.full(len(COUNTERS), np.nan)
-    own_ns = step_ns(log.times[measured]) - np.maximum(log.waited_ns[measured], 0)
+    own_ns = sum_step_ns(log.times[measured]) - np.maximum(log.waited_ns[measured], 0)
     metrics["solve_s"] = 1e-9 * float(own_ns.sum()) if measured else np.nan
     return metrics | dict(zip(COUNTERS, sums.tolist(), strict=True))
 
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What disturbed some replays; a number nobody saw is NaN.
+    """Measures of what disturbed replays: slow rounds, context switches, time the host took.
 
     Parameters
     ----------
-    rounds, disturbed, rerun : rounds that count, those still disturbed, those run again.
-    seconds : how long they took; steal_s : of it taken by the host.
-    involuntary : context switches against the worker's will; throttled : throttle events.
+    rounds, disturbed, rerun : rounds that count, those still disturbed, those repeated.
+    seconds : their duration; steal_s : of it taken by the host.
+    involuntary : context switches; throttled : throttle events.
     """
 
     rounds: float
@@ -118,23 +119,23 @@ class Disturbance:
 
     @classmethod
     def total(cls, parts: Sequence[Disturbance]) -> Disturbance:
-        """Of several replays together; what some did not see is the sum over the others."""
+        """Return the disturbances summed over several replays; a sum unknown in all is NaN."""
         rows = np.array([list(vars(part).values()) for part in parts]).reshape(-1, len(fields(cls)))
         seen = np.isfinite(rows).any(axis=0)
         return cls(*np.where(seen, np.nansum(rows, axis=0), np.nan).tolist())
 
     @property
     def steal_share(self) -> float:
-        """Share of the time that the host of a virtual machine took."""
-        return self.steal_s / self.seconds if self.seconds > 0 else float("nan")
+        """Share of the replays' time that the host of a virtual machine took."""
+        return self.steal_s / (self.seconds or np.nan)
 
     @property
     def switches_per_s(self) -> float:
-        """Involuntary context switches a second."""
-        return self.involuntary / self.seconds if self.seconds > 0 else float("nan")
+        """Involuntary context switches per second of the replays."""
+        return self.involuntary / (self.seconds or np.nan)
 
     def complaints(self) -> list[str]:
-        """What disturbed them by `RULE`; none for a quiet machine."""
+        """Return, in words, which limits of a quiet machine the disturbances exceeded."""
         lines = []
         if self.rounds > 0 and self.disturbed > MAX_DISTURBED_SHARE * self.rounds:
             lines.append(f"{self.disturbed:.0f} of {self.rounds:.0f} rounds disturbed twice")

@@ -1,13 +1,13 @@
-"""Describe the machine a result comes from, as far as its kernel shows it."""
-
-from __future__ import annotations
+"""The machine and the revision of dpbench that a result comes from."""
 
 import hashlib
 import importlib.metadata
 import json
 import os
 import platform
+import subprocess
 import time
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,9 @@ from typing import Any
 import psutil
 from threadpoolctl import threadpool_info
 
+from dpbench.bench.record.result_folder import ComparedMachine, MachineDescription, SuiteDescription
+
+_CPU = Path("/sys/devices/system/cpu/cpu0")
 LIBRARIES = ("dpbench", "numpy", "scipy", "numba", "pandas", "qpsolvers")
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -29,42 +32,42 @@ THREAD_VARIABLES = (
 
 
 def pin_threads() -> None:
-    """Ask every numerical library that starts after this for one thread."""
+    """Limit numerical libraries that are loaded later to one thread, by the environment."""
     for variable in THREAD_VARIABLES:
         os.environ[variable] = "1"
 
 
 def clock_read_ns() -> tuple[float, int]:
-    """Median cost of reading the clock and the smallest difference it shows [ns]."""
+    """Return the median cost of reading the clock and its smallest difference [ns]."""
     clock = time.perf_counter_ns
     reads = [clock() for _ in range(20_000)]
     steps = sorted(b - a for a, b in pairwise(reads))
     return float(steps[len(steps) // 2]), next((s for s in steps if s > 0), 0)
 
 
-def describe_machine() -> dict[str, Any]:
-    """What `machine.json` holds; `id` hashes what makes timings comparable.
+def describe_machine() -> MachineDescription:
+    """Describe this machine for `machine.json`; its `id` hashes what makes timings comparable.
 
-    The id covers CPU model, cores, memory, kernel release, Python and the libraries every
-    configuration uses; a solver's own version is part of each cell's key instead.
+    That is CPU model, cores, memory, kernel release, Python and the libraries of every
+    configuration; a solver's own version is part of each cell's key instead.
     """
-    read_cost, resolution = clock_read_ns()
-    lasting: dict[str, Any] = {
-        "cpu_model": _cpu_model(),
-        "cores": os.cpu_count(),
+    (read_cost, resolution), clock = clock_read_ns(), psutil.cpu_freq()
+    lasting: ComparedMachine = {
+        "cpu_model": _read_cpu_model(),
+        "cores": os.cpu_count() or 1,
         "memory_GiB": round(psutil.virtual_memory().total / 2**30),
         "kernel": f"{platform.system()} {platform.release()}",
         "python": f"{platform.python_implementation()} {platform.python_version()}",
-        "versions": {name: _version(name) for name in LIBRARIES},
+        "versions": {name: _installed_version(name) for name in LIBRARIES},
     }
     digest = hashlib.sha256(json.dumps(lasting, sort_keys=True).encode()).hexdigest()
     return {
         "id": digest[:12],
-        **lasting,
-        "governor": _first_line("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"),
-        "frequency_MHz": _frequency(),
-        "blas": _blas(),
-        "throttle_counters": "visible" if _throttle_visible() else "not visible",
+        **lasting,  # type: ignore[typeddict-item] # it has no other keys than those written above
+        "governor": _read_governor(),
+        "frequency_MHz": round(clock.current) if clock and clock.current else "not visible",
+        "blas": _list_blas(),
+        "throttle_counters": "visible" if (_CPU / "thermal_throttle").is_dir() else "not visible",
         "affinity": sorted(os.sched_getaffinity(0)),
         "clock_read_ns": read_cost,
         "timer_resolution_ns": resolution,
@@ -72,22 +75,24 @@ def describe_machine() -> dict[str, Any]:
     }
 
 
-def _version(distribution: str) -> str:
+def _installed_version(distribution: str) -> str:
+    """Return the version of an installed distribution, or "not installed"."""
     try:
         return importlib.metadata.version(distribution)
     except importlib.metadata.PackageNotFoundError:
         return "not installed"
 
 
-def _first_line(path: str) -> str:
+def _read_governor() -> str:
+    """Return the frequency governor of the processor, or "not visible"."""
     try:
-        return Path(path).read_text(encoding="ascii").strip()
+        return (_CPU / "cpufreq" / "scaling_governor").read_text(encoding="ascii").strip()
     except OSError:
         return "not visible"
 
 
-def _blas() -> list[str]:
-    """The BLAS libraries that are loaded, with the kernels they chose for this processor."""
+def _list_blas() -> list[str]:
+    """Return the loaded BLAS libraries with version and processor kernels, a line each."""
     return [
         " ".join(
             str(pool[key]) for key in ("internal_api", "version", "architecture") if pool.get(key)
@@ -97,11 +102,8 @@ def _blas() -> list[str]:
     ]
 
 
-def _throttle_visible() -> bool:
-    return Path("/sys/devices/system/cpu/cpu0/thermal_throttle").is_dir()
-
-
-def _cpu_model() -> str:
+def _read_cpu_model() -> str:
+    """Return the processor's model name."""
     try:
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
@@ -111,6 +113,69 @@ def _cpu_model() -> str:
     return platform.processor() or platform.machine()
 
 
-def _frequency() -> float | str:
-    frequency = psutil.cpu_freq()
-    return round(frequency.current) if frequency and frequency.current else "not visible"
+Revision = dict[str, Any]
+"""`commit`, the full hash, and `clean`: whether the files of the package were those of the commit;
+empty where neither a checkout nor an installer tells."""
+WAIT_S = 10.0
+
+
+@cache
+def current_revision() -> Revision:
+    """Return the git revision of the running dpbench package; empty where unknown."""
+    return checkout_revision(Path(__file__).parents[2]) or installed_revision()
+
+
+def checkout_revision(package: Path) -> Revision:
+    """Return a package's git commit and whether its files are unchanged; empty if unknown."""
+    commit = _run_git(package, "rev-parse", "HEAD")
+    # An environment may lie in the checkout of another project, which ignores it.
+    part = _run_git(package, "ls-files", "--error-unmatch", "__init__.py")
+    changes = _run_git(package, "status", "--porcelain", "--", ".")
+    if commit is None or part is None or changes is None:
+        return {}
+    return {"commit": commit, "clean": changes == ""}
+
+
+def installed_revision() -> Revision:
+    """Return the commit that dpbench was installed from, by its installer's note (PEP 610)."""
+    try:
+        noted = importlib.metadata.distribution("dpbench").read_text("direct_url.json")
+    except importlib.metadata.PackageNotFoundError:
+        return {}
+    commit = json.loads(noted or "{}").get("vcs_info", {}).get("commit_id")
+    return {} if commit is None else {"commit": str(commit), "clean": True}
+
+
+def append_revision(earlier: list[Revision], now: Revision) -> list[Revision]:
+    """Return the dpbench revisions of earlier runs, followed by the current one."""
+    return [*(one for one in earlier if one != now), *([now] if now else [])]
+
+
+def describe_revisions(suite: SuiteDescription) -> str:
+    """Return the dpbench commits in `suite.json` as text; "" where there are none."""
+    named = [
+        f"{one['commit'][:12]}{'' if one['clean'] else ' with changes'}"
+        for one in suite.get("revisions", [])
+    ]
+    return f"commit {', '.join(named)}" if named else ""
+
+
+def describe_version(suite: SuiteDescription) -> str:
+    """Return the dpbench version and commits in `suite.json` as text."""
+    version = f"dpbench {suite.get('harness_version', '')}"
+    return ", ".join(filter(None, (version, describe_revisions(suite))))
+
+
+def _run_git(folder: Path, *words: str) -> str | None:
+    """Return the output of a git command in a folder; None where git is missing or fails."""
+    try:
+        answer = subprocess.run(
+            ["git", "-C", str(folder), *words],
+            capture_output=True,
+            text=True,
+            timeout=WAIT_S,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return answer.stdout.strip()

@@ -1,13 +1,11 @@
-"""Files of arrays (`.npz`) that hold no Python objects, and the same bytes for the same arrays.
+"""Files of arrays without Python objects, with the same bytes for the same arrays.
 
-What a campaign keeps for itself, it keeps in one piece: a zip file of ten small arrays takes
-milliseconds to write or read, as much as a hundred steps of a loop.
+Arrays of a result folder are stored in one piece: ten small arrays as a zip file take milliseconds
+to write or read, as much as a hundred steps of a loop.
 
-    mark, length of the header, CRC-32 of all behind it; the header, {name: [type, shape]} as JSON;
-    the arrays in this order, each from a multiple of `_ALIGN` bytes on
+    mark, length of the header, CRC-32 of the rest; the header, {name: [type, shape]} as JSON; the
+    arrays in this order, each at a multiple of `_ALIGN` bytes
 """
-
-from __future__ import annotations
 
 import io
 import json
@@ -28,8 +26,8 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Floats
 from dpbench.errors import InputError, ResultsError
-from dpbench.files.opening import check_unpacked, opened
-from dpbench.files.writing import replaced, write_bytes
+from dpbench.files.opening import check_unpacked, open_regular_file
+from dpbench.files.writing import replace_file, write_bytes
 
 Arrays = dict[str, NDArray[Any]]
 FIXED_DATE = (1980, 1, 1, 0, 0, 0)
@@ -57,8 +55,8 @@ DAMAGE = (
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write the arrays to `path` in their order, compressed, whole or not at all."""
-    with replaced(path) as part, zipfile.ZipFile(part, "w") as archive:
+    """Write arrays to a `.npz` file with reproducible bytes, whole or not at all."""
+    with replace_file(path) as part, zipfile.ZipFile(part, "w") as archive:
         for name, array in arrays.items():
             member = io.BytesIO()
             np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
@@ -66,21 +64,18 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
             archive.writestr(info, member.getvalue(), zipfile.ZIP_DEFLATED, LEVEL)
 
 
-def keep(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays into a result folder, in one piece: whole or not at all."""
+def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write arrays to a file in dpbench's own uncompressed format, whole or not at all."""
     layout = {name: (array.dtype.str, array.shape) for name, array in arrays.items()}
     parts = [json.dumps(layout).encode(), *(array.tobytes() for array in arrays.values())]
     size = -(-(_HEAD.size + len(parts[0])) // _ALIGN) * _ALIGN - _HEAD.size
-    body = parts[0].ljust(size) + b"".join(_padded(array) for array in parts[1:])
+    padded = (array.ljust(-(-len(array) // _ALIGN) * _ALIGN, b"\0") for array in parts[1:])
+    body = parts[0].ljust(size) + b"".join(padded)
     write_bytes(path, _HEAD.pack(_MARK, size, zlib.crc32(body)) + body)
 
 
-def _padded(array: bytes) -> bytes:
-    return array.ljust(-(-len(array) // _ALIGN) * _ALIGN, b"\0")
-
-
-def _in_one_piece(data: NDArray[np.uint8]) -> Arrays:
-    """The arrays of a file that `keep` wrote, as parts of `data`."""
+def _parse_arrays(data: NDArray[np.uint8]) -> Arrays:
+    """Return the arrays in the bytes of a file in dpbench's own array format, without copying."""
     _, size, check = _HEAD.unpack_from(data.data)
     if zlib.crc32(data[_HEAD.size :].data) != check:
         raise ValueError("another check sum than it was written with")
@@ -94,19 +89,14 @@ def _in_one_piece(data: NDArray[np.uint8]) -> Arrays:
 
 
 @contextmanager
-def kept(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
-    """The arrays that `keep` wrote, or those of a zip file, each read when it is asked for.
-
-    Raises
-    ------
-    ResultsError : the file is damaged, or gone; also for what the block misses in it.
-    """
+def open_arrays(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
+    """Open a file of arrays, dpbench's own or `.npz`; yield its arrays. ResultsError if damaged."""
     try:
-        with opened(path, error=ResultsError) as file:
+        with open_regular_file(path, error=ResultsError) as file:
             is_own = file.read(len(_MARK)) == _MARK
             file.seek(0)
             if is_own:
-                yield _in_one_piece(np.fromfile(file, np.uint8))
+                yield _parse_arrays(np.fromfile(file, np.uint8))
                 return
             with zipfile.ZipFile(file) as archive:
                 _check_members(archive, path)
@@ -122,27 +112,18 @@ def kept(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
 
 
 def read_npz(path: Path, what: str) -> tuple[Arrays, dict[str, bytes]]:
-    """The arrays of `path`, and the bytes of members that hold Python objects, which stay packed.
-
-    Parameters
-    ----------
-    what : what the file should be, for the error's words.
-
-    Raises
-    ------
-    InputError : when it cannot be read or is damaged.
-    """
+    """Return the arrays of a `.npz` file, and its pickled objects unread; InputError if damaged."""
     arrays: Arrays = {}
     objects: dict[str, bytes] = {}
-    with opened(path, what) as file:
+    with open_regular_file(path, what) as file:
         try:
             with zipfile.ZipFile(file) as archive:
                 for member in _check_members(archive, path):
                     key = member.filename.removesuffix(".npy")
-                    if _header(archive, member).hasobject:
+                    if _read_member_type(archive, member).hasobject:
                         objects[key] = archive.read(member)
                     else:
-                        arrays[key] = _array(archive, member)
+                        arrays[key] = _read_member(archive, member)
         except DAMAGE as error:
             if isinstance(error, InputError):
                 raise
@@ -154,7 +135,7 @@ def read_npz(path: Path, what: str) -> tuple[Arrays, dict[str, bytes]]:
 
 
 def _check_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInfo]:
-    """The members of a zip file, once their sizes and compression are known to be sensible."""
+    """Return the members of a zip file; InputError for unsafe sizes or compression."""
     members = archive.infolist()
     for member in members:
         # Of these alone zipfile unpacks no more than a member declares, and NumPy writes no other.
@@ -165,7 +146,8 @@ def _check_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInfo
     return members
 
 
-def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
+def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
+    """Return the array in a zip member; ValueError for trailing bytes or invalid characters."""
     with archive.open(member) as stream:
         # An array read from the stream itself: its check sum is compared at the end.
         array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
@@ -179,8 +161,8 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
     return array
 
 
-def _header(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.dtype[Any]:
-    """The type of the array in a member, which has the size that its header declares."""
+def _read_member_type(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.dtype[Any]:
+    """Return the type of the array in a zip member; ValueError for an untrue size."""
     with archive.open(member) as stream:
         version = np.lib.format.read_magic(stream)
         read = {
@@ -202,7 +184,7 @@ def _header(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.dtype[Any]:
     return dtype
 
 
-def float_array(
+def read_float_array(
     arrays: Arrays,
     where: str,
     name: str,
@@ -211,13 +193,13 @@ def float_array(
     infinite: str = "",
     nan: bool = False,
 ) -> Floats:
-    """The array `name` as float64.
+    """Return an array as float64 after checking its type, shape and special values.
 
     Parameters
     ----------
-    where : the file it is from; shape : what it must have.
-    infinite : which infinities it may hold: "+", "-", "+-" or none.
-    nan : whether it may hold NaN.
+    where : its file; shape : the required one.
+    infinite : allowed infinities: "+", "-", "+-" or none.
+    nan : whether NaN is allowed.
 
     Raises
     ------
@@ -242,8 +224,8 @@ def float_array(
     return numbers
 
 
-def text_of(arrays: Arrays, where: str, name: str) -> str:
-    """The text `name`; InputError when it is missing or none."""
+def read_stored_text(arrays: Arrays, where: str, name: str) -> str:
+    """Return the text stored as the array `name`; InputError where there is none."""
     array = arrays.get(name)
     if array is None:
         others = ", ".join(list(arrays)[:8]) or "none"
@@ -253,8 +235,8 @@ def text_of(arrays: Arrays, where: str, name: str) -> str:
     return str(array)
 
 
-def count_of(arrays: Arrays, where: str, name: str) -> int:
-    """The whole number `name`, 0 or more; InputError when it is missing or none."""
+def read_count_array(arrays: Arrays, where: str, name: str) -> int:
+    """Return the whole number (≥ 0) stored as the array `name`; InputError without one."""
     array = arrays.get(name)
     if array is None or array.dtype.kind not in "iu" or array.shape or array < 0:
         found = "nothing" if array is None else np.array2string(array, threshold=4)

@@ -1,7 +1,7 @@
-"""The raw log of a cell: named arrays in one memory-mapped file, so that a crash keeps its steps.
+"""The raw log of a cell: named arrays in one memory-mapped file that survives a crash.
 
-The worker only assigns into the arrays; whoever outlives it (a crash, a hang, a kill) opens the
-same file and finds every step that was completed.
+The worker only assigns into the arrays; its supervisor opens the same file after a crash, a hang or
+a kill and finds every completed step.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from dpbench.arrays import Floats, Ints
 Layout = dict[str, tuple[str, tuple[int, ...]]]
 """Type and shape of each array of a log, in their order."""
 _ALIGN = 64
-TIMES = ("emit", "setup", "update", "solve", "read", "overhead")
+PHASES = ("emit", "setup", "update", "solve", "read", "overhead")
 """Order of the phases in `RawLog.times`; −1 where a phase did not take place."""
-_OWN = slice(TIMES.index("setup"), TIMES.index("read") + 1)
-OF_SOLVER = TIMES[_OWN]
+_OWN = slice(PHASES.index("setup"), PHASES.index("read") + 1)
+SOLVER_PHASES = PHASES[_OWN]
 """The phases that are the solver's: a step takes their sum."""
 
 ALLOCATION = "allocation."
@@ -68,7 +68,7 @@ def loop_layout(
     *,
     backup: bool = False,
 ) -> Layout:
-    """Arrays of a closed-loop log of `steps` steps.
+    """Return type and shape of every array that records a closed loop of `steps` steps.
 
     Parameters
     ----------
@@ -76,9 +76,8 @@ def loop_layout(
     n_f : entries of the thrusters' forces, where they are commanded.
     allocation : n and m of the second QP of a cascade, (0, 0) where it has none; None where the
         controller is no cascade.
-    backup : whether there is a backup.
     """
-    layout = _answers(1, steps, n, m) | {
+    layout = _answer_layout(1, steps, n, m) | {
         "theta": ("f8", (steps, n_theta)),
         "state": ("f8", (steps + 1, 6)),
         "tau": ("f8", (steps, 3)),
@@ -89,19 +88,19 @@ def loop_layout(
         "counters": ("f8", (1, len(COUNTERS))),
     }
     if backup:
-        of_backup = _answers(1, steps, n, m)
+        of_backup = _answer_layout(1, steps, n, m)
         of_backup |= {"acted": ("u1", (steps,)), "ready_ns": ("i8", (steps,))}
         layout |= {f"{BACKUP}{name}": array for name, array in of_backup.items()}
     if allocation is None:
         return layout
-    second = _answers(1, steps, *allocation) if any(allocation) else {}
+    second = _answer_layout(1, steps, *allocation) if any(allocation) else {}
     of_second = {f"{ALLOCATION}{name}": array for name, array in second.items()}
     return layout | {"demand": ("f8", (steps, 3))} | of_second
 
 
 def replay_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
-    """Arrays of a replay log: round 0 is the warm-up."""
-    return _answers(rounds, steps, n, m) | {
+    """Return type and shape of every array that records a replay; round 0 is the warm-up."""
+    return _answer_layout(rounds, steps, n, m) | {
         "reference_kernel_ns": ("f8", (rounds, 2)),
         "load_kernel_ns": ("f8", (rounds, 2, LOAD_PASSES)),
         "attempts": ("i8", (rounds,)),
@@ -112,13 +111,14 @@ def replay_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
     }
 
 
-def _answers(rounds: int, steps: int, n: int, m: int) -> Layout:
+def _answer_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
+    """Return type and shape of the arrays that hold a solver's answers and times."""
     return {
         "done": ("i8", (rounds,)),
         "started": ("i8", (1,)),
         "setup_once_ns": ("i8", (1,)),
         "matrix_updates": ("i8", (rounds,)),
-        "times": ("i8", (rounds, steps, len(TIMES))),
+        "times": ("i8", (rounds, steps, len(PHASES))),
         "status": ("i8", (rounds, steps)),
         "iterations": ("i8", (rounds, steps)),
         "reported_ns": ("i8", (rounds, steps)),
@@ -130,7 +130,7 @@ def _answers(rounds: int, steps: int, n: int, m: int) -> Layout:
 
 
 class AnswerLog:
-    """Answers to the QPs of a run: arrays over (rounds, steps), with the times they took."""
+    """Recorded answers of one solver: solution, times and status over (rounds, steps)."""
 
     done: Ints
     started: Ints
@@ -147,11 +147,10 @@ class AnswerLog:
 
 
 class BackupLog(AnswerLog):
-    """Answers of the backup in the steps in which it was asked; a step it was not asked in has −1
-    for all its times.
+    """Recorded answers of the backup solver; all times are −1 in steps it did not solve.
 
-    `acted` (steps,) whether its plan was applied in the step, or began to be; `ready_ns` (steps,)
-    of a slow computer, when its answer was there, counted from t_k; −1 where there is none.
+    `acted` (steps,) whether its plan was applied, or began to be; `ready_ns` (steps,) time of its
+    answer on a slow computer from t_k on, −1 where there is none.
     """
 
     acted: NDArray[np.uint8]
@@ -159,16 +158,16 @@ class BackupLog(AnswerLog):
 
 
 class RawLog(AnswerLog):
-    """Named arrays over one buffer; attribute access by name, e.g. `log.times[r, k]`.
+    """The record of a run while it is made: arrays over steps in one buffer, mostly a file.
 
-    `done[r]` counts the completed steps of round r and is written last, so whatever it covers is
-    whole. `flags` (steps, 3) holds fallback, unconverged, clipped; `attempts[r]` how often round r
-    was begun; `first_ns` (steps,) the time of the first visit of each step, −1 where it had no
-    record, and `first_reference_kernel_ns[r]` the larger reference time around the first attempt of
-    round r; `tau` the force applied and `thrust` the forces of thrusters, where they are commanded;
-    `latency_ns` (steps,) what `slow_computer.py` writes, nothing in other loops. Of a cascade,
-    `demand` (steps, 3) is the force asked of the thrusters, and `allocation` the answers to its
-    second QP, None where there is none. `backup` holds the answers of the backup, None without one.
+    `done[r]` counts the completed steps of round r and is written last. `flags` (steps, 3) has
+    fallback, unconverged, clipped; `attempts[r]` the attempts of round r; `first_ns` (steps,) the
+    time of the first visit of each step, −1 without a record; `first_reference_kernel_ns[r]` the
+    larger reference time around the first attempt of round r; `tau` the applied force and `thrust`
+    the thruster forces, where they are commanded; `latency_ns` (steps,) is written by
+    `slow_computer.py`. Of a cascade, `demand` (steps, 3) is the force demanded of the thrusters,
+    and `allocation` has the answers to its second QP. `allocation` and `backup` are None where
+    there is none.
     """
 
     theta: Floats
@@ -202,23 +201,23 @@ class RawLog(AnswerLog):
 
     @classmethod
     def in_memory(cls, layout: Layout) -> RawLog:
-        """A log for a run in this process."""
+        """Return a new record of a run in this process's memory."""
         return cls(layout, bytearray(log_bytes(layout)))
 
     @classmethod
     def create(cls, path: Path, layout: Layout) -> RawLog:
-        """A new log file at `path`, with its layout beside it; all pages touched beforehand.
+        """Create the file that a run is recorded in, at full size; OSError where there is no room.
 
-        It appears at `path` whole or not at all: the supervisor may look at any moment.
+        It appears at `path` whole or not at all, as the supervisor may read it at any moment.
 
         Raises
         ------
-        OSError : there is no room for it. Later a step that finds none would die by SIGBUS.
+        OSError : there is no room for it. A later step would die by SIGBUS.
         """
         path.with_suffix(".layout").write_text(json.dumps(layout), encoding="ascii")
         blank = path.with_suffix(".blank")
         try:
-            _fill(blank, log_bytes(layout))
+            _allocate_file(blank, log_bytes(layout))
             blank.replace(path)
         finally:
             blank.unlink(missing_ok=True)
@@ -226,35 +225,35 @@ class RawLog(AnswerLog):
 
     @classmethod
     def open(cls, path: Path) -> RawLog:
-        """The log at `path`, writable and shared with whoever else has it open."""
+        """Open the file that a run is recorded in, writable and shared between processes."""
         layout = json.loads(path.with_suffix(".layout").read_text(encoding="ascii"))
         with path.open("r+b") as file:
             return cls(layout, mmap.mmap(file.fileno(), 0))
 
-    def touch(self) -> None:
-        """Read a byte of every page, so that the kernel maps it into this process now."""
+    def touch_pages(self) -> None:
+        """Read a byte of every page of the record, so that the kernel maps them into memory."""
         np.frombuffer(self._buffer, np.uint8)[:: mmap.PAGESIZE].max(initial=0)
 
 
-def step_ns(times: Ints) -> Ints:
-    """(...) what steps took [ns], of their phases (..., `TIMES`)."""
+def sum_step_ns(times: Ints) -> Ints:
+    """Return each step's solver time [ns] (...) from the times of its phases (..., 6)."""
     total: Ints = np.maximum(times[..., _OWN], 0).sum(axis=-1)
     return total
 
 
-def spent_ns(phases_ns: Iterable[int]) -> int:
-    """What one step took [ns], of its phases `OF_SOLVER`."""
+def sum_phases_ns(phases_ns: Iterable[int]) -> int:
+    """Return the sum of one step's solver phases [ns]; negative ones did not take place."""
     return sum(ns for ns in phases_ns if ns > 0)
 
 
 def log_bytes(layout: Layout) -> int:
-    """Size of a log of that layout."""
+    """Return the size [B] of the file that a run is recorded in, from its arrays' layout."""
     sizes = [math.prod(shape) * np.dtype(dtype).itemsize for dtype, shape in layout.values()]
     return sum(-(-size // _ALIGN) * _ALIGN for size in sizes)
 
 
-def _fill(path: Path, size: int) -> None:
-    """Make a file of zeros whose every block the file system has given away."""
+def _allocate_file(path: Path, size: int) -> None:
+    """Write a file of zeros with all its blocks allocated; OSError where there is no room."""
     with path.open("wb") as file:
         # A disk that allocates late says only now what it has no room for; some cannot say it.
         try:
@@ -265,11 +264,11 @@ def _fill(path: Path, size: int) -> None:
         file.write(bytes(size))
 
 
-def is_whole(path: Path) -> bool:
-    """Whether a log has all its bytes and each page can be written.
+def is_writable_log(path: Path) -> bool:
+    """Return whether the file that a run is recorded in has its full size and can be written.
 
-    Where not, whoever writes there through memory dies by SIGBUS. A file system that copies on
-    write shows a lack of room only when asked, so a byte of each page is written as it is.
+    Otherwise writing to it through memory is a SIGBUS. A file system that copies on write shows a
+    lack of room only when written, so a byte of each page is rewritten.
     """
     try:
         layout = json.loads(path.with_suffix(".layout").read_text(encoding="ascii"))
@@ -284,7 +283,7 @@ def is_whole(path: Path) -> bool:
     return True
 
 
-def discard(path: Path) -> None:
-    """Remove a log that has been evaluated."""
+def remove_log(path: Path) -> None:
+    """Delete the file that a run was recorded in, and the file with its layout."""
     path.unlink(missing_ok=True)
     path.with_suffix(".layout").unlink(missing_ok=True)

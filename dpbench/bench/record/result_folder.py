@@ -1,4 +1,8 @@
-"""The result folder: parquet tables, machine and suite descriptions, and the cells behind them."""
+"""The result folder: checked tables, types of `machine.json` and `suite.json`, and its locks.
+
+All keys of these files but the required ones may be missing, and unknown ones may be present:
+releases differ.
+"""
 
 from __future__ import annotations
 
@@ -7,77 +11,209 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Required, TypeVar, get_args
 
 import pandas as pd
+import pyarrow as pa
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, with_config
+from typing_extensions import TypedDict
 
-from dpbench.bench.record.descriptions import MachineFile, SuiteFile, validated
+from dpbench.bench.record.cell import FORMULATIONS, OUTCOMES, Units
 from dpbench.bench.record.recorded_steps import (
     StepsInMemory,
     StepsOnDisk,
     StepTable,
-    lacking,
-    of_another_type,
-    readable,
+    missing_columns_error,
+    table_errors,
+    wrong_type_error,
 )
-from dpbench.bench.record.run_checks import check_runs
-from dpbench.bench.record.schema import (
-    ADDED,
-    READABLE,
-    RENAMED,
-    RUN_COLUMNS,
-    SCHEMA_VERSION,
-    as_runs,
-    as_steps,
-)
-from dpbench.errors import InputError, ResultsError, renamed
+from dpbench.bench.record.schema import SCHEMA_VERSION, STUDY_PREFIX, as_steps
+from dpbench.bench.record.step_table import complete_runs, runs_to_frame
+from dpbench.errors import InputError, ResultsError
 from dpbench.files.documents import read_json_object
-from dpbench.files.tables import in_full, opened_table
+from dpbench.files.tables import decode_words, open_table
 from dpbench.files.writing import is_file_name, make_folder, write_text
-from dpbench.locks import Patience, holders, lock_folder
+from dpbench.locks import WaitLimit, describe_holders, lock_folder
+from dpbench.solvers.contract import Policy, Route
+
+_Kind = TypeVar("_Kind")
+_adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
+_OPEN = ConfigDict(strict=True, extra="allow", allow_inf_nan=False)
+
+
+class ComparedMachine(TypedDict, total=False):
+    """Entries of `machine.json` that must be equal for times to be comparable."""
+
+    cpu_model: str
+    cores: int
+    memory_GiB: int
+    kernel: str
+    python: str
+    versions: dict[str, str]
+
+
+@with_config(_OPEN)
+class MachineDescription(ComparedMachine, total=False):
+    """Content of `machine.json`; `others` are further machines whose runs were joined."""
+
+    id: Required[str]
+    governor: str
+    frequency_MHz: float | str
+    blas: list[str] | None
+    throttle_counters: str
+    affinity: list[int] | None
+    clock_read_ns: float
+    timer_resolution_ns: float
+    load_average: list[float]
+    others: list[MachineDescription]
+
+
+_Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+
+class _Requirements(TypedDict, total=False):
+    """Table `requirements` of `suite.json`: limits that a solver must keep."""
+
+    error_move: _Positive
+    failed_steps: Annotated[int, Field(ge=0)]
+    p99_ms: _Positive
+    deadline_ms: _Positive
+
+
+class _Report(TypedDict, total=False):
+    """Table `report` of `suite.json`: the solver to compare with, and the step shown first."""
+
+    baseline: str | None
+    step: int | None
+    configuration: str | None
+
+
+class StudyDescription(TypedDict, total=False):
+    """Table `[[study]]` of `suite.json`: base scenario, name and radius of a study."""
+
+    base: Required[str]
+    name: str | None
+    radius_m: float
+
+
+class RevisionDescription(TypedDict):
+    """Git commit of dpbench in `suite.json`, and whether its files were unchanged."""
+
+    commit: str
+    clean: bool
+
+
+@with_config(_OPEN)
+class SuiteDescription(TypedDict, total=False):
+    """Content of `suite.json`: the suite that was run, when, by which version, what was lost."""
+
+    name: str
+    title: str
+    harness_version: str
+    started_utc: str
+    run_rows: Required[int]
+    step_rows: Required[int]
+    lost_cells: int
+    lost_designs: int
+    remarks: list[str]
+    revisions: list[RevisionDescription]
+    requirements: _Requirements
+    demand: _Requirements  # key of earlier releases
+    report: _Report
+    study: list[StudyDescription]
+
+
+def parse_document(document: dict[str, Any], kind: type[_Kind], path: Path) -> _Kind:
+    """Return a JSON object checked as a type; ResultsError, naming the key, for a mismatch."""
+    try:
+        # As JSON: a list is a tuple there, and a whole number a float.
+        checked: _Kind = _adapter(kind).validate_json(json.dumps(document))
+        return checked
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(str(part) for part in first["loc"])
+        value = "nothing" if first["type"] == "missing" else repr(first["input"])[:80]
+        allowed = f"what `dpbench run` writes ({first['msg']}); run again"
+        raise ResultsError(str(path), key, value, allowed) from error
+
+
+_WORDS = {
+    "mode": ("closed_loop", "replay"),
+    "route": get_args(Route),
+    "policy": get_args(Policy),
+    "units": get_args(Units),
+    "formulation": FORMULATIONS,
+    "outcome": OUTCOMES,
+}
+"""All words of a column."""
+_LEAST = {"steps_planned": 0, "steps_done": 0, "rounds": 0, "N_p": 1, "N_c": 1, "replay_s": 1e-9}
+"""The least number of a column, where it is not missing."""
+
+
+def check_runs(runs: pd.DataFrame, path: Path) -> None:
+    """Raise ResultsError, naming column and row, for rows that no campaign writes."""
+    for column, is_bad, allowed in _run_rules(runs):
+        if is_bad.any():
+            row = int(is_bad.to_numpy().argmax())
+            value = runs[column].iloc[row]
+            found = "nothing" if pd.isna(value) else str(value)[:80]
+            raise ResultsError(str(path), f"{column}[{row}]", found, f"{allowed}; run again")
+
+
+def _run_rules(runs: pd.DataFrame) -> Iterator[tuple[str, pd.Series[Any], str]]:
+    """Yield a column of `runs.parquet`, a mask of its invalid values, and the allowed ones."""
+    for column, words in _WORDS.items():
+        yield column, ~runs[column].isin(words), " | ".join(words)
+    for column, least in _LEAST.items():
+        yield column, (runs[column] < least).fillna(False), f"{least:g} or more"
+    finished = (runs["mode"] == "replay") & (runs["outcome"] == "finished")
+    yield "rounds", finished & (runs["rounds"] == 0).fillna(False), "1 or more, as it finished"
+    yield "N_p", runs["N_p"].isna() & runs["N_c"].notna(), "a horizon, as N_c is one"
+    of_study = runs["study"] != ""
+    for column in ("study_point", "replicate"):
+        yield column, of_study & runs[column].isna(), "a number, as the run is of a study"
 
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """A result folder; columns as in `schema.py`.
+    """A result folder: its runs, steps, machine and suite.
 
     Parameters
     ----------
-    runs : the rows of `runs.parquet`; recorded : those of `steps.parquet`, asked for by run and
-        column.
+    runs : rows of `runs.parquet`; recorded : those of `steps.parquet`, by run and column.
     machine, suite : `machine.json` and `suite.json`.
     """
 
     runs: pd.DataFrame
     recorded: StepTable
-    machine: dict[str, Any]
-    suite: dict[str, Any]
+    machine: MachineDescription
+    suite: SuiteDescription
 
     @cached_property
     def steps(self) -> pd.DataFrame:
-        """All steps in memory, some 500 bytes each; of large folders ask `recorded`."""
-        return self.recorded.frame()
+        """All steps as a data frame, some 500 bytes each; use `recorded` for large folders."""
+        return self.recorded.read_all()
 
 
 @contextmanager
-def claimed(
+def lock_result_folder(
     folder: Path,
     suite: str,
-    patience: Patience = Patience(),  # noqa: B008 - frozen
+    patience: WaitLimit = WaitLimit(),  # noqa: B008 - frozen
 ) -> Iterator[None]:
-    """Hold a result folder for one campaign of `suite`, making it if need be.
+    """Lock a result folder for one campaign of `suite`; make it where it is missing.
 
     A report that is being written there is waited for with `patience`.
 
     Raises
     ------
-    InputError : when it cannot be written, holds other things or the results of another suite, its
-        folder of cells is a link, or another campaign is running in it. Nothing is changed then.
+    InputError : it cannot be written, has other files or the results of another suite, its folder
+        of cells is a link, or another campaign uses it. Nothing is changed then.
     """
     where = "--out"
     if str(folder) in ("", "."):
@@ -92,7 +228,8 @@ def claimed(
         raise InputError(where, "", f"{folder} with other files", "a new or an empty folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = _lock_file(make_folder(folder / "cells") / ".lock")
+        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+        lock = os.open(make_folder(folder / "cells") / ".lock", flags, 0o666)
     except OSError as error:
         found = f"{folder}: {error.strerror}"
         raise InputError(where, "", found, "a folder that can be written") from error
@@ -101,22 +238,17 @@ def claimed(
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            found = f"{folder} in use by a campaign: {holders(lock)}"
+            found = f"{folder} in use by a campaign: {describe_holders(lock)}"
             raise InputError(where, "", found, "to wait for it, or another folder") from error
-        with writing(folder, patience):
+        with lock_for_writing(folder, patience):
             yield
 
 
-def _lock_file(path: Path) -> int:
-    """Open a file that is locked, and never written."""
-    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
-
-
 @contextmanager
-def writing(folder: Path, patience: Patience = Patience()) -> Iterator[None]:  # noqa: B008 - frozen
-    """Hold a folder for a campaign or a report that writes into it, once no other does.
+def lock_for_writing(folder: Path, patience: WaitLimit = WaitLimit()) -> Iterator[None]:  # noqa: B008 - frozen
+    """Lock a result folder against other campaigns and reports, after waiting for them.
 
-    A wait is said on stderr. Where there is no folder, or its disk knows no locks, none is held.
+    A missing folder, or one on a disk without locks, is not locked.
 
     Raises
     ------
@@ -131,31 +263,25 @@ def writing(folder: Path, patience: Patience = Patience()) -> Iterator[None]:  #
         yield
 
 
-def write_json(path: Path, document: dict[str, Any]) -> None:
-    """Write `document` to `path`, whole or not at all."""
+def write_json(path: Path, document: Mapping[str, object]) -> None:
+    """Write a JSON file, whole or not at all."""
     write_text(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
 
 
-def accidents(out: Path) -> tuple[int, list[str]]:
-    """How many cells and designs of a result folder the benchmark lost itself, and what is to be
-    said of it.
-
-    Raises
-    ------
-    ResultsError : `suite.json` is missing or damaged.
-    """
+def read_accidents(out: Path) -> tuple[int, list[str]]:
+    """Return the number of lost runs and stability studies, and the remarks, in `suite.json`."""
     suite = read_suite(out)
     lost = int(suite.get("lost_cells", 0)) + int(suite.get("lost_designs", 0))
     return lost, [str(line) for line in suite.get("remarks", [])]
 
 
 def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
-    """Read a result folder: its runs, and of its steps what is asked for later.
+    """Return the results in a folder; its steps are read only on request.
 
     Parameters
     ----------
-    without_steps : a folder that has no `steps.parquet`, as one that was sent to others, will do;
-        its table of steps is empty.
+    without_steps : accept a folder without `steps.parquet`, as one that was sent to others; its
+        table of steps is empty.
 
     Raises
     ------
@@ -176,67 +302,54 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
     return results
 
 
-def load_descriptions(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """`machine.json` and `suite.json`; ResultsError, naming the file, when one is missing or
-    damaged."""
-    machine = read_json(folder / "machine.json")
-    validated(machine, MachineFile, folder / "machine.json")
-    return machine, read_suite(folder)
+def load_descriptions(folder: Path) -> tuple[MachineDescription, SuiteDescription]:
+    """Return `machine.json` and `suite.json` of a result folder; ResultsError if damaged."""
+    path = folder / "machine.json"
+    return parse_document(read_json(path), MachineDescription, path), read_suite(folder)
 
 
-def read_suite(folder: Path) -> dict[str, Any]:
-    """`suite.json`; ResultsError, naming file and key, when it is missing or damaged."""
-    suite = read_json(folder / "suite.json")
-    validated(suite, SuiteFile, folder / "suite.json")
-    return suite
+def read_suite(folder: Path) -> SuiteDescription:
+    """Return `suite.json` of a result folder; ResultsError if damaged."""
+    path = folder / "suite.json"
+    return parse_document(read_json(path), SuiteDescription, path)
 
 
 def _read_runs(folder: Path) -> pd.DataFrame:
+    """Return `runs.parquet` of a result folder, checked; ResultsError if damaged."""
     path = folder / "runs.parquet"
-    with readable(path), opened_table(path, error=ResultsError) as file:
-        table = in_full(file.read(), path, error=ResultsError)
-        # What pandas noted of the types is not followed: those of the schema are asked for below.
-        frame = table.to_pandas(ignore_metadata=True)
-    if "schema" in frame:
-        versions = set(frame["schema"].unique().tolist())
-        if versions - READABLE:
-            # Said before its columns are looked at: those of another schema are others.
-            found, allowed = f"schema {sorted(versions)}", f"schema {SCHEMA_VERSION}; run again"
-            raise ResultsError(str(path), "schema", found, allowed)
-    old = {column: RENAMED[column] for column in frame.columns if column in RENAMED}
-    if old:
-        renamed(str(path), f"column {', '.join(old)}", ", ".join(old.values()))
-        frame = frame.rename(columns=old)
-    missing = sorted(set(RUN_COLUMNS) - set(frame.columns) - ADDED)
-    if missing:
-        raise lacking(path, missing)
+    with table_errors(path), open_table(path, error=ResultsError) as file:
+        table = decode_words(file.read(), path, error=ResultsError)
+    if missing := sorted({"run_id", "schema"} - set(table.column_names)):
+        raise missing_columns_error(path, missing)
+    others = sorted(set(table["schema"].unique().to_pylist()) - {SCHEMA_VERSION}, key=str)
+    if others:
+        # Before its columns are read: another schema has others.
+        found, allowed = f"schema {others}", f"schema {SCHEMA_VERSION}; run again"
+        raise ResultsError(str(path), "schema", found, allowed)
     try:
-        runs = as_runs(frame)
-    except (ValueError, TypeError) as error:
-        raise of_another_type(path, str(error)[:80]) from error
+        runs = runs_to_frame(complete_runs(table)).reset_index(drop=True)
+        keys = [name for name in table.column_names if name.startswith(STUDY_PREFIX)]
+        runs = runs.join(table.select(keys).replace_schema_metadata(None).to_pandas())
+    except (ValueError, TypeError, KeyError, pa.ArrowException) as error:
+        raise wrong_type_error(path, str(error)[:80]) from error
     check_runs(runs, path)
-    _check_solvers(path, runs)
-    return runs
-
-
-def _check_solvers(path: Path, runs: pd.DataFrame) -> None:
-    """ResultsError for a solver by whose name no file can be called, as `report --for` does."""
+    # `report --for` writes files named after solvers.
     for name in runs["solver"].unique():
         if not is_file_name(str(name)):
             raise ResultsError(str(path), "solver", repr(name)[:80], "a name without a folder")
+    return runs
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object; ResultsError, naming the file, where there is none."""
+    """Return the JSON object in a file of results; ResultsError, naming the file, without one."""
     return read_json_object(path, "a JSON document", error=ResultsError)
 
 
-def hashes(folder: Path, names: Iterable[str]) -> dict[str, str]:
-    """SHA-256 of those files of a folder that are there, by name."""
-    return {name: _sha256(folder / name) for name in names if (folder / name).is_file()}
-
-
-def _sha256(path: Path) -> str:
-    """Of a file that may be larger than the memory there is."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def hash_files(folder: Path, names: Iterable[str]) -> dict[str, str]:
+    """Return the SHA-256, by name, of those files of a folder that exist."""
+    found = {}
+    for name in names:
+        if (folder / name).is_file():
+            with (folder / name).open("rb") as file:
+                found[name] = hashlib.file_digest(file, "sha256").hexdigest()
+    return found

@@ -7,35 +7,24 @@ integer), never a made-up one.
 from __future__ import annotations
 
 import json
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import pandas as pd
 
-SCHEMA_VERSION = 6
-READABLE = frozenset({4, 5, 6})
-"""Schemas whose tables are read: those of 4 call some columns otherwise, and those of 4 and 5 store
-what is derived from other columns since."""
-RENAMED = {
-    "spoilt": "disturbed",
-    "spoilt_rounds": "disturbed_rounds",
-    "counting_spoilt": "counting_disturbed",
-    "probe_ns": "reference_kernel_ns",
-    "load_ns": "load_kernel_ns",
-}
-"""Old names of columns that are still read, with what they are called now."""
+SCHEMA_VERSION = 7
 
 DType = Literal["str", "bool", "int32", "int64", "Int64", "float64"]
 Columns = dict[str, tuple[DType, str]]
 """Type and meaning by name."""
 
-PREFIX = "x_"
+STUDY_PREFIX = "x_"
 """Of the columns that hold the values of a study's keys, before the key's dotted name."""
 
 POSE_AXES = ("n", "e", "psi")
 FORCES = ("surge", "sway", "yaw")
 AXIS_FORCES = ("x_N", "y_N", "n_Nm")
-ABSENT = -1
+MISSING_INT = -1
 """A whole number that is not there, in arrays that cannot say null."""
 
 STEP_COLUMNS: Columns = {
@@ -393,133 +382,70 @@ RUN_COLUMNS = (
 )
 
 
-ADDED = frozenset(
-    {
-        "study",
-        "study_point",
-        "replicate",
-        "concurrency",
-        "thrust_share",
-        "power_share",
-        "thrust_variation",
-        "azimuth_travel_deg",
-        "thrust_reversals",
-        "at_rate_thrusters",
-        "at_limit_thrusters",
-        "allocation_ns",
-        "allocation_error",
-        "undelivered_share",
-        "controller_p50_ns",
-        "controller_p99_ns",
-        "allocation_p50_ns",
-        "allocation_p99_ns",
-        "sample_s",
-        "first_sample",
-        "every_sample",
-        "raw_p90_ns",
-        "controller_p90_ns",
-        "allocation_p90_ns",
-        "first_visit_excess",
-        "loop_tail_ratio",
-        "solve_s",
-        "thread_s",
-        "waited_ns",
-        "backup",
-        "backup_failed",
-        "backup_ns",
-        "backup_error",
-        "backup_asked",
-        "backup_acted",
-        "backup_failures",
-        "backup_p50_ns",
-        "backup_max_ns",
-        "backup_error_max",
-        "process_peak_bytes",
-    }
-)
-"""Columns that files of earlier schemas have not: read as missing there."""
-
-SAME_AS = {
-    "primal_own": "primal",
-    "dual_own": "dual",
-    **{f"cmd_{axis}": f"tau_{axis}" for axis in AXIS_FORCES},
-}
-"""Columns of steps that are null in the file where they are equal, bit for bit, to another one."""
-DERIVED = {
-    "t_s": "(first_sample + every_sample·k)·sample_s, these three from `runs.parquet`",
-    "total_ns": "setup_ns + update_ns + solve_ns + read_ns + allocation_ns, of those that are "
-    "there; null where no phase is",
-    **{
-        f"dtau_{axis}": f"tau_{axis} less that of the row before; less 0 where k = 0"
-        for axis in AXIS_FORCES
-    },
-}
-"""Columns of steps that are in no file, and the formula by which every reader has them back, bit
-for bit (`step_table`)."""
+_PANDAS = {dtype: pd.api.types.pandas_dtype(dtype) for dtype in get_args(DType)}
 
 
-def _missing(dtype: DType, rows: int) -> Any:
-    """A column of that type without a value in any row."""
+def _missing_column(dtype: DType, rows: int) -> Any:
+    """Return a column of a type without a value in any row."""
     fillers: dict[str, object] = {"str": "", "bool": False, "int32": 0, "int64": 0, "Int64": pd.NA}
     return pd.Series(fillers.get(dtype, np.nan), index=range(rows), dtype=dtype).array
 
 
 def as_columns(frame: pd.DataFrame, columns: Columns) -> pd.DataFrame:
-    """`frame` with exactly these columns of their types; absent ones are missing."""
+    """Give a data frame exactly these columns and types; absent ones have no values."""
     # Most runs lack most columns: what is absent is made once for each type, not for each column.
-    types = {dtype for dtype, _ in columns.values()}
-    absent = {dtype: _missing(dtype, len(frame)) for dtype in types}
+    absent = {
+        dtype: _missing_column(dtype, len(frame))
+        for dtype in {dtype for dtype, _ in columns.values()}
+    }
     out = {
-        name: _of_type(frame[name], absent[dtype].dtype) if name in frame else absent[dtype]
+        name: _convert_column(frame[name], dtype) if name in frame else absent[dtype]
         for name, (dtype, _) in columns.items()
     }
     return pd.DataFrame(out, index=frame.index)
 
 
-def _of_type(column: pd.Series[Any], dtype: Any) -> Any:
-    # Asking for the type it has copies a column, and takes ten times as long as looking.
-    return column.array if column.dtype == dtype else column.astype(dtype).array
+def _convert_column(column: pd.Series[Any], dtype: DType) -> Any:
+    """Return a data-frame column converted to a type, without a copy where it has it already."""
+    # Converting a column to the type it has copies it, and takes ten times as long as looking.
+    return column.array if column.dtype == _PANDAS[dtype] else column.astype(dtype).array
 
 
 def as_steps(frame: pd.DataFrame) -> pd.DataFrame:
-    """`frame` with exactly the columns and types of `steps.parquet`; absent ones are missing."""
+    """Give a data frame the columns and types of `steps.parquet`; absent ones have no values."""
     return as_columns(frame, STEP_COLUMNS)
 
 
 def as_runs(frame: pd.DataFrame) -> pd.DataFrame:
-    """`frame` with exactly the columns and types of `runs.parquet`; absent ones are missing.
-
-    The keys of studies, columns x_<key>, stay as they are behind them.
-    """
+    """Give a data frame the columns and types of `runs.parquet`, then its study parameters."""
     runs = as_columns(frame, RUN_COLUMNS)
-    keys = [name for name in frame.columns if name.startswith(PREFIX)]
+    keys = [name for name in frame.columns if name.startswith(STUDY_PREFIX)]
     return runs.join(frame[keys]) if keys else runs
 
 
 def study_columns(runs: pd.DataFrame) -> pd.DataFrame:
-    """The columns of a study, of runs (N) with a column `cell`; none where no run is of one.
+    """Return study name, point, repetition and parameter values of runs (N), as columns.
 
-    `study`, `study_point` and `replicate` as in the schema; an `x_<key>` for each key, a number
-    where all its values are numbers and text else, missing in runs of other studies.
+    They are `study`, `study_point` and `replicate`, and an `x_<key>` for each key, a number where
+    all its values are numbers and text else, missing in runs of other studies.
     """
     cells = runs["cell"].astype(str)
     of_study = cells.str.contains('"study": {', regex=False)
     if not of_study.any():
         return pd.DataFrame(index=runs.index)
-    rows = {i: _columns_of(json.loads(cell)["study"]) for i, cell in cells[of_study].items()}
+    rows = {i: _study_row(json.loads(cell)["study"]) for i, cell in cells[of_study].items()}
     table = pd.DataFrame.from_dict(rows, orient="index").reindex(runs.index)
     return table.assign(study=table["study"].fillna(""))
 
 
-def _columns_of(study: dict[str, Any]) -> dict[str, Any]:
-    values = {f"{PREFIX}{key}": _plain(value) for key, value in study["x"].items()}
+def _study_row(study: dict[str, Any]) -> dict[str, Any]:
+    """Return a run's study name, point, repetition and parameter values, by column."""
+    values = {
+        f"{STUDY_PREFIX}{key}": json.dumps(value) if isinstance(value, list) else value
+        for key, value in study["x"].items()
+    }
     return {
         "study": study["name"],
         "study_point": study["point"],
         "replicate": study["replicate"],
     } | values
-
-
-def _plain(value: object) -> object:
-    """What a cell of a table can hold: a list as text."""
-    return json.dumps(value) if isinstance(value, list) else value

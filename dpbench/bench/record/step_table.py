@@ -1,14 +1,16 @@
-"""Steps as Arrow: the columns a file stores of them, how they are written, and all of them again.
+"""Runs and steps as Arrow, with the columns and types of the two tables, and how they are written.
 
-A table is of whole runs, each in one piece and in the order of its steps. In a file no run lies in
-two row groups, so that each of these can be read by itself.
+A table of steps is of whole runs, each in one piece and in the order of its steps. No run of a file
+is in two row groups, so each row group can be read by itself. A part is the cells of a batch: a
+Parquet file with the steps in one row group, and the columns of `runs.parquet` as JSON in its
+metadata.
 """
 
-from __future__ import annotations
-
-from collections.abc import Collection, Container, Mapping, Sequence
+import json
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pandas as pd
@@ -17,20 +19,17 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from dpbench.arrays import Floats, Ints
-from dpbench.bench.record.raw_log import OF_SOLVER
 from dpbench.bench.record.schema import (
-    ABSENT,
-    DERIVED,
+    MISSING_INT,
     RUN_COLUMNS,
-    SAME_AS,
     STEP_COLUMNS,
+    Columns,
     DType,
     as_runs,
 )
-from dpbench.files.writing import new_file, put
+from dpbench.files.writing import new_file, replace_durably
 
-ARROW: dict[DType, pa.DataType] = {
+_ARROW: dict[DType, pa.DataType] = {
     "str": pa.string(),
     "bool": pa.bool_(),
     "int32": pa.int32(),
@@ -38,250 +37,260 @@ ARROW: dict[DType, pa.DataType] = {
     "Int64": pa.int64(),
     "float64": pa.float64(),
 }
-STORED = [name for name in STEP_COLUMNS if name not in DERIVED]
-"""The columns of `steps.parquet`."""
-NAMES = pa.dictionary(pa.int32(), pa.string())
-"""The type of words in memory: each is kept once for all its rows."""
-OF_STEPS = pa.schema([(n, ARROW[STEP_COLUMNS[n][0]]) for n in STORED[1:]])
-"""Stored steps of one run, which has its name elsewhere."""
-WORDS = [name for name in STORED if STEP_COLUMNS[name][0] == "str"]
-"""The columns of words: the same few over and over."""
-OF_FILE = pa.schema(
-    [(name, NAMES if name in WORDS else ARROW[STEP_COLUMNS[name][0]]) for name in STORED]
+_CODED_STRING = pa.dictionary(pa.int32(), pa.string())
+STRING_COLUMNS = [name for name, (dtype, _) in STEP_COLUMNS.items() if dtype == "str"]
+"""Columns of strings, stored in memory as dictionaries."""
+STEPS_SCHEMA = pa.schema([(n, _ARROW[t]) for n, (t, _) in STEP_COLUMNS.items() if n != "run_id"])
+"""Steps of one run, without its name."""
+FILE_SCHEMA = pa.schema(
+    [(n, _CODED_STRING if t == "str" else _ARROW[t]) for n, (t, _) in STEP_COLUMNS.items()]
 )
-OF_RUNS = pa.schema([(name, ARROW[dtype]) for name, (dtype, _) in RUN_COLUMNS.items()])
-_ENCODINGS = {
-    "float64": "BYTE_STREAM_SPLIT",
-    "Int64": "DELTA_BINARY_PACKED",
-    "int32": "DELTA_BINARY_PACKED",
-}
-"""Floats are split into planes of bytes, so that the even ones among them compress; of whole
-numbers the differences are stored."""
-INSIDE = tuple(f"{phase}_ns" for phase in OF_SOLVER)
-"""The columns of the phases that are the solver's."""
-OF_CLOCK = ("sample_s", "first_sample", "every_sample")
-"""Columns of `runs.parquet` that the times of steps follow from."""
+RUNS_SCHEMA = pa.schema([(name, _ARROW[dtype]) for name, (dtype, _) in RUN_COLUMNS.items()])
+NO_RUNS = RUNS_SCHEMA.empty_table()
+_NUMBER_COLUMNS = [n for n, (dtype, _) in STEP_COLUMNS.items() if dtype not in ("str", "bool")]
+"""Columns split into planes of bytes, so that regular numbers compress."""
+_FILLERS: dict[DType, object] = {"str": "", "bool": False, "int32": 0, "int64": 0}
+"""Values in place of missing ones in columns without null."""
+_WHOLE_NUMBERS = [n for n, (dtype, _) in RUN_COLUMNS.items() if dtype in ("int32", "int64")]
+
+
+def absent_column(dtype: DType, rows: int) -> pa.Array:
+    """Return an Arrow column of placeholders: null, or "", False, 0 where a type has no null."""
+    return pa.repeat(pa.scalar(_FILLERS.get(dtype), _ARROW[dtype]), rows)
+
+
+def rows_to_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """Return rows of `runs.parquet` as lists by column, without columns that no row has."""
+    names = {name for row in rows for name in row}
+    return {
+        name: [row.get(name, _FILLERS.get(dtype)) for row in rows]
+        for name, (dtype, _) in RUN_COLUMNS.items()
+        if name in names
+    }
+
+
+def build_runs_table(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
+    """Build a full table of runs from columns; ValueError or TypeError for wrong types."""
+    arrays = {
+        name: pa.array(columns[name], _ARROW[dtype], from_pandas=True)
+        for name, (dtype, _) in RUN_COLUMNS.items()
+        if name in columns
+    }
+    return _check_whole_numbers(_complete_columns(arrays, len(columns["run_id"]), RUN_COLUMNS))
+
+
+def _complete_columns(arrays: Mapping[str, Any], rows: int, columns: Columns) -> pa.Table:
+    """Return an Arrow table with all `columns`, from given arrays; absent ones have no values."""
+    absent = {dtype: absent_column(dtype, rows) for dtype in get_args(DType)}
+    full = [
+        arrays[name] if name in arrays else absent[dtype] for name, (dtype, _) in columns.items()
+    ]
+    return pa.Table.from_arrays(full, list(columns))
+
+
+def _check_whole_numbers(runs: pa.Table) -> pa.Table:
+    """Check that a table of runs has every number that all runs have; ValueError otherwise."""
+    for name in _WHOLE_NUMBERS:
+        if runs[name].null_count:
+            raise ValueError(f"{name}: no number")
+    return runs
 
 
 def step_batch(steps: Mapping[str, NDArray[Any]]) -> pa.RecordBatch:
-    """The stored columns of the steps of one run.
+    """Return the steps of one run as an Arrow record batch.
 
     Parameters
     ----------
-    steps : (N,) arrays by the names of `STEP_COLUMNS`; whole numbers that are missing are
-        `ABSENT`, and a column that is not there has no value in any row.
+    steps : (N,) arrays by the names of `STEP_COLUMNS`; missing whole numbers are `MISSING_INT`, and
+        an absent column has no value in any row.
     """
     rows = len(steps["k"])
-    arrays = [_array(name, steps, rows) for name in STORED[1:]]
-    return pa.RecordBatch.from_arrays(arrays, schema=OF_STEPS)
+    arrays = [_step_array(name, steps, rows) for name in STEPS_SCHEMA.names]
+    return pa.RecordBatch.from_arrays(arrays, schema=STEPS_SCHEMA)
 
 
 def no_steps() -> pa.RecordBatch:
-    """Those of a run that left none."""
-    return pa.RecordBatch.from_arrays([pa.array([], f.type) for f in OF_STEPS], schema=OF_STEPS)
+    """Return an Arrow record batch of steps without rows."""
+    return step_batch({"k": np.zeros(0, np.int32)})
 
 
-def _array(name: str, steps: Mapping[str, NDArray[Any]], rows: int) -> pa.Array:
+def _step_array(name: str, steps: Mapping[str, NDArray[Any]], rows: int) -> pa.Array:
+    """Return one column of steps as an Arrow array; missing numbers become null."""
     dtype = STEP_COLUMNS[name][0]
     if name not in steps:
-        return (
-            pa.array(np.zeros(rows, np.bool_)) if dtype == "bool" else pa.nulls(rows, ARROW[dtype])
-        )
+        return absent_column(dtype, rows)
     values = steps[name]
     if dtype == "Int64":
-        return pa.array(values, pa.int64(), mask=values == ABSENT)
+        return pa.array(values, pa.int64(), mask=values == MISSING_INT)
     if dtype != "float64":
-        return pa.array(values, ARROW[dtype])
+        return pa.array(values, _ARROW[dtype])
     numbers = np.ascontiguousarray(values, dtype=np.float64)
-    if name in SAME_AS:
-        # Equal bit for bit: a zero of the other sign, or another NaN, is another number here.
-        other = np.ascontiguousarray(steps[SAME_AS[name]], dtype=np.float64)
-        return pa.array(numbers, mask=numbers.view(np.int64) == other.view(np.int64))
     return pa.array(numbers, mask=np.isnan(numbers))
 
 
-def with_names(batches: Mapping[str, pa.RecordBatch]) -> pa.Table:
-    """One table of the steps of several runs, by their names."""
-    steps = pa.Table.from_batches(batches.values(), OF_STEPS)
+def concat_steps(batches: Mapping[str, pa.RecordBatch]) -> pa.Table:
+    """Return the steps of several runs, by run_id, as one Arrow table."""
+    steps = pa.Table.from_batches(batches.values(), STEPS_SCHEMA)
     counts = [batch.num_rows for batch in batches.values()]
     codes = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
     names = pa.DictionaryArray.from_arrays(codes, pa.array(list(batches), pa.string()))
-    for name in WORDS[1:]:
+    for name in STRING_COLUMNS[1:]:
         at = steps.schema.get_field_index(name)
         steps = steps.set_column(at, name, steps[name].dictionary_encode())
     return steps.add_column(0, "run_id", names).unify_dictionaries()
 
 
-def step_writer(path: Path) -> pq.ParquetWriter:
-    """Who writes a file of steps, each table of `OF_FILE` as one row group; each page carries its
-    check sum."""
-    types = {name: STEP_COLUMNS[name][0] for name in STORED}
-    return pq.ParquetWriter(
-        path,
-        OF_FILE,
+def encode_steps(table: pa.Table, metadata: Mapping[str, str] | None = None) -> bytes:
+    """Return steps as the bytes of a Parquet file of one row group, with page checksums."""
+    sink = pa.BufferOutputStream()
+    with pq.ParquetWriter(
+        sink,
+        FILE_SCHEMA.with_metadata(metadata),
         compression="zstd",
-        use_dictionary=WORDS,
-        column_encoding={n: _ENCODINGS[t] for n, t in types.items() if t in _ENCODINGS},
+        use_dictionary=STRING_COLUMNS,
+        column_encoding=dict.fromkeys(_NUMBER_COLUMNS, "BYTE_STREAM_SPLIT"),
         write_page_checksum=True,
-        # A table reads as what its columns are, in whatever program, not as what they were here.
-        store_schema=False,
-    )
+        # Statistics of hashes and of unordered numbers let no reader skip anything.
+        write_statistics=False,
+        # Without Arrow's schema a table reads as its plain column types in any program; only with
+        # it are metadata written.
+        store_schema=metadata is not None,
+    ) as writer:
+        if table.num_rows:
+            whole = table.unify_dictionaries().combine_chunks()
+            writer.write_table(whole.replace_schema_metadata(metadata), row_group_size=len(table))
+    data: bytes = sink.getvalue().to_pybytes()
+    return data
 
 
-def write_steps(writer: pq.ParquetWriter, table: pa.Table) -> None:
-    """Write whole runs as one row group."""
-    if table.num_rows:
-        writer.write_table(table, row_group_size=table.num_rows)
+def complete_steps(table: pa.Table) -> pa.Table:
+    """Complete a table of steps to all columns of `steps.parquet`; ValueError if wrong types."""
+    return _cast_columns(table, STEP_COLUMNS, FILE_SCHEMA)
 
 
-def write_runs(path: Path, runs: pd.DataFrame, metadata: Mapping[str, str]) -> None:
-    """Write rows of `runs.parquet`, of its columns and types and with the keys of studies behind
-    them, whole or not at all.
+def _cast_columns(table: pa.Table, columns: Columns, schema: pa.Schema) -> pa.Table:
+    """Return an Arrow table with exactly these columns, cast to a schema; absent ones empty."""
+    arrays = {name: table[name] for name in table.column_names if name in columns}
+    return _complete_columns(arrays, len(table), columns).cast(schema)
 
-    Parameters
-    ----------
-    metadata : kept beside them in the file.
-    """
-    part, runs = new_file(path.with_name(f"{path.name}.part")), runs.reset_index(drop=True)
+
+def write_runs(path: Path, runs: pa.Table, metadata: Mapping[str, str]) -> None:
+    """Write a table of runs to a Parquet file with `metadata`, whole or not at all."""
+    part = new_file(path.with_name(f"{path.name}.part"))
     try:
-        keys = pa.Schema.from_pandas(runs[[name for name in runs if name not in RUN_COLUMNS]])
-        schema = pa.schema([*OF_RUNS, *keys])
-        table = pa.Table.from_pandas(runs, schema, preserve_index=False)
-        table = table.replace_schema_metadata(dict(metadata))
+        table = runs.replace_schema_metadata(dict(metadata))
         pq.write_table(table, part, compression="zstd", write_page_checksum=True)
-        put(part, path)
+        replace_durably(part, path)
     finally:
         part.unlink(missing_ok=True)
 
 
-def stored_runs(table: pa.Table) -> pa.Table:
-    """The columns of `OF_RUNS` of a table of runs; ValueError, or one of Arrow, where they are of
-    other types."""
-    if not set(OF_RUNS.names) <= set(table.column_names):
-        table = pa.Table.from_pandas(as_runs(table.to_pandas()), OF_RUNS, preserve_index=False)
-    return table.select(OF_RUNS.names).cast(OF_RUNS)
+def runs_from_frame(frame: pd.DataFrame) -> pa.Table:
+    """Convert a data frame of runs to an Arrow table, its study columns last."""
+    runs = as_runs(frame).reset_index(drop=True)
+    keys = pa.Schema.from_pandas(runs[[name for name in runs if name not in RUN_COLUMNS]])
+    schema = pa.schema([*RUNS_SCHEMA, *keys])
+    return pa.Table.from_pandas(runs, schema, preserve_index=False)
 
 
-def frame_of_runs(table: pa.Table) -> pd.DataFrame:
-    """A table of `OF_RUNS` as a frame, by run_id."""
+def complete_runs(table: pa.Table) -> pa.Table:
+    """Complete a table of runs to all columns of `runs.parquet`; ValueError if wrong types."""
+    return _check_whole_numbers(_cast_columns(table, RUN_COLUMNS, RUNS_SCHEMA))
+
+
+def plain_frame(table: pa.Table) -> pd.DataFrame:
+    """Return an Arrow table as a data frame with nullable whole numbers."""
     whole = {pa.int64(): pd.Int64Dtype()}
-    runs: pd.DataFrame = as_runs(table.to_pandas(types_mapper=whole.get))
+    frame: pd.DataFrame = table.replace_schema_metadata(None).to_pandas(
+        types_mapper=whole.get, use_threads=False
+    )
+    return frame
+
+
+def runs_to_frame(table: pa.Table) -> pd.DataFrame:
+    """Return an Arrow table of runs as a data frame, indexed by run_id."""
+    for at, (name, (dtype, _)) in enumerate(RUN_COLUMNS.items()):
+        if dtype == "bool" and table[name].null_count:
+            table = table.set_column(at, name, pc.fill_null(table[name], False))
+    runs = plain_frame(table)
+    for name in _WHOLE_NUMBERS:
+        runs[name] = runs[name].astype("int64")
     return runs.set_index("run_id", drop=False)
 
 
-def of_runs(table: pa.Table, names: Container[str]) -> pa.Table:
-    """The rows of those runs."""
+def filter_steps(table: pa.Table, names: Container[str]) -> pa.Table:
+    """Return the rows of a table of steps whose run_id is in `names`."""
     coded = table["run_id"].combine_chunks()
     wanted = np.array([name in names for name in coded.dictionary.to_pylist()], dtype=np.bool_)
     if not wanted.any():
-        # A slice would hold on to all of the table.
+        # A slice would keep the whole table in memory.
         return table.schema.empty_table()
     return table if wanted.all() else table.filter(pa.array(wanted[coded.indices.to_numpy()]))
 
 
-def renamed_runs(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
-    """The rows of those runs, under new names."""
-    some = of_runs(table, names)
+def rename_steps(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
+    """Return the rows of a table of steps whose run_id is in `names`, under new run_ids."""
+    some = filter_steps(table, names)
     coded = some["run_id"].combine_chunks()
     new = pa.array([names.get(name, name) for name in coded.dictionary.to_pylist()], pa.string())
-    renamed = pa.DictionaryArray.from_arrays(coded.indices, new).cast(NAMES)
+    renamed = pa.DictionaryArray.from_arrays(coded.indices, new).cast(_CODED_STRING)
     return some.set_column(0, "run_id", renamed)
 
 
-def is_complete(names: Collection[str]) -> bool:
-    """Whether a file with those columns has all of them, as those of earlier schemas have."""
-    return set(DERIVED) <= set(names)
+Row = dict[str, Any]
+"""A row of `runs.parquet`, by column."""
+RUNS = "runs"
+"""Where the metadata of a part have the columns of its runs."""
+DAMAGE = (OSError, ValueError, KeyError, TypeError, IndexError, pa.ArrowException)
+"""What reading a damaged record or table raises."""
 
 
-def needed_for(columns: Sequence[str]) -> list[str]:
-    """The stored columns that some columns of steps are made from, `run_id` among them."""
-    needed = {"run_id"}
-    for name in columns:
-        needed |= {name} - set(DERIVED)
-        if name in SAME_AS:
-            needed.add(SAME_AS[name])
-        if name == "t_s":
-            needed.add("k")
-        elif name == "total_ns":
-            needed |= {*INSIDE, "allocation_ns"}
-        elif name in DERIVED:
-            needed |= {"k", name.removeprefix("d")}
-    return [name for name in STORED if name in needed]
+def _json_value(value: object) -> object:
+    """Convert a NumPy number to a Python one for JSON, a missing one to None; TypeError else."""
+    if value is pd.NA:
+        return None
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} in a row")
 
 
-def with_derived(table: pa.Table, columns: Sequence[str], clock: pd.DataFrame) -> pa.Table:
-    """The asked columns of a table of stored ones, those that follow from others among them.
+@dataclass(frozen=True, eq=False)
+class BatchPart:
+    """The finished runs of a batch: the outcome of each by run_id, and the bytes of their file."""
 
-    Parameters
-    ----------
-    table : whole runs, with the columns of `needed_for(columns)`.
-    clock : `OF_CLOCK` by run_id.
-    """
-    return pa.table({name: _column(table, name, clock) for name in columns})
+    outcomes: Mapping[str, str]
+    data: bytes
 
 
-def _column(table: pa.Table, name: str, clock: pd.DataFrame) -> pa.ChunkedArray | pa.Array:
-    if name in table.column_names:
-        stored = table[name]
-        return pc.coalesce(stored, table[SAME_AS[name]]) if name in SAME_AS else stored
-    if name == "total_ns":
-        total = total_of({n: _integers(table[n]) for n in (*INSIDE, "allocation_ns")})
-        return pa.array(total, mask=total == ABSENT)
-    k = table["k"].to_numpy()
-    if name == "t_s":
-        return pa.array(_times(table["run_id"], k, clock), from_pandas=True)
-    applied = table[name.removeprefix("d")].to_numpy()
-    return pa.array(change_of(applied, k), from_pandas=True)
+def batch_part(cells: Mapping[str, tuple[Row, pa.RecordBatch]]) -> BatchPart:
+    """Return the Parquet file, as bytes, of a batch's finished runs with their steps."""
+    steps = concat_steps({name: batch for name, (_, batch) in cells.items()})
+    return encode_part(rows_to_columns([row for row, _ in cells.values()]), steps)
 
 
-def _integers(column: pa.ChunkedArray) -> Ints:
-    whole: Ints = column.cast(pa.int64()).fill_null(ABSENT).to_numpy()
-    return whole
-
-
-def _times(names: pa.ChunkedArray, k: NDArray[Any], clock: pd.DataFrame) -> Floats:
-    """The times of steps (N,) of the runs `names` (N,)."""
-    coded = names.combine_chunks()
-    coded = coded if pa.types.is_dictionary(coded.type) else coded.dictionary_encode()
-    codes = coded.indices.to_numpy()
-    of_runs = clock.reindex(coded.dictionary.to_pandas())
-    sample_s, first, every = (
-        of_runs[name].to_numpy(np.float64, na_value=np.nan) for name in OF_CLOCK
+def encode_part(columns: Mapping[str, Sequence[Any]], steps: pa.Table) -> BatchPart:
+    """Return the Parquet file, as bytes, of runs given by columns and all their steps."""
+    outcomes = dict(zip(columns["run_id"], columns["outcome"], strict=True))
+    return BatchPart(
+        outcomes, encode_steps(steps, {RUNS: json.dumps(columns, default=_json_value)})
     )
-    known = ~np.isnan(first)
-    starts, strides = (np.where(known, n, 0.0).astype(np.int64)[codes] for n in (first, every))
-    return times_of(k, starts, strides, np.where(known, sample_s, np.nan)[codes])
 
 
-def total_of(steps: Mapping[str, NDArray[Any]]) -> Ints:
-    """(N,) the time of each step: of its phases, and of the second QP of a cascade.
-
-    Each (N,) of whole nanoseconds, `ABSENT` where there is none; so is their sum where no phase
-    is there.
-    """
-    phases = [steps[phase] for phase in INSIDE]
-    parts = [*phases, steps["allocation_ns"]] if "allocation_ns" in steps else phases
-    total = np.zeros(len(phases[0]), dtype=np.int64)
-    for part in parts:
-        total += np.maximum(part, 0)
-    total[np.maximum.reduce(phases) < 0] = ABSENT
-    return total
+def read_part(data: bytes) -> BatchPart:
+    """Return a batch's finished runs from its file's bytes; an error of `DAMAGE` if damaged."""
+    columns = read_part_runs(pq.read_metadata(pa.BufferReader(data)).metadata)
+    return BatchPart(dict(zip(columns["run_id"], columns["outcome"], strict=True)), data)
 
 
-def change_of(values: Floats, k: NDArray[Any]) -> Floats:
-    """(N,) change against the row before; against zero where a run begins, at k = 0."""
-    before = np.roll(values, 1)
-    before[k == 0] = 0.0
-    change: Floats = values - before
-    return change
-
-
-def times_of(
-    k: NDArray[Any],
-    first: Ints | int,
-    every: Ints | int,
-    sample_s: Floats | float,
-) -> Floats:
-    """(N,) time of each step k (N,) [s]: (first + every·k)·sample_s."""
-    t_s: Floats = (first + every * k) * sample_s
-    return t_s
+def read_part_runs(metadata: Mapping[bytes, bytes] | None) -> dict[str, list[Any]]:
+    """Return the runs, by column, in a batch file's metadata; raise one of `DAMAGE` without any."""
+    try:
+        columns = json.loads((metadata or {})[RUNS.encode()])
+    except RecursionError as error:
+        raise ValueError("runs that are nested too deep") from error
+    values = columns.values() if isinstance(columns, dict) else []
+    sizes = {len(column) if isinstance(column, list) else -1 for column in values}
+    if len(sizes) != 1 or -1 in sizes or "run_id" not in columns:
+        raise ValueError("no columns of runs")
+    found: dict[str, list[Any]] = columns
+    return found

@@ -1,1 +1,1 @@
-"""One solver in one process: closed loop, replay, and what stands between it and the clock."""
+"""Runs of one solver in one process: closed loop, replay, and the timed solver."""

@@ -1,6 +1,4 @@
-"""A run made ready: what a cell or a sequence says of it, its raw log, and the solver timed."""
-
-from __future__ import annotations
+"""Assembly of runs: closed loop or replay, raw log and timed solver, from a cell or sequence."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -11,16 +9,20 @@ from dpbench.bench.record.raw_log import AnswerLog, Layout, RawLog, loop_layout,
 from dpbench.bench.run.backup import Backup
 from dpbench.bench.run.closed_loop import ClosedLoopSetup
 from dpbench.bench.run.exact_loop import base_problem
-from dpbench.bench.run.formulation import Box, Formulated, in_loop, in_replay
-from dpbench.bench.run.qp_builder import QPBuilder
-from dpbench.bench.run.slow_computer import delay_of, usage_of_process
+from dpbench.bench.run.formulation import (
+    BoxFormulation,
+    QPBuilder,
+    loop_formulation,
+    replay_formulation,
+)
+from dpbench.bench.run.slow_computer import find_delay, read_process_usage
 from dpbench.bench.run.timed_solver import STEP_SHARE, ResumedSolver, TimedSolver
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence
-from dpbench.scenario.scenario import Scenario, no_delay
+from dpbench.scenario.scenario import Scenario
 from dpbench.solvers.contract import Route, Workspace
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import record
+from dpbench.solvers.table import find_record
 
 NO_LIMIT_NS = 2**62
 NewLog = Callable[[Layout], RawLog]
@@ -36,33 +38,42 @@ def closed_loop_setup(
     *,
     hung: Sequence[int] = (),
 ) -> ClosedLoopSetup:
-    """The closed loop that a cell describes, along a scenario of as many steps.
+    """Build what a closed-loop run needs: QP builder, timed solver, log, backup, time limits.
 
     Parameters
     ----------
-    hung : steps in which an earlier process of the cell hung, in their order; `new_log` opens its
-        log. The controller's solver is taken for the one that hung; where a step is there twice,
-        the backup and the second solver of a cascade too.
+    hung : steps in which an earlier process of the cell hung, in order; `new_log` opens its log.
+        For a step that is there twice, the backup and the second solver of a cascade hung too.
 
     Raises
     ------
-    InputError : "sparse" for a scenario that has no stages, a slow-down or deadline that cannot
-        be, or a backup or a cascade's second workspace that cannot be opened.
+    InputError : "sparse" for a scenario without stages, an impossible slow-down or deadline, or a
+        backup or second workspace of a cascade that cannot be opened.
     """
-    scenario = as_run(cell, scenario)
-    delay = delay_of(cell, scenario.sample_s)
-    why = no_delay(scenario)
-    if delay.simulated and why:
+    scenario = with_cell_formulation(cell, scenario)
+    delay = find_delay(cell, scenario.sample_s)
+    why = scenario.controller.why_no_delay
+    if delay.is_simulated and why:
         raise InputError("closed loop", "slowdown", cell.slowdown, f"0 ({why})")
     builder = QPBuilder(scenario, cell.units, sparse=cell.formulation == "sparse")
     layout = loop_layout(scenario.steps, *builder.sizes, backup=bool(cell.backup))
     log = new_log(layout)
-    formulated = in_loop(cell.formulation, builder, base_problem(builder.condensed))
+    formulated = loop_formulation(cell.formulation, builder, base_problem(builder.condensed))
     last = hung[-1] if hung else None
     twice = [k for k in hung if hung.count(k) > 1]
-    solver = _timed(workspace, formulated, log, last, limit_ns)
+
+    def build_solver(
+        workspace: Workspace, form: BoxFormulation, answers: AnswerLog, *, skips: bool = True
+    ) -> TimedSolver:
+        if last is None:
+            return TimedSolver(workspace, form, clock)
+        return ResumedSolver(
+            workspace, form, clock, answers=answers, at=last, skips=skips, limit_ns=limit_ns
+        )
+
+    solver = build_solver(workspace, formulated, log)
     setup = ClosedLoopSetup(
-        scenario, builder, solver, log, cell.fallback, limit_ns, clock, delay, usage_of_process
+        scenario, builder, solver, log, cell.fallback, limit_ns, clock, delay, read_process_usage
     )
     if log.backup is not None:
         limit_s = None if limit_ns == NO_LIMIT_NS else STEP_SHARE * limit_ns * 1e-9
@@ -73,47 +84,28 @@ def closed_loop_setup(
     if builder.allocation is not None and log.allocation is not None:
         # As it is in every formulation: it has no states, and equalities no well-posed one-sided
         # form.
-        second = Box(builder.allocation.base())
-        setup.allocating = _timed(
-            workspace.another(), second, log.allocation, last, limit_ns, skips=last in twice
+        second = BoxFormulation(builder.allocation.base())
+        setup.allocating = build_solver(
+            workspace.another(), second, log.allocation, skips=last in twice
         )
-        # What a library says of a failure counts whichever of the two QPs it failed on.
+        # Failures are counted together, whichever of the two QPs they occur in.
         setup.allocating.details = solver.details
     return setup
 
 
-def _timed(
-    workspace: Workspace,
-    formulated: Formulated,
-    answers: AnswerLog,
-    hung: int | None,
-    limit_ns: int,
-    *,
-    skips: bool = True,
-) -> TimedSolver:
-    """A solver of a loop; of one that goes on behind the step `hung`, as in `ResumedSolver`."""
-    if hung is None:
-        return TimedSolver(workspace, formulated, clock)
-    return ResumedSolver(
-        workspace, formulated, clock, answers=answers, at=hung, skips=skips, limit_ns=limit_ns
-    )
-
-
 def open_backup(solver: str, step_limit_s: float | None) -> Workspace:
-    """The workspace of a backup, by its own interface where the solver has that, that is set up
-    from nothing at every step; InputError where it cannot be opened."""
-    route: Route = "native" if "native" in record(solver).routes else "qpsolvers"
+    """Return the workspace of a backup solver, set up anew at each step; InputError without one."""
+    route: Route = "native" if "native" in find_record(solver).routes else "qpsolvers"
     workspace = open_workspace(solver, route=route, step_limit_s=step_limit_s)
     workspace.setup_every_step = True
     return workspace
 
 
-def as_run(cell: Cell, scenario: Scenario) -> Scenario:
-    """The scenario as a cell runs it: the baseline law of a cascade is one in both of its halves,
-    as what ignores all constraints ignores the demand too."""
-    if cell.formulation != "none" or scenario.allocation is None:
+def with_cell_formulation(cell: Cell, scenario: Scenario) -> Scenario:
+    """Return the scenario, with the unconstrained law as controller where the run asks for it."""
+    if cell.formulation != "none":
         return scenario
-    return replace(scenario, allocation=replace(scenario.allocation, by_qp=False))
+    return replace(scenario, controller=scenario.controller.as_baseline_law())
 
 
 def replay_parts(
@@ -123,12 +115,7 @@ def replay_parts(
     rounds: int,
     new_log: NewLog,
 ) -> tuple[QPSequence, TimedSolver, RawLog]:
-    """A sequence as the solver gets it, the solver, and a log of the warm-up and `rounds`.
-
-    Raises
-    ------
-    InputError : "sparse" for QPs without a scenario behind them.
-    """
+    """Return a replay's QPs in the solver's formulation, the timed solver, and a new raw log."""
     log = new_log(replay_layout(rounds + 1, len(sequence), sequence.base.n, sequence.base.m))
-    steps, formulated = in_replay(formulation, sequence)
+    steps, formulated = replay_formulation(formulation, sequence)
     return steps, TimedSolver(workspace, formulated, clock), log

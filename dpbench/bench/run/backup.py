@@ -1,33 +1,34 @@
-"""The backup: a second solver that steps in where the first gave no usable answer in time.
+"""The backup: a second solver for steps in which the first has no usable answer in time.
 
-It gets the QP of that very step, is set up from nothing for it, so that no earlier step can do it
-harm, and is timed by itself. Where it has no usable answer either, the fallback acts. What a late
-answer means is in `slow_computer.py`; of a cascade, the backup is one of its first QP alone.
+It gets the QP of that very step, is set up from nothing for it, and is timed by itself. Where it
+has no usable answer either, the fallback acts. A late answer is treated in `slow_computer.py`; of a
+cascade, the backup is one of its first QP alone.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Collection
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.raw_log import BackupLog
-from dpbench.bench.run.fallback import FallbackLaw
+from dpbench.bench.run.fallback_policies import FallbackPolicy
 from dpbench.bench.run.timed_solver import TimedSolver, is_usable, record_answer
 from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution
 
 WARM_UP_SOLVES = 3
-"""Solves before the first step: what a library does once, when first called, is no latency."""
+"""Solves before the first step: work of a library's first call is no latency."""
 
 
 class Backup:
-    """The second solver of a loop and the record of its answers.
+    """The backup solver of a closed loop, with the log of its answers.
 
     Parameters
     ----------
-    solver : timed; its workspace is set up at every step.
-    moves : maps z to the plan (N_c, n_u); log : where its answers go.
+    solver : its workspace is set up at every step; moves : maps z to the plan (N_c, n_u).
     hung : steps in which it hung in an earlier process, each for `limit_ns`.
+
+    Attributes
+    ----------
+    recorded_ready_ns : (K,) when its answers of an earlier process were ready on a slow computer.
     """
 
     def __init__(
@@ -41,20 +42,25 @@ class Backup:
     ) -> None:
         self.solver, self.log, self._moves = solver, log, moves
         self._hung, self._limit_ns = hung, limit_ns
+        self.recorded_ready_ns = log.ready_ns.copy()
         log.times[:], log.ready_ns[:] = -1, -1
 
-    def prepare(self) -> None:
-        """Solve without a record until nothing is cold."""
+    def warm_up(self) -> None:
+        """Let the backup solve some unrecorded QPs, so that the first real one is not slow."""
         self.solver.warm_up(WARM_UP_SOLVES)
 
-    def plan(self, k: int, step: QPStep) -> Matrix | None:
-        """The plan (N_c, n_u) of its answer to the QP of step k; None without a usable one."""
-        if k in self._hung:
-            return self.record(k, self.solver.missing(self._limit_ns))
-        return self.record(k, self.solver.answer(step))
+    def solve_step(self, k: int, step: QPStep) -> Matrix | None:
+        """Solve the QP of step k and return its plan (N_c, n_u); None without a usable answer."""
+        return self.log_answer(k, self.answer(k, step))
 
-    def record(self, k: int, answer: Solution) -> Matrix | None:
-        """Record its answer to the QP of step k; its plan (N_c, n_u), None if it is unusable."""
+    def answer(self, k: int, step: QPStep) -> Solution:
+        """Return the backup solver's answer to step k; none where it hung in an earlier process."""
+        if k in self._hung:
+            return self.solver.answer_hung_step(self._limit_ns)
+        return self.solver.answer(step)
+
+    def log_answer(self, k: int, answer: Solution) -> Matrix | None:
+        """Record the backup's answer to step k; return its plan (N_c, n_u), None if unusable."""
         record_answer(self.log, 0, k, answer, self.solver.waited_ns)
         self.log.times[0, k] = (-1, *self.solver.phases_ns, -1)
         if is_usable(answer):
@@ -64,23 +70,13 @@ class Backup:
 
 
 class LoopWithBackup:
-    """Solver and fallback of a loop that waits for each answer; replaces both in the loop.
-
-    Parameters
-    ----------
-    solver : timed; backup : asked where that fails; law : acts where both fail.
-    emit : makes the QP of a step.
-
-    Attributes
-    ----------
-    acted : whether the last move was not one of the solver's own answer.
-    """
+    """Solver, backup solver and fallback of a closed loop that waits for every answer."""
 
     def __init__(
         self,
         solver: TimedSolver,
         backup: Backup,
-        law: FallbackLaw,
+        law: FallbackPolicy,
         emit: Callable[[int, Vector, Vector], QPStep],
     ) -> None:
         self._solver, self._backup, self._law, self._emit = solver, backup, law, emit
@@ -90,42 +86,42 @@ class LoopWithBackup:
 
     @property
     def phases_ns(self) -> tuple[int, ...]:
-        """Those of the solver: the time of the backup is none of its."""
+        """Times of the main solver's set-up, update, solve and read in the last step [ns]."""
         return self._solver.phases_ns
 
     @property
     def waited_ns(self) -> int:
-        """Wait for the core in the last answer of the solver [ns]; −1 if unknown."""
+        """Wait for the core during the main solver's last answer [ns]; −1 if unknown."""
         return self._solver.waited_ns
 
     @property
     def matrix_updates(self) -> int:
-        """Those of the solver."""
+        """Number of updates in which the main solver took new QP matrices."""
         return self._solver.matrix_updates
 
     def prepare(self) -> int:
-        """Set up as `TimedSolver.prepare`, and warm up the backup."""
-        self._backup.prepare()
+        """Warm up the backup and set up the main solver; return the set-up time [ns]."""
+        self._backup.warm_up()
         return self._solver.prepare()
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
-        """The QP of step k."""
+        """Return the MPC QP of step k for state x (n_x,) and previous input u_prev (n_u,)."""
         self._k = k
         return self._emit(k, x, u_prev)
 
     def answer(self, step: QPStep) -> Solution:
-        """The solver's answer; where it is unusable, the backup has solved the step as well."""
+        """Return the main solver's answer; if it is unusable, let the backup solve the step."""
         solution = self._solver.answer(step)
-        self._plan = None if is_usable(solution) else self._backup.plan(self._k, step)
+        self._plan = None if is_usable(solution) else self._backup.solve_step(self._k, step)
         return solution
 
     def remember(self, plan: Matrix) -> Vector:
-        """As `FallbackLaw.remember`, of the solver's own plan."""
+        """Store the main solver's plan (N_c, n_u) and return its first move."""
         self.acted = False
         return self._law.remember(plan)
 
     def move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
-        """Δu (n_u,) of the backup's plan, or of the fallback where there is none."""
+        """Return Δu (n_u,) of the backup's plan, or of the fallback where it has none."""
         self.acted = True
         if self._plan is None:
             return self._law.move(x, y_ref, u_prev)

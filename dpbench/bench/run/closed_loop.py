@@ -2,13 +2,9 @@
 
 Order at t_k: measure or estimate x_m; Δx_m(k) = x_m(k) − x_m(k−1), zero at k = 0; emit the QP;
 solve; limit the first move by rate, then by amplitude; hold the force over [t_k, t_{k+1}). u(k−1)
-is the force that was *applied*; where thrusters are steered, u are their forces and T_e u is that
-on the ship. A cascade allocates the limited force to its thrusters (`allocator.py`); what they make
-of it is u. Only the solver's call stands between two clock reads of its phases. On a slow computer
-(`slow_computer.py`) another stands in for solver and fallback; the loop is the same.
+is the force that was *applied*. Only the solver's call stands between two clock reads of its
+phases.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,69 +12,57 @@ from dataclasses import dataclass
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.bench.record.cell import Fallback
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.run.allocator import Allocator
+from dpbench.bench.run.actuation import build_actuation
 from dpbench.bench.run.backup import Backup, LoopWithBackup
-from dpbench.bench.run.fallback import FallbackLaw, limit_of
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.fallback_policies import FALLBACKS, FallbackPolicy
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.run.slow_computer import ComputationalDelay, SlowComputer, Usage, never_preempted
-from dpbench.bench.run.timed_solver import (
-    UNFINISHED,
-    Clock,
-    TimedSolver,
-    is_usable,
-    record_answer,
-)
+from dpbench.bench.run.timed_solver import Clock, TimedSolver, is_usable, record_answer
+from dpbench.mpc.law import UnconstrainedLaw
 from dpbench.qp.program import QPStep
 from dpbench.scenario.scenario import Scenario
-from dpbench.ship.environment import Drawn
-from dpbench.ship.layout import AXES, POSE
-from dpbench.ship.measurement import Sensors
-from dpbench.ship.plant import SUBSTEPS, Plant
+from dpbench.ship.environment import WeatherDraw
+from dpbench.ship.layout import POSE
+from dpbench.ship.plant import SUBSTEPS, Plant, Sensors
 
 Emit = Callable[[int, Vector, Vector], QPStep]
+SolverReplacement = LoopWithBackup | SlowComputer
 
 
 @dataclass(slots=True, eq=False)
 class ClosedLoopSetup:
-    """What a closed loop is made of: the run, what emits its QPs, the solver, where steps go.
+    """The parts of a closed loop: scenario, QP builder, solver, fallback, log and limits.
 
-    `fallback` acts without a usable answer; `limit_ns` of own run time end the run; `clock`
-    tells nanoseconds. `delay` is that of a slow computer, whose answers come late; None where the
-    ship waits for them; `usage` is what the kernel says of this process there. `allocating` is the
-    solver of a cascade's second QP; `drawn` what is known of the weather beforehand; `backup` the
-    second solver, where there is one.
+    `fallback` acts without a usable answer; `limit_ns` of own run time end the run. `delay` is that
+    of a slow computer, None where the ship waits for each answer; `usage` counts preemptions there.
+    `allocating` is the solver of a cascade's second QP; `drawn` the precomputed weather; `backup`
+    the second solver.
     """
 
     scenario: Scenario
     builder: QPBuilder
     solver: TimedSolver
     log: RawLog
-    fallback: Fallback
+    fallback: str
     limit_ns: int
     clock: Clock
     delay: ComputationalDelay | None = None
     usage: Usage = never_preempted
     allocating: TimedSolver | None = None
-    drawn: Drawn | None = None
+    drawn: WeatherDraw | None = None
     backup: Backup | None = None
 
 
 def closed_loop(setup: ClosedLoopSetup) -> bool:
-    """Run the scenario with the solver behind the clock and record every step in the log.
-
-    Returns
-    -------
-    True when all steps were done, False when the time limit stopped the run after a step.
-    """
+    """Run a closed loop and record every step; return False when the time limit stopped it."""
     scenario, builder, log = setup.scenario, setup.builder, setup.log
     clock, limit_ns, steps = setup.clock, setup.limit_ns, scenario.steps
-    plant = _plant(scenario)
+    plant = _build_plant(scenario)
     weather = scenario.environment
     sea = weather.stage_table(steps, scenario.sample_s, SUBSTEPS, setup.drawn)
     sensors, estimator = Sensors(weather, steps, scenario.sample_s), scenario.estimator()
-    solver, law, emit = _steering(setup)
+    solver, law, emit = _choose_controller_parts(setup)
     formulate, answer, moves = solver.formulate, solver.answer, builder.condensed.moves
     state, reference = plant.state, builder.reference
     model = builder.condensed.control.model
@@ -86,15 +70,11 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     # The augmented state [Δν, Δη, y]: what changed in the ship's state, and the pose itself.
     change, at_x, at_u = slice(0, pose.start), theta.x, theta.u_prev
     x, u = np.zeros(model.n_x), np.zeros(model.n_u)
-    limit, T_e = limit_of(builder.condensed), None
-    tau, told, applied, allocator = u, u, log.tau, _allocator(setup)
-    if scenario.commanded is not None:
-        T_e, applied = scenario.commanded.thrusters.T_e, log.thrust
-        if allocator is None:
-            tau = np.zeros(AXES)
-        else:
-            told, applied = allocator.f, log.demand
-            allocator.prepare()
+    limit, limits = scenario.controller.move_limit(), builder.limits
+    actuation = build_actuation(scenario.controller, builder, log, setup.allocating, clock, u)
+    tau, command, applied = actuation.tau, actuation.command, actuation.applied
+    act = actuation.apply_step
+    actuation.prepare()
     sense, estimate = sensors.sense, estimator.update
     log.counters[:] = np.nan
     log.setup_once_ns[0] = solver.prepare()
@@ -119,17 +99,13 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
             du = law.move(x, reference[k], u)
             solver.reset()
         np.add(u, du, out=log.command[k])
-        clipped = limit(u, du, builder.u_min[k], builder.u_max[k], applied[k])
+        clipped = limit(u, du, limits[k], applied[k])
         u[...] = applied[k]
-        log.flags[k] = (law.acted, usable and solution.status in UNFINISHED, clipped)
+        log.flags[k] = (law.acted, usable and solution.status.is_unfinished, clipped)
         record_answer(log, 0, k, solution, solver.waited_ns)
-        if T_e is not None:
-            if allocator is not None:
-                # As the overhead is what neither solver takes.
-                t3 += allocator.allocate(k, u)
-            T_e.dot(told, out=tau)
-            log.tau[k] = tau
-        plant.advance(told, sea[k])
+        # As the overhead is what neither solver takes.
+        t3 += act(k)
+        plant.advance(command, sea[k])
         log.state[k + 1] = state
         t4 = clock()
         log.times[0, k] = (t2 - t1, *solver.phases_ns, t4 - t0 - (t3 - t2))
@@ -140,16 +116,16 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     return True
 
 
-def _steering(
+def _choose_controller_parts(
     setup: ClosedLoopSetup,
-) -> tuple[
-    TimedSolver | LoopWithBackup | SlowComputer, FallbackLaw | LoopWithBackup | SlowComputer, Emit
-]:
-    """Return the objects that answer, act without an answer, and emit: one object for all three
-    with a backup or on a slow computer."""
+) -> tuple[TimedSolver | SolverReplacement, FallbackPolicy | SolverReplacement, Emit]:
+    """Return what solves the QPs, what moves without an answer, and what makes each QP."""
     builder, solver, backup = setup.builder, setup.solver, setup.backup
-    law = FallbackLaw(setup.fallback, builder.condensed)
-    if setup.delay is not None and setup.delay.simulated:
+    control = builder.condensed.control
+    law = FALLBACKS[setup.fallback](
+        control.N_c, control.model.n_u, UnconstrainedLaw(builder.condensed)
+    )
+    if setup.delay is not None and setup.delay.is_simulated:
         latency_ns = setup.log.latency_ns
         computer = SlowComputer(
             setup.delay, solver, builder, law, latency_ns, setup.usage, backup=backup
@@ -161,16 +137,8 @@ def _steering(
     return both, both, both.emit
 
 
-def _allocator(setup: ClosedLoopSetup) -> Allocator | None:
-    """What allocates in a cascade."""
-    allocation = setup.scenario.allocation
-    if allocation is None:
-        return None
-    return Allocator(allocation, setup.builder, setup.log, setup.allocating, setup.clock)
-
-
-def _plant(scenario: Scenario) -> Plant:
-    """The true ship in its start, in this weather, behind these actuators."""
+def _build_plant(scenario: Scenario) -> Plant:
+    """Return the simulated ship of a scenario in its initial state, with weather and actuators."""
     return Plant(
         scenario.true_ship,
         scenario.first_state,

@@ -1,7 +1,6 @@
 """The exactly solved loop: the referee's certified optimum steers the ship.
 
-It is computed once per scenario; every solver's deviation from it is a metric, and the QPs along
-it are the sequences for replay.
+Every solver's deviation from it is a metric, and the QPs along it are the sequences for replay.
 """
 
 from __future__ import annotations
@@ -17,35 +16,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Floats, Matrix
-from dpbench.bench.record.npz import keep, kept
+from dpbench.bench.record.cell import DEFAULT_FALLBACK
+from dpbench.bench.record.npz import open_arrays, write_arrays
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
-from dpbench.bench.run.formulation import Box
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import BoxFormulation, QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.errors import CertificateError, InputError, ResultsError
 from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, SparseEquivalent, Units
 from dpbench.qp.referee.joint import Kind
-from dpbench.qp.referee.referee import Optimum, Referee, referee_of
+from dpbench.qp.referee.optimum import Optimum
+from dpbench.qp.referee.referee import Referee, get_shared_referee
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario
-from dpbench.ship.environment import Drawn
+from dpbench.ship.environment import WeatherDraw
 from dpbench.ship.plant import SUBSTEPS
 from dpbench.solvers.contract import Workspace
 
 _OF_LOOP = ("theta", "state", "tau", "thrust", "z")
 _OF_OPTIMUM = ("z", "y", "y_box", "bound", "kind")
 ALLOCATED = "allocated"
-"""What the names of the arrays begin with in which a stored loop keeps optima of allocations."""
+"""Prefix of the arrays with the optima of allocations in a stored loop."""
 _DRAWN = "drawn_"
 Part = Literal["controller", "allocation"]
-"""Which QPs of a loop: those of its controller, or the second ones of a cascade."""
+"""QPs of a loop's controller, or the second ones of a cascade."""
 
 
 class ExactWorkspace(Workspace):
-    """The referee's optimum behind the workspace contract; scaled QPs only."""
+    """A solver whose answers are certified optima; scaled QPs only."""
 
     def __init__(self) -> None:
         super().__init__("exact", "native", "reuse")
@@ -56,27 +56,31 @@ class ExactWorkspace(Workspace):
         """The optimum of every solved step, in order."""
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Take the constant matrices."""
+        """Store the matrices of a QP and prepare certifying its optima."""
         self._base = qp
         matrices = qp.P, qp.A, qp.lb, qp.ub
-        self._referee = self._referee.after(*matrices) if self._referee else referee_of(*matrices)
+        self._referee = (
+            self._referee.for_matrices(*matrices)
+            if self._referee
+            else get_shared_referee(*matrices)
+        )
         self._step = QPStep(qp.q, qp.l, qp.u)
 
     def update(self, step: QPStep) -> None:
-        """Take the vectors, and matrices where they are others than before."""
+        """Store the vectors of a step's QP, and its matrices where they have changed."""
         assert self._base is not None, "setup comes first"
         if self._base.changed_by(step):
             self.setup(self._base.at(step))
         self._step = step
 
     def solve(self) -> None:
-        """Certify the optimum of the current step."""
+        """Find and certify the optimum of the current step's QP, and store it."""
         assert self._referee is not None and self._step is not None, "setup comes first"
         step = self._step
         self.optima.append(self._referee.certify(step.q, step.l, step.u))
 
     def read(self) -> Solution:
-        """The certified optimum, or the proof that there is none; without either an error.
+        """Return the certified optimum, or a proven infeasibility; else CertificateError.
 
         A step that is undecided at rounding has no answer either.
         """
@@ -91,15 +95,14 @@ class ExactWorkspace(Workspace):
 
 @dataclass(frozen=True, eq=False)
 class ExactLoop:
-    """The exactly solved loop of a scenario.
+    """The exactly solved loop of a scenario: states, forces and certified optima of every step.
 
-    theta (K, 16) : [x; y_ref; u_prev; 1] of each step; state (K + 1, 6); tau (K, 3); z (K, n);
-        thrust (K, n_f) : forces of thrusters, where they are commanded.
-    optima : the certified optimum of each step in scaled units, so that no replay has to certify
-        the same QP again for every one of its configurations.
-    demand (K, 3) : of a cascade, the force asked of its thrusters; None else.
-    allocated : of a cascade, the certified optima of its second QPs; none where it has no such.
-    drawn : what all runs in the same weather have in common, see `Environment.drawn`.
+    Attributes
+    ----------
+    theta (K, 16) : [x; y_ref; u_prev; 1]; state (K + 1, 6); tau (K, 3); thrust (K, n_f); z (K, n).
+    optima : certified, of each step in scaled units.
+    demand (K, 3), allocated : of a cascade, the demanded force and the optima of its second QPs.
+    drawn : what all runs in the same weather share, see `Environment.precompute_weather`.
     """
 
     theta: Matrix
@@ -110,46 +113,41 @@ class ExactLoop:
     optima: list[Optimum]
     demand: Matrix | None = None
     allocated: list[Optimum] = field(default_factory=list)
-    drawn: Drawn = field(default_factory=dict)
+    drawn: WeatherDraw = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
-        """Write to `path` (.npz)."""
+        """Write the states, forces and certified optima of the loop to a file."""
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _OF_LOOP}
-        arrays |= _arrays_of(self.optima, "optimum")
+        arrays |= _optima_to_arrays(self.optima, "optimum")
         if self.demand is not None:
             arrays["demand"] = self.demand
         if self.allocated:
-            arrays |= _arrays_of(self.allocated, ALLOCATED)
+            arrays |= _optima_to_arrays(self.allocated, ALLOCATED)
         arrays |= {f"{_DRAWN}{name}": array for name, array in self.drawn.items()}
-        keep(path, arrays)
+        write_arrays(path, arrays)
 
     @classmethod
     def load(cls, path: Path, *, with_optima: bool = True) -> ExactLoop:
-        """Read what `save` wrote; the optima are not there without `with_optima`.
-
-        Raises
-        ------
-        ResultsError : it is damaged, or gone.
-        """
-        with kept(path) as stored:
+        """Return the exactly solved loop in a file; ResultsError where it is damaged or gone."""
+        with open_arrays(path) as stored:
             arrays = {name: stored[name] for name in _OF_LOOP}
-            demand, drawn = stored.get("demand"), drawn_of(stored)
+            demand, drawn = stored.get("demand"), read_stored_weather(stored)
             names = ("optimum", ALLOCATED) if with_optima else ()
             optima, second = (
-                _optima_of(stored, name) if name in names and f"{name}_z" in stored else []
+                _arrays_to_optima(stored, name) if name in names and f"{name}_z" in stored else []
                 for name in ("optimum", ALLOCATED)
             )
         return cls(**arrays, optima=optima, demand=demand, allocated=second, drawn=drawn)
 
 
-def drawn_of(stored: Mapping[str, NDArray[Any]]) -> Drawn:
-    """Of a stored loop, what is drawn of its weather."""
+def read_stored_weather(stored: Mapping[str, NDArray[Any]]) -> WeatherDraw:
+    """Return the precomputed weather in the arrays of a stored loop."""
     names = [name for name in stored if name.startswith(_DRAWN)]
     return {name.removeprefix(_DRAWN): stored[name] for name in names}
 
 
-def allocation_sizes(stored: Mapping[str, NDArray[Any]]) -> tuple[int, int] | None:
-    """Of a stored loop, n and m of a cascade's second QPs as in `QPBuilder.sizes`."""
+def read_allocation_sizes(stored: Mapping[str, NDArray[Any]]) -> tuple[int, int] | None:
+    """Return n and m of a stored loop's thrust-allocation QPs; None where it has none."""
     if "demand" not in stored:
         return None
     if f"{ALLOCATED}_z" not in stored:
@@ -157,16 +155,16 @@ def allocation_sizes(stored: Mapping[str, NDArray[Any]]) -> tuple[int, int] | No
     return stored[f"{ALLOCATED}_z"].shape[1], stored[f"{ALLOCATED}_y"].shape[1]
 
 
-def _arrays_of(optima: list[Optimum], name: str) -> dict[str, NDArray[Any]]:
-    """The fields of optima as arrays, `name` before theirs."""
+def _optima_to_arrays(optima: list[Optimum], name: str) -> dict[str, NDArray[Any]]:
+    """Convert certified optima to arrays over steps, by name with a prefix."""
     return {
         f"{name}_{part}": np.array([getattr(optimum, part) for optimum in optima])
         for part in _OF_OPTIMUM
     }
 
 
-def _optima_of(stored: Mapping[str, NDArray[Any]], name: str) -> list[Optimum]:
-    """The optima that `_arrays_of` made arrays of."""
+def _arrays_to_optima(stored: Mapping[str, NDArray[Any]], name: str) -> list[Optimum]:
+    """Return the certified optima that are stored as arrays whose names have a prefix."""
     z, y, y_box, bound, kind = (stored[f"{name}_{part}"] for part in _OF_OPTIMUM)
     return [
         Optimum(z[k], y[k], y_box[k], float(bound[k]), cast(Kind, str(kind[k])))
@@ -175,45 +173,41 @@ def _optima_of(stored: Mapping[str, NDArray[Any]], name: str) -> list[Optimum]:
 
 
 def solve_exactly(scenario: Scenario) -> ExactLoop:
-    """Run the scenario with the certified optimum of every step.
+    """Run a closed loop of a scenario with the certified optimum of every step.
 
-    Where a step is proven to have no feasible point, as under hard limits, the loop follows its
-    last plan.
-
-    Raises
-    ------
-    CertificateError : when a step has neither a certified optimum nor that proof.
+    Where a step is proven to have no feasible point, the loop follows its last plan;
+    CertificateError when a step has neither.
     """
     builder = QPBuilder(scenario)
     log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes))
     base = base_problem(builder.condensed)
     workspace, second = ExactWorkspace(), ExactWorkspace()
     clock = time.perf_counter_ns
-    timed_solver = TimedSolver(workspace, Box(base), clock)
-    drawn = scenario.environment.drawn(scenario.steps, scenario.sample_s, SUBSTEPS)
-    setup = ClosedLoopSetup(scenario, builder, timed_solver, log, "shifted_plan", 2**62, clock)
+    timed_solver = TimedSolver(workspace, BoxFormulation(base), clock)
+    drawn = scenario.environment.precompute_weather(scenario.steps, scenario.sample_s, SUBSTEPS)
+    setup = ClosedLoopSetup(scenario, builder, timed_solver, log, DEFAULT_FALLBACK, 2**62, clock)
     setup.drawn = drawn
     if builder.allocation is not None:
-        setup.allocating = TimedSolver(second, Box(builder.allocation.base()), clock)
+        setup.allocating = TimedSolver(second, BoxFormulation(builder.allocation.base()), clock)
     closed_loop(setup)
     without = log.flags[:, 0].astype(bool) & (log.status[0] != Status.PRIMAL_INFEASIBLE)
     if without.any():
         k = int(np.flatnonzero(without)[0])
         raise CertificateError(f"{scenario.name}: step {k} has no certified optimum")
     loop = log.theta, log.state, log.tau, log.thrust, log.z[0], workspace.optima
-    demand = None if scenario.allocation is None else log.demand
+    demand = log.demand if scenario.controller.allocates else None
     return ExactLoop(*loop, demand, second.optima, drawn)
 
 
 def base_problem(builder: CondensedQP) -> QuadraticProgram:
-    """The problem at rest in the reference with no force applied: what a workspace sets up with."""
+    """Return the QP of a ship at rest at its setpoint without force, for a solver's set-up."""
     problem = builder.control
     zero = np.zeros
     step = builder.emit(zero(problem.model.n_x), zero(problem.model.n_y), zero(problem.model.n_u))
     return builder.problem(step)
 
 
-def sequence_of(
+def rebuild_sequence(
     scenario: Scenario,
     exact: ExactLoop,
     *,
@@ -222,20 +216,14 @@ def sequence_of(
     count: int | None = None,
     part: Part = "controller",
 ) -> QPSequence:
-    """The QPs of `count` steps from `first` on along the exactly solved loop.
-
-    Raises
-    ------
-    ResultsError : for steps that the loop has not.
-    InputError : for "allocation" where no second QP allocates.
-    """
+    """Return the MPC QPs of `count` steps from `first` on along an exactly solved loop."""
     last = len(exact.theta) if count is None else first + count
     if not 0 <= first < last <= len(exact.theta):
         where, allowed = f"sequence of {scenario.name}", f"steps within 0:{len(exact.theta)}"
         raise ResultsError(where, "first, count", f"{first}:{last}", allowed)
     builder, steps = QPBuilder(scenario, units), range(first, last)
     if part == "allocation":
-        emitted, base, scale = _allocations(scenario, exact, builder, steps)
+        emitted, base, scale = _rebuild_allocation_steps(scenario, exact, builder, steps)
     else:
         emitted = [builder.rebuild(k, exact.theta[k]) for k in steps]
         base, scale = builder.condensed.problem(emitted[0]), builder.condensed.scale
@@ -243,16 +231,16 @@ def sequence_of(
     name = whole if first == 0 else f"{whole}[{first}:{last}]"
     scaled, sparse = None, None
     if units != "scaled":
-        scaled = sequence_of(scenario, exact, first=first, count=last - first, part=part)
+        scaled = rebuild_sequence(scenario, exact, first=first, count=last - first, part=part)
     if part == "controller":
         theta = exact.theta[first:last]
-        sparse = partial(_sparse_equivalent, scenario, theta, units, first, name)
+        sparse = partial(_rebuild_sparse_sequence, scenario, theta, units, first, name)
     return QPSequence(
         name=name,
         base=base,
-        P=_stack([step.P for step in emitted]),
-        A=_stack([step.A for step in emitted]),
-        **_vectors(emitted),
+        P=_stack_matrices([step.P for step in emitted]),
+        A=_stack_matrices([step.A for step in emitted]),
+        **_stack_vectors(emitted),
         units=None if scaled is None else scale,
         scaled=scaled,
         meta={"scenario": scenario.name, "sample_s": scenario.sample_s, "first": first},
@@ -260,37 +248,37 @@ def sequence_of(
     )
 
 
-def _allocations(
+def _rebuild_allocation_steps(
     scenario: Scenario, exact: ExactLoop, builder: QPBuilder, steps: range
 ) -> tuple[list[QPStep], QuadraticProgram, Units]:
-    """The second QPs of a cascade, the problem of the first of them, and its units."""
+    """Return a cascade's thrust-allocation QPs, the problem of the first, and their units."""
     allocation, demand = builder.allocation, exact.demand
     if allocation is None or demand is None:
         allowed = 'a cascade with allocation = "qp"'
         raise InputError(f"sequence of {scenario.name}", "part", '"allocation"', allowed)
-    emitted = [builder.allocate_again(k, demand, exact.thrust) for k in steps]
+    emitted = [builder.rebuild_allocation(k, demand, exact.thrust) for k in steps]
     return emitted, allocation.problem(emitted[0]), allocation.scale
 
 
-def _sparse_equivalent(
+def _rebuild_sparse_sequence(
     scenario: Scenario, theta: Matrix, units: UnitSystem, first: int, name: str
 ) -> SparseEquivalent:
-    """The QPs along θ (K, 16) from step `first` on with the states kept; InputError if refused."""
+    """Return the sparse-form QPs of recorded parameters θ (K, 16), and the map back to z."""
     builder = QPBuilder(scenario, units, sparse=True)
     staged = builder.staged
     assert staged is not None, "asked for"
     steps = [builder.rebuild(k, row) for k, row in enumerate(theta, first)]
-    sequence = QPSequence(name, staged.problem(steps[0]), **_vectors(steps))
+    sequence = QPSequence(name, staged.problem(steps[0]), **_stack_vectors(steps))
     return SparseEquivalent(sequence, staged.condensed)
 
 
-def _vectors(steps: Sequence[QPStep]) -> dict[str, Any]:
-    """The vectors of all steps."""
+def _stack_vectors(steps: Sequence[QPStep]) -> dict[str, Any]:
+    """Return the QP vectors q (K, n), l (K, m) and u (K, m) of K steps, by name."""
     return {name: np.array([getattr(step, name) for step in steps]) for name in ("q", "l", "u")}
 
 
-def _stack(matrices: list[Matrix | None]) -> Floats | None:
-    """The matrices of all steps, None where the steps bring none; none or all of them do."""
+def _stack_matrices(matrices: list[Matrix | None]) -> Floats | None:
+    """Stack the matrices of all steps into one array; None where no step has new ones."""
     brought = [matrix for matrix in matrices if matrix is not None]
     return np.array(brought) if brought else None
 
@@ -298,10 +286,5 @@ def _stack(matrices: list[Matrix | None]) -> Floats | None:
 def record_sequence(
     scenario: Scenario, *, units: UnitSystem = "scaled", part: Part = "controller"
 ) -> QPSequence:
-    """The QPs along the exactly solved loop of a scenario, in memory.
-
-    Parameters
-    ----------
-    part : "controller", or "allocation" for the second QPs of a cascade.
-    """
-    return sequence_of(scenario, solve_exactly(scenario), units=units, part=part)
+    """Solve a scenario's loop exactly and return the QPs of its controller or allocation."""
+    return rebuild_sequence(scenario, solve_exactly(scenario), units=units, part=part)

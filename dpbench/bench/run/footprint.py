@@ -1,11 +1,8 @@
-"""What a worker takes beside time: memory at its peak, threads, allocations of a step.
+"""Memory at its peak, threads, and allocations of a step; the memory limit of a worker.
 
-Calls of `malloc` inside a library cannot be counted without taking its place, so they are not:
-what Python and NumPy allocate is traced, and of the C heap it is seen whether it grows. What memory
-a worker may take is limited here too.
+Python's and NumPy's allocations are traced; calls of `malloc` inside a library are not countable,
+so of the C heap only the growth is measured.
 """
-
-from __future__ import annotations
 
 import ctypes
 import resource
@@ -22,27 +19,24 @@ import numpy as np
 import psutil
 from threadpoolctl import threadpool_info
 
-from dpbench.bench.record.raw_log import FOOTPRINT, RawLog, step_ns
+from dpbench.bench.record.raw_log import FOOTPRINT, RawLog, sum_step_ns
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence
 
 MOST_STEPS = 50
 LIMIT_NS = 2e8
-"""Run time that all passes of `measure_steps` may take together, by the slowest step before."""
+"""Run time of all passes of `measure_step_memory` together, by the slowest step before."""
 _PASSES = 4
 
 
 MEMORY_SHARE = 0.4
-"""Of the memory of the machine, what a cell's process may take unless its suite says otherwise."""
-_MEMORY_LIMITS = (
-    "/sys/fs/cgroup/memory.max",
-    "/sys/fs/cgroup/memory/memory.limit_in_bytes",
-)
-"""Where a container shows its own limit, of either version of control groups."""
+"""Share of the machine's memory for a cell's process, unless its suite sets another."""
+_MEMORY_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
+"""Files with a container's own limit, for both versions of control groups."""
 
 
-def _status(key: str, process: int | str = "self") -> float:
-    """A number of /proc/<process>/status (proc(5)), kB as bytes; NaN where it is not shown."""
+def _read_status(key: str, process: int | str = "self") -> float:
+    """Return an entry of /proc/<process>/status [B or count]; NaN where there is none."""
     with suppress(OSError):
         text = Path(f"/proc/{process}/status").read_text(encoding="utf-8", errors="replace")
         for line in text.splitlines():
@@ -53,20 +47,20 @@ def _status(key: str, process: int | str = "self") -> float:
     return float("nan")
 
 
-def forget_peak() -> None:
-    """Begin the peak of this process's memory anew; a kernel may refuse that."""
+def reset_peak_memory() -> None:
+    """Reset the kernel's record of this process's peak memory, where it allows that."""
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 
 
-def peak_bytes_of(process: int | str = "self") -> float:
-    """The largest resident memory of a process [B], shared pages too; NaN where it is gone."""
-    return _status("VmHWM", process)
+def process_peak_bytes(process: int | str = "self") -> float:
+    """Return the peak resident memory of a process [B]; NaN where it is gone."""
+    return _read_status("VmHWM", process)
 
 
 @cache
-def memory_bytes() -> int:
-    """The memory of this machine, or of the container this runs in [B]."""
+def machine_memory_bytes() -> int:
+    """Return the memory of this machine, or of its container [B]."""
     sizes = [int(psutil.virtual_memory().total)]
     for path in _MEMORY_LIMITS:
         with suppress(OSError, ValueError):
@@ -75,67 +69,64 @@ def memory_bytes() -> int:
 
 
 def limit_memory(size: int) -> None:
-    """Let this process have no more than `size` bytes of data beside what it has now.
+    """Limit the data of this process to `size` bytes more than now (RLIMIT_DATA).
 
-    Each process that it starts has the same limit for itself. Files and what is only reserved do
-    not count (RLIMIT_DATA, getrlimit(2)): libraries map far more address space than they use, so
-    RLIMIT_AS would refuse them. An allocation beyond the limit fails in the process that asks for
-    it.
+    Each process that it starts has the same limit for itself. Files and reserved address space do
+    not count, of which libraries map far more than they use, so RLIMIT_AS would refuse them.
     """
-    hard, size_now = resource.getrlimit(resource.RLIMIT_DATA)[1], _status("VmData")
+    hard, size_now = resource.getrlimit(resource.RLIMIT_DATA)[1], _read_status("VmData")
     most = size + (0 if isnan(size_now) else int(size_now))
     if hard != resource.RLIM_INFINITY:
         most = min(most, hard)
     resource.setrlimit(resource.RLIMIT_DATA, (most, most))
 
 
-def prefer_for_killing() -> None:
-    """Have the kernel end this process before any other when the memory of the machine is full."""
+def mark_as_first_oom_victim() -> None:
+    """Let the kernel kill this process first when memory is full."""
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
 
 
 class MemoryWatch:
-    """Peak resident memory of a worker above what it was forked with and what the harness holds.
+    """Meter of a solver's peak memory: that of its process, less the benchmark's own part.
 
     Made before the solver's library is imported. A forked process starts with its parent's present
-    memory as its peak (not with the parent's peak), which is what is taken off. The peak so far is
-    forgotten first all the same, for a process that is older; a kernel may refuse that.
+    memory as its peak, which is subtracted; an older process resets its peak first.
     """
 
     def __init__(self) -> None:
-        forget_peak()
-        self._at_birth = _status("VmRSS")
+        reset_peak_memory()
+        self._at_birth = _read_status("VmRSS")
         self._peak_of_import = self._imported = self._harness = float("nan")
         self._left = 0.0
 
-    def begin_again(self) -> None:
-        """Begin another replay in the same process; memory left by earlier ones is not counted."""
-        forget_peak()
-        self._left = _status("VmRSS") - self._imported
+    def begin_replay(self) -> None:
+        """Start measuring another replay's memory in this process, without that of earlier ones."""
+        reset_peak_memory()
+        self._left = _read_status("VmRSS") - self._imported
 
-    def opened(self) -> None:
-        """The solver's library is loaded; what comes until `loaded` is the harness's own."""
+    def record_setup(self) -> None:
+        """Record memory use after the solver's library is loaded, before QPs and log are."""
         if isnan(self._imported):
-            self._peak_of_import = _status("VmHWM") - self._at_birth
-            self._imported = _status("VmRSS")
-        self._harness = -_status("VmRSS")
+            self._peak_of_import = _read_status("VmHWM") - self._at_birth
+            self._imported = _read_status("VmRSS")
+        self._harness = -_read_status("VmRSS")
 
-    def loaded(self, log: RawLog) -> None:
-        """The QPs are in memory, and the log; its pages are touched, so that they count now."""
-        log.touch()
-        self._harness += _status("VmRSS")
+    def record_load(self, log: RawLog) -> None:
+        """Record memory use after QPs and log are loaded, with the log's pages mapped."""
+        log.touch_pages()
+        self._harness += _read_status("VmRSS")
 
     def peak_bytes(self) -> float:
-        """The solver's peak until now [B]."""
-        since = _status("VmHWM") - self._at_birth - self._left - max(0.0, self._harness)
+        """Return the solver's peak memory until now [B]."""
+        since = _read_status("VmHWM") - self._at_birth - self._left - max(0.0, self._harness)
         return max(self._peak_of_import, since)
 
 
-def threads() -> tuple[float, float]:
-    """Threads of this process, and the most that a loaded BLAS or OpenMP library would use."""
+def count_threads() -> tuple[float, float]:
+    """Return the threads of this process, and the most a loaded BLAS or OpenMP would use."""
     pools = [int(pool["num_threads"]) for pool in threadpool_info()]
-    return _status("Threads"), float(max(pools, default=1))
+    return _read_status("Threads"), float(max(pools, default=1))
 
 
 class _HeapInfo(ctypes.Structure):
@@ -146,7 +137,8 @@ class _HeapInfo(ctypes.Structure):
 
 
 @cache
-def _mallinfo2() -> Callable[[], _HeapInfo] | None:
+def _load_mallinfo2() -> Callable[[], _HeapInfo] | None:
+    """Return the C function mallinfo2; None without glibc 2.33."""
     try:
         function = ctypes.CDLL(None).mallinfo2
     except (OSError, AttributeError):
@@ -156,37 +148,36 @@ def _mallinfo2() -> Callable[[], _HeapInfo] | None:
 
 
 def heap_bytes() -> float:
-    """Bytes in use of the C heap, all arenas and mapped blocks; NaN without glibc 2.33."""
-    read = _mallinfo2()
+    """Return the bytes in use of the C heap; NaN without glibc 2.33."""
+    read = _load_mallinfo2()
     if read is None:
         return float("nan")
     info = read()
     return float(info.uordblks + info.hblkhd)
 
 
-def affordable_steps(log: RawLog) -> int:
-    """Steps that all passes can take within `LIMIT_NS`, by the slowest recorded one."""
-    slowest = step_ns(log.times).max()
+def count_affordable_steps(log: RawLog) -> int:
+    """Return for how many steps memory can be measured within `LIMIT_NS`, by the slowest so far."""
+    slowest = sum_step_ns(log.times).max()
     return int(min(MOST_STEPS, log.times.shape[1], LIMIT_NS / _PASSES / max(1.0, slowest)))
 
 
-def measure_steps(
+def measure_step_memory(
     sequence: QPSequence, solver: TimedSolver, steps: int
 ) -> tuple[float, float, float]:
-    """Allocations of answering one step, outside all timed rounds.
+    """Return memory blocks, peak bytes and heap growth of solving one QP, untimed.
 
     Returns
     -------
-    Medians over `steps` steps of the Python memory blocks that an answer leaves held, and of the
-    peak of traced bytes (Python's and NumPy's, not a library's own) above the start of the step;
-    and the growth of the C heap a step, median of three passes over all of them [B].
+    Medians over `steps` of the Python memory blocks that an answer leaves, and of the peak of
+    traced bytes above the start of the step; the growth of the C heap a step [B].
     """
     if steps < 1:
         return float("nan"), float("nan"), float("nan")
     made = [solver.formulate(sequence.step(k)) for k in range(steps)]
 
     def answer(k: int) -> None:
-        if not solver.answer(made[k]).status.usable:
+        if not solver.answer(made[k]).status.is_usable:
             solver.reset()
 
     growth = []
@@ -205,7 +196,7 @@ def measure_steps(
         solution = solver.answer(made[k])
         blocks[k] += sys.getallocatedblocks()
         peaks[k] += tracemalloc.get_traced_memory()[1]
-        if not solution.status.usable:
+        if not solution.status.is_usable:
             solver.reset()
         # Or the next step would free this answer while its own are counted.
         del solution
@@ -215,5 +206,5 @@ def measure_steps(
 
 
 def footprint_metrics(log: RawLog) -> dict[str, float]:
-    """The columns on memory and threads."""
+    """Return the memory and thread columns of a replay from its raw log."""
     return dict(zip(FOOTPRINT, log.footprint.tolist(), strict=True))

@@ -1,54 +1,108 @@
-"""Formulations of one and the same problem: what the solver gets, and its answer mapped back.
+"""The QPs of a run, and formulations of them for a solver.
 
-Whatever the solver is given, logs, fallback and referee go on with the condensed problem.
+The loop emits QPs along the way; evaluators and sequences emit them again from the recorded θ.
+Whatever the solver is given, logs, fallback and referee use the condensed problem.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.bench.record.cell import Formulation
-from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.errors import InputError
+from dpbench.mpc.condense import UnitSystem
+from dpbench.mpc.condensed_qp import CondensedQP
+from dpbench.mpc.staged_qp import StagedQP
+from dpbench.mpc.thrusters.allocation_qp import AllocationQP
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
 from dpbench.qp.stacked import stack, stack_step, unstack
+from dpbench.scenario.scenario import Scenario
+
+
+class QPBuilder:
+    """Builder of the QPs of a scenario's controller, and of a cascade's allocation, by step.
+
+    Attributes
+    ----------
+    condensed : builder of the condensed QPs; staged : of the sparse ones, if they are meant.
+    reference (K + N_p, 3) : wanted pose at each sample; limits (K) : of u.
+    allocation : builder of a cascade's second QPs; None where there are none.
+    thruster_limits (K) : of thrusters that are commanded.
+    """
+
+    def __init__(
+        self, scenario: Scenario, units: UnitSystem = "scaled", *, sparse: bool = False
+    ) -> None:
+        controller, steps = scenario.controller, scenario.steps
+        self.condensed: CondensedQP = controller.build_qp(units)
+        self.staged: StagedQP | None = None
+        if sparse:
+            self.staged = controller.build_sparse_qp(units, f"scenario {scenario.name}")
+        self._emit = self.condensed.emit if self.staged is None else self.staged.emit
+        N_p = controller.problem.N_p
+        self.reference: Matrix = scenario.build_reference_table(steps + N_p)
+        self._horizon = N_p if scenario.preview else 0
+        self.allocation: AllocationQP | None = controller.build_allocation(units)
+        self.limits = controller.limits(steps)
+        self.thruster_limits = controller.thruster_limits(steps)
+        self._n_f = controller.n_f
+        # Limits that a builder has built in are not handed over to it again.
+        self._built_in, self._allocates = controller.built_in_limits, controller.allocates
+
+    @property
+    def sizes(self) -> tuple[int, int, int, int, tuple[int, int] | None]:
+        """QP size n, m; length of [θ; 1]; thruster forces n_f; size of the thrust-allocation QP."""
+        second = (0, 0) if self._allocates else None
+        if self.allocation is not None:
+            second = self.allocation.n, self.allocation.m
+        condensed = self.condensed
+        return condensed.n, condensed.m, int(condensed.Z.shape[1]), self._n_f, second
+
+    def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
+        """Return the MPC QP of step k for state x (9,) and previous input u_prev (n_u,)."""
+        table, ahead = self.reference, self._horizon
+        y_ref = table[k + 1 : k + 1 + ahead] if ahead else table[k]
+        limits = self.limits[k]
+        if limits is self._built_in:
+            return self._emit(x, y_ref, u_prev)
+        return self._emit(x, y_ref, u_prev, limits=limits)
+
+    def rebuild(self, k: int, theta: Vector) -> QPStep:
+        """Return the MPC QP of step k from its recorded parameters θ = [x; y_ref; u_prev; 1]."""
+        model = self.condensed.control.model
+        n_x, n_y = model.n_x, model.n_y
+        return self.emit(k, theta[:n_x], theta[n_x + n_y : -1])
+
+    def emit_allocation(self, k: int, demand: Vector, f_prev: Vector) -> QPStep:
+        """Return the thrust-allocation QP of step k for a demanded force (3,) and f_prev (n_f,)."""
+        assert self.allocation is not None, "a QP allocates"
+        limits = self.thruster_limits[k]
+        if limits is self.allocation.allocation.rows.intact:
+            return self.allocation.emit(demand, f_prev)
+        return self.allocation.emit(demand, f_prev, limits=limits)
+
+    def rebuild_allocation(self, k: int, demand: Matrix, thrust: Matrix) -> QPStep:
+        """Return the thrust-allocation QP of step k from recorded demand (K, 3) and thrust."""
+        return self.emit_allocation(k, demand[k], thrust[k - 1] if k else np.zeros(self._n_f))
+
 
 NO_MODEL = "the QPs of a scenario; recorded and random ones bring no model whose states to keep"
 
 
-class Formulated(Protocol):
-    """One formulation of a sequence of QPs.
+class BoxFormulation:
+    """The condensed formulation of QPs, with box constraints, as the controller makes them.
 
-    Attributes
-    ----------
-    base : the problem a workspace is set up with, in this formulation.
+    `base` is the problem of the set-up. New matrices of a step become those of `base`, for later
+    steps without any. The arrays of a step that go to the solver are its own.
     """
-
-    base: QuadraticProgram
-
-    def step(self, step: QPStep) -> QPStep:
-        """What the solver gets of an emitted step; a part of emitting it.
-
-        New matrices become those of `base`, so that a later step without any is solved with the
-        same ones. Of the arrays that go to the solver nobody else keeps any.
-        """
-
-    def solution(self, answer: Solution) -> Solution:
-        """The answer to the condensed problem."""
-
-
-class Box:
-    """The condensed problem as it is emitted: nothing to do."""
 
     def __init__(self, base: QuadraticProgram) -> None:
         self.base = base
 
     def step(self, step: QPStep) -> QPStep:
-        """The step itself."""
+        """Return a step's QP as the solver gets it, with arrays of its own."""
         # Asking the flag `refresh` takes half a microsecond, and this is a part of emitting.
         if not (step.P is None and step.A is None and step.lb is None and step.ub is None):
             self.base = self.base.at(step)
@@ -56,70 +110,64 @@ class Box:
         return step
 
     def solution(self, answer: Solution) -> Solution:
-        """The answer itself."""
+        """Return a solver's answer as the answer to the condensed QP: here the same."""
         return answer
 
 
-class Stacked(Box):
-    """The paper's one-sided rows (eq. 23-25), made of each emitted step."""
+class StackedFormulation(BoxFormulation):
+    """The formulation of QPs with all limits as one-sided rows, as in the paper (eq. 23-25)."""
 
     def __init__(self, base: QuadraticProgram) -> None:
         super().__init__(stack(base))
         self._m = base.m
 
     def step(self, step: QPStep) -> QPStep:
-        """The step with all limits as one-sided rows."""
+        """Return a step's QP with all its limits as one-sided rows."""
         return super().step(stack_step(step, self.base))
 
     def solution(self, answer: Solution) -> Solution:
-        """The multipliers of both sides of a row joined."""
+        """Return a solver's answer with the multipliers of each row's two sides joined."""
         return unstack(answer, self._m)
 
 
-class Sparse(Box):
-    """The stage-ordered problem: its steps are emitted as such, its answers are condensed.
-
-    Parameters
-    ----------
-    base : a problem of the sequence; condensed : maps an answer (`StagedQP.condensed`).
-    """
+class SparseFormulation(BoxFormulation):
+    """The sparse formulation of QPs, ordered by stages; `condensed` maps answers back."""
 
     def __init__(self, base: QuadraticProgram, condensed: Callable[[Solution], Solution]) -> None:
         super().__init__(base)
         self._condensed = condensed
 
     def solution(self, answer: Solution) -> Solution:
-        """The moves and the multipliers of their limits."""
+        """Convert a solver's answer to the sparse QP into that to the condensed QP."""
         return self._condensed(answer)
 
 
-def in_loop(formulation: Formulation, builder: QPBuilder, base: QuadraticProgram) -> Formulated:
-    """The formulation of a closed loop; `base` is a condensed problem of the builder.
-
-    The steps of "sparse" are those of a builder that was told so.
-    """
+def loop_formulation(
+    formulation: Formulation, builder: QPBuilder, base: QuadraticProgram
+) -> BoxFormulation:
+    """Return the formulation, box, stacked or sparse, in which a loop's QPs go to the solver."""
     if builder.staged is None:
-        return _of_condensed(formulation, base)
+        return _choose_condensed_formulation(formulation, base)
     model = builder.staged.control.model
     at_rest = np.zeros(model.n_x), np.zeros(model.n_y), np.zeros(model.n_u)
     staged = builder.staged
-    return Sparse(staged.problem(staged.emit(*at_rest)), staged.condensed)
+    return SparseFormulation(staged.problem(staged.emit(*at_rest)), staged.condensed)
 
 
-def in_replay(formulation: Formulation, sequence: QPSequence) -> tuple[QPSequence, Formulated]:
-    """The steps to replay and their formulation; those of "sparse" are all made here, once.
-
-    Raises
-    ------
-    InputError : for "sparse", where nobody knows the model behind the QPs.
-    """
+def replay_formulation(
+    formulation: Formulation, sequence: QPSequence
+) -> tuple[QPSequence, BoxFormulation]:
+    """Return the QPs to replay and their formulation; InputError for "sparse" without a model."""
     if formulation != "sparse":
-        return sequence, _of_condensed(formulation, sequence.base)
+        return sequence, _choose_condensed_formulation(formulation, sequence.base)
     if sequence.sparse_equivalent is None:
         raise InputError(f"sequence {sequence.name}", "formulation", "'sparse'", NO_MODEL)
     sparse = sequence.sparse_equivalent()
-    return sparse.sequence, Sparse(sparse.sequence.base, sparse.condensed)
+    return sparse.sequence, SparseFormulation(sparse.sequence.base, sparse.condensed)
 
 
-def _of_condensed(formulation: Formulation, base: QuadraticProgram) -> Formulated:
-    return Stacked(base) if formulation == "condensed_stacked" else Box(base)
+def _choose_condensed_formulation(
+    formulation: Formulation, base: QuadraticProgram
+) -> BoxFormulation:
+    """Return the formulation of a condensed QP: one-sided rows only, or rows and a box."""
+    return StackedFormulation(base) if formulation == "condensed_stacked" else BoxFormulation(base)

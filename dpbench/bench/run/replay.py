@@ -1,20 +1,17 @@
 """Replay: byte-identical QPs through a solver, the only source of timing rankings.
 
-The whole sequence is replayed round by round in order, because a warm start lives on the previous
-step; round 0 is a shortened warm-up. Two fixed kernels are timed by turns before and after each
-round: the reference kernel feels the clock, so that a round in which the machine was slow is seen,
-the load kernel what else runs on the machine.
+The sequence is replayed round by round in order, as a warm start needs the previous step; round 0
+is a shortened warm-up. Two fixed kernels are timed by turns before and after each round: the
+reference kernel shows the clock of the core, the load kernel what else runs on the machine.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from dpbench.arrays import Floats
-from dpbench.bench.record.disturbance import counters
-from dpbench.bench.record.raw_log import RawLog, spent_ns
+from dpbench.bench.record.disturbance import read_counters
+from dpbench.bench.record.raw_log import RawLog, sum_phases_ns
 from dpbench.bench.run.timed_solver import Clock, TimedSolver, is_usable, record_answer
 from dpbench.kernel_cache import njit
 from dpbench.qp.program import QPSequence
@@ -25,7 +22,7 @@ PREROLL = 3
 
 @njit(cache=True)
 def _reference_kernel(v):  # type: ignore[no-untyped-def] # compiled by numba
-    """A dependent chain of multiply-adds, some 50 µs long: no cache misses, no branches."""
+    """Run the machine-speed test: some 50 µs of multiply-adds, each waiting for the last."""
     s = 0.5
     for _ in range(100):
         for i in range(v.shape[0]):
@@ -35,38 +32,35 @@ def _reference_kernel(v):  # type: ignore[no-untyped-def] # compiled by numba
 
 _KERNEL_DATA = np.linspace(0.0, 1.0, 256)
 _LOAD_SIZE = 40
-"""Of the small arrays, as of a condensed QP."""
 _LOAD_MATRIX = np.eye(_LOAD_SIZE) + 0.01
 _LOAD_VECTOR = np.linspace(0.0, 1.0, _LOAD_SIZE)
 _LOAD_RESULT = np.empty(_LOAD_SIZE)
 
 
-def _next(value: int) -> int:
+def _increment(value: int) -> int:
+    """Return `value` + 1: a Python call for the machine-load test to time."""
     return value + 1
 
 
 def _load_kernel() -> None:
-    """Python calls, small NumPy calls, a LAPACK inverse: some 60 µs of what steps are made of.
+    """Run the machine-load test: some 60 µs of Python calls, small NumPy calls, a LAPACK inverse.
 
-    Other work on a machine may slow all of it by a factor of two, which the dependent chain hardly
-    notices. Over 40 runs on such a machine the factor that 14 configurations had in common
-    correlated at 0.98 with that of these three parts, at 0.7 with that of the reference kernel, and
-    at 0.6 to 0.9 with those of walks through 256 kB and 1 MB.
+    Other load may slow all of it by a factor of two, which the dependent chain hardly shows. Over
+    40 runs on such a machine the factor that 14 configurations had in common correlated at 0.98
+    with that of these three parts, at 0.7 with the reference kernel, and at 0.6 to 0.9 with walks
+    through 256 kB and 1 MB.
     """
     value = 0
     for _ in range(100):
-        value = _next(value)
+        value = _increment(value)
     for _ in range(10):
         np.dot(_LOAD_MATRIX, _LOAD_VECTOR, out=_LOAD_RESULT)
         np.maximum(_LOAD_RESULT, _LOAD_VECTOR, out=_LOAD_RESULT)
     np.linalg.inv(_LOAD_MATRIX)
 
 
-def reference_kernel_ns(clock: Clock, load_kernel_ns: Floats | None = None) -> int:
-    """The smallest of a few timings of the reference kernel [ns].
-
-    By turns with it the load kernel is timed, once for each place of `load_kernel_ns` [ns].
-    """
+def time_kernels(clock: Clock, load_kernel_ns: Floats | None = None) -> int:
+    """Time the machine-speed test, return its shortest time [ns]; write the load test's times."""
     best, turn = 2**62, 0 if load_kernel_ns is None else KERNEL_REPEATS // len(load_kernel_ns)
     for i in range(KERNEL_REPEATS):
         started = clock()
@@ -80,16 +74,14 @@ def reference_kernel_ns(clock: Clock, load_kernel_ns: Floats | None = None) -> i
 
 
 class ReplayRun:
-    """One solver replaying one sequence.
+    """Replay of one sequence of QPs with one solver, round by round.
 
     Parameters
     ----------
-    sequence : the QPs; solver : timed; log : where each round goes.
     warmup_steps : length of round 0; preroll : steps solved before each round without a record.
-    limit_ns : own run time of all rounds together after which the configuration stops; of a round
-        that is run again because the machine was slow, the last attempt counts.
-    hung : (round, step) in which earlier processes of the replay hung, in their order; the log is
-        theirs. The last of these rounds goes on where it was, and no such step is tried again.
+    limit_ns : own run time of all rounds together; of a round that is run again the last counts.
+    hung : (round, step) in which earlier processes of the replay hung, in order; the log is theirs.
+        The last of these rounds goes on where it was, and no such step is tried again.
     """
 
     def __init__(
@@ -114,28 +106,24 @@ class ReplayRun:
         log.setup_once_ns[0] = solver.prepare()
         log.started[0] = 1
 
-    def rounds(self) -> None:
+    def run_all_rounds(self) -> None:
         """Replay the warm-up and every round that the log has room for."""
         for r in range(len(self._log.done)):
-            self.round(r)
+            self.run_round(r)
 
     def _warm_caches(self, steps: int) -> None:
-        """Solve the first `preroll` of so many steps, and forget them."""
+        """Solve the first QPs of a round once without recording them, to warm caches."""
         log, solver = self._log, self._solver
         for k in range(min(self._preroll, steps)):
             if k in self._hung:
                 continue
             solver.answer(solver.formulate(self.sequence.step(k)))
-            # Whoever remembers answers has seen this step now, and its time is in no row.
+            # A solver that remembers answers has seen this step now; its time is in no row.
             log.first_ns[k] = log.first_ns[k] or -1
         solver.reset()
 
-    def round(self, r: int) -> bool:
-        """Replay round r into its rows; False when the time limit stopped it.
-
-        The first `preroll` steps are solved without a record beforehand: the worker slept on its
-        pipe until now, and cold caches are no property of step 0.
-        """
+    def run_round(self, r: int) -> bool:
+        """Solve and record the QPs of replay round r; return False if the time limit stopped it."""
         log, clock, solver, sequence = self._log, self._clock, self._solver, self.sequence
         steps = self._warmup_steps if r == 0 else len(sequence)
         times = log.times[r]
@@ -145,28 +133,30 @@ class ReplayRun:
         log.counters[r] = np.nan
         self._spent_ns[r] = 0
         limit_ns = self._limit_ns - int(self._spent_ns.sum())
-        before = counters()
-        log.reference_kernel_ns[r, 0] = reference_kernel_ns(clock, log.load_kernel_ns[r, 0])
+        before = read_counters()
+        log.reference_kernel_ns[r, 0] = time_kernels(clock, log.load_kernel_ns[r, 0])
         start_ns = clock()
         self._warm_caches(steps)
         updates_before, hung = solver.matrix_updates, self._hung
         for k in range(begin, steps):
             step = solver.formulate(sequence.step(k))
             is_skipped = hung and k in hung
-            solution = solver.missing(self._limit_ns) if is_skipped else solver.answer(step)
+            solution = (
+                solver.answer_hung_step(self._limit_ns) if is_skipped else solver.answer(step)
+            )
             record_answer(log, r, k, solution, solver.waited_ns)
             if not is_usable(solution):
                 solver.reset()
             times[k] = (-1, *solver.phases_ns, -1)
             if log.first_ns[k] == 0:
-                log.first_ns[k] = spent_ns(solver.phases_ns)
+                log.first_ns[k] = sum_phases_ns(solver.phases_ns)
             log.matrix_updates[r] = solver.matrix_updates - updates_before
             log.done[r] = k + 1
             if clock() - start_ns > limit_ns:
                 return False
         self._spent_ns[r] = clock() - start_ns
-        log.reference_kernel_ns[r, 1] = reference_kernel_ns(clock, log.load_kernel_ns[r, 1])
+        log.reference_kernel_ns[r, 1] = time_kernels(clock, log.load_kernel_ns[r, 1])
         if log.attempts[r] == 1:
             log.first_reference_kernel_ns[r] = log.reference_kernel_ns[r].max()
-        np.subtract(counters(), before, out=log.counters[r])
+        np.subtract(read_counters(), before, out=log.counters[r])
         return True

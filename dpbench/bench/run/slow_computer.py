@@ -1,95 +1,80 @@
 """A slow computer, and answers that come late (method.md section 3); time is simulated.
 
-An answer computed from the state at t_k has the latency L = slow-down × measured step time
-(set-up + update + solve + read). Where the kernel meanwhile gave the processor to others, which is
-this machine's doing and would be slowed down with it, the processor time stands for it. Within the
-budget the answer is applied at t_k itself, over [t_k, t_{k+1}): the convention of the ordinary
-loop, in which every answer is. Beyond the budget its deadline is missed, and it arrives at the
-first sample instant at or after t_k + L, that is at step k + ⌈L / T_s⌉ and never before k + 1.
-Until then the fallback steers, and no other computation begins: there is one processor. A step
-without an answer in time is a miss, whether its own computation was late or none could begin.
+An answer computed from the state at t_k has the latency L = slow-down × measured step time (set-up
++ update + solve + read), or × processor time where the kernel meanwhile gave the processor to
+others. Within the budget it is applied at t_k itself; beyond it at step k + ⌈L / T_s⌉, never before
+k + 1. Until then the fallback steers and, on one processor, no other computation begins.
 
-A plan that arrives i samples late is entered at the force it has after its move number i + 1, as a
-planned input trajectory is in delayed predictive control (Findeisen & Allgöwer 2004, "Computational
-delay in nonlinear model predictive control"): its moves before were planned from a force that other
-moves have meanwhile changed, so that move alone would not lead to the force it was planned for.
-After N_c moves the planned force stays. If the answer to the QP of that very step is in time too,
-it supersedes the late one.
+A plan that arrives i samples late is entered at the force it has after its move number i + 1, as in
+delayed predictive control (Findeisen & Allgöwer 2004, "Computational delay in nonlinear model
+predictive control"); after N_c moves the planned force stays. An answer to the QP of that very step
+supersedes it.
 
-With a backup (`backup.py`) nothing is computed beyond the sample. The backup begins when the first
-solver fails, or at the deadline, at which the first is stopped and its answer is lost. An answer of
-the backup that is there by the deadline is applied at t_k; one that is there by the end of the
-sample arrives at k + 1, as a late plan does; a later one is stopped too, and the fallback acts. A
-deadline that is the whole sample leaves a late solver's backup no time: then it steps in for
-failures alone, and a late answer arrives as it does without a backup.
+With a backup nothing is computed beyond the sample; docs/method.md states when it begins.
 """
-
-from __future__ import annotations
 
 import resource
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from dpbench.arrays import Ints, Matrix, Vector
 from dpbench.bench.record.cell import SLOWEST, Cell
-from dpbench.bench.record.raw_log import spent_ns
+from dpbench.bench.record.raw_log import sum_phases_ns
 from dpbench.bench.run.backup import WARM_UP_SOLVES, Backup
-from dpbench.bench.run.fallback import FallbackLaw
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.fallback_policies import FallbackPolicy
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver, is_usable
 from dpbench.errors import InputError
 from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution, Status
 
 Usage = Callable[[], tuple[int, int]]
-"""Counts so far: how often the kernel took the processor away, and processor time used [ns]."""
+"""Counts so far: involuntary switches, and processor time used [ns]."""
 NOT_RUN = (-1, -1, -1, -1)
 NO_STEP = QPStep(np.empty(0), np.empty(0), np.empty(0))
-"""Stands for the QP of a step in which the processor is busy."""
+"""Placeholder for the QP of a step in which the processor is busy."""
 
 
 @dataclass(frozen=True)
 class ComputationalDelay:
-    """How slow the computer is, and how long it may take.
-
-    slowdown : ≥ 1; budget_ns : of a step; sample_ns : between two steps.
-    """
+    """Slow-down of a simulated ship's computer, budget of a step and sample time [ns]."""
 
     slowdown: float
     budget_ns: int
     sample_ns: int
 
     @property
-    def simulated(self) -> bool:
-        """Whether answers may arrive late; without a slow-down the loop waits for each."""
+    def is_simulated(self) -> bool:
+        """Return whether a slow computer is simulated, whose answers may arrive late."""
         return self.slowdown > 0.0
 
     def latency_ns(self, spent_ns: int) -> int:
-        """Latency of an answer that took so long here; at most what 64 bits hold."""
+        """Return the simulated latency [ns] of an answer computed here in `spent_ns` [ns]."""
         return round(min(self.slowdown * spent_ns, 2.0**62))
 
-    def samples_late(self, latency_ns: int) -> int:
-        """Samples until an answer can be applied; 0 for one in time."""
+    def count_samples_late(self, latency_ns: int) -> int:
+        """Return the number of samples until an answer of this latency applies; 0 if in time."""
         if latency_ns <= self.budget_ns:
             return 0
         return max(1, -(-latency_ns // self.sample_ns))
 
 
-def usage_of_process() -> tuple[int, int]:
-    """Involuntary context switches and processor time [ns] of this process (getrusage)."""
+def read_process_usage() -> tuple[int, int]:
+    """Return this process's involuntary context switches and processor time [ns]."""
     usage = resource.getrusage(resource.RUSAGE_SELF)
     return usage.ru_nivcsw, round(1e9 * (usage.ru_utime + usage.ru_stime))
 
 
 def never_preempted() -> tuple[int, int]:
-    """Nobody else wants the processor."""
+    """Return (0, 0), the usage of a process that is never interrupted."""
     return 0, 0
 
 
-def delay_of(cell: Cell, sample_s: float) -> ComputationalDelay:
-    """The delay of a closed-loop cell; InputError for one that cannot be."""
+def find_delay(cell: Cell, sample_s: float) -> ComputationalDelay:
+    """Return a closed-loop run's computer slow-down and deadline; InputError if impossible."""
     slowdown, deadline_s = cell.slowdown, cell.deadline_s
     if not (slowdown == 0.0 or 1.0 <= slowdown <= SLOWEST):
         raise InputError("closed loop", "slowdown", slowdown, f"0 (off), or 1 to {SLOWEST:g}")
@@ -102,21 +87,17 @@ def delay_of(cell: Cell, sample_s: float) -> ComputationalDelay:
 
 
 class SlowComputer:
-    """Solver and fallback of a loop on one slow processor; stands in for both in the loop.
+    """Solver and fallback of a loop on one slow processor, whose answers may arrive late.
 
     Parameters
     ----------
-    delay : how slow; solver : timed; builder : of the run; law : what acts without an answer.
-    latency_ns : (K,) where the latency of each answer goes, −1 where no computation began.
-    usage : what the kernel says of this process.
-    backup : steps in where the solver fails or is stopped at its deadline; None for none.
+    latency_ns : (K,) receives the latency of each answer, −1 where no computation began.
+    backup : acts where the solver fails or is stopped at its deadline.
 
     Attributes
     ----------
-    phases_ns, waited_ns : as of `TimedSolver`, all −1 and 0 in a step in which no computation
-        began.
-    acted : whether the last move was the fallback's or the backup's, and not one of an answer of
-        the solver that is in time or arrived just now.
+    phases_ns, waited_ns : as of `TimedSolver`; −1 and 0 in a step without a computation.
+    acted : whether the last move was not of an answer that is in time or arrived just now.
     """
 
     def __init__(
@@ -124,7 +105,7 @@ class SlowComputer:
         delay: ComputationalDelay,
         solver: TimedSolver,
         builder: QPBuilder,
-        law: FallbackLaw,
+        law: FallbackPolicy,
         latency_ns: Ints,
         usage: Usage,
         *,
@@ -155,19 +136,19 @@ class SlowComputer:
 
     @property
     def matrix_updates(self) -> int:
-        """Those of the solver."""
+        """Number of updates in which the solver took new QP matrices."""
         return self._solver.matrix_updates
 
     def prepare(self) -> int:
-        """Set up as `TimedSolver.prepare`, then solve without a record until nothing is cold."""
+        """Set up and warm up solver and backup; return the set-up time [ns]."""
         spent = self._solver.prepare()
         self._solver.warm_up(WARM_UP_SOLVES)
         if self._backup is not None:
-            self._backup.prepare()
+            self._backup.warm_up()
         return spent
 
     def emit(self, k: int, x: Vector, u_prev: Vector) -> QPStep:
-        """The QP of step k; `NO_STEP` while the processor is busy. A plan that is due arrives."""
+        """Return step k's QP, or `NO_STEP` while the processor is busy; let a late plan arrive."""
         self._k, self._x, self._u = k, x, u_prev
         self._busy = k < self._free
         self._arrived = not self._busy and self._coming is not None
@@ -177,17 +158,17 @@ class SlowComputer:
         return NO_STEP if self._busy else self._builder.emit(k, x, u_prev)
 
     def formulate(self, step: QPStep) -> QPStep:
-        """The step in the formulation of the solver."""
+        """Return a step's QP in the formulation of the solver."""
         return step if self._busy else self._solver.formulate(step)
 
     def answer(self, step: QPStep) -> Solution:
-        """Solve, however long it takes; without a computation, no answer."""
+        """Solve a step's QP however long it takes; return no answer while the processor is busy."""
         if self._busy:
             self.phases_ns, self.waited_ns = NOT_RUN, 0
             return self._nothing
-        solution, latency_ns = self._timed(self._solver, step)
+        solution, latency_ns = self._time_answer(self._solver, self._solver.answer, step)
         self.phases_ns, self.waited_ns = self._solver.phases_ns, self._solver.waited_ns
-        samples = self._delay.samples_late(latency_ns)
+        samples = self._delay.count_samples_late(latency_ns)
         self._latency_ns[self._k] = latency_ns
         self._late = samples > 0
         self._started, self._free = self._k, self._k + max(1, samples)
@@ -196,15 +177,17 @@ class SlowComputer:
             begins_ns = min(latency_ns, self._delay.budget_ns)
             missing = self._late or not is_usable(solution)
             if missing and begins_ns < self._delay.sample_ns:
-                self._step_in(self._backup, step, begins_ns)
+                self._solve_by_backup(self._backup, step, begins_ns)
         return solution
 
-    def _timed(self, solver: TimedSolver, step: QPStep) -> tuple[Solution, int]:
-        """A solver's answer and its latency [ns]."""
+    def _time_answer(
+        self, solver: TimedSolver, answer: Callable[[QPStep], Solution], step: QPStep
+    ) -> tuple[Solution, int]:
+        """Return a solver's answer and its simulated latency [ns]."""
         switches, used_ns = self._usage()
-        solution = solver.answer(step)
+        solution = answer(step)
         switches_after, used_after_ns = self._usage()
-        step_ns = spent_ns(solver.phases_ns)
+        step_ns = sum_phases_ns(solver.phases_ns)
         if solver.repeated:
             recorded_ns = int(self._recorded_ns[self._k])
             # The step that hung has none yet; it took its whole limit.
@@ -213,10 +196,15 @@ class SlowComputer:
             step_ns = min(step_ns, used_after_ns - used_ns)
         return solution, self._delay.latency_ns(step_ns)
 
-    def _step_in(self, backup: Backup, step: QPStep, begins_ns: int) -> None:
-        """Let the backup solve the step from `begins_ns` after t_k on, until the sample ends."""
-        answer, latency_ns = self._timed(backup.solver, step)
-        plan, ready_ns = backup.record(self._k, answer), begins_ns + latency_ns
+    def _solve_by_backup(self, backup: Backup, step: QPStep, begins_ns: int) -> None:
+        """Let the backup solve the step from `begins_ns` after t_k to the sample's end."""
+        solve, recorded_ns = partial(backup.answer, self._k), -1
+        answer, latency_ns = self._time_answer(backup.solver, solve, step)
+        if self._solver.repeated:
+            # The step that hung has none yet.
+            recorded_ns = int(backup.recorded_ready_ns[self._k])
+        ready_ns = recorded_ns if recorded_ns >= 0 else begins_ns + latency_ns
+        plan = backup.log_answer(self._k, answer)
         backup.log.ready_ns[self._k] = ready_ns
         self._stopped, self._free = self._late, self._k + 1
         if plan is None or ready_ns > self._delay.sample_ns:
@@ -224,49 +212,49 @@ class SlowComputer:
         if ready_ns <= self._delay.budget_ns:
             self._in_place = plan
         else:
-            self._expect(plan, of_backup=True)
+            self._store_late_plan(plan, of_backup=True)
 
-    def _expect(self, moves: Matrix, *, of_backup: bool) -> None:
-        """Keep a plan (N_c, n_u) that arrives when the processor is free."""
+    def _store_late_plan(self, moves: Matrix, *, of_backup: bool) -> None:
+        """Store a plan (N_c, n_u) to be applied when the processor is free."""
         self._coming, self._of_backup = self._u + np.cumsum(moves, axis=0), of_backup
 
     def remember(self, moves: Matrix) -> Vector:
-        """Take the usable plan (N_c, n_u) of this step; Δu (n_u,) of what is at hand by now."""
+        """Store a usable plan (N_c, n_u) of this step; return the Δu (n_u,) to apply now."""
         if self._stopped:
             self._solver.reset()
-            return self._go_on()
+            return self._move_without_answer()
         if self._late:
-            self._expect(moves, of_backup=False)
-            return self._go_on()
+            self._store_late_plan(moves, of_backup=False)
+            return self._move_without_answer()
         self._plan, self.acted = None, False
         return self._law.remember(moves)
 
     def move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
-        """Δu (n_u,) in a step that has no usable answer of its own."""
+        """Return Δu (n_u,) in a step without a usable answer to its own QP."""
         del x, y_ref, u_prev  # those of the step are known from `emit`
         if self._busy or self._in_place is None:
-            return self._go_on()
+            return self._move_without_answer()
         self._plan = None
-        self._backup_acts()
+        self._record_backup_move()
         return self._law.remember(self._in_place)
 
-    def _backup_acts(self) -> None:
-        """Mark the move of this step as one of the backup."""
+    def _record_backup_move(self) -> None:
+        """Record that the backup's plan moves the ship in this step."""
         assert self._backup is not None, "a plan of its is at hand"
         self.acted = True
         self._backup.log.acted[self._k] = 1
 
     def reset(self) -> None:
-        """As `TimedSolver.reset`, unless the solver was not asked."""
+        """Reset the solver, unless no computation began in this step."""
         if not self._busy:
             self._solver.reset()
 
-    def _go_on(self) -> Vector:
-        """Δu (n_u,) without an answer in time: of the plan that arrives now, or the fallback's."""
+    def _move_without_answer(self) -> Vector:
+        """Return Δu (n_u,) of the late plan that arrives now, or of the fallback."""
         self.acted = not self._arrived
         if self._arrived and self._of_backup_arrived:
-            self._backup_acts()
-        if self._plan is not None and (self._arrived or self._law.kind == "shifted_plan"):
+            self._record_backup_move()
+        if self._plan is not None and (self._arrived or self._law.follows_plans):
             age = min(self._k - self._since, len(self._plan) - 1)
             to_plan: Vector = self._plan[age] - self._u
             return to_plan

@@ -1,59 +1,54 @@
-"""The harness's side of a solver: its phases between two clock reads, its failures as data.
+"""A solver behind the clock: its phases between two clock reads, its failures as data.
 
-A step that hangs is ended after `step_limit_s`: by the library itself where it has an option for
-that, else by an alarm, which reaches whatever runs Python. A library that holds the interpreter is
-killed with its process, and the run goes on in another one behind that step (`ResumedSolver`, and
-`ReplayRun` of a replay).
+A step that hangs is ended after `step_limit_s`: by an option of the library, else by an alarm,
+which reaches whatever runs Python. A library that holds the interpreter is killed with its process,
+and the run goes on in another one after that step (`ResumedSolver`, `ReplayRun`).
 """
 
-from __future__ import annotations
-
 import math
+import os
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from types import FrameType
 
 import numpy as np
 
-from dpbench.bench.record.raw_log import OF_SOLVER, TIMES, AnswerLog
-from dpbench.bench.run.formulation import Formulated
-from dpbench.bench.run.run_delay import run_delay
+from dpbench.bench.record.raw_log import PHASES, SOLVER_PHASES, AnswerLog
+from dpbench.bench.run.formulation import BoxFormulation
 from dpbench.qp.program import QPStep, QuadraticProgram
-from dpbench.qp.solution import Solution, Status, is_plain, received
+from dpbench.qp.solution import Solution, Status, is_plain, sanitise_answer
 from dpbench.solvers.contract import Workspace
 
 Clock = Callable[[], int]
-UNFINISHED = frozenset({Status.INACCURATE, Status.MAX_ITERATIONS})
-"""Of the usable answers those that are applied and marked."""
 STEP_SHARE = 0.25
-"""Of the run time that a cell is allowed: what one step may take of it."""
+"""Share of a cell's run time that one step may take."""
 MOST_HANGS = 3
-"""Steps of a run that may hang and be killed before its cell ends by it."""
-HUNG = "did not return and was killed"
-"""What is said of a step whose process hung in it."""
+"""Hanging steps after which a run ends."""
+HANG_DETAIL = "did not return and was killed"
 _OF_WORKSPACE = frozenset({"setup", "update", "solve", "read"})
-_OWN = slice(TIMES.index(OF_SOLVER[0]), TIMES.index(OF_SOLVER[-1]) + 1)
+_OWN = slice(PHASES.index(SOLVER_PHASES[0]), PHASES.index(SOLVER_PHASES[-1]) + 1)
 
 
 class StepTimeLimitError(TimeoutError):
-    """A step that ran beyond its limit was interrupted."""
+    """Raised in a solver's call that ran beyond the time limit of a step."""
 
 
 def is_usable(solution: Solution) -> bool:
-    """Whether a closed loop can apply an answer: by its status, and all of z is finite."""
-    return solution.status.usable and math.isfinite(solution.z.sum())
+    """Return whether a closed loop can apply an answer: by its status, and if z is finite."""
+    return solution.status.is_usable and math.isfinite(solution.z.sum())
 
 
 class TimedSolver:
-    """The harness's side of a workspace: formulation, phases and failures of one solver.
+    """Timer of one solver's set-up, update, solve and read; its failures become answers.
 
-    After `answer`, `phases_ns` holds set-up, update, solve and read of that step; −1 where a phase
-    did not take place. `waited_ns` is the part of them in which the machine ran something else, −1
-    where the kernel does not show it.
+    After `answer`, `phases_ns` holds set-up, update, solve and read of that step, −1 for none;
+    `waited_ns` is the part of them in which the machine ran something else, −1 if unknown.
     """
 
-    def __init__(self, workspace: Workspace, formulated: Formulated, clock: Clock) -> None:
+    def __init__(self, workspace: Workspace, formulated: BoxFormulation, clock: Clock) -> None:
         self._workspace, self._formulated, self._clock = workspace, formulated, clock
         # Nothing the solver gets is what it is judged against, nor what a later step is made of.
         self._whole, self._given = formulated.base, formulated.base.copy()
@@ -62,7 +57,7 @@ class TimedSolver:
         # n and m of the QP in that formulation.
         self.size = formulated.base.n, formulated.base.m
         self.phases_ns = (-1, -1, -1, -1)
-        self.waited_ns, self._run_delay = 0, run_delay()
+        self.waited_ns, self._run_delay = 0, get_run_delay()
         self.details: dict[str, int] = {}
         # Set by the alarm, whatever became of what it raised.
         self.interrupted = ""
@@ -71,11 +66,11 @@ class TimedSolver:
 
     @property
     def matrix_updates(self) -> int:
-        """Updates so far with which the workspace took over new matrices."""
+        """Number of updates so far in which the solver took new QP matrices."""
         return self._workspace.matrix_updates
 
     def prepare(self) -> int:
-        """Set up before the first step; the time it took [ns], −1 when steps do it themselves."""
+        """Set up the solver before the first step; return the time [ns], −1 if each step does."""
         if self._workspace.setup_every_step:
             return -1
         started = self._clock()
@@ -83,7 +78,7 @@ class TimedSolver:
         return self._clock() - started
 
     def warm_up(self, times: int) -> None:
-        """Solve the problem of the set-up so often, and forget it."""
+        """Solve the set-up QP some times without recording it, then reset the solver."""
         base = self._formulated.base
         for _ in range(times):
             self.answer(QPStep(base.q, base.l, base.u).copy())
@@ -91,15 +86,15 @@ class TimedSolver:
         self.details.clear()
 
     def answer(self, step: QPStep) -> Solution:
-        """Solve one step and map the answer to the condensed QP; never raises for a solver, except
-        MemoryError.
+        """Solve one step's QP, timed, and return the answer to its condensed form.
 
-        An answer that is malformed is none, with the status ERROR.
+        No failure of a solver is raised, except MemoryError; a malformed answer has the status
+        ERROR.
         """
         workspace, clock, formulated = self._workspace, self._clock, self._formulated
         t1 = t2 = t3 = t0 = -1
         setup_every_step, (n, m) = workspace.setup_every_step, self.size
-        qp = self._problem(step) if setup_every_step else self._given
+        qp = self._restore_problem().at(step) if setup_every_step else self._given
         try:
             t0 = clock()
             if setup_every_step:
@@ -113,7 +108,7 @@ class TimedSolver:
             t3 = clock()
             # Looking at a plain answer is no work of the solver's; what any other does is.
             if not is_plain(solution, n, m):
-                solution = received(solution, n, m)
+                solution = sanitise_answer(solution, n, m)
                 t3 = clock()
         except MemoryError:
             # It is at its limit, where the harness would find no memory either.
@@ -132,15 +127,11 @@ class TimedSolver:
         if self.interrupted:
             solution = Solution.missing(n, m, Status.TIME_LIMIT, self.interrupted)
         if solution.detail:
-            self._count(solution.detail)
+            self._count_detail(solution.detail)
         return formulated.solution(solution)
 
-    def _problem(self, step: QPStep) -> QuadraticProgram:
-        """The whole problem of a step, with matrices as they were before a solver wrote to them."""
-        return self._unwritten().at(step)
-
-    def _unwritten(self) -> QuadraticProgram:
-        """The problem that was handed over last, as it was before a solver wrote to it."""
+    def _restore_problem(self) -> QuadraticProgram:
+        """Return the solver's copy of the QP, with what the solver overwrote restored."""
         if self._formulated.base is not self._whole:
             self._whole = self._formulated.base
             self._given = self._whole.copy()
@@ -152,40 +143,43 @@ class TimedSolver:
         return given
 
     def reset(self) -> None:
-        """Make the workspace forget an answer that was not usable; after an interrupt, which may
-        have left anything, it is set up anew."""
+        """Make the solver forget an unusable answer, such as a bad warm start.
+
+        After an interrupt, which may have left anything, it is set up anew.
+        """
         if self.interrupted:
             self.interrupted = ""
-            self.renew()
+            self.set_up_again()
             return
         try:
             self._workspace.reset()
         except Exception as error:
-            self._count(f"reset: {type(error).__name__}: {error}")
+            self._count_detail(f"reset: {type(error).__name__}: {error}")
 
-    def renew(self) -> None:
-        """Set the workspace up from nothing, with the matrices that hold now."""
+    def set_up_again(self) -> None:
+        """Set the solver up from nothing, with the current QP matrices."""
         if self._workspace.setup_every_step:
             return
         try:
-            self._workspace.setup(self._unwritten())
+            self._workspace.setup(self._restore_problem())
         except Exception as error:
-            self._count(f"setup: {type(error).__name__}: {error}")
+            self._count_detail(f"setup: {type(error).__name__}: {error}")
 
-    def _count(self, detail: str) -> None:
+    def _count_detail(self, detail: str) -> None:
+        """Count a failure message of the solver, for the outcome of the run."""
         self.details[detail] = self.details.get(detail, 0) + 1
 
-    def missing(self, limit_ns: int) -> Solution:
-        """The answer to a step in which an earlier process hung for so long and was killed."""
+    def answer_hung_step(self, limit_ns: int) -> Solution:
+        """Return the missing answer to a step in which an earlier process hung and was killed."""
         self.phases_ns, self.waited_ns = (-1, 0, limit_ns, 0), 0
         n, m = self.size
-        answer = Solution.missing(n, m, Status.TIME_LIMIT, HUNG)
-        self._count(HUNG)
+        answer = Solution.missing(n, m, Status.TIME_LIMIT, HANG_DETAIL)
+        self._count_detail(HANG_DETAIL)
         return self._formulated.solution(answer)
 
 
 def record_answer(log: AnswerLog, r: int, k: int, solution: Solution, waited_ns: int) -> None:
-    """Copy an answer into row (r, k) of the log, with the wait for the core in it [ns]."""
+    """Record an answer, and its wait for the core [ns], as round r, step k of a run."""
     log.waited_ns[r, k] = waited_ns
     log.status[r, k] = solution.status
     log.iterations[r, k] = solution.iterations
@@ -196,21 +190,20 @@ def record_answer(log: AnswerLog, r: int, k: int, solution: Solution, waited_ns:
 
 
 class ResumedSolver(TimedSolver):
-    """Repeats the answers of a loop up to the step in which its process hung, then solves.
+    """A timed solver that repeats recorded answers up to the step in which its process hung.
 
     The loop around it is deterministic, so the ship comes to the very state that it had.
 
     Parameters
     ----------
     answers : the log of the loop so far; at : the step that hung.
-    skips : whether this solver has no answer to that step, which then is said to have taken
-        `limit_ns`; false for one that is not known to have hung.
+    skips : whether this solver hung in it, for `limit_ns`, and has no answer to it.
     """
 
     def __init__(
         self,
         workspace: Workspace,
-        formulated: Formulated,
+        formulated: BoxFormulation,
         clock: Clock,
         *,
         answers: AnswerLog,
@@ -224,17 +217,17 @@ class ResumedSolver(TimedSolver):
 
     @property
     def matrix_updates(self) -> int:
-        """Those of the earlier process too."""
+        """Number of updates with new QP matrices, in the earlier process and in this one."""
         return self._updates + super().matrix_updates
 
     def answer(self, step: QPStep) -> Solution:
-        """The recorded answer up to the step that hung, and the solver's own behind it."""
-        k, answers = self._next(), self._answers
+        """Return the recorded answer up to the step that hung, the solver's own after it."""
+        k, answers = self._next_step(), self._answers
         self.repeated = k < self._at or (k == self._at and self._skips)
         if k == self._at:
-            self.renew()
+            self.set_up_again()
             if self._skips:
-                return self.missing(self._limit_ns)
+                return self.answer_hung_step(self._limit_ns)
         if k >= self._at:
             return super().answer(step)
         setup, update, solve, read = answers.times[0, k, _OWN].tolist()
@@ -249,31 +242,31 @@ class ResumedSolver(TimedSolver):
             int(answers.reported_ns[0, k]),
         )
 
-    def _next(self) -> int:
-        """The step that is answered now: a slow computer does not ask in every one."""
+    def _next_step(self) -> int:
+        """Return the index of the step to answer, beyond those a slow computer skipped."""
         self._k += 1
         while self._k < self._at and (self._answers.times[0, self._k, _OWN] < 0).all():
             self._k += 1
         return self._k
 
     def warm_up(self, times: int) -> None:
-        """As inherited, by the solver itself."""
+        """Solve the set-up QP some times with the solver, not from the record, then reset it."""
         at, self._at = self._at, -1
         super().warm_up(times)
         self._at, self._k = at, -1
 
     def reset(self) -> None:
-        """As inherited, of answers of its own."""
+        """Reset the solver where the last answer was its own, not a recorded one."""
         if self._k > self._at or (self._k == self._at and not self._skips):
             super().reset()
 
 
 @contextmanager
-def interrupting(limit_s: float, clock: Clock) -> Iterator[None]:
-    """Raise `StepTimeLimitError` in a call of a workspace that takes longer than `limit_s` [s].
+def step_alarm(limit_s: float, clock: Clock) -> Iterator[None]:
+    """Raise `StepTimeLimitError` in any solver call in the block that takes over `limit_s` [s].
 
-    It reaches what runs Python; a library that does not return gets to know nothing of it. No
-    alarm goes off in a run that is over before; a step that began since the last one is let be.
+    It reaches what runs Python. No alarm goes off in a run that ends before; a step that began
+    since the last alarm goes on.
     """
     limit_ns = round(limit_s * 1e9)
 
@@ -296,3 +289,52 @@ def interrupting(limit_s: float, clock: Clock) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
+
+
+_LONGEST = 96
+"""Bytes that three numbers of 64 bits take at most, with room to spare."""
+UNKNOWN = -1
+
+
+class RunDelay:
+    """Meter of how long a thread was ready to run while its core ran something else.
+
+    The kernel's scheduler sums it up: the second number of `schedstat` in proc(5). Sleep, and
+    waiting for another thread, do not count.
+    """
+
+    def __init__(self) -> None:
+        try:
+            self._file = os.open("/proc/thread-self/schedstat", os.O_RDONLY | os.O_CLOEXEC)
+        except OSError:
+            # A kernel or a container that does not show it.
+            self._file = -1
+        self._before_ns = self._read_total_ns()
+
+    def _read_total_ns(self) -> int:
+        """Return how long the thread has waited for its core so far [ns]; `UNKNOWN` if hidden."""
+        if self._file < 0:
+            return UNKNOWN
+        try:
+            return int(os.pread(self._file, _LONGEST, 0).split()[1])
+        except (OSError, IndexError, ValueError):
+            self._file = -1
+            return UNKNOWN
+
+    def since_last(self) -> int:
+        """Return how long the thread waited for its core since the last call [ns]; −1: unknown."""
+        before_ns, now_ns = self._before_ns, self._read_total_ns()
+        self._before_ns = now_ns
+        return now_ns - before_ns if now_ns != UNKNOWN else UNKNOWN
+
+
+@cache
+def _cached_run_delay(thread: int) -> RunDelay:
+    """Return the meter of a thread's waits for its core, one object for each thread."""
+    return RunDelay()
+
+
+def get_run_delay() -> RunDelay:
+    """Return the meter of the calling thread's waits for its core, shared by its solvers."""
+    # The identifier of a forked child is its own, so that it opens a file of its own.
+    return _cached_run_delay(threading.get_native_id())

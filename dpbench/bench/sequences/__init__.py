@@ -1,1 +1,1 @@
-"""Files of QPs, ours and others'."""
+"""Files of QPs: recorded, shipped, and in the formats of other projects."""

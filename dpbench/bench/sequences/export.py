@@ -1,23 +1,15 @@
 """`dpbench export`: a scenario or a sequence as a file for others."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from dpbench.bench.run.exact_loop import Part
-from dpbench.bench.sequences.qpbenchmark_files import save_qpbenchmark, with_optimum
-from dpbench.bench.sequences.recording import (
-    described,
-    only_step,
-    read_sequence,
-    record,
-    thinned,
-)
+from dpbench.bench.sequences import recording
+from dpbench.bench.sequences.qpbenchmark_files import list_steps_with_optimum, save_qpbenchmark
 from dpbench.bench.sequences.sequence_file import Recorded
-from dpbench.errors import InputError
-from dpbench.qp.referee.referee import certified
+from dpbench.errors import InputError, SituationError
+from dpbench.qp.referee.referee import certify_sequence
 from dpbench.scenario.horizons import Horizons, parse_horizons
 from dpbench.scenario.problem_files import is_stored, problem_names, sequence_path
 from dpbench.scenario.scenario import load_scenario
@@ -37,21 +29,16 @@ def export(
     at: int | None = None,
     part: Part = "controller",
 ) -> str:
-    """Write the QPs of a scenario or a sequence to `out`, every one certified.
+    """Write the certified QPs of a scenario or a sequence to a file; return a line on it.
 
     Parameters
     ----------
-    what : a scenario by name or TOML path, a sequence (a stored one by name, or a `.npz`), or a
-        folder of qpsolvers problems.
+    what : a scenario by name or TOML path, a sequence by name or `.npz`, or a folder of qpsolvers
+        problems.
     out : the `.npz` file; for "qpbenchmark" the name of the Parquet file and the Python file.
     horizons : "N_p/N_c" instead of those of the tuning; of a scenario only.
-    steps, every : the first so many steps, and of these each `every`-th.
-    at : this step alone instead.
+    steps, every : the first so many steps, and of these each `every`-th; at : one step instead.
     part : "allocation" for the second QPs of a cascade; of a scenario only.
-
-    Returns
-    -------
-    One line that says what was written.
 
     Raises
     ------
@@ -66,24 +53,24 @@ def export(
         raise InputError("--at", "", f"{at} beside --steps or --every", "one step, or several")
     if part not in get_args(Part):
         raise InputError("--part", "", repr(part), " | ".join(get_args(Part)))
-    recorded = _recorded(what, _horizons(horizons), steps, every, at, part)
+    recorded = _record_requested(what, _parse_horizons(horizons), steps, every, at, part)
     target.parent.mkdir(parents=True, exist_ok=True)
     if format == "npz":
         recorded.save(target)
         written = str(target)
     else:
         written = " and ".join(map(str, save_qpbenchmark(target, recorded)))
-    left_out = len(recorded.optima or []) - len(with_optimum(recorded))
+    left_out = len(recorded.optima or []) - len(list_steps_with_optimum(recorded))
     without = f"; {left_out} without an optimum left out" if left_out and format != "npz" else ""
-    return f"{written}: {described(recorded.sequence, recorded.optima or [])}{without}"
+    about = recording.describe_sequence(recorded.sequence, recorded.optima or [])
+    return f"{written}: {about}{without}"
 
 
-def check_asked(options: dict[str, Any]) -> None:
-    """Either --all, with nothing that chooses, or WHAT and --out; InputError for anything else."""
+def check_export_options(options: dict[str, Any]) -> None:
+    """Raise InputError unless `dpbench export` has --all alone, or what to export with --out."""
     if not options["all"]:
-        for key, name in (("what", "WHAT"), ("out", "--out")):
-            if options[key] is None:
-                raise InputError("export", name, "nothing", "WHAT and --out PATH, or --all")
+        if options["what"] is None or options["out"] is None:
+            raise SituationError("export", "name WHAT and its file by --out, or give --all")
         return
     defaults = {"every": 1, "format": "npz", "part": "controller"}
     for key in ("what", "horizons", "steps", "every", "format", "at", "part"):
@@ -92,7 +79,7 @@ def check_asked(options: dict[str, Any]) -> None:
             raise InputError("export", "", found, "--all, which follows its manifest, and --out")
 
 
-def _recorded(
+def _record_requested(
     what: str | Path,
     horizons: tuple[int, int] | None,
     steps: int | None,
@@ -100,36 +87,42 @@ def _recorded(
     at: int | None,
     part: Part,
 ) -> Recorded:
+    """Return the requested QPs of a scenario or a stored sequence, with certified optima."""
     path = Path(what)
     is_file = path.suffix == ".npz" or path.is_dir() or is_stored(what)
     if str(what) in problem_names("scenarios") or not is_file:
         scenario = load_scenario(what)
         if at is None:
-            return record(scenario, horizons=horizons, steps=steps, every=every, part=part)
+            return recording.record_scenario(
+                scenario, horizons=horizons, steps=steps, every=every, part=part
+            )
         # The loop up to there is what leads to the step; what follows is not needed.
         upto = at + 1 if 0 <= at < scenario.steps else None
-        return _only(record(scenario, horizons=horizons, steps=upto, part=part), at)
+        return _record_step(
+            recording.record_scenario(scenario, horizons=horizons, steps=upto, part=part), at
+        )
     if part != "controller":
         allowed = "a scenario: a sequence holds the QPs it holds"
         raise InputError("--part", "", f"{part} for a recorded sequence", allowed)
     if horizons is not None:
         found = f"{horizons[0]}/{horizons[1]} for a recorded sequence"
         raise InputError("--horizons", "", found, "a scenario: a sequence has the horizons it has")
-    stored = read_sequence(sequence_path(what))
+    stored = recording.read_sequence(sequence_path(what))
     if at is not None:
-        return _only(stored, at)
-    sequence = thinned(stored.sequence, steps, every)
-    # What the file says of its optima is not believed.
-    return replace(stored, sequence=sequence, optima=certified(sequence))
+        return _record_step(stored, at)
+    sequence = recording.thin_sequence(stored.sequence, steps, every)
+    # The optima of a file are certified again.
+    return replace(stored, sequence=sequence, optima=certify_sequence(sequence))
 
 
-def _only(recorded: Recorded, k: int) -> Recorded:
-    """Step k alone, certified anew."""
-    sequence = only_step(recorded.sequence, k)
-    return replace(recorded, sequence=sequence, optima=certified(sequence))
+def _record_step(recorded: Recorded, k: int) -> Recorded:
+    """Return the QP of step k of a recorded sequence alone, with its certified optimum."""
+    sequence = recording.select_step(recorded.sequence, k)
+    return replace(recorded, sequence=sequence, optima=certify_sequence(sequence))
 
 
-def _horizons(text: str | None) -> Horizons | None:
+def _parse_horizons(text: str | None) -> Horizons | None:
+    """Return the MPC horizons in a text "N_p/N_c", None for None; InputError for other texts."""
     if text is None:
         return None
     try:

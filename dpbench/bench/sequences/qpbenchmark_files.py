@@ -1,10 +1,7 @@
-"""Write a sequence as a test set of `qpbenchmark` 2.7: a Parquet table and the class reading it.
+"""Test sets of `qpbenchmark` 2.7: a Parquet table and the class reading it.
 
-The table holds what `qpbenchmark.ProblemList` holds: P, q, G, h, A, b, lb, ub, flattened by rows,
-and a name per problem. qpbenchmark itself is not needed to write it.
+The table has P, q, G, h, A, b, lb, ub, flattened by rows, and a name per problem.
 """
-
-from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
@@ -55,17 +52,9 @@ class {class_name}(ParquetTestSet):
 
 
 def save_qpbenchmark(out: str | Path, recorded: Recorded) -> tuple[Path, Path]:
-    """Write `<stem>.parquet` and `<stem>.py`; the name of `out` without its suffix is the stem.
+    """Write a sequence as a qpbenchmark test set: `<stem>.parquet` and `<stem>.py`.
 
-    Steps without a certified optimum are left out, for qpbenchmark knows problems with one only.
-
-    Returns
-    -------
-    The two paths.
-
-    Raises
-    ------
-    InputError : when the stem is no name that qpbenchmark can import, or no step is left.
+    Steps without a certified optimum are left out; InputError for a stem that Python cannot import.
     """
     path = Path(out)
     stem = path.stem
@@ -73,31 +62,31 @@ def save_qpbenchmark(out: str | Path, recorded: Recorded) -> tuple[Path, Path]:
         allowed = "a Python name no library has, as qpbenchmark imports it, e.g. dp_paper.py"
         raise InputError("--out", "", repr(path.name), allowed)
     sequence = recorded.sequence
-    steps = with_optimum(recorded)
+    steps = list_steps_with_optimum(recorded)
     if not steps:
         raise InputError(sequence.name, "", "no step with a certified optimum", "one or more")
     table, code = path.with_suffix(".parquet"), path.with_suffix(".py")
     part = table.with_name(table.name + ".part")
-    pq.write_table(problem_table(sequence, steps), part)
+    pq.write_table(build_problem_table(sequence, steps), part)
     part.replace(table)
-    code.write_text(_test_set(stem, sequence, len(steps)), encoding="utf-8")
+    code.write_text(_render_test_set(stem, sequence, len(steps)), encoding="utf-8")
     return table, code
 
 
-def with_optimum(recorded: Recorded) -> list[int]:
-    """The steps of a sequence whose optimum is certified."""
+def list_steps_with_optimum(recorded: Recorded) -> list[int]:
+    """Return the indices of a sequence's steps whose optimum is certified."""
     optima = recorded.optima or []
     return [k for k, optimum in enumerate(optima) if np.isfinite(optimum.bound)]
 
 
-def problem_table(sequence: QPSequence, steps: Sequence[int]) -> pa.Table:
-    """Some steps of a sequence as the table that `qpbenchmark.ParquetTestSet` reads."""
+def build_problem_table(sequence: QPSequence, steps: Sequence[int]) -> pa.Table:
+    """Return some steps of a sequence as a table for `qpbenchmark.ParquetTestSet`."""
     first, every = (int(sequence.meta.get(*key)) for key in (("first", 0), ("every", 1)))
     digits = len(str(first + every * (len(sequence) - 1)))
     # Names tell the step of the run, and go on a command line without quotes.
     run = sequence.name.partition("[")[0]
     names = [f"{run}_{first + every * k:0{digits}d}" for k in steps]
-    rows = [qpsolvers_arrays(sequence.problem(k)) for k in steps]
+    rows = [to_qpsolvers_arrays(sequence.problem(k)) for k in steps]
     numbers = pa.list_(pa.float64())
     columns: dict[str, Any] = {
         key: pa.array([None if row[key] is None else row[key].ravel() for row in rows], numbers)
@@ -107,18 +96,18 @@ def problem_table(sequence: QPSequence, steps: Sequence[int]) -> pa.Table:
     return pa.table(columns)
 
 
-def qpsolvers_arrays(qp: QuadraticProgram) -> dict[str, Any]:
-    """P, q, G, h, A, b, lb, ub of a problem in the form of qpsolvers, None where it has none.
+def to_qpsolvers_arrays(qp: QuadraticProgram) -> dict[str, Any]:
+    """Convert a QP to the arrays P, q, G, h, A, b, lb, ub of qpsolvers; None for empty ones.
 
-    Rows with l = u become equalities; of the others the upper sides come first, then the lower
-    ones, each without its infinite limits.
+    Rows with l = u become equalities; of the others the upper sides come first.
     """
     form = OneSidedForm(qp, "dense", "native")
     form.fill(qp.q, qp.l, qp.u)
     return {key: getattr(form, key) for key in KEYS}
 
 
-def _test_set(stem: str, sequence: QPSequence, count: int) -> str:
+def _render_test_set(stem: str, sequence: QPSequence, count: int) -> str:
+    """Return the Python code of a qpbenchmark test set for a sequence of `count` QPs."""
     base = sequence.base
     title = f"dpbench {sequence.name}".replace("\\", "/").replace('"', "'")
     description = (

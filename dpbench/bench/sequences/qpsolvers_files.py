@@ -6,8 +6,6 @@ Each file is a step, in the natural order of the names (2 before 10). The rows a
 those of A with both limits at b.
 """
 
-from __future__ import annotations
-
 import re
 import zipfile
 from pathlib import Path
@@ -16,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.bench.record.npz import DAMAGE, Arrays, float_array, read_npz
+from dpbench.bench.record.npz import DAMAGE, Arrays, read_float_array, read_npz
 from dpbench.errors import InputError
-from dpbench.files.opening import opened
+from dpbench.files.opening import open_regular_file
 from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram
 
 WHAT = "a problem written by `qpsolvers.Problem.save` (.npz)"
@@ -28,42 +26,33 @@ SYMMETRIC = 1e-10
 solvers read one triangle and some the whole."""
 
 
-def natural_order(folder: Path) -> list[Path]:
-    """The `.npz` files of a folder, numbers in their names compared as numbers.
-
-    Raises
-    ------
-    InputError : when there are none.
-    """
+def list_problem_files(folder: Path) -> list[Path]:
+    """Return the `.npz` files of a folder in natural order; InputError without any."""
     files = [path for path in folder.iterdir() if path.suffix == ".npz" and path.is_file()]
     if not files:
         raise InputError(str(folder), "", "no .npz file", f"a folder of files, each {WHAT}")
-    return sorted(files, key=lambda path: (_parts(path.stem), path.name))
+    return sorted(files, key=lambda path: (_natural_sort_key(path.stem), path.name))
 
 
-def _parts(text: str) -> list[tuple[int, int, str]]:
+def _natural_sort_key(text: str) -> list[tuple[int, int, str]]:
+    """Return a file name's sort key, in which numbers count by value."""
     parts = re.split(r"([0-9]+)", text)
     return [(1, int(part), "") if i % 2 else (0, 0, part) for i, part in enumerate(parts)]
 
 
-def is_problem(path: Path) -> bool:
-    """Whether a file has the arrays of one problem, and no array that says it is anything else."""
+def is_problem_file(path: Path) -> bool:
+    """Return whether a file has the arrays of a qpsolvers problem, not of a dpbench format."""
     try:
-        with opened(path) as file, zipfile.ZipFile(file) as archive:
+        with open_regular_file(path) as file, zipfile.ZipFile(file) as archive:
             names = {name.removesuffix(".npy") for name in archive.namelist()}
     except (OSError, *DAMAGE):
         return False
     return bool(names & {"P", "q"}) and "format" not in names
 
 
-def read_folder(place: Path) -> QPSequence:
-    """The problems of a folder, or the one of a file, as a sequence in the units they have.
-
-    Raises
-    ------
-    InputError : naming file, array, what was found and what is allowed.
-    """
-    files = natural_order(place) if place.is_dir() else [place]
+def read_problems(place: Path) -> QPSequence:
+    """Return the qpsolvers problems of a folder, or of one file, as a sequence."""
+    files = list_problem_files(place) if place.is_dir() else [place]
     problems = [read_problem(path) for path in files]
     base = problems[0]
     for path, qp in zip(files, problems, strict=True):
@@ -85,7 +74,7 @@ def read_folder(place: Path) -> QPSequence:
 
 
 def read_problem(path: Path) -> QuadraticProgram:
-    """One problem in two-sided form; InputError as `read_folder`."""
+    """Return the QP of a qpsolvers problem file in two-sided form; InputError for a bad file."""
     where = str(path)
     arrays, objects = read_npz(path, WHAT)
     for name, packed in objects.items():
@@ -99,30 +88,30 @@ def read_problem(path: Path) -> QuadraticProgram:
     if len(shape) != 1 or shape[0] < 1:
         raise InputError(where, "q", f"shape {shape}" if shape else "nothing", "shape (n,), n ≥ 1")
     n = shape[0]
-    P = float_array(arrays, where, "P", (n, n))
+    P = read_float_array(arrays, where, "P", (n, n))
     gap = np.abs(P - P.T)
     if gap.max() > SYMMETRIC * np.abs(P).max():
         i, j = (int(x) for x in np.unravel_index(int(gap.argmax()), gap.shape))
         found = f"{P[i, j]:g} beside {P[j, i]:g} at its mirror place"
         raise InputError(where, f"P[{i}, {j}]", found, "a symmetric matrix")
-    G, h = _rows(arrays, where, ("G", "h"), n, "+")
-    A, b = _rows(arrays, where, ("A", "b"), n, "")
+    G, h = _read_rows(arrays, where, ("G", "h"), n, "+")
+    A, b = _read_rows(arrays, where, ("A", "b"), n, "")
     free = np.full(n, np.inf)
     lb, ub = (
-        float_array(arrays, where, name, (n,), infinite=sign) if name in arrays else default
+        read_float_array(arrays, where, name, (n,), infinite=sign) if name in arrays else default
         for name, sign, default in (("lb", "-", -free), ("ub", "+", free))
     )
-    q = float_array(arrays, where, "q", (n,))
+    q = read_float_array(arrays, where, "q", (n,))
     below = np.concatenate((np.full(len(h), -np.inf), b))
     return QuadraticProgram(
         0.5 * (P + P.T), q, np.vstack((G, A)), below, np.concatenate((h, b)), lb, ub
     )
 
 
-def _rows(
+def _read_rows(
     arrays: Arrays, where: str, names: tuple[str, str], n: int, infinite: str
 ) -> tuple[Vector, Vector]:
-    """A matrix of rows and its right-hand side; no rows where both are absent."""
+    """Return a matrix G or A and its vector h or b from a problem file; no rows where absent."""
     matrix, vector = names
     present = [name for name in names if name in arrays]
     if not present:
@@ -134,6 +123,6 @@ def _rows(
     shaped = arrays | {matrix: np.atleast_2d(arrays[matrix]), vector: arrays[vector].reshape(-1)}
     m = shaped[matrix].shape[0]
     return (
-        float_array(shaped, where, matrix, (m, n)),
-        float_array(shaped, where, vector, (m,), infinite=infinite),
+        read_float_array(shaped, where, matrix, (m, n)),
+        read_float_array(shaped, where, vector, (m,), infinite=infinite),
     )

@@ -1,6 +1,4 @@
-"""Record sequences: along the exactly solved loop of a scenario, or from what is on disk."""
-
-from __future__ import annotations
+"""Recording of sequences, along an exactly solved loop or from files."""
 
 import copy
 import hashlib
@@ -13,20 +11,25 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.bench.run.exact_loop import Part, sequence_of, solve_exactly
-from dpbench.bench.run.qp_builder import QPBuilder
-from dpbench.bench.sequences.qpsolvers_files import is_problem, natural_order, read_folder
+from dpbench.bench.run.exact_loop import Part, rebuild_sequence, solve_exactly
+from dpbench.bench.run.formulation import QPBuilder
+from dpbench.bench.sequences.qpsolvers_files import (
+    is_problem_file,
+    list_problem_files,
+    read_problems,
+)
 from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
 from dpbench.errors import InputError
-from dpbench.files.opening import opened
+from dpbench.files.opening import open_regular_file
 from dpbench.qp.program import CONSTANT, QPSequence
-from dpbench.qp.referee.referee import Optimum, certified
-from dpbench.scenario.scenario import Scenario, scenario_of
+from dpbench.qp.referee.optimum import Optimum
+from dpbench.qp.referee.referee import certify_sequence
+from dpbench.scenario.scenario import Scenario, build_scenario
 
 WHAT = "a sequence by `dpbench export` (.npz), or a problem (.npz) or folder of them by qpsolvers"
 
 
-def record(
+def record_scenario(
     scenario: Scenario,
     *,
     horizons: tuple[int, int] | None = None,
@@ -34,18 +37,18 @@ def record(
     every: int = 1,
     part: Part = "controller",
 ) -> Recorded:
-    """The QPs along the exactly solved loop of a scenario, in scaled units, all certified.
+    """Solve a scenario's loop exactly and return its QPs in scaled units, all certified.
 
     Parameters
     ----------
     horizons : (N_p, N_c) instead of those of the tuning; they change the loop too.
-    steps : length of the loop; every : which of its steps are kept, the first and each `every`-th.
+    steps : length of the loop; every : of its steps the first and each `every`-th are kept.
     part : "allocation" for the second QPs of a cascade.
 
     Raises
     ------
-    InputError : for horizons, steps, a thinning or a part that cannot be.
-    CertificateError : when a step has neither a certified optimum nor proof that there is none.
+    InputError : for impossible horizons, steps, thinning or part; CertificateError when a step has
+        neither a certified optimum nor proof that there is none.
     """
     if horizons is not None:
         scenario = with_horizons(scenario, *horizons)
@@ -53,27 +56,27 @@ def record(
         if not 1 <= steps <= scenario.steps:
             raise InputError("--steps", "", steps, f"1 to {scenario.steps} of {scenario.name}")
         scenario = scenario.first(steps)
-    sequence = sequence_of(scenario, solve_exactly(scenario), part=part)
-    meta = sequence.meta | {"N_p": scenario.N_p, "N_c": scenario.N_c}
-    sequence = thinned(replace(sequence, meta=meta), None, every)
+    sequence = rebuild_sequence(scenario, solve_exactly(scenario), part=part)
+    meta = sequence.meta | scenario.problem.horizons
+    sequence = thin_sequence(replace(sequence, meta=meta), None, every)
     builder = QPBuilder(scenario, "si")
     units = builder.condensed.scale
     if part == "allocation" and builder.allocation is not None:
         units = builder.allocation.scale
-    return Recorded(sequence, certified(sequence), units, scenario.files)
+    return Recorded(sequence, certify_sequence(sequence), units, {**scenario.files})
 
 
 def with_horizons(scenario: Scenario, N_p: int, N_c: int) -> Scenario:
-    """The same scenario under other horizons, its documents and its name included."""
-    files: dict[str, Any] = copy.deepcopy(scenario.files)
+    """Return a scenario with other prediction and control horizons, also in its name."""
+    files = copy.deepcopy(scenario.files)
     controller = files["scenario"]["controller"]
     controller["prediction_horizon"], controller["control_horizon"] = N_p, N_c
     files["name"] = f"{scenario.name}-{N_p}-{N_c}"
-    return scenario_of(files, where=f"{scenario.name} with horizons {N_p}/{N_c}")
+    return build_scenario(files, where=f"{scenario.name} with horizons {N_p}/{N_c}")
 
 
-def thinned(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequence:
-    """Of its first `steps` steps (None: of all) the first and each `every`-th after it."""
+def thin_sequence(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequence:
+    """Return each `every`-th of the first `steps` QPs of a sequence (None: of all)."""
     if steps is not None and not 1 <= steps <= len(sequence):
         raise InputError("--steps", "", steps, f"1 to {len(sequence)} of {sequence.name}")
     if every < 1:
@@ -82,25 +85,27 @@ def thinned(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequen
         return sequence
     stride = every * int(sequence.meta.get("every", 1))
     name = f"{sequence.name}[:{steps or len(sequence)}:{every}]"
-    return _cut(sequence, slice(0, steps, every), name, {"every": stride})
+    return _select_steps(sequence, slice(0, steps, every), name, {"every": stride})
 
 
-def only_step(sequence: QPSequence, k: int) -> QPSequence:
-    """Step k of a sequence as a sequence of one."""
+def select_step(sequence: QPSequence, k: int) -> QPSequence:
+    """Return step k of a sequence of QPs as a sequence of one QP."""
     if not 0 <= k < len(sequence):
         raise InputError("--at", "", k, f"0 to {len(sequence) - 1} of {sequence.name}")
     first = int(sequence.meta.get("first", 0)) + k * int(sequence.meta.get("every", 1))
-    return _cut(sequence, slice(k, k + 1), f"{sequence.name}[{k}]", {"first": first})
+    return _select_steps(sequence, slice(k, k + 1), f"{sequence.name}[{k}]", {"first": first})
 
 
-def _cut(sequence: QPSequence, kept: slice, name: str, meta: dict[str, Any]) -> QPSequence:
-    """Some of the steps of a sequence under another name."""
+def _select_steps(sequence: QPSequence, kept: slice, name: str, meta: dict[str, Any]) -> QPSequence:
+    """Return some of the QPs of a sequence as a sequence with another name."""
     arrays = {part: getattr(sequence, part) for part in ("q", "l", "u", *CONSTANT)}
     cut: dict[str, Any] = {part: array[kept] for part, array in arrays.items() if array is not None}
     return replace(
         sequence,
         name=name,
-        scaled=None if sequence.scaled is None else _cut(sequence.scaled, kept, name, meta),
+        scaled=None
+        if sequence.scaled is None
+        else _select_steps(sequence.scaled, kept, name, meta),
         meta=sequence.meta | meta,
         # It would have all steps.
         sparse_equivalent=None,
@@ -108,8 +113,8 @@ def _cut(sequence: QPSequence, kept: slice, name: str, meta: dict[str, Any]) -> 
     )
 
 
-def described(sequence: QPSequence, optima: Sequence[Optimum]) -> str:
-    """A sequence and the certificates of its optima in half a line."""
+def describe_sequence(sequence: QPSequence, optima: Sequence[Optimum]) -> str:
+    """Describe a sequence of QPs in half a line: length, QP size, kinds of optimum proof."""
     kinds = Counter(optimum.kind for optimum in optima)
     bounds = [optimum.bound for optimum in optima if np.isfinite(optimum.bound)]
     proofs = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
@@ -119,25 +124,20 @@ def described(sequence: QPSequence, optima: Sequence[Optimum]) -> str:
 
 
 def read_sequence(path: Path) -> Recorded:
-    """What stands at `path`: our own `.npz`, or problems by qpsolvers, which come without optima.
-
-    Raises
-    ------
-    InputError : naming file, array, what was found and what is allowed.
-    """
-    if path.is_dir() or is_problem(path):
-        return Recorded(read_folder(path), None)
+    """Return the QPs in a dpbench `.npz` with optima, or in qpsolvers files, which have none."""
+    if path.is_dir() or is_problem_file(path):
+        return Recorded(read_problems(path), None)
     if not path.is_file():
         raise InputError(str(path), "", "no such file or folder", WHAT)
     return load_recorded(path)
 
 
-def digest(path: Path) -> str:
-    """SHA-256 of a file, or of the files that `read_sequence` reads of a folder."""
+def hash_sequence_files(path: Path) -> str:
+    """Return the SHA-256 of a sequence file, or of all problem files in a folder."""
     total = hashlib.sha256()
     try:
-        for file in natural_order(path) if path.is_dir() else [path]:
-            with opened(file, WHAT) as stream:
+        for file in list_problem_files(path) if path.is_dir() else [path]:
+            with open_regular_file(file, WHAT) as stream:
                 size = os.fstat(stream.fileno()).st_size
                 total.update(f"{file.name if path.is_dir() else ''}:{size}:".encode())
                 while block := stream.read(2**20):

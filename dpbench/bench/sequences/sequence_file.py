@@ -24,20 +24,29 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 from zlib import ZLIB_RUNTIME_VERSION as ZLIB
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.bench.record.npz import Arrays, count_of, float_array, read_npz, text_of, write_npz
+from dpbench.bench.record.npz import (
+    Arrays,
+    read_count_array,
+    read_float_array,
+    read_npz,
+    read_stored_text,
+    write_npz,
+)
 from dpbench.errors import InputError
 from dpbench.files.documents import parse_json
-from dpbench.mpc.condense import UnitSystem
-from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, Units, in_own_units
+from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, Units, convert_units
 from dpbench.qp.referee.joint import Kind
-from dpbench.qp.referee.referee import ACTIVE_MULTIPLIER, Optimum, certified
+from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
 from dpbench.scenario.problem_files import sequence_path
+
+if TYPE_CHECKING:
+    from dpbench.mpc.condense import UnitSystem
 
 FORMAT = "dpbench-sequence"
 FORMAT_VERSION = 1
@@ -49,13 +58,12 @@ _TEXTS = ("format", "name", "meta", "documents")
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """A sequence in scaled units with its certified optima, None where nobody has certified it yet.
+    """A sequence of QPs in scaled units with its certified optima, None if not certified yet.
 
     Parameters
     ----------
     units : what 1 is in SI; None where the QPs have no units but their own.
-    documents : what the scenario was made from (`Scenario.files`), or the capability plot that the
-        QPs are around; empty for another source.
+    documents : of the scenario (`Scenario.files`), or the capability plot; empty for others.
     """
 
     sequence: QPSequence
@@ -64,7 +72,7 @@ class Recorded:
     documents: dict[str, Any] = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
-        """Write all of it; see `save_sequence`."""
+        """Write the QPs, certified optima, units and scenario documents to a `.npz` file."""
         save_sequence(path, self.sequence, self.optima, units=self.units, documents=self.documents)
 
 
@@ -76,17 +84,20 @@ def save_sequence(
     units: Units | None = None,
     documents: dict[str, Any] | None = None,
 ) -> None:
-    """Write a sequence with its optima to `path`; the same input gives the same bytes.
+    """Write a sequence of QPs and its certified optima to a `.npz` file, reproducibly.
 
     Parameters
     ----------
     sequence : one in SI is written as its scaled form, with its units.
-    optima : those of `certified`, which finds them where they are not given.
-    units, documents : as in `Recorded`.
+    optima : those of `certify_sequence`, which finds them where they are not given.
     """
     scaled = sequence.scaled or sequence
     units = units or sequence.units
-    optima = certified(scaled) if optima is None else optima
+    if optima is None:
+        # Reading a file takes no referee, whose kernels take longer to load than the file.
+        from dpbench.qp.referee.referee import certify_sequence
+
+        optima = certify_sequence(scaled)
     base = scaled.base
     meta = scaled.meta | {name: version(name) for name in VERSIONED} | {"zlib": ZLIB}
     arrays: dict[str, Any] = {
@@ -113,11 +124,7 @@ def save_sequence(
 
 
 def active_set(optimum: Optimum) -> NDArray[np.int8]:
-    """The active limits (m + n,), rows of A before bounds: +1 upper, −1 lower, 0 neither.
-
-    Limits whose multiplier is at most `ACTIVE_MULTIPLIER` do not count; without a certified
-    optimum none does.
-    """
+    """Return the active limits (m + n,) of A, then bounds: +1 upper, −1 lower, 0 neither."""
     multiplier = np.concatenate((optimum.y, optimum.y_box))
     if not np.isfinite(optimum.bound):
         return np.zeros(len(multiplier), dtype=np.int8)
@@ -126,7 +133,7 @@ def active_set(optimum: Optimum) -> NDArray[np.int8]:
 
 
 def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> QPSequence:
-    """The QPs that `save_sequence` wrote, in scaled units or, with their scaled form, in SI.
+    """Return the QPs of a stored sequence, in scaled or in SI units.
 
     Parameters
     ----------
@@ -134,8 +141,7 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
 
     Raises
     ------
-    InputError : naming file, array, what was found and what is allowed; also for a file that
-        does not say what its units are in SI.
+    InputError : for a bad file, or one without units in SI.
     """
     if units not in ("scaled", "si"):
         raise InputError("load_sequence", "units", repr(units), '"scaled" or "si"')
@@ -146,50 +152,55 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
     if recorded.units is None:
         found = "1 for all: units of its own"
         raise InputError(str(path), "unit_z, unit_row", found, "units in SI, or units='scaled'")
-    return in_own_units(recorded.sequence, recorded.units)
+    return convert_units(recorded.sequence, recorded.units)
 
 
 def load_recorded(path: str | Path) -> Recorded:
-    """What `save_sequence` wrote, optima and provenance included; InputError as `load_sequence`."""
+    """Return the QPs and certified optima in a dpbench sequence file; InputError if bad."""
     where = str(path)
     arrays, objects = read_npz(Path(path), WHAT)
     for name in objects:
         raise InputError(where, name, "Python objects", "numbers or text")
-    texts = {name: text_of(arrays, where, name) for name in _TEXTS}
+    texts = {name: read_stored_text(arrays, where, name) for name in _TEXTS}
     if texts["format"] != FORMAT:
         raise InputError(where, "format", repr(texts["format"]), repr(FORMAT))
-    if (version := count_of(arrays, where, "version")) != FORMAT_VERSION:
+    if (version := read_count_array(arrays, where, "version")) != FORMAT_VERSION:
         raise InputError(where, "version", version, f"{FORMAT_VERSION}; or a newer dpbench")
-    q, A = _two_axes(arrays, where, "q"), _two_axes(arrays, where, "A")
+    q, A = _read_matrix(arrays, where, "q"), _read_matrix(arrays, where, "A")
     sizes = q.shape[0], q.shape[1], A.shape[0]
-    sequence = _sequence(arrays, where, sizes, texts["name"], _meta(where, texts))
+    sequence = _read_sequence(arrays, where, sizes, texts["name"], _read_meta(where, texts))
     _, n, m = sizes
     units = Units(
-        float_array(arrays, where, "unit_z", (n,)), float_array(arrays, where, "unit_row", (m,))
+        read_float_array(arrays, where, "unit_z", (n,)),
+        read_float_array(arrays, where, "unit_row", (m,)),
     )
     return Recorded(
         sequence,
-        _optima(arrays, where, sizes),
+        _read_optima(arrays, where, sizes),
         None if (units.z == 1.0).all() and (units.row == 1.0).all() else units,
-        _document(where, "documents", texts),
+        _read_document(where, "documents", texts),
     )
 
 
-def _sequence(
+def _read_sequence(
     arrays: Arrays, where: str, sizes: tuple[int, int, int], name: str, meta: dict[str, Any]
 ) -> QPSequence:
+    """Return the QPs from the arrays of a sequence file, after checking types and shapes."""
     K, n, m = sizes
     shapes = {"P": (n, n), "A": (m, n), "lb": (n,), "ub": (n,), "q": (K, n), "l": (K, m)}
     shapes["u"] = (K, m)
 
     def read(key: str, name: str, shape: tuple[int, ...]) -> Any:
-        return float_array(arrays, where, name, shape, infinite=INFINITE.get(key, ""))
+        return read_float_array(arrays, where, name, shape, infinite=INFINITE.get(key, ""))
 
     vectors = {key: read(key, key, shapes[key]) for key in ("q", "l", "u")}
     matrices = {key: read(key, key, shapes[key]) for key in CONSTANT}
     names = {key: f"{key}_steps" for key in CONSTANT if f"{key}_steps" in arrays}
     steps = {key: read(key, name, (K, *shapes[key])) for key, name in names.items()}
-    block, moves = count_of(arrays, where, "block"), count_of(arrays, where, "moves")
+    block, moves = (
+        read_count_array(arrays, where, "block"),
+        read_count_array(arrays, where, "moves"),
+    )
     try:
         first = {key: vector[0] for key, vector in vectors.items()}
         base = QuadraticProgram(**matrices, **first, block=block, moves=moves)
@@ -198,13 +209,14 @@ def _sequence(
     return QPSequence(name, base, **vectors, meta=meta, **steps)
 
 
-def _optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> list[Optimum]:
+def _read_optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> list[Optimum]:
+    """Return the certified optima from the arrays of a sequence file, after checking them."""
     K, n, m = sizes
     shapes = {"z": (K, n), "y": (K, m), "y_box": (K, n)}
     columns: list[Any] = [
-        float_array(arrays, where, key, shape, nan=True) for key, shape in shapes.items()
+        read_float_array(arrays, where, key, shape, nan=True) for key, shape in shapes.items()
     ]
-    bound = float_array(arrays, where, "bound", (K,), infinite="+")
+    bound = read_float_array(arrays, where, "bound", (K,), infinite="+")
     if "certificate" not in arrays or arrays["certificate"].shape != (K,):
         raise InputError(where, "certificate", "nothing of that shape", f"shape {(K,)}")
     kinds = [str(kind) for kind in arrays["certificate"].tolist()]
@@ -218,7 +230,8 @@ def _optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> list[Opt
     return [Optimum(*row) for row in rows]
 
 
-def _two_axes(arrays: Arrays, where: str, name: str) -> NDArray[Any]:
+def _read_matrix(arrays: Arrays, where: str, name: str) -> NDArray[Any]:
+    """Return the array `name` of a sequence file; InputError unless it is a matrix with columns."""
     array = arrays.get(name)
     least = 1 if name == "q" else 0
     if array is None or array.ndim != 2 or array.shape[0] < least or array.shape[1] < 1:
@@ -228,7 +241,8 @@ def _two_axes(arrays: Arrays, where: str, name: str) -> NDArray[Any]:
     return array
 
 
-def _document(where: str, name: str, texts: dict[str, str]) -> dict[str, Any]:
+def _read_document(where: str, name: str, texts: dict[str, str]) -> dict[str, Any]:
+    """Return the JSON object in the text `name` of a sequence file; InputError without one."""
     try:
         document = parse_json(texts[name])
     except ValueError as error:
@@ -238,9 +252,9 @@ def _document(where: str, name: str, texts: dict[str, str]) -> dict[str, Any]:
     return document
 
 
-def _meta(where: str, texts: dict[str, str]) -> dict[str, Any]:
-    """The facts about a sequence; those the replay counts with are checked."""
-    meta = _document(where, "meta", texts)
+def _read_meta(where: str, texts: dict[str, str]) -> dict[str, Any]:
+    """Return a sequence's metadata, after checking the numbers that a replay depends on."""
+    meta = _read_document(where, "meta", texts)
     for key, least in (("first", 0), ("every", 1), ("sample_s", 0)):
         value = meta.get(key, least)
         whole = key == "sample_s" or isinstance(value, int)

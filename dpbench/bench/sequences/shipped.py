@@ -1,9 +1,4 @@
-"""The sequences that ship with the package: which there are, and how each was recorded.
-
-`problems/sequences/manifest.toml` states the rule; `regenerate` follows it.
-"""
-
-from __future__ import annotations
+"""Sequences that ship with the package, by the rules of `problems/sequences/manifest.toml`."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,7 +9,7 @@ from pydantic import Field
 
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.run.exact_loop import Part
-from dpbench.bench.sequences.recording import record
+from dpbench.bench.sequences.recording import record_scenario
 from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.errors import InputError
 from dpbench.scenario.problem_files import SEQUENCES, FileModel, problems_root, read_model
@@ -25,7 +20,7 @@ Positive = Annotated[int, Field(ge=1)]
 
 
 class HorizonsTable(FileModel):
-    """Horizons at which scenarios are recorded, and how the loop is thinned there."""
+    """A pair of MPC horizons to record scenarios' QPs at, and which steps are kept."""
 
     prediction: Horizon
     control: Horizon
@@ -33,7 +28,7 @@ class HorizonsTable(FileModel):
 
 
 class AllocationTable(FileModel):
-    """A cascade whose second QPs are recorded too, under its own horizons."""
+    """A cascade whose thrust-allocation QPs are recorded, with length and which steps are kept."""
 
     scenario: str
     steps: Positive
@@ -41,18 +36,14 @@ class AllocationTable(FileModel):
 
 
 class LeftOutTable(FileModel):
-    """Sequences that the rule would have and the package does not, and why."""
+    """Sequences of QPs that the manifest's rules give but the package leaves out, and why."""
 
     sequences: Annotated[list[str], Field(min_length=1)]
     reason: str
 
 
 class ManifestFile(FileModel):
-    """`problems/sequences/manifest.toml`: scenarios × horizons, less what is left out.
-
-    `steps` : how many samples of the loop of each scenario are run through; `allocations` : the
-    cascades whose second QPs are recorded as well.
-    """
+    """Content of `manifest.toml`: for which scenarios and horizons QPs are recorded and shipped."""
 
     title: str
     horizons: Annotated[list[HorizonsTable], Field(min_length=1)]
@@ -62,9 +53,8 @@ class ManifestFile(FileModel):
 
 
 @dataclass(frozen=True)
-class Rule:
-    """How one sequence is recorded: of the first `steps` samples of the exactly solved loop under
-    the horizons N_p/N_c, each `every`-th; `part` as in `record`."""
+class RecordingRule:
+    """Rule to record one shipped sequence of QPs: scenario, horizons, steps, which are kept."""
 
     scenario: str
     N_p: int
@@ -75,38 +65,31 @@ class Rule:
 
     @property
     def name(self) -> str:
-        """The name of the sequence, and of its file without `.npz`."""
+        """Name of the sequence, and of its file without `.npz`."""
         horizons = f"{self.N_p}-{self.N_c}" if self.part == "controller" else self.part
         return f"{self.scenario}-{horizons}"
 
     def record(self, steps: int | None = None) -> Recorded:
-        """The sequence, or its beginning from the first `steps` samples."""
+        """Record the QPs by this rule, or their beginning from the first `steps` samples."""
         scenario = load_scenario(self.scenario)
-        # Second QPs are of one size: nobody asks for them under other horizons than the own ones.
+        # Second QPs are of one size, whatever the horizons.
         horizons = (self.N_p, self.N_c) if self.part == "controller" else None
         steps = steps or self.steps
-        return record(scenario, horizons=horizons, steps=steps, every=self.every, part=self.part)
+        return record_scenario(
+            scenario, horizons=horizons, steps=steps, every=self.every, part=self.part
+        )
 
 
 def manifest_path() -> Path:
-    """The shipped manifest."""
+    """Return the path of the file with the recording rules of the shipped QPs."""
     return problems_root() / SEQUENCES / "manifest.toml"
 
 
-def stored_rules(path: Path | None = None) -> list[Rule]:
-    """The rules of the sequences that ship, in the order they are recorded.
-
-    Parameters
-    ----------
-    path : a manifest; None for the shipped one.
-
-    Raises
-    ------
-    InputError : when the manifest leaves out what its rule would not have.
-    """
+def load_rules(path: Path | None = None) -> list[RecordingRule]:
+    """Return the rules in a file by which shipped QPs are recorded; InputError if bad."""
     place = path or manifest_path()
     manifest = read_model(place, ManifestFile)
-    rules = {rule.name: rule for rule in _all_rules(manifest)}
+    rules = {rule.name: rule for rule in _expand_rules(manifest)}
     for table in manifest.left_out:
         for name in table.sequences:
             if rules.pop(name, None) is None:
@@ -115,33 +98,26 @@ def stored_rules(path: Path | None = None) -> list[Rule]:
     return list(rules.values())
 
 
-def _all_rules(manifest: ManifestFile) -> Iterator[Rule]:
+def _expand_rules(manifest: ManifestFile) -> Iterator[RecordingRule]:
+    """Yield a rule to record QPs for each scenario and horizons of a manifest, and each cascade."""
     for scenario, steps in manifest.steps.items():
         for table in manifest.horizons:
-            yield Rule(scenario, table.prediction, table.control, steps, table.every)
+            yield RecordingRule(scenario, table.prediction, table.control, steps, table.every)
     for cascade in manifest.allocations:
-        own = load_scenario(cascade.scenario)
+        own = load_scenario(cascade.scenario).problem
         of_loop = own.N_p, own.N_c, cascade.steps, cascade.every
-        yield Rule(cascade.scenario, *of_loop, "allocation")
+        yield RecordingRule(cascade.scenario, *of_loop, "allocation")
 
 
-def regenerate(
-    out: str | Path, rules: Sequence[Rule] | None = None, progress: Progress | None = None
+def record_shipped_sequences(
+    out: str | Path, rules: Sequence[RecordingRule] | None = None, progress: Progress | None = None
 ) -> str:
-    """Record stored sequences again into the folder `out`; one line of what was written.
+    """Record the QPs shipped with the package again into a folder; return one line on them.
 
     The same machine and versions write the same bytes; others the same shapes and active sets, and
-    values to rounding.
-
-    Parameters
-    ----------
-    rules : those of `stored_rules`; None for all.
-
-    Raises
-    ------
-    CertificateError : when a step has neither a certified optimum nor proof that there is none.
+    values to rounding. CertificateError when a step cannot be certified.
     """
-    wanted, folder, shown = list(rules or stored_rules()), Path(out), progress or Silent()
+    wanted, folder, shown = list(rules or load_rules()), Path(out), progress or Silent()
     folder.mkdir(parents=True, exist_ok=True)
     shown.start(sum(rule.steps for rule in wanted))
     size = 0

@@ -1,6 +1,4 @@
-"""Check a sequence: every optimum is certified, and compared with the one that a file claims."""
-
-from __future__ import annotations
+"""Verification of a sequence: every optimum is certified and compared with the stored one."""
 
 from pathlib import Path
 
@@ -8,48 +6,48 @@ import numpy as np
 
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.npz import read_npz
-from dpbench.bench.sequences.recording import described, read_sequence
+from dpbench.bench.sequences.recording import describe_sequence, read_sequence
 from dpbench.bench.sequences.sequence_file import WHAT, active_set
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.referee.feasibility.farkas import farkas_valid
-from dpbench.qp.referee.referee import Optimum, each_certified
+from dpbench.qp.referee.optimum import Optimum
+from dpbench.qp.referee.referee import iterate_certified
 from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Solution, Status
 
 STATIONARY = 1e-9
 """Largest residual of stored multipliers, relative to the largest term of Pz + q + Aᵀy + y_box."""
 ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
-"""Of the difference of two points that a proof bounds exactly."""
 WITHOUT_OPTIMUM = ("infeasible", "undecided")
-"""A file may call infeasible what is so by rounding only, and the other way round."""
+"""Kinds that a file may swap: the difference is rounding only."""
 
 
 def verify_sequence(path: Path, progress: Progress | None = None) -> str:
-    """Certify every step of a sequence, or of problems by qpsolvers; one line of what it holds.
+    """Certify every step of a sequence and compare the stored optima; return one line on it.
 
     Raises
     ------
-    InputError : for a damaged file or problem, or the first step whose stored optimum, multipliers,
-        active set or proof of infeasibility are not what they claim to be.
+    InputError : for a damaged file, or the first step whose stored optimum, multipliers, active
+        set or proof of infeasibility are false.
     """
     where, shown = str(path), progress or Silent()
     recorded = read_sequence(path)
     sequence, claims = recorded.sequence, recorded.optima
     if claims is not None:
-        _check_active(path, claims)
+        _check_active_sets(path, claims)
     shown.start(len(sequence))
     optima = []
-    for k, optimum in enumerate(each_certified(sequence)):
+    for k, optimum in enumerate(iterate_certified(sequence)):
         if claims is not None:
             _check_step(where, k, sequence, claims[k], optimum)
         optima.append(optimum)
         shown.advance(1, path.stem)
-    return f"{where}: {described(sequence, optima if claims is None else claims)}"
+    return f"{where}: {describe_sequence(sequence, optima if claims is None else claims)}"
 
 
-def _check_active(path: Path, claims: list[Optimum]) -> None:
-    """The stored active sets are those of the stored multipliers."""
+def _check_active_sets(path: Path, claims: list[Optimum]) -> None:
+    """Raise InputError where stored active sets differ from those of the stored multipliers."""
     stored = read_npz(path, WHAT)[0].get("active")
     wanted = np.array([active_set(optimum) for optimum in claims])
     if stored is None or stored.shape != wanted.shape or stored.dtype != np.int8:
@@ -62,7 +60,7 @@ def _check_active(path: Path, claims: list[Optimum]) -> None:
 
 
 def _check_step(where: str, k: int, sequence: QPSequence, claim: Optimum, optimum: Optimum) -> None:
-    """What is claimed of step k against what the referee finds of it."""
+    """Raise InputError where the stored optimum of step k differs from the certified one."""
     without = optimum.kind in WITHOUT_OPTIMUM
     if (claim.kind in WITHOUT_OPTIMUM) != without:
         raise InputError(where, f"certificate[{k}]", repr(claim.kind), repr(optimum.kind))
@@ -86,7 +84,7 @@ def _check_step(where: str, k: int, sequence: QPSequence, claim: Optimum, optimu
 
 
 def _check_multipliers(where: str, k: int, qp: QuadraticProgram, claim: Optimum) -> None:
-    """Those of one optimum need not be unique: they are asked to prove it, not to be the same."""
+    """Raise InputError where the stored multipliers of step k do not prove its optimum."""
     measured = residuals(qp, Solution(Status.SOLVED, claim.z, claim.y, claim.y_box))
     terms = (qp.P @ claim.z, qp.q, claim.y, claim.y_box)
     size = max(1.0, *(float(np.abs(term).max(initial=0.0)) for term in terms))

@@ -1,1 +1,1 @@
-"""Processes: started, supervised, run in slots or by turns."""
+"""Processes that run cells, side by side or timed by turns."""

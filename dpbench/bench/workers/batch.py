@@ -1,15 +1,12 @@
-"""Cells of one configuration one after the other in one process, then judged one after the other.
+"""Cells of one configuration in one process, one after the other, then judged likewise.
 
-Importing a library takes up to most of a second, and so it is for a batch where its cells take some
-milliseconds each. Nothing of a batch is compared by its times: only replays are (`interleaved.py`).
-A cell that crashes costs only itself, and one that hangs the step it hung in where it can go on
-behind that; it, and those after it, go on in a new process.
+Importing a library takes up to most of a second, cells of a batch some milliseconds each. Their
+times are not compared: only replays are (`interleaved.py`). A cell that crashes costs only itself,
+and one that hangs only that step where it can go on behind it; the rest go on in a new process.
 """
 
-from __future__ import annotations
-
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.context import ForkServerContext
@@ -17,37 +14,33 @@ from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.raw_log import discard
+from dpbench.bench.record.raw_log import remove_log
+from dpbench.bench.record.step_table import DAMAGE, BatchPart, read_part
 from dpbench.bench.workers.child import GRACE_S, Child
-from dpbench.bench.workers.notice import AtWork, post
-from dpbench.bench.workers.worker import BatchCell, evaluate_batch, hang_of, run_batch
+from dpbench.bench.workers.jobs import CellBatch, FileBatch, Result, Target
+from dpbench.bench.workers.shared_status import Phase, set_phase
+from dpbench.bench.workers.worker import BatchCell, evaluate_batch, find_hang, run_batch
 
 EVALUATION_LIMIT_S = 600.0
-NOT_RUN = Outcome("lost", "it was not run")
 
 
 class Item(Protocol):
-    """What a process has several of to do, one after the other."""
+    """Protocol of one thing that a worker process does, such as a run or a file."""
 
     @property
     def name(self) -> str:
-        """Under which its verdict appears."""
+        """Name of the file with the outcome of a worker's item, without suffix."""
 
     @property
     def limit_s(self) -> float | None:
-        """What it may take; None for any time."""
+        """Longest run time of a worker process's item [s]; None for no limit."""
 
 
 AnyItem = TypeVar("AnyItem", bound=Item)
 
 
-class _Run(Child, Generic[AnyItem]):
-    """One process that goes through items in order, each with a verdict of its own.
-
-    Parameters
-    ----------
-    alone : whether only the first item runs, and nothing beside it; the others come after it.
-    """
+class _ItemProcess(Child, Generic[AnyItem]):
+    """A worker process that does several runs or files in order, with an outcome file for each."""
 
     def __init__(
         self,
@@ -61,8 +54,7 @@ class _Run(Child, Generic[AnyItem]):
         logs: bool = True,
         alone: bool = False,
     ) -> None:
-        items, self._later = (items[:1], list(items[1:])) if alone else (items, [])
-        self._items, self._suffix, self._at, self._logs = list(items), verdict, 0, logs
+        self.items, self._suffix, self._at, self._logs = list(items), verdict, 0, logs
         args = (tuple(items), folder, core)
         for item in items:
             (folder / f"{item.name}.{verdict}").unlink(missing_ok=True)
@@ -72,188 +64,193 @@ class _Run(Child, Generic[AnyItem]):
         )
         self.alone = alone
 
-    def _advance(self) -> None:
-        """Watch the first item that has no verdict yet."""
-        while self._at < len(self._items) and self._verdict.exists():
+    def _advance_to_current(self) -> None:
+        """Move on to the first run or file that the process has not finished yet."""
+        while self._at < len(self.items) and self._verdict.exists():
             self._at += 1
             self._born, self._peak_bytes = time.monotonic(), 0.0
-            if self._at < len(self._items):
-                self.name = self._items[self._at].name
-                self._limit_s = self._items[self._at].limit_s
+            if self._at < len(self.items):
+                self.name = self.items[self._at].name
+                self._limit_s = self.items[self._at].limit_s
                 self._verdict = self.folder / f"{self.name}.{self._suffix}"
                 self._running_since = None if self._logs else self._born
 
-    def overdue(self) -> bool:
-        self._advance()
-        if self._at < len(self._items):
-            return super().overdue()
+    def kill_if_overdue(self) -> bool:
+        """Kill the process when its current run or file took too long; return whether it did."""
+        self._advance_to_current()
+        if self._at < len(self.items):
+            return super().kill_if_overdue()
         # Behind its last verdict it has nothing to do but to end.
         return time.monotonic() - self._born > GRACE_S and self.kill("")
 
-    def split(self) -> tuple[dict[str, Outcome], list[AnyItem]]:
-        """Once the process ended: what became of the items it came to, and those still to do."""
+    def split_items(self) -> tuple[dict[str, Outcome], list[AnyItem]]:
+        """Return the outcomes of an ended process's runs or files, and those still to do."""
         self.join()
-        self._advance()
+        self._advance_to_current()
         outcomes = {}
-        for item in self._items[: self._at]:
-            outcomes[item.name] = self.verdict_of(self.folder / f"{item.name}.{self._suffix}")
+        for item in self.items[: self._at]:
+            outcomes[item.name] = self.read_verdict(self.folder / f"{item.name}.{self._suffix}")
         # A library may bring its process down when it is let go, between two cells.
-        not_begun = self._at > 0 and self.notice.place < self._at
-        if not_begun or self.is_suspect or self._at == len(self._items):
-            return outcomes, self._items[self._at :] + self._later
-        outcomes[self.name] = self.outcome()
-        return outcomes, self._items[self._at + 1 :] + self._later
+        not_begun = self._at > 0 and self.notice.cell_index < self._at
+        if not_begun or self.is_suspect or self._at == len(self.items):
+            return outcomes, self.items[self._at :]
+        outcomes[self.name] = self.determine_outcome()
+        return outcomes, self.items[self._at + 1 :]
 
 
-class CellBatch:
-    """All cells of one configuration on their way: run, then judged.
+class CellRun:
+    """Execution of a batch of runs on one core: one process does them, then another judges them.
 
     Parameters
     ----------
-    cells : what the worker needs of each cell, in order.
-    to_run : whether they are to be run; where not, they were before, and left steps.
+    to_run : whether the cells are to be run; otherwise they left steps before.
 
     Attributes
     ----------
-    outcomes : what became of them; records : of those that left steps what is to be kept.
+    outcomes : outcome of each cell, without those that a dead fork server took along.
+    parts : the cells that left steps, with these.
     """
 
     def __init__(
         self,
         context: ForkServerContext,
+        batch: CellBatch,
         folder: Path,
         cells: Sequence[BatchCell],
         *,
         to_run: bool = True,
     ) -> None:
-        self._context, self._folder, self._cells = context, folder, list(cells)
-        self._to_run = to_run
+        self.batch, self.folder = batch, folder
+        self._context, self._cells, self._to_run = context, list(cells), to_run
         self.outcomes: dict[str, Outcome] = {}
-        self.records: dict[str, bytes] = {}
+        self.parts: list[BatchPart] = []
 
     def start(self, core: int) -> Child:
-        """The first process."""
-        return self._process(self._cells, core)
+        """Start the process that does the batch's runs on a core."""
+        return self._start_process(self._cells, core)
 
-    def follow(self, child: Child, core: int) -> Child | None:
-        """Take down what became of the process that ended; the next one, or None at the end."""
-        assert isinstance(child, _Run), "the processes of a batch are its own"
-        ended, rest = child.split()
+    def start_next(self, child: Child, core: int) -> Child | None:
+        """Record the outcomes of a batch's process; start the next one; None at the end."""
+        assert isinstance(child, _ItemProcess), "the processes of a batch are its own"
+        ended, rest = child.split_items()
         if self._to_run:
-            rest = self._behind_hang(ended) + rest
+            rest = self._resume_hung_cell(ended) + rest
             self.outcomes |= ended
-            if child.is_suspect and child.name not in ended:
-                discard(self._folder / f"{child.name}.raw")
-            if not rest:
-                self._to_run = False
-                ran = [cell for cell in self._cells if self._left_steps(cell)]
-                rest = [replace(cell, outcome=self.outcomes[cell.name]) for cell in ran]
         else:
-            for name, verdict in ended.items():
-                self._take_record(name, verdict)
-        return self._process(rest, core, alone=child.is_suspect) if rest else None
+            rest = self._collect_part(child.items, ended) + rest
+        if child.is_suspect:
+            for cell in rest:
+                self.outcomes.pop(cell.name, None)
+                remove_log(self.folder / f"{cell.name}.raw")
+            rest = []
+        if self._to_run and not rest:
+            self._to_run = False
+            ran = [cell for cell in self._cells if self._has_steps(cell)]
+            rest = [replace(cell, outcome=self.outcomes[cell.name]) for cell in ran]
+        return self._start_process(rest, core) if rest else None
 
-    def _behind_hang(self, ended: dict[str, Outcome]) -> list[BatchCell]:
-        """The cell that was killed as it hung in a step, to go on behind it, and no longer among
-        those that ended; none where there is no such cell."""
+    def _resume_hung_cell(self, ended: dict[str, Outcome]) -> list[BatchCell]:
+        """Return the run killed in a hanging step, to be continued after that step; else none."""
         for i, batch_cell in enumerate(self._cells):
             outcome = ended.get(batch_cell.name)
             if outcome is None or outcome.outcome != "hung":
                 continue
-            raw = self._folder / f"{batch_cell.name}.raw"
-            hang = hang_of(Cell.from_json(batch_cell.cell), raw, batch_cell.hung)
+            raw = self.folder / f"{batch_cell.name}.raw"
+            hang = find_hang(Cell.from_json(batch_cell.cell), raw, batch_cell.hung)
             if hang is not None:
                 del ended[batch_cell.name]
                 self._cells[i] = replace(batch_cell, hung=(*batch_cell.hung, hang))
                 return [self._cells[i]]
         return []
 
-    def _take_record(self, name: str, verdict: Outcome) -> None:
-        """Take what the referee left of a cell; without it the cell is lost."""
+    def _collect_part(
+        self, cells: Sequence[BatchCell], ended: Mapping[str, Outcome]
+    ) -> list[BatchCell]:
+        """Collect the judged runs' results; return the runs to judge again where they are gone."""
+        lost = {
+            name: f"the referee failed on it: {verdict.detail}"
+            for name, verdict in ended.items()
+            if verdict.outcome != "finished"
+        }
+        judged = [cell for cell in cells if cell.name in ended and cell.name not in lost]
+        path = self.folder / f"{cells[0].name}.judged"
         try:
-            if verdict.outcome == "finished":
-                self.records[name] = (self._folder / f"{name}.judged").read_bytes()
-                return
-            detail = f"the referee failed on it: {verdict.detail}"
-        except OSError as error:
-            detail = f"its record went away before it was kept: {error}"
-        self.outcomes[name] = Outcome("lost", detail)
+            self.parts.append(read_part(path.read_bytes()))
+            judged = []
+        except DAMAGE as error:
+            if len(judged) == len(cells):
+                detail = f"its record went away before it was kept: {error}"
+                lost, judged = {cell.name: detail for cell in cells}, []
+        self.outcomes |= {name: Outcome("lost", detail) for name, detail in lost.items()}
+        return judged
 
-    def _left_steps(self, cell: BatchCell) -> bool:
-        """Whether there is something to judge."""
-        lost = self.outcomes[cell.name].outcome == "lost"
-        return not lost and (self._folder / f"{cell.name}.raw").exists()
+    def _has_steps(self, cell: BatchCell) -> bool:
+        """Return whether a run ended with recorded steps to judge."""
+        outcome = self.outcomes.get(cell.name)
+        if outcome is None or outcome.outcome == "lost":
+            return False
+        return (self.folder / f"{cell.name}.raw").exists()
 
-    def _process(self, cells: Sequence[BatchCell], core: int, *, alone: bool = False) -> Child:
-        """A process that runs cells, or judges them when all are run; `alone` as in `_Run`."""
+    def _start_process(self, cells: Sequence[BatchCell], core: int) -> Child:
+        """Start a process that does a batch's runs, or judges them when all are done."""
         target, verdict = run_batch, "json"
         if not self._to_run:
             target, verdict = evaluate_batch, "evaluated.json"
             cells = [replace(cell, limit_s=EVALUATION_LIMIT_S) for cell in cells]
-        return _Run(self._context, target, cells, self._folder, core, verdict=verdict, alone=alone)
+        alone = self.batch.isolated
+        return _ItemProcess(
+            self._context, target, cells, self.folder, core, verdict=verdict, alone=alone
+        )
 
 
-Target = Callable[[str, Path, str, int, Path], None]
-"""Makes a file in a process, called as target(description, folder, name, core, path)."""
-
-
-@dataclass(eq=False)
-class Errand:
-    """A file to be made.
-
-    Parameters
-    ----------
-    description, path : what it is made from, and where it appears.
-    limit_s : what that may take; None for any time.
-    outcome : what became of it.
-    """
+@dataclass(frozen=True)
+class FileTask:
+    """A file to make at `path` from a description, within `limit_s` [s] (None: no limit)."""
 
     description: str
     path: Path
     limit_s: float | None = None
-    outcome: Outcome = NOT_RUN
 
     @property
     def name(self) -> str:
-        """Under which its process leaves its verdict."""
+        """Name of the file with the outcome of making this file, without suffix."""
         return self.path.stem
 
 
-def make_in_turn(target: Target, errands: Sequence[Errand], folder: Path, core: int) -> None:
-    """Make files one after the other in this process."""
-    for i, errand in enumerate(errands):
-        post(AtWork.HARNESS, i)
-        target(errand.description, folder, errand.name, core, errand.path)
+def make_files_in_turn(target: Target, tasks: Sequence[FileTask], folder: Path, core: int) -> None:
+    """Make several files from their descriptions, one after the other in this process."""
+    for i, task in enumerate(tasks):
+        set_phase(Phase.HARNESS, i)
+        target(task.description, folder, task.name, core, task.path)
 
 
-class ErrandBatch:
-    """Files on their way, several in one process.
+class FileRun:
+    """Making of a batch of files on one core, in turn, by one or more processes."""
 
-    Parameters
-    ----------
-    target : makes one of them, and leaves its verdict in `folder`.
-    """
-
-    def __init__(
-        self, context: ForkServerContext, target: Target, errands: Sequence[Errand], folder: Path
-    ) -> None:
-        self._context, self._target, self._folder = context, target, folder
-        self.errands = list(errands)
+    def __init__(self, context: ForkServerContext, batch: FileBatch, folder: Path) -> None:
+        self.batch, self.folder = batch, folder
+        self._context, self.results = context, list[Result]()
+        self._paths = {path.stem: str(path) for path in batch.texts}
 
     def start(self, core: int) -> Child:
-        """The first process."""
-        return self._process(self.errands, core)
+        """Start the process that makes the batch's files on a core."""
+        texts, limit_s = self.batch.texts, self.batch.limit_s
+        return self._start_process(
+            [FileTask(text, path, limit_s) for path, text in texts.items()], core
+        )
 
-    def follow(self, child: Child, core: int) -> Child | None:
-        """Take down what became of the process that ended; the next one, or None at the end."""
-        assert isinstance(child, _Run), "the processes of a batch are its own"
-        ended, rest = child.split()
-        for errand in self.errands:
-            errand.outcome = ended.get(errand.name, errand.outcome)
+    def start_next(self, child: Child, core: int) -> Child | None:
+        """Record the outcomes of a process that made files; start the next one; None at the end."""
+        assert isinstance(child, _ItemProcess), "the processes of a batch are its own"
+        ended, rest = child.split_items()
+        self.results += [Result(self._paths[name], outcome) for name, outcome in ended.items()]
         for name in ended:
-            (self._folder / f"{name}.json").unlink(missing_ok=True)
-        return self._process(rest, core, alone=child.is_suspect) if rest else None
+            (self.folder / f"{name}.json").unlink(missing_ok=True)
+        return self._start_process(rest, core) if rest and not child.is_suspect else None
 
-    def _process(self, errands: Sequence[Errand], core: int, *, alone: bool = False) -> Child:
-        target = partial(make_in_turn, self._target)
-        return _Run(self._context, target, errands, self._folder, core, logs=False, alone=alone)
+    def _start_process(self, tasks: Sequence[FileTask], core: int) -> Child:
+        """Start a process that makes files one after the other."""
+        target, alone = partial(make_files_in_turn, self.batch.target), self.batch.isolated
+        return _ItemProcess(
+            self._context, target, tasks, self.folder, core, logs=False, alone=alone
+        )

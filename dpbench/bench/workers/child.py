@@ -1,6 +1,4 @@
-"""Start a cell's process, watch its limit, and turn whatever becomes of it into an outcome."""
-
-from __future__ import annotations
+"""Start a cell's process, watch its limits, and turn its end into an outcome."""
 
 import json
 import multiprocessing
@@ -8,10 +6,11 @@ import multiprocessing.forkserver
 import multiprocessing.resource_tracker
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from multiprocessing.connection import wait
@@ -22,15 +21,51 @@ from typing import Any
 
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.machine import THREAD_VARIABLES, pin_threads
-from dpbench.bench.record.raw_log import RawLog, is_whole
-from dpbench.bench.run.footprint import peak_bytes_of
-from dpbench.bench.workers import notice
-from dpbench.bench.workers.compiled import OWN, compile_in_processes, missing, needed
-from dpbench.bench.workers.interrupts import interrupts_wait
-from dpbench.bench.workers.notice import CUT, AtWork, Notice
-from dpbench.bench.workers.orphans import end_orphans, signal_process
+from dpbench.bench.record.raw_log import RawLog, is_writable_log
+from dpbench.bench.run.footprint import process_peak_bytes
+from dpbench.bench.workers import shared_status
+from dpbench.bench.workers.interrupts import block_sigint
+from dpbench.bench.workers.orphans import END_S, end_orphans, kill_forkserver, signal_process
+from dpbench.bench.workers.shared_status import CUT, Phase, SharedStatus
 from dpbench.errors import DpbenchError
-from dpbench.temporary_folders import keep_sockets
+from dpbench.kernel_cache import cache_folders
+from dpbench.solvers.own.adapters import WITH_KERNELS
+from dpbench.temporary_folders import place_sockets_in_process_folder
+
+LOOP, OWN = "dpbench.bench.workers.template", "dpbench.solvers.own.primed"
+"""Modules that compile as they are imported: what every cell needs, and dpbench's own solvers."""
+_LAST = {LOOP: "replay._reference_kernel-*.nbi", OWN: "hildreth._compile_entry_point.*.nbi"}
+"""The index in the cache of what each of them compiles last."""
+
+
+def list_kernel_modules(solvers: Iterable[str]) -> list[str]:
+    """Return the modules with compiled code that runs of these solvers import."""
+    return [OWN, LOOP] if set(solvers) & set(WITH_KERNELS) else [LOOP]
+
+
+def list_uncompiled_modules(modules: Sequence[str]) -> list[str]:
+    """Return those modules whose compiled code is not in Numba's cache on this machine."""
+    folders = cache_folders()
+    return [m for m in modules if not any(any(f.rglob(_LAST[m])) for f in folders)]
+
+
+def compile_in_processes(modules: Sequence[str]) -> None:
+    """Compile the Numba code of each module in a process of its own, side by side.
+
+    The error of one that fails appears where its kernels are needed.
+    """
+    processes: list[subprocess.Popen[bytes]] = []
+    try:
+        for module in modules:
+            program = [sys.executable, "-c", f"import {module}"]
+            processes.append(subprocess.Popen(program, stderr=subprocess.DEVNULL))
+        for process in processes:
+            process.wait()
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
 
 START_ALLOWANCE_S = 60.0
 """For importing a library; after it a cell that has not started its loop is killed."""
@@ -40,10 +75,10 @@ than the limit."""
 STOPPED_S = 10.0
 """A process that somebody stopped (SIGSTOP) is killed after this time."""
 _BY_MEMORY = "killed by SIGKILL, as by the out-of-memory killer"
-WITHOUT_TEMPLATE = Outcome(
+FORKSERVER_DIED = Outcome(
     "lost", "the template of its process was killed, as by the out-of-memory killer"
 )
-ENDED_TEMPLATE = Outcome(
+KILLED_FORKSERVER = Outcome(
     "crashed", "the process that starts the workers was killed twice while it ran, then alone"
 )
 _UNHEARD = 255
@@ -61,29 +96,29 @@ KEEPER = "dpbench.bench.workers.keeper"
 
 
 class NoProcessError(DpbenchError):
-    """No process can be started any more."""
+    """Raised where no worker process can be started any more."""
 
 
-def template_context(solvers: Iterable[str]) -> ForkServerContext:
-    """The context whose processes are forked from the template (`template.py`), threads pinned.
+def start_forkserver(solvers: Iterable[str]) -> ForkServerContext:
+    """Start the process that workers are forked from, code compiled; return its context.
 
-    The first one of a process decides for which of this house's `solvers` it is made ready; any
-    other loads its kernels when it is opened.
+    Its first call decides which of dpbench's own `solvers` the template has loaded; others load
+    their kernels when opened.
     """
-    modules = needed(solvers)
-    absent = missing(modules)
+    modules = list_kernel_modules(solvers)
+    absent = list_uncompiled_modules(modules)
     # A cell that did would lose its time to start; what is left over the template compiles itself.
     if OWN in absent:
         compile_in_processes(absent)
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([KEEPER, *modules])
-    with _template():
+    with _running_forkserver():
         return context
 
 
 @contextmanager
-def _template() -> Iterator[None]:
-    """The template runs, started anew if it died, and processes may be forked in the block."""
+def _running_forkserver() -> Iterator[None]:
+    """Keep the process that workers are forked from running during the block."""
     with _STARTING:
         before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
         pin_threads()
@@ -91,9 +126,9 @@ def _template() -> Iterator[None]:
             # This lets Ctrl-C through when it starts its own process, and does nothing the second
             # time.
             multiprocessing.resource_tracker.ensure_running()
-            keep_sockets()
+            place_sockets_in_process_folder()
             # Until it has loaded, Ctrl-C would end the template with a traceback of its own.
-            with interrupts_wait():
+            with block_sigint():
                 multiprocessing.forkserver.ensure_running()
             yield
         finally:
@@ -105,20 +140,19 @@ def _template() -> Iterator[None]:
 
 
 class Child:
-    """One process with a working folder.
+    """A worker process, which records a run and writes its outcome, with limits on its time.
 
     Parameters
     ----------
     target, args : called in the process as target(*args); it writes `verdict` before it ends, and
-        says in `notice.py` when its solver is at work. Whoever is at work when it ends without a
-        verdict has ended it.
-    folder, name : where its raw log and verdict appear.
-    limit_s : own run time allowed once its log says it started; None for none.
-    logs : whether it leaves a raw log; the time of one that leaves none runs from its start.
+        sets its phase in `shared_status.py`. An end without a verdict is charged to that phase.
+    folder, name : of its raw log and verdict.
+    limit_s : own run time after the start of its log; None for no limit.
+    logs : whether it leaves a raw log; otherwise its time runs from its start.
 
     Attributes
     ----------
-    orphaned : whether its template died before it, so that nobody hears of its end.
+    forkserver_died : whether its template died before it, so that its end is unknown.
     alone : whether it runs while nothing else does, because an earlier template died.
 
     Raises
@@ -140,21 +174,21 @@ class Child:
     ) -> None:
         self._name_files(folder, name, verdict)
         self._limit_s = limit_s
-        self._born, self._memory_kills = time.monotonic(), _memory_kills()
+        self._born, self._memory_kills = time.monotonic(), _count_memory_kills()
         self._running_since = None if logs else self._born
         self._killed_for, self._was_killed = "", False
-        self.orphaned, self.alone = False, False
+        self.forkserver_died, self.alone = False, False
         self._stopped_since: float | None = None
         self._peak_bytes = 0.0
-        self.notice = Notice()
+        self.notice = SharedStatus()
         self.process: ForkServerProcess = context.Process(
-            target=notice.run, args=(self.notice, target, args), daemon=True
+            target=shared_status.run_target, args=(self.notice, target, args), daemon=True
         )
-        _start(self.process, self.notice)
-        self.notice.handed_over()
+        _start_process(self.process)
+        self.notice.close_descriptor()
 
     def _name_files(self, folder: Path, name: str, verdict: str) -> None:
-        """Set where its log and verdict appear from here on; no old verdict is there."""
+        """Set the paths of a run's raw log and outcome file, and delete an old outcome."""
         self.folder, self.name = folder, name
         # Somebody else may have removed the folder, which costs those that had files in it.
         folder.mkdir(0o700, parents=True, exist_ok=True)
@@ -163,24 +197,24 @@ class Child:
 
     @property
     def raw_path(self) -> Path:
-        """Its raw log; there is none before it started."""
+        """Path of the raw log, which exists once the run has started."""
         return self.folder / f"{self.name}.raw"
 
     @property
     def has_verdict(self) -> bool:
-        """Whether it wrote what became of it; what it does after that changes nothing."""
+        """Return whether the worker process wrote its outcome, which is final."""
         return self._verdict.exists()
 
     @property
     def is_suspect(self) -> bool:
-        """Whether it may have ended its template, and runs once more to know."""
-        return self.orphaned and not self.alone
+        """Return whether the worker may have killed its parent, so that it must run again alone."""
+        return self.forkserver_died and not self.alone
 
-    def overdue(self) -> bool:
-        """Kill the process when a limit has passed; true if it did."""
+    def kill_if_overdue(self) -> bool:
+        """Kill the process where a time limit has passed; return whether it was killed."""
         now = time.monotonic()
-        self._peak_bytes = max(self._peak_bytes, self._resident_peak())
-        if self._was_stopped(now):
+        self._peak_bytes = max(self._peak_bytes, self._read_peak_bytes())
+        if self._is_stopped_too_long(now):
             return self.kill(f"it was stopped by a signal for {STOPPED_S:g} s and was killed")
         if self._running_since is None and self._has_started():
             self._running_since = now
@@ -191,13 +225,13 @@ class Child:
             return self.kill(f"one call ran beyond the limit of {self._limit_s:g} s and was killed")
         return False
 
-    def _resident_peak(self) -> float:
-        """The peak of its memory so far [B]; 0 where it is gone."""
-        peak = peak_bytes_of(self.process.pid or 0)
+    def _read_peak_bytes(self) -> float:
+        """Return the peak memory of the process so far [B]; 0 where it is gone."""
+        peak = process_peak_bytes(self.process.pid or 0)
         return peak if peak == peak else 0.0
 
-    def _was_stopped(self, now: float) -> bool:
-        """Whether it has been stopped for `STOPPED_S`."""
+    def _is_stopped_too_long(self, now: float) -> bool:
+        """Return whether a signal has kept the process stopped for longer than `STOPPED_S`."""
         if not is_stopped(self.process.pid or 0):
             self._stopped_since = None
         elif self._stopped_since is None:
@@ -205,84 +239,86 @@ class Child:
         return self._stopped_since is not None and now - self._stopped_since > STOPPED_S
 
     def kill(self, reason: str) -> bool:
-        """Kill the process for a stated reason."""
-        self._peak_bytes = max(self._peak_bytes, self._resident_peak())
+        """Kill the process and note the reason for its outcome; return True."""
+        self._peak_bytes = max(self._peak_bytes, self._read_peak_bytes())
         self._killed_for, self._was_killed = reason, True
         self.process.kill()
         self._join_process()
         return True
 
     def _join_process(self) -> None:
+        """Wait for the end of the worker process; let its parent continue if it was stopped."""
         # A stopped template does not say who ended, and a stopped keeper does not let it go on.
         signal_process(self.notice.keeper, signal.SIGCONT)
         self.process.join()
 
     def join(self) -> None:
-        """Wait for its end, and end what it started; one whose template died is ended, as that
-        would have ended it."""
+        """Wait for the end of the process, and end the processes that it has started."""
         self._join_process()
-        end_orphans(self.notice.keeper, self.notice.template)
-        if self.orphaned or self.process.exitcode != _UNHEARD:
+        end_orphans(self.notice.keeper, self.notice.forkserver)
+        if self.forkserver_died or self.process.exitcode != _UNHEARD:
             return
-        self.orphaned = _ends(self.notice.template)
-        if self.orphaned and self.process.pid is not None:
-            _end(self.process.pid)
+        self.forkserver_died = _wait_for_end(self.notice.forkserver)
+        if self.forkserver_died and self.process.pid is not None:
+            _kill_and_wait(self.process.pid)
 
     def _has_started(self) -> bool:
+        """Return whether the run's raw log says that it has started."""
         try:
             return bool(RawLog.open(self.raw_path).started[0])
         except (OSError, ValueError):
             return False
 
-    def outcome(self) -> Outcome:
-        """What became of it, once it ended."""
+    def determine_outcome(self) -> Outcome:
+        """Wait for the end of the process; return its outcome as written, or from its exit code."""
         self.join()
         # Its solver may end it in untimed steps behind its verdict.
-        by_itself = self.notice.who is AtWork.SOLVER and not self._was_killed
-        if self.has_verdict and (self.orphaned or not by_itself):
-            return self.verdict_of(self._verdict)
-        if self.orphaned:
-            guilty = self.alone and self.notice.who.blames_solver
-            return ENDED_TEMPLATE if guilty else WITHOUT_TEMPLATE
-        ended = self._end_without_verdict()
+        by_itself = self.notice.phase is Phase.SOLVER and not self._was_killed
+        if self.has_verdict and (self.forkserver_died or not by_itself):
+            return self.read_verdict(self._verdict)
+        if self.forkserver_died:
+            guilty = self.alone and self.notice.phase.blames_solver
+            return KILLED_FORKSERVER if guilty else FORKSERVER_DIED
+        ended = self._diagnose_end()
         cut = f"; {CUT}" if self.notice.output.is_full else ""
         peak = max(self._peak_bytes, self.notice.peak_bytes)
         return replace(ended, detail=f"{ended.detail}{cut}", peak_bytes=peak or None)
 
-    def _end_without_verdict(self) -> Outcome:
-        by_solver = self.notice.who.blames_solver
+    def _diagnose_end(self) -> Outcome:
+        """Return the outcome of a worker that wrote none, by its exit code and what it was at."""
+        by_solver = self.notice.phase.blames_solver
         if self._killed_for:
             return Outcome("hung" if by_solver else "lost", self._killed_for)
         code = self.process.exitcode or 0
         if -code == signal.SIGKILL and self._memory_ran_out():
             return Outcome("lost", _BY_MEMORY)
-        if -code == signal.SIGBUS and self.raw_path.exists() and not is_whole(self.raw_path):
+        if -code == signal.SIGBUS and self.raw_path.exists() and not is_writable_log(self.raw_path):
             return Outcome("lost", "killed by SIGBUS: its log lost its room on the file system")
         if by_solver:
-            return Outcome("crashed", self._cause(code))
+            return Outcome("crashed", self._describe_end(code))
         if not self.folder.exists():
             return Outcome("lost", f"its scratch folder {self.folder} went away")
-        return Outcome("lost", self._cause(code))
+        return Outcome("lost", self._describe_end(code))
 
     def _memory_ran_out(self) -> bool:
-        """Whether the kernel killed for want of memory while the process ran, or does not tell."""
-        now = _memory_kills()
+        """Return whether the kernel killed processes for lack of memory, or hides that."""
+        now = _count_memory_kills()
         return now is None or now != self._memory_kills
 
-    def _cause(self, code: int) -> str:
-        """Why it ended without a verdict, in words."""
+    def _describe_end(self, code: int) -> str:
+        """Return why the process ended, in words, from its exit code and last output."""
         if code < 0:
             return f"killed by {_signal_name(-code)}"
-        words = self.notice.words
+        words = self.notice.exit_reason
         if not words:
             last = self.notice.output.last_line or "no output"
             words = f"its process left with exit code {code}: {last}"
-        where = " while it was opened" if self.notice.who is AtWork.OPENING else ""
+        where = " while it was opened" if self.notice.phase is Phase.OPENING else ""
         return f"{words}{where}"
 
     @staticmethod
-    def verdict_of(path: Path) -> Outcome:
-        """What the process wrote about a cell."""
+    def read_verdict(path: Path) -> Outcome:
+        """Return the outcome that a worker wrote to a file; "lost" where it cannot be read."""
         try:
             return Outcome(**json.loads(path.read_text(encoding="utf-8")))
         except (OSError, ValueError) as error:
@@ -290,9 +326,9 @@ class Child:
 
 
 class ServingChild(Child):
-    """A process that takes orders over a pipe, its target's last argument, until None is sent.
+    """A worker process that takes orders over a pipe and may do several runs in turn.
 
-    It may serve several cells in turn: `take_up` begins each but the first, `finish` ends each.
+    `begin_cell` begins each cell but the first, `finish_cell` ends each; None ends the process.
     """
 
     def __init__(
@@ -309,22 +345,25 @@ class ServingChild(Child):
         super().__init__(context, target, (*args, far_end), folder, name, limit_s=limit_s)
         far_end.close()
 
-    def order(self, order: object) -> None:
-        """Send an order; of a process that died meanwhile `reply` knows."""
+    def send_order(self, order: object) -> None:
+        """Send an order to the worker process; one that died is noticed at the reply."""
         with suppress(OSError):
             self._orders.send(order)
 
-    def ready(self) -> object:
-        """Its first word, for which it has the time to start; None as for `reply`."""
-        return self._word(START_ALLOWANCE_S, f"did not start within {START_ALLOWANCE_S:g} s")
+    def wait_until_ready(self) -> object:
+        """Return the worker's first reply, within the time to start; None where it died."""
+        return self._receive_reply(
+            START_ALLOWANCE_S, f"did not start within {START_ALLOWANCE_S:g} s"
+        )
 
-    def reply(self, limit_s: float) -> object:
-        """Its next word; None when it died, refused, or hung and was killed for it."""
-        return self._word(
+    def wait_for_reply(self, limit_s: float) -> object:
+        """Return the worker's next reply; None where it died, refused, or hung and was killed."""
+        return self._receive_reply(
             limit_s + min(GRACE_S, limit_s), f"one call ran beyond the limit of {limit_s:g} s"
         )
 
-    def _word(self, wait_s: float, overdue: str) -> object:
+    def _receive_reply(self, wait_s: float, overdue: str) -> object:
+        """Return the worker's reply if it comes within `wait_s`; else kill it and return None."""
         # What the process started may hold the other end of its pipe open when it ends.
         ready = wait([self._orders, self.process.sentinel], wait_s)
         try:
@@ -335,60 +374,57 @@ class ServingChild(Child):
         self.kill(f"{overdue} and was killed")
         return None
 
-    def take_up(self, folder: Path, name: str) -> None:
-        """Begin another cell: its log and verdict have another folder and name."""
+    def begin_cell(self, folder: Path, name: str) -> None:
+        """Begin another run in this process, with its own folder, log and outcome file."""
         self._peak_bytes = 0.0
         self._name_files(folder, name, "json")
 
-    def finish(self) -> Outcome:
-        """End its cell by None, and return what became of that.
-
-        The process goes on if it lives; one that does not reply in time is killed.
-        """
-        self.order(None)
-        if self._word(GRACE_S, "did not end when asked to") is True:
-            return self.verdict_of(self._verdict)
-        return self.outcome()
+    def finish_cell(self) -> Outcome:
+        """End the current run and return its outcome; kill the process if it does not reply."""
+        self.send_order(None)
+        if self._receive_reply(GRACE_S, "did not end when asked to") is True:
+            return self.read_verdict(self._verdict)
+        return self.determine_outcome()
 
     def dismiss(self) -> Outcome:
-        """Let it end, kill it if it does not, and say what became of it."""
-        self.order(None)
+        """End the process, by force if need be, and return its outcome."""
+        self.send_order(None)
         self.process.join(GRACE_S)
         if self.process.is_alive():
             # Behind its verdict a worker only counts allocations, which is no reason to blame it.
             self.kill("" if self.has_verdict else "did not end when asked to")
         self._orders.close()
-        return self.outcome()
+        return self.determine_outcome()
 
 
-def _start(process: ForkServerProcess, notice: Notice) -> None:
-    """Start a process, again where its template dies meanwhile; NoProcessError if the last of
-    `STARTS` fails. Of two that its template forked and did not live to tell of, one lives."""
+def _start_process(process: ForkServerProcess) -> None:
+    """Start a worker process, again where its parent dies; NoProcessError after `STARTS` times."""
     for attempt in range(STARTS):
-        if began := notice.start_anew():
-            _end(began)
         # Nobody else lets a stopped keeper go on, and only that a stopped template.
-        signal_process(_keeper(), signal.SIGCONT)
+        signal_process(_find_keeper_pid(), signal.SIGCONT)
         try:
-            with _template(), without_main():
+            with _running_forkserver(), hide_main_module():
                 process.start()
             return
         except (OSError, EOFError) as error:
             if attempt == STARTS - 1:
                 why = f"no process can be started any more ({error!r})"
                 raise NoProcessError(f"{why}; finished cells are kept") from error
-            # A template that ended has its keeper end; another begins after that.
-            _ends(_keeper())
+            # It may have forked the process and not lived to tell: that ends with it.
+            kill_forkserver(_find_keeper_pid())
+            # While the old one lives the next attempt gets no other template, and fails as well.
+            if not _wait_for_end(_find_keeper_pid(), END_S):
+                _kill_and_wait(_find_keeper_pid())
 
 
-def _keeper() -> int:
-    """The keeper of the template that runs; 0 for none."""
+def _find_keeper_pid() -> int:
+    """Return the id of the process that watches over the one workers are forked from; 0 if none."""
     server = multiprocessing.forkserver._forkserver
     return server._forkserver_pid or 0  # type: ignore[attr-defined] # not public
 
 
 def is_stopped(pid: int) -> bool:
-    """Whether a signal stopped a process (proc(5))."""
+    """Return whether a signal has stopped a process (proc(5))."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -396,30 +432,31 @@ def is_stopped(pid: int) -> bool:
     return text.rpartition(")")[2].split()[0] == "T"
 
 
-def _end(pid: int) -> None:
+def _kill_and_wait(pid: int) -> None:
     """Kill a process, and wait until it is gone."""
     with suppress(ProcessLookupError):
         os.kill(pid, signal.SIGKILL)
-    _ends(pid)
+    _wait_for_end(pid)
 
 
-def _ends(pid: int) -> bool:
-    """Whether a process is gone, or will be at once."""
+def _wait_for_end(pid: int, wait_s: float = _DYING_S) -> bool:
+    """Return whether a process ends within `wait_s`."""
     try:
         process = os.pidfd_open(pid)
     except OSError:
         return True
     try:
-        return bool(wait([process], _DYING_S))
+        return bool(wait([process], wait_s))
     finally:
         os.close(process)
 
 
 @contextmanager
-def without_main() -> Iterator[None]:
-    """Processes started in the block need nothing of the program that started the campaign, and
-    do not run it again: a script without `if __name__ == "__main__"` would start campaigns in all
-    of them."""
+def hide_main_module() -> Iterator[None]:
+    """Hide the main program during the block from processes that are started.
+
+    They would run it again: without `if __name__ == "__main__"` each would start a campaign.
+    """
     program = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
     try:
@@ -429,14 +466,15 @@ def without_main() -> Iterator[None]:
 
 
 def _signal_name(number: int) -> str:
+    """Return the name of a signal, such as SIGSEGV."""
     try:
         return signal.Signals(number).name
     except ValueError:
         return f"signal {number}"
 
 
-def _memory_kills() -> int | None:
-    """How often the kernel killed a process for want of memory since it started; None if unseen."""
+def _count_memory_kills() -> int | None:
+    """Return how many processes the kernel has killed for memory; None where it hides that."""
     try:
         lines = Path("/proc/vmstat").read_text(encoding="ascii").splitlines()
     except OSError:

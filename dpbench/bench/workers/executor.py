@@ -1,104 +1,111 @@
-"""Run cells in processes of their own on the cores of this machine, and have them judged.
+"""Run batches in processes on the cores of this machine, and have them judged.
 
-In one of two ways: batches side by side on the cores, for closed loops and random sequences, and
-replays that are timed, interleaved, one worker at a time.
+Closed loops, random sequences and files run side by side on the cores; timed replays run
+interleaved, one worker at a time.
 """
 
-from __future__ import annotations
-
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager, suppress
-from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import zip_longest
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import replace
+from functools import partial
+from multiprocessing.connection import wait
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
-from typing import TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from dpbench.bench.judge.rows import run_row
-from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.progress import Progress
-from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
-from dpbench.bench.record.cell_store import packed
-from dpbench.bench.record.configuration import COLUMNS
-from dpbench.bench.record.raw_log import discard
-from dpbench.bench.record.step_table import no_steps
-from dpbench.bench.sequences.source import is_timed, log_size, source_key
-from dpbench.bench.workers.batch import CellBatch, Errand, ErrandBatch, Target
-from dpbench.bench.workers.child import ENDED_TEMPLATE, WITHOUT_TEMPLATE
+from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.record.raw_log import remove_log
+from dpbench.bench.record.step_table import BatchPart, batch_part, no_steps
+from dpbench.bench.sequences.source import log_size
+from dpbench.bench.workers.batch import CellRun, FileRun
+from dpbench.bench.workers.child import FORKSERVER_DIED, KILLED_FORKSERVER, Child
 from dpbench.bench.workers.interleaved import IdleWorkers, ReplayGroup
-from dpbench.bench.workers.leases import leased_machine
+from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, count_steps
+from dpbench.bench.workers.leases import lease_machine
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
-from dpbench.bench.workers.slots import AnyTask, in_slots
 from dpbench.bench.workers.worker import BatchCell
 from dpbench.errors import InputError
-from dpbench.locks import ALONE, TOGETHER, Holder, Patience
-from dpbench.solvers.table import Availability
+from dpbench.locks import EXCLUSIVE, SHARED, Holder, WaitLimit
 
-Batch = TypeVar("Batch")
-BATCH_CELLS, BATCH_BYTES = 32, 2**23
-"""Closed loops that share a process, and the bytes of their logs, at most."""
+POLL_S = 0.1
+"""The end of a process is noticed at once; this is for what takes too long."""
+
+
+class Task(Protocol):
+    """Protocol of work on one core, done by worker processes one after the other."""
+
+    def start(self, core: int) -> Child:
+        """Start the task's first worker process on a core."""
+
+    def start_next(self, child: Child, core: int) -> Child | None:
+        """Record how a process ended; start the task's next one, or return None at the end."""
+
+
+AnyTask = TypeVar("AnyTask", bound=Task)
+
+
+class CorePool(Generic[AnyTask]):
+    """A queue of tasks and the cores that run them, one task per core at a time."""
+
+    def __init__(self, cores: Sequence[int]) -> None:
+        self._free = list(cores)
+        self._waiting = deque[AnyTask]()
+        self._running: list[tuple[AnyTask, Child, int]] = []
+
+    def __len__(self) -> int:
+        return len(self._waiting) + len(self._running)
+
+    def add(self, task: AnyTask) -> None:
+        """Queue a task until a core is free."""
+        self._waiting.append(task)
+
+    def wait_for_tasks(self) -> Iterator[AnyTask]:
+        """Wait until a task has ended, if there is any; yield those that have."""
+        ended: list[AnyTask] = []
+        while len(self) and not ended:
+            while self._waiting and self._free:
+                task, core = self._waiting.popleft(), self._free.pop()
+                self._running.append((task, task.start(core), core))
+            wait([child.process.sentinel for _, child, _ in self._running], POLL_S)
+            for entry in list(self._running):
+                task, child, core = entry
+                if child.process.is_alive() and not child.kill_if_overdue():
+                    continue
+                child.join()
+                self._running.remove(entry)
+                following = task.start_next(child, core)
+                if following is None:
+                    self._free.append(core)
+                    ended.append(task)
+                else:
+                    self._running.append((task, following, core))
+        yield from ended
+
+
+def run_on_cores(tasks: Sequence[AnyTask], cores: Sequence[int]) -> Iterator[AnyTask]:
+    """Run tasks on cores, one per core at a time; yield each when it has ended."""
+    pool = CorePool[AnyTask](cores)
+    for task in tasks:
+        pool.add(task)
+    while len(pool):
+        yield from pool.wait_for_tasks()
+
+
+Sources = Mapping[str, Path]
+"""The files behind the QPs of a batch, by key."""
 WAITING = (
     "waiting for {}: while one campaign times replays on this machine, no other runs cells "
     "(--no-wait, --wait SECONDS)"
 )
 
 
-@dataclass(eq=False)
-class CellJob:
-    """A planned cell on its way through the campaign.
-
-    machine_id : of the machine that its `run_id` is of.
-    """
-
-    planned: PlannedCell
-    run_id: str
-    library: Availability
-    machine_id: str
-    outcome: Outcome | None = None
-
-    @property
-    def cell(self) -> Cell:
-        """Its cell."""
-        return self.planned.cell
-
-    @cached_property
-    def source_key(self) -> str:
-        """Of the file behind its QPs."""
-        return source_key(self.cell, HARNESS_VERSION)
-
-
-@dataclass(frozen=True)
-class Result:
-    """What became of a cell.
-
-    record : its row and its steps as `packed` makes them; empty where nothing is to be kept.
-    """
-
-    run_id: str
-    outcome: Outcome
-    record: bytes = b""
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether an accident of the harness cost it."""
-        return self.outcome.outcome == "lost"
-
-
-def work_of(cell: Cell) -> int:
-    """Steps a cell will take, for the progress bar."""
-    return cell.steps * max(1, cell.rounds)
-
-
-def name_of(cell: Cell) -> str:
-    """What the progress bar calls a cell."""
-    return f"{cell.solver} {cell.scenario_name or cell.sequence}"
-
-
 @contextmanager
-def _away_from(core: int) -> Iterator[None]:
-    """Keep this process, whose progress bar redraws itself, off the core that is measured."""
+def _avoid_core(core: int) -> Iterator[None]:
+    """Keep this process off one core during the block, as times are measured there."""
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, before - {core} or before)
     try:
@@ -107,14 +114,14 @@ def _away_from(core: int) -> Iterator[None]:
         os.sched_setaffinity(0, before)
 
 
-class Bench:
-    """Runs cells in processes of their own and has them judged.
+class CellExecutor(ExitStack):
+    """Executor of batches of runs and files in worker processes on this machine's cores.
 
     Parameters
     ----------
-    cores : those there are; slots : how many processes may work side by side, on as many cores.
+    slots : processes side by side, on as many of the `cores`.
     machine_id : of this machine, for the rows of the cells.
-    modules : where the files of plug-ins lie here, by where they lie for whoever planned the cells.
+    modules : paths of plug-ins on this machine, by their paths where the cells were planned.
     concurrency : of timed replays, see the column of that name.
     work : the result folder, for campaigns that wait for this one.
     patience : with other campaigns on this machine.
@@ -132,160 +139,161 @@ class Bench:
         modules: Mapping[str, str] | None = None,
         concurrency: int = 1,
         work: str = "a campaign",
-        patience: Patience = Patience(),  # noqa: B008 - frozen
+        patience: WaitLimit = WaitLimit(),  # noqa: B008 - frozen
     ) -> None:
+        super().__init__()
         self._context, self._scratch, self.progress = context, scratch, progress
-        self._cores, self._slots = cores, cores[:slots]
-        self._machine_id, self._modules = machine_id, modules or {}
+        self._cores, self._machine_id, self._modules = cores, machine_id, modules or {}
         self._concurrency, self._waited_for = concurrency, ""
         self._holder, self._patience = Holder(work), patience
+        self._pool = CorePool[CellRun | FileRun](cores[:slots])
+        self._replays = deque[tuple[CellBatch, Sources]]()
+        self._refused: list[tuple[Batch, list[Result]]] = []
+        self._log_bytes: dict[CellRun, int] = {}
+        self._lost: dict[CellRun, list[Result]] = {}
+        self._idle = IdleWorkers(context, cores[-1])
+        self._sharing = self.enter_context(ExitStack())
+        self.callback(self._idle.close)
 
-    def make_files(
-        self,
-        target: Target,
-        descriptions: Mapping[Path, str],
-        *,
-        limit_s: float | None = None,
-    ) -> Iterator[Errand]:
-        """Make files from their descriptions, several in one process; as in `Errand`.
+    def submit(self, batch: Batch, sources: Sources) -> None:
+        """Start or queue a batch of runs or files; timed replays only while there is no other."""
+        if isinstance(batch, FileBatch):
+            self._start_run(FileRun(self._context, batch, self._scratch.choose_folder()))
+        elif batch.is_timed:
+            self._replays.append((batch, sources))
+        else:
+            self._submit_cells(batch, sources)
 
-        Yields
-        ------
-        The errand of each file when those that shared its process are done.
+    def wait_for_batches(self) -> Iterator[tuple[Batch, list[Result]]]:
+        """Wait until batches of runs or files have ended; yield each with its results.
+
+        Cells and files that a dead fork server took along have none.
         """
-        folder, most = self._scratch.folder(), batch_cells(len(descriptions), len(self._slots))
-        errands = [Errand(text, path, limit_s) for path, text in descriptions.items()]
-        batches = [
-            ErrandBatch(self._context, target, errands[i : i + most], folder)
-            for i in range(0, len(errands), most)
-        ]
-        for batch in self._in_slots(batches, self._slots):
-            yield from batch.errands
+        while self._refused:
+            yield self._refused.pop()
+        if self._replays:
+            batch, sources = self._replays.popleft()
+            yield batch, self._time_replays(batch, sources)
+        for run in self._pool.wait_for_tasks():
+            results = run.results if isinstance(run, FileRun) else self._collect_results(run)
+            if not len(self._pool):
+                self._sharing.close()
+            yield run.batch, results
 
-    def batches(
-        self,
-        jobs: Sequence[CellJob],
-        sources: Mapping[str, Path],
-        what: str,
-        *,
-        most: int | None = None,
-    ) -> Iterator[Result]:
-        """Run closed loops, or random sequences, and judge each batch right after it ran.
+    def _start_run(self, run: CellRun | FileRun) -> None:
+        """Queue a batch on this machine's cores, with the machine locked against timed replays."""
+        self._idle.close()
+        if not len(self._pool):
+            self._sharing.enter_context(self._lock_machine(SHARED))
+        self._pool.add(run)
 
-        Cells of one configuration share a process, one after the other: `most` of them, by default
-        as many as keep all slots busy to the end.
-
-        Yields
-        ------
-        The results of each batch when it is done.
-        """
-        sizes, lost = self._sizes(jobs, sources)
-        yield from lost
-        if not sizes:
-            return
-        batches = _batches(sizes, most or batch_cells(len(sizes), len(self._slots)))
+    def _submit_cells(self, batch: CellBatch, sources: Sources) -> None:
+        """Queue a batch of untimed runs; runs without room for their raw logs are "lost"."""
+        sizes, lost = self._measure_logs(batch.jobs, sources)
         # A batch keeps the logs of all its cells until they are judged.
-        needs = sorted(sum(sizes[job] for job in batch) for batch in batches)
+        need = sum(sizes.values())
         try:
-            folder = self._scratch.folder(sum(needs[-len(self._slots) :]), what)
+            folder = self._scratch.choose_folder(need + sum(self._log_bytes.values()), batch.kind)
         except NoRoomError as error:
-            yield from (self._lost(job, str(error)) for job in sizes)
-            return
-        by_id = {job.run_id: job for job in sizes}
-        for batch in self._in_batches(batches, sources, folder):
-            for run_id, outcome in batch.outcomes.items():
-                job = by_id[run_id]
-                self.progress.advance(work_of(job.cell), name_of(job.cell))
-                yield self._result(job, outcome, batch.records.get(run_id), folder)
-
-    def replays(
-        self, groups: Sequence[Sequence[CellJob]], sources: Mapping[str, Path]
-    ) -> Iterator[Result]:
-        """Replay sequences one after the other, each through its group of configurations, and
-        judge each group right after it ran.
-
-        A configuration has one process for all sequences, unless it ends.
-        """
-        with closing(IdleWorkers(self._context, self._cores[-1])) as processes:
-            for jobs in groups:
-                yield from self._replays_of_one(jobs, sources, processes)
-
-    def _replays_of_one(
-        self, jobs: Sequence[CellJob], sources: Mapping[str, Path], processes: IdleWorkers
-    ) -> Iterator[Result]:
-        """Replay one sequence through all its configurations, interleaved, then judge them all."""
-        sizes, lost = self._sizes(jobs, sources)
-        yield from lost
+            lost += [_lost_result(job, str(error)) for job in sizes]
+            sizes = {}
         if not sizes:
+            self._refused.append((batch, lost))
             return
-        what = f"the replays of {jobs[0].cell.sequence}"
+        cells = [self._make_batch_cell(job, sources) for job in sizes]
+        run = CellRun(self._context, batch, folder, cells)
+        self._log_bytes[run], self._lost[run] = need, lost
+        self._start_run(run)
+
+    def _collect_results(self, run: CellRun) -> list[Result]:
+        """Return the results of the runs of a batch that has ended."""
+        self._log_bytes.pop(run)
+        ended = (job for job in run.batch.jobs if job.run_id in run.outcomes)
+        outcomes = {job: run.outcomes[job.run_id] for job in ended}
+        return self._build_results(outcomes, run.parts, run.folder) + self._lost.pop(run)
+
+    def _time_replays(self, batch: CellBatch, sources: Sources) -> list[Result]:
+        """Replay a sequence of QPs with all solvers by turns, then judge them; return results."""
+        sizes, lost = self._measure_logs(batch.jobs, sources)
+        if not sizes:
+            return lost
+        what = f"the replays of {batch.jobs[0].cell.sequence}"
         try:
-            folder = self._scratch.folder(sum(sizes.values()), what)
+            folder = self._scratch.choose_folder(sum(sizes.values()), what)
         except NoRoomError as error:
-            yield from (self._lost(job, str(error)) for job in sizes)
-            return
-        outcomes = self._by_turns([*sizes], _source(jobs[0], sources), folder, processes)
+            return lost + [_lost_result(job, str(error)) for job in sizes]
+        outcomes = self._run_turns_with_retries(batch, [*sizes], sources, folder)
         stepped = [
             job
             for job in sizes
             if outcomes[job.run_id].outcome != "lost" and (folder / f"{job.run_id}.raw").exists()
         ]
-        shares = [stepped[i :: len(self._cores)] for i in range(len(self._cores))]
+        cells = [self._make_batch_cell(job, sources, outcomes[job.run_id]) for job in stepped]
+        shares = filter(None, (cells[i :: len(self._cores)] for i in range(len(self._cores))))
         # Judged on every core, whatever the slots: nothing is timed any more.
-        ran, records = dict(outcomes), dict[str, bytes]()
-        for batch in self._in_batches(filter(None, shares), sources, folder, ran):
-            outcomes |= batch.outcomes
-            records |= batch.records
-        for job in sizes:
-            yield self._result(job, outcomes[job.run_id], records.get(job.run_id), folder)
+        runs = [CellRun(self._context, batch, folder, share, to_run=False) for share in shares]
+        parts: list[BatchPart] = []
+        unanswered = {job.run_id for job in stepped}
+        with self._lock_machine(SHARED):
+            for run in run_on_cores(runs, self._cores):
+                outcomes |= run.outcomes
+                parts += run.parts
+                unanswered -= run.outcomes.keys()
+        unanswered -= {name for part in parts for name in part.outcomes}
+        answered = {j: outcomes[j.run_id] for j in sizes if j.run_id not in unanswered}
+        return lost + self._build_results(answered, parts, folder)
 
-    def _by_turns(
-        self, jobs: Sequence[CellJob], source: Path, folder: Path, processes: IdleWorkers
+    def _run_turns_with_retries(
+        self, batch: CellBatch, jobs: Sequence[CellJob], sources: Sources, folder: Path
     ) -> dict[str, Outcome]:
-        """What became of replays that took turns, by run_id.
+        """Do replays by turns, those suspected of a crash again alone; return outcomes by run_id.
 
-        Those whose template died run apart, one after the other, where the one that ends the next
-        template is known; all others of them take turns once more.
+        Suspects of a dead template run alone, which finds the one that ends its template; the
+        others take turns once more.
         """
-        cells = [(job.run_id, self._here(job.cell)) for job in jobs]
-        outcomes = self._turns(cells, source, folder, processes)
-        suspects = [entry for entry in cells if outcomes[entry[0]] == WITHOUT_TEMPLATE]
+        cells = [
+            (job.run_id, replace(job.cell, solver_module=self._plugin_path(job))) for job in jobs
+        ]
+        turns = partial(self._run_turns, batch, sources[jobs[0].source_key], folder)
+        outcomes = turns(cells)
+        suspects = [entry for entry in cells if outcomes[entry[0]] == FORKSERVER_DIED]
         for entry in suspects:
-            outcomes |= self._turns([entry], source, folder, processes, alone=True)
-        ended = (WITHOUT_TEMPLATE, ENDED_TEMPLATE)
+            outcomes |= turns([entry], alone=True)
+        ended = (FORKSERVER_DIED, KILLED_FORKSERVER)
         cleared = [entry for entry in suspects if outcomes[entry[0]] not in ended]
         if cleared:
-            outcomes |= self._turns(cleared, source, folder, processes)
+            outcomes |= turns(cleared)
         return outcomes
 
-    def _turns(
+    def _run_turns(
         self,
-        cells: list[tuple[str, Cell]],
+        batch: CellBatch,
         source: Path,
         folder: Path,
-        processes: IdleWorkers,
+        cells: list[tuple[str, Cell]],
         *,
         alone: bool = False,
     ) -> dict[str, Outcome]:
-        """What became of replays of one sequence that took turns once."""
+        """Replay one sequence with several solvers by turns; return the outcomes by run_id."""
         name, core = cells[0][1].sequence, self._cores[-1]
         rounds = max(cell.rounds for _, cell in cells)
-        share = sum(work_of(cell) for _, cell in cells) // (rounds + 1)
+        share = sum(count_steps(cell) for _, cell in cells) // (rounds + 1)
         for run_id, _ in cells:
-            discard(folder / f"{run_id}.raw")
-        group = ReplayGroup(processes, folder, source, cells, alone=alone)
-        how = ALONE if self._concurrency == 1 else TOGETHER
-        with self._machine(how) as held, _away_from(core):
-            for r in group.run():
+            remove_log(folder / f"{run_id}.raw")
+        group = ReplayGroup(self._idle, folder, source, cells, alone=alone)
+        how = EXCLUSIVE if self._concurrency == 1 else SHARED
+        with self._lock_machine(how) as held, _avoid_core(core):
+            for r in group.run_rounds():
                 self.progress.advance(share, f"replay {name}, round {r}")
+                batch.shown_work += share
         if not held:
             self._concurrency = max(2, self._concurrency)
         return group.outcomes
 
-    def _sizes(
-        self, jobs: Sequence[CellJob], sources: Mapping[str, Path]
+    def _measure_logs(
+        self, jobs: Sequence[CellJob], sources: Sources
     ) -> tuple[dict[CellJob, int], list[Result]]:
-        """What each log takes [B]; jobs whose source cannot be read are not in it but lost."""
+        """Return each run's raw log size [B]; and "lost" results where its QPs are unreadable."""
         sizes: dict[CellJob, int] = {}
         lost: list[Result] = []
         known: dict[tuple[object, ...], int] = {}
@@ -294,147 +302,81 @@ class Bench:
             alike = job.source_key, cell.sequence, cell.mode, cell.steps, cell.rounds
             try:
                 if alike not in known:
-                    known[alike] = log_size(cell, _source(job, sources))
+                    known[alike] = log_size(cell, sources[job.source_key])
                 sizes[job] = known[alike]
             except InputError as error:
-                lost.append(self._lost(job, str(error)))
+                lost.append(_lost_result(job, str(error)))
         return sizes, lost
 
-    def _lost(self, job: CellJob, cause: str) -> Result:
-        self.progress.advance(work_of(job.cell), "lost")
-        return Result(job.run_id, Outcome("lost", cause))
-
-    def _here(self, cell: Cell) -> Cell:
-        """The cell with its plug-in where that lies on this machine."""
-        module = self._modules.get(cell.solver_module)
-        return cell if module is None else replace(cell, solver_module=module)
-
-    def _in_batches(
-        self,
-        batches: Iterable[Sequence[CellJob]],
-        sources: Mapping[str, Path],
-        folder: Path,
-        ran: Mapping[str, Outcome] | None = None,
-    ) -> Iterator[CellBatch]:
-        """Run and judge batches side by side; each when it is done.
-
-        Parameters
-        ----------
-        ran : what became of cells that were run before, and are only judged, on all cores.
-        """
-        tasks = []
-        for jobs in batches:
-            cells = [self._batch_cell(job, sources, (ran or {}).get(job.run_id)) for job in jobs]
-            tasks.append(CellBatch(self._context, folder, cells, to_run=ran is None))
-        yield from self._in_slots(tasks, self._slots if ran is None else self._cores)
-
-    def _in_slots(self, tasks: Sequence[AnyTask], cores: Sequence[int]) -> Iterator[AnyTask]:
-        """As `in_slots`, while nobody times replays on this machine."""
-        if tasks:
-            with self._machine(TOGETHER):
-                yield from in_slots(tasks, cores)
-
-    def find_machine_free(self, *, times: bool) -> None:
-        """Before anything runs, where patience ends: BusyError at its end.
-
-        Parameters
-        ----------
-        times : whether replays will be timed, which takes all of the machine.
-        """
-        if self._patience.required and self._patience.limit_s is not None:
-            with self._machine(ALONE if times and self._concurrency == 1 else TOGETHER):
+    def check_machine_free(self, *, times: bool) -> None:
+        """Raise BusyError if other campaigns use the machine too long; `times` needs all of it."""
+        if self._patience.limit_s is not None:
+            with self._lock_machine(EXCLUSIVE if times and self._concurrency == 1 else SHARED):
                 pass
 
-    def _machine(self, how: int) -> AbstractContextManager[bool]:
-        return leased_machine(
-            how, self._holder, patience=self._patience, say_waiting=self._say_waiting
+    def _lock_machine(self, how: int) -> AbstractContextManager[bool]:
+        """Lock this machine, shared or exclusive for timing, after waiting for other campaigns."""
+        return lease_machine(
+            how, self._holder, patience=self._patience, say_waiting=self._report_wait
         )
 
-    def _say_waiting(self, holders: str) -> None:
+    def _report_wait(self, holders: str) -> None:
+        """Show which campaigns are being waited for, once for each change."""
         if holders != self._waited_for:
             self.progress.waiting(WAITING.format(holders))
         self._waited_for = holders
 
-    def _batch_cell(
-        self, job: CellJob, sources: Mapping[str, Path], outcome: Outcome | None
+    def _plugin_path(self, job: CellJob) -> str:
+        """Return the path of a run's solver plug-in file on this machine."""
+        return self._modules.get(job.cell.solver_module, job.cell.solver_module)
+
+    def _make_batch_cell(
+        self, job: CellJob, sources: Sources, outcome: Outcome | None = None
     ) -> BatchCell:
+        """Return what a worker process needs to do or judge a run."""
         return BatchCell(
             job.run_id,
             job.cell.to_json(),
             job.cell.limit_s,
-            _source(job, sources),
+            sources[job.source_key],
             outcome,
             job.library,
             self._machine_id,
-            self._modules.get(job.cell.solver_module, job.cell.solver_module),
-            self._concurrency_of(job.cell),
+            self._plugin_path(job),
+            self._concurrency if job.cell.is_timed else None,
         )
 
-    def _concurrency_of(self, cell: Cell) -> int | None:
-        """Of a replay that is timed, the column of that name; None of every other cell."""
-        return self._concurrency if is_timed(cell) else None
-
-    def _result(self, job: CellJob, outcome: Outcome, record: bytes | None, folder: Path) -> Result:
-        """The result of a cell, and nothing is left in `folder` of what it left there.
-
-        Parameters
-        ----------
-        record : what the referee made of its steps; None of a cell that left none.
-        """
-        if record is None and outcome.outcome in ("finished", "timed_out"):
-            outcome = Outcome("lost", "the steps it made went away before they were kept")
-        if outcome.outcome == "lost":
-            record = b""
-        elif record is None:
-            about = job.run_id, job.cell, outcome, job.library, self._machine_id
-            row = run_row(*about, None, None, concurrency=self._concurrency_of(job.cell))
-            record = packed(row, no_steps())
-        discard(folder / f"{job.run_id}.raw")
-        for suffix in ("json", "judged", "evaluated.json"):
-            # What stands in a file's place by somebody else's doing goes with the folder.
-            with suppress(OSError):
-                (folder / f"{job.run_id}.{suffix}").unlink()
-        return Result(job.run_id, outcome, record)
-
-
-def _source(job: CellJob, sources: Mapping[str, Path]) -> Path:
-    """The file behind the QPs of a job."""
-    return sources[job.source_key]
-
-
-def batch_cells(cells: int, slots: int) -> int:
-    """How many of so many cells share a process at most: as many as keep all slots busy to the
-    end."""
-    return min(BATCH_CELLS, max(1, cells // (4 * slots)))
+    def _build_results(
+        self, outcomes: Mapping[CellJob, Outcome], parts: Sequence[BatchPart], folder: Path
+    ) -> list[Result]:
+        """Return the results of ended runs with their stored rows, and delete temporary files."""
+        kept = {name: part for part in parts for name in part.outcomes}
+        became, without_steps = dict(outcomes), {}
+        for job, outcome in outcomes.items():
+            if outcome.outcome in ("finished", "timed_out") and job.run_id not in kept:
+                detail = "its record cannot be kept: the steps it made went away"
+                became[job] = Outcome("lost", detail)
+            elif outcome.outcome != "lost" and job.run_id not in kept:
+                about = job.run_id, job.cell, outcome, job.library, self._machine_id
+                row = run_row(
+                    *about, None, None, concurrency=self._concurrency if job.cell.is_timed else None
+                )
+                without_steps[job.run_id] = row, no_steps()
+            remove_log(folder / f"{job.run_id}.raw")
+            for suffix in ("json", "judged", "evaluated.json"):
+                # What somebody else put in a file's place goes with the folder.
+                with suppress(OSError):
+                    (folder / f"{job.run_id}.{suffix}").unlink()
+        if without_steps:
+            kept |= dict.fromkeys(without_steps, batch_part(without_steps))
+        turn = {part: i for i, part in enumerate(kept.values())}
+        results = [
+            Result(job.run_id, outcome, None if outcome.outcome == "lost" else kept[job.run_id])
+            for job, outcome in became.items()
+        ]
+        return sorted(results, key=lambda result: turn[result.part] if result.part else -1)
 
 
-def configuration_key(cell: Cell) -> tuple[str, ...]:
-    """Cells with the same key may share a process."""
-    return (cell.mode, cell.backup, *(getattr(cell, name) for name in COLUMNS))
-
-
-def alternating(of_configurations: Iterable[Sequence[Batch]]) -> list[Batch]:
-    """Of the batches of several configurations the first of each, then the second of each, and so
-    on: all of them meet a sea at about the same time, so that its runs come into one part."""
-    turns = zip_longest(*of_configurations)
-    return [batch for turn in turns for batch in turn if batch is not None]
-
-
-def _batches(sizes: Mapping[CellJob, int], most: int) -> list[list[CellJob]]:
-    """Jobs that share a process, by the sizes of their logs [B]: those of one configuration, and
-    configurations by turns.
-
-    No more than `most`, and than the memory for logs has room for.
-    """
-    batches: dict[tuple[str, ...], list[list[CellJob]]] = {}
-    room: dict[tuple[str, ...], int] = {}
-    for job, size in sizes.items():
-        key = configuration_key(job.cell)
-        alike = batches.setdefault(key, [])
-        looped = job.cell.mode == "closed_loop"
-        if not alike or (looped and (len(alike[-1]) >= most or size > room[key])):
-            alike.append([])
-            room[key] = BATCH_BYTES
-        alike[-1].append(job)
-        room[key] -= size
-    return alternating(batches.values())
+def _lost_result(job: CellJob, cause: str) -> Result:
+    """Return the result "lost" of a run, with its cause."""
+    return Result(job.run_id, Outcome("lost", cause))

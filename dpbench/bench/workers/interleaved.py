@@ -1,21 +1,19 @@
 """Replay one sequence through many solvers, interleaved round by round.
 
 All workers stay alive; exactly one runs while the others block on their pipes, so machine drift
-hits all configurations alike. A worker that is done with a sequence waits for the next one of its
-configuration. Within a round the order of configurations is drawn anew from the seed. Rounds that
-other work on the machine robbed of speed run again at the end, within a budget.
+hits all configurations alike. A finished worker waits for the next sequence of its configuration.
+Within a round the order of configurations is drawn from the seed. Rounds that other load slowed
+run again at the end, within a budget.
 
-A neighbour may slow every step of a round by up to a factor of two, for milliseconds or for
-minutes. The counters do not show it: over 14 runs of 14 configurations on a shared machine
-the slow-down of a round correlated with the load kernel around it at 0.8, with steal time at 0.2
-and with involuntary switches at 0.3. What those two take hits few steps of a round, and the
-minimum over the rounds passes over them.
+A neighbour may slow every step of a round by up to a factor of two, for milliseconds or minutes,
+which the counters do not show: over 14 runs of 14 configurations on a shared machine the slow-down
+of a round correlated with the load kernel around it at 0.8, with steal time at 0.2 and with
+involuntary switches at 0.3. What those two take hits few steps of a round, and the minimum over the
+rounds passes over them.
 
-Which round runs again is for the load kernel to say, never for the solver's own times: choosing
-rounds by these would make a ratio of two runs smaller than it is.
+The load kernel selects the rounds to repeat, never the solver's own times: that would make a ratio
+of two runs smaller than it is.
 """
-
-from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -29,10 +27,10 @@ from numpy.typing import NDArray
 
 from dpbench.bench.judge.rules import is_disturbed
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.configuration import COLUMNS
+from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.workers.child import ServingChild
-from dpbench.bench.workers.worker import Hang, ReplayOrder, hang_of, serve_replays
+from dpbench.bench.workers.worker import Hang, ReplayOrder, find_hang, serve_replays
 
 STARTED_TOGETHER = 4
 DISTURBED_RETRIES = 1
@@ -47,13 +45,13 @@ configuration."""
 
 
 class ReplayWorker:
-    """One worker and the state of its service.
+    """One solver configuration's worker process in a replay by turns, and its progress.
 
     Attributes
     ----------
-    serving : whether it may be asked for further rounds.
-    spent_s : what its rounds took so far; clean_rounds : those of them that were not disturbed.
-    hung : where processes of it hung, of which it is now another.
+    serving : whether it takes further rounds.
+    spent_s : time of its rounds; clean_rounds : undisturbed ones.
+    hung : steps in which earlier processes of it hung.
     """
 
     def __init__(self, run_id: str, cell: Cell, child: ServingChild) -> None:
@@ -64,45 +62,40 @@ class ReplayWorker:
         self.hung: tuple[Hang, ...] = ()
 
     @property
-    def sated(self) -> bool:
-        """Whether it has used up its budget and has rounds enough."""
+    def is_budget_exhausted(self) -> bool:
+        """Return whether the replay's time budget is used up after enough undisturbed rounds."""
         budget_s = self.cell.budget_s
         fewest = FEWEST_OF_WINDOW if self.cell.is_window else FEWEST_ROUNDS
         return 0.0 < budget_s <= self.spent_s and self.clean_rounds >= fewest
 
 
 class IdleWorkers:
-    """Processes that wait for another sequence, by configuration: a library is imported once.
-
-    Parameters
-    ----------
-    core : where the one running worker is pinned.
-    """
+    """Worker processes on one core that wait for another replay, by solver configuration."""
 
     def __init__(self, context: ForkServerContext, core: int) -> None:
         self._context, self._core = context, core
         self._idle: dict[tuple[str, ...], ServingChild] = {}
 
-    def start(self, order: ReplayOrder, cell: Cell) -> ServingChild:
-        """A process that begins a replay: one that waits for it, or a new one."""
+    def start_replay(self, order: ReplayOrder, cell: Cell) -> ServingChild:
+        """Begin a replay in a waiting worker process or a new one; return the process."""
         child = self._idle.pop(process_key(cell), None)
         # One whose template died counts as dead too.
         if child is not None and not child.process.is_alive():
             child.dismiss()
             child = None
         if child is not None:
-            child.take_up(order.folder, order.name)
+            child.begin_cell(order.folder, order.name)
         else:
             where = order.folder, order.name
             child = ServingChild(
                 self._context, serve_replays, (self._core,), *where, limit_s=cell.limit_s
             )
-        child.order(order)
+        child.send_order(order)
         return child
 
-    def finish(self, child: ServingChild, cell: Cell) -> Outcome:
-        """What became of a replay; its process waits for another if it lives."""
-        outcome, key = child.finish(), process_key(cell)
+    def finish_replay(self, child: ServingChild, cell: Cell) -> Outcome:
+        """End a replay and return its outcome; its process waits for another if it lives."""
+        outcome, key = child.finish_cell(), process_key(cell)
         if child.process.is_alive() and key not in self._idle:
             self._idle[key] = child
         else:
@@ -110,26 +103,26 @@ class IdleWorkers:
         return outcome
 
     def close(self) -> None:
-        """End all that wait."""
+        """End all worker processes that wait for another replay."""
         idle, self._idle = [*self._idle.values()], {}
         for child in idle:
-            child.order(None)
+            child.send_order(None)
         for child in idle:
             child.dismiss()
 
 
 def process_key(cell: Cell) -> tuple[str, ...]:
-    """Replays with the same key may share a process, one after the other."""
-    return (cell.solver_module, *(str(getattr(cell, name)) for name in COLUMNS))
+    """Return a key that is equal for replays that one worker process may do in turn."""
+    return (cell.solver_module, *(str(getattr(cell, name)) for name in CONFIGURATION_COLUMNS))
 
 
 class ReplayGroup:
-    """The configurations that replay one sequence.
+    """Replay of one sequence of QPs by several solver configurations by turns, round by round.
 
     Parameters
     ----------
     cells : (run_id, cell) of each configuration; all see the same QPs.
-    source : the file the sequence is made from.
+    source : file the sequence is made from.
     alone : whether nothing else runs because a template died, see `Child`.
     """
 
@@ -146,99 +139,98 @@ class ReplayGroup:
         self._cells, self._alone = cells, alone
         self.outcomes: dict[str, Outcome] = {}
 
-    def run(self) -> Iterator[int]:
-        """Run all rounds; yields the number of each finished round, 0 for the warm-up."""
+    def run_rounds(self) -> Iterator[int]:
+        """Replay all rounds with all solvers; yield each finished round, 0 for the warm-up."""
         workers: list[ReplayWorker] = []
         try:
             # Importing a library takes a second, so a few workers start side by side.
             for i in range(0, len(self._cells), STARTED_TOGETHER):
-                for entry in self._cells[i : i + STARTED_TOGETHER]:
-                    workers.append(self._start(*entry))
+                for run_id, cell in self._cells[i : i + STARTED_TOGETHER]:
+                    workers.append(ReplayWorker(run_id, cell, self._start_child(run_id, cell)))
                 for worker in workers[i:]:
-                    worker.serving = worker.child.ready() is True
+                    worker.serving = worker.child.wait_until_ready() is True
             rounds = max(cell.rounds for _, cell in self._cells)
             order = Random(self._cells[0][1].seed)
             for r in range(rounds + 1):
                 for worker in order.sample(workers, len(workers)):
-                    if worker.serving and r <= worker.cell.rounds and not worker.sated:
-                        self.serve(worker, r)
+                    if (
+                        worker.serving
+                        and r <= worker.cell.rounds
+                        and not worker.is_budget_exhausted
+                    ):
+                        self.run_round(worker, r)
                 yield r
-            self._repeat_robbed(workers, order)
+            self._rerun_loaded_rounds(workers, order)
         finally:
             for worker in workers:
-                outcome = self._processes.finish(worker.child, worker.cell)
+                outcome = self._processes.finish_replay(worker.child, worker.cell)
                 self.outcomes[worker.run_id] = outcome
 
-    def _repeat_robbed(self, workers: list[ReplayWorker], order: Random) -> None:
-        """Run robbed rounds again; of workers whose log somebody removed there are none to tell."""
+    def _rerun_loaded_rounds(self, workers: list[ReplayWorker], order: Random) -> None:
+        """Replay rounds again that other load slowed, of solvers whose raw logs still exist."""
         logs: dict[str, RawLog] = {}
         for worker in workers:
             if worker.serving:
                 with suppress(OSError, ValueError):
-                    logs[worker.run_id] = self._log(worker)
-        repeat_robbed(
-            [worker for worker in workers if worker.run_id in logs], logs, self.serve, order
-        )
+                    logs[worker.run_id] = self._open_log(worker)
+        serving = [worker for worker in workers if worker.run_id in logs]
+        rerun_loaded_rounds(serving, logs, self.run_round, order)
 
-    def _start(self, run_id: str, cell: Cell) -> ReplayWorker:
-        return ReplayWorker(run_id, cell, self._child(run_id, cell))
-
-    def _child(self, run_id: str, cell: Cell, hung: tuple[Hang, ...] = ()) -> ServingChild:
+    def _start_child(self, run_id: str, cell: Cell, hung: tuple[Hang, ...] = ()) -> ServingChild:
+        """Start one solver's replay in a waiting or new worker process; return the process."""
         order = ReplayOrder(cell.to_json(), self._source, self._folder, run_id, hung)
-        child = self._processes.start(order, cell)
+        child = self._processes.start_replay(order, cell)
         child.alone = self._alone
         return child
 
-    def serve(self, worker: ReplayWorker, r: int) -> None:
-        """Have a worker run round r, once more where it was disturbed."""
+    def run_round(self, worker: ReplayWorker, r: int) -> None:
+        """Replay one round with one solver configuration, once more where it was disturbed."""
         for _ in range(DISTURBED_RETRIES + 1):
-            worker.child.order(r)
+            worker.child.send_order(r)
             started = time.monotonic()
-            done = worker.child.reply(worker.cell.limit_s)
+            done = worker.child.wait_for_reply(worker.cell.limit_s)
             worker.spent_s += time.monotonic() - started
             if done is not True:
                 # One whose time limit stopped the round still waits for orders.
-                worker.serving = done is None and self._goes_on(worker)
+                worker.serving = done is None and self._resume_hung_worker(worker)
                 if worker.serving:
-                    self.serve(worker, r)
+                    self.run_round(worker, r)
                 return
             if r == 0:
                 return
-            if not self._disturbed(worker, r):
+            if not self._is_disturbed(worker, r):
                 worker.clean_rounds += 1
                 return
 
-    def _goes_on(self, worker: ReplayWorker) -> bool:
-        """Whether a worker that was killed as it hung goes on behind that step in a new process."""
-        if worker.child.outcome().outcome != "hung":
+    def _resume_hung_worker(self, worker: ReplayWorker) -> bool:
+        """Continue a replay killed in a hanging step in a new process; return whether it runs."""
+        if worker.child.determine_outcome().outcome != "hung":
             return False
-        hang = hang_of(worker.cell, worker.child.raw_path, worker.hung)
+        hang = find_hang(worker.cell, worker.child.raw_path, worker.hung)
         if hang is None:
             return False
         worker.child.dismiss()
         worker.hung = (*worker.hung, hang)
-        worker.child = self._child(worker.run_id, worker.cell, worker.hung)
-        return worker.child.ready() is True
+        worker.child = self._start_child(worker.run_id, worker.cell, worker.hung)
+        return worker.child.wait_until_ready() is True
 
-    def _disturbed(self, worker: ReplayWorker, r: int) -> bool:
-        """Whether the reference kernel around round r was slow against the worker's other
-        rounds."""
+    def _is_disturbed(self, worker: ReplayWorker, r: int) -> bool:
+        """Return whether the machine-speed test around replay round r ran too slowly."""
         try:
-            kernel_ns = self._log(worker).reference_kernel_ns
+            return bool(is_disturbed(self._open_log(worker).reference_kernel_ns)[r])
         except (OSError, ValueError):
             # Somebody removed the log; it is lost when it is to be judged.
             return False
-        return bool(is_disturbed(kernel_ns)[r])
 
-    def _log(self, worker: ReplayWorker) -> RawLog:
-        """What the worker has recorded so far."""
+    def _open_log(self, worker: ReplayWorker) -> RawLog:
+        """Return the raw log of one solver configuration's replay."""
         return RawLog.open(self._folder / f"{worker.run_id}.raw")
 
 
-def load_levels(log: RawLog) -> NDArray[np.float64]:
-    """(rounds,) the load kernel around each round [ns]: median of its passes on the quieter side.
+def measure_load(log: RawLog) -> NDArray[np.float64]:
+    """Return the machine-load test's time around each round [ns] (rounds,), on its quieter side.
 
-    NaN for a round that was not finished, and for the warm-up, which does not count.
+    NaN for an unfinished round, and for the warm-up.
     """
     levels: NDArray[np.float64] = np.median(log.load_kernel_ns, axis=2).min(axis=1)
     levels[(levels <= 0.0) | (log.done == 0)] = np.nan
@@ -246,26 +238,26 @@ def load_levels(log: RawLog) -> NDArray[np.float64]:
     return levels
 
 
-def most_robbed(levels: NDArray[np.float64], quietest: float) -> int | None:
-    """The round that was robbed most, None where none was."""
+def find_most_loaded_round(levels: NDArray[np.float64], quietest: float) -> int | None:
+    """Return the replay round with the slowest machine-load test; None where none was slowed."""
     robbed = np.flatnonzero(levels > ROBBED_FACTOR * quietest)
     return int(robbed[np.argmax(levels[robbed])]) if len(robbed) else None
 
 
-def repeat_robbed(
+def rerun_loaded_rounds(
     configurations: Sequence[ReplayWorker],
     logs: Mapping[str, RawLog],
     serve: Callable[[ReplayWorker, int], None],
     order: Random,
 ) -> None:
-    """Run robbed rounds again, one of each configuration by turns, while its budget lasts.
+    """Replay rounds again that other load slowed, one per solver by turns, within its budget.
 
     The last attempt counts. Configurations take turns because a neighbour stays for longer than a
     round.
 
     Parameters
     ----------
-    logs : the raw log of each configuration; serve : runs a round of a configuration into it.
+    logs : raw log of each configuration; serve : runs a round of a configuration into it.
     order : of the configurations within a turn.
     """
     # Within its own limit too: a repetition must not end a configuration that had done its work.
@@ -275,13 +267,13 @@ def repeat_robbed(
     }
     while True:
         serving = [one for one in configurations if one.serving]
-        levels = {one.run_id: load_levels(logs[one.run_id]) for one in serving}
+        levels = {one.run_id: measure_load(logs[one.run_id]) for one in serving}
         quietest = np.fmin.reduce(
             [np.fmin.reduce(of_rounds) for of_rounds in levels.values()], initial=np.nan
         )
         due = []
         for one in serving:
-            r = most_robbed(levels[one.run_id], float(quietest))
+            r = find_most_loaded_round(levels[one.run_id], float(quietest))
             if r is not None:
                 took_s = float(np.nan_to_num(logs[one.run_id].counters[r, 0]))
                 if one.spent_s + took_s < end_s[one.run_id]:

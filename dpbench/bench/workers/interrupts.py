@@ -1,6 +1,4 @@
-"""Ctrl-C, SIGTERM and SIGHUP: the first is heard, and more of them do no harm."""
-
-from __future__ import annotations
+"""Handling of Ctrl-C, SIGTERM and SIGHUP: the first ends the program, repeats do no harm."""
 
 import math
 import multiprocessing.resource_tracker
@@ -20,19 +18,14 @@ heard again, in case the first came to nothing."""
 
 
 class Interruption:
-    """What has ended, or will end, a program from outside.
-
-    Attributes
-    ----------
-    signal : the number of the last that was heard; 0 for none.
-    """
+    """A signal that ended the program: `signal` is its number, 0 for none."""
 
     def __init__(self) -> None:
         self.signal = 0
         self._heard_s = -math.inf
 
-    def hear(self, number: int, frame: FrameType | None) -> None:
-        """Handle a signal."""
+    def handle(self, number: int, frame: FrameType | None) -> None:
+        """Raise KeyboardInterrupt at an ending signal, unless it follows another one closely."""
         if time.monotonic() - self._heard_s < QUIET_S:
             return
         self.signal, self._heard_s = number, time.monotonic()
@@ -40,16 +33,15 @@ class Interruption:
 
 
 @contextmanager
-def one_interrupt(*, for_good: bool = False) -> Iterator[Interruption]:
-    """The first signal that ends a program is a KeyboardInterrupt; those soon after it do nothing.
+def first_signal_only(*, for_good: bool = False) -> Iterator[Interruption]:
+    """Raise KeyboardInterrupt at the first ending signal in the block; ignore quick repeats.
 
-    A person presses Ctrl-C twice, and a program that runs this one may pass on what the terminal
-    sent already: what the first one saves must not be lost by the second. Nothing changes outside
-    the main thread, or where somebody else listens to a signal already or ignores it.
+    Repeats, by a person or a program that passes them on, must not interrupt what is being saved.
+    Nothing changes outside the main thread, or for signals that are handled or ignored already.
 
     Parameters
     ----------
-    for_good : the program ends with the block; none is heard after one was.
+    for_good : the program ends with the block; signals after the first stay ignored.
     """
     interruption = Interruption()
     defaults = (signal.SIG_DFL, signal.default_int_handler)
@@ -57,7 +49,7 @@ def one_interrupt(*, for_good: bool = False) -> Iterator[Interruption]:
     handlers = {number: signal.getsignal(number) for number in ENDING if in_main_thread}
     ours = {number: handler for number, handler in handlers.items() if handler in defaults}
     for number in ours:
-        signal.signal(number, interruption.hear)
+        signal.signal(number, interruption.handle)
     try:
         yield interruption
     finally:
@@ -67,8 +59,8 @@ def one_interrupt(*, for_good: bool = False) -> Iterator[Interruption]:
 
 
 @contextmanager
-def interrupts_wait() -> Iterator[None]:
-    """Ctrl-C is heard at the end of the block; processes started in it hold it back as well."""
+def block_sigint() -> Iterator[None]:
+    """Delay Ctrl-C to the end of the block, also in processes started in it."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -77,7 +69,7 @@ def interrupts_wait() -> Iterator[None]:
 
 
 def forget_interrupts() -> None:
-    """In a process that was started so: drop what was held back, and listen from now on."""
+    """Drop a delayed Ctrl-C of this process, and react to Ctrl-C from now on."""
     if signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ()):
         return
     heard = signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -86,10 +78,12 @@ def forget_interrupts() -> None:
 
 
 @contextmanager
-def signals_wait() -> Iterator[None]:
-    """Ctrl-C, SIGTERM and SIGHUP are heard at the end of the block: what is half begun or half
-    ended there cannot be undone. Where an exception already ends the program they are not heard
-    again. Nothing changes outside the main thread, nor where nobody listens to them."""
+def delay_signals() -> Iterator[None]:
+    """Delay Ctrl-C, SIGTERM and SIGHUP to the end of the block.
+
+    Where an exception already ends the program they are dropped. Nothing changes outside the main
+    thread, or for signals without a handler.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -110,9 +104,11 @@ def signals_wait() -> Iterator[None]:
 
 
 @contextmanager
-def terminal_signals_blocked() -> Iterator[None]:
-    """Threads and processes started in the block never hear Ctrl-C, nor that their terminal is
-    gone: a terminal sends both to all processes of a program, and one of them answers for all."""
+def block_terminal_signals() -> Iterator[None]:
+    """Block Ctrl-C and SIGHUP in threads and processes started in the block.
+
+    A terminal sends both to all processes of a program, of which one handles them for all.
+    """
     # It would let them through again while it starts its own process, and does nothing later.
     multiprocessing.resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})

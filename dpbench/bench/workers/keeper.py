@@ -1,17 +1,15 @@
 """Importing this module puts a keeper above the process that imports it.
 
 The fork server imports it before all else and splits: the child becomes the template that workers
-are forked from (`template.py`), the parent keeps it. The keeper
+are forked from (`template.py`), the parent its keeper, which
 
-- gets the orphans of workers, for `orphans.end_orphans` to end,
-- lets the template go on when somebody stops it,
-- ends all that is below it when the template or the main program ends, and then itself.
+- adopts the orphans of workers, for `orphans.end_orphans` to end,
+- continues a stopped template,
+- ends all below it, and itself, when the template or the main program ends.
 
-It sleeps until one of these happens, and does not end by what a terminal sends. If it is killed,
-the kernel kills the template, and thereby the workers.
+It sleeps in between and ignores signals of a terminal. If it is killed, the kernel kills the
+template, and thereby the workers.
 """
-
-from __future__ import annotations
 
 import os
 import select
@@ -28,24 +26,24 @@ from dpbench.bench.workers.orphans import (
 _IGNORED = (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE)
 
 
-def _split() -> None:
-    """Return in the child; the parent keeps it and never returns."""
+def _split_keeper() -> None:
+    """Fork: the child becomes the process workers are forked from, the parent its supervisor."""
     main, keeper = os.getppid(), os.getpid()
     adopt_orphans()
     template = os.fork()
     if template == 0:
         end_with_parent(keeper)
-        orphans.keeper_of_template = keeper
+        orphans.template, orphans.keeper = os.getpid(), keeper
         return
     try:
-        _keep(template, main)
+        _watch_forkserver(template, main)
         end_children()
     finally:
         os._exit(0)
 
 
-def _keep(template: int, main: int) -> None:
-    """Return when the template or the main program ended."""
+def _watch_forkserver(template: int, main: int) -> None:
+    """Wait until the process workers are forked from, or the main program, has ended."""
     for number in _IGNORED:
         signal.signal(number, signal.SIG_IGN)
     # The template's socket must refuse a connection when it is dead.
@@ -62,14 +60,14 @@ def _keep(template: int, main: int) -> None:
     poll = select.poll()
     poll.register(heard, select.POLLIN)
     poll.register(program, select.POLLIN)
-    while os.getppid() == main and _is_kept(template):
+    while os.getppid() == main and _reap_children(template):
         if program in dict(poll.poll()):
             return
         os.read(heard, 4096)
 
 
-def _is_kept(template: int) -> bool:
-    """Wait for children that ended, continue a stopped template; False when that ended."""
+def _reap_children(template: int) -> bool:
+    """Reap ended children; return False when the process workers are forked from has ended."""
     while True:
         try:
             state = os.waitid(os.P_ALL, 0, os.WEXITED | os.WSTOPPED | os.WNOHANG)
@@ -84,4 +82,4 @@ def _is_kept(template: int) -> bool:
         signal_process(template, signal.SIGCONT)
 
 
-_split()
+_split_keeper()

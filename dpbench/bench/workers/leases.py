@@ -1,9 +1,7 @@
-"""What processes that know nothing of each other share on a machine: its cores, and its quiet.
+"""Locks shared by separate processes of a user on a machine: its cores, and its quiet.
 
-By locks of files in a folder of this user in the temporary directory.
+They are locks of files in a folder of this user in the temporary directory.
 """
-
-from __future__ import annotations
 
 import os
 import pwd
@@ -14,39 +12,34 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 from dpbench.errors import InputError
-from dpbench.locks import FILE, Holder, Patience, lease, lock_file
+from dpbench.locks import FILE, Holder, WaitLimit, lock_file, try_lease
 
 
-def lease_folder() -> Path:
-    """The folder of the files that all processes of this user on this machine lock.
-
-    Raises
-    ------
-    InputError : what has its name is a link or a file, belongs to another user, or can be written
-        by others.
-    """
+def open_lease_folder() -> Path:
+    """Return the folder of this user's lock files; InputError where others could write to it."""
     folder = Path(tempfile.gettempdir()) / f"dpbench-leases-{os.getuid()}"
     with suppress(OSError):
         folder.mkdir(0o700)
     with suppress(FileNotFoundError):
-        if fault := _fault(folder.lstat()):
+        if fault := _describe_folder_fault(folder.lstat()):
             allowed = "a folder of your own that only you can write; remove it, or set TMPDIR"
             raise InputError(str(folder), "", fault, allowed)
     return folder
 
 
-def _fault(found: os.stat_result) -> str:
-    """Why a folder cannot be trusted; "" where it can."""
+def _describe_folder_fault(found: os.stat_result) -> str:
+    """Return why a lock folder cannot be trusted; "" for a safe one."""
     if not stat.S_ISDIR(found.st_mode):
         return "a link" if stat.S_ISLNK(found.st_mode) else "a file"
     if found.st_uid != os.getuid():
-        return f"a folder of {_name(found.st_uid)}"
+        return f"a folder of {_user_name(found.st_uid)}"
     if found.st_mode & 0o022:
         return f"a folder that others can write (mode {stat.S_IMODE(found.st_mode):o})"
     return ""
 
 
-def _name(uid: int) -> str:
+def _user_name(uid: int) -> str:
+    """Return the name of a user id, such as "user alice", for messages."""
     try:
         return f"user {pwd.getpwuid(uid).pw_name}"
     except KeyError:
@@ -54,31 +47,30 @@ def _name(uid: int) -> str:
 
 
 @contextmanager
-def leased_core() -> Iterator[int]:
-    """A core that this process may use and that nobody else leases as long as the block lasts.
+def lease_core() -> Iterator[int]:
+    """Lock a free processor core against other campaigns in the block; yield its number.
 
-    Where all are leased, the first of them: more work was given to the machine than it has cores.
+    Where all are leased it is the first of them.
     """
-    cores, folder = sorted(os.sched_getaffinity(0)), lease_folder()
+    cores, folder = sorted(os.sched_getaffinity(0)), open_lease_folder()
     for core in cores:
-        with lease(folder / f"core-{core}", FILE) as held:
+        with try_lease(folder / f"core-{core}", FILE) as held:
             if held:
                 yield core
                 return
     yield cores[0]
 
 
-def leased_machine(
+def lease_machine(
     how: int,
     holder: Holder,
     *,
-    patience: Patience = Patience(),  # noqa: B008 - frozen
+    patience: WaitLimit = WaitLimit(),  # noqa: B008 - frozen
     say_waiting: Callable[[str], None] = lambda holders: None,
 ) -> AbstractContextManager[bool]:
-    """This machine, for whoever times on it ALONE, or TOGETHER with all who do not; false where
-    there is no knowing of others.
+    """Lock this machine against other campaigns: exclusively for timed replays, else shared.
 
-    Parameters and errors as in `lock_file`.
+    Returns false where locks do not work. Parameters and errors as in `lock_file`.
     """
-    path, where = lease_folder() / "machine", "this machine"
+    path, where = open_lease_folder() / "machine", "this machine"
     return lock_file(path, how, holder, where=where, patience=patience, say_waiting=say_waiting)

@@ -1,11 +1,9 @@
-"""Processes that a worker started and left: finding them and ending them.
+"""Find and end processes that a worker started and left.
 
-The kernel hands an orphan to the nearest ancestor that asked for it (PR_SET_CHILD_SUBREAPER,
-prctl(2)), however often it forked and whatever session it made for itself. A worker asks while it
-lives; what it leaves goes to the keeper (`keeper.py`), which has no other child but the template.
+The kernel hands an orphan to the nearest ancestor that requested it (PR_SET_CHILD_SUBREAPER,
+prctl(2)), through any number of forks and sessions. That is the worker while it lives, and then the
+keeper (`keeper.py`), which has no other child but the template.
 """
-
-from __future__ import annotations
 
 import ctypes
 import os
@@ -20,24 +18,24 @@ _ALL_CHILDREN = 0x40000000
 END_S = 5.0
 """Time in which all orphans must be gone; a process in an uninterruptible call may take longer."""
 _libc = ctypes.CDLL(None)
-keeper_of_template = 0
-"""The keeper above this process, in a template and what is forked from it; 0 elsewhere."""
+template = keeper = 0
+"""The template and its keeper, in that and in what is forked from it; 0 elsewhere."""
 
 
 def adopt_orphans() -> None:
-    """Become the parent of descendants whose own parent ends."""
+    """Make this process the parent of descendants whose own parent ends."""
     _libc.prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
 def end_with_parent(parent: int) -> None:
-    """Have the kernel kill this process when `parent`, which forked it, ends."""
+    """Have the kernel kill this process when its parent ends."""
     _libc.prctl(_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
     if os.getppid() != parent:
         os._exit(0)
 
 
 def has_children() -> bool:
-    """Whether this process has any child, dead ones that nobody waited for included."""
+    """Return whether this process has any child, zombies included."""
     flags = os.WEXITED | os.WNOHANG | os.WNOWAIT | _ALL_CHILDREN
     try:
         os.waitid(os.P_ALL, 0, flags)
@@ -46,8 +44,8 @@ def has_children() -> bool:
     return True
 
 
-def children_of(pid: int) -> list[int]:
-    """The children of a process of one thread; none where it is gone."""
+def list_children(pid: int) -> list[int]:
+    """Return the process ids of a process's children; none where it is gone."""
     try:
         text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii")
     except OSError:
@@ -56,7 +54,7 @@ def children_of(pid: int) -> list[int]:
 
 
 def _search_children(pid: int) -> list[int]:
-    """As `children_of`, on a kernel that does not list them."""
+    """Return the children of a process by a search of all processes."""
     import psutil  # the keeper does without it
 
     try:
@@ -72,14 +70,17 @@ def signal_process(pid: int, number: signal.Signals) -> None:
             os.kill(pid, number)
 
 
-def end_orphans(keeper: int, template: int) -> None:
-    """End what ended workers left to the keeper; nothing where either of the two is gone.
+def kill_forkserver(keeper: int) -> None:
+    """Kill the process that workers are forked from; all workers end with it."""
+    for child in list_children(keeper) if keeper else []:
+        signal_process(child, signal.SIGKILL)
 
-    A keeper whose template ended ends all by itself.
-    """
+
+def end_orphans(keeper: int, template: int) -> None:
+    """Kill processes that ended workers have left running, and wait for their end."""
     deadline = time.monotonic() + END_S
     while time.monotonic() < deadline:
-        children = children_of(keeper) if keeper else []
+        children = list_children(keeper) if keeper else []
         if template not in children or len(children) == 1:
             return
         # It waits for those that end, unless somebody stopped it.
@@ -91,10 +92,10 @@ def end_orphans(keeper: int, template: int) -> None:
 
 
 def end_children() -> None:
-    """End all children of this process, and those they leave, and wait for them."""
+    """Kill all children of this process and what they leave, and wait for their end."""
     deadline = time.monotonic() + END_S
     while time.monotonic() < deadline:
-        for child in children_of(os.getpid()):
+        for child in list_children(os.getpid()):
             signal_process(child, signal.SIGKILL)
         try:
             while os.waitpid(-1, os.WNOHANG)[0]:

@@ -1,18 +1,13 @@
-"""Where the raw logs of cells lie while they are written, and whether there is room for them.
+"""Folders of raw logs, with a check for room before they are written.
 
-In memory where that can be, so that no write-back of a disk disturbs a step. A container has some
-64 MB of it where the replays of a suite can need 200, so the room is computed beforehand, and the
-next place is taken where it is short.
-
-What a killed campaign has left (`temporary_folders.py`) goes when the next one looks for room.
+They are in memory where possible, so that no write-back of a disk disturbs a step. A container has
+some 64 MB of it where the replays of a suite can need 200, so that the next place is taken where
+room is short. Folders of killed campaigns (`temporary_folders.py`) are removed first.
 """
-
-from __future__ import annotations
 
 import os
 import sys
 import tempfile
-from collections.abc import Sequence
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 
@@ -28,41 +23,49 @@ MARGIN_BYTES = 2**21
 
 
 class NoRoomError(DpbenchError):
-    """No place has room enough."""
+    """Raised where no folder has room for raw logs."""
 
 
-def scratch_folder() -> AbstractContextManager[Path]:
-    """A folder for what processes leave behind until it is kept; in memory where that can be."""
+def open_scratch_folder() -> AbstractContextManager[Path]:
+    """Open a temporary folder, in memory where that can be written."""
     return temporary_folder(MEMORY if os.access(MEMORY, os.W_OK) else Path(tempfile.gettempdir()))
 
 
-def free_bytes(place: Path) -> int:
-    """What can be written at a place; in memory no more than there is of that."""
+def count_free_bytes(place: Path) -> int:
+    """Return the free bytes of a folder's file system, in memory at most those available."""
     volume = os.statvfs(place)
     # A tmpfs without a limit says that it has no blocks at all.
     free = volume.f_bavail * volume.f_frsize if volume.f_blocks else sys.maxsize
     return min(free, int(psutil.virtual_memory().available)) if place == MEMORY else free
 
 
-class Scratch(ExitStack):
-    """Scratch folders of one campaign, each made when it is needed, all gone at the end.
+def clear_places(beside: Path) -> list[Path]:
+    """Remove what killed campaigns left in temporary folders; return where to make new ones."""
+    # One place on each file system.
+    by_device: dict[int, Path] = {}
+    for place in (MEMORY, Path(tempfile.gettempdir()), beside):
+        if os.access(place, os.W_OK):
+            by_device.setdefault(place.stat().st_dev, place)
+    for place in by_device.values():
+        clear_abandoned(place)
+    return list(by_device.values())
 
-    Parameters
-    ----------
-    beside : a folder on the disk of the results, the last resort.
+
+class Scratch(ExitStack):
+    """The temporary folders of one campaign's raw logs, removed at the end.
+
+    `beside` is a folder on the disk of the results, the last resort.
     """
 
     def __init__(self, beside: Path) -> None:
         super().__init__()
-        self._places = _apart([MEMORY, Path(tempfile.gettempdir()), beside])
-        for place in self._places:
-            clear_abandoned(place)
+        self._places = clear_places(beside)
         self._made: dict[Path, Path] = {}
         self._elsewhere: dict[Path, list[tuple[int, str]]] = {}
 
     @property
     def remarks(self) -> list[str]:
-        """Which logs did not lie where they should; a line for each other place."""
+        """A remark for each folder that was used because the usual one was full."""
         lines = []
         for place, parts in self._elsewhere.items():
             _, largest = max(parts)
@@ -70,43 +73,32 @@ class Scratch(ExitStack):
             lines.append(f"{many} lay in {place}: {largest}")
         return lines
 
-    def folder(self, need: int = 0, what: str = "") -> Path:
-        """A folder with room for `need` bytes of logs of `what`; some folder where it needs none.
-
-        Raises
-        ------
-        NoRoomError : there is none; says what there is.
-        """
+    def choose_folder(self, need: int = 0, what: str = "") -> Path:
+        """Return a folder with room for `need` bytes of raw logs; NoRoomError without any."""
         short: list[str] = []
         for place in self._places:
-            free = free_bytes(place)
+            free = count_free_bytes(place)
             if free < need + MARGIN_BYTES:
-                short.append(f"{place} has {_megabytes(free)}")
+                short.append(f"{place} has {_format_megabytes(free)}")
                 continue
             if short and need:
-                words = f"{what} took {_megabytes(need)} where {' and '.join(short)} free"
+                words = f"{what} took {_format_megabytes(need)} where {' and '.join(short)} free"
                 self._elsewhere.setdefault(place, []).append((need, words))
-            return self._folder(place)
+            return self._make_folder(place)
         if not need:
-            return self._folder(self._places[-1])
+            return self._make_folder(self._places[-1])
         raise NoRoomError(
-            f"no room for the logs of {what} ({_megabytes(need)}): {' and '.join(short)} free"
+            f"no room for the logs of {what} ({_format_megabytes(need)}): "
+            f"{' and '.join(short)} free"
         )
 
-    def _folder(self, place: Path) -> Path:
+    def _make_folder(self, place: Path) -> Path:
+        """Return this campaign's temporary folder within `place`; make it on first use."""
         if place not in self._made:
             self._made[place] = self.enter_context(temporary_folder(place))
         return self._made[place]
 
 
-def _apart(places: Sequence[Path]) -> list[Path]:
-    """Of places that can be written to, one on each file system."""
-    by_device: dict[int, Path] = {}
-    for place in places:
-        if os.access(place, os.W_OK):
-            by_device.setdefault(place.stat().st_dev, place)
-    return list(by_device.values())
-
-
-def _megabytes(size: int) -> str:
+def _format_megabytes(size: int) -> str:
+    """Return a number of bytes as text in MB."""
     return f"{size / 1e6:.1f} MB"

@@ -1,24 +1,22 @@
-"""Importing this module makes a process the template that cells are forked from.
+"""The template process that cells are forked from: importing this module prepares it.
 
-It loads everything a cell needs except solvers, compiles their kernels, and starts no thread;
-forking it costs milliseconds where a fresh interpreter costs half a second (traps.md 17).
+It loads all but solvers, compiles kernels, and starts no thread; a fork of it takes milliseconds
+where a fresh interpreter takes half a second.
 """
-
-from __future__ import annotations
 
 import gc
 import time
 
 import numpy as np
 
-from dpbench.bench.run.fallback import limit_move
-from dpbench.bench.run.replay import reference_kernel_ns
+from dpbench.bench.run.replay import time_kernels
 from dpbench.bench.workers import worker
 from dpbench.bench.workers.interrupts import forget_interrupts
 from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.model import prediction_model
-from dpbench.mpc.reference import nearest_pose
+from dpbench.mpc.model import build_prediction_model
+from dpbench.mpc.move_limits import limit_move
+from dpbench.mpc.reference import unwrap_pose
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.ship.plant import SUBSTEPS, Plant
@@ -27,23 +25,24 @@ from dpbench.ship.vessel import Vessel
 __all__ = ["worker"]
 
 
-def _prime() -> None:
+def _compile_kernels() -> None:
+    """Call all Numba-compiled code once, so that forked workers need not compile it."""
     three = np.ones(3)
     ship = Vessel("", "", "", 1.0, np.eye(3), np.eye(3), -three, three, three)
     for loads, columns in ((None, 3), (np.zeros(6), 9)):
         plant = Plant(ship, np.zeros(6), 0.1, loads=loads)
         plant.advance(three, np.zeros((2 * SUBSTEPS + 1, columns)))
     limit_move(three, three, three, -three, three, np.empty(3))
-    nearest_pose(three, three)
-    model = prediction_model(ship.M, ship.D, 0.0, 0.1)
+    unwrap_pose(three, three)
+    model = build_prediction_model(ship.M, ship.D, 0.0, 0.1)
     CondensedQP(ControlProblem(model, 3, 2, np.eye(3), np.eye(3), -three, three, three))
-    reference_kernel_ns(time.perf_counter_ns)
+    time_kernels(time.perf_counter_ns)
     # At a limit, so that the referee looks for the active set too.
     rows = np.eye(3), -3.0 * three, 3.0 * three
     certify(QuadraticProgram(np.eye(3), -2.0 * three, *rows, -three, three))
 
 
-_prime()
+_compile_kernels()
 # A collection in a fork would walk, and thereby copy, the whole heap: 0.2 s of every process.
 gc.collect()
 gc.freeze()

@@ -1,10 +1,8 @@
-"""What runs in a process of one configuration: one solver, pinned to one core, with its library.
+"""Targets of the processes of one configuration: one solver, pinned to one core.
 
-Every function here is the target of a process forked from a template that has no solver loaded
-(`child.py`); it leaves its raw log and a small JSON verdict behind and never prints.
+Each runs in a process forked from a template without solvers (`child.py`), leaves its raw log and a
+small JSON verdict, and never prints.
 """
-
-from __future__ import annotations
 
 import gc
 import os
@@ -16,75 +14,74 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 
-from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
+from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_log
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row
 from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.cell_store import packed
-from dpbench.bench.record.disturbance import counters
-from dpbench.bench.record.npz import kept
+from dpbench.bench.record.disturbance import read_counters
+from dpbench.bench.record.npz import open_arrays
 from dpbench.bench.record.raw_log import Layout, RawLog
 from dpbench.bench.record.result_folder import write_json
-from dpbench.bench.record.step_table import step_batch
+from dpbench.bench.record.step_table import Row, batch_part, step_batch
 from dpbench.bench.run.assemble import clock, closed_loop_setup, replay_parts
 from dpbench.bench.run.closed_loop import closed_loop
-from dpbench.bench.run.exact_loop import ExactLoop, drawn_of
+from dpbench.bench.run.exact_loop import ExactLoop, read_stored_weather
 from dpbench.bench.run.footprint import (
     MEMORY_SHARE,
     MemoryWatch,
-    affordable_steps,
-    forget_peak,
+    count_affordable_steps,
+    count_threads,
     limit_memory,
-    measure_steps,
-    memory_bytes,
-    peak_bytes_of,
-    threads,
+    machine_memory_bytes,
+    measure_step_memory,
+    process_peak_bytes,
+    reset_peak_memory,
 )
 from dpbench.bench.run.replay import PREROLL, ReplayRun
-from dpbench.bench.run.timed_solver import MOST_HANGS, STEP_SHARE, TimedSolver, interrupting
-from dpbench.bench.sequences.source import replayed, source_of
-from dpbench.bench.workers.notice import AtWork, begin_output, output_cut, post
+from dpbench.bench.run.timed_solver import MOST_HANGS, STEP_SHARE, TimedSolver, step_alarm
+from dpbench.bench.sequences.source import is_readable, read_replay, source_file
 from dpbench.bench.workers.orphans import has_children
+from dpbench.bench.workers.shared_status import Phase, discard_output, set_phase, truncation_note
 from dpbench.errors import CertificateError, InputError
 from dpbench.qp.program import QPSequence
-from dpbench.scenario.scenario import scenario_once
+from dpbench.scenario.scenario import cached_scenario
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Workspace
-from dpbench.solvers.isolation import isolate
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import Availability, load_solver_module
+from dpbench.solvers.table import Availability, isolate, load_solver_module
 
 Hang = tuple[int, int]
 """Round, 0 in a closed loop, and step in which a process hung."""
 
 
-def settle() -> None:
-    """Ignore warnings and stop the garbage collector."""
+def disable_gc_and_warnings() -> None:
+    """Switch off the garbage collector and warnings in this process."""
     warnings.simplefilter("ignore")
     gc.collect()
     gc.freeze()
     gc.disable()
 
 
-def pin(core: int) -> None:
-    """Stay on one core from now on."""
+def pin_to_core(core: int) -> None:
+    """Bind this process to one core."""
     os.sched_setaffinity(0, {core})
 
 
-def leave_verdict(path: Path, outcome: Outcome) -> None:
-    """Leave at `path` what became of a cell, for the supervisor to read."""
+def write_outcome(path: Path, outcome: Outcome) -> None:
+    """Write the outcome of a run or file to a JSON file, for the supervisor."""
     write_json(path, vars(outcome))
 
 
 @dataclass(frozen=True)
 class BatchCell:
-    """A cell of a batch: its run_id and JSON, its own run time, the file behind its QPs.
+    """One run of a batch, with all that a worker process needs to do and judge it.
 
-    outcome : what became of it, once it ran; library, machine_id, concurrency : for its row.
+    outcome : once it ran; library, machine_id, concurrency : for its row.
     hung : where earlier processes of it hung; its log is theirs.
-    module : where the plug-in of its solver lies on this machine; "" for none.
+    module : path of its plug-in on this machine; "" for none.
     """
 
     name: str
@@ -99,15 +96,13 @@ class BatchCell:
     hung: tuple[Hang, ...] = ()
 
 
-def hang_of(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
-    """Round and step in which the killed process of a cell hung, by its log `raw`; None where the
-    cell cannot go on behind it: it hung too often, outside of its steps, or on a slow computer with
-    a backup.
+def find_hang(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
+    """Return round and step in which a killed process hung; None where it cannot be continued.
 
-    The log counts as not started again, so that the next process has time to open its library.
+    It cannot where it hung too often, or outside of its steps. The log is marked as not started, so
+    that the next process has time to open its library.
     """
-    # The latencies of a backup are not repeated, and it may steer otherwise with others.
-    if len(before) >= MOST_HANGS or (cell.slowdown > 0.0 and cell.backup):
+    if len(before) >= MOST_HANGS:
         return None
     try:
         log = RawLog.open(raw)
@@ -115,15 +110,14 @@ def hang_of(cell: Cell, raw: Path, before: Sequence[Hang]) -> Hang | None:
         return None
     if not log.started[0]:
         return None
-    hang = _open_step(cell, log, {k for _, k in before})
+    hang = _find_open_step(cell, log, {k for _, k in before})
     if hang is not None:
         log.started[0] = 0
     return hang
 
 
-def _open_step(cell: Cell, log: RawLog, known: Set[int]) -> Hang | None:
-    """Round and step that a log waits for, none of the `known` ones in a replay; None if it is
-    full."""
+def _find_open_step(cell: Cell, log: RawLog, known: Set[int]) -> Hang | None:
+    """Return the first unfinished round and step of a run, by its log, except `known` steps."""
     if cell.mode == "closed_loop":
         return (0, int(log.done[0])) if log.done[0] < cell.steps else None
     planned = np.full(len(log.done), cell.steps)
@@ -138,16 +132,16 @@ def _open_step(cell: Cell, log: RawLog, known: Set[int]) -> Hang | None:
     return r, next(k for k in range(first, cell.steps + 1) if k not in known)
 
 
-def _opened(cell: Cell, *, settled: bool = False) -> Workspace:
-    """Settle the process and open the cell's solver in it; InputError where that is refused."""
+def _open_workspace(cell: Cell, *, settled: bool = False) -> Workspace:
+    """Load the run's solver in this process and return its workspace, memory limited."""
     if settled:
-        begin_output()
-        forget_peak()
+        discard_output()
+        reset_peak_memory()
     else:
-        settle()
-    post(AtWork.OPENING)
+        disable_gc_and_warnings()
+    set_phase(Phase.OPENING)
     if not settled:
-        limit_memory(round(cell.memory_gb * 1e9) or round(MEMORY_SHARE * memory_bytes()))
+        limit_memory(round(cell.memory_gb * 1e9) or round(MEMORY_SHARE * machine_memory_bytes()))
         if cell.solver_module:
             load_solver_module(cell.solver_module, tried=True)
         isolate(cell.solver, *filter(None, [cell.backup]))
@@ -158,44 +152,38 @@ def _opened(cell: Cell, *, settled: bool = False) -> Workspace:
         settings=cell.settings,
         step_limit_s=STEP_SHARE * cell.limit_s,
     )
-    post(AtWork.HARNESS)
+    set_phase(Phase.HARNESS)
     return workspace
 
 
-def _open(cell: Cell, folder: Path, name: str, *, settled: bool = False) -> Workspace | None:
-    """As `_opened`; None leaves a verdict `refused`."""
+def _open_or_refuse(
+    cell: Cell, folder: Path, name: str, *, settled: bool = False
+) -> Workspace | None:
+    """Return the run's solver workspace; None, and outcome "refused", where it cannot be opened."""
     try:
-        return _opened(cell, settled=settled)
+        return _open_workspace(cell, settled=settled)
     except InputError as error:
-        post(AtWork.HARNESS)
-        leave_verdict(folder / f"{name}.json", Outcome("refused", str(error)))
+        set_phase(Phase.HARNESS)
+        write_outcome(folder / f"{name}.json", Outcome("refused", str(error)))
         return None
 
 
-def _worst_detail(timed_solver: TimedSolver) -> str:
-    """The most frequent words of the library about its failures, with their count."""
-    if not timed_solver.details:
-        return ""
-    words, count = max(timed_solver.details.items(), key=lambda item: item[1])
-    return f"{count} × {words}"
-
-
 def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
-    """Run the cells of one configuration, each with a raw log and a verdict of its own."""
-    pin(core)
+    """Do runs of one solver configuration in turn; each leaves a raw log and an outcome file."""
+    pin_to_core(core)
     for i, batch_cell in enumerate(cells):
-        post(AtWork.HARNESS, i)
+        set_phase(Phase.HARNESS, i)
         name = batch_cell.name
         cell = replace(Cell.from_json(batch_cell.cell), solver_module=batch_cell.module)
-        workspace = _open(cell, folder, name, settled=i > 0)
+        workspace = _open_or_refuse(cell, folder, name, settled=i > 0)
         if workspace is None:
             continue
         raw = folder / f"{name}.raw"
         if cell.mode == "closed_loop":
-            verdict = _steer(cell, workspace, raw, batch_cell.source, batch_cell.hung)
+            verdict = _run_closed_loop(cell, workspace, raw, batch_cell.source, batch_cell.hung)
         else:
             verdict = _replay_untimed(cell, workspace, raw, batch_cell.source, batch_cell.hung)
-        leave_verdict(folder / f"{name}.json", verdict)
+        write_outcome(folder / f"{name}.json", verdict)
         # The collector is off while a solver works.
         del workspace
         gc.collect()
@@ -204,71 +192,75 @@ def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
             return
 
 
-def _log_at(raw: Path, hung: Sequence[Hang]) -> Callable[[Layout], RawLog]:
-    """Makes the log of a cell at `raw`, or opens that of the process that hung before."""
+def _log_factory(raw: Path, hung: Sequence[Hang]) -> Callable[[Layout], RawLog]:
+    """Return a function that creates a run's raw log, or opens that of a hung process."""
     return (lambda layout: RawLog.open(raw)) if hung else partial(RawLog.create, raw)
 
 
-def _steer(
+def _run_closed_loop(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
-    """Let the solver steer the ship, in the weather of the exactly solved loop; the verdict."""
-    scenario = scenario_once(cell.scenario).first(cell.steps)
-    limit_ns, new_log = round(cell.limit_s * 1e9), _log_at(raw, hung)
+    """Run a closed loop with a solver, record it, and return its outcome."""
+    scenario = cached_scenario(cell.scenario).first(cell.steps)
+    limit_ns, new_log = round(cell.limit_s * 1e9), _log_factory(raw, hung)
     try:
         setup = closed_loop_setup(
             cell, scenario, workspace, new_log, limit_ns, hung=[k for _, k in hung]
         )
     except InputError as error:
         return Outcome("refused", str(error))
-    with kept(source) as stored:
-        setup.drawn = drawn_of(stored)
-    before = counters()
-    post(AtWork.SOLVER)
-    with interrupting(STEP_SHARE * cell.limit_s, clock):
+    with open_arrays(source) as stored:
+        setup.drawn = read_stored_weather(stored)
+    before = read_counters()
+    set_phase(Phase.SOLVER)
+    with step_alarm(STEP_SHARE * cell.limit_s, clock):
         complete = closed_loop(setup)
-    post(AtWork.HARNESS)
-    np.subtract(counters(), before, out=setup.log.counters[0])
+    set_phase(Phase.HARNESS)
+    np.subtract(read_counters(), before, out=setup.log.counters[0])
     stopped = "" if complete else f"with {int(setup.log.done[0])} steps"
-    return _verdict(cell, workspace, setup.solver, stopped)
+    return _make_outcome(cell, workspace, setup.solver, stopped)
 
 
 def _replay_untimed(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
-    """Replay all rounds, whatever they take; the verdict."""
-    sequence = source_of(cell).load(cell, source).sequence
+    """Do all rounds of a replay whose times are not compared, and return its outcome."""
+    sequence = source_file(cell).load(source).sequence
     # Without a time to take, cold caches do no harm, and a step that hangs should be recorded.
-    configuration, timed_solver, log = _replay_run(
+    configuration, timed_solver, log = _prepare_replay(
         cell, workspace, raw, sequence, preroll=0, hung=hung
     )
     begin = hung[-1][0] if hung else 0
-    with interrupting(STEP_SHARE * cell.limit_s, clock):
-        complete = all(configuration.round(r) for r in range(begin, cell.rounds + 1))
-    post(AtWork.HARNESS)
-    return _verdict(cell, workspace, timed_solver, "" if complete else _in_round(log))
+    with step_alarm(STEP_SHARE * cell.limit_s, clock):
+        complete = all(configuration.run_round(r) for r in range(begin, cell.rounds + 1))
+    set_phase(Phase.HARNESS)
+    return _make_outcome(
+        cell, workspace, timed_solver, "" if complete else _describe_last_round(log)
+    )
 
 
-def _in_round(log: RawLog) -> str:
+def _describe_last_round(log: RawLog) -> str:
+    """Return which round of a replay was reached last, in words."""
     return f"in round {int(np.flatnonzero(log.done)[-1])}"
 
 
-def _verdict(cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stopped: str) -> Outcome:
-    """The verdict on a cell that ended by itself; `stopped` says how far its limit let it come."""
-    detail = _worst_detail(timed_solver)
-    if stopped:
-        stop = f"stopped after {cell.limit_s:g} s {stopped}"
-        detail = f"{stop}; {detail}" if detail else stop
-    if cut := output_cut():
-        detail = f"{detail}; {cut}" if detail else cut
+def _make_outcome(
+    cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stopped: str
+) -> Outcome:
+    """Return the outcome of a run that ended by itself; `stopped` tells of its time limit."""
+    details = [f"stopped after {cell.limit_s:g} s {stopped}"] if stopped else []
+    if timed_solver.details:
+        # The library's most frequent words on its failures.
+        words, count = max(timed_solver.details.items(), key=lambda item: item[1])
+        details.append(f"{count} × {words}")
+    detail = "; ".join(filter(None, [*details, truncation_note()]))
     outcome = "timed_out" if stopped else "finished"
-    return Outcome(outcome, detail, workspace.form, *timed_solver.size, peak_bytes_of())
+    return Outcome(outcome, detail, workspace.form, *timed_solver.size, process_peak_bytes())
 
 
 @dataclass(frozen=True)
 class ReplayOrder:
-    """A replay to serve: the JSON of its cell, the file behind its QPs, where its files appear, and
-    where earlier processes of it hung."""
+    """An order to a worker to do one replay: its description, file of QPs, folder and name."""
 
     cell: str
     source: Path
@@ -278,18 +270,18 @@ class ReplayOrder:
 
 
 def serve_replays(core: int, orders: Connection) -> None:
-    """Serve replays of one configuration in turn, each with a workspace and a log of its own.
+    """Do replays with one solver configuration in turn, one round per order from a pipe.
 
-    An order is a `ReplayOrder`, then round numbers until None ends the replay. The replies are
-    True when it is ready, whether each round was completed, and True when its verdict is left;
-    None and no more where the configuration is refused, no reply to None where the replay leaves
+    An order is a `ReplayOrder`, then round numbers until None ends the replay. The replies are True
+    when it is ready, whether each round was completed, and True when its verdict is written; None
+    and no more where the configuration is refused, no reply to None where the replay leaves
     processes behind. None in place of a replay ends the service.
     """
     memory, anywhere, settled = MemoryWatch(), os.sched_getaffinity(0), False
     while (order := orders.recv()) is not None:
         os.sched_setaffinity(0, anywhere)
         if settled:
-            memory.begin_again()
+            memory.begin_replay()
         if not _serve_replay(order, core, orders, memory, settled=settled):
             orders.send(None)
             return
@@ -304,39 +296,41 @@ def serve_replays(core: int, orders: Connection) -> None:
 def _serve_replay(
     order: ReplayOrder, core: int, orders: Connection, memory: MemoryWatch, *, settled: bool
 ) -> bool:
-    """Serve the rounds of one replay and leave its verdict; False where it is refused."""
+    """Do one replay's rounds on order and write its outcome; return False where refused."""
     cell, folder, name = Cell.from_json(order.cell), order.folder, order.name
-    workspace = _open(cell, folder, name, settled=settled)
+    workspace = _open_or_refuse(cell, folder, name, settled=settled)
     if workspace is None:
         return False
-    memory.opened()
-    sequence = source_of(cell).load(cell, order.source).sequence
-    configuration, timed_solver, log = _replay_run(
+    memory.record_setup()
+    sequence = source_file(cell).load(order.source).sequence
+    configuration, timed_solver, log = _prepare_replay(
         cell, workspace, folder / f"{name}.raw", sequence, memory=memory, hung=order.hung
     )
     # Pinned only now, so that several workers can import their libraries side by side.
-    pin(core)
+    pin_to_core(core)
     orders.send(True)
     complete = True
     while (r := orders.recv()) is not None:
-        with interrupting(STEP_SHARE * cell.limit_s, clock):
-            complete = configuration.round(r)
+        with step_alarm(STEP_SHARE * cell.limit_s, clock):
+            complete = configuration.run_round(r)
         orders.send(complete)
-    post(AtWork.HARNESS)
-    log.footprint[:3] = (memory.peak_bytes(), *threads())
-    verdict = _verdict(cell, workspace, timed_solver, "" if complete else _in_round(log))
-    leave_verdict(folder / f"{name}.json", verdict)
+    set_phase(Phase.HARNESS)
+    log.footprint[:3] = (memory.peak_bytes(), *count_threads())
+    verdict = _make_outcome(
+        cell, workspace, timed_solver, "" if complete else _describe_last_round(log)
+    )
+    write_outcome(folder / f"{name}.json", verdict)
     # The verdict stands unless the solver ends the process: how long this takes is no part of the
     # replay. It takes as long as four rounds, and shows the same in every replay of a process.
     if complete and not (settled or cell.is_window):
-        steps = affordable_steps(log)
-        post(AtWork.SOLVER)
-        log.footprint[3:] = measure_steps(configuration.sequence, timed_solver, steps)
-        post(AtWork.HARNESS)
+        steps = count_affordable_steps(log)
+        set_phase(Phase.SOLVER)
+        log.footprint[3:] = measure_step_memory(configuration.sequence, timed_solver, steps)
+        set_phase(Phase.HARNESS)
     return True
 
 
-def _replay_run(
+def _prepare_replay(
     cell: Cell,
     workspace: Workspace,
     raw: Path,
@@ -346,13 +340,13 @@ def _replay_run(
     memory: MemoryWatch | None = None,
     hung: Sequence[Hang] = (),
 ) -> tuple[ReplayRun, TimedSolver, RawLog]:
-    """A replay ready for its rounds; from here on its solver is at work."""
+    """Set up a replay; return it ready for its rounds, with its timed solver and raw log."""
     steps, timed_solver, log = replay_parts(
-        sequence, workspace, cell.formulation, cell.rounds, _log_at(raw, hung)
+        sequence, workspace, cell.formulation, cell.rounds, _log_factory(raw, hung)
     )
     if memory is not None:
-        memory.loaded(log)
-    post(AtWork.SOLVER)
+        memory.record_load(log)
+    set_phase(Phase.SOLVER)
     configuration = ReplayRun(
         steps,
         timed_solver,
@@ -367,14 +361,14 @@ def _replay_run(
 
 
 def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> None:
-    """Replay every sequence that is ordered through a new workspace of the cell's configuration.
+    """Replay each sequence of QPs ordered over a pipe, with the solver opened anew each time.
 
-    An order is a sequence and the seconds it may take, the reply whether it was completed; None
-    ends the service. The first word is True, or why the configuration cannot run.
+    An order is a sequence and its time limit [s], the reply whether it was completed; None ends the
+    service. The first reply is True, or the reason why the configuration cannot run.
     """
     cell = Cell.from_json(text)
     try:
-        _opened(cell)
+        _open_workspace(cell)
     except InputError as error:
         orders.send(error)
         return
@@ -382,65 +376,70 @@ def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> 
     while (order := orders.recv()) is not None:
         sequence, limit_s = order
         limited = replace(cell, limit_s=limit_s, warmup_steps=min(cell.warmup_steps, len(sequence)))
-        workspace = _opened(cell, settled=True)
-        configuration, _, _ = _replay_run(limited, workspace, folder / f"{name}.raw", sequence)
-        complete = all(configuration.round(r) for r in range(cell.rounds + 1))
-        post(AtWork.HARNESS)
+        workspace = _open_workspace(cell, settled=True)
+        configuration, _, _ = _prepare_replay(limited, workspace, folder / f"{name}.raw", sequence)
+        complete = all(configuration.run_round(r) for r in range(cell.rounds + 1))
+        set_phase(Phase.HARNESS)
         orders.send(complete)
         del workspace, configuration
         gc.collect()
 
 
 def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> None:
-    """Make the file behind a cell's QPs at `path` (.npz); a verdict appears in `folder`."""
-    pin(core)
-    settle()
-    part = path.with_suffix(".part.npz")
+    """Make the file of a run's QPs at `path` unless it is readable; write the outcome."""
+    pin_to_core(core)
+    disable_gc_and_warnings()
+    cell, part = Cell.from_json(text), path.with_suffix(".part.npz")
     try:
-        source_of(Cell.from_json(text)).make(part)
-        part.replace(path)
+        if not is_readable(cell, path):
+            source_file(cell).make(part)
+            part.replace(path)
     except (CertificateError, InputError) as error:
-        leave_verdict(folder / f"{name}.json", Outcome("invalid", str(error)))
+        write_outcome(folder / f"{name}.json", Outcome("invalid", str(error)))
         return
     finally:
         part.unlink(missing_ok=True)
-    leave_verdict(folder / f"{name}.json", Outcome("finished", ""))
+    write_outcome(folder / f"{name}.json", Outcome("finished", ""))
 
 
 def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
-    """Let the referee judge the raw logs of cells; a record of each, as `packed` makes it, appears
-    in `folder` as `<name>.judged`.
+    """Judge the raw logs of several runs in a process that has not loaded their solver.
 
-    Runs in a process of its own, in which the solver under test was never loaded.
+    Their part appears in `folder` as `<name of the first>.judged`.
     """
-    pin(core)
-    settle()
+    pin_to_core(core)
+    disable_gc_and_warnings()
+    judged: dict[str, tuple[Row, pa.RecordBatch]] = {}
     for i, batch_cell in enumerate(cells):
-        post(AtWork.HARNESS, i)
+        set_phase(Phase.HARNESS, i)
         log = RawLog.open(folder / f"{batch_cell.name}.raw")
-        (folder / f"{batch_cell.name}.judged").write_bytes(_judged(batch_cell, log))
-        leave_verdict(folder / f"{batch_cell.name}.evaluated.json", Outcome("finished", ""))
+        judged[batch_cell.name] = _judge_cell(batch_cell, log)
+        if i + 1 == len(cells):
+            # Before the last verdict, so that a cell is to blame if this ends the process.
+            (folder / f"{cells[0].name}.judged").write_bytes(batch_part(judged).data)
+        write_outcome(folder / f"{batch_cell.name}.evaluated.json", Outcome("finished", ""))
 
 
-def _judged(batch_cell: BatchCell, log: RawLog) -> bytes:
-    """The record of a cell that ran."""
+def _judge_cell(batch_cell: BatchCell, log: RawLog) -> tuple[Row, pa.RecordBatch]:
+    """Judge a run from its raw log; return its row and its steps for the result tables."""
     cell, outcome = Cell.from_json(batch_cell.cell), batch_cell.outcome
     assert outcome is not None, "it ran"
-    evaluated = _evaluate(cell, batch_cell.source, log)
+    evaluated = _evaluate_log(cell, batch_cell.source, log)
     steps = step_columns(cell, evaluated)
     about = batch_cell.name, cell, outcome, batch_cell.library, batch_cell.machine_id
     row = run_row(*about, evaluated, steps, concurrency=batch_cell.concurrency)
-    return packed(row, step_batch(steps))
+    return row, step_batch(steps)
 
 
-def _evaluate(cell: Cell, source: Path, log: RawLog) -> Evaluated:
+def _evaluate_log(cell: Cell, source: Path, log: RawLog) -> EvaluatedCell:
+    """Evaluate the raw log of a replay or closed loop; return step columns and metrics."""
     if cell.mode == "replay":
-        known, judged = replayed(cell, source), cell.solver not in CALIBRATION
+        known, judged = read_replay(cell, source), cell.solver not in CALIBRATION
         return evaluate_sequence(log, known.sequence, known.sample_s, known.optima, judged=judged)
-    return evaluate_log(cell, log, _exact_loop(source))
+    return evaluate_log(cell, log, _load_exact_loop(source))
 
 
 @lru_cache(maxsize=1)
-def _exact_loop(path: Path) -> ExactLoop:
-    """The course of one that many cells in a row are set beside, read once a process."""
+def _load_exact_loop(path: Path) -> ExactLoop:
+    """Return the exactly solved loop in a file; the latest is kept for the next runs."""
     return ExactLoop.load(path, with_optima=False)

@@ -1,1 +1,1 @@
-"""The search for a solver's worst step."""
+"""Search for a solver's worst step."""

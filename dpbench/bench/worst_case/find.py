@@ -1,34 +1,31 @@
-"""`dpbench worst-case`: the worst step of one solver, searched for over starts and disturbances.
+"""`dpbench worst-case`: the worst step of one solver, over starts and disturbances.
 
-A point of the `SearchSpace` makes a scenario; its exactly solved loop gives a short sequence of
-QPs; the solver answers it in a process of its own; the worst step of the judged answers is the
-point's score. Differential evolution (Storn & Price 1997, J. Global Optimization 11, as in SciPy)
-from a Sobol sample climbs it. Chance has a part by the seed only: the same versions find the same
-case.
+A point of the `SearchSpace` makes a scenario; the solver answers the QPs of its exactly solved loop
+in a process of its own; the worst of these steps is the point's score. Differential evolution
+(Storn & Price 1997, J. Global Optimization 11, as in SciPy) from a Sobol sample maximises it. The
+same seed and versions find the same case.
 """
-
-from __future__ import annotations
 
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from dpbench.bench.plan.configurations import module_of
+from dpbench.bench.plan.configurations import plugin_file
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.sequences.sequence_file import save_sequence
-from dpbench.bench.workers.child import template_context
-from dpbench.bench.workers.interrupts import one_interrupt
-from dpbench.bench.workers.scratch import scratch_folder
-from dpbench.bench.worst_case.goal import GOALS, Goal, Worst
+from dpbench.bench.workers.child import start_forkserver
+from dpbench.bench.workers.interrupts import first_signal_only
+from dpbench.bench.workers.scratch import open_scratch_folder
+from dpbench.bench.worst_case.goal import GOALS, Goal, WorstStep
 from dpbench.bench.worst_case.search import Case, Search, SearchedSolver
 from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import MAX_STEPS, Scenario, load_scenario
 from dpbench.solvers.contract import Policy, Route
-from dpbench.solvers.table import available, load_solver_module, record
+from dpbench.solvers.table import check_availability, find_record, load_solver_module
 
 BUDGET = 300
 STEPS = 60
@@ -40,14 +37,12 @@ _WORDS = {"timed_out": "slow"}
 
 @dataclass(frozen=True, eq=False)
 class WorstCase:
-    """What a search found.
+    """Result of a search for a solver's worst step: goal, solver, search and saved files.
 
     Parameters
     ----------
-    goal, cell : what was solver_process, and how it was run on which scenario.
-    search : baseline, best case and failures.
-    path : where the best case is saved; nothing is there where there is none.
-    failures : where the first case of each failure is saved, by its name in `search.failures`.
+    cell : how the solver was run on which scenario; search : baseline, best case and failures.
+    path : of the best case, if there is one; failures : of the first case of each failure.
     """
 
     goal: Goal
@@ -57,27 +52,27 @@ class WorstCase:
     failures: dict[str, Path]
 
     @property
-    def worst(self) -> Worst | None:
-        """The worst step that was found."""
+    def worst(self) -> WorstStep | None:
+        """The worst step found; None where no step could be rated by the goal."""
         return None if self.search.best is None else self.search.best.worst
 
     @property
     def beats_baseline(self) -> bool:
-        """Whether it is worse than any step of the scenario itself."""
+        """Return whether the worst step is worse than any step of the unchanged scenario."""
         own = self.search.baseline
         return self.worst is not None and (own is None or self.worst.objective > own.objective)
 
     @property
     def lines(self) -> list[str]:
-        """The findings in plain words, a line each."""
+        """The result of a worst-case search in words: worst step, comparison, failures."""
         search, cell, worst = self.search, self.cell, self.worst
         configuration = f"{cell.solver} {cell.route} {cell.policy} {cell.settings}"
         headline = "nothing found"
         if worst is not None:
-            headline = f"{worst.figure(self.goal)} at step {worst.step} of {self.path}"
+            headline = f"{worst.describe_figure(self.goal)} at step {worst.step} of {self.path}"
         early = f" ({search.stopped})" if search.stopped else ""
         outcome = search.baseline_outcome
-        own = "" if search.baseline is None else search.baseline.figure(self.goal)
+        own = "" if search.baseline is None else search.baseline.describe_figure(self.goal)
         if outcome.outcome != "finished":
             own = f"{own} ({outcome.detail or outcome.outcome})".strip()
         beside = (
@@ -109,20 +104,17 @@ def find_worst_case(
     solver_module: str | Path | None = None,
     progress: Progress | None = None,
 ) -> WorstCase:
-    """Search for the worst step of a solver and save its sequence, which replays to the same.
+    """Search for a solver's worst step over variants of a scenario, and save these QPs.
+
+    Ctrl-C ends the search early with the best case so far.
 
     Parameters
     ----------
-    scenario : whose ship, controller and weather the cases share; goal : as in `worst_of`.
-    route, policy, settings : how the solver is run; None is native where it has that route.
-    budget : cases tried; steps : length of each; seed : of the search.
-    out : the `.npz`; by default `worst-cases/<solver>-<goal>.npz`. A case that crashes or hangs the
-        solver goes beside it.
-    progress : told how far the search is.
-
-    Returns
-    -------
-    The search. Ctrl-C ends it early with the best case so far.
+    scenario : whose ship, controller and weather the cases share; goal : as in `find_worst_step`.
+    route, policy, settings : of the solver; no route is native where it has that.
+    budget : cases tried; steps : length of each.
+    out : the `.npz`; by default `worst-cases/<solver>-<goal>.npz`. The first case that crashes or
+        hangs the solver is saved beside it.
 
     Raises
     ------
@@ -130,27 +122,27 @@ def find_worst_case(
     """
     if solver_module is not None:
         load_solver_module(solver_module)
-    _check(goal, budget, steps, seed)
+    _check_options(goal, budget, steps, seed)
     path = Path("worst-cases") / f"{solver}-{goal}.npz" if out is None else Path(out)
     if path.suffix != ".npz":
         raise InputError("--out", "", repr(path.name), "a file name that ends in .npz")
     base = load_scenario(scenario)
-    cell = _cell(solver, route, policy, settings, base)
-    _make_room(path)
+    cell = _make_baseline_cell(solver, route, policy, settings, base)
+    _check_writable(path)
     space = SearchSpace(base, steps, f"{base.name}-worst-{solver}-{goal}")
-    with one_interrupt():
-        context = template_context([solver])
+    with first_signal_only():
+        context = start_forkserver([solver])
         with (
-            scratch_folder() as folder,
+            open_scratch_folder() as folder,
             closing(SearchedSolver(context, folder, cell)) as solver_process,
         ):
             search = Search(solver_process, space, goal, budget, progress or Silent())
             search.run(base, seed)
-        return _saved(WorstCase(goal, cell, search, path, {}), seed)
+        return _save_findings(WorstCase(goal, cell, search, path, {}), seed)
 
 
-def _check(goal: str, budget: int, steps: int, seed: int) -> None:
-    """InputError that names the option whose value cannot be."""
+def _check_options(goal: str, budget: int, steps: int, seed: int) -> None:
+    """Raise InputError that names the option with a bad value."""
     if goal not in GOALS:
         raise InputError("--goal", "", repr(goal), " | ".join(GOALS))
     for option, value, least in (("--budget", budget, 1), ("--seed", seed, 0)):
@@ -160,8 +152,8 @@ def _check(goal: str, budget: int, steps: int, seed: int) -> None:
         raise InputError("--steps", "", steps, f"a whole number from 1 to {MAX_STEPS}")
 
 
-def _make_room(path: Path) -> None:
-    """InputError unless the file can be written: before a search of minutes, not after it."""
+def _check_writable(path: Path) -> None:
+    """Raise InputError where a result file cannot be written, before a search of minutes."""
     trial = path.with_name(path.name + ".part")
     try:
         if path.is_dir():
@@ -174,9 +166,11 @@ def _make_room(path: Path) -> None:
         raise InputError("--out", "", reason, "a file that can be written") from error
 
 
-def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base: Scenario) -> Cell:
-    """The replay of the scenario itself; what cannot run is said when its solver is opened."""
-    row = record(solver)
+def _make_baseline_cell(
+    solver: str, route: Route | None, policy: Policy, settings: str, base: Scenario
+) -> Cell:
+    """Return the run that replays the QPs of the unchanged scenario with the solver."""
+    row = find_record(solver)
     # Many libraries count their iterations, and qpsolvers does not pass the count on.
     own: Route = "native" if "native" in row.policies else row.default_route
     return Cell(
@@ -189,17 +183,17 @@ def _cell(solver: str, route: Route | None, policy: Policy, settings: str, base:
         steps=base.steps,
         rounds=1,
         warmup_steps=WARMUP_STEPS,
-        solver_module=module_of(solver),
+        solver_module=plugin_file(solver),
     )
 
 
-def _saved(worst_case: WorstCase, seed: int) -> WorstCase:
-    """Write what was found."""
+def _save_findings(worst_case: WorstCase, seed: int) -> WorstCase:
+    """Save the QPs of the worst case and of the first of each failure; return their paths."""
     search, cell, path = worst_case.search, worst_case.cell, worst_case.path
     facts = {
         "goal": worst_case.goal,
         "solver": cell.solver,
-        "solver_version": available(cell.solver).version,
+        "solver_version": check_availability(cell.solver).version,
         "route": cell.route,
         "policy": cell.policy,
         "settings": cell.settings,
@@ -208,17 +202,18 @@ def _saved(worst_case: WorstCase, seed: int) -> WorstCase:
         "evaluations": search.evaluations,
     }
     if search.best is not None:
-        _write(path, search.best, facts)
+        _save_case(path, search.best, facts)
     places = {
         what: path.with_name(f"{path.stem}-{_WORDS.get(what, what)}.npz")
         for what in search.failures
     }
     for what, place in places.items():
-        _write(place, search.failures[what][1], facts)
+        _save_case(place, search.failures[what][1], facts)
     return replace(worst_case, failures=places)
 
 
-def _write(path: Path, case: Case, facts: dict[str, Any]) -> None:
+def _save_case(path: Path, case: Case, facts: dict[str, Any]) -> None:
+    """Save the QPs of one scenario variant, with what happened to the solver as metadata."""
     scenario, worst = case.scenario, case.worst
     facts = facts | {"outcome": case.outcome.outcome}
     if worst is not None:
@@ -229,8 +224,8 @@ def _write(path: Path, case: Case, facts: dict[str, Any]) -> None:
             "error_plan": repr(worst.error_plan),
             "status": worst.status.name.lower(),
         }
-    meta = case.sequence.meta | {"N_p": scenario.N_p, "N_c": scenario.N_c}
+    meta = case.sequence.meta | scenario.problem.horizons
     meta |= {f"worst_case_{name}": fact for name, fact in facts.items()}
     sequence = replace(case.sequence, meta=meta)
     units = QPBuilder(scenario, "si").condensed.scale
-    save_sequence(path, sequence, units=units, documents=scenario.files)
+    save_sequence(path, sequence, units=units, documents={**scenario.files})

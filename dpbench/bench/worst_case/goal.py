@@ -1,6 +1,4 @@
-"""What a search is after, and which step of a judged replay is the worst by that measure."""
-
-from __future__ import annotations
+"""Goal of a search, and the worst step of an evaluated replay by that measure."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -8,33 +6,30 @@ from typing import Literal, get_args
 import numpy as np
 
 from dpbench.arrays import Floats
-from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
+from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
 from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, WARM_UP
 from dpbench.qp.solution import Status
 
 Goal = Literal["iterations", "error"]
 GOALS: tuple[Goal, ...] = get_args(Goal)
 DECLINED = 1e-2
-"""An answer that is not claimed counts its error, but no more than what is just true."""
+"""Largest error that an answer without a claim counts: what is just true."""
 _ROUNDING = 1e-18
-"""An error of zero has no logarithm; no certificate sees one below this."""
+"""Errors of zero have no logarithm; no certificate sees one below this."""
 _LARGEST = 1e300
 _NO_ANSWER_CLAIMS = [status for status in Status if status.denies_optimum]
 
 
 @dataclass(frozen=True)
-class Worst:
-    """The worst step of a replay.
+class WorstStep:
+    """The worst step of a replay: iterations, error, status, and how bad it is.
 
     Parameters
     ----------
-    step : its number in the sequence.
-    iterations : the solver's own count, −1 when it gives none.
-    error_plan : as in `steps.parquet`.
-    bound : of the certified optimum it is measured against.
-    status : what the solver claimed.
-    objective : how bad it is by the goal; the worse of two steps has the larger one.
-    score : of the whole replay, what a search climbs; equal severities may differ in it.
+    step : its number in the sequence; iterations : of the solver, −1 if not counted.
+    error_plan, bound : as in `steps.parquet`; status : what the solver claimed.
+    objective : how bad the step is by the goal.
+    score : of the whole replay, which a search maximises; equal objectives may differ in it.
     """
 
     step: int
@@ -45,8 +40,8 @@ class Worst:
     objective: float
     score: float
 
-    def figure(self, goal: Goal) -> str:
-        """The figure of the goal in words."""
+    def describe_figure(self, goal: Goal) -> str:
+        """Return the step's solver iterations or error in words, as the goal asks."""
         if goal == "iterations":
             return f"{self.iterations} iterations ({self.status.name.lower()})"
         claim = "claimed" if self.status is Status.SOLVED else self.status.name.lower()
@@ -56,13 +51,13 @@ class Worst:
         return f"error_plan {self.error_plan:.2e} ({claim}{near})"
 
 
-def worst_of(evaluated: Evaluated, goal: Goal) -> Worst | None:
-    """The worst step of the counting rounds of a judged replay; None where no step has a figure.
+def find_worst_step(evaluated: EvaluatedCell, goal: Goal) -> WorstStep | None:
+    """Return the worst step of a replay, by iterations or error; None if none can be rated.
 
     Goal "iterations": the most iterations, whatever the answer. Goal "error": an answer that is
-    claimed counts its `error_plan`; one that is declined (no claim, or a failure that says so)
-    counts at most `DECLINED`, because a controller can act on a refusal and not on a lie; a false
-    "infeasible", and a "solved" of what has no feasible point, count as infinite.
+    claimed counts its `error_plan`; one that is declined (no claim, or a failure) counts at most
+    `DECLINED`, because a controller can act on a refusal; a false "infeasible", and a "solved" of
+    what has no feasible point, count as infinite.
     """
     columns = evaluated.columns
     counting = columns["repeat"] != WARM_UP
@@ -72,7 +67,7 @@ def worst_of(evaluated: Evaluated, goal: Goal) -> Worst | None:
             return None
         objective = iterations.astype(np.float64)
     else:
-        objective = _objective_of_errors(evaluated)[counting]
+        objective = _error_objective(evaluated)[counting]
     if not len(objective):
         return None
     at = int(objective.argmax())
@@ -83,7 +78,7 @@ def worst_of(evaluated: Evaluated, goal: Goal) -> Worst | None:
     else:
         score = float(np.log10(np.clip(worst, _ROUNDING, _LARGEST)))
     evaluations = columns["evaluations"][counting][at]
-    return Worst(
+    return WorstStep(
         int(columns["k"][counting][at]),
         int(iterations[at]),
         float(evaluations[EVALUATION.index("error_plan")]),
@@ -94,7 +89,8 @@ def worst_of(evaluated: Evaluated, goal: Goal) -> Worst | None:
     )
 
 
-def _objective_of_errors(evaluated: Evaluated) -> Floats:
+def _error_objective(evaluated: EvaluatedCell) -> Floats:
+    """Return how bad each step's answer is by its error; inf for a false claim of the solver."""
     columns = evaluated.columns
     status = columns["status"]
     error, true = (columns["evaluations"][:, EVALUATION.index(x)] for x in ("error_plan", "true"))

@@ -1,12 +1,10 @@
-"""The search itself: cases by differential evolution, the worst of them kept.
+"""Search by differential evolution, which keeps the worst case.
 
 The solver answers one sequence after the other in a process of its own; one that crashes or hangs
-costs the sequence it failed on. Every sequence is answered by a new workspace in the way
-`notebook.runs.replay` and a campaign do it (a warm-up round, then one that counts), so that what is
-found replays to the same figures.
+costs the sequence it failed on. Every sequence is answered by a new workspace as in
+`notebook.runs.replay` and a campaign (a warm-up round, then one that counts), so that a case
+replays to the same figures.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from multiprocessing.context import ForkServerContext
@@ -17,7 +15,7 @@ from scipy.optimize import Bounds, differential_evolution
 from scipy.stats import qmc
 
 from dpbench.arrays import Floats
-from dpbench.bench.judge.closed_loop import Evaluated
+from dpbench.bench.judge.closed_loop import EvaluatedCell
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome
@@ -25,7 +23,7 @@ from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.exact_loop import record_sequence
 from dpbench.bench.workers.child import ServingChild
 from dpbench.bench.workers.worker import answer_sequences
-from dpbench.bench.worst_case.goal import Goal, Worst, worst_of
+from dpbench.bench.worst_case.goal import Goal, WorstStep, find_worst_step
 from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.errors import CertificateError, InputError
 from dpbench.qp.program import QPSequence
@@ -34,101 +32,77 @@ from dpbench.scenario.scenario import Scenario
 CASE_LIMIT_S = 5.0
 """Run time of one case; a solver that takes longer hangs."""
 BASELINE_LIMIT_S = 60.0
-"""Run time of the scenario's own sequence; of a slower solver it is the steps until then."""
+"""Run time of the scenario's own sequence; a slower solver answers part of it."""
 _POPULATIONS = (8, 16, 32)
 """Points that evolve together: powers of two, for which a Sobol sample is balanced."""
 
 
 class _BudgetError(Exception):
-    """The budget is spent; no DpbenchError, as nothing went wrong."""
+    """Raised within a worst-case search when its number of trials is used up."""
 
 
 class SearchedSolver:
-    """One configuration, ready to answer sequences.
-
-    Parameters
-    ----------
-    context : what forks its processes; folder : where they leave raw logs.
-    cell : the configuration: solver, route, policy, settings, formulation, rounds, plug-in; what
-        else a cell says is not looked at.
-
-    Raises
-    ------
-    InputError : the configuration cannot run, for the reason it gives.
-    """
+    """A solver in a worker process that solves sequences of QPs one after the other."""
 
     def __init__(self, context: ForkServerContext, folder: Path, cell: Cell) -> None:
         self._context, self._folder, self._cell = context, folder, cell
-        self._start()
+        self._start_process()
 
-    def _start(self) -> None:
+    def _start_process(self) -> None:
+        """Start a worker process with the solver; InputError where it cannot run."""
         args = (self._cell.to_json(), self._folder, "searched")
         self._child = ServingChild(
             self._context, answer_sequences, args, self._folder, "searched", limit_s=None
         )
-        ready = self._child.ready()
+        ready = self._child.wait_until_ready()
         if isinstance(ready, InputError):
             raise ready
         if ready is not True:
-            outcome = self._child.outcome()
+            outcome = self._child.determine_outcome()
             where, detail = f"solver {self._cell.solver}", f"{outcome.outcome}: {outcome.detail}"
             raise InputError(where, "", detail, "a solver that starts in a process of its own")
 
-    def answer(self, sequence: QPSequence, limit_s: float) -> tuple[Outcome, Evaluated | None]:
-        """Replay a sequence in at most `limit_s` of run time, and judge the answers.
-
-        Returns
-        -------
-        What became of the process (`finished`, `timed_out`, `hung`, `crashed` or `lost`), and the
-        judged columns of the steps it came to, None where there are none.
-        """
+    def answer(self, sequence: QPSequence, limit_s: float) -> tuple[Outcome, EvaluatedCell | None]:
+        """Replay a sequence of QPs within `limit_s` [s]; return outcome and evaluated steps."""
         raw = self._child.raw_path
         raw.unlink(missing_ok=True)
         # How to make it in another form is not needed there, and large.
-        self._child.order((replace(sequence, sparse_equivalent=None), limit_s))
-        completed = self._child.reply(limit_s)
+        self._child.send_order((replace(sequence, sparse_equivalent=None), limit_s))
+        completed = self._child.wait_for_reply(limit_s)
         outcome = Outcome("finished", "")
         if completed is False:
             outcome = Outcome("timed_out", f"the sequence took more than {limit_s:g} s")
         elif completed is not True:
             outcome = self._child.dismiss()
-            self._start()
+            self._start_process()
         if not raw.exists():
             return outcome, None
         sample_s = float(sequence.meta.get("sample_s", float("nan")))
         return outcome, evaluate_sequence(RawLog.open(raw), sequence, sample_s)
 
     def close(self) -> None:
-        """End the process."""
+        """End the worker process of the solver."""
         self._child.dismiss()
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A variant of a scenario, its QPs, what became of the solver's process, the worst answer.
-
-    `worst` is None where the process did not finish, or no step has a figure.
-    """
+    """A variant of a scenario, its QPs, the solver's outcome, and its worst step, if any."""
 
     scenario: Scenario
     sequence: QPSequence
     outcome: Outcome
-    worst: Worst | None
+    worst: WorstStep | None
 
 
 class Search:
-    """One search.
-
-    Parameters
-    ----------
-    solver_process : the solver; space : the cases; goal : what makes one worse than another.
-    budget : cases to try; progress : told how far the search is.
+    """A search for the scenario variant with a solver's worst step, by differential evolution.
 
     Attributes
     ----------
-    baseline, baseline_outcome : the worst step of the scenario itself, as in `Case`.
-    best : the worst case so far, the first of equals; None where none had a figure.
-    failures : by what became of the process: how many cases, and the first of them.
+    baseline, baseline_outcome : of the scenario itself, as in `Case`.
+    best : the first of the worst cases so far; None where none had a figure.
+    failures : by outcome of the process: how many cases, and the first of them.
     evaluations : cases tried; stopped : why the budget is not spent, "" where it is.
     """
 
@@ -142,7 +116,7 @@ class Search:
     ) -> None:
         self._solver_process, self._space, self._goal = solver_process, space, goal
         self._budget, self._progress = budget, progress
-        self.baseline: Worst | None = None
+        self.baseline: WorstStep | None = None
         self.baseline_outcome = Outcome("timed_out", "not tried")
         self.best: Case | None = None
         self.failures: dict[str, tuple[int, Case]] = {}
@@ -150,41 +124,43 @@ class Search:
         self.stopped = ""
 
     def run(self, base: Scenario, seed: int) -> None:
-        """See what the scenario itself demands, then spend the budget; Ctrl-C ends it early.
+        """Replay the unchanged scenario, then search its variants until all trials are used up.
 
         Raises
         ------
         InputError : the goal is iterations and the solver counts none, or a case cannot be made.
         CertificateError : a step of the scenario itself cannot be certified.
         """
-        # A length that cannot be is said before anything runs.
-        self._space.scenario(np.zeros(self._space.dimensions))
+        # An impossible length is an error before anything runs.
+        self._space.build_variant(np.zeros(self._space.dimensions))
         self._progress.start(self._budget)
         try:
-            self._see(base)
-            self._climb(np.random.default_rng(seed))
+            self._evaluate_baseline(base)
+            self._evolve(np.random.default_rng(seed))
         except _BudgetError:
             return
         except KeyboardInterrupt:
             self.stopped = "interrupted"
 
-    def _see(self, base: Scenario) -> None:
+    def _evaluate_baseline(self, base: Scenario) -> None:
+        """Replay the unchanged scenario and set its outcome and worst step."""
         self._progress.advance(0, f"{base.name} itself, {base.steps} steps")
         outcome, evaluated = self._solver_process.answer(record_sequence(base), BASELINE_LIMIT_S)
         self.baseline_outcome = outcome
-        self.baseline = None if evaluated is None else worst_of(evaluated, self._goal)
+        self.baseline = None if evaluated is None else find_worst_step(evaluated, self._goal)
         if self._goal == "iterations" and outcome.outcome == "finished" and self.baseline is None:
             allowed = "a solver that counts its iterations on this route, or --goal error"
             raise InputError("--goal", "", "iterations, of which the solver gives none", allowed)
 
-    def _climb(self, rng: np.random.Generator) -> None:
+    def _evolve(self, rng: np.random.Generator) -> None:
+        """Search scenario variants for the worst step by differential evolution, until stopped."""
         d = self._space.dimensions
         size = max((s for s in _POPULATIONS if 8 * s <= self._budget), default=_POPULATIONS[0])
         # A population that has closed in on one point starts anew.
         while not self.stopped:
             first = qmc.Sobol(d, seed=rng).random(size)
             differential_evolution(
-                self._cost,
+                self._point_cost,
                 Bounds(-np.ones(d), np.ones(d)),
                 init=2.0 * first - 1.0,
                 maxiter=self._budget,
@@ -193,19 +169,22 @@ class Search:
                 seed=rng,
             )
 
-    def _cost(self, point: Floats) -> float:
-        """Minus the score of a point; infinite where it has none."""
+    def _point_cost(self, point: Floats) -> float:
+        """Return the cost of a scenario variant: the worse its worst step, the lower; else inf."""
         if self.evaluations == self._budget:
             raise _BudgetError
         self.evaluations += 1
-        worst = self._try(point)
+        worst = self._evaluate_case(point)
         known = None if self.best is None else self.best.worst
-        self._progress.advance(1, "nothing yet" if known is None else known.figure(self._goal))
+        self._progress.advance(
+            1, "nothing yet" if known is None else known.describe_figure(self._goal)
+        )
         return np.inf if worst is None else -worst.score
 
-    def _try(self, point: Floats) -> Worst | None:
+    def _evaluate_case(self, point: Floats) -> WorstStep | None:
+        """Replay the scenario variant at a point, keep it if worst; return its worst step."""
         try:
-            scenario = self._space.scenario(point)
+            scenario = self._space.build_variant(point)
             sequence = record_sequence(scenario)
         except CertificateError:
             # Without a certified loop there is nothing to judge by.
@@ -213,7 +192,7 @@ class Search:
         try:
             outcome, evaluated = self._solver_process.answer(sequence, CASE_LIMIT_S)
         except InputError as error:
-            # It ran before, so nobody's input is to blame; what was found so far is kept.
+            # The solver ran before, so the input is right; the best case so far is kept.
             self.stopped = f"stopped: {error}"
             raise _BudgetError from error
         if outcome.outcome == "lost":
@@ -225,7 +204,7 @@ class Search:
             count, first = self.failures.get(outcome.outcome, (0, case))
             self.failures[outcome.outcome] = count + 1, first
             return None
-        worst = worst_of(evaluated, self._goal)
+        worst = find_worst_step(evaluated, self._goal)
         known = None if self.best is None else self.best.worst
         if worst is not None and (known is None or worst.objective > known.objective):
             self.best = Case(scenario, sequence, outcome, worst)

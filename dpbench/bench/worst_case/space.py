@@ -1,53 +1,48 @@
-"""What a search may change of a scenario: how the ship starts, and what pushes it.
+"""Search space of a scenario: how the ship starts, and what pushes it.
 
-A point x in [−1, 1]^d makes a scenario with documents of its own, so that what is found is as
-legitimate as any file under `problems/scenarios/` and can be made again from its documents:
+A point x in [−1, 1]^d makes a scenario with documents of its own, as any file under
+`problems/scenarios/`:
 
-    x[0:3]  start, relative to the reference: sign(x)·x²·reach [m, m, rad], so that small offsets
-            are looked at as closely as large ones
+    x[0:3]  start, relative to the reference: sign(x)·x²·reach [m, m, rad], which samples small
+            offsets as closely as large ones
     x[3:6]  speed at the start over ground, along the ship's axes: sign(x)·x²·reach [m/s, rad/s]
     x[6:9]  steady force: x · what the thrusters can hold
-    x[9:12] force that comes on top of it within one sample and stays: 2 · x · what they can hold,
-            which is enough to turn the sum about
+    x[9:12] force added within one sample, which stays: 2 · x · what they can hold, enough to
+            reverse the sum
     x[12]   when that happens, from the first sample to the last
     x[13]   when the first fault happens; only where the scenario has faults
 
-The force applied before is what comes of it: a run starts with none (method.md section 3), and is
-long enough for the thrusters to reach their limits.
+A run starts without force (method.md section 3), and is long enough to reach the limits.
 """
 
-from __future__ import annotations
-
 import copy
-from typing import Any
 
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.scenario.scenario import Scenario, scenario_of
+from dpbench.scenario.scenario import Scenario, build_scenario
 from dpbench.ship.froude import Froude
 
 REACH = np.array([20.0, 20.0, np.radians(20.0)])
-"""Offsets that are looked at in any case [m, m, rad], at full size: those of a large move, within
-the 30° in which a linearised model is fine."""
+"""Smallest reach of the start [m, m, rad], at full size: that of a large move.
+
+It is within the 30° in which a linearised model is fine.
+"""
 SPEED_REACH = np.array([1.0, 1.0, np.radians(1.0)])
-"""Speeds that are looked at in any case [m/s, m/s, rad/s], at full size: those of a ship that comes
-to its station."""
+"""Smallest reach of the speed [m/s, m/s, rad/s], at full size: a ship that arrives."""
 _KN_PER_N = 1e-3
 _START, _SPEED, _STEADY, _ON_TOP = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 _WHEN, _FIRST_FAULT = 12, 13
-"""Where in a point each stands, see above."""
 
 
 class SearchSpace:
-    """The variants of one scenario.
+    """The variants of a scenario that a search tries: start, speed, steady and sudden force.
 
     Parameters
     ----------
     scenario : whose ship, controller, estimator and weather all variants share; a start further
         from the reference than `REACH`, or faster than `SPEED_REACH`, widens the reach.
-    steps : length of each variant in samples, whatever the scenario's own.
-    name : of the variants.
+    steps : length of each variant in samples; name : of the variants.
     """
 
     def __init__(self, scenario: Scenario, steps: int, name: str) -> None:
@@ -59,20 +54,16 @@ class SearchSpace:
         self._fastest = np.maximum(SPEED_REACH, np.abs(scenario.velocity) / scale.velocity)
         vessel = scenario.vessel
         self._force_kN = _KN_PER_N * np.minimum(-vessel.tau_min, vessel.tau_max) / scale.force
-        self._first_fault_s = min((fault["at_s"] for fault in self._table["faults"]), default=None)
-
-    @property
-    def _table(self) -> dict[str, Any]:
-        table: dict[str, Any] = self._files["scenario"]
-        return table
+        faults = scenario.files["scenario"]["faults"]
+        self._first_fault_s = min((fault["at_s"] for fault in faults), default=None)
 
     @property
     def dimensions(self) -> int:
-        """d, the length of a point."""
+        """Number d of parameters that make a variant of the scenario."""
         return _FIRST_FAULT if self._first_fault_s is None else _FIRST_FAULT + 1
 
-    def scenario(self, point: Vector) -> Scenario:
-        """The variant at a point (d,) of [−1, 1]^d."""
+    def build_variant(self, point: Vector) -> Scenario:
+        """Return the scenario variant that a point (d,) in [−1, 1]^d describes."""
         files = copy.deepcopy(self._files)
         files["name"] = self._name
         table = files["scenario"]
@@ -96,7 +87,7 @@ class SearchSpace:
         weather["mean_kN"] = (point[_STEADY] * self._force_kN).tolist()
         weather["squalls"].append(
             {
-                "start_s": _moment(point[_WHEN], duration_s, sample_s),
+                "start_s": _scale_to_time(point[_WHEN], duration_s, sample_s),
                 "rise_s": sample_s,
                 "hold_until_s": 2.0 * duration_s,
                 "decay_s": sample_s,
@@ -104,12 +95,12 @@ class SearchSpace:
             }
         )
         if self._first_fault_s is not None:
-            later = _moment(point[_FIRST_FAULT], duration_s, sample_s) - self._first_fault_s
+            later = _scale_to_time(point[_FIRST_FAULT], duration_s, sample_s) - self._first_fault_s
             for fault in table["faults"]:
                 fault["at_s"] = max(0.0, fault["at_s"] + later)
-        return scenario_of(files, where=f"variant of {self._name}")
+        return build_scenario(files, where=f"variant of {self._name}")
 
 
-def _moment(share: float, duration_s: float, sample_s: float) -> float:
-    """−1 is the first sample of a run, 1 its last [s]."""
+def _scale_to_time(share: float, duration_s: float, sample_s: float) -> float:
+    """Return the time [s] for a number in [−1, 1]: −1 is the first sample, 1 the last."""
     return float(0.5 * (1.0 + share) * (duration_s - sample_s))

@@ -1,1 +1,1 @@
-"""Controllers of thrusters: allocation, what thrusters attain together, azimuths that turn."""
+"""Controllers of thrusters: allocation, attainable forces, azimuths that turn."""

@@ -1,41 +1,37 @@
 """Thrust allocation at each sample: the second QP of a cascade, behind a controller of forces.
 
     min ½ fᵀW f + ½ ΔfᵀR Δf + ½ sᵀΩ s,   f = f_prev + Δf
-    s.t. T_e f + s = τ_c                      what is missing of the demanded force is the slack s
+    s.t. T_e f + s = τ_c                 s, the slack, is the missing part of the demanded force
          low ≤ G f ≤ high                     polygons of the thrusters (`thruster_rows`)
          −Δf_max ≤ Δf ≤ Δf_max
 
 Scaled: z = [Δf/Δf_max; s/Δτ_max], the first rows over Δτ_max, the others over the change of G f by
-a full step. The slack leaves a feasible point whatever is demanded; with Ω large against W and R it
-is next to nothing wherever the demand can be met, and falls as 1/Ω (Fossen 2021, section 11.2).
+a full step. The slack leaves a feasible point for every demand; with Ω large against W and R it is
+next to nothing wherever the demand can be met, and falls as 1/Ω (Fossen 2021, section 11.2).
 [q; l; u] is an affine map of [τ_c; f_prev; 1]: a step is one matrix-vector product, as in
 `CondensedQP`.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Flags, Matrix, Vector
 from dpbench.mpc.condense import UnitSystem
-from dpbench.mpc.thruster_rows import Retreat, ThrusterRows
-from dpbench.qp.program import QPStep, QuadraticProgram, Units, shaped
+from dpbench.mpc.thruster_rows import NOTHING_LOST, LimitRampDown, Limits, ThrusterRows
+from dpbench.qp.program import QPStep, QuadraticProgram, Units, check_shape
 from dpbench.ship.layout import AXES
 
 
 @dataclass(frozen=True, eq=False)
 class AllocationProblem:
-    """What an allocation weighs and may do, in SI units.
+    """Weights and limits of a dynamic thrust allocation, in SI units.
 
-    Parameters
-    ----------
     T_e : (3, n_f) configuration matrix; rows : r limits of the thrusters.
     W, R : (n_f, n_f) weights of f and of Δf; slack : (3, 3) Ω, that of the force not delivered.
-    df_max : (n_f,) largest Δf of a sample; step_max : (3,) unit of the slack, the rate limit of
-        the demanded force in a sample.
+    df_max : (n_f,) largest Δf of a sample; step_max : (3,) unit of the slack, the rate limit of the
+    demanded force in a sample.
     """
 
     T_e: Matrix
@@ -51,21 +47,21 @@ class AllocationProblem:
         shapes: dict[str, tuple[int, ...]] = {"T_e": (AXES, n_f), "W": (n_f, n_f), "R": (n_f, n_f)}
         shapes |= {"slack": (AXES, AXES), "df_max": (n_f,), "step_max": (AXES,)}
         for name, shape in shapes.items():
-            array = shaped("AllocationProblem", name, getattr(self, name), shape)
+            array = check_shape("AllocationProblem", name, getattr(self, name), shape)
             object.__setattr__(self, name, array)
 
     @cached_property
     def row_max(self) -> Vector:
-        """(r,) the change of G f by a full step along each row: the unit of the row."""
-        return self.rows.units(self.df_max)
+        """Unit of each thruster-limit row (r,): its change by a full rate-limit step."""
+        return self.rows.row_units(self.df_max)
 
-    def pseudo_inverse(self, lost: frozenset[int] = frozenset()) -> Matrix:
-        """W⁻¹T_eᵀ(T_e W⁻¹T_eᵀ)⁻¹ (n_f, 3): the allocation with no limit, no rate and no slack.
+    def pseudo_inverse(self, lost: Flags = NOTHING_LOST) -> Matrix:
+        """Return the weighted pseudo-inverse (n_f, 3) of T_e, an allocation without limits.
 
-        Thrusters of the numbers in `lost` get nothing; where the others cannot make every force,
+        Thrusters that are `lost` (p,) get nothing; where the others cannot make every force,
         it is that of least squares in units of `step_max`.
         """
-        works = np.isin(self.rows.entry, list(lost), invert=True)
+        works = np.isin(self.rows.entry, np.flatnonzero(lost), invert=True)
         root = np.linalg.cholesky(np.linalg.inv(self.W))
         root[~works] = 0.0
         scaled = self.T_e @ root / self.step_max[:, np.newaxis]
@@ -74,15 +70,8 @@ class AllocationProblem:
 
 
 class AllocationQP:
-    """The QPs of an allocation, all of one shape.
+    """Builder of the thrust-allocation QP of each step, in scaled or SI units.
 
-    Parameters
-    ----------
-    problem : in SI units.
-    units : "scaled" or "si" (z = [Δf; s] in N, N, N·m).
-
-    Attributes
-    ----------
     P (n, n), A (m, n), lb, ub (n,) : constant; n = n_f + 3, the slacks last, and m = 3 + r.
     Z (n + 2m, 3 + n_f + 1) : the affine map [q; l; u] = Z [τ_c; f_prev; 1].
     scale : how z and the rows relate to the scaled ones (`Units`).
@@ -97,17 +86,17 @@ class AllocationQP:
         scaled = units == "scaled"
         one, row_one = np.ones(self.n), np.ones(self.m)
         self.scale = Units(one if scaled else unit, row_one if scaled else row_unit)
-        # What one unit of a variable and of a row stands for [N, N·m].
+        # One unit of a variable and of a row in [N, N·m].
         self._unit: Vector = unit if scaled else one
         self._row_unit: Vector = row_unit if scaled else row_one
-        self._build()
+        self._build_matrices()
         self._theta = np.ones(AXES + n_f + 1)
         of_limits = problem.row_max / self._row_unit[AXES:]
         rates = problem.df_max, problem.row_max
-        self._retreat = Retreat(problem.rows, *rates, 1, factor=of_limits)
+        self._ramp_down = LimitRampDown(problem.rows, *rates, 1, factor=of_limits)
 
-    def _build(self) -> None:
-        """P, A, bounds and Z: in SI units first, then in those of the variables and rows."""
+    def _build_matrices(self) -> None:
+        """Build the allocation QP's constant P, A, bounds, and the map Z that gives q, l, u."""
         problem, n_f, n, m = self.allocation, self.n_f, self.n, self.m
         unit, row_unit = self._unit, self._row_unit[:, np.newaxis]
         P, A = np.zeros((n, n)), np.zeros((m, n))
@@ -126,17 +115,12 @@ class AllocationQP:
         limits[0, AXES:, -1], limits[1, AXES:, -1] = problem.rows.low, problem.rows.high
         self.Z: Matrix = np.vstack([q * unit[:, np.newaxis], *(limits / row_unit)])
 
-    def emit(
-        self, tau: Vector, f_prev: Vector, *, limits: tuple[Vector, Vector] | None = None
-    ) -> QPStep:
-        """The QP of one step, in memory of its own.
+    def emit(self, tau: Vector, f_prev: Vector, *, limits: Limits | None = None) -> QPStep:
+        """Return the allocation QP of one step for a demanded force tau, in newly allocated memory.
 
-        Parameters
-        ----------
-        tau : (3,) τ_c, the force demanded [N, N, N·m].
-        f_prev : (n_f,) forces of the thrusters in the last sample [N].
-        limits : (low, high), each (r,) [N], in force from now on instead of those of the problem;
-            a thruster beyond them by now may retreat straight to nothing (`Retreat`).
+        tau : (3,) τ_c, the force demanded [N, N, N·m]; f_prev : (n_f,) forces of the thrusters in
+        the last sample [N]; limits : [N], in force from now on instead of those of the problem; a
+        thruster beyond them may retreat straight to zero (`LimitRampDown`).
         """
         theta, n, cut = self._theta, self.n, self.n + self.m
         theta[:AXES], theta[AXES:-1] = tau, f_prev
@@ -145,19 +129,19 @@ class AllocationQP:
         # The two sides of an equality are equal to the last bit, in whatever order a product adds.
         step.u[:AXES] = step.l[:AXES]
         if limits is not None:
-            self._retreat.write(f_prev, *limits, step.l[AXES:], step.u[AXES:])
+            self._ramp_down.write_limits(f_prev, limits, step.l[AXES:], step.u[AXES:])
         return step
 
     def base(self) -> QuadraticProgram:
-        """The problem at rest, with no force demanded: what a workspace sets up with."""
+        """Return the QP of zero force and zero demand, to set up a solver's workspace."""
         return self.problem(self.emit(np.zeros(AXES), np.zeros(self.n_f)))
 
     def problem(self, step: QPStep) -> QuadraticProgram:
-        """The whole problem of one step; a warm start stays as it is, and slacks are no moves."""
+        """Return the complete allocation QP of a step."""
         vectors = step.q, self.A, step.l, step.u, self.lb, self.ub
         return QuadraticProgram(self.P, *vectors, moves=self.n_f)
 
     def moves(self, z: Vector) -> Vector:
-        """Δf (n_f,) [N] of an answer."""
+        """Return the changes Δf (n_f,) [N] of the thruster forces in a solution z."""
         delta_f: Vector = z[: self.n_f] * self._unit[: self.n_f]
         return delta_f

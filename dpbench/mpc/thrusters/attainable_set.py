@@ -1,39 +1,33 @@
-"""The forces that a ship's thrusters can make together, as limits of a controller of forces.
+"""Forces that a ship's thrusters can make together, as limits of a controller of forces.
 
     {T_e f : each f_i in its polygon}  =  {τ : −h(−n) ≤ n·τ ≤ h(n) for every facet's normal n}
 
 The set is a sum of segments and polygons, one a thruster, each flat in the space of surge, sway and
 yaw. Every facet of such a sum holds two edges of its parts that are not parallel, so the cross
 products of all pairs of edges are all normals, and h(n) = Σ max n·T_e v over the corners v of the
-parts (Ziegler 1995, Lectures on Polytopes, section 7.2). A box of three limits, one an axis, holds
-far more than can be had at once, or leaves out what can.
-
-With thrusters lost the parts are fewer, but their edges are among the same: the normals stay and h
-falls.
+parts (Ziegler 1995, Lectures on Polytopes, section 7.2). A box of three limits, one an axis, allows
+far more than the thrusters make at once, or excludes some of it. With thrusters lost the parts are
+fewer, but their edges are among the same: the normals stay and h falls.
 """
 
-from __future__ import annotations
-
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.arrays import Indices, Matrix, Vector
+from dpbench.arrays import Matrix
 from dpbench.errors import InputError
-from dpbench.mpc.thruster_rows import ThrusterRows
+from dpbench.mpc.thruster_rows import Limits, ThrusterRows
 from dpbench.ship.layout import AXES
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
-_PARALLEL = 1e-9
-"""Cross products of unit edges below it, and normals closer than it, are the same direction."""
+_PARALLEL = 1e-9  # Smaller cross products, and distances of normals, are one direction
 
 
 @dataclass(frozen=True, eq=False)
 class AttainableSet:
-    """The rows of the set, whole and after losses.
+    """Polytope of the forces (surge, sway, yaw) that all thrusters attain together.
 
-    Parameters
-    ----------
     normals : (r, 3) rows n [1, 1, 1/m], one for a facet and the one across.
     corners : of each thruster's part (v_i, 3) [N, N, N·m].
     """
@@ -41,43 +35,46 @@ class AttainableSet:
     normals: Matrix
     corners: tuple[Matrix, ...]
 
-    def limits(self, lost: set[int]) -> tuple[Vector, Vector]:
-        """−h(−n) and h(n) (r,) with the thrusters of these numbers giving nothing."""
+    def limits(self, lost: Collection[int]) -> Limits:
+        """Return the limits of the attainable-force polytope's facets after the loss of thrusters.
+
+        The force as a whole counts as lost where the set is empty in some direction.
+        """
         low, high = np.zeros(len(self.normals)), np.zeros(len(self.normals))
         for i, corners in enumerate(self.corners):
             if i not in lost:
                 along = self.normals @ corners.T
                 low += along.min(axis=1)
                 high += along.max(axis=1)
-        return low, high
+        return Limits(low, high, np.array([(low == high).any()]))
 
     def rows(self) -> ThrusterRows:
-        """As rows of the force, which is limited as a whole: one group of rows and entries."""
-        together: Indices = np.zeros(len(self.normals), dtype=np.intp)
-        entries: Indices = np.zeros(AXES, dtype=np.intp)
-        return ThrusterRows(self.normals, *self.limits(set()), together, entries)
+        """Return the polytope of attainable forces as linear limits on force and moment."""
+        low, high, _ = self.limits(())
+        one_group = (np.zeros(size, dtype=np.intp) for size in (len(low), AXES))
+        return ThrusterRows(self.normals, low, high, *one_group)
 
 
 def attainable_set(thrusters: ThrusterSet, sides: int) -> AttainableSet:
-    """The set of a ship's thrusters, circles as polygons of so many sides (`thruster_rows`).
+    """Return the polytope of attainable forces, with circles as polygons of `sides` sides.
 
-    Raises
-    ------
-    InputError : for an azimuth with a sector.
+    InputError for an azimuth with a sector.
     """
-    parts = [_corners(t, sides, thrusters.where) @ t.columns.T for t in thrusters.thrusters]
+    parts = [
+        _thruster_corners(t, sides, thrusters.where) @ t.columns.T for t in thrusters.thrusters
+    ]
     # In metres of arm, moments weigh as forces do, and edges can be compared.
     arm = np.array([1.0, 1.0, 1.0 / thrusters.longest_arm_m])
-    edges = np.vstack([_edges(part * arm) for part in parts])
+    edges = np.vstack([_edge_directions(part * arm) for part in parts])
     pairs = np.triu_indices(len(edges), 1)
     crossed = np.cross(edges[pairs[0]], edges[pairs[1]])
     size = np.linalg.norm(crossed, axis=1)
-    normals = _distinct(crossed[size > _PARALLEL] / size[size > _PARALLEL, np.newaxis])
+    normals = _remove_parallel(crossed[size > _PARALLEL] / size[size > _PARALLEL, np.newaxis])
     return AttainableSet(np.ascontiguousarray(normals * arm), tuple(parts))
 
 
-def _corners(thruster: Thruster, sides: int, where: str) -> Matrix:
-    """Corners (v, components) of what one thruster gives, in order."""
+def _thruster_corners(thruster: Thruster, sides: int, where: str) -> Matrix:
+    """Return the corner forces (v, components) of one thruster's limits, in order."""
     if thruster.sector_rad is not None:
         found = f"a sector of {thruster.name}"
         raise InputError(where, "thrusters.sector_deg", found, "none for limits = attainable")
@@ -87,20 +84,18 @@ def _corners(thruster: Thruster, sides: int, where: str) -> Matrix:
     return thruster.thrust_N * np.column_stack((np.cos(angle), np.sin(angle)))
 
 
-def _edges(corners: Matrix) -> Matrix:
-    """Directions of the edges (e, 3) of a part, of unit length, each once."""
+def _edge_directions(corners: Matrix) -> Matrix:
+    """Return the unit directions (e, 3) of a polygon's edges, parallel ones once."""
     along = np.roll(corners, -1, axis=0) - corners
-    return _distinct(along / np.linalg.norm(along, axis=1, keepdims=True))
+    return _remove_parallel(along / np.linalg.norm(along, axis=1, keepdims=True))
 
 
-def _distinct(directions: Matrix) -> Matrix:
-    """Unit vectors (k, 3) less those that repeat another or its opposite."""
+def _remove_parallel(directions: Matrix) -> Matrix:
+    """Return unit vectors (k, 3) without those parallel to an earlier one."""
     first = np.argmax(np.abs(directions) > 1e-6, axis=1)
     sign = np.sign(directions[np.arange(len(directions)), first])
     turned = directions * sign[:, np.newaxis]
     _, kept = np.unique(np.round(turned / _PARALLEL / 10.0), axis=0, return_index=True)
-    distinct: Matrix = turned[np.sort(kept)]
+    distinct = turned[np.sort(kept)]
     close = np.abs(distinct @ distinct.T) > 1.0 - _PARALLEL
-    first_alike = np.argmax(close, axis=1) == np.arange(len(distinct))
-    alone: Matrix = distinct[first_alike]
-    return alone
+    return np.asarray(distinct[np.argmax(close, axis=1) == np.arange(len(distinct))])

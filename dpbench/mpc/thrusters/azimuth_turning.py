@@ -2,10 +2,10 @@
 
     n = f/|f|,  t across it:    |n·Δf_i| ≤ Δf_max,    |t·Δf_i| ≤ max(|f|, 0.05 T) ω ΔT
 
-for the force f of a thruster before the step, at every move i: the turning rate ω of a thruster
-bounds the part of a move across its direction by the arc it sweeps, its rate the part along it. The
-direction is that of the step, so A changes with it. A thruster that hardly pushes may be turned as
-if it pushed with a twentieth of its thrust; else it could never leave nothing but ahead.
+for the force f of a thruster before the step, at every move i: the turning rate ω bounds the part
+of a move across the direction by the arc it sweeps, the thrust rate the part along it. The
+direction is that of the step, so A changes with it. A thruster with hardly any force is turned as
+with a twentieth of its thrust; else it could never leave zero but ahead.
 """
 
 from __future__ import annotations
@@ -18,23 +18,22 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.kernel_cache import njit
 from dpbench.mpc.condense import ControlProblem
-from dpbench.mpc.condensed_qp import CondensedQP, Form
-from dpbench.mpc.soft_limits import Layer
+from dpbench.mpc.condensed_qp import CondensedOptions, CondensedQP
+from dpbench.mpc.move_limits import ThrusterLimit
+from dpbench.mpc.soft_limits import ConstraintBlock
+from dpbench.mpc.thruster_rows import Limits, ThrusterRows
 from dpbench.qp.program import QPStep
 from dpbench.ship.thrusters import ThrusterSet
 
-LEAST = 0.05
-"""Share of its thrust that an azimuth which hardly pushes is turned as if it had."""
+LEAST = 0.05  # Share of its thrust that an azimuth which hardly pushes is turned as if it had
 
 
 @dataclass(frozen=True, eq=False)
 class AzimuthTurning:
-    """The azimuths of a ship whose turning rate is known.
+    """Turning limits of a ship's azimuth thrusters with a known turning rate.
 
-    Parameters
-    ----------
-    x : (a,) where X of each stands in f; Y is behind it.
-    arc : (a,) ω ΔT [rad], what each turns in a sample; least_N : (a,) 0.05 T [N].
+    x : (a,) index of X of each in f; Y is behind it. arc : (a,) ω ΔT [rad], the turn in a sample;
+    least_N : (a,) 0.05 T [N].
     """
 
     x: np.ndarray
@@ -43,8 +42,8 @@ class AzimuthTurning:
 
     @classmethod
     def of(cls, thrusters: ThrusterSet, sample_s: float) -> AzimuthTurning:
-        """Those of a ship's thrusters that have a turning rate."""
-        pairs = zip(thrusters.thrusters, thrusters.places, strict=True)
+        """Select the thrusters of a ship that have a known turning rate."""
+        pairs = zip(thrusters.thrusters, thrusters.slices, strict=True)
         turning = [(t, at) for t, at in pairs if t.turning_radps is not None]
         rates = [t.turning_radps or 0.0 for t, _ in turning]
         return cls(
@@ -54,13 +53,13 @@ class AzimuthTurning:
         )
 
     def directions(self, f: Vector) -> tuple[Vector, Vector, Vector]:
-        """Parts of n (a,) along X and Y, and the most across in one sample (a,) [N]."""
+        """Return each azimuth's direction (cos, sin) and largest sideways change per sample [N]."""
         parts = zip(f[self.x], f[self.x + 1], self.arc, self.least_N, strict=True)
-        c, s, most = np.array([_direction(*part) for part in parts]).reshape(-1, 3).T
+        c, s, most = np.array([_azimuth_direction(*part) for part in parts]).reshape(-1, 3).T
         return c, s, most
 
-    def kept(self, f: Vector, move: Vector, du_max: Vector) -> Vector:
-        """The move (n_f,) cut to what rate and turning allow from f on."""
+    def limit_move(self, f: Vector, move: Vector, du_max: Vector) -> Vector:
+        """Return the force changes (n_f,) cut to the limits of thrust rate and turning rate."""
         c, s, most = self.directions(f)
         x, y, unit = move[self.x], move[self.x + 1], du_max[self.x]
         radial = np.clip(c * x + s * y, -unit, unit)
@@ -75,38 +74,47 @@ class AzimuthTurning:
         return out
 
 
+class TurningLimit(ThrusterLimit):
+    """Limiter of thruster force changes that also limits the turning rate of azimuths."""
+
+    def __init__(self, rows: ThrusterRows, du_max: Vector, turning: AzimuthTurning) -> None:
+        super().__init__(rows, du_max)
+        self._turning = turning
+
+    def _limit_rate(self, u: Vector, du: Vector) -> Vector:
+        """Return the force changes du (n_f,) cut to the limits of thrust rate and turning rate."""
+        return self._turning.limit_move(u, super()._limit_rate(u, du), self._du_max)
+
+
 @njit(cache=True, error_model="numpy")
-def _direction(along, across, arc, least_N):  # type: ignore[no-untyped-def] # compiled: numba finds the types
-    """Parts of n along X and Y, and the most across, of one azimuth."""
+def _azimuth_direction(along, across, arc, least_N):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+    """Return an azimuth's force direction (cos, sin) and its largest sideways force change [N]."""
     size = np.sqrt(along * along + across * across)
     most = max(size, least_N) * arc
     # Below it a direction is rounding, and what is squared is lost.
-    return (along / size, across / size, most) if size > 1e-9 * least_N else (1.0, across, most)
+    return (along / size, across / size, most) if size > 1e-9 * least_N else (1.0, 0.0, most)
 
 
 class TurningQP(CondensedQP):
-    """The problem of thrusters whose azimuths turn at a limited rate; each step brings A.
+    """Builder of the condensed QP for azimuths with a limited turning rate; A changes each step.
 
-    Parameters
-    ----------
-    problem, units, amplitude, outputs, penalty : as for `CondensedQP`, of thrusters.
-    turning : the azimuths; also an attribute.
+    Arguments as for `CondensedQP`, of thrusters; turning : the azimuths, also an attribute.
     """
 
     def __init__(
-        self, problem: ControlProblem, turning: AzimuthTurning, **form: Unpack[Form]
+        self, problem: ControlProblem, turning: AzimuthTurning, **form: Unpack[CondensedOptions]
     ) -> None:
         self.turning = turning
         super().__init__(problem, **form)
         a, rows = len(turning.x), self.m // problem.N_c
         unit = problem.du_max[turning.x] if self.units == "scaled" else np.ones(a)
-        # One array, because a call costs most for its arguments.
+        # One array, because most of the time of a call goes to its arguments.
         limits = turning.arc, turning.least_N, problem.du_max[turning.x] / unit, unit
         first = rows - 2 * a + 2 * np.arange(a)
         self._table: Matrix = np.vstack([turning.x, *limits, first]).astype(np.float64)
 
-    def _extra_layers(self) -> list[Layer]:
-        """Two rows an azimuth, with directions and limits of a thruster at nothing."""
+    def _extra_blocks(self) -> list[ConstraintBlock]:
+        """Return two constraints per azimuth on force change along and across it at zero force."""
         problem, turning = self.control, self.turning
         N_c, n_u, a = problem.N_c, problem.model.n_u, len(turning.x)
         moves = np.zeros((N_c, 2 * a, N_c, n_u))
@@ -117,35 +125,30 @@ class TurningQP(CondensedQP):
         high = np.zeros((N_c, 2 * a, problem.model.theta.size))
         high[:, 0::2, -1], high[:, 1::2, -1] = 1.0, turning.least_N * turning.arc / unit[::2]
         rows, nothing = moves.reshape(N_c, 2 * a, -1), np.zeros(0)
-        return [Layer(rows, np.zeros((2 * a, 0)), -high, high, unit, nothing, nothing)]
+        return [ConstraintBlock(rows, np.zeros((2 * a, 0)), -high, high, unit, nothing, nothing)]
 
     def emit(
-        self,
-        x: Vector,
-        y_ref: Vector,
-        u_prev: Vector,
-        *,
-        limits: tuple[Vector, Vector] | None = None,
+        self, x: Vector, y_ref: Vector, u_prev: Vector, *, limits: Limits | None = None
     ) -> QPStep:
-        """The QP of one step as `CondensedQP.emit`, with the directions of u_prev in A."""
+        """Return one step's QP, with azimuth turning constraints set by the last forces."""
         step = super().emit(x, y_ref, u_prev, limits=limits)
         A: Matrix = self.A.copy()
-        _turn(self._table, u_prev, A, step.l, step.u, self.control.N_c)
+        _write_turning_rows(self._table, u_prev, A, step.l, step.u, self.control.N_c)
         step.A = A
         return step
 
 
-# Rows of the table of `_turn`, whose columns are azimuths; the last one is the first of its rows.
+# Rows of the table of `_write_turning_rows`, a column an azimuth; FIRST is the first of its rows.
 X, ARC, LEAST_N, RADIAL, UNIT, FIRST = range(6)
 
 
 @njit(cache=True, error_model="numpy")
-def _turn(table, f, A, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; as in the program
-    """Rows and limits of the directions of f into A, l and u, alike at every move."""
+def _write_turning_rows(table, f, A, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; as in the program
+    """Write the rows that limit each azimuth's force change along and across its direction."""
     rows, block = A.shape[0] // N_c, A.shape[1] // N_c
     for j in range(table.shape[1]):
         at, radial = int(table[X, j]), table[RADIAL, j]
-        c, s, most = _direction(f[at], f[at + 1], table[ARC, j], table[LEAST_N, j])
+        c, s, most = _azimuth_direction(f[at], f[at + 1], table[ARC, j], table[LEAST_N, j])
         across = most / table[UNIT, j]
         for i in range(N_c):
             r, x = i * rows + int(table[FIRST, j]), i * block + at

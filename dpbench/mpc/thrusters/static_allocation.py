@@ -15,8 +15,6 @@ lost thruster has no part in the balance; that it gives nothing is then the cost
 limit of it is degenerate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -28,51 +26,40 @@ from dpbench.qp.program import QuadraticProgram
 from dpbench.ship.capability.shapes import Piece
 from dpbench.ship.thrusters import ThrusterSet
 
-NEVER = 2.0
-"""A limit no thruster reaches: in units of its nominal thrust it gives 1 at most."""
+NEVER = 2.0  # A limit no thruster reaches: in units of its nominal thrust it gives 1 at most
 
 
 class StaticAllocation:
-    """The QPs of one ship, all of one shape.
+    """Builder of the QPs that test whether thrusters can balance a static load.
 
-    Parameters
-    ----------
     thrusters : p of them; their own sectors are ignored, as pieces carry them.
     sides : of the polygon of an azimuth, even.
-    sectors : (p,) whether any piece of a thruster has a sector; chords : (p,) the most chords any
-        piece of it has.
+    sectors, chords : (p,) whether any piece of a thruster has a sector, and its most chords.
     """
 
     def __init__(
-        self,
-        thrusters: ThrusterSet,
-        sides: int,
-        sectors: Sequence[bool],
-        chords: Sequence[int],
+        self, thrusters: ThrusterSet, sides: int, sectors: Sequence[bool], chords: Sequence[int]
     ) -> None:
         round_ones = tuple(replace(t, sector_rad=None) for t in thrusters.thrusters)
         self._thrusters = thrusters
         self._rows = thruster_rows(ThrusterSet(round_ones, thrusters.where), sides)
         self._extra = [2 * int(has) + count for has, count in zip(sectors, chords, strict=True)]
         self._sectors = list(sectors)
-        self.units = balance_units(thrusters)
-        self._balance = balance_matrix(thrusters)
+        self.units = compute_balance_units(thrusters)
+        self._balance = build_balance_matrix(thrusters)
 
-    def qp(
+    def build_qp(
         self, load: Vector, shares: Vector, chosen: Sequence[Piece], lost: frozenset[int]
     ) -> QuadraticProgram:
-        """The QP of one load.
+        """Return the QP that allocates a static load to thrusters, each in one convex force region.
 
-        Parameters
-        ----------
-        load : (3,) mean load times its factor [N, N, N·m].
-        shares : (p,) effective over nominal thrust.
-        chosen : (p,) the piece of each thruster; lost : numbers of those that give nothing.
+        load : (3,) mean load times its factor [N, N, N·m]; chosen : (p,) a piece of each thruster;
+        shares : (p,) effective over nominal thrust; lost : indices of those that give nothing.
         """
         T, rows = self._thrusters.thrust_N, self._rows
         given = [i not in lost for i in range(len(T))]
         over = shares[rows.thruster] / T[rows.thruster]
-        blocks = [self._extras(i, chosen[i], shares[i]) for i in range(len(T))]
+        blocks = [self._sector_and_chord_rows(i, chosen[i], shares[i]) for i in range(len(T))]
         balance = self._balance * self._thrusters.per_entry(np.array(given, dtype=np.float64))
         A = np.vstack([balance, rows.G, *(block[0] for block in blocks)])
         right = -load / self.units
@@ -81,8 +68,10 @@ class StaticAllocation:
         n = self._thrusters.n_f
         return QuadraticProgram(np.eye(n), np.zeros(n), A, low, high, -np.ones(n), np.ones(n))
 
-    def _extras(self, i: int, piece: Piece, share: float) -> tuple[Matrix, Vector, Vector]:
-        """Rows, lower and upper limits of the sector and chords of thruster i."""
+    def _sector_and_chord_rows(
+        self, i: int, piece: Piece, share: float
+    ) -> tuple[Matrix, Vector, Vector]:
+        """Return rows and limits that keep an azimuth in its sector and inside loss chords."""
         count = self._extra[i]
         normals = np.tile([1.0, 0.0], (count, 1))
         low, high = np.full(count, -NEVER), np.full(count, NEVER)
@@ -90,59 +79,55 @@ class StaticAllocation:
         if self._sectors[i]:
             first = 2
             if piece.sector is not None:
-                normals[:2], low[:2] = sector_normals(*piece.sector), 0.0
+                normals[:2], low[:2] = compute_sector_normals(*piece.sector), 0.0
         cut = slice(first, first + len(piece.chords))
         normals[cut], high[cut] = piece.chords[:, :2], share * piece.chords[:, 2]
         A = np.zeros((count, self._thrusters.n_f))
         if count:
-            A[:, self._thrusters.places[i]] = normals
+            A[:, self._thrusters.slices[i]] = normals
         return A, low, high
 
 
-class LossAllocation:
-    """The QPs by which thrusters make a force after a loss: one P, q and A, whatever is lost.
+class AllocationAfterLoss:
+    """Builder of the QPs that allocate a force after thruster losses, with constant matrices.
 
         min ½ Σ |f_i/T_i|²   subject to   T_e f = τ,   low ≤ G f ≤ high,   lost ones f_i = 0
 
     Scaled as above. A loss is a limit, so that a workspace goes on from one load or loss to the
-    next; it has no slack, so that a force that is not to be had leaves no feasible point.
-
-    Parameters
-    ----------
-    rows : the limits of the thrusters, r of them.
+    next; without a slack an unattainable force leaves no feasible point. rows : r limits.
     """
 
     def __init__(self, thrusters: ThrusterSet, rows: ThrusterRows) -> None:
-        self._units, self._thrust = balance_units(thrusters), thrusters.thrust_N[rows.thruster]
-        self._A = np.vstack([balance_matrix(thrusters), rows.G])
+        self._units, self._thrust = (
+            compute_balance_units(thrusters),
+            thrusters.thrust_N[rows.thruster],
+        )
+        self._A = np.vstack([build_balance_matrix(thrusters), rows.G])
 
     def limits(self, force: Matrix, low: Matrix, high: Matrix) -> tuple[Matrix, Matrix]:
-        """l and u (K, 3 + r) of forces (K, 3) [N, N, N·m] under limits (K, r) of the rows [N]."""
+        """Return QP row limits (K, 3 + r) for K demanded forces and thruster limits (K, r) [N]."""
         balance = force / self._units
-        return (
-            np.hstack([balance, low / self._thrust]),
-            np.hstack([balance, high / self._thrust]),
-        )
+        return (np.hstack([balance, low / self._thrust]), np.hstack([balance, high / self._thrust]))
 
     def problem(self, l: Vector, u: Vector) -> QuadraticProgram:  # noqa: E741 - as in the program
-        """The QP of limits (3 + r,)."""
+        """Return the allocation QP with row limits l and u (3 + r,)."""
         n = self._A.shape[1]
         return QuadraticProgram(np.eye(n), np.zeros(n), self._A, l, u, -np.ones(n), np.ones(n))
 
 
-def sector_normals(start: float, end: float) -> Matrix:
-    """Inward normals (2, 2) of the sector between two directions [rad]."""
+def compute_sector_normals(start: float, end: float) -> Matrix:
+    """Return inward normals (2, 2) of the sector between two directions [rad]."""
     return np.array([(-np.sin(start), np.cos(start)), (np.sin(end), -np.cos(end))])
 
 
-def balance_units(thrusters: ThrusterSet) -> Vector:
-    """(3,) ΣT [N] for both forces and ΣT times the longest arm [N·m] for the moment."""
+def compute_balance_units(thrusters: ThrusterSet) -> Vector:
+    """Return the units (3,) of the force balance: ΣT [N], ΣT [N], ΣT times longest arm [N·m]."""
     total = float(thrusters.thrust_N.sum())
     return np.array([total, total, total * thrusters.longest_arm_m])
 
 
-def balance_matrix(thrusters: ThrusterSet) -> Matrix:
-    """T_e T over `balance_units`: (3, n_f)."""
+def build_balance_matrix(thrusters: ThrusterSet) -> Matrix:
+    """Return the scaled matrix (3, n_f) from relative thruster forces to force and moment."""
     thrust = thrusters.per_entry(thrusters.thrust_N)
-    matrix: Matrix = thrusters.T_e * thrust / balance_units(thrusters)[:, np.newaxis]
+    matrix: Matrix = thrusters.T_e * thrust / compute_balance_units(thrusters)[:, np.newaxis]
     return matrix

@@ -1,1 +1,1 @@
-"""Certified optima, proofs that there is none, and whether a claim is true."""
+"""Certified optima, proofs that there is none, and tests of claims."""

@@ -2,9 +2,8 @@
 
     array = whole · 2^exponent,  whole an array of Python integers
 
-Sums and products of such arrays are exact, at some 50 ns a term, which is what decides the cases
-that rounding error leaves open. Fraction-free elimination (Bareiss, Math. Comp. 22, 1968) solves
-linear systems over the integers.
+Sums and products of such arrays are exact, at some 50 ns a term. Fraction-free elimination
+(Bareiss, Math. Comp. 22, 1968) solves linear systems over the integers.
 """
 
 from __future__ import annotations
@@ -22,14 +21,14 @@ _SHIFT = 53
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dyadic:
-    """An array of exact numbers whole·2^exponent."""
+    """Array of exact dyadic numbers: Python integers times one power of two."""
 
     whole: Whole
     exponent: int
 
     @classmethod
     def of(cls, array: Floats) -> Dyadic:
-        """The exact value of a finite float64 array."""
+        """Convert a finite float64 array to exact dyadic numbers."""
         mantissa, power = np.frexp(array)
         digits = np.ldexp(mantissa, _SHIFT).astype(np.int64)
         used = digits != 0
@@ -41,14 +40,14 @@ class Dyadic:
 
     @property
     def T(self) -> Dyadic:
-        """Transpose."""
+        """Transpose of the array of exact numbers."""
         return Dyadic(self.whole.T, self.exponent)
 
     def __getitem__(self, index: slice | Indices | Flags) -> Dyadic:
         return Dyadic(self.whole[index], self.exponent)
 
     def at(self, exponent: int) -> Whole:
-        """The integers of the same numbers at a smaller (or equal) exponent."""
+        """Return the integers that times a smaller power of two give the same numbers."""
         return np.asarray(self.whole * (1 << (self.exponent - exponent)), dtype=object)
 
     def __add__(self, other: Dyadic) -> Dyadic:
@@ -73,34 +72,25 @@ class Dyadic:
         return Dyadic(np.asarray(self.whole @ other.whole, dtype=object), exponent)
 
     def sum(self) -> Dyadic:
-        """The sum of all entries, as an array without axes."""
+        """Return the exact sum of all entries."""
         return Dyadic(np.asarray(sum(self.whole.ravel().tolist()), dtype=object), self.exponent)
 
     def signs(self) -> NDArray[np.int8]:
-        """−1, 0 or 1 per entry."""
-        positive = np.asarray(self.whole > 0, dtype=np.int8)
-        return positive - np.asarray(self.whole < 0, dtype=np.int8)
+        """Return the sign of each entry: −1, 0 or 1."""
+        return np.asarray(np.sign(self.whole), dtype=np.int8)
 
     def floats(self) -> Vector:
-        """The nearest float64 of each entry."""
-        scale = self.exponent
-        up, down = 1 << max(scale, 0), 1 << max(-scale, 0)
+        """Return each entry rounded to the nearest float64."""
+        up, down = 1 << max(self.exponent, 0), 1 << max(-self.exponent, 0)
         values = [(number * up) / down for number in self.whole.ravel().tolist()]
         return np.array(values, dtype=np.float64).reshape(self.whole.shape)
 
 
 def solve_integer(M: Whole, rhs: Whole) -> tuple[Whole, int] | None:
-    """Numerators and the common positive denominator of M⁻¹ rhs, by fraction-free elimination.
+    """Solve M x = rhs exactly, as integer numerators and one denominator; None if singular.
 
-    Parameters
-    ----------
-    M : (N, N) integers whose leading minors are non-zero unless M is singular, as those of a KKT
-        matrix with positive definite cost are, so that no pivoting is needed.
-    rhs : (N, k) integers.
-
-    Returns
-    -------
-    (N, k) numerators and the determinant up to sign, or None when a leading minor vanishes.
+    M (N, N) must have non-zero leading minors unless it is singular, as a KKT matrix with positive
+    definite cost has, so that no pivoting is needed; rhs (N, k).
     """
     N = M.shape[0]
     work = np.concatenate((M, rhs), axis=1)
@@ -121,8 +111,8 @@ def solve_integer(M: Whole, rhs: Whole) -> tuple[Whole, int] | None:
     return (x, det) if det > 0 else (np.asarray(-x, dtype=object), -det)
 
 
-def semidefinite(S: Whole) -> bool:
-    """Whether a symmetric integer matrix is positive semidefinite, exactly.
+def is_semidefinite(S: Whole) -> bool:
+    """Return whether a symmetric integer matrix is positive semidefinite, in exact arithmetic.
 
     Symmetric elimination: a negative pivot refutes it, and so does a zero pivot whose row is not
     zero (Golub and Van Loan, Matrix Computations, 4.2.8).

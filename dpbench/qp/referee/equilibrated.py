@@ -1,4 +1,4 @@
-"""A QP in units that make its numbers alike, by powers of two: the same problem to the last bit.
+"""Equilibration of a QP by powers of two: the same problem to the last bit.
 
     z = D z',  P' = c D P D,  q' = c D q,  A' = R A D,  [l'; lb'] = [R l; D⁻¹ lb],  likewise u
 
@@ -16,13 +16,12 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.qp.referee.joint import JointQP
 
 SWEEPS = 10
-RANGE = 1e250
-"""Numbers beyond it, or below its inverse, could leave float64 where they are scaled."""
+RANGE = 1e250  # Numbers beyond it, or below its inverse, could leave float64 where they are scaled
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scales:
-    """The factors of one P and A: D (n,), R (N,) of the rows of C, and c."""
+    """Equilibration factors D (n,), R (N,) and c, powers of two, of a QP's matrices P and C."""
 
     D: Vector
     R: Vector
@@ -30,52 +29,57 @@ class Scales:
 
     @classmethod
     def of(cls, P: Matrix, C: Matrix) -> Scales:
-        """The factors that equilibrate a symmetric P (n, n) and C = [A; I] (N, n)."""
+        """Compute the equilibration factors of P (n, n) and C (N, n) by Ruiz's method."""
         n = len(P)
         A = np.abs(C[:-n])
         D, R = np.ones(n), np.ones(len(A))
         for _ in range(SWEEPS):
             rows, cost = A * R[:, np.newaxis] * D, np.abs(P) * D[:, np.newaxis] * D
-            D = D / _root(np.maximum(rows.max(axis=0, initial=0.0), cost.max(axis=0, initial=0.0)))
-            R = R / _root(rows.max(axis=1, initial=0.0))
-        D, R = _power(D), _power(R)
+            D = D / _positive_root(
+                np.maximum(rows.max(axis=0, initial=0.0), cost.max(axis=0, initial=0.0))
+            )
+            R = R / _positive_root(rows.max(axis=1, initial=0.0))
+        D, R = _power_of_two(D), _power_of_two(R)
         largest = float((np.abs(P) * D[:, np.newaxis] * D).max(initial=0.0))
-        return cls(D, np.concatenate((R, 1.0 / D)), float(_power(np.array(1.0 / (largest or 1.0)))))
+        cost_scale = float(_power_of_two(np.array(1.0 / (largest or 1.0))))
+        return cls(D, np.concatenate((R, 1.0 / D)), cost_scale)
 
     def cost_matrix(self, P: Matrix) -> Matrix:
-        """P' (n, n)."""
+        """Return the equilibrated cost matrix c D P D (n, n)."""
         return self.cost * P * self.D[:, np.newaxis] * self.D
 
     def rows(self, C: Matrix) -> Matrix:
-        """C' (N, n), whose last rows are the identity again."""
+        """Return the equilibrated constraint rows R C D (N, n)."""
         return C * self.R[:, np.newaxis] * self.D
 
     def problem(self, problem: JointQP, P: Matrix, C: Matrix) -> JointQP:
-        """The vectors of `problem` in the new units, with P' and C'."""
+        """Return a QP with equilibrated vectors q, L and U, and the given equilibrated P and C."""
         q = self.cost * problem.q * self.D
         return JointQP(P, q, C, problem.L * self.R, problem.U * self.R)
 
     def multipliers(self, y: Vector) -> Vector:
-        """y (N,) in the units of the problem as posed."""
+        """Convert multipliers y (N,) of the equilibrated problem to those of the original."""
         return y * self.R / self.cost
 
 
-def safe(*arrays: Matrix) -> bool:
-    """Whether powers of two of moderate size leave every finite entry what it is."""
+def is_scalable(*arrays: Matrix) -> bool:
+    """Return whether all finite entries stay exact when scaled by moderate powers of two."""
     sizes = np.concatenate([np.abs(array[np.isfinite(array)]).ravel() for array in arrays])
     sizes = sizes[sizes > 0.0]
     return not len(sizes) or bool(sizes.max() < RANGE and sizes.min() > 1.0 / RANGE)
 
 
-def alike(P: Matrix) -> Matrix:
-    """D P D with a diagonal of about 1, definite where P (n, n) is and nowhere else."""
-    D = _power(1.0 / _root(np.diagonal(P)))
+def equilibrate_diagonal(P: Matrix) -> Matrix:
+    """Return P (n, n) scaled by powers of two to a diagonal of about 1."""
+    D = _power_of_two(1.0 / _positive_root(np.diagonal(P)))
     return np.asarray(P * D[:, np.newaxis] * D, dtype=np.float64)
 
 
-def _root(size: Vector) -> Vector:
+def _positive_root(size: Vector) -> Vector:
+    """Return the square roots of the sizes, 1 where a size is zero."""
     return np.sqrt(np.where(size > 0.0, size, 1.0))
 
 
-def _power(size: Vector) -> Vector:
+def _power_of_two(size: Vector) -> Vector:
+    """Return the nearest power of two of each positive number."""
     return np.asarray(np.exp2(np.round(np.log2(size))), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""The gap certificate: the optimum of a QP with weakly active rows.
+"""Gap certificate: the optimum of a QP with weakly active rows.
 
 For feasible z, and y whose signs name finite limits,
 
@@ -6,11 +6,9 @@ For feasible z, and y whose signs name finite limits,
     |z_i − z*_i| ≤ √(2·gap·(P⁻¹)_ii)
 
 z and y are refined in exact dyadic arithmetic against limits moved inwards by τ, so that z is
-feasible to the last bit and every slack of an active row is τ to within the refinement; nothing is
-a difference of objectives, which would be rounding noise.
+feasible to the last bit and every slack of an active row is τ to within the refinement; no
+difference of objectives is taken, which would be rounding noise.
 """
-
-from __future__ import annotations
 
 import math
 
@@ -25,24 +23,21 @@ from dpbench.qp.referee.kkt import KKTSystem
 
 TAU_EXPONENT = -120
 """τ = 2^−120: √(2·τ·‖y‖₁·(P⁻¹)_ii) stays below 1e-12 for ‖y‖₁·(P⁻¹)_ii up to 1e12."""
-LAST_BIT = -170
-"""Refined x is a multiple of 2^LAST_BIT."""
-ROUNDS = 12
-"""Each round of refinement gains some 53 − log₂ cond(K) bits; 12 are enough up to 1e12."""
-NEAR = 1e-9
-"""Relative slack below which an inactive row counts as weakly active."""
+LAST_BIT = -170  # Refined x is a multiple of 2^LAST_BIT
+ROUNDS = 12  # Each round of refinement gains some 53 − log₂ cond(K) bits; 12 are enough up to 1e12
+NEAR = 1e-9  # Relative slack below which an inactive row counts as weakly active
 
 
-def met(problem: JointQP, z: Vector) -> Signs:
-    """The limits that z meets, or oversteps, to within rounding."""
+def find_met_limits(problem: JointQP, z: Vector) -> Signs:
+    """Return the signs (N,) of the limits that z meets or violates, to within rounding."""
     value = problem.C @ z[: len(problem.q)]
     near = NEAR * (1.0 + np.abs(value))
     upper, lower = problem.U - value <= near, value - problem.L <= near
     return np.where(upper, 1, np.where(lower, -1, 0)).astype(np.int8)
 
 
-def independent(C: Matrix, signs: Signs, first: Signs) -> Signs:
-    """`signs` restricted to linearly independent rows of C, those in `first` taken first."""
+def select_independent(C: Matrix, signs: Signs, first: Signs) -> Signs:
+    """Select linearly independent constraint rows of an active set, preferring those in `first`."""
     chosen = np.zeros_like(signs)
     n = C.shape[1]
     basis = np.zeros((0, n))
@@ -63,28 +58,23 @@ def independent(C: Matrix, signs: Signs, first: Signs) -> Signs:
 def gap_certificate(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, inverse: Matrix
 ) -> Proof | None:
-    """The optimum to within the bound of the gap at a refined point on the rows of `system`.
+    """Certify an optimum by its duality gap at an exactly feasible point, or return None.
 
-    Parameters
-    ----------
-    system : a `proven` system of all rows that may be active.
-    inverse : (n, n) entrywise upper bounds of |P⁻¹|, P positive definite.
-
-    Returns
-    -------
-    None where no feasible z is found this way, as with equality-like rows (see `last_resort`).
+    system : a `proven` system of all rows that may be active; inverse (n, n) : entrywise upper
+    bounds of |P⁻¹|, P positive definite. None where no feasible z is found this way, as with
+    equality-like rows (see `last_resort`).
     """
     rows = system.rows
     limits = np.concatenate((problem.U, problem.L))[system.limits]
     inward = Dyadic(np.array([-int(s) for s in system.signs], dtype=object), TAU_EXPONENT)
     target = Dyadic.of(limits) + inward
-    refined = refine(problem, exact, system, target)
+    refined = refine_exactly(problem, exact, system, target)
     if refined is None:
         return None
     z, lam = refined
-    if not _feasible(problem, exact, z):
+    if not _is_feasible(problem, exact, z):
         return None
-    # A multiplier of the wrong sign is zero here and its row becomes part of r.
+    # A multiplier of the wrong sign is set to zero: its row becomes part of r.
     lam = Dyadic(np.where(lam.signs() == system.signs, lam.whole, 0), lam.exponent)
     G = exact.C[rows]
     slack = Dyadic.of(limits) - G @ z
@@ -100,10 +90,10 @@ def gap_certificate(
     return Proof(nearest, y, (radius + rounding) * OUTWARD, "gap")
 
 
-def refine(
+def refine_exactly(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, target: Dyadic
 ) -> tuple[Dyadic, Dyadic] | None:
-    """K_W [z; λ] = [−q; target] to within some units of 2^LAST_BIT, or None."""
+    """Solve an active set's KKT system by iterative refinement in exact numbers, or return None."""
     n = system.n
     G, q = exact.C[system.rows], Dyadic.of(problem.q)
     x = Dyadic(np.array([0] * len(system.weight), dtype=object), LAST_BIT)
@@ -112,7 +102,7 @@ def refine(
         upper = -(exact.P @ z + q + G.T @ lam)
         lower = target - G @ z
         step = system.X @ np.concatenate((upper.floats(), lower.floats()))
-        change = _multiples(step)
+        change = _round_to_multiples(step)
         if not change.any():
             return z, lam
         x = Dyadic(np.asarray(x.whole + change, dtype=object), LAST_BIT)
@@ -122,8 +112,8 @@ def refine(
     return None
 
 
-def _multiples(step: Vector) -> NDArray[np.object_]:
-    """The step in integer multiples of 2^LAST_BIT."""
+def _round_to_multiples(step: Vector) -> NDArray[np.object_]:
+    """Round a refinement step to integer multiples of a fixed power of two."""
     digits = Dyadic.of(step)
     shift = digits.exponent - LAST_BIT
     if shift >= 0:
@@ -131,10 +121,10 @@ def _multiples(step: Vector) -> NDArray[np.object_]:
     return np.asarray(digits.whole >> -shift, dtype=object)
 
 
-def _feasible(problem: JointQP, exact: ExactMatrices, z: Dyadic) -> bool:
-    """Whether z satisfies every limit, exactly."""
+def _is_feasible(problem: JointQP, exact: ExactMatrices, z: Dyadic) -> bool:
+    """Return whether a point satisfies all limits, in exact arithmetic."""
     value = exact.C @ z
     upper, lower = np.isfinite(problem.U), np.isfinite(problem.L)
-    above = (value[upper] - Dyadic.of(problem.U[upper])).signs()
-    below = (value[lower] - Dyadic.of(problem.L[lower])).signs()
-    return not (above > 0).any() and not (below < 0).any()
+    over = value[upper] - Dyadic.of(problem.U[upper])
+    under = Dyadic.of(problem.L[lower]) - value[lower]
+    return not any((excess.signs() > 0).any() for excess in (over, under))

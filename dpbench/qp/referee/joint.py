@@ -22,7 +22,7 @@ Signs = NDArray[np.int8]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointQP:
-    """A QP with P (n, n), q (n,), C (N, n), L and U (N,)."""
+    """QP with rows and bounds joined: P (n, n), q (n,), C = [A; I] (N, n), limits L and U (N,)."""
 
     P: Matrix
     q: Vector
@@ -32,14 +32,13 @@ class JointQP:
 
     @classmethod
     def of(cls, qp: QuadraticProgram) -> JointQP:
-        """The joint form of `qp`."""
-        C = np.vstack((qp.A, np.eye(qp.n)))
-        return cls(qp.P, qp.q, C, *qp.limits())
+        """Join the rows and bounds of a QP."""
+        return cls(qp.P, qp.q, np.vstack((qp.A, np.eye(qp.n))), *qp.limits())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proof:
-    """A point with a rigorous bound of max_i |z_i − z*_i|; multipliers y (N,) of the rows of C."""
+    """Certified point with a rigorous error bound max_i |z_i − z*_i| and multipliers."""
 
     z: Vector
     y: Vector
@@ -49,12 +48,12 @@ class Proof:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExactMatrices:
-    """The constant matrices of a joint QP in exact arithmetic."""
+    """Hessian P and constraint rows C of a QP in exact arithmetic."""
 
     P: Dyadic
     C: Dyadic
 
     @classmethod
     def of(cls, P: Matrix, C: Matrix) -> ExactMatrices:
-        """Exact copies of finite P and C."""
+        """Convert Hessian P and constraint rows C from float64 to exact arithmetic."""
         return cls(Dyadic.of(P), Dyadic.of(C))

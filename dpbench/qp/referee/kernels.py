@@ -1,86 +1,78 @@
-"""Kernels of the linear certificate: a residual in twice the precision, and what it proves.
+"""Kernels of the linear certificate: a residual in twice the precision, and a proof by it.
 
     K (N, N)   ┌ P   C_Wᵀ ┐  n    x ┌ z   ┐    rhs ┌ −q  ┐    X ≈ K⁻¹, kept by columns: X_T[j] is
                └ C_W  0   ┘  w      └ λ_W ┘        └ b_W ┘    column j of X;  C_T[j] column j of C
 
-K is symmetric, so that row j is its column j: all products here go column by column, and the inner
-loop runs over neighbours in memory whose sums do not wait for each other.
+K is symmetric, so that row j is its column j: all products go column by column, and the inner loop
+runs over neighbours in memory whose sums do not wait for each other.
 
 The residual b − Kx is Dot2 of Ogita, Rump and Oishi (Accurate sum and dot product, SIAM J. Sci.
-Comput. 26, 2005, proposition 5.5): every product and sum is split without error into what float64
-holds of it and what it lost (Dekker 1971; Knuth, TAOCP 2, 4.2.2), and what was lost is summed up
-beside it. With u = 2⁻⁵³
+Comput. 26, 2005, proposition 5.5): every product and sum is split without error into its float64
+value and its rounding error (Dekker 1971; Knuth, TAOCP 2, 4.2.2), and these errors are summed too.
+With u = 2⁻⁵³
 
     |r − (b − Kx)| ≤ u |b − Kx| + γ²_{N+1} (|b| + |K||x|)
 
-The splitting must be calculated as written: no `fastmath`, which would cancel the lost parts to
-zero as algebra does. Numbers beyond 2⁹⁹⁶ overflow in it to NaN, and NaN proves nothing.
+The splitting must be calculated as written: no `fastmath`, which would cancel the errors to zero.
+Numbers beyond 2⁹⁹⁶ overflow in it to NaN, and NaN proves nothing.
 
 By hand, 1 − 3·x at the float64 number next to ⅓, x = ⅓ − 2⁻⁵⁴/3: 3x rounds to 1, so that float64
-sees no residual. The product's lost part is 3x − 1 = −2⁻⁵⁴, and the residual +2⁻⁵⁴:
+has no residual. The product's error is 3x − 1 = −2⁻⁵⁴, and the residual +2⁻⁵⁴:
 
 >>> third, r = np.array([1 / 3]), np.empty(1)
->>> _residual.py_func(np.array([[3.0]]), third, np.ones(1), r)
+>>> _write_residual.py_func(np.array([[3.0]]), third, np.ones(1), r)
 >>> float(1.0 - 3.0 * third[0]), float(r[0]) * 2**54
 (0.0, 1.0)
 
-And what that proves of x: X = ⅓ rounded finds x from nothing, and its error is the residual over 3,
-2⁻⁵⁴/3, to within the rounding of the bound:
+For x this proves: X = ⅓ rounded finds x from zero, and its error is the residual over 3, 2⁻⁵⁴/3, to
+within the rounding of the bound:
 
 >>> K, X_T, ones = np.array([[3.0]]), np.array([[1 / 3]]), np.ones(1)
 >>> x, error = np.zeros(1), np.zeros(1)
->>> _enclose.py_func(K, X_T, ones, 1e-15, 1e-15, ones, x, error)
+>>> _enclose_solution.py_func(K, X_T, ones, 1e-15, 1e-15, ones, x, error)
 >>> bool(x[0] == third[0]), round(float(error[0]) * 3 * 2**54, 9)
 (True, 1.0)
 """
 
-# The functions are compiled by numba, which infers their types.
+# Compiled by numba, which infers the types.
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
-
-from __future__ import annotations
 
 import numpy as np
 
 from dpbench.kernel_cache import njit
 
-UNIT = float(np.finfo(np.float64).eps)
-"""Twice the unit roundoff, which leaves room."""
-OUTWARD = 1.0 + 1e-11
-"""Makes up for the rounding of the bounds themselves: sums of up to some 10⁴ positive terms."""
-UNDERFLOW = 1e-291
-"""Far above what any sum here can lose by underflow."""
-SPLITTER = 2.0**27 + 1.0
-"""Halves the 53 bits of a float64 (Veltkamp)."""
-MEANT, CROSSED, MEANINGLESS = 0, 1, 2
-"""Limits that may be certified; a lower one above its upper one; no numbers any z could satisfy."""
-
-
+UNIT = float(np.finfo(np.float64).eps)  # Twice the unit roundoff, which leaves room
+OUTWARD = 1.0 + 1e-11  # Covers the rounding of the bounds: sums of some 10⁴ positive terms
+UNDERFLOW = 1e-291  # Far above what any sum here can lose by underflow
+SPLITTER = 2.0**27 + 1.0  # Halves the 53 bits of a float64 (Veltkamp)
+# Limits that may be certified; a lower one above its upper one; no numbers any z could satisfy.
+ORDERED_LIMITS, CROSSED_LIMITS, INVALID_DATA = 0, 1, 2
 # Divisions need no check for zero: what is not finite proves nothing.
-inlined = njit(error_model="numpy")
-kept = njit(cache=True, error_model="numpy")
+inlined_njit = njit(error_model="numpy")
+cached_njit = njit(cache=True, error_model="numpy")
 
 
-@inlined
+@inlined_njit
 def add_columns(columns, x, total):
-    """total += Σ columns[j] · x[j]."""
+    """Add the matrix-vector product Σ columns[j]·x[j] to total."""
     for j in range(len(x)):
         factor = x[j]
         for i in range(len(total)):
             total[i] += columns[j, i] * factor
 
 
-@inlined
-def _add_sizes(columns, x, total):
-    """total += Σ |columns[j]| · |x[j]|."""
+@inlined_njit
+def _add_absolute_columns(columns, x, total):
+    """Add the product of absolute values Σ |columns[j]|·|x[j]| to total."""
     for j in range(len(x)):
         factor = abs(x[j])
         for i in range(len(total)):
             total[i] += abs(columns[j, i]) * factor
 
 
-@inlined
-def _residual(K, x, b, r):
-    """r (N,) = b − K x of a symmetric K, as if summed in twice the precision and rounded once."""
+@inlined_njit
+def _write_residual(K, x, b, r):
+    """Write r (N,) = b − K x of a symmetric K, in twice the working precision."""
     N = len(b)
     lost = np.zeros(N)
     for i in range(N):
@@ -106,9 +98,9 @@ def _residual(K, x, b, r):
         r[i] += lost[i]
 
 
-@inlined
-def _enclose(K, X_T, weight, alpha, gamma, rhs, x, error):
-    """x (N,) = K⁻¹ rhs, and a rigorous bound of its error; both zero before.
+@inlined_njit
+def _enclose_solution(K, X_T, weight, alpha, gamma, rhs, x, error):
+    """Write x (N,) = K⁻¹ rhs and a rigorous bound of its error.
 
     By |K⁻¹b − x| ≤ e + α/(1−α) · max_i(e_i/d_i) · d,  e ≥ |X(b − Kx)|, as in `kkt`.
     """
@@ -120,15 +112,15 @@ def _enclose(K, X_T, weight, alpha, gamma, rhs, x, error):
         for i in range(N):
             x[i] += change[i]
             change[i] = 0.0
-        _residual(K, x, rhs, r)
+        _write_residual(K, x, rhs, r)
         add_columns(X_T, r, change)
     for i in range(N):
         size[i] = abs(rhs[i])
-    _add_sizes(K, x, size)
+    _add_absolute_columns(K, x, size)
     # The rounding of r, of X r, and of r itself as a share of it.
     for i in range(N):
         size[i] = gamma * gamma * size[i] + gamma * abs(r[i]) + UNDERFLOW
-    _add_sizes(X_T, size, error)
+    _add_absolute_columns(X_T, size, error)
     largest = 0.0
     for i in range(N):
         error[i] = (abs(change[i]) + error[i]) * OUTWARD
@@ -138,20 +130,18 @@ def _enclose(K, X_T, weight, alpha, gamma, rhs, x, error):
         error[i] += spread * weight[i]
 
 
-@inlined
-def _finite(numbers):
+@inlined_njit
+def _are_finite(numbers):
+    """Return whether all numbers are finite."""
     good = True
     for number in numbers:
         good &= np.isfinite(number)
     return good
 
 
-@inlined
-def _proven(L, U, rows, signs, lam, lam_doubt, value, doubt, held):
-    """Whether multipliers and slacks are beyond their doubts.
-
-    A row with equal limits holds its multiplier at either sign.
-    """
+@inlined_njit
+def _is_optimal(L, U, rows, signs, lam, lam_doubt, value, doubt, held):
+    """Return whether multipliers and slacks exceed their error bounds, so that their signs hold."""
     for k in range(len(rows)):
         i = rows[k]
         if L[i] != U[i] and not signs[k] * lam[k] > lam_doubt[k]:
@@ -162,14 +152,12 @@ def _proven(L, U, rows, signs, lam, lam_doubt, value, doubt, held):
     return True
 
 
-@kept
-def linear_kernel(q, L, U, C_T, gamma_C, K, X_T, weight, rows, signs, alpha, gamma_K):
-    """Whether the active set of K is proven to be that of the problem; `linear_certificate`.
+@cached_njit
+def prove_active_set_optimal(q, L, U, C_T, gamma_C, K, X_T, weight, rows, signs, alpha, gamma_K):
+    """Test whether the active set of a KKT system is proven optimal; compute point and bounds.
 
-    Returns
-    -------
-    The bound of the error of z, inf where nothing is proven; x (n+w,) the point and its multipliers
-    with bounds of their errors; y (N,) the same multipliers row by row.
+    Returns the bound of the error of z, inf where nothing is proven; x (n+w,) the point and its
+    multipliers with bounds of their errors; y (N,) the multipliers row by row.
     """
     n, N, size = len(q), len(L), len(K)
     x, error, rhs = np.zeros(size), np.zeros(size), np.zeros(size)
@@ -184,15 +172,17 @@ def linear_kernel(q, L, U, C_T, gamma_C, K, X_T, weight, rows, signs, alpha, gam
         if not np.isfinite(rhs[n + k]):
             return np.inf, x, error, y
     z, lam, z_error, lam_error = x[:n], x[n:], error[:n], error[n:]
-    _enclose(K, X_T, weight, alpha, gamma_K, rhs, x, error)
+    _enclose_solution(K, X_T, weight, alpha, gamma_K, rhs, x, error)
     # Rounding of C z and of the final subtraction, and what z itself is uncertain by.
     add_columns(C_T, z, value)
     for j in range(n):
         rhs[j] = z_error[j] + gamma_C * abs(z[j])
-    _add_sizes(C_T, rhs[:n], doubt)
+    _add_absolute_columns(C_T, rhs[:n], doubt)
     for i in range(N):
         doubt[i] = (doubt[i] + UNIT * abs(value[i])) * OUTWARD
-    if not (_finite(error) and _proven(L, U, rows, signs, lam, lam_error, value, doubt, held)):
+    if not (
+        _are_finite(error) and _is_optimal(L, U, rows, signs, lam, lam_error, value, doubt, held)
+    ):
         return np.inf, x, error, y
     bound = 0.0
     for j in range(n):
@@ -202,15 +192,15 @@ def linear_kernel(q, L, U, C_T, gamma_C, K, X_T, weight, rows, signs, alpha, gam
     return bound, x, error, y
 
 
-@kept
-def meaning(q, L, U):
-    """Whether q and the limits are numbers that some z could satisfy one by one, as `MEANT`, …."""
-    if not _finite(q):
-        return MEANINGLESS
-    code = MEANT
+@cached_njit
+def classify_limits(q, L, U):
+    """Classify a QP's gradient and limits: ordered, crossed (some L > U) or invalid (NaN)."""
+    if not _are_finite(q):
+        return INVALID_DATA
+    code = ORDERED_LIMITS
     for i in range(len(L)):
         if not (L[i] < np.inf and U[i] > -np.inf):
-            return MEANINGLESS
+            return INVALID_DATA
         if L[i] > U[i]:
-            code = CROSSED
+            code = CROSSED_LIMITS
     return code

@@ -14,30 +14,25 @@ it is then a minimiser, and the only one: a second one would differ by a directi
 of C_W on which P vanishes, and K_W is non-singular.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.qp.referee.joint import JointQP, Proof
-from dpbench.qp.referee.kernels import OUTWARD, UNDERFLOW, UNIT, linear_kernel
+from dpbench.qp.referee.kernels import OUTWARD, UNDERFLOW, UNIT, prove_active_set_optimal
 
 
 def gamma(k: int) -> float:
-    """γ_k = k·u / (1 − k·u)."""
+    """Return the rounding-error factor γ_k = k·u / (1 − k·u) of k operations."""
     return k * UNIT / (1.0 - k * UNIT)
 
 
 class KKTSystem:
-    """The KKT matrix of the rows `signs` ≠ 0 of C and a symmetric P; its inverse, what is proven.
+    """KKT matrix of an active set, with an inverse verified against rounding.
 
-    Attributes
-    ----------
-    rows (w,), signs (w,) : active rows of C and the side they are active at (+1 upper).
-    X (n+w, n+w) : approximate inverse; X_T : its columns as rows.
-    alpha : proven bound of ‖I − XK‖ in the norm weighted by `weight`; inf or ≥ 1 where nothing is
-        proven (then K may be singular).
+    rows (w,), signs (w,) : active rows of C and their sides (+1 upper); X (n+w, n+w) : approximate
+    inverse, X_T : its columns as rows; alpha : proven bound of ‖I − XK‖ in the norm weighted by
+    `weight`, inf or ≥ 1 where K may be singular.
     """
 
     def __init__(self, P: Matrix, C: Matrix, signs: NDArray[np.int8]) -> None:
@@ -51,19 +46,16 @@ class KKTSystem:
         self.K[:n, :n] = P
         self.K[n:, :n] = C[self.rows]
         self.K[:n, n:] = C[self.rows].T
-        size = float(np.abs(P).max()) or 1.0
         self.weight = np.ones(N)
-        self.weight[n:] = size
+        self.weight[n:] = float(np.abs(P).max()) or 1.0
         self.alpha = np.inf
         self.gamma = gamma(N + 4)
         try:
             self.X = np.linalg.inv(self.K)
         except np.linalg.LinAlgError:
             return
-        if np.isfinite(self.X).all():
-            self._prove()
-
-    def _prove(self) -> None:
+        if not np.isfinite(self.X).all():
+            return
         self.X_T = np.ascontiguousarray(self.X.T)
         defect = np.abs(np.eye(len(self.K)) - self.X @ self.K) @ self.weight
         # |X|(|K| d) in place of (|X||K|) d: a matrix product less.
@@ -72,26 +64,26 @@ class KKTSystem:
 
     @property
     def proven(self) -> bool:
-        """Whether K is proven non-singular (and X a good inverse)."""
+        """Return whether the KKT matrix is proven non-singular."""
         return self.alpha < 0.5
 
     def rhs(self, q: Vector, L: Vector, U: Vector) -> Vector:
-        """[−q; b_W] (n+w,), b_W the limits the rows are active at."""
+        """Return the KKT right-hand side [−q; b_W] (n + w,), b_W the active limits."""
         return np.concatenate((-q, np.concatenate((U, L))[self.limits]))
 
     def inverse_bounds(self) -> Matrix:
-        """Entrywise upper bounds of |K⁻¹|: |X| + α/(1−α) · d · max_j(|X_ji|/d_j)."""
+        """Return rigorous entrywise upper bounds of |K⁻¹|."""
         X = np.abs(self.X)
         column = (X / self.weight[:, np.newaxis]).max(axis=0)
         spread = self.alpha / (1.0 - self.alpha)
         return (X + spread * np.outer(self.weight, column)) * OUTWARD
 
 
-def positive_definite(P: Matrix) -> bool:
-    """Whether P is proven positive definite: Cholesky of P − cI with a margin c against rounding.
+def is_positive_definite(P: Matrix) -> bool:
+    """Return whether P is proven positive definite, rounding included.
 
-    Rump, BIT 46 (2006), theorem 2.3: if the factorisation of P − cI runs to completion with
-    c ≥ γ_{n+1}/(1−γ_{n+1})·tr(P), every eigenvalue of P is positive. False means "not proven".
+    Rump, BIT 46 (2006), theorem 2.3: if it runs to completion with c ≥ γ_{n+1}/(1−γ_{n+1})·tr(P),
+    every eigenvalue of P is positive.
     """
     n = P.shape[0]
     trace = float(np.abs(np.diagonal(P)).sum())
@@ -104,7 +96,7 @@ def positive_definite(P: Matrix) -> bool:
 
 
 class Geometry:
-    """What bounding the slacks needs of C, once."""
+    """Constraint matrix C by columns, and a rounding factor to bound the error of slacks."""
 
     def __init__(self, C: Matrix) -> None:
         self.C_T = np.ascontiguousarray(C.T)
@@ -112,14 +104,11 @@ class Geometry:
 
 
 def linear_certificate(problem: JointQP, geometry: Geometry, system: KKTSystem) -> Proof | None:
-    """The optimum, if the active set of `system` is proven to be that of `problem`.
+    """Certify an optimum whose active set is beyond doubt, or return None.
 
-    Parameters
-    ----------
-    system : a `proven` system of the problem's matrices; P must be positive semidefinite and
-        L ≤ U, which the caller has checked.
+    `system` must be `proven` and of the problem's matrices, P positive semidefinite and L ≤ U.
     """
-    bound, x, _, y = linear_kernel(
+    bound, x, _, y = prove_active_set_optimal(
         *(problem.q, problem.L, problem.U, geometry.C_T, geometry.gamma),
         *(system.K, system.X_T, system.weight, system.rows, system.signs),
         *(system.alpha, system.gamma),

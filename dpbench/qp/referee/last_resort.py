@@ -1,15 +1,13 @@
-"""Where every certificate in the units of the problem as posed has failed.
+"""Last certificates of the referee, in equilibrated units.
 
 The problem is equilibrated by powers of two, the active set guessed anew in those units (with a
 proximal term where P is singular), completed by the rows that are weakly active, and certified by
 the linear certificate or by the enclosure of a feasible point.
 
-The enclosure, the gap certificate under equality rows: the bound of a feasible point that is known
-to exist.
-
-No z in float64, nor any finite one in binary, need satisfy an equality row exactly. But with z~ a
-refined point, C_E the equality rows, r their exact residual at z~ and B any approximate right
-inverse of C_E with ‖C_E B − I‖ ≤ α < 1, the point
+The enclosure is the gap certificate under equality rows: no z in float64, nor any finite one in
+binary, need satisfy an equality row exactly. But with z~ a refined point, C_E the equality rows, r
+their exact residual at z~ and B any approximate right inverse of C_E with ‖C_E B − I‖ ≤ α < 1, the
+point
 
     ẑ = z~ + B (C_E B)⁻¹ r,   |ẑ − z~| ≤ e = |B| (|r| + α/(1−α) max|r|)
 
@@ -31,44 +29,39 @@ Hence there is a minimiser, and every minimiser lies in that box. P may vanish w
 multipliers take its place: a vertex of a linear program is certified too.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linprog, nnls
 
 from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic
-from dpbench.qp.referee.equilibrated import Scales, safe
-from dpbench.qp.referee.feasibility.implied import with_implied, without_empty
-from dpbench.qp.referee.gap import TAU_EXPONENT, independent, met, refine
+from dpbench.qp.referee.equilibrated import Scales, is_scalable
+from dpbench.qp.referee.feasibility.implied import drop_empty_rows, make_equalities
+from dpbench.qp.referee.gap import TAU_EXPONENT, find_met_limits, refine_exactly, select_independent
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Kind, Proof, Signs
 from dpbench.qp.referee.kernels import OUTWARD, UNIT
 from dpbench.qp.referee.kkt import (
     Geometry,
     KKTSystem,
     gamma,
+    is_positive_definite,
     linear_certificate,
-    positive_definite,
 )
-from dpbench.qp.referee.oracle import guesses
+from dpbench.qp.referee.oracle import guess_active_sets
 
-NO_MULTIPLIER = 1e-12
-"""A multiplier of less than this share of the largest one is no support for M."""
-LEAST_MULTIPLIER = 2.0 ** (TAU_EXPONENT // 2)
-"""Nor is one that moving limits by τ may have made: it is of the size of √τ at most."""
-WEIGHT = 4.0
-"""w of every row, of the largest diagonal entry of P."""
-AMOUNT_BITS = 20
-"""Inward amounts are multiples of 2^−AMOUNT_BITS·τ."""
+NO_MULTIPLIER = 1e-12  # A multiplier of less than this share of the largest one is no support for M
+LEAST_MULTIPLIER = 2.0 ** (TAU_EXPONENT // 2)  # Moving limits by τ makes them of √τ at most
+WEIGHT = 4.0  # w of every row, of the largest diagonal entry of P
+AMOUNT_BITS = 20  # Inward amounts are multiples of 2^−AMOUNT_BITS·τ
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Enclosed:
-    """A point z (n,) with a rigorous bound of |z_j − z*_j| (n,) and multipliers y (N,)."""
+class EnclosedPoint:
+    """Point z (n,) with a rigorous error bound for each variable, and multipliers y (N,)."""
 
     z: Vector
     y: Vector
@@ -76,8 +69,8 @@ class Enclosed:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Feasible:
-    """z~, λ of the rows of the system, and e (n,): a feasible ẑ exists within z~ ± e."""
+class _NearPoint:
+    """Exact point z, λ and slacks, with a bound e (n,) of its distance to a feasible point."""
 
     z: Dyadic
     lam: Dyadic
@@ -87,18 +80,15 @@ class _Feasible:
 
 def enclosure_certificate(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, inward: Vector, *, convex: bool
-) -> Enclosed | None:
-    """The minimisers of `problem` to within a bound, from the rows of `system`.
+) -> EnclosedPoint | None:
+    """Enclose all optima of a QP with equality rows or singular P; None without proof.
 
-    Parameters
-    ----------
     system : a `proven` system of independent rows, all equality-like rows among them.
     inward : (w,) how far its rows are held inside their limits, in units of 2^TAU_EXPONENT; 0 for
         equality-like rows.
     convex : whether P is proven positive semidefinite.
     """
-    near = _feasible(problem, exact, system, inward)
-    if near is None:
+    if (near := _find_feasible(problem, exact, system, inward)) is None:
         return None
     rows = system.rows
     equal = problem.L[rows] == problem.U[rows]
@@ -107,54 +97,54 @@ def enclosure_certificate(
     lam = Dyadic(np.where(keep, near.lam.whole, 0), near.lam.exponent)
     size = np.abs(lam.floats())
     support = equal | (size > max(NO_MULTIPLIER * size.max(initial=0.0), LEAST_MULTIPLIER))
-    inverse = _inverse(problem, rows[support], rows[equal], convex=convex)
+    inverse = _bound_penalised_inverse(problem, rows[support], rows[equal], convex=convex)
     if inverse is None:
         return None
-    weight = _weight(problem.P)
+    weight = _penalty_weight(problem.P)
     omega = float((weight / size[support & ~equal] ** 2).sum()) * OUTWARD
     slack = np.abs(near.slack.floats()) + np.abs(problem.C[rows]) @ near.e
     gap = float((size * slack)[~equal].sum()) * OUTWARD
     r = exact.P @ near.z + Dyadic.of(problem.q) + exact.C[rows].T @ lam
     r_abs = (np.abs(r.floats()) + np.abs(problem.P) @ near.e) * OUTWARD
-    x = _radius(float(np.sqrt(r_abs @ inverse @ r_abs)) * OUTWARD, gap, omega)
-    if x is None:
+    rho = float(np.sqrt(r_abs @ inverse @ r_abs)) * OUTWARD
+    if not omega * rho**2 * OUTWARD <= 0.25:
         return None
+    x = (2.0 * rho + math.sqrt(4.0 * (rho**2 + gap + omega * gap**2))) * OUTWARD
     z = near.z.floats()
     # z.floats() is off by half a unit in the last place at most.
     bound = x * np.sqrt(np.diagonal(inverse)) + near.e + np.spacing(np.abs(z))
     y = np.zeros(len(problem.L))
     y[rows] = lam.floats()
-    return Enclosed(z, y, np.asarray(bound * OUTWARD, dtype=np.float64))
+    return EnclosedPoint(z, y, np.asarray(bound * OUTWARD, dtype=np.float64))
 
 
-def _feasible(
+def _find_feasible(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, inward: Vector
-) -> _Feasible | None:
-    """A refined point with a proof that a feasible one is near, or None."""
+) -> _NearPoint | None:
+    """Refine a point and prove that a feasible one is near; None without proof."""
     rows, n = system.rows, system.n
     limits = Dyadic.of(np.concatenate((problem.U, problem.L))[system.limits])
     amounts = np.round(inward * 2.0**AMOUNT_BITS) * -system.signs
     shift = Dyadic.of(amounts)
     target = limits + Dyadic(shift.whole, shift.exponent + TAU_EXPONENT - AMOUNT_BITS)
-    refined = refine(problem, exact, system, target)
-    if refined is None:
+    if (refined := refine_exactly(problem, exact, system, target)) is None:
         return None
     z, lam = refined
     equal = problem.L[rows] == problem.U[rows]
     value = exact.C @ z
     slack = limits - value[rows]
-    e = _distance(problem.C[rows[equal]], system.X[:n, n:][:, equal], slack[equal].floats())
+    e = _bound_distance(problem.C[rows[equal]], system.X[:n, n:][:, equal], slack[equal].floats())
     others = problem.L != problem.U
-    if e is None or not _inside(problem, value, np.abs(problem.C) @ e * OUTWARD, others):
+    if e is None or not _is_inside(problem, value, np.abs(problem.C) @ e * OUTWARD, others):
         return None
     # Every equality-like row must be among those that ẑ satisfies.
     if others.sum() + equal.sum() != len(problem.L):
         return None
-    return _Feasible(z, lam, slack, e)
+    return _NearPoint(z, lam, slack, e)
 
 
-def _distance(C: Matrix, B: Matrix, residual: Vector) -> Vector | None:
-    """e (n,), or None where C B is not proven to be near the identity."""
+def _bound_distance(C: Matrix, B: Matrix, residual: Vector) -> Vector | None:
+    """Return a bound (n,) of the distance to a point that satisfies equality rows C, or None."""
     if not len(C):
         return np.zeros(C.shape[1])
     identity = np.eye(len(C))
@@ -167,8 +157,8 @@ def _distance(C: Matrix, B: Matrix, residual: Vector) -> Vector | None:
     return e
 
 
-def _inside(problem: JointQP, value: Dyadic, doubt: Vector, rows: Flags) -> bool:
-    """Whether the values of these rows of C satisfy their limits with slacks of at least doubt."""
+def _is_inside(problem: JointQP, value: Dyadic, doubt: Vector, rows: Flags) -> bool:
+    """Return whether given constraint rows satisfy their limits by a margin of at least `doubt`."""
     for limit, sign in ((problem.U, 1), (problem.L, -1)):
         there = np.flatnonzero(rows & np.isfinite(limit))
         slack = Dyadic.of(limit[there]) - value[there]
@@ -178,14 +168,14 @@ def _inside(problem: JointQP, value: Dyadic, doubt: Vector, rows: Flags) -> bool
     return True
 
 
-def _weight(P: Matrix) -> float:
-    """What a row of size 1 counts in M."""
+def _penalty_weight(P: Matrix) -> float:
+    """Return the penalty weight w of the constraint rows C in the augmented Hessian P + w CᵀC."""
     return WEIGHT * (float(np.abs(np.diagonal(P)).max(initial=0.0)) or 1.0)
 
 
-def _raised(P: Matrix, C: Matrix) -> Matrix:
-    """A matrix that is at most P + w CᵀC in the order of symmetric matrices, rounding included."""
-    w = _weight(P)
+def _penalised_lower_bound(P: Matrix, C: Matrix) -> Matrix:
+    """Return a matrix provably below the augmented Hessian P + w CᵀC, rounding included."""
+    w = _penalty_weight(P)
     M = P + w * (C.T @ C)
     size = np.abs(P) + w * (np.abs(C).T @ np.abs(C))
     lost = gamma(len(C) + 4) * float(size.sum(axis=1).max())
@@ -193,83 +183,73 @@ def _raised(P: Matrix, C: Matrix) -> Matrix:
     return np.asarray(M - (2.0 * lost + UNIT * np.abs(M).max()) * np.eye(len(P)), dtype=np.float64)
 
 
-def _inverse(problem: JointQP, support: Indices, equal: Indices, *, convex: bool) -> Matrix | None:
-    """Entrywise upper bounds of |M⁻¹| with the rows `support` in M, if all is proven of it."""
+def _bound_penalised_inverse(
+    problem: JointQP, support: Indices, equal: Indices, *, convex: bool
+) -> Matrix | None:
+    """Return upper bounds of the entries of |(P + w CᵀC)⁻¹|, C some rows; None without proof."""
     P, C = problem.P, problem.C
-    if not convex and not positive_definite(_raised(P, C[equal])):
+    if not convex and not is_positive_definite(_penalised_lower_bound(P, C[equal])):
         return None
-    M = _raised(P, C[support])
-    if not positive_definite(M):
+    M = _penalised_lower_bound(P, C[support])
+    if not is_positive_definite(M):
         return None
     n = len(P)
     system = KKTSystem(M, np.zeros((0, n)), np.zeros(0, dtype=np.int8))
     return system.inverse_bounds() if system.proven else None
 
 
-def _radius(rho: float, gap: float, omega: float) -> float | None:
-    """x, where ωρ² ≤ ¼."""
-    if not omega * rho**2 * OUTWARD <= 0.25:
-        return None
-    return (2.0 * rho + math.sqrt(4.0 * (rho**2 + gap + omega * gap**2))) * OUTWARD
-
-
-PROXIMAL = 10.0 ** -np.arange(4.0, 9.0)
-"""Weights of the proximal term where P is singular, of its largest entry, one after another."""
-PROXIMAL_STEPS = 6
-"""With each of them."""
-SETTLED = 1e-9
-"""Relative change of the proximal point at which its active set is taken."""
-ENOUGH = 1e-10
-"""A bound no better than it asks for another guess."""
-USEFUL = 1e-6
-"""A bound above it, of the size of the optimum, is no optimum to judge anybody by."""
-LARGEST = 1e6
-"""Inward amounts beyond it would need more room than the limits moved by τ leave."""
+PROXIMAL = 10.0 ** -np.arange(4.0, 9.0)  # Weights of the proximal term where P is singular
+PROXIMAL_STEPS = 6  # With each of them
+SETTLED = 1e-9  # Relative change of the proximal point at which its active set is taken
+ENOUGH = 1e-10  # A bound no better than it asks for another guess
+USEFUL = 1e-6  # A bound above it, of the size of the optimum, is no optimum to judge anybody by
+LARGEST = 1e6  # Inward amounts beyond it would need more room than the limits moved by τ leave
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Guess:
-    """An active set, and the point it is from where that is not the one of its KKT system."""
+class _SetGuess:
+    """Guessed active set of a QP, and its primal point if known."""
 
     signs: Signs
     z: Vector | None
 
 
 class LastResort:
-    """For the QPs of one P and C = [A; I]; not to be shared between threads."""
+    """Costliest certifier of optima of QPs with the same P and C: scaled, equalities enclosed."""
 
     def __init__(self, P: Matrix, C: Matrix, *, convex: bool) -> None:
         self._scales = Scales.of(P, C)
-        self._safe = safe(P, C)
+        self._safe = is_scalable(P, C)
         self._P, self._C = self._scales.cost_matrix(P), self._scales.rows(C)
-        # In these units it may be seen to be definite where in those it was not.
-        self._definite = positive_definite(self._P)
+        # It may be proven definite in these units where it is not in the others.
+        self._definite = is_positive_definite(self._P)
         self._convex = convex or self._definite
         self._geometry = Geometry(self._C)
         self._exact: ExactMatrices | None = None
 
     def certify(self, problem: JointQP) -> Proof | None:
-        """The optimum of `problem`, in its own units, or None.
+        """Certify the optimum of a QP that the other certificates left open, or return None.
 
-        Its multipliers are NaN where implied limits took part: those of the equality rows that
-        stand for them say nothing of the problem as posed.
+        Its multipliers are NaN where implied limits took part: theirs are not the problem's.
         """
-        if not (self._safe and safe(problem.q, problem.L, problem.U)):
+        if not (self._safe and is_scalable(problem.q, problem.L, problem.U)):
             return None
         if self._exact is None:
             self._exact = ExactMatrices.of(self._P, self._C)
         best: Proof | None = None
-        posed = [without_empty(problem)]
+        posed = [drop_empty_rows(problem)]
         for at in posed:
             scaled = self._scales.problem(at, self._P, self._C)
-            for guess in self._guesses(scaled):
-                proof, touched = self._proof(scaled, guess)
+            for guess in self._guess_sets(scaled):
+                proof, touched = self._prove_guess(scaled, guess)
                 if proof is not None and (best is None or proof.bound < best.bound):
                     implied = at is not posed[0]
                     best = replace(proof, y=np.full_like(proof.y, np.nan)) if implied else proof
                 if best is not None and best.bound <= ENOUGH:
                     return best
-                tighter = None if touched is None or len(posed) > 1 else with_implied(at, touched)
+                tighter = (
+                    None if touched is None or len(posed) > 1 else make_equalities(at, touched)
+                )
                 if tighter is not None:
                     posed.append(tighter)
                     break
@@ -277,17 +257,17 @@ class LastResort:
             return None
         return best
 
-    def _guesses(self, problem: JointQP) -> Iterator[_Guess]:
-        """Active sets in the new units, best first."""
+    def _guess_sets(self, problem: JointQP) -> Iterator[_SetGuess]:
+        """Yield guesses of the active set, by the proximal point method where P is singular."""
         if self._definite:
-            for signs in guesses(problem):
+            for signs in guess_active_sets(problem):
                 if signs is not None:
-                    yield _Guess(signs, None)
+                    yield _SetGuess(signs, None)
         else:
-            yield from self._proximal(problem)
+            yield from self._iterate_proximal(problem)
 
-    def _proximal(self, problem: JointQP) -> Iterator[_Guess]:
-        """Where the proximal point method ends (Rockafellar, SIAM J. Control 14, 1976)."""
+    def _iterate_proximal(self, problem: JointQP) -> Iterator[_SetGuess]:
+        """Yield active sets that the proximal point method finds for a singular P."""
         n = len(problem.q)
         # On the feasible set the squares of equality rows are constant, whatever P is across it.
         E = problem.C[problem.L == problem.U]
@@ -296,38 +276,37 @@ class LastResort:
         z, signs = np.zeros(n), None
         for weight in np.repeat(PROXIMAL, PROXIMAL_STEPS):
             at = replace(problem, P=P_E + weight * np.eye(n), q=q_E - weight * z)
-            answer = next(guesses(at), None)
-            moved = None if answer is None else _point(at, answer)
+            answer = next(guess_active_sets(at), None)
+            moved = None if answer is None else _solve_equality_qp(at, answer)
             if moved is None:
                 break
             before, z, signs = z, moved, answer
             if np.abs(z - before).max() <= SETTLED * (1.0 + np.abs(z).max()):
                 break
         if signs is not None:
-            yield _Guess(signs, z)
-            explaining = _explaining(problem, z)
-            if explaining is not None:
-                yield _Guess(explaining, z)
+            yield _SetGuess(signs, z)
+            if (explaining := _find_explaining_limits(problem, z)) is not None:
+                yield _SetGuess(explaining, z)
 
-    def _proof(self, problem: JointQP, guess: _Guess) -> tuple[Proof | None, Signs | None]:
-        """The proof from one guess; without one, the touched limits if they leave no interior."""
+    def _prove_guess(self, problem: JointQP, guess: _SetGuess) -> tuple[Proof | None, Signs | None]:
+        """Prove the optimum from a guessed active set, or return limits that leave no interior."""
         assert self._exact is not None, "made before any guess is asked for"
         equal = np.where(problem.L == problem.U, 1, 0).astype(np.int8)
-        held = independent(problem.C, np.where(equal, equal, guess.signs), equal)
+        held = select_independent(problem.C, np.where(equal, equal, guess.signs), equal)
         system = KKTSystem(problem.P, problem.C, held)
         z = guess.z
         if system.proven:
             proof = linear_certificate(problem, self._geometry, system)
             if proof is not None and self._convex:
                 bound = np.full(len(proof.z), proof.bound)
-                return self._back(proof.z, proof.y, bound, "linear"), None
+                return self._unscale_proof(proof.z, proof.y, bound, "linear"), None
             z = system.X @ system.rhs(problem.q, problem.L, problem.U)
         if z is None:
             return None, None
-        touched = np.where(equal, equal, met(problem, z))
-        all_held = independent(problem.C, np.where(held, held, touched), held)
+        touched = np.where(equal, equal, find_met_limits(problem, z))
+        all_held = select_independent(problem.C, np.where(held, held, touched), held)
         system = KKTSystem(problem.P, problem.C, all_held)
-        inward = _inward(problem, system, touched)
+        inward = _inward_amounts(problem, system, touched)
         if inward is None:
             return None, touched
         if not system.proven:
@@ -335,18 +314,18 @@ class LastResort:
         enclosed = enclosure_certificate(problem, self._exact, system, inward, convex=self._convex)
         if enclosed is None:
             return None, None
-        return self._back(enclosed.z, enclosed.y, enclosed.bound, "gap"), None
+        return self._unscale_proof(enclosed.z, enclosed.y, enclosed.bound, "gap"), None
 
-    def _back(self, z: Vector, y: Vector, bound: Vector, kind: Kind) -> Proof:
-        """The proof in the units of the problem as posed."""
+    def _unscale_proof(self, z: Vector, y: Vector, bound: Vector, kind: Kind) -> Proof:
+        """Convert a proof in equilibrated units to the units of the problem."""
         D = self._scales.D
         worst = float((D * bound).max()) * OUTWARD
         return Proof(D * z, self._scales.multipliers(y), worst, kind)
 
 
-def _explaining(problem: JointQP, z: Vector) -> Signs | None:
-    """The touched limits whose multipliers explain z: independent ones, of the right sign."""
-    touched = met(problem, z)
+def _find_explaining_limits(problem: JointQP, z: Vector) -> Signs | None:
+    """Return limits met at z whose multipliers of the right sign balance the gradient there."""
+    touched = find_met_limits(problem, z)
     equal = problem.L == problem.U
     rows = np.flatnonzero(np.where(equal, 0, touched))
     free = problem.C[equal].T
@@ -364,9 +343,9 @@ def _explaining(problem: JointQP, z: Vector) -> Signs | None:
     return signs
 
 
-def _point(problem: JointQP, signs: Signs) -> Vector | None:
-    """The point of an active set, unproven."""
-    held = independent(problem.C, signs, signs)
+def _solve_equality_qp(problem: JointQP, signs: Signs) -> Vector | None:
+    """Return the minimiser with the rows `signs` held as equalities; None where singular."""
+    held = select_independent(problem.C, signs, signs)
     rows, n = np.flatnonzero(held), len(problem.q)
     G = problem.C[rows]
     K = np.block([[problem.P, G.T], [G, np.zeros((len(rows), len(rows)))]])
@@ -378,16 +357,15 @@ def _point(problem: JointQP, signs: Signs) -> Vector | None:
     return np.asarray(z) if np.isfinite(z).all() else None
 
 
-def _inward(problem: JointQP, system: KKTSystem, touched: Signs) -> Vector | None:
-    """How far to hold the rows of `system` inside their limits, so that all touched limits are met.
+def _inward_amounts(problem: JointQP, system: KKTSystem, touched: Signs) -> Vector | None:
+    """Return how far inside its limits to hold each active row so that all limits near hold.
 
     1 for inequality rows where no other row is touched; else by a direction that leads inside all
     of them; None where there is no such direction.
     """
     equal = problem.L == problem.U
     amounts = np.where(equal[system.rows], 0.0, 1.0)
-    others = np.zeros(len(equal), dtype=bool)
-    others[touched != 0] = True
+    others = touched != 0
     others[system.rows] = False
     if (others & equal).any():
         return None
@@ -398,14 +376,13 @@ def _inward(problem: JointQP, system: KKTSystem, touched: Signs) -> Vector | Non
     inside = np.vstack((G, touched[others, np.newaxis] * problem.C[others]))
     n, k = inside.shape[1], len(inside)
     E = problem.C[system.rows[~own]]
-    answer = linprog(
-        np.append(np.zeros(n), 1.0),
-        A_ub=np.block([[inside, np.zeros((k, 1))], [-inside, -np.ones((k, 1))]]),
-        b_ub=np.concatenate((-np.ones(k), np.zeros(k))),
-        A_eq=np.column_stack((E, np.zeros(len(E)))) if len(E) else None,
-        b_eq=np.zeros(len(E)) if len(E) else None,
-        bounds=[(None, None)] * n + [(0.0, LARGEST)],
-    )
+    A_ub = np.block([[inside, np.zeros((k, 1))], [-inside, -np.ones((k, 1))]])
+    bounds = [(None, None)] * n + [(0.0, LARGEST)]
+    along: dict[str, Any] = {}
+    if len(E):
+        along = {"A_eq": np.column_stack((E, np.zeros(len(E)))), "b_eq": np.zeros(len(E))}
+    b_ub = np.repeat([-1.0, 0.0], k)
+    answer = linprog(np.eye(n + 1)[n], A_ub=A_ub, b_ub=b_ub, bounds=bounds, **along)
     if answer.x is None:
         return None
     amounts[own] = -(G @ answer.x[:n])

@@ -1,14 +1,14 @@
-"""A guess of the active set from one that it is near to, as one step's is to that of the next.
+"""A guess of the active set from a near one, as one step's is to that of the next.
 
 The primal-dual active-set method (Hintermüller, Ito and Kunisch, SIAM J. Optim. 13, 2003): at the
 point of a set W, the rows whose multipliers have the wrong sign go, the rows that the point
-violates come, and so on until nothing changes. That need not end, and a set that comes out need not
-be right: a certificate judges it like any other guess.
+violates come, and so on until nothing changes. That need not end, and the set need not be right: a
+certificate judges it like any other guess.
 
 No system is built on the way. The point of a set that differs from W by some rows solves that of W
 with a column for each of them, k in all,
 
-    ┌ K_W  B ┐  ┌ x ┐     ┌ rhs ┐      B  [c_i; 0] for a row i to be brought in, t its limit
+    ┌ K_W  B ┐  ┌ x ┐     ┌ rhs ┐      B  [c_i; 0] for a row i to be added, t its limit
     └ Bᵀ   0 ┘  └ μ ┘  =  └  t  ┘         [0; e_j] for the row at place j to be dropped, t = 0
 
 and with X ≈ K_W⁻¹ known that is a system of k: (BᵀXB) μ = BᵀX rhs − t,  x = X rhs − XB μ. The
@@ -26,47 +26,46 @@ and at that set z = (1, ½), λ₀ = μ₀ = 3 − 1 = 2, and nothing changes an
 >>> C, L, U = np.eye(2), np.full(2, -np.inf), np.ones(2)
 >>> problem = JointQP(np.eye(2), np.array([-3.0, -0.5]), C, L, U)
 >>> near = KKTSystem(problem.P, C, np.array([0, 1], dtype=np.int8))
->>> nearby(problem, Geometry(C), near).tolist()
+>>> guess_nearby(problem, Geometry(C), near).tolist()
 [1, 0]
 >>> x, mu = np.array([3.0, 1.0, -0.5]), np.zeros(2)
 >>> place, signs, both = np.array([-1, 2]), np.array([1, 0]), np.array([0, 1])
->>> _correct.py_func(C, L, U, near.X_T, place, signs, both, x, mu), x.tolist(), mu.tolist()
+>>> _move_to_set.py_func(C, L, U, near.X_T, place, signs, both, x, mu), x.tolist(), mu.tolist()
 (True, [1.0, 0.5, 0.0], [2.0, 0.5])
 """
 
-# The functions are compiled by numba, which infers their types.
+# Compiled by numba, which infers the types.
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
-
-from __future__ import annotations
 
 import numpy as np
 
 from dpbench.qp.referee.joint import JointQP, Signs
-from dpbench.qp.referee.kernels import add_columns, inlined, kept
+from dpbench.qp.referee.kernels import add_columns, cached_njit, inlined_njit
 from dpbench.qp.referee.kkt import Geometry, KKTSystem
 
+# Most exchanges, and rows other than those of W: a library finds distant sets sooner.
 STEPS, MOST = 8, 12
-"""Exchanges, and rows other than those of W, beyond which the guess is given up: a library finds
-distant sets sooner. Between two steps of a loop one or two exchanges of few rows are made."""
 
 
-def nearby(problem: JointQP, geometry: Geometry, system: KKTSystem) -> Signs | None:
-    """The set at which the method ends, begun at that of a `proven` system; None if it fails."""
+def guess_nearby(problem: JointQP, geometry: Geometry, system: KKTSystem) -> Signs | None:
+    """Guess the active set by iterating from that of the last step; None if that does not end."""
     signs: Signs = np.zeros(len(problem.L), dtype=np.int8)
     signs[system.rows] = system.signs
     posed = problem.q, problem.L, problem.U, problem.C
-    return signs if _method(*posed, geometry.C_T, system.X_T, system.rows, signs) else None
+    return (
+        signs if _iterate_active_set(*posed, geometry.C_T, system.X_T, system.rows, signs) else None
+    )
 
 
-@inlined
-def _limit(L, U, signs, i):
-    """The limit a row is active at; 0 where it is not, for its equation then says nothing."""
+@inlined_njit
+def _active_limit(L, U, signs, i):
+    """Return the limit at which row i is active; 0 where it is not active."""
     return U[i] if signs[i] > 0 else L[i] if signs[i] < 0 else 0.0
 
 
-@inlined
-def _solve(S, b):
-    """b becomes S⁻¹ b by Gauss-Jordan elimination; False where S is singular."""
+@inlined_njit
+def _solve_in_place(S, b):
+    """Solve S x = b in place by Gauss-Jordan elimination; return False where S is singular."""
     for k in range(len(b)):
         best = k
         for i in range(k + 1, len(b)):
@@ -87,18 +86,18 @@ def _solve(S, b):
     return True
 
 
-@inlined
-def _correct(C, L, U, X_T, place, signs, changed, x, mu):
-    """x (n+w,) of W becomes that of the set `signs`, with mu (k,); False where it has none.
+@inlined_njit
+def _move_to_set(C, L, U, X_T, place, signs, changed, x, mu):
+    """Update the KKT solution x (n + w,) to the active set `signs`; False where that is singular.
 
-    place (N,) : where the row's equation stands in K_W; −1 for a row that is not in W.
+    place (N,) : position of the row's equation in K_W, −1 for a row that is not in W.
     changed (k,) : the rows that are in W or in the set, but not in both.
     """
     B_T = np.zeros((len(mu), len(x)))
     X_B, S = np.zeros_like(B_T), np.zeros((len(mu), len(mu)))
     for k in range(len(mu)):
         i = changed[k]
-        mu[k] = -_limit(L, U, signs, i)
+        mu[k] = -_active_limit(L, U, signs, i)
         if place[i] >= 0:
             B_T[k, place[i]] = 1.0
         else:
@@ -111,7 +110,7 @@ def _correct(C, L, U, X_T, place, signs, changed, x, mu):
                 S[k, other] += B_T[k, j] * X_B[other, j]
         for other in range(k):
             S[other, k] = S[k, other]
-    if not _solve(S, mu):
+    if not _solve_in_place(S, mu):
         return False
     for k in range(len(mu)):
         for j in range(len(x)):
@@ -119,9 +118,9 @@ def _correct(C, L, U, X_T, place, signs, changed, x, mu):
     return True
 
 
-@inlined
-def _exchange(L, U, signs, place, changed, value, x, mu):
-    """Violated rows come, those with a multiplier of the wrong sign go; whether any did."""
+@inlined_njit
+def _exchange_rows(L, U, signs, place, changed, value, x, mu):
+    """Add violated rows and drop those with wrong multipliers; return whether any changed."""
     multipliers = np.zeros(len(signs))
     for i in range(len(signs)):
         if place[i] >= 0:
@@ -141,9 +140,9 @@ def _exchange(L, U, signs, place, changed, value, x, mu):
     return moved
 
 
-@kept
-def _method(q, L, U, C, C_T, X_T, rows, signs):
-    """Whether the method ends within `STEPS`; `signs` (N,), W before, becomes the set it is at."""
+@cached_njit
+def _iterate_active_set(q, L, U, C, C_T, X_T, rows, signs):
+    """Update the active set `signs` (N,) in place; return whether it converged within `STEPS`."""
     n, N = len(q), len(L)
     place, changed = np.full(N, -1), np.zeros(N, dtype=np.int64)
     for k in range(len(rows)):
@@ -154,15 +153,15 @@ def _method(q, L, U, C, C_T, X_T, rows, signs):
             rhs[j] = -q[j]
         for i in range(N):
             if place[i] >= 0:
-                rhs[place[i]] = _limit(L, U, signs, i)
+                rhs[place[i]] = _active_limit(L, U, signs, i)
             if (place[i] >= 0) != (signs[i] != 0):
                 changed[count] = i
                 count += 1
         add_columns(X_T, rhs, x)
         mu = np.zeros(count)
-        if count > MOST or not _correct(C, L, U, X_T, place, signs, changed, x, mu):
+        if count > MOST or not _move_to_set(C, L, U, X_T, place, signs, changed, x, mu):
             return False
         add_columns(C_T, x[:n], value)
-        if not _exchange(L, U, signs, place, changed, value, x, mu):
+        if not _exchange_rows(L, U, signs, place, changed, value, x, mu):
             return True
     return False

@@ -1,10 +1,7 @@
-"""Guesses of the active set, from a library or a method of our own; a certificate judges them.
+"""Guesses of the active set by a library or a method of our own; a certificate judges them.
 
-A guesser that is missing, refuses the problem or answers nonsense only costs time: the exact
-active-set method needs no guess.
+A failing guesser only costs time: the exact active-set method needs no guess.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterator
 from importlib import import_module
@@ -15,27 +12,22 @@ from dpbench.arrays import Vector
 from dpbench.qp.dual_active_set import Ending, Projection
 from dpbench.qp.referee.joint import JointQP, Signs
 
-FREE = 1e30
-"""Stands for an infinite limit in DAQP, which documents this value."""
-_EQUALITY = 5
-"""DAQP's mark of a row that is always active."""
-_INFEASIBLE = -1
-"""DAQP's exit flag for an empty feasible set."""
+FREE = 1e30  # Stands for an infinite limit in DAQP, which documents this value
+_EQUALITY = 5  # DAQP's mark of a row that is always active
+_INFEASIBLE = -1  # DAQP's exit flag for an empty feasible set
 
 
-def guesses(problem: JointQP) -> Iterator[Signs | None]:
-    """Active sets worth trying, best first; None where a guesser says there is no feasible point.
-
-    Lazy: the next one is asked only when the guess before failed.
-    """
-    for ask in GUESSERS:
+def guess_active_sets(problem: JointQP) -> Iterator[Signs | None]:
+    """Yield guesses of a QP's active set, best first; None where a solver finds it infeasible."""
+    for guess in GUESSERS:
         try:
-            yield ask(problem)
+            yield guess(problem)
         except (ArithmeticError, ImportError, ValueError, TypeError, RuntimeError):
             continue
 
 
-def _ask_daqp(problem: JointQP) -> Signs | None:
+def _guess_by_daqp(problem: JointQP) -> Signs | None:
+    """Return the active set that the solver DAQP finds; None where it claims infeasibility."""
     daqp = import_module("daqp")
     n = len(problem.q)
     m = len(problem.L) - n
@@ -49,30 +41,29 @@ def _ask_daqp(problem: JointQP) -> Signs | None:
         return None
     if flag <= 0:
         raise RuntimeError("no answer")
-    return _signs(problem, np.roll(np.asarray(info["lam"], dtype=np.float64), -n))
+    return _active_signs(problem, np.roll(np.asarray(info["lam"], dtype=np.float64), -n))
 
 
-def _ask_own(problem: JointQP) -> Signs | None:
-    """What the dual active-set method on an orthogonal factorisation ends at.
+def _guess_by_dual_method(problem: JointQP) -> Signs | None:
+    """Return the active set that the dual active-set method ends at.
 
-    It is bounded in its iterations, which the libraries of this method are not: quadprog goes on
-    for ever on some rows that depend on one another but for rounding, and nothing can stop it.
+    Its iterations are limited, unlike those of quadprog, which never ends on some rows that depend
+    on one another but for rounding.
     """
     outcome = Projection.of(problem.P, problem.C).solve(problem.q, problem.L, problem.U)
     if outcome.ending is Ending.INFEASIBLE:
         return None
     signs = np.zeros(len(problem.L))
     signs[outcome.active] = outcome.side[outcome.active]
-    return _signs(problem, signs)
+    return _active_signs(problem, signs)
 
 
-def _signs(problem: JointQP, y: Vector) -> Signs:
-    """The sides that the multipliers name, where there is a limit; equalities are always active."""
+def _active_signs(problem: JointQP, y: Vector) -> Signs:
+    """Return the active set (N,) that the signs of multipliers y name; equalities are active."""
     signs = np.sign(np.nan_to_num(y))
     signs[(signs == 0.0) & (problem.L == problem.U)] = 1.0
     limit = np.where(signs > 0, problem.U, problem.L)
     return np.where(np.isfinite(limit), signs, 0).astype(np.int8)
 
 
-GUESSERS = (_ask_daqp, _ask_own)
-"""Who is asked, in this order."""
+GUESSERS = (_guess_by_daqp, _guess_by_dual_method)  # in this order

@@ -1,4 +1,4 @@
-"""The rational certificate: the optimum by an active-set method in exact arithmetic.
+"""Rational certificate: the optimum by an active-set method in exact arithmetic.
 
 The dual method of Goldfarb and Idnani (Mathematical Programming 27, 1983): from multipliers of the
 right sign, add the most violated row, and drop the rows whose multipliers reach zero on the way.
@@ -9,34 +9,34 @@ All data are scaled by powers of two to integers: with P = 2^p P', C = 2^c C', z
 q = 2^(p+e) q', [L; U] = 2^(c+e) [L'; U'], the multipliers are λ = 2^(p+e−c) λ'.
 
 A set W is solved for two right-hand sides at once, in integers over one positive denominator: the
-point, and what it changes by when the multiplier μ of a row g to be brought in grows by 1.
+point, and its change when the multiplier μ of a row g to be added grows by 1.
 
               n    w                                 point   slope
         n  ┌  P   Gᵀ ┐   ┌ z  dz/dμ ┐           ┌     −q      −g  ┐
         w  └  G   0  ┘   └ λ  dλ/dμ ┘     =     └   limits     0  ┘        G = C_W
 
-An example to follow by hand: the point nearest (1, ½) with 3 z₁ ≤ 1. Alone, z = (1, ½) violates the
-row g = (3, 0) by 2. Along μ, dz/dμ = −g, so that g·z falls by 9 for 1 of μ: at μ = 2/9 the row is
-met, W = {0} has G = (3, 0), z = (⅓, ½) and λ = 2/9, both exact. Rounded once, ⅓ is off by ⅓·2⁻⁵⁴.
+By hand, the point nearest (1, ½) with 3 z₁ ≤ 1: alone, z = (1, ½) violates the row g = (3, 0) by 2.
+Along μ, dz/dμ = −g, so that g·z falls by 9 for 1 of μ: at μ = 2/9 the row is met, W = {0} has
+G = (3, 0), z = (⅓, ½) and λ = 2/9, both exact. Rounded once, ⅓ is off by ⅓·2⁻⁵⁴.
 
 >>> from dpbench.qp.program import QuadraticProgram
 >>> free = np.full(2, np.inf)
 >>> row = [[3, 0]], [-np.inf], [1], -free, free
 >>> problem = JointQP.of(QuadraticProgram(np.eye(2), [-1, -0.5], *row))
 >>> exact = ExactMatrices.of(problem.P, problem.C)
->>> qp, nobody = _IntegerQP.of(problem, exact), np.zeros(3, dtype=np.int8)
->>> active, at = _start(qp, nobody)
+>>> qp, no_guess = _IntegerQP.of(problem, exact), np.zeros(3, dtype=np.int8)
+>>> active, at = _start_active_set(qp, no_guess)
 >>> unit = Fraction(2) ** qp.z_exponent
 >>> [str(Fraction(z, at.denominator) * unit) for z in at.point]
 ['1', '1/2']
->>> _most_violated(qp, at), _hold(qp, active, 0, 1), active.rows
+>>> _find_most_violated(qp, at), _add_violated_limit(qp, active, 0, 1), active.rows
 ((0, 1), None, [0])
 >>> at = active.solve(np.zeros(2, dtype=object))
 >>> [str(Fraction(z, at.denominator) * unit) for z in at.point[:2]]
 ['1/3', '1/2']
 >>> str(Fraction(at.point[2], at.denominator) * Fraction(2) ** qp.y_exponent)
 '2/9'
->>> proof = rational_certificate(problem, exact, nobody)
+>>> proof = rational_certificate(problem, exact, no_guess)
 >>> proof.z.tolist() == [1 / 3, 1 / 2], bool(np.isclose(proof.bound, 2**-54 / 3, rtol=1e-9, atol=0))
 (True, True)
 """
@@ -55,7 +55,7 @@ from dpbench.qp.referee.joint import ExactMatrices, JointQP, Proof, Signs
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _IntegerQP:
-    """The problem in integers; limits are None where infinite."""
+    """QP with all data scaled to integers; limits are None where infinite."""
 
     P: Whole
     q: Whole
@@ -67,29 +67,24 @@ class _IntegerQP:
 
     @classmethod
     def of(cls, problem: JointQP, exact: ExactMatrices) -> _IntegerQP:
+        """Convert a QP to integers, with powers of two as units."""
         q = Dyadic.of(problem.q)
         L, U = (Dyadic.of(np.nan_to_num(x, posinf=0.0, neginf=0.0)) for x in (problem.L, problem.U))
         p, c = exact.P.exponent, exact.C.exponent
         e = min(q.exponent - p, L.exponent - c, U.exponent - c)
-        return cls(
-            exact.P.whole,
-            q.at(p + e),
-            exact.C.whole,
-            _limits(L.at(c + e), problem.L),
-            _limits(U.at(c + e), problem.U),
-            e,
-            p + e - c,
-        )
+        limits = _mark_infinite(L.at(c + e), problem.L), _mark_infinite(U.at(c + e), problem.U)
+        return cls(exact.P.whole, q.at(p + e), exact.C.whole, *limits, e, p + e - c)
 
 
-def _limits(numbers: Whole, given: Vector) -> list[int | None]:
+def _mark_infinite(numbers: Whole, given: Vector) -> list[int | None]:
+    """Return the integer limits as a list, None where the given limit is infinite."""
     finite = np.isfinite(given).tolist()
     return [x if there else None for x, there in zip(numbers.tolist(), finite, strict=True)]
 
 
 @dataclass(slots=True)
-class _Iterate:
-    """Numerators over one positive denominator: x = [z; λ_W] at μ = 0, and its slope in μ."""
+class _ExactPoint:
+    """Exact point and multipliers, and their change per unit of a new row's multiplier."""
 
     point: Whole
     slope: Whole
@@ -97,7 +92,7 @@ class _Iterate:
 
 
 class _ActiveSet:
-    """The rows held at a limit; `side` +1 upper, −1 lower, 0 for an equality-like row."""
+    """Constraint rows held at a limit: side +1 the upper, −1 the lower one, 0 an equality."""
 
     def __init__(self, qp: _IntegerQP) -> None:
         self.qp = qp
@@ -105,53 +100,51 @@ class _ActiveSet:
         self.side: list[int] = []
 
     def add(self, row: int, sign: int) -> None:
+        """Add a row at its upper (+1) or lower (−1) limit."""
         self.rows.append(row)
         equal = self.qp.lower[row] == self.qp.upper[row]
         self.side.append(0 if equal else sign)
 
     def drop(self, position: int) -> None:
+        """Remove the row at a position of the active set."""
         del self.rows[position], self.side[position]
 
-    def solve(self, gradient: Whole) -> _Iterate | None:
-        """The point that holds the rows while the multiplier μ of `gradient` varies."""
-        qp, n = self.qp, len(self.qp.q)
+    def solve(self, gradient: Whole) -> _ExactPoint | None:
+        """Solve the KKT system of the held rows exactly; None where it is singular."""
+        qp, n, w = self.qp, len(self.qp.q), len(self.rows)
         G = qp.C[self.rows]
-        w = len(self.rows)
         K = np.zeros((n + w, n + w), dtype=object)
         K[:n, :n], K[n:, :n], K[:n, n:] = qp.P, G, G.T
         rhs = np.zeros((n + w, 2), dtype=object)
         rhs[:n, 0], rhs[:n, 1] = -qp.q, -gradient
-        rhs[n:, 0] = [
-            qp.lower[row] if side < 0 else qp.upper[row]
-            for row, side in zip(self.rows, self.side, strict=True)
-        ]
+        sides = zip(self.rows, self.side, strict=True)
+        rhs[n:, 0] = [qp.lower[row] if side < 0 else qp.upper[row] for row, side in sides]
         solved = solve_integer(K, rhs)
         if solved is None:
             return None
         x, denominator = solved
-        return _Iterate(x[:, 0], x[:, 1], denominator)
+        return _ExactPoint(x[:, 0], x[:, 1], denominator)
 
-    def wrong(self, multipliers: Whole) -> int | None:
-        """Position of the multiplier of the most wrong sign, if any."""
+    def most_wrong_multiplier(self, multipliers: Whole) -> int | None:
+        """Return the position of the multiplier of the most wrong sign, or None."""
         values = [side * lam for side, lam in zip(self.side, multipliers, strict=True)]
         worst = min(range(len(values)), key=values.__getitem__, default=None)
         return worst if worst is not None and values[worst] < 0 else None
 
-    def first_zero(self, at: _Iterate) -> tuple[Fraction, int] | None:
-        """The smallest μ at which a multiplier reaches zero, and its position."""
+    def first_zero_multiplier(self, at: _ExactPoint) -> tuple[Fraction, int] | None:
+        """Return how far a new row's multiplier can rise until another is zero, and that one."""
         n = len(self.qp.q)
-        zeros = [
+        multipliers = enumerate(zip(self.side, at.point[n:], at.slope[n:], strict=True))
+        zeros = (
             (Fraction(-value, slope), position)
-            for position, (side, value, slope) in enumerate(
-                zip(self.side, at.point[n:], at.slope[n:], strict=True)
-            )
+            for position, (side, value, slope) in multipliers
             if side * slope < 0
-        ]
+        )
         return min(zeros, default=None)
 
 
-def _most_violated(qp: _IntegerQP, at: _Iterate) -> tuple[int, int] | None:
-    """Row and sign of the limit that the point violates most, exactly; None if it is feasible."""
+def _find_most_violated(qp: _IntegerQP, at: _ExactPoint) -> tuple[int, int] | None:
+    """Return row and sign of the limit that the point violates most; None if feasible."""
     value = qp.C @ at.point[: len(qp.q)]
     violation, limit = 0, None
     for row, number in enumerate(value.tolist()):
@@ -163,8 +156,8 @@ def _most_violated(qp: _IntegerQP, at: _Iterate) -> tuple[int, int] | None:
     return limit
 
 
-def _start(qp: _IntegerQP, signs: Signs) -> tuple[_ActiveSet, _Iterate] | None:
-    """An active set with multipliers of the right sign, from a guess."""
+def _start_active_set(qp: _IntegerQP, signs: Signs) -> tuple[_ActiveSet, _ExactPoint] | None:
+    """Return a dual-feasible active set and its exact point, starting from a guess."""
     active = _ActiveSet(qp)
     for row in np.flatnonzero(signs).tolist():
         active.add(row, int(signs[row]))
@@ -172,45 +165,39 @@ def _start(qp: _IntegerQP, signs: Signs) -> tuple[_ActiveSet, _Iterate] | None:
     while True:
         at = active.solve(nothing)
         if at is None:
-            return None if not active.rows else _start(qp, np.zeros_like(signs))
-        worst = active.wrong(at.point[len(qp.q) :])
+            return None if not active.rows else _start_active_set(qp, np.zeros_like(signs))
+        worst = active.most_wrong_multiplier(at.point[len(qp.q) :])
         if worst is None:
             return active, at
         active.drop(worst)
 
 
 def rational_certificate(problem: JointQP, exact: ExactMatrices, signs: Signs) -> Proof | None:
-    """The optimum rounded once, whatever is degenerate.
+    """Certify the optimum by an active-set method in exact rational arithmetic.
 
-    Parameters
-    ----------
-    problem : with positive definite P and L ≤ U.
-    signs : a guess of the active set; it decides the time, not the answer.
-
-    Returns
-    -------
-    The optimum, or of kind "infeasible" the Farkas multipliers y (N,) with z NaN and bound inf;
-    None when P turns out singular.
+    `problem` must have positive definite P and L ≤ U; `signs` is a guess of the active set, which
+    decides the time only. Where there is no optimum, the proof is of kind "infeasible" with the
+    Farkas multipliers y (N,), z NaN and bound inf; None when P turns out singular.
     """
     qp = _IntegerQP.of(problem, exact)
-    started = _start(qp, signs)
+    started = _start_active_set(qp, signs)
     if started is None:
         return None
     active, at = started
-    while (violated := _most_violated(qp, at)) is not None:
+    while (violated := _find_most_violated(qp, at)) is not None:
         row, sign = violated
-        farkas = _hold(qp, active, row, sign)
+        farkas = _add_violated_limit(qp, active, row, sign)
         if farkas is not None:
             return Proof(np.full(len(qp.q), np.nan), farkas, np.inf, "infeasible")
         settled = active.solve(np.zeros(len(qp.q), dtype=object))
         if settled is None:
             return None
         at = settled
-    return _proof(qp, active, at)
+    return _build_proof(qp, active, at)
 
 
-def _hold(qp: _IntegerQP, active: _ActiveSet, row: int, sign: int) -> Vector | None:
-    """Bring a violated limit into the active set; the Farkas multipliers if that is impossible."""
+def _add_violated_limit(qp: _IntegerQP, active: _ActiveSet, row: int, sign: int) -> Vector | None:
+    """Add a violated limit to the active set; return Farkas multipliers if that is impossible."""
     gradient = sign * qp.C[row]
     limit = sign * ((qp.upper[row] if sign > 0 else qp.lower[row]) or 0)
     while True:
@@ -220,16 +207,17 @@ def _hold(qp: _IntegerQP, active: _ActiveSet, row: int, sign: int) -> Vector | N
         slope = int(gradient @ at.slope[:n])
         violation = int(gradient @ at.point[:n]) - limit * at.denominator
         reached = Fraction(violation, -slope) if slope < 0 else None
-        blocked = active.first_zero(at)
+        blocked = active.first_zero_multiplier(at)
         if reached is not None and (blocked is None or reached <= blocked[0]):
             active.add(row, sign)
             return None
         if blocked is None:
-            return _farkas(qp, active, at, row, sign)
+            return _farkas_ray(qp, active, at, row, sign)
         active.drop(blocked[1])
 
 
-def _farkas(qp: _IntegerQP, active: _ActiveSet, at: _Iterate, row: int, sign: int) -> Vector:
+def _farkas_ray(qp: _IntegerQP, active: _ActiveSet, at: _ExactPoint, row: int, sign: int) -> Vector:
+    """Return the multipliers (N,) that prove the violated row contradicts the active rows."""
     y = np.zeros(len(qp.lower))
     y[row] = sign
     for position, held in enumerate(active.rows):
@@ -237,7 +225,8 @@ def _farkas(qp: _IntegerQP, active: _ActiveSet, at: _Iterate, row: int, sign: in
     return y
 
 
-def _proof(qp: _IntegerQP, active: _ActiveSet, at: _Iterate) -> Proof:
+def _build_proof(qp: _IntegerQP, active: _ActiveSet, at: _ExactPoint) -> Proof:
+    """Return the exact point rounded to float64, with its rounding error as the bound."""
     n = len(qp.q)
     unit = Fraction(2) ** qp.z_exponent
     exact_z = [Fraction(number, at.denominator) * unit for number in at.point[:n]]

@@ -1,12 +1,12 @@
-"""The referee: certified optima of QPs that share P and A, with a rigorous bound beside each.
+"""The referee: certified optima of QPs that share P and A, each with a rigorous error bound.
 
-In order: the linear certificate with the active set of the step before, then with those that others
-guess; the gap certificate where rows are weakly active; the rational one for small problems; all
-of it again in other units, with equality rows enclosed, as the last resort (`last_resort`).
-Nobody's word is taken for anything: every certificate stands on its own.
+In order: the linear certificate with the active set of the step before, then with guesses; the gap
+certificate where rows are weakly active; the rational one for small problems; all of it again in
+other units, with equality rows enclosed (`last_resort`). No guess is trusted: every certificate
+stands on its own.
 
-What every certificate works on are the rows of C = [A; I], rows first and bounds behind them; a set
-of active ones is an array of signs over them, and an inverse is kept for each set by its bytes:
+Certificates work on the rows of C = [A; I], rows first and bounds behind them. A set of active ones
+is an array of signs over them; an inverse is kept for each set by its bytes:
 
     row of C      0 … m−1      m … m+n−1                        n      w
     limits     L  l            lb                            ┌  P     C_Wᵀ ┐  ┌ z   ┐     ┌ −q  ┐
@@ -14,9 +14,8 @@ of active ones is an array of signs over them, and an inverse is kept for each s
     signs      +1 at U, −1 at L, 0 inactive           b_W the limits that the signs of W name
     result     y            y_box                     X ≈ K_W⁻¹ and a proof of how near
 
-An example to follow by hand, the point nearest (3, 3) under z₁ ≤ 1 and z₂ ≤ 1: W = {1, 2},
-C_W = I, z = (1, 1) and λ = (3, 3) − z = (2, 2). How that is certified depends on a row
-l ≤ z₁ + z₂ ≤ u beside them:
+By hand, the point nearest (3, 3) under z₁ ≤ 1 and z₂ ≤ 1: W = {1, 2}, C_W = I, z = (1, 1) and
+λ = (3, 3) − z = (2, 2). Its certificate depends on a row l ≤ z₁ + z₂ ≤ u beside them:
 
 - u = 2.5: the slack of ½ and the multipliers of 2 are beyond doubt, "linear".
 - u = 2: the row is met without a multiplier, and no rounding may decide whether it is active. Held
@@ -53,90 +52,39 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.display import fields_html, numbers_text
 from dpbench.qp.program import QPSequence, QuadraticProgram
-from dpbench.qp.referee.dyadic import Dyadic, semidefinite
-from dpbench.qp.referee.equilibrated import alike, safe
+from dpbench.qp.referee.dyadic import Dyadic, is_semidefinite
+from dpbench.qp.referee.equilibrated import equilibrate_diagonal, is_scalable
 from dpbench.qp.referee.feasibility.farkas import (
     certify_infeasible,
     certify_unbounded,
     farkas_valid,
     unbounded_valid,
 )
-from dpbench.qp.referee.feasibility.implied import fix_forced
-from dpbench.qp.referee.feasibility.rounding import least_violation, refute
-from dpbench.qp.referee.gap import gap_certificate, independent, met
+from dpbench.qp.referee.feasibility.implied import fix_forced_variables
+from dpbench.qp.referee.feasibility.rounding import bound_least_violation, find_magnified_farkas
+from dpbench.qp.referee.gap import find_met_limits, gap_certificate, select_independent
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Kind, Proof, Signs
-from dpbench.qp.referee.kernels import CROSSED, MEANINGLESS, meaning
-from dpbench.qp.referee.kkt import Geometry, KKTSystem, linear_certificate, positive_definite
+from dpbench.qp.referee.kernels import CROSSED_LIMITS, INVALID_DATA, classify_limits
+from dpbench.qp.referee.kkt import Geometry, KKTSystem, is_positive_definite, linear_certificate
 from dpbench.qp.referee.last_resort import LastResort
-from dpbench.qp.referee.nearby import nearby
-from dpbench.qp.referee.oracle import guesses
+from dpbench.qp.referee.nearby import guess_nearby
+from dpbench.qp.referee.optimum import Optimum
+from dpbench.qp.referee.oracle import guess_active_sets
 from dpbench.qp.referee.rational import rational_certificate
-from dpbench.qp.residuals import best_multipliers
+from dpbench.qp.residuals import fit_multipliers
 from dpbench.qp.solution import Solution, Status
 
-WANTED = 1e-10
-"""A bound above it sends the problem to the next, costlier certificate."""
-REMEMBERED = 128
-"""Active sets whose KKT inverse is kept."""
-EXACT_SIZE = 40
-"""Largest n for the rational certificate, whose cost grows like n⁴: 0.3 s at n = 30."""
+WANTED = 1e-10  # A bound above it sends the problem to the next, costlier certificate
+REMEMBERED = 128  # Active sets whose KKT inverse is kept
+EXACT_SIZE = 40  # Largest n for the rational certificate, whose cost grows like n⁴: 0.3 s at n = 30
 SEMIDEFINITE_SIZE = 100
 """Largest block of P for the exact test of semidefiniteness, done once per referee."""
 
 
-ACTIVE_MULTIPLIER = 1e-9
-"""Scaled multipliers above it count as active limits in `n_active`."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Optimum:
-    """The certified optimum of a QP.
-
-    Parameters
-    ----------
-    z : (n,), y : (m,), y_box : (n,) optimum and its multipliers; of an infeasible problem z is
-        NaN and (y, y_box) the Farkas vector; NaN where nothing could be certified.
-    bound : rigorous bound of max_i |z_i − z*_i|; inf unless there is an optimum.
-    kind : the certificate; "undecided" for a problem that is infeasible by no more than rounding,
-        with a Farkas vector that `rounding.least_violation` weighs; "none" claims nothing at all.
-    """
-
-    z: Vector
-    y: Vector
-    y_box: Vector
-    bound: float
-    kind: Kind
-
-    def __repr__(self) -> str:
-        return f"<Optimum of {len(self.z)} variables: {self._proven}>"
-
-    def _repr_html_(self) -> str:
-        fields = {
-            "certificate": f"{self.kind}: {self._proven}",
-            "z": numbers_text(self.z),
-            "y": numbers_text(self.y),
-            "y_box": numbers_text(self.y_box),
-        }
-        return fields_html(f"Optimum of {len(self.z)} variables", fields)
-
-    @property
-    def _proven(self) -> str:
-        """What is proven, in words."""
-        if not np.isfinite(self.bound):
-            proofs = {
-                "infeasible": "no point is feasible",
-                "undecided": "feasible or infeasible by rounding alone",
-            }
-            return proofs.get(self.kind, "nothing certified")
-        active = np.count_nonzero(self.y) + np.count_nonzero(self.y_box)
-        return f"z within {self.bound:.1e} of the exact one, {active} limits active"
-
-
 @dataclass(slots=True)
-class _Known:
-    """What follows from the matrices of a referee alone, made when it is first asked for."""
+class _MatrixData:
+    """Cached factorisations and exact matrices for QPs with the same P and A, made on first use."""
 
     systems: OrderedDict[bytes, KKTSystem] = field(default_factory=OrderedDict)
     inverse: Matrix | None = None
@@ -145,14 +93,13 @@ class _Known:
 
 
 class Referee:
-    """Certifies the QPs of one P, A, lb, ub; not to be shared between threads.
+    """Independent checker that certifies optima of QPs with the same P, A, lb and ub.
 
-    P counts by its symmetric part, rounded once if P is not symmetric to the last bit. For P proven
-    positive definite all certificates are open. For P that is exactly semidefinite (decided for
-    blocks of up to `SEMIDEFINITE_SIZE` variables) the linear one is, which proves that the optimum
-    is the only one, and the enclosure of the last resort, which bounds all minimisers. The latter
-    is open too where P is definite on the directions that the equality rows leave. For any other P
-    nothing but infeasibility is certified.
+    P counts by its symmetric part, rounded once. For P proven positive definite all certificates
+    are open. For P that is exactly semidefinite (decided for blocks of up to `SEMIDEFINITE_SIZE`
+    variables) the linear one is, which proves that the optimum is the only one, and the enclosure
+    of the last resort, which bounds all minimisers. The latter is open too where P is definite on
+    the directions that the equality rows leave. Otherwise only infeasibility is certified.
     """
 
     def __init__(self, P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> None:
@@ -164,195 +111,193 @@ class Referee:
         self._geometry = Geometry(self._C)
         self._last: Signs = np.zeros(self._m + n, dtype=np.int8)
         self._farkas: tuple[Vector, Vector] | None = None
-        self._known = _Known()
+        self._data = _MatrixData()
         self._finite = bool(np.isfinite(P).all() and np.isfinite(A).all())
-        self._definite = self._finite and positive_definite(self._P)
-        self._convex = self._definite or (self._finite and self._proven_convex())
+        self._definite = self._finite and is_positive_definite(self._P)
+        self._convex = self._definite or (self._finite and self._is_proven_convex())
 
-    def after(self, P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
-        """A referee of a later step's matrices, begun at the active set that this one is at."""
+    def for_matrices(self, P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
+        """Return a checker of optima for a later step's matrices, started at the last set."""
         later = Referee(P, A, lb, ub)
         if len(later._last) == len(self._last):
             later._last = self._last
         return later
 
-    def anew(self) -> Referee:
-        """A referee of the same matrices that has seen no problem: it answers like a new one, and
-        shares with this one what follows from the matrices alone."""
+    def reset_copy(self) -> Referee:
+        """Return a copy of this checker without memory of earlier QPs; matrix data are shared."""
         other = copy(self)
         other._last, other._farkas = np.zeros_like(self._last), None
         return other
 
-    def _proven_convex(self) -> bool:
-        """Whether P is positive semidefinite: definite in other units, or exactly so by blocks."""
+    def _is_proven_convex(self) -> bool:
+        """Return whether P is proven positive semidefinite."""
         P = self._P
         if (np.diagonal(P) < 0.0).any():
             return False
-        if safe(P) and positive_definite(alike(P)):
+        if is_scalable(P) and is_positive_definite(equilibrate_diagonal(P)):
             return True
         count, part = connected_components(P != 0.0, directed=False)
         blocks = [np.flatnonzero(part == i) for i in range(count)]
         if max(len(block) for block in blocks) > SEMIDEFINITE_SIZE:
             return False
-        return all(semidefinite(Dyadic.of(P[np.ix_(block, block)]).whole) for block in blocks)
+        return all(is_semidefinite(Dyadic.of(P[np.ix_(block, block)]).whole) for block in blocks)
 
-    def _exactly(self) -> ExactMatrices:
-        if self._known.exact is None:
-            self._known.exact = ExactMatrices.of(self._P, self._C)
-        return self._known.exact
+    def _exact_matrices(self) -> ExactMatrices:
+        """Return Hessian P and constraint rows C in exact arithmetic, from a cache."""
+        if self._data.exact is None:
+            self._data.exact = ExactMatrices.of(self._P, self._C)
+        return self._data.exact
 
     def certify(self, q: Vector, l: Vector, u: Vector) -> Optimum:  # noqa: E741 - as in QuadraticProgram
-        """The optimum of the problem with these vectors; (n,), (m,), (m,)."""
+        """Certify the optimum of the QP with vectors q (n,), l and u (m,)."""
         # Kernels are compiled for arrays that may be written to, whatever memory q lies in.
         q, L, U = q.copy(), np.concatenate((l, self._lb)), np.concatenate((u, self._ub))
-        limits = meaning(q, L, U)
-        if limits == MEANINGLESS or not self._finite:
-            return self._nothing()
+        limits = classify_limits(q, L, U)
+        if limits == INVALID_DATA or not self._finite:
+            return self._no_certificate()
         problem = JointQP(self._P, q, self._C, L, U)
-        if limits == CROSSED:
-            return self._infeasible(problem) or self._nothing()
-        proof = self._linear(problem, self._last) or self._near(problem)
+        if limits == CROSSED_LIMITS:
+            return self._find_farkas(problem) or self._no_certificate()
+        proof = self._try_linear(problem, self._last) or self._try_nearby(problem)
         if proof is None or proof.bound > WANTED:
-            return self._still_infeasible(problem) or self._search(problem)
-        return self._optimum(proof)
+            return self._reuse_farkas(problem) or self._search_certificate(problem)
+        return self._split_proof(proof)
 
-    def _near(self, problem: JointQP) -> Proof | None:
-        """With the active set that is near to that of the step before."""
-        system = self._system(self._last) if self._convex else None
+    def _try_nearby(self, problem: JointQP) -> Proof | None:
+        """Prove the optimum with an active set guessed from the last QP's; None if unproven."""
+        system = self._kkt_system(self._last) if self._convex else None
         if system is None or not system.proven:
             return None
-        signs = nearby(problem, self._geometry, system)
-        proof = None if signs is None else self._linear(problem, signs)
+        signs = guess_nearby(problem, self._geometry, system)
+        proof = None if signs is None else self._try_linear(problem, signs)
         if signs is not None and proof is not None:
             self._last = signs
         return proof
 
-    def _search(self, problem: JointQP) -> Optimum:
-        """Everything but the active set of the step before and what is near to it."""
-        fixed = fix_forced(problem)
+    def _search_certificate(self, problem: JointQP) -> Optimum:
+        """Certify a QP's optimum or infeasibility from guessed active sets, cheapest first."""
+        fixed = fix_forced_variables(problem)
         posed = problem if fixed is None else fixed
         tried: list[Signs] = []
         best: Proof | None = None
-        for signs in guesses(posed):
+        for signs in guess_active_sets(posed):
             if signs is None:
-                empty = self._infeasible(problem)
-                if empty is not None:
+                if (empty := self._find_farkas(problem)) is not None:
                     return empty
                 continue
             tried.append(signs)
-            best = self._linear(posed, signs)
+            best = self._try_linear(posed, signs)
             if best is not None:
                 self._last = signs
                 break
         if best is None or best.bound > WANTED:
-            best = self._closer(posed, tried, best)
+            best = self._try_costly(posed, tried, best)
         if best is None or WANTED < best.bound < np.inf:
-            return self._resort(problem, posed, best)
+            return self._try_last_resort(problem, posed, best)
         if best.kind == "infeasible":
-            return self._infeasible(problem) or self._empty(problem, best.y)
-        return self._optimum(best) if fixed is None else self._explained(problem, best)
+            return self._find_farkas(problem) or self._verdict_by_multipliers(problem, best.y)
+        return self._build_optimum(problem, posed, best)
 
-    def _resort(self, problem: JointQP, posed: JointQP, known: Proof | None) -> Optimum:
-        """What is left where the other certificates gave nothing better than `known`."""
-        if known is None:
-            empty = self._infeasible(problem)
-            if empty is not None:
-                return empty
-        if self._known.last_resort is None:
-            self._known.last_resort = LastResort(self._P, self._C, convex=self._convex)
-        closer = self._known.last_resort.certify(posed)
+    def _try_last_resort(self, problem: JointQP, posed: JointQP, known: Proof | None) -> Optimum:
+        """Try the costliest proof of the optimum; return the better of it and the known proof."""
+        if known is None and (empty := self._find_farkas(problem)) is not None:
+            return empty
+        if self._data.last_resort is None:
+            self._data.last_resort = LastResort(self._P, self._C, convex=self._convex)
+        closer = self._data.last_resort.certify(posed)
         if closer is not None and (known is None or closer.bound < known.bound):
-            return self._explained(problem, closer)
+            return self._build_optimum(problem, None, closer)
         if known is not None:
-            return self._optimum(known) if posed is problem else self._explained(problem, known)
-        refuted = refute(self._program(problem))
-        return self._nothing() if refuted is None else self._refuted(problem, *refuted)
+            return self._build_optimum(problem, posed, known)
+        farkas = find_magnified_farkas(self._as_qp(problem))
+        return self._no_certificate() if farkas is None else self._refutation(problem, *farkas)
 
-    def _explained(self, problem: JointQP, proof: Proof) -> Optimum:
-        """The optimum of a problem that was changed, with multipliers its own limits allow."""
+    def _build_optimum(self, problem: JointQP, posed: JointQP | None, proof: Proof) -> Optimum:
+        """Return a proof as an optimum, with multipliers fitted to the original problem."""
+        if posed is problem:
+            return self._split_proof(proof)
         try:
-            y, y_box = best_multipliers(self._program(problem), proof.z, 1e-9)
+            y, y_box = fit_multipliers(self._as_qp(problem), proof.z, 1e-9)
         except RuntimeError:
-            # Non-negative least squares gave up: the optimum stands without them.
-            nothing = self._nothing()
-            y, y_box = nothing.y, nothing.y_box
+            # Non-negative least squares gave up: the optimum is valid without multipliers.
+            y, y_box = np.full(self._m, np.nan), np.full(len(proof.z), np.nan)
         return Optimum(proof.z, y, y_box, proof.bound, proof.kind)
 
-    def _linear(self, problem: JointQP, signs: Signs) -> Proof | None:
-        if not self._convex:
-            return None
-        system = self._system(signs)
-        if not system.proven:
+    def _try_linear(self, problem: JointQP, signs: Signs) -> Proof | None:
+        """Try to prove an active set optimal by error bounds of its KKT solution, else None."""
+        system = self._kkt_system(signs) if self._convex else None
+        if system is None or not system.proven:
             return None
         return linear_certificate(problem, self._geometry, system)
 
-    def _system(self, signs: Signs) -> KKTSystem:
+    def _kkt_system(self, signs: Signs) -> KKTSystem:
+        """Return the KKT system of an active set, from a cache of the last ones."""
         key = signs.tobytes()
-        system = self._known.systems.get(key)
+        system = self._data.systems.get(key)
         if system is None:
-            system = self._known.systems[key] = KKTSystem(self._P, self._C, signs)
-            if len(self._known.systems) > REMEMBERED:
-                self._known.systems.popitem(last=False)
+            system = self._data.systems[key] = KKTSystem(self._P, self._C, signs)
+            if len(self._data.systems) > REMEMBERED:
+                self._data.systems.popitem(last=False)
         else:
-            self._known.systems.move_to_end(key)
+            self._data.systems.move_to_end(key)
         return system
 
-    def _closer(self, problem: JointQP, tried: list[Signs], known: Proof | None) -> Proof | None:
-        """The best of `known` and the costly certificates, begun at the active sets `tried`."""
+    def _try_costly(
+        self, problem: JointQP, tried: list[Signs], known: Proof | None
+    ) -> Proof | None:
+        """Return the best proof of an optimum: known, by duality gap or in exact arithmetic."""
         if not self._definite:
             return known
         proofs = [] if known is None else [known]
         starts = tried or [np.zeros(len(problem.L), dtype=np.int8)]
-        # Those who named them differ in which weakly active rows they hold.
+        # Guesses differ in their weakly active rows.
         for signs in reversed(starts):
-            by_gap = self._gap(problem, signs)
-            if by_gap is not None:
+            if (by_gap := self._try_gap(problem, signs)) is not None:
                 proofs.append(by_gap)
                 if by_gap.bound <= WANTED:
                     break
         if not any(proof.bound <= WANTED for proof in proofs) and len(problem.q) <= EXACT_SIZE:
             # Rows that depend on others exactly would make it begin with none.
-            start = independent(self._C, starts[-1], starts[-1])
-            exact = rational_certificate(problem, self._exactly(), start)
-            if exact is not None:
-                proofs.append(exact)
-        return min(
-            proofs, key=lambda proof: (proof.kind == "infeasible", proof.bound), default=None
-        )
+            start = select_independent(self._C, starts[-1], starts[-1])
+            exact = rational_certificate(problem, self._exact_matrices(), start)
+            proofs += [] if exact is None else [exact]
+        return min(proofs, key=lambda p: (p.kind == "infeasible", p.bound), default=None)
 
-    def _gap(self, problem: JointQP, signs: Signs) -> Proof | None:
-        if self._known.inverse is None:
-            free = self._system(np.zeros_like(signs))
+    def _try_gap(self, problem: JointQP, signs: Signs) -> Proof | None:
+        """Try to prove the optimum by its duality gap from the active set `signs`, else None."""
+        if self._data.inverse is None:
+            free = self._kkt_system(np.zeros_like(signs))
             if not free.proven:
                 return None
-            self._known.inverse = free.inverse_bounds()
-        held = independent(self._C, signs, signs)
-        system = self._system(held)
+            self._data.inverse = free.inverse_bounds()
+        held = select_independent(self._C, signs, signs)
+        system = self._kkt_system(held)
         if not system.proven:
             return None
         # The point to rounding is enough to see which limits it touches.
-        touched = met(problem, system.X @ system.rhs(problem.q, problem.L, problem.U))
-        system = self._system(independent(self._C, np.where(held, held, touched), held))
+        touched = find_met_limits(problem, system.X @ system.rhs(problem.q, problem.L, problem.U))
+        system = self._kkt_system(select_independent(self._C, np.where(held, held, touched), held))
         if not system.proven:
             return None
-        return gap_certificate(problem, self._exactly(), system, self._known.inverse)
+        return gap_certificate(problem, self._exact_matrices(), system, self._data.inverse)
 
-    def _optimum(self, proof: Proof) -> Optimum:
+    def _split_proof(self, proof: Proof) -> Optimum:
+        """Return a proof as an optimum, its multipliers split into rows and bounds."""
         y, y_box = proof.y[: self._m], proof.y[self._m :]
         return Optimum(proof.z, y, y_box, proof.bound, proof.kind)
 
-    def _infeasible(self, problem: JointQP) -> Optimum | None:
-        """The verdict "infeasible" or "undecided" with a verified vector, if there is one."""
-        farkas = certify_infeasible(self._program(problem))
+    def _find_farkas(self, problem: JointQP) -> Optimum | None:
+        """Return a verdict of infeasibility with a verified Farkas vector, or None."""
+        farkas = certify_infeasible(self._as_qp(problem))
         if farkas is None:
             return None
         self._farkas = farkas
-        return self._refuted(problem, *farkas)
+        return self._refutation(problem, *farkas)
 
-    def _still_infeasible(self, problem: JointQP) -> Optimum | None:
-        """The verdict "infeasible" by the vector of an earlier problem, where that is valid still.
+    def _reuse_farkas(self, problem: JointQP) -> Optimum | None:
+        """Return the verdict "infeasible" by an earlier Farkas vector that is still valid, or None.
 
-        What it leaves undecided at rounding is for a vector of the problem's own.
+        Problems undecided at rounding need a vector of their own.
         """
         if self._farkas is None:
             return None
@@ -360,75 +305,76 @@ class Referee:
         used = np.flatnonzero(both)
         limits = np.where(both > 0.0, problem.U, problem.L)[used]
         # Most vectors of another step are seen to prove nothing before they are tried exactly.
-        if not both[used] @ limits < 0.0 or not farkas_valid(self._program(problem), *self._farkas):
+        if not both[used] @ limits < 0.0 or not farkas_valid(self._as_qp(problem), *self._farkas):
             return None
-        verdict = self._refuted(problem, *self._farkas)
+        verdict = self._refutation(problem, *self._farkas)
         return verdict if verdict.kind == "infeasible" else None
 
-    def _refuted(self, problem: JointQP, y: Vector, y_box: Vector) -> Optimum:
-        """The verdict on a problem that (y, y_box) proves to have no feasible point."""
-        least = least_violation(self._program(problem), np.concatenate((y, y_box)))
+    def _refutation(self, problem: JointQP, y: Vector, y_box: Vector) -> Optimum:
+        """Return the verdict of a Farkas vector: "infeasible", or "undecided" within rounding."""
+        least = bound_least_violation(self._as_qp(problem), np.concatenate((y, y_box)))
         kind: Kind = "undecided" if least.undecided else "infeasible"
         return Optimum(np.full(len(problem.q), np.nan), y, y_box, np.inf, kind)
 
-    def _empty(self, problem: JointQP, multipliers: Vector) -> Optimum:
-        """The verdict by the exact multipliers, if they still prove it once rounded.
+    def _verdict_by_multipliers(self, problem: JointQP, multipliers: Vector) -> Optimum:
+        """Return the infeasibility verdict of exact Farkas multipliers if valid once rounded.
 
         Where they do not, the least violation may still be seen to be rounding.
         """
         y = multipliers[: self._m]
         y_box = -(y @ self._A)
-        if farkas_valid(self._program(problem), y, y_box):
-            return self._refuted(problem, y, y_box)
-        if least_violation(self._program(problem)).undecided:
-            return replace(self._nothing(), kind="undecided")
-        return self._nothing()
+        if farkas_valid(self._as_qp(problem), y, y_box):
+            return self._refutation(problem, y, y_box)
+        if bound_least_violation(self._as_qp(problem)).undecided:
+            return replace(self._no_certificate(), kind="undecided")
+        return self._no_certificate()
 
-    def _nothing(self) -> Optimum:
+    def _no_certificate(self) -> Optimum:
+        """Return the result for a QP with nothing proven: NaN arrays, infinite error bound."""
         n, nan = len(self._lb), np.nan
         return Optimum(np.full(n, nan), np.full(self._m, nan), np.full(n, nan), np.inf, "none")
 
-    def _program(self, problem: JointQP) -> QuadraticProgram:
+    def _as_qp(self, problem: JointQP) -> QuadraticProgram:
+        """Convert a QP with rows and bounds joined back to one with separate rows and bounds."""
         m = self._m
         return QuadraticProgram(
             self._P, problem.q, self._A, problem.L[:m], problem.U[:m], self._lb, self._ub
         )
 
 
-def referee_of(P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
-    """A referee that answers like a new one, and knows what was found out in this thread about the
-    same matrices before: runs of one controller in many seas have the same."""
+def get_shared_referee(P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
+    """Return a checker of QP optima that shares cached data of equal matrices in this thread."""
     parts = P.tobytes(), A.tobytes(), lb.tobytes(), ub.tobytes()
-    return _first_of(get_ident(), len(lb), *parts).anew()
+    return _cached_referee(get_ident(), len(lb), *parts).reset_copy()
 
 
 @lru_cache(maxsize=8)
-def _first_of(thread: int, n: int, P: bytes, A: bytes, lb: bytes, ub: bytes) -> Referee:
-    parts = (np.frombuffer(part) if part else np.zeros(0) for part in (P, A, lb, ub))
-    square, rows, *bounds = parts
+def _cached_referee(thread: int, n: int, P: bytes, A: bytes, lb: bytes, ub: bytes) -> Referee:
+    """Build a checker of QP optima from its matrices as bytes, the keys of the cache."""
+    square, rows, *bounds = (np.array(memoryview(part).cast("d")) for part in (P, A, lb, ub))
     return Referee(square.reshape(n, n), rows.reshape(-1, n), *bounds)
 
 
 def certify(qp: QuadraticProgram) -> Optimum:
-    """The certified optimum of one problem; a `Referee` is faster for many that share P and A."""
+    """Certify the optimum of a single QP."""
     return Referee(qp.P, qp.A, qp.lb, qp.ub).certify(qp.q, qp.l, qp.u)
 
 
-def error_of(z: Vector, optimum: Optimum, block: int, moves: int = 0) -> tuple[float, float]:
-    """error_move, error_plan: max_i |z_i − z*_i| over the first block of variables, and over all.
+def measure_error(z: Vector, optimum: Optimum, block: int, moves: int = 0) -> tuple[float, float]:
+    """Return the largest distance of z to the optimum, over the first move and over the plan.
 
     With `moves` only the first `moves` variables of each block count, the others being slacks.
     All variables are one block if block is 0; inf where z is not finite; NaN where there is no
     certified optimum to compare with. The bound of the optimum is not added.
     """
-    move, plan = errors_of(z[np.newaxis], [optimum], block, moves)
+    move, plan = measure_errors(z[np.newaxis], [optimum], block, moves)
     return float(move[0]), float(plan[0])
 
 
-def errors_of(
+def measure_errors(
     z: Matrix, optima: Sequence[Optimum], block: int, moves: int = 0
 ) -> tuple[Vector, Vector]:
-    """As `error_of`, of K answers z (K, n) and their optima: (K,) each."""
+    """Return the errors of first move and plan of K answers z (K, n): (K,) each."""
     size = block or z.shape[1]
     error = np.abs(z - np.array([optimum.z for optimum in optima]))
     by_block = error.reshape(len(z), -1, size)[:, :, : moves or size]
@@ -439,29 +385,28 @@ def errors_of(
     return move, plan
 
 
-def each_certified(sequence: QPSequence) -> Iterator[Optimum]:
-    """The certified optimum of one step after the other, for a sequence in scaled units."""
+def iterate_certified(sequence: QPSequence) -> Iterator[Optimum]:
+    """Yield the certified optimum of each step of a QP sequence in scaled units."""
     qp = sequence.base
     referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
     for k in range(len(sequence)):
         step = sequence.step(k)
         if qp.changed_by(step):
             qp = qp.at(step)
-            referee = referee.after(qp.P, qp.A, qp.lb, qp.ub)
+            referee = referee.for_matrices(qp.P, qp.A, qp.lb, qp.ub)
         yield referee.certify(step.q, step.l, step.u)
 
 
-def certified(sequence: QPSequence) -> list[Optimum]:
-    """The certified optimum of every step, for a sequence in scaled units."""
-    return list(each_certified(sequence))
+def certify_sequence(sequence: QPSequence) -> list[Optimum]:
+    """Return the certified optimum of each step of a QP sequence in scaled units."""
+    return list(iterate_certified(sequence))
 
 
 def claim_is_true(qp: QuadraticProgram, solution: Solution, optimum: Optimum) -> bool:
-    """Whether the status PRIMAL_INFEASIBLE or DUAL_INFEASIBLE of `solution` is proven true.
+    """Return whether a solver's claim "infeasible" or "unbounded" is proven true.
 
-    The solver's own certificate in (y, y_box), or direction in z, is accepted if it is valid;
-    otherwise the referee's verdict on the same problem decides. Any other status claims nothing of
-    the kind and gives False.
+    A valid certificate of the solver in (y, y_box), or direction in z, is accepted; otherwise the
+    referee's verdict decides. Any other status gives False.
     """
     if solution.status is Status.PRIMAL_INFEASIBLE:
         return optimum.kind == "infeasible" or farkas_valid(qp, solution.y, solution.y_box)

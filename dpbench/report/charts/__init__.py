@@ -1,2 +1,1 @@
-"""Figures as Vega-Lite specifications: the same on the page, as SVG, PDF or PNG, and in a
-notebook."""
+"""Figures as Vega-Lite specifications, for the page, files and notebooks."""

@@ -1,7 +1,4 @@
-"""The rose of a ship's capability: the largest wind it holds, by where it comes from; and what
-solvers answer at that edge."""
-
-from __future__ import annotations
+"""Capability rose with the answers of solvers at its edge, and consequence analysis."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -10,6 +7,7 @@ import altair as alt
 import numpy as np
 import pandas as pd
 
+from dpbench.analysis.suites.consequence import HELD, LOST, UNKNOWN
 from dpbench.arrays import Floats
 from dpbench.report.charts import style
 from dpbench.ship.capability.conditions import DP_CONDITIONS
@@ -18,42 +16,52 @@ COLUMNS = ("case", "from_deg", "wind_mps", "number")
 SIZE = 380
 _OUTER = max(wind for wind, *_ in DP_CONDITIONS.values())
 _RING_CORNERS = 91
-"""Of the polygon that is drawn as a ring: every 4°, the first again at the end."""
+"""Corners of the polygon of a ring: every 4°, the first again at the end."""
 _RINGS = (3, 5, 6, 7, 8, 9, 10, 11)
-"""DP capability numbers whose winds are drawn as rings; below they lie too close."""
+"""DP capability numbers with a ring; lower ones are too close to each other."""
 _SPOKES_DEG = range(0, 360, 30)
 _BETWEEN_DEG = np.arange(15.0, 360.0, 30.0)
-"""Directions between two spokes: the rings are named along one of them."""
+"""Directions between two spokes, one of which has the names of the rings."""
 _CLEAR_MPS = 1.8
 """A line nearer than this to a ring touches its name."""
 
 
-def rose(table: pd.DataFrame, title: str) -> Any:
-    """A closed line for each case; ahead is up, starboard to the right, rings are DP numbers.
+def draw_capability_rose(table: pd.DataFrame, title: str) -> Any:
+    """Draw the largest wind a ship can hold by direction, a polar curve per failure case.
 
-    Parameters
-    ----------
     table : columns `COLUMNS`, directions clockwise from ahead; cases in the order of the legend.
-        With a column `untrue`, how many solvers made an untrue claim there, points with any are
-        hollow.
+        Points are hollow where an optional column `untrue` counts solvers with an untrue claim.
     """
     cases = list(dict.fromkeys(table["case"]))
-    closed = pd.concat([_closed(table[table["case"] == case]) for case in cases])
+    closed = pd.concat([_close_ring(table[table["case"] == case]) for case in cases])
     span = alt.Scale(domain=[-1.12 * _OUTER, 1.12 * _OUTER], nice=False)
     x = alt.X("x:Q", scale=span, axis=None)
     y = alt.Y("y:Q", scale=span, axis=None)
     place = {"x": x, "y": y}
-    colour = style.coloured("case", cases, style.PALETTE[: len(cases)], columns=3)
+    colour = style.colour("case", cases, style.PALETTE[: len(cases)], columns=3)
     lines = alt.Chart(closed).mark_line(strokeWidth=2, interpolate="linear")
     lines = lines.encode(**place, order="i:Q", color=colour)
-    points = _points(closed, place)
-    web = [_rings(place), _spokes(place), *_ring_names(place, closed), _bearings(place)]
+    points = _draw_points(closed, place)
+    turn, ends = np.linspace(0.0, 360.0, _RING_CORNERS), np.array([0.0, _OUTER])
+    rings = [
+        {**_coordinates(DP_CONDITIONS[n][0], turn), "i": range(len(turn)), "n": n} for n in _RINGS
+    ]
+    spokes = [{**_coordinates(ends, bearing), "spoke": bearing} for bearing in _SPOKES_DEG]
+    bearings = [{**_coordinates(1.07 * _OUTER, deg), "name": f"{deg}°"} for deg in _SPOKES_DEG]
+    web = [
+        _draw_web_lines(rings, place).encode(detail="n:N", order="i:Q"),
+        _draw_web_lines(spokes, place).encode(detail="spoke:N"),
+        *_draw_ring_names(place, closed),
+        alt.Chart(pd.DataFrame(bearings))
+        .mark_text(color=style.INK, fontSize=12)
+        .encode(**place, text="name:N"),
+    ]
     about = (
         "Largest wind held from each direction, intact and after each failure; rings: the winds of "
         "DP capability numbers."
     )
     layers = alt.layer(*web, lines, *points, width=SIZE, height=SIZE)
-    chart = style.styled(layers, title, about)
+    chart = style.set_style(layers, title, about)
     chart.title.subtitle = [
         "by where wind, waves and current come from;",
         "rings: DP capability numbers",
@@ -63,15 +71,14 @@ def rose(table: pd.DataFrame, title: str) -> Any:
 
 
 Place = dict[str, Any]
-"""The axes of a point."""
 
 
-def _points(closed: pd.DataFrame, place: Place) -> list[Any]:
-    """A mark for each direction, hollow where a solver made an untrue claim."""
+def _draw_points(closed: pd.DataFrame, place: Place) -> list[Any]:
+    """Draw largest winds held by direction as points, hollow where solvers claim falsely."""
     tooltips = [
         "case:N",
-        style.tip("from_deg:Q", "from [°]"),
-        style.tip("wind_mps:Q", "wind held [m/s]", 3),
+        style.tooltip("from_deg:Q", "from [°]"),
+        style.tooltip("wind_mps:Q", "wind held [m/s]", 3),
         alt.Tooltip("number:Q", title="DP capability number"),
     ]
     untrue = closed["untrue"] if "untrue" in closed else pd.Series(0, closed.index)
@@ -89,52 +96,37 @@ def _points(closed: pd.DataFrame, place: Place) -> list[Any]:
     ]
 
 
-def _at(radius: Any, from_deg: Any) -> dict[str, Any]:
-    """Coordinates of a wind (…) from a direction (…): ahead is up."""
+def _coordinates(radius: Any, from_deg: Any) -> dict[str, Any]:
+    """Return chart x and y of wind speeds by directions off the bow [°]; ahead is up."""
     angle = np.radians(from_deg)
     return {"x": radius * np.sin(angle), "y": radius * np.cos(angle)}
 
 
-def _closed(case: pd.DataFrame) -> pd.DataFrame:
-    """The rows of a case with the first one again at the end."""
+def _close_ring(case: pd.DataFrame) -> pd.DataFrame:
+    """Return a failure case's winds by direction as a closed curve, its first row last again."""
     ring = pd.concat([case, case.iloc[:1]])
-    places = _at(ring["wind_mps"].to_numpy(), ring["from_deg"].to_numpy())
+    places = _coordinates(ring["wind_mps"].to_numpy(), ring["from_deg"].to_numpy())
     return ring.assign(**places, i=range(len(ring)))
 
 
-def _rings(place: Place) -> Any:
-    turn = np.linspace(0.0, 360.0, _RING_CORNERS)
-    order = range(len(turn))
-    rings = [{**_at(DP_CONDITIONS[n][0], turn), "i": order, "n": n} for n in _RINGS]
-    return _web(rings, place).encode(detail="n:N", order="i:Q")
-
-
-def _spokes(place: Place) -> Any:
-    ends = np.array([0.0, _OUTER])
-    return _web(
-        [{**_at(ends, bearing), "spoke": bearing} for bearing in _SPOKES_DEG], place
-    ).encode(detail="spoke:N")
-
-
-def _web(parts: Iterable[dict[str, Any]], place: Place) -> Any:
-    """Pale lines of some columns each."""
+def _draw_web_lines(parts: Iterable[dict[str, Any]], place: Place) -> Any:
+    """Draw the grid of the polar wind chart, rings or spokes, as thin lines."""
     chart = alt.Chart(pd.concat(map(pd.DataFrame, parts)))
     return chart.mark_line(color=style.GRID, strokeWidth=1).encode(**place)
 
 
-def _ring_names(place: Place, closed: pd.DataFrame) -> tuple[Any, Any]:
-    """The number of each ring, clear of the lines, on a patch of the paper."""
+def _draw_ring_names(place: Place, closed: pd.DataFrame) -> tuple[Any, Any]:
+    """Draw the DP capability number at each wind ring of the polar chart, off the curves."""
     winds = [DP_CONDITIONS[n][0] for n in _RINGS]
-    places = zip(_RINGS, winds, _clear_deg(closed, np.array(winds)), strict=True)
-    names = [{**_at(wind, from_deg), "name": f"{n}"} for n, wind, from_deg in places]
+    places = zip(_RINGS, winds, _find_clear_deg(closed, np.array(winds)), strict=True)
+    names = [{**_coordinates(wind, from_deg), "name": f"{n}"} for n, wind, from_deg in places]
     text = alt.Chart(pd.DataFrame(names)).encode(**place, text="name:N")
     patch = text.mark_text(fontSize=12, stroke=style.PAPER, strokeWidth=4)
     return patch, text.mark_text(fontSize=12, color=style.SOFT)
 
 
-def _clear_deg(closed: pd.DataFrame, winds: Floats) -> Floats:
-    """Where each ring (R,) is named: along the one direction between spokes in which the lines keep
-    off most rings, and a ring that they do not keep off there in the direction best for itself."""
+def _find_clear_deg(closed: pd.DataFrame, winds: Floats) -> Floats:
+    """Return the direction [°] in which each wind ring (R,) is labelled, clear of the curves."""
     held = np.array(
         [
             np.interp(_BETWEEN_DEG, case["from_deg"], case["wind_mps"], period=360.0)
@@ -147,28 +139,20 @@ def _clear_deg(closed: pd.DataFrame, winds: Floats) -> Floats:
     return _BETWEEN_DEG[own]
 
 
-def _bearings(place: Place) -> Any:
-    names = [{**_at(1.07 * _OUTER, deg), "name": f"{deg}°"} for deg in _SPOKES_DEG]
-    chart = alt.Chart(pd.DataFrame(names)).mark_text(color=style.INK, fontSize=12)
-    return chart.encode(**place, text="name:N")
-
-
 ANSWERS = ("solver", "answer", "share", "qps")
 RIGHT_HELD, RIGHT_NOT = "held, right", "not held, right"
 NOTHING, WRONG = "no answer", "untrue claim"
 _LOOKS = {
     RIGHT_HELD: style.PALETTE[0],
-    RIGHT_NOT: style.MEETS,
+    RIGHT_NOT: style.PASS,
     NOTHING: style.LINE,
-    WRONG: style.MISSES,
+    WRONG: style.FAIL,
 }
 
 
-def answers(table: pd.DataFrame, title: str) -> Any:
-    """A bar for each solver: which share of the QPs at the edge it answers how.
+def draw_answer_shares(table: pd.DataFrame, title: str) -> Any:
+    """Draw, for each solver, the share of right, wrong and missing answers to capability QPs.
 
-    Parameters
-    ----------
     table : columns `ANSWERS`, a row for each solver and kind of answer; solvers from the top.
     """
     there = table[table["qps"] > 0]
@@ -181,8 +165,75 @@ def answers(table: pd.DataFrame, title: str) -> Any:
         x=alt.X("share:Q", title="share of the QPs [%]", scale=scale, axis=axis),
         y=alt.Y("solver:N", title=None, sort=list(dict.fromkeys(table["solver"]))),
         order="place:Q",
-        color=style.coloured("answer", hues, hues.values(), symbolType="square", columns=2),
+        color=style.colour("answer", hues, hues.values(), symbolType="square", columns=2),
         tooltip=["solver:N", "answer:N", "qps:Q"],
     )
     about = "For each solver, how many of the QPs at the edge it answers rightly, wrongly or not."
-    return style.styled(chart.properties(width=250, height=alt.Step(17)), title, about)
+    return style.set_style(chart.properties(width=250, height=alt.Step(17)), title, about)
+
+
+_STATES = {HELD: style.PASS, LOST: style.FAIL, UNKNOWN: style.INCONCLUSIVE}
+_NAMED = 0.45
+"""Least share of the whole axis of a span that has room for the name of its state."""
+
+
+def draw_loss_spans(table: pd.DataFrame, title: str) -> Any:
+    """Draw when the ship can hold position after losing thrusters, a time bar for each loss.
+
+    table : columns `analysis.suites.consequence.SPAN`, groups in the order of the bars.
+    """
+    first, last = table["from_s"].min(), table["to_s"].max()
+    named = table["to_s"] - table["from_s"] >= _NAMED * (last - first)
+    table = table.assign(
+        middle_s=0.5 * (table["from_s"] + table["to_s"]), text=table["state"].where(named, "")
+    )
+    present = {state: hue for state, hue in _STATES.items() if state in set(table["state"])}
+    groups = list(dict.fromkeys(table["group"]))
+    ends = style.tooltip("from_s:Q", "from [s]"), style.tooltip("to_s:Q", "to [s]")
+    base = alt.Chart(table).encode(
+        y=style.named_rows("group", groups, ticks=False, domain=False),
+        tooltip=[style.tooltip("group:N", "lost"), "state:N", *ends],
+    )
+    time = alt.Scale(domain=[float(first), float(last)], nice=False)
+    colour = style.colour("state", present, present.values(), symbolType="square")
+    bars = base.mark_bar().encode(
+        x=alt.X("from_s:Q", title="time [s]", scale=time, axis=alt.Axis(tickCount=5)),
+        x2="to_s:Q",
+        color=colour,
+    )
+    words = base.mark_text(color=style.PAPER, fontSize=12, fontWeight=600).encode(
+        x=alt.X("middle_s:Q", scale=time), text="text:N"
+    )
+    chart = alt.layer(bars, words, width=250, height=alt.Step(26))
+    about = "For each failure group, when the thrusters that remain could hold the ship."
+    return style.set_style(chart, title, about)
+
+
+_RIGHT, _NOT_RIGHT = "all answers right", "wrong or no answer"
+
+
+def draw_sample_shares(table: pd.DataFrame, title: str) -> Any:
+    """Draw the largest share of a control sample that each solver takes for a batch of QPs.
+
+    table : columns name, percent and right, in the order of the marks.
+    """
+    table = table.assign(answers=table["right"].map({True: _RIGHT, False: _NOT_RIGHT}))
+    kinds = [kind for kind in (_RIGHT, _NOT_RIGHT) if kind in set(table["answers"])]
+    looks = {_RIGHT: (style.PASS, "circle"), _NOT_RIGHT: (style.FAIL, "cross")}
+    colours, shapes = ([looks[kind][i] for kind in kinds] for i in (0, 1))
+    axis = alt.Axis(format="~g", tickCount=3, grid=False)
+    across = "largest share of a sample [%]"
+    chart = alt.Chart(table).mark_point(filled=True, size=70, opacity=1)
+    chart = chart.encode(
+        x=alt.X("percent:Q", title=across, scale=style.log_scale(padding=12), axis=axis),
+        y=style.named_rows("name", table["name"].tolist(), grid=True),
+        color=style.colour("answers", kinds, colours),
+        shape=alt.Shape("answers:N", scale=style.names_scale(kinds, shapes)),
+        tooltip=[
+            style.tooltip("name:N", "configuration"),
+            style.tooltip("percent:Q", "share [%]", 2),
+            "answers:N",
+        ],
+    )
+    about = "For each solver the largest share of a sample that the QPs of all groups take."
+    return style.set_style(chart.properties(width=190, height=alt.Step(18)), title, about)

@@ -1,7 +1,5 @@
 """Lines of one quantity against another, a line a configuration."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import altair as alt
@@ -12,7 +10,7 @@ from dpbench.report.charts import style
 COLUMNS = ("name", "x", "y", "good")
 
 
-def lines(
+def draw_lines(
     table: pd.DataFrame,
     title: str,
     x: tuple[str, str],
@@ -20,10 +18,8 @@ def lines(
     *,
     limit: float | None = None,
 ) -> Any:
-    """Lines with points on logarithmic axes; a point that is not `good` is hollow.
+    """Draw y over x, a line per solver configuration, log axes; hollow points are not good.
 
-    Parameters
-    ----------
     table : columns `COLUMNS`, x and y positive.
     x, y : title and format of each axis; limit : drawn across.
     """
@@ -34,8 +30,8 @@ def lines(
     base = alt.Chart(table).encode(
         x=alt.X("x:Q", title=x[0], scale=close, axis=alt.Axis(format=x[1])),
         y=alt.Y("y:Q", title=y[0], scale=style.log_scale(), axis=alt.Axis(format=y[1])),
-        color=style.coloured("name", names, hues, symbolLimit=40, labelLimit=320, columns=1),
-        tooltip=["name:N", alt.Tooltip("x:Q", title=x[0]), style.tip("y:Q", y[0])],
+        color=style.colour("name", names, hues, symbolLimit=40, labelLimit=320, columns=1),
+        tooltip=["name:N", alt.Tooltip("x:Q", title=x[0]), style.tooltip("y:Q", y[0])],
     )
     dash = alt.StrokeDash("name:N", scale=style.names_scale(names, dashes), legend=None)
     joined = base.mark_line(strokeWidth=1.5).encode(strokeDash=dash)
@@ -45,15 +41,13 @@ def lines(
     )
     layers = [joined, dots]
     if limit is not None:
-        layers.append(style.limit_rule(limit))
-    return style.styled(alt.layer(*layers, width=290, height=260), title, title)
+        layers.append(style.draw_limit_rule(limit))
+    return style.set_style(alt.layer(*layers, width=290, height=260), title, title)
 
 
-def dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
-    """Measured against asked, a dot each, with the line on which both are alike.
+def draw_dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
+    """Draw measured over requested values as dots, with the line on which both are equal.
 
-    Parameters
-    ----------
     table : columns name, x and y, all positive.
     """
     low, high = 0.6 * table[["x", "y"]].min().min(), 1.6 * table[["x", "y"]].max().max()
@@ -61,33 +55,30 @@ def dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
     # Between decades the names of ticks would touch.
     decades = alt.Axis(values=[10.0**e for e in range(-3, 7)], format="~g")
     looks: dict[str, Any] = {"scale": scale, "axis": decades}
-    line = style.alike(low, high, alt.X("x:Q", title=x, **looks), alt.Y("y:Q", title=y, **looks))
+    line = style.draw_equality_line(
+        low, high, alt.X("x:Q", title=x, **looks), alt.Y("y:Q", title=y, **looks)
+    )
     points = alt.Chart(table).mark_point(filled=True, size=70, color=style.PALETTE[0], opacity=1)
     points = points.encode(x="x:Q", y="y:Q", tooltip=["name:N", "x:Q", "y:Q"])
     names = points.mark_text(align="left", dx=8, fontSize=12).encode(text="name:N")
-    return style.styled(alt.layer(line, points, names, width=290, height=240), title, title)
+    return style.set_style(alt.layer(line, points, names, width=290, height=240), title, title)
 
 
-def tiles(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
-    """Counts as tiles with the number in each; zero is pale.
-
-    Parameters
-    ----------
-    table : columns x, y, count.
-    """
+def draw_count_tiles(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
+    """Draw a table of counts by two keys as tiles, with the number in each."""
     columns, rows = (list(dict.fromkeys(table[name])) for name in ("x", "y"))
     above = alt.Axis(orient="top", labelAngle=-40)
     base = alt.Chart(table).encode(
         x=alt.X("x:N", title=None, sort=columns, axis=above),
         y=alt.Y("y:N", title=None, sort=rows),
-        tooltip=[style.tip("y:N", y), style.tip("x:N", x), "count:Q"],
+        tooltip=[style.tooltip("y:N", y), style.tooltip("x:N", x), "count:Q"],
     )
     some = "datum.count > 0"
     squares = base.mark_rect(stroke="white").encode(
-        color=style.either(some, style.FILLS[3], style.FILLS[0])
+        color=style.value_if(some, style.FILLS[3], style.FILLS[0])
     )
     numbers = base.mark_text(fontSize=12).encode(
-        text="count:Q", color=style.either(some, style.MISSES, style.MEETS)
+        text="count:Q", color=style.value_if(some, style.FAIL, style.PASS)
     )
     chart = alt.layer(squares, numbers, width=alt.Step(26), height=alt.Step(20))
-    return style.styled(chart, title, title)
+    return style.set_style(chart, title, title)

@@ -1,7 +1,5 @@
 """The ways out of a figure: Vega for a page, SVG, PDF and PNG, without a browser."""
 
-from __future__ import annotations
-
 import io
 import json
 import re
@@ -17,7 +15,7 @@ import psutil
 import vl_convert as vlc
 
 from dpbench.errors import InputError
-from dpbench.files.writing import write_given
+from dpbench.files.writing import write_named_file
 from dpbench.report.charts.style import FONT, NAMES
 
 FORMATS = ("svg", "pdf", "png")
@@ -26,8 +24,8 @@ _NOT_IN_XML = re.compile(r"(?<!\\)((?:\\\\)*)\\(?:[bf]|u00[01][0-9a-f]|ufff[ef])
 """Characters that XML does not have, as JSON writes them, behind an even number of backslashes."""
 
 
-class _Same:
-    """A chart as a key: it is itself and like no other."""
+class _ChartKey:
+    """Cache key by which two charts are equal only if they are the same object."""
 
     def __init__(self, chart: Any) -> None:
         self.chart = chart
@@ -36,19 +34,18 @@ class _Same:
         return id(self.chart)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and other.chart is self.chart
+        return isinstance(other, _ChartKey) and other.chart is self.chart
 
 
-def vega(chart: Any) -> dict[str, Any]:
-    """The specification compiled to Vega, which a page needs the smaller library for; without the
-    title, which stands above it there."""
-    compiled: dict[str, Any] = json.loads(_compiled(_Same(chart)))
+def compile_vega(chart: Any) -> dict[str, Any]:
+    """Compile an Altair chart to a Vega specification without its title."""
+    compiled: dict[str, Any] = json.loads(_compile_chart(_ChartKey(chart)))
     return {name: value for name, value in compiled.items() if name != "title"}
 
 
-def svg(chart: Any, *, titled: bool = True) -> str:
-    """The figure as SVG with real text."""
-    return _drawn(_compiled(_Same(chart)) if titled else json.dumps(vega(chart)))
+def render_svg(chart: Any, *, titled: bool = True) -> str:
+    """Render a chart as SVG, with text as text instead of outlines."""
+    return _svg_of(_compile_chart(_ChartKey(chart)) if titled else json.dumps(compile_vega(chart)))
 
 
 PROBE = """
@@ -63,8 +60,7 @@ NOT_DRAWN = "not drawn: their renderer needs more address space than the limit (
 
 @cache
 def can_draw() -> bool:
-    """Whether the address space that this process may have is enough for the renderer, which
-    otherwise ends the process; tried in another one where there is a limit."""
+    """Return whether the process may use enough memory (address space) to render charts."""
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit == resource.RLIM_INFINITY:
         return True
@@ -73,29 +69,27 @@ def can_draw() -> bool:
     return subprocess.run(command, capture_output=True, check=False).returncode == 0
 
 
-@lru_cache(maxsize=64)
-def _compiled(chart: _Same) -> str:
-    """The specification as Vega, where names keep clear of each other: Vega-Lite cannot say so.
+_svg_of = lru_cache(maxsize=64)(vlc.vega_to_svg)
 
-    Kept, since a figure is asked for as a file, as a picture on the page and for the browser.
-    """
+
+@lru_cache(maxsize=64)
+def _compile_chart(chart: _ChartKey) -> str:
+    """Compile an Altair chart to Vega JSON, with labels that avoid each other."""
     if not can_draw():
         raise InputError("figures", "", NOT_DRAWN, "no limit, or 80 GB")
-    simple = _NOT_IN_XML.sub(r"\1 ", json.dumps(_json(chart.chart)))
-    specification: dict[str, Any] = vlc.vegalite_to_vega(simple, vl_version=_version())
+    # The tests validate every figure against the grammar, which takes longer than drawing it.
+    with alt.data_transformers.enable("default", max_rows=None):
+        plain = chart.chart.to_dict(validate=False)
+    simple = _NOT_IN_XML.sub(r"\1 ", json.dumps(plain))
+    specification: dict[str, Any] = vlc.vegalite_to_vega(simple, vl_version=_newest_grammar())
     marks = specification["marks"]
     if any(mark.get("name") == f"{NAMES}_marks" for mark in marks):
-        marks.append(_names())
+        marks.append(_label_mark())
     return json.dumps(specification)
 
 
-@lru_cache(maxsize=64)
-def _drawn(specification: str) -> str:
-    return vlc.vega_to_svg(specification)
-
-
-def _names() -> dict[str, Any]:
-    """Names of the points of the layer `NAMES`."""
+def _label_mark() -> dict[str, Any]:
+    """Return the Vega mark of solver names beside points, where there is room."""
     place = {
         "type": "label",
         "size": {"signal": "[width, height]"},
@@ -119,35 +113,28 @@ def _names() -> dict[str, Any]:
     }
 
 
-def encoded(chart: Any, kind: str) -> bytes:
-    """The figure as a file of that kind, of `FORMATS`, or as an html page that fetches nothing."""
+def encode_figure(chart: Any, kind: str) -> bytes:
+    """Encode a chart as SVG, PDF, PNG or self-contained HTML."""
     if kind == "html":
         page = io.StringIO()
         chart.save(page, format="html", inline=True)
         return page.getvalue().encode()
     if kind == "svg":
-        return svg(chart).encode()
-    drawn = _compiled(_Same(chart))
+        return render_svg(chart).encode()
+    drawn = _compile_chart(_ChartKey(chart))
     made: bytes = vlc.vega_to_pdf(drawn) if kind == "pdf" else vlc.vega_to_png(drawn, scale=2)
     return made
 
 
-def save(chart: Any, path: Path) -> Path:
-    """Write the figure in the format that the name of the file ends with, as `encoded` does."""
-    write_given(path, encoded(chart, path.suffix.lstrip(".")))
+def save_figure(chart: Any, path: Path) -> Path:
+    """Write a chart to a file, in the format of the file name's ending."""
+    write_named_file(path, encode_figure(chart, path.suffix.lstrip(".")))
     return path
 
 
-def _json(chart: Any) -> dict[str, Any]:
-    # The tests validate every figure against the grammar, which takes longer than drawing it.
-    with alt.data_transformers.enable("default", max_rows=None):
-        specification: dict[str, Any] = chart.to_dict(validate=False)
-    return specification
-
-
 @cache
-def _version() -> str:
-    """The newest version of the grammar that the compiler has, up to that of the charts."""
+def _newest_grammar() -> str:
+    """Return the newest Vega-Lite version that compiler and charts both have."""
     wanted = ".".join(alt.SCHEMA_VERSION.lstrip("v").split(".")[:2])
     known = list(vlc.get_vegalite_versions())
     return wanted if wanted in known else max(known, key=lambda v: [int(x) for x in v.split(".")])

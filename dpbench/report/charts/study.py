@@ -1,7 +1,5 @@
 """A study: what is held where, and how far configurations are behind in the same seas."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import altair as alt
@@ -11,21 +9,18 @@ from dpbench.analysis.verdict.findings import STATES
 from dpbench.report.charts import style
 
 HELD = ("all held", "some held", "none held")
-"""What is said of the seas at a point."""
-_LOOKS = [STATES.index(state) for state in ("meets", "open", "wrong")]
-"""The states whose looks these have."""
+_LOOKS = [STATES.index(state) for state in ("pass", "inconclusive", "fail")]
+"""States with the same looks."""
 _SIDE = 110
 _HELD = "share of seas held"
 _CHOSEN = "datum.chosen"
 
 
-def held_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bool) -> Any:
-    """Share of seas held over two keys, a map a configuration.
+def draw_held_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bool) -> Any:
+    """Draw the share of seas with position held over two parameters, a map per configuration.
 
-    Parameters
-    ----------
     table : columns configuration, x, y, held and runs.
-    x, y : names of the keys; drawn : whether their values are drawn, and so no grid.
+    x, y : names of the keys; drawn : place values on axes instead of a grid.
     """
     names = list(dict.fromkeys(table["configuration"]))
     apart = alt.Scale(zero=False)
@@ -36,68 +31,67 @@ def held_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bool) -
     shade = alt.Color(
         "held:Q",
         title=_HELD,
-        scale=alt.Scale(domain=[0.0, 0.5, 1.0], range=[style.MISSES, style.FILLS[1], style.MEETS]),
-        legend=style.below(format=".0%", gradientLength=160),
+        scale=alt.Scale(domain=[0.0, 0.5, 1.0], range=[style.FAIL, style.FILLS[1], style.PASS]),
+        legend=style.legend_below(format=".0%", gradientLength=160),
     )
     held = alt.Tooltip("held:Q", format=".0%")
-    tips = ["configuration:N", style.tip("x:N", x), style.tip("y:N", y), held, "runs:Q"]
+    tips = ["configuration:N", style.tooltip("x:N", x), style.tooltip("y:N", y), held, "runs:Q"]
     base = alt.Chart(table).encode(x=across, y=up, color=shade, tooltip=tips)
     marks = base.mark_point(filled=True, size=60, opacity=1) if drawn else base.mark_rect()
     size: Any = _SIDE if drawn else alt.Step(24)
     each = alt.Facet("configuration:N", title=None, sort=names)
-    return style.styled(
+    return style.set_style(
         marks.properties(width=size, height=size).facet(each, columns=3), title, title
     )
 
 
-def held_lines(table: pd.DataFrame, title: str, x: str) -> Any:
-    """Share of seas held over one key, a line a configuration; of columns as `held_maps`."""
+def draw_held_lines(table: pd.DataFrame, title: str, x: str) -> Any:
+    """Draw the share of seas with position held over one parameter, a line per configuration."""
     share: dict[str, Any] = {"axis": alt.Axis(format=".0%"), "scale": alt.Scale(domain=[0.0, 1.0])}
     chart = alt.Chart(table).mark_line(point=True)
     chart = chart.encode(
         x=alt.X("x:Q", title=x, scale=alt.Scale(zero=False)),
         y=alt.Y("held:Q", title=_HELD, **share),
-        color=alt.Color("configuration:N", title=None, legend=style.below()),
-        tooltip=["configuration:N", style.tip("x:Q", x), style.tip("held:Q")],
+        color=alt.Color("configuration:N", title=None, legend=style.legend_below()),
+        tooltip=["configuration:N", style.tooltip("x:Q", x), style.tooltip("held:Q")],
     )
-    return style.styled(chart.properties(width=290, height=180), title, title)
+    return style.set_style(chart.properties(width=290, height=180), title, title)
 
 
-def behind(table: pd.DataFrame, seas: pd.DataFrame, title: str, small_cm: float) -> Any:
-    """How far each configuration is behind the reference: a dot a sea, the mean and its interval.
+def draw_excess_errors(table: pd.DataFrame, seas: pd.DataFrame, title: str, small_cm: float) -> Any:
+    """Draw each solver's position error over the reference: dot per sea, mean, interval.
 
-    Parameters
-    ----------
-    table : name and `mean_cm`, in the order of the rows; seas : name, behind_cm, point, replicate.
-    small_cm : what is small, drawn as a band.
+    table : name and `mean_cm`, in the order of the rows.
+    seas : name, error_excess_cm, point, replicate.
+    small_cm : half the width of the band of small differences.
     """
     rows = style.named_rows("name", table["name"].tolist(), grid=True, labelLimit=260)
     across = "95 % radial error behind the reference, same sea [cm]"
     dots = alt.Chart(seas).mark_point(filled=True, size=14, opacity=0.35, color=style.SOFT)
-    behind_it = style.tip("behind_cm:Q", "behind [cm]")
+    behind_it = style.tooltip("error_excess_cm:Q", "behind [cm]")
     dots = dots.encode(
-        x="behind_cm:Q", y=rows, tooltip=["name:N", "point:Q", "replicate:Q", behind_it]
+        x="error_excess_cm:Q", y=rows, tooltip=["name:N", "point:Q", "replicate:Q", behind_it]
     )
-    bars, means = _means(alt.Chart(table))
+    bars, means = _draw_mean_errors(alt.Chart(table))
     parts = (
-        _band(small_cm, alt.X("low:Q", title=across)),
+        _draw_small_error_band(small_cm, alt.X("low:Q", title=across)),
         dots,
         bars.encode(y=rows),
         means.encode(y=rows, tooltip=["name:N", *_MEAN_TIPS]),
     )
-    return style.styled(alt.layer(*parts, width=290, height=alt.Step(20)), title, title)
+    return style.set_style(alt.layer(*parts, width=290, height=alt.Step(20)), title, title)
 
 
 _MEAN_TIPS = (
-    style.tip("mean_cm:Q", "mean [cm]"),
-    style.tip("low_cm:Q", "from [cm]"),
-    style.tip("high_cm:Q", "to [cm]"),
+    style.tooltip("mean_cm:Q", "mean [cm]"),
+    style.tooltip("low_cm:Q", "from [cm]"),
+    style.tooltip("high_cm:Q", "to [cm]"),
     alt.Tooltip("pairs:Q", title="seas"),
 )
 
 
-def _means(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
-    """The intervals of the means, and the means; of columns as of `mean_cm`."""
+def _draw_mean_errors(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
+    """Draw mean position errors over the reference solver's, as points with intervals."""
     bars = base.mark_rule(strokeWidth=3, color=style.ACCENT).encode(x="low_cm:Q", x2="high_cm:Q")
     means = base.mark_point(filled=True, size=60, color=style.ACCENT, opacity=1).encode(
         x="mean_cm:Q"
@@ -105,16 +99,16 @@ def _means(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
     return bars, means
 
 
-def _band(small_cm: float, low: alt.X | str = "low:Q", **look: Any) -> Any:
-    """What is small, to either side of none."""
-    ends = style.inline({"low": -small_cm, "high": small_cm})
+def _draw_small_error_band(small_cm: float, low: alt.X | str = "low:Q", **look: Any) -> Any:
+    """Draw a vertical band over the error differences that are too small to matter."""
+    ends = style.inline_chart({"low": -small_cm, "high": small_cm})
     return ends.mark_rect(color=style.GRID, **look).encode(x=low, x2="high:Q")
 
 
-def design(*, tiles: bool) -> Any:
-    """The points of a design over two keys, coloured by how many of their seas are held: as tiles
-    with counts, or each where its values are. The page fills the data set `design`: x, y, state (of
-    `HELD`), said, chosen, point.
+def draw_study_points(*, tiles: bool) -> Any:
+    """Draw a study's parameter points coloured by share of seas with position held.
+
+    The page fills the data set `design`: x, y, state (of `HELD`), said, chosen, point.
     """
     kind = "O" if tiles else "Q"
     # The page puts the names of the keys, of signals called like this, at the axes.
@@ -122,85 +116,86 @@ def design(*, tiles: bool) -> Any:
     y = alt.Y(f"y:{kind}", title="up", sort="descending" if tiles else alt.Undefined)
     if not tiles:
         x, y = x.scale(zero=False), y.scale(zero=False)
-    tips = [style.tip("values:N", "point"), style.tip("said:N", "seas held")]
-    ring: dict[str, Any] = {"stroke": style.either(_CHOSEN, style.ACCENT, style.PAPER)}
-    ring["strokeWidth"] = style.either(_CHOSEN, 3, 1)
-    base = style.inline(name="design").encode(x=x, y=y, tooltip=tips)
+    tips = [style.tooltip("values:N", "point"), style.tooltip("said:N", "seas held")]
+    ring: dict[str, Any] = {"stroke": style.value_if(_CHOSEN, style.ACCENT, style.PAPER)}
+    ring["strokeWidth"] = style.value_if(_CHOSEN, 3, 1)
+    base = style.inline_chart(name="design").encode(x=x, y=y, tooltip=tips)
     title = "within the radius"
     if tiles:
         fills = [style.FILLS[i] for i in _LOOKS]
-        look = style.coloured("state", HELD, fills, title=title, symbolType="square")
+        look = style.colour("state", HELD, fills, title=title, symbolType="square")
         counts = base.mark_text(fontSize=12, color=style.INK).encode(text="said:N")
         parts = [base.mark_rect().encode(color=look, **ring), counts]
     else:
-        look = style.coloured("state", HELD, [style.STATE_COLOURS[i] for i in _LOOKS], title=title)
+        look = style.colour("state", HELD, [style.STATE_COLOURS[i] for i in _LOOKS], title=title)
         shapes = alt.Shape(
             "state:N", scale=style.names_scale(HELD, [style.STATE_SHAPES[i] for i in _LOOKS])
         )
         marks = base.mark_point(filled=True, size=90, opacity=1)
         parts = [marks.encode(color=look, shape=shapes, **ring)]
     chart = alt.layer(*parts, width=300, height=220)
-    return style.styled(chart, "Seas held", "Share of seas held at each point of the design.")
+    return style.set_style(chart, "Seas held", "Share of seas held at each point of the design.")
 
 
-def behind_there(small_cm: float) -> Any:
-    """How far each configuration is behind the reference: a dot a sea of the chosen point, mean and
-    interval over all points. The page fills `means` (name, as of `mean_cm`, c, chosen) and
-    `seas` (name, c, behind_cm, replicate, chosen).
+def draw_point_errors(small_cm: float) -> Any:
+    """Draw solvers' position errors over the reference at one study point, and means over all.
+
+    The page fills `means` (name, as of `mean_cm`, c, chosen) and `seas` (name, c, error_excess_cm,
+    replicate, chosen).
     """
-    who = style.tip("name:N", "configuration")
-    rows = alt.Y("name:N", title=None, sort=None, axis=style.row_names())
-    means = style.inline(name="means").encode(y=rows, tooltip=[who, *_MEAN_TIPS])
-    seas = style.inline(name="seas").mark_point(filled=True)
+    who = style.tooltip("name:N", "configuration")
+    rows = alt.Y("name:N", title=None, sort=None, axis=style.row_name_axis())
+    means = style.inline_chart(name="means").encode(y=rows, tooltip=[who, *_MEAN_TIPS])
+    seas = style.inline_chart(name="seas").mark_point(filled=True)
     seas = seas.encode(
-        x=alt.X("behind_cm:Q", title="95 % radial error behind the reference [cm]"),
+        x=alt.X("error_excess_cm:Q", title="95 % radial error behind the reference [cm]"),
         y=rows,
-        color=style.either(_CHOSEN, style.MISSES, style.SOFT),
-        size=style.either(_CHOSEN, 90, 28),
-        opacity=style.either(_CHOSEN, 1.0, 0.6),
+        color=style.value_if(_CHOSEN, style.FAIL, style.SOFT),
+        size=style.value_if(_CHOSEN, 90, 28),
+        opacity=style.value_if(_CHOSEN, 1.0, 0.6),
         tooltip=[
             who,
             alt.Tooltip("replicate:Q", title="sea"),
-            style.tip("behind_cm:Q", "behind [cm]"),
+            style.tooltip("error_excess_cm:Q", "behind [cm]"),
         ],
     )
-    marked = style.whole_rows(
-        means, style.either(_CHOSEN, 0.2, 0.0), color=style.ACCENT
-    ).add_params(style.narrow())
-    parts = (_band(small_cm, opacity=0.6), marked, *_means(means), seas)
+    marked = style.draw_whole_rows(
+        means, style.value_if(_CHOSEN, 0.2, 0.0), color=style.ACCENT
+    ).add_params(style.narrow_flag())
+    parts = (_draw_small_error_band(small_cm, opacity=0.6), marked, *_draw_mean_errors(means), seas)
     chart = alt.layer(*parts, width=430, height=alt.Step(style.ROW_STEP["wide"]))
     about = "How far each configuration is behind the reference in the same seas."
-    return style.styled(chart, "Behind the reference", about)
+    return style.set_style(chart, "Behind the reference", about)
 
 
-def seas_there() -> Any:
-    """The seas of the chosen point, those calm for the reference first: how far off the chosen
-    configuration and the reference are. The page fills `there`: order, value, who, replicate,
-    chosen; and `radius`: limit.
+def draw_point_seas() -> Any:
+    """Draw the largest radial error in each sea of one study point, beside the reference's.
+
+    The page fills `there`: order, value, who, replicate, chosen; and `radius`: limit.
     """
     radius = (
-        style.inline(name="radius")
-        .mark_rule(color=style.MISSES, strokeDash=[4, 3])
+        style.inline_chart(name="radius")
+        .mark_rule(color=style.FAIL, strokeDash=[4, 3])
         .encode(y="limit:Q")
     )
     who = ("chosen", "reference")
     apart = alt.Scale(zero=False, padding=10)
     whole = alt.Axis(format="d", tickMinStep=1)
     x = alt.X("order:Q", title="seas of this point, the calmest first", scale=apart, axis=whole)
-    dots = style.inline(name="there").mark_point(opacity=1)
+    dots = style.inline_chart(name="there").mark_point(opacity=1)
     dots = dots.encode(
         x=x,
         y=alt.Y("value:Q", title="largest radial error, second half [m]"),
-        color=style.coloured("who", who, (style.ACCENT, style.SOFT)),
+        color=style.colour("who", who, (style.ACCENT, style.SOFT)),
         shape=alt.Shape("who:N", scale=style.names_scale(who, ("circle", "cross"))),
-        size=style.either(_CHOSEN, 170, 45),
-        strokeWidth=style.either(_CHOSEN, 3, 1.5),
+        size=style.value_if(_CHOSEN, 170, 45),
+        strokeWidth=style.value_if(_CHOSEN, 3, 1.5),
         tooltip=[
-            style.tip("who:N", "configuration"),
+            style.tooltip("who:N", "configuration"),
             alt.Tooltip("replicate:Q", title="sea"),
-            style.tip("value:Q", "largest radial error [m]"),
+            style.tooltip("value:Q", "largest radial error [m]"),
         ],
     )
     about = "Largest radial error in the second half of each run at the chosen point."
     chart = alt.layer(radius, dots, width=430, height=190)
-    return style.styled(chart, "The seas of one point", about)
+    return style.set_style(chart, "The seas of one point", about)

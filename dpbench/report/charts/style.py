@@ -1,7 +1,5 @@
 """What all figures share: colours, shapes, fonts, axes, legends, tooltips."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -10,14 +8,13 @@ import altair as alt
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif"
 INK, SOFT, LINE, GRID, ACCENT = "#1d2733", "#5b6876", "#c9d1d9", "#e7ebef", "#0b6e99"
 PAPER = "#ffffff"
-MEETS, MISSES, OPEN, NOT_RUN = "#1b7f5c", "#c2410c", "#b7791f", "#9aa5b1"
+PASS, FAIL, INCONCLUSIVE, NOT_RUN = "#1b7f5c", "#c2410c", "#b7791f", "#9aa5b1"
 LATE, BORDERLINE = "#6b4fa3", "#4d7c0f"
-STATE_COLOURS = (MEETS, BORDERLINE, OPEN, LATE, MISSES, NOT_RUN)
-"""In the order of `analysis.verdict.verdict.STATES`."""
+STATE_COLOURS = (PASS, BORDERLINE, INCONCLUSIVE, LATE, FAIL, NOT_RUN)
+"""In the order of `analysis.verdict.findings.STATES`."""
 FILLS = ("#d7efe6", "#e9f2cf", "#faeccc", "#e6dff5", "#f9d8c4", "#eef1f4")
-"""Tiles of the states."""
 STATE_SHAPES = ("circle", "triangle-up", "diamond", "triangle-right", "cross", "square")
-"""Colour and shape say the same, so that neither is needed to read a figure."""
+"""Shapes repeat the colours, so that either suffices to read a figure."""
 FAMILY_COLOURS = {
     "active set": "#0072b2",
     "interior point": "#d55e00",
@@ -28,58 +25,44 @@ FAMILY_COLOURS = {
     "not stated": "#525252",
 }
 """Colour-blind safe (Okabe and Ito, Color Universal Design, 2008)."""
-PALETTE = (
-    "#0072b2",
-    "#d55e00",
-    "#009e73",
-    "#cc79a7",
-    "#e69f00",
-    "#56b4e9",
-    "#7f7f7f",
-    "#8c510a",
-)
-"""The same for lines, whatever they stand for."""
+PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f", "#8c510a")
 FLOOR = 1e-16
-"""Errors below it are drawn at it."""
+"""Smaller errors are drawn here."""
 NAMES = "names"
-"""A layer of points so called has names: the field `solver`, beside its point where it covers no
-other name and left out where there is no room."""
+"""Layer with labels of the field `solver`, left out where there is no room."""
 
 
 def names_scale(names: Iterable[str], looks: Iterable[Any]) -> alt.Scale:
-    """What each name looks like: colours, shapes or dashes."""
+    """Return a chart scale that maps names to colours, shapes or dashes."""
     return alt.Scale(domain=list(names), range=list(looks))
 
 
-def coloured(
+def colour(
     field: str, names: Iterable[str], colours: Iterable[str], *, title: Any = None, **legend: Any
 ) -> alt.Color:
-    """A colour for each name, with a legend `below`."""
+    """Return a chart's colour encoding by name, with a legend below."""
     scale = names_scale(names, colours)
-    return alt.Color(f"{field}:N", scale=scale, title=title, legend=below(**legend))
+    return alt.Color(f"{field}:N", scale=scale, title=title, legend=legend_below(**legend))
 
 
-def picking(*fields: str) -> alt.Parameter:
-    """The selection `pick`, which clicking sets to the fields of a mark."""
+def pick_selection(*fields: str) -> alt.Parameter:
+    """Return the chart selection named `pick`, set by a click to the clicked mark's fields."""
     return alt.selection_point(name="pick", fields=list(fields), on="click", empty=False)
 
 
-def narrow() -> alt.Parameter:
-    """The parameter `narrow`, which the page sets where there is little room."""
+def narrow_flag() -> alt.Parameter:
+    """Return the chart parameter `narrow`, which the page sets on small screens."""
     return alt.param(name="narrow", value=False)
 
 
 ROW_STEP = {"wide": 22, "narrow": 36}
-"""Height of a row with a name, by whether the name stands beside or above what is drawn [px]."""
+"""Height of a row, with its name beside or above the marks [px]."""
 
 
-def row_names(limit: int = 260, **options: Any) -> alt.Axis:
-    """Names of rows: beside the figure, and where it is `narrow` above what is drawn for each.
+def row_name_axis(limit: int = 260, **options: Any) -> alt.Axis:
+    """Return an axis with row names beside the chart, or above each row on a small screen.
 
-    Parameters
-    ----------
     limit : of their length beside the figure [px].
-    options : as of `altair.Axis`.
     """
 
     def at(narrow: object, wide: object) -> alt.ExprRef:
@@ -97,59 +80,54 @@ def row_names(limit: int = 260, **options: Any) -> alt.Axis:
 
 
 def log_scale(**options: Any) -> alt.Scale:
-    """A logarithmic scale; `options` as of `altair.Scale`."""
+    """Return a logarithmic chart scale."""
     return alt.Scale(type="log", **options)
 
 
-def below(**options: Any) -> alt.Legend:
-    """A legend below its figure; `options` as of `altair.Legend`."""
+def legend_below(**options: Any) -> alt.Legend:
+    """Return a chart legend placed below its chart."""
     return alt.Legend(orient="bottom", **options)
 
 
-def tip(field: str, title: Any = alt.Undefined, digits: int = 4) -> Any:
-    """A word (`:N`) or a number, to so many digits, in a tooltip, under its own name or a title."""
+def tooltip(field: str, title: Any = alt.Undefined, digits: int = 4) -> Any:
+    """Return a chart's tooltip entry: a text, or a number with so many significant digits."""
     form = alt.Undefined if field.endswith(":N") else f".{digits}~g"
     return alt.Tooltip(field, title=title, format=form)
 
 
-def either(test: Any, yes: object, no: object) -> Any:
-    """One look where `test` holds, a selection or an expression, and else the other."""
+def value_if(test: Any, yes: object, no: object) -> Any:
+    """Return a chart encoding with one value where a test holds, and another elsewhere."""
     return alt.condition(test, alt.value(yes), alt.value(no))
 
 
 def named_rows(field: str, names: Sequence[str] | None, **axis: Any) -> alt.Y:
-    """A row for each name, in this order; None: as they come. `axis` as of `altair.Axis`."""
+    """Return a chart's y axis with a row for each name, in this order; None: in data order."""
     return alt.Y(f"{field}:N", title=None, sort=names, axis=alt.Axis(**axis))
 
 
-def inline(*values: dict[str, Any], name: Any = alt.Undefined) -> alt.Chart:
-    """A chart of a few values; of none where the page fills the data set `name`."""
+def inline_chart(*values: dict[str, Any], name: Any = alt.Undefined) -> alt.Chart:
+    """Return a chart of a few given rows, or of a named table that the page fills."""
     return alt.Chart(alt.InlineData(values=list(values), name=name))
 
 
-def limit_rule(limit: float, across: str = "y") -> Any:
-    """A dashed line at what the demand allows, on the axis `across` which it stands."""
-    rule = inline({"limit": limit}).mark_rule(color=MISSES, strokeDash=[4, 3])
+def draw_limit_rule(limit: float, across: str = "y") -> Any:
+    """Draw a dashed line at a limit on time or error."""
+    rule = inline_chart({"limit": limit}).mark_rule(color=FAIL, strokeDash=[4, 3])
     return rule.encode(**{across: "limit:Q"})
 
 
-def whole_rows(base: alt.Chart, shown: Any, wide: int = ROW_STEP["wide"], **look: Any) -> Any:
-    """What marks rows with a name from end to end, as high as they are; `look` as of a rule."""
+def draw_whole_rows(base: alt.Chart, shown: Any, wide: int = ROW_STEP["wide"], **look: Any) -> Any:
+    """Draw, in each row of a chart, a bar over its whole width and height."""
     height = alt.ExprRef(f"narrow ? {ROW_STEP['narrow']} : {wide}")
     ends: dict[str, Any] = {"x": alt.value(0), "x2": alt.value("width")}
     return base.mark_rule(strokeWidth=height, **look).encode(**ends, opacity=shown)
 
 
-def alike(low: float, high: float, x: alt.X, y: alt.Y) -> Any:
-    """The line on which both coordinates are the same.
-
-    Parameters
-    ----------
-    x, y : the axes, of any fields.
-    """
+def draw_equality_line(low: float, high: float, x: alt.X, y: alt.Y) -> Any:
+    """Draw the line x = y in a chart that compares two quantities."""
     fields = [str(axis.shorthand).removesuffix(":Q") for axis in (x, y)]
     ends = [dict.fromkeys(fields, end) for end in (low, high)]
-    return inline(*ends).mark_line(color=SOFT, strokeDash=[4, 3]).encode(x=x, y=y)
+    return inline_chart(*ends).mark_line(color=SOFT, strokeDash=[4, 3]).encode(x=x, y=y)
 
 
 _WORDS: dict[str, Any] = {
@@ -161,11 +139,9 @@ _WORDS: dict[str, Any] = {
 }
 
 
-def styled(chart: Any, title: str, description: str) -> Any:
-    """`chart`, changed into the common style; the description is what a screen reader says.
-
-    What is set on a chart is set in place: each of Altair's own methods copies all of its parts.
-    """
+def set_style(chart: Any, title: str, description: str) -> Any:
+    """Set title, description and common style of a chart in place."""
+    # Altair's own methods would copy all of its parts.
     chart.title = alt.Title(title, anchor="start", fontSize=13, fontWeight=600, color=INK, offset=8)
     chart.description = description
     chart.background = "transparent"

@@ -1,63 +1,224 @@
-"""Compare two result folders: who became slower, less accurate or a worse pilot."""
-
-from __future__ import annotations
+"""Comparison of two result folders: step times, accuracy and control, in lines and tables."""
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 
-from dpbench.analysis.compare.answers import Answer, compare_answers
-from dpbench.analysis.compare.pairs import Pairs, differences, pair_cells
+from dpbench.analysis.compare.answers import ORDER, FigureChange, Range, compare_figures
+from dpbench.analysis.compare.pairs import Pairs, machine_differences, pair_cells
 from dpbench.analysis.compare.times import (
-    Compared,
-    Shared,
+    ComparedTimes,
+    SharedFactor,
     Timing,
     compare_times,
     compare_to_reference,
+    compute_time_ratios,
+    find_unjudged_sequences,
     reference_rows,
     reference_solver,
-    time_pairs,
-    why_unjudged,
 )
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.times.machine import disturbance_of, timed_runs
+from dpbench.analysis.times.machine import timed_runs, total_disturbance
 from dpbench.bench.record.result_folder import load_results
 from dpbench.display import table_html
 from dpbench.errors import InputError
-from dpbench.report.compare.tables import (
-    STOPPED,
-    answers_table,
-    shared_line,
-    solvers_table,
-    times_table,
+from dpbench.report.formats import (
+    MISSING,
+    and_list,
+    count_text,
+    error_text,
+    interval_text,
+    microseconds_text,
+    plural,
+    share_text,
+    significant,
 )
-from dpbench.report.formats import and_list, plural
-from dpbench.report.machine_verdict import verdict_text
-from dpbench.report.table import Table, document, html
+from dpbench.report.machine_verdict import disturbance_text
+from dpbench.report.table import Table, html_table, markdown_document
+
+TIMES = ("slower", "faster", "no difference shown", "equivalent")
+"""Verdicts on a step time: the two claims, then the weaker ones."""
+
+
+CHANGES = ("worse", "better", "same", "not comparable")
+STOPPED = "not comparable (stopped by a time limit)"
+
+
+def solvers_table(compared: Sequence[ComparedTimes], answers: Sequence[FigureChange]) -> Table:
+    """Tabulate whether each solver became slower, faster, worse or better from run A to B."""
+    names = [c.timing.pair.a.solver for c in compared] + [a.pair.a.solver for a in answers]
+    rows = []
+    for solver in sorted(set(names)):
+        own = [c for c in compared if c.timing.pair.a.solver == solver]
+        times = Counter[str](c.assessment.verdict for c in own)
+        changes = Counter[str](a.change for a in answers if a.pair.a.solver == solver)
+        counts = ", ".join(f"{times[v]} {v}" for v in TIMES if times[v]) or MISSING
+        rows.append(
+            {
+                "solver": solver,
+                "step times": _merge_verdicts(times, TIMES),
+                "accuracy and control": _merge_verdicts(changes, CHANGES),
+                "configurations": counts,
+                "figures": count_text(changes.total()),
+            }
+        )
+    note = (
+        "Over all its configurations: slower, faster, worse or better where a configuration is "
+        "and none is the contrary; equivalent where every configuration is; same where every "
+        "figure that is comparable is. Claims on step times hold together over all solvers."
+    )
+    return Table.of(rows, "Verdict per solver", note=note, text_columns=4)
+
+
+def _merge_verdicts(counts: Counter[str], order: tuple[str, ...]) -> str:
+    """Merge counts of verdicts on a solver's configurations into one verdict text."""
+    claims = [verdict for verdict in order[:2] if counts[verdict]]
+    if len(claims) == 2:
+        return f"{claims[0]} and {claims[1]}"
+    return next((verdict for verdict in order if counts[verdict]), MISSING)
+
+
+def times_table(
+    compared: Sequence[ComparedTimes],
+    margin: float,
+    alpha: float,
+    *,
+    ordered: bool = False,
+    reference: str = "",
+) -> Table:
+    """Tabulate step times in runs A and B, their ratio and the verdict on it."""
+    machine = f"that ratio of {reference}, the reference"
+    if not reference:
+        machine = (
+            "the median of that ratio over the other configurations of the sequence (below four of "
+            "the reference kernel, if both runs were quiet)"
+        )
+    rows = (
+        compared if ordered else sorted(compared, key=lambda c: TIMES.index(c.assessment.verdict))
+    )
+    percent = f"{100 * margin:g} %"
+    note = (
+        "B/A: geometric mean over the steps of the ratio of algorithmic times (minimum over "
+        f"as many rounds of either run). Machine: {machine}, taken out of the next. Its "
+        "interval holds for all rows together and counts the noise between two runs. Slower or "
+        f"faster: by more than {percent}; equivalent: within {percent}; each kind of claim "
+        f"with a family-wise error of {100 * alpha:g} % (Holm)."
+    )
+    return Table.of(list(map(_time_row, rows)), "Step times, replays", note=note, text_columns=2)
+
+
+def _time_row(compared: ComparedTimes) -> dict[str, str]:
+    """Convert a compared step time to a table row: times in A and B, ratio, verdict."""
+    timing, assessment = compared.timing, compared.assessment
+    return {
+        "configuration": timing.pair.label,
+        "sequence": timing.pair.a.problem,
+        "A p50 [µs]": microseconds_text(timing.median_ns[0]),
+        "B p50 [µs]": microseconds_text(timing.median_ns[1]),
+        "B/A": f"{assessment.raw:.3f}",
+        "machine": f"{assessment.machine:.3f}",
+        "B/A less machine": f"{assessment.ratio.value:.3f}",
+        "interval": interval_text(assessment.ratio.low, assessment.ratio.high),
+        "steps × rounds": f"{count_text(timing.steps)} × {count_text(timing.rounds)}",
+        "verdict": assessment.verdict,
+    }
+
+
+def shared_line(shared: SharedFactor) -> str:
+    """State the step time change that all configurations of a QP sequence share, and its cause."""
+    moved = "rose" if shared.factor >= 1.0 else "fell"
+    wording = f"`{shared.sequence}`: step times of "
+    wording += f"{plural(shared.configurations, 'configuration')} {moved} together "
+    wording += f"by a factor {shared.factor:.3f}"
+    if not math.isnan(shared.kernel):
+        wording += f", by {shared.kernel:.3f} the reference kernel"
+    if not math.isnan(shared.load):
+        wording += f", by {shared.load:.3f} the load kernel"
+    if shared.assessment is None:
+        return f"{wording}; {shared.unjudged}, so this is not judged"
+    verdict = shared.assessment.verdict
+    cause = " in a part that all configurations share" if verdict in ("slower", "faster") else ""
+    return f"{wording}: {verdict}{cause}"
+
+
+def changes_table(answers: Sequence[FigureChange], margin: float) -> Table | None:
+    """Tabulate the accuracy and control quantities that changed from run A to B; None if none."""
+    changed = [answer for answer in answers if answer.change in ("worse", "better")]
+    if not changed:
+        return None
+    changed.sort(key=lambda answer: answer.change != "worse")
+    unlike = sum(answer.change == "not comparable" for answer in answers)
+    left_out = f" {plural(unlike, 'figure')} {STOPPED}." if unlike else ""
+    note = (
+        f"{plural(len(changed), 'figure')} of {count_text(len(answers) - unlike)}; the others are "
+        f"the same within {100 * margin:g} %, counts and shares exactly. A range: over the rounds."
+        f"{left_out}"
+    )
+    rows, title = list(map(_change_row, changed)), "Accuracy and control: what changed"
+    return Table.of(rows, title, note=note, text_columns=3)
+
+
+def change_line(answer: FigureChange) -> str:
+    """Describe an accuracy or control quantity in both runs, in one line."""
+    column = answer.measure.column
+    values = " → ".join(_range_text(column, values) for values in (answer.a, answer.b))
+    return f"{answer.measure.head} of {answer.pair.label} in {answer.pair.a.problem}, {values}"
+
+
+def _change_row(answer: FigureChange) -> dict[str, str]:
+    """Convert a changed accuracy or control quantity to a table row: value in A and B, change."""
+    column = answer.measure.column
+    return {
+        "configuration": answer.pair.label,
+        "experiment": f"{answer.pair.a.mode.replace('_', ' ')} of {answer.pair.a.problem}",
+        "figure": answer.measure.head,
+        "A": _range_text(column, answer.a),
+        "B": _range_text(column, answer.b),
+        "change": answer.change,
+    }
+
+
+def _range_text(column: str, values: Range) -> str:
+    """Format the range of an accuracy or control quantity; one value if both ends print alike."""
+    texts = [_figure_text(column, value) for value in values]
+    return texts[0] if texts[0] == texts[1] else f"{texts[0]} … {texts[1]}"
+
+
+def _figure_text(column: str, value: float) -> str:
+    """Format an accuracy or control value as its column needs: error, share, count or outcome."""
+    if column == "outcome":
+        return ORDER[int(value)].replace("_", " ")
+    if column.startswith("error"):
+        return error_text(value)
+    if column.endswith("share"):
+        return share_text(value)
+    if column in ("failed_steps", "steps_done"):
+        return count_text(value)
+    return significant(value, 4)
+
 
 LISTED = 5
-"""So many cells without a partner are named."""
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What became of each configuration from folder A to folder B.
+    """Comparison of two result folders: verdicts on times, accuracy and control.
 
     Parameters
     ----------
-    compared : step times with their verdicts; shared : what all configurations of a sequence share.
-    figures : every figure of accuracy and control; pairs : which cells were compared.
-    lines : the verdict in a few lines of text; tables : the rest; margin : what is no difference;
-    alpha : the family-wise error of the claims; reference : the solver that step times are held
-    against, "" where all configurations of a machine are.
+    shared : changes that all configurations of a sequence share.
+    figures : every figure of accuracy and control; lines : the verdict in a few lines of text.
+    margin : ratio that counts as equal; alpha : family-wise error of the claims.
+    reference : solver that step times are divided by, "" for none.
     """
 
-    compared: list[Compared]
-    shared: list[Shared]
-    figures: list[Answer]
+    compared: list[ComparedTimes]
+    shared: list[SharedFactor]
+    figures: list[FigureChange]
     pairs: Pairs
     lines: list[str]
     tables: list[Table]
@@ -70,13 +231,13 @@ class Comparison:
         return f"<Comparison of {plural(len(self.pairs.pairs), 'cell')}: {verdict} shown>"
 
     def _repr_html_(self) -> str:
-        """The verdict, then the tables, as `dpbench compare` prints them."""
+        """Return the comparison as HTML, which a notebook displays."""
         lines = table_html((), [(line,) for line in self.lines], title="Comparison")
-        return lines + "".join(html(table) for table in self.tables)
+        return lines + "".join(html_table(table) for table in self.tables)
 
     @property
     def worse(self) -> bool:
-        """Whether a regression is shown."""
+        """True if a regression is shown: slower, less accurate, or worse control."""
         together = [s.assessment for s in self.shared if s.assessment is not None]
         slow = any(
             j.verdict == "slower" for j in [*(c.assessment for c in self.compared), *together]
@@ -85,18 +246,17 @@ class Comparison:
 
     @property
     def times(self) -> pd.DataFrame:
-        """One row per configuration and sequence: identity, ratios, interval, adjusted p-values,
-        verdict."""
+        """Table of step time ratios: a row per configuration and sequence."""
         return pd.DataFrame([compared.row for compared in self.compared])
 
     @property
     def answers(self) -> pd.DataFrame:
-        """One row per configuration, experiment and figure: identity, ranges in A and B, change."""
+        """Table of accuracy and control: a row per configuration and compared quantity."""
         return pd.DataFrame([answer.row for answer in self.figures])
 
     def markdown(self) -> str:
-        """The comparison as a Markdown document."""
-        return document("Comparison", self.lines, self.tables)
+        """Return the comparison of two result folders as a Markdown document."""
+        return markdown_document("Comparison", self.lines, self.tables)
 
 
 def compare(
@@ -107,22 +267,20 @@ def compare(
     margin: float = 0.05,
     alpha: float = 0.05,
 ) -> Comparison:
-    """Compare folder B with folder A, cell by cell.
+    """Compare result folder B with folder A: step times, accuracy and control.
 
     Parameters
     ----------
     a, b : folders written by `dpbench run`; A is the older one, the baseline.
-    reference : the solver by whose step times all others are measured, so that only ratios to it
-        are compared. Two machines always are: by default with the first of `times.REFERENCES`, or
-        else the solver that both have timed most. One machine: by default with none.
+    reference : solver that all step times are divided by. By default none on one machine; on two
+        the first of `times.REFERENCES` or else the solver that both have timed most.
     margin : a ratio up to 1 + margin either way makes no difference.
     alpha : family-wise error of the claims on step times.
 
     Raises
     ------
-    InputError : for a margin or alpha that cannot be, a reference that was not timed in both; as
-        `ResultsError` for a folder that is missing, damaged, or has no cell in common with the
-        other.
+    InputError : for a margin or alpha out of range, or a reference that was not timed in both; as
+        `ResultsError` for a folder that is missing, damaged, or has no cell in common.
     """
     if not (margin > 0.0 and math.isfinite(margin)):
         raise InputError("--margin", "", margin, "a finite number above 0, as 0.05 for 5 %")
@@ -131,15 +289,15 @@ def compare(
     results = load_results(a, without_steps=True), load_results(b, without_steps=True)
     views = Records(results[0]), Records(results[1])
     pairs = pair_cells(*views, names=(str(a), str(b)))
-    differ = differences(results[0].machine, results[1].machine)
-    timings = time_pairs(*views, pairs.pairs)
+    differ = machine_differences(results[0].machine, results[1].machine)
+    timings = compute_time_ratios(*views, pairs.pairs)
     solver = reference_solver(timings, reference) if differ or reference else ""
-    compared, shared, said = _compare_times(views, timings, solver, margin, alpha)
-    figures = compare_answers(*views, pairs.pairs, margin)
-    lines = [f"A: {a}{_machine(views[0])}", f"B: {b}{_machine(views[1])}"]
+    compared, shared, wording = _compare_times(views, timings, solver, margin, alpha)
+    figures = compare_figures(*views, pairs.pairs, margin)
+    lines = [f"A: {a}{_describe_machine(views[0])}", f"B: {b}{_describe_machine(views[1])}"]
     lines += [f"another machine: they differ in {and_list(differ)}"] if differ else []
-    lines += [*said, *_lines(compared, shared, figures, pairs)]
-    changed = answers_table(figures, margin)
+    lines += [*wording, *_summary_lines(compared, shared, figures, pairs)]
+    changed = changes_table(figures, margin)
     tables = [solvers_table(compared, figures)] if compared or figures else []
     tables += [times_table(compared, margin, alpha, reference=solver)] if compared else []
     tables += [changed] if changed is not None else []
@@ -147,40 +305,40 @@ def compare(
 
 
 def _compare_times(
-    views: tuple[Records, Records],
-    timings: list[Timing],
-    solver: str,
-    margin: float,
-    alpha: float,
-) -> tuple[list[Compared], list[Shared], list[str]]:
-    """The verdicts on step times, and what is to be said of how they were compared."""
-    said = []
+    views: tuple[Records, Records], timings: list[Timing], solver: str, margin: float, alpha: float
+) -> tuple[list[ComparedTimes], list[SharedFactor], list[str]]:
+    """Judge step time ratios between two folders; return verdicts, shared changes and remarks."""
+    wording = []
     bare = [name for name, view in zip("AB", views, strict=True) if not view.has_steps]
     if bare and timings:
-        said.append(f"no steps.parquet in {and_list(bare)}: medians of step times are compared")
+        wording.append(f"no steps.parquet in {and_list(bare)}: medians of step times are compared")
     if not solver:
-        unjudged = why_unjudged(*views, timings)
-        return *compare_times(timings, margin, alpha, unjudged), said
+        unjudged = find_unjudged_sequences(*views, timings)
+        return *compare_times(timings, margin, alpha, unjudged), wording
     rows = reference_rows(timings, solver)
     known = [timings[row] for row in dict.fromkeys(rows.tolist()) if row >= 0]
     took = [f"{math.exp(one.log):.3g} on {one.pair.a.problem}" for one in known]
-    said.append(
+    wording.append(
         f"step times are compared as ratios to {known[0].pair.label}, which takes B/A "
         f"{and_list(took)}"
     )
-    return compare_to_reference(timings, margin, alpha, rows), [], said
+    return compare_to_reference(timings, margin, alpha, rows), [], wording
 
 
-def _machine(view: Records) -> str:
-    """On what a folder was measured, and how quiet that was while replays were timed."""
-    said = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
-    disturbance = disturbance_of(timed_runs(view))
-    return f"{said}, {verdict_text(disturbance)}" if disturbance.seconds > 0 else said
+def _describe_machine(view: Records) -> str:
+    """Describe a result folder's processor, and how other programs disturbed its timing."""
+    wording = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
+    disturbance = total_disturbance(timed_runs(view))
+    return f"{wording}, {disturbance_text(disturbance)}" if disturbance.seconds > 0 else wording
 
 
-def _lines(
-    compared: list[Compared], shared: list[Shared], figures: list[Answer], pairs: Pairs
+def _summary_lines(
+    compared: list[ComparedTimes],
+    shared: list[SharedFactor],
+    figures: list[FigureChange],
+    pairs: Pairs,
 ) -> list[str]:
+    """Summarise a comparison in lines of text: runs compared, verdicts, changes, runs left out."""
     lines = [f"{plural(len(pairs.pairs), 'cell')} compared"]
     verdicts = Counter(c.assessment.verdict for c in compared)
     if compared:

@@ -1,7 +1,4 @@
-"""A comparison as a page, in the style of the report: one file, one chosen configuration, kept in
-the address."""
-
-from __future__ import annotations
+"""Comparison of two result folders as a page: one file with one selection in the address."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,69 +6,66 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
+import altair as alt
 import numpy as np
+import pandas as pd
 
-from dpbench.analysis.compare.ratio_table import claims_first, furthest, ratio_table
-from dpbench.analysis.compare.times import Compared, Timing
-from dpbench.files.writing import write_given
-from dpbench.report.charts.pairs import pairs
+from dpbench.analysis.compare.times import ComparedTimes, Timing
+from dpbench.files.writing import write_named_file
+from dpbench.report.charts import style
+from dpbench.report.charts.steps import draw_step_pairs
 from dpbench.report.charts.style import ROW_STEP
-from dpbench.report.compare.comparison import Comparison
-from dpbench.report.compare.tables import answer_line, shared_line, times_table
-from dpbench.report.compare.times_chart import both, ratios
-from dpbench.report.formats import interval_text, plural, unmarked
-from dpbench.report.page.facts import columns_of
+from dpbench.report.compare.comparison import Comparison, change_line, shared_line, times_table
+from dpbench.report.formats import interval_text, plural, strip_markdown
+from dpbench.report.page.data import columns_by_name
 from dpbench.report.page.pack import Block
-from dpbench.report.page.write import drawn, own, rendered, specification
+from dpbench.report.page.write import figure_markup, read_page_file, render_page, vega_specification
 from dpbench.report.table import Table
 
 SHOWN = 12
-"""So many of the slowest and of the fastest are drawn whatever is said of them; all of them are in
-the table below."""
+"""Number of the slowest and of the fastest in the figure; the table has all."""
 MOST_ROWS = 40
-"""So many rows of a table stand on the page before any script has run."""
+"""Rows of a table on the page before any script has run."""
 LEFT_OUT = ("B/A", "steps × rounds")
-"""Columns of the table of times that the page has no room for."""
+"""Columns of the table of times without room on the page."""
 
 
 def write_comparison(path: Path, comparison: Comparison) -> Path:
-    """Write the page of a comparison."""
-    order = claims_first(comparison.compared)
-    charts = _charts(order, comparison.margin)
-    times = _times(order, comparison) if order else None
-    text = rendered(
+    """Write the page that compares two result folders, as one HTML file."""
+    order = sort_claims_first(comparison.compared)
+    charts = _draw_charts(order, comparison.margin)
+    times = _page_times_table(order, comparison) if order else None
+    others = [t for t in comparison.tables if "B/A less machine" not in t.heads]
+    text = render_page(
         "compare",
-        [own(f"scripts/{name}.js") for name in ("common", "compare")],
+        [read_page_file(f"scripts/{name}.js") for name in ("common", "compare")],
         verdict="worse somewhere" if comparison.worse else "no regression shown",
-        lead=lead(comparison),
-        lines=[unmarked(line) for line in comparison.lines],
-        figures={name: drawn(chart) for name, chart in charts.items() if name != "steps"},
-        left_out=len(order) - len(furthest(ratio_table(order), SHOWN)) if order else 0,
+        lead=lead_sentences(comparison),
+        lines=[strip_markdown(line) for line in comparison.lines],
+        figures={name: figure_markup(chart) for name, chart in charts.items() if name != "steps"},
+        left_out=len(order) - len(select_furthest(ratio_table(order), SHOWN)) if order else 0,
         times=times,
-        tables=[replace(t, shown=MOST_ROWS) for t in comparison.tables if not _is_times(t)],
-        block="" if times is None else _block(order, charts, times),
+        tables=[replace(t, shown=MOST_ROWS) for t in others],
+        block="" if times is None else _pack_data(order, charts, times),
     )
-    write_given(path, text.encode())
+    write_named_file(path, text.encode())
     return path
 
 
-def _charts(order: Sequence[Compared], margin: float) -> dict[str, Any]:
+def _draw_charts(order: Sequence[ComparedTimes], margin: float) -> dict[str, Any]:
+    """Draw the charts that compare the step times of two runs, by name; none without times."""
     if not order:
         return {}
     table = ratio_table(order)
     return {
-        "ratios": ratios(furthest(table, SHOWN), margin),
-        "both": both(table),
-        "steps": pairs("A: step time", "B: step time"),
+        "ratios": draw_ratios(select_furthest(table, SHOWN), margin),
+        "both": draw_both_runs(table),
+        "steps": draw_step_pairs("A: step time", "B: step time"),
     }
 
 
-def _is_times(table: Table) -> bool:
-    return "B/A less machine" in table.heads
-
-
-def _times(order: Sequence[Compared], comparison: Comparison) -> Table:
-    """The table of times in the order of the page, without `LEFT_OUT`."""
+def _page_times_table(order: Sequence[ComparedTimes], comparison: Comparison) -> Table:
+    """Return the table of compared step times as on the page, without two wide columns."""
     c = comparison
     whole = times_table(order, c.margin, c.alpha, ordered=True, reference=c.reference)
     kept = [i for i, head in enumerate(whole.heads) if head not in LEFT_OUT]
@@ -79,42 +73,42 @@ def _times(order: Sequence[Compared], comparison: Comparison) -> Table:
     return replace(whole, heads=heads, rows=tuple(rows), shown=MOST_ROWS)
 
 
-def _block(order: Sequence[Compared], charts: dict[str, Any], times: Table) -> str:
-    """The data of the page: every configuration with its steps, and the figures."""
-    block, addresses = Block(), _addresses(order)
+def _pack_data(order: Sequence[ComparedTimes], charts: dict[str, Any], times: Table) -> str:
+    """Pack compared step times and charts as compressed base64 text for the page's script."""
+    block, addresses = Block(), _selection_addresses(order)
     cells_of = replace(times, shown=None).page_rows
     rows = [
         {
             "name": one.timing.pair.a.configuration.label,
             "where": one.timing.pair.a.problem,
             "address": address,
-            "said": said(one),
+            "said": verdict_sentence(one),
             "cells": cells,
-            **_steps(block, one.timing),
+            **_pack_step_times(block, one.timing),
         }
         for one, address, cells in zip(order, addresses, cells_of, strict=True)
     ]
     document = {
-        "compared": columns_of(rows),
+        "compared": columns_by_name(rows),
         "heads": list(times.heads),
         "row_step": ROW_STEP,
-        "charts": {name: specification(chart) for name, chart in charts.items()},
+        "charts": {name: vega_specification(chart) for name, chart in charts.items()},
     }
     return block.text(document)
 
 
-def _steps(block: Block, timing: Timing) -> dict[str, int | None]:
-    """Both times of each step, element 0 for step `first`; nothing of a folder without steps."""
+def _pack_step_times(block: Block, timing: Timing) -> dict[str, int | None]:
+    """Add the times of each step in runs A and B to the page's packed arrays; return indices."""
     if not len(timing.k):
         return {"first": 0, "a": None, "b": None}
     first = int(timing.k[0])
     times = np.full((2, int(timing.k[-1]) - first + 1), np.nan)
     times[:, timing.k - first] = timing.a_ns, timing.b_ns
-    return {"first": first, "a": block.log(times[0]), "b": block.log(times[1])}
+    return {"first": first, "a": block.add_log(times[0]), "b": block.add_log(times[1])}
 
 
-def _addresses(order: Sequence[Compared]) -> list[str]:
-    """The fragment that chooses each, named as on the page of a run; of several alike, numbered."""
+def _selection_addresses(order: Sequence[ComparedTimes]) -> list[str]:
+    """Return, for each compared configuration, the URL fragment that selects it on the page."""
     seen: dict[str, int] = {}
     addresses = []
     for one in order:
@@ -131,18 +125,25 @@ def _addresses(order: Sequence[Compared]) -> list[str]:
     return addresses
 
 
-def lead(comparison: Comparison) -> list[str]:
-    """One sentence on times and accuracy, then what all configurations became slower by."""
+def lead_sentences(comparison: Comparison) -> list[str]:
+    """Summarise a comparison of two runs in sentences: step times, accuracy, shared changes."""
     together = [
-        unmarked(f"All together: {shared_line(shared)}.")
+        strip_markdown(f"All together: {shared_line(shared)}.")
         for shared in comparison.shared
         if shared.assessment is not None and shared.assessment.verdict == "slower"
     ]
-    return [unmarked(f"{_slower(comparison)} {_worse(comparison)}"), *together]
+    worse = [answer for answer in comparison.figures if answer.change == "worse"]
+    count = len(comparison.figures)
+    figures = f"No figure of accuracy or control of {count} is worse." if count else ""
+    if worse:
+        figures = (
+            f"Worse: {len(worse)} of {plural(count, 'figure')}, first {change_line(worse[0])}."
+        )
+    return [strip_markdown(f"{_slower_sentence(comparison)} {figures}"), *together]
 
 
-def said(one: Compared) -> str:
-    """The verdict on one configuration with its figures."""
+def verdict_sentence(one: ComparedTimes) -> str:
+    """State the verdict on one configuration's step time ratio with its interval."""
     assessment, timing = one.assessment, one.timing
     interval = interval_text(assessment.ratio.low, assessment.ratio.high)
     return (
@@ -152,7 +153,8 @@ def said(one: Compared) -> str:
     )
 
 
-def _slower(comparison: Comparison) -> str:
+def _slower_sentence(comparison: Comparison) -> str:
+    """State how many configurations became slower, and which one most."""
     slower = [c for c in comparison.compared if c.assessment.verdict == "slower"]
     count = len(comparison.compared)
     if not count:
@@ -169,9 +171,91 @@ def _slower(comparison: Comparison) -> str:
     )
 
 
-def _worse(comparison: Comparison) -> str:
-    worse = [answer for answer in comparison.figures if answer.change == "worse"]
-    count = len(comparison.figures)
-    if not worse:
-        return f"No figure of accuracy or control of {count} is worse." if count else ""
-    return f"Worse: {len(worse)} of {plural(count, 'figure')}, first {answer_line(worse[0])}."
+VERDICTS = ("slower", "faster", "equivalent", "no difference shown")
+_COLOUR = style.colour(
+    "verdict", VERDICTS, (style.FAIL, style.PASS, style.SOFT, style.NOT_RUN), columns=2
+)
+_SHAPES = style.names_scale(VERDICTS, ("triangle-right", "triangle-left", "circle", "square"))
+_SHAPE = alt.Shape("verdict:N", scale=_SHAPES, title=None)
+_TIPS = [
+    style.tooltip("name:N", "configuration"),
+    "verdict:N",
+    *(style.tooltip(f"{name}:Q") for name in ("ratio", "low", "high")),
+    style.tooltip("a_us:Q", "A [µs]"),
+    style.tooltip("b_us:Q", "B [µs]"),
+]
+
+
+def draw_ratios(table: pd.DataFrame, margin: float) -> Any:
+    """Draw the step time ratio B/A of each configuration with its interval.
+
+    table : of `ratio_table`; margin : ratio that counts as equal.
+    """
+    base = alt.Chart(table).encode(
+        y=alt.Y("name:N", sort=table["name"].tolist(), title=None, axis=style.row_name_axis(330)),
+        color=_COLOUR,
+        tooltip=_TIPS,
+    )
+    pick = style.pick_selection("id")
+    rows = style.draw_whole_rows(base, style.value_if(pick, 0.16, 0.0), 16, color=style.ACCENT)
+    rows = rows.encode(color=alt.value(style.ACCENT)).add_params(style.narrow_flag(), pick)
+    axis = alt.Axis(orient="top", format="~g", labelOverlap="greedy")
+    title = "B / A, machine factor taken out"
+    x = alt.X("ratio:Q", title=title, scale=style.log_scale(), axis=axis)
+    spans = base.mark_rule(strokeWidth=1.5).encode(x=alt.X("low:Q"), x2="high:Q")
+    points = base.mark_point(filled=True, size=60, opacity=1).encode(x=x, shape=_SHAPE)
+    edges = pd.DataFrame({"edge": [1.0 / (1.0 + margin), 1.0, 1.0 + margin]})
+    rules = alt.Chart(edges).mark_rule(color=style.INK, strokeDash=[2, 3]).encode(x="edge:Q")
+    chart = alt.layer(rows, rules, spans, points, width=430, height=alt.Step(17))
+    return style.set_style(
+        chart, "What became slower", "Ratio of step times of each configuration."
+    )
+
+
+def draw_both_runs(table: pd.DataFrame) -> Any:
+    """Draw the median step time in B against that in A, a mark per configuration."""
+    low = 0.8 * float(table[["a_us", "b_us"]].min().min())
+    high = 1.25 * float(table[["a_us", "b_us"]].max().max())
+    scale = style.log_scale(domain=[low, high])
+    x = alt.X("a_us:Q", title="A: median step time [µs]", scale=scale)
+    y = alt.Y("b_us:Q", title="B: median step time [µs]", scale=scale)
+    pick = style.pick_selection("id")
+    points = alt.Chart(table).mark_point(filled=True, opacity=0.9)
+    looks: dict[str, Any] = {"color": _COLOUR, "shape": _SHAPE, "tooltip": _TIPS}
+    points = points.encode(x=x, y=y, **looks, size=style.value_if(pick, 260, 55)).add_params(pick)
+    chart = alt.layer(style.draw_equality_line(low, high, x, y), points, width=330, height=330)
+    return style.set_style(chart, "Both runs", "Median step times of both runs against each other.")
+
+
+def sort_claims_first(compared: Sequence[ComparedTimes]) -> list[ComparedTimes]:
+    """Sort compared step times: slower first, then faster, then undecided, each by ratio."""
+    rank = {"slower": 0, "faster": 1}
+    return sorted(
+        compared, key=lambda c: (rank.get(c.assessment.verdict, 2), -c.assessment.ratio.value)
+    )
+
+
+def ratio_table(compared: Sequence[ComparedTimes]) -> pd.DataFrame:
+    """Tabulate the step time ratio of runs B and A by configuration, the largest ratio first."""
+    rows = [
+        {
+            "id": str(i),
+            "name": f"{one.timing.pair.a.configuration.label}, {one.timing.pair.a.sequence}",
+            "ratio": one.assessment.ratio.value,
+            "low": one.assessment.ratio.low,
+            "high": one.assessment.ratio.high,
+            "verdict": one.assessment.verdict,
+            "a_us": one.timing.median_ns[0] / 1e3,
+            "b_us": one.timing.median_ns[1] / 1e3,
+            "sequence": one.timing.pair.a.sequence,
+        }
+        for i, one in enumerate(compared)
+    ]
+    return pd.DataFrame(rows).sort_values("ratio", ascending=False, kind="stable")
+
+
+def select_furthest(table: pd.DataFrame, ends: int) -> pd.DataFrame:
+    """Select of a table of time ratios the rows judged to differ, and those at both ends."""
+    judged = table["verdict"].isin(("slower", "faster"))
+    place = pd.Series(range(len(table)), index=table.index)
+    return table[judged | (place < ends) | (place >= len(table) - ends)]

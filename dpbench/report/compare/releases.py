@@ -1,26 +1,32 @@
-"""Solvers over their releases, in words and tables."""
-
-from __future__ import annotations
+"""Solvers over their releases, in words, tables and figures: times and errors of each version."""
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from dpbench.analysis.compare.pairs import differences
+import altair as alt
+import pandas as pd
+
+from dpbench.analysis.compare.pairs import machine_differences
 from dpbench.analysis.compare.releases import (
+    FIGURES,
     Histories,
     History,
-    Release,
-    histories,
+    compare_releases,
+    release_table,
 )
-from dpbench.analysis.records.grouping import grouped
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.verdict.demand import Demand
-from dpbench.bench.judge.rules import largest
+from dpbench.analysis.records.run_record import group_by
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.bench.judge.rules import largest_known
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError
+from dpbench.files.writing import write_named_file
+from dpbench.report.charts import style
 from dpbench.report.formats import (
+    MISSING,
     and_list,
     count_text,
     error_text,
@@ -28,40 +34,41 @@ from dpbench.report.formats import (
     significant,
     time_text,
 )
-from dpbench.report.table import Table, document
+from dpbench.report.page.write import figure_markup, render_page
+from dpbench.report.table import Table, markdown_document
 
 BUSY = 0.05
-"""A load kernel that changed by more says that the machine was busier in one of two runs."""
+"""Relative change of the load kernel that shows a busier machine."""
 
 
 @dataclass(frozen=True, eq=False)
 class Releases:
-    """Solvers over their releases.
+    """Comparison of solver versions over several result folders, in text and tables.
 
-    Parameters
-    ----------
-    lines : what was compared, and what changed, in a few lines; tables : one a solver of several
-        versions, and one of all the others; demand : of the first folder.
+    lines : what was compared; tables : one a solver of several versions, and one of all the others.
+    requirements : of the first folder.
     """
 
     histories: Histories
     lead: Sequence[str]
     lines: Sequence[str]
     tables: Sequence[Table]
-    demand: Demand
+    requirements: Requirements
 
     def markdown(self) -> str:
-        """The releases as a Markdown document."""
-        return document("Solvers over their releases", [*self.lead, *self.lines], self.tables)
+        """Return the comparison of solver versions as a Markdown document."""
+        return markdown_document(
+            "Solvers over their releases", [*self.lead, *self.lines], self.tables
+        )
 
 
 def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> Releases:
-    """Each solver of some result folders over its versions.
+    """Compare each solver's versions over result folders; times relative to solver `reference`.
 
     Parameters
     ----------
     folders : two or more, of the same suite, in any order; `steps.parquet` is not needed.
-    reference : as of `histories`.
+    reference : as of `compare_releases`.
 
     Raises
     ------
@@ -78,37 +85,38 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
         name: Records(load_results(folder, without_steps=True))
         for name, folder in zip(names, folders, strict=True)
     }
-    over = histories(records, reference)
-    demand = Demand.of(next(iter(records.values())).suite)
-    return Releases(over, _lead(over), _lines(over, records), _tables(over), demand)
+    over = compare_releases(records, reference)
+    requirements = Requirements.of(next(iter(records.values())).suite)
+    changed = _solvers_with_versions(over)
+    lead = [_solver_sentence(solver, own_histories) for solver, own_histories in changed.items()]
+    lead = lead or ["No solver has two versions in these folders."]
+    return Releases(
+        over, lead, _comparability_notes(over, records), _version_tables(over), requirements
+    )
 
 
-def _changed(histories: Histories) -> dict[str, list[History]]:
-    """By solver, the histories of those with several versions."""
-    by_solver = grouped(histories.all, lambda history: history.run.solver)
+def _solvers_with_versions(histories: Histories) -> dict[str, list[History]]:
+    """Return the version histories of the solvers run in several versions, by solver."""
+    by_solver = group_by(histories.all, lambda history: history.run.solver)
     return {name: own for name, own in by_solver.items() if any(h.changed for h in own)}
 
 
-def _lead(histories: Histories) -> list[str]:
-    """A sentence for each solver of several versions, from its most usual configuration."""
-    by_solver = _changed(histories)
-    if not by_solver:
-        return ["No solver has two versions in these folders."]
-    return [_sentence(solver, own_histories) for solver, own_histories in by_solver.items()]
-
-
-def _sentence(solver: str, own_histories: Sequence[History]) -> str:
-    """Times of its most usual replay; errors and failed steps of all that both releases ran."""
+def _solver_sentence(solver: str, own_histories: Sequence[History]) -> str:
+    """State how a solver's times, errors and failed steps changed over its versions."""
     changed = [history for history in own_histories if history.changed]
     ends = [(history.releases[0], history.releases[-1]) for history in changed]
     sides = list(zip(*ends, strict=True))
-    errors = " → ".join(error_text(largest([r.error_move for r in side])) for side in sides)
-    failed = " → ".join(_count(largest([r.failed_steps for r in side])) for side in sides)
+    errors = " → ".join(error_text(largest_known([r.error_move for r in side])) for side in sides)
+    failed = " → ".join(
+        _format_count(largest_known([r.failed_steps for r in side])) for side in sides
+    )
     versions = " → ".join(release.version for release in ends[0])
-    return f"{solver} {versions}: {_took(changed)}; largest error {errors}, failed steps {failed}."
+    times = _time_change_text(changed)
+    return f"{solver} {versions}: {times}; largest error {errors}, failed steps {failed}."
 
 
-def _took(changed: Sequence[History]) -> str:
+def _time_change_text(changed: Sequence[History]) -> str:
+    """State how a solver's p50 step time changed from its oldest to newest version."""
     timed = next((h for h in changed if math.isfinite(h.whole_change)), None)
     if timed is None:
         return "not timed"
@@ -122,14 +130,15 @@ def _took(changed: Sequence[History]) -> str:
     )
 
 
-def _lines(histories: Histories, records: Mapping[str, Records]) -> list[str]:
+def _comparability_notes(histories: Histories, records: Mapping[str, Records]) -> list[str]:
+    """List what limits a comparison of folders: machines, reference, scatter, runs left out."""
     lines = [
         f"{name}: {view.machine.get('cpu_model', 'an unnamed CPU')}, machine {view.machine['id']}, "
         f"{view.suite.get('started_utc', '')[:10] or 'no date'}"
         for name, view in records.items()
     ]
     machines = [view.machine for view in records.values()]
-    differ = {word: None for one in machines[1:] for word in differences(machines[0], one)}
+    differ = {word: None for one in machines[1:] for word in machine_differences(machines[0], one)}
     if differ:
         lines.append(f"the machines differ in {and_list(list(differ))}")
     if histories.reference:
@@ -147,8 +156,9 @@ def _lines(histories: Histories, records: Mapping[str, Records]) -> list[str]:
     return lines
 
 
-def _tables(histories: Histories) -> list[Table]:
-    changed = _changed(histories)
+def _version_tables(histories: Histories) -> list[Table]:
+    """Tabulate times and errors by version, a table for each solver with several versions."""
+    changed = _solvers_with_versions(histories)
     note = (
         "To the one before: its p50 over that of the release above it, below 1 is faster; the load "
         "kernel, timed in the same rounds, tells what of that its neighbours on the machine did. "
@@ -156,7 +166,7 @@ def _tables(histories: Histories) -> list[Table]:
     )
     tables = [
         Table.of(
-            [row for history in own_histories for row in _rows(history, histories)],
+            [row for history in own_histories for row in _version_rows(history, histories)],
             f"{solver} over its releases",
             note=note,
             text_columns=4,
@@ -166,7 +176,7 @@ def _tables(histories: Histories) -> list[Table]:
     rest = [history for history in histories.all if history.run.solver not in changed]
     if rest:
         # With one version there is none before it.
-        rows = [{"solver": h.run.solver} | row for h in rest for row in _rows(h, histories)]
+        rows = [{"solver": h.run.solver} | row for h in rest for row in _version_rows(h, histories)]
         kept = [{head: row[head] for head in row if head not in BEFORE} for row in rows]
         note = "For comparison: what these differ by is no change of a solver."
         title = "Of one version in all folders"
@@ -175,10 +185,11 @@ def _tables(histories: Histories) -> list[Table]:
 
 
 BEFORE = ("to the one before", "load kernel")
-"""Columns about the release before."""
+"""Columns on the release before."""
 
 
-def _rows(history: History, histories: Histories) -> list[dict[str, str]]:
+def _version_rows(history: History, histories: Histories) -> list[dict[str, str]]:
+    """Convert a solver's version history to table rows: times, errors, counts per version."""
     run, unit = history.run, f" [× {histories.reference}]" if histories.reference else ""
     label = run.configuration.label.removeprefix(f"{run.solver} ").strip("()")
     return [
@@ -186,29 +197,110 @@ def _rows(history: History, histories: Histories) -> list[dict[str, str]]:
             "configuration": label,
             "problem": f"{run.problem}, {run.mode.replace('_', ' ')}",
             "version": release.version,
-            "folders": _folders(release, histories),
-            f"p50{unit}": _time(release.p50, histories),
+            "folders": "all"
+            if len(release.runs) == histories.folders
+            else and_list(list(release.runs)),
+            f"p50{unit}": _format_time(release.p50, histories),
             BEFORE[0]: significant(history.change(i)),
             BEFORE[1]: significant(history.load_change(i)),
-            f"p99{unit}": _time(release.p99, histories),
-            f"largest step{unit}": _time(release.largest, histories),
+            f"p99{unit}": _format_time(release.p99, histories),
+            f"largest step{unit}": _format_time(release.largest, histories),
             "largest error": error_text(release.error_move),
-            "claimed, not true": _count(release.claimed_not_true),
-            "failed steps": _count(release.failed_steps),
+            "claimed, not true": _format_count(release.claimed_not_true),
+            "failed steps": _format_count(release.failed_steps),
             "outcome": release.outcome.replace("_", " "),
         }
         for i, release in enumerate(history.releases)
     ]
 
 
-def _folders(release: Release, histories: Histories) -> str:
-    return "all" if len(release.runs) == histories.folders else and_list(list(release.runs))
-
-
-def _count(value: float) -> str:
-    """A count per round, whole where it is in every round."""
+def _format_count(value: float) -> str:
+    """Format a count per repetition: whole if it is a whole number, else with one decimal."""
     return count_text(value) if math.isnan(value) or value == round(value) else f"{value:.1f}"
 
 
-def _time(value: float, histories: Histories) -> str:
+def _format_time(value: float, histories: Histories) -> str:
+    """Format a step time [ns] with its unit, or as multiple of the reference solver's."""
     return significant(value) if histories.reference else time_text(value)
+
+
+AGES = {0: "newest release", 1: "earlier release"}
+_WIDTH = 260
+"""Narrow enough for a phone, names included."""
+MOST_PANELS = 4
+
+
+def write_releases(path: Path, releases: Releases) -> Path:
+    """Write the page that compares solver versions, without any script."""
+    table = release_table(releases.histories, MOST_PANELS)
+    table["age"] = table["age"].map(AGES)
+    unit = f"× {releases.histories.reference}" if releases.histories.reference else "µs"
+    charts = {
+        "Point p50, bar to p99 where 1000 steps support one, line to the largest step; replays, "
+        "the most usual configuration of each solver.": draw_release_times(table, unit),
+        "The same runs; dashed: what the requirements allow. An error of exactly 0 has no point.": (
+            draw_release_errors(table, releases.requirements.error_move)
+        ),
+    }
+    figures = [(caption, figure_markup(chart)) for caption, chart in charts.items() if len(table)]
+    text = render_page(
+        "releases",
+        lead=releases.lead,
+        lines=releases.lines,
+        figures=figures,
+        tables=[table for table in releases.tables if table.rows],
+        missing=MISSING,
+    )
+    write_named_file(path, text.encode())
+    return path
+
+
+def draw_release_times(table: pd.DataFrame, unit: str) -> Any:
+    """Draw p50, p99 and largest step time of each solver version, a panel per problem.
+
+    table : of `release_table`, age in words, the first row on top; unit : of the times.
+    """
+    base = _version_rows_chart(table)
+    x = alt.X("p50:Q", title=f"step time [{unit}]", scale=style.log_scale(), axis=_value_axis("~g"))
+    line = base.mark_rule(strokeWidth=2).encode(x=x, x2="largest:Q")
+    known = base.transform_filter("isValid(datum.p99)")
+    bar = known.mark_rule(strokeWidth=8).encode(x=x, x2="p99:Q")
+    layers = (line, bar, base.mark_point(filled=True, size=60, opacity=1).encode(x=x))
+    return _arrange_panels(layers, "Step time", "Step times of each solver, version by version.")
+
+
+def draw_release_errors(table: pd.DataFrame, allowed: float) -> Any:
+    """Draw the largest error of the first move of each solver version, with its limit.
+
+    table : as of `draw_release_times`; an error of 0 or none at all has no point.
+    """
+    title = "largest error of the first move [rate-limit steps]"
+    x = alt.X("error:Q", title=title, scale=style.log_scale(), axis=_value_axis(".0e"))
+    drawn = _version_rows_chart(table).transform_filter("isFinite(datum.error) && datum.error > 0")
+    limit = alt.Chart(table).transform_calculate(limit=f"{allowed}")
+    rule = limit.mark_rule(strokeDash=[4, 3], color=style.FAIL).encode(x="limit:Q")
+    layers = (rule, drawn.mark_point(filled=True, size=60, opacity=1).encode(x=x))
+    return _arrange_panels(layers, "Error", "Largest error of each solver, version by version.")
+
+
+def _value_axis(form: str) -> alt.Axis:
+    """Return a chart axis with few ticks, in a number format."""
+    return alt.Axis(format=form, tickCount=5, labelOverlap="greedy", labelSeparation=6)
+
+
+def _version_rows_chart(table: pd.DataFrame) -> Any:
+    """Return the base of a chart with a row per solver version, coloured newest or earlier."""
+    return alt.Chart(table).encode(
+        y=style.named_rows("label", list(dict.fromkeys(table["label"])), labelLimit=170),
+        color=style.colour("age", AGES.values(), (style.ACCENT, style.NOT_RUN)),
+        shape=alt.Shape("age:N", scale=style.names_scale(AGES.values(), ("circle", "diamond"))),
+        tooltip=["label:N", *(style.tooltip(f"{name}:Q") for name in FIGURES)],
+    )
+
+
+def _arrange_panels(layers: Sequence[Any], title: str, description: str) -> Any:
+    """Lay charts over each other in one panel per problem, panels below each other."""
+    chart = alt.layer(*layers, width=_WIDTH, height=alt.Step(20))
+    header = alt.Header(title=None, labelAnchor="start", labelOrient="top", labelFontSize=12)
+    row = alt.Row("problem:N", title=None, header=header, sort=None)
+    return style.set_style(chart.facet(row=row).resolve_scale(y="independent"), title, description)

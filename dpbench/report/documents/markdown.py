@@ -1,63 +1,71 @@
-"""`report.md`: what fits a pull request. The answer, one table, the conditions, where the rest
-is."""
+"""Markdown for pull requests: `report.md`, and the comparison of one solver with others."""
 
-from __future__ import annotations
-
+import math
 from collections.abc import Iterable, Sequence
 
-from dpbench.analysis.verdict.fastest import best_of_each
+from dpbench.analysis.records.run_steps import Measure
+from dpbench.analysis.records.worst_steps import WorstStep, find_step_value, worst_steps
+from dpbench.analysis.times.contrasts import paired_comparison
+from dpbench.analysis.verdict.fastest import best_verdict_by_solver, fastest_first
 from dpbench.analysis.verdict.verdict import Verdict
-from dpbench.bench.record.result_folder import Results
-from dpbench.report.escaped import markdown_line, markdown_text
-from dpbench.report.formats import MISSING, error_text, rounded_down, time_text
-from dpbench.report.page.answer import Answer
-from dpbench.report.page.facts import Facts
-from dpbench.report.page.topic import Topic
-from dpbench.report.table import markdown
+from dpbench.errors import UnknownNameError, list_allowed
+from dpbench.report.formats import (
+    MISSING,
+    and_list,
+    count_text,
+    error_text,
+    rounded_down,
+    time_text,
+)
+from dpbench.report.page.data import PageData
+from dpbench.report.report import Report
+from dpbench.report.table import markdown_line, markdown_table, markdown_text, one_line
+from dpbench.report.verdict_text import (
+    answer_text,
+    describe_findings,
+    paired_text,
+    requirements_text,
+)
 
 MOST_BYTES = 8000
-"""A comment on a pull request is read when it is one screen or two."""
+"""One or two screens."""
 HEAD = (
-    *("solver", "way", "demand", "p50", "p99", "p99 of timings", "worst p99", "hardest step"),
-    *("speed margin", "largest error", "failed"),
+    *("solver", "call mode", "verdict", "p50", "p99", "p99 of timings", "worst p99"),
+    *("hardest step", "speed margin", "largest error", "failed"),
 )
 
 
-def report_markdown(results: Results, facts: Facts, answer: Answer, topics: Sequence[Topic]) -> str:
-    """The report in Markdown, at most `MOST_BYTES` long."""
-    suite = results.suite
+def report_markdown(report: Report) -> str:
+    """Return the report as Markdown text of limited length: recommendation, table of solvers."""
+    data, recommendation, topics = report.data, report.recommendation, report.topics
     lead = [topic.lines[0] for topic in topics if topic.leads]
-    said = (
-        [answer.sentence, *(note for _, note in answer.notes)]
-        if facts.verdicts.of or not lead
-        else []
-    )
-    held = ", ".join(chip.text for chip in answer.chips)
-    after = [f"Valid for: {held}."] if held else []
-    after += [answer.demand, answer.machine]
+    wording = []
+    if data.verdicts.of or not lead:
+        wording = [recommendation.sentence, *(note for _, note in recommendation.notes)]
+    valid = ", ".join(chip.text for chip in recommendation.chips)
+    after = [f"Valid for: {valid}."] if valid else []
+    after += [recommendation.requirements, recommendation.machine]
     after += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
     parts = [
-        f"# dpbench: {markdown_text(str(suite.get('name', 'results')))}",
-        *map(markdown_line, [*lead, *said]),
-        solver_table(facts, best_of_each(facts.verdicts)),
+        f"# dpbench: {markdown_text(str(report.results.suite.get('name', 'results')))}",
+        *map(markdown_line, [*lead, *wording]),
+        solver_table(data, best_verdict_by_solver(data.verdicts)),
         *map(markdown_line, after),
-    ]
-    parts.append(
         "Everything else: `report.html` (figures, every step), `tables/*.csv`, `figures/*.svg`, "
-        "`runs.parquet`, `steps.parquet`."
-    )
+        "`runs.parquet`, `steps.parquet`.",
+    ]
     text = "\n\n".join(part for part in parts if part) + "\n"
-    return cut(text, MOST_BYTES, "tables/verdicts.csv")
+    return truncate_text(text, MOST_BYTES, "tables/verdicts.csv")
 
 
-def solver_table(facts: Facts, verdicts: Iterable[Verdict]) -> str:
-    """A row for each configuration, in Markdown; empty without one."""
-    rows = solver_rows(facts, verdicts)
-    return markdown(HEAD, rows, 3) if rows else ""
+def solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
+    """Return a Markdown table of verdict, times and errors by configuration; "" without one."""
+    rows = solver_rows(data, verdicts)
+    return markdown_table(HEAD, rows, 3) if rows else ""
 
 
-def solver_rows(facts: Facts, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:
-    """A row for each configuration, under `HEAD`."""
+def solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:
+    """Return rows of text cells with each configuration's verdict, times and errors."""
     return [
         (
             verdict.configuration.solver,
@@ -73,14 +81,122 @@ def solver_rows(facts: Facts, verdicts: Iterable[Verdict]) -> list[tuple[str, ..
             str(verdict.failed_steps),
         )
         for verdict in verdicts
-        for margin in [facts.margin(verdict.configuration)]
+        for margin in [data.margin(verdict.configuration)]
     ]
 
 
-def cut(text: str, most_bytes: int, elsewhere: str) -> str:
-    """Whole lines up to the limit; what is cut off is in `elsewhere`."""
+def truncate_text(text: str, most_bytes: int, elsewhere: str) -> str:
+    """Cut a text to whole lines within a number of bytes; name the file with the rest."""
     raw = text.encode()
     if len(raw) <= most_bytes:
         return text
     kept = raw[: most_bytes - 60].decode(errors="ignore").rsplit("\n", 1)[0]
     return f"{kept}\n\nMore rows: `{elsewhere}`.\n"
+
+
+USUAL = ("osqp", "daqp")
+"""Solvers to compare with by default."""
+COMMENT_BYTES = 3000
+"""One screen."""
+MOST_CONFIGURATIONS = 3
+"""Rows of the solver itself."""
+
+
+def compare_solver(
+    report: Report, solver: str, others: Sequence[str] = ()
+) -> tuple[str, list[WorstStep]]:
+    """Compare a solver with others in Markdown; also return its worst steps.
+
+    others : solvers to compare with; by default those of `USUAL` that ran.
+
+    Raises InputError for a solver that was not run.
+    """
+    data, machine = report.data, report.recommendation.machine
+    best = {v.configuration.solver: v for v in best_verdict_by_solver(data.verdicts)}
+    for option, name in (("--for", solver), *(("--against", other) for other in others)):
+        if name not in best:
+            raise UnknownNameError(option, "", repr(name), list_allowed(name, sorted(best)))
+    named = others or [name for name in USUAL if name in best]
+    chosen = [best[name] for name in dict.fromkeys(named) if name != solver]
+    worst = worst_steps(data.records, solver)
+    own = fastest_first([v for v in data.verdicts.of[solver] if v.state != "not run"])
+    names = and_list([v.configuration.solver for v in chosen]) or "nobody"
+    suite = report.results.suite
+    made_by = f"Suite {suite.get('name', '')}, dpbench {suite.get('harness_version', '')}."
+    parts = [
+        f"# {markdown_text(solver)} beside {markdown_text(names)}",
+        markdown_line(_verdict_sentence(data, best[solver])),
+        solver_table(data, [*own[:MOST_CONFIGURATIONS], *chosen]),
+        "\n".join(f"- {markdown_text(_pair_sentence(data, best[solver], v))}" for v in chosen),
+        _worst_table(data, worst, chosen),
+        "\n".join(f"    {one_line(step.export_command)}" for step in worst),
+        markdown_line(f"{requirements_text(data.requirements)} {made_by} {machine}"),
+    ]
+    return truncate_text(
+        "\n\n".join(part for part in parts if part) + "\n", COMMENT_BYTES, "report.md"
+    ), worst
+
+
+def _verdict_sentence(data: PageData, verdict: Verdict) -> str:
+    """State the verdict on a configuration and its reasons in one sentence."""
+    label = verdict.configuration.label
+    passed = f"`{label}` passes everywhere it was run."
+    if verdict.causes:
+        verb = "is late" if verdict.state == "late" else "fails"
+        return f"`{label}` {verb}: {describe_findings(verdict.causes)}."
+    wording = describe_findings(verdict.missing)
+    return passed if verdict.state == "pass" else f"`{label}` is {verdict.state}: {wording}."
+
+
+def _pair_sentence(data: PageData, own: Verdict, other: Verdict) -> str:
+    """State the step time ratio of two configurations in one sentence."""
+    faster, slower = fastest_first([own, other])
+    wording = paired_text(paired_comparison(data.records, faster, slower))
+    names = f"`{slower.configuration.label}` against `{faster.configuration.label}`"
+    return f"{names}: {wording}."
+
+
+def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Verdict]) -> str:
+    """Return a Markdown table of a solver's worst steps, and other solvers' values there."""
+    if not worst:
+        return ""
+    names = [verdict.configuration.solver for verdict in others]
+    heads = ("worst by", "step", "call mode", "figure", "its median", "answer", *names)
+    rows = [
+        (
+            step.measure,
+            f"{step.k} of {step.run.problem}",
+            step.run.configuration.options,
+            _figure_text(step.measure, step.value),
+            _figure_text(step.measure, step.median),
+            answer_text(step.step, 0),
+            *(
+                _figure_text(step.measure, find_step_value(data.records, step, v.configuration))
+                for v in others
+            ),
+        )
+        for step in worst
+    ]
+    return markdown_table(heads, rows, 3)
+
+
+def _figure_text(measure: Measure, value: float) -> str:
+    """Format a time [ns], an error or a number of iterations, whichever `measure` says."""
+    if measure == "time":
+        return time_text(value)
+    return error_text(value) if measure == "error" else count_text(value)
+
+
+def worst_text(worst: Sequence[WorstStep]) -> list[tuple[str, str]]:
+    """Describe a solver's worst steps with the commands that export their QPs, for a terminal."""
+    return [
+        (
+            f"worst {step.measure}",
+            f"step {step.k} of {step.run.problem} ({step.run.configuration.options}): "
+            f"{_figure_text(step.measure, step.value)}, median "
+            f"{_figure_text(step.measure, step.median)}; "
+            f"{step.export_command}",
+        )
+        for step in worst
+        if not math.isnan(step.value)
+    ]

@@ -1,35 +1,116 @@
-"""A result folder as it is sent to others: `results/community/`.
+"""Result folder as it is sent to others, `results/community/`.
 
-The page without its scripts, the runs, machine and suite, capability plots where there are any, and
-who ran them how. The steps stay at home: they are a hundred times as large.
+The page without scripts, runs, machine, suite, capability plots and a form for the sender. The
+steps stay at home: they are a hundred times as large.
 """
 
-from __future__ import annotations
-
 import datetime
+import re
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, StringConstraints
 
 from dpbench.bench.capability.table import CAPABILITY_FILE, load_capability
-from dpbench.bench.record.result_folder import Results, hashes, load_results, read_suite
+from dpbench.bench.record.result_folder import Results, hash_files, load_results, read_suite
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.opening import read_bytes
-from dpbench.files.writing import replaced, write_text
-from dpbench.report.documents.passive_page import check_passive
+from dpbench.files.writing import replace_file, write_text
 from dpbench.report.formats import and_list, plural
+from dpbench.report.page.write import FILES
 from dpbench.scenario.problem_files import read_model
+
+_UNREADABLE = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f]")
+"""Control characters: an escape switches what the next bytes mean in some encodings."""
+_ENCODED = re.compile(r'<meta charset="utf-8" ?/?>', re.IGNORECASE)
+_PREFIX = 1024
+"""Characters in which a browser looks for the encoding; without one it guesses."""
+# All markup that dpbench writes. In any other, a browser may see tags where this does not.
+_TAG = re.compile(
+    r"<(?:!doctype html|/?(?P<name>[a-zA-Z][a-zA-Z0-9]*+)"
+    r'(?P<attributes>(?:\s++[a-zA-Z][\w:-]*+(?:="[^"<]*+")?+)*+)\s*+/?)>'
+)
+_ATTRIBUTE = re.compile(r'([a-zA-Z][\w:-]*+)(?:="([^"]*+)")?+')
+_TAGS = re.compile(
+    r"a|abbr|b|body|br|button|caption|code|dd|details|dfn|div|dl|dt|em|figcaption|figure|footer|"
+    r"h[1-4]|head|header|html|i|img|input|label|li|main|meta|nav|ol|option|p|pre|section|select|"
+    r"small|span|strong|style|sub|summary|sup|table|tbody|td|th|thead|title|tr|ul|"
+    r"circle|clippath|defs|g|line|lineargradient|path|polygon|rect|stop|svg|text|tspan"
+)
+_ATTRIBUTES = re.compile(
+    r"(?:aria|data|clip|fill|font|pointer|stop|stroke|text)(?:-[a-z-]+)?|alt|charset|checked|class|"
+    r"colspan|cx|cy|d|disabled|display|dominant-baseline|dx|dy|for|height|hidden|id|lang|max|min|"
+    r"name|offset|opacity|open|points|preserveaspectratio|r|role|rowspan|rx|ry|scope|selected|"
+    r"size|step|tabindex|title|transform|type|value|version|viewbox|width|x|x1|x2|xml:space|xmlns|"
+    r"xmlns:xlink|y|y1|y2|gradientunits"
+)
+_WORDS = re.compile(r"(?:aria|data)-[\w-]+|alt|class|id|name|title|value|for")
+"""Attributes with any text."""
+_VALUES = {
+    "href": re.compile(rf"#[\w-]*|{'|'.join(map(re.escape, FILES))}"),
+    "src": re.compile(r"data:image/svg\+xml;base64,[A-Za-z0-9+/=]*"),
+    # In ISO-2022-JP a browser reads quotes as parts of other characters.
+    "charset": re.compile(r"utf-8", re.IGNORECASE),
+    "content": re.compile(r"width=device-width, initial-scale=1"),
+}
+"""Allowed addresses: a section, a file of the folder, a picture without scripts."""
+_LOADS = re.compile(r"url\s*\((?!#)|@import|image-set|[\\&]", re.IGNORECASE)
+"""Parts of a style that load something, or hide that by an escape."""
+
+
+def check_passive(page: str, where: str) -> None:
+    """Refuse a page in which a browser would run or load something.
+
+    Raises ResultsError naming the line, and the tag or attribute.
+    """
+    for at, found in _find_active_parts(page):
+        line = page.count("\n", 0, at) + 1
+        allowed = "a page without scripts: `dpbench report DIR --send FOLDER`"
+        raise ResultsError(where, f"line {line}", found[:120], allowed)
+
+
+def _find_active_parts(page: str) -> Iterator[tuple[int, str]]:
+    """Yield position and text of what a browser would run or load in a page."""
+    if control := _UNREADABLE.search(page):
+        yield control.start(), f"the control character {ord(control[0]):#04x}"
+    if _ENCODED.search(page, 0, _PREFIX) is None:
+        yield 0, f'no <meta charset="utf-8"> in the first {_PREFIX} characters'
+    at = 0
+    while (start := page.find("<", at)) >= 0:
+        tag = _TAG.match(page, start)
+        if tag is None:
+            yield start, page[start : start + 40].partition("\n")[0]
+            return
+        name, at = (tag["name"] or "html").lower(), tag.end()
+        if _TAGS.fullmatch(name) is None:
+            yield start, f"<{name}>"
+        for attribute, value in _ATTRIBUTE.findall(tag["attributes"] or ""):
+            if not _is_passive_attribute(attribute.lower(), value):
+                yield start, f'{attribute}="{value}" in <{name}>'
+        if name == "style" and not tag[0].startswith("</"):
+            end = page.find("<", at)
+            if loads := _LOADS.search(page, at, end if end >= 0 else len(page)):
+                yield loads.start(), f"{loads[0]} in <style>"
+
+
+def _is_passive_attribute(attribute: str, value: str) -> bool:
+    """Return whether a browser runs and loads nothing for an HTML attribute of this value."""
+    if attribute in _VALUES:
+        return _VALUES[attribute].fullmatch(value) is not None
+    if _ATTRIBUTES.fullmatch(attribute) is None:
+        return False
+    return _WORDS.fullmatch(attribute) is not None or _LOADS.search(value) is None
+
 
 COPIED = ("runs.parquet", "machine.json", "suite.json")
 WHERE_THERE = (CAPABILITY_FILE,)
-"""Copied of the suites that have it."""
+"""Copied if present."""
 PAGE, SENDER = "report.html", "sender.toml"
 SENT = (PAGE, *COPIED, SENDER)
-"""The files of every folder that is sent."""
 MOST_BYTES = 1_000_000
-"""Everybody who clones the repository gets every folder."""
+"""Every clone of the repository has every folder."""
 _MADE_BY = "one made by `dpbench report DIR --send FOLDER`"
 _Words = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
 _BLANK = """\
@@ -42,40 +123,34 @@ remarks = ""  # what a reader should know: power plan, other load, own build of 
 
 
 class Sender(BaseModel):
-    """What `sender.toml` says; versions and machine are in `machine.json` and `runs.parquet`."""
+    """Form that goes with results sent to others: who ran the benchmark, when, how."""
 
     model_config = ConfigDict(extra="forbid")
 
     who: _Words
-    """Who ran it."""
     when: datetime.date
-    """When it was run."""
     command: _Words
-    """What was typed."""
     remarks: str = ""
-    """What a reader should know beside it."""
 
 
-def prepare(folder: Path, target: Path) -> None:
-    """Copy of a result folder what is sent, into a folder of its own, with a form for the sender.
+def prepare_sent_folder(folder: Path, target: Path) -> None:
+    """Copy the files to send into a folder of their own, with a form for the sender.
 
-    A `sender.toml` that is there already is kept.
+    An existing `sender.toml` is kept.
 
-    Raises
-    ------
-    InputError : when `target` is the result folder itself or holds other things.
+    Raises InputError when `target` is the result folder itself or holds other things.
     """
     allowed = "a folder of its own, as results/community/2026-11-22-name"
     if target.resolve() == folder.resolve():
         raise InputError("--send", "", str(target), allowed)
-    strangers = _strangers(target) if target.is_dir() else []
+    strangers = _unknown_files(target) if target.is_dir() else []
     if strangers:
         raise InputError("--send", "", f"{target} with {strangers[0]}", allowed)
     target.mkdir(parents=True, exist_ok=True)
     for name in WHERE_THERE:
         (target / name).unlink(missing_ok=True)
-    for name in _copied(folder):
-        with replaced(target / name) as part:
+    for name in _files_to_send(folder):
+        with replace_file(target / name) as part:
             shutil.copyfile(folder / name, part)
     started = str(read_suite(folder).get("started_utc", ""))[:10]
     if not (target / SENDER).is_file():
@@ -83,20 +158,18 @@ def prepare(folder: Path, target: Path) -> None:
         write_text(target / SENDER, _BLANK.format(when=when))
 
 
-def check_sent(folder: Path) -> str:
-    """Whether a folder that was sent is whole and readable; what it is, in one line.
+def check_sent_folder(folder: Path) -> str:
+    """Check a result folder that others sent; return a line that describes its contents.
 
-    Raises
-    ------
-    ResultsError : naming the first file at fault: missing, damaged, too much, of another machine,
-        or a page of other runs. InputError : for what `sender.toml` says.
+    Raises ResultsError naming the first file at fault: missing, damaged, too large, of another
+    machine, or a page of other runs; InputError for the contents of `sender.toml`.
     """
     where = str(folder)
     size = sum(path.lstat().st_size for path in folder.glob("*"))
     if size > MOST_BYTES:
         raise ResultsError(where, "", f"{size} bytes", f"at most {MOST_BYTES} in all")
     results = load_results(folder, without_steps=True)
-    strangers = _strangers(folder)
+    strangers = _unknown_files(folder)
     if strangers:
         raise ResultsError(
             f"{where}/{strangers[0]}", "", "a file", f"only {and_list([*SENT, *WHERE_THERE])}"
@@ -113,18 +186,19 @@ def check_sent(folder: Path) -> str:
     )
 
 
-def _strangers(folder: Path) -> list[str]:
+def _unknown_files(folder: Path) -> list[str]:
+    """Return the names of files that do not belong in a folder sent by others."""
     allowed = (*SENT, *WHERE_THERE)
     return sorted(path.name for path in folder.iterdir() if path.name not in allowed)
 
 
-def _copied(folder: Path) -> list[str]:
-    """What of a folder goes along."""
+def _files_to_send(folder: Path) -> list[str]:
+    """Return the names of the result files to send, without report page and sender's form."""
     return [*COPIED, *(name for name in WHERE_THERE if (folder / name).exists())]
 
 
 def _check_runs(folder: Path, results: Results) -> None:
-    """Runs there are, all of the machine described, none lost by the harness."""
+    """Check that the runs sent are of one machine, and that none was lost."""
     path, runs = str(folder / "runs.parquet"), results.runs
     if not len(runs):
         raise ResultsError(path, "", "no run", "at least one")
@@ -138,11 +212,11 @@ def _check_runs(folder: Path, results: Results) -> None:
 
 
 def _check_page(folder: Path) -> None:
-    """The page names the very files beside it, by their hashes, and has no script."""
+    """Raise ResultsError unless the report page sent belongs to the files and has no script."""
     path = folder / PAGE
     data = read_bytes(path, _MADE_BY, most_bytes=MOST_BYTES, error=ResultsError)
     page = data.decode("utf-8", errors="replace")
-    for name, sha in hashes(folder, _copied(folder)).items():
+    for name, sha in hash_files(folder, _files_to_send(folder)).items():
         if sha not in page:
             allowed = "the page of these files: `dpbench report DIR --send FOLDER`"
             raise ResultsError(str(path), "", f"a page of another {name}", allowed)

@@ -1,10 +1,7 @@
-"""The statement: one page that a control engineer can give to a class society.
+"""Statement: one page that a control engineer can give to a class society.
 
-What is recommended, in numbers; where that is valid; what was run it on, with hashes; what is not
-covered. It is drawn as SVG and turned into PDF, and claims nothing that is not on the page.
+It is drawn as SVG and turned into PDF, and claims nothing that is not on the page.
 """
-
-from __future__ import annotations
 
 import textwrap
 from collections import defaultdict
@@ -16,17 +13,17 @@ from typing import Any
 
 import vl_convert as vlc
 
-from dpbench.analysis.verdict.fastest import recommend
+from dpbench.analysis.verdict.fastest import choose_solver
 from dpbench.analysis.verdict.verdict import Verdict
-from dpbench.bench.record.result_folder import Results, hashes
-from dpbench.bench.record.revision import made_by
+from dpbench.bench.record.machine import describe_version
+from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.errors import InputError
-from dpbench.files.writing import write_given
+from dpbench.files.writing import write_named_file
 from dpbench.report.charts.style import INK, LINE, SOFT
-from dpbench.report.page.answer import slower_text
-from dpbench.report.page.facts import Facts
-from dpbench.report.verdict_text import aboard, demand_text, judged_on
-from dpbench.report.words import document
+from dpbench.report.page.data import PageData
+from dpbench.report.page.recommendation import speed_margin_text
+from dpbench.report.verdict_text import deployment_facts, judged_runs_text, requirements_text
+from dpbench.report.words import render_document
 from dpbench.solvers.settings import level_options
 
 WIDTH, HEIGHT, MARGIN = 595, 842, 48
@@ -35,8 +32,8 @@ HASHED = ("runs.parquet", "steps.parquet", "machine.json", "suite.json")
 
 
 @dataclass(frozen=True)
-class Line:
-    """A line of text at a size; bold for headings, `gap` above it."""
+class TextLine:
+    """Line of text on the one-page statement: size, weight, gap above it, colour."""
 
     text: str
     size: float = 9.5
@@ -45,27 +42,25 @@ class Line:
     colour: str = INK
 
 
-def statement_svg(folder: Path, results: Results, facts: Facts) -> str:
-    """The statement on a result folder as SVG, A4.
+def statement_svg(folder: Path, results: Results, data: PageData) -> str:
+    """Return the one-page statement on the recommended solver as SVG, A4.
 
-    Raises
-    ------
-    InputError : when nothing can be recommended, so that there is nothing to state.
+    Raises InputError when nothing can be recommended, so that there is nothing to state.
     """
-    chosen = recommend(facts.verdicts).chosen
-    if chosen is None or chosen.outcome != "meets":
-        found = "no configuration that meets the demand everywhere and can go aboard"
+    chosen = choose_solver(data.verdicts).chosen
+    if chosen is None or chosen.state != "pass":
+        found = "no configuration that passes everywhere and can go aboard"
         raise InputError(str(folder), "--statement", found, "results with a recommendation")
-    return _page(_lines(folder, results, facts, chosen))
+    return _render_svg(_format_lines(folder, results, data, chosen))
 
 
-def write_statement(path: Path, folder: Path, results: Results, facts: Facts) -> Path:
-    """Write the statement as the name of the file ends: .pdf or .svg."""
-    drawn = statement_svg(folder, results, facts)
+def write_statement(path: Path, folder: Path, results: Results, data: PageData) -> Path:
+    """Write the one-page statement on the recommended solver, as .pdf or .svg."""
+    drawn = statement_svg(folder, results, data)
     if path.suffix == ".svg":
-        write_given(path, drawn.encode())
+        write_named_file(path, drawn.encode())
     elif path.suffix == ".pdf":
-        write_given(path, vlc.svg_to_pdf(drawn))
+        write_named_file(path, vlc.svg_to_pdf(drawn))
     else:
         raise InputError("--statement", "", str(path), "a file that ends in .pdf or .svg")
     return path
@@ -78,48 +73,53 @@ _LOOKS: dict[str, dict[str, Any]] = {
     "`": {"size": 7.5},
     "~": {"size": 8.5},
 }
-"""Of a line of the template, by the mark that it begins with; one without is wrapped."""
+"""Look of a line by the mark it begins with; a line without one is wrapped."""
 
 
-def _lines(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> Iterator[Line]:
-    for line in _text(folder, results, facts, chosen).splitlines():
+def _format_lines(
+    folder: Path, results: Results, data: PageData, chosen: Verdict
+) -> Iterator[TextLine]:
+    """Yield the text lines of the statement on the recommended solver, styled and wrapped."""
+    for line in _fill_statement(folder, results, data, chosen).splitlines():
         mark, _, text = line.partition(" ")
         if mark in _LOOKS:
-            yield Line(text, **_LOOKS[mark])
+            yield TextLine(text, **_LOOKS[mark])
         else:
-            yield from map(Line, textwrap.wrap(" ".join(line.split()), 104))
+            yield from map(TextLine, textwrap.wrap(" ".join(line.split()), 104))
 
 
-def _text(folder: Path, results: Results, facts: Facts, chosen: Verdict) -> str:
-    c, scenarios = chosen.configuration, map(facts.records.scenario, facts.records.scenarios)
+def _fill_statement(folder: Path, results: Results, data: PageData, chosen: Verdict) -> str:
+    """Return the text of the one-page statement: solver, settings, ship, machine, file hashes."""
+    c, scenarios = chosen.configuration, map(data.records.scenario, data.records.scenarios)
     options = level_options(c.settings, c.solver)
     versions = results.runs.loc[results.runs["solver"] == c.solver, "solver_version"]
     vessels = {s.vessel.id: s.vessel for s in scenarios if s is not None}
-    return document(
+    return render_document(
         "statement",
-        made_by=made_by(results.suite),
+        made_by=describe_version(results.suite),
         c=c,
         v=chosen,
-        judged_on=judged_on(chosen),
+        judged_runs_text=judged_runs_text(chosen),
         version=", ".join(sorted({str(v) for v in versions if v})),
         numbers=", ".join(f"{key} = {value!r}" for key, value in options.items())
         or "the library's own",
-        aboard=aboard(c.solver),
-        demand=demand_text(facts.demand),
-        slower=slower_text(facts, chosen),
+        aboard=deployment_facts(c.solver),
+        requirements=requirements_text(data.requirements),
+        slower=speed_margin_text(data, chosen),
         ships=[f"{vessel.title} ({vessel.id})" for vessel in vessels.values()],
-        places=[
-            facts.places[p].label
-            for p in facts.judged_places
-            if facts.state(facts.index(c), p) == "meets"
+        experiments=[
+            data.experiments[p].label
+            for p in data.judged_experiments
+            if data.state(data.index(c), p) == "pass"
         ],
         machine=defaultdict(str, results.machine),
-        hashes=hashes(folder, HASHED),
+        hashes=hash_files(folder, HASHED),
         suite=defaultdict(str, results.suite),
     )
 
 
-def _page(lines: Iterable[Line]) -> str:
+def _render_svg(lines: Iterable[TextLine]) -> str:
+    """Render lines of text as one SVG page."""
     parts, y = [], float(MARGIN)
     for line in lines:
         y += line.size * 1.22 + line.gap

@@ -1,19 +1,23 @@
-"""Pack arrays into one compressed block of text that a page unpacks by itself.
+"""Packed arrays: one compressed block of text that a page unpacks by itself.
 
-    block  =  base64( zlib( head ‖ arrays ) ) head   =  length of the JSON as uint32, the JSON:
+    block = base64(zlib(head ‖ arrays)); head = length of the JSON as uint32, then the JSON:
     {"arrays": [[kind, start, count, scale, places], ...], ...}
 
-Numbers become small integers first, since what is told apart on a screen needs no more:
+Numbers become small integers, since a screen shows no more:
 
-    log     round(200·log10(x / 1e-16)) + 2 as uint16: 1.2 % apart; 0 missing, 1 zero, 65535
-    infinite linear  round(x / scale) as int16; −32768 missing count   uint16, 65535 missing flag
-    uint8 place   rising, as uint16 differences from element to element, not modulo anything
+    log     uint16, round(200·log10(x / 1e-16)) + 2, 1.2 % apart; 0 missing, 1 zero, 65535 infinite
+    linear  int16, round(x / scale); −32768 missing
+    count   uint16; 65535 missing
+    flag    uint8
+    place   uint16, rising, as differences from element to element, not modulo anything
 
 An array of a few elements of a long one has the number of the array of their `places` behind it,
-whose scale is the length of the long one; all other elements are missing, or 0 of a flag.
+whose scale is the length of the long one; all other elements are missing, or 0 of a flag. The bytes
+of 16-bit arrays are stored low bytes first, and linear and count arrays as differences from element
+to element: both halve what zlib leaves.
 
-The bytes of 16-bit arrays are stored plane by plane, low bytes first, and linear and count arrays
-as differences from element to element: both halve what zlib leaves.
+The track of a closed loop is stored as its distance from that of the run which follows the exactly
+solved loop most closely: most ships sail the same line to a millimetre, and zeros pack to nothing.
 """
 
 from __future__ import annotations
@@ -22,10 +26,15 @@ import base64
 import json
 import struct
 import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from dpbench.analysis.records.thinned_runs import FORCES, ThinnedRun, Track, common_length_limit
+from dpbench.arrays import Floats
 
 Kind = Literal["log", "linear", "count", "flag", "place"]
 PER_DECADE = 200
@@ -38,44 +47,48 @@ LEVEL = 6
 
 
 class Block:
-    """Arrays by number, and a document that refers to them."""
+    """Numeric arrays in one compressed text block, which the page unpacks."""
 
     def __init__(self) -> None:
         self._parts: list[bytes] = []
         self._entries: list[list[Any]] = []
         self._size = 0
 
-    def log(self, values: ArrayLike, places: int | None = None) -> int:
-        """Positive numbers over many decades, such as times and errors."""
-        return self._add("log", log_codes(values), 1.0, places)
+    def add_log(self, values: ArrayLike, places: int | None = None) -> int:
+        """Add positive numbers of many decades as uint16 logarithms; return the array's index."""
+        return self._add_array("log", log_codes(values), 1.0, places)
 
-    def linear(self, values: ArrayLike, scale: float) -> int:
-        """Numbers as multiples of `scale`, cut off at 32767 of them."""
+    def add_linear(self, values: ArrayLike, scale: float) -> int:
+        """Add an array of numbers as int16 multiples of `scale`; return its index."""
         x = np.asarray(values, dtype=np.float64) / scale
         codes = np.clip(np.round(np.nan_to_num(x)), -32767, 32767)
         codes[np.isnan(x)] = GAP
-        return self._add("linear", _differences(codes.astype(np.int16).view(np.uint16)), scale)
+        return self._add_array(
+            "linear", _encode_differences(codes.astype(np.int16).view(np.uint16)), scale
+        )
 
-    def count(self, values: ArrayLike, places: int | None = None) -> int:
-        """Whole numbers from 0 to 65534; NaN and negative ones are missing."""
+    def add_count(self, values: ArrayLike, places: int | None = None) -> int:
+        """Add an array of whole numbers up to 65534, NaN if missing; return its index."""
         x = np.asarray(values, dtype=np.float64)
         codes = np.where(np.isnan(x) | (x < 0), INFINITE, np.minimum(np.nan_to_num(x), 65534))
-        return self._add("count", _differences(codes.astype(np.uint16)), 1.0, places)
+        return self._add_array("count", _encode_differences(codes.astype(np.uint16)), 1.0, places)
 
-    def flag(self, values: ArrayLike, places: int | None = None) -> int:
-        """Bytes."""
-        return self._add("flag", np.asarray(values, dtype=np.uint8), 1.0, places)
+    def add_flag(self, values: ArrayLike, places: int | None = None) -> int:
+        """Add an array of bytes of bit flags; return its index."""
+        return self._add_array("flag", np.asarray(values, dtype=np.uint8), 1.0, places)
 
-    def place(self, values: ArrayLike, length: int) -> int:
-        """Where elements stand in an array of that length, rising; ValueError where two are more
-        than 65535 apart."""
+    def add_place(self, values: ArrayLike, length: int) -> int:
+        """Add rising indices below `length`, return the array's index; ValueError for wide gaps."""
         apart = np.diff(np.asarray(values, dtype=np.int64), prepend=0)
         if apart.size and apart.max() > INFINITE:
             raise ValueError(f"places {apart.max()} apart")
-        return self._add("place", apart.astype(np.uint16), length)
+        return self._add_array("place", apart.astype(np.uint16), length)
 
-    def _add(self, kind: Kind, codes: NDArray[Any], scale: float, places: int | None = None) -> int:
-        raw = _planes(codes) if codes.dtype == np.uint16 else codes.tobytes()
+    def _add_array(
+        self, kind: Kind, codes: NDArray[Any], scale: float, places: int | None = None
+    ) -> int:
+        """Append an encoded array to the block; return its index."""
+        raw = _split_bytes(codes) if codes.dtype == np.uint16 else codes.tobytes()
         entry = [kind, self._size, len(codes), scale]
         self._entries.append(entry if places is None else [*entry, places])
         self._parts.append(raw)
@@ -83,7 +96,7 @@ class Block:
         return len(self._entries) - 1
 
     def text(self, document: dict[str, Any]) -> str:
-        """The block with `document`, as base64."""
+        """Return the compressed arrays, together with a JSON document, as base64 text."""
         head = json.dumps(
             document | {"arrays": self._entries},
             separators=(",", ":"),
@@ -95,7 +108,7 @@ class Block:
 
 
 def log_codes(values: ArrayLike) -> NDArray[np.uint16]:
-    """The codes of a `log` array; negative numbers are missing."""
+    """Encode positive numbers as uint16 logarithms; negative ones and NaN count as missing."""
     x = np.asarray(values, dtype=np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         codes = np.round(PER_DECADE * (np.log10(x) - np.log10(SMALLEST))) + 2
@@ -104,11 +117,86 @@ def log_codes(values: ArrayLike) -> NDArray[np.uint16]:
     return np.where(np.isnan(x) | (x < 0), MISSING, codes).astype(np.uint16)
 
 
-def _differences(codes: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Each less the one before, modulo 2**16."""
+def _encode_differences(codes: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """Return the differences between neighbouring elements of a uint16 array, which pack better."""
     return np.diff(codes, prepend=np.uint16(0)).astype(np.uint16)
 
 
-def _planes(codes: NDArray[np.uint16]) -> bytes:
-    """All low bytes, then all high ones."""
+def _split_bytes(codes: NDArray[np.uint16]) -> bytes:
+    """Return a uint16 array as bytes: the low bytes of all elements, then the high ones."""
     return (codes & 0xFF).astype(np.uint8).tobytes() + (codes >> 8).astype(np.uint8).tobytes()
+
+
+TOLD_APART = (1e-3, 1e-3, 1e-4)
+"""Resolution of a track: 1 mm, and 0.006 degrees."""
+FORCE_SHARE = 1e-3
+"""Resolution of a force, as a share of its limit."""
+FLAGS = ("claimed", "true", "failed", "late", "fallback", "clipped")
+"""Bits of a step's flag, the lowest first; the next bit marks a hard step that enters no mean."""
+MOST_STEPS, MOST_POINTS = 480_000, 240_000
+"""So many steps and points of tracks the page has room for, all runs together."""
+MOST_POINTS_EACH = 400
+MANY_RUNS, STEPS_A_RUN, POINTS_A_RUN = 1000, 25, 12
+"""Each run beyond so many takes the room of so many steps and points by being there."""
+MOST_HARD = 15_000
+"""Hard steps on the page, of all runs by all measures."""
+
+
+@dataclass(frozen=True)
+class Room:
+    """Largest numbers of steps and of ship positions that the page has room for in each run."""
+
+    steps: int
+    points: int
+
+    @classmethod
+    def of(cls, lengths: Sequence[int]) -> Room:
+        """Share the page's room among runs of given numbers of steps; short ones stay whole."""
+        more = max(0, len(lengths) - MANY_RUNS)
+        points = common_length_limit(lengths, max(0, MOST_POINTS - POINTS_A_RUN * more))
+        steps = common_length_limit(lengths, max(0, MOST_STEPS - STEPS_A_RUN * more))
+        return cls(steps, min(MOST_POINTS_EACH, points))
+
+
+def pack_steps(block: Block, run: ThinnedRun) -> dict[str, int]:
+    """Add a run's step times, errors, iterations and flags to packed arrays; return indices."""
+    steps, first = run.steps, int(run.steps.k[0])
+    count = run.last - first + 1
+    # Of a whole run the places follow from the missing ones, which pack to nothing.
+    at = None if run.is_whole else block.add_place(steps.k - first, count)
+
+    def spread(values: Floats, missing: float = np.nan) -> Floats:
+        if at is not None:
+            return values
+        out = np.full(count, missing)
+        out[steps.k - first] = values
+        return out
+
+    flags = enumerate((*(getattr(steps, name) for name in FLAGS), run.extra))
+    bits = np.sum([flag.astype(np.float64) * (1 << bit) for bit, flag in flags], axis=0)
+    entry = {
+        "first": first,
+        "t": block.add_log(spread(steps.time_ns), at),
+        "e": block.add_log(spread(steps.error), at),
+        "i": block.add_count(spread(steps.iterations), at),
+        "a": block.add_count(spread(steps.n_active), at),
+        "f": block.add_flag(spread(bits, 0.0), at),
+    }
+    if steps.rounds > 1:
+        entry["r"] = block.add_log(spread(steps.raw_ns), at)
+    return entry
+
+
+def pack_track(block: Block, track: Track, reference: Track | None) -> dict[str, Any]:
+    """Add a ship's positions and forces to packed arrays, as differences from a reference run."""
+    position, force = track.position.copy(), track.force.copy()
+    if reference is not None and reference.every == track.every:
+        count = min(len(position), len(reference.position))
+        position, force = position[:count], force[:count]
+        position -= reference.position[:count]
+        force -= reference.force[:count]
+    return {
+        "every": track.every,
+        "x": [block.add_linear(position[:, i], s) for i, s in enumerate(TOLD_APART)],
+        "u": [block.add_linear(force[:, i], FORCE_SHARE) for i in range(len(FORCES))],
+    }

@@ -1,71 +1,39 @@
 """The table of all runs on the page, by groups of columns, and the tiles that it has room for."""
 
-from __future__ import annotations
-
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.records.run_record import RunRecord, records_of
-from dpbench.analysis.verdict.places import Place
+from dpbench.analysis.records.run_record import build_records
+from dpbench.analysis.verdict.run_matrix import Experiment
 from dpbench.bench.record.schema import RUN_COLUMNS
-from dpbench.report.page.facts import Facts, number
+from dpbench.report.page.data import PageData, json_number
 
-GROUPS: dict[str, tuple[str, ...]] = {
+GROUPS: dict[str, str] = {
     "times": (
-        "algo_p50_ns",
-        "algo_p99_ns",
-        "algo_max_ns",
-        "raw_p50_ns",
-        "raw_p99_ns",
-        "raw_max_ns",
-        "raw_samples",
-        "rounds",
-        "disturbed_rounds",
+        "algo_p50_ns algo_p99_ns algo_max_ns raw_p50_ns raw_p99_ns raw_max_ns raw_samples "
+        "rounds disturbed_rounds"
     ),
     "accuracy": (
-        "error_move_max",
-        "error_plan_max",
-        "failed_steps",
-        "claimed_not_true",
-        "true_share",
-        "iterations_p50",
-        "iterations_max",
+        "error_move_max error_plan_max failed_steps claimed_not_true true_share "
+        "iterations_p50 iterations_max"
     ),
     "control": (
-        "r_rms_m",
-        "r_max_m",
-        "settle_s",
-        "dev_position_max_m",
-        "total_variation",
-        "closed_loop_cost",
-        "exact_cost",
+        "r_rms_m r_max_m settle_s dev_position_max_m total_variation closed_loop_cost exact_cost"
     ),
     "deadline": (
-        "slowdown",
-        "deadline_misses",
-        "longest_miss_streak",
-        "latency_p50_ns",
-        "latency_max_ns",
-        "fallbacks",
-        "recover_steps_max",
-        "backup_acted",
-        "backup_failures",
-        "backup_max_ns",
+        "slowdown deadline_misses longest_miss_streak latency_p50_ns latency_max_ns fallbacks "
+        "recover_steps_max backup_acted backup_failures backup_max_ns"
     ),
     "memory": (
-        "peak_rss_bytes",
-        "python_peak_bytes_per_step",
-        "heap_growth_bytes_per_step",
-        "os_threads",
-        "bit_identical_share",
-        "voluntary_switches",
-        "involuntary_switches",
+        "peak_rss_bytes python_peak_bytes_per_step heap_growth_bytes_per_step os_threads "
+        "bit_identical_share voluntary_switches involuntary_switches"
     ),
-    "run": ("solver_version", "build", "units", "formulation", "n", "m", "steps_done", "run_id"),
+    "run": "solver_version build units formulation n m steps_done run_id",
 }
-"""What is shown a group at a time; the whole table is a file."""
+"""Columns of the page, a group at a time."""
 TIMES = {
     "algo_p50_ns": "p50",
     "algo_p99_ns": "p99",
@@ -74,39 +42,42 @@ TIMES = {
     "raw_p99_ns": "p99 of timings",
     "raw_max_ns": "largest timing",
 }
-"""Columns of times that the page has words for."""
+"""Labels of the columns of times."""
 MOST_TILES = 1000
-"""So many tiles the page draws: each is two of the nodes that a browser has to keep."""
+"""Each tile is two nodes of the browser."""
 MOST_ROWS = 3000
-"""So many runs the page lists; all are in a file."""
+"""Runs on the page; the file has all."""
 
 
-def runs_table(facts: Facts, runs: pd.DataFrame) -> dict[str, Any]:
-    """The runs as columns of text and numbers; those without any value are left out."""
+def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
+    """Return the table of runs as columns for the page's script, without empty columns."""
     runs = runs.iloc[:MOST_ROWS]
-    by_id = {run.run_id: key for key, run in facts.runs.items()}
+    by_id = {run.run_id: key for key, run in data.runs.items()}
     keys = [by_id.get(str(run_id)) for run_id in runs["run_id"]]
-    always = {
+    always: dict[str, Iterable[Any]] = {
         "solver": runs["solver"],
-        "way": runs["route"] + " " + runs["policy"],
+        "call mode": runs["route"] + " " + runs["policy"],
         "settings": runs["settings"],
-        "where": map(_where, records_of(runs)),
+        "where": [replace(Experiment.of(run), slowdown=0.0).label for run in build_records(runs)],
         "outcome": runs["outcome"],
-        "demand": [_demand(facts, key) for key in keys],
+        "verdict": [
+            "" if key is None or data.experiments[key[1]].study else data.state(*key)
+            for key in keys
+        ],
     }
     columns: list[dict[str, Any]] = [
         {"name": n, "label": n, "meaning": "", "group": "", "text": True} for n in always
     ]
     values: list[list[Any]] = [list(map(str, column)) for column in always.values()]
     for group, names in GROUPS.items():
-        for name in names:
+        for name in names.split():
             kind, meaning = RUN_COLUMNS[name]
             text = kind == "str"
-            cells = [str(x) for x in runs[name]] if text else [number(x) for x in runs[name]]
+            cells = [str(x) for x in runs[name]] if text else [json_number(x) for x in runs[name]]
             if all(x in ("", None) for x in cells):
                 continue
             columns.append({"name": name, "meaning": meaning, "group": group, "text": text})
-            columns[-1] |= _shown(name)
+            columns[-1] |= _column_label(name)
             values.append(cells)
     return {
         "rows": len(runs),
@@ -117,31 +88,19 @@ def runs_table(facts: Facts, runs: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def _demand(facts: Facts, key: tuple[int, int] | None) -> str:
-    """What a run alone says of the demand; "" of one that is not judged by it."""
-    return "" if key is None or facts.places[key[1]].study else facts.state(*key)
-
-
-def _where(run: RunRecord) -> str:
-    """Where a run was, as the page calls it, however slow the computer."""
-    return replace(Place.of(run), slowdown=0.0).label
-
-
-def _shown(name: str) -> dict[str, Any]:
-    """What a column is called on the page, and by what its numbers are multiplied there: times are
-    microseconds."""
+def _column_label(name: str) -> dict[str, Any]:
+    """Return a column's label on the page and its scale: times are in microseconds."""
     if not name.endswith("_ns"):
         return {"label": name}
     return {"label": f"{TIMES.get(name, name.removesuffix('_ns'))} [µs]", "scale": 1e-3}
 
 
-def drawn_tiles(tiles: pd.DataFrame) -> pd.DataFrame:
-    """The tiles of as many places as the page has room for: of more those where the demand is
-    missed or open most often."""
+def select_tiles(tiles: pd.DataFrame) -> pd.DataFrame:
+    """Select from the table of verdicts the scenarios with the fewest passes, as many as fit."""
     if len(tiles) <= MOST_TILES:
         return tiles
-    places = tiles.groupby("place", sort=False)["state"]
-    room = max(1, MOST_TILES * len(places) // len(tiles))
-    unmet = places.agg(lambda states: int((states != "meets").sum()))
+    experiments = tiles.groupby("experiment", sort=False)["verdict"]
+    room = max(1, MOST_TILES * len(experiments) // len(tiles))
+    unmet = experiments.agg(lambda states: int((states != "pass").sum()))
     kept = unmet.sort_values(ascending=False, kind="stable").index[:room]
-    return tiles[tiles["place"].isin(kept)]
+    return tiles[tiles["experiment"].isin(kept)]

@@ -1,71 +1,66 @@
-"""Terms in the texts of a page: each a link to the page's list of words, with its meaning to hover
-over."""
-
-from __future__ import annotations
+"""Terms in the texts of a page, each a link to the page's glossary, and its list of scenarios."""
 
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import numpy as np
 from markupsafe import Markup, escape
 
-from dpbench.report.glossary import meanings, topics
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.verdict.run_matrix import Experiment
+from dpbench.report.formats import share_text
+from dpbench.report.glossary import term_meanings, topics
+from dpbench.report.page.data import PageData
 
+_OWN_PHRASES = (
+    "active limits, certified optimum, claimed, closed loop, deadline, requirements, "
+    "disturbed, exactly solved loop, failed step, fallback, fresh, interval, jitter, "
+    "native, paired ratio, qpsolvers, radial error, rate limit, rate-limit step, "
+    "referee, region of attraction, replay, reuse, round, settings, warm, call mode"
+)
 PHRASES = {
-    **{
-        name: name
-        for name in (
-            *("active limits", "certified optimum", "claimed", "closed loop", "deadline"),
-            *("demand", "disturbed", "exactly solved loop", "failed step", "fallback", "fresh"),
-            *("interval", "jitter", "native", "paired ratio", "qpsolvers", "radial error"),
-            *("rate limit", "rate-limit step", "referee", "region of attraction", "replay"),
-            *("reuse", "round", "settings", "warm", "way"),
-        )
-    },
+    **{name: name for name in _OWN_PHRASES.split(", ")},
     "exactly solved": "exactly solved loop",
     "first move": "error_move",
     "largest single timing": "raw time",
     "p50": "p50, p95, p99",
     "p99": "p50, p95, p99",
 }
-"""What is looked for in a text, one or more of it, and the term of the glossary that it stands for.
-Words of everyday use such as *step* or *open* are not: every second one would be a link."""
+"""Term of the glossary by phrase. Everyday words such as *step* would link every second word."""
 _FOUND = re.compile(
     r"(?<![\w-])(?:" + "|".join(sorted(map(re.escape, PHRASES), key=len, reverse=True)) + r")s?\b",
     re.IGNORECASE,
 )
 
-_OF_HEADS = {
-    term
-    for title in (
-        *("Solvers and how they are run", "Studies", "Thrusters steered"),
-        "The paper reproduced",
-    )
-    for term in topics()[title]
-}
-"""Elsewhere in the glossary a head may stand for another thing: *error* for a status."""
+_HEAD_TOPICS = (
+    "Solvers and how they are run",
+    "Studies",
+    "Thrusters steered",
+    "The paper reproduced",
+)
+_OF_HEADS = {term for title in _HEAD_TOPICS for term in topics()[title]}
+"""In other topics a head may stand for another thing: *error* for a status."""
 
 
 @dataclass(frozen=True)
-class Word:
-    """A term in the list: the id of its place, itself and its meaning."""
+class GlossaryEntry:
+    """Entry of the page's glossary: anchor, term and meaning."""
 
     id: str
     term: str
     meaning: str
 
 
-def word_of(term: str) -> Word:
-    """A term of the glossary."""
+def find_entry(term: str) -> GlossaryEntry:
+    """Return the glossary entry of a term, with its anchor on the page."""
     slug = re.sub(r"[^a-z0-9]+", "-", term.lower()).strip("-")
-    return Word(f"word-{slug}", term, meanings()[term])
+    return GlossaryEntry(f"word-{slug}", term, term_meanings()[term])
 
 
 class Terms:
-    """Links the terms of one page, each once in a section, and lists those that were met.
+    """Converter of terms in the page's texts to links to its glossary, once per section.
 
-    Parameters
-    ----------
     listed : terms of the list whether they are met or not, in its order.
     """
 
@@ -74,40 +69,90 @@ class Terms:
         self._here: set[str] = set()
 
     def section(self) -> str:
-        """Begin a section, where every term is new; writes nothing."""
+        """Start a new section of the page, in which every term is linked again; return ""."""
         self._here.clear()
         return ""
 
     def __call__(self, text: str) -> Markup:
-        """A text with its terms linked."""
+        """Return a text as HTML, with its terms linked to the page's glossary."""
         parts, end = [], 0
         for found in _FOUND.finditer(text):
             phrase = found[0].lower()
             term = PHRASES.get(phrase) or PHRASES[phrase.removesuffix("s")]
             if term not in self._here:
-                parts += [escape(text[end : found.start()]), self._link(term, found[0])]
+                parts += [escape(text[end : found.start()]), self._link_term(term, found[0])]
                 end = found.end()
         return Markup("").join([*parts, escape(text[end:])])
 
     def head(self, text: str) -> Markup:
-        """The head of a table: linked where it is a term, its unit aside."""
+        """Return a table head as HTML, linked to the glossary if it is a term."""
         term = re.sub(r" \[.*\]$", "", text)
         known = term in _OF_HEADS and term not in self._here
-        return self._link(term, text) if known else escape(text)
+        return self._link_term(term, text) if known else escape(text)
 
-    def _link(self, term: str, text: str) -> Markup:
+    def _link_term(self, term: str, text: str) -> Markup:
+        """Return a text as link to a term's glossary entry; record that the term was used."""
         self._here.add(term)
         self._listed[term] = None
-        return self.link(word_of(term), text)
+        return self.link(find_entry(term), text)
 
     @staticmethod
-    def link(word: Word, text: str) -> Markup:
-        """A text linked to a word of the page's lists."""
+    def link(word: GlossaryEntry, text: str) -> Markup:
+        """Return an HTML link from a text to an entry of the page's glossary."""
         return Markup('<a class="term" href="#{}" title="{}">{}</a>').format(
             word.id, word.meaning, text
         )
 
     @property
-    def words(self) -> list[Word]:
-        """The list as it stands: what was asked for, then what was met beside."""
-        return [word_of(term) for term in self._listed]
+    def words(self) -> list[GlossaryEntry]:
+        """Glossary entries to list: the requested terms, then those that were linked."""
+        return [find_entry(term) for term in self._listed]
+
+
+MOST_EXPERIMENTS = 60
+
+
+def describe_experiments(data: PageData) -> dict[int, GlossaryEntry]:
+    """Describe what happens in each scenario and replay that enters verdicts, by its index."""
+    first: dict[int, RunRecord] = {}
+    for (_, p), run in data.runs.items():
+        if p not in first or not first[p].has_steps:
+            first[p] = run
+    named = {
+        p: _describe_scenario(data, data.experiments[p], first[p])
+        for p in data.judged_experiments[:MOST_EXPERIMENTS]
+    }
+    return {
+        p: GlossaryEntry(f"experiment-{p}", data.experiments[p].label, wording)
+        for p, wording in named.items()
+        if wording
+    }
+
+
+def _describe_scenario(data: PageData, experiment: Experiment, run: RunRecord) -> str:
+    """Describe the scenario of a closed loop or replay in plain text, for the page."""
+    scenario = data.scenario(run) if run.scenario else None
+    if scenario is None:
+        return ""
+    shows = re.split(r"(?<=\.)\s+(?=[A-Z])", scenario.shows.strip())[0]
+    parts = [f"{part.strip().rstrip('.')}." for part in (scenario.title, shows) if part.strip()]
+    if experiment.mode == "replay":
+        parts.append(_describe_replay(data, run))
+    if experiment.units == "si":
+        parts.append("Here in N and N·m as they come: an extra that no verdict counts.")
+    if experiment.slowdown > 0:
+        parts.append(
+            f"Here on a computer × {experiment.slowdown:g} slower, whose answers come later."
+        )
+    return " ".join(parts).replace("`", "")
+
+
+def _describe_replay(data: PageData, run: RunRecord) -> str:
+    """State which steps of a closed loop are replayed, and the share with active limits."""
+    first = run.first_step
+    window = f"steps {first} to {first + run.steps_planned} of " if "[" in run.sequence else ""
+    kept = data.thinned_runs.get(run.run_id)
+    if kept is None:
+        return f"Here {window}its exactly solved loop, replayed."
+    share = share_text(float(np.mean(kept.steps.n_active > 0)))
+    return f"Here {window}its exactly solved loop, replayed: limits are active in {share} of them."

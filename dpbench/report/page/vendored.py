@@ -1,9 +1,7 @@
-"""Scripts of others that the page carries: their versions, licences and hashes.
+"""Third-party scripts on the page: their versions, licences and hashes.
 
 `make vendored` fetches the version that `vendor/vendored.json` names and writes its hash there.
 """
-
-from __future__ import annotations
 
 import hashlib
 import json
@@ -15,18 +13,12 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
-_ROOM = files("dpbench.report.page").joinpath("vendor")
+_VENDOR = files("dpbench.report.page").joinpath("vendor")
 
 
 @dataclass(frozen=True)
 class Vendored:
-    """One script.
-
-    Parameters
-    ----------
-    file, licence_file : its names in `vendor/`; package, version : where it is from.
-    member : its path in the package; licence : the name of its licence; sha256 : of the file.
-    """
+    """Third-party script on the page: its file, licence, npm package and hash."""
 
     file: str
     package: str
@@ -38,43 +30,43 @@ class Vendored:
 
 
 @cache
-def vendored() -> tuple[Vendored, ...]:
-    """All of them, in the order the page loads them."""
+def vendored_scripts() -> tuple[Vendored, ...]:
+    """Return the third-party scripts, in the order the page loads them."""
     return tuple(
-        Vendored(**entry) for entry in json.loads(_ROOM.joinpath("vendored.json").read_text())
+        Vendored(**entry) for entry in json.loads(_VENDOR.joinpath("vendored.json").read_text())
     )
 
 
 @cache
-def script(entry: Vendored) -> str:
-    """The text of a script, safe inside an HTML element."""
-    text = _ROOM.joinpath(entry.file).read_text(encoding="utf-8")
+def read_script(entry: Vendored) -> str:
+    """Return the text of a third-party script, safe inside an HTML element."""
+    text = _VENDOR.joinpath(entry.file).read_text(encoding="utf-8")
     return text.replace("</script", "<\\/script")
 
 
-def digest(entry: Vendored) -> str:
-    """The hash of the file as it lies there."""
-    return hashlib.sha256(_ROOM.joinpath(entry.file).read_bytes()).hexdigest()
+def file_digest(entry: Vendored) -> str:
+    """Return the SHA-256 of a third-party script's file."""
+    return hashlib.sha256(_VENDOR.joinpath(entry.file).read_bytes()).hexdigest()
 
 
-def renew() -> None:
-    """Fetch every script of the list anew, and write its hash; needs npm and the registry."""
-    room = Path(__file__).with_name("vendor")
+def download_scripts() -> None:
+    """Download every third-party script with npm, and write its hash."""
+    vendor = Path(__file__).with_name("vendor")
     entries = []
-    for entry in vendored():
+    for entry in vendored_scripts():
         with tempfile.TemporaryDirectory() as folder:
-            asked = ["npm", "pack", "--silent", f"{entry.package}@{entry.version}"]
-            subprocess.run(asked, cwd=folder, check=True)
+            requested = ["npm", "pack", "--silent", f"{entry.package}@{entry.version}"]
+            subprocess.run(requested, cwd=folder, check=True)
             (packed,) = Path(folder).glob("*.tgz")
             with tarfile.open(packed) as archive:
                 for member, name in ((entry.member, entry.file), ("LICENSE", entry.licence_file)):
                     taken = archive.extractfile(f"package/{member}")
                     assert taken is not None, f"{entry.package} has no {member}"
-                    (room / name).write_bytes(taken.read())
-        entries.append(asdict(entry) | {"sha256": digest(entry)})
+                    (vendor / name).write_bytes(taken.read())
+        entries.append(asdict(entry) | {"sha256": file_digest(entry)})
     text = json.dumps(entries, indent=2) + "\n"
-    (room / "vendored.json").write_text(text, encoding="utf-8")
+    (vendor / "vendored.json").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
-    renew()
+    download_scripts()

@@ -1,40 +1,60 @@
-"""The paper: its figures 4-7 and its claims, each beside what the runs say."""
+"""The paper: its figures 4-7 and its claims, each with what the runs show.
+
+The wording of the claims is in `paper.toml`, their criteria are in the analysis.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.paper import PAPER, laws_of
-from dpbench.bench.design import STILL, WEATHER, Bracket, Designs
-from dpbench.report.charts.ship import forces, increments, path, precision
-from dpbench.report.formats import MISSING, rounded_down, rounded_up, unmarked
-from dpbench.report.page import cite
-from dpbench.report.page.topic import Figure, Topic
-from dpbench.report.table import Table
-from dpbench.report.topics.claims import Claim, choices, claims
-
-DRAWN = (
-    ("path", path, "Fig. 4: path with the 1 m circle."),
-    ("errors", precision, "Fig. 5: errors of position and heading."),
-    ("forces", forces, "Fig. 6: forces with their limits."),
-    ("increments", increments, "Fig. 7: increments with the rate limits."),
+from dpbench.analysis.suites.paper import (
+    PAPER,
+    State,
+    assess_claim,
+    find_paper_runs,
+    is_paper_scenario,
 )
-"""Figures 4 to 7: name, what draws it of the laws, caption."""
+from dpbench.bench.design import STILL, WEATHER, Bracket, Designs
+from dpbench.report.charts.ship import draw_forces, draw_increments, draw_path, draw_pose_errors
+from dpbench.report.formats import MISSING, rounded_down, rounded_up, strip_markdown
+from dpbench.report.page.section import Figure, Topic
+from dpbench.report.table import Table
+from dpbench.report.words import fill_template, read_words
+
+CITATION = """@misc{xia_dp_mpc,
+  author = {Xia, Guoqing and Liu, Ju and Pang, Chengcheng and Xue, Jingjing},
+  title = {Constrained Model Predictive Control Design for Dynamic Positioning of a Supply Ship},
+  howpublished = {Conference paper, College of Automation, Harbin Engineering University},
+}"""
+"""A copy of the paper names neither the conference nor the year."""
+DRAWN = (
+    ("path", draw_path, "Fig. 4: path with the 1 m circle."),
+    ("errors", draw_pose_errors, "Fig. 5: errors of position and heading."),
+    ("forces", draw_forces, "Fig. 6: forces with their limits."),
+    ("increments", draw_increments, "Fig. 7: increments with the rate limits."),
+)
+"""Figures 4 to 7: name, function, caption."""
 
 
 def paper_topic(records: Records, designs: Designs | None = None) -> Topic | None:
-    """The topic, None of records without the paper's own scenario."""
-    laws, scenario = laws_of(records), records.scenario(PAPER)
-    judged = claims(records)
+    """Build the report's part on the paper's figures and claims; None without its runs."""
+    laws, scenario = find_paper_runs(records), records.scenario(PAPER)
+    judged = judge_claims(records)
     measured = [claim for claim in judged if claim.state != "not measured"]
     if scenario is None or not laws or not measured:
         return None
+    others = {"not": "not reproduced", "the opposite": "opposite"}
+    wording = [count_reproduced(measured)]
+    for word, state in others.items():
+        names = [strip_markdown(claim.claim) for claim in measured if claim.state == state]
+        wording += [f"{word}: “{'”, “'.join(names)}”"] if names else []
     return Topic(
         id="paper",
         title="The paper",
-        lines=(_headline(measured),),
-        paste=cite.PAPER,
+        lines=("; ".join(wording) + ".",),
+        paste=CITATION,
         figures=tuple(
             Figure(f"paper-{name}", draw(laws, scenario), caption) for name, draw, caption in DRAWN
         ),
@@ -45,35 +65,24 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
             ),
             Table(
                 ("left open", "chosen"),
-                tuple(choices(records)),
+                tuple(list_choices(records)),
                 "What the paper leaves open",
                 folded=True,
             ),
-            *([_stability(designs)] if designs is not None else ()),
+            *([_stability_table(designs)] if designs is not None else ()),
         ),
     )
 
 
-def _headline(measured: Sequence[Claim]) -> str:
-    """How many claims are reproduced, and which are not."""
-    others = {"not": "not reproduced", "the opposite": "opposite"}
-    named = {
-        word: [unmarked(claim.claim) for claim in measured if claim.state == state]
-        for word, state in others.items()
-    }
-    said = [f"{word}: “{'”, “'.join(names)}”" for word, names in named.items() if names]
-    return "; ".join([held_text(measured), *said]) + "."
-
-
-def held_text(judged: Sequence[Claim]) -> str:
-    """How many of the claims that were measured are reproduced."""
+def count_reproduced(judged: Sequence[Claim]) -> str:
+    """State how many of the paper's measured claims are reproduced."""
     states = [claim.state for claim in judged if claim.state != "not measured"]
     held = states.count("reproduced")
     return f"{held} of {len(states)} claims of Xia, Liu, Pang & Xue are reproduced"
 
 
-def _stability(designs: Designs) -> Table:
-    """Largest root of paper eq. 35 and the sway offset held, of each controller."""
+def _stability_table(designs: Designs) -> Table:
+    """Tabulate each controller's closed-loop spectral radius and the sway offset it holds."""
     return Table(
         (
             "controller",
@@ -85,7 +94,7 @@ def _stability(designs: Designs) -> Table:
             (
                 f"{record.tuning} {record.N_p}/{record.N_c} in {record.vessel}",
                 f"{record.spectral_radius:.4f}",
-                *(_bracket(record.held.get(weather)) for weather in (STILL, WEATHER)),
+                *(_bracket_text(record.held.get(weather)) for weather in (STILL, WEATHER)),
             )
             for record in designs.records
         ),
@@ -94,8 +103,8 @@ def _stability(designs: Designs) -> Table:
     )
 
 
-def _bracket(bracket: Bracket | None) -> str:
-    """Rounded outwards: held – not held."""
+def _bracket_text(bracket: Bracket | None) -> str:
+    """Format the largest sway offset a controller holds and the least it does not hold [m]."""
     if bracket is None:
         return MISSING
     if bracket.fails_m is None:
@@ -103,3 +112,39 @@ def _bracket(bracket: Bracket | None) -> str:
     if bracket.holds_m == 0.0:
         return f"< {rounded_up(bracket.fails_m)}"
     return f"{rounded_down(bracket.holds_m)} – {rounded_up(bracket.fails_m)}"
+
+
+_WORDS = read_words(__file__)
+
+
+@dataclass(frozen=True)
+class Claim:
+    """Claim of the paper: its text, what was measured here, and whether it is reproduced."""
+
+    claim: str
+    found: str
+    state: State
+
+
+def judge_claims(records: Records) -> list[Claim]:
+    """Judge all claims of the paper by the runs of a result folder, in the paper's order."""
+    requested = [(text, assess_claim(records, where, by)) for text, where, by in _WORDS["claims"]]
+    wording = _WORDS["found"]
+    return [
+        Claim(text, fill_template(wording[of.by], **of.values), of.state) for text, of in requested
+    ]
+
+
+def list_choices(records: Records) -> list[tuple[str, str]]:
+    """List what the paper leaves open, and the choice of the scenario `paper` in these records."""
+    scenario = records.scenario(PAPER)
+    if scenario is None or not is_paper_scenario(records, PAPER):
+        return []
+    chosen = {
+        "vessel": scenario.vessel,
+        "Q": scenario.problem.Q,
+        "R": scenario.problem.R,
+        "sea": scenario.files["scenario"]["environment"],
+        "duration_s": scenario.steps * scenario.sample_s,
+    }
+    return [(name, fill_template(words, **chosen)) for name, words in _WORDS["choices"].items()]

@@ -1,37 +1,35 @@
 """What solvers claim of random QPs whose optimum is known."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.random_claims import RandomClaims, Tally
-from dpbench.report.charts.lines import tiles
+from dpbench.report.charts.lines import draw_count_tiles
 from dpbench.report.formats import and_list
-from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
 
-def _liars(by_solver: Mapping[tuple[str, ...], Tally]) -> str:
-    """Whose they are, the most first, and who made none."""
+def _false_claims_by_solver(by_solver: Mapping[tuple[str, ...], Tally]) -> str:
+    """State how many false claims of an optimum or infeasibility each solver made."""
     wrong = sorted((-tally.wrong, name) for (name,), tally in by_solver.items() if tally.wrong)
     none = [name for (name,), tally in by_solver.items() if not tally.wrong]
-    said = [", ".join(f"{name} {-count}" for count, name in wrong)] if wrong else []
-    return "; ".join([*said, *([f"none by {and_list(none)}"] if none else [])])
+    wording = [", ".join(f"{name} {-count}" for count, name in wrong)] if wrong else []
+    return "; ".join([*wording, *([f"none by {and_list(none)}"] if none else [])])
 
 
 def random_topic(records: Records) -> Topic | None:
-    """The topic; None of records without random QPs."""
+    """Build the report's part on random QPs with known optima; None without such runs."""
     claims = RandomClaims(records)
     if not claims.runs:
         return None
-    by_solver = claims.by("solver")
+    by_solver = claims.tally_by("solver")
     table = pd.DataFrame(
         [
             {"x": family, "y": solver, "count": tally.wrong}
-            for (solver, family), tally in claims.by("solver", "family").items()
+            for (solver, family), tally in claims.tally_by("solver", "family").items()
         ]
     )
     rows = sorted(by_solver.items(), key=lambda item: (-item[1].wrong, -item[1].nothing, item[0]))
@@ -41,21 +39,27 @@ def random_topic(records: Records) -> Topic | None:
         id="random",
         title="Random QPs: what is claimed, what is true",
         lines=(
-            f"{wrong} false claims on {steps} certified steps: {_liars(by_solver)}.",
+            f"{wrong} false claims on {steps} certified steps: "
+            f"{_false_claims_by_solver(by_solver)}.",
             "A set that knows of no ship: it says whom to trust, not who is fast.",
         ),
-        figures=(Figure("random-claims", tiles(table, "False claims", "family", "solver"), ""),),
-        tables=(Table.of([_row(name, tally) for (name,), tally in rows]),),
+        figures=(
+            Figure(
+                "random-claims", draw_count_tiles(table, "False claims", "family", "solver"), ""
+            ),
+        ),
+        tables=(Table.of([_claims_row(name, tally) for (name,), tally in rows]),),
     )
 
 
-def _row(solver: str, tally: Tally) -> dict[str, str]:
+def _claims_row(solver: str, tally: Tally) -> dict[str, str]:
+    """Convert a solver's counts of true and false claims to a table row."""
     return {
         "solver": solver,
         "steps": str(tally.steps),
-        "claimed and true": str(tally.told + tally.empty_right),
+        "claimed and true": str(tally.right_claims + tally.right_refusals),
         "false claims": str(tally.wrong),
-        "true, not claimed": str(tally.silent),
+        "true, not claimed": str(tally.not_claimed),
         "no answer": str(tally.nothing),
         "never reached": str(tally.missed),
     }

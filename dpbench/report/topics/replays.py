@@ -1,103 +1,112 @@
-"""What replays of the same QPs tell apart: routes, formulations, settings, two solvers."""
+"""Topics on replays and loops: routes, formulations, settings, two solvers, a search, control."""
 
-from __future__ import annotations
-
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import isfinite
 
-from dpbench.analysis.records.grouping import grouped
+import numpy as np
+
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.statistics import Interval, paired_ratio
-from dpbench.analysis.times.contrasts import common_replays, fastest_forms, right_levels
-from dpbench.analysis.times.pairs import paired
-from dpbench.analysis.times.routes import native_comparisons, route_comparisons
-from dpbench.analysis.verdict.demand import Demand, is_right
-from dpbench.bench.judge.rules import median, percentile
+from dpbench.analysis.times.contrasts import (
+    compare_routes,
+    count_fastest_forms,
+    find_right_levels,
+    match_replays,
+    match_steps,
+)
+from dpbench.analysis.verdict.requirements import Requirements, is_right, is_right_to_the_end
+from dpbench.bench.judge.rules import median_known, percentile
 from dpbench.bench.record.configuration import settings_level
-from dpbench.report.formats import MISSING, and_list, plural, significant, time_text
-from dpbench.report.page.topic import Topic
+from dpbench.report.formats import (
+    MISSING,
+    and_list,
+    count_text,
+    error_text,
+    plural,
+    significant,
+    time_text,
+)
+from dpbench.report.page.section import Topic
 from dpbench.report.table import Table
+from dpbench.report.verdict_text import answer_text
 
 
 def routes_topic(records: Records) -> Topic | None:
-    """What the wrapper costs and what keeping a workspace gains; None where not compared."""
+    """Build the report's part on ways to call a solver: cost of a wrapper, gain of warm start."""
     tables = []
     gains: dict[str, list[float]] = {}
     for sequence in records.sequences:
         rows = []
-        for compared in native_comparisons(route_comparisons(records, sequence)):
-            for route in compared.times:
-                beside = compared.compare(route)
-                if beside is None:
-                    continue
-                change = f"{' '.join(beside.above)} → {' '.join(route)}"
-                gains.setdefault(change, []).append(beside.gain.value)
-                figures = _ratio_text(beside.gain), time_text(compared.median_ns(route))
-                rows.append((compared.solver, compared.settings, change, *figures))
+        for found in compare_routes(records, sequence):
+            change = f"{' '.join(found.above)} → {' '.join(found.route)}"
+            gains.setdefault(change, []).append(found.gain.value)
+            figures = _ratio_text(found.gain), time_text(found.median_ns)
+            rows.append((found.solver, found.settings, change, *figures))
         if rows:
             head = ("solver", "settings", "from → to", "times as fast (95 %)", "p50")
             tables.append(Table(head, tuple(rows), sequence))
     if not tables:
         return None
-    said = (
+    wording = (
         "How many times as fast a step becomes, median over solvers and sequences: "
-        + "; ".join(f"{change} {significant(median(gain))}" for change, gain in gains.items())
+        + "; ".join(f"{change} {significant(median_known(gain))}" for change, gain in gains.items())
         + ".",
         "What calling a library natively saves, then keeping its workspace, then its last answer.",
     )
-    return Topic("routes", "Routes", said, (), tuple(tables))
+    return Topic("routes", "Routes", wording, (), tuple(tables))
 
 
 def _ratio_text(ratio: Interval) -> str:
-    """A ratio with its 95 % interval, where there are steps enough for one."""
+    """Format a time ratio with its 95 % interval, where it has one."""
     if not (isfinite(ratio.low) and isfinite(ratio.high)):
         return significant(ratio.value)
     return f"{significant(ratio.value)} ({significant(ratio.low)} to {significant(ratio.high)})"
 
 
-def formulations_topic(records: Records, demand: Demand) -> Topic | None:
-    """The same QPs in other forms; None where no sequence was run in two."""
-    tables = _tables(
+def formulations_topic(records: Records, requirements: Requirements) -> Topic | None:
+    """Build the report's part on QP formulations; None if no QPs were solved in two."""
+    tables = _median_tables(
         records,
-        demand,
+        requirements,
         [run for run in records.all_runs if not run.has_topic],
         varied=lambda run: run.formulation,
         kept=lambda run: run.configuration.in_common_formulation.label,
     )
     if not tables:
         return None
-    said = (
-        _fastest_forms(records, demand),
+    wording = (
+        _fastest_forms_text(records, requirements),
         "Median step time of the same QPs in each form; a solver is judged in the common one.",
     )
-    return Topic("formulations", "Formulations", said, (), tuple(tables))
+    return Topic("formulations", "Formulations", wording, (), tuple(tables))
 
 
-def levels_topic(records: Records, demand: Demand) -> Topic | None:
-    """What each settings level costs; None where there is but one."""
+def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
+    """Build the report's part on solvers' tolerance settings; None if only one was run."""
     runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
-    tables = _tables(
+    tables = _median_tables(
         records,
-        demand,
+        requirements,
         runs,
         varied=lambda run: run.settings,
         kept=lambda run: replace(run.configuration, settings="default").label,
     )
     if not tables:
         return None
-    said = (
-        _right_levels(records, demand),
+    wording = (
+        _right_levels_text(records, requirements),
         "Median step time at each settings level, from the library's own to the tightest.",
     )
-    return Topic("levels", "Settings", said, (), tuple(tables))
+    return Topic("levels", "Settings", wording, (), tuple(tables))
 
 
-def _right_levels(records: Records, demand: Demand) -> str:
-    """Which solvers are right on every step with the settings of their library, and which only with
-    others."""
-    good = right_levels(records, demand)
+def _right_levels_text(records: Records, requirements: Requirements) -> str:
+    """Name the solvers right on every step with default settings, with others only, or never."""
+    good = find_right_levels(records, requirements)
     by_default = [name for name, levels in good.items() if "default" in levels]
     others = [
         f"{name} at {and_list(levels)}"
@@ -112,69 +121,163 @@ def _right_levels(records: Records, demand: Demand) -> str:
 
 
 def race_topic(records: Records) -> Topic | None:
-    """Two solvers on the same steps, in one way and at one setting; None of any other number of
-    solvers, ways or settings."""
+    """Build the report's part that compares two solvers step by step; None unless just two ran."""
     if len(records.solvers) != 2:
         return None
     first, second = records.solvers
-    replays = list(common_replays(records, first, second))
+    replays = list(match_replays(records, first, second))
     if len({run.configuration.options for run, *_ in replays}) != 1:
         return None
-    rows, said = [], []
+    rows, wording = [], []
     for run, *both in replays:
-        ratio = paired_ratio(*paired(*both))
+        ratio = paired_ratio(*match_steps(*both))
         options = run.configuration.options
-        said.append(f"{_ratio_text(ratio)} in {run.sequence} ({options})")
-        p50 = [time_text(median(times.algo_ns)) for times in both]
+        wording.append(f"{_ratio_text(ratio)} in {run.sequence} ({options})")
+        p50 = [time_text(median_known(times.algo_ns)) for times in both]
         p99 = [time_text(percentile(times.algo_ns, 99)) for times in both]
         rows.append((run.sequence, options, *p50, *p99, _ratio_text(ratio)))
     times = [f"{solver} {time}" for time in ("p50", "p99") for solver in (first, second)]
-    head = ("sequence", "way", *times, "ratio (95 %)")
-    lead = f"{first} takes {', '.join(said)} times as long a step as {second}."
+    head = ("sequence", "call mode", *times, "ratio (95 %)")
+    lead = f"{first} takes {', '.join(wording)} times as long a step as {second}."
     note = "Geometric mean of the paired ratios of all common steps."
     return Topic("race", f"{first} against {second}", (lead, note), (), (Table(head, tuple(rows)),))
 
 
-def _tables(
+def _median_tables(
     records: Records,
-    demand: Demand,
+    requirements: Requirements,
     runs: Sequence[RunRecord],
     varied: Callable[[RunRecord], str],
     kept: Callable[[RunRecord], str],
 ) -> list[Table]:
-    """For each replayed sequence a table of median step times: a row for what is kept, a column for
-    what is varied; none of sequences where it was not varied."""
+    """Tabulate median step times, a table per QP sequence, with rows and columns by given keys."""
     replays = [run for run in runs if run.mode == "replay" and not run.is_baseline_law]
     tables = []
-    problems = grouped(replays, lambda run: (run.sequence, run.units))
+    problems = group_by(replays, lambda run: (run.sequence, run.units))
     for (sequence, units), of_problem in problems.items():
         columns = list(dict.fromkeys(varied(run) for run in of_problem))
         if len(columns) < 2:
             continue
         rows = []
-        for name, of_row in grouped(of_problem, kept).items():
+        for name, of_row in group_by(of_problem, kept).items():
             own = {varied(run): run for run in of_row}
-            cells = (_median_text(records, own.get(column), demand) for column in columns)
+            cells = (_median_text(records, own.get(column), requirements) for column in columns)
             rows.append((name, *cells))
         title = sequence + (" (SI units)" if units == "si" else "")
         tables.append(Table(("configuration", *columns), tuple(rows), title))
     return tables
 
 
-def _fastest_forms(records: Records, demand: Demand) -> str:
-    """How often each form is the fastest right one."""
-    wins = fastest_forms(records, demand)
-    said = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())
+def _fastest_forms_text(records: Records, requirements: Requirements) -> str:
+    """State how often each QP formulation is the fastest of those with right answers."""
+    wins = count_fastest_forms(records, requirements)
+    wording = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())
     return (
         "Fastest form with right answers, of "
-        f"{plural(wins.total(), 'configuration')} on a sequence: {said or 'none'}."
+        f"{plural(wins.total(), 'configuration')} on a sequence: {wording or 'none'}."
     )
 
 
-def _median_text(records: Records, run: RunRecord | None, demand: Demand) -> str:
-    """Median step time of a replay; how it ended where it left no step."""
+def _median_text(records: Records, run: RunRecord | None, requirements: Requirements) -> str:
+    """Format a replay's median step time, or how the replay ended if it has no step."""
     times = None if run is None else records.times(run)
     if run is None or times is None:
         return MISSING if run is None else run.outcome.replace("_", " ")
-    text = time_text(median(times.algo_ns))
-    return text if is_right(run, demand) else f"{text} (not right)"
+    text = time_text(median_known(times.algo_ns))
+    return text if is_right(run, requirements) else f"{text} (not right)"
+
+
+def worst_case_topic(records: Records) -> Topic | None:
+    """Build the report's part on the worst step that a search found; None without a search."""
+    requested = records.suite.get("report", {})
+    k = requested.get("step")
+    if k is None:
+        return None
+    runs = {run.run_id: run for run in records.runs}
+    steps = records.run_steps(records.runs)
+    row_of = {run_id: _step_row(runs[run_id], of_run, k) for run_id, of_run, _ in steps}
+    rows = [row for run_id in runs if (row := row_of.get(run_id)) is not None]
+    if not rows:
+        return None
+    searched = str(requested.get("configuration") or "")
+    rows.sort(key=lambda row: (row[0] != searched, row[0]))
+    lead = [_step_sentence(row, k) for row in rows[:1]]
+    head = ("configuration", "time", "its median", "iterations", "its median", "error", "answer")
+    return Topic(
+        "worst-case",
+        "The step that was searched for",
+        (*lead, "The same step of the other configurations stands below."),
+        (),
+        (Table(head, tuple(rows), f"step {k}"),),
+    )
+
+
+def _step_row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None:
+    """Convert a run's time, iterations and error at one step to a row of texts; or None."""
+    at = np.flatnonzero(steps.k == k)
+    if not len(at):
+        return None
+    i = int(at[0])
+    return (
+        run.configuration.label,
+        time_text(steps.time_ns[i]),
+        time_text(float(np.median(steps.time_ns))),
+        count_text(steps.iterations[i]),
+        count_text(median_known(steps.iterations)),
+        error_text(float(steps.error[i])),
+        answer_text(steps, i),
+    )
+
+
+def _step_sentence(row: tuple[str, ...], k: int) -> str:
+    """State a run's time, iterations and error at one step in a sentence."""
+    name, took, median, iterations, usual, error, answer = row
+    counted = "" if iterations == MISSING else f", {iterations} iterations (median {usual})"
+    return (
+        f"At step {k} {name} takes {took} (median {median}){counted}; error of the first move "
+        f"{error}, {answer}."
+    )
+
+
+def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
+    """Build the report's part on solvers in closed loop; None without such runs."""
+    loops = records.select(mode="closed_loop")
+    steered = [run for run in loops if not run.is_baseline_law and run.outcome != "refused"]
+    by_name = group_by(steered, lambda run: run.configuration.in_common_formulation.label)
+    if not by_name:
+        return None
+    whole = {
+        name: sum(is_right_to_the_end(run, requirements) for run in runs)
+        for name, runs in by_name.items()
+    }
+    most = max(len(runs) for runs in by_name.values())
+    right = [name for name, runs in by_name.items() if whole[name] == len(runs) == most]
+    requested = plural(most, "closed loop")
+    best = max(whole, key=lambda name: whole[name])
+    lead = f"Nobody is right on every step of {requested}; {best} is in {whole[best]}."
+    if right:
+        rest = len(by_name) - len(right)
+        names = and_list(right) if len(right) <= 4 else f"{len(right)} configurations"
+        others = f" {plural(rest, 'configuration')} {'is' if rest == 1 else 'are'} not."
+        lead = f"Right on every step of {requested}: {names}.{others if rest else ''}"
+    rows = [
+        {"configuration": name, "right in": f"{whole[name]} of {len(runs)}"}
+        | _control_columns(runs)
+        for name, runs in by_name.items()
+    ]
+    rows.sort(key=lambda row: -whole[row["configuration"]])
+    note = "The distance from the exactly solved loop is what wrong or late answers do to the ship."
+    return Topic("loops", "Closed loops", (lead, note), (), (Table.of(rows),))
+
+
+def _control_columns(runs: Sequence[RunRecord]) -> dict[str, str]:
+    """Return a configuration's number of fallbacks and largest distance from the exact loop."""
+    fallbacks = sum(run.fallbacks for run in runs if math.isfinite(run.fallbacks))
+    off = [run for run in runs if math.isfinite(run.dev_position_max_m)]
+    worst = max(off, key=lambda run: run.dev_position_max_m, default=None)
+    farthest = MISSING if worst is None else f"{significant(worst.dev_position_max_m)} m"
+    return {
+        "steps with a fallback": count_text(fallbacks),
+        "farthest from the exact loop": farthest,
+        "in": MISSING if worst is None else worst.scenario,
+    }

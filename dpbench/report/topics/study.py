@@ -1,13 +1,11 @@
 """A study: what holds where, what a configuration costs in the same seas, how loose it may be."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 from pandas.api.types import is_numeric_dtype
 
-from dpbench.analysis.statistics import none_of
+from dpbench.analysis.statistics import upper_bound_of_none
 from dpbench.analysis.suites import study_pictures as pictures
 from dpbench.analysis.suites.study import (
     ALPHA,
@@ -18,31 +16,32 @@ from dpbench.analysis.suites.study import (
     StudiedConfiguration,
     Study,
 )
-from dpbench.report.charts.study import behind, held_lines, held_maps
+from dpbench.report.charts.study import draw_excess_errors, draw_held_lines, draw_held_maps
 from dpbench.report.formats import MISSING, and_list, plural, significant
-from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
 
 def study_topic(known: Sequence[Study]) -> Topic | None:
-    """The topic; None without a study."""
+    """Build the report's part on studies over many sea realisations; None without one."""
     if not known:
         return None
     return Topic(
         id="study",
         title="Studies: many seas, paired",
-        lines=tuple(line for study in known for line in _lines(study)),
-        figures=tuple(figure for study in known for figure in _figures(study)),
-        tables=tuple(table for study in known for table in _tables(study)),
+        lines=tuple(line for study in known for line in _study_lines(study)),
+        figures=tuple(figure for study in known for figure in _study_figures(study)),
+        tables=tuple(table for study in known for table in _study_tables(study)),
     )
 
 
-def _lines(study: Study) -> Iterator[str]:
+def _study_lines(study: Study) -> Iterator[str]:
+    """Yield sentences on a study: number of runs, larger errors, seas held, loosest tolerances."""
     runs, points = study.runs, len(study.points)
     seas = plural(study.replicates, "realisation")
     yield (
         f"{study.name}: {plural(len(runs), 'run')} at {plural(points, 'point')} in {seas}; "
-        f"{_separated(study)}"
+        f"{_larger_errors_text(study)}"
     )
     unfinished = len(runs) - int(runs["finished"].sum())
     if unfinished:
@@ -54,75 +53,78 @@ def _lines(study: Study) -> Iterator[str]:
     worst = min(study.configurations, key=lambda c: c.held)
     radius = f"within {study.radius_m:g} m in the second half of a run"
     yield (
-        f"{study.reference} holds the ship {radius} in {_share(held, study)} of them"
+        f"{study.reference} holds the ship {radius} in {_share_with_bound(held, study)} of them"
         + (
-            f", {worst.name} in {_share(worst.held, study)}."
+            f", {worst.name} in {_share_with_bound(worst.held, study)}."
             if worst.held < held
             else ", as all do."
         )
     )
     if study.loosest:
-        yield _loosest(study)
+        yield _loosest_text(study)
 
 
-def _separated(study: Study) -> str:
-    """Which configurations have a significantly larger error than the reference, and which not."""
+def _larger_errors_text(study: Study) -> str:
+    """Name the solvers with a significantly larger position error than the reference."""
     others = study.configurations[1:]
-    worse = sorted((c for c in others if c.is_behind), key=lambda c: -_mean(c))
-    said = [f"{c.name} by {_cm(_mean(c))} cm" for c in worse[:3]]
+    worse = sorted((c for c in others if c.has_larger_error), key=lambda c: -_mean_excess_m(c))
+    wording = [f"{c.name} by {significant(100.0 * _mean_excess_m(c), 2)} cm" for c in worse[:3]]
     unnamed = f" and {len(worse) - 3} more" if len(worse) > 3 else ""
     if not worse:
         return f"none is significantly behind {study.reference} in the same realisation."
     same = len(others) - len(worse)
     rest = f"; {same} {'is' if same == 1 else 'are'} not" if same else ""
     return (
-        f"significantly behind {study.reference} in the same realisation: {', '.join(said)}"
+        f"significantly behind {study.reference} in the same realisation: {', '.join(wording)}"
         f"{unnamed}{rest}."
     )
 
 
-def _share(share: float, study: Study) -> str:
-    """A share in percent; of none or all with its 95 % bound, by the rule of three."""
-    bound = 100 * none_of(study.realisations)
-    said = f"{100 * share:.0f} %"
+def _share_with_bound(share: float, study: Study) -> str:
+    """Format a share of seas in percent; at 0 % or 100 % with its 95 % bound."""
+    bound = 100 * upper_bound_of_none(study.realisations)
+    wording = f"{100 * share:.0f} %"
     if share in (0.0, 1.0):
-        said += f" (at {'least' if share else 'most'} {abs(100 * share - bound):.0f} %)"
-    return said
+        wording += f" (at {'least' if share else 'most'} {abs(100 * share - bound):.0f} %)"
+    return wording
 
 
-def _loosest(study: Study) -> str:
-    """The loosest tolerance of each solver that costs next to nothing."""
+def _loosest_text(study: Study) -> str:
+    """State each solver's loosest tolerance that adds next to no position error or cost."""
     cheap = {s: c for s, c in study.loosest.items() if c is not None}
     none = [s for s, c in study.loosest.items() if c is None]
     limits = f"less than {100 * SMALL_M:g} cm and {100 * SMALL_COST:g} % of the cost"
     parts = [f"{solver} {c.tolerance:g}" for solver, c in cheap.items()]
-    said = (
+    wording = (
         f"The loosest tolerance that costs significantly {limits}: {and_list(parts)}"
         if parts
         else ""
     )
     without = f"No tolerance of {and_list(none)} costs significantly {limits}" if none else ""
-    return ". ".join(filter(None, (said if parts else "", without))) + "."
+    return ". ".join(filter(None, (wording if parts else "", without))) + "."
 
 
-def _figures(study: Study) -> Iterator[Figure]:
+def _study_figures(study: Study) -> Iterator[Figure]:
+    """Yield the charts of a study: share of seas held, position errors over the reference."""
     name = study.name.replace("@", "-").replace("/", "-")
-    maps, whole = pictures.held_maps(study), pictures.fits(study)
+    maps, whole = pictures.held_maps(study), pictures.has_point_per_tile(study)
     keys = [str(key) for key in study.points if is_numeric_dtype(study.points[key])]
     title = f"Held within {study.radius_m:g} m, {study.name}"
     if len(keys) > 1:
         own = study.points[keys[0]].nunique() > max(8, len(study.points) // 2)
         drawn = bool(own) or not whole
-        chart = held_maps(maps, title, keys[0], keys[1], drawn=drawn)
+        chart = draw_held_maps(maps, title, keys[0], keys[1], drawn=drawn)
         where = "at each point" if whole else f"in {pictures.FIELDS} × {pictures.FIELDS} fields"
         caption = f"Share of seas {where}; a run that did not end is not held."
         yield Figure(f"study-held-{name}", chart, caption)
     elif keys:
-        chart = held_lines(maps, title, keys[0])
+        chart = draw_held_lines(maps, title, keys[0])
         yield Figure(f"study-held-{name}", chart, "Share of seas at each value.")
-    table, seas, seas_all = pictures.seas_behind(study)
+    table, seas, seas_all = pictures.error_excess_by_sea(study)
     if len(table):
-        chart = behind(table, seas, f"Behind {study.reference}, {study.name}", 100 * SMALL_M)
+        chart = draw_excess_errors(
+            table, seas, f"Behind {study.reference}, {study.name}", 100 * SMALL_M
+        )
         of = "" if len(seas) == seas_all else f", {len(seas)} of {seas_all} at even ranks"
         caption = (
             f"A dot a realisation{of}, the mean with its 95 % interval where there is one; the "
@@ -131,8 +133,9 @@ def _figures(study: Study) -> Iterator[Figure]:
         yield Figure(f"study-behind-{name}", chart, caption)
 
 
-def _tables(study: Study) -> Iterator[Table]:
-    rows = [_row(configuration, study) for configuration in study.configurations]
+def _study_tables(study: Study) -> Iterator[Table]:
+    """Yield the tables of a study: results of its configurations, and its parameter points."""
+    rows = [_configuration_row(configuration, study) for configuration in study.configurations]
     title = f"{study.name}: against {study.reference} in the same realisation"
     note = (
         "Intervals hold at 95 % for each row alone and are conditional on the realisations that "
@@ -150,15 +153,18 @@ def _tables(study: Study) -> Iterator[Table]:
         yield Table(("key", "values", "least", "largest"), axes, f"{study.name}: its points")
 
 
-def _row(configuration: StudiedConfiguration, study: Study) -> dict[str, str]:
-    behind_it, dearer = configuration.behind, configuration.dearer
+def _configuration_row(configuration: StudiedConfiguration, study: Study) -> dict[str, str]:
+    """Convert a configuration's study results to a table row: runs held, cost, error."""
+    behind_it, dearer = configuration.error_excess_m, configuration.log_cost_excess
+    cost = configuration.cost
     row = {
         "configuration": configuration.name,
         "runs": f"{configuration.finished} of {configuration.runs}",
-        "held": _share(configuration.held, study),
-        "cost over exact": f"{_percent(configuration.cost)} %",
-        "behind [cm]": "reference" if behind_it is None else _interval(behind_it, 100.0),
-        "dearer": "" if dearer is None else f"{_interval(dearer, 100.0)} %",
+        "held": _share_with_bound(configuration.held, study),
+        # Rounding alone is 0.
+        "cost over exact": f"{0 if abs(cost) < NOTHING else significant(100.0 * cost, 2)} %",
+        "behind [cm]": "reference" if behind_it is None else _difference_text(behind_it, 100.0),
+        "dearer": "" if dearer is None else f"{_difference_text(dearer, 100.0)} %",
     }
     if behind_it is None:
         return row | {"shown": "", "seas for 1 cm": ""}
@@ -166,7 +172,8 @@ def _row(configuration: StudiedConfiguration, study: Study) -> dict[str, str]:
     return row | {"shown": "yes" if configuration.differs else "no", "seas for 1 cm": seas}
 
 
-def _interval(difference: PairedDifference, scale: float) -> str:
+def _difference_text(difference: PairedDifference, scale: float) -> str:
+    """Format a mean difference between configurations, times a scale, with its interval."""
     mean = difference.mean
     if not np.isfinite(mean.low):
         return f"{significant(scale * mean.value, 2)} (no interval)"
@@ -177,14 +184,6 @@ def _interval(difference: PairedDifference, scale: float) -> str:
     return f"{significant(scale * mean.value, 2)} [{low}, {high}]"
 
 
-def _percent(share: float) -> str:
-    """A share in percent to two digits; what is rounding alone is 0."""
-    return "0" if abs(share) < NOTHING else significant(100.0 * share, 2)
-
-
-def _mean(configuration: StudiedConfiguration) -> float:
-    return 0.0 if configuration.behind is None else configuration.behind.mean.value
-
-
-def _cm(metres: float) -> str:
-    return significant(100.0 * metres, 2)
+def _mean_excess_m(configuration: StudiedConfiguration) -> float:
+    """Return a configuration's mean position error over the reference's [m]; 0 for itself."""
+    return 0.0 if configuration.error_excess_m is None else configuration.error_excess_m.mean.value

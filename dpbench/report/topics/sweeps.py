@@ -1,7 +1,5 @@
 """What a sweep shows: longer horizons, slower computers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
@@ -9,106 +7,103 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.slowdown import DelayedConfiguration, DelayedGroup, delayed_groups
-from dpbench.analysis.times.horizon_sweep import Sweep, SweptConfiguration, moves_of, sweeps
-from dpbench.analysis.verdict.demand import MARGIN, Demand, cost_ratio
-from dpbench.report.charts.lines import lines
+from dpbench.analysis.times.horizon_sweep import (
+    Sweep,
+    SweptConfiguration,
+    count_variables,
+    find_sweeps,
+)
+from dpbench.analysis.verdict.requirements import MARGIN, Requirements, cost_ratio
+from dpbench.report.charts.lines import draw_lines
 from dpbench.report.formats import MISSING, and_list, significant, time_text
-from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
 
-def horizon_topic(records: Records, demand: Demand) -> Topic | None:
-    """How the step time grows with the horizon; None where it was not varied."""
+def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
+    """Build the report's part on step time over MPC horizon; None if it was not varied."""
     figures, tables = [], []
-    all_sweeps = sweeps(records, demand)
+    all_sweeps = find_sweeps(records, requirements)
     for sweep in all_sweeps:
         rows, points = [], []
-        limit = f"{_by(sweep)} within {demand.p99_ms:g} ms"
+        limit = f"{_judging_statistic(sweep)} within {requirements.p99_ms:g} ms"
         for swept in sweep.best:
             name = swept.configuration.label
             growth = swept.growth
             points += [
-                {"name": name, "x": moves_of(h), "y": p.median_ns / 1e3, "good": p.right}
+                {"name": name, "x": count_variables(h), "y": p.median_ns / 1e3, "good": p.right}
                 for h, p in swept.timed.items()
             ]
             rows.append(
                 {
                     "configuration": name,
                     "grows as n^": MISSING if growth is None else significant(growth, 2),
-                    f"largest horizon, {limit}": _longest(sweep, swept, demand.p99_ns),
+                    f"largest horizon, {limit}": _longest_text(sweep, swept, requirements.p99_ns),
                 }
             )
         if points:
-            chart = lines(
+            chart = draw_lines(
                 pd.DataFrame(points),
                 f"Step time over the size of the QP, {sweep.name}",
                 ("variables", "d"),
                 ("median step time [µs]", "~g"),
-                limit=demand.p99_ms * 1e3,
+                limit=requirements.p99_ms * 1e3,
             )
-            figures.append(
-                Figure(f"horizon-{sweep.name}", chart, "Hollow: answers miss the demand there.")
-            )
+            figures.append(Figure(f"horizon-{sweep.name}", chart, "Hollow: answers fail there."))
             tables.append(Table.of(rows, sweep.name))
     if not figures:
         return None
-    said = (
-        *_longest_horizons(all_sweeps, demand),
+    wording = (
+        *_longest_horizons(all_sweeps, requirements),
         "How the step time grows with the horizon, and the longest with right answers within the "
         "limit. ≥: no longer one has a p99; ?: the 95 % interval of a p99 holds the limit.",
     )
-    return Topic("horizon", "Longer horizons", said, tuple(figures), tuple(tables))
+    return Topic("horizon", "Longer horizons", wording, tuple(figures), tuple(tables))
 
 
-def _longest_horizons(all_sweeps: Sequence[Sweep], demand: Demand) -> list[str]:
-    """Who fits the longest horizon, a sentence for each scenario."""
-    said = []
+def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -> list[str]:
+    """State, for each scenario, the longest horizon solved in time, and by which solvers."""
+    wording = []
     for sweep in all_sweeps:
         largest = {
             swept.configuration.label: fits
             for swept in sweep.best
-            if (fits := sweep.longest_within(swept, demand.p99_ns)) is not None
+            if (fits := sweep.longest_within(swept, requirements.p99_ns)) is not None
         }
-        limit = f"with {_by(sweep)} within {demand.p99_ms:g} ms"
+        limit = f"with {_judging_statistic(sweep)} within {requirements.p99_ms:g} ms"
         if not largest:
-            said.append(f"In {sweep.name} nobody fits a horizon, right and {limit}.")
+            wording.append(f"In {sweep.name} nobody fits a horizon, right and {limit}.")
             continue
-        longest = max(largest.values(), key=moves_of)
+        longest = max(largest.values(), key=count_variables)
         who = [name for name, horizons in largest.items() if horizons == longest]
+        some = and_list(who) if len(who) <= 3 else f"{', '.join(who[:3])} and {len(who) - 3} more"
         beyond = "" if longest != sweep.horizons[-1] else ", the longest that was run"
-        said.append(
-            f"In {sweep.name} {_some(who)} {'fits' if len(who) == 1 else 'fit'} "
+        wording.append(
+            f"In {sweep.name} {some} {'fits' if len(who) == 1 else 'fit'} "
             f"{longest[0]}/{longest[1]}{beyond}, right and {limit}."
         )
-    return said
+    return wording
 
 
-def _some(names: list[str]) -> str:
-    """Up to three names, and how many more."""
-    rest = len(names) - 3
-    return and_list(names) if rest <= 0 else f"{', '.join(names[:3])} and {rest} more"
-
-
-def _by(sweep: Sweep) -> str:
-    """The time that a horizon is judged by."""
+def _judging_statistic(sweep: Sweep) -> str:
+    """Name what must be within the time limit: "p99", or each step if there are few."""
     return "p99" if sweep.has_p99 else f"each of {sweep.steps} steps"
 
 
-def _longest(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> str:
-    """The longest horizons within a limit, and no more than the runs say: `≥` where no longer ones
-    have a p99, `?` where the interval of a p99 holds the limit."""
+def _longest_text(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> str:
+    """Format a solver's longest horizons within a time limit, with `?` if in doubt."""
     if sweep.has_p99 and not swept.has_p99:
         return MISSING
     largest = sweep.longest_within(swept, limit_ns)
-    doubt = " ?" if sweep.has_p99 and not swept.settled(limit_ns) else ""
+    doubt = " ?" if sweep.has_p99 and not swept.is_settled(limit_ns) else ""
     if largest is None:
         return f"none{doubt}"
-    least = "≥ " if sweep.has_p99 and not swept.measured_beyond(largest) else ""
+    least = "≥ " if sweep.has_p99 and not swept.has_p99_beyond(largest) else ""
     return f"{least}{largest[0]}/{largest[1]}{doubt}"
 
 
 def slowdown_topic(records: Records) -> Topic | None:
-    """What a slower computer does to the ship; None where none was simulated."""
+    """Build the report's part on simulated slower computers; None where none was simulated."""
     figures, tables = [], []
     groups = delayed_groups(records)
     for group in groups:
@@ -125,7 +120,7 @@ def slowdown_topic(records: Records) -> Topic | None:
         ]
         if points:
             title = f"Cost of the loop on a slower computer, {group.scenario}"
-            chart = lines(
+            chart = draw_lines(
                 pd.DataFrame(points),
                 title,
                 ("times slower than this machine", "~g"),
@@ -133,29 +128,32 @@ def slowdown_topic(records: Records) -> Topic | None:
                 limit=1.0 + MARGIN,
             )
             figures.append(Figure(f"slowdown-{group.scenario}", chart, "Dashed: 10 % more cost."))
-        tables.append(Table.of(list(map(_survival, group.configurations)), group.scenario))
+        tables.append(Table.of(list(map(_survival_row, group.configurations)), group.scenario))
     if not tables:
         return None
-    said = (
-        *map(_survivors, groups),
+    wording = (
+        *map(_survivors_text, groups),
         "The ship sailed with answers as late as a slower computer makes them. A configuration "
         f"survives a slow-down while the loop costs at most {100 * MARGIN:g} % more.",
     )
-    return Topic("slowdown", "Slower computers", said, tuple(figures), tuple(tables))
+    return Topic("slowdown", "Slower computers", wording, tuple(figures), tuple(tables))
 
 
-def _survival(delayed: DelayedConfiguration) -> dict[str, str]:
+def _survival_row(delayed: DelayedConfiguration) -> dict[str, str]:
+    """Convert a configuration's loops on slow computers to a table row: slow-down survived."""
     latest_ns = max((run.latency_max_ns for run in delayed.loops.values()), default=math.nan)
     return {
         "configuration": delayed.configuration.label,
-        "survives ×": MISSING if math.isnan(delayed.survives) else f"{delayed.survives:g}",
+        "survives ×": MISSING
+        if math.isnan(delayed.survived_slowdown)
+        else f"{delayed.survived_slowdown:g}",
         "latest answer": time_text(latest_ns),
     }
 
 
-def _survivors(group: DelayedGroup) -> str:
-    """Who survives most in a scenario."""
-    survivors = [c for c in group.configurations if c.survives > 0]
-    best = [f"{c.configuration.label} × {c.survives:g}" for c in survivors[:3]]
-    said = ", ".join(best) if best else "nobody survives a slow-down"
-    return f"Slower computers, {group.scenario}: {said}."
+def _survivors_text(group: DelayedGroup) -> str:
+    """State which solvers survive the largest slow-down of the computer in closed loop."""
+    survivors = [c for c in group.configurations if c.survived_slowdown > 0]
+    best = [f"{c.configuration.label} × {c.survived_slowdown:g}" for c in survivors[:3]]
+    wording = ", ".join(best) if best else "nobody survives a slow-down"
+    return f"Slower computers, {group.scenario}: {wording}."

@@ -1,7 +1,5 @@
 """Can the times be believed: the machine, the harness measured by itself, what is not covered."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -12,30 +10,29 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.times.machine import (
     calibration_medians,
     delayed_runs,
-    disturbance_of,
     round_spread,
     shortest_wait_ns,
     timed_runs,
+    total_disturbance,
 )
-from dpbench.bench.judge.calibration import off_by_ns, within_bar
+from dpbench.bench.judge.calibration import excess_over_wait_ns, is_within_tolerance
 from dpbench.bench.record.disturbance import Disturbance
-from dpbench.report.charts.lines import dots
+from dpbench.report.charts.lines import draw_dots
 from dpbench.report.formats import and_list, count_text, plural, share_text, significant
-from dpbench.report.machine_verdict import disturbance_facts, machine_facts, own_switches
-from dpbench.report.page.topic import Figure, Topic
+from dpbench.report.machine_verdict import disturbance_facts, list_own_switches, machine_facts
+from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 from dpbench.solvers.calibration import WAITS_NS
 
 UNSEEN = "not visible"
-"""Of the machine, what its kernel does not show."""
 COVERED = (
     "Not covered at all: other ships, weather and tunings than these; times on an embedded target; "
     "the worst step that was never met.",
 )
 
 
-def _spread(records: Records) -> list[str]:
-    """Which figure says whether times differ: the interval of a pair, or what rounds differ by."""
+def _round_spread_sentences(records: Records) -> list[str]:
+    """State by which ratio two step times must differ, within a run and between runs."""
     usual, high = round_spread(records)
     if math.isnan(high):
         return []
@@ -48,26 +45,24 @@ def _spread(records: Records) -> list[str]:
 
 
 def _waits_text(measured: Mapping[str, float], shortest_ns: float) -> str:
-    """Whether waits of known length were measured right, and what follows where not.
+    """State how exactly the benchmark measured waits of known length.
 
-    Parameters
-    ----------
     measured : median of each [ns]; shortest_ns : the shortest wait.
     """
     below = f" Below {shortest_ns / 1e3:g} µs, the shortest wait, nothing was checked."
-    missed = {n: p50 for n, p50 in measured.items() if within_bar(n, p50) is False}
+    missed = {n: p50 for n, p50 in measured.items() if is_within_tolerance(n, p50) is False}
     if not missed:
         return f"Waits of known length were measured within 1 µs or 1 %.{below}"
-    said = [f"{WAITS_NS[n] / 1e3:g} µs as {p50 / 1e3:.1f} µs" for n, p50 in missed.items()]
-    worst = max(abs(off_by_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
+    waits = [f"{WAITS_NS[n] / 1e3:g} µs as {p50 / 1e3:.1f} µs" for n, p50 in missed.items()]
+    worst = max(abs(excess_over_wait_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
     return (
-        f"Waits of known length: {and_list(said)} (p50 of the timings that count, the largest of "
+        f"Waits of known length: {and_list(waits)} (p50 of the timings that count, the largest of "
         f"its replays), so absolute times of that length are known to {share_text(worst)}.{below}"
     )
 
 
-def _quiet_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
-    """Whether the machine did other things while replays were timed."""
+def _machine_load_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
+    """State how far other programs disturbed the machine while replays were timed."""
     if complaints := disturbance.complaints():
         return (
             f"Other work disturbed the machine: {and_list(complaints)}. Times may be too long; "
@@ -77,39 +72,39 @@ def _quiet_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
     return (
         "The machine was quiet by the operating system's counters: "
         f"{count_text(disturbance.disturbed)} of {rounds} disturbed even when run again, as "
-        f"{count_text(disturbance.rerun)} were.{_unwatched(machine)}"
+        f"{count_text(disturbance.rerun)} were.{_unwatched_text(machine)}"
     )
 
 
-def _unwatched(machine: Mapping[str, Any]) -> str:
-    """What nobody could see of the machine while it measured."""
+def _unwatched_text(machine: Mapping[str, Any]) -> str:
+    """State which properties the machine hides, such as its frequency; "" for none."""
     keys = {"governor": "its frequency", "throttle_counters": "throttling"}
     hidden = [name for key, name in keys.items() if machine.get(key, UNSEEN) == UNSEEN]
     return f" Not watched, as the machine hides it: {and_list(hidden)}." if hidden else ""
 
 
 def trust_topic(records: Records) -> Topic | None:
-    """The topic; None where nothing was timed."""
+    """Build the report's part on how far its times can be trusted; None if nothing was timed."""
     timed = timed_runs(records) or delayed_runs(records)
-    disturbance = disturbance_of(timed)
+    disturbance = total_disturbance(timed)
     medians = calibration_medians(records.calibration)
     waits = {name: p50_ns for name, p50_ns in medians.items() if name in WAITS_NS}
     if not disturbance.seconds > 0 and not waits:
         return None
-    lines = _spread(records)
+    lines = _round_spread_sentences(records)
     figures = []
     if waits:
         lines.append(_waits_text(waits, shortest_wait_ns(records.calibration)))
-        asked = [(name, WAITS_NS[name] / 1e3, p50_ns / 1e3) for name, p50_ns in waits.items()]
-        table = pd.DataFrame(asked, columns=["name", "x", "y"])
-        chart = dots(table, "Waits of known length", "asked [µs]", "p50 of timings [µs]")
+        requested = [(name, WAITS_NS[name] / 1e3, p50_ns / 1e3) for name, p50_ns in waits.items()]
+        table = pd.DataFrame(requested, columns=["name", "x", "y"])
+        chart = draw_dots(table, "Waits of known length", "asked [µs]", "p50 of timings [µs]")
         figures.append(Figure("calibration", chart, "Asked and measured."))
     if disturbance.seconds > 0:
-        lines.append(_quiet_text(disturbance, records.machine))
-    facts = [
+        lines.append(_machine_load_text(disturbance, records.machine))
+    data = [
         *machine_facts(records.machine),
         *(disturbance_facts(disturbance) if disturbance.seconds > 0 else ()),
-        *own_switches(timed),
+        *list_own_switches(timed),
     ]
     return Topic(
         id="trust",
@@ -117,5 +112,5 @@ def trust_topic(records: Records) -> Topic | None:
         short="Trust",
         lines=(*lines, *COVERED),
         figures=tuple(figures),
-        tables=(Table(("machine", ""), tuple(facts)),),
+        tables=(Table(("machine", ""), tuple(data)),),
     )

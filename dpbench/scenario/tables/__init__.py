@@ -1,1 +1,1 @@
-"""The tables of vessel and scenario files: keys, units and bounds, as a person writes them."""
+"""The tables of vessel and scenario files: keys, units and bounds."""

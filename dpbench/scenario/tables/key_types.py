@@ -1,7 +1,5 @@
 """Types of the keys in problem files: numbers with bounds, vectors and matrices."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field

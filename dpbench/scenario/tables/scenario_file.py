@@ -1,89 +1,70 @@
-"""Keys, units and bounds of scenario files, but for the weather, as a person writes them.
-
-Files speak the units of the trade (kN, kN·m, degrees); what they make is SI.
-"""
+"""Keys, units (kN, kN·m, degrees) and bounds of scenario files but for the weather."""
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 from pydantic import ValidationInfo, field_validator, model_validator
 
 from dpbench.arrays import Vector
-from dpbench.mpc.reference import ReferenceFilter
 from dpbench.scenario.problem_files import FileModel
-from dpbench.scenario.tables.key_types import (
-    Count,
-    Degrees,
-    Horizon,
-    NotNegative,
-    Number,
-    Percent,
-    PolygonSides,
-    Positive,
-    Seconds,
-    Speed,
-    ThreeLosses,
-    ThreeNotNegative,
-    ThreePositive,
-    ThreeShares,
-    TurnRate,
-)
+from dpbench.scenario.tables import key_types as keys
 from dpbench.scenario.tables.weather import EnvironmentTable
 from dpbench.ship.froude import Froude
 
+if TYPE_CHECKING:
+    from dpbench.mpc.reference import ReferenceFilter
+
 
 class EstimatorTable(FileModel):
-    """What stands between the sensors and the controller.
+    """Settings of the state estimator between the sensors and the controller.
 
     `measured`: nothing. The filters take period and size of the wave motion from the weather where
     the file does not give them.
     """
 
     kind: Literal["measured", "kalman", "passive"] = "measured"
-    """measured: the controller sees what the sensors see; kalman, passive: a filter between
-    them."""
+    """measured: the controller gets the measurement itself; kalman, passive: a filtered one."""
     wave_filter: bool = True
-    """Whether the filter tells the motion of the waves from that of the ship."""
-    peak_period_s: Positive | None = None
+    """true: the filter separates the motion of the waves from that of the ship."""
+    peak_period_s: keys.Positive | None = None
     """Peak period the filter reckons with [s]; by default that of the waves of the weather."""
 
 
 class PlantTable(FileModel):
-    """How the true ship differs from the controller's model of it."""
+    """Differences of the true ship from the controller's model of it."""
 
     later_keys: ClassVar[frozenset[str]] = frozenset({"thruster_lag_s"})
 
-    mass_percent: Percent = 0.0
-    """How much larger M of the true ship is [%]."""
-    damping_percent: Percent = 0.0
-    """How much larger D of the true ship is [%]."""
-    thrust_loss_percent: ThreeLosses = [0.0, 0.0, 0.0]
+    mass_percent: keys.Percent = 0.0
+    """Excess of M of the true ship [%]."""
+    damping_percent: keys.Percent = 0.0
+    """Excess of D of the true ship [%]."""
+    thrust_loss_percent: keys.ThreeLosses = [0.0, 0.0, 0.0]
     """Share of the commanded surge, sway, yaw that never arrives [%]."""
-    delay_samples: Count = 0
+    delay_samples: keys.Count = 0
     """Samples by which a command arrives late."""
-    thruster_lag_s: NotNegative = 0.0
-    """Time constant with which thrusters follow their commands [s]; where a controller commands
-    thrusters."""
+    thruster_lag_s: keys.NotNegative = 0.0
+    """Time constant [s] with which commanded thrusters follow their commands."""
 
 
 class FaultTable(FileModel):
-    """From `at_s` on the limits of the force are this share of the vessel's, or thrusters are lost,
-    which is known to the controller at that sample."""
+    """Fault known to the controller: force limits reduced to a share, or thrusters lost."""
 
     later_keys: ClassVar[frozenset[str]] = frozenset({"lost"})
 
-    at_s: NotNegative
+    at_s: keys.NotNegative
     """When [s]."""
-    limit_share: ThreeShares | None = None
+    limit_share: keys.ThreeShares | None = None
     """Share of the vessel's limits in surge, sway, yaw from then on; where forces are planned."""
     lost: list[str] | None = None
-    """Thrusters, or failure groups, that give nothing from then on; where a controller commands
-    thrusters. A cascade's plan of forces does not know of it, its allocation does."""
+    """Thrusters, or failure groups, lost from then on; where thrusters limit the force or are
+    commanded. Of a cascade it changes the allocation and not the plan."""
 
     @model_validator(mode="after")
-    def _one_fault(self) -> FaultTable:
+    def _check_one_kind(self) -> FaultTable:
+        """Raise ValueError unless exactly one of limit_share and lost is given."""
         if (self.limit_share is None) == (self.lost is None):
             raise ValueError("exactly one of limit_share and lost")
         return self
@@ -92,35 +73,35 @@ class FaultTable(FileModel):
 class OutputsTable(FileModel):
     """Softened bounds on the predicted output: watch circle around the reference, speed."""
 
-    radius_m: Positive | None = None
+    radius_m: keys.Positive | None = None
     """Radius of the watch circle around the reference [m]; none by default."""
-    speed_mps: Positive | None = None
+    speed_mps: keys.Positive | None = None
     """Largest speed over ground [m/s]; none by default."""
 
     @model_validator(mode="after")
-    def _something(self) -> OutputsTable:
+    def _check_any_bound(self) -> OutputsTable:
+        """Raise ValueError where neither a radius nor a speed is bounded."""
         if self.radius_m is None and self.speed_mps is None:
             raise ValueError("at least one of radius_m and speed_mps")
         return self
 
 
 class ThrusterControlTable(FileModel):
-    """A controller that commands thrusters: polygons for their limits, weights of their forces."""
+    """Settings for commanding thrusters: polygons for their limits, weights of their forces."""
 
     later_keys: ClassVar[frozenset[str]] = frozenset({"slack_weight_relative", "allocation"})
 
-    polygon_sides: PolygonSides = 16
+    polygon_sides: keys.PolygonSides = 16
     """Sides of the polygon inside the circle of an azimuth's thrust; even."""
-    thrust_weight_relative: NotNegative
+    thrust_weight_relative: keys.NotNegative
     """W in multiples of 1/T², T the largest thrust of each thruster."""
     azimuth_turning: bool = False
-    """Whether moves keep to the turning rate of azimuths too; A then changes at every step."""
-    move_weight_relative: Positive
+    """true: moves keep to the turning rate of azimuths too; A then changes at every step."""
+    move_weight_relative: keys.Positive
     """R in multiples of 1/Δf_max², Δf_max the rate limit of a sample of each thruster."""
-    slack_weight_relative: Positive | None = None
-    """Of a cascade: Ω, the weight of force demanded and not delivered, in multiples of 1/Δτ_max²,
-    Δτ_max the rate limit of the force in a sample. Large against the other weights, so that
-    thrusters deliver whatever they can."""
+    slack_weight_relative: keys.Positive | None = None
+    """Of a cascade: Ω, the weight of force demanded and not delivered, in multiples of 1/Δτ_max²
+    of a sample. Large against the other weights, so that thrusters deliver whatever they can."""
     allocation: Literal["qp", "pseudo_inverse"] | None = None
     """Of a cascade: how forces are allocated. qp: a second QP at each sample, by the same solver;
     pseudo_inverse: W⁻¹T_eᵀ(T_e W⁻¹T_eᵀ)⁻¹ with the result clipped, what acts besides wherever the
@@ -128,7 +109,7 @@ class ThrusterControlTable(FileModel):
 
 
 class ControllerTable(FileModel):
-    """Horizons and weights; R either in SI or in multiples of 1/Δu_max²."""
+    """MPC settings: horizons, weights; increment weight R in SI or in multiples of 1/Δu_max²."""
 
     later_keys: ClassVar[frozenset[str]] = frozenset(
         {"kind", "thrusters", "limits", "attainable_sides"}
@@ -143,24 +124,22 @@ class ControllerTable(FileModel):
 
     tuning: str
     """A name for horizons and weights, for tables."""
-    prediction_horizon: Horizon
+    prediction_horizon: keys.Horizon
     """N_p, samples over which is predicted."""
-    control_horizon: Horizon
+    control_horizon: keys.Horizon
     """N_c, moves that are planned; the QP has three variables for each. At most N_p."""
-    output_weight: ThreeNotNegative
+    output_weight: keys.ThreeNotNegative
     """Diagonal of Q: north, east [1/m²], heading [1/rad²]."""
     # Positive move weights keep the QP strictly convex.
-    move_weight: ThreePositive | None = None
+    move_weight: keys.ThreePositive | None = None
     """Diagonal of R: surge, sway [1/N²], yaw [1/(N·m)²]. Either this or move_weight_relative."""
-    move_weight_relative: ThreePositive | None = None
+    move_weight_relative: keys.ThreePositive | None = None
     """Diagonal of R in multiples of 1/Δu_max², Δu_max the rate limit of a sample."""
     limits: Literal["box", "attainable"] = "box"
-    """Amplitude limits of the force. box: three of the vessel, one an axis; attainable: what its
-    thrusters give together."""
-    attainable_sides: PolygonSides = 8
-    """Sides of the polygons of azimuths that the attainable set is made of; its rows grow with
-    their square."""
-    model_heading_deg: Degrees = 0.0
+    """Amplitude limits of the force. box: the vessel's; attainable: those of its thrusters."""
+    attainable_sides: keys.PolygonSides = 8
+    """Sides of the polygons of azimuths in the attainable set; its rows grow with their square."""
+    model_heading_deg: keys.Degrees = 0.0
     """Heading the model is linearised at [°]."""
     linearisation: Literal["fixed", "each_step"] = "fixed"
     """fixed: one model; each_step: the model, and with it P, anew at every measured heading."""
@@ -173,7 +152,8 @@ class ControllerTable(FileModel):
     """Bounds on predicted position and speed, softened; none by default."""
 
     @model_validator(mode="after")
-    def _consistent(self) -> ControllerTable:
+    def _check_consistent(self) -> ControllerTable:
+        """Raise ValueError where keys do not fit the controller's kind."""
         of_forces = (self.move_weight is not None) + (self.move_weight_relative is not None)
         plans_thrusters = self.kind == "thrusters"
         if (self.kind != "forces") != (self.thrusters is not None):
@@ -194,7 +174,7 @@ class ControllerTable(FileModel):
         return self
 
     def _check_allocation(self, table: ThrusterControlTable) -> None:
-        """What belongs to a cascade and to nothing else."""
+        """Raise ValueError for allocation keys that do not fit the controller's kind."""
         if self.kind == "thrusters":
             if table.slack_weight_relative is not None or table.allocation is not None:
                 raise ValueError('slack_weight_relative and allocation for kind = "cascade" only')
@@ -205,7 +185,8 @@ class ControllerTable(FileModel):
 
     @field_validator("control_horizon")
     @classmethod
-    def _within_prediction(cls, N_c: int, info: ValidationInfo) -> int:
+    def _check_control_horizon(cls, N_c: int, info: ValidationInfo) -> int:
+        """Raise ValueError where the control horizon exceeds the prediction horizon."""
         N_p = info.data.get("prediction_horizon", N_c)
         if N_c > N_p:
             raise ValueError(f"1 up to prediction_horizon ({N_p})")
@@ -213,73 +194,76 @@ class ControllerTable(FileModel):
 
 
 class PoseTable(FileModel):
-    """A position and heading."""
+    """Position (north, east) and heading."""
 
-    north_m: Number = 0.0
+    north_m: keys.Number = 0.0
     """North [m]."""
-    east_m: Number = 0.0
+    east_m: keys.Number = 0.0
     """East [m]."""
-    heading_deg: Degrees = 0.0
+    heading_deg: keys.Degrees = 0.0
     """Heading, clockwise from north [°]."""
 
     def pose(self) -> Vector:
-        """[n, e, ψ] in m, m, rad."""
+        """Return the pose [n, e, ψ] in m, m, rad."""
         return np.array([self.north_m, self.east_m, np.radians(self.heading_deg)])
 
 
 class StartTable(PoseTable):
-    """Where the ship is at the first sample, and how it moves: over ground, along its own axes."""
+    """Position and heading of the ship at the first sample, and its velocity over ground."""
 
     later_keys: ClassVar[frozenset[str]] = frozenset({"surge_mps", "sway_mps", "yaw_degps"})
 
-    surge_mps: Speed = 0.0
+    surge_mps: keys.Speed = 0.0
     """Speed ahead over ground [m/s]."""
-    sway_mps: Speed = 0.0
+    sway_mps: keys.Speed = 0.0
     """Speed to starboard over ground [m/s]."""
-    yaw_degps: TurnRate = 0.0
+    yaw_degps: keys.TurnRate = 0.0
     """Rate of turn to starboard [°/s]."""
 
     def velocity(self) -> Vector:
-        """[u, v, r] in m/s, m/s, rad/s."""
+        """Return the velocity over ground [u, v, r] along the ship's axes, in m/s, m/s, rad/s."""
         return np.array([self.surge_mps, self.sway_mps, np.radians(self.yaw_degps)])
 
 
 class FilterTable(FileModel):
-    """A third-order reference filter, which starts at rest at the ship's start."""
+    """Third-order reference filter, at rest at the start of the run."""
 
-    period_s: Positive
+    period_s: keys.Positive
     """Natural period of the filter [s]."""
-    damping: Positive = 1.0
+    damping: keys.Positive = 1.0
     """Relative damping of the filter."""
 
 
 class ReferenceTable(PoseTable):
-    """The set-point, whether it is filtered, and whether the controller sees it coming."""
+    """Setpoint of position and heading, with optional filter and preview."""
 
     filter: FilterTable | None = None
     """Filters the set-point; none by default."""
     preview: bool = False
-    """Whether the controller sees the reference of the coming samples."""
+    """true: the controller sees the reference of the coming samples."""
 
-    def smoothed(self, scale: Froude) -> ReferenceFilter | None:
-        """The filter in SI; None for none."""
+    def build_filter(self, scale: Froude) -> ReferenceFilter | None:
+        """Return the reference filter in SI units; None where the reference is not filtered."""
         if self.filter is None:
             return None
+        # To read a file takes none of the compiled modules.
+        from dpbench.mpc.reference import ReferenceFilter
+
         return ReferenceFilter(self.filter.period_s * scale.time, self.filter.damping)
 
 
 class ScenarioFile(FileModel):
-    """`problems/scenarios/*.toml`."""
+    """Contents of a scenario file, `problems/scenarios/*.toml`."""
 
     title: str
     """The scenario in words."""
     shows: str
-    """What a reader learns from it."""
+    """Purpose of the scenario."""
     vessel: str
     """A vessel by name, or a TOML file, looked for beside this one first."""
-    sample_s: Seconds
+    sample_s: keys.Seconds
     """Time between two answers of the controller [s]."""
-    duration_s: Seconds
+    duration_s: keys.Seconds
     """Length of the run [s]."""
     controller: ControllerTable
     """Horizons, weights, limits of the controller."""
@@ -292,6 +276,11 @@ class ScenarioFile(FileModel):
     estimator: EstimatorTable = EstimatorTable()
     """Between sensors and controller; nothing by default."""
     plant: PlantTable = PlantTable()
-    """How the true ship differs from the model; not at all by default."""
+    """Differences of the true ship from the model; none by default."""
     faults: list[FaultTable] = []
-    """What is lost when; nothing by default."""
+    """Losses of thrust on the way; none by default."""
+
+    @property
+    def steps(self) -> int:
+        """Number of samples of the run."""
+        return round(self.duration_s / self.sample_s)

@@ -1,7 +1,4 @@
-"""Keys, units and bounds of vessel files, as a person writes them.
-
-Files speak the units of the trade (kN, kN·m, degrees); what they make is SI.
-"""
+"""Keys, units (kN, kN·m, degrees) and bounds of vessel files, converted to SI."""
 
 from __future__ import annotations
 
@@ -14,101 +11,91 @@ from pydantic import Field, model_validator
 from dpbench.arrays import Vector
 from dpbench.errors import InputError
 from dpbench.scenario.problem_files import FileModel
-from dpbench.scenario.tables.key_types import (
-    Length,
-    NotNegative,
-    Number,
-    Positive,
-    Share,
-    ThreeByThree,
-    ThreePositive,
-    Two,
-)
-from dpbench.ship.capability.hull import CapabilityHull
+from dpbench.scenario.tables import key_types as keys
+from dpbench.ship.capability.loads import CapabilityHull
 from dpbench.ship.thrusters import Screw, Thruster, ThrusterSet, nominal_thrust_N
-from dpbench.ship.vessel import Vessel, bis_descaled, bis_descaled_damping
+from dpbench.ship.vessel import Vessel, descale_bis, descale_bis_damping
 from dpbench.ship.weather.waves import WATER_DENSITY, WaveReflection
 from dpbench.ship.weather.wind import Windage
 
 
 class LimitsTable(FileModel):
-    """Limits of the control force and of its rate."""
+    """Limits of the control force and of its rate of change."""
 
-    surge_N: Two
+    surge_N: keys.Two
     """Least and largest surge force [N]; zero lies between."""
-    sway_N: Two
+    sway_N: keys.Two
     """Least and largest sway force [N]; zero lies between."""
-    yaw_Nm: Two
+    yaw_Nm: keys.Two
     """Least and largest yaw moment [N·m]; zero lies between."""
-    rate_max_N_per_s: ThreePositive
-    """Fastest change of surge, sway [N/s] and yaw [N·m/s]; times the sample it is the rate
-    limit."""
+    rate_max_N_per_s: keys.ThreePositive
+    """Fastest change of surge, sway [N/s] and yaw [N·m/s]."""
 
 
 class WindageTable(FileModel):
-    """The hull above the water, as the wind sees it."""
+    """Areas and coefficients of the hull above water, for wind forces."""
 
-    frontal_m2: Positive
+    frontal_m2: keys.Positive
     """Projected area above the water seen from ahead, A_F [m²]."""
-    lateral_m2: Positive
+    lateral_m2: keys.Positive
     """Projected area above the water seen from abeam, A_L [m²]."""
-    c_x: NotNegative = Windage.c_x
+    c_x: keys.NotNegative = Windage.c_x
     """Coefficient of the force along the ship; Fossen (2021) gives 0.50 to 0.90."""
-    c_y: NotNegative = Windage.c_y
+    c_y: keys.NotNegative = Windage.c_y
     """Coefficient of the force across the ship; Fossen (2021) gives 0.70 to 0.95."""
-    c_n: NotNegative = Windage.c_n
+    c_n: keys.NotNegative = Windage.c_n
     """Coefficient of the moment; Fossen (2021) gives 0.05 to 0.20."""
 
 
 class ReflectionTable(FileModel):
-    """The hull at the waterline, as wave drift sees it."""
+    """Wave reflection of the hull at the waterline, for drift forces."""
 
-    breadth_m: Positive
+    breadth_m: keys.Positive
     """Breadth at the waterline [m]."""
-    head: NotNegative = WaveReflection.head
+    head: keys.NotNegative = WaveReflection.head
     """R₀², the share that short waves from ahead act with (DNV-ST-0111, bow of 22°)."""
-    beam: NotNegative = WaveReflection.beam
+    beam: keys.NotNegative = WaveReflection.beam
     """R₀² of short waves from abeam."""
-    yaw: NotNegative = WaveReflection.yaw
+    yaw: keys.NotNegative = WaveReflection.yaw
     """R₀² of the moment of short waves from the quarters."""
 
 
 class ThrusterTable(FileModel):
-    """One thruster: its place, and its thrust or what DNV-ST-0111 makes it of."""
+    """One thruster: its position, and its thrust or the data to compute it by DNV-ST-0111."""
 
     name: str
     """For tables, and for faults that name it."""
     kind: Literal["azimuth", "tunnel", "main"]
     """azimuth: turns; tunnel: pushes across the ship; main: along it, without a rudder."""
-    x_m: Number
+    x_m: keys.Number
     """Place ahead of the origin of the matrices [m]."""
-    y_m: Number = 0.0
+    y_m: keys.Number = 0.0
     """Place to starboard of the centre line [m]."""
-    thrust_kN: Positive | None = None
+    thrust_kN: keys.Positive | None = None
     """Largest thrust ahead [kN]. Either this, or power_kW, diameter_m and propeller."""
-    power_kW: Positive | None = None
+    power_kW: keys.Positive | None = None
     """Power of its drive [kW]; the thrust is then that of DNV-ST-0111 level 1."""
-    diameter_m: Positive | None = None
+    diameter_m: keys.Positive | None = None
     """Diameter of the propeller [m]."""
     propeller: Literal["open", "nozzle", "tunnel"] | None = None
     """Kind of the propeller."""
-    height_m: Number | None = None
-    """Height of its shaft above the keel [m], for what waves take of its thrust in
-    `dpbench capability`; they take nothing by default."""
-    rise_s: Positive
+    height_m: keys.Number | None = None
+    """Height of its shaft above the keel [m], for losses in waves; without it there are none."""
+    rise_s: keys.Positive
     """Time from zero to full thrust [s]."""
-    astern: Share = 1.0
+    astern: keys.Share = 1.0
     """Thrust astern of a main propeller as a share of that ahead."""
-    sector_deg: Two | None = None
+    sector_deg: keys.Two | None = None
     """Directions in which an azimuth may push, from and to, clockwise from ahead [°]; at most half
     a turn wide. All round by default."""
-    turning_degps: Positive | None = None
+    turning_degps: keys.Positive | None = None
     """Fastest turning of an azimuth [°/s]; needed where a controller limits it."""
     group: str = ""
-    """What fails together with it, as behind one switchboard; by default it fails alone."""
+    """Failure group, as of one switchboard; by default it fails alone."""
 
     @model_validator(mode="after")
-    def _one_thrust(self) -> ThrusterTable:
+    def _check_one_thrust(self) -> ThrusterTable:
+        """Raise ValueError unless thrust is given either directly or by power and propeller."""
         made_of = [self.power_kW, self.diameter_m, self.propeller]
         given = [value is not None for value in made_of]
         if (self.thrust_kN is None) != all(given) or (any(given) and not all(given)):
@@ -117,8 +104,8 @@ class ThrusterTable(FileModel):
             raise ValueError("height_m belongs to power_kW, diameter_m and propeller")
         return self
 
-    def thruster(self) -> Thruster:
-        """The thruster in SI units; raises InputError."""
+    def build_thruster(self) -> Thruster:
+        """Return the thruster in SI units; InputError for values that do not fit its kind."""
         screw = None
         if self.thrust_kN is not None:
             thrust_N = 1e3 * self.thrust_kN
@@ -136,35 +123,34 @@ class ThrusterTable(FileModel):
 
 
 class CapabilityTable(FileModel):
-    """The hull as `dpbench capability` asks for it (DNV-ST-0111, table A-2); the areas above the
-    water are those of `[windage]`. What is left out is assumed, and the result says so."""
+    """Hull data for DP capability plots by DNV-ST-0111, table A-2, besides those of `[windage]`.
 
-    breadth_m: Positive
+    What is left out is assumed, and listed with the result.
+    """
+
+    breadth_m: keys.Positive
     """Breadth at the waterline [m]."""
-    draught_m: Positive
+    draught_m: keys.Positive
     """Summer draught [m]."""
-    submerged_length_m: Positive | None = None
+    submerged_length_m: keys.Positive | None = None
     """Length from the foremost to the aftmost point under water, L_os [m]; assumed: length_m."""
-    submerged_x_m: Number | None = None
+    submerged_x_m: keys.Number | None = None
     """Place of its middle ahead of that of L_pp [m]; assumed: 0."""
     bow_angle_deg: Annotated[float, Field(gt=0, le=90)] | None = None
     """Half the angle at which the waterline meets ahead [°]; assumed: 22."""
-    aft_fullness: Positive | None = None
-    """Area of the waterline behind the middle of L_pp over that of the rectangle around it;
-    assumed: 1."""
-    lateral_x_m: Number | None = None
-    """Centre of the area above the water from abeam, ahead of the middle of L_pp [m]; assumed:
-    0."""
-    submerged_m2: Positive | None = None
+    aft_fullness: keys.Positive | None = None
+    """Area of the waterline behind L_pp/2 over that of the rectangle around it; assumed: 1."""
+    lateral_x_m: keys.Number | None = None
+    """Centre of the area above the water from abeam, ahead of L_pp/2 [m]; assumed: 0."""
+    submerged_m2: keys.Positive | None = None
     """Area under water from abeam [m²]; assumed: length_m · draught_m."""
-    current_x_m: Number | None = None
+    current_x_m: keys.Number | None = None
     """Its centre, ahead of the middle of L_pp [m]; assumed: 0."""
-    skegs: list[Two] = []
-    """[x, y] of the aftmost point of each skeg, ahead of the middle of L_pp and to starboard
-    [m]."""
+    skegs: list[keys.Two] = []
+    """[x, y] of the aftmost point of each skeg, ahead of L_pp/2 and to starboard [m]."""
 
-    def hull(self, length_m: float, windage: Windage) -> CapabilityHull:
-        """The hull in SI units, L_pp being length_m."""
+    def build_hull(self, length_m: float, windage: Windage) -> CapabilityHull:
+        """Return the hull for capability plots in SI units, with assumed values where left out."""
         assumed = {
             "submerged_length_m": length_m,
             "submerged_x_m": 0.0,
@@ -174,8 +160,8 @@ class CapabilityTable(FileModel):
             "submerged_m2": length_m * self.draught_m,
             "current_x_m": 0.0,
         }
-        said = {key: getattr(self, key) for key in assumed}
-        known = {key: assumed[key] if value is None else value for key, value in said.items()}
+        given = {key: getattr(self, key) for key in assumed}
+        known = {key: assumed[key] if value is None else value for key, value in given.items()}
         return CapabilityHull(
             length_m=length_m,
             breadth_m=self.breadth_m,
@@ -184,13 +170,13 @@ class CapabilityTable(FileModel):
             frontal_m2=windage.frontal_m2,
             lateral_m2=windage.lateral_m2,
             skegs=tuple((x, y) for x, y in self.skegs),
-            assumed=tuple(key for key, value in said.items() if value is None),
+            assumed=tuple(key for key, value in given.items() if value is None),
             **known,
         )
 
 
 class VesselFile(FileModel):
-    """`problems/vessels/*.toml`: matrices in SI, or dimensionless in the Bis system.
+    """Contents of a vessel file, with matrices in SI units or dimensionless in the Bis system.
 
     `model_scale` λ makes it a model ship of scale 1 : λ, for which scenarios are scaled.
     """
@@ -201,36 +187,34 @@ class VesselFile(FileModel):
     """The ship in words."""
     source: str
     """Where the numbers come from."""
-    length_m: Length
+    length_m: keys.Length
     """Length the numbers belong to [m]; Bis scaling and the moments of wind and drift use it."""
     limits: LimitsTable | None = None
-    """Limits of the control force and of its rate. Without it, what the thrusters give in each
-    axis by itself."""
+    """Limits of the control force and of its rate; without it, those of the thrusters."""
     thrusters: list[ThrusterTable] = []
     """Its thrusters, for controllers that steer them."""
-    model_scale: Positive = 1.0
-    """λ of a model ship of scale 1 : λ; scenarios are scaled to it by Froude's law. 1: full
-    size."""
+    model_scale: keys.Positive = 1.0
+    """λ of a model ship of scale 1 : λ, to which scenarios are scaled by Froude's law."""
     windage: WindageTable | None = None
     """Needed where the weather has wind."""
     reflection: ReflectionTable | None = None
     """Needed where the weather has wave drift."""
     capability: CapabilityTable | None = None
     """Needed by `dpbench capability`, with windage and thrusters."""
-    inertia: ThreeByThree | None = None
-    """M (3, 3) with added mass [kg, kg·m, kg·m²], rows surge, sway, yaw; symmetric, positive
-    definite."""
-    damping: ThreeByThree | None = None
+    inertia: keys.ThreeByThree | None = None
+    """M (3, 3) with added mass [kg, kg·m, kg·m²]; symmetric, positive definite."""
+    damping: keys.ThreeByThree | None = None
     """D (3, 3), linear [kg/s, kg·m/s, kg·m²/s]; its symmetric part positive definite."""
-    mass_kg: Positive | None = None
+    mass_kg: keys.Positive | None = None
     """Mass for the Bis system [kg]."""
-    inertia_bis: ThreeByThree | None = None
+    inertia_bis: keys.ThreeByThree | None = None
     """M without dimension in the Bis system."""
-    damping_bis: ThreeByThree | None = None
+    damping_bis: keys.ThreeByThree | None = None
     """D without dimension in the Bis system."""
 
     @model_validator(mode="after")
-    def _one_system(self) -> VesselFile:
+    def _check_complete(self) -> VesselFile:
+        """Raise ValueError for keys that do not define one complete vessel."""
         systems = ({"inertia", "damping"}, {"mass_kg", "inertia_bis", "damping_bis"})
         given = {key for key in systems[0] | systems[1] if getattr(self, key) is not None}
         if given not in systems:
@@ -241,33 +225,35 @@ class VesselFile(FileModel):
             raise ValueError("windage beside capability, which takes its areas from there")
         return self
 
-    def vessel(self, name: str, where: str) -> Vessel:
-        """The vessel in SI units; raises InputError naming `where`."""
+    def build_vessel(self, name: str, where: str) -> Vessel:
+        """Return the vessel in SI units; InputError naming `where` for unfit values."""
         if self.inertia is not None:
             M, D = np.array(self.inertia), np.array(self.damping)
         else:
             assert self.mass_kg is not None, "the validator demands it beside inertia_bis"
-            M = bis_descaled(np.array(self.inertia_bis), self.mass_kg, self.length_m)
-            D = bis_descaled_damping(np.array(self.damping_bis), self.mass_kg, self.length_m)
-        thrusters = self._thrusters(where)
+            M = descale_bis(np.array(self.inertia_bis), self.mass_kg, self.length_m)
+            D = descale_bis_damping(np.array(self.damping_bis), self.mass_kg, self.length_m)
+        thrusters = self._build_thrusters(where)
         low, high, rate = self._force_limits(thrusters)
         air, water = self.windage, self.reflection
         windage = Windage(**air.model_dump()) if air else None
         reflection = WaveReflection(**water.model_dump()) if water else None
-        hull = self.capability.hull(self.length_m, windage) if self.capability and windage else None
+        hull = None
+        if self.capability and windage:
+            hull = self.capability.build_hull(self.length_m, windage)
         ship = (name, self.title, self.source, self.length_m, M, D, low, high, rate, where)
         try:
             vessel = Vessel(*ship, windage, reflection, thrusters, hull)
         except InputError as error:
             bis = "" if self.inertia is not None else "_bis"
-            keys = {"M": f"inertia{bis}", "D": f"damping{bis}", "tau_min, tau_max": "limits"}
-            key = keys.get(error.key, error.key)
+            names = {"M": f"inertia{bis}", "D": f"damping{bis}", "tau_min, tau_max": "limits"}
+            key = names.get(error.key, error.key)
             raise InputError(where, key, error.found, error.allowed) from error
         self._check_units(float(M[0, 0]), where)
         return vessel
 
     def _check_units(self, surge_kg: float, where: str) -> None:
-        """Raise InputError where length and mass cannot be those of one ship in m and kg.
+        """Raise InputError where length and mass cannot be in m and kg.
 
         Ships are 0.5 to 5 % of the water in a cube of their length.
         """
@@ -277,16 +263,17 @@ class VesselFile(FileModel):
             allowed = "m and kg: an inertia of 1e-4 to 1 times 1026 kg/m³ times the length cubed"
             raise InputError(where, "length_m", found, allowed)
 
-    def _thrusters(self, where: str) -> ThrusterSet | None:
+    def _build_thrusters(self, where: str) -> ThrusterSet | None:
+        """Return the thrusters in SI units; None where the file has none."""
         if not self.thrusters:
             return None
         try:
-            return ThrusterSet(tuple(table.thruster() for table in self.thrusters), where)
+            return ThrusterSet(tuple(table.build_thruster() for table in self.thrusters), where)
         except InputError as error:
             raise InputError(where, f"thrusters.{error.key}", error.found, error.allowed) from error
 
     def _force_limits(self, thrusters: ThrusterSet | None) -> tuple[Vector, Vector, Vector]:
-        """τ_min, τ_max, and the limit of the rate: (3,) each."""
+        """Return the lower, upper and rate limits of the control force, (3,) each."""
         if self.limits is None:
             assert thrusters is not None, "the validator demands one of the two"
             return *thrusters.limits(), thrusters.rate()

@@ -1,10 +1,8 @@
-"""The weather of scenario files, in the units sailors use, and what becomes of it in SI.
+"""The weather of scenario files, in the units of the trade, at full size.
 
-Wind and waves come *from* a compass direction, a current sets *towards* one. A file speaks of a
-full-size ship; for a model ship everything is scaled by Froude's law (`ship.froude`).
+Wind and waves come *from* a compass direction, a current sets *towards* one. For a model ship all
+is scaled by Froude's law.
 """
-
-from __future__ import annotations
 
 import math
 from typing import Annotated, Literal
@@ -14,20 +12,9 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from dpbench.arrays import Vector
 from dpbench.scenario.problem_files import FileModel
-from dpbench.scenario.tables.key_types import (
-    Count,
-    Degrees,
-    NotNegative,
-    Number,
-    Positive,
-    Three,
-    ThreePositive,
-)
-from dpbench.ship.environment import Environment
+from dpbench.scenario.tables import key_types as keys
+from dpbench.ship.environment import Current, Environment, SensorNoise, Squall
 from dpbench.ship.froude import Froude
-from dpbench.ship.sensors import SensorNoise
-from dpbench.ship.weather.current import Current
-from dpbench.ship.weather.squall import Squall
 from dpbench.ship.weather.waves import FirstOrderMotion, Sea, WaveDrift
 from dpbench.ship.weather.wind import Wind, towards_rad
 
@@ -37,27 +24,28 @@ _PER_KN = 1000.0
 class SquallTable(FileModel):
     """A force that rises, holds and decays along straight lines, on top of the slow forces."""
 
-    start_s: NotNegative
+    start_s: keys.NotNegative
     """When it begins to rise [s]."""
-    rise_s: Positive
-    """How long it rises [s]."""
-    hold_until_s: NotNegative
+    rise_s: keys.Positive
+    """Time of rising [s]."""
+    hold_until_s: keys.NotNegative
     """Until when it holds [s]; not before it has risen."""
-    decay_s: Positive
-    """How long it decays [s]."""
-    force_kN: Three
+    decay_s: keys.Positive
+    """Time of decay [s]."""
+    force_kN: keys.Three
     """Full force, north, east [kN], yaw [kN·m]."""
 
     @field_validator("hold_until_s")
     @classmethod
-    def _risen(cls, hold_until_s: float, info: ValidationInfo) -> float:
+    def _check_hold_time(cls, hold_until_s: float, info: ValidationInfo) -> float:
+        """Raise ValueError where the squall stops holding before it has risen."""
         risen_s = info.data.get("start_s", 0.0) + info.data.get("rise_s", 0.0)
         if hold_until_s < risen_s:
             raise ValueError(f"start_s + rise_s = {risen_s:g} s or later")
         return hold_until_s
 
-    def squall(self, scale: Froude) -> Squall:
-        """In SI."""
+    def build_squall(self, scale: Froude) -> Squall:
+        """Return the squall in SI units."""
         return Squall(
             self.start_s * scale.time,
             self.rise_s * scale.time,
@@ -68,83 +56,75 @@ class SquallTable(FileModel):
 
 
 class WindTable(FileModel):
-    """Mean wind 10 m above the water with gusts along it."""
+    """Table of a scenario file: mean wind 10 m above the water, and the gusts along it."""
 
-    speed_mps: NotNegative
+    speed_mps: keys.NotNegative
     """Mean speed 10 m above the water [m/s]."""
-    from_deg: Degrees
+    from_deg: keys.Degrees
     """Compass direction it comes from [°]."""
     gusts: Literal["norsok", "harris", "none"] = "norsok"
     """Spectrum of the gusts; none: a steady wind."""
 
-    def wind(self, scale: Froude) -> Wind:
-        """In SI."""
+    def build_wind(self, scale: Froude) -> Wind:
+        """Return the wind in SI units."""
         return Wind(self.speed_mps * scale.time, towards_rad(self.from_deg), self.gusts)
 
 
 class CurrentTable(FileModel):
-    """A steady current."""
+    """Steady ocean current: speed and direction."""
 
-    speed_mps: NotNegative
+    speed_mps: keys.NotNegative
     """Speed [m/s]."""
-    towards_deg: Degrees
+    towards_deg: keys.Degrees
     """Compass direction it sets towards [°]."""
 
-    def current(self, scale: Froude) -> Current:
-        """In SI."""
+    def build_current(self, scale: Froude) -> Current:
+        """Return the current in SI units."""
         return Current(self.speed_mps * scale.time, math.radians(self.towards_deg))
 
 
 class MotionTable(FileModel):
-    """First-order motion in the measurement, per metre of wave amplitude."""
+    """Wave-frequency ship motion in the measurement, per metre of wave amplitude."""
 
-    along_m_per_m: Number = 0.6
+    along_m_per_m: keys.Number = 0.6
     """Along the waves, per metre of wave amplitude; the water's own is 1."""
-    across_m_per_m: Number = 0.2
+    across_m_per_m: keys.Number = 0.2
     """Across the waves, per metre of wave amplitude."""
-    heading_deg_per_m: Number = 0.3
+    heading_deg_per_m: keys.Number = 0.3
     """Heading [°] per metre of wave amplitude."""
 
 
 class WavesTable(FileModel):
-    """A JONSWAP sea: drift force on the ship, first-order motion in what is measured."""
+    """Irregular sea with a JONSWAP spectrum, and its effects on ship and measurement."""
 
-    hs_m: NotNegative
+    hs_m: keys.NotNegative
     """Significant height [m]."""
-    tp_s: Positive
+    tp_s: keys.Positive
     """Peak period [s]."""
-    from_deg: Degrees
+    from_deg: keys.Degrees
     """Compass direction they come from [°]."""
     gamma: Annotated[float, Field(ge=1, le=7)] = 3.3
     """Peakedness of the JONSWAP spectrum; 1 is Pierson-Moskowitz."""
     drift: bool = True
-    """Whether the slow drift force acts on the ship."""
+    """true: the slow drift force acts on the ship."""
     motion: MotionTable | None = None
     """First-order motion in the measurement; {} takes the defaults, none without the key."""
 
-    def sea(self, scale: Froude) -> Sea:
-        """In SI."""
-        return Sea(
-            self.hs_m * scale.length,
-            self.tp_s * scale.time,
-            towards_rad(self.from_deg),
-            self.gamma,
-        )
+    def build_sea(self, scale: Froude) -> Sea:
+        """Return the sea in SI units."""
+        to_rad = towards_rad(self.from_deg)
+        return Sea(self.hs_m * scale.length, self.tp_s * scale.time, to_rad, self.gamma)
 
-    def first_order(self, scale: Froude) -> FirstOrderMotion | None:
-        """In SI; None where the measurement shows none."""
-        if self.motion is None:
+    def build_motion(self, scale: Froude) -> FirstOrderMotion | None:
+        """Return the wave-frequency motion in SI units; None where the measurement shows none."""
+        motion = self.motion
+        if motion is None:
             return None
-        turn = math.radians(self.motion.heading_deg_per_m) / scale.length
-        return FirstOrderMotion(
-            self.sea(scale),
-            self.motion.along_m_per_m,
-            self.motion.across_m_per_m,
-            turn,
-        )
+        sea, turn = self.build_sea(scale), math.radians(motion.heading_deg_per_m) / scale.length
+        return FirstOrderMotion(sea, motion.along_m_per_m, motion.across_m_per_m, turn)
 
     def motion_std(self, scale: Froude) -> Vector:
-        """(3,) standard deviation of the first-order motion, the direction of the waves unknown."""
+        """Return the standard deviation (3,) [m, m, rad] of the wave-frequency motion."""
         motion = self.motion or MotionTable()
         elevation = 0.25 * self.hs_m * scale.length
         widest = max(abs(motion.along_m_per_m), abs(motion.across_m_per_m))
@@ -153,38 +133,40 @@ class WavesTable(FileModel):
 
 
 class NoiseTable(FileModel):
-    """White noise of the sensors, standard deviations."""
+    """Standard deviations of the white noise of the sensors."""
 
-    position_m: NotNegative
+    position_m: keys.NotNegative
     """Of north and east [m]."""
-    heading_deg: NotNegative
+    heading_deg: keys.NotNegative
     """Of the heading [°]."""
 
-    def noise(self, scale: Froude) -> SensorNoise:
-        """In SI."""
+    def build_noise(self, scale: Froude) -> SensorNoise:
+        """Return the sensor noise in SI units."""
         return SensorNoise(self.std(scale))
 
     def std(self, scale: Froude) -> Vector:
-        """(3,) [m, m, rad]."""
+        """Return the standard deviations (3,) [m, m, rad] of the sensor noise."""
         metres = self.position_m * scale.length
         return np.array([metres, metres, math.radians(self.heading_deg)])
 
 
 class EnvironmentTable(FileModel):
-    """b(t) = g(t)·(mean + amplitude·sin(2πt/T + phase)), north, east, yaw, in kN and kN·m; and
-    whatever else of the weather there is."""
+    """Slow forces b(t) = g(t)·(mean + amplitude·sin(2πt/T + phase)), and the rest of the weather.
 
-    mean_kN: Three = [0.0, 0.0, 0.0]
+    North, east, yaw, in kN and kN·m.
+    """
+
+    mean_kN: keys.Three = [0.0, 0.0, 0.0]
     """Constant part of the slow force: north, east [kN], yaw [kN·m]."""
-    amplitude_kN: Three = [0.0, 0.0, 0.0]
+    amplitude_kN: keys.Three = [0.0, 0.0, 0.0]
     """Amplitude of its sine: north, east [kN], yaw [kN·m]."""
-    period_s: ThreePositive = [60.0, 60.0, 60.0]
+    period_s: keys.ThreePositive = [60.0, 60.0, 60.0]
     """Period T of each sine [s]."""
-    phase_rad: Three = [0.0, 1.0, 2.0]
+    phase_rad: keys.Three = [0.0, 1.0, 2.0]
     """Phase of each sine [rad]."""
-    ramp_s: NotNegative = 0.0
+    ramp_s: keys.NotNegative = 0.0
     """g(t) grows from 0 to 1 in this time [s]; 0: it is 1 from the start."""
-    seed: Count = 0
+    seed: keys.Count = 0
     """Of gusts, waves and noise: the same seed is the same weather."""
     squalls: list[SquallTable] = []
     """Squalls, one table each."""
@@ -197,20 +179,20 @@ class EnvironmentTable(FileModel):
     noise: NoiseTable | None = None
     """Noise of the sensors."""
 
-    def environment(self, scale: Froude) -> Environment:
-        """The weather in SI."""
-        sea = self.waves.sea(scale) if self.waves else None
+    def build_environment(self, scale: Froude) -> Environment:
+        """Return the weather in SI units."""
+        sea = self.waves.build_sea(scale) if self.waves else None
         return Environment(
             _PER_KN * np.array(self.mean_kN) * scale.force,
             _PER_KN * np.array(self.amplitude_kN) * scale.force,
             np.array(self.period_s) * scale.time,
             np.array(self.phase_rad),
             self.ramp_s * scale.time,
-            squalls=tuple(squall.squall(scale) for squall in self.squalls),
-            wind=self.wind.wind(scale) if self.wind else None,
-            current=self.current.current(scale) if self.current else None,
+            squalls=tuple(squall.build_squall(scale) for squall in self.squalls),
+            wind=self.wind.build_wind(scale) if self.wind else None,
+            current=self.current.build_current(scale) if self.current else None,
             drift=WaveDrift(sea) if sea and self.waves and self.waves.drift else None,
-            motion=self.waves.first_order(scale) if self.waves else None,
-            noise=self.noise.noise(scale) if self.noise else None,
+            motion=self.waves.build_motion(scale) if self.waves else None,
+            noise=self.noise.build_noise(scale) if self.noise else None,
             seed=self.seed,
         )

@@ -3,8 +3,6 @@
 Wind, waves and current come from one direction.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +30,7 @@ _TABLE = np.array([CALM, *DP_CONDITIONS.values()])
 
 @dataclass(frozen=True)
 class Condition:
-    """Mean wind [m/s] 10 m above the water, Hs [m], Tp [s], current [m/s]."""
+    """Weather of a DP capability number: mean wind [m/s], waves Hs [m], Tp [s], current [m/s]."""
 
     wind_mps: float
     hs_m: float
@@ -41,14 +39,14 @@ class Condition:
 
     @property
     def zero_crossing_s(self) -> float:
-        """Tz = Tp/1.4049, of Pierson and Moskowitz's spectrum."""
+        """Mean zero-crossing period [s] of a Pierson-Moskowitz spectrum, from its peak period."""
         return self.tp_s / 1.4049
 
 
-def condition_of_wind(wind_mps: float) -> Condition:
-    """Waves and current of a wind, linear between the rows of the table; above it, its last row.
+def interpolate_condition(wind_mps: float) -> Condition:
+    """Return the waves and current for a wind speed, interpolated in the standard's table.
 
-    The standard knows the rows alone; between them this is ours, so that a wind can be named.
+    The standard has the rows alone; interpolation is ours.
     """
     columns = (float(np.interp(wind_mps, _TABLE[:, 0], column)) for column in _TABLE.T[1:])
     return Condition(wind_mps, *columns)

@@ -15,15 +15,13 @@ the bow angle. The standard's y points to port; here it points to starboard, and
 there.
 """
 
-from __future__ import annotations
-
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from dpbench.arrays import Matrix
 from dpbench.ship.capability.conditions import Condition
-from dpbench.ship.capability.hull import CapabilityHull
 from dpbench.ship.weather.waves import GRAVITY, WATER_DENSITY, period_factor
 from dpbench.ship.weather.wind import AIR_DENSITY
 
@@ -31,27 +29,54 @@ DYNAMIC_FACTOR = 1.25
 """By which thrust has to exceed the mean loads (3.2.2)."""
 
 
-def folded(from_rad: float) -> float:
-    """γ' in 0…π: the same on both sides of the ship."""
+@dataclass(frozen=True)
+class CapabilityHull:
+    """Hull dimensions and areas that the load formulas of DNV-ST-0111 need.
+
+    length_m, breadth_m, draught_m : L_pp, B at the waterline, T.
+    submerged_length_m, submerged_x_m : L_os from the foremost to the aftmost point under water, and
+        the place of its middle.
+    bow_angle_rad : half the angle at which the waterline meets ahead.
+    aft_fullness : C_WL,aft, area of the waterline behind the middle over B·L_pp/2.
+    frontal_m2, lateral_m2, lateral_x_m : areas above the water from ahead and from abeam, and the
+        centre of the latter.
+    submerged_m2, current_x_m : area under water from abeam, and its centre.
+    skegs : (x, y) [m] of the aftmost point of each.
+    assumed : keys that the file leaves out.
+    """
+
+    length_m: float
+    breadth_m: float
+    draught_m: float
+    submerged_length_m: float
+    submerged_x_m: float
+    bow_angle_rad: float
+    aft_fullness: float
+    frontal_m2: float
+    lateral_m2: float
+    lateral_x_m: float
+    submerged_m2: float
+    current_x_m: float
+    skegs: tuple[tuple[float, float], ...] = ()
+    assumed: tuple[str, ...] = ()
+
+
+def fold_angle(from_rad: float) -> float:
+    """Return the angle from which weather comes, mirrored to one side of the ship: 0 to π."""
     return abs(math.remainder(from_rad, 2.0 * math.pi))
 
 
 def mean_loads(hull: CapabilityHull, condition: Condition, from_rad: float) -> Matrix:
-    """Surge, sway [N] and yaw [N·m] of wind, current and waves, without the factor: (3, 3).
-
-    Parameters
-    ----------
-    from_rad : where all come from, clockwise from ahead [rad].
-    """
+    """Return the mean loads of wind, current and waves in surge, sway [N] and yaw [N·m]: (3, 3)."""
     along, across = math.cos(from_rad), math.sin(from_rad)
-    side = folded(from_rad) / math.pi
+    side = fold_angle(from_rad) / math.pi
     L = hull.length_m
     air = 0.5 * AIR_DENSITY * condition.wind_mps**2
     wind_arm = hull.lateral_x_m + 0.3 * (1.0 - 2.0 * side) * L
     water = 0.5 * WATER_DENSITY * condition.current_mps**2
     shift = min(max(0.4 * (1.0 - 2.0 * side), -0.2), 0.25)
     wave_arm = hull.submerged_x_m + (0.05 - 0.14 * side) * hull.submerged_length_m
-    drift_x, drift_y = _drift(hull, condition, from_rad)
+    drift_x, drift_y = _wave_drift(hull, condition, from_rad)
     forces = [
         (-0.7 * air * hull.frontal_m2 * along, -0.9 * air * hull.lateral_m2 * across, wind_arm),
         (
@@ -64,10 +89,10 @@ def mean_loads(hull: CapabilityHull, condition: Condition, from_rad: float) -> M
     return np.array([(X, Y, Y * arm) for X, Y, arm in forces])
 
 
-def _drift(hull: CapabilityHull, condition: Condition, from_rad: float) -> tuple[float, float]:
-    """Wave drift in surge and sway [N]."""
+def _wave_drift(hull: CapabilityHull, condition: Condition, from_rad: float) -> tuple[float, float]:
+    """Return the mean wave drift force in surge and sway [N]."""
     pressure = 0.09 * 0.5 * WATER_DENSITY * GRAVITY * condition.hs_m**2
-    Tz, turned = condition.zero_crossing_s, folded(from_rad)
+    Tz, turned = condition.zero_crossing_s, fold_angle(from_rad)
     ahead = 0.8 * hull.bow_angle_rad**0.45
     astern = 0.7 * min(max(hull.aft_fullness, 0.85), 1.15) ** 2
     h1 = ahead + turned / math.pi * (astern - ahead)

@@ -1,4 +1,4 @@
-"""What of a thruster's nominal thrust is left, by level 1 of DNV-ST-0111 (2021), 3.9 and 3.11.
+"""Thrust losses by level 1 of DNV-ST-0111 (2021), 3.9 and 3.11.
 
     T_effective = T_nominal · β_misc · β_vent · β_dead(α) · β_skeg(α)
 
@@ -12,33 +12,30 @@ An azimuth may not send its race onto a working thruster (3.11.3), and loses thr
 dead one (3.11.4) or a skeg (3.11.5); α is where it pushes to, clockwise from ahead.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 
 from dpbench.ship.capability.conditions import Condition
-from dpbench.ship.capability.hull import CapabilityHull
-from dpbench.ship.capability.loads import folded
+from dpbench.ship.capability.loads import CapabilityHull, fold_angle
 from dpbench.ship.thrusters import Thruster
 
 MISCELLANEOUS = 0.9
 """β_misc."""
 FLUSHING_DIAMETERS = 15.0
-"""Nearer than so many diameters nobody may flush a working thruster."""
+"""Distance in diameters below which flushing a working thruster is forbidden."""
 TURN = 2.0 * math.pi
 
 
-def vented_share(
+def thrust_share_when_vented(
     thruster: Thruster, hull: CapabilityHull, condition: Condition, from_rad: float
 ) -> float:
-    """β_vent, the share that waves from there leave; 1 for a thruster without a known screw."""
+    """Return the share of thrust left when waves let the propeller draw air (β_vent)."""
     screw = thruster.screw
     if screw is None or screw.height_m is None:
         return 1.0
-    turned = folded(from_rad)
+    turned = fold_angle(from_rad)
     abeam = 1.0 + 0.38 * min(turned, math.pi - turned) / math.pi
     aft = 1.0 + 0.4 * min(thruster.x_m, 0.0) / hull.length_m
     period = min(0.64 * math.sqrt(hull.length_m) / condition.zero_crossing_s, 1.0)
@@ -51,27 +48,21 @@ def vented_share(
 
 @dataclass(frozen=True)
 class Loss:
-    """A share of thrust that depends on where it pushes.
-
-    Parameters
-    ----------
-    start, worst, end : where it begins, is largest and ends [rad], rising.
-    share : of the full thrust, at a direction between start and end [rad].
-    """
+    """Share of an azimuth's thrust left in a range of directions [rad], least at `worst`."""
 
     start: float
     worst: float
     end: float
     share: Callable[[float], float]
 
-    def at(self, direction: float) -> float:
-        """The share at any direction; 1 where there is no loss."""
+    def share_at(self, direction: float) -> float:
+        """Return the share of thrust left in a direction [rad]; 1 outside the range of loss."""
         inside = self.start + (direction - self.start) % TURN
         return self.share(inside) if inside < self.end else 1.0
 
 
 def forbidden_zones(thruster: Thruster, working: Sequence[Thruster]) -> list[tuple[float, float]]:
-    """(from, to) [rad] of the directions in which an azimuth would flush a working thruster."""
+    """Return directions [rad] in which an azimuth's propeller race would hit a working thruster."""
     screw = thruster.screw
     if thruster.kind != "azimuth" or screw is None:
         return []
@@ -82,13 +73,13 @@ def forbidden_zones(thruster: Thruster, working: Sequence[Thruster]) -> list[tup
             continue
         if 0.0 < distance < FLUSHING_DIAMETERS * screw.diameter_m:
             half = math.atan(0.1 + screw.diameter_m / distance)
-            centre = _away(thruster, other)
+            centre = _direction_away(thruster, other)
             zones.append((centre - half, centre + half))
     return zones
 
 
 def dead_losses(thruster: Thruster, dead: Sequence[Thruster]) -> list[Loss]:
-    """Losses of an azimuth whose race hits a thruster that gives nothing; no tunnel is hit.
+    """Return the thrust losses of an azimuth whose propeller race hits a dead thruster.
 
     From β at the centre to 1 at both edges the largest thrust lies on a straight line.
     """
@@ -104,16 +95,18 @@ def dead_losses(thruster: Thruster, dead: Sequence[Thruster]) -> list[Loss]:
             continue
         half = math.atan(spread / diameters)
         beta = 1.0 - 1.0 / (0.02 * diameters**2 + 0.25 * diameters + 1.2)
-        losses.append(_notch(_away(thruster, other), half, beta))
+        losses.append(_dead_thruster_loss(_direction_away(thruster, other), half, beta))
     return losses
 
 
-def _away(thruster: Thruster, other: Thruster) -> float:
-    """Where a thruster pushes to while its race meets the other [rad]."""
+def _direction_away(thruster: Thruster, other: Thruster) -> float:
+    """Return the direction [rad] of thrust that sends a thruster's race onto another thruster."""
     return math.atan2(thruster.y_m - other.y_m, thruster.x_m - other.x_m)
 
 
-def _notch(centre: float, half: float, beta: float) -> Loss:
+def _dead_thruster_loss(centre: float, half: float, beta: float) -> Loss:
+    """Return a thrust loss by a dead thruster: share `beta` left at the centre, 1 at the edges."""
+
     def share(direction: float) -> float:
         off = abs(direction - centre)
         return beta * math.sin(half) / (math.sin(half - off) + beta * math.sin(off))
@@ -122,7 +115,7 @@ def _notch(centre: float, half: float, beta: float) -> Loss:
 
 
 def skeg_losses(thruster: Thruster, hull: CapabilityHull) -> list[Loss]:
-    """Losses of an azimuth whose race hits a skeg, linear in the direction between three points.
+    """Return the thrust losses of an azimuth whose propeller race hits a skeg.
 
     Tables 3-7 and 3-8 are mirror images, so they are one in the angle towards the thruster's side.
     """
@@ -138,11 +131,12 @@ def skeg_losses(thruster: Thruster, hull: CapabilityHull) -> list[Loss]:
         distance = math.hypot(ahead, aside) if ahead > 0.0 else aside
         if aside > 0.0 and distance < reach * screw.diameter_m:
             jet = math.atan(0.6 * screw.diameter_m / distance)
-            losses.append(_skeg(ahead, aside, jet, thruster.y_m < y_m))
+            losses.append(_skeg_loss(ahead, aside, jet, thruster.y_m < y_m))
     return losses
 
 
-def _skeg(ahead: float, aside: float, jet: float, to_port: bool) -> Loss:
+def _skeg_loss(ahead: float, aside: float, jet: float, to_port: bool) -> Loss:
+    """Return an azimuth's thrust loss by one skeg, `ahead` and `aside` [m] of it."""
     flush = 0.5 * math.pi + math.atan(ahead / aside)
     worst = min(max(flush + jet, 0.5 * math.pi), math.pi)
     start, end = max(flush - jet, 0.0), min(worst + 4.0 * jet, math.pi)

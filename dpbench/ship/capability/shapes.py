@@ -1,4 +1,4 @@
-"""The forces an effective azimuth may give, as a union of convex pieces.
+"""The forces an azimuth may give after losses, as a union of convex pieces.
 
 In directions without loss the edge is the circle of radius 1, times T. A forbidden zone takes a
 sector out, and a loss a notch, so what remains is not convex: it is cut, at the bottom of each
@@ -9,8 +9,6 @@ notch and wherever a sector would be wider than half a turn, into pieces that ar
        ╲  ╱          more than the second order of the angle between them
         ╰╯ zone
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Sequence
@@ -28,10 +26,8 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A convex part of what an azimuth may give, in units of its effective thrust.
+    """Convex part of the forces that an azimuth can give after losses, relative to its thrust.
 
-    Parameters
-    ----------
     sector : (start, end) [rad], at most half a turn; None for all round.
     chords : (c, 3) rows (n_x, n_y, h) of n·f ≤ h, in which a loss cuts the circle.
     """
@@ -40,66 +36,64 @@ class Piece:
     chords: Matrix = field(default_factory=lambda: np.zeros((0, 3)))
 
 
-def pieces(
+def convex_pieces(
     sector: tuple[float, float] | None,
     zones: Sequence[tuple[float, float]],
     dead: Sequence[Loss],
     skegs: Sequence[Loss],
     step_rad: float,
 ) -> list[Piece]:
-    """The convex pieces of an azimuth; none where every direction is forbidden.
+    """Split the attainable forces of an azimuth into convex pieces; none if all is forbidden.
 
-    Parameters
-    ----------
-    sector : where it may push at all; zones : where it may not, (from, to) [rad].
+    sector, zones : where it may push, and where not, (from, to) [rad].
     dead, skegs : losses; of several of one kind the largest counts, of both kinds the product.
-    step_rad : the angle between corners on the edge of a notch, at most.
+    step_rad : the largest angle between corners on the edge of a notch.
     """
-    edge = _Edge(dead, skegs)
+    edge = _ThrustEdge(dead, skegs)
     if sector is None and not zones and not edge.kinks:
         return [Piece()]
     allowed: list[Piece] = []
-    for start, end in _allowed(sector, zones, edge):
+    for start, end in _allowed_arcs(sector, zones, edge):
         allowed += edge.cut(start, end, step_rad)
     return allowed
 
 
-class _Edge:
-    """The largest thrust by direction, over T."""
+class _ThrustEdge:
+    """Largest thrust of an azimuth in each direction, relative to its nominal thrust."""
 
     def __init__(self, dead: Sequence[Loss], skegs: Sequence[Loss]) -> None:
-        self._kinds = dead, skegs
+        self._both = dead, skegs
         losses = [*dead, *skegs]
         self.kinks = [angle for loss in losses for angle in (loss.start, loss.worst, loss.end)]
 
     def share(self, direction: float) -> float:
-        """β_dead β_skeg."""
+        """Return the share of thrust left in a direction [rad] after all losses."""
         dead, skegs = (
-            min((loss.at(direction) for loss in losses), default=1.0) for losses in self._kinds
+            min((loss.share_at(direction) for loss in losses), default=1.0) for losses in self._both
         )
         return dead * skegs
 
     def cut(self, start: float, end: float, step_rad: float) -> list[Piece]:
-        """The pieces between two directions."""
-        corners = self._corners(start, end, step_rad)
-        points = [self._point(corner) for corner in corners]
+        """Cut an azimuth's attainable forces between two directions [rad] into convex pieces."""
+        corners = self._corner_directions(start, end, step_rad)
+        points = [self._edge_point(corner) for corner in corners]
         sides = zip(pairwise(corners), pairwise(points), strict=True)
-        ways = [self._way(a, b, p, q) for (a, b), (p, q) in sides]
+        tangents = [self._end_tangents(a, b, p, q) for (a, b), (p, q) in sides]
         cuts, first = [], 0
-        for i in range(1, len(ways)):
+        for i in range(1, len(tangents)):
             wide = corners[i + 1] - corners[first] > math.pi + _ROUNDING
-            if wide or _cross(ways[i - 1][1], ways[i][0]) < -_ROUNDING:
+            if wide or _cross_product(tangents[i - 1][1], tangents[i][0]) < -_ROUNDING:
                 cuts.append((first, i))
                 first = i
-        cuts.append((first, len(ways)))
-        chords = [[chord for _, _, chord in ways[a:b] if chord] for a, b in cuts]
+        cuts.append((first, len(tangents)))
+        chords = [[chord for _, _, chord in tangents[a:b] if chord] for a, b in cuts]
         return [
             Piece((corners[a], corners[b]), np.array(rows, dtype=np.float64).reshape(-1, 3))
             for (a, b), rows in zip(cuts, chords, strict=True)
         ]
 
-    def _corners(self, start: float, end: float, step_rad: float) -> list[float]:
-        """Both ends, the kinks between them, and as many more as notches and half turns need."""
+    def _corner_directions(self, start: float, end: float, step_rad: float) -> list[float]:
+        """Return directions [rad] of polygon corners that approximate the thrust limit."""
         between = {start + (kink - start) % TURN for kink in self.kinks}
         main = [start, *sorted(a for a in between if start + _ROUNDING < a < end - _ROUNDING), end]
         corners = [start]
@@ -109,15 +103,16 @@ class _Edge:
             corners += np.linspace(a, b, max(count, 1) + 1)[1:].tolist()
         return corners
 
-    def _point(self, direction: float) -> tuple[float, float]:
+    def _edge_point(self, direction: float) -> tuple[float, float]:
+        """Return the largest thrust vector in a direction [rad], relative to nominal thrust."""
         # At a kink where a loss ends abruptly the lesser thrust counts.
         share = min(self.share(direction - _ROUNDING), self.share(direction + _ROUNDING))
         return share * math.cos(direction), share * math.sin(direction)
 
-    def _way(
+    def _end_tangents(
         self, a: float, b: float, p: tuple[float, float], q: tuple[float, float]
     ) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float, float] | None]:
-        """Directions in which the edge leaves a corner and meets the next; its chord, if any."""
+        """Return tangents at both ends of a thrust-limit segment; its chord if thrust is lost."""
         if self.share(0.5 * (a + b)) >= 1.0:
             return (-math.sin(a), math.cos(a)), (-math.sin(b), math.cos(b)), None
         length = math.hypot(q[0] - p[0], q[1] - p[1])
@@ -126,14 +121,15 @@ class _Edge:
         return along, along, (*normal, normal[0] * p[0] + normal[1] * p[1])
 
 
-def _cross(a: tuple[float, float], b: tuple[float, float]) -> float:
+def _cross_product(a: tuple[float, float], b: tuple[float, float]) -> float:
+    """Return the cross product of two plane vectors."""
     return a[0] * b[1] - a[1] * b[0]
 
 
-def _allowed(
-    sector: tuple[float, float] | None, zones: Sequence[tuple[float, float]], edge: _Edge
+def _allowed_arcs(
+    sector: tuple[float, float] | None, zones: Sequence[tuple[float, float]], edge: _ThrustEdge
 ) -> list[tuple[float, float]]:
-    """The directions left: the sector, or a whole turn, without the zones."""
+    """Return the ranges of directions [rad] inside the sector and outside all forbidden zones."""
     if sector is None:
         # A turn begins at the bottom of a notch, where it is cut anyway, or behind a zone.
         start = min(edge.kinks, key=edge.share) if not zones else zones[0][1]
@@ -142,10 +138,11 @@ def _allowed(
     for low, high in zones:
         for turn in (-2, -1, 0, 1, 2):
             at = low + turn * TURN, high + turn * TURN
-            left = [part for arc in left for part in _without(arc, at)]
+            left = [part for arc in left for part in _subtract_arc(arc, at)]
     return left
 
 
-def _without(arc: tuple[float, float], zone: tuple[float, float]) -> list[tuple[float, float]]:
+def _subtract_arc(arc: tuple[float, float], zone: tuple[float, float]) -> list[tuple[float, float]]:
+    """Return the parts of a range of directions that lie outside a forbidden zone."""
     parts = (arc[0], min(arc[1], zone[0])), (max(arc[0], zone[1]), arc[1])
     return [part for part in parts if part[1] - part[0] > _ROUNDING]

@@ -1,1 +1,1 @@
-"""Observers: what the controller knows of the ship."""
+"""Estimators of the ship's state, from its measurement."""

@@ -1,12 +1,10 @@
-"""From what the sensors see to the state the controller acts on (paper Figure 2, "estimator").
+"""Estimators: from the measurement to the state the controller acts on (paper Figure 2).
 
     estimate [u, v, r, n, e, ψ](t_k) = f(measured(t_0..t_k), τ(t_0..t_k))
 
 An estimator keeps the low-frequency motion, which the thrusters can and should counteract, and
 leaves out the first-order wave motion, which they cannot.
 """
-
-from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
@@ -23,12 +21,12 @@ TURN = 2.0 * math.pi
 
 @njit(cache=True)
 def nearest_turn(heading_rad, near_rad):  # type: ignore[no-untyped-def] # compiled by numba
-    """The angle equal to heading_rad up to whole turns that lies within π of near_rad."""
+    """Return heading_rad shifted by whole turns to within π of near_rad."""
     return heading_rad + TURN * np.rint((near_rad - heading_rad) / TURN)
 
 
 class Estimator(ABC):
-    """What stands between the sensors and the controller; one object per run.
+    """Estimator of the ship's low-frequency state from measured position and heading.
 
     Order in the loop: `start` with the state at t_0, then one `update` per sample, the first with
     the measurement at t_0 itself: it advances nothing, and its τ is not read.
@@ -37,49 +35,39 @@ class Estimator(ABC):
     change: Vector
     """(6,) [Δu, Δv, Δr, Δn, Δe, Δψ] over the sample before the last update, zero at the first.
 
-    What the law is to take for Δν, Δη: a filter's is free of the corrections that the difference
-    of two of its estimates holds (`observer`). Overwritten by the next update.
+    The law takes it for Δν, Δη. A filter's is free of the corrections between two of its
+    estimates (`observer`). Overwritten by the next update.
     """
 
     @abstractmethod
     def start(self, state: Vector) -> None:
-        """Forget everything and begin at the state (6,) = [u, v, r, n, e, ψ], SI, ψ unwrapped."""
+        """Set the estimate to the state (6,) = [u, v, r, n, e, ψ] at the start of a run."""
 
     @abstractmethod
     def update(self, measured: Vector, tau: Vector) -> Vector:
-        """The estimate at the time of a measurement.
+        """Return the low-frequency state (6,), estimated from measurement and applied force.
 
-        Parameters
-        ----------
-        measured : (6,) [u, v, r, n, e, ψ] or (3,) [n, e, ψ] as sensed [m/s, rad/s, m, rad], wave
-            motion and noise included. A filter reads the pose only, the last three: a ship in
-            dynamic positioning has no sensor of its low-frequency speed. ψ may be wrapped.
+        measured : (6,) [u, v, r, n, e, ψ] or (3,) [n, e, ψ], wave motion and noise included; ψ may
+            be wrapped. A filter reads the pose only: there is no sensor of low-frequency speed.
         tau : (3,) force applied over the sample before this measurement [N, N, N·m].
-
-        Returns
-        -------
-        (6,) low-frequency [u, v, r, n, e, ψ], ψ unwrapped: the estimator's own memory, which the
-        next update overwrites.
         """
 
 
 class MeasuredState(Estimator):
-    """No estimator at all: the controller acts on the measured state, wave motion included.
-
-    It takes the full measurement (6,), since a pose alone does not tell the speed.
-    """
+    """Placeholder estimator that returns the measured state, wave motion included."""
 
     def __init__(self) -> None:
         self._estimate, self.change = np.zeros(STATE), np.zeros(STATE)
         self._first = True
 
     def start(self, state: Vector) -> None:
+        """Set the last measured state to the state (6,) at the start of a run."""
         self._estimate[...] = state
         self.change[...] = 0.0
         self._first = True
 
     def update(self, measured: Vector, tau: Vector) -> Vector:
-        """The measurement and its difference to the last; ShapeError unless it is (6,)."""
+        """Return the measurement as the estimate; store its change since the last one."""
         if measured.shape != (STATE,):
             raise ShapeError.of("MeasuredState", "measured", measured.shape, "shape (6,)")
         estimate, change = self._estimate, self.change

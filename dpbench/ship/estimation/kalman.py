@@ -3,17 +3,16 @@
     x⁻ = Φ x + Γ τ,     ε = Tᵀ y − C x⁻,     x = x⁻ + K ε         (the model below)
 
 T(ψ) turns vessel-parallel axes into north-east ones, ψ being the *measured* heading. The gain is
-computed once, in vessel-parallel axes, where the model does not depend on the heading; positions,
-bias and wave states are remembered in north-east axes, so that a turn of the ship moves none of
-them. Of the state x (see `observer` for its layout) these are η, b, ξ1, ξ2; ν is along the ship in
-both. What is left out is the turn within one sample and the wave part of the measured heading,
-both a degree or so.
+computed once, in vessel-parallel axes, where the model does not depend on the heading; η, b, ξ1, ξ2
+of the state x (layout: `observer`) are kept in north-east axes, so that a turn of the ship moves
+none of them; ν is along the ship in both. The turn within one sample and the wave part of the
+measured heading, both a degree or so, are left out.
 
 The stochastic model behind it: in vessel-parallel axes (positions and forces turned by the measured
 heading), states [η, b, ν, ξ1, ξ2] of three each, w white with unit intensity, v white with the
 sensors' variance:
 
-    η̇ = ν,   ḃ = −b/T_b + E_b w,   M ν̇ = τ + b − D ν + E_ν w,   ξ as in `wave_filter`
+    η̇ = ν,   ḃ = −b/T_b + E_b w,   M ν̇ = τ + b − D ν + E_ν w,   ξ as in `WaveModel`
     y_k = η + ξ2 + v_k                                      (Fossen 2021, ch. 13.4)
 
 Discrete: Φ = e^{Ah}, Γ = ∫ e^{As} B ds, Q = ∫ e^{As} E Eᵀ e^{Aᵀs} ds over a sample (Van Loan 1978),
@@ -43,10 +42,10 @@ True
 
 Three positions that walk at random, x⁺ = x + w and y = x + v with unit variances, each on its own:
 p = p − p²/(p + 1) + 1, that is p² = p + 1, so p = (1 + √5)/2 = 1.618, s = p + 1 = 2.618 and
-k = p/s = 1/p = 0.618. Of what a measurement says anew the filter believes that share.
+k = p/s = 1/p = 0.618, the share of the innovation that enters the estimate.
 
 >>> one = np.eye(3)
->>> P, S, K = _steady_state(one, one, one, "random walk")
+>>> P, S, K = _solve_riccati(one, one, one, "random walk")
 >>> golden = (1 + math.sqrt(5)) / 2
 >>> [bool(np.allclose(X, x * one)) for X, x in ((P, golden), (S, golden + 1), (K, 1 / golden))]
 [True, True, True]
@@ -73,9 +72,9 @@ from dpbench.ship.estimation.observer import (
     XI1,
     XI2,
     ModelObserver,
+    WaveModel,
     model_change,
 )
-from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.layout import AXES
 from dpbench.ship.vessel import Vessel
 
@@ -98,17 +97,13 @@ RADIUS_MAX = 1.0 - 1e-9
 
 @dataclass(frozen=True, eq=False)
 class KalmanTuning:
-    """What the filter assumes of the noise; axes surge, sway, yaw.
+    """Noise levels that the Kalman filter assumes for sensors, bias and waves.
 
-    Parameters
-    ----------
     measurement_std : (3,) standard deviation of the white sensor noise [m, m, rad].
     force_noise : (3,) root intensity of the white force on the ship [N√s, N√s, N·m√s].
-    bias_noise : (3,) root intensity of what drives the bias: a random walk grows by this in one
-        second [N/√s, N/√s, N·m/√s].
+    bias_noise : (3,) root intensity of the bias' random walk [N/√s, N/√s, N·m/√s].
     waves : model of the wave motion; None switches the wave filter off.
     bias_time_s : time constant of the bias (first-order Markov) [s]; inf for a random walk.
-    where : the file named in errors.
     """
 
     measurement_std: Vector
@@ -128,7 +123,7 @@ class KalmanTuning:
         wave_filter: bool = True,
         where: str = "KalmanTuning",
     ) -> KalmanTuning:
-        """Noise in proportion to the ship's limits and to the period of the sea.
+        """Choose noise levels in proportion to the ship's force limits and the wave period.
 
         Without the wave filter the motion of the waves counts as sensor noise.
         """
@@ -148,7 +143,7 @@ class KalmanTuning:
 
 @dataclass(frozen=True, eq=False)
 class KalmanModel:
-    """The discrete model in SI, n = 15 states (9 without wave filter), and its steady state.
+    """Discrete model of ship, bias and waves, with its steady-state Kalman gain.
 
     Phi (n, n), Gamma (n, 3), C (3, n), Q (n, n), R (3, 3); P (n, n) covariance of the predicted
     state, S (3, 3) of the innovation, K (n, 3) gain of the correction.
@@ -164,24 +159,22 @@ class KalmanModel:
     K: Matrix
 
 
-def kalman_model(ship: Vessel, tuning: KalmanTuning, sample_s: float) -> KalmanModel:
-    """Discretise exactly and solve the Riccati equation.
+def build_kalman_model(ship: Vessel, tuning: KalmanTuning, sample_s: float) -> KalmanModel:
+    """Discretise the ship's model and solve the Riccati equation for the Kalman gain.
 
     The algebra runs in units of the problem (σ of the sensor, the time of the filter, the force
     that moves one by the other); in SI the same call returns five digits of the gain.
 
-    Raises
-    ------
-    InputError : when the noise leaves no steady state that rounding can tell.
+    Raises InputError when the noise leaves no steady state that rounding can tell.
     """
-    A, B, E, C = _continuous(ship, tuning)
-    unit = _units(ship, tuning, len(A))
+    A, B, E, C = _continuous_model(ship, tuning)
+    unit = _state_units(ship, tuning, len(A))
     sigma = tuning.measurement_std
     Phi, Gamma, Q = discretise(
         A * unit / unit[:, None], B / unit[:, None], E / unit[:, None], sample_s
     )
     Cs = C * unit / sigma[:, None]
-    P, S, K = _steady_state(Phi, Cs, Q, tuning.where)
+    P, S, K = _solve_riccati(Phi, Cs, Q, tuning.where)
     outer = np.outer(unit, unit)
     return KalmanModel(
         Phi=np.ascontiguousarray(Phi * unit[:, None] / unit),
@@ -196,7 +189,7 @@ def kalman_model(ship: Vessel, tuning: KalmanTuning, sample_s: float) -> KalmanM
 
 
 def discretise(A: Matrix, B: Matrix, E: Matrix, h: float) -> tuple[Matrix, Matrix, Matrix]:
-    """Φ, Γ and Q of ẋ = A x + B u + E w over h seconds, u held, w white with unit intensity.
+    """Discretise ẋ = A x + B u + E w exactly over h seconds; w is white noise of unit intensity.
 
     Van Loan, "Computing integrals involving the matrix exponential", IEEE TAC 23 (1978).
     """
@@ -208,8 +201,8 @@ def discretise(A: Matrix, B: Matrix, E: Matrix, h: float) -> tuple[Matrix, Matri
     return Phi, Gamma, 0.5 * (Q + Q.T)
 
 
-def _steady_state(Phi: Matrix, C: Matrix, Q: Matrix, where: str) -> tuple[Matrix, Matrix, Matrix]:
-    """P, S, K of the module's equations for R = I, verified; InputError where there is none."""
+def _solve_riccati(Phi: Matrix, C: Matrix, Q: Matrix, where: str) -> tuple[Matrix, Matrix, Matrix]:
+    """Solve the Riccati equation for covariance P, innovation covariance S and gain K."""
     n, one = len(Phi), np.eye(AXES)
     allowed = "noises of comparable effect"
     try:
@@ -229,8 +222,8 @@ def _steady_state(Phi: Matrix, C: Matrix, Q: Matrix, where: str) -> tuple[Matrix
     return P, S, K
 
 
-def _continuous(ship: Vessel, tuning: KalmanTuning) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-    """A, B, E, C of the module's equations, in SI."""
+def _continuous_model(ship: Vessel, tuning: KalmanTuning) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+    """Return the continuous matrices A, B, E and C of ship, bias and waves, in SI units."""
     n = WITHOUT_WAVES if tuning.waves is None else WITH_WAVES
     Minv = np.linalg.inv(ship.M)
     A, B, C = np.zeros((n, n)), np.zeros((n, AXES)), np.zeros((AXES, n))
@@ -253,27 +246,25 @@ def _continuous(ship: Vessel, tuning: KalmanTuning) -> tuple[Matrix, Matrix, Mat
     return A, B, E, C
 
 
-def _units(ship: Vessel, tuning: KalmanTuning, n: int) -> Vector:
-    """One unit (n,) per state: lengths in σ of the sensor, times in the filter's own.
+def _state_units(ship: Vessel, tuning: KalmanTuning, n: int) -> Vector:
+    """Return a unit (n,) for each state, so that the Riccati equation is well scaled.
 
-    That time is 1/ω0 with a wave filter, else the time in which the bias alone moves the ship by
-    σ: bias noise · t^2.5 = M σ.
+    Lengths are in σ of the sensor; times in 1/ω0 with a wave filter, else in the time in which the
+    bias alone moves the ship by σ: bias noise · t^2.5 = M σ.
     """
     sigma, mass = tuning.measurement_std, np.diag(ship.M)
     if tuning.waves is None:
         time = (mass * sigma / tuning.bias_noise) ** 0.4
     else:
         time = 1 / tuning.waves.omega0_radps
-    unit = np.concatenate(
-        [sigma, mass * sigma / time**2, sigma / time, sigma * time, sigma],
-    )
+    unit = np.concatenate([sigma, mass * sigma / time**2, sigma / time, sigma * time, sigma])
     scaled: Vector = unit[:n]
     return scaled
 
 
 @njit(cache=True)
-def _turned(x, c, s):  # type: ignore[no-untyped-def] # compiled by numba
-    """Turn η, b, ξ1, ξ2 of the state x in place by the angle of cosine c and sine s."""
+def _rotate_state(x, c, s):  # type: ignore[no-untyped-def] # compiled by numba
+    """Rotate the horizontal vectors in state x in place, by the angle of cosine c and sine s."""
     for first in (ETA, BIAS, XI1, XI2):
         if first < len(x):
             turned = c * x[first] - s * x[first + 1]
@@ -285,11 +276,11 @@ def _turned(x, c, s):  # type: ignore[no-untyped-def] # compiled by numba
 def _filter_step(  # type: ignore[no-untyped-def] # compiled by numba
     x, measured, tau, Phi, Gamma, K, J, advance, epsilon, estimate, change
 ):
-    """One update of the state x (n,) in place; fills epsilon (3,), estimate and change (6,)."""
+    """Predict and correct the filter state by one sample; write innovation, estimate and change."""
     n, pose = len(x), len(measured) - AXES
     heading = nearest_turn(measured[pose + 2], x[ETA + 2])
     c, s = np.cos(heading), np.sin(heading)
-    _turned(x, c, -s)
+    _rotate_state(x, c, -s)
     predicted = x.copy()
     if advance:
         for i in range(n):
@@ -308,7 +299,7 @@ def _filter_step(  # type: ignore[no-untyped-def] # compiled by numba
             epsilon[j] -= predicted[XI2 + j]
     for i in range(n):
         x[i] = predicted[i] + K[i, 0] * epsilon[0] + K[i, 1] * epsilon[1] + K[i, 2] * epsilon[2]
-    _turned(x, c, s)
+    _rotate_state(x, c, s)
     for j in range(AXES):
         estimate[j] = x[NU + j]
         estimate[AXES + j] = x[ETA + j]
@@ -317,39 +308,18 @@ def _filter_step(  # type: ignore[no-untyped-def] # compiled by numba
 
 
 class KalmanFilter(ModelObserver):
-    """Steady-state Kalman filter.
-
-    Parameters
-    ----------
-    ship : M and D of the model, which need not be those of the true ship.
-    tuning : noise of the model; without `waves` the wave filter is off.
-    sample_s : time between updates [s].
-
-    Raises
-    ------
-    InputError : for noise without a steady state.
-    """
+    """Steady-state Kalman filter of a ship with bias force and wave motion."""
 
     def __init__(self, ship: Vessel, tuning: KalmanTuning, sample_s: float) -> None:
-        self.model: KalmanModel = kalman_model(ship, tuning, sample_s)
+        self.model: KalmanModel = build_kalman_model(ship, tuning, sample_s)
         super().__init__(ship, sample_s, len(self.model.Phi))
-        self._Phi, self._Gamma, self._K = self.model.Phi, self.model.Gamma, self.model.K
+        self._matrices = self.model.Phi, self.model.Gamma, self.model.K, self._J
         self.innovation: Vector = np.zeros(AXES)
         """ε (3,) of the last update, in vessel-parallel axes [m, m, rad]; overwritten."""
 
     def update(self, measured: Vector, tau: Vector) -> Vector:
-        _filter_step(
-            self._x,
-            measured,
-            tau,
-            self._Phi,
-            self._Gamma,
-            self._K,
-            self._J,
-            self._advance,
-            self.innovation,
-            self._estimate,
-            self.change,
-        )
+        """Predict with the applied force, correct by the measurement; return the state (6,)."""
+        out = self.innovation, self._estimate, self.change
+        _filter_step(self._x, measured, tau, *self._matrices, self._advance, *out)
         self._advance = True
         return self._estimate

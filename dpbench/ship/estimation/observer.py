@@ -1,22 +1,23 @@
-"""What the two observers with a model share: the layout of their state, their start, their bias,
-and how the ship's state changed over the last sample, by the model and one estimate.
+"""Common parts of the two observers with a model: wave model, layout of the state, start, bias.
 
     x   0    3    6    9    12   15
         │ η  │ b  │ ν  │ ξ1 │ ξ2 │       three each: surge or north, sway or east, yaw
         └─ WITHOUT_WAVES ─┘      │       pose, bias, velocity
-        └───── WITH_WAVES ───────┘       and the two states of the wave oscillators (`wave_filter`)
+        └───── WITH_WAVES ───────┘       and the two states of the wave oscillators (`WaveModel`)
 
 Numbers, because numba compiles a kernel with the value of a global number; see `ship.layout` for
 what its cache does not see.
 
     M ν̇ + D ν = f,  η̇ = R ν  with f = τ + Rᵀ b held:   [Δν; RᵀΔη] = J [ν; f]
 
-The law acts on Δν, Δη (paper eq. 6). As the difference of two estimates they also hold the two
-corrections between them, and a centimetre of correction in 0.3 s reads as a speed of 3 cm/s: behind
-a Kalman filter that alone keeps the rate limits active. The model says the same change without it.
+The law acts on Δν, Δη (paper eq. 6), here by the model and one estimate. The difference of two
+estimates also holds the corrections between them: a centimetre in 0.3 s reads as 3 cm/s, which
+alone keeps the rate limits active behind a Kalman filter.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import expm
@@ -31,8 +32,50 @@ ETA, BIAS, NU, XI1, XI2 = range(0, 5 * AXES, AXES)
 WITHOUT_WAVES, WITH_WAVES = XI1, XI2 + AXES
 
 
+JONSWAP_DAMPING = 0.1
+"""λ that fits a JONSWAP spectrum of γ = 3.3; 0.26 fits Pierson-Moskowitz (Fossen 2021)."""
+
+
+@dataclass(frozen=True, eq=False)
+class WaveModel:
+    """First-order wave motion in three axes, as white noise filtered by an oscillator each.
+
+        h(s) = K_w s / (s² + 2 λ ω0 s + ω0²),     ω0 = 2π / T_p,     K_w = 2 σ √(λ ω0)
+        ξ̇1 = ξ2,   ξ̇2 = −ω0² ξ1 − 2 λ ω0 ξ2 + K_w w,   wave motion = ξ2
+
+    With w of unit intensity the motion has the standard deviation σ, var ξ2 = K_w² / (4 λ ω0).
+    (Fossen 2021, ch. 10.3, linear wave spectrum approximations; there σ is K_w / (2 λ ω0).)
+
+    peak_period_s : (3,) period of the spectrum's peak T_p [s].
+    damping : (3,) relative damping λ of the oscillator, below 1.
+    std : (3,) standard deviation σ of the motion [m, m, rad]; a Kalman filter weighs the wave
+        states by it, the passive observer has no use for it.
+    """
+
+    peak_period_s: Vector
+    damping: Vector
+    std: Vector
+
+    @classmethod
+    def of_sea(cls, peak_period_s: float, std: Vector) -> WaveModel:
+        """Build the wave model of a peak period [s], with the same damping in every axis."""
+        return cls(np.full(AXES, peak_period_s), np.full(AXES, JONSWAP_DAMPING), std)
+
+    @property
+    def omega0_radps(self) -> Vector:
+        """Natural frequencies ω0 (3,) [rad/s] of the wave oscillators."""
+        omega0: Vector = 2 * np.pi / self.peak_period_s
+        return omega0
+
+    @property
+    def K_w(self) -> Vector:
+        """Gains (3,) of the driving white noise [m/s^1.5, m/s^1.5, rad/s^1.5]."""
+        gain: Vector = 2 * self.std * np.sqrt(self.damping * self.omega0_radps)
+        return gain
+
+
 def change_matrix(ship: Vessel, sample_s: float) -> Matrix:
-    """J (6, 6), exact for a held f and heading.
+    """Return the matrix (6, 6) from velocity and force to a sample's change of velocity and pose.
 
     With the state [∫ν; ν] advanced by [[I, F_p], [0, F_v]] and [G_p; G_v] f over the sample, and
     ν⁻ = F_v⁻¹ (ν − G_v f) the speed before it: Δν = ν − ν⁻, RᵀΔη = F_p ν⁻ + G_p f.
@@ -54,7 +97,7 @@ def change_matrix(ship: Vessel, sample_s: float) -> Matrix:
 
 @njit(cache=True)
 def model_change(J, estimate, tau, b, change):  # type: ignore[no-untyped-def] # compiled by numba
-    """[Δν, Δη] (6,) into change, from estimate (6,), force tau (3,) and bias b (3,) in NED."""
+    """Write the ship model's change of velocity and pose (6,) in one sample to `change`."""
     c, s = np.cos(estimate[HEADING]), np.sin(estimate[HEADING])
     f0 = tau[0] + c * b[0] + s * b[1]
     f1 = tau[1] + c * b[1] - s * b[0]
@@ -71,14 +114,7 @@ def model_change(J, estimate, tau, b, change):  # type: ignore[no-untyped-def] #
 
 
 class ModelObserver(Estimator):
-    """An observer whose state x (n,) is laid out as the module says.
-
-    Parameters
-    ----------
-    ship : M and D of the model, which need not be those of the true ship.
-    sample_s : time between updates [s].
-    states : n, `WITHOUT_WAVES` or `WITH_WAVES`.
-    """
+    """Observer base class with a ship model, a bias force and optional wave states."""
 
     def __init__(self, ship: Vessel, sample_s: float, states: int) -> None:
         self._J: Matrix = change_matrix(ship, sample_s)
@@ -87,7 +123,7 @@ class ModelObserver(Estimator):
         self._advance = False
 
     def start(self, state: Vector) -> None:
-        """Begin at the state (6,), with neither bias nor wave motion."""
+        """Set the observer to the state (6,) at the start of a run, without bias or wave motion."""
         self._x[...] = 0.0
         self._x[ETA:BIAS], self._x[NU:XI1] = state[POSE], state[VELOCITY]
         self._estimate[...] = state
@@ -96,5 +132,5 @@ class ModelObserver(Estimator):
 
     @property
     def bias(self) -> Vector:
-        """Estimated bias (3,), north, east, yaw [N, N, N·m]."""
+        """Estimated bias force (3,), north, east, yaw [N, N, N·m]."""
         return self._x[BIAS:NU].copy()

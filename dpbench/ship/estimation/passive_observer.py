@@ -34,9 +34,9 @@ from dpbench.ship.estimation.observer import (
     XI1,
     XI2,
     ModelObserver,
+    WaveModel,
     model_change,
 )
-from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.layout import AXES, POSE
 from dpbench.ship.vessel import Vessel
 
@@ -53,11 +53,8 @@ BIAS_TIME_RATIO = 1e4
 
 @dataclass(frozen=True, eq=False)
 class PassiveTuning:
-    """Gains by the rules of the paper; axes north, east, yaw.
+    """Gains of the nonlinear passive observer of Fossen and Strand.
 
-    Parameters
-    ----------
-    waves : peak and damping of the wave motion (its std is not used).
     notch_damping : (3,) ζ_n, above the damping λ of the waves; 1 gives -20 dB at the peak.
     cutoff_radps : (3,) ω_c, above ω0 [rad/s].
     K4 : (3,) gain of the pose error on the force [N/m, N/m, N·m/rad].
@@ -75,14 +72,8 @@ class PassiveTuning:
     wave_filter: bool = True
 
     @classmethod
-    def of_ship(
-        cls,
-        ship: Vessel,
-        waves: WaveModel,
-        *,
-        wave_filter: bool = True,
-    ) -> PassiveTuning:
-        """Gains in proportion to the ship's inertia and to the peak of the sea."""
+    def of_ship(cls, ship: Vessel, waves: WaveModel, *, wave_filter: bool = True) -> PassiveTuning:
+        """Choose observer gains in proportion to the ship's inertia and the wave period."""
         omega0 = waves.omega0_radps
         return cls(
             waves,
@@ -96,7 +87,7 @@ class PassiveTuning:
 
     @property
     def gains(self) -> tuple[Vector, Vector, Vector, Vector, Vector]:
-        """K11, K12, K2, K3, K4, (3,) each."""
+        """Gain vectors K11, K12, K2, K3 and K4 of the passive observer, (3,) each."""
         omega0, on = self.waves.omega0_radps, float(self.wave_filter)
         rise: Vector = on * 2 * (self.notch_damping - self.waves.damping)
         K3: Vector = self.bias_rate_radps * self.K4
@@ -111,8 +102,8 @@ _K11, _K12, _K2, _K3, _K4, _STIFF, _DAMP, _LEAK = range(8)
 
 
 @njit(cache=True)
-def _derivative(x, y, tau, Minv, MinvD, rows, out):  # type: ignore[no-untyped-def] # compiled by numba
-    """ẋ of x = [η̂, b̂, ν̂, ξ̂1, ξ̂2] (15,) at the measured pose y (3,), into out."""
+def _write_derivative(x, y, tau, Minv, MinvD, rows, out):  # type: ignore[no-untyped-def] # compiled by numba
+    """Write the derivative of the observer state (15,) at a measured pose y (3,) to `out`."""
     c, s = np.cos(y[2]), np.sin(y[2])
     e = (y[0] - x[ETA] - x[XI2], y[1] - x[ETA + 1] - x[XI2 + 1], y[2] - x[ETA + 2] - x[XI2 + 2])
     north, east = x[BIAS] + rows[_K4, 0] * e[0], x[BIAS + 1] + rows[_K4, 1] * e[1]
@@ -139,7 +130,7 @@ def _derivative(x, y, tau, Minv, MinvD, rows, out):  # type: ignore[no-untyped-d
 def _observer_step(  # type: ignore[no-untyped-def] # compiled by numba
     x, before, measured, tau, Minv, MinvD, rows, J, h, substeps, estimate, change
 ):
-    """Advance x (15,) from the pose `before` (3,) to the measured one, which it becomes."""
+    """Advance the observer state x (15,) by one sample of Runge-Kutta sub-steps."""
     pose, work, y = len(measured) - AXES, np.empty((5, WITH_WAVES)), np.empty(AXES)
     k1, k2, k3, k4, mid = work[0], work[1], work[2], work[3], work[4]
     rise = (
@@ -150,20 +141,20 @@ def _observer_step(  # type: ignore[no-untyped-def] # compiled by numba
     for step in range(substeps):
         for j in range(AXES):
             y[j] = before[j] + rise[j] * step / substeps
-        _derivative(x, y, tau, Minv, MinvD, rows, k1)
+        _write_derivative(x, y, tau, Minv, MinvD, rows, k1)
         for j in range(AXES):
             y[j] = before[j] + rise[j] * (step + 0.5) / substeps
         for j in range(WITH_WAVES):
             mid[j] = x[j] + 0.5 * h * k1[j]
-        _derivative(mid, y, tau, Minv, MinvD, rows, k2)
+        _write_derivative(mid, y, tau, Minv, MinvD, rows, k2)
         for j in range(WITH_WAVES):
             mid[j] = x[j] + 0.5 * h * k2[j]
-        _derivative(mid, y, tau, Minv, MinvD, rows, k3)
+        _write_derivative(mid, y, tau, Minv, MinvD, rows, k3)
         for j in range(AXES):
             y[j] = before[j] + rise[j] * (step + 1) / substeps
         for j in range(WITH_WAVES):
             mid[j] = x[j] + h * k3[j]
-        _derivative(mid, y, tau, Minv, MinvD, rows, k4)
+        _write_derivative(mid, y, tau, Minv, MinvD, rows, k4)
         for j in range(WITH_WAVES):
             x[j] += h / 6.0 * (k1[j] + 2.0 * k2[j] + 2.0 * k3[j] + k4[j])
     for j in range(AXES):
@@ -174,15 +165,7 @@ def _observer_step(  # type: ignore[no-untyped-def] # compiled by numba
 
 
 class PassiveObserver(ModelObserver):
-    """Fossen and Strand's observer.
-
-    Parameters
-    ----------
-    ship : M and D of the model, which need not be those of the true ship.
-    tuning : gains and wave model.
-    sample_s : time between updates [s].
-    substeps : Runge-Kutta steps per sample.
-    """
+    """Nonlinear passive observer of Fossen and Strand, integrated by Runge-Kutta steps."""
 
     def __init__(
         self,
@@ -194,33 +177,24 @@ class PassiveObserver(ModelObserver):
         super().__init__(ship, sample_s, WITH_WAVES)
         waves = tuning.waves
         omega0 = waves.omega0_radps
-        self._rows: Matrix = np.array(
+        rows: Matrix = np.array(
             [*tuning.gains, omega0**2, 2 * waves.damping * omega0, 1 / tuning.bias_time_s]
         )
-        self._Minv: Matrix = np.ascontiguousarray(np.linalg.inv(ship.M))
-        self._MinvD: Matrix = np.ascontiguousarray(np.linalg.solve(ship.M, ship.D))
+        Minv, MinvD = np.linalg.inv(ship.M), np.linalg.solve(ship.M, ship.D)
+        inertia = np.ascontiguousarray(Minv), np.ascontiguousarray(MinvD)
+        self._matrices = *inertia, rows, self._J
         self._h, self._substeps = sample_s / substeps, substeps
         self._pose = np.zeros(AXES)
 
     def start(self, state: Vector) -> None:
-        """Begin at the state (6,), with neither bias nor wave motion, measured where it is."""
+        """Set the observer to the state (6,) at the start of a run, without bias or wave motion."""
         super().start(state)
         self._pose[...] = state[POSE]
 
     def update(self, measured: Vector, tau: Vector) -> Vector:
-        _observer_step(
-            self._x,
-            self._pose,
-            measured,
-            tau,
-            self._Minv,
-            self._MinvD,
-            self._rows,
-            self._J,
-            self._h,
-            self._substeps if self._advance else 0,
-            self._estimate,
-            self.change,
-        )
+        """Advance the observer by one sample and return the estimated state (6,)."""
+        substeps = self._substeps if self._advance else 0
+        inputs, out = (self._pose, measured, tau), (self._estimate, self.change)
+        _observer_step(self._x, *inputs, *self._matrices, self._h, substeps, *out)
         self._advance = True
         return self._estimate

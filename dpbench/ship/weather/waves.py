@@ -10,16 +10,12 @@ where (u_w, v_w) is the vector of length |Z| along the waves in body axes: the l
 *First-order motion* is the wave-frequency motion that a measurement sees on top of the ship's own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.ship.weather.harmonics import Harmonics, realise
-from dpbench.ship.weather.spectra import jonswap
-from dpbench.ship.weather.streams import stream
+from dpbench.ship.weather.harmonics import Harmonics, draw_harmonics, jonswap, random_stream
 
 WATER_DENSITY = 1026.0
 GRAVITY = 9.81
@@ -32,14 +28,10 @@ _COMPONENTS = 200
 
 @dataclass(frozen=True)
 class Sea:
-    """Long-crested irregular waves.
+    """Long-crested irregular sea: wave height, period, direction.
 
-    Parameters
-    ----------
-    hs_m : significant wave height [m].
-    tp_s : peak period [s].
-    to_rad : where the waves run to, clockwise from north [rad]; `wind.towards_rad` gives it from
-        the direction they come from.
+    hs_m, tp_s : significant height [m], peak period [s].
+    to_rad : where the waves run to, clockwise from north [rad].
     gamma : peakedness, 1 (Pierson-Moskowitz) to 7.
     """
 
@@ -49,39 +41,36 @@ class Sea:
     gamma: float = 3.3
 
     def harmonics(self, seed: int) -> Harmonics:
-        """The waves of this seed, the same for drift and motion; Hs holds exactly."""
+        """Draw the wave components of a seed; their significant wave height is exact."""
         omega_p = 2 * np.pi / self.tp_s
-        return realise(
+        return draw_harmonics(
             lambda omega: jonswap(omega, 1.0, self.tp_s, self.gamma),
             (_BAND[0] * omega_p, _BAND[1] * omega_p),
             _COMPONENTS,
-            stream(seed, "waves"),
+            random_stream(seed, "waves"),
             self.hs_m**2 / 16.0,
         )
 
 
 @dataclass(frozen=True)
 class WaveDrift:
-    """Slowly varying drift in a sea; how much of it the hull feels is `WaveReflection`."""
+    """Slowly varying wave drift force on the ship."""
 
     sea: Sea
 
     def envelope(self, start_s: Vector, offset_s: Vector, seed: int) -> Matrix:
-        """|Z| [m] at the times start_s (K,) + offset_s (M,): (K, M)."""
+        """Return the envelope of the wave elevation [m] at times start_s (K,) + offset_s (M,)."""
         return np.abs(self.sea.harmonics(seed).at(start_s, offset_s))
 
 
 @dataclass(frozen=True)
 class WaveReflection:
-    """The hull at the waterline, as drift forces see it.
+    """Reflection of waves by the hull at the waterline, which causes drift forces.
 
     R² falls with the period, since long waves pass under the hull: R² = R₀² f(T'), f = 1 for
     T' ≤ 1, else T'⁻³ exp(1 − T'⁻³), with T' = Tz/(0.75 √B) abeam and Tz/(0.9 L^0.33) ahead and
     Tz = Tp/1.4049 (DNV-ST-0111, section 3.7).
 
-    Parameters
-    ----------
-    breadth_m : B [m].
     head, beam, yaw : R₀² of short waves from ahead (the standard's value for a bow of 22°),
         from abeam and, for the moment, from the quarters.
     """
@@ -92,7 +81,7 @@ class WaveReflection:
     yaw: float = 0.018
 
     def coefficients(self, length_m: float, sea: Sea) -> Vector:
-        """½ρ g (B R_x², L R_y², L² R_n²): (3,) [N/m², N/m², N/m]."""
+        """Return the wave drift coefficients (3,) [N/m², N/m², N/m] of surge, sway and yaw."""
         tz_s = sea.tp_s / 1.4049
         ahead = period_factor(tz_s / (0.9 * length_m**0.33))
         abeam = period_factor(tz_s / (0.75 * self.breadth_m**0.5))
@@ -105,23 +94,18 @@ class WaveReflection:
 
 
 def period_factor(t_prime: float) -> float:
-    """f(T'), by which the drift of long waves falls: 1 up to T' = 1 (DNV-ST-0111, section 3.7)."""
+    """Return the factor by which wave drift falls in long waves, from the relative period T'."""
     cubed = max(t_prime, 1.0) ** -3
     return float(cubed * np.exp(1.0 - cubed))
 
 
 @dataclass(frozen=True)
 class FirstOrderMotion:
-    """Wave-frequency motion of the ship in a sea.
+    """First-order motion of the ship, with the frequency of the waves.
 
     Along the waves it lags the elevation by a quarter period, as the water itself does; across
-    and heading follow the elevation. The operators hold at all frequencies and headings.
-
-    Parameters
-    ----------
-    sea : the waves.
-    along, across : motion per wave amplitude [m/m]; the water's own at the surface is 1.
-    heading_rad_per_m : heading per wave amplitude [rad/m].
+    and heading follow the elevation. The operators hold at all frequencies and headings; they are
+    per wave amplitude, where the water's own motion along the waves is 1.
     """
 
     sea: Sea
@@ -130,7 +114,7 @@ class FirstOrderMotion:
     heading_rad_per_m: float = 0.0
 
     def table(self, t_s: Vector, seed: int) -> Matrix:
-        """Motion and its time derivative at t_s (K,): (K, 6) = [n, e, ψ, ṅ, ė, ψ̇], NED, SI."""
+        """Return wave-frequency motion [n, e, ψ] and its rate at times t_s (K,): (K, 6), SI."""
         harmonics, here = self.sea.harmonics(seed), np.zeros(1)
         c, s = np.cos(self.sea.to_rad), np.sin(self.sea.to_rad)
         columns = []

@@ -8,23 +8,17 @@ With γ_rw = −atan2(v, u) of the *ship* relative to the air these are Fossen's
 ships, −c_x cos γ, c_y sin γ, c_n sin 2γ (Fossen 2021, section 10.1): a wind on the bow turns the
 bow away from it, until it blows from abeam.
 
-Directions inside are where the wind blows *to*, clockwise from north in rad. Sailors name where it
-comes *from* in degrees; `towards_rad` turns one into the other.
+Directions are where the wind blows *to*, clockwise from north in rad.
 """
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.ship.weather.harmonics import realise
-from dpbench.ship.weather.spectra import harris_gust, norsok_gust
-from dpbench.ship.weather.streams import stream
+from dpbench.ship.weather.harmonics import draw_harmonics, harris_gust, norsok_gust, random_stream
 
 AIR_DENSITY = 1.226
 """kg/m³ (DNV-ST-0111, section 3.5)."""
@@ -32,44 +26,34 @@ AIR_DENSITY = 1.226
 GUST_BAND_HZ = (1.0 / 600.0, 0.5)
 """Slower changes are the mean of a ten-minute run; faster ones do not reach a whole hull."""
 
-_GUSTS: dict[str, Callable[[Vector, float], Vector]] = {
-    "norsok": norsok_gust,
-    "harris": harris_gust,
-}
+_GUSTS = {"norsok": norsok_gust, "harris": harris_gust}
 _COMPONENTS = 200
 
 
 def towards_rad(from_deg: float) -> float:
-    """Where wind or waves that come from `from_deg` (compass degrees) go: rad in [−π, π]."""
+    """Convert a compass direction that wind comes from [°] to the direction it blows to [rad]."""
     return math.radians(math.remainder(from_deg + 180.0, 360.0))
 
 
 @dataclass(frozen=True)
 class Wind:
-    """Wind of constant direction, 10 m above the water, with gusts along it.
-
-    Parameters
-    ----------
-    speed_mps : mean speed [m/s].
-    to_rad : where it blows to, clockwise from north [rad].
-    gusts : spectrum of the gusts, "none" for a steady wind.
-    """
+    """Wind of constant direction, with gusts around a mean speed at 10 m height."""
 
     speed_mps: float
     to_rad: float
     gusts: Literal["norsok", "harris", "none"] = "norsok"
 
     def speed(self, start_s: Vector, offset_s: Vector, seed: int) -> Matrix:
-        """Speed along the wind [m/s] at the times start_s (K,) + offset_s (M,): (K, M)."""
+        """Return the wind speed [m/s] at times start_s (K,) + offset_s (M,): (K, M)."""
         if self.gusts == "none" or self.speed_mps == 0.0:
             return np.full((start_s.size, offset_s.size), self.speed_mps)
         spectrum, turn = _GUSTS[self.gusts], 2 * np.pi
         low, high = GUST_BAND_HZ
-        gust = realise(
+        gust = draw_harmonics(
             lambda omega: spectrum(omega / turn, self.speed_mps) / turn,
             (turn * low, turn * high),
             _COMPONENTS,
-            stream(seed, "wind"),
+            random_stream(seed, "wind"),
         )
         speed: Matrix = self.speed_mps + gust.at(start_s, offset_s).real
         return speed
@@ -77,13 +61,10 @@ class Wind:
 
 @dataclass(frozen=True)
 class Windage:
-    """The hull above the water, as the wind sees it.
+    """Projected areas of the hull above water, and their wind force coefficients.
 
-    Parameters
-    ----------
-    frontal_m2, lateral_m2 : projected areas A_F, A_L.
-    c_x, c_y, c_n : coefficients; Fossen 2021 gives 0.50-0.90, 0.70-0.95 and 0.05-0.20, and
-        DNV-ST-0111, section 3.5, has 0.7, 0.9 and about 0.095.
+    Fossen 2021 gives 0.50-0.90, 0.70-0.95 and 0.05-0.20; DNV-ST-0111, section 3.5, has 0.7, 0.9
+    and about 0.095.
     """
 
     frontal_m2: float
@@ -93,7 +74,7 @@ class Windage:
     c_n: float = 0.095
 
     def coefficients(self, length_m: float) -> Vector:
-        """½ρ (c_x A_F, c_y A_L, c_n A_L L): (3,) [kg/m, kg/m, kg]."""
+        """Return the wind force coefficients (3,) [kg/m, kg/m, kg] of surge, sway and yaw."""
         side = self.lateral_m2
         areas = [self.c_x * self.frontal_m2, self.c_y * side, self.c_n * side * length_m]
         return 0.5 * AIR_DENSITY * np.array(areas)

@@ -1,8 +1,8 @@
-"""The libraries, one module each, with its routes: to write the module is to register it."""
+"""The libraries; to write a module with their adapters is to register them."""
 
-from dpbench.solvers.adapter import adapters_in
+from dpbench.solvers.adapter import find_adapters
 
-NATIVE, THROUGH_QPSOLVERS = adapters_in(
-    __name__, besides=("generic", "native_workspace", "qpsolvers_workspace")
+NATIVE, THROUGH_QPSOLVERS = find_adapters(
+    __name__, besides=("native_workspace", "qpsolvers_workspace")
 )
 """By the name of the solver."""

@@ -1,17 +1,16 @@
 """Clarabel: one-sided, vectors updated, no start; status names as in its Rust source."""
 
-from __future__ import annotations
-
+from importlib import import_module
 from typing import Any
 
 import numpy as np
-import scipy.sparse
+import scipy
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Claim, QpsolversAdapter, made_by
+from dpbench.solvers.adapter import Claim, QpsolversAdapter
 from dpbench.solvers.contract import Options
 from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
-from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, project_facts
 
 RECORD = SolverRecord(
     name="clarabel",
@@ -31,7 +30,7 @@ RECORD = SolverRecord(
         ),
     },
     levels=by_tolerance("tol_gap_abs", "tol_gap_rel", "tol_feas", max_iter=500),
-    project=stated(
+    project=project_facts(
         licence=("Apache-2.0", "Clarabel, metadata of its distribution"),
         language=("Rust", "Clarabel, metadata of its distribution"),
         single_precision=("yes, generic in its float type", "Clarabel.rs source, algebra/floats"),
@@ -54,26 +53,31 @@ STATUS = {
 }
 
 
-def claimed(status: Any, iterations: int, solve_s: float) -> Claim:
-    """What Clarabel says; it counts its set-up in the time it reports."""
+def make_claim(status: Any, iterations: int, solve_s: float) -> Claim:
+    """Convert Clarabel's status, iterations and time [s] to the common status and time [ns]."""
     name = str(status)
     return STATUS.get(name, Status.UNKNOWN), iterations, round(solve_s * 1e9), name
 
 
 def read_status(answer: Any, options: Options) -> Claim:
-    """Status and time; qpsolvers drops the iterations."""
-    return claimed(answer.extras["status"], -1, answer.extras["solve_time"])
+    """Read Clarabel's status and time from a qpsolvers solution, which lacks iterations."""
+    return make_claim(answer.extras["status"], -1, answer.extras["solve_time"])
 
 
-settings_object = made_by("clarabel", "DefaultSettings")
-THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "rows", read_status, settings_object=settings_object)
+def make_settings() -> Any:
+    """Return Clarabel's default settings."""
+    return import_module("clarabel").DefaultSettings()
+
+
+THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "rows", read_status, make_settings=make_settings)
 
 
 class ClarabelWorkspace(OneSidedWorkspace):
-    """Clarabel on [A; G] z + s = [b; h] with a zero cone and a nonnegative cone."""
+    """Clarabel as QP solver, with cones: [A; G] z + s = [b; h], s zero or nonnegative."""
 
-    def _arrange(self) -> None:
-        rows, equalities, inequalities = self._rows()
+    def _prepare_form_matrices(self) -> None:
+        """Store P, stacked rows (equalities first) as sparse matrices, and Clarabel's cones."""
+        rows, equalities, inequalities = self._stack_form_rows()
         self._P_upper = scipy.sparse.triu(self._P, format="csc")
         self._matrix = scipy.sparse.csc_matrix(rows)
         zero, nonnegative = self._library.ZeroConeT, self._library.NonnegativeConeT
@@ -81,26 +85,30 @@ class ClarabelWorkspace(OneSidedWorkspace):
         self._cones = [cone(size) for cone, size in sizes if size]
         self._equalities = equalities
 
-    def _create(self) -> None:
-        settings = settings_object()
+    def _create_solver_from_form(self) -> None:
+        """Make a Clarabel solver for the QP, without presolve."""
+        settings = make_settings()
         # Presolve would drop rows, and with them the right to update.
         settings.verbose, settings.presolve_enable = False, False
-        self._configure(settings)
+        self._apply_options(settings)
         form = self._form
         self._solver = self._library.DefaultSolver(
             self._P_upper, form.q, self._matrix, form.bh, self._cones, settings
         )
 
-    def _send(self) -> None:
+    def _send_form_vectors(self) -> None:
+        """Pass the linear cost q and right-hand sides b to the Clarabel solver."""
         self._solver.update(q=self._form.q, b=self._form.bh)
 
-    def _claimed(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read status, iterations and time that Clarabel reports."""
         result = self._result
-        return claimed(result.status, int(result.iterations), result.solve_time)
+        return make_claim(result.status, int(result.iterations), result.solve_time)
 
-    def _point(self) -> Point:
+    def _read_solution_vectors(self) -> Point:
+        """Return solution z and multipliers y, y_box of Clarabel's result."""
         dual, count = np.array(self._result.z), self._equalities
         return np.array(self._result.x), *self._form.two_sided(dual[count:], dual[:count])
 
 
-NATIVE = THROUGH_QPSOLVERS.natively(ClarabelWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native(ClarabelWorkspace)

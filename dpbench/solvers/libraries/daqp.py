@@ -1,9 +1,5 @@
-"""DAQP: its `Model`, two-sided, bounds first, active set kept or emptied; and behind qpsolvers,
-which passes on whether an answer was found and nothing else."""
+"""DAQP: its `Model`, two-sided, bounds first, active set kept or emptied."""
 
-from __future__ import annotations
-
-import inspect
 from importlib import import_module
 from math import isfinite
 from typing import Any
@@ -13,7 +9,13 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.adapter import Claim, NativeAdapter, QpsolversAdapter, found_is_all
+from dpbench.solvers.adapter import (
+    Claim,
+    NativeAdapter,
+    QpsolversAdapter,
+    list_keywords,
+    read_found,
+)
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.libraries.native_workspace import SOLVED, NativeWorkspace, Point
 from dpbench.solvers.record import (
@@ -22,7 +24,7 @@ from dpbench.solvers.record import (
     RouteRecord,
     SolverRecord,
     by_tolerance,
-    stated,
+    project_facts,
 )
 
 RECORD = SolverRecord(
@@ -54,7 +56,7 @@ RECORD = SolverRecord(
     # dual_tol stays at DAQP's own 1e-12, which is tighter.
     # A semidefinite P it solves by proximal steps, which end by a tolerance of their own.
     levels=by_tolerance("primal_tol", "eta_prox"),
-    project=stated(
+    project=project_facts(
         licence=("MIT", "DAQP, metadata of its distribution"),
         language=("C, library-free", "DAQP README"),
         c_code=("yes, it writes its workspace as C", "DAQP source, codegen"),
@@ -67,19 +69,12 @@ RECORD = SolverRecord(
     time_limit="time_limit",
 )
 
-DATA = {"H", "f", "A", "bupper", "blower", "sense", "break_points", "is_avi"}
-STARTS = {"primal_start", "dual_start"}
-
-
-def option_names() -> list[str]:
-    """The keywords of `daqp.solve` that are neither data nor a start."""
-    names = inspect.signature(import_module("daqp").solve).parameters
-    return [name for name in names if name not in DATA | STARTS]
-
-
-THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "native", found_is_all, option_names)
-
-
+# Keywords of `daqp.solve` that are no options.
+DATA = ("H", "f", "A", "bupper", "blower", "sense", "break_points", "is_avi")
+STARTS = ("primal_start", "dual_start")
+THROUGH_QPSOLVERS = QpsolversAdapter(
+    RECORD, "native", read_found, lambda: list_keywords("daqp", "solve", *DATA, *STARTS)
+)
 STATUS = {
     1: Status.SOLVED,
     2: Status.SOLVED,  # soft optimal: no constraint is soft here
@@ -94,14 +89,15 @@ STATUS = {
 
 
 class DaqpWorkspace(NativeWorkspace):
-    """DAQP; `warm` keeps the active set of the previous solve, `reuse` empties it."""
+    """DAQP as QP solver; `warm` keeps the active set of the previous solve, `reuse` empties it."""
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
         super().__init__(record, policy, options)
         self._refused = 0
         self._result = (None, 0.0, 0, {})
 
-    def _convert(self) -> None:
+    def _convert_matrices(self) -> None:
+        """Allocate the arrays from which DAQP reads limits and vectors."""
         n, m = self._n, self._m
         # DAQP looks at these buffers, so they live as long as the model does.
         self._f = np.empty(n)
@@ -109,14 +105,15 @@ class DaqpWorkspace(NativeWorkspace):
         self._low[:n], self._high[:n] = self._lb, self._ub
         self._low_rows, self._high_rows = self._low[n:], self._high[n:]
         self._sense = np.zeros(n + m, dtype=np.intc)
-        # To give it the kind of each constraint again empties its active set.
+        # The kinds of constraints, given again, empty its active set.
         sense = None if self._warm else self._sense
         self._vectors = None, self._f, None, self._high, self._low, sense
         self._f_view: Any = self._f.data
         self._low_view: Any = self._low_rows.data
         self._high_view: Any = self._high_rows.data
 
-    def _build(self) -> None:
+    def _build_solver(self) -> None:
+        """Make a DAQP model and set it up with the current problem."""
         self._f[:], self._low_rows[:], self._high_rows[:] = self._q, self._l, self._u
         self._model = self._library.Model()
         if self._options:
@@ -128,22 +125,13 @@ class DaqpWorkspace(NativeWorkspace):
         self._unusable = flag < 0
 
     def update(self, step: QPStep) -> None:
-        """As inherited, written out for the usual step: DAQP itself takes 1.5 µs for it.
-
-        Assigning to a memoryview copies faster than NumPy does and refuses another shape.
-        """
-        if (
-            self._result[2] != 1
-            or self._unusable
-            or self.setup_every_step
-            or step.P is not None
-            or step.A is not None
-            or step.lb is not None
-            or step.ub is not None
-        ):
+        """Copy a step's vectors into DAQP's arrays by few calls, as DAQP solves in 1.5 µs."""
+        new = not (step.P is None and step.A is None and step.lb is None and step.ub is None)
+        if new or self._result[2] != 1 or self._unusable or self.setup_every_step:
             super().update(step)
             return
         try:
+            # Assigning to a memoryview is faster than NumPy and refuses another shape.
             self._f_view[:] = step.q
             self._low_view[:] = step.l
             self._high_view[:] = step.u
@@ -153,26 +141,28 @@ class DaqpWorkspace(NativeWorkspace):
         self._done = False
         self._refused = self._update(*self._vectors)
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Copy linear cost and row limits into DAQP's arrays and update its model."""
         self._f[:], self._low_rows[:], self._high_rows[:] = q, low, high
         self._refused = self._update(*self._vectors)
 
     def solve(self) -> None:
-        """As inherited, written out for the usual problem."""
+        """Call DAQP; if it refused the problem or failed before, keep that as the result."""
         if self._refused or self._failure:
             super().solve()
             return
         self._done = self._unread = self._used = True
         self._result = self._solve()
 
-    def _call(self) -> None:
+    def _run_solver(self) -> None:
+        """Call DAQP; keep the error code if DAQP did not accept the problem."""
         if self._refused:
             self._result = (None, 0.0, self._refused, {"iterations": -1, "solve_time": 0.0})
         else:
             self._result = self._solve()
 
     def read(self) -> Solution:
-        """As inherited, written out for the usual answer."""
+        """Return DAQP's answer, by a short path if it is optimal."""
         z, value, flag, info = self._result
         if flag != 1 or not self._done or not isfinite(value):
             return super().read()
@@ -181,12 +171,14 @@ class DaqpWorkspace(NativeWorkspace):
         reported_ns = int(info["solve_time"] * 1e9)
         return Solution(SOLVED, z.copy(), dual[n:], dual[:n], info["iterations"], reported_ns)
 
-    def _claimed(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read exit flag, iterations and time that DAQP reports."""
         _, _, flag, info = self._result
         status, reported_ns = STATUS.get(flag, Status.UNKNOWN), int(info["solve_time"] * 1e9)
         return status, info["iterations"], reported_ns, f"exit flag {flag}"
 
-    def _point(self) -> Point | None:
+    def _read_solution_vectors(self) -> Point | None:
+        """Return solution z and multipliers y, y_box of DAQP's result; None without a point."""
         z, _, _, info = self._result
         if z is None:
             return None

@@ -1,19 +1,23 @@
-"""HiGHS: two-sided, vectors changed in its model, no start; and behind qpsolvers, which passes on
-whether an answer was found and nothing else."""
+"""HiGHS: two-sided, vectors changed in its model, no start."""
 
-from __future__ import annotations
-
+from importlib import import_module
 from typing import Any
 
 import numpy as np
-import scipy.sparse
+import scipy
 
 from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Claim, QpsolversAdapter, found_is_all, made_by
+from dpbench.solvers.adapter import Claim, QpsolversAdapter, read_found
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
-from dpbench.solvers.record import NAN_IGNORED, RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.record import (
+    NAN_IGNORED,
+    RouteRecord,
+    SolverRecord,
+    by_tolerance,
+    project_facts,
+)
 
 TIME_LIMIT = "time_limit"
 
@@ -40,7 +44,7 @@ RECORD = SolverRecord(
     levels=by_tolerance(
         "primal_feasibility_tolerance", "dual_feasibility_tolerance", qp_regularization_value=0.0
     ),
-    project=stated(
+    project=project_facts(
         licence=("MIT", "HiGHS, metadata of its distribution"),
         language=("C++, C interface", "HiGHS documentation, front page"),
     ),
@@ -48,13 +52,17 @@ RECORD = SolverRecord(
 )
 
 
-settings_object = made_by("highspy", "HighsOptions")
+def make_settings() -> Any:
+    """Return HiGHS's default options."""
+    return import_module("highspy").HighsOptions()
+
+
 # Without a solution HiGHS fills x with zeros, which must not be taken for an iterate.
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "native",
-    found_is_all,
-    settings_object=settings_object,
+    read_found,
+    make_settings=make_settings,
     iterate_when_not_found=False,
 )
 
@@ -67,23 +75,17 @@ STATUS = {
     "kUnboundedOrInfeasible": Status.PRIMAL_INFEASIBLE,
     "kIterationLimit": Status.MAX_ITERATIONS,
     "kTimeLimit": Status.TIME_LIMIT,
-    "kLoadError": Status.ERROR,
-    "kModelError": Status.ERROR,
-    "kPresolveError": Status.ERROR,
     "kSolveError": Status.NUMERICAL_ERROR,
-    "kPostsolveError": Status.ERROR,
-    "kMemoryLimit": Status.ERROR,
-    "kInterrupt": Status.ERROR,
-    "kHighsInterrupt": Status.ERROR,
-    "kUnknown": Status.UNKNOWN,
-    "kNotset": Status.UNKNOWN,
 }
+_ERRORS = "LoadError ModelError PresolveError PostsolveError MemoryLimit Interrupt HighsInterrupt"
+STATUS |= {f"k{name}": Status.ERROR for name in _ERRORS.split()}
 
 
 class HighsWorkspace(NativeWorkspace):
-    """HiGHS with rows and bounds as they are."""
+    """HiGHS as QP solver, with two-sided rows, bounds and a sparse Hessian."""
 
-    def _convert(self) -> None:
+    def _convert_matrices(self) -> None:
+        """Write P, A and the bounds into a HiGHS model."""
         n, m, library = self._n, self._m, self._library
         lower, rows = scipy.sparse.tril(self._P, format="csc"), scipy.sparse.csc_matrix(self._A)
         model = library.HighsModel()
@@ -99,7 +101,8 @@ class HighsWorkspace(NativeWorkspace):
         self._model = model
         self._columns, self._row_numbers = (np.arange(k, dtype=np.int32) for k in (n, m))
 
-    def _build(self) -> None:
+    def _build_solver(self) -> None:
+        """Make a HiGHS object, set its options and pass it the model."""
         lp = self._model.lp_
         lp.col_cost_, lp.row_lower_, lp.row_upper_ = self._q, self._l, self._u
         solver = self._library.Highs()
@@ -107,31 +110,36 @@ class HighsWorkspace(NativeWorkspace):
         for name, value in self._options.items():
             solver.setOptionValue(name, value)
         self._solver = solver
-        self._check(solver.passModel(self._model))
+        self._raise_on_error(solver.passModel(self._model))
 
-    def _check(self, outcome: Any) -> None:
+    def _raise_on_error(self, outcome: Any) -> None:
+        """Raise DpbenchError if a HiGHS call returned an error."""
         if outcome == self._library.HighsStatus.kError:
             raise DpbenchError("HiGHS refuses the model")
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Change the linear cost and the row limits of the HiGHS model."""
         solver = self._solver
-        self._check(solver.changeColsCost(self._n, self._columns, q))
+        self._raise_on_error(solver.changeColsCost(self._n, self._columns, q))
         if self._m:
-            self._check(solver.changeRowsBounds(self._m, self._row_numbers, low, high))
+            self._raise_on_error(solver.changeRowsBounds(self._m, self._row_numbers, low, high))
 
-    def _call(self) -> None:
+    def _run_solver(self) -> None:
+        """Run HiGHS; its time limit is raised by the run time of earlier solves."""
         if TIME_LIMIT in self._options:
             # HiGHS compares the limit with the run time of all solves of the object so far.
             limit_s = float(str(self._options[TIME_LIMIT]))
             self._solver.setOptionValue(TIME_LIMIT, self._solver.getRunTime() + limit_s)
         self._solver.run()
 
-    def _claimed(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read model status and QP iterations that HiGHS reports."""
         name = str(self._solver.getModelStatus().name)
         iterations = int(self._solver.getInfo().qp_iteration_count)
         return STATUS.get(name, Status.UNKNOWN), iterations, -1, name
 
-    def _point(self) -> Point | None:
+    def _read_solution_vectors(self) -> Point | None:
+        """Return HiGHS's solution z and multipliers, with their signs turned; None if none."""
         solution = self._solver.getSolution()
         if not solution.value_valid:
             return None
@@ -143,4 +151,4 @@ class HighsWorkspace(NativeWorkspace):
         return np.array(solution.col_value), y, y_box
 
 
-NATIVE = THROUGH_QPSOLVERS.natively(HighsWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native(HighsWorkspace)

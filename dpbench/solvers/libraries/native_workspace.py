@@ -1,11 +1,11 @@
-"""What every native workspace has in common: its data, its life cycle and its failures.
+"""The common base of native workspaces: data, life cycle and failures.
 
     setup     copies the problem and makes a new library object from the copies
     update    fresh: the same; else the vectors go to the library
     solve     the library's own call
     read      one `Solution`, copied out of the library's memory
 
-A library that raised, or left an answer nobody can use, is made anew before the next step.
+A library object that raised, or left no usable answer, is made anew before the next step.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.qp.program import QPStep, QuadraticProgram, rows_per_block
+from dpbench.qp.program import CONSTANT, QPStep, QuadraticProgram, rows_per_block
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.adapter import Claim
 from dpbench.solvers.contract import (
@@ -26,9 +26,9 @@ from dpbench.solvers.contract import (
     Policy,
     Workspace,
     check_step,
-    not_set_up,
+    describe_exception,
+    missing_setup_error,
     shift_into,
-    words_of,
 )
 from dpbench.solvers.one_sided import OneSidedForm
 from dpbench.solvers.record import SolverRecord
@@ -39,15 +39,10 @@ SOLVED = Status.SOLVED  # looking it up in its class takes 50 ns
 
 
 class NativeWorkspace(Workspace):
-    """A library at work through its own interface.
+    """Base of solvers called through their library's own interface: QP data, calls and failures.
 
-    A subclass gives `_convert` (the matrices `_P, _A, _lb, _ub` in the library's form, once, as
-    route qpsolvers does), `_build` (a new library object from these and `_q, _l, _u`),
-    `_hand_over` (the vectors of a step), `_call` (the solve, unless it is `_solver.solve()`),
-    `_claimed` (what the library says of its answer, in its own word for the status) and `_point`
-    (the answer); whatever these raise becomes the status ERROR with the library's words.
-
-    Where the record says that a warm start is made of vectors, `_start` holds the previous answer.
+    Whatever a method of a subclass raises becomes the status ERROR with the library's words. Where
+    a warm start is made of vectors, `_start` holds the previous answer.
 
     Parameters
     ----------
@@ -58,7 +53,7 @@ class NativeWorkspace(Workspace):
 
     _solver: Any
     _result: Any = None
-    _start: Start
+    _start: WarmStart
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
         super().__init__(record.name, "native", policy)
@@ -69,94 +64,89 @@ class NativeWorkspace(Workspace):
         self._given_start = self._warm and record.on("native").start != "active set"
         self._options = dict(options)
         self._n, self._m, self._block = -1, -1, 0
+        self._stages: tuple[tuple[int, int], ...] = ()
         self._converted = self._used = False
         self._matrices_given: tuple[Matrix, ...] = ()
         self._done = self._unread = self._unusable = False
         self._failure = ""
 
-    def _convert(self) -> None:
-        """Bring the matrices into the library's form; they are new."""
+    def _convert_matrices(self) -> None:
+        """Convert new matrices P, A and bounds lb, ub into the library's form."""
 
     @abstractmethod
-    def _build(self) -> None:
-        """Make a new library object of the workspace's own data."""
+    def _build_solver(self) -> None:
+        """Make a new library object from the converted matrices, linear cost and limits."""
 
     @abstractmethod
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Give the library the vectors of a step; nothing else has changed."""
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Pass a step's linear cost q and row limits to the library, in place."""
 
-    def _call(self) -> None:
-        """Let the library solve."""
+    def _run_solver(self) -> None:
+        """Call the library's solve function."""
         self._result = self._solver.solve()
 
     @abstractmethod
-    def _claimed(self) -> Claim:
-        """What the library says about its last answer."""
+    def _read_reported_status(self) -> Claim:
+        """Read status, iterations and time [ns] that the library reports."""
 
     @abstractmethod
-    def _point(self) -> Point | None:
-        """z, y and y_box in memory of their own, None if there are none; asked of usable ones."""
+    def _read_solution_vectors(self) -> Point | None:
+        """Return copies of solution z and multipliers y, y_box; None if there are none."""
 
-    def _answer(self) -> Solution:
-        status, iterations, reported_ns, detail = self._claimed()
-        point = self._point() if status.usable else None
-        if point is None:
-            return self._missing(status, iterations, reported_ns, detail)
-        return Solution(status, *point, iterations, reported_ns, detail)
-
-    def _configure(self, settings: Any) -> None:
-        """Write the options into a settings object of the library."""
+    def _apply_options(self, settings: Any) -> None:
+        """Set the solver options as attributes of a settings object."""
         for name, value in self._options.items():
             setattr(settings, name, value)
 
-    def _limits_of_all(self) -> tuple[Vector, Vector]:
-        """New buffers for the limits of [A; I], with the bounds in their places."""
+    def _allocate_joint_limits(self) -> tuple[Vector, Vector]:
+        """Allocate limits (m + n,) of rows and bounds together, with the bounds written in."""
         rows = np.empty(self._m)
         return np.concatenate([rows, self._lb]), np.concatenate([rows, self._ub])
 
-    def _build_for(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Keep the vectors of a step and make a new library object for them."""
+    def _build_solver_for_step(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Store a step's linear cost and row limits and make a new library object for them."""
         self._q[:], self._l[:], self._u[:] = q, low, high
-        self._renew()
+        self._build_with_empty_start()
 
-    def _renew(self) -> None:
+    def _build_with_empty_start(self) -> None:
+        """Make a new library object and discard the stored warm start."""
         if self._given_start:
-            self._start = Start(self._n, self._m, self._block)
-        self._build()
+            self._start = WarmStart(self._n, self._m, self._block)
+        self._build_solver()
 
-    def _advanced(self) -> bool:
-        """Whether there is a start for this step; `_start` is it."""
+    def _advance_start(self) -> bool:
+        """Shift the stored warm start by a control increment; return whether there is one."""
         return self._given_start and self._start.advance()
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Copy the problem and make a new library object; forgets every earlier answer."""
-        self._forget()
+        """Copy the QP, make a new library object and discard earlier answers."""
+        self._clear_answer_state()
         self._q, self._l, self._u = qp.q.copy(), qp.l.copy(), qp.u.copy()
-        if not (self._converted and self._block == qp.block and self._same_matrices(qp)):
-            self._n, self._m, self._block = qp.n, qp.m, qp.block
+        order = (self._block, self._stages) == (qp.block, qp.stages)
+        if not (self._converted and order and self._has_same_matrices(qp)):
+            self._n, self._m, self._block, self._stages = qp.n, qp.m, qp.block, qp.stages
             self._P, self._A = qp.P.copy(), qp.A.copy()
             self._lb, self._ub = qp.lb.copy(), qp.ub.copy()
             self._matrices_given = qp.P, qp.A, qp.lb, qp.ub
             self._converted = False
-        self._rebuild()
+        self._rebuild_solver()
 
-    def _same_matrices(self, qp: QuadraticProgram) -> bool:
-        """Whether the matrices are those kept; the very arrays are, if nobody can write to them."""
-        kept, given = self._matrices_given, (qp.P, qp.A, qp.lb, qp.ub)
-        if kept and all(a is b and not b.flags.writeable for a, b in zip(kept, given, strict=True)):
+    def _has_same_matrices(self, qp: QuadraticProgram) -> bool:
+        """Return whether P, A, lb and ub of `qp` equal those already stored."""
+        old, new = self._matrices_given, (qp.P, qp.A, qp.lb, qp.ub)
+        if old and all(a is b and not b.flags.writeable for a, b in zip(old, new, strict=True)):
             return True
-        return (
-            _same(self._P, qp.P)
-            and _same(self._A, qp.A)
-            and _same(self._lb, qp.lb)
-            and _same(self._ub, qp.ub)
+        own = self._P, self._A, self._lb, self._ub
+        # Comparing bytes is the cheapest way.
+        return all(
+            a.shape == b.shape and a.tobytes() == b.tobytes() for a, b in zip(own, new, strict=True)
         )
 
     def update(self, step: QPStep) -> None:
-        """Hand over the vectors; new matrices are kept and the library object made anew."""
+        """Pass new vectors to the library; make a new library object for new matrices."""
         n, m = self._n, self._m
         if n < 0:
-            raise not_set_up("update")
+            raise missing_setup_error("update")
         q, low, high = step.q, step.l, step.u
         matrices = not (step.P is None and step.A is None and step.lb is None and step.ub is None)
         if matrices or q.shape != (n,) or low.shape != (m,) or high.shape != (m,):
@@ -166,144 +156,153 @@ class NativeWorkspace(Workspace):
         self._done = False
         if matrices:
             self.matrix_updates += 1
-            self._keep(step)
+            self._converted, self._matrices_given = False, ()
+            for name in CONSTANT:
+                value = getattr(step, name)
+                if value is not None:
+                    setattr(self, f"_{name}", np.array(value, dtype=np.float64, order="C"))
         if matrices or self._unusable or self.setup_every_step:
             self._q[:], self._l[:], self._u[:] = q, low, high
-            self._rebuild()
+            self._rebuild_solver()
             return
         try:
-            self._hand_over(q, low, high)
+            self._update_vectors(q, low, high)
         except BaseException as error:
-            self._fail(error)
+            self._record_failure(error)
 
-    def _keep(self, step: QPStep) -> None:
-        for name in ("P", "A", "lb", "ub"):
-            value = getattr(step, name)
-            if value is not None:
-                setattr(self, f"_{name}", np.array(value, dtype=np.float64, order="C"))
-        self._converted, self._matrices_given = False, ()
-
-    def _rebuild(self) -> None:
+    def _rebuild_solver(self) -> None:
+        """Make a new library object; store an exception of the library as the solve's failure."""
         self._unusable = self._used = False
         self._failure = ""
         try:
             if not self._converted:
-                self._convert()
+                self._convert_matrices()
                 self._converted = True
-            self._renew()
+            self._build_with_empty_start()
         except BaseException as error:
-            self._fail(error)
+            self._record_failure(error)
 
-    def _fail(self, error: BaseException) -> None:
-        self._failure, self._unusable = words_of(error), True
+    def _record_failure(self, error: BaseException) -> None:
+        """Store an exception's text and mark the library object as unusable."""
+        self._failure, self._unusable = describe_exception(error), True
 
     def solve(self) -> None:
-        """Solve; whatever the library raises is kept for `read`."""
+        """Call the library's solver; store an exception, for `read` to report."""
         if self._failure:
             return
         self._done = self._unread = self._used = True
         try:
-            self._call()
+            self._run_solver()
         except BaseException as error:
-            self._fail(error)
+            self._record_failure(error)
 
     def read(self) -> Solution:
-        """The answer; one that nobody can use makes the next update start from nothing."""
+        """Return the solver's answer; after a failure, have a new library object made next."""
         if self._n < 0:
-            raise not_set_up("read")
+            raise missing_setup_error("read")
         if self._failure:
             self._unread = False
-            return self._missing(Status.ERROR, -1, -1, self._failure)
+            return self._make_empty_solution(Status.ERROR, -1, -1, self._failure)
         if not self._done:
-            return self._missing(Status.ERROR, -1, -1, NOT_SOLVED)
-        solution = self._answer()
-        if solution.status is SOLVED:
-            solution.detail = ""
+            return self._make_empty_solution(Status.ERROR, -1, -1, NOT_SOLVED)
+        status, iterations, reported_ns, detail = self._read_reported_status()
+        detail = "" if status is SOLVED else detail
+        point = self._read_solution_vectors() if status.is_usable else None
+        if point is None:
+            solution = self._make_empty_solution(status, iterations, reported_ns, detail)
+        else:
+            solution = Solution(status, *point, iterations, reported_ns, detail)
         if self._unread:
             self._unread = False
-            # The square of z tells whether there is a NaN or an infinity in it.
+            # The square of z is finite if z has neither a NaN nor an infinity.
             z = solution.z
-            self._unusable = not (solution.status.usable and isfinite(z.dot(z)))
+            self._unusable = not (solution.status.is_usable and isfinite(z.dot(z)))
             if self._warm and not self._unusable:
-                self._remember(solution)
+                self._store_start(solution)
         return solution
 
-    def _remember(self, solution: Solution) -> None:
-        """Keep what the next start is made of; nothing where the library keeps it itself."""
+    def _store_start(self, solution: Solution) -> None:
+        """Store an answer as the next warm start, unless the library keeps it itself."""
         if self._given_start:
             self._start.remember(solution)
 
-    def _missing(self, status: Status, iterations: int, reported_ns: int, detail: str) -> Solution:
+    def _make_empty_solution(
+        self, status: Status, iterations: int, reported_ns: int, detail: str
+    ) -> Solution:
+        """Return an answer without numbers, with given status, iterations and time [ns]."""
         solution = Solution.missing(self._n, self._m, status, detail)
         solution.iterations, solution.reported_ns = iterations, reported_ns
         return solution
 
     def reset(self) -> None:
-        """Make the library object anew, unless it has not been used since it was made."""
+        """Discard the warm start by making a new library object, unless it has not been used."""
         stale = self._used or self._unusable
-        self._forget()
+        self._clear_answer_state()
         if stale and not self.setup_every_step:
-            self._rebuild()
+            self._rebuild_solver()
 
-    def _forget(self) -> None:
+    def _clear_answer_state(self) -> None:
+        """Clear the flags and the failure text of earlier solves."""
         self._done = self._unread = self._unusable = False
         self._failure = ""
 
 
 class OneSidedWorkspace(NativeWorkspace):
-    """A library that takes one side of a limit only: A z = b and G z ≤ h.
+    """Base of solvers whose library takes only A z = b and G z ≤ h, not two-sided limits.
 
     Rows with l = u are equalities and infinite sides are left out, by the pattern at setup; a step
-    of another pattern makes the library object anew. A subclass gives `_create` (a new library
-    object) and `_send` (the vectors in `_form`).
+    of another pattern makes the library object anew.
     """
 
     _form: OneSidedForm
 
     @abstractmethod
-    def _create(self) -> None:
-        """Make a new library object from `_form`."""
+    def _create_solver_from_form(self) -> None:
+        """Make a new library object from the QP with A z = b, G z ≤ h."""
 
     @abstractmethod
-    def _send(self) -> None:
-        """Give the library the vectors in `_form`."""
+    def _send_form_vectors(self) -> None:
+        """Pass the linear cost q and right-hand sides b, h to the library."""
 
-    def _arrange(self) -> None:
-        """Bring the matrices of a new `_form` into what `_create` needs; by default nothing."""
+    def _prepare_form_matrices(self) -> None:
+        """Convert P, A and G of a QP with A z = b, G z ≤ h for the library."""
 
-    def _convert(self) -> None:
+    def _convert_matrices(self) -> None:
+        """Convert the QP with two-sided limits into A z = b, G z ≤ h."""
         qp = QuadraticProgram(
             self._P, self._q, self._A, self._l, self._u, self._lb, self._ub, self._block
         )
         self._form = OneSidedForm(qp, "dense", "rows")
-        self._arrange()
+        self._prepare_form_matrices()
 
-    def _build(self) -> None:
-        if not self._form.fits(self._l, self._u):
-            self._convert()
+    def _build_solver(self) -> None:
+        """Make a new library object; convert the QP again if other limits are infinite."""
+        if not self._form.has_same_pattern(self._l, self._u):
+            self._convert_matrices()
         self._form.fill(self._q, self._l, self._u)
-        self._create()
+        self._create_solver_from_form()
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
-        if self._form.fits(low, high):
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Pass on a step's vectors; make a new library object if other limits are infinite."""
+        if self._form.has_same_pattern(low, high):
             self._form.fill(q, low, high)
-            self._send()
+            self._send_form_vectors()
         else:
-            self._build_for(q, low, high)
+            self._build_solver_for_step(q, low, high)
 
-    def _rows(self) -> tuple[Matrix, int, int]:
-        """[A; G], the number of equalities and that of inequalities."""
+    def _stack_form_rows(self) -> tuple[Matrix, int, int]:
+        """Return equality and inequality rows stacked, [A; G], and the number of each."""
         parts = [M for M in (self._form.A, self._form.G) if M is not None]
         rows = np.vstack(parts) if parts else np.empty((0, self._n))
         equalities = 0 if self._form.b is None else self._form.b.size
         return rows, equalities, rows.shape[0] - equalities
 
 
-class Start:
-    """The previous answer, one move later, as the start of the next solve.
+class WarmStart:
+    """The previous answer shifted by one control increment, to start the next solve.
 
-    The moves shift by a block of variables, the multipliers of rows by as many rows as a move has;
-    those of the last move, of which the previous plan knows nothing, are zero. Block 0 keeps all.
+    Moves shift by a block of variables, multipliers of rows by the rows of a move; those of the
+    last move are zero. Block 0 shifts nothing.
     """
 
     def __init__(self, n: int, m: int, block: int) -> None:
@@ -312,29 +311,24 @@ class Start:
         self.dual = np.zeros(m + n)
         self.y, self.y_box = self.dual[:m], self.dual[m:]
         shifted = (self.z, block), (self.y, rows), (self.y_box, block)
-        self._kept = [(array, array.copy(), by) for array, by in shifted]
+        self._last = [(array, array.copy(), by) for array, by in shifted]
         self.known = False
 
     def remember(self, solution: Solution) -> None:
-        """Keep a copy of an answer."""
+        """Store a copy of an answer's solution and multipliers for the next warm start."""
         answer = (solution.z, solution.y, solution.y_box)
-        for (_, kept, _), value in zip(self._kept, answer, strict=True):
-            kept[:] = value
+        for (_, last, _), value in zip(self._last, answer, strict=True):
+            last[:] = value
         self.known = True
 
     def advance(self) -> bool:
-        """Fill `z`, `y`, `y_box` with the kept answer one move later; false if there is none."""
+        """Shift the stored answer by one control increment; return whether there is one."""
         if self.known:
-            for target, kept, by in self._kept:
-                shift_into(target, kept, by)
+            for target, last, by in self._last:
+                shift_into(target, last, by)
         return self.known
 
 
-def _same(kept: Matrix, given: Matrix) -> bool:
-    """Whether two arrays hold the same bytes, which is the cheapest way to know."""
-    return kept.shape == given.shape and kept.tobytes() == given.tobytes()
-
-
-def stacked(A: Matrix, n: int) -> Matrix:
-    """[A; I]: bounds as rows, for a library that has rows only."""
+def stack_bound_rows(A: Matrix, n: int) -> Matrix:
+    """Return [A; I] (m + n, n): bounds as rows, for a library without bounds."""
     return np.vstack([A, np.eye(n)])

@@ -1,20 +1,17 @@
-"""OSQP: its extension module, vectors updated, start given or cold, data copied by it; status
-values of its C library, time in seconds."""
-
-from __future__ import annotations
+"""OSQP: its extension module, vectors updated, start given or cold; time in seconds."""
 
 from importlib import import_module
 from typing import Any
 
 import numpy as np
-import scipy.sparse
+import scipy
 
 from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Claim, QpsolversAdapter, told, with_setup
+from dpbench.solvers.adapter import Claim, QpsolversAdapter, make_info_reader, make_status_reader
 from dpbench.solvers.contract import Options, Policy
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stack_bound_rows
 from dpbench.solvers.record import (
     DEFAULT,
     HIGH,
@@ -23,23 +20,17 @@ from dpbench.solvers.record import (
     RouteRecord,
     SolverRecord,
     by_tolerance,
-    stated,
+    project_facts,
 )
 
-
-def build() -> Build:
-    """The linear algebra it takes when none is asked for."""
-    return Build(f"algebra {import_module('osqp').default_algebra()}")
-
-
-# OSQP 1.x adapts ρ every so many iterations by default, as others did by the clock: said aloud.
+# OSQP 1.x adapts ρ by iterations by default, earlier releases did by the clock.
 _LEVELS = by_tolerance(
     "eps_abs",
     eps_rel=0.0,
     max_iter=200_000,
     always={"adaptive_rho": 1, "adaptive_rho_interval": 50},
 )
-# Polishing is a second algorithm whose failures are silent, so it has names of its own.
+# Polishing is a second algorithm with silent failures, so it has names of its own.
 _POLISHED = {f"{name}_polished": {**_LEVELS[name], "polishing": True} for name in (DEFAULT, HIGH)}
 
 RECORD = SolverRecord(
@@ -62,7 +53,7 @@ RECORD = SolverRecord(
         ),
     },
     levels={**_LEVELS, **_POLISHED},
-    project=stated(
+    project=project_facts(
         licence=("Apache-2.0", "OSQP, metadata of its distribution"),
         language=("C, library-free", "OSQP web site, Features"),
         c_code=("yes, generates code for a problem", "OSQP web site, Features: Embeddable"),
@@ -72,7 +63,7 @@ RECORD = SolverRecord(
             "OSQPSettings", "osqp_set_default_settings", "OSQP source, osqp_api_types.h"
         ),
     ),
-    build=build,
+    build=lambda: Build(f"algebra {import_module('osqp').default_algebra()}"),
     time_limit="time_limit",
 )
 
@@ -88,11 +79,11 @@ STATUS = {
     9: Status.NUMERICAL_ERROR,
     10: Status.ERROR,
 }
-tell = told(STATUS, 1e9, number=lambda info: int(info.status_val))
+read_info = make_info_reader(STATUS, 1e9, number=lambda info: int(info.status_val))
 
 
-def settings_object() -> Any:
-    """OSQP's settings at their defaults."""
+def make_settings() -> Any:
+    """Return OSQP's default settings."""
     library = import_module("osqp.ext_builtin")
     settings = library.OSQPSettings()
     library.osqp_set_default_settings(settings)
@@ -103,8 +94,8 @@ def settings_object() -> Any:
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "rows",
-    with_setup(tell),
-    settings_object=settings_object,
+    make_status_reader(read_info),
+    make_settings=make_settings,
     fixed={"raise_error": False},
 )
 
@@ -113,30 +104,33 @@ INFINITY = 1e30  # OSQP_INFTY
 
 
 class OsqpWorkspace(NativeWorkspace):
-    """OSQP on rows [A; I]; `reuse` keeps the factorisation and ρ, and starts at zero."""
+    """OSQP as QP solver, bounds as rows; `reuse` keeps factors and step size ρ, starts at zero."""
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
         super().__init__(record, policy, options)
         self._library = import_module("osqp.ext_builtin")
 
-    def _convert(self) -> None:
+    def _convert_matrices(self) -> None:
+        """Convert P and [A; I], bounds as rows, to sparse for OSQP and allocate limits."""
         csc, n, m = self._library.CSC, self._n, self._m
         self._P_upper = csc(scipy.sparse.triu(self._P, format="csc"))
-        self._rows = csc(scipy.sparse.csc_matrix(stacked(self._A, n)))
+        self._rows = csc(scipy.sparse.csc_matrix(stack_bound_rows(self._A, n)))
         self._low, self._high = np.empty(m + n), np.empty(m + n)
         np.maximum(self._lb, -INFINITY, out=self._low[m:])
         np.minimum(self._ub, INFINITY, out=self._high[m:])
         self._low_rows, self._high_rows = self._low[:m], self._high[:m]
 
-    def _fill(self, low: Vector, high: Vector) -> None:
+    def _clip_row_limits(self, low: Vector, high: Vector) -> None:
+        """Write row limits into OSQP's arrays, clipped to ±1e30, which OSQP takes as infinite."""
         np.maximum(low, -INFINITY, out=self._low_rows)
         np.minimum(high, INFINITY, out=self._high_rows)
 
-    def _build(self) -> None:
-        settings = settings_object()
+    def _build_solver(self) -> None:
+        """Make an OSQP solver with the options applied."""
+        settings = make_settings()
         settings.verbose, settings.warm_starting = False, self._warm
-        self._configure(settings)
-        self._fill(self._l, self._u)
+        self._apply_options(settings)
+        self._clip_row_limits(self._l, self._u)
         n, m = self._n, self._m
         self._solver = self._library.OSQPSolver(
             self._P_upper, self._q, self._rows, self._low, self._high, m + n, n, settings
@@ -145,21 +139,24 @@ class OsqpWorkspace(NativeWorkspace):
         # osqp 1.0 never frees.
         self._solution = self._solver.solution
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
-        self._fill(low, high)
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Update q and the limits of the OSQP solver, and give it the warm start."""
+        self._clip_row_limits(low, high)
         if self._solver.update_data_vec(q=q, l=self._low, u=self._high):
             raise DpbenchError("OSQP refuses the vectors: a lower limit lies above the upper one")
-        if self._advanced():
+        if self._advance_start():
             self._solver.warm_start(self._start.z, self._start.dual)
 
-    def _claimed(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read status, iterations and time that OSQP reports."""
         info = self._solver.info
-        return tell(info, info.solve_time, self._options)
+        return read_info(info, info.solve_time, self._options)
 
-    def _point(self) -> Point:
+    def _read_solution_vectors(self) -> Point:
+        """Return solution z and multipliers y, y_box of OSQP's solution."""
         solution, m = self._solution, self._m
         z, y = solution.x, solution.y  # copies, made by the library's interface
         return z, y[:m], y[m:]
 
 
-NATIVE = THROUGH_QPSOLVERS.natively(OsqpWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native(OsqpWorkspace)

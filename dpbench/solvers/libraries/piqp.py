@@ -1,7 +1,4 @@
-"""PIQP, dense, sparse or by stages: vectors updated, no start; its status enumeration, time in
-seconds."""
-
-from __future__ import annotations
+"""PIQP, dense, sparse or by stages: vectors updated, no start; time in seconds."""
 
 from dataclasses import replace
 from importlib import import_module
@@ -9,18 +6,18 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
-import scipy.sparse
+import scipy
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Claim, QpsolversAdapter, told, with_setup
+from dpbench.solvers.adapter import Claim, QpsolversAdapter, make_info_reader, make_status_reader
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
 from dpbench.solvers.record import (
     NAN_IGNORED,
     RouteRecord,
     SolverRecord,
     by_tolerance,
-    stated,
+    project_facts,
     vectorised_build,
 )
 
@@ -50,7 +47,7 @@ RECORD = SolverRecord(
         eps_duality_gap_rel=0.0,
         max_iter=1000,
     ),
-    project=stated(
+    project=project_facts(
         licence=("BSD-2-Clause", "PIQP README, Features"),
         language=("C++14, C interface", "PIQP README, Features and Interfaces"),
         allocation_free=("yes, updates and re-solves", "PIQP README, Features"),
@@ -66,19 +63,19 @@ STATUS = {
     "PIQP_NUMERICS": Status.NUMERICAL_ERROR,
     "PIQP_INVALID_SETTINGS": Status.ERROR,
 }
-tell = told(STATUS, 1e9, word=attrgetter("status.name"), on_request=True)
+read_info = make_info_reader(STATUS, 1e9, word=attrgetter("status.name"), on_request=True)
 
 
-def settings_object() -> Any:
-    """PIQP's settings at their defaults."""
+def make_settings() -> Any:
+    """Return PIQP's default settings."""
     return import_module("piqp").DenseSolver().settings
 
 
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "native",
-    with_setup(tell),
-    settings_object=settings_object,
+    make_status_reader(read_info),
+    make_settings=make_settings,
 )
 
 
@@ -91,13 +88,14 @@ MULTISTAGE = replace(
 
 
 class PiqpWorkspace(NativeWorkspace):
-    """PIQP with rows as h_l ≤ G x ≤ h_u, those with l = u as A x = b, and bounds as bounds.
+    """PIQP as QP solver: rows two-sided, those with equal limits as equalities, bounds apart.
 
-    A row with l = u leaves an interior-point method no interior, so which rows are equalities is
-    asked at every step; another pattern makes the library object anew.
+    A row with l = u leaves an interior-point method no interior, so another pattern of equalities
+    makes the library object anew.
     """
 
-    def _convert(self) -> None:
+    def _convert_matrices(self) -> None:
+        """Split the rows into equalities and inequalities, and convert all matrices."""
         as_form = scipy.sparse.csc_matrix if self.form == "csc" else np.asfortranarray
         equal = self._l == self._u
         self._pattern = equal.tobytes()
@@ -107,26 +105,27 @@ class PiqpWorkspace(NativeWorkspace):
             as_form(self._A[rows]) if rows.size else None for rows in (self._equal, self._unequal)
         )
 
-    def _library_object(self) -> Any:
-        """An object of the library at its defaults."""
-        library = self._library
-        return library.SparseSolver() if self.form == "csc" else library.DenseSolver()
+    def _make_piqp_solver(self) -> Any:
+        """Return a new sparse or dense PIQP solver object."""
+        kind = "SparseSolver" if self.form == "csc" else "DenseSolver"
+        return getattr(self._library, kind)()
 
-    def _build(self) -> None:
+    def _build_solver(self) -> None:
+        """Make and set up a PIQP solver; split the rows again if other rows are equalities."""
         if (self._l == self._u).tobytes() != self._pattern:
-            self._convert()
-        solver = self._library_object()
+            self._convert_matrices()
+        solver = self._make_piqp_solver()
         solver.settings.verbose = False
-        self._configure(solver.settings)
-        limits = self._limits(self._l, self._u)
+        self._apply_options(solver.settings)
+        limits = self._row_limit_keywords(self._l, self._u)
         b, low, high = (limits.get(name) for name in ("b", "h_l", "h_u"))
         solver.setup(
             self._cost, self._q, self._equalities, b, self._rows, low, high, self._lb, self._ub
         )
         self._solver = solver
 
-    def _limits(self, low: Vector, high: Vector) -> dict[str, Vector]:
-        """The limits of the rows in the library's words."""
+    def _row_limit_keywords(self, low: Vector, high: Vector) -> dict[str, Vector]:
+        """Return row limits by PIQP's names: b of equalities, h_l and h_u of other rows."""
         if not self._equal.size:
             return {"h_l": low, "h_u": high} if self._m else {}
         limits = {"b": low[self._equal]}
@@ -134,18 +133,21 @@ class PiqpWorkspace(NativeWorkspace):
             limits |= {"h_l": low[self._unequal], "h_u": high[self._unequal]}
         return limits
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Update q and row limits; make a new solver if other rows are equalities."""
         if (low == high).tobytes() == self._pattern:
-            self._solver.update(c=q, **self._limits(low, high))
+            self._solver.update(c=q, **self._row_limit_keywords(low, high))
             return
-        self._build_for(q, low, high)
+        self._build_solver_for_step(q, low, high)
 
-    def _claimed(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read status, iterations and time that PIQP reports."""
         self._result = self._solver.result
         info = self._result.info
-        return tell(info, info.solve_time, self._options)
+        return read_info(info, info.solve_time, self._options)
 
-    def _point(self) -> Point:
+    def _read_solution_vectors(self) -> Point:
+        """Return solution z and multipliers y, y_box of PIQP's result."""
         result = self._result
         # x is a view of the library's memory.
         z, y, y_box = result.x.copy(), result.z_u - result.z_l, result.z_bu - result.z_bl
@@ -156,14 +158,15 @@ class PiqpWorkspace(NativeWorkspace):
 
 
 class MultistageWorkspace(PiqpWorkspace):
-    """PIQP with the factorisation that finds the stages of an optimal control problem."""
+    """PIQP as QP solver, with its stage-wise factorisation for optimal control problems."""
 
-    def _library_object(self) -> Any:
-        solver = super()._library_object()
+    def _make_piqp_solver(self) -> Any:
+        """Return a sparse PIQP solver with the stage-wise factorisation."""
+        solver = super()._make_piqp_solver()
         solver.settings.kkt_solver = self._library.sparse_multistage
         return solver
 
 
-NATIVE = THROUGH_QPSOLVERS.natively(PiqpWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native(PiqpWorkspace)
 NATIVE_SPARSE = replace(NATIVE, record=SPARSE)
 NATIVE_MULTISTAGE = replace(NATIVE, record=MULTISTAGE, workspace=MultistageWorkspace)

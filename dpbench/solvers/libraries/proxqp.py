@@ -1,19 +1,15 @@
 """ProxQP (proxsuite) dense or sparse; its status enumeration, time in microseconds.
 
-A start handed to `solve(x, y, z)` has no effect in proxsuite 0.8 (the iterates are those of no
-guess at all), and the dense solver with bounds refuses it; its memory of the previous result does
-have one, so `warm` shifts that in place under COLD_START_WITH_PREVIOUS_RESULT, which keeps the
-iterate and resets the penalties. WARM_START_WITH_PREVIOUS_RESULT, which keeps both, leaves steps
-unsolved. After a step it could not solve proxsuite calls every later one infeasible, so anything
-but SOLVED makes the next update start from nothing.
-
-Two-sided rows cost it the sight of infeasibility: it runs to its iteration limit where the same
-rows in one-sided form, as route qpsolvers hands them over, are found infeasible at once.
+A start handed to `solve(x, y, z)` has no effect in proxsuite 0.8, and the dense solver with bounds
+refuses it; its memory of the previous result has one, so `warm` shifts that in place under
+COLD_START_WITH_PREVIOUS_RESULT, which keeps the iterate and resets the penalties.
+WARM_START_WITH_PREVIOUS_RESULT, which keeps both, leaves steps unsolved. After a step it could not
+solve proxsuite reports every later one as infeasible, so anything but SOLVED makes the next update
+start from nothing. With two-sided rows it runs to its iteration limit where the same rows in
+one-sided form, on route qpsolvers, are found infeasible at once.
 
 Behind qpsolvers its iterations are outer plus inner ones.
 """
-
-from __future__ import annotations
 
 import re
 from dataclasses import replace
@@ -22,7 +18,7 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
-import scipy.sparse
+import scipy
 
 from dpbench.arrays import Vector
 from dpbench.qp.program import rows_per_block
@@ -31,18 +27,18 @@ from dpbench.solvers.adapter import (
     Claim,
     NativeAdapter,
     QpsolversAdapter,
-    attributes,
-    told,
-    with_setup,
+    list_attributes,
+    make_info_reader,
+    make_status_reader,
 )
 from dpbench.solvers.contract import Options, Policy, shift_into
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stack_bound_rows
 from dpbench.solvers.record import (
     NAN_IGNORED,
     RouteRecord,
     SolverRecord,
     by_tolerance,
-    stated,
+    project_facts,
     vectorised_build,
 )
 
@@ -72,7 +68,7 @@ RECORD = SolverRecord(
         check_duality_gap=True,
         eps_duality_gap_rel=0.0,
     ),
-    project=stated(
+    project=project_facts(
         licence=("BSD-2-Clause", "ProxSuite documentation, What is ProxSuite?"),
         language=("C++14", "ProxSuite README, main features"),
     ),
@@ -88,112 +84,103 @@ STATUS = {
     "PROXQP_DUAL_INFEASIBLE": Status.DUAL_INFEASIBLE,
 }
 
-tell = told(STATUS, 1e3, word=attrgetter("status.name"), on_request=True)
+read_info = make_info_reader(STATUS, 1e3, word=attrgetter("status.name"), on_request=True)
 
 DATA = {"H", "g", "A", "b", "C", "l", "u", "l_box", "u_box", "x", "y", "z", "verbose"}
 
 
-def keywords() -> list[str]:
-    """The keywords of `proxqp.dense.solve`, whose signature stands in its docstring only."""
+def list_proxqp_keywords() -> list[str]:
+    """List the option names of `proxqp.dense.solve`, parsed from its docstring."""
     signature = str(import_module("proxsuite").proxqp.dense.solve.__doc__).split("->")[0]
     return [name for name in re.findall(r"[(,] ?(\w+): ", signature) if name not in DATA]
 
 
-THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "native", with_setup(tell), keywords)
+THROUGH_QPSOLVERS = QpsolversAdapter(
+    RECORD, "native", make_status_reader(read_info), list_proxqp_keywords
+)
 
 
 SPARSE = replace(RECORD, name="proxqp_sparse", form="csc", routes={"native": RECORD.on("native")})
 
 
 class ProxqpWorkspace(NativeWorkspace):
-    """ProxQP with rows l ≤ C x ≤ u; bounds are bounds in its dense and rows in its sparse form."""
+    """ProxQP as QP solver with two-sided rows; dense, or sparse with bounds as rows."""
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
         super().__init__(record, policy, options)
         self._library = self._library.proxqp
 
-    def _convert(self) -> None:
+    def _convert_matrices(self) -> None:
+        """Allocate limits; in the sparse form, convert P and [A; I], bounds as rows."""
         n, m = self._n, self._m
         self._sparse = self.form == "csc"
         self._low, self._high = np.empty(m), np.empty(m)
         if self._sparse:
-            self._low, self._high = self._limits_of_all()
+            self._low, self._high = self._allocate_joint_limits()
             self._H = scipy.sparse.csc_matrix(self._P)
-            self._C = scipy.sparse.csc_matrix(stacked(self._A, n))
+            self._C = scipy.sparse.csc_matrix(stack_bound_rows(self._A, n))
 
-    def _build(self) -> None:
+    def _build_solver(self) -> None:
+        """Make a dense or sparse ProxQP object and set it up."""
         n, m, library = self._n, self._m, self._library
         self._low[:m], self._high[:m] = self._l, self._u
-        if self._sparse:
-            self._solver = library.sparse.QP(n, 0, m + n)
-        else:
-            self._solver = library.dense.QP(n, 0, m, True)
-        self._configure(self._solver.settings)
+        sparse, dense = library.sparse.QP, library.dense.QP
+        self._solver = sparse(n, 0, m + n) if self._sparse else dense(n, 0, m, True)
+        self._apply_options(self._solver.settings)
         if self._sparse:
             self._solver.init(self._H, self._q, None, None, self._C, self._low, self._high)
         else:
-            self._solver.init(
-                self._P,
-                self._q,
-                None,
-                None,
-                self._A,
-                self._low,
-                self._high,
-                self._lb,
-                self._ub,
-            )
+            limits = self._low, self._high, self._lb, self._ub
+            self._solver.init(self._P, self._q, None, None, self._A, *limits)
         self._shiftable = self._stuck = False
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Update q and limits; shift the previous result in place as warm start."""
         if self._stuck:
-            self._build_for(q, low, high)
+            self._build_solver_for_step(q, low, high)
             return
         m, solver = self._m, self._solver
         self._low[:m], self._high[:m] = low, high
-        if self._sparse:
-            solver.update(g=q, l=self._low, u=self._high)
-        else:
-            # Without them the bounds of the previous update would be lost.
-            solver.update(g=q, l=self._low, u=self._high, l_box=self._lb, u_box=self._ub)
+        # Without them the bounds of the previous update would be lost.
+        bounds = {} if self._sparse else {"l_box": self._lb, "u_box": self._ub}
+        solver.update(g=q, l=self._low, u=self._high, **bounds)
         if self._shiftable:
             guess = self._library.InitialGuess
             solver.settings.initial_guess = guess.COLD_START_WITH_PREVIOUS_RESULT
-            self._shift()
+            if block := self._block:
+                x, z, rows = solver.results.x, solver.results.z, rows_per_block(self._n, m, block)
+                for part, by in ((x, block), (z[:m], rows), (z[m:], block)):
+                    shift_into(part, part.copy(), by)
 
-    def _shift(self) -> None:
-        block, m, results = self._block, self._m, self._solver.results
-        if block:
-            x, z, rows = results.x, results.z, rows_per_block(self._n, m, block)
-            for part, by in ((x, block), (z[:m], rows), (z[m:], block)):
-                shift_into(part, part.copy(), by)
-
-    def _claimed(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read ProxQP's status and iterations; note a failure after which it must be made anew."""
         self._result = self._solver.results
         info = self._result.info
-        claimed = tell(info, info.solve_time, self._options)
+        claimed = read_info(info, info.solve_time, self._options)
         self._stuck = claimed[0] is not Status.SOLVED
         return claimed
 
-    def _point(self) -> Point:
+    def _read_solution_vectors(self) -> Point:
+        """Return solution z and multipliers y, y_box of ProxQP's result."""
         # Both are views of the library's memory.
         results, m = self._result, self._m
         z, y = results.x.copy(), results.z.copy()
         return z, y[:m], y[m:]
 
-    def _remember(self, solution: Solution) -> None:
+    def _store_start(self, solution: Solution) -> None:
+        """Note that ProxQP's own last result can be shifted as a warm start."""
         self._shiftable = True
 
 
-def settings_object() -> Any:
-    """ProxQP's settings at their defaults."""
+def make_settings() -> Any:
+    """Return ProxQP's default settings."""
     return import_module("proxsuite").proxqp.dense.QP(1, 0, 0).settings
 
 
-def option_names() -> list[str]:
-    """Its settings but the initial guess, which the policy decides."""
-    return [name for name in attributes(settings_object()) if name != "initial_guess"]
+def list_options() -> list[str]:
+    """List the names of ProxQP's settings, except the initial guess."""
+    return [name for name in list_attributes(make_settings()) if name != "initial_guess"]
 
 
-NATIVE = NativeAdapter(RECORD, ProxqpWorkspace, option_names, settings_object)
+NATIVE = NativeAdapter(RECORD, ProxqpWorkspace, list_options, make_settings)
 NATIVE_SPARSE = replace(NATIVE, record=SPARSE)

@@ -1,17 +1,15 @@
 """QOCO through its own interface: one-sided, vectors updated, no start."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 
 import numpy as np
-import scipy.sparse
+import scipy
 
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, NativeAdapter
 from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
-from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, project_facts
 
 RECORD = SolverRecord(
     name="qoco",
@@ -30,7 +28,7 @@ RECORD = SolverRecord(
         )
     },
     levels=by_tolerance("abstol", "reltol", max_iters=500),
-    project=stated(
+    project=project_facts(
         licence=("BSD-3-Clause", "QOCO README, License"),
         language=("C", "QOCO documentation"),
         c_code=("yes, by QOCOGEN", "QOCOGEN README"),
@@ -43,68 +41,60 @@ STATUS = {
     "QOCO_SOLVED_INACCURATE": Status.INACCURATE,
     "QOCO_NUMERICAL_ERROR": Status.NUMERICAL_ERROR,
     "QOCO_MAX_ITER": Status.MAX_ITERATIONS,
-    "QOCO_UNSOLVED": Status.UNKNOWN,
 }
 
 
 class QocoWorkspace(OneSidedWorkspace):
-    """QOCO on A z = b, G z ≤ h."""
+    """QOCO as QP solver, on A z = b and G z ≤ h."""
 
-    def _arrange(self) -> None:
+    def _prepare_form_matrices(self) -> None:
+        """Convert cost P, equality rows A and inequality rows G to sparse for QOCO."""
         form, csc = self._form, scipy.sparse.csc_matrix
         self._matrices = tuple(None if M is None else csc(M) for M in (self._P, form.A, form.G))
 
-    def _create(self) -> None:
+    def _create_solver_from_form(self) -> None:
+        """Make a QOCO solver and set it up."""
         P, A, G = self._matrices
         form = self._form
         inequalities = 0 if form.h is None else form.h.size
         equalities = 0 if form.b is None else form.b.size
         self._solver = self._library.QOCO()
-        self._solver.setup(
-            self._n,
-            inequalities,
-            equalities,
-            P,
-            form.q,
-            A,
-            form.b,
-            G,
-            form.h,
-            inequalities,
-            0,
-            None,
-            verbose=0,
-            **self._options,
-        )
+        data = P, form.q, A, form.b, G, form.h
+        sizes, cones = (self._n, inequalities, equalities), (inequalities, 0, None)
+        self._solver.setup(*sizes, *data, *cones, verbose=0, **self._options)
         # A view of the latest answer. Each look at `solution` makes another one of 32 B, which
         # qoco 0.3 never frees; its own `solve()` looks 14 times.
         self._result = self._solver._solver.solution
 
-    def _send(self) -> None:
+    def _send_form_vectors(self) -> None:
+        """Pass linear cost q and right-hand sides b, h to the QOCO solver."""
         form = self._form
         self._solver.update_vector_data(c=form.q, b=form.b, h=form.h)
 
-    def _call(self) -> None:
+    def _run_solver(self) -> None:
+        """Call QOCO's solve function."""
         self._solver._solver.solve()
 
-    def _claimed(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read status, iterations and time that QOCO reports."""
         result = self._result
         name = self._solver.solvecodes[result.status]
         took_ns = round(result.solve_time_sec * 1e9)
         return STATUS.get(name, Status.UNKNOWN), int(result.iters), took_ns, name
 
-    def _point(self) -> Point:
+    def _read_solution_vectors(self) -> Point:
+        """Return solution z and multipliers y, y_box of QOCO's solution."""
         result = self._result
         duals = np.array(result.z), np.array(result.y)
         return np.array(result.x), *self._form.two_sided(*duals)
 
 
-def settings_object() -> Any:
-    """QOCO's settings at their defaults."""
+def make_settings() -> Any:
+    """Return QOCO's default settings."""
     library = import_module("qoco.qoco_ext")
     settings = library.QOCOSettings()
     library.set_default_settings(settings)
     return settings
 
 
-NATIVE = NativeAdapter(RECORD, QocoWorkspace, settings_object=settings_object)
+NATIVE = NativeAdapter(RECORD, QocoWorkspace, make_settings=make_settings)

@@ -1,15 +1,20 @@
-"""QPALM: two-sided, vectors updated, start given or cold; status texts of its C library, time in
-seconds."""
+"""QPALM: two-sided, vectors updated, start given or cold; time in seconds."""
 
-from __future__ import annotations
+from importlib import import_module
+from typing import Any
 
-import scipy.sparse
+import scipy
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Claim, QpsolversAdapter, made_by, told, with_setup
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stacked
-from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.adapter import (
+    Claim,
+    QpsolversAdapter,
+    make_info_reader,
+    make_status_reader,
+)
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stack_bound_rows
+from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, project_facts
 
 RECORD = SolverRecord(
     name="qpalm",
@@ -39,7 +44,7 @@ RECORD = SolverRecord(
         ),
     },
     levels=by_tolerance("eps_abs", eps_rel=0.0, max_iter=100_000),
-    project=stated(
+    project=project_facts(
         licence=("LGPL-3.0-or-later", "QPALM, metadata of its distribution"),
         language=("C", "QPALM README, Supported platforms"),
         c_settings=CSettings(
@@ -59,52 +64,64 @@ STATUS = {
     "user cancellation": Status.ERROR,
     "error": Status.ERROR,
 }
-tell = told(STATUS, 1e9)
-settings_object = made_by("qpalm", "Settings")
+read_info = make_info_reader(STATUS, 1e9)
+
+
+def make_settings() -> Any:
+    """Return QPALM's default settings."""
+    return import_module("qpalm").Settings()
+
+
 THROUGH_QPSOLVERS = QpsolversAdapter(
-    RECORD, "rows", with_setup(tell), settings_object=settings_object
+    RECORD, "rows", make_status_reader(read_info), make_settings=make_settings
 )
 
 
 class QpalmWorkspace(NativeWorkspace):
-    """QPALM on rows [A; I]; without a start given for it, a solve begins at zero."""
+    """QPALM as QP solver, bounds as rows; without a warm start, a solve begins at zero."""
 
-    def _convert(self) -> None:
+    def _convert_matrices(self) -> None:
+        """Convert P and [A; I], bounds as rows, to sparse for QPALM and allocate limits."""
         n, m = self._n, self._m
         self._data = self._library.Data(n, m + n)
         self._data.Q = scipy.sparse.csc_matrix(self._P)
-        self._data.A = scipy.sparse.csc_matrix(stacked(self._A, n))
-        self._low, self._high = self._limits_of_all()
+        self._data.A = scipy.sparse.csc_matrix(stack_bound_rows(self._A, n))
+        self._low, self._high = self._allocate_joint_limits()
 
-    def _build(self) -> None:
+    def _build_solver(self) -> None:
+        """Make a QPALM solver from the current problem and options."""
         m, data = self._m, self._data
         self._low[:m], self._high[:m] = self._l, self._u
         data.q, data.bmin, data.bmax = self._q, self._low, self._high
-        settings = settings_object()
+        settings = make_settings()
         settings.verbose = False
-        self._configure(settings)
+        self._apply_options(settings)
         self._solver = self._library.Solver(data, settings)
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Update q and limits of the QPALM solver, and give it the warm start."""
         m, solver = self._m, self._solver
         self._low[:m], self._high[:m] = low, high
         solver.update_q(q)
         solver.update_bounds(self._low, self._high)
-        if self._advanced():
+        if self._advance_start():
             solver.warm_start(self._start.z, self._start.dual)
 
-    def _call(self) -> None:
+    def _run_solver(self) -> None:
+        """Call QPALM and wait for its result."""
         self._solver.solve(asynchronous=False)
 
-    def _claimed(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read status, iterations and time that QPALM reports."""
         info = self._solver.info
-        return tell(info, info.solve_time, self._options)
+        return read_info(info, info.solve_time, self._options)
 
-    def _point(self) -> Point:
+    def _read_solution_vectors(self) -> Point:
+        """Return solution z and multipliers y, y_box of QPALM's solution."""
         # Both are views of the library's memory.
         solution, m = self._solver.solution, self._m
         z, y = solution.x.copy(), solution.y.copy()
         return z, y[:m], y[m:]
 
 
-NATIVE = THROUGH_QPSOLVERS.natively(QpalmWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native(QpalmWorkspace)

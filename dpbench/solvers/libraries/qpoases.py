@@ -1,11 +1,9 @@
 """qpOASES through casadi's buffer interface: two-sided, hot start from the working set it keeps.
 
-Memory that casadi takes back is handed out again as it was left, so nothing but a new function
-object starts from nothing; building one takes some milliseconds. The working set belongs to the
-homotopy from the previous problem to the next and is not shifted.
+casadi reuses memory as it was left, so only a new function object starts from nothing; building one
+takes some milliseconds. The working set belongs to the homotopy from the previous problem to the
+next and is not shifted.
 """
-
-from __future__ import annotations
 
 import io
 import math
@@ -19,7 +17,7 @@ from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, NativeAdapter
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
-from dpbench.solvers.record import RouteRecord, SolverRecord, stated
+from dpbench.solvers.record import RouteRecord, SolverRecord, project_facts
 
 RECORD = SolverRecord(
     name="qpoases",
@@ -42,7 +40,7 @@ RECORD = SolverRecord(
         )
     },
     levels={},
-    project=stated(
+    project=project_facts(
         licence=("LGPL-2.1-or-later", "qpOASES source, head of each file"),
         language=("C++", "qpOASES manual, Introduction"),
         single_precision=("yes, __USE_SINGLE_PRECISION__", "qpOASES source, Constants.hpp"),
@@ -53,7 +51,6 @@ RECORD = SolverRecord(
 # casadi's unified return status.
 STATUS = {
     0: Status.SOLVED,
-    1: Status.UNKNOWN,
     2: Status.MAX_ITERATIONS,  # "limited": working set recalculations or time
     3: Status.NUMERICAL_ERROR,  # NaN
     4: Status.PRIMAL_INFEASIBLE,
@@ -63,27 +60,23 @@ FIXED = {"printLevel": "none", "error_on_fail": False}
 
 
 class QpoasesWorkspace(NativeWorkspace):
-    """qpOASES looking at buffers of ours; a solve after the first is a hot start."""
+    """qpOASES as QP solver, called through casadi; after the first solve it starts hot."""
 
-    def _convert(self) -> None:
+    def _convert_matrices(self) -> None:
+        """Lay out P and A in qpOASES's memory order; allocate its inputs and outputs."""
         n, m = self._n, self._m
         self._inputs = {
             "h": np.asfortranarray(self._P).ravel("K"),
             "a": np.asfortranarray(self._A).ravel("K"),
-            "g": np.empty(n),
-            "lba": np.empty(m),
-            "uba": np.empty(m),
+            **{name: np.empty(size) for name, size in (("g", n), ("lba", m), ("uba", m))},
             "lbx": self._lb,
             "ubx": self._ub,
         }
-        self._outputs = {
-            "x": np.empty(n),
-            "cost": np.empty(1),
-            "lam_a": np.empty(m),
-            "lam_x": np.empty(n),
-        }
+        outputs = ("x", n), ("cost", 1), ("lam_a", m), ("lam_x", n)
+        self._outputs = {name: np.empty(size) for name, size in outputs}
 
-    def _build(self) -> None:
+    def _build_solver(self) -> None:
+        """Make casadi's qpOASES function and attach its inputs and outputs."""
         dense, n, m = self._library.Sparsity.dense, self._n, self._m
         shapes = {"h": dense(n, n), "a": dense(m, n)}
         options = {**FIXED, **self._options}
@@ -96,35 +89,39 @@ class QpoasesWorkspace(NativeWorkspace):
         for i, name in enumerate(self._function.name_out()):
             if self._outputs[name].size:
                 self._buffer.set_res(i, self._outputs[name].data)
-        self._hand_over(self._q, self._l, self._u)
+        self._update_vectors(self._q, self._l, self._u)
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Copy q and row limits into the input buffers of qpOASES."""
         inputs = self._inputs
         inputs["g"][:], inputs["lba"][:], inputs["uba"][:] = q, low, high
 
-    def _call(self) -> None:
+    def _run_solver(self) -> None:
+        """Call qpOASES on the stored inputs and outputs."""
         self._trigger()
 
-    def _claimed(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read qpOASES's status and iterations; a NaN cost counts as failure."""
         flag = int(self._buffer.ret())
         iterations = int(self._buffer.stats()["iter_count"])
         if math.isnan(self._outputs["cost"][0]):
-            # It calls a problem with NaN solved, and starts all later ones from there.
+            # It reports a problem with NaN as solved, and starts all later ones from there.
             return Status.NUMERICAL_ERROR, iterations, -1, "a cost that is no number"
         return STATUS.get(flag, Status.UNKNOWN), iterations, -1, f"return status {flag}"
 
-    def _point(self) -> Point | None:
-        # Where it says no more than that it failed, its x may be that of an earlier problem.
+    def _read_solution_vectors(self) -> Point | None:
+        """Return solution z and multipliers y, y_box; None if the status is unknown."""
+        # Without a reason for a failure, x may be that of an earlier problem.
         if STATUS.get(int(self._buffer.ret()), Status.UNKNOWN) is Status.UNKNOWN:
             return None
         outputs = self._outputs
         return outputs["x"].copy(), outputs["lam_a"].copy(), outputs["lam_x"].copy()
 
 
-def option_names() -> list[str]:
-    """qpOASES's options as casadi documents them."""
+def list_options() -> list[str]:
+    """List qpOASES's option names from casadi's documentation text."""
     text = import_module("casadi").doc_conic("qpoases")
     return [name for name in re.findall(r"^\| (\w+) +\| OT_", text, re.M) if name != "printLevel"]
 
 
-NATIVE = NativeAdapter(RECORD, QpoasesWorkspace, option_names)
+NATIVE = NativeAdapter(RECORD, QpoasesWorkspace, list_options)

@@ -1,11 +1,9 @@
-"""The route through qpsolvers: one workspace that drives every library qpsolvers serves.
+"""The route through qpsolvers: one workspace for every library that qpsolvers has.
 
-`setup` keeps the constant matrices in the library's form, `update` fills the vectors and builds
-the `qpsolvers.Problem`, `solve` is `qpsolvers.solve_problem` and nothing else, `read` maps signs
-and status. qpsolvers sets the library up anew at every solve, so this cannot be split further.
+`setup` converts the constant matrices, `update` fills the vectors and builds the
+`qpsolvers.Problem`, `solve` is `qpsolvers.solve_problem` and nothing else, `read` maps signs and
+status. qpsolvers sets the library up anew at every solve.
 """
-
-from __future__ import annotations
 
 import warnings
 from typing import Any
@@ -21,9 +19,9 @@ from dpbench.solvers.contract import (
     Policy,
     Workspace,
     check_step,
-    not_set_up,
+    describe_exception,
+    missing_setup_error,
     shift_into,
-    words_of,
 )
 from dpbench.solvers.one_sided import OneSidedForm
 
@@ -31,20 +29,12 @@ IGNORE_ALL = ("ignore", None, Warning, None, 0)
 
 
 class QpsolversWorkspace(Workspace):
-    """A library behind qpsolvers at work on QPs of one shape.
-
-    Parameters
-    ----------
-    adapter : the library.
-    policy : "fresh", or "warm": the previous answer, shifted by one move, is the start.
-    options : keyword arguments of the library, already validated.
-    """
+    """A QP solver called through qpsolvers, which sets the library up anew at every solve."""
 
     def __init__(self, adapter: QpsolversAdapter, policy: Policy, options: Options) -> None:
         super().__init__(adapter.record.name, "qpsolvers", policy)
         self.form = adapter.record.form
-        self._adapter = adapter
-        self._name = adapter.called
+        self._adapter, self._name = adapter, adapter.qpsolvers_key
         self._options: dict[str, Any] = {**adapter.fixed, **options}
         self._base: QuadraticProgram | None = None
         self._answer: Any = None
@@ -53,37 +43,39 @@ class QpsolversWorkspace(Workspace):
         self._last: np.ndarray | None = None
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Keep `qp` in the library's form; forgets every earlier answer."""
+        """Convert a QP into the library's form and discard earlier answers."""
         self.reset()
-        self._prepare(qp.copy())
+        self._convert_problem(qp.copy())
 
-    def _prepare(self, qp: QuadraticProgram) -> None:
+    def _convert_problem(self, qp: QuadraticProgram) -> None:
+        """Store a QP and convert its two-sided limits to G z ≤ h, A z = b."""
         self._base = qp
         self._form = OneSidedForm(qp, self.form, self._adapter.box)
-        self._fill(qp.q, qp.l, qp.u)
+        self._build_qpsolvers_problem(qp.q, qp.l, qp.u)
 
-    def _fill(self, q: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+    def _build_qpsolvers_problem(self, q: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+        """Make a `qpsolvers.Problem` of a step's linear cost and row limits."""
         form = self._form
         form.fill(q, low, high)
         self._problem = Problem(form.P, form.q, form.G, form.h, form.A, form.b, form.lb, form.ub)
 
     def update(self, step: QPStep) -> None:
-        """Take over the vectors; rebuild when matrices, equalities or infinite sides change."""
+        """Take over a step's vectors; convert again if matrices or infinite limits change."""
         base = self._base
         if base is None:
-            raise not_set_up("update")
+            raise missing_setup_error("update")
         check_step(step, base.n, base.m)
         if self.policy == "warm":
-            self._start = self._shifted_start(base.block)
+            self._start = self._shift_last_answer(base.block)
         vectors_only = step.refresh is Refresh.VECTORS
         self.matrix_updates += not vectors_only
-        if vectors_only and self._form.fits(step.l, step.u):
-            self._fill(step.q, step.l, step.u)
+        if vectors_only and self._form.has_same_pattern(step.l, step.u):
+            self._build_qpsolvers_problem(step.q, step.l, step.u)
         else:
-            self._prepare(base.at(step).copy())
+            self._convert_problem(base.at(step).copy())
 
-    def _shifted_start(self, block: int) -> np.ndarray | None:
-        """The previous answer one move later, its last move zero; None without a usable one."""
+    def _shift_last_answer(self, block: int) -> np.ndarray | None:
+        """Return the previous z shifted by one control increment, as a start; None without one."""
         if self._unread:
             self.read()
         if self._last is None or block == 0:
@@ -93,32 +85,33 @@ class QpsolversWorkspace(Workspace):
         return start
 
     def solve(self) -> None:
-        """Solve; whatever the library raises is kept for `read`."""
+        """Call qpsolvers; store whatever the library raises, for `read` to report."""
         self._answer, self._unread = None, True
         try:
-            # Where everything is ignored already, as in a worker, a context costs for nothing.
+            # Where all warnings are ignored already, as in a worker, a context costs time.
             if warnings.filters[:1] == [IGNORE_ALL]:
-                self._answer = self._call()
+                self._answer = self._run_solver()
             else:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
-                    self._answer = self._call()
+                    self._answer = self._run_solver()
         except BaseException as error:
-            self._failure = words_of(error)
+            self._failure = describe_exception(error)
 
-    def _call(self) -> Any:
+    def _run_solver(self) -> Any:
+        """Call qpsolvers on the QP with the warm start and the options."""
         return solve_problem(self._problem, self._name, initvals=self._start, **self._options)
 
     def read(self) -> Solution:
-        """The answer with its multipliers mapped to the two-sided problem."""
+        """Return the answer, with multipliers converted to those of two-sided limits."""
         if self._base is None:
-            raise not_set_up("read")
+            raise missing_setup_error("read")
         n, m = self._base.n, self._base.m
         self._last, self._unread = None, False
         answer = self._answer
         if answer is None:
             return Solution.missing(n, m, Status.ERROR, self._failure)
-        status, iterations, reported_ns, detail = self._adapter.claimed_status(
+        status, iterations, reported_ns, detail = self._adapter.read_claimed_status(
             answer, self._options
         )
         if status is Status.SOLVED:
@@ -129,13 +122,13 @@ class QpsolversWorkspace(Workspace):
             solution.iterations, solution.reported_ns = iterations, reported_ns
             return solution
         z = np.array(answer.x, dtype=np.float64)
-        pair = self._form.multipliers(answer.z, answer.y, answer.z_box)
+        pair = self._form.convert_qpsolvers_multipliers(answer.z, answer.y, answer.z_box)
         y, y_box = (np.full(m, np.nan), np.full(n, np.nan)) if pair is None else pair
-        if self.policy == "warm" and status.usable and np.isfinite(z).all():
+        if self.policy == "warm" and status.is_usable and np.isfinite(z).all():
             self._last = z.copy()
         return Solution(status, z, y, y_box, iterations, reported_ns, detail)
 
     def reset(self) -> None:
-        """Forget every earlier answer."""
+        """Discard the answer and the warm start."""
         self._answer, self._failure, self._unread = None, "read before solve", False
         self._start = self._last = None

@@ -1,18 +1,15 @@
-"""quadprog: one-sided, the inverse factor of P made once; behind qpsolvers it either solves, or
-raises that there is no solution."""
+"""quadprog: one-sided, the inverse factor of P made once."""
 
-from __future__ import annotations
-
+from importlib import import_module
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, ClaimedStatus, QpsolversAdapter
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
-from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, stated
+from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, project_facts
 
 RECORD = SolverRecord(
     name="quadprog",
@@ -31,7 +28,7 @@ RECORD = SolverRecord(
         ),
     },
     levels={},
-    project=stated(
+    project=project_facts(
         licence=("GPL-2.0-or-later", "quadprog, metadata of its distribution"),
         language=("C, from Fortran", "quadprog, its source"),
     ),
@@ -40,13 +37,12 @@ RECORD = SolverRecord(
 
 
 def read_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Only an answer that was found has extras; quadprog counts rows added and rows dropped."""
+    """Read quadprog's iterations from a qpsolvers solution, which only solved ones have."""
     return ClaimedStatus(Status.SOLVED, int(answer.extras["iterations"][0]))
 
 
-# The library raises ValueError for arrays of the wrong kind, for a P that is not positive definite
-# and for inconsistent constraints. The first cannot happen here and qpsolvers tells the second
-# apart, so "not found" is the third. Its one keyword, `factorized`, says what P is: no setting.
+# The library raises ValueError for arrays of the wrong kind, which cannot happen here, for a P that
+# is not positive definite, which qpsolvers reports, and for inconsistent constraints: "not found".
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "rows",
@@ -56,7 +52,7 @@ THROUGH_QPSOLVERS = QpsolversAdapter(
 )
 
 
-# It raises what it has to say.
+# By the text of the ValueError.
 STATUS = {
     "constraints are inconsistent, no solution": Status.PRIMAL_INFEASIBLE,
     "matrix G is not positive definite": Status.NUMERICAL_ERROR,
@@ -64,37 +60,42 @@ STATUS = {
 
 
 class QuadprogWorkspace(OneSidedWorkspace):
-    """quadprog on Cᵀ z ≥ b; it has no state, so `reuse` means P = RᵀR comes as R⁻¹."""
+    """quadprog as QP solver, on Cᵀ z ≥ b; `reuse` keeps the inverse Cholesky factor of P."""
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
         super().__init__(record, policy, options)
         self._solve_qp = self._library.solve_qp
+        self._linalg = import_module("scipy.linalg")
         self._status, self._words = Status.UNKNOWN, ""
 
-    def _arrange(self) -> None:
-        rows, equalities, _ = self._rows()
+    def _prepare_form_matrices(self) -> None:
+        """Stack equality and inequality rows, transposed and signed as quadprog takes them."""
+        rows, equalities, _ = self._stack_form_rows()
         rows[equalities:] *= -1.0
         self._C = np.asfortranarray(rows.T) if rows.size else None
         self._b = np.empty(rows.shape[0]) if rows.size else None
         self._equalities, self._a = equalities, np.empty(self._n)
 
-    def _create(self) -> None:
+    def _create_solver_from_form(self) -> None:
+        """Invert the Cholesky factor of P, unless every solve is to start from nothing."""
         self._factorized = self.policy != "fresh"
         self._matrix = self._P
         if self._factorized:
-            upper = scipy.linalg.cholesky(self._P, lower=False)
-            inverse = scipy.linalg.solve_triangular(upper, np.eye(self._n), lower=False)
+            upper = self._linalg.cholesky(self._P, lower=False)
+            inverse = self._linalg.solve_triangular(upper, np.eye(self._n), lower=False)
             self._matrix = np.asfortranarray(inverse)
-        self._send()
+        self._send_form_vectors()
 
-    def _send(self) -> None:
+    def _send_form_vectors(self) -> None:
+        """Write a step's linear cost and limits, signed as quadprog takes them."""
         form, count = self._form, self._equalities
         np.negative(form.q, out=self._a)
         if self._b is not None:
             self._b[:count] = form.bh[:count]
             np.negative(form.bh[count:], out=self._b[count:])
 
-    def _call(self) -> None:
+    def _run_solver(self) -> None:
+        """Call quadprog; convert its ValueError into a status."""
         self._result = None
         try:
             self._result = self._solve_qp(
@@ -104,12 +105,14 @@ class QuadprogWorkspace(OneSidedWorkspace):
             self._words = str(error)
             self._status = STATUS.get(self._words, Status.UNKNOWN)
 
-    def _claimed(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read quadprog's iterations, or the status of its error."""
         if self._result is None:
             return self._status, -1, -1, self._words
         return Status.SOLVED, int(self._result[3][0]), -1, ""
 
-    def _point(self) -> Point | None:
+    def _read_solution_vectors(self) -> Point | None:
+        """Return solution z and multipliers y, y_box of quadprog's result; None after an error."""
         if self._result is None:
             return None
         z, _, _, _, dual, _ = self._result
@@ -117,4 +120,4 @@ class QuadprogWorkspace(OneSidedWorkspace):
         return z.copy(), *self._form.two_sided(dual[count:], -dual[:count])
 
 
-NATIVE = THROUGH_QPSOLVERS.natively(QuadprogWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native(QuadprogWorkspace)

@@ -1,20 +1,17 @@
-"""SCS: one-sided, vectors updated, start given or cold; status values of its C library, time in
-milliseconds."""
-
-from __future__ import annotations
+"""SCS: one-sided, vectors updated, start given or cold; time in milliseconds."""
 
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import scipy.sparse
+import scipy
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, QpsolversAdapter
 from dpbench.solvers.contract import Options
 from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
-from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, project_facts
 
 RECORD = SolverRecord(
     name="scs",
@@ -35,7 +32,7 @@ RECORD = SolverRecord(
         ),
     },
     levels=by_tolerance("eps_abs", eps_rel=0.0, max_iters=1_000_000),
-    project=stated(
+    project=project_facts(
         licence=("MIT", "SCS, metadata of its distribution"),
         language=("C", "SCS documentation, front page"),
         single_precision=("yes, a flag of its build", "SCS source, scs.mk"),
@@ -72,8 +69,8 @@ OPTION_NAMES = (
 )
 
 
-def claimed(info: Mapping[str, Any], took_ms: float) -> Claim:
-    """What SCS's information about a solve says."""
+def make_claim(info: Mapping[str, Any], took_ms: float) -> Claim:
+    """Convert SCS's status, iterations and time to the common form; name the limit reached."""
     status = STATUS.get(int(info["status_val"]), Status.UNKNOWN)
     # An inaccurate answer names the limit that stopped it in its text.
     if status is Status.INACCURATE and "time_limit" in info["status"]:
@@ -84,19 +81,20 @@ def claimed(info: Mapping[str, Any], took_ms: float) -> Claim:
 
 
 def read_status(answer: Any, options: Options) -> Claim:
-    """Status, iterations and the sum of set-up and solve time."""
+    """Read SCS's status, iterations and time with set-up from a qpsolvers solution."""
     info = answer.extras
-    return claimed(info, info["setup_time"] + info["solve_time"])
+    return make_claim(info, info["setup_time"] + info["solve_time"])
 
 
 THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "rows", read_status, lambda: OPTION_NAMES)
 
 
 class ScsWorkspace(OneSidedWorkspace):
-    """SCS on [A; G] z + s = [b; h]; `warm` gives it x, y and the slacks s that go with x."""
+    """SCS as QP solver, in conic form [A; G] z + s = [b; h]; `warm` gives z, multipliers and s."""
 
-    def _arrange(self) -> None:
-        rows, equalities, inequalities = self._rows()
+    def _prepare_form_matrices(self) -> None:
+        """Convert P and stacked rows [A; G] to sparse for SCS, with a zero row if there is none."""
+        rows, equalities, inequalities = self._stack_form_rows()
         self._empty = not rows.size
         if self._empty:
             # It wants a cone: one row 0 z ≤ 0 limits nothing.
@@ -108,43 +106,46 @@ class ScsWorkspace(OneSidedWorkspace):
         self._b = np.zeros(1) if self._empty else self._form.bh
         self._y, self._s = np.zeros(rows.shape[0]), np.zeros(rows.shape[0])
 
-    def _create(self) -> None:
+    def _create_solver_from_form(self) -> None:
+        """Make an SCS solver from matrices, vectors, cone sizes and options."""
         data = {"P": self._P_upper, "A": self._matrix, "b": self._b, "c": self._form.q}
         self._solver = self._library.SCS(data, self._cone, verbose=False, **self._options)
         self._given = False
 
-    def _hand_over(self, q: Vector, low: Vector, high: Vector) -> None:
-        super()._hand_over(q, low, high)
-        if self._advanced():
-            self._place_start()
-
-    def _send(self) -> None:
-        self._solver.update(b=self._b, c=self._form.q)
-
-    def _place_start(self) -> None:
-        start = self._start
-        self._given = True
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Pass a step's vectors to SCS; convert the warm start into its multipliers and slacks."""
+        super()._update_vectors(q, low, high)
+        if not self._advance_start():
+            return
+        self._given, start = True, self._start
         if not self._empty:
-            self._form.split(start.y, start.y_box, self._y)
+            self._form.split_multipliers(start.y, start.y_box, self._y)
             np.subtract(self._b, self._dense_rows @ start.z, out=self._s)
             np.maximum(self._s, 0.0, out=self._s)
             self._s[: self._equalities] = 0.0
 
-    def _call(self) -> None:
+    def _send_form_vectors(self) -> None:
+        """Pass right-hand sides b and linear cost c to the SCS solver."""
+        self._solver.update(b=self._b, c=self._form.q)
+
+    def _run_solver(self) -> None:
+        """Call SCS with a warm start if there is one."""
         if self._given:
             self._result = self._solver.solve(True, self._start.z, self._y, self._s)
         else:
             self._result = self._solver.solve(False)
 
-    def _claimed(self) -> Claim:
+    def _read_reported_status(self) -> Claim:
+        """Read status, iterations and time that SCS reports."""
         info = self._result["info"]
-        return claimed(info, info["solve_time"])
+        return make_claim(info, info["solve_time"])
 
-    def _point(self) -> Point:
+    def _read_solution_vectors(self) -> Point:
+        """Return solution z and multipliers y, y_box of SCS's result."""
         z, y, count = self._result["x"].copy(), self._result["y"], self._equalities
         if self._empty:
             return z, np.zeros(self._m), np.zeros(self._n)
         return z, *self._form.two_sided(y[count:], y[:count])
 
 
-NATIVE = THROUGH_QPSOLVERS.natively(ScsWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native(ScsWorkspace)

@@ -1,15 +1,10 @@
-"""The solvers of this house: their records, and how each is opened.
-
-What is compiled is loaded, or compiled at the first time, only when it is asked for.
-"""
-
-from __future__ import annotations
+"""Records of dpbench's own solvers; compiled code is loaded, or compiled, when it is first used."""
 
 from dataclasses import replace
 
 from dpbench.solvers.adapter import NativeAdapter
 from dpbench.solvers.contract import Options, Policy, Workspace
-from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, stated
+from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, project_facts
 
 PAPER_ACTIVE_SET = SolverRecord(
     name="paper_active_set",
@@ -25,7 +20,7 @@ PAPER_ACTIVE_SET = SolverRecord(
         )
     },
     levels={},
-    project=stated(
+    project=project_facts(
         licence=("Apache-2.0", "dpbench, pyproject.toml"),
         language=("Python, compiled by Numba", "dpbench, source"),
     ),
@@ -59,31 +54,33 @@ WITH_KERNELS = (PAPER_ACTIVE_SET.name, HILDRETH.name)
 """Those that are compiled: `primed`."""
 
 
-def _paper_active_set(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
-    from dpbench.solvers.own.paper_active_set import PaperActiveSet
+def _open_paper_active_set(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
+    """Open dpbench's solver by the paper's active-set method, which has no options."""
+    from dpbench.solvers.own.paper_active_set import PaperActiveSetWorkspace
 
-    return PaperActiveSet(record.name, "native", policy)
-
-
-def _hildreth(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
-    from dpbench.solvers.own.hildreth import Hildreth, HildrethSettings
-
-    return Hildreth(record.name, "native", policy, HildrethSettings.of(options))
+    return PaperActiveSetWorkspace(record.name, "native", policy)
 
 
-def _unconstrained(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
-    from dpbench.solvers.own.unconstrained import FreshUnconstrained, Unconstrained
+def _open_hildreth(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
+    """Open dpbench's solver by Hildreth's dual method, with the given options."""
+    from dpbench.solvers.own.hildreth import HildrethSettings, HildrethWorkspace
 
-    kind = FreshUnconstrained if policy == "fresh" else Unconstrained
-    return kind(record.name, "native", policy)
+    return HildrethWorkspace(record.name, "native", policy, HildrethSettings.from_options(options))
+
+
+def _open_unconstrained(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
+    """Open dpbench's solver that ignores all constraints and has no options."""
+    from dpbench.solvers.own.unconstrained import UnconstrainedWorkspace
+
+    return UnconstrainedWorkspace(record.name, "native", policy)
 
 
 OWN = {
     adapter.record.name: adapter
     for adapter in (
-        NativeAdapter(PAPER_ACTIVE_SET, _paper_active_set, lambda: ()),
-        NativeAdapter(HILDRETH, _hildreth, lambda: ("max_iter", "eps_change", "eps_row")),
-        NativeAdapter(UNCONSTRAINED_CLIPPED, _unconstrained, lambda: ()),
+        NativeAdapter(PAPER_ACTIVE_SET, _open_paper_active_set, lambda: ()),
+        NativeAdapter(HILDRETH, _open_hildreth, lambda: ("max_iter", "eps_change", "eps_row")),
+        NativeAdapter(UNCONSTRAINED_CLIPPED, _open_unconstrained, lambda: ()),
     )
 }
 """By the name of the solver."""

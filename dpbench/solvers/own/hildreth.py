@@ -26,11 +26,11 @@ of C, with H = [1 1; 1 2] on them. In a sweep each row is met in turn:
 
 >>> import numpy as np
 >>> from dpbench.qp.program import QuadraticProgram
->>> from dpbench.solvers.own.active_set.constants import empty, fill
+>>> from dpbench.solvers.own.active_set.constants import new_problem_array, write_problem
 >>> none = np.full(2, np.inf)
 >>> limits = [-np.inf], [2], -none, [0.5, np.inf]
->>> S = empty(n=2, m=1)
->>> fill(S, QuadraticProgram(np.eye(2), [-2, -2], [[1, 1]], *limits), keep=False)
+>>> S = new_problem_array(n=2, m=1)
+>>> write_problem(S, QuadraticProgram(np.eye(2), [-2, -2], [[1, 1]], *limits), keep=False)
 ''
 >>> def multipliers_after(sweeps):
 ...     hildreth_step(S, sweeps, 0.0, 0.0)
@@ -77,19 +77,19 @@ from dpbench.solvers.own.active_set.layout import (
     N,
     V,
     Z,
+    code_checksum,
     compiled,
-    stamp,
+    row_width,
     starts,
-    width_of,
 )
-from dpbench.solvers.own.active_set.start import begin
+from dpbench.solvers.own.active_set.start import compute_unconstrained_values
 from dpbench.solvers.own.compiled_workspace import CompiledWorkspace
-from dpbench.solvers.own.safeguards.proof import contradicts
+from dpbench.solvers.own.proof import proves_infeasible
 
 
 @compiled
-def carry_over(S: Matrix, width: int) -> None:
-    """The multipliers move on by one move, those of the last move stay; or all become zero."""
+def shift_multipliers(S: Matrix, width: int) -> None:
+    """Shift the multipliers by one control increment for a warm start, or zero them."""
     n, n_pad, m = int(S[HEAD, N]) & MASK, int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, M]) & MASK
     block, block_rows = int(S[HEAD, BLOCK]) & MASK, int(S[HEAD, BLOCK_ROWS]) & MASK
     if S[HEAD, STALE] > 0.0 or S[HEAD, KEEP] == 0.0:
@@ -103,8 +103,8 @@ def carry_over(S: Matrix, width: int) -> None:
 
 
 @compiled
-def evaluate_all(S: Matrix, H: int, width: int) -> None:
-    """v = v₀ − H λ, from nothing."""
+def compute_all_row_values(S: Matrix, H: int, width: int) -> None:
+    """Compute all row values C z from the multipliers and the unconstrained optimum."""
     for i in range(width):
         S[V, i] = S[V0, i]
     for r in range(width):
@@ -115,8 +115,8 @@ def evaluate_all(S: Matrix, H: int, width: int) -> None:
 
 
 @compiled
-def sweep(S: Matrix, H: int, width: int) -> tuple[float, float]:
-    """Visit every multiplier once; ‖Δλ‖² and the most a row was moved by."""
+def sweep_multipliers(S: Matrix, H: int, width: int) -> tuple[float, float]:
+    """Update each multiplier once; return the squared change and the largest row value change."""
     change, moved = 0.0, 0.0
     for i in range(width):
         S[BEFORE, i] = S[LAM, i]
@@ -138,8 +138,8 @@ def sweep(S: Matrix, H: int, width: int) -> tuple[float, float]:
 
 
 @compiled
-def impossible(S: Matrix, H: int, width: int) -> bool:
-    """Whether a row of zeros is asked to be something else; it becomes the proof."""
+def has_impossible_zero_row(S: Matrix, H: int, width: int) -> bool:
+    """Return whether a row of zeros has limits that exclude 0; store the proof as multipliers."""
     for i in range(width):
         if S[H + i, i] <= 0.0 and (S[LOW, i] > 0.0 or S[HIGH, i] < 0.0):
             for k in range(width):
@@ -150,48 +150,51 @@ def impossible(S: Matrix, H: int, width: int) -> bool:
 
 
 @compiled
-def ascend(S: Matrix, max_iter: int, eps_change: float, eps_row: float) -> int:
-    n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
+def run_sweeps(S: Matrix, max_iter: int, eps_change: float, eps_row: float) -> int:
+    """Run Hildreth's method to convergence; return the number of sweeps or a failure code < 0."""
+    n, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
     K, _, H, _, _, _ = starts(n, width)
-    carry_over(S, width)
-    size = begin(S, K)
+    shift_multipliers(S, width)
+    size = compute_unconstrained_values(S, K)
     if size < 0.0:
         return int(size)
-    if impossible(S, H, width):
+    if has_impossible_zero_row(S, H, width):
         return INFEASIBLE
-    evaluate_all(S, H, width)
+    compute_all_row_values(S, H, width)
     ending = UNDECIDED
     for k in range(max_iter):
-        change, moved = sweep(S, H, width)
+        change, moved = sweep_multipliers(S, H, width)
         S[HEAD, ITERATIONS] = k + 1
         if change < eps_change and moved <= eps_row:
             ending = k + 1
             break
-    evaluate_all(S, H, width)
+    compute_all_row_values(S, H, width)
     for i in range(n):
         S[Z, i] = S[V, i]
     return ending
 
 
-def _entry_point(version: int) -> Callable[..., Any]:
+def _compile_entry_point(version: int) -> Callable[..., Any]:
+    """Compile Hildreth's method as Python calls it, with a checksum of its code for the cache."""
+
     @njit("i8(f8[:, ::1], i8, f8, f8)", cache=True, fastmath=REORDER, error_model="numpy")
     def hildreth_step(S, max_iter, eps_change, eps_row):  # type: ignore[no-untyped-def] # Numba gives the types
         S[HEAD, STAMP] = version
-        ending = ascend(S, max_iter, eps_change, eps_row)
+        ending = run_sweeps(S, max_iter, eps_change, eps_row)
         S[HEAD, STALE] = 1.0 if ending < 0 and ending != UNDECIDED else 0.0
         return ending
 
     return hildreth_step
 
 
-hildreth_step = _entry_point(stamp(_entry_point))
+hildreth_step = _compile_entry_point(code_checksum(_compile_entry_point))
 """hildreth_step(S, max_iter, eps_change, eps_row): the sweeps it took to converge, or a negative
 ending, `UNDECIDED` where it did not."""
 
 
 @dataclass(frozen=True)
 class HildrethSettings:
-    """When to stop.
+    """Stopping criteria of Hildreth's method.
 
     Parameters
     ----------
@@ -205,8 +208,8 @@ class HildrethSettings:
     eps_row: float = np.inf
 
     @classmethod
-    def of(cls, options: Mapping[str, object]) -> HildrethSettings:
-        """From the solver's own keys; SettingsError for a value that is not a positive number."""
+    def from_options(cls, options: Mapping[str, object]) -> HildrethSettings:
+        """Make stopping criteria from solver options; SettingsError unless all are positive."""
         for key, value in options.items():
             integer = key == "max_iter"
             if isinstance(value, bool) or not isinstance(value, int if integer else (int, float)):
@@ -217,8 +220,8 @@ class HildrethSettings:
         return cls(**options)  # type: ignore[arg-type] # checked above; keys by the caller
 
 
-class Hildreth(CompiledWorkspace):
-    """The method with its constant matrices, and under `warm` its multipliers, kept."""
+class HildrethWorkspace(CompiledWorkspace):
+    """Hildreth's dual method as QP solver; `warm` keeps the multipliers between steps."""
 
     def __init__(
         self, solver: str, route: Route, policy: Policy, settings: HildrethSettings
@@ -227,18 +230,18 @@ class Hildreth(CompiledWorkspace):
         self._settings = settings
 
     def solve(self) -> None:
-        """Sweeps until the criteria are met or the sweeps are used up."""
+        """Run Hildreth's method until it converges or reaches the limit of sweeps."""
         if self._refusal or self._S is None:
-            return self._cannot()
+            return self._refuse_to_solve()
         s = self._settings
         self._ending = ending = hildreth_step(self._S, s.max_iter, s.eps_change, s.eps_row)
         if ending == layout.UNDECIDED or ending == layout.INFEASIBLE:
-            self._unusual = self._unfinished()
+            self._unusual = self._make_unconverged_solution()
         return None
 
-    def _unfinished(self) -> Solution:
-        """Multipliers that grow without end along a ray prove that there is no feasible point."""
-        qp, S = self._problem(), self._S
+    def _make_unconverged_solution(self) -> Solution:
+        """Return PRIMAL_INFEASIBLE if growing multipliers prove it, else MAX_ITERATIONS."""
+        qp, S = self._copy_current_problem(), self._S
         assert S is not None
         z, y, y_box = self._z.copy(), self._y.copy(), self._y_box.copy()
         dy, dy_box = y, y_box
@@ -246,7 +249,7 @@ class Hildreth(CompiledWorkspace):
             n_pad = int(S[layout.HEAD, layout.N_PAD])
             dy = y - S[layout.BEFORE, n_pad : n_pad + qp.m]
             dy_box = y_box - S[layout.BEFORE, : qp.n]
-        if contradicts(qp, dy, dy_box):
+        if proves_infeasible(qp, dy, dy_box):
             self.reset()
             detail = "y and y_box are a Farkas ray"
             none = np.full(qp.n, np.nan)

@@ -2,11 +2,9 @@
 
 The paper's E, F, M, γ are P, q, the signed rows of [I; A] and their limits. A step is one compiled
 call of `active_set.kernel`; what rounding keeps that call from deciding is left to
-`safeguards.careful`, and no answer of either is called solved that misses the optimality
-conditions of `active_set.check`, or whose place rounding decides (`safeguards.sensitivity`).
+`proof.solve_carefully`. No answer of either is called solved that misses the optimality conditions
+of `active_set.check`, or whose place rounding decides (`exact_point.moves_under_small_shifts`).
 """
-
-from __future__ import annotations
 
 from math import inf
 
@@ -17,13 +15,21 @@ from dpbench.qp.referee.joint import JointQP
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.own.active_set import layout as layout
 from dpbench.solvers.own.active_set.check import WRONG
-from dpbench.solvers.own.active_set.kernel import excess_of, solve_step
+from dpbench.solvers.own.active_set.kernel import optimality_excess, solve_step
 from dpbench.solvers.own.compiled_workspace import CompiledWorkspace
-from dpbench.solvers.own.safeguards.careful import solve_carefully
-from dpbench.solvers.own.safeguards.exact_point import error_bound, is_regular
-from dpbench.solvers.own.safeguards.pinned import determined
-from dpbench.solvers.own.safeguards.proof import clean, contradicts, is_proof
-from dpbench.solvers.own.safeguards.sensitivity import is_sensitive, unit_of
+from dpbench.solvers.own.exact_point import (
+    error_bound,
+    error_units,
+    is_regular_vertex,
+    moves_under_small_shifts,
+)
+from dpbench.solvers.own.proof import (
+    drop_ray_rounding,
+    has_consistent_equalities,
+    is_infeasibility_proof,
+    proves_infeasible,
+    solve_carefully,
+)
 
 INFEASIBLE = Status.PRIMAL_INFEASIBLE
 RAY = "y and y_box are a Farkas ray"
@@ -32,93 +38,90 @@ USABLE = 1e4
 given as inaccurate: 1e-6 of a row's terms, 1e-4 of 1 + ‖q‖ at most."""
 
 
-class PaperActiveSet(CompiledWorkspace):
-    """The paper's method with its constant matrices, and under `warm` its set, kept."""
+class PaperActiveSetWorkspace(CompiledWorkspace):
+    """The paper's active-set QP solver, compiled; `warm` keeps the active set between steps."""
 
     def solve(self) -> None:
-        """Solve the current problem, as a rule in one compiled call; raises before a setup."""
+        """Solve the current QP by the compiled active-set method; verify unclear results."""
         if self._refusal or self._S is None:
-            return self._cannot()
+            return self._refuse_to_solve()
         self._ending = ending = solve_step(self._S)
         if ending < layout.CROSSED:
-            self._decide(ending)
+            self._resolve_unclear_ending(ending)
         return None
 
-    def _decide(self, ending: int) -> None:
-        """Check the proof of a contradiction, and leave what is not clear to the careful method."""
+    def _resolve_unclear_ending(self, ending: int) -> None:
+        """Verify a claim of infeasibility, or solve again by a more exact active-set method."""
         assert self._S is not None
         self._ending = layout.UNDECIDED
-        if ending == layout.INFEASIBLE and self._is_proven():
+        if ending == layout.INFEASIBLE and self._has_infeasibility_proof():
             return None
-        qp = self._problem()
+        qp = self._copy_current_problem()
         if ending == layout.DOUBTFUL:
-            return self._solved(qp, int(self._S[layout.HEAD, layout.ITERATIONS]))
+            return self._accept_answer(qp, int(self._S[layout.HEAD, layout.ITERATIONS]))
         careful = solve_carefully(qp)
         if careful.status is INFEASIBLE:
-            self._unusual = _proven(qp, careful)
+            self._unusual = _check_infeasibility_claim(qp, careful)
             if self._unusual.status is INFEASIBLE:
                 return None
             careful = solve_carefully(qp, contradiction=np.inf)
-        return self._judge(qp, careful)
+        return self._grade_by_optimality(qp, careful)
 
-    def _is_proven(self) -> bool:
-        """Whether the ray in S proves that the problem there has no feasible point."""
+    def _has_infeasibility_proof(self) -> bool:
+        """Return whether the computed Farkas ray proves infeasibility."""
         y, y_box = self._y.copy(), self._y_box.copy()
-        clean(y, y_box)
-        if not is_proof(*self._constraints, y, y_box):
+        drop_ray_rounding(y, y_box)
+        if not is_infeasibility_proof(*self._constraints, y, y_box):
             return False
         self._unusual = Solution(INFEASIBLE, np.full(len(y_box), np.nan), y, y_box, detail=RAY)
         return True
 
-    def _judge(self, qp: QuadraticProgram, answer: Solution) -> None:
-        """Solved, inaccurate or neither, by the optimality conditions and not by how it ended."""
+    def _grade_by_optimality(self, qp: QuadraticProgram, answer: Solution) -> None:
+        """Record an answer as solved, inaccurate or failed by its optimality residuals."""
         assert self._S is not None
         self._z[:], self._y[:], self._y_box[:] = answer.z, answer.y, answer.y_box
-        excess = excess_of(self._S)
+        excess = optimality_excess(self._S)
         if excess <= 1.0:
-            return self._solved(qp, answer.iterations)
+            return self._accept_answer(qp, answer.iterations)
         detail = f"the optimality conditions are missed by {excess:.1e} times what is allowed"
         if excess <= USABLE:
             answer.status, answer.detail = Status.INACCURATE, detail
         elif answer.status is Status.SOLVED:
-            answer = self._missing(Status.NUMERICAL_ERROR, detail)
+            answer = self._make_empty_solution(Status.NUMERICAL_ERROR, detail)
         self._unusual = answer
         return None
 
-    def _solved(self, qp: QuadraticProgram, iterations: int) -> None:
-        """The answer in S meets the optimality conditions; whether it is near the optimum."""
-        detail = self._doubt(qp)
+    def _accept_answer(self, qp: QuadraticProgram, iterations: int) -> None:
+        """Accept an answer as solved; as INACCURATE if it may be far from the optimum."""
+        detail = self._reason_to_doubt(qp)
         if detail:
             z, y, y_box = self._z.copy(), self._y.copy(), self._y_box.copy()
             self._unusual = Solution(Status.INACCURATE, z, y, y_box, iterations, detail=detail)
         else:
             self._ending = iterations
 
-    def _doubt(self, qp: QuadraticProgram) -> str:
-        """Why the answer in S may not be near the optimum; "" if it is."""
+    def _reason_to_doubt(self, qp: QuadraticProgram) -> str:
+        """Return why the answer may be far from the optimum, as text; "" if it is near."""
         assert self._S is not None
-        if not determined(qp):
+        if not has_consistent_equalities(qp):
             return "rows with equal limits depend on one another but for rounding"
-        posed, sensitive = JointQP.of(qp), is_sensitive(self._S, qp)
-        if not sensitive and is_regular(posed, self._z):
+        posed, sensitive = JointQP.of(qp), moves_under_small_shifts(self._S, qp)
+        if not sensitive and is_regular_vertex(posed, self._z):
             return ""
         bound = error_bound(posed, self._z, np.concatenate([self._y, self._y_box]))
         # A point that satisfies all limits to the last bit is asked for where it can be found.
-        if bound <= WRONG * unit_of(qp).min() or (bound != inf and not sensitive):
+        if bound <= WRONG * error_units(qp).min() or (bound != inf and not sensitive):
             return ""
         return "where the optimum is depends on the rounding of limits"
 
 
-def _proven(qp: QuadraticProgram, answer: Solution) -> Solution:
-    """The answer; a claim of infeasibility less the entries of its ray that are rounding.
-
-    A claim that its ray does not bear out is withdrawn.
-    """
+def _check_infeasibility_claim(qp: QuadraticProgram, answer: Solution) -> Solution:
+    """Return an infeasible answer if its Farkas ray is a proof, else NUMERICAL_ERROR."""
     if answer.status is not INFEASIBLE:
         return answer
     y, y_box = answer.y.copy(), answer.y_box.copy()
-    clean(y, y_box)
-    if contradicts(qp, y, y_box):
+    drop_ray_rounding(y, y_box)
+    if proves_infeasible(qp, y, y_box):
         return Solution(INFEASIBLE, answer.z, y, y_box, detail=RAY)
     detail = "the limits contradict each other by no more than rounding"
     return Solution.missing(qp.n, qp.m, Status.NUMERICAL_ERROR, detail)

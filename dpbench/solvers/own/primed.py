@@ -1,25 +1,24 @@
-"""Importing this module loads or compiles the kernels of this house's own solvers.
+"""Importing this module loads or compiles the kernels of dpbench's own solvers.
 
 A template that cells are forked from imports it where a cell runs one of them, so that no step of a
 run has to.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from dpbench.qp.program import QuadraticProgram
 from dpbench.solvers.own import hildreth
-from dpbench.solvers.own.paper_active_set import PaperActiveSet
+from dpbench.solvers.own.paper_active_set import PaperActiveSetWorkspace
 
 __all__ = ["hildreth"]
 
 
-def _prime() -> None:
+def _load_kernels() -> None:
+    """Solve a QP of one variable so that the compiled functions of the solvers are loaded."""
     one = np.ones(1)
-    workspace = PaperActiveSet("paper_active_set", "native", "reuse")
+    workspace = PaperActiveSetWorkspace("paper_active_set", "native", "reuse")
     workspace.setup(QuadraticProgram(np.eye(1), one, np.eye(1), -one, one, -one, one))
     workspace.solve()
 
 
-_prime()
+_load_kernels()

@@ -1,11 +1,9 @@
-"""The baseline law: the unconstrained optimum, whatever the constraints say.
+"""The baseline law: the unconstrained optimum.
 
     z = −P⁻¹ q                                                                        (eq. 27)
 
 The closed loop clips it to the actuator limits, which is what a controller without a QP does.
 """
-
-from __future__ import annotations
 
 import numpy as np
 import scipy.linalg
@@ -13,14 +11,15 @@ import scipy.linalg
 from dpbench.arrays import Vector
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy, Route, Workspace, check_step, not_set_up
+from dpbench.solvers.contract import Policy, Route, Workspace, check_step, missing_setup_error
 
 
-class Unconstrained(Workspace):
-    """Eq. 27 with the Cholesky factor of P kept from step to step."""
+class UnconstrainedWorkspace(Workspace):
+    """The unconstrained optimum z = −P⁻¹q as a solver; P's Cholesky factor is kept over steps."""
 
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:
         super().__init__(solver, route, policy)
+        self.setup_every_step = policy == "fresh"
         self._base: QuadraticProgram | None = None
         self._factor: np.ndarray | None = None
         self._z: Vector | None = None
@@ -35,9 +34,9 @@ class Unconstrained(Workspace):
             self._factor = None
 
     def update(self, step: QPStep) -> None:
-        """Take over q; new matrices are factorised again."""
+        """Take over the linear cost q; factorise P again if matrices changed."""
         if self._base is None:
-            raise not_set_up("update")
+            raise missing_setup_error("update")
         check_step(step, self._base.n, self._base.m)
         if step.refresh is Refresh.VECTORS:
             self._q[:] = step.q
@@ -47,23 +46,17 @@ class Unconstrained(Workspace):
             self.setup(self._base.at(step))
 
     def solve(self) -> None:
-        """Two triangular solves."""
+        """Compute the unconstrained optimum z = −P⁻¹q by two triangular solves."""
         if self._factor is not None:
             self._z = scipy.linalg.cho_solve((self._factor, True), -self._q, check_finite=False)
 
     def read(self) -> Solution:
-        """The law claims nothing about the constrained problem: UNKNOWN, zero multipliers."""
+        """Return the unconstrained optimum with zero multipliers and status UNKNOWN."""
         if self._base is None:
-            raise not_set_up("read")
+            raise missing_setup_error("read")
         n, m = self._base.n, self._base.m
         if self._factor is None:
             return Solution.missing(n, m, Status.ERROR, "P is not positive definite")
         if self._z is None:
             return Solution.missing(n, m, Status.ERROR, "read before solve")
         return Solution(Status.UNKNOWN, self._z.copy(), np.zeros(m), np.zeros(n), iterations=0)
-
-
-class FreshUnconstrained(Unconstrained):
-    """The same, set up from nothing at each step."""
-
-    setup_every_step = True

@@ -1,25 +1,29 @@
-"""The typed record of a run: its columns are those of the schema, and facts are read once."""
-
-from __future__ import annotations
+"""Typed records of runs, and step times out of step rows."""
 
 import json
 import math
 from dataclasses import fields
 from typing import Any, get_args, get_type_hints
 
+import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.records.run_record import Count, RunRecord, records_of
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import Count, RunRecord, build_records
+from dpbench.bench.judge.rules import counting_rows
 from dpbench.bench.record.configuration import Configuration
+from dpbench.bench.record.recorded_steps import StepsInMemory
+from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import RUN_COLUMNS, as_runs
 
 TYPES = {"str": str, "bool": bool, "int64": int, "Int64": Count, "float64": float}
 DERIVED = [
-    "description",
-    "family",
-    "lost_group",
-    "at_edge_of",
+    "files",
+    "source",
+    "first",
+    "fallback",
+    "backup",
     "x",
     "default_route",
     "own_switches_a_step",
@@ -27,7 +31,7 @@ DERIVED = [
 
 
 def _record(**columns: Any) -> RunRecord:
-    (record,) = records_of(as_runs(pd.DataFrame([columns])))
+    (record,) = build_records(as_runs(pd.DataFrame([columns])))
     return record
 
 
@@ -54,7 +58,7 @@ def test_every_column_is_read_as_its_type() -> None:
 
 
 def test_a_random_sequence_has_the_family_it_was_drawn_of() -> None:
-    recipe = {"family": "plain", "n": 8, "m": 12}
+    recipe = {"family": "plain", "n": 8, "m": 12, "seed": 1}
     record = _record(cell=json.dumps({"source": {"kind": "random", "recipe": recipe}}))
     assert record.family == "plain"
     recorded = _record(cell=json.dumps({"source": {"kind": "recorded", "name": "x"}}))
@@ -100,3 +104,49 @@ def test_an_alias_makes_no_other_configuration() -> None:
     known = Configuration("osqp", "native", "fresh", alias=("high",))
     assert known == Configuration("osqp", "native", "fresh")
     assert len({known, Configuration("osqp", "native", "fresh")}) == 1
+
+
+def _spoil(records: Any, rounds: list[int]) -> Records:
+    found = records.results()
+    steps = found.steps.copy()
+    steps["disturbed"] = steps["repeat"].isin(rounds)
+    repeat, disturbed = (steps[name].to_numpy() for name in ("repeat", "disturbed"))
+    steps["counts"] = counting_rows(repeat, disturbed)
+    return Records(Results(found.runs, StepsInMemory(steps), found.machine, found.suite))
+
+
+def test_algorithmic_time_is_the_minimum_over_rounds(records: Any) -> None:
+    """Per step the fastest counting round is the algorithmic time; a step cut short has its own."""
+    records.replay("daqp", steps=100, rounds=3)
+    view = records.view()
+    steps = view.steps(view.runs[0])
+    pivot = steps[~steps["warmup"]].pivot(index="k", columns="repeat", values="total_ns")
+    times = view.times(view.runs[0])
+    assert times is not None
+    np.testing.assert_array_equal(times.algo_ns, pivot.min(axis=1).astype(float))
+    assert times.raw_max_ns == pivot.max().max()
+
+
+def test_disturbed_rounds_do_not_count(records: Any) -> None:
+    """A round in which the machine was slowed is left out, unless no other is left."""
+    records.replay("daqp", steps=100, rounds=3)
+    for disturbed, counting in (([1], [2, 3]), ([1, 2, 3], [1, 2, 3])):
+        view = _spoil(records, disturbed)
+        steps, times = view.steps(view.runs[0]), view.times(view.runs[0])
+        least = steps[steps["repeat"].isin(counting)].groupby("k")["total_ns"].min()
+        assert times is not None
+        np.testing.assert_array_equal(times.algo_ns, least.astype(float))
+
+
+def test_a_run_without_counting_rounds_has_no_time(records: Any) -> None:
+    records.replay("daqp", steps=100, rounds=0)
+    view = records.view()
+    assert view.times(view.runs[0]) is None
+
+
+def test_the_scenario_comes_from_the_rows(records: Any) -> None:
+    records.loop("daqp")
+    scenario = records.view().scenario("paper")
+    assert scenario is not None
+    np.testing.assert_allclose(scenario.problem.du_max, [32736.0, 11008.0, 475200.0], rtol=1e-12)
+    assert records.view().scenario("rough") is None

@@ -1,15 +1,19 @@
 """The steps of runs against group-bys of pandas, and planted hard ones."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.records.counting_rows import counting_of
-from dpbench.analysis.records.run_steps import MEASURES, Measure, RunSteps, hardest, run_steps
+from dpbench.analysis.records.run_steps import (
+    MEASURES,
+    Measure,
+    RunSteps,
+    counting_rows,
+    find_hardest_steps,
+    run_steps,
+)
 from dpbench.bench.record.schema import as_steps
 
 
@@ -23,7 +27,7 @@ def _several(records: Any) -> pd.DataFrame:
 
 
 def _by_run(steps: pd.DataFrame) -> dict[str, RunSteps]:
-    return dict(run_steps(counting_of(steps)))
+    return dict(run_steps(counting_rows(steps)))
 
 
 def _floats(column: Any) -> Any:
@@ -31,9 +35,8 @@ def _floats(column: Any) -> Any:
 
 
 def test_every_run_with_a_counting_step_is_there_once(records: Any) -> None:
-    """In the order of the table, which is that of the runs."""
     steps = _several(records)
-    found = [name for name, _ in run_steps(counting_of(steps))]
+    found = [name for name, _ in run_steps(counting_rows(steps))]
     assert found == ["run0000", "run0001", "run0002"]
 
 
@@ -66,7 +69,6 @@ def test_figures_are_those_of_pandas(records: Any) -> None:
 
 
 def test_a_warm_up_counts_nowhere(records: Any) -> None:
-    """The first round of a replay is the fastest here and still no time of the run."""
     records.replay("daqp", steps=5, rounds=2)
     steps = records.results().steps.copy()
     warm_up = steps["warmup"].to_numpy(dtype=bool)
@@ -77,7 +79,6 @@ def test_a_warm_up_counts_nowhere(records: Any) -> None:
 
 @pytest.mark.parametrize("measure", MEASURES)
 def test_planted_hard_steps_are_found_hardest_first(records: Any, measure: Measure) -> None:
-    """Steps that were made slow, long or wrong by three different measures stand in their order."""
     records.replay("daqp", steps=50, rounds=1, spread=0.0)
     steps = records.results().steps.copy()
     column, planted = {
@@ -88,7 +89,7 @@ def test_planted_hard_steps_are_found_hardest_first(records: Any, measure: Measu
     for k, value in planted.items():
         steps.loc[steps["k"] == k, column] = value
     (run,) = _by_run(as_steps(steps)).values()
-    found = hardest(run, measure)
+    found = find_hardest_steps(run, measure)
     assert len(found) == 5
     assert [int(run.k[one.at]) for one in found[:2]] == list(planted)
     assert [one.value for one in found[:2]] == [float(v) for v in planted.values()]
@@ -96,15 +97,13 @@ def test_planted_hard_steps_are_found_hardest_first(records: Any, measure: Measu
 
 
 def test_steps_without_a_figure_are_none_of_the_hardest(records: Any) -> None:
-    """A solver that gives no iterations has no hardest steps by them."""
     records.loop("daqp", steps=20)
     (run,) = _by_run(records.results().steps).values()
-    assert np.isnan(run.iterations).all() and hardest(run, "iterations") == []
-    assert len(hardest(run, "time", count=3)) == 3
+    assert np.isnan(run.iterations).all() and find_hardest_steps(run, "iterations") == []
+    assert len(find_hardest_steps(run, "time", count=3)) == 3
 
 
 def test_the_status_is_what_was_said_where_the_error_is_largest(records: Any) -> None:
-    """Of three rounds the second is the wrong one."""
     records.replay("daqp", steps=3, rounds=3)
     steps = records.results().steps.copy()
     steps["status"] = "SOLVED"
@@ -116,7 +115,6 @@ def test_the_status_is_what_was_said_where_the_error_is_largest(records: Any) ->
 
 
 def test_an_answer_whose_right_one_is_not_known_is_not_untrue(records: Any) -> None:
-    """Without a certificate nothing is held against the solver."""
     records.replay("daqp", steps=3, rounds=1)
     steps = records.results().steps.copy()
     steps["true"] = False
@@ -126,7 +124,6 @@ def test_an_answer_whose_right_one_is_not_known_is_not_untrue(records: Any) -> N
 
 
 def test_no_counting_row_is_no_run(records: Any) -> None:
-    """An empty table, and one of a warm-up alone."""
     assert _by_run(records.results().steps) == {}
     records.replay("daqp", steps=3, rounds=0)
     assert _by_run(records.results().steps) == {}

@@ -1,7 +1,5 @@
 """What solvers said of a batch: right, wrong or nothing, and who comes first."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from typing import Any
@@ -9,11 +7,11 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.capability import Answers, answers_of, capability_plots
+from dpbench.analysis.suites.capability import Answers, capability_plots, count_answers
 from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_runs, as_steps
-from dpbench.report.topics.thrusters.capability import capability_topic
+from dpbench.report.topics.capability import capability_topic
 
 TRUE = {"true": True, "true_1e4": True, "true_1e6": True}
 REFUSED = {"status": "PRIMAL_INFEASIBLE", "claimed": False}
@@ -41,7 +39,7 @@ def results_of(records: Any, said: dict[str, list[dict[str, Any]]]) -> Results:
 def asked(results: Results) -> list[Answers]:
     """The answers of all runs."""
     records = Records(results)
-    return answers_of(records, records.runs)
+    return count_answers(records, records.runs)
 
 
 def test_claims_are_held_against_certificates(records: Any) -> None:
@@ -64,7 +62,6 @@ def test_claims_are_held_against_certificates(records: Any) -> None:
 
 
 def test_who_was_stopped_is_judged_on_what_it_was_given(records: Any) -> None:
-    """Of four QPs it saw one."""
     (answer,) = asked(results_of(records, {"osqp": [TRUE]}))
     assert (answer.asked, answer.feasible, answer.infeasible, answer.balanced) == (4, 1, 0, 1)
 
@@ -106,7 +103,7 @@ def test_an_untrue_claim_is_found_on_the_plot(records: Any) -> None:
     (plot,) = capability_plots(edge_runs(records), plot_table())
     assert plot.edges["untrue"].tolist() == [0, 1]
     assert plot.edges["wind_mps"].tolist() == [20.0, 12.0]
-    assert {a.solver: (a.right, a.wrong, a.silent) for a in plot.answers} == {
+    assert {a.solver: (a.right, a.wrong, a.unanswered) for a in plot.answers} == {
         "quadprog": (4, 0, 0),
         "osqp": (2, 1, 1),
     }

@@ -1,7 +1,5 @@
 """Consequence analysis: answers counted by hand, times of a batch, and what the topic says."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 
@@ -13,7 +11,7 @@ from dpbench.analysis.suites.consequence import HELD, LOST, UNKNOWN, consequence
 from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_steps
-from dpbench.report.topics.thrusters.consequence import consequence_topic
+from dpbench.report.topics.capability import consequence_topic
 
 TRUE = {"true": True, "true_1e4": True, "true_1e6": True}
 REFUSED = TRUE | {"status": "PRIMAL_INFEASIBLE", "claimed": False}
@@ -96,7 +94,7 @@ def test_each_qp_counts_once_by_its_worst_round(storm: Records) -> None:
         "daqp": (8, 6, 1, 6, 1, 0, 0),
         "osqp": (8, 6, 2, 4, 0, 1, 3),
     }
-    assert [a.all_right for a in analysis.answers] == [True, False, False]
+    assert [a.is_all_right for a in analysis.answers] == [True, False, False]
 
 
 def test_a_batch_takes_what_its_groups_take_together(storm: Records) -> None:
@@ -138,7 +136,6 @@ def test_the_topic_says_when_a_loss_can_be_held(
 
 
 def test_the_topic_names_who_misses_alarms(storm: Records) -> None:
-    """The fastest that is right, the count of missed alarms, a figure before the table."""
     topic = consequence_topic(storm)
     assert topic is not None
     assert "1 of 3 configurations answer all QPs rightly, the fastest quadprog" in topic.lines[0]
@@ -159,9 +156,3 @@ def test_it_says_nothing_of_what_steers_the_ship(records: Any, storm: Records) -
     assert [run.sequence for run in records.view().runs] == ["paper"]
     assert {run.lost_group for run in records.view().runs} == {""}
     assert UNKNOWN not in set(consequence_analyses(storm)[0].spans["state"])
-
-
-def test_no_analysis_no_topic(records: Any) -> None:
-    """A campaign of replays alone."""
-    records.replay("daqp")
-    assert consequence_topic(records.view()) is None

@@ -1,15 +1,15 @@
 """Slow computers: who survives what, and that nothing else counts such loops."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
 import pytest
 
 from dpbench.analysis.suites.slowdown import DelayedGroup, delayed_groups
-from dpbench.analysis.verdict.demand import Demand, cost_ratio
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.verdict.requirements import Requirements, cost_ratio
+from dpbench.analysis.verdict.verdict import judge_solvers
+from dpbench.report.topics.capability import consequence_topic
+from dpbench.report.topics.random import random_topic
 from dpbench.report.topics.sweeps import slowdown_topic
 
 COSTS = {
@@ -47,7 +47,7 @@ def test_survival_ends_at_the_first_loop_that_costs_more(records: Any) -> None:
     """109.9 is within 10 % of 100, 111 is not; what comes after a lost loop does not count."""
     fill(records)
     survives = {
-        configuration.configuration.solver: configuration.survives
+        configuration.configuration.solver: configuration.survived_slowdown
         for configuration in group_of(records).configurations
     }
     assert (survives["daqp"], survives["hildreth"]) == (1000.0, 1.0)
@@ -55,11 +55,10 @@ def test_survival_ends_at_the_first_loop_that_costs_more(records: Any) -> None:
 
 
 def test_a_violated_limit_or_an_early_end_is_no_survival(records: Any) -> None:
-    """A loop that broke a limit or was stopped is lost, however little it cost."""
     slow(records, "daqp", 1, 100.0, limit_violations=1)
     slow(records, "osqp", 1, 100.0, done=119, outcome="timed_out")
     configurations = group_of(records).configurations
-    assert all(math.isnan(configuration.survives) for configuration in configurations)
+    assert all(math.isnan(configuration.survived_slowdown) for configuration in configurations)
     ratios = {
         configuration.configuration.solver: cost_ratio(configuration.loops[1.0])
         for configuration in configurations
@@ -69,15 +68,13 @@ def test_a_violated_limit_or_an_early_end_is_no_survival(records: Any) -> None:
 
 @pytest.mark.parametrize("budget", [0.1, 0.3])
 def test_budgets_are_groups_of_their_own(records: Any, budget: float) -> None:
-    """Loops with another budget of a step are not compared."""
     slow(records, "daqp", 10, 100.0, deadline_s=0.2)
     slow(records, "daqp", 10, 100.0, deadline_s=budget)
     assert [group.deadline_s for group in delayed_groups(records.view())] == [0.2, budget]
 
 
 def test_the_topic_shows_who_survives_best_first(records: Any) -> None:
-    """A row a configuration with the slow-down it survives and its latest answer; a point for each
-    loop that was run to its end, hollow beyond the margin."""
+    """A row a configuration with the slow-down it survives and its latest answer."""
     fill(records)
     topic = slowdown_topic(records.view())
     assert topic is not None
@@ -97,37 +94,26 @@ def test_the_topic_shows_who_survives_best_first(records: Any) -> None:
 
 
 def test_loops_on_slow_computers_are_in_no_verdict(records: Any) -> None:
-    """Verdicts, runs and scenarios of ordinary loops are the same with and without them."""
     for solver in COSTS:
         records.loop(solver)
     before = records.view()
     fill(records)
     after = records.view()
     assert [run.run_id for run in after.runs] == [run.run_id for run in before.runs]
-    old, new = (verdicts_of(view, Demand()).all for view in (before, after))
-    assert [(v.configuration, v.outcome, v.loops, v.steps) for v in new] == [
-        (v.configuration, v.outcome, v.loops, v.steps) for v in old
+    old, new = (judge_solvers(view, Requirements()).all for view in (before, after))
+    assert [(v.configuration, v.state, v.loops, v.steps) for v in new] == [
+        (v.configuration, v.state, v.loops, v.steps) for v in old
     ]
     assert len(after.delayed) == 12
 
 
-def test_without_such_loops_there_is_no_topic(records: Any) -> None:
-    """A campaign whose ships wait for their answers has nothing to say on late ones."""
-    records.loop("daqp")
-    view = records.view()
-    assert slowdown_topic(view) is None
-    assert "slowdown" not in records.ending()
-
-
 def test_the_terminal_hears_who_survives_what(records: Any) -> None:
-    """A suite of slow computers alone has a line on them, and none on verdicts."""
     fill(records)
     said = "Slower computers, paper: daqp (qpsolvers fresh) × 1000, hildreth (qpsolvers fresh) × 1."
     assert records.ending() == {"answer": said}
 
 
 def test_nobody_survives_is_said(records: Any) -> None:
-    """Loops that cost too much even here."""
     slow(records, "scs", 1, 112.0)
     assert records.ending()["answer"].endswith("nobody survives a slow-down.")
 
@@ -137,3 +123,11 @@ def test_the_machine_of_slow_loops_is_judged(records: Any) -> None:
     slow(records, "daqp", 1, 100.0, replay_s=2.0, involuntary_switches=400, steal_s=0.0)
     slow(records, "osqp", 1, 100.0, replay_s=2.0, involuntary_switches=420, steal_s=0.0)
     assert "involuntary context switches a second" in records.ending()["machine"]
+
+
+@pytest.mark.parametrize("topic", [slowdown_topic, random_topic, consequence_topic])
+def test_without_runs_of_its_kind_there_is_no_topic(records: Any, topic: Any) -> None:
+    records.loop("daqp")
+    records.replay("daqp")
+    assert topic(records.view()) is None
+    assert "slowdown" not in records.ending()

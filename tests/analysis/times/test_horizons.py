@@ -1,7 +1,5 @@
 """Horizon sweeps: growth on known power laws, and when a topic is."""
 
-from __future__ import annotations
-
 import copy
 import json
 import math
@@ -12,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpbench.analysis.times.horizon_sweep import SweptConfiguration, growth_exponent, sweeps
-from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.times.horizon_sweep import SweptConfiguration, find_sweeps, growth_exponent
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.report.topics.sweeps import horizon_topic
 
-DEMAND = Demand()
+REQUIREMENTS = Requirements()
 PAIRS = ((30, 5), (60, 10), (100, 20), (200, 40))
 
 
@@ -68,26 +66,26 @@ def test_a_p99_whose_interval_holds_the_limit_settles_nothing(records: Any) -> N
             _replay(records, solver, pair, median_us=10.0 * pair[1], spread=0.3, rounds=1)
         (configuration,) = (
             a
-            for s in sweeps(records.view(), DEMAND)
+            for s in find_sweeps(records.view(), REQUIREMENTS)
             for a in s.swept
             if a.configuration.solver == solver
         )
         limit_ns = configuration.points[100, 20].p99_ns / factor
-        assert configuration.settled(limit_ns) is (solver == "osqp")
+        assert configuration.is_settled(limit_ns) is (solver == "osqp")
 
 
 def test_the_best_way_is_right_first_and_fast_second(records: Any) -> None:
     """A fast way with wrong answers gives way to a slower one; both are in the sweep."""
     _law(records, "osqp", 1.0, 1.0, policy="warm", error=0.4)
     _law(records, "osqp", 3.0, 1.0, policy="reuse")
-    (sweep,) = sweeps(records.view(), DEMAND)
+    (sweep,) = find_sweeps(records.view(), REQUIREMENTS)
     assert [configuration.configuration.options for configuration in sweep.best] == ["native reuse"]
     every = [configuration.configuration.options for configuration in sweep.swept]
     assert every == ["native warm", "native reuse"]
 
 
 def _best(records: Any) -> dict[tuple[str, str], SweptConfiguration]:
-    (sweep,) = sweeps(records.view(), DEMAND)
+    (sweep,) = find_sweeps(records.view(), REQUIREMENTS)
     return {(s.configuration.solver, s.configuration.formulation): s for s in sweep.best}
 
 
@@ -120,19 +118,18 @@ def test_the_largest_horizon_within_a_limit_needs_right_answers_and_enough_steps
     best = {solver: swept for (solver, _), swept in _best(records).items()}
     within = {solver: swept.largest_within(1e6) for solver, swept in best.items()}
     assert within == {"daqp": (100, 20), "osqp": (60, 10), "piqp": (60, 10)}
-    beyond = {solver: swept.measured_beyond((60, 10)) for solver, swept in best.items()}
+    beyond = {solver: swept.has_p99_beyond((60, 10)) for solver, swept in best.items()}
     assert beyond == {"daqp": True, "osqp": True, "piqp": False}
     assert best["daqp"].largest_within(1e7) == (200, 40)
 
 
 def test_the_topic_says_no_more_of_a_limit_than_the_runs(records: Any) -> None:
-    """p99 of 3 ms: 4.8 ms at 200/40 misses it; who was not run beyond 60/10 may fit more; 999
-    steps do not support a p99; nobody fits who is slower at 30/5."""
+    """A p99 of 4.8 ms at 200/40 misses 3 ms; 999 steps support none."""
     _law(records, "daqp", 40.0, 1.0)
     for pair in PAIRS[:2]:
         _replay(records, "piqp", pair, median_us=30.0 * pair[1], spread=0.0, rounds=1)
     _law(records, "scs", 1000.0, 1.0)
-    topic = horizon_topic(records.view(), DEMAND)
+    topic = horizon_topic(records.view(), REQUIREMENTS)
     assert topic is not None
     shown = {row[0].split()[0]: row for row in topic.tables[0].rows}
     assert {name: row[2] for name, row in shown.items()} == {
@@ -153,7 +150,7 @@ def test_a_thin_sweep_has_no_p99(records: Any) -> None:
     (swept,) = _best(records).values()
     assert all(math.isnan(point.p99_ns) for point in swept.points.values())
     assert swept.largest_within(1e9) is None
-    topic = horizon_topic(records.view(), DEMAND)
+    topic = horizon_topic(records.view(), REQUIREMENTS)
     assert topic is not None and topic.lines[0].endswith("with each of 999 steps within 3 ms.")
     assert topic.tables[0].rows[0][2] == "200/40"
 
@@ -162,7 +159,7 @@ def test_the_figure_is_over_the_variables_of_the_qp(records: Any) -> None:
     """Three forces times the control horizon: 15 to 120; points with wrong answers are hollow."""
     _law(records, "daqp", 10.0, 1.0)
     _law(records, "osqp", 10.0, 1.0, error=0.4)
-    topic = horizon_topic(records.view(), DEMAND)
+    topic = horizon_topic(records.view(), REQUIREMENTS)
     assert topic is not None
     (data, *_) = (d for d in topic.figures[0].chart.to_dict()["datasets"].values() if len(d) > 1)
     assert sorted({row["x"] for row in data}) == [3 * N_c for _, N_c in PAIRS]
@@ -170,7 +167,6 @@ def test_the_figure_is_over_the_variables_of_the_qp(records: Any) -> None:
 
 
 def test_a_cell_that_was_stopped_is_no_point(records: Any) -> None:
-    """A configuration that did not do every step at a horizon is fitted without it."""
     for pair in PAIRS[:3]:
         _replay(records, "highs", pair, median_us=float(pair[1]) ** 2, spread=0.0, rounds=1)
     _replay(records, "highs", PAIRS[3], steps=400, rounds=1, stopped=True)
@@ -183,13 +179,12 @@ def test_a_cell_that_was_stopped_is_no_point(records: Any) -> None:
 
 
 def test_there_is_a_sweep_only_with_two_horizons_of_one_scenario(records: Any) -> None:
-    """One horizon, two windows of it, or another scenario make no sweep."""
     records.replay("daqp", "paper", steps=40)
-    assert sweeps(records.view(), DEMAND) == []
+    assert find_sweeps(records.view(), REQUIREMENTS) == []
     _replay(records, "daqp", (60, 10), steps=40)
     _replay(records, "osqp", (60, 10), steps=50)
-    assert sweeps(records.view(), DEMAND) == []
-    assert horizon_topic(records.view(), DEMAND) is None
+    assert find_sweeps(records.view(), REQUIREMENTS) == []
+    assert horizon_topic(records.view(), REQUIREMENTS) is None
     _replay(records, "daqp", (30, 5), steps=40)
-    (sweep,) = sweeps(records.view(), DEMAND)
+    (sweep,) = find_sweeps(records.view(), REQUIREMENTS)
     assert sweep.horizons == [(30, 5), (60, 10)]

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.machine import disturbance_of, round_spread, timed_runs
+from dpbench.analysis.times.machine import round_spread, timed_runs, total_disturbance
 from dpbench.report.formats import and_list, share_text
 from dpbench.report.topics.trust import trust_topic
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
@@ -96,7 +96,7 @@ def test_a_quiet_machine_and_a_disturbed_one(records: Any) -> None:
     records.replay("quadprog", **same)
     records.replay("quadprog", **(same | {"settings": "high"}))
     view = records.view()
-    found = disturbance_of(timed_runs(view))
+    found = total_disturbance(timed_runs(view))
     assert (found.rounds, found.seconds, found.involuntary, found.rerun) == (3, 2.0, 4, 1)
     assert records.ending()["machine"] == "quiet."
     records.replay("daqp", **(QUIET | {"involuntary_switches": 96, "steal_s": 0.2}))
@@ -113,8 +113,7 @@ def _switching(records: Any, solver: str, a_second: float, step_s: float, own: f
 
 
 def test_switches_a_configuration_makes_itself_are_not_the_machines(records: Any) -> None:
-    """A thread in each solve puts a configuration off its core every step; its neighbours are let
-    alone."""
+    """A thread in each solve puts a configuration off its core every step."""
     for solver, step_s in (("daqp", 1e-3), ("osqp", 5e-3), ("qtqp", 2e-2)):
         _switching(records, solver, 2.0, step_s, 0.0)
     _switching(records, "threads", 2.0, 2e-3, 1.0)
@@ -137,9 +136,14 @@ def test_a_busy_machine_hits_every_configuration_and_is_told(records: Any) -> No
 
 
 def test_disturbed_rounds_are_part_of_all_rounds(records: Any) -> None:
-    """Three rounds count and one is disturbed: one of four."""
+    """One of four where three count, three of three where all are disturbed and count."""
     records.replay("daqp", **(QUIET | {"disturbed_rounds": 1}))
     assert "1 of 4 rounds disturbed" in records.ending()["machine"]
+    records._runs[-1] |= {"disturbed_rounds": 3, "counting_disturbed": 3}
+    assert "3 of 3 rounds disturbed" in records.ending()["machine"]
+    topic = trust_topic(records.view())
+    assert topic is not None and "3 of 3 rounds disturbed" in topic.lines[1]
+    assert dict(topic.tables[0].rows)["disturbed rounds left"] == "3 of 3 rounds; 1 run again"
 
 
 def test_records_without_counters_say_nothing(records: Any) -> None:
@@ -147,15 +151,6 @@ def test_records_without_counters_say_nothing(records: Any) -> None:
     records.loop("daqp")
     assert trust_topic(records.view()) is None
     assert "machine" not in records.ending()
-
-
-def test_replays_of_disturbed_rounds_alone_say_so(records: Any) -> None:
-    """Three rounds count though all are disturbed: three of three."""
-    records.replay("daqp", **(QUIET | {"disturbed_rounds": 3, "counting_disturbed": 3}))
-    assert "3 of 3 rounds disturbed" in records.ending()["machine"]
-    topic = trust_topic(records.view())
-    assert topic is not None and "3 of 3 rounds disturbed" in topic.lines[1]
-    assert dict(topic.tables[0].rows)["disturbed rounds left"] == "3 of 3 rounds; 1 run again"
 
 
 def test_how_far_rounds_lie_apart_is_said(records: Any) -> None:

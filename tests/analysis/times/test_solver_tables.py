@@ -1,34 +1,37 @@
-"""Tables of solvers: their numbers are those of the verdicts and of the runs."""
+"""Tables of solvers, level points and paired comparisons: exact cases."""
 
-from __future__ import annotations
-
+import math
 from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.solver_tables import tile_table, time_table
-from dpbench.analysis.verdict.demand import Demand
-from dpbench.analysis.verdict.places import PlacedRuns
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.times.contrasts import PairedComparison, paired_comparison
+from dpbench.analysis.times.solver_tables import experiment_table, level_points, time_table
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.run_matrix import RunMatrix
+from dpbench.analysis.verdict.verdict import judge_solvers
+from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.suite import load_suite
 from dpbench.solvers.calibration import COPY_ONLY
+from dpbench.solvers.settings import has_tolerance_levels, setting_names
+from dpbench.solvers.table import find_record
 
 
-def _placed(records: Any) -> PlacedRuns:
+def _matrix(records: Any) -> RunMatrix:
     view = records.view()
-    return PlacedRuns.placed(view, verdicts_of(view, Demand()), [], 0)
+    return RunMatrix.from_records(view, judge_solvers(view, Requirements()), [], 0)
 
 
 def test_the_ladder_is_that_of_the_verdicts(records: Any) -> None:
-    """Milliseconds of p50, p99, largest step and sample; who was not timed has no rung, and the
-    share of the cost of calling never exceeds the whole."""
+    """Milliseconds of p50, p99, largest step and sample."""
     records.loop("daqp")
     records.replay("daqp", median_us=20.0)
     records.loop("scs")
-    assert time_table(_placed(records))["share"].tolist() == [0.0]
+    assert time_table(_matrix(records))["share"].tolist() == [0.0]
     records.replay(COPY_ONLY, algo_p50_ns=30e3, route="native", policy="reuse")
-    placed = _placed(records)
-    (row,) = time_table(placed).to_dict("records")
-    verdict = placed.verdicts.references[0]
+    matrix = _matrix(records)
+    (row,) = time_table(matrix).to_dict("records")
+    verdict = matrix.verdicts.references[0]
     assert row["solver"] == "daqp" and row["share"] == 1.0
     times = [row[name] * 1e6 for name in ("p50_ms", "p99_ms", "max_ms")]
     expected = [verdict.p50_ns, verdict.p99_ns, verdict.algo_max_ns]
@@ -36,14 +39,137 @@ def test_the_ladder_is_that_of_the_verdicts(records: Any) -> None:
 
 
 def test_a_level_that_was_not_run_somewhere_is_hatched_there(records: Any) -> None:
-    """The matrix has a tile for each solver, level and place, run or not."""
     records.loop("osqp", "paper", error=0.4)
     records.loop("osqp", "calm", error=0.4)
     records.loop("osqp", "paper", settings="high")
-    tiles = tile_table(_placed(records)).set_index(["settings", "place"])["state"]
+    tiles = experiment_table(_matrix(records)).set_index(["settings", "experiment"])["verdict"]
     assert tiles.to_dict() == {
-        ("default", "paper"): "wrong",
-        ("default", "calm"): "wrong",
-        ("high", "paper"): "meets",
+        ("default", "paper"): "fail",
+        ("default", "calm"): "fail",
+        ("high", "paper"): "pass",
         ("high", "calm"): "not run",
     }
+
+
+EXACT = {"spread": 0.0, "rounds": 1}
+"""Every algorithmic time is the median itself."""
+
+
+def _compared(records: Any) -> PairedComparison:
+    view = records.view()
+    first, second = judge_solvers(view, Requirements()).references
+    return paired_comparison(view, first, second)
+
+
+def test_sequences_weigh_the_same_in_a_ratio(records: Any) -> None:
+    """Twice as long on 1000 steps and 8 times on 500 is 4 times."""
+    for solver, factors in (("base", (1.0, 1.0, 1.0)), ("other", (2.0, 8.0, 99.0))):
+        for (sequence, steps), factor in zip(
+            (("paper", 1000), ("calm", 500), ("rough", 100)), factors, strict=True
+        ):
+            records.replay(solver, sequence, steps=steps, median_us=10.0 * factor, **EXACT)
+    found = _compared(records)
+    assert (found.ratio.value, found.steps) == (pytest.approx(4.0), 1500)
+    assert (found.ratio.low, found.ratio.high, found.unstable) == (0.0, math.inf, False)
+
+
+def test_a_ratio_that_turns_with_the_sequence_names_both_leaders(records: Any) -> None:
+    for solver, medians in (("base", (20.0, 20.0)), ("other", (10.0, 80.0))):
+        for sequence, median_us in zip(("paper", "calm"), medians, strict=True):
+            records.replay(solver, sequence, steps=400, median_us=median_us, **EXACT)
+    found = _compared(records)
+    assert found.leaders["median on `paper`"] == "other (qpsolvers fresh)"
+    assert found.leaders["median on `calm`"] == "base (qpsolvers fresh)"
+    assert found.unstable
+
+
+def test_only_common_steps_are_compared(records: Any) -> None:
+    records.replay(
+        "base", steps=300, median_us=10.0, slow=dict.fromkeys(range(250, 300), 50.0), **EXACT
+    )
+    records.replay("other", steps=300, done=250, median_us=20.0, **EXACT)
+    found = _compared(records)
+    assert (found.steps, found.ratio.value) == (250, pytest.approx(2.0))
+
+
+def test_without_a_common_step_nothing_is_compared(records: Any) -> None:
+    records.replay("base", "paper", steps=40)
+    records.replay("other", "calm", steps=40)
+    assert _compared(records).steps == 0
+
+
+BOTH = ("paper", "rough[900:1400]")
+USUAL = dict.fromkeys(("osqp", "whole", "half"), ("qpsolvers", "fresh"))
+
+
+def test_a_point_is_the_worst_of_its_sequences(records: Any) -> None:
+    """Worst p50 and p99, largest error, of two sequences long enough for a p99."""
+    records.replay("osqp", BOTH[0], median_us=10.0, spread=0.0, error=1e-5)
+    records.replay("osqp", BOTH[1], median_us=30.0, spread=0.0, error=1e-3, failed=2)
+    (point,) = level_points(records.view(), BOTH, USUAL)["osqp"]
+    assert (point.p50_ns, point.p99_ns, point.error_move) == (30e3, 30e3, 1e-3)
+    assert point.failed == 2
+
+
+def test_both_times_of_a_point_are_of_the_same_steps(records: Any) -> None:
+    """A sequence too short for a p99 gives no p50 either, or that would exceed the p99."""
+    records.replay("osqp", BOTH[0], median_us=10.0, spread=0.0, error=1e-5)
+    records.replay("osqp", BOTH[1], steps=500, median_us=30.0, spread=0.0, error=1e-3)
+    (point,) = level_points(records.view(), BOTH, USUAL)["osqp"]
+    assert (point.p50_ns, point.p99_ns, point.error_move) == (10e3, 10e3, 1e-3)
+    (short,) = level_points(records.view(), BOTH[1:], USUAL)["osqp"]
+    assert short.p50_ns == 30e3 and math.isnan(short.p99_ns)
+
+
+def test_the_points_have_their_levels_in_order_and_leaves_out_other_ways(records: Any) -> None:
+    """Default, low, mid, high on the default route; warm starts are another way."""
+    for settings in ("high", "default", "low", "mid"):
+        records.replay("osqp", settings=settings)
+    records.replay("osqp", settings="mid", policy="warm", median_us=1.0)
+    (points,) = level_points(records.view(), BOTH[:1], USUAL).values()
+    assert [point.configuration.settings for point in points] == ["default", "low", "mid", "high"]
+    assert {point.configuration.policy for point in points} == {"fresh"}
+
+
+def test_all_points_of_a_solver_are_of_the_way_that_is_asked_for(records: Any) -> None:
+    """No other policy or route joins the line, however fast; a solver without a way has none."""
+    for policy, us in (("fresh", 20.0), ("warm", 5.0), ("reuse", 8.0)):
+        records.replay("osqp", route="native", policy=policy, median_us=us, spread=0.0)
+    for policy, us in (("fresh", 30.0), ("warm", 60.0)):
+        way = {"route": "native", "policy": policy, "settings": "high"}
+        records.replay("osqp", **way, median_us=us, spread=0.0)
+    records.replay("osqp", median_us=1.0)
+    records.replay("daqp", route="native", policy="warm")
+    levels = level_points(records.view(), BOTH[:1], {"osqp": ("native", "warm")})
+    found = {
+        solver: [(p.configuration.settings, p.p50_ns) for p in points]
+        for solver, points in levels.items()
+    }
+    assert found == {"osqp": [("default", 5e3), ("high", 60e3)]}
+
+
+def test_a_solver_on_one_sequence_of_two_has_no_point(records: Any) -> None:
+    records.replay("whole", BOTH[0])
+    records.replay("whole", BOTH[1])
+    records.replay("half", BOTH[0])
+    assert list(level_points(records.view(), BOTH, USUAL)) == ["whole"]
+
+
+@pytest.mark.parametrize("sequence", ["paper", "rough"])
+def test_the_levels_suite_runs_every_level_of_every_solver(sequence: str) -> None:
+    """Each solver whose settings matter is replayed at each of its four levels, long enough for
+    a p99; the others run once and stand under all names."""
+    _, suite = load_suite("levels")
+    levels = ("default", "low", "mid", "high")
+    found: dict[str, set[str]] = {}
+    for planned in plan(suite):
+        cell = planned.cell
+        if cell.sequence.partition("[")[0] == sequence:
+            assert cell.steps >= 1000
+            assert cell.route == find_record(cell.solver).default_route
+            names = (cell.settings, *planned.alias_settings)
+            found.setdefault(cell.solver, set()).update(names)
+    assert {"daqp", "osqp", "piqp", "quadprog"} <= set(found)
+    for solver, names in found.items():
+        assert names == set(levels) & set(setting_names(solver))
+    assert any(not has_tolerance_levels(solver) for solver in found)

@@ -1,7 +1,5 @@
 """Late timings beyond what the machine explains, against planted delays."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -9,19 +7,19 @@ import pandas as pd
 import pytest
 from scipy.stats import binom, poisson
 
-from dpbench.analysis.records.delays import delays_by_run, delays_of
-from dpbench.analysis.verdict.demand import Demand
+from dpbench.analysis.records.step_times import delays_by_run, find_delays
 from dpbench.analysis.verdict.lateness import (
     DOUBTFUL,
     PROVEN,
     LateTimings,
-    Machine,
-    adjust,
-    estimate_machine,
+    StallModel,
+    adjust_p_values,
+    estimate_stalls,
 )
-from dpbench.analysis.verdict.verdict import verdicts_of
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.verdict import judge_solvers
 
-DEMAND = Demand()
+REQUIREMENTS = Requirements()
 HONEST = ("quadprog", "piqp", "clarabel", "highs", "ecos")
 """The other solvers of the same rounds."""
 
@@ -38,7 +36,7 @@ def _campaign(records: Any, **delays: dict[tuple[int, int], float]) -> None:
 
 
 def _verdict(records: Any, solver: str = "daqp") -> Any:
-    return verdicts_of(records.view(), DEMAND).of[solver][0]
+    return judge_solvers(records.view(), REQUIREMENTS).of[solver][0]
 
 
 def _every(call: int, ms: float, rounds: range = range(1, 6)) -> dict[tuple[int, int], float]:
@@ -52,7 +50,7 @@ def _every(call: int, ms: float, rounds: range = range(1, 6)) -> dict[tuple[int,
     [
         (3, 10.0, "late", "late timings"),
         (23, 10.0, "late", "late timings"),
-        (203, 10.0, "open", "late at random"),
+        (203, 10.0, "inconclusive", "late at random"),
         (211, 400.0, "late", "past the deadline"),
     ],
 )
@@ -78,21 +76,25 @@ def test_the_same_delays_in_all_solvers_are_the_machine(records: Any, call: int)
         for i, solver in enumerate(("daqp", *HONEST))
     }
     _campaign(records, **shifted)
-    found = {finding.kind for v in verdicts_of(records.view(), DEMAND).all for finding in v.doubts}
+    found = {
+        finding.kind
+        for v in judge_solvers(records.view(), REQUIREMENTS).all
+        for finding in v.doubts
+    }
     assert "late at random" not in found
 
 
 def test_a_burst_in_one_round_is_no_lateness_at_random(records: Any) -> None:
     """Eight stalls in one of five rounds: the middle round has none."""
     _campaign(records, daqp={(2, k): 4.0 for k in range(30, 600, 75)})
-    assert _verdict(records).outcome == "meets"
+    assert _verdict(records).state == "pass"
 
 
 def test_a_second_liar_hides_nobody(records: Any) -> None:
     """Both are late at random; those proven so are no measure of the machine."""
     _campaign(records, daqp=_every(23, 10.0), piqp=_every(23, 10.0))
     assert _verdict(records).state == _verdict(records, "piqp").state == "late"
-    assert _verdict(records, "ecos").state == "meets"
+    assert _verdict(records, "ecos").state == "pass"
 
 
 def test_without_others_it_is_open(records: Any) -> None:
@@ -103,7 +105,7 @@ def test_without_others_it_is_open(records: Any) -> None:
     frame.loc[frame["k"] % 23 == 0, "total_ns"] = 10_000_000
     frame.loc[frame["repeat"] == 1, "total_ns"] = 20_000
     verdict = _verdict(records)
-    assert verdict.outcome == "open"
+    assert verdict.state == "inconclusive"
     assert "perhaps late timings" in {finding.kind for finding in verdict.doubts}
 
 
@@ -119,9 +121,9 @@ def _loop(records: Any, late: int, switches: float) -> Any:
     [
         (47, 0, "late"),
         (47, 12, "late"),
-        (47, 40, "meets"),  # 7 of 450 are left, where a p99 allows 4 to 5
-        (4, 0, "meets"),
-        (47, np.nan, "open"),
+        (47, 40, "pass"),  # 7 of 450 are left, where a p99 allows 4 to 5
+        (4, 0, "pass"),
+        (47, np.nan, "inconclusive"),
     ],
 )
 def test_a_loop_is_late_beyond_its_context_switches(
@@ -135,7 +137,7 @@ def test_delays_of_two_rounds_by_hand() -> None:
     """Steps of 10, 20 and 30 ns; the second round has one at 45 of 20 ns."""
     repeat, k = np.array([1, 1, 1, 2, 2, 2]), np.array([0, 1, 2, 0, 1, 2])
     times = np.array([10.0, 20.0, 30.0, 20.0, 45.0, 31.0])
-    delays = delays_of(repeat, k, times, np.full(6, np.nan))
+    delays = find_delays(repeat, k, times, np.full(6, np.nan))
     assert delays.base_ns.tolist() == [60.0, 60.0]
     assert delays.delay_ns.tolist() == [45.0] and delays.own_ns.tolist() == [20.0]
     assert delays.count_late(44.0).tolist() == [0, 1]
@@ -147,7 +149,7 @@ def test_delays_of_two_rounds_by_hand() -> None:
 def test_delays_of_a_loop_are_its_timings_above_the_median() -> None:
     """One round has no fastest time of a step; a step without a computation has none at all."""
     times = np.array([1.0, 2.0, 3.0, 9.0, np.nan])
-    delays = delays_of(np.zeros(5, np.int64), np.arange(5), times, np.full(5, np.nan))
+    delays = find_delays(np.zeros(5, np.int64), np.arange(5), times, np.full(5, np.nan))
     assert (delays.step_ns, delays.samples.tolist()) == (2.5, [4])
     assert delays.delay_ns.tolist() == [3.0, 9.0]
 
@@ -165,7 +167,7 @@ def _waiting(records: Any, solver: str, waited_ns: float, **columns: Any) -> Non
 
 
 @pytest.mark.parametrize(
-    ("waited_ns", "state"), [(9_980_000, "meets"), (9_000_000, "open"), (0, "open")]
+    ("waited_ns", "state"), [(9_980_000, "pass"), (9_000_000, "inconclusive"), (0, "inconclusive")]
 )
 def test_a_wait_for_the_core_is_the_machine(records: Any, waited_ns: float, state: str) -> None:
     """Others waited as long and as often, so that the gross timings would contradict nobody.
@@ -176,10 +178,10 @@ def test_a_wait_for_the_core_is_the_machine(records: Any, waited_ns: float, stat
         records.loop(solver)
         _waiting(records, solver, waited_ns if solver == "daqp" else 9_980_000)
     assert _verdict(records).state == state
-    assert _verdict(records, "ecos").state == "meets"
+    assert _verdict(records, "ecos").state == "pass"
 
 
-@pytest.mark.parametrize(("switches", "state"), [(2499, "open"), (2500, "meets")])
+@pytest.mark.parametrize(("switches", "state"), [(2499, "inconclusive"), (2500, "pass")])
 def test_waits_of_threads_are_unknown(records: Any, switches: int, state: str) -> None:
     """A solver that waits in half of its 5000 calls waits for threads, whose wait for the core is
     not in its own: its timings are compared as they are."""
@@ -191,7 +193,7 @@ def test_waits_of_threads_are_unknown(records: Any, switches: int, state: str) -
     assert _verdict(records).state == state
 
 
-@pytest.mark.parametrize(("waited_ns", "state"), [(9_980_000, "meets"), (0, "late")])
+@pytest.mark.parametrize(("waited_ns", "state"), [(9_980_000, "pass"), (0, "late")])
 def test_a_loop_is_late_beyond_its_waits(records: Any, waited_ns: float, state: str) -> None:
     """47 of 450 timings; where waits are known, context switches explain nothing beyond them."""
     records.loop("daqp", steps=450, raw_p50_ns=20e3, involuntary_switches=100)
@@ -215,10 +217,10 @@ def test_delays_know_waits_where_all_are_recorded() -> None:
         }
     )
     delays = dict(delays_by_run(steps))
-    assert [one.knows_waits for one in delays.values()] == [True, False]
+    assert [one.has_waits for one in delays.values()] == [True, False]
     assert [one.delay_ns.tolist() for one in delays.values()] == [[50.0], [50.0]]
     assert [one.net_ns.tolist() for one in delays.values()] == [[15.0], [50.0]]
-    assert delays["a"].gross.net_ns.tolist() == [50.0]
+    assert delays["a"].without_waits.net_ns.tolist() == [50.0]
     assert delays["a"].base_ns.tolist() == [30.0, 30.0]
 
 
@@ -236,39 +238,41 @@ def test_a_delay_is_late_if_a_tenth_of_the_limit_is_its_own(
 ) -> None:
     """A step of 10 ns that took 101 ns, beyond a limit of 100 ns, and half of it."""
     repeat, k = np.array([1, 2]), np.array([0, 0])
-    delays = delays_of(repeat, k, np.array([10.0, 101.0]), np.array([0.0, waited_ns + 1.0]))
+    delays = find_delays(repeat, k, np.array([10.0, 101.0]), np.array([0.0, waited_ns + 1.0]))
     assert delays.count_late(100.0).tolist() == [0, late]
     assert delays.count_late(101.0).tolist() == [0, 0]
     assert delays.count_stalls(50.0).tolist() == [0, stalls]
-    assert delays.gross.count_late(100.0).tolist() == [0, 1]
+    assert delays.without_waits.count_late(100.0).tolist() == [0, 1]
 
 
 def test_a_hard_step_is_late_by_itself() -> None:
     """In a loop whose median is near the limit, a step little beyond it is late all the same."""
     times = np.array([99.0, 99.0, 99.0, 102.0])
-    delays = delays_of(np.zeros(4, np.int64), np.arange(4), times, np.array([0.0, 0, 0, 1.0]))
+    delays = find_delays(np.zeros(4, np.int64), np.arange(4), times, np.array([0.0, 0, 0, 1.0]))
     assert delays.count_late(100.0).tolist() == [1]
     assert delays.count_late(101.0).tolist() == [0]
 
 
 def test_an_even_machine_is_a_poisson_process() -> None:
     """With a large shape the tail is that of a Poisson count."""
-    machine = Machine(rate=2e-6, shape=1e7)
-    assert machine.tail(5, 1e6) == pytest.approx(poisson.sf(4, 2.0), rel=1e-5)
+    machine = StallModel(rate=2e-6, shape=1e7)
+    assert machine.tail_probability(5, 1e6) == pytest.approx(poisson.sf(4, 2.0), rel=1e-5)
 
 
 def test_the_share_that_is_allowed_is_binomial() -> None:
     """On a machine without stalls only the one late timing in a hundred is left."""
-    machine = Machine(rate=1e-30, shape=1.0)
-    assert machine.tail(17, 1.0, 1000) == pytest.approx(binom.sf(16, 1000, 0.01), rel=1e-6)
-    assert machine.tail(0, 1.0, 1000) == 1.0
+    machine = StallModel(rate=1e-30, shape=1.0)
+    assert machine.tail_probability(17, 1.0, 1000) == pytest.approx(
+        binom.sf(16, 1000, 0.01), rel=1e-6
+    )
+    assert machine.tail_probability(0, 1.0, 1000) == 1.0
 
 
 def test_uneven_rounds_make_a_small_shape() -> None:
     """Ten rounds of equal exposure: one stall in each, or all ten in one of them."""
     exposed = np.full(10, 1e9)
     even, uneven = np.ones(10), np.array([10.0, *np.zeros(9)])
-    machines = estimate_machine(even, exposed), estimate_machine(uneven, exposed)
+    machines = estimate_stalls(even, exposed), estimate_stalls(uneven, exposed)
     assert machines[0].rate == machines[1].rate == pytest.approx(1.05e-9)
     assert machines[0].shape == 50.0 and machines[1].shape == 0.5
 
@@ -278,7 +282,7 @@ def test_p_values_are_adjusted_together(records: Any) -> None:
     records.replay("daqp")
     (run,) = records.view().runs
     tests = [LateTimings("late timings", run, 1, 10, 0.0, p) for p in (0.02, 3e-4, 0.9)]
-    first, second, _ = adjusted = adjust(tests)
+    first, second, _ = adjusted = adjust_p_values(tests)
     assert [test.p for test in adjusted] == pytest.approx([0.04, 9e-4, 0.9])
     assert second.p <= PROVEN < first.p <= DOUBTFUL
-    assert second.proven and not first.proven
+    assert second.is_proven and not first.is_proven

@@ -1,25 +1,23 @@
 """Ranking and recommendation of verdicts made by hand."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
 import pytest
 
-from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.fastest import (
-    best_of_each,
-    family_of,
+    best_verdict_by_solver,
+    choose_solver,
+    deployment_blocker,
+    fastest_configuration,
     fastest_first,
-    fastest_of,
-    known_record,
-    podium,
-    ranked,
-    recommend,
-    why_not_aboard,
+    find_solver_record,
+    rank_configurations,
+    rank_solvers,
+    solver_family,
 )
 from dpbench.analysis.verdict.findings import Finding
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.bench.record.configuration import Configuration
 
@@ -34,21 +32,21 @@ def _verdict(
     settings: str = "default",
     route: Any = "qpsolvers",
     policy: Any = "fresh",
-    outcome: Any = "meets",
+    state: Any = "pass",
     **figures: Any,
 ) -> Verdict:
     """A verdict on a configuration that was timed in one loop and one replay."""
     rounds = p99_ns, p99_ns
     usual = {"timed_on": "paper", "loops": 1, "replays": 1, "rounds_ns": rounds}
     configuration = Configuration(solver, route, policy, settings)
-    return Verdict(configuration, outcome, p99_ns=p99_ns, **(usual | figures))
+    return Verdict(configuration, state, p99_ns=p99_ns, **(usual | figures))
 
 
 def _verdicts(*verdicts: Verdict) -> Verdicts:
     of: dict[str, list[Verdict]] = {}
     for verdict in verdicts:
         of.setdefault(verdict.configuration.solver, []).append(verdict)
-    return Verdicts(Demand(), of)
+    return Verdicts(Requirements(), of)
 
 
 def _names(verdicts: list[Verdict]) -> list[str]:
@@ -56,7 +54,6 @@ def _names(verdicts: list[Verdict]) -> list[str]:
 
 
 def test_verdicts_are_sorted_by_p99_then_largest_step_then_name() -> None:
-    """Verdicts without a time are last, in the order of their names."""
     verdicts = [
         _verdict("e"),
         _verdict("d"),
@@ -71,7 +68,6 @@ def test_verdicts_are_sorted_by_p99_then_largest_step_then_name() -> None:
 
 
 def test_only_the_most_widely_timed_are_ranked() -> None:
-    """A finding, no time, or fewer replays than another rule a verdict out."""
     verdicts = _verdicts(
         _verdict("daqp", 30.0, replays=3),
         _verdict("piqp", 20.0, replays=3),
@@ -81,8 +77,8 @@ def test_only_the_most_widely_timed_are_ranked() -> None:
         _verdict("absent", 10.0, replays=3, gaps=(Finding("absent"),)),
         _verdict("untimed", 10.0, replays=3, timed_on=""),
     )
-    assert [v.configuration.solver for v in ranked(verdicts)] == ["piqp", "daqp"]
-    assert ranked(_verdicts()) == []
+    assert [v.configuration.solver for v in rank_configurations(verdicts)] == ["piqp", "daqp"]
+    assert rank_configurations(_verdicts()) == []
 
 
 @pytest.mark.parametrize(
@@ -101,24 +97,25 @@ def test_usual_settings_within_three_percent_are_chosen(
     """The default of the same route and policy is chosen up to 1.03 times the time."""
     best = _verdict("daqp", 100.0, settings="high")
     usual = _verdict("daqp", p99_ns, route=route, policy=policy)
-    found = fastest_of(_verdicts(usual, best), "daqp")
+    found = fastest_configuration(_verdicts(usual, best), "daqp")
     assert found is not None and found.configuration.settings == settings
 
 
-@pytest.mark.parametrize("routes", [("native", "qpsolvers"), ("qpsolvers", "native")])
-def test_another_route_is_never_alike(routes: tuple[str, str]) -> None:
-    """Usual settings of another route do not replace the fastest ones."""
-    best = _verdict("daqp", 100.0, settings="high", route=routes[0])
-    usual = _verdict("daqp", 101.0, route=routes[1])
-    assert podium(_verdicts(usual, best)) == [best]
-
-
-@pytest.mark.parametrize("policies", [("reuse", "fresh"), ("fresh", "reuse")])
-def test_another_policy_is_never_alike(policies: tuple[str, str]) -> None:
-    """Usual settings of another policy do not replace the fastest ones."""
-    best = _verdict("daqp", 100.0, settings="high", policy=policies[0])
-    usual = _verdict("daqp", 101.0, policy=policies[1])
-    assert podium(_verdicts(usual, best)) == [best]
+@pytest.mark.parametrize(
+    ("fastest", "other"),
+    [
+        ({"route": "native"}, {"route": "qpsolvers"}),
+        ({"route": "qpsolvers"}, {"route": "native"}),
+        ({"policy": "reuse"}, {"policy": "fresh"}),
+        ({"policy": "fresh"}, {"policy": "reuse"}),
+    ],
+)
+def test_another_route_or_policy_is_never_alike(
+    fastest: dict[str, str], other: dict[str, str]
+) -> None:
+    best = _verdict("daqp", 100.0, settings="high", **fastest)
+    usual = _verdict("daqp", 101.0, **other)
+    assert rank_solvers(_verdicts(usual, best)) == [best]
 
 
 @pytest.mark.parametrize(
@@ -131,7 +128,7 @@ def test_rounds_that_overlap_make_settings_alike(
     """Rounds of 10 to 20 ns overlap with rounds from 20 ns on or up to 10 ns."""
     best = _verdict("daqp", 100.0, settings="high", rounds_ns=(10.0, 20.0))
     usual = _verdict("daqp", 150.0, rounds_ns=rounds_ns)
-    found = fastest_of(_verdicts(usual, best), "daqp")
+    found = fastest_configuration(_verdicts(usual, best), "daqp")
     assert found is not None and found.configuration.settings == settings
 
 
@@ -140,8 +137,8 @@ def test_without_a_p99_medians_are_compared() -> None:
     apart = {"rounds_ns": (1.0, 2.0)}
     best = _verdict("daqp", settings="high", p50_ns=100.0, algo_max_ns=200.0, **apart)
     usual = _verdict("daqp", p50_ns=102.0, algo_max_ns=300.0, rounds_ns=(3.0, 4.0))
-    assert fastest_of(_verdicts(usual, best), "daqp") is usual
-    assert fastest_of(_verdicts(usual, best), "piqp") is None
+    assert fastest_configuration(_verdicts(usual, best), "daqp") is usual
+    assert fastest_configuration(_verdicts(usual, best), "piqp") is None
 
 
 def test_the_recommendation_is_the_fastest_that_can_be_deployed() -> None:
@@ -151,80 +148,79 @@ def test_the_recommendation_is_the_fastest_that_can_be_deployed() -> None:
         _verdict("daqp", 20.0),
         _verdict("piqp", 30.0),
     )
-    found = recommend(_verdicts(third, second, fast))
+    found = choose_solver(_verdicts(third, second, fast))
     assert (found.chosen, found.runner_up, found.faster) == (second, third, fast)
-    assert found.because == why_not_aboard(BENCHMARK_CODE) != ""
-    alone = recommend(_verdicts(second, third))
+    assert found.because == deployment_blocker(BENCHMARK_CODE) != ""
+    alone = choose_solver(_verdicts(second, third))
     assert (alone.chosen, alone.runner_up, alone.faster) == (second, third, None)
     assert alone.because == ""
 
 
 def test_nothing_is_recommended_where_nobody_can_be_deployed() -> None:
-    """The fastest is still named, and an empty folder names nobody."""
     fast = _verdict(BENCHMARK_CODE, 10.0)
-    found = recommend(_verdicts(fast))
+    found = choose_solver(_verdicts(fast))
     assert (found.chosen, found.runner_up, found.faster) == (None, None, fast)
-    empty = recommend(_verdicts())
+    empty = choose_solver(_verdicts())
     assert (empty.chosen, empty.runner_up, empty.faster, empty.because) == (None, None, None, "")
 
 
 @pytest.mark.parametrize(
-    ("outcomes", "chosen"),
+    ("states", "chosen"),
     [
-        (("meets", "borderline", "open"), 0),
-        (("borderline", "meets", "open"), 1),
-        (("open", "borderline", "meets"), 2),
-        (("open", "borderline", "open"), 1),
-        (("open", "open", "open"), 0),
+        (("pass", "borderline", "inconclusive"), 0),
+        (("borderline", "pass", "inconclusive"), 1),
+        (("inconclusive", "borderline", "pass"), 2),
+        (("inconclusive", "borderline", "inconclusive"), 1),
+        (("inconclusive", "inconclusive", "inconclusive"), 0),
     ],
 )
-def test_a_better_outcome_precedes_a_shorter_time(
-    outcomes: tuple[str, str, str], chosen: int
+def test_a_better_verdict_precedes_a_shorter_time(
+    states: tuple[str, str, str], chosen: int
 ) -> None:
-    """Solvers that pass are compared first, then borderline ones, then all that are ranked."""
     solvers = ("daqp", "piqp", "osqp")
     verdicts = [
-        _verdict(solver, 10.0 * (i + 1), outcome=outcome)
-        for i, (solver, outcome) in enumerate(zip(solvers, outcomes, strict=True))
+        _verdict(solver, 10.0 * (i + 1), state=state)
+        for i, (solver, state) in enumerate(zip(solvers, states, strict=True))
     ]
-    found = recommend(_verdicts(*verdicts))
+    found = choose_solver(_verdicts(*verdicts))
     assert found.chosen is verdicts[chosen]
     assert found.faster is None
-    assert (found.runner_up is None) == (outcomes.count("open") < 3)
+    assert (found.runner_up is None) == (states.count("inconclusive") < 3)
 
 
 def test_a_solver_that_is_not_known_here() -> None:
-    """It has no record and no family, and cannot be deployed."""
-    assert known_record("nobody") is None
-    assert family_of("nobody") == "not stated"
-    assert why_not_aboard("nobody") == "not in the table of this installation"
-    assert known_record("daqp") is not None and family_of("daqp") == "active set"
-    assert why_not_aboard("daqp") == ""
+    assert find_solver_record("nobody") is None
+    assert solver_family("nobody") == "not stated"
+    assert deployment_blocker("nobody") == "not in the table of this installation"
+    assert find_solver_record("daqp") is not None and solver_family("daqp") == "active set"
+    assert {deployment_blocker(name) for name in ("daqp", "osqp", "clarabel")} == {""}
+    assert deployment_blocker("qtqp") == "written in Python"
+    assert deployment_blocker(BENCHMARK_CODE).startswith("own code of this benchmark")
 
 
 LATE, WRONG = (Finding("p99 late"),), (Finding("failed"),)
 
 
 def test_the_verdict_that_shows_each_solver() -> None:
-    """It has the best state; of those the fastest ranked one, the reference, or the fastest."""
+    """It has the best state; of those the fastest qualifying one, the reference, or the fastest."""
     shown = {
         "a": _verdict("a", 30.0, settings="high"),
-        "b": _verdict("b", 50.0, outcome="misses", causes=LATE),
-        "c": _verdict("c", 20.0, settings="low", outcome="misses", causes=LATE),
-        "d": _verdict("d", 70.0, outcome="misses", causes=WRONG),
-        "e": _verdict("e", 90.0, outcome="open", replays=0, timed_on=""),
-        "f": _verdict("f", 60.0, outcome="borderline"),
+        "b": _verdict("b", 50.0, state="late", causes=LATE),
+        "c": _verdict("c", 20.0, settings="low", state="late", causes=LATE),
+        "d": _verdict("d", 70.0, state="fail", causes=WRONG),
+        "e": _verdict("e", 90.0, state="inconclusive", replays=0, timed_on=""),
+        "f": _verdict("f", 60.0, state="borderline"),
     }
-    found = best_of_each(
+    found = best_verdict_by_solver(
         _verdicts(
-            _verdict("d", 10.0, outcome="meets", loops=0, doubts=(Finding("lost"),)),
+            _verdict("d", 10.0, state="pass", loops=0, doubts=(Finding("lost"),)),
             shown["d"],
-            _verdict("e", 95.0, settings="low", outcome="misses", causes=WRONG, loops=0),
+            _verdict("e", 95.0, settings="low", state="fail", causes=WRONG, loops=0),
             shown["e"],
             shown["b"],
-            _verdict("b", 10.0, settings="low", outcome="misses", causes=LATE),
-            _verdict("c", 10.0, outcome="misses", causes=WRONG),
-            _verdict("c", 25.0, settings="high", outcome="misses", causes=LATE),
+            _verdict("b", 10.0, settings="low", state="late", causes=LATE),
+            _verdict("c", 10.0, state="fail", causes=WRONG),
+            _verdict("c", 25.0, settings="high", state="late", causes=LATE),
             shown["c"],
             shown["f"],
             _verdict("a", 40.0),

@@ -1,7 +1,5 @@
 """Findings on times at and beside the limits of the requirements."""
 
-from __future__ import annotations
-
 import json
 import math
 from types import SimpleNamespace
@@ -10,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.findings import Finding
 from dpbench.analysis.verdict.lateness import LateTimings
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.time_findings import (
     find_hidden_work,
     find_slow_loops,
@@ -22,7 +20,7 @@ from dpbench.analysis.verdict.time_findings import (
 )
 from dpbench.analysis.verdict.uncertainty import Uncertainty
 
-DEMAND = Demand(p99_ms=1.0, deadline_ms=8.0)
+REQUIREMENTS = Requirements(p99_ms=1.0, deadline_ms=8.0)
 """Limits of 1e6 and 8e6 ns."""
 FACTOR = 2.0
 """The times are uncertain by a factor of two: products and quotients of it are exact."""
@@ -58,18 +56,17 @@ def test_the_median_of_a_loop_beside_the_limit(
 ) -> None:
     """From 200 steps on a median beyond twice the limit is late, from half of it borderline."""
     records.loop("daqp", steps=steps, raw_p50_ns=p50_ns)
-    found = find_slow_loops(records.view().runs, DEMAND, UNCERTAINTY)
+    found = find_slow_loops(records.view().runs, REQUIREMENTS, UNCERTAINTY)
     assert _found(found) == ([(kind, ["daqp"], p50_ns)] if kind else [])
 
 
 def test_only_loops_of_the_measured_computer_are_slow(records: Any) -> None:
-    """Replays and loops on a slower computer give no finding and hide none that follows."""
     records.replay("daqp", raw_p50_ns=9e6)
     records.loop("daqp", slowdown=0.5, steps=200, raw_p50_ns=9e6)
     records.loop("piqp", slowdown=0.0, steps=200, raw_p50_ns=3e6)
     records.loop("scs", steps=200, raw_p50_ns=4e6)
     records.loop("osqp", steps=60, raw_p50_ns=2e6)
-    found = find_slow_loops(records.view().all_runs, DEMAND, UNCERTAINTY)
+    found = find_slow_loops(records.view().all_runs, REQUIREMENTS, UNCERTAINTY)
     assert _found(found) == [
         ("slow loop", ["scs", "piqp"], 4e6),
         ("short slow loop", ["osqp"], 2e6),
@@ -125,7 +122,7 @@ def test_late_timings_are_reported_by_kind_with_the_worst_run_first() -> None:
 
 def _judged(records: Any) -> tuple[list[Finding], dict[str, Any]]:
     view = records.view()
-    return judge_times(view, view.runs, DEMAND, UNCERTAINTY)
+    return judge_times(view, view.runs, REQUIREMENTS, UNCERTAINTY)
 
 
 def _even_replay(records: Any, ns: float, steps: int, **columns: Any) -> None:
@@ -236,7 +233,6 @@ def test_replays_without_times_are_doubts_and_hide_no_other(records: Any) -> Non
 
 @pytest.mark.parametrize("outcome", ["timed_out", "crashed"])
 def test_replays_that_leave_no_times_leave_no_figures(records: Any, outcome: str) -> None:
-    """A run that did not reach its first step says nothing of the times."""
     records.replay("daqp", done=0, outcome=outcome)
     assert _judged(records) == ([], {})
 

@@ -1,14 +1,12 @@
 """The uncertainty of times from the medians of the rounds of replays."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 
 import numpy as np
 import pytest
 
-from dpbench.analysis.verdict.uncertainty import Uncertainty, uncertainty_of, usual_factor
+from dpbench.analysis.verdict.uncertainty import Uncertainty, estimate_uncertainty, factor_quantile
 
 
 def _replay(records: Any, solver: str, rounds_us: tuple[float, ...], **columns: Any) -> None:
@@ -22,23 +20,25 @@ def _replay(records: Any, solver: str, rounds_us: tuple[float, ...], **columns: 
 
 def _of(records: Any) -> tuple[Uncertainty, list[tuple[float, float, float]]]:
     """The uncertainty and, by configuration, the factors of the middle, slow and slowest round."""
-    found = uncertainty_of(records.view())
+    found = estimate_uncertainty(records.view())
     factors = zip(found.middle.values(), found.slow.values(), found.slowest.values(), strict=True)
     return found, list(factors)
 
 
-def test_the_factors_of_five_rounds(records: Any) -> None:
-    """Rounds of 16, 10, 11, 20 and 12 µs: the quantiles are 12, 16 and 20 over 10."""
-    _replay(records, "daqp", (16.0, 10.0, 11.0, 20.0, 12.0))
+@pytest.mark.parametrize(
+    ("rounds_us", "expected"),
+    [
+        ((16.0, 10.0, 11.0, 20.0, 12.0), (1.2, 1.6, 2.0)),  # quantiles 12, 16, 20 over 10
+        ((10.0, 14.0), (1.2, 1.3, 1.4)),  # quantiles 12, 13, 14 over 10
+    ],
+)
+def test_the_factors_of_rounds(
+    records: Any, rounds_us: tuple[float, ...], expected: tuple[float, ...]
+) -> None:
+    _replay(records, "daqp", rounds_us)
     found, factors = _of(records)
-    assert factors == [pytest.approx((1.2, 1.6, 2.0))]
+    assert factors == [pytest.approx(expected)]
     assert found.usual == pytest.approx(1.2)
-
-
-def test_the_factors_of_two_rounds(records: Any) -> None:
-    """Rounds of 10 and 14 µs: the quantiles are 12, 13 and 14 over 10."""
-    _replay(records, "daqp", (10.0, 14.0))
-    assert _of(records)[1] == [pytest.approx((1.2, 1.3, 1.4))]
 
 
 def test_the_largest_factors_of_the_replays_of_a_configuration(records: Any) -> None:
@@ -67,7 +67,6 @@ def test_a_usual_factor_has_a_least_value(records: Any) -> None:
     ],
 )
 def test_replays_that_show_no_uncertainty(records: Any, columns: dict[str, Any]) -> None:
-    """SI units, no timing, other load and a window do not count, alone or beside others."""
     _replay(records, "daqp", (10.0, 30.0), sequence="calm", **columns)
     found, factors = _of(records)
     assert (factors, found.usual) == ([], 1.5)
@@ -76,14 +75,12 @@ def test_replays_that_show_no_uncertainty(records: Any, columns: dict[str, Any])
 
 
 def test_one_round_shows_no_uncertainty(records: Any) -> None:
-    """There is nothing to compare a single round with."""
     _replay(records, "daqp", (10.0,))
     _replay(records, "scs", (10.0, 14.0))
     assert _of(records)[1] == [pytest.approx((1.2, 1.3, 1.4))]
 
 
 def test_the_factor_of_a_run(records: Any) -> None:
-    """A replay has the middle factor, a loop the slow one, and both at least the usual one."""
     _replay(records, "daqp", (10.0, 10.0, 10.0))
     records.loop("daqp")
     records.loop("scs")
@@ -97,4 +94,4 @@ def test_the_factor_of_a_run(records: Any) -> None:
 
 def test_the_usual_factor_is_a_quantile_of_95_percent() -> None:
     """Of 1.00, 1.01, ..., 2.00 it is 1.95."""
-    assert usual_factor(1.0 + np.arange(101) / 100.0) == pytest.approx(1.95)
+    assert factor_quantile(1.0 + np.arange(101) / 100.0) == pytest.approx(1.95)

@@ -1,21 +1,19 @@
 """The parts of a verdict: judged steps, reference, gaps, causes and doubts, worked by hand."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
 import pytest
 
-from dpbench.analysis.verdict.demand import Demand
 from dpbench.analysis.verdict.findings import Finding
-from dpbench.analysis.verdict.verdict import Verdict, verdicts_of
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.verdict import Verdict, judge_solvers
 
-DEMAND = Demand()
+REQUIREMENTS = Requirements()
 
 
 def _all(records: Any, solver: str = "daqp") -> list[Verdict]:
-    return list(verdicts_of(records.view(), DEMAND).of[solver])
+    return list(judge_solvers(records.view(), REQUIREMENTS).of[solver])
 
 
 def _only(records: Any) -> Verdict:
@@ -37,18 +35,16 @@ def _found(findings: tuple[Finding, ...]) -> list[tuple[str, list[str], float, i
 
 
 def test_a_configuration_that_was_not_run_has_no_figures(records: Any) -> None:
-    """Its counts are zero and its reason is the first one."""
     records.refused("daqp", "no model.")
     records.refused("daqp", "no wrapper", "replay")
     verdict = _only(records)
-    assert (verdict.outcome, verdict.state, verdict.refusal) == ("not run", "not run", "no model")
+    assert (verdict.state, verdict.refusal) == ("not run", "no model")
     counts = verdict.loops, verdict.replays, verdict.windows, verdict.steps, verdict.failed_steps
     assert counts == (0, 0, 0, 0, 0)
     assert math.isnan(verdict.error_move) and verdict.timed_on == ""
 
 
 def test_a_refusal_without_a_reason(records: Any) -> None:
-    """The text says that none was recorded."""
     records.refused("daqp", "")
     assert _only(records).refusal == "no reason was recorded"
 
@@ -92,16 +88,15 @@ def test_runs_in_si_units_and_of_the_baseline_law_are_not_judged(records: Any) -
     records.loop("unconstrained_clipped", formulation="none")
     records.loop("scs")
     view = records.view()
-    assert list(verdicts_of(view, DEMAND).of) == ["daqp", "scs"]
+    assert list(judge_solvers(view, REQUIREMENTS).of) == ["daqp", "scs"]
     assert not _only(records).causes
-    assert list(verdicts_of(view, DEMAND, view.runs[-1:]).of) == ["scs"]
+    assert list(judge_solvers(view, REQUIREMENTS, view.runs[-1:]).of) == ["scs"]
 
 
 @pytest.mark.parametrize(("first", "second", "error"), [(60, 120, 2), (120, 60, 1), (60, 60, 1)])
-def test_the_longest_run_in_a_place_is_judged(
+def test_the_longest_run_in_a_experiment_is_judged(
     records: Any, first: int, second: int, error: float
 ) -> None:
-    """Of two equally long runs the first is judged."""
     records.loop("daqp", steps=first, error=1e-4)
     records.loop("daqp", steps=second, error=2e-4)
     verdict = _only(records)
@@ -137,7 +132,6 @@ def test_a_stopped_run_makes_a_reference(records: Any) -> None:
 def test_the_reference_has_the_default_route_and_the_first_policy(
     records: Any, columns: list[dict[str, Any]], expected: list[str]
 ) -> None:
-    """The default route precedes the policy."""
     for one in columns:
         records.loop("daqp", **one)
     own = [verdict.configuration for verdict in _all(records)]
@@ -145,7 +139,6 @@ def test_the_reference_has_the_default_route_and_the_first_policy(
 
 
 def test_the_reference_has_loops_and_replays(records: Any) -> None:
-    """Two kinds of runs precede the default route."""
     records.loop("daqp")
     records.loop("daqp", "calm")
     records.loop("daqp", route="native", policy="warm")
@@ -154,10 +147,7 @@ def test_the_reference_has_loops_and_replays(records: Any) -> None:
 
 
 def test_gaps_of_a_configuration(records: Any) -> None:
-    """Absent runs are one finding; refused and short ones follow, with the planned steps.
-
-    A run as long as that of the reference is no gap, nor is a longer one.
-    """
+    """Absent runs are one finding; refused and short ones follow, with the planned steps."""
     for scenario in ("paper", "calm", "rough", "turn", "move"):
         outcome = {"outcome": "timed_out", "done": 90} if scenario == "turn" else {}
         records.loop("daqp", scenario, **outcome)
@@ -172,11 +162,10 @@ def test_gaps_of_a_configuration(records: Any) -> None:
         ("refused", ["calm"], -1.0, 0),
         ("short", ["rough"], -1.0, 120),
     ]
-    assert high.outcome == "open" and not high.ranks
+    assert high.state == "inconclusive" and not high.is_rankable
 
 
 def test_wrong_answers_and_failed_steps_are_causes(records: Any) -> None:
-    """Steps without an answer, errors, failed steps, crashes and hangs, each the worst first."""
     records.loop("daqp", error=0.02)
     records.loop("daqp", "calm", error=0.03, failed=1)
     records.loop("daqp", "rough", error=math.inf, failed=3)
@@ -191,11 +180,10 @@ def test_wrong_answers_and_failed_steps_are_causes(records: Any) -> None:
         ("crashed", ["wrap"], -1.0, 0),
         ("hung", ["turn", "move"], -1.0, 0),
     ]
-    assert (verdict.outcome, verdict.state, verdict.doubts) == ("misses", "wrong", ())
+    assert (verdict.state, verdict.doubts) == ("fail", ())
 
 
 def test_unfinished_runs_are_doubts(records: Any) -> None:
-    """A replay stopped after its last step is none, one stopped before is."""
     records.loop("daqp", outcome="crashed", done=0)
     records.loop("daqp", "calm", outcome="timed_out", done=40)
     records.loop("daqp", "rough", outcome="timed_out", done=120)
@@ -217,11 +205,10 @@ def test_unfinished_runs_are_doubts(records: Any) -> None:
 
 
 def test_kinds_of_runs_that_are_missing(records: Any) -> None:
-    """Without a loop, or without a replay, the verdict is open and names the kind."""
     records.replay("daqp", median_us=20.0)
     records.loop("scs")
     (timed,), (steered,) = _all(records), _all(records, "scs")
     assert [finding.kind for finding in timed.missing] == ["no closed loop"]
     assert [finding.kind for finding in steered.missing] == ["no replay"]
-    assert (timed.outcome, timed.ranks) == ("open", True)
-    assert (steered.outcome, steered.ranks) == ("open", False)
+    assert (timed.state, timed.is_rankable) == ("inconclusive", True)
+    assert (steered.state, steered.is_rankable) == ("inconclusive", False)

@@ -1,12 +1,10 @@
 """Frontiers that several tests look at, made once."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
 
-from dpbench.bench.capability.frontier import Case, Frontier, Held
+from dpbench.bench.capability.frontier import CapabilityPlot, Case, WindLimit
 from dpbench.bench.capability.study import FROM_DEG
 from dpbench.scenario.scenario import load_vessel
 
@@ -14,12 +12,10 @@ INTACT = Case("intact", frozenset())
 
 
 @pytest.fixture(scope="session")
-def circles() -> Frontier:
-    """Of Ratownik, with circles."""
-    return Frontier(load_vessel("ratownik"))
+def circles() -> CapabilityPlot:
+    return CapabilityPlot(load_vessel("ratownik"))
 
 
 @pytest.fixture(scope="session")
-def held_intact(circles: Frontier) -> list[Held]:
-    """What it holds intact from each direction."""
-    return [circles.held(INTACT, math.radians(from_deg)) for from_deg in FROM_DEG]
+def held_intact(circles: CapabilityPlot) -> list[WindLimit]:
+    return [circles.find_wind_limit(INTACT, math.radians(from_deg)) for from_deg in FROM_DEG]

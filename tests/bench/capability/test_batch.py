@@ -1,110 +1,175 @@
 """The QPs at the edge: certified, of one shape, feasible before it and infeasible beyond."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from dpbench.bench.capability.batch import (
-    EDGE,
-    Point,
-    all_points,
-    allocation_sequence,
-    points_at_edge,
-)
-from dpbench.bench.capability.frontier import Case, Frontier, Held
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.capability import capability_plots
+from dpbench.bench.campaign import run_campaign
+from dpbench.bench.capability import batch, table
+from dpbench.bench.capability.frontier import CapabilityPlot, Case, WindLimit
 from dpbench.bench.capability.study import FROM_DEG, Capability
-from dpbench.bench.capability.table import COLUMNS, load_capability, table_of, write_capability
-from dpbench.bench.plan.suite import load_suite
-from dpbench.bench.sequences.at_edge import write_batch
+from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.suite import CapabilityTable, SuiteFile, load_suite
+from dpbench.bench.record.cell import CapabilitySource
+from dpbench.bench.record.result_folder import load_results
+from dpbench.bench.sequences.capability_boundary import write_capability_suite
 from dpbench.bench.sequences.sequence_file import load_recorded
-from dpbench.errors import ResultsError
-from dpbench.qp.referee.referee import certified
+from dpbench.errors import InputError, ResultsError
+from dpbench.qp.referee.referee import certify_sequence
+from dpbench.report.write import write_report
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.capability.conditions import DP_CONDITIONS
 
-pytestmark = pytest.mark.slow
 SOME = (0.0, 20.0, 100.0, 200.0)
 
 
 @pytest.fixture(scope="module")
-def frontier() -> Frontier:
-    """Of Ratownik, with polygons."""
-    return Frontier(load_vessel("ratownik"), 24)
+def frontier() -> CapabilityPlot:
+    return CapabilityPlot(load_vessel("ratownik"), 24)
 
 
 @pytest.fixture(scope="module")
-def points(frontier: Frontier) -> list[Point]:
-    """Four directions, intact and after three failures."""
+def points(frontier: CapabilityPlot) -> list[batch.Point]:
     return [
         point
         for case in frontier.cases
         for from_rad in map(math.radians, SOME)
-        for point in points_at_edge(case, from_rad, frontier.held(case, from_rad))
+        for point in batch.points_at_edge(case, from_rad, frontier.find_wind_limit(case, from_rad))
     ]
 
 
 def test_a_direction_has_four_points_around_its_edge() -> None:
-    """The two rows of the table and a thousandth of the wind to either side, by rising wind."""
-    points = points_at_edge(Case("intact", frozenset()), 0.1, Held(15.0, 6))
-    winds = [DP_CONDITIONS[6][0], (1 - EDGE) * 15.0, (1 + EDGE) * 15.0, DP_CONDITIONS[7][0]]
+    points = batch.points_at_edge(Case("intact", frozenset()), 0.1, WindLimit(15.0, 6))
+    winds = [
+        DP_CONDITIONS[6][0],
+        (1 - batch.EDGE) * 15.0,
+        (1 + batch.EDGE) * 15.0,
+        DP_CONDITIONS[7][0],
+    ]
     assert [point.wind_mps for point in points] == winds
     assert [point.held for point in points] == [True, True, False, False]
-    top = points_at_edge(Case("intact", frozenset()), 0.1, Held(32.6, 11))
+    top = batch.points_at_edge(Case("intact", frozenset()), 0.1, WindLimit(32.6, 11))
     assert [point.wind_mps for point in top] == [DP_CONDITIONS[row][0] for row in (8, 9, 10, 11)]
     assert all(point.held for point in top)
-    nothing = points_at_edge(Case("intact", frozenset()), 0.1, Held(1.0, 0))
-    assert [point.wind_mps for point in nothing] == [0.5, 1 - EDGE, 1 + EDGE, DP_CONDITIONS[1][0]]
+    nothing = batch.points_at_edge(Case("intact", frozenset()), 0.1, WindLimit(1.0, 0))
+    assert [point.wind_mps for point in nothing] == [
+        0.5,
+        1 - batch.EDGE,
+        1 + batch.EDGE,
+        DP_CONDITIONS[1][0],
+    ]
 
 
+@pytest.mark.slow
 def test_the_referee_proves_what_the_cone_program_found(
-    frontier: Frontier, points: list[Point]
+    frontier: CapabilityPlot, points: list[batch.Point]
 ) -> None:
-    """Every QP has a certified optimum where the wind is held, and else a proof of none."""
-    sequence = allocation_sequence(frontier, points)
+    sequence = batch.allocation_sequence(frontier, points)
     assert len(sequence) == len(points) == 4 * len(SOME) * 4
-    for point, optimum in zip(points, certified(sequence), strict=True):
+    for point, optimum in zip(points, certify_sequence(sequence), strict=True):
         assert (optimum.kind == "infeasible") is not point.held
         assert not point.held or optimum.bound < 1e-10
 
 
-def made_up(frontier: Frontier) -> Capability:
-    """Edges that cost nothing to find."""
+def made_up(frontier: CapabilityPlot) -> Capability:
     known = {
-        case.name: tuple(Held(10.0 + k % 3, 4) for k in range(len(FROM_DEG)))
+        case.name: tuple(WindLimit(10.0 + k % 3, 4) for k in range(len(FROM_DEG)))
         for case in frontier.cases
     }
     return Capability("ratownik", 24, known, dict.fromkeys(known, ("bow 1",)), ())
 
 
-def test_a_plot_of_a_suite_is_a_row_a_qp(frontier: Frontier, tmp_path: Path) -> None:
-    """In the order of the QPs; a folder without it has none, a damaged one is named."""
+@pytest.mark.slow
+def test_a_plot_of_a_suite_is_a_row_a_qp(frontier: CapabilityPlot, tmp_path: Path) -> None:
     capability = made_up(frontier)
-    points = all_points(frontier, capability)
-    assert load_capability(tmp_path) is None
-    write_capability(tmp_path, [table_of("some name", capability, points)])
-    table = load_capability(tmp_path)
-    assert table is not None
-    assert list(table) == list(COLUMNS)
-    assert table["k"].tolist() == list(range(len(points)))
-    assert table["wind_mps"].tolist() == [point.wind_mps for point in points]
-    assert table["from_deg"].iloc[:8].tolist() == 4 * [0.0] + 4 * [10.0]
-    assert table["edge_mps"].iloc[4] == 11.0
-    (tmp_path / "capability.parquet").write_bytes(b"nothing")
+    points = batch.all_points(frontier, capability)
+    assert table.load_capability(tmp_path) is None
+    table.write_capability(tmp_path, [table.capability_columns("some name", capability, points)])
+    found = table.load_capability(tmp_path)
+    assert found is not None
+    assert list(found) == list(table.COLUMNS)
+    assert found["k"].tolist() == list(range(len(points)))
+    assert found["wind_mps"].tolist() == [point.wind_mps for point in points]
+    assert found["from_deg"].iloc[:8].tolist() == 4 * [0.0] + 4 * [10.0]
+    assert found["edge_mps"].iloc[4] == 11.0
+    path = tmp_path / "capability.parquet"
+    for column, value in (("case", "bow 1"), ("edge_mps", math.nan)):
+        found.assign(**{column: value}).to_parquet(path)
+        with pytest.raises(ResultsError, match=column):
+            table.load_capability(tmp_path)
+    path.write_bytes(b"nothing")
     with pytest.raises(ResultsError, match=r"capability\.parquet"):
-        load_capability(tmp_path)
+        table.load_capability(tmp_path)
 
 
-def test_a_batch_is_a_suite_that_runs_as_it_stands(frontier: Frontier, tmp_path: Path) -> None:
-    """Its sequence is read back with all certificates, and the suite names it."""
+@pytest.mark.slow
+def test_a_batch_is_a_suite_that_runs_as_it_stands(
+    frontier: CapabilityPlot, tmp_path: Path
+) -> None:
     capability = made_up(frontier)
-    path, suite = load_suite(write_batch(frontier, capability, tmp_path / "new"))
+    path, suite = load_suite(write_capability_suite(frontier, capability, tmp_path / "new"))
     assert path.parent == tmp_path / "new"
     assert suite.recorded[0].sequence == "capability.npz"
     recorded = load_recorded(path.parent / "capability.npz")
     assert recorded.optima is not None
     assert len(recorded.optima) == 4 * len(frontier.cases) * len(FROM_DEG)
     assert np.isfinite(recorded.sequence.l).all()
+
+
+SUITE = """
+title = "The edge of a ship"
+baseline_law = false
+cell_limit_s = 60.0
+
+[[capability]]
+vessel = "osv"
+sides = 8
+routes = ["default", "native"]
+"""
+
+
+def suite_of(**keys: object) -> SuiteFile:
+    return SuiteFile(title="", capability=[CapabilityTable.model_validate(keys)])
+
+
+def test_a_solver_has_a_cell_of_four_qps_a_direction_and_case() -> None:
+    suite = suite_of(vessel="osv").model_copy(update={"calibration": True})
+    (planned,) = plan(suite, solvers=["quadprog"])
+    cell = planned.cell
+    assert (cell.steps, cell.rounds, cell.scenario) == (4 * 36 * 3, 1, {})
+    assert cell.sequence == "osv capability, 16 sides"
+    assert isinstance(cell.source, CapabilitySource) and cell.source.vessel_name == "osv"
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [({"vessel": "supply_mss"}, "thrusters"), ({"vessel": "nowhere"}, "'nowhere'")],
+)
+def test_a_vessel_that_has_no_plot_is_refused(keys: dict[str, object], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        plan(suite_of(**keys), solvers=["quadprog"])
+
+
+@pytest.mark.slow
+def test_a_run_leaves_the_plot_and_answers_that_the_referee_judged(tmp_path: Path) -> None:
+    """A row a QP in `capability.parquet`."""
+    (tmp_path / "edge.toml").write_text(SUITE, encoding="utf-8")
+    out = run_campaign(tmp_path / "edge.toml", tmp_path / "out", solvers=["quadprog"])
+    table_of_run = table.load_capability(out)
+    assert table_of_run is not None
+    (plot,) = capability_plots(Records(load_results(out)), table_of_run)
+    (answers,) = plot.answers
+    assert answers.is_all_right
+    held = int(table_of_run["held"].sum())
+    assert (answers.balanced, answers.refused) == (held, len(table_of_run) - held)
+    assert len(plot.edges) == 36 * 3 and not plot.edges["untrue"].any()
+    (out / "capability.parquet").unlink()
+    run_campaign(tmp_path / "edge.toml", out, solvers=["quadprog"])
+    assert table.load_capability(out) is not None
+    page = write_report(out).read_text(encoding="utf-8")
+    assert 'id="answer"' in page and "1 of 1 solver answers all 432 QPs" in page
+    assert (out / "figures" / "capability-osv.svg").is_file()

@@ -1,7 +1,5 @@
 """The largest wind held: published numbers, symmetry, order of polygons, and linear programs."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise
@@ -12,7 +10,7 @@ import pandas as pd
 import pytest
 from scipy.optimize import linprog
 
-from dpbench.bench.capability.frontier import Case, Frontier, Held
+from dpbench.bench.capability.frontier import CapabilityPlot, Case, WindLimit
 from dpbench.bench.capability.study import FROM_DEG
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_vessel
@@ -25,7 +23,7 @@ MSV = Path(__file__).with_name("msv.toml")
 PUBLISHED = Path(__file__).parents[2] / "ship" / "capability" / "ratownik_published.csv"
 
 
-def test_numbers_are_the_published_ones(held_intact: list[Held]) -> None:
+def test_numbers_are_the_published_ones(held_intact: list[WindLimit]) -> None:
     """All 36 of Ratownik intact."""
     published = pd.read_csv(PUBLISHED, comment="#")
     assert published["from_deg"].tolist() == list(FROM_DEG)
@@ -35,66 +33,69 @@ def test_numbers_are_the_published_ones(held_intact: list[Held]) -> None:
 @pytest.mark.parametrize("sides", [None, 24])
 def test_numbers_of_a_second_ship_are_the_published_ones(sides: int | None) -> None:
     """All 36 of MSV: two azimuths aft, two tunnels; 0° to 350°."""
-    frontier = Frontier(load_vessel(MSV), sides)
-    found = [frontier.held(INTACT, math.radians(from_deg)).number for from_deg in FROM_DEG]
+    frontier = CapabilityPlot(load_vessel(MSV), sides)
+    found = [
+        frontier.find_wind_limit(INTACT, math.radians(from_deg)).number for from_deg in FROM_DEG
+    ]
     to_starboard = [9, 9, 8, 7, 7, *(10 * [6]), 7, 8, 8, 9]
     assert found == [*to_starboard, *to_starboard[-2:0:-1]]
 
 
-def test_winds_lie_in_the_rows_of_their_numbers(held_intact: list[Held]) -> None:
-    """From the row that is held to the next, which is not."""
+def test_winds_lie_in_the_rows_of_their_numbers(held_intact: list[WindLimit]) -> None:
     for held in held_intact:
         low, high = (DP_CONDITIONS[held.number + step][0] for step in (0, 1))
         assert low <= held.wind_mps < high
 
 
-def test_port_and_starboard_hold_the_same(held_intact: list[Held]) -> None:
-    """A symmetric ship, to what winds are found to."""
+def test_port_and_starboard_hold_the_same(held_intact: list[WindLimit]) -> None:
     winds = np.array([held.wind_mps for held in held_intact])
     np.testing.assert_allclose(winds[1:], winds[:0:-1], atol=3e-4)
 
 
-def test_failures_on_either_side_are_mirror_images(circles: Frontier) -> None:
-    """The loss of one stern azimuth from one side is that of the other from the other side."""
+def test_failures_on_either_side_are_mirror_images(circles: CapabilityPlot) -> None:
     for from_deg in (20.0, 90.0, 170.0, 200.0):
         port, starboard = (
-            circles.held(Case("", frozenset({lost})), math.radians(side * from_deg)).wind_mps
+            circles.find_wind_limit(
+                Case("", frozenset({lost})), math.radians(side * from_deg)
+            ).wind_mps
             for lost, side in ((0, 1.0), (1, -1.0))
         )
         assert port == pytest.approx(starboard, abs=3e-4)
 
 
-def test_a_stronger_wind_asks_for_more(circles: Frontier) -> None:
-    """The least utilisation rises with the wind, along the chosen piece and over all of them."""
+def test_a_stronger_wind_asks_for_more(circles: CapabilityPlot) -> None:
     for from_deg in (0.0, 45.0, 100.0, 160.0):
         uses = [
-            circles.best(INTACT, math.radians(from_deg), w)[0] for w in np.arange(2.0, 30.0, 4.0)
+            circles.best_choice(INTACT, math.radians(from_deg), w)[0]
+            for w in np.arange(2.0, 30.0, 4.0)
         ]
         assert (np.diff(uses) > 0.0).all()
 
 
 @pytest.mark.parametrize("case", ["board A", "board B"])
 def test_without_interaction_a_thruster_never_helps_less_than_its_loss(case: str) -> None:
-    """osv has no zones and no losses by direction, so a failure only takes away."""
-    frontier = Frontier(load_vessel("osv"))
+    frontier = CapabilityPlot(load_vessel("osv"))
     intact, *failures = frontier.cases
     failure = next(one for one in failures if one.name == case)
     for from_deg in range(0, 360, 40):
-        whole, less = (frontier.held(one, math.radians(from_deg)) for one in (intact, failure))
+        whole, less = (
+            frontier.find_wind_limit(one, math.radians(from_deg)) for one in (intact, failure)
+        )
         assert less.wind_mps <= whole.wind_mps + 1e-3
         assert less.number <= whole.number
 
 
 def test_polygons_become_the_circle_with_order_two() -> None:
-    """Twice the sides give away a quarter of the thrust, the most over 24 directions; and each less
-    than 1 − cos(π/s) and never less than none."""
+    """Twice the sides give away a quarter of the thrust, the most over 24 directions."""
     vessel, wind_mps = load_vessel("osv"), 20.0
     directions = [math.radians(15.0 * k + 4.0) for k in range(24)]
-    circle = np.array([Frontier(vessel).best(INTACT, angle, wind_mps)[0] for angle in directions])
+    circle = np.array(
+        [CapabilityPlot(vessel).best_choice(INTACT, angle, wind_mps)[0] for angle in directions]
+    )
     gaps = []
     for sides in (8, 16, 32, 64):
-        polygon = Frontier(vessel, sides)
-        use = np.array([polygon.best(INTACT, angle, wind_mps)[0] for angle in directions])
+        polygon = CapabilityPlot(vessel, sides)
+        use = np.array([polygon.best_choice(INTACT, angle, wind_mps)[0] for angle in directions])
         assert (use >= circle * (1.0 - 1e-8)).all()
         assert (use <= circle / math.cos(math.pi / sides) * (1.0 + 1e-8)).all()
         gaps.append((use / circle).max() - 1.0)
@@ -104,7 +105,7 @@ def test_polygons_become_the_circle_with_order_two() -> None:
 def balanced(thrusters: ThrusterSet, load: np.ndarray, shares: np.ndarray, sides: int) -> bool:
     """Whether a load is balanced, by a linear program over forces in N and polygons inside."""
     rows, limits = [], []
-    for thruster, at, share in zip(thrusters.thrusters, thrusters.places, shares, strict=True):
+    for thruster, at, share in zip(thrusters.thrusters, thrusters.slices, shares, strict=True):
         most = share * thruster.thrust_N
         angles = (2 * np.arange(sides) + 1) * np.pi / sides
         normals = np.column_stack((np.cos(angles), np.sin(angles)))
@@ -132,9 +133,9 @@ def balanced(thrusters: ThrusterSet, load: np.ndarray, shares: np.ndarray, sides
 @pytest.mark.parametrize("from_deg", [25.0, 75.0, 110.0, 150.0, 250.0, 330.0])
 def test_the_edge_is_where_linear_programs_see_it(from_deg: float) -> None:
     """osv, 720 sides: balanced 0.1 % of the wind before the edge, and not 0.1 % beyond."""
-    frontier = Frontier(load_vessel("osv"))
+    frontier = CapabilityPlot(load_vessel("osv"))
     case = frontier.cases[1]
-    edge = frontier.held(case, math.radians(from_deg)).wind_mps
+    edge = frontier.find_wind_limit(case, math.radians(from_deg)).wind_mps
     assert edge < 32.6
     left = ThrusterSet(
         tuple(
@@ -149,18 +150,17 @@ def test_the_edge_is_where_linear_programs_see_it(from_deg: float) -> None:
 
 def test_a_ship_that_can_push_sideways_only_holds_nothing() -> None:
     """After the loss of all azimuths only tunnels are left: number 0, and next to no wind."""
-    frontier = Frontier(load_vessel("ratownik"))
-    held = frontier.held(Case("all azimuths", frozenset({0, 1, 2})), math.radians(30.0))
+    frontier = CapabilityPlot(load_vessel("ratownik"))
+    held = frontier.find_wind_limit(Case("all azimuths", frozenset({0, 1, 2})), math.radians(30.0))
     assert held.number == 0
     assert held.wind_mps < 1e-2
 
 
 def test_what_cannot_be_is_refused() -> None:
-    """No thrusters, no hull, no polygon."""
     with pytest.raises(InputError, match="thrusters: found none"):
-        Frontier(load_vessel("supply_fs99"))
+        CapabilityPlot(load_vessel("supply_fs99"))
     with pytest.raises(InputError, match="capability: found nothing"):
-        Frontier(replace(load_vessel("osv"), capability=None))
+        CapabilityPlot(replace(load_vessel("osv"), capability=None))
     for sides in (2, 7):
         with pytest.raises(InputError, match="an even number"):
-            Frontier(load_vessel("osv"), sides)
+            CapabilityPlot(load_vessel("osv"), sides)

@@ -1,21 +1,15 @@
 """A small suite with all kinds of cells, and its result on the engine of one machine."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
 
 from dpbench import run_campaign
+from tests.bench.deterministic import head
 
-SUITE = """
-title = "A suite for one test"
-solvers = ["quadprog", "daqp"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 2
-warmup_steps = 0
-
+SUITE = (
+    head(solvers=["quadprog", "daqp"], rounds=2, warmup_steps=0)
+    + """
 [[closed_loop]]
 scenarios = ["paper", "rough"]
 settings = ["default", "high"]
@@ -35,11 +29,11 @@ scenarios = ["calm"]
 solvers = ["daqp"]
 steps = 6
 """
+)
 
 
 @pytest.fixture(scope="session")
 def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Its file."""
     path = tmp_path_factory.mktemp("engines") / "tiny.toml"
     path.write_text(SUITE, encoding="utf-8")
     return path
@@ -47,5 +41,4 @@ def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def undisturbed(suite: Path) -> Path:
-    """What the engine of one machine makes of it."""
     return run_campaign(suite, suite.parent / "undisturbed")

@@ -1,22 +1,21 @@
 """What is counted of a cluster's workers, and which of them are refused."""
 
-from __future__ import annotations
-
+import re
 from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from dpbench.bench.engines.on_worker import about
+from dpbench.bench.engines.on_worker import worker_info
 from dpbench.errors import InputError
 
 WHY = "engine dask needs the extra `cluster`"
 dask_cluster = pytest.importorskip("dpbench.bench.engines.dask_cluster", reason=WHY)
 EXCLUSIVE = dask_cluster.EXCLUSIVE
-counted_anew, fleet_of = dask_cluster.counted_anew, dask_cluster.fleet_of
+Cluster = dask_cluster.Cluster
 
 
-class Cluster:
+class Client:
     """A client of workers that are not there, one of a thread on each of some hosts."""
 
     def __init__(self, *hosts: str, exclusive: int = 0) -> None:
@@ -29,7 +28,7 @@ class Cluster:
             }
             for i, host in enumerate(hosts)
         }
-        self.said: Any = about()
+        self.said: dict[str, Any] = {}
 
     def wait_for_workers(self, count: int) -> None:
         assert len(self.workers) >= count
@@ -37,44 +36,68 @@ class Cluster:
     def scheduler_info(self, n_workers: int) -> dict[str, Any]:
         return {"workers": self.workers}
 
-    def run(self, function: object, on_error: str) -> dict[str, Any]:
-        return dict.fromkeys(self.workers, self.said)
+    def run(self, function: object, workers: list[str], on_error: str) -> dict[str, Any]:
+        return {address: self.said.get(address, worker_info()) for address in workers}
 
 
 def test_a_machine_offers_itself_once() -> None:
-    """One worker of each machine may; two of one would time beside each other."""
-    fleet = fleet_of(Cluster("a", "a", "b", exclusive=1))
-    assert (fleet.exclusive, fleet.slots, fleet.concurrency) == (True, 3, 2)
-    assert fleet_of(Cluster("a", "b", exclusive=2)).exclusive
+    cluster = Cluster(Client("a", "a", "b", exclusive=1))
+    assert (cluster.exclusive, cluster.slots, cluster.concurrency) == (True, 3, 2)
+    assert Cluster(Client("a", "b", exclusive=2)).exclusive
     with pytest.raises(InputError, match="exclusive 2 times on a"):
-        fleet_of(Cluster("a", "a", exclusive=2))
+        Cluster(Client("a", "a", exclusive=2))
 
 
-def test_a_worker_of_another_version_is_refused() -> None:
-    """Before anything runs; so is one that may start no processes, or that has no dpbench."""
-    cluster = Cluster("a")
-    for said, found in (
-        (replace(about(), harness_version="0.0.9"), r"with dpbench 0\.0\.9"),
-        (replace(about(), may_start=False), "a daemon"),
-        (ModuleNotFoundError("dpbench"), "without dpbench"),
-    ):
-        cluster.said = said
-        with pytest.raises(InputError, match=found):
-            fleet_of(cluster)
+REFUSED = (
+    (replace(worker_info(), harness_version="0.0.9"), r"with dpbench 0\.0\.9"),
+    (replace(worker_info(), may_start=False), "a daemon"),
+    (ModuleNotFoundError("dpbench"), "without dpbench"),
+)
+
+
+@pytest.mark.parametrize(("said", "found"), REFUSED)
+def test_a_worker_of_another_version_is_refused(said: object, found: str) -> None:
+    client = Client("a")
+    client.said = {"tcp://a:0": said}
+    with pytest.raises(InputError, match=found):
+        Cluster(client)
+
+
+@pytest.mark.parametrize(("said", "found"), REFUSED)
+def test_a_late_worker_of_another_version_has_no_task(said: object, found: str) -> None:
+    client = Client("a")
+    cluster = Cluster(client)
+    client.workers = Client("a", "b", "b").workers
+    client.said = {"tcp://b:1": said}
+    (remark,) = cluster.refresh()
+    assert re.search(f"is given no cells.*{found}", remark)
+    assert cluster.addresses == {"tcp://a:0", "tcp://b:2"} and cluster.slots == 2
+    assert cluster.refresh() == []
 
 
 def test_workers_are_counted_anew() -> None:
-    """Those that came and those that went; where the scheduler does not tell, nothing changes."""
-    cluster = Cluster("a", "b")
-    fleet = fleet_of(cluster)
-    cluster.workers = Cluster("a", "a", "a", "b").workers
-    grown = counted_anew(cluster, fleet)
-    assert (grown.slots, grown.concurrency, grown.exclusive) == (4, 3, False)
-    cluster.workers = Cluster("b").workers
-    shrunk = counted_anew(cluster, grown)
+    client = Client("a", "b")
+    cluster = Cluster(client)
+    client.workers = Client("a", "a", "a", "b").workers
+    cluster.refresh()
+    assert (cluster.slots, cluster.concurrency, cluster.exclusive) == (4, 3, False)
+    client.workers = Client("b").workers
+    cluster.refresh()
     # The most there were at a time, beside whatever ran then.
-    assert (shrunk.slots, shrunk.concurrency) == (1, 3)
-    cluster.workers = {}
-    assert counted_anew(cluster, grown) == grown
-    cluster.workers, cluster.status = Cluster("a").workers, "connecting"
-    assert counted_anew(cluster, grown) == grown
+    assert (cluster.slots, cluster.concurrency) == (1, 3)
+    client.workers, before = {}, cluster.addresses
+    cluster.refresh()
+    assert (cluster.slots, cluster.addresses) == (1, before)
+    client.workers, client.status = Client("a", "a").workers, "connecting"
+    cluster.refresh()
+    assert (cluster.slots, cluster.addresses) == (1, before)
+
+
+def test_a_worker_that_does_not_answer_is_asked_again() -> None:
+    client = Client("a")
+    cluster = Cluster(client)
+    client.workers = Client("a", "b").workers
+    client.said = {"tcp://b:1": OSError("nobody there")}
+    assert cluster.refresh() == [] and cluster.addresses == {"tcp://a:0"}
+    client.said = {}
+    assert cluster.refresh() == [] and cluster.slots == 2

@@ -1,11 +1,8 @@
 """A Dask cluster gives the same results as one machine, whatever of it dies."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -18,9 +15,9 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.analysis.records.records import Records
-from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.result_folder import accidents
-from dpbench.bench.workers.worker import make_source
+from dpbench.bench.progress import Silent
+from dpbench.bench.record.result_folder import read_accidents
+from dpbench.bench.workers import jobs
 from dpbench.cli.main import main
 from dpbench.solvers import plugins
 from tests.bench.deterministic import assert_same
@@ -29,7 +26,8 @@ WHY = "engine dask needs the extra `cluster`"
 distributed = pytest.importorskip("distributed", reason=WHY)
 dask = pytest.importorskip("dask", reason=WHY)
 dask_engine = pytest.importorskip("dpbench.bench.engines.dask_engine", reason=WHY)
-DaskEngine, AHEAD = dask_engine.DaskEngine, dask_engine.AHEAD
+dask_cluster = pytest.importorskip("dpbench.bench.engines.dask_cluster", reason=WHY)
+DaskEngine, AHEAD = dask_engine.DaskEngine, dask_engine.BATCHES_AHEAD
 # Its clusters have a worker on each core, which meets limits of real time.
 pytestmark = pytest.mark.alone
 
@@ -56,24 +54,19 @@ def open(policy, options):
 taken yet, as Dask may start either first."""
 
 
-class Watching:
+class Watching(Silent):
     """A progress that keeps what was said, and calls something once, at a cell."""
 
     def __init__(self, at: int, call: object) -> None:
         self.said: list[str] = []
         self._left, self._call = at, call
 
-    def start(self, work: int) -> None:
-        """Nothing."""
-
     def advance(self, work: int, what: str) -> None:
-        """One cell less."""
         self._left -= 1
         if self._left == 0 and callable(self._call):
             self._call()
 
     def remark(self, text: str) -> None:
-        """Keep it."""
         self.said.append(text)
 
 
@@ -113,7 +106,6 @@ def cluster_in(folder: Path) -> Iterator[Cluster]:
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the file of the scheduler lies."""
     return tmp_path_factory.mktemp("scheduler")
 
 
@@ -127,24 +119,19 @@ def scheduler(place: Path) -> Iterator[Cluster]:
 def test_a_cluster_of_this_machine_gives_the_same(
     suite: Path, undisturbed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Loops, replays and random problems, to the last bit; the replays had the machine alone, and
-    nobody hears what workers say of themselves."""
     out = run_campaign(suite, tmp_path / "out", engine="dask", jobs=2)
     assert capfd.readouterr() == ("", "")
     assert_same(out, undisturbed)
     runs = load_results(out).runs
     timed = (runs["mode"] == "replay") & (runs["scenario"] != "")
-    assert (runs.loc[timed, "concurrency"] == 1).all() and runs.loc[
-        ~timed, "concurrency"
-    ].isna().all()
+    assert (runs.loc[timed, "concurrency"] == 1).all()
+    assert runs.loc[~timed, "concurrency"].isna().all()
     assert sorted(path.name for path in (out / "cells").iterdir()) == [".lock"]
 
 
 def test_a_worker_that_is_killed_costs_no_cell_unless_its_cell_does_it_again(
     suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its cells run elsewhere, one by one; what kills every worker is lost, and blamed on no
-    solver."""
     monkeypatch.setattr(plugins, "_LOADED", {})
     module, path = tmp_path / "killing.py", tmp_path / "tiny.toml"
     killer = KILLER.replace("MARKER", repr(str(tmp_path / "marker")))
@@ -161,45 +148,9 @@ def test_a_worker_that_is_killed_costs_no_cell_unless_its_cell_does_it_again(
     assert others.T.to_dict("list") == {("admm", "high"): died}
 
 
-KILLED = """
-import os, signal, sys
-from dpbench.bench.record.cell_store import CellStore
-from dpbench.cli.main import main
-
-append, left = CellStore.append, [5]
-def dying(*given):
-    append(*given)
-    left[0] -= 1
-    if not left[0]:
-        os.kill(os.getpid(), signal.SIGKILL)
-CellStore.append = dying
-if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))
-"""
-
-
-def test_a_client_that_is_killed_is_resumed_by_the_other_engine(
-    suite: Path, undisturbed: Path, tmp_path: Path
-) -> None:
-    """What was finished stands, and is not run again."""
-    script, out = tmp_path / "killed.py", tmp_path / "out"
-    script.write_text(KILLED, encoding="utf-8")
-    words = ["run", str(suite), "--out", str(out), "--quiet", "--engine", "dask", "--jobs", "1"]
-    done = subprocess.run([sys.executable, str(script), *words], check=False, capture_output=True)
-    assert done.returncode == -signal.SIGKILL, done.stderr
-    before = CellStore(out).rows()["raw_max_ns"].to_dict()
-    assert len(before) == 5
-    run_campaign(suite, out)
-    assert_same(out, undisturbed)
-    after = load_results(out).runs.set_index("run_id")["raw_max_ns"]
-    assert {name: after[name] for name in before} == before
-
-
 def test_replays_beside_others_enter_no_ranking(
     suite: Path, tmp_path: Path, scheduler: Cluster
 ) -> None:
-    """No worker offers its machine alone: it is said before, it stands in the rows, and nobody
-    ranks their times."""
     watching = Watching(0, None)
     given = {"engine": "dask", "scheduler": scheduler[0], "solvers": ["daqp"]}
     out = run_campaign(suite, tmp_path / "out", progress=watching, **given)
@@ -222,18 +173,18 @@ def test_workers_that_join_late_are_given_tasks(
     scheduler: Cluster,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """As many as those that were there from the beginning."""
-    monkeypatch.setattr(dask_engine, "RECOUNT_S", 0.0)
-    task, results, away = DaskEngine._task, DaskEngine._results, [0, 0]
+    monkeypatch.setattr(dask_engine, "REFRESH_S", 0.0)
+    monkeypatch.setattr(jobs, "LONGEST_S", 0.0)
+    submit, results, away = DaskEngine.submit, DaskEngine._read_results, [0, 0]
 
-    def counted(self: Any, chunk: Any) -> Any:
+    def counted(self: Any, batch: Any) -> Any:
         away[0] += 1
         away[1] = max(away)
-        return task(self, chunk)
+        return submit(self, batch)
 
-    def counted_back(self: Any, chunk: Any, answer: Any) -> Any:
+    def counted_back(self: Any, *given: Any) -> Any:
         away[0] -= 1
-        return results(self, chunk, answer)
+        return results(self, *given)
 
     def join() -> None:
         assert away[1] <= AHEAD
@@ -242,8 +193,8 @@ def test_workers_that_join_late_are_given_tasks(
             client.wait_for_workers(2)
 
     late: list[subprocess.Popen[bytes]] = []
-    monkeypatch.setattr(DaskEngine, "_task", counted)
-    monkeypatch.setattr(DaskEngine, "_results", counted_back)
+    monkeypatch.setattr(DaskEngine, "submit", counted)
+    monkeypatch.setattr(DaskEngine, "_read_results", counted_back)
     try:
         given = {"engine": "dask", "scheduler": scheduler[0], "progress": Watching(1, join)}
         out = run_campaign(suite, tmp_path / "out", **given)
@@ -255,6 +206,26 @@ def test_workers_that_join_late_are_given_tasks(
     assert set(load_results(out).runs["outcome"]) == {"finished"}
 
 
+def _break_connection() -> None:
+    """What a network does to a client: the scheduler forgets what that asked for."""
+    for client in list(distributed.Client._instances):
+        client.loop.add_callback(client.scheduler_comm.comm.abort)
+
+
+def test_a_connection_that_breaks_and_comes_back_loses_nothing(
+    suite: Path,
+    tmp_path: Path,
+    scheduler: Cluster,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(jobs, "LONGEST_S", 0.0)
+    out = tmp_path / "out"
+    watching = Watching(3, _break_connection)
+    run_campaign(suite, out, engine="dask", scheduler=scheduler[0], progress=watching)
+    assert set(load_results(out).runs["outcome"]) == {"finished"}
+    assert read_accidents(out)[0] == 0
+
+
 def test_without_its_scheduler_cells_are_lost_until_there_is_one(
     suite: Path,
     undisturbed: Path,
@@ -262,17 +233,16 @@ def test_without_its_scheduler_cells_are_lost_until_there_is_one(
     scheduler: Cluster,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The campaign ends with what it has; the same suite completes it, on whatever engine."""
-    monkeypatch.setattr(dask_engine, "RECOUNT_S", 0.0)
+    monkeypatch.setattr(dask_cluster, "RETURN_S", 1.0)
+    monkeypatch.setattr(jobs, "LONGEST_S", 0.0)
     out = tmp_path / "out"
     address, process = scheduler
     watching = Watching(3, process.kill)
     run_campaign(suite, out, engine="dask", scheduler=address, progress=watching)
-    lost, remarks = accidents(out)
+    lost, remarks = read_accidents(out)
     runs = load_results(out).runs
-    assert (
-        set(runs["outcome"]) == {"finished", "lost"} and lost == (runs["outcome"] == "lost").sum()
-    )
+    assert set(runs["outcome"]) == {"finished", "lost"}
+    assert lost == (runs["outcome"] == "lost").sum()
     assert any("went away" in line and "same command" in line for line in remarks), remarks
     run_campaign(suite, out)
     assert_same(out, undisturbed)
@@ -302,48 +272,41 @@ sides = 4
 """
 
 
-def _dies_with_the_task(kill: Callable[[], None], patch: pytest.MonkeyPatch) -> None:
-    """The scheduler has been given what makes the file."""
-    ask = DaskEngine._files
+def _kill_with_files(
+    kill: Callable[[], None], patch: pytest.MonkeyPatch, *, gone_before: bool
+) -> None:
+    """Kill the scheduler once it has been given what makes a file, or so long before that the
+    client has given up."""
+    submit = DaskEngine.submit
 
-    def asked(self: Any, target: Any, texts: Any, limit_s: Any) -> Any:
-        future = ask(self, target, texts, limit_s)
-        if target is not make_source or '"kind": "capability"' in str(texts):
+    def submitted(self: Any, batch: Any) -> None:
+        are_files = isinstance(batch, jobs.FileBatch) and not batch.are_sources
+        if are_files and gone_before:
             kill()
-        return future
-
-    patch.setattr(DaskEngine, "_files", asked)
-
-
-def _gone_before(kill: Callable[[], None], patch: pytest.MonkeyPatch) -> None:
-    """Nobody tries to reach the scheduler any more when files are asked for."""
-    make = DaskEngine.make_files
-
-    def made(self: Any, target: Any, descriptions: Any, **more: Any) -> Any:
-        if descriptions:
-            kill()
-            while self._client.status != "closed":
+            while self.cluster.client.status != "closed":
                 time.sleep(0.05)
-        return make(self, target, descriptions, **more)
+        submit(self, batch)
+        if are_files and not gone_before:
+            kill()
 
-    patch.setattr(DaskEngine, "make_files", made)
+    patch.setattr(DaskEngine, "submit", submitted)
 
 
-@pytest.mark.parametrize("dies", [_dies_with_the_task, _gone_before])
+@pytest.mark.parametrize("gone_before", [False, True])
 @pytest.mark.parametrize("text", [DESIGN, CAPABILITY])
 def test_a_scheduler_that_dies_as_files_are_made_is_one_line(
-    dies: Callable[[Callable[[], None], pytest.MonkeyPatch], None],
+    gone_before: bool,
     text: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Designs and capability plots: exit 1, what was finished stands, the same command goes on."""
+    monkeypatch.setattr(dask_cluster, "RETURN_S", 1.0)
     path, out = tmp_path / "tiny.toml", tmp_path / "out"
     path.write_text(text, encoding="utf-8")
     words = ["run", str(path), "--out", str(out), "--quiet"]
     with cluster_in(tmp_path) as (address, process), monkeypatch.context() as patch:
-        dies(process.kill, patch)
+        _kill_with_files(process.kill, patch, gone_before=gone_before)
         assert main([*words, "--engine", "dask", "--scheduler", address]) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert "went away" in line and "same command" in line
@@ -357,7 +320,6 @@ def test_a_scheduler_that_dies_as_files_are_made_is_one_line(
 def test_a_scheduler_that_does_not_answer_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit 2 within seconds, and no result folder is begun."""
     out = tmp_path / "out"
     words = ["run", "smoke", "--out", str(out), "--engine", "dask", "--scheduler"]
     for address in ("tcp://127.0.0.1:1", "nowhere://x"):

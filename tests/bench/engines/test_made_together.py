@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -11,25 +11,22 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.engines.on_worker import make_files
-from dpbench.bench.record.machine import describe_machine
+from tests.bench.deterministic import head
 
 WHY = "engine dask needs the extra `cluster`"
 distributed = pytest.importorskip("distributed", reason=WHY)
 dask_engine = pytest.importorskip("dpbench.bench.engines.dask_engine", reason=WHY)
-dask_cluster = pytest.importorskip("dpbench.bench.engines.dask_cluster", reason=WHY)
 
-STUDY = """
-title = "Eight seas"
-solvers = ["daqp"]
-baseline_law = false
-cell_limit_s = 60.0
-
+STUDY = (
+    head()
+    + """
 [[study]]
 base = "weather"
 steps = 3
 settings = ["default", "high"]
 replicates = { key = "environment.seed", count = 8 }
 """
+)
 
 
 class Done:
@@ -43,41 +40,33 @@ class Done:
             self.status, self._value = "error", error
 
     def result(self) -> object:
-        """What the task returned, or what became of it."""
         if isinstance(self._value, Exception):
             raise self._value
         return self._value
 
-    def release(self) -> None:
-        """It holds nothing."""
-
-
-class Completed:
-    """Futures as they complete: in order."""
-
-    def __init__(self, futures: Iterable[Done] = (), loop: object = None) -> None:
-        self._waiting = [*futures]
-
-    def add(self, future: Done) -> None:
-        """One more."""
-        self._waiting.append(future)
-
-    def __iter__(self) -> Iterator[Done]:
-        while self._waiting:
-            yield self._waiting.pop(0)
+    def add_done_callback(self, call: Callable[[Done], None]) -> None:
+        call(self)
 
 
 class Client:
     """Runs tasks as they are submitted; workers die of whatever makes several sources."""
 
-    status, loop = "running", None
+    status = "running"
 
     def __init__(self) -> None:
         self.together: list[int] = []
 
+    def wait_for_workers(self, count: int) -> None:
+        """They are there."""
+
+    def scheduler_info(self, n_workers: int) -> dict[str, Any]:
+        return {"workers": {"tcp://a:0": {"host": "a", "nthreads": 1, "resources": {}}}}
+
+    def run(self, function: Callable[[], object], workers: list[str], on_error: str) -> Any:
+        return {address: function() for address in workers}
+
     def submit(self, function: Callable[..., object], *args: Any, key: str, **how: Any) -> Done:
-        """Its future."""
-        told = {name: how[name] for name in ("unmade", "alone", "concurrency") if name in how}
+        told = {name: how[name] for name in ("isolated", "alone", "concurrency") if name in how}
 
         def task() -> object:
             if function is make_files:
@@ -99,18 +88,13 @@ def _known(arg: object) -> object:
 def test_sources_of_a_task_whose_worker_died_are_made_apart(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No cell is lost for another's source."""
     client = Client()
 
     @contextmanager
     def cluster(workers: int) -> Iterator[Client]:
         yield client
 
-    fleet = dask_cluster.Fleet(1, 1, False, describe_machine(), 1)
-    monkeypatch.setattr(dask_engine, "own_cluster", cluster)
-    monkeypatch.setattr(dask_engine, "fleet_of", lambda client: fleet)
-    monkeypatch.setattr(dask_engine, "counted_anew", lambda client, fleet: fleet)
-    monkeypatch.setattr(dask_engine, "as_completed", Completed)
+    monkeypatch.setattr(dask_engine, "start_own_cluster", cluster)
     (tmp_path / "seas.toml").write_text(STUDY, encoding="utf-8")
     out = run_campaign(tmp_path / "seas.toml", tmp_path / "out", engine="dask", jobs=1)
     assert set(load_results(out).runs["outcome"]) == {"finished"}

@@ -1,7 +1,5 @@
 """What a worker of a cluster does by itself: it looks at versions, and leaves nothing behind."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -16,11 +14,16 @@ from tempfile import TemporaryDirectory
 import pytest
 
 from dpbench.bench.engines import on_worker
-from dpbench.bench.engines.on_worker import Order, TaskEndedError, end_tasks, run_cells
-from dpbench.bench.plan.asked import Asked
-from dpbench.bench.record.cell import HARNESS_VERSION
-from dpbench.bench.workers.executor import CellJob, Result
-from dpbench.solvers.table import available
+from dpbench.bench.engines.on_worker import (
+    CampaignContext,
+    TaskEndedError,
+    end_tasks,
+    run_cells,
+)
+from dpbench.bench.plan.run_request import RunRequest
+from dpbench.bench.workers.child import start_forkserver
+from dpbench.bench.workers.jobs import CellBatch, CellJob, Result
+from dpbench.solvers.table import check_availability
 from dpbench.temporary_folders import PREFIX, temporary_folder
 
 pytestmark = pytest.mark.slow
@@ -32,8 +35,8 @@ from dpbench.bench.engines import on_worker
 def dying(*given, **more):
     os.kill(os.getpid(), signal.SIGKILL)
 
-on_worker.Bench.make_files = dying
-on_worker.make_files(on_worker.Order(), print, {"a.npz": ""}, None)
+on_worker.CellExecutor.submit = dying
+on_worker.make_files(on_worker.CampaignContext(), print, {"a.npz": ""}, None, isolated=False)
 """
 
 
@@ -45,7 +48,6 @@ def place() -> Iterator[Path]:
 
 
 def test_what_a_killed_worker_left_goes_with_the_next_task(place: Path) -> None:
-    """By the lock of its folder, as that of a killed campaign."""
     done = subprocess.run(
         [sys.executable, "-c", DYING],
         env=os.environ | {"TMPDIR": str(place)},
@@ -62,30 +64,19 @@ def test_what_a_killed_worker_left_goes_with_the_next_task(place: Path) -> None:
 
 @pytest.fixture
 def jobs(suite: Path) -> list[CellJob]:
-    """Cells of daqp."""
-    planned = Asked(suite=str(suite), solvers=["daqp"]).plan().cells
-    return [CellJob(p, p.cell.key, available("daqp"), "machine") for p in planned]
+    planned = RunRequest(suite=str(suite), solvers=["daqp"]).plan().cells
+    return [CellJob(p, p.cell.key, check_availability("daqp"), "machine") for p in planned]
 
 
-def results_of(order: Order, jobs: list[CellJob]) -> list[Result]:
-    given = {"unmade": {}, "alone": False, "concurrency": 1}
-    return run_cells(order, "closed loops", jobs, {}, **given)
-
-
-def test_a_worker_of_another_version_runs_nothing(jobs: list[CellJob]) -> None:
-    """As one that joined late may be: its cells are lost, and the cause names both versions."""
-    results = results_of(Order(harness_version="0.0.9"), jobs)
-    assert [result.run_id for result in results] == [job.run_id for job in jobs]
-    (cause,) = {result.outcome.detail for result in results}
-    assert all(result.is_lost for result in results)
-    assert cause.startswith(f"dpbench {HARNESS_VERSION} on ") and "0.0.9 of the campaign" in cause
+def results_of(jobs: list[CellJob]) -> list[Result]:
+    batch = CellBatch("closed loops", jobs)
+    return run_cells(CampaignContext(), batch, {}, alone=False, concurrency=1)
 
 
 def test_a_worker_with_another_solver_does_not_run_it(jobs: list[CellJob]) -> None:
-    """Nor one that has none."""
     for job in jobs:
         job.library = replace(job.library, version="0.0.1")
-    results = results_of(Order(), jobs)
+    results = results_of(jobs)
     assert all(result.is_lost for result in results) and len(results) == len(jobs)
     assert {"0.0.1 where the campaign was started" in r.outcome.detail for r in results} == {True}
 
@@ -93,7 +84,8 @@ def test_a_worker_with_another_solver_does_not_run_it(jobs: list[CellJob]) -> No
 def test_a_task_that_is_ended_leaves_nothing(
     jobs: list[CellJob], place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In whatever it waits; its folders go, and others are not ended later."""
+    # The socket of the fork server stays as long as this process.
+    start_forkserver([])
     monkeypatch.setattr(tempfile, "tempdir", str(place))
     running, ended = threading.Event(), threading.Event()
 
@@ -102,12 +94,12 @@ def test_a_task_that_is_ended_leaves_nothing(
         while True:
             ended.wait(0.01)
 
-    monkeypatch.setattr(on_worker.Bench, "batches", waiting)
+    monkeypatch.setattr(on_worker.CellExecutor, "submit", waiting)
     became: list[BaseException] = []
 
     def task() -> None:
         try:
-            results_of(Order(), jobs[:1])
+            results_of(jobs[:1])
         except TaskEndedError as error:
             became.append(error)
 

@@ -1,7 +1,5 @@
 """Engines that cannot be opened: one line, exit 2, nothing written."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
@@ -20,7 +18,6 @@ def refused(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 
 def test_engines_and_their_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """An unknown one, a scheduler without dask, a scheduler and a count of workers."""
     assert "local or dask" in refused(["--engine", "slurm"], tmp_path, capsys)
     line = refused(["--scheduler", "tcp://127.0.0.1:1"], tmp_path, capsys)
     assert line.startswith("dpbench: --scheduler: found") and "--engine dask" in line
@@ -31,7 +28,6 @@ def test_engines_and_their_options(tmp_path: Path, capsys: pytest.CaptureFixture
 def test_without_the_extra_the_line_names_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As it is where neither dask nor distributed can be imported."""
     for name in ("dask", "distributed"):
         monkeypatch.setitem(sys.modules, name, None)
     for name in ("dask_engine", "dask_cluster"):

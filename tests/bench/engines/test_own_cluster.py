@@ -1,7 +1,5 @@
 """A cluster of this machine is reached by nobody else."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -13,6 +11,7 @@ import psutil
 import pytest
 
 from dpbench import load_results, run_campaign
+from dpbench.bench.progress import Silent
 
 WHY = "engine dask needs the extra `cluster`"
 pytest.importorskip("dpbench.bench.engines.dask_engine", reason=WHY)
@@ -49,21 +48,14 @@ print(json.dumps(said))
 browser."""
 
 
-class Visited:
+class Visited(Silent):
     """A progress at whose first finished cell a stranger comes."""
 
     def __init__(self) -> None:
         self.listening: list[tuple[str, int]] = []
         self.answers: dict[str, tuple[int | str, int | str, str]] = {}
 
-    def start(self, work: int) -> None:
-        """Nothing."""
-
-    def remark(self, text: str) -> None:
-        """Nothing."""
-
     def advance(self, work: int, what: str) -> None:
-        """Look at every socket of this process and its children, once; send the stranger."""
         if self.listening:
             return
         this = psutil.Process()
@@ -85,8 +77,6 @@ class Visited:
 def test_nobody_else_reaches_a_cluster_of_this_machine(
     suite: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Scheduler, nannies and workers listen on the loopback alone, to clients of their own
-    certificate alone, and the campaign is not disturbed by others."""
     visited, path = Visited(), tmp_path / "loops.toml"
     path.write_text(suite.read_text(encoding="utf-8").split("[[replay]]")[0], encoding="utf-8")
     given = {"engine": "dask", "jobs": 2, "solvers": ["daqp"], "progress": visited}
@@ -116,7 +106,7 @@ def pressed_before(owner, name):
 if __name__ == "__main__":
     # A shell that runs the tests in the background has it ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    moments = {"starting": (Nanny, "instantiate"), "running": (CellStore, "append")}
+    moments = {"starting": (Nanny, "instantiate"), "running": (CellStore, "add_part")}
     pressed_before(*moments[sys.argv[1]])
     pressed_before(SpecCluster, "close")
     raise SystemExit(main(sys.argv[2:]))
@@ -127,8 +117,6 @@ if __name__ == "__main__":
 def test_ctrl_c_twice_is_one_line_and_leaves_nothing(
     suite: Path, tmp_path: Path, when: str
 ) -> None:
-    """As a terminal sends it, to all processes: once as the cluster starts or runs, once more as
-    it ends."""
     script, place = tmp_path / "pressed.py", tmp_path / "t"
     script.write_text(PRESSED_TWICE, encoding="utf-8")
     place.mkdir()

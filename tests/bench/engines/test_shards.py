@@ -1,18 +1,18 @@
 """Shards of a suite, run apart and gathered, are the suite."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.engines.shards import SHARD_FILE, Shard, ShardRecord
 from dpbench.bench.gather import gather
-from dpbench.bench.plan.asked import Asked
+from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell_store import CellStore
+from dpbench.bench.record.step_table import runs_from_frame, runs_to_frame, write_runs
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.solvers import plugins
@@ -24,7 +24,6 @@ PLUGIN = Path(__file__).parents[2] / "solvers" / "example_plugin.py"
 
 @pytest.fixture(scope="module")
 def shards(suite: Path) -> list[Path]:
-    """The folders of three shards."""
     folders = [suite.parent / f"shard{i}" for i in (1, 2, 3)]
     for i, folder in enumerate(folders, 1):
         words = ["cells", str(suite), "--shard", f"{i}/3", "--out", str(folder)]
@@ -34,14 +33,12 @@ def shards(suite: Path) -> list[Path]:
 
 @pytest.fixture
 def copies(shards: list[Path], tmp_path: Path) -> list[Path]:
-    """The same folders, to be damaged."""
     return [Path(shutil.copytree(folder, tmp_path / folder.name)) for folder in shards]
 
 
 def test_gathered_shards_are_one_run(
     shards: list[Path], undisturbed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each cell is in one shard, some in each; gathered they are what one run leaves."""
     cells = [set(load_results(folder).runs["run_id"]) for folder in shards]
     assert all(cells) and not (cells[0] & cells[1] | cells[0] & cells[2] | cells[1] & cells[2])
     out = tmp_path / "out"
@@ -54,8 +51,6 @@ def test_gathered_shards_are_one_run(
 def test_what_is_missing_or_damaged_is_lost_and_can_be_run(
     copies: list[Path], suite: Path, undisturbed: Path, tmp_path: Path
 ) -> None:
-    """A shard that is not there and one whose steps are damaged cost their cells, charged to no
-    solver; the suite run into the folder completes them."""
     damaged = CellStore(copies[0]).public.steps
     data = bytearray(damaged.read_bytes())
     data[: len(data) // 2] = bytes(len(data) // 2)
@@ -73,10 +68,11 @@ def test_what_is_missing_or_damaged_is_lost_and_can_be_run(
 def test_a_shard_that_was_killed_gives_what_it_finished(
     copies: list[Path], undisturbed: Path, tmp_path: Path
 ) -> None:
-    """Without tables and descriptions of its own, with its cells in a part or in the journal."""
-    public = CellStore(copies[2]).public
-    public.runs.rename(copies[2] / "cells" / "runs-00001.parquet")
-    public.steps.rename(copies[2] / "cells" / "steps-00001.parquet")
+    killed = CellStore(copies[2])
+    CellStore(tmp_path / "parts").copy_cells(killed)
+    killed.public.remove()
+    for part in (tmp_path / "parts" / "cells").iterdir():
+        part.rename(killed.folder / part.name)
     (copies[2] / "suite.json").unlink()
     (copies[2] / "machine.json").unlink()
     assert_same(gather(copies, tmp_path / "out"), undisturbed)
@@ -92,7 +88,6 @@ def changed(folder: Path, **entries: object) -> None:
 def test_what_does_not_belong_together_is_refused(
     copies: list[Path], suite: Path, tmp_path: Path
 ) -> None:
-    """Another plan, another version, another division, no shard at all; nothing is written."""
     out = tmp_path / "out"
     changed(copies[0], harness_version="0.0.9")
     with pytest.raises(InputError, match=r"shard1 of dpbench 0\.0\.9"):
@@ -117,7 +112,6 @@ def test_what_does_not_belong_together_is_refused(
 def test_where_each_host_had_the_suite_does_not_matter(
     copies: list[Path], suite: Path, undisturbed: Path, tmp_path: Path
 ) -> None:
-    """What the suite says does: it is read where one of them has it, or where one says."""
     asked = json.loads((copies[0] / SHARD_FILE).read_text())["asked"]
     for i, folder in enumerate(copies[:2]):
         changed(folder, asked=asked | {"suite": f"/on/host{i}/tiny.toml"})
@@ -131,7 +125,6 @@ def test_where_each_host_had_the_suite_does_not_matter(
 def test_a_plug_in_is_not_run_because_a_shard_names_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Gathering needs it on the command line; whatever the folder says is no program."""
     monkeypatch.setattr(plugins, "_LOADED", {})
     suite, module, marker = (tmp_path / name for name in ("one.toml", "admm.py", "was run"))
     head = 'title = "x"\ncell_limit_s = 60.0\n[[closed_loop]]\n'
@@ -161,24 +154,23 @@ def test_a_plug_in_is_not_run_because_a_shard_names_it(
 def test_links_and_copies_in_a_shard_are_not_gathered(
     copies: list[Path], undisturbed: Path, tmp_path: Path
 ) -> None:
-    """A link would bring a file of this machine into the result; a copy is named and ignored."""
     (tmp_path / "secret").write_text("{}", encoding="utf-8")
     (copies[0] / "cells" / f"design-{16 * 'a'}.json").symlink_to(tmp_path / "secret")
-    (copies[1] / "cells" / "runs-00001 (copy).parquet").touch()
+    (copies[1] / "cells" / "part-00001 (copy).parquet").touch()
     out = gather(copies, tmp_path / "out")
     assert_same(out, undisturbed)
     assert not list((out / "cells").glob("design-*"))
     (remark,) = load_results(out).suite["remarks"]
-    assert "ignored 'runs-00001 (copy).parquet'" in remark
+    assert "ignored 'part-00001 (copy).parquet'" in remark
 
 
 def test_another_machine_is_kept_for_each_cell(copies: list[Path], tmp_path: Path) -> None:
-    """Cells of two machines stand in one table, each with its own."""
     other = "ffffffffffff"
     machine = json.loads((copies[1] / SHARD_FILE).read_text())["machine"]
     public = CellStore(copies[1]).public
-    rows = public.rows().assign(machine_id=other)
-    public.write_runs(rows, public.steps)
+    rows = runs_to_frame(public.read_rows()).assign(machine_id=other)
+    check = pq.read_metadata(public.runs).metadata[b"steps_crc32"].decode()
+    write_runs(public.runs, runs_from_frame(rows), {"steps_crc32": check})
     changed(copies[1], machine=machine | {"id": other})
     results = load_results(gather(copies, tmp_path / "out"))
     assert results.runs["run_id"].is_unique and set(results.runs["outcome"]) == {"finished"}
@@ -186,13 +178,6 @@ def test_another_machine_is_kept_for_each_cell(copies: list[Path], tmp_path: Pat
     assert counts[other] == len(rows) and set(counts.index) == {other, machine["id"]}
     assert {one["id"] for one in (results.machine, *results.machine["others"])} == set(counts.index)
     assert "2 kinds of machines" in results.suite["remarks"][0]
-
-
-@pytest.mark.parametrize("text", ["0/3", "4/3", "1", "a/b", "1/0"])
-def test_what_is_no_shard_is_refused(text: str) -> None:
-    """In one line that shows how one is written."""
-    with pytest.raises(InputError, match="1/4, with i from 1 to n"):
-        Shard.of_text(text)
 
 
 @pytest.mark.parametrize(
@@ -214,9 +199,8 @@ def test_what_is_no_shard_is_refused(text: str) -> None:
 def test_a_damaged_description_of_a_shard_is_one_line(
     entries: dict[str, object], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It names file and key, and no list of a thousand million shards is made."""
     about = {"id": "abc", "cpu_model": "x"}
-    ShardRecord(Asked(suite="smoke"), Shard(1, 3), "0" * 16, about).write(tmp_path)
+    ShardRecord(RunRequest(suite="smoke"), Shard(1, 3), "0" * 16, about).write(tmp_path)
     assert str(ShardRecord.read(tmp_path).shard) == "1/3"
     changed(tmp_path, **entries)
     assert main(["gather", str(tmp_path), "--out", str(tmp_path / "out"), "--quiet"]) == 2
@@ -225,7 +209,6 @@ def test_a_damaged_description_of_a_shard_is_one_line(
 
 
 @pytest.mark.parametrize("text", ["0/3", "4/3", "1/1000000000", "1", "a/b", "1/" + "9" * 5000])
-def test_what_is_no_part_is_refused(text: str) -> None:
-    """Also of more parts than anybody has machines."""
-    with pytest.raises(InputError, match="--shard: found"):
-        Shard.of_text(text)
+def test_what_is_no_shard_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match=r"--shard: found .*1/4, with i from 1 to n"):
+        Shard.from_text(text)

@@ -1,7 +1,5 @@
 """A scheduler with TLS is reached with the right files; wrong ones are one line, exit 2."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -9,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from dpbench.bench.engines.on_worker import about
+from dpbench.bench.engines.on_worker import worker_info
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 
 WHY = "engine dask needs the extra `cluster`"
 dask_cluster = pytest.importorskip("dpbench.bench.engines.dask_cluster", reason=WHY)
 distributed = pytest.importorskip("distributed", reason=WHY)
-connected, Security = dask_cluster.connected, dask_cluster.Security
+connect_client, Security = dask_cluster.connect_client, dask_cluster.Security
 # The scheduler and its worker are processes that answer within limits of real time.
 pytestmark = pytest.mark.alone
 
@@ -32,13 +30,11 @@ def written(folder: Path) -> list[str]:
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """Those of the cluster."""
     return written(tmp_path_factory.mktemp("tls"))
 
 
 @pytest.fixture(scope="module")
 def scheduler(files: list[str]) -> Iterator[str]:
-    """The address of a scheduler with TLS."""
     words = ["--tls-ca-file", files[0], "--tls-cert", files[1], "--tls-key", files[2]]
     process = subprocess.Popen(
         [
@@ -57,25 +53,19 @@ def scheduler(files: list[str]) -> Iterator[str]:
 
 
 def test_with_its_files_a_scheduler_is_reached(scheduler: str, files: list[str]) -> None:
-    """And what a client asks of it is done."""
-    with connected(scheduler, files) as client:
-        answer = client.run_on_scheduler(about)
-    assert answer.harness_version == about().harness_version
+    with connect_client(scheduler, files) as client:
+        answer = client.run_on_scheduler(worker_info)
+    assert answer.harness_version == worker_info().harness_version
 
 
 def test_a_scheduler_with_tls_refuses_others(
     scheduler: str, files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Without files, with those of somebody else or a part of them, and without TLS."""
     plain, other = scheduler.replace("tls://", "tcp://"), written(tmp_path)
     mixed = [files[0], *other[1:]]
-    for address, given in (
-        (scheduler, None),
-        (scheduler, other),
-        (scheduler, mixed),
-        (plain, None),
-    ):
-        with pytest.raises(InputError, match="which refuses"), connected(address, given):
+    tries = ((scheduler, None), (scheduler, other), (scheduler, mixed), (plain, None))
+    for address, given in tries:
+        with pytest.raises(InputError, match="which refuses"), connect_client(address, given):
             pass
     assert capsys.readouterr() == ("", "")
 
@@ -83,7 +73,6 @@ def test_a_scheduler_with_tls_refuses_others(
 def test_wrong_files_are_one_line(
     files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Before anybody is asked: none, one that is something else, a key of another, one too many."""
     ca, cert, key = files
     (tmp_path / "other").mkdir()
     other = written(tmp_path / "other")[2]

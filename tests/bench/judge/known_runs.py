@@ -1,15 +1,30 @@
 """A ship with round numbers, for control metrics of trajectories worked by hand."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import fields as dataclass_fields
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from dpbench.bench.judge.control_metrics import control_metrics
-from dpbench.bench.run.exact_loop import ExactLoop
+from dpbench import open_workspace
+from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_log
+from dpbench.bench.judge.control_metrics import (
+    axis_limit_metrics,
+    control_metrics,
+    joint_limit_metrics,
+)
+from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
+from dpbench.bench.run.closed_loop import closed_loop
+from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
+from dpbench.mpc.condense import ControlProblem
+from dpbench.mpc.model import StateSpace
+from dpbench.mpc.thruster_rows import Limits
+from dpbench.scenario.controllers.commanded import ThrusterControl
+from dpbench.scenario.controllers.controller import Controller
+from dpbench.scenario.controllers.thrusters import ThrusterController
 from dpbench.scenario.scenario import Scenario, load_scenario
 
 SAMPLE_S = 0.5
@@ -28,8 +43,35 @@ def round_ship(sample_s: float = SAMPLE_S, **changes: Any) -> Scenario:
         tau_max=np.array([100.0, 50.0, 20.0]),
         rate_max=np.array([20.0, 10.0, 4.0]) * SAMPLE_S / sample_s,
     )
-    weights = {"Q": np.eye(3), "R": np.eye(3)}
-    return replace(calm, **({"sample_s": sample_s, "vessel": ship} | weights | changes))
+    problem = replace(
+        calm.problem,
+        **({"Q": np.eye(3), "R": np.eye(3), "du_max": ship.step_max(sample_s)} | changes),
+    )
+    controller = replace(calm.controller, problem=problem)
+    return replace(calm, sample_s=sample_s, vessel=ship, controller=controller)
+
+
+def with_controller(kind: type[Controller], problem: ControlProblem, **fields: Any) -> Scenario:
+    """Return the ship of round numbers with a controller of another kind and problem."""
+    ship = round_ship()
+    own = {f.name: getattr(ship.controller, f.name) for f in dataclass_fields(Controller)}
+    return replace(ship, controller=kind(**(own | {"problem": problem} | fields)))
+
+
+def thruster_ship(control: ThrusterControl, R: np.ndarray | None = None) -> Scenario:
+    """Return the ship of round numbers whose controller commands these thrusters."""
+    own, rows, thrusters = round_ship().problem, control.rows, control.thrusters
+    problem = replace(
+        own,
+        model=StateSpace(own.model.A, own.model.B @ thrusters.T_e, own.model.C),
+        R=np.eye(thrusters.n_f) if R is None else R,
+        u_min=rows.low,
+        u_max=rows.high,
+        du_max=thrusters.step_max(SAMPLE_S),
+        thrusters=rows,
+        W=control.W,
+    )
+    return with_controller(ThrusterController, problem, control=control)
 
 
 def exact_loop(pose: Rows, tau: Rows, thrust: Rows | None = None) -> ExactLoop:
@@ -52,16 +94,10 @@ def metrics_of(
     exact: ExactLoop | None = None,
     scenario: Scenario | None = None,
 ) -> dict[str, float]:
-    """Return the control metrics of a run.
+    """Return the control metrics of a run; what is not given is zero, or the ship's own.
 
-    Parameters
-    ----------
-    pose : (K + 1, 3) north, east, heading [m, m, rad] at the sample times.
-    u : (K, n_u) what was applied; None for nothing.
-    velocity : (K + 1, 3) of the ship; None for a ship at rest.
-    reference : (K + 1, 3) or more; None for zero.
-    limits : least and most force of each sample (K, 3) or more; None for the ship's own.
-    exact : the exactly solved loop; None for one that stays at zero.
+    pose, velocity, reference : (K + 1, 3); pose in [m, m, rad]. u : (K, n_u).
+    limits : least and most force of each sample (K, 3).
     """
     ship = round_ship() if scenario is None else scenario
     K = len(pose) - 1
@@ -77,4 +113,24 @@ def metrics_of(
     nothing = np.zeros_like(applied)
     still = exact_loop(np.zeros((K + 1, 3)).tolist(), np.zeros((K, 3)).tolist(), nothing.tolist())
     loop = still if exact is None else exact
-    return control_metrics(ship, state, applied, wanted, (low, high), loop)
+    metrics = control_metrics(ship, state, applied, wanted, loop)
+    of_limits = {"axis_limits": axis_limit_metrics, "joint_limits": joint_limit_metrics}
+    in_force = [Limits(*sides) for sides in zip(low, high, strict=True)]
+    for group in set(of_limits) & set(ship.controller.metric_groups):
+        metrics |= of_limits[group](ship, applied, in_force)
+    return metrics
+
+
+def judged_loop(
+    change: Callable[[RawLog], Any] | None, name: str, units: str, steps: int
+) -> tuple[EvaluatedCell, RawLog, Cell]:
+    """Return a short loop by daqp, its log changed before it is judged."""
+    case = load_scenario(name).first(steps)
+    given: dict[str, Any] = {"units": units}
+    cell = Cell("closed_loop", case.files, "daqp", "native", "reuse", "high", steps, **given)
+    workspace = open_workspace("daqp", route="native", policy="reuse", settings="high")
+    setup = closed_loop_setup(cell, case, workspace, RawLog.in_memory, NO_LIMIT_NS)
+    assert closed_loop(setup)
+    if change is not None:
+        change(setup.log)
+    return evaluate_log(cell, setup.log, solve_exactly(case)), setup.log, cell

@@ -1,55 +1,34 @@
 """The judged columns of a loop of five steps whose log is changed where it must be noticed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from dpbench import load_scenario, open_workspace
-from dpbench.bench.judge.closed_loop import (
-    CERTIFICATES,
-    EVALUATION,
-    Evaluated,
-    StepEvaluator,
-    evaluate_log,
-)
-from dpbench.bench.record.cell import Cell
+from dpbench import load_scenario
+from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell, StepEvaluator
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
-from dpbench.bench.run.closed_loop import closed_loop
-from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.qp.program import QPStep, QuadraticProgram, Units
 from dpbench.qp.solution import Solution, Status
+from tests.bench.judge.known_runs import judged_loop
 
 STEPS, SOLVE = 5, 3
-FREE = np.full(2, 9.0)
 
 
 def judged(
     change: Callable[[RawLog], Any], scenario: str = "paper", units: str = "scaled"
-) -> tuple[Evaluated, RawLog]:
-    """A short loop by daqp, its log changed before it is judged."""
-    case = load_scenario(scenario).first(STEPS)
-    given: dict[str, Any] = {"units": units}
-    cell = Cell("closed_loop", case.files, "daqp", "native", "reuse", "high", STEPS, **given)
-    workspace = open_workspace("daqp", route="native", policy="reuse", settings="high")
-    setup = closed_loop_setup(cell, case, workspace, RawLog.in_memory, NO_LIMIT_NS)
-    assert closed_loop(setup)
-    change(setup.log)
-    return evaluate_log(cell, setup.log, solve_exactly(case)), setup.log
+) -> tuple[EvaluatedCell, RawLog]:
+    evaluated, log, _ = judged_loop(change, scenario, units, STEPS)
+    return evaluated, log
 
 
-def figure(evaluated: Evaluated, name: str) -> Any:
-    """A figure of the referee, step by step."""
+def figure(evaluated: EvaluatedCell, name: str) -> Any:
     return evaluated.columns["evaluations"][:, EVALUATION.index(name)]
 
 
 def test_each_column_is_that_of_the_log() -> None:
-    """Fallback, unconverged and clipped in this order; of all arrays as many rows as steps."""
-
     def change(log: RawLog) -> None:
         log.flags[:] = 0
         log.flags[[0, 1, 2], [0, 1, 2]] = 1
@@ -72,7 +51,6 @@ def test_each_column_is_that_of_the_log() -> None:
 
 
 def test_the_steps_that_were_done_are_those_that_are_judged() -> None:
-    """Three of five, with the state after the third; of none there are no metrics."""
     found, _ = judged(lambda log: log.done.fill(3))
     assert len(found.columns["k"]) == len(found.columns["tau"]) == 3
     assert len(found.columns["state"]) == 4 and found.metrics
@@ -81,8 +59,6 @@ def test_the_steps_that_were_done_are_those_that_are_judged() -> None:
 
 
 def test_a_step_that_was_not_asked_has_no_answer_to_judge() -> None:
-    """A solve of no time is one, and a solve that is absent is none."""
-
     def change(log: RawLog) -> None:
         log.times[0, :, SOLVE] = [7, 0, -1, -2, 7]
 
@@ -135,28 +111,78 @@ def test_the_undelivered_force_is_a_share_of_the_largest_there_is() -> None:
     assert found.metrics["undelivered_share"] == pytest.approx(1.0)
 
 
+def test_residuals_of_an_allocation_in_its_own_units() -> None:
+    """A surge slack 5 N too large breaks its equality by 5 N, or by 5 N over the rate limit."""
+
+    def change(log: RawLog) -> None:
+        assert log.allocation is not None
+        log.allocation.z[0, 2, -3] += 5.0
+
+    case = load_scenario("thrusters_cascade")
+    found, _ = judged(change, "thrusters_cascade", "si")
+    second = found.columns["allocation_evaluations"]
+    own, scaled = (second[:, EVALUATION.index(name)] for name in ("primal_own", "primal"))
+    assert own[2] == pytest.approx(5.0, rel=1e-6) and np.delete(own, 2).max() < 1e-3
+    assert scaled[2] == pytest.approx(5.0 / case.force_step_max[0], rel=1e-6)
+
+
 def problem(q: list[float], unit: float = 1.0) -> QuadraticProgram:
     """½‖z‖² + qᵀz with each variable within ±1 and free rows, in units of `unit`."""
     limits = -np.ones(2) / unit, np.ones(2) / unit
-    return QuadraticProgram(
-        unit**2 * np.eye(2), unit * np.array(q), unit * np.eye(2), -FREE, FREE, *limits, 1
-    )
+    free, eye = np.full(2, 9.0), unit * np.eye(2)
+    return QuadraticProgram(unit * eye, unit * np.array(q), eye, -free, free, *limits, 1)
+
+
+Case = tuple[QuadraticProgram, Solution]
+
+
+def evaluations(cases: list[Case], own: QuadraticProgram | None = None) -> list[dict[str, float]]:
+    """Return the figures of answers to QPs of the same matrices; `own` is a QP in units of 4."""
+    base, scale = cases[0][0], 1.0 if own is None else 0.25
+    evaluator = StepEvaluator(base, own or base, Units(np.full(2, scale), np.ones(2)))
+    for qp, answer in cases:
+        step, given = (QPStep(one.q, one.l, one.u) for one in (qp, own or qp))
+        evaluator.add_answer(step, given, answer, evaluator.certify(step))
+    return [dict(zip(EVALUATION, row, strict=True)) for row in evaluator.evaluations()]
+
+
+def evaluation(qp: QuadraticProgram, z: Any, y_box: Any, status: Status = Status.SOLVED) -> Any:
+    """Return the figures of one answer, whose rows have no multipliers."""
+    y = np.full(2, np.nan) if np.isnan(y_box).any() else np.zeros(2)
+    (found,) = evaluations([(qp, Solution(status, np.array(z), y, np.array(y_box)))])
+    return found
 
 
 @pytest.mark.parametrize(
     ("q", "active"), [([0.5, -0.5], 0), ([3.0, -0.5], 1), ([-3.0, 2.0], 2), ([0.5, 1.0001], 1)]
 )
-def test_active_limits_are_those_with_a_multiplier(q: list[float], active: int) -> None:
-    """A variable is at its limit where q reaches beyond it."""
-    qp = problem(q)
-    evaluator = StepEvaluator(qp, qp, Units(np.ones(2), np.ones(2)))
-    step = QPStep(qp.q, qp.l, qp.u)
-    z, y_box = -np.clip(q, -1.0, 1.0), np.clip(q, -1.0, 1.0) - q
-    answer = Solution(Status.SOLVED, z, np.zeros(2), y_box)
-    evaluator.add(step, step, answer, evaluator.certify(step))
-    found = dict(zip(EVALUATION, evaluator.evaluations()[0], strict=True))
+@pytest.mark.parametrize("status", [Status.SOLVED, Status.MAX_ITERATIONS, Status.UNKNOWN])
+def test_the_optimum_is_true_under_any_usable_status(
+    q: list[float], active: int, status: Status
+) -> None:
+    found = evaluation(problem(q), -np.clip(q, -1.0, 1.0), np.clip(q, -1.0, 1.0) - q, status)
     assert found["n_active"] == active
     assert found["error_plan"] == 0.0 and found["true_1e6"] == 1.0 and found["dual"] == 0.0
+
+
+def test_a_claim_of_infeasibility_is_true_where_no_point_is_feasible() -> None:
+    qp = problem([-2.0, 0.0])
+    infeasible = Status.PRIMAL_INFEASIBLE
+    assert evaluation(qp, [1.0, 0.0], [1.0, 0.0], infeasible)["true"] == 0.0
+    empty = replace(qp, l=np.full(2, 3.0), u=np.full(2, 4.0))
+    (found,) = evaluations([(empty, Solution.missing(2, 2, infeasible))])
+    assert found["true"] == 1.0 and np.isnan(found["error_move"])
+
+
+def test_a_wrong_last_move_is_an_error_of_the_plan_alone() -> None:
+    found = evaluation(problem([-2.0, 0.0]), [1.0, 0.5], [1.0, 0.0])
+    assert (found["error_move"], found["error_plan"], found["true"]) == (0.0, 0.5, 0.0)
+
+
+def test_no_answer_is_infinitely_wrong() -> None:
+    (found,) = evaluations([(problem([-2.0, 0.0]), Solution.missing(2, 2, Status.SOLVED))])
+    assert {found[name] for name in ("error_move", "error_plan", "primal", "dual")} == {np.inf}
+    assert found["true"] == 0.0
 
 
 def test_an_answer_in_other_units_has_residuals_in_both() -> None:
@@ -166,13 +192,11 @@ def test_an_answer_in_other_units_has_residuals_in_both() -> None:
     its own units.
     """
     scaled, own = problem([-2.0, 0.0]), problem([-2.0, 0.0], 4.0)
-    evaluator = StepEvaluator(scaled, own, Units(np.full(2, 0.25), np.ones(2)))
-    steps = [QPStep(qp.q, qp.l, qp.u) for qp in (scaled, own)]
-    optimum = evaluator.certify(steps[0])
-    for z in (0.25, 0.375):
-        answer = Solution(Status.SOLVED, np.array([z, 0.0]), np.zeros(2), np.array([4.0, 0.0]))
-        evaluator.add(*steps, answer, optimum)
-    right, wrong = (dict(zip(EVALUATION, row, strict=True)) for row in evaluator.evaluations())
+    answers = [
+        Solution(Status.SOLVED, np.array([z, 0.0]), np.zeros(2), np.array([4.0, 0.0]))
+        for z in (0.25, 0.375)
+    ]
+    right, wrong = evaluations([(scaled, answer) for answer in answers], own)
     assert (right["primal"], right["dual"], right["dual_own"], right["true_1e6"]) == (0, 0, 0, 1)
     assert (wrong["primal"], wrong["primal_own"]) == (0.5, 0.125)
     assert (wrong["dual"], wrong["dual_own"]) == (0.5, 2.0)
@@ -188,13 +212,7 @@ def test_an_answer_is_true_at_the_tolerances_it_satisfies(off: float, true: list
 
     The optimum is (1, 0) with a multiplier of 1, which grows by as much as z falls short.
     """
-    qp = problem([-2.0, 0.0])
-    evaluator = StepEvaluator(qp, qp, Units(np.ones(2), np.ones(2)))
-    step = QPStep(qp.q, qp.l, qp.u)
-    z, y_box = np.array([1.0 - off, 0.0]), np.array([1.0 + off, 0.0])
-    answer = Solution(Status.SOLVED, z, np.zeros(2), y_box)
-    evaluator.add(step, step, answer, evaluator.certify(step))
-    found = dict(zip(EVALUATION, evaluator.evaluations()[0], strict=True))
+    found = evaluation(problem([-2.0, 0.0]), [1.0 - off, 0.0], [1.0 + off, 0.0])
     assert [found[name] for name in ("true", "true_1e4", "true_1e6")] == true
 
 
@@ -203,26 +221,21 @@ def test_an_answer_without_multipliers_gets_those_of_the_limits_it_meets(
     short: float, dual: float
 ) -> None:
     """A limit of 1 is met to within 1e-6·(1 + 1); its multiplier then balances z - 2."""
-    qp = problem([-2.0, 0.0])
-    evaluator = StepEvaluator(qp, qp, Units(np.ones(2), np.ones(2)))
-    step, unknown = QPStep(qp.q, qp.l, qp.u), np.full(2, np.nan)
-    answer = Solution(Status.SOLVED, np.array([1.0 - short, 0.0]), unknown, unknown)
-    evaluator.add(step, step, answer, evaluator.certify(step))
-    found = dict(zip(EVALUATION, evaluator.evaluations()[0], strict=True))
+    found = evaluation(problem([-2.0, 0.0]), [1.0 - short, 0.0], [np.nan, np.nan])
     assert found["dual"] == pytest.approx(dual, rel=1e-9, abs=1e-12)
 
 
-def test_residuals_of_an_allocation_in_its_own_units() -> None:
-    """A surge slack that is 5 N too large breaks its equality by 5 N, in scaled units by 5 N over
-    the rate limit; no bound holds a slack."""
-
-    def change(log: RawLog) -> None:
-        assert log.allocation is not None
-        log.allocation.z[0, 2, -3] += 5.0
-
-    case = load_scenario("thrusters_cascade")
-    found, _ = judged(change, "thrusters_cascade", "si")
-    second = found.columns["allocation_evaluations"]
-    own, scaled = (second[:, EVALUATION.index(name)] for name in ("primal_own", "primal"))
-    assert own[2] == pytest.approx(5.0, rel=1e-6) and np.delete(own, 2).max() < 1e-3
-    assert scaled[2] == pytest.approx(5.0 / case.force_step_max[0], rel=1e-6)
+def test_many_answers_are_judged_as_each_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng, cases = np.random.default_rng(1), list[Case]()
+    for i in range(23):
+        answer = Solution(Status.SOLVED, *(rng.normal(size=2) for _ in range(3)))
+        if i % 5 == 1:
+            answer.y[:], answer.y_box[:] = np.nan, np.nan
+        if i % 5 == 2:
+            answer = Solution.missing(2, 2, Status.PRIMAL_INFEASIBLE)
+        cases.append((problem(rng.normal(size=2).tolist()), answer))
+    one_by_one = [[*evaluations([case])[0].values()] for case in cases]
+    for most in (7, 128):
+        monkeypatch.setattr("dpbench.bench.judge.closed_loop.BATCH_SIZE", most)
+        found = [[*figures.values()] for figures in evaluations(cases)]
+        np.testing.assert_array_equal(found, one_by_one)

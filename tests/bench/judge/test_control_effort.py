@@ -1,9 +1,8 @@
 """Effort, cost, deviation and limit figures of runs worked by hand."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -12,10 +11,19 @@ from hypothesis import strategies as st
 
 from dpbench.bench.record.schema import FORCES
 from dpbench.mpc.thruster_rows import thruster_rows
-from dpbench.scenario.commanded_thrusters import ThrusterControl
+from dpbench.mpc.thrusters.attainable_set import AttainableSet
+from dpbench.scenario.controllers.commanded import ThrusterControl
+from dpbench.scenario.controllers.forces import JointForceController
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import Thruster, ThrusterSet
-from tests.bench.judge.known_runs import exact_loop, metrics_of, round_ship
+from tests.bench.judge.known_runs import (
+    Rows,
+    exact_loop,
+    metrics_of,
+    round_ship,
+    thruster_ship,
+    with_controller,
+)
 
 STILL = [0.0, 0.0, 0.0]
 ULP = float(np.spacing(200.0))
@@ -38,7 +46,6 @@ def test_effort_variation_and_work_of_a_known_run() -> None:
 
 
 def test_work_has_no_sign_and_is_that_of_all_axes_together() -> None:
-    """A braking force does positive work; a force across the velocity does none."""
     braked = metrics_of([STILL] * 2, [[-10, 0, 0]], velocity=[[2, 0, 0], STILL])
     assert braked["work_J"] == 10.0
     across = metrics_of([STILL] * 2, [[10, 10, 0]], velocity=[[2, -2, 0], STILL])
@@ -89,8 +96,7 @@ def with_thrusters() -> Scenario:
         )
     )
     W = np.diag([1.0, 2.0, 4.0])
-    steered = ThrusterControl(thrusters, thruster_rows(thrusters, 4), W)
-    return round_ship(R=R, steered=steered)
+    return thruster_ship(ThrusterControl(thrusters, thruster_rows(thrusters, 4), W), R)
 
 
 def test_cost_of_steered_thrusters_has_their_weight() -> None:
@@ -127,8 +133,7 @@ def test_distance_from_the_exactly_solved_loop() -> None:
     """
     deg = math.pi / 180.0
     exact = exact_loop(
-        [[1, 1, 0.5], [2, 2, 0.25], [7, 7, 7], [8, 8, 8]],
-        [[40, 10, 0], [5, 5, 0], [9, 9, 9]],
+        [[1, 1, 0.5], [2, 2, 0.25], [7, 7, 7], [8, 8, 8]], [[40, 10, 0], [5, 5, 0], [9, 9, 9]]
     )
     found = metrics_of(
         [[4, -3, 0.5 + 2 * deg], [2, 2, 0.25 - 4 * deg], [70, 70, 0]],
@@ -149,8 +154,7 @@ def test_distance_from_the_exactly_solved_loop() -> None:
 def test_shares_of_steps_at_a_rate_limit() -> None:
     """An increment within 1e-6 of ±10, ±5 or ±2 is at the rate limit."""
     found = metrics_of(
-        [STILL] * 5,
-        [[10, 5, 0], [0, 5, 0], [9.999991, 5, 1.9], [10.0, 0.00001, -0.1]],
+        [STILL] * 5, [[10, 5, 0], [0, 5, 0], [9.999991, 5, 1.9], [10.0, 0.00001, -0.1]]
     )
     # Surge +10, -10, +9.999991, 0; sway +5, 0, 0, -4.99999; yaw 0, 0, 1.9, -2
     assert [found[f"at_rate_{axis}"] for axis in FORCES] == [0.75, 0.25, 0.25]
@@ -190,7 +194,6 @@ def test_the_margin_of_a_limit_belongs_to_it(side: float) -> None:
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_an_increment_beyond_the_rate_is_a_violation(axis: int, side: float) -> None:
-    """The first increment counts from zero; one unit in the last place is rounding."""
     du_max = [10.0, 5.0, 2.0][axis]
     rounding = float(np.spacing([200.0, 50.0, 20.0][axis]))
     for beyond, violations in ((0.0, 0), (rounding, 0), (1e-9, 1), (1.0, 1)):
@@ -200,7 +203,6 @@ def test_an_increment_beyond_the_rate_is_a_violation(axis: int, side: float) -> 
 
 
 def test_a_step_beyond_several_limits_is_one_violation() -> None:
-    """Violations count steps, not axes or limits."""
     found = metrics_of([STILL] * 4, [[11, 6, 3], [11, 6, 3], [30, 6, 0]])
     assert found["limit_violations"] == 2.0
     low, high = [[-9, -4, -1]] * 3, [[9, 4, 1]] * 3
@@ -227,7 +229,6 @@ DROPPED = [
 def test_a_limit_that_drops_leaves_what_the_rate_leaves(
     side: float, before: float, limit: float, now: float, violations: int
 ) -> None:
-    """A force beyond a limit that has just dropped must return at its full rate."""
     raised = [[side * part, 0.0, 0.0] for part in (10.0, 20.0, 30.0, 40.0, before, now)]
     high, low = [[100.0, 50.0, 20.0]] * 6, [[-200.0, -40.0, -20.0]] * 6
     if side > 0:
@@ -250,7 +251,6 @@ runs = st.lists(
 def test_a_constant_force_adds_no_variation(
     run: list[tuple[float, float, float]], pause: int
 ) -> None:
-    """Constant forces leave total variation, cost and violations unchanged."""
     forces = [list(force) for force in run]
     held = forces + [forces[-1]] * pause
     one = metrics_of([STILL] * (len(forces) + 1), forces)
@@ -265,7 +265,6 @@ def test_a_constant_force_adds_no_variation(
 def test_forces_of_opposite_sign_have_the_same_figures(
     run: list[tuple[float, float, float]],
 ) -> None:
-    """The negated run has the same figures where the limits are symmetric."""
     ship = round_ship()
     both = replace(ship.vessel, tau_min=-ship.vessel.tau_max)
     ship = replace(ship, vessel=both)
@@ -275,3 +274,79 @@ def test_forces_of_opposite_sign_have_the_same_figures(
         for sign in (1.0, -1.0)
     )
     assert other == pytest.approx(one, nan_ok=True)
+
+
+HIGH = [100.0, 40.0, 10.0]
+BOX = AttainableSet(np.eye(3), (np.array(list(product(*[(-h, h) for h in HIGH]))),))
+
+
+def set_metrics(u: Rows, shares: list[float]) -> dict[str, float]:
+    """Return the metrics of forces limited to these shares of the set, sample by sample.
+
+    The largest increments are 10, 5 and 2.
+    """
+    high = np.multiply.outer(shares, HIGH)
+    limits = (-high).tolist(), high.tolist()
+    rows = BOX.rows()
+    problem = replace(round_ship().problem, thrusters=rows, u_min=rows.low, u_max=rows.high)
+    ship = with_controller(JointForceController, problem)
+    return metrics_of([STILL] * (len(u) + 1), u, limits=limits, scenario=ship)
+
+
+def ramp(to: float) -> list[list[float]]:
+    """Return surge forces that rise by 10 N per sample up to a force."""
+    steps = round(abs(to) / 10)
+    return [[10.0 * (i + 1) * (1 if to > 0 else -1), 0.0, 0.0] for i in range(steps)]
+
+
+def test_columns_of_the_set_take_the_place_of_those_of_its_axes() -> None:
+    found = set_metrics([[10.0, 0.0, 2.0], [10.0, 0.0, 4.0]], [1.0, 1.0])
+    assert [found[f"at_rate_{axis}"] for axis in FORCES] == [0.5, 0.0, 1.0]
+    assert not [name for name in found if name.startswith("at_amplitude")]
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_share_of_steps_at_the_set(side: float) -> None:
+    """A force within 1e-6 increments of the set in force is at its limit."""
+    forces = [[0, 0, 2], [0, 0, 4], [0, 0, 6], [0, 0, 8], [0, 0, 10 - 1e-6], [0, 0, 10 - 1e-5]]
+    turned = [[side * part for part in force] for force in forces]
+    assert set_metrics(turned, [1.0] * 6)["at_limit_thrusters"] == pytest.approx(1 / 6)
+    assert set_metrics(turned, [0.8, 0.8, 0.8, 0.8, 1, 1])["at_limit_thrusters"] == pytest.approx(
+        2 / 6
+    )
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("shares", "last", "violations"),
+    [
+        # The set stays: 50 N lies within it, 50.1 N beyond 0.5 of it
+        ([0.5] * 6, 50.0, 0),
+        ([0.5] * 6, 50.001, 1),
+        ([1.0] * 6, 59.0, 0),
+        # It has shrunk below the force before, 50 N: a smaller share is on its way, a larger not
+        ([1.0] * 5 + [0.2], 40.0, 0),
+        ([1.0] * 5 + [0.2], 49.9, 0),
+        ([1.0] * 5 + [0.2], 50.1, 1),
+        # Beyond the rate, within and outside
+        ([1.0] * 6, 60.1, 1),
+        ([1.0] * 5 + [0.2], 39.0, 1),
+        ([1.0] * 5 + [0.2], 60.1, 1),
+    ],
+)
+def test_outside_a_set_that_has_shrunk_the_force_comes_nearer(
+    side: float, shares: list[float], last: float, violations: int
+) -> None:
+    run = [*ramp(side * 50.0), [side * last, 0.0, 0.0]]
+    assert set_metrics(run, shares)["limit_violations"] == violations
+
+
+def test_the_share_is_that_of_the_axis_that_needs_most() -> None:
+    """The largest share over the axes decides, here from 0.25 at (20, 10, 0).
+
+    (28, 9, 0) needs 0.28 and is further out; (24, 8, 0) needs 0.24 and is nearer.
+    """
+    start = [[10.0, 5.0, 0.0], [20.0, 10.0, 0.0]]
+    shares = [1.0, 1.0, 0.1]
+    assert set_metrics([*start, [28.0, 9.0, 0.0]], shares)["limit_violations"] == 1.0
+    assert set_metrics([*start, [24.0, 8.0, 0.0]], shares)["limit_violations"] == 0.0

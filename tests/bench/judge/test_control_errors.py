@@ -1,7 +1,5 @@
 """Position and heading figures of trajectories worked by hand."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -61,12 +59,10 @@ def known() -> dict[str, float]:
     ],
 )
 def test_errors_of_a_known_run(name: str, value: float, known: dict[str, float]) -> None:
-    """Every figure equals the number worked out beside it."""
     assert known[name] == pytest.approx(value, rel=1e-12)
 
 
 def test_the_error_is_that_from_the_reference_of_its_own_sample() -> None:
-    """A ship that follows a moving reference exactly has no error."""
     moving = [[0, 0, 0], [1, -2, 0.1], [3, -5, 0.2], [7, -9, 0.4]]
     found = metrics_of(moving, reference=moving)
     assert found["r_max_m"] == found["heading_max_deg"] == found["iae_n"] == 0.0
@@ -78,7 +74,6 @@ def test_the_error_is_that_from_the_reference_of_its_own_sample() -> None:
 
 
 def test_the_tail_is_the_second_half_with_the_middle_sample() -> None:
-    """The tail of five samples is the last three."""
     found = metrics_of([[d, 0, 0] for d in (9, 8, 7, 1, 2, 50)])
     assert found["r_tail_max_m"] == 7.0
 
@@ -95,14 +90,12 @@ def test_the_tail_is_the_second_half_with_the_middle_sample() -> None:
 def test_overshoot_is_the_excursion_to_the_other_side(
     errors: list[float], overshoot: float
 ) -> None:
-    """A larger error on the side of the start is no overshoot."""
     found = metrics_of([[e, e, e] for e in (*errors, 0.0)])
     for axis in ("n", "e", "psi"):
         assert found[f"overshoot_{axis}"] == pytest.approx(overshoot)
 
 
 def test_from_the_reference_there_is_no_overshoot() -> None:
-    """The overshoot of an axis that starts at its reference is NaN."""
     found = metrics_of([[0, 1, 0.1], [5, -2, 0.2], [0, 0, 0]])
     assert math.isnan(found["overshoot_n"])
     assert found["overshoot_e"] == 2.0
@@ -216,7 +209,6 @@ OF_AXES = ("iae", "ise", "itae", "overshoot")
 @settings(derandomize=True, max_examples=25)
 @given(errors)
 def test_the_mirrored_run_has_the_same_figures(run: list[tuple[float, float, float]]) -> None:
-    """Negated east and heading errors change no figure."""
     mirrored = [[n, -e, -psi] for n, e, psi in run]
     np.testing.assert_equal(metrics_of(mirrored), metrics_of(run))
 
@@ -226,7 +218,6 @@ def test_the_mirrored_run_has_the_same_figures(run: list[tuple[float, float, flo
 def test_figures_grow_with_the_error_as_their_units_say(
     run: list[tuple[float, float, float]], factor: float
 ) -> None:
-    """Figures scale with the factor, squared errors with its square."""
     one, scaled = metrics_of(run), metrics_of([[factor * part for part in pose] for pose in run])
     for name in SIZES:
         assert scaled[name] == pytest.approx(factor * one[name], rel=1e-12, abs=1e-100)

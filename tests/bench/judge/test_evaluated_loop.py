@@ -1,20 +1,15 @@
 """Columns and figures of a closed loop whose log is written by hand."""
 
-from __future__ import annotations
-
-import numpy as np
-import pandas as pd
 import pytest
 
 from dpbench import load_scenario
-from dpbench.bench.judge.closed_loop import Evaluated, evaluate_log
-from dpbench.bench.judge.rows import run_row, step_rows
-from dpbench.bench.judge.step_columns import StepColumns, step_columns
-from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.raw_log import TIMES, RawLog, loop_layout
-from dpbench.bench.run.qp_builder import QPBuilder
-from dpbench.scenario.scenario import scenario_of
-from dpbench.solvers.table import Availability
+from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_log
+from dpbench.bench.judge.rules import StepColumns
+from dpbench.bench.judge.step_columns import step_columns
+from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.raw_log import PHASES, RawLog, loop_layout
+from dpbench.bench.run.formulation import QPBuilder
+from dpbench.scenario.scenario import build_scenario
 from tests.bench.judge.known_runs import exact_loop
 
 STEPS, DONE = 4, 3
@@ -25,7 +20,7 @@ SURGE = [16e3, 16e3, 15e3]
 
 
 @pytest.fixture(scope="module")
-def judged() -> tuple[Evaluated, StepColumns, Cell]:
+def judged() -> tuple[EvaluatedCell, StepColumns, Cell]:
     """Three of four planned steps of `calm` with a reference, and a fault at 0.6 s."""
     calm = load_scenario("calm").files
     changes = {
@@ -33,7 +28,7 @@ def judged() -> tuple[Evaluated, StepColumns, Cell]:
         "faults": [{"at_s": 0.6, "limit_share": [0.01, 1.0, 1.0]}],
         "duration_s": 0.3 * STEPS,
     }
-    case = scenario_of(calm | {"scenario": calm["scenario"] | changes})
+    case = build_scenario(calm | {"scenario": calm["scenario"] | changes})
     log = RawLog.in_memory(loop_layout(STEPS, *QPBuilder(case).sizes))
     log.done[0] = DONE
     log.state[:, 3] = NORTH
@@ -41,7 +36,7 @@ def judged() -> tuple[Evaluated, StepColumns, Cell]:
     log.tau[:DONE, 0], log.command[:DONE, 0] = SURGE, [17e3, 18e3, 19e3]
     log.flags[:DONE] = [[1, 0, 0], [0, 1, 0], [0, 1, 1]]
     log.times[:] = 0
-    log.times[0, :, TIMES.index("solve")] = [100, 200, 300, 400]
+    log.times[0, :, PHASES.index("solve")] = [100, 200, 300, 400]
     cell = Cell("closed_loop", case.files, "daqp", "native", "warm", "high", STEPS)
     exact = exact_loop([[0.0, 0.0, 0.0]] * (STEPS + 1), [[1e3, 0.0, 0.0]] * STEPS)
     evaluated = evaluate_log(cell, log, exact)
@@ -70,47 +65,16 @@ def judged() -> tuple[Evaluated, StepColumns, Cell]:
     ],
 )
 def test_figures_of_a_written_log(
-    name: str, value: float, judged: tuple[Evaluated, StepColumns, Cell]
+    name: str, value: float, judged: tuple[EvaluatedCell, StepColumns, Cell]
 ) -> None:
-    """Only steps that were done count, with the reference and the limits of their samples."""
     assert judged[0].metrics[name] == pytest.approx(value)
 
 
-def test_columns_of_a_written_log(judged: tuple[Evaluated, StepColumns, Cell]) -> None:
-    """Each step has the state at its sample, and the force from there on."""
-    steps = step_rows("run", judged[1])
-    assert steps["k"].tolist() == [0, 1, 2]
-    assert steps["t_s"].tolist() == pytest.approx([0.0, 0.3, 0.6])
-    assert steps["n_m"].tolist() == [0.0, 1.0, 2.0]
-    assert steps["u_mps"].tolist() == [0.5, 0.0, 1.0]
-    assert steps["tau_x_N"].tolist() == SURGE
-    assert steps["cmd_x_N"].tolist() == [17e3, 18e3, 19e3]
-    assert steps["dtau_x_N"].tolist() == [16e3, 0.0, -1e3]
-    assert steps["fallback"].tolist() == [True, False, False]
-    assert steps["unconverged"].tolist() == [False, True, True]
-    assert steps["clipped"].tolist() == [False, False, True]
-    assert steps["total_ns"].tolist() == [100, 200, 300]
-    assert not steps["late"].any()
-
-
-def test_the_row_of_a_written_log(judged: tuple[Evaluated, StepColumns, Cell]) -> None:
-    """Three of four steps are done; the figures are those of the log."""
-    evaluated, steps, cell = judged
-    outcome, library = Outcome("timed_out", "stopped"), Availability(True)
-    row = run_row("run", cell, outcome, library, "", evaluated, steps)
-    assert (row["steps_planned"], row["steps_done"], row["raw_samples"]) == (STEPS, DONE, DONE)
-    assert (row["fallbacks"], row["unconverged"], row["clipped"]) == (1, 2, 1)
-    assert row["raw_max_ns"] == 300.0
-    assert row["closed_loop_cost"] == pytest.approx(2.51285)
-    assert pd.isna(row["raw_p99_ns"]) and np.isnan(row["raw_p50_ns"])
-
-
 def test_a_ship_that_follows_a_filtered_reference_has_no_error() -> None:
-    """The reference moves from sample to sample, and each state is compared with its own."""
     case = load_scenario("move_filtered").first(STEPS)
     log = RawLog.in_memory(loop_layout(STEPS, *QPBuilder(case).sizes))
     log.done[0] = STEPS
-    log.state[:, 3:] = case.reference_table(STEPS + 1)
+    log.state[:, 3:] = case.build_reference_table(STEPS + 1)
     assert log.state[1, 3:].any()
     exact = exact_loop(log.state[:, 3:].tolist(), [[0.0, 0.0, 0.0]] * STEPS)
     cell = Cell("closed_loop", case.files, "daqp", "native", "warm", "high", STEPS)

@@ -1,7 +1,5 @@
 """First visits and loop ratios worked by hand."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any
@@ -10,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.bench.judge.memory_of_answers import is_remembered, memory_metrics, with_loop_ratio
+from dpbench.bench.judge.answer_caching import caching_metrics, is_remembered, with_loop_ratio
 from dpbench.bench.record.raw_log import COUNTERS
 
 NAN = math.nan
@@ -30,7 +28,6 @@ NAN = math.nan
 def test_each_figure_beyond_its_limit_shows_a_memory(
     figures: tuple[float, float, float, float], remembered: bool
 ) -> None:
-    """A figure at its limit shows none, a missing one neither."""
     assert is_remembered(*figures) is remembered
 
 
@@ -58,7 +55,7 @@ def _log(first: list[float], *rounds: list[float], warm_up: int = 0, **columns: 
 
 
 def _metrics(log: Any) -> tuple[float, float]:
-    found = memory_metrics(log)
+    found = caching_metrics(log)
     return found["first_visit_ratio"], found["first_visit_excess"]
 
 
@@ -68,10 +65,18 @@ def test_the_ratio_of_first_visits() -> None:
     assert found == (3.0, 0.0)
 
 
-@pytest.mark.parametrize(("steps", "known"), [(19, False), (20, True)])
-def test_twenty_pairs_of_visits_are_needed(steps: int, known: bool) -> None:
-    """With 19 steps nothing is known; a step that was not visited counts for none."""
-    log = _log([30] * steps + [0], [1] * (steps + 1), [10] * (steps + 1))
+@pytest.mark.parametrize(
+    ("first", "later", "known"),
+    [
+        ([30] * 20 + [0], 21, True),
+        ([30] * 19 + [0], 20, False),
+        ([30] * 19 + [-1], 20, False),
+        ([30] * 20, 19, False),
+    ],
+)
+def test_twenty_pairs_of_visits_are_needed(first: list[float], later: int, known: bool) -> None:
+    """A step without a first visit (0), a recorded one (−1), or a later one counts for none."""
+    log = _log(first, [1] * len(first), [10] * later)
     assert (not math.isnan(_metrics(log)[0])) is known
 
 
@@ -111,14 +116,14 @@ def test_a_slow_machine_explains_slow_first_visits() -> None:
     }
     first = [61.0] * 4 + [60.0] * 2 + [30.0] * 14
     assert _metrics(_log(first, first, [10] * 20, **slower)) == (2.0, 0.2)
-    slower["first_reference_kernel_ns"] = np.array([900, 50, 100])
-    assert _metrics(_log(first, first, [10] * 20, **slower))[0] == 3.0
-    slower["first_reference_kernel_ns"] = np.array([900, 0, 100])
+    for around_first in (50, 0):
+        slower["first_reference_kernel_ns"] = np.array([900, around_first, 100])
+        assert _metrics(_log(first, first, [10] * 20, **slower))[0] == 3.0
+    slower["reference_kernel_ns"] = 0.0 * kernels
     assert _metrics(_log(first, first, [10] * 20, **slower))[0] == 3.0
 
 
 def test_a_round_that_was_run_again_is_a_later_visit() -> None:
-    """Its last attempt is a visit like others, and its switches are not those of the first."""
     log = _log([30] * 20, [10] * 20, [15] * 20, attempts=np.array([1, 2, 1]))
     log.counters[1, COUNTERS.index("involuntary_switches")] = 8.0
     assert _metrics(log) == (3.0, 0.0)
@@ -138,7 +143,6 @@ def test_the_warm_up_is_asked_where_too_few_steps_follow_it() -> None:
 
 
 def test_a_round_without_steps_is_no_visit() -> None:
-    """A replay that was stopped has steps without a later visit."""
     log = _log([30] * 40, [99] * 40, [10] * 20, [])
     assert _metrics(log) == (3.0, 0.0)
     assert math.isnan(_metrics(_log([30] * 40, [99] * 40, []))[0])
@@ -183,14 +187,12 @@ REPLAY = {"mode": "replay", "raw_p50_ns": 2.0, "raw_p90_ns": 8.0}
 def test_the_longest_sound_loop_of_a_configuration_over_its_replay(
     loop: dict[str, Any], ratios: tuple[float, float]
 ) -> None:
-    """A loop that failed, was stopped, ran on a slow computer or is of another one is left out."""
     found = with_loop_ratio(_rows({}, REPLAY, loop))
     assert found.loc[1, ["loop_ratio", "loop_tail_ratio"]].to_list() == list(ratios)
     assert found.loc[[0, 2], ["loop_ratio", "loop_tail_ratio"]].isna().all().all()
 
 
 def test_loop_ratios_without_their_columns() -> None:
-    """Without a loop, a percentile or the failed steps there is no ratio."""
     columns = ["loop_ratio", "loop_tail_ratio"]
     assert with_loop_ratio(_rows(REPLAY))[columns].isna().all().all()
     assert (
@@ -201,7 +203,6 @@ def test_loop_ratios_without_their_columns() -> None:
 
 
 def test_a_cascade_is_compared_by_its_controller() -> None:
-    """The time of the controller alone counts where it is known."""
     found = with_loop_ratio(_rows({"controller_p50_ns": 4.0}, REPLAY))
     assert found.loc[1, ["loop_ratio", "loop_tail_ratio"]].to_list() == [2.0, 2.5]
     found = with_loop_ratio(_rows({"controller_p50_ns": NAN}, REPLAY))

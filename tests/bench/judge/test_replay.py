@@ -1,13 +1,12 @@
 """The judged columns of a replay whose QPs have the optimum k + 1 at step k, by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
-from dpbench.bench.judge.replay import evaluate_sequence
+from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
+from dpbench.bench.judge.replay import evaluate_sequence, repeatability
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.qp.program import QPSequence, QuadraticProgram, Units
 from dpbench.qp.referee.referee import certify
@@ -25,7 +24,6 @@ def sequence(unit: float = 1.0) -> QPSequence:
 
 
 def log_of(answers: list[list[float]]) -> RawLog:
-    """The answers of each round, as long as it went."""
     log = RawLog.in_memory(replay_layout(len(answers), STEPS, 1, 1))
     for r, row in enumerate(answers):
         log.done[r] = len(row)
@@ -33,14 +31,12 @@ def log_of(answers: list[list[float]]) -> RawLog:
     return log
 
 
-def figure(evaluated: Evaluated, name: str) -> list[float]:
-    """A figure of the referee, row by row."""
+def figure(evaluated: EvaluatedCell, name: str) -> list[float]:
     found: list[float] = evaluated.columns["evaluations"][:, EVALUATION.index(name)].tolist()
     return found
 
 
-def kinds(evaluated: Evaluated) -> list[str]:
-    """The certificates, row by row."""
+def kinds(evaluated: EvaluatedCell) -> list[str]:
     return [CERTIFICATES[i] for i in evaluated.columns["certificate"]]
 
 
@@ -73,7 +69,6 @@ def test_the_times_are_those_of_the_recorded_run() -> None:
 
 
 def test_without_judging_nothing_is_said() -> None:
-    """No figure, no certificate; the columns and what was repeated are there."""
     log = log_of([[1.0], [1.0, 2.0, 3.0]])
     found = evaluate_sequence(log, sequence(), 0.3, judged=False)
     assert np.isnan(found.columns["evaluations"]).all() and kinds(found) == ["none"] * 4
@@ -82,7 +77,6 @@ def test_without_judging_nothing_is_said() -> None:
 
 
 def test_given_optima_are_those_that_count() -> None:
-    """One for each step: the answers of all rounds are as far from them as they are."""
     qps = sequence()
     optima = [
         replace(certify(qps.problem(k)), kind=kind, z=np.array([float(k)]))
@@ -115,8 +109,77 @@ def test_matrices_of_a_step_hold_for_its_answers_alone() -> None:
 
 
 def test_a_replay_that_never_began_has_no_rows() -> None:
-    """Its columns are there all the same."""
     for answers in ([[], []], [[]]):
         found = evaluate_sequence(log_of(answers), sequence(), 0.3)
         assert all(len(found.columns[name]) == 0 for name in ("k", "t_s", "times"))
         assert found.columns["evaluations"].shape == (0, len(EVALUATION))
+
+
+ONES = np.ones(2)
+
+
+def alike(rounds: int = 3, steps: int = 4) -> RawLog:
+    log = RawLog.in_memory(replay_layout(rounds, steps, 2, 1))
+    log.z[:] = np.arange(2.0 * steps).reshape(steps, 2)
+    log.iterations[:] = np.arange(steps)
+    log.done[:] = steps
+    return log
+
+
+def test_rounds_that_are_alike_are_identical() -> None:
+    log = alike()
+    log.z[:, 2] = np.nan
+    assert repeatability(log, ONES) == {
+        "bit_identical_share": 1.0,
+        "answer_spread_max": 0.0,
+        "iterations_identical_share": 1.0,
+        "iterations_spread": 0.0,
+    }
+
+
+def test_the_last_bit_counts_and_so_does_the_sign_of_zero() -> None:
+    log = alike()
+    log.z[2, 1, 0] = np.nextafter(2.0, 3.0)
+    log.z[1, 0, 0] = -0.0
+    found = repeatability(log, ONES)
+    assert found["bit_identical_share"] == 0.5
+    assert found["answer_spread_max"] == np.spacing(2.0)
+
+
+def test_spreads_are_the_largest_and_in_scaled_units() -> None:
+    """z apart by 3 of a unit that is 2 scaled ones; iterations from 3 to 9 at one step of four."""
+    log = alike()
+    log.z[2, 3, 1] += 3.0
+    log.iterations[:, 3] = (5, 9, 3)
+    found = repeatability(log, np.array([1.0, 2.0]))
+    assert found["answer_spread_max"] == 1.5
+    assert (found["iterations_identical_share"], found["iterations_spread"]) == (0.75, 6.0)
+
+
+def test_an_answer_that_is_missing_once_is_not_the_same() -> None:
+    log = alike()
+    log.z[1, 0] = np.nan
+    found = repeatability(log, ONES)
+    assert (found["bit_identical_share"], found["answer_spread_max"]) == (0.75, 0.0)
+
+
+def test_only_what_was_recorded_is_compared() -> None:
+    log = alike(rounds=2)
+    log.done[0] = 2
+    log.z[0, 2:] = 99.0
+    log.iterations[0, 2:] = 99
+    assert repeatability(log, ONES)["bit_identical_share"] == 1.0
+    assert repeatability(log, ONES)["iterations_spread"] == 0.0
+    log.done[0] = 0
+    assert all(np.isnan(value) for value in repeatability(log, ONES).values())
+
+
+@pytest.mark.parametrize("counts", [(-1, -1, -1), (-1, 4, 4)])
+def test_a_solver_that_does_not_count_is_not_said_to_repeat_its_count(
+    counts: tuple[int, ...],
+) -> None:
+    """−1 is no number of iterations."""
+    log = alike(steps=1)
+    log.iterations[:, 0] = counts
+    found = repeatability(log, ONES)
+    assert np.isnan(found["iterations_identical_share"]) and np.isnan(found["iterations_spread"])

@@ -1,7 +1,5 @@
 """Which rounds and steps count, and whom a step is charged to: one rule for every table."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -10,31 +8,16 @@ import pandas as pd
 import pytest
 
 from dpbench.analysis.records.step_times import times_by_run
-from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
+from dpbench.bench.judge import rules
+from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
 from dpbench.bench.judge.replay import evaluate_sequence
 from dpbench.bench.judge.rows import run_row, step_rows
-from dpbench.bench.judge.rules import (
-    claimed_not_true,
-    counting_rows,
-    decided,
-    disturbed_rounds,
-    errors,
-    explained_by,
-    failed_steps,
-    is_ranked,
-    largest,
-    median,
-    percentile,
-    supports,
-    true_not_claimed,
-    unusable,
-)
 from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.raw_log import TIMES, RawLog, replay_layout
+from dpbench.bench.record.raw_log import PHASES, RawLog, replay_layout
 from dpbench.bench.record.schema import as_runs
 from dpbench.bench.run.exact_loop import ExactWorkspace
-from dpbench.bench.worst_case.goal import worst_of
+from dpbench.bench.worst_case.goal import find_worst_step
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.solution import Status
 from dpbench.solvers.table import Availability
@@ -49,7 +32,7 @@ def _log(kernel_ns: list[float], statuses: list[Status] | None = None) -> RawLog
     log.done[:] = [WARM_UP_STEPS] + [STEPS] * (len(kernel_ns) - 1)
     log.reference_kernel_ns[:] = np.array(kernel_ns)[:, None]
     log.times[:] = -1
-    log.times[:, :, TIMES.index("solve")] = 1000 + np.arange(len(kernel_ns))[:, None]
+    log.times[:, :, PHASES.index("solve")] = 1000 + np.arange(len(kernel_ns))[:, None]
     log.counters[:] = 1.0
     if statuses is not None:
         log.status[:, : len(statuses)] = statuses
@@ -57,29 +40,21 @@ def _log(kernel_ns: list[float], statuses: list[Status] | None = None) -> RawLog
 
 
 def _sequence() -> QPSequence:
-    """QPs whose optimum is zero."""
     eye, one, zero = np.eye(N), np.ones(N), np.zeros((STEPS, N))
     base = QuadraticProgram(eye, zero[0], eye, -one, one, -one, one)
     return QPSequence("made up", base, zero, zero - 1, zero + 1)
 
 
-def _tables(evaluated: Evaluated) -> tuple[pd.DataFrame, Any]:
-    """The rows of both tables."""
-    scenario = {"name": "made up"}
-    configuration = {
-        "solver": "planted",
-        "route": "native",
-        "policy": "fresh",
-        "settings": "default",
-    }
-    cell = Cell(mode="replay", scenario=scenario, steps=STEPS, rounds=3, **configuration)
+def _tables(evaluated: EvaluatedCell) -> tuple[pd.DataFrame, Any]:
+    configuration = {"name": "made up"}, "planted", "native", "fresh", "default", STEPS
+    cell = Cell("replay", *configuration, rounds=3)
     steps = step_columns(cell, evaluated)
     outcome, library = Outcome("finished", ""), Availability(True)
     row = run_row("planted", cell, outcome, library, "", evaluated, steps)
     return step_rows("planted", steps), as_runs(pd.DataFrame([row])).iloc[0]
 
 
-def _judged(log: RawLog) -> Evaluated:
+def _judged(log: RawLog) -> EvaluatedCell:
     return evaluate_sequence(log, _sequence(), 0.3)
 
 
@@ -90,8 +65,6 @@ def _judged(log: RawLog) -> Evaluated:
 def test_the_run_counts_the_rounds_that_the_report_counts(
     slowed: tuple[int, ...], rounds: int, disturbed: int, counting_disturbed: int
 ) -> None:
-    """Never the warm-up, no disturbed round; where all are disturbed, all but the warm-up, and it
-    is said."""
     steps, run = _tables(_judged(_log([SLOWED if r in slowed else CALM for r in range(4)])))
     (shown,) = dict(times_by_run(steps)).values()
     assert (run["rounds"], run["raw_samples"]) == (rounds, rounds * STEPS)
@@ -101,7 +74,6 @@ def test_the_run_counts_the_rounds_that_the_report_counts(
 
 
 def test_a_replay_that_ended_in_its_warm_up_has_no_figures() -> None:
-    """Neither run nor report counts a step of a warm-up."""
     log = _log([CALM] * 4)
     log.done[1:] = 0
     steps, run = _tables(_judged(log))
@@ -114,19 +86,22 @@ def test_a_round_is_disturbed_beyond_the_factor_of_the_best_kernel_seen() -> Non
     """Kernels of 4 and at most 5 are calm, 5.01 is not; one that was never timed spoils nothing."""
     kernel_ns = np.array([[4.0, 5.0], [5.0, 5.0], [4.0, 5.01], [0.0, 4.5], [0.0, 0.0]])
     rounds = np.arange(5, dtype=np.int32)
-    assert disturbed_rounds(rounds, kernel_ns).tolist() == [2]
-    assert disturbed_rounds(rounds, np.zeros((5, 2))).tolist() == []
+    assert rules.disturbed_rounds(rounds, kernel_ns).tolist() == [2]
+    assert rules.disturbed_rounds(rounds, np.zeros((5, 2))).tolist() == []
 
 
-def test_only_warm_ups_leave_nothing_to_count() -> None:
-    """Round 0 does not count, disturbed or not."""
-    repeat = np.zeros(3, dtype=np.int32)
-    assert not counting_rows(repeat, np.array([True, False, True])).any()
+def test_rounds_that_count_are_those_undisturbed_while_there_are_any() -> None:
+    """Rounds 0 1 1 2 2: of round 1 disturbed, of both disturbed, of none; a warm-up alone."""
+    repeat = np.array([0, 1, 1, 2, 2], dtype=np.int32)
+    no, yes = False, True
+    assert rules.counting_rows(repeat, repeat == 1).tolist() == [no, no, no, yes, yes]
+    assert rules.counting_rows(repeat, repeat >= 0).tolist() == [no, yes, yes, yes, yes]
+    assert rules.counting_rows(repeat, repeat > 2).tolist() == [no, yes, yes, yes, yes]
+    assert not rules.counting_rows(0 * repeat, repeat == 1).any()
 
 
-def _certified(kind: str, count: int, log: RawLog) -> Evaluated:
-    """A assessment whose first steps of each round have another certificate, as the referee has it
-    where there is no optimum: residuals of the answer, no error and nothing true."""
+def _certified(kind: str, count: int, log: RawLog) -> EvaluatedCell:
+    """Return a judged log whose first steps of each round have no optimum."""
     evaluated = _judged(log)
     first = evaluated.columns["k"] < count
     evaluated.columns["certificate"][first] = CERTIFICATES.index(kind)
@@ -138,7 +113,6 @@ def _certified(kind: str, count: int, log: RawLog) -> Evaluated:
 
 
 def test_without_a_certificate_no_claim_is_false() -> None:
-    """Claims of steps that nobody could certify are counted as uncertified, and as nothing else."""
     _, run = _tables(_certified("none", 6, _log([CALM] * 3)))
     assert (run["uncertified"], run["undecided_steps"]) == (12, 0)
     assert (run["claimed_not_true"], run["true_not_claimed"], run["failed_steps"]) == (0, 0, 0)
@@ -147,7 +121,6 @@ def test_without_a_certificate_no_claim_is_false() -> None:
 
 @pytest.mark.parametrize("status", list(Status))
 def test_a_step_undecided_at_rounding_is_charged_to_nobody(status: Status) -> None:
-    """Whatever is answered there, it is neither failed nor false, and counted as undecided."""
     log = _log([CALM] * 3, [status] * 6)
     log.z[:, :6] = np.nan
     evaluated = _certified("undecided", 6, log)
@@ -155,13 +128,11 @@ def test_a_step_undecided_at_rounding_is_charged_to_nobody(status: Status) -> No
     assert (run["uncertified"], run["undecided_steps"]) == (0, 12)
     assert (run["claimed_not_true"], run["true_not_claimed"], run["failed_steps"]) == (0, 0, 0)
     assert run["true_share"] == 1.0 and run["error_move_max"] == 0.0 and run["primal_max"] == 0.0
-    worst = worst_of(evaluated, "error")
+    worst = find_worst_step(evaluated, "error")
     assert worst is not None and worst.objective == 0.0
 
 
 def test_nobody_fails_where_no_point_is_feasible_but_who_answers_all_the_same() -> None:
-    """On infeasible steps a missing answer is none to give, a claimed one false. Steps that fail
-    are those of both rounds, of which one is the warm-up."""
     log = _log([CALM] * 2, [Status.PRIMAL_INFEASIBLE, Status.SOLVED, Status.MAX_ITERATIONS])
     _, run = _tables(_certified("infeasible", 3, log))
     assert (run["infeasible_steps"], run["uncertified"]) == (3, 0)
@@ -169,8 +140,6 @@ def test_nobody_fails_where_no_point_is_feasible_but_who_answers_all_the_same() 
 
 
 def test_an_answer_that_is_not_finite_fails_with_a_certificate_or_without() -> None:
-    """NaN under SOLVED is a failed step also where no optimum is known; certified, it is a lie.
-    Of the two rounds one is the warm-up."""
     log = _log([CALM] * 2)
     log.z[:, [2, 10]] = np.nan
     _, run = _tables(_certified("none", 6, log))
@@ -179,15 +148,15 @@ def test_an_answer_that_is_not_finite_fails_with_a_certificate_or_without() -> N
 
 @pytest.mark.parametrize(("percent", "needed"), [(50, 20), (95, 200), (99, 1000), (99.9, 10_000)])
 def test_a_percentile_needs_ten_samples_beyond_it(percent: float, needed: int) -> None:
-    """With one sample fewer there is no number."""
-    assert supports(needed, percent) and not supports(needed - 1, percent)
-    assert np.isfinite(percentile(np.arange(float(needed)), percent))
-    assert np.isnan(percentile(np.arange(needed - 1.0), percent))
+    assert rules.supports_percentile(needed, percent) and not rules.supports_percentile(
+        needed - 1, percent
+    )
+    assert np.isfinite(rules.percentile(np.arange(float(needed)), percent))
+    assert np.isnan(rules.percentile(np.arange(needed - 1.0), percent))
 
 
 def test_a_limit_violated_by_rounding_is_charged_to_nobody() -> None:
-    """0 ≥ z ≥ 1e-17 is decided by nobody: neither who solves it nor who calls it infeasible errs,
-    and the exactly solved loop goes on."""
+    """0 ≥ z ≥ 1e-17 is decided by nobody."""
     sequence = _sequence()
     low = np.zeros((STEPS, N))
     low[:6], high = 1e-17, np.zeros(N)
@@ -204,62 +173,29 @@ def test_a_limit_violated_by_rounding_is_charged_to_nobody() -> None:
     assert exact.optima[-1].kind == "undecided"
 
 
-def test_a_true_answer_that_was_not_claimed() -> None:
-    """Steps that deny an optimum or have no known right answer do not count."""
-    steps = {
-        "true": np.array([True, True, True, True, True, False]),
-        "claimed": np.array([False, True, False, False, False, False]),
-        "status": np.array(["MAX_ITERATIONS", "SOLVED", "PRIMAL_INFEASIBLE", *["UNKNOWN"] * 3]),
-        "certificate": np.array(["linear", "gap", "infeasible", "undecided", "none", "linear"]),
-    }
-    expected = [True, False, False, False, False, False]
-    assert true_not_claimed(steps).tolist() == expected
-    assert true_not_claimed(pd.DataFrame(steps)).tolist() == expected
-
-
 def test_an_answer_is_unusable_by_its_status_or_its_numbers() -> None:
-    """A status without an answer, an infinite plan error or residual makes it unusable."""
     steps = {
         "status": np.array(["ERROR", "SOLVED", "SOLVED", "MAX_ITERATIONS", "SOLVED"]),
         "error_plan": np.array([0.1, np.inf, np.nan, 0.3, np.nan]),
         "primal": np.array([0.1, 0.2, np.inf, 0.3, 0.0]),
     }
-    assert unusable(steps).tolist() == [True, True, True, False, False]
+    assert rules.unusable_steps(steps).tolist() == [True, True, True, False, False]
 
 
 def test_the_error_of_a_cascade_is_the_larger_known_one() -> None:
-    """An unknown error of either QP leaves that of the other."""
     alone = {"error_move": np.array([0.1, 0.3, np.nan])}
-    np.testing.assert_array_equal(errors(alone), [0.1, 0.3, np.nan])
+    np.testing.assert_array_equal(rules.first_move_errors(alone), [0.1, 0.3, np.nan])
     both = alone | {"allocation_error": np.array([0.2, np.nan, 0.4])}
-    assert errors(both).tolist() == [0.2, 0.3, 0.4]
-
-
-def test_times_are_ranked_where_they_were_taken_alone_on_the_machine_of_the_folder() -> None:
-    """Alone is one at a time; without a number there is nothing to compare."""
-    assert is_ranked(1.0, "a", "a")
-    assert not is_ranked(1.0, "b", "a")
-    assert not is_ranked(1.5, "a", "a") and not is_ranked(2.0, "a", "a")
-    assert is_ranked(np.nan, "b", "a")
-
-
-def test_rounds_that_count_are_those_undisturbed_while_there_are_any() -> None:
-    """Rounds 0 1 1 2 2: of round 1 disturbed, of both disturbed, of none."""
-    repeat = np.array([0, 1, 1, 2, 2], dtype=np.int32)
-    no, yes = False, True
-    assert counting_rows(repeat, repeat == 1).tolist() == [no, no, no, yes, yes]
-    assert counting_rows(repeat, repeat >= 0).tolist() == [no, yes, yes, yes, yes]
-    assert counting_rows(repeat, repeat > 2).tolist() == [no, yes, yes, yes, yes]
+    assert rules.first_move_errors(both).tolist() == [0.2, 0.3, 0.4]
 
 
 def test_medians_and_maxima_are_of_what_is_there() -> None:
-    """NaN is no value; of nothing there is neither."""
     values = [np.nan, 3.0, 1.0, np.nan, 8.0]
-    assert (median(values), largest(values)) == (3.0, 8.0)
-    assert largest([-2.0, -3.0]) == -2.0
-    assert median([7.0]) == largest([7.0]) == 7.0
+    assert (rules.median_known(values), rules.largest_known(values)) == (3.0, 8.0)
+    assert rules.largest_known([-2.0, -3.0]) == -2.0
+    assert rules.median_known([7.0]) == rules.largest_known([7.0]) == 7.0
     for nothing in ([], [np.nan]):
-        assert np.isnan(median(nothing)) and np.isnan(largest(nothing))
+        assert np.isnan(rules.median_known(nothing)) and np.isnan(rules.largest_known(nothing))
 
 
 # Certificate, status, claimed, true, fallback, unconverged; what the step then counts as.
@@ -283,7 +219,6 @@ CASES = {
 
 @pytest.mark.parametrize("as_table", [False, True])
 def test_each_kind_of_step_is_charged_as_the_method_states(as_table: bool) -> None:
-    """Failed, falsely claimed, not claimed, unknown, of no use: in arrays and in tables."""
     columns = {
         name: np.array([case[i] for case in CASES], dtype=object if i < 2 else bool)
         for i, name in enumerate(FACTS)
@@ -292,33 +227,15 @@ def test_each_kind_of_step_is_charged_as_the_method_states(as_table: bool) -> No
     columns |= dict.fromkeys(("error_plan", "primal"), np.zeros(len(CASES)))
     steps = pd.DataFrame(columns) if as_table else columns
     found = {
-        "unknown": ~decided(steps),
-        "failed": failed_steps(steps),
-        "claimed_not_true": claimed_not_true(steps),
-        "true_not_claimed": true_not_claimed(steps),
+        "unknown": ~rules.decided_steps(steps),
+        "failed": rules.failed_steps(steps),
+        "claimed_not_true": rules.claimed_not_true(steps),
+        "true_not_claimed": rules.true_not_claimed(steps),
     }
     for i, (case, expected) in enumerate(CASES.items()):
         assert {name for name, flags in found.items() if flags[i]} == set(expected.split()), case
     of_no_use = [case[1] in ("PRIMAL_INFEASIBLE", "ERROR") for case in CASES]
-    assert unusable(steps).tolist() == of_no_use
-
-
-def test_an_infinite_answer_is_of_no_use() -> None:
-    """By its plan or by its residual, whatever its status."""
-    steps = {
-        "status": np.array(["SOLVED"] * 3),
-        "error_plan": np.array([np.inf, 0.0, 1e300]),
-        "primal": np.array([0.0, np.inf, np.nan]),
-    }
-    assert unusable(steps).tolist() == [True, True, False]
-
-
-def test_the_error_of_a_cascade_is_the_larger_of_its_two() -> None:
-    """What is not known of one is that of the other."""
-    steps = {"error_move": np.array([1.0, 2.0, np.nan, 4.0])}
-    np.testing.assert_array_equal(errors(steps), [1.0, 2.0, np.nan, 4.0])
-    steps["allocation_error"] = np.array([3.0, 1.0, 5.0, np.nan])
-    assert errors(steps).tolist() == [3.0, 2.0, 5.0, 4.0]
+    assert rules.unusable_steps(steps).tolist() == of_no_use
 
 
 @pytest.mark.parametrize(
@@ -334,6 +251,5 @@ def test_the_error_of_a_cascade_is_the_larger_of_its_two() -> None:
 def test_switches_explain_late_timings_in_proportion_to_timed_calls(
     switches: float, timed_share: float, explained: int
 ) -> None:
-    """A process gets a quarter of a core at least, so a share of 1 % is hit by 4 % of the
-    switches, and three standard deviations are added."""
-    assert explained_by(switches, timed_share) == explained
+    """A share of 1 % is hit by 4 % of the switches, plus three standard deviations."""
+    assert rules.explained_late_timings(switches, timed_share) == explained

@@ -1,30 +1,28 @@
-"""Failure, accuracy and deadline figures of closed loops, counted by hand."""
+"""Rows of both tables, with failure, accuracy and deadline figures counted by hand."""
 
-from __future__ import annotations
-
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.bench.judge.closed_loop import Evaluated
-from dpbench.bench.judge.deadlines import (
-    deadline_metrics,
-    late_columns,
-    longest_streak,
-    steps_to_recover,
-)
-from dpbench.bench.judge.rows import run_row
-from dpbench.bench.judge.rules import is_disturbed, is_ranked
-from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.schema import ABSENT
+from dpbench.bench.judge import timing
+from dpbench.bench.judge.closed_loop import EvaluatedCell
+from dpbench.bench.judge.rows import run_row, step_rows
+from dpbench.bench.judge.rules import is_ranked
+from dpbench.bench.record.cell import Cell, Outcome, RecordedSource
+from dpbench.bench.record.schema import MISSING_INT
 from dpbench.bench.run.slow_computer import ComputationalDelay
 from dpbench.scenario.scenario import load_scenario
+from dpbench.solvers.calibration import NO_OP
 from dpbench.solvers.table import Availability
 
 INF, NAN = np.inf, np.nan
-KNOWN = ("linear", "linear")
+PAPER = load_scenario("paper").files
+LOOP = Cell("closed_loop", PAPER, "daqp", "native", "warm", "high", 9)
+REPLAY = replace(LOOP, mode="replay", steps=3, rounds=2)
+ONCE = {"setup_once_ns": np.array([0]), "matrix_updates": np.array([0])}
 
 
 def flags(text: str) -> np.ndarray:
@@ -32,8 +30,13 @@ def flags(text: str) -> np.ndarray:
     return np.array([letter == "1" for letter in text])
 
 
-def closed_loop_row(slowdown: float = 0.0, **columns: Any) -> dict[str, Any]:
-    """Return the row of a loop with correct, timely steps except for these columns."""
+def row_of(cell: Cell, steps: Any = None, judged: Any = None, **given: Any) -> dict[str, Any]:
+    outcome = Outcome("finished", "", "dense", 15, 12)
+    return run_row("a1", cell, outcome, Availability(True), "m", judged, steps, **given)
+
+
+def loop_steps(**columns: Any) -> dict[str, Any]:
+    """Return correct, timely steps of a loop except for these columns."""
     K = len(next(iter(columns.values())))
     no, yes = np.zeros(K, dtype=bool), np.ones(K, dtype=bool)
     steps: dict[str, Any] = {
@@ -50,16 +53,15 @@ def closed_loop_row(slowdown: float = 0.0, **columns: Any) -> dict[str, Any]:
         **dict.fromkeys(("total_ns", "latency_ns", "emit_ns", "overhead_ns"), np.full(K, 100)),
         "waited_ns": np.zeros(K, dtype=np.int64),
     }
-    steps |= {name: np.asarray(column) for name, column in columns.items()}
-    once = {"setup_once_ns": np.array([0]), "matrix_updates": np.array([0])}
-    files = load_scenario("calm").files
-    cell = Cell("closed_loop", files, "daqp", "native", "warm", "high", K, slowdown=slowdown)
-    outcome, library = Outcome("finished", ""), Availability(True)
-    return run_row("run", cell, outcome, library, "", Evaluated(once, {}), steps)
+    return steps | {name: np.asarray(column) for name, column in columns.items()}
+
+
+def closed_loop_row(slowdown: float = 0.0, **columns: Any) -> dict[str, Any]:
+    cell = replace(LOOP, slowdown=slowdown)
+    return row_of(cell, loop_steps(**columns), EvaluatedCell(ONCE, {}))
 
 
 def test_fallbacks_of_a_known_run() -> None:
-    """The fallback acts for one, three and two steps; the second recovery takes five."""
     row = closed_loop_row(
         fallback=flags("0101110001100"),
         true=flags("1010000011011"),
@@ -73,7 +75,6 @@ def test_fallbacks_of_a_known_run() -> None:
 
 
 def test_without_a_fallback_there_is_nothing_to_recover_from() -> None:
-    """A loop without a fallback, or with one that never ends, has no recovery time."""
     row = closed_loop_row(true=flags("110"))
     assert (row["fallbacks"], row["fallback_longest"]) == (0, 0)
     assert row["recover_steps_max"] is pd.NA
@@ -83,18 +84,8 @@ def test_without_a_fallback_there_is_nothing_to_recover_from() -> None:
 
 
 def test_accuracy_of_a_known_run() -> None:
-    """Shares of eight steps leave out an undecided and an uncertified one."""
     row = closed_loop_row(
-        certificate=[
-            "linear",
-            "gap",
-            "rational",
-            "linear",
-            "linear",
-            "undecided",
-            "none",
-            "infeasible",
-        ],
+        certificate=["linear", "gap", *["linear"] * 3, "undecided", "none", "infeasible"],
         claimed=flags("11100111"),
         true=flags("11010000"),
         true_1e4=flags("11000000"),
@@ -106,8 +97,8 @@ def test_accuracy_of_a_known_run() -> None:
         error_plan=[0.2, 0.3, 0.4, 0.5, 0.6, 9.0, NAN, NAN],
         primal=[0.1, 0.0, 0.0, 0.0, 0.0, 9.0, 0.2, 0.3],
         dual=[0.0, 0.4, 0.0, 0.0, 0.0, 9.0, 0.1, 0.2],
-        optimum_bound=[1e-12, 3e-12, 2e-12, 1e-12, 1e-12, INF, INF, INF],
-        iterations=[4, 8, 2, 10, ABSENT, 3, 7, 9],
+        optimum_bound=[1e-12, 3e-12, 2e-12, 1e-12, 1e-12, INF, NAN, INF],
+        iterations=[4, 8, 2, 10, MISSING_INT, 3, 7, 9],
     )
     assert row["claimed_share"] == 0.75
     # Six steps have a known right answer.
@@ -127,14 +118,11 @@ def test_accuracy_of_a_known_run() -> None:
     assert (row["iterations_p50"], row["iterations_max"]) == (7.0, 10.0)
 
 
-def test_the_median_error_is_one_that_occurred() -> None:
-    """The median of an even number of errors is the upper of the middle two."""
+def test_the_median_error_is_one_that_occurred_and_an_infinite_one_counts() -> None:
     assert closed_loop_row(error_move=[0.4, 0.1, 0.3, 0.2])["error_move_p50"] == 0.3
-
-
-def test_an_infinite_error_is_no_missing_one() -> None:
-    """One step with an infinite error makes the largest error infinite."""
     assert closed_loop_row(error_move=[0.1, INF, NAN])["error_move_max"] == INF
+    unknown = closed_loop_row(error_move=[NAN] * 2, certificate=["undecided"] * 2)
+    assert np.isnan(unknown["error_move_p50"]) and np.isnan(unknown["true_share"])
 
 
 def test_deadlines_of_a_known_run() -> None:
@@ -147,8 +135,8 @@ def test_deadlines_of_a_known_run() -> None:
         slowdown=2.0,
         late=flags("0011100100"),
         true=flags("1110101111"),
-        total_ns=[100, 100, 450, ABSENT, 350, 150, 100, ABSENT, 100, 100],
-        latency_ns=[200, 100, 900, ABSENT, 700, 300, 200, ABSENT, 200, 200],
+        total_ns=[100, 100, 450, MISSING_INT, 350, 150, 100, MISSING_INT, 100, 100],
+        latency_ns=[200, 100, 900, MISSING_INT, 700, 300, 200, MISSING_INT, 200, 200],
     )
     assert (row["deadline_misses"], row["longest_miss_streak"]) == (4, 3)
     # From step 2: the answer of 4 is true and late, that of 5 in time and wrong, 6 is both.
@@ -166,8 +154,8 @@ def test_a_late_answer_is_judged_as_any_other() -> None:
     columns: dict[str, Any] = {
         "fallback": flags("1111"),
         "late": flags("0110"),
-        "total_ns": [100, 900, ABSENT, 100],
-        "latency_ns": [200, 1800, ABSENT, 200],
+        "total_ns": [100, 900, MISSING_INT, 100],
+        "latency_ns": [200, 1800, MISSING_INT, 200],
         "status": ["SOLVED", "SOLVED", "", "ERROR"],
         "claimed": flags("1100"),
         "true": flags("1100"),
@@ -177,16 +165,57 @@ def test_a_late_answer_is_judged_as_any_other() -> None:
     row = closed_loop_row(slowdown=2.0, **columns)
     assert (row["failed_steps"], row["fallbacks"]) == (1, 4)
     assert row["claimed_share"] == row["true_share"] == pytest.approx(2 / 3)
-    # Where the ship waits for every answer, each fallback is a failure.
-    assert closed_loop_row(**columns)["failed_steps"] == 4
+    # Where the ship waits for every answer, each fallback is a failure, and there is no latency.
+    plain = closed_loop_row(**columns)
+    assert (plain["failed_steps"], plain["deadline_misses"]) == (4, 2)
+    assert "latency_p50_ns" not in plain and "interrupted" not in plain
 
 
-def test_an_ordinary_loop_has_misses_and_no_latencies() -> None:
-    """A loop without a slow-down counts misses and reports no latency."""
-    row = closed_loop_row(late=flags("0110"))
-    assert (row["deadline_misses"], row["longest_miss_streak"]) == (2, 2)
-    assert row["miss_recover_steps_max"] == 2
-    assert "latency_p50_ns" not in row and "interrupted" not in row
+def test_a_replay_is_as_long_as_its_longest_round_that_counts() -> None:
+    repeat, k = np.array([0, 1, 1, 1, 2, 2]), np.array([0, 0, 1, 2, 0, 1])
+    kernels = {"reference_kernel_ns": np.ones((3, 2)), "load_kernel_ns": np.ones((3, 1, 1))}
+    judged = EvaluatedCell(ONCE | kernels | {"repeat": repeat}, {"r_rms_m": 0.5})
+    steps = loop_steps(repeat=repeat, k=k, disturbed=flags("000000"))
+    for counts, length, rounds in (("011111", 3, 2), ("000011", 2, 1)):
+        steps["counts"] = flags(counts)
+        row = row_of(REPLAY, steps, judged)
+        assert (row["steps_done"], row["rounds"]) == (length, rounds)
+        assert np.isnan(row["deadline_s"]) and "fallbacks" not in row
+    of_harness = row_of(replace(REPLAY, solver=NO_OP), steps, judged)
+    assert "claimed_share" not in of_harness and of_harness["raw_samples"] == 2
+    # Within its warm-up a replay has metrics and nothing else.
+    row = row_of(REPLAY, steps | {"counts": flags("000000")}, judged)
+    assert row["r_rms_m"] == 0.5 and row["steps_done"] == 0 and "raw_samples" not in row
+
+
+def test_a_cell_without_steps_has_its_identity_only() -> None:
+    judged, steps = EvaluatedCell(ONCE, {"r_rms_m": 0.5}), loop_steps(true=flags("1"))
+    none = {name: column[:0] for name, column in steps.items()}
+    for parts in ((none, judged), (None, judged), (steps, None)):
+        assert row_of(LOOP, *parts) == row_of(LOOP)
+    row = row_of(LOOP, concurrency=2)
+    assert (row["run_id"], row["machine_id"], row["concurrency"]) == ("a1", "m", 2)
+    assert row_of(LOOP)["concurrency"] is pd.NA
+    assert (row["outcome"], row["form"], row["n"], row["m"]) == ("finished", "dense", 15, 12)
+    assert (row["steps_planned"], row["steps_done"]) == (9, 0)
+    controller = PAPER["scenario"]["controller"]
+    assert row["N_p"] == controller["prediction_horizon"]
+    assert row["N_c"] == controller["control_horizon"]
+    assert row["deadline_s"] == load_scenario("paper").sample_s
+    assert "r_rms_m" not in row and "raw_p50_ns" not in row
+    # A sequence from elsewhere has no horizons, and a solver that refused got no QP.
+    elsewhere = replace(REPLAY, source=RecordedSource("r"))
+    row = run_row("a1", elsewhere, Outcome("refused", "no"), Availability(True), "m", None, None)
+    assert all(row[name] is pd.NA for name in ("N_p", "N_c", "n", "m"))
+
+
+def test_numbers_that_are_absent_are_null_in_the_table_of_steps() -> None:
+    """An integer of −1 is a missing number; a latency of 0 is one."""
+    steps = {"k": np.array([0, 1]), "latency_ns": np.array([0, MISSING_INT])}
+    table = step_rows("a1", steps | {"n_m": np.array([1.0, NAN])})
+    assert table["run_id"].tolist() == ["a1", "a1"] and table["k"].tolist() == [0, 1]
+    assert table["latency_ns"].isna().tolist() == [False, True]
+    assert table["latency_ns"].iloc[0] == 0 and table["n_m"].iloc[0] == 1.0
 
 
 def test_half_a_nanosecond_is_rounding() -> None:
@@ -197,27 +226,28 @@ def test_half_a_nanosecond_is_rounding() -> None:
         "total_ns": np.array([101, 101, 101]),
         "latency_ns": np.array([151, 152, 150]),
     }
-    assert deadline_metrics(steps, 1.5)["interrupted"] == 1
+    assert timing.deadline_metrics(steps, 1.5)["interrupted"] == 1
 
 
 def test_an_answer_exactly_in_time_is_not_late() -> None:
     """An answer at the budget of 1000 ns is in time; a step without a computation is late."""
     took = np.array([1000, 1001, 999, 3000])
-    plain = late_columns(ComputationalDelay(0.0, 1000, 2000), took, took)
+    plain = timing.deadline_columns(ComputationalDelay(0.0, 1000, 2000), took, took)
     assert plain["late"].tolist() == [False, True, False, True]
     assert "latency_ns" not in plain
     latency = np.array([1000, 1001, 999, -7, -1, 0])
-    slow = late_columns(ComputationalDelay(2.0, 1000, 2000), latency, np.array([9000] * 6))
+    slow = timing.deadline_columns(
+        ComputationalDelay(2.0, 1000, 2000), latency, np.array([9000] * 6)
+    )
     assert slow["late"].tolist() == [False, True, False, True, True, False]
-    assert slow["latency_ns"].tolist() == [1000, 1001, 999, ABSENT, ABSENT, 0]
+    assert slow["latency_ns"].tolist() == [1000, 1001, 999, MISSING_INT, MISSING_INT, 0]
 
 
 @pytest.mark.parametrize(
     ("row", "longest"), [("", 0), ("0", 0), ("1", 1), ("1101", 2), ("0111", 3), ("10111101", 4)]
 )
 def test_longest_run_of_flags(row: str, longest: int) -> None:
-    """The longest run may be at the start, in the middle or at the end."""
-    assert longest_streak(flags(row)) == longest
+    assert timing.longest_streak(flags(row)) == longest
 
 
 @pytest.mark.parametrize(
@@ -235,8 +265,7 @@ def test_longest_run_of_flags(row: str, longest: int) -> None:
     ],
 )
 def test_steps_to_the_next_good_one(bad: str, good: str, steps: int | None) -> None:
-    """The slowest recovery counts; None where a run never recovers."""
-    assert steps_to_recover(flags(bad), flags(good)) == steps
+    assert timing.steps_to_recover(flags(bad), flags(good)) == steps
 
 
 @pytest.mark.parametrize(
@@ -246,11 +275,4 @@ def test_steps_to_the_next_good_one(bad: str, good: str, steps: int | None) -> N
 def test_times_are_ranked_where_they_were_taken_alone(
     concurrency: float, machine: str, ranked: bool
 ) -> None:
-    """Ranked times come from one cell at a time on the machine of the folder."""
     assert is_ranked(concurrency, machine, "a") is ranked
-
-
-def test_exactly_the_factor_is_not_disturbed() -> None:
-    """A kernel of 125 ns is undisturbed beside a best of 100 ns, one of 126 ns is not."""
-    kernel_ns = np.array([[100.0, 125.0], [125.0, 110.0], [126.0, 100.0], [100.0, 126.0]])
-    assert is_disturbed(kernel_ns).tolist() == [False, False, True, True]

@@ -1,17 +1,15 @@
 """The columns of steps from judged columns of three steps, worked by hand."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
 
-from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
-from dpbench.bench.judge.step_columns import chosen, step_columns
+from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
+from dpbench.bench.judge.step_columns import step_columns
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.raw_log import TIMES
-from dpbench.bench.record.schema import ABSENT
+from dpbench.bench.record.raw_log import PHASES
+from dpbench.bench.record.schema import MISSING_INT
 from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import load_scenario
 
@@ -41,7 +39,7 @@ def of_qps(times: list[list[int]], **figures: list[float]) -> dict[str, Any]:
 
 
 # emit, setup, update, solve, read, overhead
-PHASES = [[1, 10, -1, 100, 5, 50], [2, -1, 20, 200, 6, 60], [3, -1, -1, -1, -1, 70]]
+STEP_TIMES = [[1, 10, -1, 100, 5, 50], [2, -1, 20, 200, 6, 60], [3, -1, -1, -1, -1, 70]]
 
 
 def loop(slowdown: float = 0.0, **columns: Any) -> dict[str, Any]:
@@ -63,27 +61,25 @@ def loop(slowdown: float = 0.0, **columns: Any) -> dict[str, Any]:
         "error_move": [0.5, 0.25, np.nan],
         "n_active": [3.0, 0.0, np.nan],
     }
-    evaluated = Evaluated(of_qps(PHASES, **figures) | of_ship | columns, {})
+    evaluated = EvaluatedCell(of_qps(STEP_TIMES, **figures) | of_ship | columns, {})
     cell = Cell("closed_loop", PAPER, steps=3, slowdown=slowdown, **CONFIGURATION)
     return step_columns(cell, evaluated)
 
 
 def test_what_an_answer_claims_and_took() -> None:
-    """Phases that did not take place are absent, and the total is that of the others."""
     steps = loop()
     assert steps["status"].tolist() == ["SOLVED", "INACCURATE", "TIME_LIMIT"]
     assert steps["claimed"].tolist() == [True, False, False]
     assert steps["certificate"].tolist() == KINDS
-    for i, phase in enumerate(TIMES):
-        assert steps[f"{phase}_ns"].tolist() == [times[i] for times in PHASES]
-    assert steps["total_ns"].tolist() == [115, 226, ABSENT]
-    assert steps["iterations"].tolist() == [4, ABSENT, 0]
-    assert steps["reported_ns"].tolist() == [ABSENT, 9, 0]
-    assert steps["waited_ns"].tolist() == [7, 0, ABSENT]
+    for i, phase in enumerate(PHASES):
+        assert steps[f"{phase}_ns"].tolist() == [times[i] for times in STEP_TIMES]
+    assert steps["total_ns"].tolist() == [115, 226, MISSING_INT]
+    assert steps["iterations"].tolist() == [4, MISSING_INT, 0]
+    assert steps["reported_ns"].tolist() == [MISSING_INT, 9, 0]
+    assert steps["waited_ns"].tolist() == [7, 0, MISSING_INT]
 
 
 def test_what_the_referee_found() -> None:
-    """Nothing is true of an answer that was not judged, and no limit is active."""
     steps = loop()
     assert steps["true"].tolist() == [True, False, False]
     assert steps["true_1e4"].tolist() == [False, True, False]
@@ -93,7 +89,6 @@ def test_what_the_referee_found() -> None:
 
 
 def test_where_the_ship_was_and_what_moved_it() -> None:
-    """The state at the start of each step; each force, and its change from step to step."""
     steps = loop()
     names = ("u_mps", "v_mps", "r_radps", "n_m", "e_m", "psi_rad")
     for i, name in enumerate(names):
@@ -109,25 +104,13 @@ def test_where_the_ship_was_and_what_moved_it() -> None:
 
 
 def test_a_step_without_a_computation_claims_nothing() -> None:
-    """On a slow computer the third one began none: no status, no times but that of the loop."""
     steps = loop(slowdown=3.0)
     assert steps["status"].tolist() == ["SOLVED", "INACCURATE", ""]
-    assert steps["emit_ns"].tolist() == [1, 2, ABSENT]
-    assert steps["solve_ns"].tolist() == [100, 200, ABSENT]
+    assert steps["emit_ns"].tolist() == [1, 2, MISSING_INT]
+    assert steps["solve_ns"].tolist() == [100, 200, MISSING_INT]
     assert steps["overhead_ns"].tolist() == [50, 60, 70]
     assert steps["late"].tolist() == [False, True, True]
-    assert steps["latency_ns"].tolist() == [345, 10**9, ABSENT]
-
-
-def test_the_second_answers_of_a_cascade_join_the_first() -> None:
-    """Their times add up, and their error has a column of its own."""
-    second = of_qps([[0, -1, 1, 2, 3, 0]] * 3, true=[1.0] * 3, error_move=[9.0, 8.0, 7.0])
-    steps = loop(**{f"allocation_{name}": column for name, column in second.items()})
-    assert steps["allocation_ns"].tolist() == [6] * 3
-    assert steps["total_ns"].tolist() == [121, 232, ABSENT]
-    assert steps["waited_ns"].tolist() == [14, 0, ABSENT]
-    assert steps["allocation_error"].tolist() == [9.0, 8.0, 7.0]
-    assert steps["true"].tolist() == [True, False, False]
+    assert steps["latency_ns"].tolist() == [345, 10**9, MISSING_INT]
 
 
 @pytest.mark.parametrize(
@@ -140,21 +123,14 @@ def test_the_second_answers_of_a_cascade_join_the_first() -> None:
 def test_rounds_of_a_replay(
     kernels: list[float], disturbed: list[bool], counts: list[bool]
 ) -> None:
-    """One step of the warm-up and of two rounds, the first of them undisturbed or not."""
-    columns = of_qps(PHASES) | {
+    columns = of_qps(STEP_TIMES) | {
         "repeat": np.array([0, 1, 2], dtype=np.int32),
         "t_s": np.zeros(3),
         "reference_kernel_ns": np.array(kernels)[:, np.newaxis] * [1.0, 1.0],
     }
-    steps = step_columns(REPLAY, Evaluated(columns, {}))
+    steps = step_columns(REPLAY, EvaluatedCell(columns, {}))
     assert steps["warmup"].tolist() == [True, False, False]
     assert steps["disturbed"].tolist() == disturbed and steps["counts"].tolist() == counts
     assert steps["unconverged"].tolist() == [False, True, False]
     assert steps["fallback"].tolist() == [False, False, True]
     assert not {"late", "n_m", "clipped"} & set(steps)
-
-
-def test_some_of_the_rows_are_those_of_every_column() -> None:
-    """In their order."""
-    rows = chosen({"a": np.arange(3), "b": np.arange(3.0)}, np.array([True, False, True]))
-    assert {name: column.tolist() for name, column in rows.items()} == {"a": [0, 2], "b": [0, 2]}

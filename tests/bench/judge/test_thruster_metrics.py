@@ -1,7 +1,5 @@
 """Thrust, power, wear and limit figures of thrusters in runs worked by hand."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
@@ -9,12 +7,12 @@ import numpy as np
 import pytest
 
 from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
-from dpbench.mpc.thruster_rows import thruster_rows
+from dpbench.mpc.thruster_rows import Limits, thruster_rows
 from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning
-from dpbench.scenario.commanded_thrusters import ThrusterControl
+from dpbench.scenario.controllers.commanded import ThrusterControl, TurningThrusterControl
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import Thruster, ThrusterSet
-from tests.bench.judge.known_runs import round_ship
+from tests.bench.judge.known_runs import thruster_ship
 
 # Full thrusts 100, 25, 400 N; in a sample of 0.5 s an entry changes by 5, 5, 1.25, 20 N at most.
 THRUSTERS = ThrusterSet(
@@ -32,8 +30,10 @@ Forces = Sequence[Sequence[float]]
 
 
 def ship(turning: AzimuthTurning | None = None) -> Scenario:
-    """Return the ship of round numbers with these thrusters."""
-    return round_ship(steered=ThrusterControl(THRUSTERS, ROWS, np.eye(4), turning))
+    own = THRUSTERS, ROWS, np.eye(4)
+    return thruster_ship(
+        ThrusterControl(*own) if turning is None else TurningThrusterControl(*own, turning)
+    )
 
 
 def metrics_of(
@@ -41,14 +41,14 @@ def metrics_of(
     low: np.ndarray | None = None,
     high: np.ndarray | None = None,
     turning: AzimuthTurning | None = None,
+    lost: Sequence[int] = (),
 ) -> dict[str, float]:
-    """Return the metrics of a run, by default with the limits of the intact thrusters.
-
-    The tables of limits are one sample longer than the run, with limits of zero there.
-    """
+    """Return the metrics of a run, by default with the limits of the intact thrusters."""
     sides = ROWS.low if low is None else low, ROWS.high if high is None else high
     tables = [np.vstack([np.broadcast_to(s, (len(f), 4)), np.zeros((1, 4))]) for s in sides]
-    return thruster_metrics(ship(turning), np.array(f, dtype=float), (tables[0], tables[1]))
+    states = [np.zeros(3, dtype=bool)] * (len(f) - 1) + [np.isin(np.arange(3), lost)] * 2
+    limits = [Limits(*of_step) for of_step in zip(*tables, states, strict=True)]
+    return thruster_metrics(ship(turning), np.array(f, dtype=float), limits)
 
 
 def test_shares_of_full_thrust_and_power() -> None:
@@ -61,12 +61,6 @@ def test_shares_of_full_thrust_and_power() -> None:
     found = metrics_of(f)
     assert found["thrust_share"] == pytest.approx(61 / 525)
     assert found["power_share"] == pytest.approx(459 / 9125)
-
-
-def test_full_thrust_is_a_share_of_one() -> None:
-    """All thrusters at their largest force have shares of 1."""
-    found = metrics_of([[100, 0, 25, 400]])
-    assert found["thrust_share"] == found["power_share"] == pytest.approx(1.0)
 
 
 def test_wear_is_the_change_of_every_entry() -> None:
@@ -106,8 +100,8 @@ def test_travel_of_all_azimuths_is_added_up() -> None:
     three = ThrusterSet(tuple(Thruster(n, "azimuth", 9.0, y, 100.0, 10.0) for n, y in arms))
     control = ThrusterControl(three, thruster_rows(three, 4), np.eye(6))
     f = np.array([[10.0, 0, 0, 10, 5, 0], [0, 10, 10, 0, 5, 0], [0, 10, 0, -10, 5, 0]])
-    tables = np.full((3, 6), -1e3), np.full((3, 6), 1e3)
-    found = thruster_metrics(round_ship(steered=control), f, tables)
+    limits = [Limits(np.full(6, -1e3), np.full(6, 1e3), np.zeros(3, dtype=bool))] * 3
+    found = thruster_metrics(thruster_ship(control), f, limits)
     assert found["azimuth_travel_deg"] == pytest.approx(270.0)
 
 
@@ -146,10 +140,10 @@ def test_share_of_steps_at_a_side_of_a_limit() -> None:
 
 
 def test_a_lost_thruster_is_at_no_limit() -> None:
-    """Zero force of a thruster whose limits are zero is not at a limit."""
-    low, high = ROWS.without({1})
-    assert metrics_of([[0, 0, 0, 0], [0, 0, 0, 0]], low, high)["at_limit_thrusters"] == 0.0
-    assert metrics_of([[0, 0, 0, 400], [0, 0, 0, 0]], low, high)["at_limit_thrusters"] == 0.5
+    limits = [ROWS.limits_after_loss({1})] * 2
+    for main, share in ((0.0, 0.0), (400.0, 0.5)):
+        run = np.array([[0, 0, 0, main], [0, 0, 0, 0]])
+        assert thruster_metrics(ship(), run, limits)["at_limit_thrusters"] == share
 
 
 @pytest.mark.parametrize(
@@ -168,7 +162,6 @@ def test_a_lost_thruster_is_at_no_limit() -> None:
     ],
 )
 def test_an_increment_beyond_the_rate_is_a_violation(step: list[float], violations: int) -> None:
-    """The first increment counts from zero; a step counts once."""
     assert metrics_of([step])["limit_violations"] == violations
 
 
@@ -212,7 +205,8 @@ def test_a_limit_that_drops_leaves_the_way_back(
     run = [*ramped(side * 10.0, 1.25), [0, 0, side * last, 0]]
     low, high = (np.tile(of_rows, (len(run), 1)) for of_rows in (ROWS.low, ROWS.high))
     low[-1, BOW], high[-1, BOW] = -limit, limit
-    assert metrics_of(run, low, high)["limit_violations"] == violations
+    lost = () if limit else (1,)
+    assert metrics_of(run, low, high, lost=lost)["limit_violations"] == violations
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -229,7 +223,6 @@ def test_rounding_of_the_way_back_is_a_share_of_the_increment(
 
 
 def test_a_step_beyond_several_limits_is_one_violation() -> None:
-    """Violations count steps, not thrusters or limits."""
     run = [[0, 0, 1.25 * i, 20.0 * i] for i in range(1, 6)]
     run.append([0, 0, 6.25, 100])
     low, high = (np.tile(of_rows, (6, 1)) for of_rows in (ROWS.low, ROWS.high))

@@ -1,23 +1,20 @@
 """The columns of `runs.parquet` on step times, from few steps worked by hand."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
 
-from dpbench.bench.judge.closed_loop import Evaluated
-from dpbench.bench.judge.rules import counting_rows
-from dpbench.bench.judge.step_columns import chosen
+from dpbench.bench.judge.closed_loop import EvaluatedCell
+from dpbench.bench.judge.rules import counting_rows, select_rows
 from dpbench.bench.judge.timing import (
-    disturbed_rounds_of,
-    load_time,
+    find_disturbed_rounds,
+    load_kernel_time_ns,
     reference_kernel_median,
     timing_metrics,
 )
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.schema import ABSENT
+from dpbench.bench.record.schema import MISSING_INT
 
 CONFIGURATION = {"solver": "x", "route": "native", "policy": "fresh", "settings": "default"}
 REPLAY = Cell(mode="replay", scenario={}, steps=20, rounds=3, **CONFIGURATION)
@@ -35,7 +32,7 @@ def replayed(slowed: tuple[int, ...] = (0, 2), **columns: Any) -> dict[str, Any]
     total = np.select([repeat == 1, repeat == 3], [100 + k, 300 - k], 1)
     disturbed = np.isin(repeat, slowed)
     steps = {"repeat": repeat, "k": k, "total_ns": total, "disturbed": disturbed}
-    evaluated = Evaluated(
+    evaluated = EvaluatedCell(
         {
             "repeat": repeat,
             "setup_once_ns": np.array([7]),
@@ -46,7 +43,7 @@ def replayed(slowed: tuple[int, ...] = (0, 2), **columns: Any) -> dict[str, Any]
         | columns,
         {},
     )
-    counting = chosen(steps, counting_rows(repeat, disturbed))
+    counting = select_rows(steps, counting_rows(repeat, disturbed))
     return timing_metrics(REPLAY, evaluated, counting)
 
 
@@ -85,16 +82,14 @@ def test_where_all_rounds_are_disturbed_they_count_and_are_counted() -> None:
 
 
 def test_disturbed_rounds_are_named_by_their_number() -> None:
-    """The rows of the kernel belong to the rounds that are recorded, in their order."""
     columns = {
         "repeat": np.array([0, 2, 2, 5]),
         "reference_kernel_ns": np.array([[4, 4], [4, 9], [9, 4]]),
     }
-    assert disturbed_rounds_of(columns).tolist() == [2, 5]
+    assert find_disturbed_rounds(columns).tolist() == [2, 5]
 
 
 def test_a_cascade_is_set_up_twice() -> None:
-    """The set-ups of both QPs add up; a solver that is set up at each step has none."""
     assert replayed()["setup_once_ns"] == 7
     assert replayed(allocation_setup_once_ns=np.array([11]))["setup_once_ns"] == 18
     shortest = replayed(setup_once_ns=np.array([1]), allocation_setup_once_ns=np.array([11]))
@@ -108,23 +103,22 @@ def looped(**columns: Any) -> dict[str, Any]:
     """A loop of 20 steps of 1 to 20 ns."""
     steps = {
         "total_ns": np.arange(1, 21),
-        "waited_ns": np.array([ABSENT] * 17 + [0, 4, 6]),
-        "emit_ns": np.array([ABSENT] * 17 + [0, 4, 6]),
-        "overhead_ns": np.full(20, ABSENT),
+        "waited_ns": np.array([MISSING_INT] * 17 + [0, 4, 6]),
+        "emit_ns": np.array([MISSING_INT] * 17 + [0, 4, 6]),
+        "overhead_ns": np.full(20, MISSING_INT),
     }
-    evaluated = Evaluated({"setup_once_ns": np.array([3]), "matrix_updates": np.array([2])}, {})
+    evaluated = EvaluatedCell({"setup_once_ns": np.array([3]), "matrix_updates": np.array([2])}, {})
     return timing_metrics(LOOP, evaluated, steps | columns)
 
 
 def test_the_times_of_a_loop_are_those_of_its_steps() -> None:
-    """Phases that did not take place are no times of zero; a loop has no rounds."""
     timing = looped()
     assert (timing["raw_p50_ns"], timing["raw_max_ns"], timing["raw_samples"]) == (10.5, 20.0, 20)
     assert timing["emit_p50_ns"] == 4.0
     # 1 + … + 20 = 210 ns, in which the core was missing for 10 ns; a wait nobody saw is none.
     assert timing["solve_s"] == pytest.approx(200e-9)
     assert np.isnan(timing["overhead_p50_ns"])
-    assert not {"rounds", "algo_p50_ns", "controller_p50_ns"} & set(timing)
+    assert not {"rounds", "algo_p50_ns", "controller_p50_ns", "reference_kernel_ns"} & set(timing)
 
 
 def test_a_thousand_steps_carry_a_p99_and_ten_thousand_a_p999() -> None:
@@ -133,29 +127,22 @@ def test_a_thousand_steps_carry_a_p99_and_ten_thousand_a_p999() -> None:
     timing = looped(total_ns=total, waited_ns=0 * total, allocation_ns=total // 10)
     for name, expected in (("p50", 5000.0), ("p99", 9900.0), ("p999", 9990.0)):
         assert timing[f"raw_{name}_ns"] == pytest.approx(expected, abs=1e-6)
-    assert timing["allocation_p50_ns"] == 500.0
-    assert timing["allocation_p99_ns"] == 990.0
+    assert (timing["allocation_p50_ns"], timing["allocation_p99_ns"]) == (500.0, 990.0)
     # k − ⌊k/10⌋ is ⌈9k/10⌉.
-    assert timing["controller_p50_ns"] == 4500.0
-    assert timing["controller_p99_ns"] == 8910.0
+    assert (timing["controller_p50_ns"], timing["controller_p99_ns"]) == (4500.0, 8910.0)
+
+
+def rounds_of(repeat: Any, k: Any, total_ns: Any) -> dict[str, Any]:
+    kernels = {"reference_kernel_ns": np.ones((2, 2)), "load_kernel_ns": np.ones((2, 1, 1))}
+    once = {"setup_once_ns": np.array([0]), "matrix_updates": np.array([0])}
+    steps = {"repeat": repeat, "k": k, "total_ns": total_ns, "disturbed": repeat > 2}
+    return timing_metrics(REPLAY, EvaluatedCell(kernels | once | {"repeat": repeat}, {}), steps)
 
 
 def test_many_steps_of_a_replay_carry_percentiles() -> None:
     """1001 steps of k ns in round 1 and k + 1 in round 2."""
-    k = np.tile(np.arange(1001), 2)
-    repeat = np.repeat([1, 2], 1001)
-    counting = {"repeat": repeat, "k": k, "total_ns": k + repeat - 1, "disturbed": repeat > 2}
-    evaluated = Evaluated(
-        {
-            "repeat": repeat,
-            "setup_once_ns": np.array([0]),
-            "matrix_updates": np.array([0]),
-            "reference_kernel_ns": np.ones((2, 2)),
-            "load_kernel_ns": np.ones((2, 1, 1)),
-        },
-        {},
-    )
-    timing = timing_metrics(REPLAY, evaluated, counting)
+    k, repeat = np.tile(np.arange(1001), 2), np.repeat([1, 2], 1001)
+    timing = rounds_of(repeat, k, k + repeat - 1)
     assert (timing["algo_p50_ns"], timing["algo_p95_ns"]) == (500.0, 950.0)
     assert timing["algo_p99_ns"] == pytest.approx(990.0)
     assert timing["algo_median_p50_ns"] == 500.5
@@ -163,29 +150,13 @@ def test_many_steps_of_a_replay_carry_percentiles() -> None:
 
 def test_a_round_that_ended_early_leaves_its_later_steps_to_the_others() -> None:
     """Round 1 has steps 0 and 1, round 2 steps 1 and 2: three steps, of which 1 has two times."""
-    counting = {
-        "repeat": np.array([1, 1, 2, 2]),
-        "k": np.array([0, 1, 1, 2]),
-        "total_ns": np.array([50, 30, 20, 40]),
-        "disturbed": np.zeros(4, dtype=bool),
-    }
-    evaluated = Evaluated(
-        {
-            "repeat": counting["repeat"],
-            "setup_once_ns": np.array([0]),
-            "matrix_updates": np.array([0]),
-            "reference_kernel_ns": np.ones((2, 2)),
-            "load_kernel_ns": np.ones((2, 1, 1)),
-        },
-        {},
-    )
-    timing = timing_metrics(REPLAY, evaluated, counting)
+    repeat, k = np.array([1, 1, 2, 2]), np.array([0, 1, 1, 2])
+    timing = rounds_of(repeat, k, np.array([50, 30, 20, 40]))
     assert (timing["rounds"], timing["algo_max_ns"], timing["raw_max_ns"]) == (2, 50.0, 50.0)
     assert timing["raw_samples"] == 4
 
 
 def test_a_kernel_that_was_not_timed_is_no_time() -> None:
-    """Zero is no time: neither of the reference kernel nor of the load kernel."""
     assert reference_kernel_median({"reference_kernel_ns": np.array([[0.0, 1.0]])}) == 1.0
     load = {"repeat": np.array([1, 2]), "load_kernel_ns": np.array([[[1.0, 2.0]], [[3.0, 0.0]]])}
-    assert load_time(load, np.array([1, 2])) == pytest.approx(np.sqrt(2.0))
+    assert load_kernel_time_ns(load, np.array([1, 2])) == pytest.approx(np.sqrt(2.0))

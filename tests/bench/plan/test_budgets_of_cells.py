@@ -1,7 +1,5 @@
 """Default and explicit budgets, time limits and deadlines of cells."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from typing import Any, cast
@@ -13,8 +11,8 @@ from dpbench import load_scenario
 from dpbench.bench.judge.rows import run_row
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import ClosedLoopTable, RandomTable, ReplayTable, SuiteFile
-from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.run.slow_computer import delay_of
+from dpbench.bench.record.cell import Cell, HardestSource, Outcome
+from dpbench.bench.run.slow_computer import find_delay
 from dpbench.bench.workers.interleaved import FEWEST_ROUNDS, ReplayWorker
 from dpbench.errors import InputError
 from dpbench.solvers.table import Availability
@@ -36,7 +34,6 @@ REPLAY = ReplayTable(scenario="calm", steps=4)
 
 
 def test_a_replay_of_a_suite_that_names_no_budget() -> None:
-    """The defaults are five rounds, no budget, 0.25 s for repetitions and a limit of 5 s."""
     (cell,) = cells_of(replay=[REPLAY])
     assert (cell.budget_s, cell.repeat_budget_s, cell.limit_s) == (0.0, 0.25, 5.0)
     # The warm-up of 50 steps is no longer than the sequence.
@@ -44,7 +41,6 @@ def test_a_replay_of_a_suite_that_names_no_budget() -> None:
 
 
 def test_the_budgets_of_a_suite_are_those_of_its_replays() -> None:
-    """Closed loops and untimed replays have no budget."""
     own = {"replay_budget_s": 2.0, "repeat_budget_s": 0.75, "cell_limit_s": 9.0}
     random = RandomTable(families=["no_rows"], sizes=[[3, 0]], steps=4)
     loops = ClosedLoopTable(scenarios=["calm"], steps=3)
@@ -57,7 +53,6 @@ def test_the_budgets_of_a_suite_are_those_of_its_replays() -> None:
 
 
 def test_the_limit_of_a_table_replaces_that_of_the_suite() -> None:
-    """Cells of a table with its own limit have that, others the limit of the suite."""
     tables = [
         ClosedLoopTable(scenarios=["calm"], steps=3, limit_s=1.5),
         ClosedLoopTable(scenarios=["paper"], steps=3),
@@ -67,7 +62,6 @@ def test_the_limit_of_a_table_replaces_that_of_the_suite() -> None:
 
 
 def test_a_cell_that_names_no_budget_has_the_fallback_values() -> None:
-    """Default values of a cell are not written to its description."""
     cell = loop()
     assert (cell.budget_s, cell.repeat_budget_s, cell.slowdown) == (0.0, 0.0, 0.0)
     assert (cell.deadline_s, cell.limit_s, cell.fallback) == (0.0, 5.0, "shifted_plan")
@@ -86,7 +80,7 @@ def worker(spent_s: float, clean_rounds: int, budget_s: float) -> ReplayWorker:
 
 
 @pytest.mark.parametrize(
-    ("spent_s", "clean_rounds", "budget_s", "sated"),
+    ("spent_s", "clean_rounds", "budget_s", "is_budget_exhausted"),
     [
         (2.0, FEWEST_ROUNDS, 2.0, True),
         (1.99, FEWEST_ROUNDS, 2.0, False),
@@ -97,19 +91,19 @@ def worker(spent_s: float, clean_rounds: int, budget_s: float) -> ReplayWorker:
     ],
 )
 def test_a_spent_budget_ends_a_replay_after_three_rounds(
-    spent_s: float, clean_rounds: int, budget_s: float, sated: bool
+    spent_s: float, clean_rounds: int, budget_s: float, is_budget_exhausted: bool
 ) -> None:
-    """A worker stops once it has reached its budget and three undisturbed rounds."""
-    assert worker(spent_s, clean_rounds, budget_s).sated is sated
+    assert worker(spent_s, clean_rounds, budget_s).is_budget_exhausted is is_budget_exhausted
     assert FEWEST_ROUNDS == 3
 
 
-@pytest.mark.parametrize(("clean_rounds", "sated"), [(1, False), (2, True)])
-def test_a_spent_budget_ends_a_window_after_two_rounds(clean_rounds: int, sated: bool) -> None:
-    """The steps of a window are the longest of all, and its budget is a share."""
+@pytest.mark.parametrize(("clean_rounds", "is_budget_exhausted"), [(1, False), (2, True)])
+def test_a_spent_budget_ends_a_window_after_two_rounds(
+    clean_rounds: int, is_budget_exhausted: bool
+) -> None:
     found = worker(9.0, clean_rounds, 2.0)
-    found.cell = replace(found.cell, source={"kind": "hardest", "name": "x", "of": 450})
-    assert found.sated is sated
+    found.cell = replace(found.cell, source=HardestSource("x", 450))
+    assert found.is_budget_exhausted is is_budget_exhausted
 
 
 @pytest.mark.parametrize(
@@ -118,9 +112,8 @@ def test_a_spent_budget_ends_a_window_after_two_rounds(clean_rounds: int, sated:
 def test_without_a_deadline_a_step_may_take_its_whole_sample(
     deadline_s: float, budget_ns: int
 ) -> None:
-    """The default deadline is the sample, in the simulated delay and in the run record."""
     cell = loop(slowdown=2.0, deadline_s=deadline_s)
-    delay = delay_of(cell, 0.3)
+    delay = find_delay(cell, 0.3)
     assert (delay.budget_ns, delay.sample_ns, delay.slowdown) == (budget_ns, 300_000_000, 2.0)
     assert recorded_deadline_s(cell) == pytest.approx(budget_ns / 1e9)
 
@@ -132,7 +125,6 @@ def recorded_deadline_s(cell: Cell) -> float:
 
 
 def test_the_deadline_of_a_model_ship_is_its_shorter_sample() -> None:
-    """The deadline is 0.3 s over √70; that of a replay is NaN."""
     assert recorded_deadline_s(loop("calm@cybership2")) == pytest.approx(0.03585685828003181)
     (replay,) = cells_of(replay=[REPLAY])
     assert pd.isna(recorded_deadline_s(replay))
@@ -140,9 +132,8 @@ def test_the_deadline_of_a_model_ship_is_its_shorter_sample() -> None:
 
 @pytest.mark.parametrize("deadline_s", [-0.001, 0.3001])
 def test_a_deadline_beyond_the_sample_is_refused(deadline_s: float) -> None:
-    """The message names the key, the value and the sample."""
     with pytest.raises(InputError, match=r"deadline_s: found .*; allowed: .* sample of 0\.3 s"):
-        delay_of(loop(deadline_s=deadline_s), 0.3)
+        find_delay(loop(deadline_s=deadline_s), 0.3)
 
 
 @pytest.mark.parametrize(
@@ -150,7 +141,6 @@ def test_a_deadline_beyond_the_sample_is_refused(deadline_s: float) -> None:
     [(100, 0), (101, 1), (300, 1), (301, 2), (600, 2), (601, 3), (0, 0)],
 )
 def test_a_late_answer_arrives_at_the_next_sample(latency_ns: int, samples: int) -> None:
-    """A late answer arrives one sample later or more, with a budget of 100 ns of 300 ns."""
-    delay = delay_of(loop(slowdown=3.0, deadline_s=100e-9), 300e-9)
-    assert delay.samples_late(latency_ns) == samples
+    delay = find_delay(loop(slowdown=3.0, deadline_s=100e-9), 300e-9)
+    assert delay.count_samples_late(latency_ns) == samples
     assert delay.latency_ns(50) == 150

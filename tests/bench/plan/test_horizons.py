@@ -1,7 +1,5 @@
 """Horizon sweeps: planned once per pair of horizons, refused in one line, recorded with sizes."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -13,21 +11,17 @@ from dpbench import load_results, load_scenario, open_workspace, record_sequence
 from dpbench import run_campaign as run
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import ReplayTable, SuiteFile, load_suite
-from dpbench.bench.run.exact_loop import ExactLoop, sequence_of, solve_exactly
+from dpbench.bench.run.exact_loop import ExactLoop, rebuild_sequence, solve_exactly
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.cli.main import main
-from dpbench.errors import InputError, ResultsError
+from dpbench.errors import InputError
 from dpbench.qp.referee.referee import certify
-from dpbench.scenario.scenario import scenario_of
+from dpbench.scenario.scenario import build_scenario
+from tests.bench.deterministic import head
 
-SUITE = """
-title = "Two horizons"
-solvers = ["daqp"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 1
-warmup_steps = 2
-
+SUITE = (
+    head(rounds=1, warmup_steps=2)
+    + """
 [[replay]]
 scenario = "paper"
 steps = 12
@@ -39,6 +33,7 @@ policies = ["reuse"]
 families = ["degenerate"]
 sizes = [[5, 8]]
 """
+)
 
 
 def _suite(*horizons: str, scenario: str = "paper") -> SuiteFile:
@@ -53,17 +48,15 @@ def _written(folder: Path, horizons: str) -> Path:
 
 
 def test_each_pair_of_horizons_is_a_problem_of_its_own() -> None:
-    """The documents of a cell carry the horizons, so that a worker makes the same QPs of them."""
     cells = [planned.cell for planned in plan(_suite("30/5", "60/10", "40/10"))]
     assert [cell.sequence for cell in cells] == ["paper-30-5", "paper-60-10", "paper-40-10"]
-    made = [scenario_of(cell.scenario) for cell in cells]
-    assert [(s.N_p, s.N_c) for s in made] == [(30, 5), (60, 10), (40, 10)]
+    made = [build_scenario(cell.scenario) for cell in cells]
+    assert [(s.problem.N_p, s.problem.N_c) for s in made] == [(30, 5), (60, 10), (40, 10)]
     assert len({cell.problem_key for cell in cells}) == 3
     assert all(cell.steps == 12 for cell in cells)
 
 
 def test_without_horizons_those_of_the_tuning_hold_under_the_plain_name() -> None:
-    """An empty list is the scenario as it is, beside a sweep of it too."""
     plain, swept = ReplayTable(scenario="paper"), ReplayTable(scenario="paper", horizons=["9/3"])
     suite = SuiteFile(title="x", solvers=["daqp"], baseline_law=False, replay=[plain, swept])
     cells = [planned.cell for planned in plan(suite)]
@@ -79,7 +72,6 @@ def test_without_horizons_those_of_the_tuning_hold_under_the_plain_name() -> Non
 def test_bad_horizons_are_refused_in_one_line(
     tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """File, key, what was found and what is allowed; exit code 2, nothing on standard output."""
     path = _written(tmp_path, json.dumps(["30/5", text]))
     assert main(["run", str(path), "--out", str(tmp_path / "out")]) == 2
     found = capsys.readouterr()
@@ -89,7 +81,6 @@ def test_bad_horizons_are_refused_in_one_line(
 
 
 def test_the_same_horizons_twice_and_too_long_ones_are_refused(tmp_path: Path) -> None:
-    """Twice the same would be one problem; beyond what a tuning may have there is none."""
     with pytest.raises(InputError, match="twice"):
         load_suite(_written(tmp_path, '["30/5", "030/05"]'))
     with pytest.raises(InputError, match=r"paper with horizons 2000/5.*prediction_horizon"):
@@ -97,7 +88,6 @@ def test_the_same_horizons_twice_and_too_long_ones_are_refused(tmp_path: Path) -
 
 
 def test_names_of_sweeps_must_differ_from_those_of_scenarios(tmp_path: Path) -> None:
-    """A file called as the sweep names its problems would be taken for one of them."""
     theirs = tmp_path / "paper-60-10.toml"
     text = Path(__file__).parents[3] / "problems" / "scenarios" / "rough.toml"
     theirs.write_text(text.read_text(encoding="utf-8"), encoding="utf-8")
@@ -109,7 +99,6 @@ def test_names_of_sweeps_must_differ_from_those_of_scenarios(tmp_path: Path) -> 
 
 @pytest.mark.slow
 def test_the_rows_say_how_large_their_problems_are(tmp_path: Path) -> None:
-    """N_p, N_c of the ship's controller, n and m of the QP; a random problem has no horizon."""
     out = run(_written(tmp_path, '["20/4", "6/2"]'), tmp_path / "out")
     runs = load_results(out).runs.set_index("sequence")
     for name, sizes in {"paper-20-4": (20, 4, 12, 12), "paper-6-2": (6, 2, 6, 6)}.items():
@@ -122,23 +111,11 @@ def test_the_rows_say_how_large_their_problems_are(tmp_path: Path) -> None:
 
 
 def test_stacked_form_is_counted_as_the_solver_gets_it() -> None:
-    """The paper's eq. 25 has 2 (m + n) one-sided rows and no box: 60 of n = m = 15."""
     sequence = record_sequence(load_scenario("paper").first(3))
     workspace = open_workspace("quadprog")
     row = replay(sequence, workspace, repeats=1, formulation="condensed_stacked").summary
     assert (row["n"], row["m"]) == (15, 60)
     assert pd.isna(row["N_p"]) and pd.isna(row["N_c"])
-
-
-@pytest.mark.slow
-def test_results_of_another_schema_are_refused_in_one_line(tmp_path: Path) -> None:
-    """An older table lacks columns; what is said is that its schema is another."""
-    out = run(_written(tmp_path, '["6/2"]'), tmp_path / "out")
-    older = pd.read_parquet(out / "runs.parquet").drop(columns=["N_p", "N_c", "n", "m"])
-    older["schema"] = 1
-    older.to_parquet(out / "runs.parquet")
-    with pytest.raises(ResultsError, match=r"runs\.parquet: schema: found schema \[1\]"):
-        load_results(out)
 
 
 @pytest.mark.parametrize(
@@ -147,16 +124,11 @@ def test_results_of_another_schema_are_refused_in_one_line(tmp_path: Path) -> No
 def test_a_loop_keeps_the_optimum_of_every_step(
     tmp_path: Path, name: str, pair: tuple[int, int]
 ) -> None:
-    """What a replay is judged by is what the referee says of its QPs, one by one and from a file.
-
-    Two certified points are no further apart than their bounds together; `turn` brings new matrices
-    at every step.
-    """
     scenario = with_horizons(load_scenario(name), *pair).first(6)
     exact = solve_exactly(scenario)
     exact.save(tmp_path / "exact.npz")
     kept = ExactLoop.load(tmp_path / "exact.npz").optima
-    sequence = sequence_of(scenario, exact)
+    sequence = rebuild_sequence(scenario, exact)
     assert len(kept) == len(sequence) == 6
     for k, optimum in enumerate(kept):
         again = certify(sequence.base.at(sequence.step(k)))

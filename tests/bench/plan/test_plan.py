@@ -1,7 +1,5 @@
 """A suite becomes cells: each once, under all the names it was asked for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -20,12 +18,10 @@ from dpbench.bench.record.cell import Cell
 from dpbench.cli.check import check_file
 from dpbench.errors import InputError, UnknownNameError
 from dpbench.solvers.calibration import CALIBRATION
-from dpbench.solvers.table import record
+from dpbench.solvers.table import find_record
 
 
 def test_a_cell_asked_for_twice_keeps_all_names_of_its_settings() -> None:
-    """The same configuration by its route's name and as the default one is one cell with both
-    aliases."""
     tables = [
         ReplayTable(scenario="paper", steps=20, settings=["default", "high"]),
         ReplayTable(scenario="paper", steps=20, routes=["native"]),
@@ -36,18 +32,7 @@ def test_a_cell_asked_for_twice_keeps_all_names_of_its_settings() -> None:
     assert planned.alias_settings == ("high",)
 
 
-def test_the_standard_suite_has_no_cell_twice() -> None:
-    """Every cell of the suite that `make bench` runs is planned once."""
-    _, suite = load_suite("standard")
-    cells = [planned.cell.to_json() for planned in plan(suite)]
-    assert len(cells) == len(set(cells))
-
-
 def test_the_standard_suite_runs_what_its_verdict_needs() -> None:
-    """Each level, and one kept way of each solver that has any, is run wherever its default is.
-
-    A level or way that was not run somewhere, or not as far, could not be said to meet the demand.
-    """
     _, suite = load_suite("standard")
     places: dict[str, dict[tuple[str, str, str], dict[tuple[str, str], int]]] = {}
     for planned in plan(suite):
@@ -59,7 +44,7 @@ def test_the_standard_suite_runs_what_its_verdict_needs() -> None:
             ways = places.setdefault(cell.solver, {})
             ways.setdefault((cell.route, cell.policy, settings), {})[place] = cell.steps
     for solver, ways in places.items():
-        row = record(solver)
+        row = find_record(solver)
         usual = ways[row.default_route, "fresh", "default"]
         assert ways[row.default_route, "fresh", "high"] == usual, solver
         kept = {policy for policy in ("reuse", "warm") if policy in row.policies.get("native", ())}
@@ -69,7 +54,6 @@ def test_the_standard_suite_runs_what_its_verdict_needs() -> None:
 
 
 def test_a_table_of_loops_may_ask_only_some_solvers_of_its_suite() -> None:
-    """`solvers` are those it means, `without` those it does not."""
     tables = [
         ClosedLoopTable(scenarios=["calm"], steps=5, solvers=["daqp"]),
         ClosedLoopTable(scenarios=["rough"], steps=5, without=["daqp"]),
@@ -82,8 +66,12 @@ def test_a_table_of_loops_may_ask_only_some_solvers_of_its_suite() -> None:
         plan(wrong)
 
 
+def test_a_fallback_is_one_of_the_policies_by_name() -> None:
+    with pytest.raises(ValueError, match=r"'shifted_plan' \| 'hold' \| 'clip'"):
+        ClosedLoopTable(scenarios=["calm"], fallback="shifted")
+
+
 def test_vessels_multiply_the_scenarios_and_fallbacks_tell_rows_apart() -> None:
-    """Each scenario with each vessel; a fallback that is not the usual one is part of the name."""
     table = ClosedLoopTable(
         scenarios=["calm", "rough"], vessels=["osv", "cybership2"], fallback="hold", steps=5
     )
@@ -99,7 +87,6 @@ def test_vessels_multiply_the_scenarios_and_fallbacks_tell_rows_apart() -> None:
 
 
 def test_the_harness_own_configurations_run_once_per_timed_sequence_and_never_steer() -> None:
-    """Whatever ways a table asks for they have one; `all` does not mean them, a name does."""
     ways = {"settings": ["default", "high"], "units": ["scaled", "si"]}
     policies = {"policies": ["fresh", "warm"]}
     document = {
@@ -132,8 +119,6 @@ def test_the_harness_own_configurations_run_once_per_timed_sequence_and_never_st
 
 
 def test_a_replay_may_ask_only_some_solvers_of_its_suite() -> None:
-    """Those named by the table and by the suite take part; a name that is none is refused."""
-
     def solvers_of(*names: str) -> list[str]:
         table = ReplayTable(scenario="paper", steps=5, solvers=list(names))
         suite = SuiteFile(title="x", solvers=["daqp", "osqp"], baseline_law=False, replay=[table])
@@ -148,7 +133,6 @@ def test_a_replay_may_ask_only_some_solvers_of_its_suite() -> None:
 
 
 def test_a_complaint_about_a_suite_names_its_file(tmp_path: Path) -> None:
-    """Whoever checks or runs it: file, key, what was found and what is allowed."""
     path = tmp_path / "mine.toml"
     replay = '[[replay]]\nscenario = "paper"\nsolvers = ["piqp"]\n'
     path.write_text(f'title = "x"\nsolvers = ["daqp"]\n{replay}', encoding="utf-8")
@@ -159,7 +143,6 @@ def test_a_complaint_about_a_suite_names_its_file(tmp_path: Path) -> None:
 
 
 def test_a_baseline_that_the_suite_does_not_run_is_refused() -> None:
-    """Before anything runs, naming key, found and allowed."""
     suite = SuiteFile(title="t", solvers=["daqp", "osqp"], report=ReportTable(baseline="scs"))
     with pytest.raises(InputError, match=r"report.baseline: found 'scs'; allowed: .*daqp, osqp"):
         choose_solvers(suite, None)

@@ -1,7 +1,5 @@
 """Studies: points of keys, draws, replicates, and the cells they mean."""
 
-from __future__ import annotations
-
 from math import prod
 from typing import Any
 
@@ -12,14 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from dpbench.bench.plan.choices import with_choices
 from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.study_points import StudyTable, points_of
+from dpbench.bench.plan.run_request import select_part
+from dpbench.bench.plan.study_points import StudyTable, list_points
 from dpbench.bench.plan.suite import SuiteFile
 from dpbench.bench.record.schema import study_columns
 from dpbench.errors import InputError
 from dpbench.scenario.problem_files import parse_model
-from dpbench.scenario.scenario import scenario_of
+from dpbench.scenario.scenario import build_scenario
 
 HS, TP = "environment.waves.hs_m", "environment.waves.tp_s"
 WIND, SEED = "environment.wind.speed_mps", "environment.seed"
@@ -40,7 +38,6 @@ def _suite(study: dict[str, Any], **of_suite: Any) -> SuiteFile:
 def test_points_are_every_combination_once(
     sizes: list[int], zipped: int, drawn: int, replicates: int
 ) -> None:
-    """As many points as the axes' sizes multiplied, each with every replicate, none twice."""
     table = StudyTable(
         base="x",
         product={f"p{i}": list(range(size)) for i, size in enumerate(sizes)},
@@ -48,7 +45,7 @@ def test_points_are_every_combination_once(
         design={"kind": "sobol", "points": drawn, "ranges": {"c": [0.0, 1.0]}},
         replicates={"key": "seed", "count": replicates, "first": 5},
     )
-    points = points_of(table, {})
+    points = list_points(table, {})
     assert len(points) == prod(sizes) * zipped * drawn * replicates
     assert len({(p.index, p.replicate) for p in points}) == len(points)
     assert len({tuple(p.values.items()) for p in points}) * replicates == len(points)
@@ -59,27 +56,24 @@ def test_points_are_every_combination_once(
 
 @given(points=st.sampled_from([2, 8, 64]), seed=st.integers(0, 99))
 def test_each_interval_of_a_latin_hypercube_has_one_point(points: int, seed: int) -> None:
-    """Along every key, one draw in each of as many intervals as there are points."""
     ranges = {"a": [-3.0, 5.0], "b": [10.0, 11.0]}
     design = {"kind": "latin_hypercube", "points": points, "seed": seed, "ranges": ranges}
     table = StudyTable(base="x", design=design)
     for key, (low, high) in ranges.items():
-        drawn = np.array([p.values[key] for p in points_of(table, {})])
+        drawn = np.array([p.values[key] for p in list_points(table, {})])
         cells = np.floor((drawn - low) / (high - low) * points).astype(int)
         assert sorted(cells) == list(range(points))
 
 
 def test_whole_numbers_stay_whole() -> None:
-    """A drawn horizon is a whole number, a drawn wind is not."""
     ranges = {HORIZON: [30.0, 60.0], WIND: [5.0, 18.0]}
     table = StudyTable(base="x", design={"kind": "sobol", "points": 8, "ranges": ranges})
-    drawn = [p.values for p in points_of(table, {HORIZON: 60, WIND: 10.7})]
+    drawn = [p.values for p in list_points(table, {HORIZON: 60, WIND: 10.7})]
     assert all(isinstance(p[HORIZON], int) and 30 <= p[HORIZON] <= 60 for p in drawn)
     assert len({p[WIND] for p in drawn}) == 8
 
 
 def test_cells_of_a_study_are_the_scenarios_they_say() -> None:
-    """Points × replicates × solvers × settings, each with the sea and horizon it names."""
     study = {
         "settings": ["default", "1e-4"],
         "steps": 30,
@@ -90,17 +84,17 @@ def test_cells_of_a_study_are_the_scenarios_they_say() -> None:
     cells = [p.cell for p in plan(_suite(study))]
     assert len(cells) == 2 * 3 * 2 * 2 * 2
     for cell in cells:
-        scenario, x = scenario_of(cell.scenario), cell.study["x"]
+        assert cell.study is not None
+        scenario, x = build_scenario(cell.scenario), cell.study.x
         environment = cell.scenario["scenario"]["environment"]
-        assert scenario.N_p == x[HORIZON] and cell.steps == 30
+        assert scenario.problem.N_p == x[HORIZON] and cell.steps == 30
         assert (environment["waves"]["hs_m"], environment["waves"]["tp_s"]) == (x[HS], x[TP])
-        assert environment["seed"] == 3 + cell.study["replicate"]
-    places = [(c.study["point"], c.study["replicate"], c.solver, c.settings) for c in cells]
-    assert len(set(places)) == len(cells)
+        assert environment["seed"] == 3 + cell.study.replicate
+    studies = [(c.study, c.solver, c.settings) for c in cells]
+    assert all(studies.count(one) == 1 for one in studies)
 
 
 def test_columns_of_a_study_in_the_table_of_runs() -> None:
-    """Point, replicate and keys as columns; nothing of it in runs of no study."""
     cells = [p.cell for p in plan(_suite({"steps": 9, "product": {WIND: [5.0, 9.0]}}))]
     runs = pd.DataFrame({"cell": ["{}", *(cell.to_json() for cell in cells)]})
     columns = study_columns(runs)
@@ -124,7 +118,6 @@ def test_columns_of_a_study_in_the_table_of_runs() -> None:
 def test_a_study_that_cannot_be_is_refused_with_the_reason(
     study: dict[str, Any], said: str
 ) -> None:
-    """Keys that do nothing, keys that are not there, values that cannot be."""
     with pytest.raises(InputError, match=said):
         plan(_suite(study))
 
@@ -140,13 +133,11 @@ def test_a_study_that_cannot_be_is_refused_with_the_reason(
     ],
 )
 def test_a_table_that_contradicts_itself(study: dict[str, Any]) -> None:
-    """Uneven zips, a key twice, a Sobol sequence that is no power of two, an empty range."""
     with pytest.raises(ValidationError):
         StudyTable(base="weather", **study)
 
 
 def test_choices_of_the_command_line_hold_for_studies() -> None:
-    """--settings and --steps replace those of a study; --solver leaves the others out."""
-    suite = with_choices(_suite({"steps": 30}), settings=["1e-5"], steps=7)
+    suite = select_part(_suite({"steps": 30}), settings=["1e-5"], steps=7)
     (cell,) = [p.cell for p in plan(suite, solvers=["osqp"])]
     assert (cell.solver, cell.settings, cell.steps) == ("osqp", "1e-5", 7)

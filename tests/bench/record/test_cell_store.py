@@ -1,63 +1,52 @@
-"""Finished cells: what a journal, parts and public tables hold, and what no kill costs."""
-
-from __future__ import annotations
+"""Finished cells: what parts and public tables hold, and what no kill costs."""
 
 import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from dpbench.bench.judge.rows import step_rows
-from dpbench.bench.judge.step_columns import StepColumns
+from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.record import cell_store
-from dpbench.bench.record.cell_store import (
-    CellStore,
-    Journal,
-    Part,
-    StepFile,
-    packed,
-    records_in,
-    unpacked,
-)
+from dpbench.bench.record.cell_store import CellStore, StepFile
 from dpbench.bench.record.recorded_steps import read_steps, scan_steps
 from dpbench.bench.record.schema import (
-    ABSENT,
-    AXIS_FORCES,
-    DERIVED,
+    MISSING_INT,
+    RUN_COLUMNS,
     SCHEMA_VERSION,
     STEP_COLUMNS,
     as_runs,
     as_steps,
 )
 from dpbench.bench.record.step_table import (
-    STORED,
-    change_of,
-    of_runs,
+    BatchPart,
+    batch_part,
+    build_runs_table,
+    complete_steps,
+    concat_steps,
+    filter_steps,
+    no_steps,
+    rows_to_columns,
     step_batch,
-    times_of,
-    total_of,
-    with_names,
-    write_runs,
 )
-from dpbench.errors import InputError
-
-SAMPLE_S = 0.3
-"""0.1·3 in binary is another number: products with it tell a formula from its like."""
+from dpbench.bench.tabulate import RequestedRuns, tabulate
 
 
 def steps_of(seed: int, count: int = 7) -> StepColumns:
-    """Made-up steps of a closed loop, some numbers missing, some equal to their partners."""
+    """Made-up steps of a closed loop, some numbers missing."""
     rng = np.random.default_rng(seed)
     steps: StepColumns = {}
     for name, (dtype, _) in STEP_COLUMNS.items():
         if dtype == "Int64":
-            steps[name] = rng.integers(ABSENT, 10**6, count)
+            steps[name] = rng.integers(MISSING_INT, 10**6, count)
         elif dtype == "float64":
             steps[name] = rng.normal(size=count)
         elif dtype == "bool":
@@ -65,13 +54,7 @@ def steps_of(seed: int, count: int = 7) -> StepColumns:
     steps |= {"k": np.arange(count, dtype=np.int32), "repeat": np.zeros(count, dtype=np.int32)}
     steps |= {"n_active": np.ones(count, dtype=np.int32), "status": np.full(count, "SOLVED")}
     steps["certificate"] = np.full(count, "linear")
-    steps["primal_own"] = steps["primal"].copy()
-    for axis in AXIS_FORCES:
-        steps[f"cmd_{axis}"] = np.where(rng.random(count) < 0.5, steps[f"tau_{axis}"], 0.0)
-        steps[f"dtau_{axis}"] = change_of(steps[f"tau_{axis}"], steps["k"])
     steps["gap"][0] = np.nan
-    steps["t_s"] = times_of(steps["k"], 5, 2, SAMPLE_S)
-    steps["total_ns"] = total_of(steps)
     return steps
 
 
@@ -79,57 +62,66 @@ def row_of(name: str, **changes: Any) -> dict[str, Any]:
     """A row with what the store looks at."""
     row = {"run_id": name, "outcome": "finished", "schema": SCHEMA_VERSION, "steps_done": 7}
     row |= {"cell": json.dumps({"scenario": name})}
-    clock = {"sample_s": SAMPLE_S, "first_sample": 5.0, "every_sample": np.float64(2.0)}
+    clock = {"first_sample": 5.0, "every_sample": np.float64(2.0)}
     return row | clock | {"N_p": pd.NA, "settle_s": np.inf, "effort_s": 0.1 + 0.2} | changes
 
 
-def record(name: str, seed: int = 0, **changes: Any) -> bytes:
-    return packed(row_of(name, **changes), step_batch(steps_of(seed)))
+def part(*names: str, seed: int = 0, **changes: Any) -> BatchPart:
+    """A batch of those cells, each of other steps."""
+    return batch_part(
+        {
+            name: (row_of(name, **changes), step_batch(steps_of(seed + i)))
+            for i, name in enumerate(names)
+        }
+    )
 
 
 def filled(out: Path, *names: str) -> CellStore:
-    """A store with those cells, each of other steps."""
+    """A store with those cells, each in a part of its own."""
     store = CellStore(out)
     for seed, name in enumerate(names):
-        store.append(name, "finished", record(name, seed))
+        store.add_part(part(name, seed=seed))
     return store
 
 
+def write_public(out: Path, *names: str) -> None:
+    """Write the public tables of those cells."""
+    store = CellStore(out)
+    steps = StepFile(out / "steps.part")
+    for seed, name in enumerate(names):
+        steps.add(concat_steps({name: step_batch(steps_of(seed))}))
+    store.public.write(build_runs_table(rows_to_columns([row_of(name) for name in names])), steps)
+
+
+def tables_of(store: CellStore) -> list[pa.Table]:
+    """The steps that the store gives, run by run."""
+    _, sources = store.collect_rows()
+    tables = [group.read_table() for group in store.find_groups(sources)]
+    names = [name for table in tables for name in table["run_id"].unique().to_pylist()]
+    assert len(names) == len(set(names))
+    return [filter_steps(t, {n}) for t in tables for n in t["run_id"].unique().to_pylist()]
+
+
 def names_in(store: CellStore) -> list[str]:
-    """The runs whose steps the store gives, in order, each as often as it gives them."""
-    tables = [table["run_id"].to_pylist() for table in store.steps()]
-    return [name for names in tables for name in names[::7]]
+    """The runs whose steps the store gives, in order."""
+    return [table["run_id"][0].as_py() for table in tables_of(store)]
 
 
-def test_a_record_comes_back_bit_for_bit() -> None:
-    """Row and steps."""
-    batch = step_batch(steps_of(1))
-    row, again = unpacked(packed(row_of("a"), batch))
-    assert again.equals(batch) and again.schema.equals(batch.schema)
-    assert row["settle_s"] == np.inf and row["effort_s"] == 0.1 + 0.2 and row["N_p"] is None
-
-
-def test_what_is_derived_is_what_was_there(tmp_path: Path) -> None:
-    """Stored columns alone stand in the file; with the derived ones they are those of the loop."""
+def test_steps_come_back_bit_for_bit(tmp_path: Path) -> None:
     steps = steps_of(2)
     file = StepFile(tmp_path / "steps.parquet")
-    file.add(with_names({"a": step_batch(steps)}))
+    file.add(concat_steps({"a": step_batch(steps)}))
     file.close()
-    write_runs(tmp_path / "runs.parquet", as_runs(pd.DataFrame([row_of("a")])), {})
-    assert pq.read_schema(tmp_path / "steps.parquet").names == STORED
-    assert not set(STORED) & set(DERIVED)
     found = as_steps(read_steps(tmp_path, list(STEP_COLUMNS)).to_pandas())
     pd.testing.assert_frame_equal(found, step_rows("a", steps), check_exact=True)
 
 
 def test_only_the_runs_and_columns_that_are_asked_for(tmp_path: Path, monkeypatch: Any) -> None:
-    """In tables of whole runs, each of them once."""
     monkeypatch.setattr(cell_store, "GROUP_ROWS", 10)
     file, names = StepFile(tmp_path / "steps.parquet"), ["a", "b", "c", "d", "e"]
     for seed, name in enumerate(names):
-        file.add(with_names({name: step_batch(steps_of(seed))}))
+        file.add(concat_steps({name: step_batch(steps_of(seed))}))
     file.close()
-    write_runs(tmp_path / "runs.parquet", as_runs(pd.DataFrame([row_of(n) for n in names])), {})
     tables = list(scan_steps(tmp_path, ["run_id", "dtau_x_N", "t_s"]))
     assert [table.num_rows for table in tables] == [14, 14, 7]
     for seed, name in enumerate(names):
@@ -141,243 +133,188 @@ def test_only_the_runs_and_columns_that_are_asked_for(tmp_path: Path, monkeypatc
 
 
 def test_of_no_runs_nothing_is_held() -> None:
-    """What waits to be written beside a table must not keep the table in memory."""
-    table = with_names({"a": step_batch(steps_of(0)), "b": step_batch(steps_of(1))})
-    assert of_runs(table, {"b"})["run_id"].unique().to_pylist() == ["b"]
-    nothing = of_runs(table, {"c"})
+    table = concat_steps({"a": step_batch(steps_of(0)), "b": step_batch(steps_of(1))})
+    assert filter_steps(table, {"b"})["run_id"].unique().to_pylist() == ["b"]
+    nothing = filter_steps(table, {"c"})
     assert nothing.schema.equals(table.schema) and len(nothing) == 0
     assert nothing.get_total_buffer_size() < 100 < table.get_total_buffer_size()
 
 
-def test_what_another_schema_left_in_the_journal_is_not_finished(tmp_path: Path) -> None:
-    """Its columns are others: it is run again, and what stands beside it is kept."""
+def test_what_another_schema_left_is_not_finished(tmp_path: Path) -> None:
     store = CellStore(tmp_path)
-    old = step_batch(steps_of(1)).select(["k", "repeat"])
-    store.append("old", "finished", packed(row_of("old", schema=SCHEMA_VERSION - 1), old))
-    store.append("new", "finished", record("new"))
+    store.add_part(part("old", schema=SCHEMA_VERSION - 1))
+    store.add_part(part("new", seed=1))
     again = CellStore(tmp_path)
     assert again.finished == {"new": "finished"} and names_in(again) == ["new"]
 
 
-@pytest.mark.parametrize("lost", [1, 20, 5000])
-def test_a_journal_that_was_cut_off_has_all_whole_records(lost: int, tmp_path: Path) -> None:
-    """Killed in the midst of a record, it costs that record."""
-    journal = Journal(tmp_path / "journal")
-    for name in "abc":
-        journal.append(record(name))
-    os.truncate(tmp_path / "journal", journal.size - lost)
-    journal.close()
-    assert [unpacked(found)[0]["run_id"] for found in records_in(tmp_path / "journal")] == [
-        "a",
-        "b",
-    ]
+@pytest.mark.parametrize(
+    "wrong", [{"N_p": "many"}, {"seed": None}, {"run_id": 5}, {"cell": "{"}, {"cell": 5}]
+)
+def test_a_row_of_other_types_is_not_finished(tmp_path: Path, wrong: dict[str, Any]) -> None:
+    rows = {"a": row_of("a"), "b": row_of("b") | wrong, "c": row_of("c")}
+    steps = step_batch(steps_of(0))
+    CellStore(tmp_path).add_part(batch_part({name: (row, steps) for name, row in rows.items()}))
+    store = CellStore(tmp_path)
+    assert (
+        list(store.finished) == list(store.finished_runs().index) == ["a", "c"] == names_in(store)
+    )
 
 
-def test_a_damaged_record_costs_itself_alone(tmp_path: Path) -> None:
-    """A byte of the second of three is another one."""
-    path = tmp_path / "journal"
-    journal = Journal(path)
-    sizes = []
-    for name in "abc":
-        journal.append(record(name))
-        sizes.append(journal.size)
-    journal.close()
+@pytest.mark.parametrize("at", [0, 10, -100, -1])
+@pytest.mark.parametrize("how", ["flipped", "cut", "empty"])
+def test_a_damaged_part_costs_itself_alone(tmp_path: Path, at: int, how: str) -> None:
+    store = filled(tmp_path, "a", "b", "c")
+    path = store.parts[1].steps
     data = bytearray(path.read_bytes())
-    data[(sizes[0] + sizes[1]) // 2] ^= 1
-    path.write_bytes(data)
-    assert [unpacked(found)[0]["run_id"] for found in records_in(path)] == ["a", "c"]
+    data[at] ^= 1
+    path.write_bytes({"flipped": data, "cut": data[:at], "empty": b""}[how])
+    for seen in (store, CellStore(tmp_path)):
+        assert list(seen.finished_runs().index) == names_in(seen) == ["a", "c"]
+    assert list(CellStore(tmp_path).finished) == ["a", "c"]
 
 
-def test_a_record_without_room_leaves_the_others(tmp_path: Path, monkeypatch: Any) -> None:
-    """What was written of it goes again."""
-    journal, pwrite = Journal(tmp_path / "journal"), os.pwrite
+def test_a_part_without_room_leaves_the_others(tmp_path: Path, monkeypatch: Any) -> None:
+    store, write = filled(tmp_path, "a"), Path.write_bytes
 
-    def full(file: int, data: memoryview, at: int) -> int:
-        if at + len(data) > room:
-            pwrite(file, data[: len(data) // 2], at)
-            raise OSError("no room")
-        return pwrite(file, data, at)
+    def full(path: Path, data: bytes) -> None:
+        write(path, data[: len(data) // 2])
+        raise OSError("no room")
 
-    journal.append(record("a"))
-    room = journal.size
     with monkeypatch.context() as patch:
-        patch.setattr(os, "pwrite", full)
+        patch.setattr(Path, "write_bytes", full)
         with pytest.raises(OSError, match="no room"):
-            journal.append(record("b"))
-    journal.append(record("c"))
-    journal.close()
-    names = [unpacked(found)[0]["run_id"] for found in records_in(tmp_path / "journal")]
-    assert names == ["a", "c"]
+            store.add_part(part("b", seed=1))
+    assert len(list((tmp_path / "cells").iterdir())) == 1
+    store.add_part(part("c", seed=2))
+    assert list(store.finished) == ["a", "c"] == list(CellStore(tmp_path).finished)
 
 
-def test_many_cells_become_parts(tmp_path: Path, monkeypatch: Any) -> None:
-    """Two files a part; what is left in the journal is found by the next campaign."""
-    monkeypatch.setattr(cell_store, "PART_CELLS", 3)
-    names = [f"run{i}" for i in range(8)]
-    filled(tmp_path, *names)
-    parts = sorted(path.name for path in (tmp_path / "cells").glob("*"))
-    of_two = ["runs-00001.parquet", "runs-00002.parquet", "steps-00001.parquet"]
-    assert parts == ["open.cells", *of_two, "steps-00002.parquet"]
+def test_a_batch_is_one_file(tmp_path: Path) -> None:
+    store, batch = CellStore(tmp_path), part("a", "b")
+    for _ in range(2):
+        store.add_part(batch)
+    (path,) = (tmp_path / "cells").iterdir()
+    assert path.read_bytes() == batch.data
+    steps = pq.read_table(path)
+    assert steps.column_names == list(STEP_COLUMNS)
+    assert steps["run_id"].to_pylist() == 7 * ["a"] + 7 * ["b"]
+
+
+def test_cells_without_steps_are_finished(tmp_path: Path) -> None:
     store = CellStore(tmp_path)
-    assert list(store.finished) == names == names_in(store) == list(store.rows().index)
+    crashed = row_of("c", outcome="crashed", steps_done=0), no_steps()
+    store.add_part(batch_part({"a": (row_of("a"), step_batch(steps_of(0))), "c": crashed}))
+    store.add_part(batch_part({"d": (row_of("d", steps_done=0), no_steps())}))
+    assert CellStore(tmp_path).finished == {"a": "finished", "c": "crashed", "d": "finished"}
+    assert names_in(store) == ["a"]
 
 
-def test_runs_of_one_problem_lie_behind_each_other(tmp_path: Path) -> None:
-    """In a part, whichever came first; each with its own steps."""
-    store = CellStore(tmp_path)
-    for seed, name in enumerate(["a1", "b1", "a2", "b2"]):
-        cell = json.dumps({"scenario": name[0], "solver": name[1]})
-        store.append(name, "finished", record(name, seed, cell=cell))
-    store.close()
-    assert names_in(store) == list(store.rows().index) == ["a1", "a2", "b1", "b2"]
-    (steps,) = store.steps()
-    gap = np.concatenate([steps_of(seed)["gap"] for seed in (0, 2, 1, 3)])
-    np.testing.assert_array_equal(steps["gap"].to_numpy(), gap)
+@pytest.mark.parametrize("copied_rows", [1, 10**6])
+def test_tables_of_parts_are_joined(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, copied_rows: int
+) -> None:
+    monkeypatch.setattr(cell_store, "COPIED_ROWS", copied_rows)
+    store = filled(tmp_path, "a", "b", "c")
+    rows, sources = store.collect_rows()
+    file = StepFile(tmp_path / "steps.part")
+    for group in store.find_groups(sources):
+        assert group.may_copy == (copied_rows == 1)
+        if not file.copy_group(group):
+            file.add(group.read_table())
+    store.public.write(rows, file)
+    assert file.rows == 21
+    groups = pq.ParquetFile(tmp_path / "steps.parquet", page_checksum_verification=True)
+    assert groups.num_row_groups == (3 if copied_rows == 1 else 1)
+    found = complete_steps(groups.read())
+    batches = {name: step_batch(steps_of(seed)) for seed, name in enumerate("abc")}
+    assert found.equals(complete_steps(concat_steps(batches)))
+    assert store.public.is_sound() and list(store.public.outcomes()) == ["a", "b", "c"]
 
 
 @pytest.fixture
 def twice(tmp_path: Path) -> Iterator[CellStore]:
     """A cell in two parts, as after a kill while parts were being put together."""
-    filled(tmp_path, "a", "b").close()
-    store = CellStore(tmp_path)
-    store.append("b", "finished", record("b", 9, steps_done=9))
-    store.close()
+    CellStore(tmp_path).add_part(part("a", "b"))
+    CellStore(tmp_path).add_part(part("b", seed=9, steps_done=9))
     yield CellStore(tmp_path)
 
 
 def test_a_cell_in_two_places_is_there_once(twice: CellStore) -> None:
-    """With the row and the steps of the latest."""
     assert names_in(twice) == ["a", "b"]
-    assert twice.rows().loc["b", "steps_done"] == 9
-    (last,) = [t for t in twice.steps() if t["run_id"][0].as_py() == "b"]
+    assert twice.finished_runs().loc["b", "steps_done"] == 9
+    last = tables_of(twice)[1]
     assert last["gap"].to_pylist()[1:] == steps_of(9)["gap"].tolist()[1:]
 
 
 def test_what_is_forgotten_is_there_only_if_it_comes_again(tmp_path: Path) -> None:
-    """As with --fresh: the others stay."""
-    filled(tmp_path, "a", "b", "c").close()
+    filled(tmp_path, "a", "b", "c")
     store = CellStore(tmp_path)
-    store.forget(["a", "b"])
-    store.append("b", "finished", record("b", 9))
-    store.close()
-    assert set(store.finished) == set(store.rows().index) == {"b", "c"}
+    store.mark_unfinished(["a", "b"])
+    store.add_part(part("b", seed=9))
+    assert set(store.finished) == set(store.finished_runs().index) == {"b", "c"}
     assert sorted(names_in(store)) == ["b", "c"]
-
-
-def test_steps_without_their_runs_are_nothing(tmp_path: Path) -> None:
-    """Killed between the two files of a part: its cells are not finished, and leave no rubbish."""
-    filled(tmp_path, "a").close()
-    (tmp_path / "cells" / "runs-00001.parquet").unlink()
-    assert CellStore(tmp_path).finished == {}
-    assert not list((tmp_path / "cells").glob("*.parquet"))
 
 
 def test_of_a_damaged_file_the_groups_that_can_be_read_count(
     tmp_path: Path, monkeypatch: Any
 ) -> None:
-    """Each run in a row group of its own: the damaged one is not finished, the others are."""
     monkeypatch.setattr(cell_store, "GROUP_ROWS", 1)
-    part = Part(tmp_path / "runs.parquet", tmp_path / "steps.parquet")
-    file = StepFile(tmp_path / "steps.part")
-    for seed, name in enumerate("abc"):
-        file.add(with_names({name: step_batch(steps_of(seed))}))
-    file.close()
-    part.write_runs(as_runs(pd.DataFrame([row_of(n) for n in "abc"])), file.path)
-    assert list(part.outcomes()) == ["a", "b", "c"]
-    group = pq.ParquetFile(part.steps).metadata.row_group(1).column(10)
-    data = bytearray(part.steps.read_bytes())
+    write_public(tmp_path, *"abc")
+    public = CellStore(tmp_path).public
+    assert list(public.outcomes()) == ["a", "b", "c"]
+    group = pq.ParquetFile(public.steps).metadata.row_group(1).column(10)
+    data = bytearray(public.steps.read_bytes())
     data[group.data_page_offset + group.total_compressed_size - 3] ^= 1
-    part.steps.write_bytes(data)
-    assert list(part.outcomes()) == ["a", "c"]
+    public.steps.write_bytes(data)
+    assert list(public.outcomes()) == ["a", "c"] == names_in(CellStore(tmp_path))
 
 
 def test_public_steps_that_are_newer_than_their_runs_cost_nothing(tmp_path: Path) -> None:
-    """Killed between the two public tables: what the parts hold counts, once."""
-    file = StepFile(tmp_path / "steps.part")
-    file.add(with_names({"a": step_batch(steps_of(0))}))
-    file.close()
-    public = CellStore(tmp_path).public
-    public.write_runs(as_runs(pd.DataFrame([row_of("a")])), file.path)
+    write_public(tmp_path, "a")
     store = CellStore(tmp_path)
-    store.append("b", "finished", record("b", 1))
-    store.close()
+    store.add_part(part("b", seed=1))
     both = StepFile(tmp_path / "steps.parquet")
-    both.add(with_names({name: step_batch(steps_of(i)) for i, name in enumerate("ab")}))
+    both.add(concat_steps({name: step_batch(steps_of(i)) for i, name in enumerate("ab")}))
     both.close()
     store = CellStore(tmp_path)
     assert list(store.finished) == ["a", "b"] and names_in(store) == ["a", "b"]
 
 
-COPIES = (
-    *("runs-00001 (copy).parquet", "steps-00001 (copy).parquet", "steps-00007 (copy).parquet"),
-    *("runs-00001 (conflicted copy 2026-11-22).parquet", "open (copy).cells", "runs-x.parquet"),
-    "runs-00001.sync-conflict-20261122-101500-ABCDEFG.parquet",
-)
+COPIES = ("part-00001{} (copy).parquet", "part-00007 (copy){}.parquet", "runs-x{}.parquet")
+COPIES += ("part-00001{} (conflicted copy 2026-11-22).parquet", "part-x{}.parquet")
+COPIES += ("part-00001{}.sync-conflict-20261122-101500-ABCDEFG.parquet",)
 
 
 def test_copies_that_sync_tools_leave_are_ignored_and_named(tmp_path: Path) -> None:
-    """They are neither read nor removed, and the next part has the next number."""
-    filled(tmp_path, "a", "b").close()
-    source = tmp_path / "cells" / "runs-00001.parquet"
-    for name in COPIES:
-        (tmp_path / "cells" / name).write_bytes(source.read_bytes())
+    CellStore(tmp_path).add_part(part("a", "b"))
+    (source,) = (tmp_path / "cells").iterdir()
+    copies = [source.with_name(name.format(source.stem[10:])) for name in COPIES]
+    for copy in copies:
+        copy.write_bytes(source.read_bytes())
     store = CellStore(tmp_path)
     assert list(store.finished) == ["a", "b"] and names_in(store) == ["a", "b"]
-    store.append("c", "finished", record("c"))
-    store.close()
-    assert [part.runs.stem for part in store.parts()[1:]] == ["runs-00001", "runs-00002"]
+    store.add_part(part("c"))
+    assert [one.steps.name[:11] for one in store.parts] == ["part-00001-", "part-00002-"]
     (remark,) = store.remarks
-    assert "ignored 'open (copy).cells' and 6 more" in remark and str(tmp_path) in remark
-    assert all((tmp_path / "cells" / name).exists() for name in COPIES)
+    assert "ignored 'part-00001-" in remark and " and 5 more" in remark
+    assert str(tmp_path) in remark and all(copy.exists() for copy in copies)
 
 
 def test_own_files_are_not_remarked_on(tmp_path: Path) -> None:
-    """Those of a campaign at work, whole and half done, and of designs and sources."""
     store = filled(tmp_path, "a")
     own = ["exact-0123456789ab.npz", "exact-0123456789ab.part.npz", "design-0123456789abcdef.json"]
-    for name in (*own, ".lock", "steps-00002.part", "design-0123456789abcdef.json.part"):
+    own += ["part-00002-01234567.parquet.part", "design-0123456789abcdef.json.part", ".lock"]
+    for name in own:
         (tmp_path / "cells" / name).touch()
     assert store.remarks == []
     assert [path.name for path in tmp_path.rglob("*.part")] and CellStore(tmp_path).remarks == []
     assert not list(tmp_path.rglob("*.part"))
 
 
-@pytest.mark.parametrize("link", [os.symlink, os.link], ids=["soft", "hard"])
-def test_nothing_is_written_through_a_link(tmp_path: Path, link: Any) -> None:
-    """Be it in place of the journal, a table, or a file that is not whole yet."""
-    mine, out = tmp_path / "thesis.txt", tmp_path / "out"
-    mine.write_text("mine", encoding="utf-8")
-    (out / "cells").mkdir(parents=True)
-    for name in (
-        "open.cells",
-        "steps-00001.part",
-        "steps-00001.parquet",
-        "runs-00001.parquet.part",
-    ):
-        link(mine, out / "cells" / name)
-    store = filled(out, "a")
-    store.close()
-    link(mine, out / "cells" / "open.cells")
-    store.append("b", "finished", record("b", 1))
-    store.close()
-    assert mine.read_text("utf-8") == "mine" and mine.stat().st_nlink == 1
-    assert names_in(store) == ["a", "b"]
-
-
-def test_a_linked_folder_of_cells_is_refused(tmp_path: Path) -> None:
-    """Nothing is written or removed where it points to."""
-    (tmp_path / "elsewhere").mkdir()
-    (tmp_path / "elsewhere" / "steps-00001.parquet").touch()
-    (tmp_path / "cells").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(InputError, match="cells: found a link"):
-        CellStore(tmp_path)
-    assert [path.name for path in (tmp_path / "elsewhere").iterdir()] == ["steps-00001.parquet"]
-
-
-def test_tables_are_on_the_disk_before_the_journal_goes(
+def test_tables_are_on_the_disk_before_the_parts_go(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Both files, and then the names in their folder."""
     events: list[tuple[str, str]] = []
     store, fsync, replace, unlink = filled(tmp_path, "a"), os.fsync, Path.replace, Path.unlink
 
@@ -397,13 +334,21 @@ def test_tables_are_on_the_disk_before_the_journal_goes(
     monkeypatch.setattr(os, "fsync", watched_fsync)
     monkeypatch.setattr(Path, "replace", watched_replace)
     monkeypatch.setattr(Path, "unlink", watched_unlink)
-    store.close()
+    (name,) = (path.name for path in (tmp_path / "cells").iterdir())
+    job = SimpleNamespace(run_id="a", cell=SimpleNamespace(settings="default"))
+    job.planned = SimpleNamespace(alias_settings=[])
+    tabulate(cast(Any, [job]), store)
     assert events == [
-        ("sync", "steps-00001.part"),
-        ("name", "steps-00001.parquet"),
-        ("sync", "cells"),
-        ("sync", "runs-00001.parquet.part"),
-        ("name", "runs-00001.parquet"),
-        ("sync", "cells"),
-        ("remove", "open.cells"),
+        ("sync", "steps.parquet.part"),
+        ("name", "steps.parquet"),
+        ("sync", tmp_path.name),
+        ("sync", "runs.parquet.part"),
+        ("name", "runs.parquet"),
+        ("sync", tmp_path.name),
+        ("remove", name),
     ]
+
+
+def test_a_shard_without_cells_has_a_table_without_rows() -> None:
+    rows = RequestedRuns([]).make_rows(as_runs(pd.DataFrame()).set_index("run_id", drop=False))
+    assert len(rows) == 0 and set(RUN_COLUMNS) <= set(rows)

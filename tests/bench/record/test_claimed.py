@@ -1,7 +1,5 @@
 """A result folder has one writer at a time, and is claimed through no link."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -10,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from dpbench.bench.record.result_folder import claimed, writing
+from dpbench.bench.record.result_folder import lock_for_writing, lock_result_folder
 from dpbench.errors import InputError
-from dpbench.locks import Patience
+from dpbench.locks import WaitLimit
 
 
 class _Said:
@@ -33,12 +31,11 @@ class _Said:
 def test_a_report_and_a_campaign_wait_for_each_other(
     tmp_path: Path, first: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The second says so in one line, and begins when the first has ended."""
     said, order = _Said(), list[str]()
     monkeypatch.setattr(sys, "stderr", said)
     folder = tmp_path / "out"
     folder.mkdir()
-    campaign, report = lambda: claimed(folder, "smoke"), lambda: writing(folder)
+    campaign, report = lambda: lock_result_folder(folder, "smoke"), lambda: lock_for_writing(folder)
     one, other = (campaign, report) if first == "campaign" else (report, campaign)
 
     def second() -> None:
@@ -59,9 +56,9 @@ def test_a_report_and_a_campaign_wait_for_each_other(
 HOLD = """
 import sys
 from pathlib import Path
-from dpbench.bench.record.result_folder import claimed, writing
+from dpbench.bench.record.result_folder import lock_result_folder, lock_for_writing
 folder = Path(sys.argv[2])
-with claimed(folder, "smoke") if sys.argv[1] == "campaign" else writing(folder):
+with lock_result_folder(folder, "smoke") if sys.argv[1] == "campaign" else lock_for_writing(folder):
     print("held", flush=True)
     sys.stdin.read()
 """
@@ -69,7 +66,6 @@ with claimed(folder, "smoke") if sys.argv[1] == "campaign" else writing(folder):
 
 @pytest.mark.parametrize("first", ["campaign", "report"])
 def test_the_holder_of_a_folder_is_named(tmp_path: Path, first: str) -> None:
-    """By its process, whether the second waits for it or is refused."""
     (tmp_path / "out").mkdir()
     command = [sys.executable, "-c", HOLD, first, str(tmp_path / "out")]
     with subprocess.Popen(
@@ -77,43 +73,47 @@ def test_the_holder_of_a_folder_is_named(tmp_path: Path, first: str) -> None:
     ) as other:
         assert other.stdout is not None and other.stdout.readline() == "held\n"
         name = rf"process {other.pid} \(.*since"
-        impatient = claimed(tmp_path / "out", "smoke", Patience(0.0))
+        impatient = lock_result_folder(tmp_path / "out", "smoke", WaitLimit(0.0))
         with pytest.raises(InputError, match=name), impatient:
             pass
         other.communicate("")
 
 
 def test_two_campaigns_do_not_wait(tmp_path: Path) -> None:
-    """The second is refused; after the first it is not."""
     out = tmp_path / "out"
-    with claimed(out, "smoke"), pytest.raises(InputError, match="in use"), claimed(out, "smoke"):
+    with (
+        lock_result_folder(out, "smoke"),
+        pytest.raises(InputError, match="in use"),
+        lock_result_folder(out, "smoke"),
+    ):
         pass
-    with claimed(out, "smoke"):
+    with lock_result_folder(out, "smoke"):
         pass
 
 
 def test_a_folder_that_is_not_there_is_not_held(tmp_path: Path) -> None:
-    """Nothing is made; what reads it says what is missing."""
-    with writing(tmp_path / "out"):
+    with lock_for_writing(tmp_path / "out"):
         assert not (tmp_path / "out").exists()
 
 
 def test_nothing_is_made_through_a_link(tmp_path: Path) -> None:
-    """Neither through one in place of the folder of cells, nor of the lock in it."""
     mine, elsewhere, out = tmp_path / "thesis.txt", tmp_path / "elsewhere", tmp_path / "out"
     mine.write_text("mine", encoding="utf-8")
     elsewhere.mkdir()
     out.mkdir()
     (out / "cells").symlink_to(elsewhere)
-    with pytest.raises(InputError, match="cells: found a link"), claimed(out, "smoke"):
+    with pytest.raises(InputError, match="cells: found a link"), lock_result_folder(out, "smoke"):
         pass
     assert not list(elsewhere.iterdir())
     (out / "cells").unlink()
     (out / "cells").mkdir()
     (out / "cells" / ".lock").symlink_to(mine)
-    with pytest.raises(InputError, match="a folder that can be written"), claimed(out, "smoke"):
+    with (
+        pytest.raises(InputError, match="a folder that can be written"),
+        lock_result_folder(out, "smoke"),
+    ):
         pass
     (out / "cells" / ".lock").unlink()
     os.link(mine, out / "cells" / ".lock")
-    with claimed(out, "smoke"):
+    with lock_result_folder(out, "smoke"):
         assert mine.read_text("utf-8") == "mine"

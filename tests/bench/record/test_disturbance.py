@@ -14,10 +14,10 @@ from dpbench.bench.record.disturbance import (
     MAX_STEAL_SHARE,
     MAX_SWITCHES_PER_S,
     Disturbance,
-    counters,
     disturbance_metrics,
+    read_counters,
 )
-from dpbench.bench.record.raw_log import COUNTERS, TIMES, RawLog, replay_layout
+from dpbench.bench.record.raw_log import COUNTERS, PHASES, RawLog, replay_layout
 
 # What the kernel counts on a core is to come from the test.
 pytestmark = pytest.mark.alone
@@ -34,24 +34,22 @@ QUIET = Disturbance(
 
 
 def test_a_process_that_waits_switches_of_its_own_will() -> None:
-    """Ten sleeps are ten voluntary switches at least, and take their time by the same counters."""
-    before = counters()
+    before = read_counters()
     for _ in range(10):
         time.sleep(0.001)
-    change = dict(zip(COUNTERS, counters() - before, strict=True))
+    change = dict(zip(COUNTERS, read_counters() - before, strict=True))
     assert change["voluntary_switches"] >= 10
     assert change["replay_s"] >= 0.01
 
 
 def test_steal_time_is_that_of_the_own_core() -> None:
-    """The same number as in the line of /proc/stat, to a tick."""
     allowed = os.sched_getaffinity(0)
     core = max(allowed)
     os.sched_setaffinity(0, {core})
     try:
         with open("/proc/stat", encoding="ascii") as stat:
             (line,) = [text for text in stat if text.startswith(f"cpu{core} ")]
-        found = counters()[COUNTERS.index("steal_s")]
+        found = read_counters()[COUNTERS.index("steal_s")]
     finally:
         os.sched_setaffinity(0, allowed)
     user, nice, system, idle, iowait, irq, softirq, steal, *_ = map(int, line.split()[1:])
@@ -60,7 +58,6 @@ def test_steal_time_is_that_of_the_own_core() -> None:
 
 
 def test_sums_are_over_the_rounds_that_count() -> None:
-    """Neither the warm-up nor a round that was never finished is in them; attempts are."""
     log = RawLog.in_memory(replay_layout(4, 2, 1, 1))
     log.done[:] = (2, 2, 2, 0)
     log.attempts[:] = (1, 2, 1, 0)
@@ -73,27 +70,24 @@ def test_sums_are_over_the_rounds_that_count() -> None:
 
 
 def test_the_time_of_steps_is_of_the_same_rounds() -> None:
-    """All phases of the solver, neither those of the warm-up nor of a round that was stopped."""
     log = RawLog.in_memory(replay_layout(4, 2, 1, 1))
     log.times[:] = -1
     log.done[:] = (2, 2, 2, 1)
     log.counters[:3] = 1.0
     log.counters[3] = np.nan
-    log.times[:, :, TIMES.index("solve")] = np.array([[7], [100], [2000], [9]])
-    log.times[:, :, TIMES.index("emit")] = 10**6
+    log.times[:, :, PHASES.index("solve")] = np.array([[7], [100], [2000], [9]])
+    log.times[:, :, PHASES.index("emit")] = 10**6
     assert disturbance_metrics(log)["solve_s"] == pytest.approx(4200e-9)
 
 
 def test_the_time_of_other_threads_is_theirs_alone() -> None:
-    """A tenth of a second of a thread is seen; what the caller does is not."""
-
     def work() -> None:
         end = time.thread_time() + 0.1
         while time.thread_time() < end:
             hashlib.sha256(bytes(10**6))
 
     def thread_s() -> float:
-        return float(counters()[COUNTERS.index("thread_s")])
+        return float(read_counters()[COUNTERS.index("thread_s")])
 
     before = thread_s()
     work()
@@ -106,7 +100,6 @@ def test_the_time_of_other_threads_is_theirs_alone() -> None:
 
 
 def test_at_the_limits_a_machine_is_quiet() -> None:
-    """The rule says at most; rounds that were run again with success disturb nobody."""
     assert QUIET.complaints() == []
 
 
@@ -120,13 +113,11 @@ def test_at_the_limits_a_machine_is_quiet() -> None:
     ],
 )
 def test_each_disturbance_is_named(field: str, value: float, word: str) -> None:
-    """One figure beyond its limit is one complaint, in its own words."""
     (complaint,) = Disturbance(**{**vars(QUIET), field: value}).complaints()
     assert word in complaint
 
 
 def test_a_total_is_a_sum_and_what_nobody_saw_stays_unknown() -> None:
-    """Counters add up; one that is hidden everywhere is no zero, and complains of nothing."""
     blind = Disturbance(**{**vars(QUIET), "throttled": math.nan, "steal_s": math.nan})
     both = Disturbance.total([blind, QUIET])
     assert (both.rounds, both.seconds, both.throttled) == (200.0, 20.0, 0.0)

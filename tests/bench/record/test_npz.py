@@ -1,7 +1,5 @@
 """Arrays that are kept in one piece come back as they were, and damage is seen."""
 
-from __future__ import annotations
-
 import struct
 import zipfile
 from collections.abc import Callable
@@ -10,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpbench.bench.record.npz import keep, kept, read_npz, write_npz
+from dpbench.bench.record.npz import open_arrays, read_npz, write_arrays, write_npz
 from dpbench.errors import InputError, ResultsError
 
 ARRAYS = {
@@ -22,12 +20,11 @@ ARRAYS = {
 }
 
 
-@pytest.mark.parametrize("write", [keep, write_npz])
+@pytest.mark.parametrize("write", [write_arrays, write_npz])
 def test_arrays_come_back_bit_for_bit(write: Callable[..., None], tmp_path: Path) -> None:
-    """Of every type and shape, in one piece or in a zip file, and nothing else is left."""
     path = tmp_path / "a.npz"
     write(path, ARRAYS)
-    with kept(path) as stored:
+    with open_arrays(path) as stored:
         assert list(stored) == list(ARRAYS)
         for name, array in ARRAYS.items():
             assert (stored[name].dtype, stored[name].shape) == (array.dtype, array.shape)
@@ -38,16 +35,15 @@ def test_arrays_come_back_bit_for_bit(write: Callable[..., None], tmp_path: Path
 
 
 def test_every_changed_byte_is_seen(tmp_path: Path) -> None:
-    """Wherever it is, and wherever the file ends."""
     path = tmp_path / "a.npz"
-    keep(path, ARRAYS)
+    write_arrays(path, ARRAYS)
     whole = path.read_bytes()
     for at in range(len(whole)):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
-        with pytest.raises(ResultsError), kept(path):
+        with pytest.raises(ResultsError), open_arrays(path):
             raise AssertionError(f"byte {at} is no damage")
         path.write_bytes(whole[:at])
-        with pytest.raises(ResultsError), kept(path):
+        with pytest.raises(ResultsError), open_arrays(path):
             raise AssertionError(f"{at} bytes are no damage")
 
 
@@ -82,14 +78,12 @@ def zipped(path: Path, member: bytes, method: int = zipfile.ZIP_DEFLATED) -> Pat
 def test_what_numpy_would_not_write_is_refused(
     member: bytes, method: int, found: str, tmp_path: Path
 ) -> None:
-    """Lengths that are truths or more than there is, other compression, bombs, broken texts."""
     with pytest.raises(InputError, match=found) as caught:
         read_npz(zipped(tmp_path / "a.npz", member, method), "a sequence")
     assert "\n" not in str(caught.value)
 
 
 def test_a_member_that_unpacks_to_more_than_it_declares(tmp_path: Path) -> None:
-    """No more than is declared is unpacked; its check sum is wrong then."""
     path = zipped(tmp_path / "a.npz", npy("(15,)", bytes(10**8)))
     head = len(npy("(15,)", b""))
     declared, less = (struct.pack("<I", head + length) for length in (10**8, 120))

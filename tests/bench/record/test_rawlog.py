@@ -1,16 +1,13 @@
 """The raw log survives its writer."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 
-from dpbench.bench.record.raw_log import RawLog, discard, loop_layout, replay_layout
+from dpbench.bench.record.raw_log import RawLog, loop_layout, remove_log, replay_layout
 
 
 def test_a_reader_sees_what_the_writer_assigned(tmp_path: Path) -> None:
-    """Arrays opened from the file share memory with the writer's, without any flush."""
     path = tmp_path / "cell.raw"
     writer = RawLog.create(path, loop_layout(steps=7, n=15, m=15, n_theta=16))
     writer.z[0, 3] = np.arange(15.0)
@@ -21,7 +18,6 @@ def test_a_reader_sees_what_the_writer_assigned(tmp_path: Path) -> None:
 
 
 def test_arrays_do_not_overlap() -> None:
-    """Filling one array leaves every other one as it was."""
     layout = replay_layout(rounds=3, steps=5, n=4, m=2)
     log = RawLog.in_memory(layout)
     for name in layout:
@@ -32,8 +28,7 @@ def test_arrays_do_not_overlap() -> None:
 
 
 def test_discard_removes_log_and_layout(tmp_path: Path) -> None:
-    """Nothing of a evaluated log stays behind."""
     path = tmp_path / "cell.raw"
     RawLog.create(path, replay_layout(1, 2, 3, 3))
-    discard(path)
+    remove_log(path)
     assert list(tmp_path.iterdir()) == []

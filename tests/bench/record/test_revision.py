@@ -1,7 +1,5 @@
 """Which commit made a run: of a checkout, of an installation, of neither."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import json
 import subprocess
@@ -10,7 +8,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from dpbench.bench.record.revision import checked_out, installed, revision_text, revisions
+from dpbench.bench.record.machine import (
+    append_revision,
+    checkout_revision,
+    describe_revisions,
+    installed_revision,
+)
 
 
 def _git(folder: Path, *words: str) -> None:
@@ -20,7 +23,6 @@ def _git(folder: Path, *words: str) -> None:
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    """A package in a checkout of its own."""
     folder = tmp_path / "package"
     folder.mkdir()
     (folder / "__init__.py").write_text("x = 1\n", encoding="utf-8")
@@ -31,37 +33,33 @@ def package(tmp_path: Path) -> Path:
 
 
 def test_a_checkout_tells_its_commit_and_whether_it_is_clean(package: Path) -> None:
-    """A change of the package is said; one beside it is no change of what ran."""
-    clean = checked_out(package)
+    clean = checkout_revision(package)
     assert len(clean["commit"]) == 40 and clean["clean"] is True
     (package.parent / "notes.txt").write_text("beside", encoding="utf-8")
-    assert checked_out(package) == clean
+    assert checkout_revision(package) == clean
     (package / "__init__.py").write_text("x = 2\n", encoding="utf-8")
-    assert checked_out(package) == clean | {"clean": False}
+    assert checkout_revision(package) == clean | {"clean": False}
 
 
 def test_a_package_inside_the_checkout_of_another_is_not_of_its_commit(package: Path) -> None:
-    """As in an environment that lies in a project's folder."""
     other = package.parent / "environment"
     other.mkdir()
     (other / "__init__.py").write_text("", encoding="utf-8")
-    assert checked_out(other) == {}
+    assert checkout_revision(other) == {}
 
 
 def test_an_installer_tells_the_commit_it_installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the file of PEP 610, which an installation from an index has not."""
     noted: dict[str, str | None] = {"text": json.dumps({"vcs_info": {"commit_id": "ab" * 20}})}
     there = SimpleNamespace(read_text=lambda name: noted["text"])
     monkeypatch.setattr(importlib.metadata, "distribution", lambda name: there)
-    assert installed() == {"commit": "ab" * 20, "clean": True}
+    assert installed_revision() == {"commit": "ab" * 20, "clean": True}
     noted["text"] = None
-    assert installed() == {}
+    assert installed_revision() == {}
 
 
 def test_a_folder_that_was_taken_up_again_names_all_commits() -> None:
-    """Each once, the latest last; a folder from before says nothing."""
     old, new = {"commit": "a" * 40, "clean": True}, {"commit": "b" * 40, "clean": False}
-    both = revisions([new, old], new)
-    assert both == [old, new] and revisions([], {}) == []
-    assert revision_text({"revisions": both}) == f"commit {'a' * 12}, {'b' * 12} with changes"
-    assert revision_text({}) == ""
+    both = append_revision([new, old], new)
+    assert both == [old, new] and append_revision([], {}) == []
+    assert describe_revisions({"revisions": both}) == f"commit {'a' * 12}, {'b' * 12} with changes"
+    assert describe_revisions({}) == ""

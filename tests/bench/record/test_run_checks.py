@@ -1,7 +1,5 @@
 """Rows of `runs.parquet` and descriptions beside them that no campaign writes: one line each."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
@@ -19,7 +17,6 @@ from tests.conftest import MadeRecords
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small folder of results."""
     records = MadeRecords()
     records.loop("daqp", steps=5)
     records.replay("osqp", steps=8)
@@ -28,7 +25,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def copy(made: Path, tmp_path: Path) -> Path:
-    """One that a test may spoil."""
     return Path(shutil.copytree(made, tmp_path / "out"))
 
 
@@ -43,12 +39,12 @@ def copy(made: Path, tmp_path: Path) -> Path:
         ("replay_s", 0.0, "replay_s[0]: found 0.0"),
         ("N_p", None, "N_p[0]: found nothing; allowed: a horizon"),
         ("study", "seas", "study_point[0]: found nothing"),
+        ("schema", 1, "schema: found schema [1]"),
     ],
 )
 def test_a_row_that_no_campaign_writes_is_refused(
     copy: Path, column: str, value: object, found: str
 ) -> None:
-    """The line names column and row."""
     path = copy / "runs.parquet"
     runs = pd.read_parquet(path).assign(**{"N_p": 30, "N_c": 5, column: value})
     runs.to_parquet(path, index=False)
@@ -58,7 +54,6 @@ def test_a_row_that_no_campaign_writes_is_refused(
 
 
 def test_what_a_campaign_writes_is_read(copy: Path) -> None:
-    """Missing numbers, and a replay that was stopped before its first round that counts."""
     path = copy / "runs.parquet"
     runs = pd.read_parquet(path).assign(rounds=0, outcome="timed_out", replay_s=np.nan)
     runs.to_parquet(path, index=False)
@@ -81,7 +76,6 @@ def test_what_a_campaign_writes_is_read(copy: Path) -> None:
 def test_a_damaged_description_of_a_cell_is_one_line(
     copy: Path, cell: str, found: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`report` ends with 2."""
     path = copy / "runs.parquet"
     pd.read_parquet(path).assign(cell=cell).to_parquet(path, index=False)
     assert main(["report", str(copy), "--quiet"]) == 2
@@ -99,8 +93,10 @@ def test_a_damaged_description_of_a_cell_is_one_line(
         ("suite.json", "title", None),
         ("suite.json", "started_utc", 2026),
         ("suite.json", "run_rows", True),
-        ("suite.json", "demand", {"p99_ms": "3"}),
-        ("suite.json", "demand", []),
+        ("suite.json", "requirements", {"p99_ms": "3"}),
+        ("suite.json", "requirements", {"p99_ms": 0}),
+        ("suite.json", "requirements", {"failed_steps": -1}),
+        ("suite.json", "requirements", []),
         ("suite.json", "report", 1),
         ("suite.json", "report", {"step": "x"}),
         ("suite.json", "revisions", [1]),
@@ -114,7 +110,6 @@ def test_a_damaged_description_of_a_cell_is_one_line(
 def test_a_description_of_other_types_is_one_line(
     copy: Path, name: str, key: str, value: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It names file and key; `report` ends with 2."""
     path = copy / name
     path.write_text(json.dumps(json.loads(path.read_text("utf-8")) | {key: value}), "utf-8")
     assert main(["report", str(copy), "--quiet"]) == 2

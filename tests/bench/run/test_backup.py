@@ -1,8 +1,5 @@
 """The backup steps in where the first solver fails or is late, and never as if it had more time."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,22 +9,16 @@ import pytest
 from dpbench import load_scenario, open_workspace, run_closed_loop
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
-from dpbench.bench.record.cell import Fallback
 from dpbench.bench.record.raw_log import BackupLog, RawLog, loop_layout
 from dpbench.bench.run.backup import WARM_UP_SOLVES, Backup
-from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
-from dpbench.bench.run.exact_loop import base_problem
-from dpbench.bench.run.formulation import Box
-from dpbench.bench.run.qp_builder import QPBuilder
 from dpbench.bench.run.slow_computer import ComputationalDelay
-from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.errors import InputError, UnknownNameError
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario
 from dpbench.solvers.contract import Workspace
+from tests.bench.run.loops import SAMPLE_NS, Planned, run_loop, surge_steps
 
-SAMPLE_NS = 300_000_000
 FAILED = Status.NUMERICAL_ERROR
 
 
@@ -56,32 +47,6 @@ class FailingAt(Workspace):
         return Solution.missing(len(answer.z), len(answer.y), FAILED, "forced")
 
 
-class Clocked(Workspace):
-    """A plan of one move, after so many samples of a clock that it shares; failing where stated."""
-
-    def __init__(self, now_ns: list[int], samples: Callable[[int], float], move: float) -> None:
-        super().__init__("clocked", "native", "reuse")
-        self.asked, self.fails = -WARM_UP_SOLVES, False
-        self._now_ns, self._samples, self._move = now_ns, samples, move
-
-    def setup(self, qp: QuadraticProgram) -> None:
-        pass
-
-    def update(self, step: QPStep) -> None:
-        pass
-
-    def solve(self) -> None:
-        if self.asked >= 0:
-            self._now_ns[0] += round(self._samples(self.asked) * SAMPLE_NS)
-        self.asked += 1
-
-    def read(self) -> Solution:
-        if self.fails and self.asked > 0:
-            return Solution.missing(15, 15, FAILED)
-        z = np.concatenate((np.full(3, self._move), np.zeros(12)))
-        return Solution(Status.SOLVED, z, np.zeros(15), np.zeros(15))
-
-
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
     return load_scenario("paper").first(12)
@@ -104,8 +69,6 @@ def steps_of(log: RawLog) -> tuple[list[int], list[int]]:
     ("name", "steps", "backup"), [("paper", 40, "daqp"), ("turn", 60, "paper_active_set")]
 )
 def test_a_right_backup_makes_failures_harmless(name: str, steps: int, backup: str) -> None:
-    """With a backup that answers the very QP of the step, the ship goes where it went without a
-    failure, also past steps that bring new matrices; each failure is still one of the solver."""
     scenario = load_scenario(name).first(steps)
     failing = {0, 3, 4, *range(20, steps, 2)}
     run = run_closed_loop(scenario, FailingAt(failing), backup=backup)
@@ -123,15 +86,9 @@ def test_a_right_backup_makes_failures_harmless(name: str, steps: int, backup: s
 
 def test_when_both_fail_the_fallback_acts(scenario: Scenario) -> None:
     """Steps 4 to 6 have no answer of either: the force is held, and the failures are counted."""
-    builder = QPBuilder(scenario)
-    log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes, backup=True))
-    problem, ticks = Box(base_problem(builder.condensed)), iter(range(10**9))
     first, second = FailingAt({4, 5, 6}), FailingAt({WARM_UP_SOLVES + i for i in range(3)})
-    solvers = [TimedSolver(one, problem, lambda: next(ticks)) for one in (first, second)]
-    setup = ClosedLoopSetup(scenario, builder, solvers[0], log, "hold", 2**62, lambda: next(ticks))
-    setup.backup = Backup(solvers[1], builder.condensed.moves, of_backup(log))
-    assert closed_loop(setup)
-    assert steps_of(log) == ([4, 5, 6], [])
+    log, complete = run_loop(scenario, first, "hold", backup=second)
+    assert complete and steps_of(log) == ([4, 5, 6], [])
     np.testing.assert_array_equal(log.tau[4:7], np.repeat(log.tau[3:4], 3, axis=0))
     assert np.flatnonzero(log.flags[:, 0]).tolist() == [4, 5, 6]
 
@@ -139,64 +96,41 @@ def test_when_both_fail_the_fallback_acts(scenario: Scenario) -> None:
 def test_without_a_backup_there_is_none(
     scenario: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An ordinary loop has neither the object nor room for it in its log."""
-
-    def refuse(*_: object) -> None:
-        raise AssertionError("not without a backup")
-
-    monkeypatch.setattr(Backup, "__init__", refuse)
+    monkeypatch.setattr(Backup, "__init__", None)
     run = run_closed_loop(scenario, FailingAt({3}))
     assert not run.steps["backup"].any() and run.summary["backup_asked"] is pd.NA
     assert not any(name.startswith("backup.") for name in loop_layout(3, 15, 15, 16))
 
 
 def slow(
-    scenario: Scenario,
-    first_s: float,
-    backup_s: float,
-    budget: float,
-    *,
-    fails: bool = False,
-    fallback: Fallback = "hold",
-) -> RawLog:
-    """A loop on a slow computer whose first solver is late, or fails, in every step; latencies
-    and budget in samples. The first plans +1, the backup −1 rate-limit step at once."""
-    builder, now_ns = QPBuilder(scenario), [0]
-    log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes, backup=True))
-    problem = Box(base_problem(builder.condensed))
-    first, second = (
-        Clocked(now_ns, lambda i: first_s, 0.5),
-        Clocked(now_ns, lambda i: backup_s, -0.5),
-    )
-    first.fails = fails
-    solver, other = (TimedSolver(one, problem, lambda: now_ns[0]) for one in (first, second))
+    scenario: Scenario, first_s: float, backup_s: float, budget: float, *, fails: bool = False
+) -> tuple[RawLog, list[float]]:
+    """Return the log and first forces of a slow computer; latencies and budget in samples.
+
+    The first solver is late, or fails, in every step. It plans +0.5, the backup −0.5 rate-limit
+    steps at once.
+    """
+    status, now_ns = FAILED if fails else Status.SOLVED, [0]
+    first = Planned(lambda i: first_s, status, (0.5, 0, 0, 0, 0), now_ns)
+    second = Planned(lambda i: backup_s, Status.SOLVED, (-0.5, 0, 0, 0, 0), now_ns)
     delay = ComputationalDelay(1.0, round(budget * SAMPLE_NS), SAMPLE_NS)
-    setup = ClosedLoopSetup(
-        scenario, builder, solver, log, fallback, 2**62, lambda: now_ns[0], delay
-    )
-    setup.backup = Backup(other, builder.condensed.moves, of_backup(log))
-    assert closed_loop(setup)
-    return log
-
-
-def forces(log: RawLog, scenario: Scenario, steps: int = 4) -> list[float]:
-    """Applied surge forces of the first steps, in rate-limit steps."""
-    return np.round(log.tau[:steps, 0] / scenario.du_max[0], 9).tolist()
+    log, complete = run_loop(scenario, first, "hold", clock=first.clock, backup=second, delay=delay)
+    assert complete
+    return log, surge_steps(log, scenario)[:4]
 
 
 def test_a_failure_in_time_leaves_the_backup_the_rest_of_the_budget(scenario: Scenario) -> None:
     """0.2 + 0.3 samples are within 0.6: the backup's move is applied in the step itself."""
-    log = slow(scenario, 0.2, 0.3, 0.6, fails=True)
-    assert forces(log, scenario) == [-0.5, -1.0, -1.5, -2.0]
+    log, forces = slow(scenario, 0.2, 0.3, 0.6, fails=True)
+    assert forces == [-0.5, -1.0, -1.5, -2.0]
     assert steps_of(log) == ([*range(12)], [*range(12)])
     assert of_backup(log).ready_ns[0] == SAMPLE_NS // 2
 
 
 def test_behind_the_deadline_its_plan_arrives_at_the_next_sample(scenario: Scenario) -> None:
-    """The first, of 2.5 samples, is stopped at its deadline of 0.6; the backup is ready at 0.9 and
-    arrives one sample late, as every late plan: nothing at first, then its second force."""
-    log = slow(scenario, 2.5, 0.3, 0.6)
-    assert forces(log, scenario) == [0.0, -0.5, -0.5, -1.0]
+    """Stopped at 0.6, the first leaves the backup until 0.9: its second force acts from step 1."""
+    log, forces = slow(scenario, 2.5, 0.3, 0.6)
+    assert forces == [0.0, -0.5, -0.5, -1.0]
     assert steps_of(log) == ([*range(12)], [*range(1, 12)])
     assert of_backup(log).ready_ns[0] == round(0.9 * SAMPLE_NS)
     # No step is busy: the first was stopped, not waited for.
@@ -206,19 +140,18 @@ def test_behind_the_deadline_its_plan_arrives_at_the_next_sample(scenario: Scena
 
 def test_a_backup_that_would_end_beyond_the_sample_does_not_act(scenario: Scenario) -> None:
     """0.6 + 0.5 samples are more than one: it is stopped, and the force is held."""
-    log = slow(scenario, 2.5, 0.5, 0.6)
-    assert forces(log, scenario) == [0.0] * 4
+    log, forces = slow(scenario, 2.5, 0.5, 0.6)
+    assert forces == [0.0] * 4
     assert steps_of(log) == ([*range(12)], [])
 
 
 def test_a_deadline_of_the_whole_sample_leaves_a_late_backup_no_time(scenario: Scenario) -> None:
-    """Then a late answer arrives as without a backup, at sample 3 with its fourth force, which is
-    its first as it plans one move."""
-    log = slow(scenario, 2.5, 0.1, 1.0)
-    assert forces(log, scenario) == [0.0, 0.0, 0.0, 0.5]
+    """A late answer arrives as without a backup, at sample 3 with its fourth force."""
+    log, forces = slow(scenario, 2.5, 0.1, 1.0)
+    assert forces == [0.0, 0.0, 0.0, 0.5]
     assert steps_of(log) == ([], [])
-    failing = slow(scenario, 0.2, 0.1, 1.0, fails=True)
-    assert forces(failing, scenario) == [-0.5, -1.0, -1.5, -2.0]
+    _, forces = slow(scenario, 0.2, 0.1, 1.0, fails=True)
+    assert forces == [-0.5, -1.0, -1.5, -2.0]
 
 
 def suite(**keys: object) -> SuiteFile:
@@ -227,7 +160,6 @@ def suite(**keys: object) -> SuiteFile:
 
 
 def test_a_suite_names_its_backup() -> None:
-    """It is part of the cell and of the scenario's name; without one a cell is what it was."""
     (plain,) = plan(suite(), solvers=["quadprog"])
     (backed,) = plan(suite(backup="daqp", fallback="hold"), solvers=["quadprog"])
     assert backed.cell.backup == "daqp" and "backup" not in plain.cell.to_json()
@@ -236,15 +168,15 @@ def test_a_suite_names_its_backup() -> None:
 
 
 def test_an_unknown_backup_is_one_line() -> None:
-    """It names the key and the nearest solvers."""
-    with pytest.raises(UnknownNameError, match=r"closed_loop.backup: found 'dapq'.*e\.g\. daqp"):
+    with pytest.raises(
+        UnknownNameError, match=r"closed_loop.backup: found 'dapq'; allowed: daqp, "
+    ):
         plan(suite(backup="dapq"))
 
 
 def test_a_backup_from_a_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Workers of another solver do not load it."""
     from dpbench.bench.plan import configurations
 
-    monkeypatch.setattr(configurations, "module_of", lambda solver: str(tmp_path / "mine.py"))
+    monkeypatch.setattr(configurations, "plugin_file", lambda solver: str(tmp_path / "mine.py"))
     with pytest.raises(InputError, match=r"closed_loop.backup: found 'daqp'"):
         plan(suite(backup="daqp"))

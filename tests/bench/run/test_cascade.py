@@ -1,8 +1,6 @@
 """Closed loops of a cascade: against a loop written out here, solvers of several kinds, lost
 thrusters, what acts without an answer, the log, and its allocations as a sequence."""
 
-from __future__ import annotations
-
 import copy
 import itertools
 import math
@@ -16,23 +14,23 @@ import quadprog
 
 from dpbench import open_workspace, run_closed_loop
 from dpbench.bench.judge.replay import evaluate_sequence
-from dpbench.bench.judge.thruster_metrics import thruster_metrics
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import RawLog, log_bytes, loop_layout
 from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup, replay_parts
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
-from dpbench.bench.run.exact_loop import ExactLoop, ExactWorkspace, sequence_of, solve_exactly
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.exact_loop import ExactLoop, ExactWorkspace, rebuild_sequence, solve_exactly
+from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.sequences.source import log_size
 from dpbench.errors import InputError
-from dpbench.mpc.thruster_rows import RETREAT
+from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Solution, Status
-from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
+from dpbench.scenario.scenario import Scenario, build_scenario, load_scenario
 from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.function import FunctionWorkspace
+from tests.bench.run.loops import limit_violations
 
 
 def scenario(steps: int = 60, **changes: Any) -> Scenario:
@@ -43,7 +41,7 @@ def scenario(steps: int = 60, **changes: Any) -> Scenario:
     own["start"] = {"north_m": 2.0, "east_m": -1.0, "heading_deg": 5.0}
     own["controller"] |= {"prediction_horizon": 30, "control_horizon": 3}
     own["controller"]["thrusters"] |= changes
-    return scenario_of(files)
+    return build_scenario(files)
 
 
 def cell(case: Scenario, solver: str = "daqp", **fields: Any) -> Cell:
@@ -51,11 +49,14 @@ def cell(case: Scenario, solver: str = "daqp", **fields: Any) -> Cell:
 
 
 def steered_by(case: Scenario, workspace: Workspace, **fields: Any) -> ClosedLoopSetup:
-    """What a closed loop is made of, after it has run."""
     described = cell(case, workspace.solver, **fields)
     setup = closed_loop_setup(described, case, workspace, RawLog.in_memory, NO_LIMIT_NS)
     assert closed_loop(setup)
     return setup
+
+
+def daqp() -> Workspace:
+    return open_workspace("daqp", route="native", settings="high")
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +71,7 @@ def exact(case: Scenario) -> ExactLoop:
 
 def planned_force(case: Scenario, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     """The first move of the force, by quadprog on matrices made here; u may be beyond a limit."""
-    control, N_c = case.control_problem(), 3
+    control, N_c = case.problem, 3
     model, du = control.model, control.du_max
     H, g = np.zeros((3 * N_c, 3 * N_c)), np.zeros(3 * N_c)
     for i in range(1, control.N_p + 1):
@@ -81,9 +82,9 @@ def planned_force(case: Scenario, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         ]
         effect = np.hstack(moved)
         free = model.C @ power(model.A, i) @ x - case.reference
-        H += effect.T @ case.Q @ effect
-        g += effect.T @ case.Q @ free
-    H += np.diag(np.tile(np.diag(case.R) * du**2, N_c))
+        H += effect.T @ case.problem.Q @ effect
+        g += effect.T @ case.problem.Q @ free
+    H += np.diag(np.tile(np.diag(case.problem.R) * du**2, N_c))
     sums, one = np.kron(np.tri(N_c), np.eye(3)), np.eye(3 * N_c)
     steps = np.repeat(np.arange(1.0, N_c + 1), 3)
     high = np.maximum(np.tile((control.u_max - u) / du, N_c), -steps)
@@ -96,9 +97,9 @@ def planned_force(case: Scenario, x: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 def allocated_forces(case: Scenario, demand: np.ndarray, f: np.ndarray) -> np.ndarray:
     """The forces of the thrusters, by quadprog on moves and slacks of a problem made here."""
-    assert case.allocation is not None
+    assert case.controller.commanded is not None
     table = case.files["scenario"]["controller"]["thrusters"]
-    thrusters, rows = case.allocation.control.thrusters, case.allocation.control.rows
+    thrusters, rows = case.controller.commanded.thrusters, case.controller.commanded.rows
     n_f = thrusters.n_f
     T, step = thrusters.per_entry(thrusters.thrust_N), thrusters.step_max(case.sample_s)
     unit = np.concatenate([step, case.force_step_max])
@@ -120,9 +121,8 @@ def allocated_forces(case: Scenario, demand: np.ndarray, f: np.ndarray) -> np.nd
 
 
 def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) -> None:
-    """Plan of the force, its allocation and the ship's motion, one after the other."""
-    assert case.allocation is not None
-    T_e = case.allocation.control.thrusters.T_e
+    assert case.controller.commanded is not None
+    T_e = case.controller.commanded.thrusters.T_e
     plant = Plant(case.true_ship, case.first_state, case.sample_s)
     sea = case.environment.stage_table(case.steps, case.sample_s, SUBSTEPS)
     f, previous = np.zeros(6), case.first_state
@@ -152,16 +152,13 @@ def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) 
 def test_every_form_steers_as_the_exact_loop_does(
     case: Scenario, exact: ExactLoop, solver: str, fields: dict[str, Any]
 ) -> None:
-    """Condensed, one-sided and sparse, scaled and in SI, by solvers of several kinds."""
     workspace = open_workspace(solver, route="native", settings="high")
     log = steered_by(case, workspace, **fields).log
     away = np.abs(log.state - exact.state).max(axis=0)
     # In SI an answer of the same settings is less exact.
     most = np.array([1e-6, 1e-6, 1e-8, 1e-5, 1e-5, 1e-7]) * (100.0 if "units" in fields else 1.0)
     assert (away <= most).all(), away
-    builder = QPBuilder(case)
-    metrics = thruster_metrics(case, log.thrust, (builder.f_min, builder.f_max))
-    assert metrics["limit_violations"] == 0.0
+    assert limit_violations(case, log) == 0.0
     assert not log.flags.any()
 
 
@@ -169,30 +166,25 @@ def test_every_form_steers_as_the_exact_loop_does(
 def test_a_lost_board_gives_nothing_as_soon_as_its_rate_allows() -> None:
     """Lost at 6 s: every step has an answer, no limit is broken, the others go on."""
     lost = scenario(80, tables={"faults": [{"at_s": 6.0, "lost": ["board A"]}]})
-    log = steered_by(lost, open_workspace("daqp", route="native", settings="high")).log
+    log = steered_by(lost, daqp()).log
     assert not log.flags.any()
-    builder = QPBuilder(lost)
-    metrics = thruster_metrics(lost, log.thrust, (builder.f_min, builder.f_max))
-    assert metrics["limit_violations"] == 0.0
-    gone = 20 + math.ceil(12.0 / 0.3 / RETREAT) + 1
+    assert limit_violations(lost, log) == 0.0
+    gone = 20 + math.ceil(12.0 / 0.3 / RAMP_DOWN_SHARE) + 1
     assert np.abs(log.thrust[gone:, [0, 2, 3]]).max() < 1e-5
     assert np.abs(log.thrust[19, [0, 2, 3]]).max() > 1e4
     assert np.abs(log.thrust[gone:, [1, 4, 5]]).max() > 1e4
 
 
 def test_with_the_attainable_set_both_halves_know_what_is_lost() -> None:
-    """The force is limited by what the other board gives: far less of it is not delivered."""
     missing = {}
     for limits in ("box", "attainable"):
         files = copy.deepcopy(load_scenario("thrusters_cascade").files)
         files["scenario"] |= {"duration_s": 36.0, "faults": [{"at_s": 15.0, "lost": ["board B"]}]}
         files["scenario"]["controller"] |= {"limits": limits, "control_horizon": 3}
-        case = scenario_of(files)
-        log = steered_by(case, open_workspace("daqp", route="native", settings="high")).log
+        case = build_scenario(files)
+        log = steered_by(case, daqp()).log
         assert not log.flags[:, :2].any()
-        builder = QPBuilder(case)
-        metrics = thruster_metrics(case, log.thrust, (builder.f_min, builder.f_max))
-        assert metrics["limit_violations"] == 0.0
+        assert limit_violations(case, log) == 0.0
         away = np.abs(log.demand - log.tau) / case.vessel.tau_max
         missing[limits] = float(away[100:].max(axis=1).mean())
     assert missing["box"] > 0.01
@@ -200,16 +192,16 @@ def test_with_the_attainable_set_both_halves_know_what_is_lost() -> None:
 
 
 def test_both_kinds_of_faults_hold_in_a_cascade() -> None:
-    """A share of the limits for its forces, lost thrusters for its allocation, each in its time."""
     faults = [{"at_s": 3.0, "lost": ["bow 1"]}, {"at_s": 1.5, "limit_share": [0.5, 0.5, 0.5]}]
     case = scenario(20, tables={"faults": faults})
     builder = QPBuilder(case)
     vessel, thrusters = case.vessel, case.vessel.thrusters
     assert thrusters is not None
-    np.testing.assert_array_equal(builder.u_max[4], vessel.tau_max)
-    np.testing.assert_array_equal(builder.u_max[5], 0.5 * vessel.tau_max)
-    np.testing.assert_array_equal(builder.u_max[10], 0.5 * vessel.tau_max)
-    assert (builder.f_max[9, 0], builder.f_max[10, 0]) == (thrusters.thrust_N[0], 0.0)
+    np.testing.assert_array_equal(builder.limits[4].high, vessel.tau_max)
+    np.testing.assert_array_equal(builder.limits[5].high, 0.5 * vessel.tau_max)
+    np.testing.assert_array_equal(builder.limits[10].high, 0.5 * vessel.tau_max)
+    in_force = builder.thruster_limits
+    assert (in_force[9].high[0], in_force[10].high[0]) == (thrusters.thrust_N[0], 0.0)
 
 
 def only_the_controller(qp: QuadraticProgram, **_: object) -> Solution:
@@ -223,21 +215,19 @@ def only_the_controller(qp: QuadraticProgram, **_: object) -> Solution:
 
 def function_workspace() -> FunctionWorkspace:
     workspace = FunctionWorkspace("function", "fresh", only_the_controller, {})
-    workspace.opened_again = function_workspace
+    workspace.reopen = function_workspace
     return workspace
 
 
 def test_without_an_allocation_the_pseudo_inverse_acts_within_all_limits(case: Scenario) -> None:
-    """Every step is one without a usable answer, and its cause is told."""
     setup = steered_by(case, function_workspace())
-    log, builder = setup.log, QPBuilder(case)
+    log = setup.log
     assert log.flags[:, 0].all()
     assert (log.status[0] == Status.SOLVED).all()
     assert log.allocation is not None
     assert (log.allocation.status[0] == Status.ERROR).all()
     assert setup.solver.details == {"ArithmeticError: no allocation": case.steps}
-    metrics = thruster_metrics(case, log.thrust, (builder.f_min, builder.f_max))
-    assert metrics["limit_violations"] == 0.0
+    assert limit_violations(case, log) == 0.0
     plain = scenario(allocation="pseudo_inverse")
     other = steered_by(plain, function_workspace()).log
     np.testing.assert_array_equal(other.thrust, log.thrust)
@@ -247,21 +237,19 @@ def test_without_an_allocation_the_pseudo_inverse_acts_within_all_limits(case: S
 
 
 def test_the_pseudo_inverse_is_exact_until_a_limit_acts() -> None:
-    """In calm water it makes the whole force that is demanded."""
     still = scenario(20, allocation="pseudo_inverse", tables={"environment": {}, "start": {}})
-    moved = scenario_of(copy.deepcopy(still.files))
-    log = steered_by(moved, open_workspace("daqp", route="native", settings="high")).log
+    moved = build_scenario(copy.deepcopy(still.files))
+    log = steered_by(moved, daqp()).log
     free = log.flags[:, 2] == 0
     assert free.any()
     np.testing.assert_allclose(log.tau[free], log.demand[free], rtol=1e-9, atol=1e-3)
 
 
 def test_the_time_of_both_solvers_is_no_overhead(case: Scenario) -> None:
-    """By a clock that counts its readings: what a second QP takes goes to its own phases."""
     counts = []
     for allocation in ("qp", "pseudo_inverse"):
         steered = scenario(5, allocation=allocation)
-        workspace = open_workspace("daqp", route="native", settings="high")
+        workspace = daqp()
         described = cell(steered)
         setup = closed_loop_setup(described, steered, workspace, RawLog.in_memory, NO_LIMIT_NS)
         setup.clock = itertools.count().__next__
@@ -279,7 +267,6 @@ def test_the_time_of_both_solvers_is_no_overhead(case: Scenario) -> None:
 def test_a_stored_loop_knows_its_allocations_and_the_size_of_a_log(
     case: Scenario, exact: ExactLoop, tmp_path: Path
 ) -> None:
-    """What is read is what was written, and a log has room for both QPs."""
     path = tmp_path / "loop.npz"
     for loop in (exact, solve_exactly(scenario(3, allocation="pseudo_inverse"))):
         loop.save(path)
@@ -296,8 +283,7 @@ def test_a_stored_loop_knows_its_allocations_and_the_size_of_a_log(
 
 @pytest.mark.parametrize("units", ["scaled", "si"])
 def test_the_allocations_are_a_sequence(case: Scenario, exact: ExactLoop, units: str) -> None:
-    """Every solver can replay them; the loop's certified optima are theirs."""
-    sequence = sequence_of(case, exact, part="allocation", units=units, first=7, count=20)  # type: ignore[arg-type] # one of the two
+    sequence = rebuild_sequence(case, exact, part="allocation", units=units, first=7, count=20)  # type: ignore[arg-type] # one of the two
     assert (sequence.name, len(sequence)) == ("thrusters_cascade-allocation[7:27]", 20)
     assert sequence.sparse_equivalent is None
     workspace = open_workspace("daqp", route="native", policy="warm", settings="high")
@@ -305,7 +291,7 @@ def test_the_allocations_are_a_sequence(case: Scenario, exact: ExactLoop, units:
     run = ReplayRun(
         steps, solver, log, warmup_steps=5, limit_ns=NO_LIMIT_NS, clock=time.perf_counter_ns
     )
-    assert run.round(0) and run.round(1)
+    assert run.run_round(0) and run.run_round(1)
     evaluated = evaluate_sequence(log, sequence, case.sample_s, exact.allocated[7:27])
     errors = evaluated.columns["evaluations"]
     assert errors[:, 10].all()
@@ -313,15 +299,13 @@ def test_the_allocations_are_a_sequence(case: Scenario, exact: ExactLoop, units:
 
 
 def test_other_scenarios_have_no_allocations(case: Scenario) -> None:
-    """Neither those of forces alone, nor a cascade by pseudo-inverse."""
     for other in (load_scenario("calm").first(2), scenario(2, allocation="pseudo_inverse")):
         with pytest.raises(InputError, match="a cascade with allocation"):
-            sequence_of(other, solve_exactly(other), part="allocation")
+            rebuild_sequence(other, solve_exactly(other), part="allocation")
 
 
 def test_a_cascade_waits_for_its_answers_and_opens_its_solver_twice(case: Scenario) -> None:
-    """No slow computer is simulated; a workspace of unknown making cannot be doubled."""
     with pytest.raises(InputError, match="not of a cascade"):
         run_closed_loop(case, open_workspace("daqp"), slowdown=10.0)
-    with pytest.raises(InputError, match="two by open_workspace"):
+    with pytest.raises(InputError, match="needs two workspaces; open this one by open_workspace"):
         run_closed_loop(case, ExactWorkspace())

@@ -1,7 +1,5 @@
 """The closed loop does what method.md section 3 says, whatever the solver does."""
 
-from __future__ import annotations
-
 import copy
 import time
 from collections.abc import Callable
@@ -13,19 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench import load_scenario
-from dpbench.bench.record.cell import Fallback
-from dpbench.bench.record.raw_log import RawLog, loop_layout
-from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
-from dpbench.bench.run.exact_loop import base_problem
-from dpbench.bench.run.fallback import FallbackLaw, limit_move
-from dpbench.bench.run.formulation import Box
-from dpbench.bench.run.qp_builder import QPBuilder
-from dpbench.bench.run.timed_solver import TimedSolver
-from dpbench.mpc.law import gains
+from dpbench.bench.record.cell import DEFAULT_FALLBACK
+from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.fallback_policies import FALLBACKS
+from dpbench.mpc.law import UnconstrainedLaw, gains
+from dpbench.mpc.move_limits import limit_move
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
-from dpbench.scenario.scenario import Scenario, condense, scenario_of
+from dpbench.scenario.scenario import Scenario, build_scenario, condense
 from dpbench.solvers.contract import Workspace
+from tests.bench.run.loops import run_loop
 
 Answer = Callable[[int, QPStep], Solution]
 
@@ -56,22 +51,14 @@ class Scripted(Workspace):
 
 
 def run(
-    scenario: Scenario, answer: Answer, fallback: Fallback = "shifted_plan", limit_ns: int = 2**62
+    scenario: Scenario, answer: Answer, fallback: str = "shifted_plan", limit_ns: int = 2**62
 ) -> tuple[RawLog, Scripted, bool]:
-    builder = QPBuilder(scenario)
-    log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes))
     workspace = Scripted(answer)
-    base = base_problem(builder.condensed)
-    timed_solver = TimedSolver(workspace, Box(base), time.perf_counter_ns)
-    setup = ClosedLoopSetup(
-        scenario, builder, timed_solver, log, fallback, limit_ns, time.perf_counter_ns
-    )
-    complete = closed_loop(setup)
+    log, complete = run_loop(scenario, workspace, fallback, limit_ns=limit_ns)
     return log, workspace, complete
 
 
 def constant(value: float) -> Answer:
-    """The same number for every move."""
     return lambda k, step: Solution(Status.SOLVED, np.full(15, value), np.zeros(15), np.zeros(15))
 
 
@@ -89,7 +76,6 @@ def test_first_step_sees_no_motion_and_no_force(scenario: Scenario) -> None:
 
 
 def test_a_ship_under_way_is_carried_on(scenario: Scenario) -> None:
-    """Without force or weather she goes on straight, as the exact decay of her speed says."""
     velocity = np.array([0.8, 0.0, 0.0])
     still = replace(scenario.environment, amplitude=np.zeros(3))
     moving = replace(scenario, velocity=velocity, environment=still)
@@ -106,11 +92,10 @@ def test_a_ship_under_way_is_carried_on(scenario: Scenario) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["measured", "kalman", "passive"])
 def test_an_estimator_knows_how_the_ship_starts(scenario: Scenario, kind: str) -> None:
-    """The first estimate is the state the run starts in, its speed included."""
     files = copy.deepcopy(scenario.files)
     files["scenario"]["start"] |= {"surge_mps": 0.8, "sway_mps": -0.3, "yaw_degps": 0.5}
     files["scenario"]["estimator"] |= {"kind": kind, "peak_period_s": 8.0}
-    moving = scenario_of(files)
+    moving = build_scenario(files)
     truth = np.array([0.8, -0.3, np.radians(0.5), 1.2, 1.3, 0.0])
     np.testing.assert_allclose(moving.estimator().update(truth, np.zeros(3)), truth, atol=1e-12)
 
@@ -123,16 +108,16 @@ def test_increments_are_differences_of_the_measured_state(scenario: Scenario) ->
 
 
 def test_u_prev_is_the_force_applied_after_clipping(scenario: Scenario) -> None:
-    """A demand beyond the rate limit is clipped, and the next step knows the clipped force."""
     log, _, _ = run(scenario, constant(7.0))
     np.testing.assert_array_equal(log.theta[1:, 12:15], log.tau[:-1])
     assert log.flags[:, 2].all(), "every step was clipped"
-    np.testing.assert_allclose(np.diff(log.tau[:20], axis=0)[0], scenario.du_max, rtol=1e-12)
+    np.testing.assert_allclose(
+        np.diff(log.tau[:20], axis=0)[0], scenario.problem.du_max, rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300, -5.0])
 def test_no_answer_violates_a_limit(scenario: Scenario, bad: float) -> None:
-    """Whatever the solver answers, the applied force obeys amplitude and rate limits exactly."""
     rng = np.random.default_rng(1)
 
     def answer(k: int, step: QPStep) -> Solution:
@@ -144,7 +129,7 @@ def test_no_answer_violates_a_limit(scenario: Scenario, bad: float) -> None:
     ship = scenario.vessel
     assert (log.tau <= ship.tau_max).all() and (log.tau >= ship.tau_min).all()
     change = np.diff(log.tau, axis=0, prepend=np.zeros((1, 3)))
-    assert (np.abs(change) <= scenario.du_max + np.spacing(ship.tau_max)).all()
+    assert (np.abs(change) <= scenario.problem.du_max + np.spacing(ship.tau_max)).all()
     assert np.isfinite(log.state).all()
 
 
@@ -161,9 +146,8 @@ def failing_from(first: int, status: Status = Status.PRIMAL_INFEASIBLE) -> Answe
 
 
 def test_shifted_plan_follows_the_last_plan_then_holds(scenario: Scenario) -> None:
-    """After the last usable plan its second, third … moves are applied, then the force is held."""
     log, workspace, _ = run(scenario, failing_from(3))
-    moves = np.diff(log.tau, axis=0, prepend=np.zeros((1, 3))) / scenario.du_max
+    moves = np.diff(log.tau, axis=0, prepend=np.zeros((1, 3))) / scenario.problem.du_max
     np.testing.assert_allclose(moves[2:9, 0], [0.5, 0.4, 0.3, 0.2, 0.1, 0.0, 0.0], atol=1e-9)
     assert log.flags[:, 0].tolist() == [0] * 3 + [1] * 37
     assert workspace.resets == 37, "the workspace is reset after every unusable answer"
@@ -178,43 +162,37 @@ def test_hold_keeps_the_force(scenario: Scenario) -> None:
 def test_clip_is_the_unconstrained_law(scenario: Scenario) -> None:
     """Fallback `clip` demands K_y y_d − K_mpc x (eq. 33) and the loop clips it."""
     log, _, _ = run(scenario, failing_from(0), "clip")
-    law = gains(scenario.control_problem())
+    law = gains(scenario.problem)
     demanded = log.theta[:, 9:12] @ law.K_y.T - log.theta[:, :9] @ law.K_mpc.T
     np.testing.assert_allclose(
-        log.command - log.theta[:, 12:15], demanded, rtol=0, atol=1e-6 * scenario.du_max.max()
+        log.command - log.theta[:, 12:15],
+        demanded,
+        rtol=0,
+        atol=1e-6 * scenario.problem.du_max.max(),
     )
-
-
-@pytest.mark.parametrize("status", [Status.MAX_ITERATIONS, Status.INACCURATE])
-def test_an_unfinished_iterate_is_applied_and_marked(scenario: Scenario, status: Status) -> None:
-    """A finite iterate under MAX_ITERATIONS or INACCURATE moves the ship and is `unconverged`."""
-    answer: Answer = lambda k, step: Solution(  # noqa: E731 - a one-line script reads best so
-        status, np.full(15, 0.25), np.zeros(15), np.zeros(15)
-    )
-    log, _, _ = run(scenario, answer)
-    assert log.flags[:, 1].all() and not log.flags[:, 0].any()
-    np.testing.assert_allclose(log.tau[0], 0.25 * scenario.du_max, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
-    "status",
-    [Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE, Status.ERROR, Status.TIME_LIMIT],
+    ("status", "is_applied"),
+    [
+        *((status, True) for status in (Status.MAX_ITERATIONS, Status.INACCURATE)),
+        *((status, False) for status in (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)),
+        *((status, False) for status in (Status.ERROR, Status.TIME_LIMIT)),
+    ],
 )
-def test_an_iterate_under_a_failed_status_is_not_applied(
-    scenario: Scenario, status: Status
+def test_an_unfinished_iterate_is_applied_and_one_under_a_failed_status_is_not(
+    scenario: Scenario, status: Status, is_applied: bool
 ) -> None:
-    """Under infeasible, error and time-limit claims the fallback acts even on a finite iterate."""
-    answer: Answer = lambda k, step: Solution(  # noqa: E731 - see above
-        status, np.full(15, 0.25), np.zeros(15), np.zeros(15)
-    )
-    log, _, _ = run(scenario, answer)
-    assert log.flags[:, 0].all()
-    np.testing.assert_array_equal(log.tau, 0.0)
+    """The first moves the ship and is `unconverged`; instead of the second the fallback acts."""
+    answer = Solution(status, np.full(15, 0.25), np.zeros(15), np.zeros(15))
+    log, _, _ = run(scenario, lambda k, step: answer)
+    assert (log.flags[:, 1] == is_applied).all() and (log.flags[:, 0] != is_applied).all()
+    first = 0.25 * scenario.problem.du_max if is_applied else np.zeros(3)
+    np.testing.assert_allclose(log.tau[0], first, rtol=1e-12)
+    assert is_applied or not log.tau.any()
 
 
 def test_an_adapter_that_raises_is_a_row(scenario: Scenario) -> None:
-    """An exception inside a workspace becomes status ERROR with its words, and the run goes on."""
-
     def answer(k: int, step: QPStep) -> Solution:
         if k % 2:
             raise ArithmeticError("the library blew up")
@@ -227,8 +205,6 @@ def test_an_adapter_that_raises_is_a_row(scenario: Scenario) -> None:
 
 
 def test_the_time_limit_keeps_the_steps(scenario: Scenario) -> None:
-    """A run stopped by its limit says so and keeps the steps it did."""
-
     def slow(k: int, step: QPStep) -> Solution:
         time.sleep(0.01)
         return Solution(Status.SOLVED, np.zeros(15), np.zeros(15), np.zeros(15))
@@ -253,7 +229,6 @@ axis = st.floats(-1.0, 1.0)
 def test_limit_move_keeps_rate_and_reachable_amplitude(
     u: float, du: float, step: float, low: float, high: float
 ) -> None:
-    """The applied force obeys the rate limit always, and the amplitude as soon as it can."""
     applied = np.empty(1)
     arrays = (np.array([v]) for v in (step, u, du, low, high))
     limit_move(*arrays, applied)
@@ -265,6 +240,18 @@ def test_limit_move_keeps_rate_and_reachable_amplitude(
 
 
 def test_fallback_without_a_plan_holds(scenario: Scenario) -> None:
-    """Before there ever was a usable plan, the shifted plan is to hold."""
-    law = FallbackLaw("shifted_plan", condense(scenario))
+    law = FALLBACKS[DEFAULT_FALLBACK](15, 3, UnconstrainedLaw(condense(scenario)))
     np.testing.assert_array_equal(law.move(np.zeros(9), np.zeros(3), np.zeros(3)), np.zeros(3))
+
+
+@pytest.mark.parametrize("name", ["weather", "waves"])
+def test_the_weather_of_a_shorter_run_is_the_beginning_of_a_longer_one(name: str) -> None:
+    scenario = load_scenario(name)
+    sea, sample_s = scenario.environment, scenario.sample_s
+    for steps, more in ((1, 2), (100, 101), (1021, 1400)):
+        for table, *rest in (
+            (sea.stage_table, sample_s, 2),
+            (sea.measured_motion, sample_s),
+            (sea.noise_table,),
+        ):
+            np.testing.assert_array_equal(table(steps, *rest), table(more, *rest)[:steps])

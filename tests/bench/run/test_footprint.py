@@ -10,17 +10,11 @@ import numpy as np
 import pytest
 
 from dpbench.bench.record.raw_log import RawLog, replay_layout
-from dpbench.bench.run.footprint import (
-    MemoryWatch,
-    affordable_steps,
-    heap_bytes,
-    measure_steps,
-    threads,
-)
-from dpbench.bench.run.formulation import in_replay
+from dpbench.bench.run import footprint
+from dpbench.bench.run.formulation import replay_formulation
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
-from dpbench.solvers.calibration import COPY_ONLY, NO_OP, NoOp, open_calibration
+from dpbench.solvers.calibration import COPY_ONLY, NO_OP, NoOpWorkspace, open_calibration
 from dpbench.solvers.contract import Workspace
 
 MEGABYTE = 2**20
@@ -33,22 +27,19 @@ def _sequence(n: int = 3, steps: int = 12) -> QPSequence:
 
 
 def _measured(workspace: Workspace, n: int = 3) -> tuple[float, float, float]:
-    made, formulated = in_replay("condensed_box", _sequence(n))
+    made, formulated = replay_formulation("condensed_box", _sequence(n))
     timed_solver = TimedSolver(workspace, formulated, time.perf_counter_ns)
     timed_solver.prepare()
-    return measure_steps(made, timed_solver, 10)
+    return footprint.measure_step_memory(made, timed_solver, 10)
 
 
 def test_no_op_holds_nothing_and_copy_only_an_answer() -> None:
-    """A stored object costs no block; a new answer is an object with three arrays."""
     idle, copied = (_measured(open_calibration(name)) for name in (NO_OP, COPY_ONLY))
     assert (idle[0], copied[0]) == (0.0, 4.0)
 
 
 def test_the_peak_within_a_step_holds_arrays_that_are_gone_after_it() -> None:
-    """A megabyte that lives only within solve is seen, and is no block that is left."""
-
-    class Spender(NoOp):
+    class Spender(NoOpWorkspace):
         def solve(self) -> None:
             np.ones(MEGABYTE, dtype=np.uint8)
 
@@ -57,7 +48,7 @@ def test_the_peak_within_a_step_holds_arrays_that_are_gone_after_it() -> None:
     assert MEGABYTE <= peak < MEGABYTE + 10_000
 
 
-@pytest.mark.skipif(math.isnan(heap_bytes()), reason="glibc 2.33 shows its heap")
+@pytest.mark.skipif(math.isnan(footprint.heap_bytes()), reason="glibc 2.33 shows its heap")
 def test_a_library_that_leaks_is_seen() -> None:
     """5000 bytes of `malloc` a step that nobody frees: glibc rounds them up to 5008."""
     libc = ctypes.CDLL(None)
@@ -67,7 +58,7 @@ def test_a_library_that_leaks_is_seen() -> None:
     lost = np.zeros(100, dtype=np.uint64)
     calls = itertools.count()
 
-    class Leaker(NoOp):
+    class Leaker(NoOpWorkspace):
         def update(self, step: QPStep) -> None:
             lost[next(calls)] = libc.malloc(5000)
 
@@ -78,25 +69,28 @@ def test_a_library_that_leaks_is_seen() -> None:
 
 
 def test_nothing_is_measured_without_a_step() -> None:
-    """A configuration whose slowest step takes too long has no numbers instead of a hang."""
     log = RawLog.in_memory(replay_layout(2, 30, 3, 3))
     log.times[:] = -1
-    assert affordable_steps(log) == 30
+    assert footprint.count_affordable_steps(log) == 30
     log.times[1, 7, 3] = 10_000_000
-    assert affordable_steps(log) == 5, "a fifth of a second in four passes of 10 ms steps"
+    assert footprint.count_affordable_steps(log) == 5, (
+        "a fifth of a second in four passes of 10 ms steps"
+    )
     log.times[1, 7, 3] = 2_000_000_000
-    assert affordable_steps(log) == 0
+    assert footprint.count_affordable_steps(log) == 0
     timed_solver: Any = None
-    assert all(math.isnan(value) for value in measure_steps(_sequence(), timed_solver, 0))
+    assert all(
+        math.isnan(value) for value in footprint.measure_step_memory(_sequence(), timed_solver, 0)
+    )
 
 
 def test_peak_memory_counts_the_solver_and_not_the_log() -> None:
     """64 MB that the solver takes and gives back count; 32 MB of QPs and the log do not."""
-    watch = MemoryWatch()
-    watch.opened()
+    watch = footprint.MemoryWatch()
+    watch.record_setup()
     log = RawLog.in_memory(replay_layout(1, 2, 2 * MEGABYTE // 4, 1))
     held = np.ones(8 * MEGABYTE // 2, dtype=np.float64)
-    watch.loaded(log)
+    watch.record_load(log)
     before = watch.peak_bytes()
     spent = np.ones(8 * MEGABYTE, dtype=np.float64)
     size = spent.nbytes
@@ -106,22 +100,20 @@ def test_peak_memory_counts_the_solver_and_not_the_log() -> None:
 
 
 def test_threads_are_counted() -> None:
-    """This process has a thread, and pools allow at least one."""
-    running, allowed = threads()
+    running, allowed = footprint.count_threads()
     assert running >= 1 and allowed >= 1
 
 
 def test_a_later_replay_of_a_process_counts_its_own_memory() -> None:
-    """What an earlier one left is not counted, what the later one takes is."""
     log = RawLog.in_memory(replay_layout(1, 2, 1, 1))
-    memory = MemoryWatch()
-    memory.opened()
-    memory.loaded(log)
+    memory = footprint.MemoryWatch()
+    memory.record_setup()
+    memory.record_load(log)
     left = np.ones(64 * MEGABYTE, dtype=np.uint8)
     assert memory.peak_bytes() > 60 * MEGABYTE
-    memory.begin_again()
-    memory.opened()
-    memory.loaded(log)
+    memory.begin_replay()
+    memory.record_setup()
+    memory.record_load(log)
     assert memory.peak_bytes() < 32 * MEGABYTE
     taken = np.ones(128 * MEGABYTE, dtype=np.uint8)
     assert 96 * MEGABYTE < memory.peak_bytes() < 160 * MEGABYTE

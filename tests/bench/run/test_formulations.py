@@ -1,10 +1,8 @@
 """Formulations as an axis: the same problems, the same assessment, refused where there are none."""
 
-from __future__ import annotations
-
 from copy import deepcopy
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,60 +17,27 @@ from dpbench import (
     run_closed_loop,
     write_report,
 )
-from dpbench.bench.plan.cells import NO_MODEL, NOT_STRICT
+from dpbench.bench.plan import suite
+from dpbench.bench.plan.cells import NO_MODEL, SEMIDEFINITE_REFUSAL
 from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import (
-    ClosedLoopTable,
-    RecordedTable,
-    ReplayTable,
-    SuiteFile,
-    load_suite,
-)
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.run.qp_builder import QPBuilder
+from dpbench.bench.run.formulation import QPBuilder, replay_formulation
+from dpbench.bench.sequences.recording import with_horizons
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution
-from dpbench.scenario.scenario import Scenario, no_stages, scenario_of
+from dpbench.scenario.scenario import Scenario, build_scenario
 from dpbench.solvers.contract import Policy, Workspace
+from dpbench.solvers.table import check_availability
 
 SOLVER = "piqp_multistage"
 HIGH = dict.fromkeys(("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"), 1e-12)
 
 
-class Seen(Workspace):
-    """A workspace that keeps the problems another one is given."""
-
-    def __init__(self, inner: Workspace) -> None:
-        super().__init__(inner.solver, inner.route, inner.policy)
-        self.inner, self.setup_every_step = inner, inner.setup_every_step
-        self.base: QuadraticProgram | None = None
-        self.problems: list[QuadraticProgram] = []
-
-    def setup(self, qp: QuadraticProgram) -> None:
-        self.base = qp
-        self.inner.setup(qp)
-
-    def update(self, step) -> None:  # type: ignore[no-untyped-def] # as in the contract
-        assert self.base is not None
-        self.problems.append(self.base.at(step))
-        self.inner.update(step)
-
-    def solve(self) -> None:
-        self.inner.solve()
-
-    def read(self) -> Solution:
-        return self.inner.read()
-
-    def reset(self) -> None:
-        self.inner.reset()
-
-
-def workspace() -> Seen:
-    """A kept native workspace that remembers what it was given."""
-    return Seen(open_workspace(SOLVER, route="native", policy="reuse", settings=HIGH))
+def workspace(policy: Policy = "reuse") -> Workspace:
+    return open_workspace(SOLVER, route="native", policy=policy, settings=HIGH)
 
 
 def early_loss() -> Scenario:
@@ -80,7 +45,7 @@ def early_loss() -> Scenario:
     files = deepcopy(load_scenario("thruster_loss").files)
     (fault,) = files["scenario"]["faults"]
     fault["at_s"] = 6.0
-    return scenario_of(files)
+    return build_scenario(files)
 
 
 # Steps of the last with a limit that hardly acts leave an interior point 3e-7 from the optimum.
@@ -93,14 +58,10 @@ LOOPS = {
 
 @pytest.mark.parametrize("name", LOOPS)
 def test_a_sparse_closed_loop_is_judged_true(name: str) -> None:
-    """The solver gets states, the log, the fallback and the referee the condensed problem: an
-    accurate sparse solver steers like the certified optimum, with falling limits and preview too.
-    """
     scenario = LOOPS[name]()
-    seen = workspace()
-    run = run_closed_loop(scenario, seen, formulation="sparse")
-    stages = scenario.N_c * 15 + (scenario.N_p - scenario.N_c) * 9
-    assert {qp.n for qp in seen.problems} == {stages}
+    run = run_closed_loop(scenario, workspace(), formulation="sparse")
+    stages = scenario.problem.N_c * 15 + (scenario.problem.N_p - scenario.problem.N_c) * 9
+    assert run.summary["n"] == stages
     assert run.summary["formulation"] == "sparse"
     assert run.steps["true_1e6"].all() and run.steps["claimed"].all()
     assert run.steps["error_plan"].max() <= 1e-7
@@ -110,26 +71,21 @@ def test_a_sparse_closed_loop_is_judged_true(name: str) -> None:
 
 @pytest.mark.parametrize("policy", ["fresh", "reuse"])
 def test_a_sparse_replay_is_judged_true(policy: Policy) -> None:
-    """Steps with states along the exactly solved loop; the assessment is that of the condensed
-    sequence, whose sparse_equivalent the solver got."""
     sequence = record_sequence(load_scenario("paper").first(25))
-    inner = open_workspace(SOLVER, route="native", policy=policy, settings=HIGH)
-    run = replay(sequence, inner, repeats=2, formulation="sparse")
+    run = replay(sequence, workspace(policy), repeats=2, formulation="sparse")
     assert run.steps["true_1e6"].all() and len(run.steps) == 3 * 25
     assert run.steps["error_plan"].max() <= 1e-7
     assert run.summary["formulation"] == "sparse"
 
 
 def test_the_twin_in_newtons_is_the_scaled_one_in_other_units() -> None:
-    """Moves and forces times Δu_max, states as they are: the same problem, entry by entry. Few
-    solvers survive it in N and N·m, so none is asked."""
     scenario = load_scenario("paper").first(4)
     scaled, own = (
         record_sequence(scenario, units=units).sparse_equivalent for units in ("scaled", "si")
     )
     assert scaled is not None and own is not None
-    du, one = scenario.du_max, np.ones(9)
-    moved, rest = scenario.N_c, np.ones((scenario.N_p - scenario.N_c) * 9)
+    du, one = scenario.problem.du_max, np.ones(9)
+    moved, rest = (scenario.problem.N_c, np.ones((scenario.problem.N_p - scenario.problem.N_c) * 9))
     z = np.concatenate([np.tile(np.concatenate([du, du, one]), moved), rest])
     row = np.concatenate([np.tile(np.concatenate([du, one, du]), moved), rest])
     for k in range(4):
@@ -148,10 +104,8 @@ def test_the_twin_in_newtons_is_the_scaled_one_in_other_units() -> None:
 
 
 def test_the_steps_of_a_sparse_replay_are_those_of_its_closed_loop() -> None:
-    """What the loop emits at step k with the states kept is what the replay hands over at k, and
-    its optimum is that of the condensed problem, faults included."""
-    scenario = replace(early_loss().first(24), N_p=6, N_c=3)
-    assert scenario.faults[0][0] == 20
+    scenario = with_horizons(early_loss(), 6, 3).first(24)
+    assert scenario.controller.changes[0][0] == 20
     exact, sequence = solve_exactly(scenario), record_sequence(scenario)
     assert sequence.sparse_equivalent is not None
     sparse_equivalent, builder = sequence.sparse_equivalent(), QPBuilder(scenario, sparse=True)
@@ -166,22 +120,21 @@ def test_the_steps_of_a_sparse_replay_are_those_of_its_closed_loop() -> None:
 
 
 def test_formulations_are_an_axis_of_the_tables() -> None:
-    """Each formulation is a cell of its own on the same problem; the default is one formulation."""
     three = ["condensed_box", "condensed_stacked", "sparse"]
-    table = ReplayTable(scenario="paper", steps=10, formulations=three)
-    loops = ClosedLoopTable(scenarios=["paper"], steps=10, formulations=three)
+    table = suite.ReplayTable(scenario="paper", steps=10, formulations=three)
+    loops = suite.ClosedLoopTable(scenarios=["paper"], steps=10, formulations=three)
     cells = [p.cell for p in plan(_suite(replay=[table], closed_loop=[loops]))]
     assert [(c.mode, c.formulation) for c in cells] == [
         *(("closed_loop", name) for name in three),
         *(("replay", name) for name in three),
     ]
     assert len({cell.problem_key for cell in cells}) == 2
-    usual = plan(_suite(replay=[ReplayTable(scenario="paper", steps=10)]))
+    usual = plan(_suite(replay=[suite.ReplayTable(scenario="paper", steps=10)]))
     assert [p.cell.formulation for p in usual] == ["condensed_box"]
 
 
-def _suite(solvers: tuple[str, ...] = ("daqp",), **tables: object) -> SuiteFile:
-    return SuiteFile(title="x", solvers=list(solvers), baseline_law=False, **tables)
+def _suite(solvers: tuple[str, ...] = ("daqp",), **tables: object) -> suite.SuiteFile:
+    return suite.SuiteFile(title="x", solvers=list(solvers), baseline_law=False, **tables)
 
 
 @pytest.mark.parametrize(
@@ -196,20 +149,20 @@ def _suite(solvers: tuple[str, ...] = ("daqp",), **tables: object) -> SuiteFile:
     ],
 )
 def test_a_scenario_without_stages_is_a_refused_row(scenario: str, why: str) -> None:
-    """Layers and a model that turns refuse the sparse formulation with the reason, and no other."""
-    table = ReplayTable(scenario=scenario, steps=5, formulations=["condensed_box", "sparse"])
+    table = suite.ReplayTable(scenario=scenario, steps=5, formulations=["condensed_box", "sparse"])
     box, sparse = plan(_suite(replay=[table]))
     assert box.refused == ""
     assert why in sparse.refused and bool(why) == bool(sparse.refused)
-    assert no_stages(load_scenario(scenario)) == sparse.refused
+    assert load_scenario(scenario).controller.why_no_sparse_form == sparse.refused
     if why:
         with pytest.raises(InputError, match=why):
             QPBuilder(load_scenario(scenario), sparse=True)
 
 
 def test_a_solver_that_needs_a_definite_cost_is_refused_the_states() -> None:
-    """States cost nothing in most directions, so P is only semidefinite."""
-    table = ReplayTable(scenario="paper", steps=5, formulations=["condensed_stacked", "sparse"])
+    table = suite.ReplayTable(
+        scenario="paper", steps=5, formulations=["condensed_stacked", "sparse"]
+    )
     refused = {
         (p.cell.solver, p.cell.formulation): p.refused
         for p in plan(_suite(("quadprog", "daqp"), replay=[table]))
@@ -217,15 +170,14 @@ def test_a_solver_that_needs_a_definite_cost_is_refused_the_states() -> None:
     assert refused == {
         ("quadprog", "condensed_stacked"): "",
         ("daqp", "condensed_stacked"): "",
-        ("quadprog", "sparse"): NOT_STRICT,
+        ("quadprog", "sparse"): SEMIDEFINITE_REFUSAL,
         ("daqp", "sparse"): "",
     }
 
 
 def test_a_recorded_sequence_has_no_states_to_keep(tmp_path: Path) -> None:
-    """PlannedCell as a refused row; asked for in process, one line."""
     assert main(["export", "paper", "--steps", "3", "--out", str(tmp_path / "short.npz")]) == 0
-    table = RecordedTable(sequence="short.npz", formulations=["condensed_box", "sparse"])
+    table = suite.RecordedTable(sequence="short.npz", formulations=["condensed_box", "sparse"])
     planned = plan(_suite(recorded=[table]), beside=tmp_path)
     assert [p.refused for p in planned] == ["", NO_MODEL]
     one = np.ones(1)
@@ -233,7 +185,7 @@ def test_a_recorded_sequence_has_no_states_to_keep(tmp_path: Path) -> None:
     vectors = np.ones((2, 1))
     sequence = QPSequence("bare", base, vectors, -vectors, vectors)
     with pytest.raises(InputError, match=r"sequence bare.*'sparse'"):
-        replay(sequence, workspace().inner, repeats=1, formulation="sparse")
+        replay(sequence, workspace(), repeats=1, formulation="sparse")
 
 
 def test_the_old_key_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -252,9 +204,8 @@ def test_the_old_key_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 @pytest.mark.slow
 def test_a_campaign_shows_formulations_side_by_side(tmp_path: Path) -> None:
-    """Three formulations end to end, in processes of their own: rows, assessment and the report."""
-    suite = tmp_path / "three.toml"
-    suite.write_text(
+    path = tmp_path / "three.toml"
+    path.write_text(
         """
 title = "Three formulations"
 solvers = ["clarabel", "quadprog"]
@@ -276,21 +227,65 @@ formulations = ["condensed_box", "sparse"]
 """,
         encoding="utf-8",
     )
-    out = run_campaign(suite, tmp_path / "out")
+    out = run_campaign(path, tmp_path / "out")
     runs = load_results(out).runs
     clarabel = runs[runs["solver"] == "clarabel"]
     assert (clarabel["outcome"] == "finished").all() and len(clarabel) == 8
     assert (clarabel["true_share"] == 1.0).all() and (clarabel["error_plan_max"] < 1e-2).all()
     strict = runs[(runs["solver"] == "quadprog") & (runs["formulation"] == "sparse")]
-    assert set(strict["outcome_detail"]) == {NOT_STRICT}
+    assert set(strict["outcome_detail"]) == {SEMIDEFINITE_REFUSAL}
     page = write_report(out).with_suffix(".md").read_text(encoding="utf-8")
     assert "Fastest form with right answers, of 4 configurations on a sequence: " in page
     assert (out / "tables" / "formulations.csv").is_file()
 
 
 def test_the_suite_of_formulations_plans_all_three_and_none_twice() -> None:
-    """The suite that ships has every formulation and each cell once."""
-    _, suite = load_suite("formulations")
-    cells = [planned.cell for planned in plan(suite)]
+    _, shipped = suite.load_suite("formulations")
+    cells = [planned.cell for planned in plan(shipped)]
     assert {cell.formulation for cell in cells} == {"condensed_box", "condensed_stacked", "sparse"}
     assert len({cell.to_json() for cell in cells}) == len(cells)
+
+
+BAR = 1e-7
+"""error_plan: the largest error of any move of the plan, in rate-limit steps."""
+
+PIQP = {
+    **dict.fromkeys(("eps_abs", "eps_duality_gap_abs"), 1e-12),
+    **dict.fromkeys(("eps_rel", "eps_duality_gap_rel"), 0.0),
+    "max_iter": 1000,
+    "tau": 0.9,
+}
+HPIPM = {
+    "mode": "BALANCE",
+    **dict.fromkeys(("tol_stat", "tol_eq"), 1e-10),
+    "tol_ineq": 1e-12,
+    # Where a limit is weakly active the error is the root of what is left of λ·slack.
+    "tol_comp": 1e-14,
+    "iter_max": 200,
+}
+SETTINGS: dict[str, Any] = {"piqp_multistage": PIQP, "hpipm_ocp": HPIPM, "hpipm": HPIPM}
+# HPIPM's dense solver factorises all n = 300 variables at once.
+STEPS = {"hpipm": 5}
+
+
+@pytest.mark.parametrize("solver", [name for name in SETTINGS if check_availability(name).ok])
+@pytest.mark.parametrize(
+    ("scenario", "horizons", "steps"),
+    [("paper", (30, 5), 40), ("paper_tight", (30, 5), 40), ("rough", (60, 10), 15)],
+)
+def test_exact_solvers_meet_the_bar(
+    solver: str, scenario: str, horizons: tuple[int, int], steps: int
+) -> None:
+    case = with_horizons(load_scenario(scenario), *horizons).first(STEPS.get(solver, steps))
+    condensed = record_sequence(case)
+    sequence, form = replay_formulation("sparse", condensed)
+    workspace = open_workspace(solver, route="native", policy="reuse", settings=SETTINGS[solver])
+    workspace.setup(sequence.base)
+    for k in range(len(sequence)):
+        workspace.update(sequence.step(k))
+        workspace.solve()
+        found = workspace.read()
+        assert found.claimed
+        optimum = certify(condensed.problem(k))
+        assert optimum.bound < BAR
+        assert np.abs(form.solution(found).z - optimum.z).max() <= BAR

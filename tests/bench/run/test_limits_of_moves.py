@@ -1,17 +1,16 @@
 """Applied forces and moves of the fallback, worked by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from dpbench import condense, load_scenario
-from dpbench.bench.record.cell import Fallback
-from dpbench.bench.run.fallback import FallbackLaw, ThrusterLimit, limit_move, limit_of
+from dpbench import load_scenario
+from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.thruster_rows import thruster_rows
+from dpbench.mpc.law import UnconstrainedLaw
+from dpbench.mpc.move_limits import ThrusterLimit, limit_move
+from dpbench.mpc.thruster_rows import Limits, thruster_rows
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
@@ -55,12 +54,10 @@ def limited(
 def test_rate_first_then_amplitude_on_both_sides(
     u: float, du: float, low: float, high: float, applied: float
 ) -> None:
-    """The rate limit has priority over the amplitude limits on both sides."""
     assert limited([u], [du], [low], [high]) == ([applied], applied != u + du)
 
 
 def test_every_axis_has_its_own_limits() -> None:
-    """One clipped axis marks the whole move as clipped."""
     low, high = [-50.0] * 3, [80.0] * 3
     assert limited([0, 75, -45], [3, 9, -9], low, high) == ([3.0, 80.0, -50.0], True)
     assert limited([75, 0, 0], [9, 3, -3], low, high) == ([80.0, 3.0, -3.0], True)
@@ -109,10 +106,9 @@ ROWS = thruster_rows(THRUSTERS, 4)
 def test_every_thruster_is_limited_as_a_whole(
     f: list[float], df: list[float], lost: set[int], applied: list[float]
 ) -> None:
-    """Each thruster has its own rate and limits; a lost one returns to zero."""
     found, move = np.full(3, np.nan), np.array(df, dtype=float)
     limit = ThrusterLimit(ROWS, THRUSTERS.step_max(0.5))
-    clipped = limit(np.array(f, dtype=float), move, *ROWS.without(lost), found)
+    clipped = limit(np.array(f, dtype=float), move, ROWS.limits_after_loss(lost), found)
     np.testing.assert_allclose(found, applied, atol=1e-6)
     assert clipped is (applied != [a + b for a, b in zip(f, df, strict=True)])
 
@@ -143,11 +139,10 @@ AZIMUTH = ThrusterSet(
 def test_an_azimuth_is_cut_along_its_move(
     f: list[float], df: list[float], lost: set[int], applied: list[float]
 ) -> None:
-    """Both components are cut alike, from the force before or from the way back to zero."""
     rows, found = thruster_rows(AZIMUTH, 4), np.full(3, np.nan)
     limit = ThrusterLimit(rows, AZIMUTH.step_max(0.5))
     move = np.array(df, dtype=float)
-    assert limit(np.array(f, dtype=float), move, *rows.without(lost), found)
+    assert limit(np.array(f, dtype=float), move, rows.limits_after_loss(lost), found)
     np.testing.assert_allclose(found, applied, atol=1e-6)
 
 
@@ -156,49 +151,21 @@ def scenario() -> Scenario:
     return load_scenario("calm")
 
 
-@pytest.fixture(scope="module")
-def builder(scenario: Scenario) -> CondensedQP:
-    return condense(scenario)
-
-
-def test_a_controller_of_forces_limits_axis_by_axis(builder: CondensedQP) -> None:
+def test_a_controller_of_forces_limits_axis_by_axis(scenario: Scenario) -> None:
     """The largest increments are 32 736 N, 11 008 N and 475 200 N·m."""
     applied = np.empty(3)
-    low, high = np.full(3, -1e9), np.full(3, 1e9)
-    assert limit_of(builder)(np.zeros(3), np.full(3, -1e8), low, high, applied)
+    limits, limit = Limits(np.full(3, -1e9), np.full(3, 1e9)), scenario.controller.move_limit()
+    assert limit(np.zeros(3), np.full(3, -1e8), limits, applied)
     np.testing.assert_allclose(applied, [-32736.0, -11008.0, -475200.0])
-
-
-def moves_of(kind: Fallback, builder: CondensedQP, steps: int) -> list[list[float]]:
-    """Return the moves without an answer after a plan of 1, 2, 3, 4, 5 in surge."""
-    law = FallbackLaw(kind, builder)
-    plan = np.zeros((5, 3))
-    plan[:, 0] = [1.0, 2.0, 3.0, 4.0, 5.0]
-    assert law.remember(plan).tolist() == [1.0, 0.0, 0.0]
-    assert not law.acted
-    still = np.zeros(9), np.zeros(3), np.zeros(3)
-    moves = [law.move(*still).tolist() for _ in range(steps)]
-    assert law.acted
-    return moves
-
-
-def test_the_shifted_plan_is_followed_to_its_end(builder: CondensedQP) -> None:
-    """The fallback continues with the second planned move and holds after the last."""
-    moves = moves_of("shifted_plan", builder, 6)
-    assert [move[0] for move in moves] == [2.0, 3.0, 4.0, 5.0, 0.0, 0.0]
-
-
-def test_hold_moves_nothing(builder: CondensedQP) -> None:
-    """The force stays as it is, whatever the plan was."""
-    assert moves_of("hold", builder, 2) == [[0.0] * 3] * 2
 
 
 def test_clip_is_the_first_move_of_the_unconstrained_optimum(scenario: Scenario) -> None:
     """The move is the first three entries of −P⁻¹ q of the QP in N and N·m."""
-    si = condense(replace(scenario, N_p=6, N_c=2), units="si")
+    short = replace(scenario.problem, N_p=6, N_c=2)
+    si = CondensedQP(short, units="si")
     x, y_ref = np.array([0.1, -0.2, 0.01, 0.02, 0.03, 0.004, 1.5, -2.0, 0.3]), np.ones(3)
     step = si.emit(x, y_ref, np.zeros(3))
     expected = -np.linalg.solve(si.problem(step).P, step.q)[:3]
-    law = FallbackLaw("clip", si)
+    law = FALLBACKS["clip"](2, 3, UnconstrainedLaw(si))
     np.testing.assert_allclose(law.move(x, y_ref, np.zeros(3)), expected, rtol=1e-9)
     assert law.acted

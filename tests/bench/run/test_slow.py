@@ -1,8 +1,6 @@
 """On a slow computer answers come late, at the samples and with the forces worked out by hand."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,59 +10,19 @@ from hypothesis import strategies as st
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
 from dpbench.bench.judge.closed_loop import EVALUATION, evaluate_log
-from dpbench.bench.judge.deadlines import longest_streak, steps_to_recover
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
-from dpbench.bench.record.cell import SLOWEST, Cell, Fallback
-from dpbench.bench.record.raw_log import RawLog, loop_layout
-from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
-from dpbench.bench.run.exact_loop import base_problem, solve_exactly
-from dpbench.bench.run.formulation import Box
-from dpbench.bench.run.qp_builder import QPBuilder
-from dpbench.bench.run.slow_computer import WARM_UP_SOLVES, ComputationalDelay, SlowComputer
-from dpbench.bench.run.timed_solver import TimedSolver
+from dpbench.bench.record.cell import SLOWEST, Cell
+from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.exact_loop import solve_exactly
+from dpbench.bench.run.fallback_policies import FALLBACKS
+from dpbench.bench.run.slow_computer import ComputationalDelay, SlowComputer
 from dpbench.errors import InputError
 from dpbench.mpc.law import gains
-from dpbench.qp.program import QPStep, QuadraticProgram
-from dpbench.qp.solution import Solution, Status
+from dpbench.qp.solution import Status
+from dpbench.scenario.controllers.controller import stack_limits
 from dpbench.scenario.scenario import Scenario
-from dpbench.solvers.contract import Workspace
-
-SAMPLE_NS = 300_000_000
-PLAN = (0.5, 0.4, 0.3, 0.2, 0.1)
-"""Moves of every axis in rate-limit steps; the forces they lead to are 0.5, 0.9, 1.2, 1.4, 1.5."""
-Latencies = Callable[[int], float]
-
-
-class Timed(Workspace):
-    """Gives the same plan to every question, and lets a clock of its own go on meanwhile."""
-
-    def __init__(
-        self, samples: Latencies, status: Status = Status.SOLVED, plan: Sequence[float] = PLAN
-    ) -> None:
-        super().__init__("timed", "native", "reuse")
-        self.now_ns, self.asked, self.resets = 0, -WARM_UP_SOLVES, 0
-        self._samples, self._status, self._plan = samples, status, plan
-
-    def clock(self) -> int:
-        return self.now_ns
-
-    def setup(self, qp: QuadraticProgram) -> None:
-        pass
-
-    def update(self, step: QPStep) -> None:
-        pass
-
-    def solve(self) -> None:
-        if self.asked >= 0:
-            self.now_ns += round(self._samples(self.asked) * SAMPLE_NS)
-        self.asked += 1
-
-    def read(self) -> Solution:
-        return Solution(self._status, np.repeat(self._plan, 3), np.zeros(15), np.zeros(15))
-
-    def reset(self) -> None:
-        self.resets += 1
+from tests.bench.run.loops import SAMPLE_NS, Planned, run_loop, surge_steps
 
 
 @pytest.fixture(scope="module")
@@ -74,30 +32,21 @@ def scenario() -> Scenario:
 
 def run(
     scenario: Scenario,
-    workspace: Timed,
+    workspace: Planned,
     slowdown: float = 1.0,
     budget: float = 1.0,
-    fallback: Fallback = "shifted_plan",
+    fallback: str = "shifted_plan",
+    **given: Any,
 ) -> RawLog:
     """A loop whose latencies are those of the workspace times the slow-down, in samples."""
-    builder = QPBuilder(scenario)
-    log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes))
-    timed_solver = TimedSolver(workspace, Box(base_problem(builder.condensed)), workspace.clock)
     delay = ComputationalDelay(slowdown, round(budget * SAMPLE_NS), SAMPLE_NS)
-    setup = ClosedLoopSetup(
-        scenario, builder, timed_solver, log, fallback, 2**62, workspace.clock, delay
-    )
-    assert closed_loop(setup)
+    clock = workspace.clock
+    log, complete = run_loop(scenario, workspace, fallback, clock=clock, delay=delay, **given)
+    assert complete
     return log
 
 
-def forces(log: RawLog, scenario: Scenario) -> list[float]:
-    """Applied surge forces in rate-limit steps."""
-    return np.round(log.tau[:, 0] / scenario.du_max[0], 9).tolist()
-
-
 def asked(log: RawLog) -> list[int]:
-    """The steps in which a computation began."""
     return np.flatnonzero(log.times[0, :, 3] >= 0).tolist()
 
 
@@ -107,14 +56,14 @@ def test_a_plan_three_samples_late_enters_at_its_fourth_move(scenario: Scenario)
     From 0 the rate limit lets the force reach 1.0, then 1.5, where the plan ends and stays. The
     answer to step 3 arrives at step 12; planned from 0 too, it ends at the same force.
     """
-    workspace = Timed(lambda i: (2.5, 9.0, 1e6)[i])
+    workspace = Planned(lambda i: (2.5, 9.0, 1e6)[i])
     log = run(scenario, workspace)
     assert asked(log) == [0, 3, 12]
-    found = forces(log, scenario)
+    found = surge_steps(log, scenario)
     assert found[:12] == [0.0, 0.0, 0.0, 1.0, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5]
     assert found[12:] == [1.5] * 12
     # Demanded at step 3: all four moves at once, which the rate limit then cuts.
-    demanded = log.command[3, 0] / scenario.du_max[0]
+    demanded = log.command[3, 0] / scenario.problem.du_max[0]
     assert demanded == pytest.approx(0.5 + 0.4 + 0.3 + 0.2)
 
 
@@ -126,11 +75,11 @@ def test_within_the_rate_limit_a_late_plan_is_followed_move_by_move(scenario: Sc
     samples late, with force no. 3: 2.2; step 4's own answer is three samples late. Step 5: 2.4;
     step 6: 2.5; step 7: the plan of step 4, from 1.7: 2.2, 2.6, 2.9, 3.1, 3.2; force no. 4: 3.1.
     """
-    workspace = Timed(lambda i: (0.1, 1.0, 1.5, 3.0, 1e6)[i])
+    workspace = Planned(lambda i: (0.1, 1.0, 1.5, 3.0, 1e6)[i])
     log = run(scenario, workspace)
     assert asked(log) == [0, 1, 2, 4, 7]
     wanted = [0.5, 1.0, 1.4, 1.7, 2.2, 2.4, 2.5, 3.1, 3.2, 3.2]
-    assert forces(log, scenario)[:10] == wanted
+    assert surge_steps(log, scenario)[:10] == wanted
     # The fallback steers where no answer is in time and none arrives: not in 0, 1, 4 and 7.
     assert np.flatnonzero(log.flags[:10, 0] == 0).tolist() == [0, 1, 4, 7]
 
@@ -142,28 +91,29 @@ def test_hold_waits_with_the_force_it_has(scenario: Scenario) -> None:
     force no. 3, which is 1.2 away: one rate-limit step. Then 2.0 stays until step 7: the plan of
     step 4, from 1.0: force no. 4, 2.4.
     """
-    workspace = Timed(lambda i: (0.1, 1.0, 1.5, 3.0, 1e6)[i])
+    workspace = Planned(lambda i: (0.1, 1.0, 1.5, 3.0, 1e6)[i])
     log = run(scenario, workspace, fallback="hold")
     wanted = [0.5, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.4, 2.4]
-    assert forces(log, scenario)[:9] == wanted
+    assert surge_steps(log, scenario)[:9] == wanted
 
 
 def test_clip_steers_by_the_unconstrained_law_meanwhile(scenario: Scenario) -> None:
     """Fallback `clip` demands K_y y_d − K_mpc x (eq. 33) in every step without an answer."""
-    log = run(scenario, Timed(lambda i: 1e6), fallback="clip")
-    law = gains(scenario.control_problem())
+    log = run(scenario, Planned(lambda i: 1e6), fallback="clip")
+    law = gains(scenario.problem)
     demanded = log.theta[:, 9:12] @ law.K_y.T - log.theta[:, :9] @ law.K_mpc.T
     np.testing.assert_allclose(
-        log.command - log.theta[:, 12:15], demanded, rtol=0, atol=1e-6 * scenario.du_max.max()
+        log.command - log.theta[:, 12:15],
+        demanded,
+        rtol=0,
+        atol=1e-6 * scenario.problem.du_max.max(),
     )
 
 
-def test_an_answer_in_time_supersedes_the_late_one_that_arrives_with_it(
-    scenario: Scenario,
-) -> None:
+def test_an_answer_in_time_supersedes_the_late_one_that_arrives_with_it(scenario: Scenario) -> None:
     """Step 0 takes 1.5 samples and arrives at 2, where the own answer is in time: 0 + 0.5."""
-    log = run(scenario, Timed(lambda i: (1.5, 0.5, 1e6)[i]))
-    assert forces(log, scenario)[:7] == [0.0, 0.0, 0.5, 0.9, 1.2, 1.4, 1.5]
+    log = run(scenario, Planned(lambda i: (1.5, 0.5, 1e6)[i]))
+    assert surge_steps(log, scenario)[:7] == [0.0, 0.0, 0.5, 0.9, 1.2, 1.4, 1.5]
 
 
 @pytest.mark.parametrize(
@@ -173,23 +123,20 @@ def test_an_answer_in_time_supersedes_the_late_one_that_arrives_with_it(
 def test_the_instant_of_arrival(
     scenario: Scenario, samples: float, budget: float, second: int
 ) -> None:
-    """In time up to the budget; beyond it at the first sample at or after t_k + L."""
-    log = run(scenario, Timed(lambda i: (samples, 1e6)[i]), budget=budget)
+    log = run(scenario, Planned(lambda i: (samples, 1e6)[i]), budget=budget)
     assert asked(log) == [0, second]
-    assert (forces(log, scenario)[0] == 0.5) == (samples <= budget)
+    assert (surge_steps(log, scenario)[0] == 0.5) == (samples <= budget)
 
 
 def test_nothing_arrives_and_the_fallback_steers_alone(scenario: Scenario) -> None:
-    """The largest slow-down there may be: one computation, no force, every step recorded."""
-    log = run(scenario, Timed(lambda i: 1.0), slowdown=SLOWEST)
+    log = run(scenario, Planned(lambda i: 1.0), slowdown=SLOWEST)
     assert asked(log) == [0]
     assert not log.tau.any() and log.flags[:, 0].all()
     assert int(log.done[0]) == 24
 
 
 def test_a_failed_solve_keeps_the_processor_and_brings_nothing(scenario: Scenario) -> None:
-    """An unusable answer takes its time too; the workspace is reset for it alone."""
-    workspace = Timed(lambda i: 2.0, Status.PRIMAL_INFEASIBLE)
+    workspace = Planned(lambda i: 2.0, Status.PRIMAL_INFEASIBLE)
     log = run(scenario, workspace)
     assert asked(log) == list(range(0, 24, 2))
     assert not log.tau.any() and log.flags[:, 0].all()
@@ -200,25 +147,23 @@ def test_a_failed_solve_keeps_the_processor_and_brings_nothing(scenario: Scenari
 @given(
     latencies=st.lists(st.floats(0.0, 8.0), min_size=24, max_size=24),
     moves=st.lists(st.floats(-9.0, 9.0), min_size=5, max_size=5),
-    fallback=st.sampled_from(["shifted_plan", "hold", "clip"]),
+    fallback=st.sampled_from(sorted(FALLBACKS)),
 )
 def test_one_processor_and_no_limit_violated(
-    scenario: Scenario, latencies: list[float], moves: list[float], fallback: Fallback
+    scenario: Scenario, latencies: list[float], moves: list[float], fallback: str
 ) -> None:
-    """Whatever latencies and plans: computations do not overlap, forces keep rate and amplitude."""
-    log = run(scenario, Timed(latencies.__getitem__, plan=moves), fallback=fallback)
+    log = run(scenario, Planned(latencies.__getitem__, plan=moves), fallback=fallback)
     began = np.array(asked(log))
     took = np.maximum(1, np.ceil(np.round(np.array(latencies) * SAMPLE_NS) / SAMPLE_NS))
     np.testing.assert_array_equal(np.diff(began), took[: len(began) - 1])
-    low, high = scenario.limit_tables(24)
+    low, high = stack_limits(scenario.controller.limits(24))
     change = np.diff(log.tau, axis=0, prepend=np.zeros((1, 3)))
-    assert (np.abs(change) <= scenario.du_max + np.spacing(scenario.vessel.tau_max)).all()
+    assert (np.abs(change) <= scenario.problem.du_max + np.spacing(scenario.vessel.tau_max)).all()
     assert (log.tau <= high).all() and (log.tau >= low).all()
 
 
 @pytest.mark.slow
 def test_fast_enough_is_the_ordinary_loop_bit_for_bit() -> None:
-    """With every answer in time, and with the slow-down off, the ship sails the same way."""
     scenario = load_scenario("thruster_loss_hard").first(450)
     plain = run_closed_loop(scenario, open_workspace("quadprog"))
     timed = {name for name in plain.steps if name.endswith("_ns")} | {"late"}
@@ -233,20 +178,7 @@ def test_fast_enough_is_the_ordinary_loop_bit_for_bit() -> None:
     assert slow.summary["interrupted"] == shorter
 
 
-def test_misses_streaks_and_recovery_are_counted() -> None:
-    """Counted by hand in a row of flags."""
-    late = np.array([0, 1, 1, 0, 0, 1, 1, 1, 0, 0], dtype=bool)
-    true = np.array([1, 1, 1, 0, 1, 1, 1, 1, 0, 1], dtype=bool)
-    assert longest_streak(late) == 3
-    # From 1 to the true answer in time of 4, from 5 to that of 9.
-    assert steps_to_recover(late, true & ~late) == 4
-    assert steps_to_recover(np.append(late, True), np.append(true & ~late, False)) is None
-    assert steps_to_recover(~late & late, true) is None
-    assert longest_streak(late[:0]) == 0
-
-
 def test_the_records_of_a_loop_on_a_hopeless_computer() -> None:
-    """All steps are missed, one was computed; judged is only the answer there is."""
     scenario = load_scenario("paper").first(30)
     run = run_closed_loop(scenario, open_workspace("quadprog"), slowdown=SLOWEST)
     steps, summary = run.steps, run.summary
@@ -275,14 +207,12 @@ def test_the_exact_loop_costs_what_the_exact_solver_pays() -> None:
     [("slowdown", 0.5), ("slowdown", -1.0), ("slowdown", 2 * SLOWEST), ("deadline_s", 0.4)],
 )
 def test_a_pace_that_cannot_be_is_refused_in_one_line(key: str, value: float) -> None:
-    """Faster than this machine, a billion times slower, or a budget beyond the sample."""
     delay = {key: value}
     with pytest.raises(InputError, match=key):
         run_closed_loop(load_scenario("paper").first(3), open_workspace("quadprog"), **delay)
 
 
 def test_slowdowns_are_an_axis_of_a_suite_and_leave_other_cells_alone() -> None:
-    """A cell for each slow-down; one without any has the description it always had."""
     table = ClosedLoopTable(scenarios=["paper"], slowdowns=[0, 1, 100], deadline_s=0.1, steps=9)
     plain = ClosedLoopTable(scenarios=["paper"], steps=9)
     suite = SuiteFile(title="x", solvers=["daqp"], baseline_law=False, closed_loop=[table, plain])
@@ -299,12 +229,7 @@ def test_slowdowns_are_an_axis_of_a_suite_and_leave_other_cells_alone() -> None:
 def test_the_slow_computer_is_out_of_the_way_of_ordinary_loops(
     scenario: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without a slow-down none is made, so an ordinary loop pays nothing for it."""
-
-    def refuse(*_: object) -> None:
-        raise AssertionError("not for an ordinary loop")
-
-    monkeypatch.setattr(SlowComputer, "__init__", refuse)
+    monkeypatch.setattr(SlowComputer, "__init__", None)
     assert not run_closed_loop(scenario, open_workspace("quadprog")).steps["late"].any()
 
 
@@ -314,30 +239,14 @@ def test_time_that_others_took_is_no_latency(scenario: Scenario) -> None:
     The next one, as long and not interrupted, is late whatever its processor time; the third is
     interrupted too, but its processor time is no less.
     """
-    workspace = Timed(lambda i: 5.0)
+    workspace = Planned(lambda i: 5.0)
     looks = iter([(0, 0.0), (1, 0.5), (1, 0.5), (1, 0.6), (1, 0.6), (2, 9.6), (2, 9.6), (2, 9.6)])
 
     def usage() -> tuple[int, int]:
         switches, used = next(looks)
         return switches, round(used * SAMPLE_NS)
 
-    builder = QPBuilder(scenario.first(12))
-    log = RawLog.in_memory(loop_layout(12, *builder.sizes))
-    timed_solver = TimedSolver(workspace, Box(base_problem(builder.condensed)), workspace.clock)
-    delay = ComputationalDelay(1.0, SAMPLE_NS, SAMPLE_NS)
-    closed_loop(
-        ClosedLoopSetup(
-            scenario.first(12),
-            builder,
-            timed_solver,
-            log,
-            "shifted_plan",
-            2**62,
-            workspace.clock,
-            delay,
-            usage,
-        )
-    )
+    log = run(scenario.first(12), workspace, usage=usage)
     assert asked(log) == [0, 1, 6, 11]
     assert log.latency_ns[[0, 1, 6]].tolist() == [SAMPLE_NS // 2, 5 * SAMPLE_NS, 5 * SAMPLE_NS]
     assert (np.delete(log.latency_ns, [0, 1, 6, 11]) == -1).all()
@@ -349,17 +258,13 @@ def test_a_model_that_turns_is_judged_on_the_steps_that_were_computed() -> None:
     The answers are right, so an optimum of any other QP would show as an error.
     """
     scenario = load_scenario("turn").first(150)
-    workspace = open_workspace("quadprog")
-    builder = QPBuilder(scenario)
-    log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes))
-    ticks = iter(range(0, 10**12, SAMPLE_NS // 2))
     # Set-up, solve and read take half a sample each: an answer takes one and a half.
-    timed_solver = TimedSolver(workspace, Box(base_problem(builder.condensed)), lambda: next(ticks))
+    ticks = iter(range(0, 10**12, SAMPLE_NS // 2))
     delay = ComputationalDelay(1.0, SAMPLE_NS, SAMPLE_NS)
-    setup = ClosedLoopSetup(
-        scenario, builder, timed_solver, log, "shifted_plan", 2**62, lambda: 0, delay
+    log, complete = run_loop(
+        scenario, open_workspace("quadprog"), clock=lambda: next(ticks), delay=delay
     )
-    assert closed_loop(setup)
+    assert complete
     began = asked(log)
     assert began == list(range(0, 150, 2))
     cell = Cell(

@@ -1,10 +1,7 @@
 """Closed loops that steer thrusters: against a loop written out here, limits of what is applied,
 lost thrusters, and what slow thrusters give."""
 
-from __future__ import annotations
-
 import math
-import time
 from typing import Any
 
 import numpy as np
@@ -13,40 +10,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from qpsolvers import solve_qp
 
-from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
-from dpbench.bench.record.cell import Fallback, Formulation
-from dpbench.bench.record.raw_log import RawLog, loop_layout
-from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
-from dpbench.bench.run.exact_loop import ExactLoop, base_problem, solve_exactly
-from dpbench.bench.run.fallback import limit_of
-from dpbench.bench.run.formulation import in_loop
-from dpbench.bench.run.qp_builder import QPBuilder
-from dpbench.bench.run.timed_solver import TimedSolver
-from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.thruster_rows import RETREAT, thruster_rows
-from dpbench.scenario.scenario import Scenario, load_scenario, scenario_of
-from dpbench.ship.actuators import Actuators, SteeredThrusters
+from dpbench.bench.record.cell import Formulation
+from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
+from dpbench.bench.run.fallback_policies import FALLBACKS
+from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE
+from dpbench.scenario.scenario import Scenario, build_scenario, load_scenario
+from dpbench.ship.actuators import Actuators, CommandedThrusters
 from dpbench.ship.plant import SUBSTEPS, Plant
-from dpbench.ship.thrusters import Thruster, ThrusterSet
 from dpbench.solvers.open import open_workspace
+from tests.bench.run.loops import limit_violations, run_loop
 
+AFT = {"kind": "azimuth", "x_m": -32.0, "thrust_kN": 190.0, "rise_s": 8.0}
 THRUSTERS: list[dict[str, Any]] = [
-    {
-        "name": "port",
-        "kind": "azimuth",
-        "x_m": -32.0,
-        "y_m": -5.0,
-        "thrust_kN": 190.0,
-        "rise_s": 8.0,
-    },
-    {
-        "name": "starb",
-        "kind": "azimuth",
-        "x_m": -32.0,
-        "y_m": 5.0,
-        "thrust_kN": 190.0,
-        "rise_s": 8.0,
-    },
+    AFT | {"name": "port", "y_m": -5.0},
+    AFT | {"name": "starb", "y_m": 5.0},
     {"name": "bow", "kind": "azimuth", "x_m": 26.0, "thrust_kN": 140.0, "rise_s": 6.0},
     {"name": "tunnel", "kind": "tunnel", "x_m": 30.0, "thrust_kN": 110.0, "rise_s": 5.0},
 ]
@@ -70,19 +48,17 @@ def scenario(steps: int = 60, **changes: Any) -> Scenario:
             "move_weight_relative": 0.1,
         },
     } | changes.pop("controller", {})
-    return scenario_of(plain | {"scenario": own | changes, "vessel": vessel, "name": "thrusters"})
+    return build_scenario(
+        plain | {"scenario": own | changes, "vessel": vessel, "name": "thrusters"}
+    )
 
 
 def steered_by(solver: str, case: Scenario, formulation: Formulation = "condensed_box") -> RawLog:
     """The log of a closed loop with a solver, without an answer the plan before."""
-    builder = QPBuilder(case, sparse=formulation == "sparse")
-    log = RawLog.in_memory(loop_layout(case.steps, *builder.sizes))
     policy = "warm" if solver in ("daqp", "paper_active_set") else "reuse"
     workspace = open_workspace(solver, route="native", policy=policy, settings="high")
-    formulated = in_loop(formulation, builder, base_problem(builder.condensed))
-    timed = TimedSolver(workspace, formulated, time.perf_counter_ns)
-    clock = time.perf_counter_ns
-    assert closed_loop(ClosedLoopSetup(case, builder, timed, log, "shifted_plan", 2**62, clock))
+    log, complete = run_loop(case, workspace, formulation=formulation)
+    assert complete
     return log
 
 
@@ -97,10 +73,9 @@ def exact(case: Scenario) -> ExactLoop:
 
 
 def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) -> None:
-    """Plan by quadprog on matrices made here, thrust by T_e, motion by the plant of the forces."""
-    control, plain = case.control_problem(), load_scenario("rough")
-    assert case.steered is not None
-    T_e, G = case.steered.thrusters.T_e, case.steered.rows.G
+    control, plain = case.problem, load_scenario("rough")
+    assert case.controller.commanded is not None
+    T_e, G = case.controller.commanded.thrusters.T_e, case.controller.commanded.rows.G
     model, du, n_f, N_c = control.model, control.du_max, 7, 3
     plant = Plant(case.true_ship, case.first_state, case.sample_s)
     sea = plain.environment.stage_table(case.steps, case.sample_s, SUBSTEPS)
@@ -119,11 +94,11 @@ def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) 
                 ]
             )
             free = model.C @ np.linalg.matrix_power(model.A, i) @ x - case.reference
-            H += effect.T @ case.Q @ effect
-            g += effect.T @ case.Q @ free
+            H += effect.T @ case.problem.Q @ effect
+            g += effect.T @ case.problem.Q @ free
         sums = np.kron(np.tri(N_c), np.eye(n_f)) * np.tile(du, N_c)
-        W = np.kron(np.eye(N_c), case.steered.W)
-        H += np.diag(np.tile(np.diag(case.R) * du**2, N_c)) + sums.T @ W @ sums
+        W = np.kron(np.eye(N_c), case.controller.commanded.W)
+        H += np.diag(np.tile(np.diag(case.problem.R) * du**2, N_c)) + sums.T @ W @ sums
         g += sums.T @ W @ np.tile(f, N_c)
         rows, base = np.kron(np.eye(N_c), G) @ sums / 1e3, np.tile(G @ f, N_c) / 1e3
         high, low = (np.tile(side, N_c) / 1e3 - base for side in (control.u_max, control.u_min))
@@ -150,60 +125,41 @@ def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) 
 def test_every_form_steers_as_the_exact_loop_does(
     case: Scenario, exact: ExactLoop, solver: str, formulation: Formulation
 ) -> None:
-    """Condensed, one-sided and sparse, by solvers of several kinds."""
     log = steered_by(solver, case, formulation)
     away = np.abs(log.state - exact.state).max(axis=0)
     assert (away <= [1e-6, 1e-6, 1e-8, 1e-5, 1e-5, 1e-7]).all(), away
-    limits = QPBuilder(case).u_min, QPBuilder(case).u_max
-    metrics = thruster_metrics(case, log.thrust, limits)
-    assert metrics["limit_violations"] == 0.0
-    np.testing.assert_allclose(log.tau, case.forces(log.thrust), rtol=1e-12)
+    assert limit_violations(case, log) == 0.0
+    np.testing.assert_allclose(log.tau, case.controller.force(log.thrust), rtol=1e-12)
 
 
 def test_a_lost_group_gives_nothing_as_soon_as_its_rate_allows(case: Scenario) -> None:
-    """Port azimuth and tunnel lost at 6 s: every step has an answer, no limit is broken, both are
-    at nothing after the time their rate needs, and stay there."""
+    """Port azimuth and tunnel lost at 6 s."""
     lost = scenario(80, faults=[{"at_s": 6.0, "lost": ["port", "tunnel"]}])
     log = steered_by("daqp", lost)
     assert not log.flags.any()
-    builder = QPBuilder(lost)
-    metrics = thruster_metrics(lost, log.thrust, (builder.u_min, builder.u_max))
-    assert metrics["limit_violations"] == 0.0
-    gone = 20 + math.ceil(8.0 / 0.3 / RETREAT) + 1
+    assert limit_violations(lost, log) == 0.0
+    gone = 20 + math.ceil(8.0 / 0.3 / RAMP_DOWN_SHARE) + 1
     assert np.abs(log.thrust[gone:, [0, 1, 6]]).max() < 1e-6
     assert np.abs(log.thrust[19, [0, 1]]).max() > 1e4
     assert np.abs(log.thrust[gone:, 2:6]).max() > 1e4
 
 
-@pytest.mark.parametrize("fallback", ["shifted_plan", "hold", "clip"])
-def test_without_answers_the_fallback_keeps_to_all_limits(fallback: Fallback) -> None:
-    """A solver stopped after one iteration answers nothing usable; what is applied is allowed."""
+@pytest.mark.parametrize("fallback", FALLBACKS)
+def test_without_answers_the_fallback_keeps_to_all_limits(fallback: str) -> None:
     case = scenario(30)
-    builder = QPBuilder(case)
-    log = RawLog.in_memory(loop_layout(case.steps, *builder.sizes))
-    workspace = open_workspace(
-        "daqp", route="native", policy="warm", settings={"iter_limit": 1, "primal_tol": 1e-9}
-    )
-    formulated = in_loop("condensed_box", builder, base_problem(builder.condensed))
-    timed = TimedSolver(workspace, formulated, time.perf_counter_ns)
-    clock = time.perf_counter_ns
-    assert closed_loop(ClosedLoopSetup(case, builder, timed, log, fallback, 2**62, clock))
+    tight = {"iter_limit": 1, "primal_tol": 1e-9}
+    workspace = open_workspace("daqp", route="native", policy="warm", settings=tight)
+    log, complete = run_loop(case, workspace, fallback)
+    assert complete
     assert log.flags[:, 0].any() or log.flags[:, 1].any()
-    metrics = thruster_metrics(case, log.thrust, (builder.u_min, builder.u_max))
-    assert metrics["limit_violations"] == 0.0
+    assert limit_violations(case, log) == 0.0
 
 
-SHIP = ThrusterSet(
-    tuple(
-        Thruster(
-            t["name"], t["kind"], t["x_m"], t.get("y_m", 0.0), 1e3 * t["thrust_kN"], t["rise_s"]
-        )
-        for t in THRUSTERS
-    )
-)
-ROWS = thruster_rows(SHIP, 8)
+COMMANDED = scenario().controller.commanded
+assert COMMANDED is not None
+SHIP, ROWS = COMMANDED.thrusters, COMMANDED.rows
 STEP = SHIP.step_max(0.3)
-LIMIT = limit_of(CondensedQP(scenario().control_problem()))
+LIMIT = scenario().controller.move_limit()
 
 
 @settings(derandomize=True, max_examples=200)
@@ -215,12 +171,11 @@ LIMIT = limit_of(CondensedQP(scenario().control_problem()))
 def test_what_is_applied_keeps_to_the_rate_and_never_leaves_the_rows_further(
     share: list[float], moves: list[float], lost: set[int]
 ) -> None:
-    """Any move from any allowed force: rate, rows or the way back; and a good move is untouched."""
     f = np.array(share) * SHIP.per_entry(SHIP.thrust_N)
     f /= max(1.0, float((np.abs(ROWS.G @ f) / ROWS.high).max()))
-    low, high = ROWS.without(lost)
+    limits = low, high, _ = ROWS.limits_after_loss(lost)
     df, applied = np.array(moves) * STEP, np.empty(7)
-    clipped = LIMIT(f, df, low, high, applied)
+    clipped = LIMIT(f, df, limits, applied)
     assert (np.abs(applied - f) <= STEP * (1 + 1e-9)).all()
     before, after = ROWS.G @ f, ROWS.G @ applied
     # The polygon of a lost thruster never grows again: the share of it that holds the force.
@@ -235,9 +190,8 @@ def test_what_is_applied_keeps_to_the_rate_and_never_leaves_the_rows_further(
 
 
 def test_slow_thrusters_follow_with_their_lag_and_never_leave_their_circles() -> None:
-    """A step of the command: exact first-order answer, its mean over each sample on the ship."""
     lag_s, sample_s = 2.0, 0.5
-    thrusters = SteeredThrusters(SHIP, sample_s, lag_s, Actuators()).start()
+    thrusters = CommandedThrusters(SHIP, sample_s, lag_s, Actuators()).start()
     goal = np.array([3e3, 4e3, 0.0, 0.0, 0.0, 0.0, 2e3])
     for k in range(1, 9):
         tau = thrusters.deliver(goal)
@@ -247,24 +201,5 @@ def test_slow_thrusters_follow_with_their_lag_and_never_leave_their_circles() ->
         np.testing.assert_allclose(tau, SHIP.T_e @ (goal * (1 - decay)), rtol=1e-9, atol=1e-6)
     for _ in range(100):
         thrusters.deliver(np.full(7, 1e6))
-    assert (SHIP.size(thrusters.f)[:3] <= SHIP.thrust_N[:3] * (1 + 1e-12)).all()
-    assert SHIP.size(thrusters.f)[0] > 0.99 * SHIP.thrust_N[0]
-
-
-def test_thrust_power_and_wear_of_a_known_run(case: Scenario) -> None:
-    """By hand: the tunnel at half thrust, reversed once; an azimuth at full, turned by 90°."""
-    f = np.zeros((4, 7))
-    f[:, 6] = [55e3, 55e3, -55e3, -55e3]
-    f[:, 0:2] = [[190e3, 0], [190e3, 0], [0, 190e3], [0, 190e3]]
-    limits = np.tile(ROWS.low, (4, 1)), np.tile(ROWS.high, (4, 1))
-    metrics = thruster_metrics(case, f, limits)
-    assert metrics["thrust_share"] == pytest.approx((190 + 55) / 630)
-    most = 2 * 190**1.5 + 140**1.5 + 110**1.5
-    assert metrics["power_share"] == pytest.approx((190**1.5 + 55**1.5) / most)
-    assert metrics["thrust_variation"] == pytest.approx(1.0 + 2.0 + 0.5 + 1.0)
-    assert (metrics["azimuth_travel_deg"], metrics["thrust_reversals"]) == (
-        pytest.approx(90.0),
-        1.0,
-    )
-    assert metrics["limit_violations"] == 2.0
-    assert shares_of_full(load_scenario("calm"), np.zeros((4, 0))) == {}
+    assert (SHIP.magnitudes(thrusters.f)[:3] <= SHIP.thrust_N[:3] * (1 + 1e-12)).all()
+    assert SHIP.magnitudes(thrusters.f)[0] > 0.99 * SHIP.thrust_N[0]

@@ -1,7 +1,5 @@
 """Consequence analysis: its QPs against linear programs on corners of polygons, and as cells."""
 
-from __future__ import annotations
-
 import copy
 import math
 from pathlib import Path
@@ -14,24 +12,24 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 from scipy.optimize import linprog
 
-from dpbench import load_results, load_scenario, run_campaign
+from dpbench import load_scenario
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import log_bytes, replay_layout
 from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.sequences.consequence import (
+from dpbench.bench.sequences.loop_sequences import (
     AVERAGE_S,
-    consequence_sequence,
-    required_force,
+    average_force,
+    build_consequence_sequence,
 )
-from dpbench.bench.sequences.source import log_size, replayed, source_key
+from dpbench.bench.sequences.source import log_size, read_replay
 from dpbench.errors import InputError
 from dpbench.mpc.thruster_rows import thruster_rows
-from dpbench.mpc.thrusters.static_allocation import LossAllocation
+from dpbench.mpc.thrusters.static_allocation import AllocationAfterLoss
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify
-from dpbench.scenario.scenario import Scenario, load_vessel, scenario_of
+from dpbench.scenario.scenario import Scenario, build_scenario, load_vessel
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
 SIDES = 16
@@ -41,10 +39,9 @@ assert RATOWNIK is not None
 
 
 def qp_of(thrusters: ThrusterSet, force: np.ndarray, group: str) -> QuadraticProgram:
-    """The QP of one force after the loss of a group."""
     rows = thruster_rows(thrusters, SIDES)
-    low, high = rows.without(set(thrusters.groups[group]))
-    allocation = LossAllocation(thrusters, rows)
+    low, high, _ = rows.limits_after_loss(set(thrusters.groups[group]))
+    allocation = AllocationAfterLoss(thrusters, rows)
     l, u = allocation.limits(force[None], low[None], high[None])  # noqa: E741 - as in the program
     return allocation.problem(l[0], u[0])
 
@@ -84,8 +81,6 @@ def largest_share(thrusters: ThrusterSet, force: np.ndarray, group: str) -> floa
 def test_a_loss_is_held_as_far_as_the_corners_reach(
     group: str, direction: tuple[float, float, float]
 ) -> None:
-    """A millionth before the edge there is an optimum that makes the force; a millionth beyond,
-    the proof that there is none."""
     assert RATOWNIK is not None
     force = np.array(direction) * [3e5, 3e5, 6e6]
     edge = largest_share(RATOWNIK, force, group)
@@ -98,7 +93,6 @@ def test_a_loss_is_held_as_far_as_the_corners_reach(
 
 
 def test_port_and_starboard_are_alike() -> None:
-    """The loss of the port azimuth under a force is that of the other under its mirror image."""
     port = Thruster("port", "azimuth", -30.0, -5.0, 1e5, 10.0)
     starboard = Thruster("starboard", "azimuth", -30.0, 5.0, 1e5, 10.0)
     ship = ThrusterSet((port, starboard, Thruster("bow", "tunnel", 30.0, 0.0, 8e4, 8.0)))
@@ -119,7 +113,7 @@ def regrouped(groups: dict[str, str]) -> Scenario:
     files = copy.deepcopy(load_scenario("thrusters").files)
     for table in files["vessel"]["thrusters"]:
         table["group"] = groups.get(table["name"], "")
-    return scenario_of(files)
+    return build_scenario(files)
 
 
 def test_a_group_without_which_no_sway_is_left_is_never_held() -> None:
@@ -130,7 +124,7 @@ def test_a_group_without_which_no_sway_is_left_is_never_held() -> None:
     tau = np.outer(np.arange(1, 13), [0.0, 3e5, 0.0])
     kinds = {}
     for group in ("all", "bow 2"):
-        sequence = consequence_sequence(case, tau, group)
+        sequence = build_consequence_sequence(case, tau, group)
         assert (sequence.P, sequence.A, sequence.base.n, sequence.base.m) == (None, None, 8, 29)
         kinds[group] = [certify(sequence.problem(k)).kind for k in range(12)]
     assert set(kinds["all"]) == {"infeasible"}
@@ -141,26 +135,25 @@ def test_what_is_required_is_the_mean_of_the_last_minute() -> None:
     """A steady force is approached by 1 − exp(−t/60 s); wave forces hardly remain."""
     sample_s, steps = 0.3, 800
     t = sample_s * np.arange(1, steps + 1)
-    steady = required_force(np.tile([1e5, -2e5, 3e6], (steps, 1)), sample_s)
+    steady = average_force(np.tile([1e5, -2e5, 3e6], (steps, 1)), sample_s)
     approach = 1.0 - np.exp(-t / AVERAGE_S)
     np.testing.assert_allclose(steady, approach[:, None] * [1e5, -2e5, 3e6], rtol=1e-12)
-    waves = required_force(np.outer(np.sin(2.0 * np.pi * t / 9.5), np.ones(3)), sample_s)
+    waves = average_force(np.outer(np.sin(2.0 * np.pi * t / 9.5), np.ones(3)), sample_s)
     assert np.abs(waves[400:]).max() < 0.05
 
 
 def test_what_the_run_has_lost_stays_lost() -> None:
-    """From the fault on, no thruster of board A pushes in any QP; before, those of the group."""
     case = load_scenario("thrusters_loss")
-    (fault,) = (k for k, _, _ in case.faults)
-    assert case.steered is not None
-    thrusters = case.steered.thrusters
+    (fault,) = (k for k, _ in case.controller.changes)
+    assert case.controller.commanded is not None
+    thrusters = case.controller.commanded.thrusters
     entries = {
         group: thrusters.per_entry([i in thrusters.groups[group] for i in range(5)]) > 0.0
         for group in GROUPS
     }
     tau = np.tile([1e3, 0.0, 0.0], (case.steps, 1))
     for group in GROUPS:
-        sequence = consequence_sequence(case, tau, group)
+        sequence = build_consequence_sequence(case, tau, group)
         for k in (fault - 1, fault):
             qp = sequence.problem(k)
             lost = entries[group] | (entries["board A"] if k == fault else False)
@@ -170,14 +163,12 @@ def test_what_the_run_has_lost_stays_lost() -> None:
 
 
 def test_a_cascade_has_an_analysis_too() -> None:
-    """Of the thrusters that its second QP commands: without one of them the calm is held, and a
-    force that takes them all is not."""
     case = load_scenario("thrusters_cascade")
-    assert case.commanded is not None
-    thrusters = case.commanded.thrusters
+    assert case.controller.commanded is not None
+    thrusters = case.controller.commanded.thrusters
     tau = np.array([np.zeros(3), [1e9, 0.0, 0.0]])
     for group in thrusters.groups:
-        sequence = consequence_sequence(case, tau, group)
+        sequence = build_consequence_sequence(case, tau, group)
         assert sequence.base.n == thrusters.n_f
         kinds = [certify(sequence.problem(k)).kind == "infeasible" for k in range(2)]
         assert kinds == [False, True]
@@ -189,7 +180,6 @@ def suite_of(scenario: str = "thrusters_loss", **keys: Any) -> SuiteFile:
 
 
 def test_each_group_is_a_cell_of_its_own_beside_one_loop() -> None:
-    """Three sequences, one file; the harness's own configurations take no part."""
     suite = suite_of(first=100, steps=50)
     suite = suite.model_copy(update={"calibration": True})
     cells = [planned.cell for planned in plan(suite)]
@@ -200,55 +190,16 @@ def test_each_group_is_a_cell_of_its_own_beside_one_loop() -> None:
     (loop,) = plan(
         suite_of().model_copy(update={"replay": [ReplayTable(scenario="thrusters_loss")]})
     )
-    keys = {source_key(cell, "1") for cell in (*cells, loop.cell)}
+    keys = {cell.source_key("1") for cell in (*cells, loop.cell)}
     assert len(keys) == 1 and loop.cell.sequence == "thrusters_loss"
     assert all(Cell.from_json(cell.to_json()) == cell for cell in cells)
 
 
 def test_what_has_no_consequence_analysis_is_refused_in_one_line() -> None:
-    """A controller of forces, and QPs in N: both name the key."""
     with pytest.raises(InputError, match=r"consequence analysis of paper: controller\.kind"):
         plan(suite_of("paper"))
     with pytest.raises(InputError, match="units"):
         plan(suite_of(units=["si"]))
-
-
-SUITE = """
-title = "Before and after the loss of a switchboard"
-baseline_law = false
-rounds = 1
-warmup_steps = 2
-cell_limit_s = 60.0
-
-[[replay]]
-scenario = "thrusters_loss"
-consequence = true
-first = 296
-steps = 8
-routes = ["native"]
-policies = ["reuse"]
-"""
-
-
-@pytest.mark.slow
-def test_a_suite_runs_and_resumes_it(tmp_path: Path) -> None:
-    """Each group's optimum or proof stands in its rows; nothing runs twice."""
-    path = tmp_path / "loss.toml"
-    path.write_text(SUITE, encoding="utf-8")
-    out = run_campaign(path, tmp_path / "out", solvers=["quadprog", "piqp"])
-    runs = load_results(out).runs
-    assert (runs["outcome"] == "finished").all() and len(runs) == 6
-    assert runs["N_p"].isna().all() and (runs["n"] == 8).all()
-    assert set(runs["scenario"]) == {"thrusters_loss"}
-    empty = runs.groupby("sequence")["infeasible_steps"].unique().map(set)
-    wanted = {"board A": {0}, "board B": {4}, "bow azimuth": {4}}
-    assert {key: empty[f"thrusters_loss[296:304], {key} lost"] for key in wanted} == wanted
-    assert (runs["true_share"] == 1.0).all()
-    steps = load_results(out).steps
-    np.testing.assert_allclose(sorted(set(steps["t_s"])), 0.3 * np.arange(296, 304))
-    written = sorted(path.stat().st_mtime_ns for path in out.glob("*.*"))
-    run_campaign(path, out, solvers=["quadprog", "piqp"])
-    assert written == sorted(path.stat().st_mtime_ns for path in out.glob("*.*"))
 
 
 def test_the_window_of_a_cell_is_that_of_the_run(tmp_path: Path) -> None:
@@ -258,8 +209,8 @@ def test_the_window_of_a_cell_is_that_of_the_run(tmp_path: Path) -> None:
     exact.save(tmp_path / "loop.npz")
     cells = [planned.cell for planned in plan(suite_of("thrusters", first=3, steps=5))]
     for cell, group in zip(cells, GROUPS, strict=True):
-        found = replayed(cell, tmp_path / "loop.npz")
-        whole = consequence_sequence(case, exact.tau, group)
+        found = read_replay(cell, tmp_path / "loop.npz")
+        whole = build_consequence_sequence(case, exact.tau, group)
         np.testing.assert_array_equal(found.sequence.l, whole.l[3:8])
         np.testing.assert_array_equal(found.sequence.base.u, whole.u[3])
         assert (found.sequence.name, found.sample_s) == (cell.sequence, 0.3)

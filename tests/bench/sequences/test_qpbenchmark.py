@@ -1,7 +1,5 @@
 """A test set for qpbenchmark: it runs as it is, and its residuals are ours."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path
@@ -14,11 +12,12 @@ import pytest
 from dpbench import InputError, Solution, Status, load_scenario, residuals
 from dpbench.bench.sequences.export import export
 from dpbench.bench.sequences.qpbenchmark_files import save_qpbenchmark
-from dpbench.bench.sequences.recording import record
-from dpbench.bench.sequences.sequence_file import Recorded, certified, load_recorded
+from dpbench.bench.sequences.recording import record_scenario
+from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.qp.random_sequence import random_sequence
+from dpbench.qp.referee.referee import certify_sequence
 
 SOLVERS = ("daqp", "osqp")
 RTOL = 1e-9
@@ -39,7 +38,7 @@ def mixed() -> Recorded:
     lb, ub = np.array([-1.0, -np.inf, -0.5, -1.0]), np.array([1.0, 2.0, np.inf, 0.5])
     base = QuadraticProgram(L @ L.T + np.eye(n), q[0], A, low[0], high[0], lb, ub)
     sequence = QPSequence("mixed", base, q, low, high)
-    return Recorded(sequence, certified(sequence))
+    return Recorded(sequence, certify_sequence(sequence))
 
 
 def two_sided(qp: QuadraticProgram, answer: Any) -> Solution:
@@ -67,12 +66,8 @@ def qpbenchmark() -> Any:
 @pytest.mark.filterwarnings("ignore:The default value of raise_error:PendingDeprecationWarning")
 @pytest.mark.parametrize("kind", ["paper_tight", "mixed"])
 def test_residuals_agree_row_by_row(kind: str, qpbenchmark: Any, tmp_path: Path) -> None:
-    """The same answers, judged there in its form and here in ours.
-
-    Its duality gap is |primal − dual objective|; ours is an upper bound of it.
-    """
     tight = kind == "paper_tight"
-    recorded = record(load_scenario(kind), steps=24, every=3) if tight else mixed()
+    recorded = record_scenario(load_scenario(kind), steps=24, every=3) if tight else mixed()
     _, code = save_qpbenchmark(tmp_path / "dp_set.py", recorded)
     kept: dict[tuple[str, str], Any] = {}
 
@@ -125,7 +120,6 @@ def test_its_command_runs_the_set_as_it_is(qpbenchmark: Any, tmp_path: Path) -> 
 
 
 def test_the_table_holds_the_problems(tmp_path: Path) -> None:
-    """Read by pandas alone, each row has the optimum of the file with the QPs for its optimum."""
     recorded = mixed()
     table, _ = save_qpbenchmark(tmp_path / "dp_set.parquet", recorded)
     frame = pd.read_parquet(table)
@@ -141,10 +135,11 @@ def test_the_table_holds_the_problems(tmp_path: Path) -> None:
 
 
 def test_steps_without_an_optimum_are_left_out(tmp_path: Path) -> None:
-    """An infeasible step is no problem of a benchmark that knows solved and failed only."""
     recipe = RandomRecipe("infeasible_steps", 4, 6, 1, steps=6)
     sequence = random_sequence(recipe)
-    table, _ = save_qpbenchmark(tmp_path / "some.py", Recorded(sequence, certified(sequence)))
+    table, _ = save_qpbenchmark(
+        tmp_path / "some.py", Recorded(sequence, certify_sequence(sequence))
+    )
     # Every third step of this family contradicts itself.
     names = pd.read_parquet(table)["name"].tolist()
     assert [name.rpartition("_")[2] for name in names] == ["0", "1", "3", "4"]
@@ -152,7 +147,6 @@ def test_steps_without_an_optimum_are_left_out(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["two words.py", "json.py", "numpy", "9lives.py", "dp.npz"])
 def test_a_name_that_cannot_be_imported_is_refused(name: str, tmp_path: Path) -> None:
-    """qpbenchmark imports the file by its stem."""
     with pytest.raises(InputError, match="--out"):
         save_qpbenchmark(tmp_path / name, mixed())
     assert not list(tmp_path.iterdir())

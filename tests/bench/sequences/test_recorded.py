@@ -1,7 +1,5 @@
 """What others recorded: a folder of problems by qpsolvers, or our own file, through the solvers."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -13,14 +11,14 @@ from qpsolvers import Problem
 from scipy.sparse import csc_matrix
 
 from dpbench import InputError, load_results, load_scenario, run_campaign, save_sequence
-from dpbench.bench.plan.cells import NOT_STRICT
+from dpbench.bench.plan.cells import SEMIDEFINITE_REFUSAL
 from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import RecordedTable, SuiteFile, sequence_suite
+from dpbench.bench.plan.suite import RecordedTable, SuiteFile, build_sequence_suite
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.sequences.qpsolvers_files import read_folder
-from dpbench.bench.sequences.recording import record
-from dpbench.bench.sequences.sequence_file import certified
+from dpbench.bench.sequences.qpsolvers_files import read_problems
+from dpbench.bench.sequences.recording import record_scenario
 from dpbench.cli.main import main
+from dpbench.qp.referee.referee import certify_sequence
 from dpbench.report.write import write_report
 
 TARGETS = {2: -0.75, 10: -0.5, 11: 2.0}
@@ -60,39 +58,37 @@ def folder(tmp_path: Path) -> Path:
 
 def test_files_come_in_natural_order_with_the_optima_of_a_hand_calculation(folder: Path) -> None:
     """Equality rows, a singular P and a fixed variable are read, certified, and 2 is before 10."""
-    sequence = read_folder(folder)
+    sequence = read_problems(folder)
     assert (sequence.name, len(sequence), sequence.P, sequence.lb) == ("robot", 3, None, None)
     assert sequence.base.l.tolist() == [-np.inf, 3.0]
     assert sequence.q[:, 0].tolist() == [0.75, 0.5, -2.0]
-    for found, a in zip(certified(sequence), TARGETS.values(), strict=True):
+    for found, a in zip(certify_sequence(sequence), TARGETS.values(), strict=True):
         assert found.bound < 1e-9
         np.testing.assert_allclose(found.z, optimum(a), atol=1e-9)
 
 
 def test_what_changes_between_files_stands_per_step(folder: Path) -> None:
-    """A matrix or a bound that one file has otherwise is kept for every step."""
     other = hand_made(0.5)
     other.P, other.ub = 2.0 * other.P, np.array([9.0, 8.0, 0.5])
     other.save(str(folder / "step_10.npz"))
-    sequence = read_folder(folder)
+    sequence = read_problems(folder)
     assert sequence.P is not None and sequence.ub is not None and sequence.A is None
     assert sequence.P[:, 0, 0].tolist() == [1.0, 2.0, 1.0]
     assert sequence.ub[:, 1].tolist() == [9.0, 8.0, 9.0]
     # With x₀² instead of ½x₀² the minimum is at (a + 1)/2.
-    np.testing.assert_allclose(certified(sequence)[1].z, [0.75, 2.25, 0.5], atol=1e-9)
+    np.testing.assert_allclose(certify_sequence(sequence)[1].z, [0.75, 2.25, 0.5], atol=1e-9)
 
 
 def test_a_problem_without_rows_or_bounds_is_read(tmp_path: Path) -> None:
-    """What qpsolvers saves as None is absent; a single row may be a vector."""
     Problem(np.eye(2), np.array([1.0, -2.0])).save(str(tmp_path / "0.npz"))
-    sequence = read_folder(tmp_path)
+    sequence = read_problems(tmp_path)
     assert sequence.base.m == 0 and np.isinf(sequence.base.lb).all()
-    np.testing.assert_allclose(certified(sequence)[0].z, [-1.0, 2.0], atol=1e-12)
+    np.testing.assert_allclose(certify_sequence(sequence)[0].z, [-1.0, 2.0], atol=1e-12)
     G, h = np.array([1.0, 1.0]), np.array([0.0])
     Problem(np.eye(2), np.array([1.0, -2.0]), G, h).save(str(tmp_path / "0.npz"))
-    sequence = read_folder(tmp_path)
+    sequence = read_problems(tmp_path)
     assert sequence.base.m == 1
-    np.testing.assert_allclose(certified(sequence)[0].z, [-1.5, 1.5], atol=1e-12)
+    np.testing.assert_allclose(certify_sequence(sequence)[0].z, [-1.5, 1.5], atol=1e-12)
 
 
 Arrays = dict[str, Any]
@@ -126,12 +122,11 @@ def put(name: str, value: object) -> Callable[[Arrays], Arrays]:
 def test_a_bad_problem_is_one_line(
     change: Callable[[Arrays], Arrays], parts: list[str], folder: Path
 ) -> None:
-    """The line names the file among its neighbours, the array, what was found and is allowed."""
     with np.load(folder / "step_10.npz", allow_pickle=False) as data:
         arrays = {name: data[name] for name in data.files}
     np.savez(folder / "step_10.npz", **change(arrays))
     with pytest.raises(InputError) as caught:
-        read_folder(folder)
+        read_problems(folder)
     message = str(caught.value)
     assert "\n" not in message
     assert all(part in message for part in ["step_10.npz", *parts]), message
@@ -146,7 +141,7 @@ def test_a_folder_runs_through_the_solvers(folder: Path, tmp_path: Path) -> None
     assert set(runs["sequence"]) == {"robot"} and set(runs["scenario"]) == {""}
     refused = runs[runs["solver"] == "quadprog"]
     assert set(refused["outcome"]) == {"refused"}
-    assert set(refused["outcome_detail"]) == {NOT_STRICT}
+    assert set(refused["outcome_detail"]) == {SEMIDEFINITE_REFUSAL}
     tight = runs[(runs["solver"] == "clarabel") & (runs["settings"] == "high")].iloc[0]
     assert (tight["outcome"], tight["steps_done"], tight["uncertified"]) == ("finished", 3, 0)
     assert tight["error_move_max"] < 1e-6 and tight["claimed_not_true"] == 0
@@ -159,7 +154,6 @@ def test_a_folder_runs_through_the_solvers(folder: Path, tmp_path: Path) -> None
 def test_our_own_file_runs_from_the_command_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exported, thinned and replayed; its times are those of the run, its matrices of each step."""
     monkeypatch.chdir(tmp_path)
     arguments = ["export", "turn", "--steps", "13", "--every", "4", "--horizons", "20/4"]
     assert main([*arguments, "--out", "turn.npz"]) == 0
@@ -173,12 +167,15 @@ def test_our_own_file_runs_from_the_command_line(
     np.testing.assert_allclose(sorted(set(results.steps["t_s"])), sample_s * np.arange(0, 13, 4))
     cell = json.loads(results.runs["cell"].iloc[0])
     assert cell["source"]["path"] == "turn.npz"
+    assert main(["run", "--sequence", "papr-60-10"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "allowed: paper-60-10" in said
 
 
 @pytest.mark.slow
 def test_a_lie_in_a_file_is_not_believed(tmp_path: Path) -> None:
     """Optima that a file claims with a bound of 0 are certified again by whoever replays it."""
-    recorded = record(load_scenario("paper"), steps=3)
+    recorded = record_scenario(load_scenario("paper"), steps=3)
     assert recorded.optima is not None
     false = [type(o)(o.z + 1.0, o.y, o.y_box, 0.0, o.kind) for o in recorded.optima]
     save_sequence(tmp_path / "false.npz", recorded.sequence, false)
@@ -187,18 +184,16 @@ def test_a_lie_in_a_file_is_not_believed(tmp_path: Path) -> None:
 
 
 def test_a_file_changed_since_the_cell_was_planned_is_another(folder: Path) -> None:
-    """The cell holds the digest of what it was planned with, so its key changes with the file."""
-    suite = sequence_suite(folder)
+    suite = build_sequence_suite(folder)
     before = plan(suite, solvers=["daqp"])[0].cell
     assert Cell.from_json(before.to_json()).to_json() == before.to_json()
     hand_made(3.0).save(str(folder / "step_11.npz"))
     after = plan(suite, solvers=["daqp"])[0].cell
-    assert before.source["sha256"] != after.source["sha256"]
+    assert before.source != after.source
     assert before.problem_key != after.problem_key
 
 
 def test_a_suite_names_a_sequence_beside_it(folder: Path) -> None:
-    """A relative path is that of the suite's folder; two sequences of one name are refused."""
     suite = SuiteFile(title="x", solvers=["daqp"], recorded=[RecordedTable(sequence="robot")])
     (planned,) = plan(suite, beside=folder.parent)
     assert (planned.cell.sequence, planned.cell.steps) == ("robot", 3)

@@ -1,13 +1,12 @@
 """What a solver does to its process is charged to it; what befalls the harness is `lost`."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+import tempfile
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -17,30 +16,28 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.campaign import Campaign
-from dpbench.bench.engines.local import LocalEngine
+from dpbench.bench.engines.dispatcher import Dispatcher
+from dpbench.bench.progress import Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell
-from dpbench.bench.record.cell_store import CellStore, Journal
-from dpbench.bench.record.raw_log import RawLog, is_whole, replay_layout
-from dpbench.bench.record.result_folder import accidents
-from dpbench.bench.sequences.source import is_sound, source_key, source_of
+from dpbench.bench.record.cell_store import CellStore
+from dpbench.bench.record.raw_log import RawLog, is_writable_log, replay_layout
+from dpbench.bench.record.result_folder import read_accidents
+from dpbench.bench.record.step_table import BatchPart
+from dpbench.bench.sequences.source import is_readable, source_file
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.workers import interleaved as interleave
 from dpbench.bench.workers import scratch
-from dpbench.bench.workers.executor import CellJob, Result
+from dpbench.bench.workers.jobs import Result
 from dpbench.cli.main import main
 from dpbench.solvers import plugins
+from tests.bench.deterministic import head
 
 pytestmark = pytest.mark.slow
 
 STEPS = 8
-SUITE = f"""
-title = "A suite for one test"
-solvers = ["quadprog"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 1
-warmup_steps = 0
-
+SUITE = (
+    head(solvers=["quadprog"], rounds=1, warmup_steps=0)
+    + f"""
 [[closed_loop]]
 scenarios = ["paper"]
 steps = {STEPS}
@@ -50,6 +47,7 @@ scenario = "paper"
 steps = {STEPS}
 routes = ["qpsolvers", "native"]
 """
+)
 RANDOM = f"""
 [[random]]
 families = ["no_rows"]
@@ -69,7 +67,7 @@ def suite(tmp_path: Path) -> Path:
 
 def run(suite: Path, out: Path) -> int:
     """Cells that the benchmark lost."""
-    return accidents(run_campaign(suite, out))[0]
+    return read_accidents(run_campaign(suite, out))[0]
 
 
 def outcomes(out: Path) -> list[str]:
@@ -99,8 +97,6 @@ def leave(way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit_s: fl
 def test_a_hang_costs_its_step(
     way: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In closed loop, replay and random problems alike the run goes on behind it: an alarm ends
-    what runs Python, and another process takes over from one that has to be killed."""
     monkeypatch.setattr(supervise, "GRACE_S", 0.5)
     results = load_results(leave(way, tmp_path, monkeypatch, limit_s=2.0))
     runs = results.runs
@@ -123,7 +119,6 @@ def test_a_hang_costs_its_step(
 def test_a_solver_that_leaves_is_charged_with_it(
     way: str, outcome: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In closed loop, replay and random problems alike; the steps before it stay."""
     runs = load_results(leave(way, tmp_path, monkeypatch)).runs
     assert len(runs) == 4 and runs["run_id"].is_unique
     assert set(runs["outcome"]) == {outcome}, runs["outcome_detail"].tolist()
@@ -137,9 +132,8 @@ def test_a_solver_that_leaves_is_charged_with_it(
 def test_logs_lie_elsewhere_where_memory_is_short(
     suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The next file system with room takes the logs; it is recorded and no failure."""
     free = {scratch.MEMORY: SHORT}
-    monkeypatch.setattr(scratch, "free_bytes", lambda place: free.get(place, ENOUGH))
+    monkeypatch.setattr(scratch, "count_free_bytes", lambda place: free.get(place, ENOUGH))
     assert run(suite, tmp_path / "out") == 0
     assert outcomes(tmp_path / "out") == ["finished"] * 3
     remarks = load_results(tmp_path / "out").suite["remarks"]
@@ -150,11 +144,10 @@ def test_logs_lie_elsewhere_where_memory_is_short(
 def test_without_room_anywhere_cells_are_lost_until_there_is(
     suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit 1 and one line with cause and remedy; the same command completes every cell later."""
     out = tmp_path / "out"
     command = ["run", str(suite), "--out", str(out)]
     with monkeypatch.context() as patch:
-        patch.setattr(scratch, "free_bytes", lambda place: SHORT)
+        patch.setattr(scratch, "count_free_bytes", lambda place: SHORT)
         assert main(command) == 1
     assert outcomes(out) == ["lost"] * 3
     (line,) = capsys.readouterr().err.strip().splitlines()
@@ -164,21 +157,9 @@ def test_without_room_anywhere_cells_are_lost_until_there_is(
     assert outcomes(out) == ["finished"] * 3
 
 
-def test_fresh_results_that_were_lost_do_not_leave_the_old_ones(
-    suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With --fresh a cell that was lost is not shown with the steps of an earlier time."""
-    out = run_campaign(suite, tmp_path / "out")
-    monkeypatch.setattr(scratch, "free_bytes", lambda place: SHORT)
-    run_campaign(suite, out, fresh=True)
-    results = load_results(out)
-    assert set(results.runs["outcome"]) == {"lost"} and results.steps.empty
-
-
 def test_columns_of_an_earlier_time_do_not_stay_with_a_crash(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A cell that left no steps has none, whatever lies there from before."""
     monkeypatch.setattr(plugins, "_LOADED", {})
     path, module = tmp_path / "tiny.toml", tmp_path / "dying.py"
     path.write_text(SUITE.replace("quadprog", "leaving").split("[[replay]]")[0], encoding="utf-8")
@@ -217,7 +198,6 @@ def open(policy, options):
 def test_a_library_that_dies_when_it_is_let_go_costs_no_cell(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What happens between two cells of one process is charged to neither."""
     monkeypatch.setattr(plugins, "_LOADED", {})
     path, module = tmp_path / "tiny.toml", tmp_path / "parting.py"
     head = SUITE.split("[[closed_loop]]")[0].replace("quadprog", "leaving")
@@ -229,15 +209,13 @@ def test_a_library_that_dies_when_it_is_let_go_costs_no_cell(
 
 
 def test_a_worker_that_died_between_rounds_ends_no_campaign(tmp_path: Path) -> None:
-    """Nobody is at the other end when the next round is asked for: that configuration serves no
-    more."""
     cell = cast(Cell, SimpleNamespace(limit_s=1.0))
     child = supervise.ServingChild(
-        supervise.template_context([]), print, ("bye",), tmp_path, "a", limit_s=1.0
+        supervise.start_forkserver([]), print, ("bye",), tmp_path, "a", limit_s=1.0
     )
     child.process.join()
     worker = interleave.ReplayWorker("a", cell, child)
-    interleave.ReplayGroup(cast(Any, None), tmp_path, tmp_path, []).serve(worker, 1)
+    interleave.ReplayGroup(cast(Any, None), tmp_path, tmp_path, []).run_round(worker, 1)
     assert not worker.serving
 
 
@@ -255,7 +233,6 @@ def mounted(size: str) -> list[str]:
 
 
 def test_a_full_dev_shm_costs_no_cell(suite: Path, tmp_path: Path) -> None:
-    """Under a real /dev/shm of 1 MB every cell finishes, and the command says where logs lay."""
     out = tmp_path / "out"
     command = [sys.executable, "-m", "dpbench", "run", str(suite), "--out", str(out)]
     done = subprocess.run([*mounted("1m"), *command], capture_output=True, text=True, check=False)
@@ -268,11 +245,10 @@ FILLED = """
 import sys
 from pathlib import Path
 from dpbench.bench.workers import scratch
-from dpbench.bench.workers.executor import CellJob, Result
 from dpbench.cli.main import main
 # The room was there when it was looked for, and is gone when a worker comes for it.
 Path("/dev/shm/filling").write_bytes(bytes(2**20))
-scratch.free_bytes = lambda place: 10**9
+scratch.count_free_bytes = lambda place: 10**9
 raise SystemExit(main(sys.argv[1:]))
 """
 
@@ -280,7 +256,6 @@ raise SystemExit(main(sys.argv[1:]))
 def test_a_disk_that_fills_meanwhile_loses_cells_and_blames_nobody(
     suite: Path, tmp_path: Path
 ) -> None:
-    """ENOSPC in a worker is `lost` with the system's words, and the same command completes all."""
     out = tmp_path / "out"
     command = [sys.executable, "-c", FILLED, "run", str(suite), "--out", str(out)]
     done = subprocess.run([*mounted("1m"), *command], capture_output=True, text=True, check=False)
@@ -292,17 +267,11 @@ def test_a_disk_that_fills_meanwhile_loses_cells_and_blames_nobody(
     assert outcomes(out) == ["finished"] * 3
 
 
-class _Remover:
+class _Remover(Silent):
     """A person who tidies up in the midst of a replay."""
 
     def __init__(self, place: Path) -> None:
         self._place = place
-
-    def start(self, work: int) -> None:
-        """Nothing yet."""
-
-    def remark(self, text: str) -> None:
-        """Nothing to say."""
 
     def advance(self, work: int, what: str) -> None:
         if what == "replay paper, round 0":
@@ -313,7 +282,6 @@ class _Remover:
 def test_a_scratch_folder_that_is_removed_costs_only_what_was_in_it(
     suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The cells in flight are lost, those before and after it are not; the next run has all."""
     memory, out = tmp_path / "memory", tmp_path / "out"
     memory.mkdir()
     monkeypatch.setattr(scratch, "MEMORY", memory)
@@ -322,7 +290,7 @@ def test_a_scratch_folder_that_is_removed_costs_only_what_was_in_it(
     runs = load_results(out).runs
     lost = (runs["mode"] == "replay") & (runs["scenario"] != "")
     assert runs["outcome"].tolist() == ["lost" if gone else "finished" for gone in lost]
-    assert accidents(out)[0] == lost.sum() == 2
+    assert read_accidents(out)[0] == lost.sum() == 2
     kept = runs.loc[~lost, "raw_max_ns"].tolist()
     assert run(suite, out) == 0
     assert set(outcomes(out)) == {"finished"}
@@ -367,22 +335,20 @@ def copied(finished: Path, tmp_path: Path) -> Path:
 def made_source(out: Path) -> tuple[Cell, Path]:
     """A cell of a result folder, and the exactly solved loop behind it, as while it is needed."""
     cell = Cell.from_json(load_results(out).runs["cell"].iloc[0])
-    path = out / "cells" / f"exact-{source_key(cell, HARNESS_VERSION)}.npz"
-    source_of(cell).make(path)
+    path = out / "cells" / f"exact-{cell.source_key(HARNESS_VERSION)}.npz"
+    source_file(cell).make(path)
     return cell, path
 
 
 @pytest.mark.parametrize("damage", sorted(DAMAGE))
 def test_damage_of_a_source_is_seen(damage: str, copied: Path) -> None:
-    """Whatever became of the exactly solved loop, reading all of it tells."""
     cell, source = made_source(copied / "out")
-    assert is_sound(cell, source)
+    assert is_readable(cell, source)
     DAMAGE[damage](source)
-    assert not is_sound(cell, source)
+    assert not is_readable(cell, source)
 
 
 def test_a_damaged_source_is_made_anew(copied: Path) -> None:
-    """The exactly solved loop behind the cells is found damaged before anybody needs it."""
     out = copied / "out"
     _, source = made_source(out)
     DAMAGE["truncated"](source)
@@ -396,18 +362,17 @@ def test_a_damaged_source_is_made_anew(copied: Path) -> None:
 def test_a_source_damaged_after_it_was_looked_at(
     times: int, copied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its cells run again with a new one, once; if that is damaged too, they are lost."""
-    out, left, made = copied / "out", [times], LocalEngine._make_sources
+    out, left, take = copied / "out", [times], Dispatcher._record_sources
     forget_cells(out)
 
-    def damaged(self: LocalEngine, jobs: list[CellJob]) -> Iterator[Result]:
-        yield from made(self, jobs)
+    def damaged(self: Dispatcher, results: Sequence[Result]) -> None:
+        take(self, results)
         for path in (out / "cells").glob("exact-*.npz") if left[0] > 0 else ():
             DAMAGE["flipped"](path)
         left[0] -= 1
 
     with monkeypatch.context() as patch:
-        patch.setattr(LocalEngine, "_make_sources", damaged)
+        patch.setattr(Dispatcher, "_record_sources", damaged)
         assert run(copied / "tiny.toml", out) == times - 1
     assert outcomes(out) == [["finished", "lost"][times - 1], "finished", "finished"]
     assert run(copied / "tiny.toml", out) == 0
@@ -417,7 +382,6 @@ def test_a_source_damaged_after_it_was_looked_at(
 @pytest.mark.parametrize("table", ["runs", "steps"])
 @pytest.mark.parametrize("damage", sorted(DAMAGE))
 def test_a_cell_with_damage_is_not_finished(table: str, damage: str, copied: Path) -> None:
-    """Nothing of it is relied on, whichever of the two tables is damaged."""
     out = copied / "out"
     run_ids = set(load_results(out).runs["run_id"])
     assert CellStore(out).finished == dict.fromkeys(run_ids, "finished")
@@ -432,7 +396,6 @@ def test_a_cell_with_damage_is_not_finished(table: str, damage: str, copied: Pat
 
 @pytest.mark.parametrize("outcome", ["splendid", "lost"])
 def test_an_outcome_nobody_knows_is_none(outcome: str, copied: Path) -> None:
-    """What stands in a table is believed only where it is an outcome of a finished cell."""
     path = copied / "out" / "runs.parquet"
     pd.read_parquet(path).assign(outcome=outcome).to_parquet(path)
     assert CellStore(copied / "out").finished == {}
@@ -440,7 +403,6 @@ def test_an_outcome_nobody_knows_is_none(outcome: str, copied: Path) -> None:
 
 @pytest.mark.parametrize("table", ["runs", "steps"])
 def test_damaged_cells_run_again(table: str, copied: Path) -> None:
-    """They are finished then with all their steps."""
     out = copied / "out"
     before = load_results(out).runs
     DAMAGE["truncated"](out / f"{table}.parquet")
@@ -450,62 +412,69 @@ def test_damaged_cells_run_again(table: str, copied: Path) -> None:
     assert not (before["raw_max_ns"] == after["raw_max_ns"]).any()
 
 
-def test_records_damaged_while_the_campaign_runs_are_lost(
+def test_parts_damaged_while_the_campaign_runs_are_lost(
     copied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A finished cell without its record is no finished one; the next run has it again."""
-    out, write = copied / "out", Campaign.write
+    out, write = copied / "out", Campaign.write_results
     forget_cells(out)
 
     def late(self: Campaign, *rest: object) -> None:
-        DAMAGE["truncated"](out / "cells" / "open.cells")
+        DAMAGE["truncated"](self.store.parts[-1].steps)
         write(self, *rest)  # type: ignore[arg-type] # passed on
 
     with monkeypatch.context() as patch:
-        patch.setattr(Campaign, "write", late)
+        patch.setattr(Campaign, "write_results", late)
         lost = run(copied / "tiny.toml", out)
     assert 1 <= lost <= 2 and outcomes(out) == ["finished"] * (3 - lost) + ["lost"] * lost
     assert run(copied / "tiny.toml", out) == 0
     assert outcomes(out) == ["finished"] * 3
 
 
+def test_a_finished_campaign_removes_folders_of_killed_ones(
+    copied: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Killed behind its last cell, a run leaves a folder to the next, which has nothing to run."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    left = tmp_path / "dpbench-scratch-killed"
+    (left / "sockets").mkdir(parents=True)
+    assert run(copied / "tiny.toml", copied / "out") == 0
+    assert not left.exists()
+
+
 def test_a_referee_that_fails_loses_the_cell(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In closed loop and replay alike; a folder in a file's place stands for any failure."""
-    out, where = copied / "out", scratch.Scratch.folder
-    failing = load_results(out).runs["run_id"].iloc[[0, 2]]
+    out, where = copied / "out", scratch.Scratch.choose_folder
+    failing = load_results(out).runs["run_id"].iloc[0]
     forget_cells(out)
 
     def spoilt(self: scratch.Scratch, *rest: Any) -> Path:
         folder = where(self, *rest)
-        for run_id in failing:
-            (folder / f"{run_id}.judged").mkdir(exist_ok=True)
+        (folder / f"{failing}.judged").mkdir(exist_ok=True)
         return folder
 
     with monkeypatch.context() as patch:
-        patch.setattr(scratch.Scratch, "folder", spoilt)
-        assert run(copied / "tiny.toml", out) == 2
-    assert outcomes(out) == ["lost", "finished", "lost"]
-    details = load_results(out).runs["outcome_detail"]
-    assert details.iloc[[0, 2]].str.startswith("the referee failed on it: IsADirectoryError").all()
+        patch.setattr(scratch.Scratch, "choose_folder", spoilt)
+        assert run(copied / "tiny.toml", out) == 1
+    assert outcomes(out) == ["lost", "finished", "finished"]
+    detail = load_results(out).runs["outcome_detail"].iloc[0]
+    assert detail.startswith("the referee failed on it: IsADirectoryError")
     assert run(copied / "tiny.toml", out) == 0
     assert outcomes(out) == ["finished"] * 3
 
 
-def test_without_room_for_its_record_a_cell_is_lost(
+def test_without_room_for_its_part_a_cell_is_lost(
     suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The disk of the results is full for one cell: those before and after it are kept."""
-    out, append = tmp_path / "out", Journal.append
+    out, add = tmp_path / "out", CellStore.add_part
 
-    def full(self: Journal, record: bytes) -> None:
-        if self.size and not lost:
-            lost.append(self.size)
+    def full(self: CellStore, part: BatchPart) -> None:
+        refused.add(part.data)
+        if len(refused) == 1:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        append(self, record)
+        add(self, part)
 
-    lost: list[int] = []
+    refused: set[bytes] = set()
     with monkeypatch.context() as patch:
-        patch.setattr(Journal, "append", full)
+        patch.setattr(CellStore, "add_part", full)
         assert run(suite, out) == 1
     runs = load_results(out).runs
     assert sorted(runs["outcome"]) == ["finished", "finished", "lost"]
@@ -514,13 +483,12 @@ def test_without_room_for_its_record_a_cell_is_lost(
 
 
 def test_a_log_has_its_room_or_is_none(tmp_path: Path) -> None:
-    """All blocks of a new log are there; one that was cut is not whole; a failure leaves none."""
     path = tmp_path / "a.raw"
     RawLog.create(path, replay_layout(1, 50, 3, 3))
     size = path.stat().st_size
-    assert 512 * path.stat().st_blocks >= size and is_whole(path)
+    assert 512 * path.stat().st_blocks >= size and is_writable_log(path)
     os.truncate(path, size - 1)
-    assert not is_whole(path)
+    assert not is_writable_log(path)
     with pytest.raises(OSError, match=r"."):
         RawLog.create(
             tmp_path / "b.raw", replay_layout(2**20, 2**20, 8, 8) | {"done": ("i8", (1,))}

@@ -1,11 +1,9 @@
 """A plug-in that harms what is around it costs its own cells alone, and leaves nothing."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys
-import time
+from dataclasses import replace
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
@@ -15,31 +13,27 @@ import pytest
 from dpbench import load_results, run_campaign
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.workers import child as supervise
-from dpbench.bench.workers.child import ENDED_TEMPLATE, Child, template_context
-from dpbench.bench.workers.notice import CUT, OUTPUT_BYTES
-from dpbench.bench.workers.orphans import children_of
+from dpbench.bench.workers.child import KILLED_FORKSERVER, Child, start_forkserver
+from dpbench.bench.workers.orphans import list_children
+from dpbench.bench.workers.shared_status import CUT, OUTPUT_BYTES
 from dpbench.solvers import plugins
+from tests.bench.deterministic import head, wait_until
 from tests.processes import is_running
 
 HOSTILE = Path(__file__).parents[1] / "hostile_plugin.py"
-SUITE = """
-title = "A suite for one test"
-solvers = ["hostile", "quadprog"]
-baseline_law = false
-cell_limit_s = 60.0
-cell_memory_gb = 0.3
-rounds = 1
-warmup_steps = 0
-
+SUITE = (
+    head(solvers=["hostile", "quadprog"], cell_memory_gb=0.3, rounds=1, warmup_steps=0)
+    + """
 [[random]]
 families = ["no_rows"]
 sizes = [{sizes}]
 steps = 3
 """
+)
 SOLVER = """
 import os, signal, subprocess, time
-from dpbench.bench.workers.notice import AtWork, post
-post(AtWork.SOLVER)
+from dpbench.bench.workers.shared_status import Phase, set_phase
+set_phase(Phase.SOLVER)
 """
 """The head of a process in which the solver is at work."""
 DAEMON = """
@@ -58,7 +52,7 @@ while not os.path.exists(NUMBER) or not open(NUMBER).read():
 
 @pytest.fixture
 def context() -> ForkServerContext:
-    return template_context([])
+    return start_forkserver([])
 
 
 def run(tmp_path: Path, *sizes: int) -> dict[tuple[str, int], Outcome]:
@@ -83,7 +77,6 @@ def run(tmp_path: Path, *sizes: int) -> dict[tuple[str, int], Outcome]:
 
 @pytest.mark.slow
 def test_output_is_cut_and_said(tmp_path: Path) -> None:
-    """A flood costs no other cell, and not even its own; one without output has no such words."""
     became = run(tmp_path, 7, 20)
     assert (became["hostile", 7].outcome, became["hostile", 7].detail) == ("finished", CUT)
     assert became["hostile", 20].detail == ""
@@ -91,7 +84,6 @@ def test_output_is_cut_and_said(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_hog_ends_at_its_limit_with_its_peak(tmp_path: Path) -> None:
-    """It is charged with it, in words; the peak stands in the row, and no other cell is lost."""
     became = run(tmp_path, 6, 20)
     hog, modest = became["hostile", 6], became["hostile", 20]
     assert hog.outcome == "crashed", hog.detail
@@ -102,17 +94,15 @@ def test_a_hog_ends_at_its_limit_with_its_peak(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_who_ends_the_template_is_found_and_pays(tmp_path: Path) -> None:
-    """The fork server and its keeper alike, beside cells of others that run meanwhile."""
     became = run(tmp_path, 11, 12, 20)
     for n in (11, 12):
         found = became["hostile", n]
-        assert (found.outcome, found.detail) == (ENDED_TEMPLATE.outcome, ENDED_TEMPLATE.detail)
+        assert replace(found, peak_bytes=None) == KILLED_FORKSERVER
     assert became["hostile", 20].outcome == "finished"
 
 
 @pytest.mark.slow
 def test_stopping_the_template_costs_nothing(tmp_path: Path) -> None:
-    """It goes on, and so does its keeper."""
     became = run(tmp_path, 13, 14)
     assert {found.outcome for found in became.values()} == {"finished"}
 
@@ -121,25 +111,20 @@ def test_stopping_the_template_costs_nothing(tmp_path: Path) -> None:
 def test_a_daemon_ends_with_its_worker(
     end: str, context: ForkServerContext, tmp_path: Path
 ) -> None:
-    """However its worker ends, a process that left its session and its parent ends too."""
     number = tmp_path / "number"
     code = SOLVER + f"NUMBER = {str(number)!r}\n" + DAEMON + end
     child = Child(context, exec, (code,), tmp_path, "cell", limit_s=5.0)
     child.join()
-    deadline = time.monotonic() + 20.0
     # Where the fork server ended, the keeper ends it, by itself.
-    while is_running(int(number.read_text())):
-        assert time.monotonic() < deadline, "it lives"
-        time.sleep(0.01)
+    wait_until(lambda: not is_running(int(number.read_text())), "it lives")
 
 
 def test_all_end_with_the_main_program(tmp_path: Path) -> None:
-    """A program that is killed leaves no keeper, no fork server and no worker."""
     program = (
         "import sys, time\n"
         "from pathlib import Path\n"
-        "from dpbench.bench.workers.child import Child, template_context\n"
-        "child = Child(template_context([]), time.sleep, (600.0,), Path(sys.argv[1]), 'cell',"
+        "from dpbench.bench.workers.child import Child, start_forkserver\n"
+        "child = Child(start_forkserver([]), time.sleep, (600.0,), Path(sys.argv[1]), 'cell',"
         " limit_s=None)\n"
         "print('ready', flush=True)\n"
         "time.sleep(600.0)\n"
@@ -159,41 +144,32 @@ def test_all_end_with_the_main_program(tmp_path: Path) -> None:
 def test_a_stopped_worker_is_given_up(
     context: ForkServerContext, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """After the stated time, whether it has a limit or not."""
     monkeypatch.setattr(supervise, "STOPPED_S", 0.2)
     code = SOLVER + "os.kill(os.getpid(), signal.SIGSTOP)"
     child = Child(context, exec, (code,), tmp_path, "cell", limit_s=None, logs=False)
-    deadline = time.monotonic() + 20.0
-    while not child.overdue():
-        assert time.monotonic() < deadline, "it is waited for"
-        time.sleep(0.01)
-    found = child.outcome()
+    wait_until(child.kill_if_overdue, "it is waited for")
+    found = child.determine_outcome()
     assert found.outcome == "hung" and "stopped by a signal" in found.detail
 
 
 def test_output_of_children_counts(context: ForkServerContext, tmp_path: Path) -> None:
-    """What a process of the solver's prints is cut with its own, at the stated size."""
     code = SOLVER + (
         "subprocess.run(['head', '-c', '9000000', '/dev/zero'], stderr=subprocess.DEVNULL)\n"
         "print('still here', flush=True)\nos._exit(3)"
     )
     child = Child(context, exec, (code,), tmp_path, "cell", limit_s=5.0)
-    assert child.outcome().detail.endswith(CUT)
+    assert child.determine_outcome().detail.endswith(CUT)
     assert child.notice.output.is_full and OUTPUT_BYTES == 2**20
 
 
 def test_the_keeper_has_no_children_but_the_template(
     context: ForkServerContext, tmp_path: Path
 ) -> None:
-    """Workers are below the template, so whatever else the keeper has is an orphan."""
     child = Child(context, exec, (SOLVER + "time.sleep(600.0)",), tmp_path, "cell", limit_s=5.0)
-    deadline = time.monotonic() + 20.0
-    while not child.notice.template:
-        assert time.monotonic() < deadline, "it does not begin"
-        time.sleep(0.01)
+    wait_until(lambda: child.notice.forkserver, "it does not begin")
     notice = child.notice
-    assert children_of(notice.keeper) == [notice.template]
-    assert child.process.pid in children_of(notice.template)
+    assert list_children(notice.keeper) == [notice.forkserver]
+    assert child.process.pid in list_children(notice.forkserver)
     child.kill("seen")
 
 
@@ -216,7 +192,6 @@ open = opener("hostile", solve)
 
 @pytest.mark.slow
 def test_an_exit_in_an_untimed_step_is_a_crash(tmp_path: Path) -> None:
-    """A replay whose allocations are being counted is not `finished` when its process leaves."""
     path, module = tmp_path / "tiny.toml", tmp_path / "mine.py"
     steps = 6
     head = SUITE.split("[[random]]")[0].replace(', "quadprog"', "")
@@ -234,12 +209,12 @@ def test_an_exit_in_an_untimed_step_is_a_crash(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_what_a_cell_started_ends_before_the_next(tmp_path: Path) -> None:
-    """Children and daemons alike, and no cell pays for it."""
     running = set(psutil.pids())
     became = run(tmp_path, 8, 9, 20)
     assert {found.outcome for found in became.values()} == {"finished"}
-    left = []
-    for process in psutil.process_iter(["pid", "cmdline"]):
-        if process.pid not in running and process.info["cmdline"] == ["sleep", "600"]:
-            left.append(process.pid)
+    left = [
+        process.pid
+        for process in psutil.process_iter(["pid", "cmdline"])
+        if process.pid not in running and process.info["cmdline"] == ["sleep", "600"]
+    ]
     assert not any(map(is_running, left))

@@ -1,7 +1,5 @@
 """Ctrl-C: heard once where it must be, held back where a process is not ready for it."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys
@@ -11,11 +9,11 @@ from collections.abc import Iterator
 import pytest
 
 from dpbench.bench.workers.interrupts import (
+    block_sigint,
+    block_terminal_signals,
+    delay_signals,
+    first_signal_only,
     forget_interrupts,
-    interrupts_wait,
-    one_interrupt,
-    signals_wait,
-    terminal_signals_blocked,
 )
 
 # Ctrl-C goes to all processes of a group.
@@ -32,9 +30,8 @@ def listens() -> Iterator[None]:
 
 
 def test_only_the_first_press_is_heard() -> None:
-    """One KeyboardInterrupt, then silence until the block ends, then it is as before."""
     presses = 0
-    with one_interrupt():
+    with first_signal_only():
         for _ in range(3):
             try:
                 signal.raise_signal(signal.SIGINT)
@@ -46,11 +43,10 @@ def test_only_the_first_press_is_heard() -> None:
 
 
 def test_who_listens_already_goes_on_listening() -> None:
-    """A handler of somebody else's stays, and another thread changes nothing."""
     heard: list[int] = []
     before = signal.signal(signal.SIGINT, lambda number, frame: heard.append(number))
     try:
-        with one_interrupt():
+        with first_signal_only():
             signal.raise_signal(signal.SIGINT)
             signal.raise_signal(signal.SIGINT)
     finally:
@@ -59,7 +55,7 @@ def test_who_listens_already_goes_on_listening() -> None:
     found: list[object] = []
 
     def elsewhere() -> None:
-        with one_interrupt():
+        with first_signal_only():
             found.append(signal.getsignal(signal.SIGINT))
 
     thread = threading.Thread(target=elsewhere)
@@ -69,9 +65,8 @@ def test_who_listens_already_goes_on_listening() -> None:
 
 
 def test_a_press_that_waits_is_heard_afterwards() -> None:
-    """It is not lost, only late."""
     reached = False
-    with pytest.raises(KeyboardInterrupt), interrupts_wait():
+    with pytest.raises(KeyboardInterrupt), block_sigint():
         signal.pthread_kill(threading.get_ident(), signal.SIGINT)
         reached = True
     assert reached
@@ -92,15 +87,13 @@ except KeyboardInterrupt:
 
 
 def test_a_process_started_so_drops_what_came_before_it_was_ready() -> None:
-    """Ctrl-C while it loads does nothing; once it listens, it is interrupted like any other."""
-    with interrupts_wait():
+    with block_sigint():
         process = subprocess.Popen([sys.executable, "-c", CHILD], stdout=subprocess.PIPE, text=True)
     said, _ = process.communicate(timeout=60)
     assert (said.split(), process.returncode) == (["loaded", "interrupted"], 0)
 
 
 def test_a_process_that_holds_nothing_back_is_left_alone() -> None:
-    """Where nothing is blocked, nothing changes."""
     handler = signal.getsignal(signal.SIGINT)
     forget_interrupts()
     assert signal.getsignal(signal.SIGINT) is handler
@@ -109,10 +102,9 @@ def test_a_process_that_holds_nothing_back_is_left_alone() -> None:
 
 
 def test_signals_wait_for_what_must_be_whole() -> None:
-    """However often: heard once at the end, and not at all where an exception is on its way."""
     reached = []
     with pytest.raises(KeyboardInterrupt):
-        with signals_wait():
+        with delay_signals():
             for _ in range(2):
                 signal.raise_signal(signal.SIGINT)
             reached.append("end")
@@ -122,15 +114,14 @@ def test_signals_wait_for_what_must_be_whole() -> None:
         try:
             _ = 1 / 0
         finally:
-            with signals_wait():
+            with delay_signals():
                 signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_what_a_terminal_sends_does_not_reach_some_processes() -> None:
-    """One started in the block goes on after Ctrl-C and a hang-up; the block itself hears both."""
     words = "import os, signal; [os.kill(os.getpid(), n) for n in (signal.SIGINT, signal.SIGHUP)]"
-    with terminal_signals_blocked():
+    with block_terminal_signals():
         process = subprocess.Popen([sys.executable, "-c", words])
     assert process.wait() == 0
     with pytest.raises(KeyboardInterrupt):

@@ -1,7 +1,5 @@
 """What campaigns that know nothing of each other share on a machine: its cores, and its quiet."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -15,30 +13,25 @@ import pytest
 from dpbench import load_results, run_campaign
 from dpbench.bench.progress import Silent
 from dpbench.bench.workers import leases
-from dpbench.bench.workers.leases import lease_folder, leased_core
+from dpbench.bench.workers.leases import lease_core, open_lease_folder
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.locks import BusyError
 from dpbench.notebook.runs import run_closed_loop
 from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.open import open_workspace
+from tests.bench.deterministic import head
 
 pytestmark = pytest.mark.slow
 
-HEAD = """
-title = "A suite for one test"
-solvers = ["daqp"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 1
-warmup_steps = 0
-"""
+HEAD = head(rounds=1, warmup_steps=0)
+
 LOOPS = HEAD + '[[closed_loop]]\nscenarios = ["paper"]\nsteps = 5\n'
 REPLAYS = HEAD + '[[replay]]\nscenario = "paper"\nsteps = 5\n'
-OTHERS = "leased_machine({}, Holder('results/other'))"
+OTHERS = "lease_machine({}, Holder('results/other'))"
 HOLDING = """
-from dpbench.bench.workers.leases import leased_core, leased_machine
-from dpbench.locks import ALONE, TOGETHER, Holder
+from dpbench.bench.workers.leases import lease_core, lease_machine
+from dpbench.locks import EXCLUSIVE, SHARED, Holder
 with {lease} as held:
     print(held, flush=True)
     input()
@@ -65,15 +58,14 @@ def temporary_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.alone  # What runs side by side has one core each.
 def test_a_core_is_leased_to_one_process_at_a_time() -> None:
-    """Others get others, as long as there are some; one that is killed gives its core back."""
     cores = sorted(os.sched_getaffinity(0))
-    with holding("leased_core()") as (_, core):
+    with holding("lease_core()") as (_, core):
         taken = int(core)
-        with leased_core() as first, leased_core() as second:
+        with lease_core() as first, lease_core() as second:
             assert taken in cores and (first != taken or len(cores) == 1)
             # More work than cores: one of them has two.
             assert second in cores
-    with leased_core() as core_again:
+    with lease_core() as core_again:
         assert core_again == taken == cores[0]
 
 
@@ -85,7 +77,6 @@ class Remarks(Silent):
         self._other = other
 
     def waiting(self, text: str) -> None:
-        """Keep it, and end the other."""
         self.waits.append(text)
         self._other.kill()
 
@@ -93,16 +84,15 @@ class Remarks(Silent):
 @pytest.mark.parametrize(
     ("lease", "suite", "waits"),
     [
-        ("ALONE", REPLAYS, True),
-        ("TOGETHER", REPLAYS, True),
-        ("ALONE", LOOPS, True),
-        ("TOGETHER", LOOPS, False),
+        ("EXCLUSIVE", REPLAYS, True),
+        ("SHARED", REPLAYS, True),
+        ("EXCLUSIVE", LOOPS, True),
+        ("SHARED", LOOPS, False),
     ],
 )
 def test_replays_are_timed_while_no_other_campaign_runs_cells(
     lease: str, suite: str, waits: bool, tmp_path: Path
 ) -> None:
-    """Who has to wait says so once, and goes on when the other was killed; nobody else waits."""
     (tmp_path / "tiny.toml").write_text(suite, encoding="utf-8")
     with holding(OTHERS.format(lease)) as (other, held):
         assert held == "True"
@@ -118,7 +108,6 @@ def test_replays_are_timed_while_no_other_campaign_runs_cells(
 def test_where_there_are_no_locks_replays_are_not_ranked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nothing is known of others then, and `concurrency` says so."""
     nowhere = SimpleNamespace(gettempdir=lambda: str(tmp_path / "nowhere"))
     monkeypatch.setattr(leases, "tempfile", nowhere)
     (tmp_path / "tiny.toml").write_text(REPLAYS, encoding="utf-8")
@@ -130,10 +119,9 @@ def test_where_there_are_no_locks_replays_are_not_ranked(
 def test_a_wait_ends_where_it_was_asked_to(
     option: str, seconds: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """With 2 and one line that names the other; a wait is said before, `--quiet` or not."""
     (tmp_path / "tiny.toml").write_text(REPLAYS, encoding="utf-8")
     words = ["run", str(tmp_path / "tiny.toml"), "--out", str(tmp_path / "out"), "--quiet"]
-    with holding(OTHERS.format("TOGETHER")) as (other, _):
+    with holding(OTHERS.format("SHARED")) as (other, _):
         assert main([*words, option, *seconds]) == 2
     out, err = capfd.readouterr()
     named = f"process {other.pid} (results/other, since 20"
@@ -145,22 +133,20 @@ def test_a_wait_ends_where_it_was_asked_to(
 def test_nobody_is_waited_for_without_measurements_that_are_kept(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Neither by a dry run nor by a run in this process."""
     (tmp_path / "tiny.toml").write_text(REPLAYS, encoding="utf-8")
-    with holding(OTHERS.format("ALONE")):
+    with holding(OTHERS.format("EXCLUSIVE")):
         assert main(["run", str(tmp_path / "tiny.toml"), "--dry-run", "--quiet"]) == 0
         assert run_closed_loop(load_scenario("paper").first(3), open_workspace("daqp"))
     assert "1 cells to run" in capsys.readouterr().out
 
 
 def test_a_campaign_that_was_killed_is_not_named(tmp_path: Path) -> None:
-    """Only processes that live are; what else lies in the file does no harm."""
     (tmp_path / "tiny.toml").write_text(REPLAYS, encoding="utf-8")
-    with holding(OTHERS.format("TOGETHER")) as (killed, _):
-        named = (lease_folder() / "machine").read_text(encoding="utf-8")
+    with holding(OTHERS.format("SHARED")) as (killed, _):
+        named = (open_lease_folder() / "machine").read_text(encoding="utf-8")
     assert f'"pid": {killed.pid}' in named
-    with holding(OTHERS.format("TOGETHER")) as (other, _):
-        with (lease_folder() / "machine").open("a", encoding="utf-8") as file:
+    with holding(OTHERS.format("SHARED")) as (other, _):
+        with (open_lease_folder() / "machine").open("a", encoding="utf-8") as file:
             file.write('null\n{"pid": 1, "since": 1e99, "work": ""}\n\x00[[[\n')
         with pytest.raises(BusyError) as busy:
             run_campaign(tmp_path / "tiny.toml", tmp_path / "out", wait_s=0.0)
@@ -198,7 +184,6 @@ def _of_another(folder: Path) -> None:
 def test_a_folder_of_leases_that_others_can_write_is_refused(
     make: Callable[[Path], object], fault: str, tmp_path: Path
 ) -> None:
-    """One line that names it, and no result folder."""
     folder = tmp_path / f"dpbench-leases-{os.getuid()}"
     make(folder)
     with pytest.raises(InputError) as refused:

@@ -1,7 +1,5 @@
 """What befalls the harness beside its cells: they are lost or run once more, and blame nobody."""
 
-from __future__ import annotations
-
 import errno
 import os
 from multiprocessing.context import ForkServerProcess
@@ -11,24 +9,19 @@ from typing import Any
 import pytest
 
 from dpbench import load_results, run_campaign
-from dpbench.bench.record.result_folder import accidents
+from dpbench.bench.record.result_folder import read_accidents
 from dpbench.bench.workers import batch, scratch
-from dpbench.bench.workers.child import ENDED_TEMPLATE
+from dpbench.bench.workers.child import KILLED_FORKSERVER
 from dpbench.cli.main import main
 from dpbench.solvers import plugins
+from tests.bench.deterministic import head
 from tests.processes import is_running
 
 pytestmark = pytest.mark.slow
 
 STEPS = 8
-HEAD = """
-title = "A suite for one test"
-solvers = ["quadprog"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 1
-warmup_steps = 0
-"""
+HEAD = head(solvers=["quadprog"], rounds=1, warmup_steps=0)
+
 LOOPS = f"""
 [[closed_loop]]
 scenarios = ["paper"]
@@ -74,8 +67,7 @@ def suite(tmp_path: Path) -> Path:
 def test_what_goes_away_between_judging_and_keeping_is_lost(
     suffixes: tuple[str, ...], suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In closed loop and replay alike; no cell is finished without its steps."""
-    out, split = tmp_path / "out", batch._Run.split
+    out, split = tmp_path / "out", batch._ItemProcess.split_items
 
     def tidied(self: Any) -> Any:
         ended = split(self)
@@ -85,25 +77,25 @@ def test_what_goes_away_between_judging_and_keeping_is_lost(
         return ended
 
     with monkeypatch.context() as patch:
-        patch.setattr(batch._Run, "split", tidied)
-        assert accidents(run_campaign(suite, out, jobs=1))[0] == 3
+        patch.setattr(batch._ItemProcess, "split_items", tidied)
+        assert read_accidents(run_campaign(suite, out, jobs=1))[0] == 3
     runs = load_results(out).runs
     assert set(runs["outcome"]) == {"lost"}
     assert runs["outcome_detail"].str.contains("went away").all()
-    assert accidents(run_campaign(suite, out))[0] == 0
+    assert read_accidents(run_campaign(suite, out))[0] == 0
     assert set(load_results(out).runs["steps_done"]) == {STEPS}
 
 
 def test_rows_of_further_names_are_lost_with_their_cell(
     suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With --fresh no name of a cell that was lost keeps what it was at an earlier time."""
     out = run_campaign(suite, tmp_path / "out")
     runs = load_results(out).runs
     assert len(runs) == 3 and set(runs["outcome"]) == {"finished"}
-    monkeypatch.setattr(scratch, "free_bytes", lambda place: 1000)
+    monkeypatch.setattr(scratch, "count_free_bytes", lambda place: 1000)
     run_campaign(suite, out, fresh=True)
-    assert load_results(out).runs["outcome"].tolist() == ["lost"] * 3
+    results = load_results(out)
+    assert results.runs["outcome"].tolist() == ["lost"] * 3 and results.steps.empty
 
 
 def with_killer(folder: Path, text: str, wait_s: float) -> tuple[Path, dict[str, Any]]:
@@ -119,13 +111,12 @@ def with_killer(folder: Path, text: str, wait_s: float) -> tuple[Path, dict[str,
 def test_cells_whose_template_is_killed_run_once_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From a new one; what takes that along too is charged with it, and its process is ended."""
     monkeypatch.setattr(plugins, "_LOADED", {})
     path, arguments = with_killer(tmp_path, LOOPS, 600.0)
     out = run_campaign(path, tmp_path / "out", jobs=1, **arguments)
     runs = load_results(out).runs.set_index(["solver", "settings"])
     lost = runs.loc[runs["outcome"] != "finished", ["outcome", "outcome_detail"]]
-    died = [ENDED_TEMPLATE.outcome, ENDED_TEMPLATE.detail]
+    died = [KILLED_FORKSERVER.outcome, KILLED_FORKSERVER.detail]
     assert lost.T.to_dict("list") == {("admm", "high"): died}
     assert not is_running(int((tmp_path / "marker").read_text()))
 
@@ -134,7 +125,6 @@ def test_cells_whose_template_is_killed_run_once_more(
 def test_replays_whose_template_is_killed_run_once_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whether they came to their end without it or not."""
     monkeypatch.setattr(plugins, "_LOADED", {})
     path, arguments = with_killer(tmp_path, REPLAYS, 0.0)
     out = run_campaign(path, tmp_path / "out", **arguments)
@@ -147,8 +137,6 @@ def test_replays_whose_template_is_killed_run_once_more(
 def test_without_any_process_the_command_ends_in_one_line(
     suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit 1, and the same command goes on when there are some."""
-
     def none_left(process: object) -> None:
         raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
 

@@ -1,7 +1,5 @@
 """Outcomes of processes killed by SIGKILL, with and without want of memory."""
 
-from __future__ import annotations
-
 import signal
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,7 +10,7 @@ import pytest
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.workers.child import Child
-from dpbench.bench.workers.notice import AtWork
+from dpbench.bench.workers.shared_status import Phase
 
 VMSTAT = """nr_free_pages 1137
 pgfault 5512
@@ -37,7 +35,6 @@ class Ended:
 
 @pytest.fixture
 def vmstat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A file of the test in place of /proc/vmstat."""
     path = tmp_path / "vmstat"
     path.write_text(VMSTAT.format(kills=3), encoding="ascii")
 
@@ -46,42 +43,38 @@ def vmstat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         return path
 
     monkeypatch.setattr(supervise, "Path", opened)
-    monkeypatch.setattr(supervise, "_start", lambda process, notice: None)
+    monkeypatch.setattr(supervise, "_start_process", lambda process: None)
     return path
 
 
-def killed(folder: Path, number: int, who: AtWork = AtWork.SOLVER) -> Child:
+def killed(folder: Path, number: int, who: Phase = Phase.SOLVER) -> Child:
     """Return a child killed by a signal while `who` was at work."""
     context = SimpleNamespace(Process=lambda **_: Ended(-number))
     child = Child(cast(Any, context), print, (), folder, "cell", limit_s=None)
-    child.notice.post(who)
+    child.notice.set_phase(who)
     return child
 
 
-@pytest.mark.parametrize("who", [AtWork.SOLVER, AtWork.OPENING, AtWork.HARNESS])
-def test_a_kill_for_want_of_memory_is_lost(who: AtWork, vmstat: Path, tmp_path: Path) -> None:
-    """A higher count of the kernel makes the outcome `lost`, whoever was at work."""
+@pytest.mark.parametrize("who", [Phase.SOLVER, Phase.OPENING, Phase.HARNESS])
+def test_a_kill_for_want_of_memory_is_lost(who: Phase, vmstat: Path, tmp_path: Path) -> None:
     child = killed(tmp_path, signal.SIGKILL, who)
     vmstat.write_text(VMSTAT.format(kills=4), encoding="ascii")
-    assert child.outcome() == Outcome("lost", BY_MEMORY)
+    assert child.determine_outcome() == Outcome("lost", BY_MEMORY)
 
 
 def test_a_kill_without_want_of_memory_is_a_crash(vmstat: Path, tmp_path: Path) -> None:
-    """An unchanged count of the kernel makes the outcome `crashed`."""
     child = killed(tmp_path, signal.SIGKILL)
-    assert child.outcome() == Outcome("crashed", "killed by SIGKILL")
+    assert child.determine_outcome() == Outcome("crashed", "killed by SIGKILL")
 
 
 def test_another_signal_is_a_crash_whatever_the_memory(vmstat: Path, tmp_path: Path) -> None:
-    """The kernel kills for want of memory by SIGKILL only."""
     child = killed(tmp_path, signal.SIGSEGV)
     vmstat.write_text(VMSTAT.format(kills=4), encoding="ascii")
-    assert child.outcome() == Outcome("crashed", "killed by SIGSEGV")
+    assert child.determine_outcome() == Outcome("crashed", "killed by SIGSEGV")
 
 
 def test_a_kernel_that_does_not_count_leaves_a_kill_lost(vmstat: Path, tmp_path: Path) -> None:
-    """A kill without a counter or without its file is not charged to the solver."""
     vmstat.write_text("nr_free_pages 1137\n", encoding="ascii")
-    assert killed(tmp_path, signal.SIGKILL).outcome() == Outcome("lost", BY_MEMORY)
+    assert killed(tmp_path, signal.SIGKILL).determine_outcome() == Outcome("lost", BY_MEMORY)
     vmstat.unlink()
-    assert killed(tmp_path, signal.SIGKILL).outcome() == Outcome("lost", BY_MEMORY)
+    assert killed(tmp_path, signal.SIGKILL).determine_outcome() == Outcome("lost", BY_MEMORY)

@@ -1,7 +1,5 @@
 """Rounds that a neighbour robbed: which they are, and how they run again within a budget."""
 
-from __future__ import annotations
-
 import random
 from dataclasses import dataclass
 
@@ -10,7 +8,12 @@ import pytest
 
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import LOAD_PASSES, RawLog, replay_layout
-from dpbench.bench.workers.interleaved import ROBBED_FACTOR, load_levels, most_robbed, repeat_robbed
+from dpbench.bench.workers.interleaved import (
+    ROBBED_FACTOR,
+    find_most_loaded_round,
+    measure_load,
+    rerun_loaded_rounds,
+)
 
 ROUNDS = 4
 QUIET_NS, BUSY_NS = 60_000.0, 100_000.0
@@ -47,7 +50,7 @@ def recorded(*busy: int) -> RawLog:
 def served(
     configurations: list[Replayed], logs: dict[str, RawLog], level_ns: float
 ) -> list[tuple[str, int]]:
-    """What `repeat_robbed` has served again, in rounds whose load kernel then takes `level_ns`."""
+    """What `rerun_loaded_rounds` serves again, in rounds whose load kernel takes `level_ns`."""
     again = []
 
     def serve(one: Replayed, r: int) -> None:
@@ -55,19 +58,17 @@ def served(
         one.spent_s += ROUND_S
         logs[one.run_id].load_kernel_ns[r] = level_ns
 
-    repeat_robbed(configurations, logs, serve, random.Random(0))
+    rerun_loaded_rounds(configurations, logs, serve, random.Random(0))
     return again
 
 
 def test_robbed_rounds_run_again_until_they_are_quiet() -> None:
-    """Each once where the second attempt is quiet; the warm-up and quiet rounds never."""
     configurations = [configuration("a", 10.0), configuration("b", 10.0)]
     logs = {"a": recorded(0, 1, 3), "b": recorded()}
     assert sorted(served(configurations, logs, QUIET_NS)) == [("a", 1), ("a", 3)]
 
 
 def test_on_a_quiet_machine_nothing_runs_again() -> None:
-    """Rounds up to the factor above the quietest are quiet."""
     logs = {"a": recorded()}
     logs["a"].load_kernel_ns[2] = ROBBED_FACTOR * QUIET_NS
     assert served([configuration("a", 10.0)], logs, QUIET_NS) == []
@@ -75,7 +76,6 @@ def test_on_a_quiet_machine_nothing_runs_again() -> None:
 
 @pytest.mark.parametrize(("budget_s", "times"), [(0.0, 0), (0.25, 2), (0.45, 4)])
 def test_the_budget_ends_it_where_the_machine_stays_busy(budget_s: float, times: int) -> None:
-    """As many repetitions as the budget holds, of every configuration alike; none without one."""
     configurations = [configuration("a", budget_s), configuration("b", budget_s)]
     logs = {"a": recorded(1, 2), "b": recorded(1)}
     again = served(configurations, logs, BUSY_NS)
@@ -84,8 +84,6 @@ def test_the_budget_ends_it_where_the_machine_stays_busy(budget_s: float, times:
 
 
 def test_a_busy_run_of_one_configuration_is_told_by_the_others() -> None:
-    """What is quiet is the quietest round of any configuration: a configuration that saw none is
-    robbed throughout."""
     configurations = [configuration("a", 10.0), configuration("b", 10.0)]
     logs = {"a": recorded(1, 2, 3, 4), "b": recorded()}
     assert sorted(served(configurations, logs, QUIET_NS)) == [
@@ -94,7 +92,6 @@ def test_a_busy_run_of_one_configuration_is_told_by_the_others() -> None:
 
 
 def test_a_configuration_that_stopped_is_left_alone() -> None:
-    """One that died while a round was repeated gets no further one."""
     dying = configuration("a", 10.0)
     logs = {"a": recorded(1, 2)}
     again = []
@@ -103,27 +100,25 @@ def test_a_configuration_that_stopped_is_left_alone() -> None:
         again.append(r)
         one.serving = False
 
-    repeat_robbed(
+    rerun_loaded_rounds(
         [dying, configuration("b", 10.0)], logs | {"b": recorded()}, serve, random.Random(0)
     )
     assert len(again) == 1
 
 
 def test_step_times_choose_no_round() -> None:
-    """Ten times as long steps beside a quiet load kernel are the solver's, and stay as they are."""
     slow = recorded()
     slow.times[2] = 10 * QUIET_NS
     assert served([configuration("a", 10.0)], {"a": slow}, QUIET_NS) == []
 
 
 def test_the_level_of_a_round_is_that_of_its_quieter_side() -> None:
-    """Median of the passes, so that one interrupted pass is none; NaN where nothing counts."""
     log = recorded()
     log.load_kernel_ns[1, 0] = BUSY_NS
     log.load_kernel_ns[2, :, 0] = 100 * BUSY_NS
     log.done[3] = 0
-    found = load_levels(log)
+    found = measure_load(log)
     assert LOAD_PASSES >= 3
     assert found[1] == found[2] == QUIET_NS
     assert np.isnan(found[[0, 3]]).all()
-    assert most_robbed(found, QUIET_NS) is None
+    assert find_most_loaded_round(found, QUIET_NS) is None

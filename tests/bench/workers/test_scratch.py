@@ -1,7 +1,5 @@
 """Room for logs: what a killed campaign left takes none."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -28,7 +26,6 @@ with temporary_folder(Path(sys.argv[1])) as folder:
 def test_places_are_cleared_before_room_is_looked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What was left behind takes no room from the logs of the next campaign."""
     command = [sys.executable, "-c", HOLD, str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
         assert holder.stdout is not None

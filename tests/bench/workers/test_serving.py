@@ -1,39 +1,27 @@
 """One process for all replays of a configuration: who serves what, and what an end of it costs."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType, SimpleNamespace
-from typing import cast
+from types import FrameType
 
 import pandas as pd
 import pytest
 
 from dpbench import load_results, run_campaign
-from dpbench.bench.progress import Progress
-from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.progress import Silent
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.workers import child as supervise
-from dpbench.bench.workers.child import ServingChild
-from dpbench.bench.workers.interleaved import IdleWorkers, ReplayGroup, ReplayWorker
 from dpbench.solvers import plugins
-from tests.bench.deterministic import deterministic
+from tests.bench.deterministic import deterministic, head
 from tests.processes import is_running
 
 pytestmark = pytest.mark.slow
 
 STEPS = 6
-HEAD = """
-title = "A suite for one test"
-solvers = ["serving"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 2
-warmup_steps = 0
-"""
+HEAD = head(solvers=["serving"], rounds=2, warmup_steps=0)
+
 SEQUENCES = ("paper", "calm", "rough")
 SUITE = HEAD + "".join(
     f'\n[[replay]]\nscenario = "{name}"\nsteps = {STEPS}\n' for name in SEQUENCES
@@ -126,7 +114,6 @@ def pids(suite: Path) -> list[int]:
 
 
 def test_one_process_serves_all_sequences_of_a_configuration(suite: Path) -> None:
-    """It ends with them; each has its own rows, and its memory is measured."""
     results = run(suite)
     assert len(pids(suite)) == len(SEQUENCES)
     assert len(set(pids(suite))) == 1
@@ -139,21 +126,12 @@ def test_one_process_serves_all_sequences_of_a_configuration(suite: Path) -> Non
     assert results.runs["peak_rss_bytes"].max() < results.runs["peak_rss_bytes"].min() + 2**23
 
 
-@pytest.mark.parametrize(
-    ("way", "outcome"),
-    [
-        ("exit", "crashed"),
-        ("abort", "crashed"),
-    ],
-)
+@pytest.mark.parametrize("way", ["exit", "abort"])
 @pytest.mark.parametrize("place", [1, 2, 3])
-def test_an_end_in_one_sequence_costs_no_other(
-    place: int, way: str, outcome: str, suite: Path
-) -> None:
-    """The next sequence of that configuration has a new process."""
+def test_an_end_in_one_sequence_costs_no_other(place: int, way: str, suite: Path) -> None:
     results = run(suite, f"{place} {way}")
     wanted = ["finished"] * len(SEQUENCES)
-    wanted[place - 1] = outcome
+    wanted[place - 1] = "crashed"
     assert list(results.runs["outcome"]) == wanted, list(results.runs["outcome_detail"])
     served = pids(suite)
     assert len(set(served[:place])) == 1
@@ -167,8 +145,6 @@ def test_an_end_in_one_sequence_costs_no_other(
 def test_a_hang_is_followed_by_a_process_that_goes_on(
     place: int, suite: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It has the sequence from the next step on, and those after it; the step has no answer in any
-    round, as it is not tried again."""
     monkeypatch.setattr(supervise, "GRACE_S", 0.5)
     suite.write_text(SUITE.replace("60.0", "1.0"), encoding="utf-8")
     results = run(suite, f"{place} stay")
@@ -183,7 +159,6 @@ def test_a_hang_is_followed_by_a_process_that_goes_on(
 @pytest.mark.alone  # What else runs could use up a limit of one second.
 @pytest.mark.parametrize("place", [1, 3])
 def test_a_round_beyond_the_limit_ends_its_sequence_alone(place: int, suite: Path) -> None:
-    """The limit stops the round, and the same process serves the sequences after it."""
     suite.write_text(SUITE.replace("60.0", "1.0"), encoding="utf-8")
     with ended_after(60):
         results = run(suite, f"{place} pause")
@@ -211,7 +186,6 @@ def ended_after(seconds: int) -> Iterator[None]:
 
 
 def test_a_configuration_that_is_refused_once_is_asked_again(suite: Path) -> None:
-    """By a process of its own: what refused may have been the problem."""
     results = run(suite, "2 refuse")
     assert list(results.runs["outcome"]) == ["finished", "refused", "finished"]
     assert "another one today" in results.runs["outcome_detail"].iloc[1]
@@ -220,7 +194,6 @@ def test_a_configuration_that_is_refused_once_is_asked_again(suite: Path) -> Non
 
 
 def test_answers_do_not_depend_on_what_a_process_served_before(suite: Path, tmp_path: Path) -> None:
-    """The second sequence as the first of its process has the same bits."""
     undisturbed = run(suite)
     suite.with_name("out").rename(tmp_path / "undisturbed")
     suite.with_name("pids").unlink()
@@ -234,26 +207,15 @@ def test_answers_do_not_depend_on_what_a_process_served_before(suite: Path, tmp_
         pd.testing.assert_frame_equal(one, other, check_exact=True)
 
 
-class _Interrupts(Progress):
+class _Interrupts(Silent):
     """A person who presses Ctrl-C in the midst of the second sequence."""
 
-    def __init__(self) -> None:
-        self.said: list[str] = []
-
-    def start(self, work: int) -> None:
-        """Nothing yet."""
-
     def advance(self, work: int, what: str) -> None:
-        self.said.append(what)
         if what.startswith("replay calm, round 1"):
             raise KeyboardInterrupt
 
-    def remark(self, text: str) -> None:
-        """Nothing to say."""
-
 
 def test_ctrl_c_leaves_no_process(suite: Path) -> None:
-    """Neither the one at work nor one that waits."""
     with pytest.raises(KeyboardInterrupt):
         run_campaign(
             suite,
@@ -264,27 +226,3 @@ def test_ctrl_c_leaves_no_process(suite: Path) -> None:
     served = pids(suite)
     assert len(served) == 2
     assert not any(map(is_running, served))
-
-
-class _Stopped:
-    """A child whose time limit stopped the round; it waits for orders, so it has no outcome yet."""
-
-    def order(self, order: object) -> None:
-        """Nothing."""
-
-    def reply(self, limit_s: float) -> object:
-        """The round was not completed."""
-        return False
-
-    def outcome(self) -> Outcome:
-        """Would wait for an end that nobody asked for."""
-        raise AssertionError("asked for the outcome of a process that lives")
-
-
-def test_a_worker_stopped_by_its_limit_is_not_waited_for(tmp_path: Path) -> None:
-    """It serves no more rounds, and ends when it is told to."""
-    cell = cast("Cell", SimpleNamespace(limit_s=1.0))
-    worker = ReplayWorker("a", cell, cast("ServingChild", _Stopped()))
-    group = ReplayGroup(cast("IdleWorkers", None), tmp_path, tmp_path, [])
-    group.serve(worker, 1)
-    assert not worker.serving

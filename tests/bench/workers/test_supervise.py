@@ -1,7 +1,5 @@
 """A cell's process that crashes, hangs or never starts becomes an outcome."""
 
-from __future__ import annotations
-
 import os
 import time
 from multiprocessing.context import ForkServerContext
@@ -14,8 +12,9 @@ import pytest
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.workers import child as supervise
-from dpbench.bench.workers.child import WITHOUT_TEMPLATE, Child, template_context
-from dpbench.bench.workers.worker import leave_verdict
+from dpbench.bench.workers.child import FORKSERVER_DIED, Child, start_forkserver
+from dpbench.bench.workers.worker import write_outcome
+from tests.bench.deterministic import wait_until
 from tests.processes import is_running
 
 # Limits of a second and less, which what else runs could use up.
@@ -24,20 +23,17 @@ pytestmark = pytest.mark.alone
 
 @pytest.fixture(scope="module")
 def context() -> ForkServerContext:
-    return template_context([])
+    return start_forkserver([])
 
 
-def wait(child: Child, seconds: float = 20.0) -> None:
-    deadline = time.monotonic() + seconds
-    while child.process.is_alive() and not child.overdue():
-        assert time.monotonic() < deadline, "the supervisor did not end the process"
-        time.sleep(0.01)
+def wait(child: Child) -> None:
+    wait_until(lambda: not child.process.is_alive() or child.kill_if_overdue(), "it was not ended")
 
 
 SOLVER = """
 import os, signal, time
-from dpbench.bench.workers.notice import AtWork, post
-post(AtWork.SOLVER)
+from dpbench.bench.workers.shared_status import Phase, set_phase
+set_phase(Phase.SOLVER)
 """
 """The head of a process in which the solver is at work; without it the harness is."""
 HARNESS = "import os, signal, time\n"
@@ -47,7 +43,7 @@ def ended(context: ForkServerContext, folder: Path, code: str) -> tuple[str, str
     """Outcome and detail of a process that runs `code`."""
     child = Child(context, exec, (code,), folder, "cell", limit_s=5.0)
     wait(child)
-    found = child.outcome()
+    found = child.determine_outcome()
     return found.outcome, found.detail
 
 
@@ -64,7 +60,6 @@ def ended(context: ForkServerContext, folder: Path, code: str) -> tuple[str, str
 def test_who_is_at_work_when_a_process_ends_has_ended_it(
     act: str, words: str, context: ForkServerContext, tmp_path: Path
 ) -> None:
-    """Without a verdict it is `crashed` while the solver is at work and `lost` at other times."""
     assert ended(context, tmp_path, SOLVER + act) == ("crashed", words)
     assert ended(context, tmp_path, HARNESS + act) == ("lost", words)
 
@@ -72,8 +67,6 @@ def test_who_is_at_work_when_a_process_ends_has_ended_it(
 def test_what_the_harness_raises_is_not_charged_to_the_solver(
     context: ForkServerContext, tmp_path: Path
 ) -> None:
-    """An error of the harness in the midst of a loop is `lost`; one through the timed_solver is
-    not."""
     raises = "raise OSError(28, 'No space left on device')"
     said = "OSError: [Errno 28] No space left on device"
     assert ended(context, tmp_path, SOLVER + raises) == ("lost", said)
@@ -95,7 +88,6 @@ def test_what_the_harness_raises_is_not_charged_to_the_solver(
 def test_a_log_that_lost_its_room_is_no_crash_of_the_solver(
     size: int | None, outcome: str, context: ForkServerContext, tmp_path: Path
 ) -> None:
-    """SIGBUS is the solver's where the log is whole, and the harness's where it is not."""
     raw = tmp_path / "cell.raw"
     RawLog.create(raw, replay_layout(1, 4, 2, 2))
     if size is not None:
@@ -103,27 +95,9 @@ def test_a_log_that_lost_its_room_is_no_crash_of_the_solver(
     assert ended(context, tmp_path, SOLVER + "signal.raise_signal(signal.SIGBUS)")[0] == outcome
 
 
-@pytest.mark.parametrize(
-    ("counts", "outcome"), [((7, 7), "crashed"), ((7, 8), "lost"), ((None, None), "lost")]
-)
-def test_the_out_of_memory_killer_is_no_solver(
-    counts: tuple[int | None, ...],
-    outcome: str,
-    context: ForkServerContext,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """SIGKILL is `lost` if the kernel has killed for memory since, or hides how often it has."""
-    found = iter(counts)
-    monkeypatch.setattr(supervise, "_memory_kills", lambda: next(found))
-    code = SOLVER + "os.kill(os.getpid(), signal.SIGKILL)"
-    assert ended(context, tmp_path, code)[0] == outcome
-
-
 def test_a_scratch_folder_that_went_away_is_lost(
     context: ForkServerContext, tmp_path: Path
 ) -> None:
-    """A process that finds its folder gone ends, and the cause names the folder."""
     folder = tmp_path / "scratch"
     outcome, detail = ended(
         context, folder, f"import shutil; shutil.rmtree({str(folder)!r}); raise SystemExit"
@@ -134,7 +108,6 @@ def test_a_scratch_folder_that_went_away_is_lost(
 def test_a_hanging_call_is_killed_and_its_steps_stay(
     context: ForkServerContext, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One call that does not return is killed after the limit; the log keeps what was done."""
     monkeypatch.setattr(supervise, "GRACE_S", 0.1)
     log = RawLog.create(tmp_path / "cell.raw", replay_layout(1, 4, 2, 2))
     log.z[0, 0] = [1.0, 2.0]
@@ -143,8 +116,8 @@ def test_a_hanging_call_is_killed_and_its_steps_stay(
     code = SOLVER + "time.sleep(600.0)"
     child = Child(context, exec, (code,), tmp_path, "cell", limit_s=0.2)
     wait(child)
-    assert child.outcome().outcome == "hung"
-    assert "limit of 0.2 s" in child.outcome().detail
+    assert child.determine_outcome().outcome == "hung"
+    assert "limit of 0.2 s" in child.determine_outcome().detail
     np.testing.assert_array_equal(RawLog.open(tmp_path / "cell.raw").z[0, 0], [1.0, 2.0])
 
 
@@ -156,43 +129,38 @@ def test_a_process_that_never_starts_its_loop_is_killed(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The allowance for starting ends an import that hangs, and a worker that does not come."""
     monkeypatch.setattr(supervise, "START_ALLOWANCE_S", 2.0)
     child = Child(context, exec, (head + "time.sleep(600.0)",), tmp_path, "cell", limit_s=5.0)
     wait(child)
-    assert child.outcome().outcome == outcome
-    assert "did not start" in child.outcome().detail
+    assert child.determine_outcome().outcome == outcome
+    assert "did not start" in child.determine_outcome().detail
 
 
 def test_a_process_killed_behind_its_verdict_keeps_it(
     context: ForkServerContext, tmp_path: Path
 ) -> None:
-    """What a worker does after it said what became of the cell is no part of the cell."""
     child = Child(context, time.sleep, (600.0,), tmp_path, "cell", limit_s=5.0)
     assert not child.has_verdict
-    leave_verdict(tmp_path / "cell.json", Outcome("finished", ""))
+    write_outcome(tmp_path / "cell.json", Outcome("finished", ""))
     child.kill("" if child.has_verdict else "no verdict")
-    assert child.outcome().outcome == "finished"
+    assert child.determine_outcome().outcome == "finished"
 
 
 def test_the_template_pins_threads_and_leaves_the_caller_alone(
     context: ForkServerContext, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Making the template does not change the environment of the process that asks for it."""
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
-    template_context([])
+    start_forkserver([])
     assert os.environ["OMP_NUM_THREADS"] == "7"
 
 
 def test_a_template_that_is_killed_is_no_solver(
     context: ForkServerContext, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever runs then is ended and lost, and the next one has a template with pinned threads;
-    its exit code by itself says nothing."""
     code = SOLVER + "os.kill(os.getppid(), signal.SIGKILL)\ntime.sleep(600.0)"
     child = Child(context, exec, (code,), tmp_path, "cell", limit_s=5.0)
     wait(child)
-    assert child.outcome() == WITHOUT_TEMPLATE and child.orphaned
+    assert child.determine_outcome() == FORKSERVER_DIED and child.forkserver_died
     assert child.process.pid is not None and not is_running(child.process.pid)
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     left = "its process left with exit code 255: no output"
@@ -209,8 +177,6 @@ def has_come(file: Path, child: Child) -> bool:
 def test_of_two_processes_of_one_start_one_lives(
     context: ForkServerContext, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wait_s: float
 ) -> None:
-    """A template that dies as it starts a process may have started it: that ends by itself, or is
-    ended where it was at work already, before another does the same."""
     launch, begun = Popen._launch, list[int]()
 
     def launched(self: Popen, process: object) -> None:
@@ -224,10 +190,7 @@ def test_of_two_processes_of_one_start_one_lives(
     file = tmp_path / "came"
     code = f"import os, time\nopen({str(file)!r}, 'a').write(f'{{os.getpid()}} ')\ntime.sleep(60)"
     child = Child(context, exec, (code,), tmp_path, "cell", limit_s=5.0, logs=False)
-    deadline = time.monotonic() + 20.0
-    while is_running(begun[0]) or not has_come(file, child):
-        assert time.monotonic() < deadline, "two are at work"
-        time.sleep(0.01)
+    wait_until(lambda: not is_running(begun[0]) and has_come(file, child), "two are at work")
     came = [int(pid) for pid in file.read_text().split()]
     assert came[-1] == child.process.pid
     # At once it may be on either side of its beginning.

@@ -15,7 +15,6 @@ MODE = "none"
 
 
 def solve(qp):
-    """The optimum, where it answers."""
     C = np.vstack((qp.A, -qp.A, np.eye(qp.n), -np.eye(qp.n)))
     low = np.concatenate((qp.l, -qp.u, qp.lb, -qp.ub))
     z = quadprog.solve_qp(qp.P, -qp.q, C.T.copy(), low)[0]

@@ -1,7 +1,5 @@
 """The search: what it finds is worse than the scenario itself, and replays to the same figures."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -10,26 +8,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpbench import (
-    InputError,
-    load_results,
-    load_scenario,
-    load_sequence,
-    open_workspace,
-    replay,
-)
-from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, Evaluated
-from dpbench.bench.plan.suite import sequence_suite
-from dpbench.bench.sequences.recording import record
+from dpbench import InputError, load_results, load_scenario, load_sequence, open_workspace, replay
+from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
+from dpbench.bench.plan.suite import build_sequence_suite
+from dpbench.bench.sequences.recording import record_scenario
 from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.worst_case import search as case_search
 from dpbench.bench.worst_case.find import find_worst_case
-from dpbench.bench.worst_case.goal import worst_of
+from dpbench.bench.worst_case.goal import find_worst_step
 from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.cli.main import main
 from dpbench.qp.solution import Status
-from dpbench.scenario.scenario import scenario_of
+from dpbench.scenario.scenario import build_scenario
 from dpbench.solvers import plugins
 
 pytestmark = pytest.mark.slow
@@ -51,7 +42,6 @@ def no_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_is_found_replays_to_the_same_figures(
     solver: str, route: Any, policy: Any, goal: Any, tmp_path: Path
 ) -> None:
-    """The saved step shows the same count and error in another process, and is the worst there."""
     path = tmp_path / "found.npz"
     found = find_worst_case(solver, goal=goal, route=route, policy=policy, budget=16, out=path)
     assert found.worst is not None and found.search.evaluations == 16
@@ -90,25 +80,23 @@ def test_the_command_replays_what_is_found_in_the_way_it_was_found(tmp_path: Pat
 
 
 def test_a_way_that_cannot_be_is_not_replayed() -> None:
-    """What a file says of its worst_case may be nonsense; it is replayed like any other then."""
-    plain = sequence_suite("x.npz")
-    assert sequence_suite("x.npz", {"worst_case_route": "native"}) == plain
+    plain = build_sequence_suite("x.npz")
+    assert build_sequence_suite("x.npz", {"worst_case_route": "native"}) == plain
     for key, nonsense in (("route", "sideways"), ("policy", 3), ("settings", ["best"])):
         way = {
             "worst_case_route": "native",
             "worst_case_policy": "warm",
             "worst_case_settings": "low",
         }
-        assert len(sequence_suite("x.npz", way).recorded) == 2
-        assert sequence_suite("x.npz", way | {f"worst_case_{key}": nonsense}) == plain
+        assert len(build_sequence_suite("x.npz", way).recorded) == 2
+        assert build_sequence_suite("x.npz", way | {f"worst_case_{key}": nonsense}) == plain
 
 
 def test_the_documents_make_the_same_sequence_again(tmp_path: Path) -> None:
-    """What is found is a scenario like any other: its documents give its QPs, bit for bit."""
     path = tmp_path / "found.npz"
     find_worst_case("daqp", scenario="turn", budget=3, steps=12, out=path)
     saved = load_recorded(path)
-    again = record(scenario_of(saved.documents))
+    again = record_scenario(build_scenario(saved.documents))
     assert again.sequence.P is not None, "each step of a turn has a matrix of its own"
     for name in ("q", "l", "u", "P"):
         np.testing.assert_array_equal(getattr(again.sequence, name), getattr(saved.sequence, name))
@@ -117,7 +105,6 @@ def test_the_documents_make_the_same_sequence_again(tmp_path: Path) -> None:
 
 
 def test_the_seed_decides(tmp_path: Path) -> None:
-    """The same seed writes the same bytes, another one another case."""
     files = [tmp_path / f"{i}.npz" for i in range(3)]
     for path, seed in zip(files, (1, 1, 2), strict=True):
         find_worst_case("daqp", route="native", budget=9, steps=8, seed=seed, out=path)
@@ -135,13 +122,8 @@ def backs_off(path: Path) -> bool:
 @pytest.mark.alone  # What else runs could use up limits of 0.3 s.
 @pytest.mark.parametrize(("mode", "outcome"), [("crash", "crashed"), ("hang", "hung")])
 def test_a_solver_that_dies_or_hangs_does_not_end_the_search(
-    mode: str,
-    outcome: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    no_plugins: None,
+    mode: str, outcome: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_plugins: None
 ) -> None:
-    """Those cases are counted, the first is kept beside the worst, and the budget is spent."""
     monkeypatch.setattr(case_search, "CASE_LIMIT_S", 0.3)
     monkeypatch.setattr(case_search, "BASELINE_LIMIT_S", 0.3)
     monkeypatch.setattr(supervise, "GRACE_S", 0.3)
@@ -174,7 +156,6 @@ class _Interrupts:
 
 
 def test_ctrl_c_keeps_the_best_so_far(tmp_path: Path) -> None:
-    """The worst of the cases before is saved, and the words say that it ended early."""
     path = tmp_path / "found.npz"
     found = find_worst_case("daqp", budget=50, steps=8, out=path, progress=_Interrupts(4))
     assert (found.search.evaluations, found.search.stopped) == (4, "interrupted")
@@ -185,7 +166,7 @@ def test_ctrl_c_keeps_the_best_so_far(tmp_path: Path) -> None:
 Row = tuple[Status, float, bool, int, str]
 
 
-def judged(*rows: Row) -> Evaluated:
+def judged(*rows: Row) -> EvaluatedCell:
     """A replay of a warm-up step, which must not count, and a row per answer."""
     all_rows: list[Row] = [(Status.SOLVED, BIG, False, 10**6, "linear"), *rows]
     status, error, true, iterations, kind = zip(*all_rows, strict=True)
@@ -202,7 +183,7 @@ def judged(*rows: Row) -> Evaluated:
         "certificate": np.array([CERTIFICATES.index(name) for name in kind]),
         "evaluations": evaluations,
     }
-    return Evaluated(columns, {})
+    return EvaluatedCell(columns, {})
 
 
 ACCURATE: Row = (Status.SOLVED, 1e-9, True, 5, "linear")
@@ -216,46 +197,42 @@ SOLVED_THE_IMPOSSIBLE: Row = (Status.SOLVED, np.nan, False, 3, "infeasible")
 
 
 def test_a_lie_is_worse_than_a_refusal_and_a_refusal_worse_than_a_poor_answer() -> None:
-    """The order of answers by error, from harmless to infinite; the worst of each pair wins."""
     order = (TRUE_INFEASIBLE, DECLINED_BUT_RIGHT, ACCURATE, POOR, NO_ANSWER, WRONG)
     for i, better in enumerate(order):
         for worse in order[i + 1 :]:
-            found = worst_of(judged(better, worse, better), "error")
+            found = find_worst_step(judged(better, worse, better), "error")
             assert found is not None and found.step == 1, (better, worse)
     for lie in (FALSE_INFEASIBLE, SOLVED_THE_IMPOSSIBLE):
-        found = worst_of(judged(WRONG, lie), "error")
+        found = find_worst_step(judged(WRONG, lie), "error")
         assert found is not None and found.step == 1 and np.isinf(found.objective)
         assert np.isfinite(found.score), "a search can climb it"
 
 
 def test_an_error_that_is_not_claimed_says_what_it_counts_as() -> None:
-    """Its own figure may be larger than that of a lie, which is worse."""
-    refused = worst_of(judged((Status.MAX_ITERATIONS, 75.0, False, 9, "linear")), "error")
-    lied = worst_of(judged(WRONG), "error")
+    refused = find_worst_step(judged((Status.MAX_ITERATIONS, 75.0, False, 9, "linear")), "error")
+    lied = find_worst_step(judged(WRONG), "error")
     assert refused is not None and lied is not None and lied.objective > refused.objective
-    assert refused.figure("error").endswith("(max_iterations, which counts as 0.01)")
-    assert lied.figure("error") == "error_plan 5.00e-02 (claimed)"
+    assert refused.describe_figure("error").endswith("(max_iterations, which counts as 0.01)")
+    assert lied.describe_figure("error") == "error_plan 5.00e-02 (claimed)"
 
 
 def test_iterations_are_counted_whatever_the_answer() -> None:
-    """The busiest step wins, refused or not; without any count there is no figure."""
-    found = worst_of(judged(WRONG, DECLINED_BUT_RIGHT, ACCURATE), "iterations")
+    found = find_worst_step(judged(WRONG, DECLINED_BUT_RIGHT, ACCURATE), "iterations")
     assert found is not None and (found.step, found.iterations) == (1, 900)
-    busier = worst_of(judged(ACCURATE, WRONG, WRONG), "iterations")
-    idler = worst_of(judged(ACCURATE, ACCURATE, WRONG), "iterations")
+    busier = find_worst_step(judged(ACCURATE, WRONG, WRONG), "iterations")
+    idler = find_worst_step(judged(ACCURATE, ACCURATE, WRONG), "iterations")
     assert busier is not None and idler is not None
     assert busier.objective == idler.objective and busier.score > idler.score
     assert int(busier.score) == int(idler.score) == 7
-    assert worst_of(judged((Status.SOLVED, 0.0, True, -1, "linear")), "iterations") is None
+    assert find_worst_step(judged((Status.SOLVED, 0.0, True, -1, "linear")), "iterations") is None
 
 
 @given(point=st.lists(st.floats(-1.0, 1.0), min_size=13, max_size=13).map(np.array))
 @settings(max_examples=30, deadline=None)
 def test_a_case_is_what_its_point_says(point: Any) -> None:
-    """Start and speed within reach, a force the ship can hold, then at most twice that back."""
     own = load_scenario("paper")
-    scenario = SearchSpace(own, 20, "case").scenario(point)
-    assert (scenario.steps, scenario.N_p, scenario.name) == (20, own.N_p, "case")
+    scenario = SearchSpace(own, 20, "case").build_variant(point)
+    assert (scenario.steps, scenario.problem.N_p, scenario.name) == (20, own.problem.N_p, "case")
     assert (np.abs(scenario.start) <= [20.0, 20.0, np.radians(20.0) + 1e-12]).all()
     np.testing.assert_array_equal(np.sign(scenario.start), np.sign(point[:3] * np.abs(point[:3])))
     assert (np.abs(scenario.velocity) <= [1.0, 1.0, np.radians(1.0) + 1e-12]).all()
@@ -273,19 +250,19 @@ def test_a_case_is_what_its_point_says(point: Any) -> None:
 
 
 def test_a_fault_of_the_scenario_happens_within_the_case() -> None:
-    """A thruster that is lost after two minutes is lost at the moment the last number says."""
     space = SearchSpace(load_scenario("thruster_loss"), 20, "case")
     assert space.dimensions == 14
-    faults = [space.scenario(np.array([0.0] * 13 + [x])).faults[0][0] for x in (-1.0, 0.0, 1.0)]
+    faults = [
+        space.build_variant(np.array([0.0] * 13 + [x])).controller.changes[0][0]
+        for x in (-1.0, 0.0, 1.0)
+    ]
     assert faults[0] == 0 and faults[1] in (9, 10) and faults[2] == 19
 
 
 def test_a_model_ship_is_pushed_by_what_it_can_hold() -> None:
-    """The documents speak of full size; at 1 : 70 the force is still that of its own thrusters,
-    and a start at 1 m/s one at 1/√70 m/s."""
     model = load_scenario("calm@cybership2")
     point = np.array([0.0] * 3 + [1.0, 0.0, 0.0] + [1.0] * 3 + [0.0] * 4)
-    scenario = SearchSpace(model, 20, "case").scenario(point)
+    scenario = SearchSpace(model, 20, "case").build_variant(point)
     np.testing.assert_allclose(scenario.velocity, [70**-0.5, 0.0, 0.0], rtol=1e-12)
     np.testing.assert_allclose(
         scenario.environment.mean, np.minimum(-model.vessel.tau_min, model.vessel.tau_max)
@@ -320,12 +297,8 @@ def test_bad_input_is_one_line(
 
 @pytest.mark.parametrize("place", ["a_folder.npz", "a_file/found.npz"])
 def test_where_nothing_can_be_written_nothing_is_searched(
-    place: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A folder in the file's place, a file in the folder's: said before the search, not after."""
     monkeypatch.setattr(case_search.Search, "run", None)
     (tmp_path / "a_folder.npz").mkdir()
     (tmp_path / "a_file").write_text("mine", encoding="utf-8")
@@ -339,7 +312,6 @@ def test_where_nothing_can_be_written_nothing_is_searched(
 def test_iterations_of_a_solver_that_counts_none_are_refused(
     tmp_path: Path, no_plugins: None
 ) -> None:
-    """A goal that has no figure is said at once, with the goal that has one."""
     with pytest.raises(InputError, match="--goal error"):
         find_worst_case(
             "searched", budget=2, steps=4, out=tmp_path / "found.npz", solver_module=FAULTY
@@ -349,7 +321,6 @@ def test_iterations_of_a_solver_that_counts_none_are_refused(
 def test_the_command_says_what_was_found_and_what_it_beats(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What is said, however its lines break: the step found, its file, the scenario's own worst."""
     out = tmp_path / "deep" / "found.npz"
     arguments = ["worst-case", "daqp", "--route", "native", "--budget", "8", "--out", str(out)]
     assert main(arguments) == 0

@@ -1,18 +1,20 @@
-"""The allocation QP of a cascade, against other constructions: forces themselves as variables, a
-linear program for what is attainable, the pseudo-inverse, the mirrored ship."""
+"""The allocation QP of a cascade, against other constructions."""
 
-from __future__ import annotations
-
+import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import quadprog
 from scipy.optimize import linprog
 
-from dpbench.mpc.thruster_rows import RETREAT, thruster_rows
+from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE, thruster_rows
 from dpbench.mpc.thrusters.allocation_qp import AllocationProblem, AllocationQP
-from dpbench.qp.referee.referee import certify, error_of
+from dpbench.mpc.thrusters.static_allocation import StaticAllocation
+from dpbench.qp.program import QuadraticProgram
+from dpbench.qp.referee.referee import certify
+from dpbench.ship.capability.shapes import Piece
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
 SHIP = ThrusterSet(
@@ -58,61 +60,47 @@ def situation(seed: int, reach: float = 1.5) -> tuple[np.ndarray, np.ndarray]:
 
 def by_forces(case: AllocationProblem, tau: np.ndarray, f_prev: np.ndarray) -> np.ndarray:
     """f of the same problem, with f itself as the variables and τ_c − T_e f for the slack."""
-    rows, n_f, unit = case.rows, len(f_prev), SHIP.per_entry(SHIP.thrust_N)
+    rows, eye, unit = case.rows, np.eye(len(f_prev)), SHIP.per_entry(SHIP.thrust_N)
     H = case.W + case.R + case.T_e.T @ case.slack @ case.T_e
     g = -case.R @ f_prev - case.T_e.T @ case.slack @ tau
-    sides = [(row, high) for row, high in zip(rows.G, rows.high, strict=True)]
-    sides += [(-row, -low) for row, low in zip(rows.G, rows.low, strict=True)]
-    for j in range(n_f):
-        one = np.eye(n_f)[j]
-        sides += [(one, f_prev[j] + case.df_max[j]), (-one, case.df_max[j] - f_prev[j])]
-    C = np.array([row * unit for row, _ in sides]) / 1e5
-    b = np.array([side for _, side in sides]) / 1e5
-    scaled = H * np.outer(unit, unit)
-    share = quadprog.solve_qp(scaled, -g * unit, -C.T, -b)[0]
-    f: np.ndarray = share * unit
-    return f
+    C = np.vstack((rows.G, -rows.G, eye, -eye)) * unit / 1e5
+    b = np.concatenate((rows.high, -rows.low, f_prev + case.df_max, case.df_max - f_prev)) / 1e5
+    share = quadprog.solve_qp(H * np.outer(unit, unit), -g * unit, -C.T, -b)[0]
+    return np.asarray(share * unit)
 
 
 @pytest.mark.parametrize("units", ["scaled", "si"])
 @pytest.mark.parametrize("seed", range(12))
-def test_the_optimum_is_that_of_the_forces_themselves(units: str, seed: int) -> None:
-    """Another set of variables, no slack, other units and another solver give the same forces."""
+def test_the_optimum_is_that_of_the_forces_themselves(units: Any, seed: int) -> None:
     case = problem()
-    builder = AllocationQP(case, units=units)  # type: ignore[arg-type] # one of the two
+    builder = AllocationQP(case, units=units)
     tau, f_prev = situation(seed)
     qp = AllocationQP(case).problem(AllocationQP(case).emit(tau, f_prev))
     optimum = certify(qp)
     assert optimum.bound < 1e-9
-    z = optimum.z * (1.0 if units == "scaled" else builder.scale.z)
+    z = optimum.z * builder.scale.z
     step = builder.emit(tau, f_prev)
     own = builder.problem(step)
+    assert (own.n, own.m, own.block, own.moves) == (11, 3 + 6 + 6 + 8 + 1 + 1, 0, 8)
     assert own.objective(z) == pytest.approx(qp.objective(optimum.z), rel=1e-9)
-    rows = (own.A @ z - step.u) / builder.scale.row, (step.l - own.A @ z) / builder.scale.row
-    assert max(rows[0].max(), rows[1].max()) < 1e-9
+    excess = np.concatenate((own.A @ z - step.u, step.l - own.A @ z))
+    assert (excess / np.tile(builder.scale.row, 2)).max() < 1e-9
     f = f_prev + builder.moves(z)
     np.testing.assert_allclose(f, by_forces(case, tau, f_prev), atol=2.0)
-    slack = (z * (builder.scale.z if units == "si" else 1.0))[builder.n_f :]
-    unit = 1.0 if units == "si" else STEP_MAX
     if units == "scaled":
-        np.testing.assert_allclose(slack * unit, tau - SHIP.T_e @ f, atol=1e-4)
+        slack = z[builder.n_f :] * STEP_MAX
+        np.testing.assert_allclose(slack, tau - SHIP.T_e @ f, atol=1e-4)
 
 
 def least_slack(case: AllocationProblem, tau: np.ndarray, f_prev: np.ndarray) -> float:
     """The least max |s_i|/Δτ_max,i over all forces within the limits: a linear program."""
     rows, n_f = case.rows, len(f_prev)
     scaled = case.T_e * case.df_max / STEP_MAX[:, np.newaxis]
-    short = (tau - case.T_e @ f_prev) / STEP_MAX
-    G = rows.G * case.df_max / 1e4
-    before = rows.G @ f_prev / 1e4
-    one = np.ones((3, 1))
-    A = np.vstack(
-        [np.hstack([-scaled, -one]), np.hstack([scaled, -one])]
-        + [np.hstack([sign * G, np.zeros((len(G), 1))]) for sign in (1.0, -1.0)]
-    )
-    b = np.concatenate([-short, short, rows.high / 1e4 - before, before - rows.low / 1e4])
-    cost = np.append(np.zeros(n_f), 1.0)
-    answer = linprog(cost, A, b, bounds=[(-1.0, 1.0)] * n_f + [(0.0, None)])
+    short, before = (tau - case.T_e @ f_prev) / STEP_MAX, rows.G @ f_prev
+    G, none, one = rows.G * case.df_max / 1e4, np.zeros((len(rows.G), 1)), np.ones((3, 1))
+    A = np.block([[-scaled, -one], [scaled, -one], [G, none], [-G, none]])
+    b = np.concatenate([-short, short, (rows.high - before) / 1e4, (before - rows.low) / 1e4])
+    answer = linprog(np.eye(n_f + 1)[n_f], A, b, bounds=[(-1.0, 1.0)] * n_f + [(0.0, None)])
     assert answer.status == 0
     return float(answer.fun)
 
@@ -159,18 +147,16 @@ def test_without_limits_it_becomes_the_pseudo_inverse() -> None:
 
 
 def test_the_pseudo_inverse_without_lost_thrusters() -> None:
-    """What is lost gets nothing, the rest makes the force; where it cannot, what comes closest."""
     case, tau = problem(), np.array([5e4, -3e4, 8e5])
-    f = case.pseudo_inverse(frozenset({1, 4})) @ tau
+    f = case.pseudo_inverse(case.rows.limits_after_loss({1, 4}).lost) @ tau
     assert (f[[2, 3, 7]] == 0.0).all()
     np.testing.assert_allclose(SHIP.T_e @ f, tau, rtol=1e-9)
-    tunnel_alone = case.pseudo_inverse(frozenset({0, 1, 2, 4})) @ tau
+    tunnel_alone = case.pseudo_inverse(case.rows.limits_after_loss({0, 1, 2, 4}).lost) @ tau
     scaled = SHIP.T_e[:, 6] / STEP_MAX
     assert tunnel_alone[6] == pytest.approx(scaled @ (tau / STEP_MAX) / (scaled @ scaled))
 
 
 def test_the_mirrored_ship_does_the_mirrored_thing() -> None:
-    """Port and starboard exchanged, sway and yaw reversed."""
     ship = ThrusterSet((*SHIP.thrusters[:2], SHIP.thrusters[3]))
     builder = AllocationQP(problem(ship))
     rng = np.random.default_rng(5)
@@ -186,9 +172,8 @@ def test_the_mirrored_ship_does_the_mirrored_thing() -> None:
 
 
 @pytest.mark.parametrize("units", ["scaled", "si"])
-def test_equalities_have_two_equal_sides(units: str) -> None:
-    """To the last bit, whatever is demanded: no rounding makes a step infeasible."""
-    builder = AllocationQP(problem(), units=units)  # type: ignore[arg-type] # one of the two
+def test_equalities_have_two_equal_sides(units: Any) -> None:
+    builder = AllocationQP(problem(), units=units)
     rng = np.random.default_rng(0)
     for _ in range(200):
         step = builder.emit(1e6 * rng.normal(size=3), 1e5 * rng.normal(size=SHIP.n_f))
@@ -197,13 +182,12 @@ def test_equalities_have_two_equal_sides(units: str) -> None:
 
 
 def test_a_lost_thruster_is_soon_at_nothing_and_every_step_has_an_answer() -> None:
-    """From wherever it was, whatever is demanded: 0.9 of its rate less of the polygon at each
-    step; then it stays there."""
+    """From wherever it was, whatever is demanded."""
     case, lost = problem(), {0, 3}
-    builder, limits = AllocationQP(case), case.rows.without(lost)
+    builder, limits = AllocationQP(case), case.rows.limits_after_loss(lost)
     for seed in range(4):
         tau, f = situation(seed)
-        for _ in range(int(np.ceil(8.0 / SAMPLE_S / RETREAT)) + 1):
+        for _ in range(int(np.ceil(8.0 / SAMPLE_S / RAMP_DOWN_SHARE)) + 1):
             optimum = certify(builder.problem(builder.emit(tau, f, limits=limits)))
             assert np.isfinite(optimum.bound)
             f = f + builder.moves(optimum.z)
@@ -211,14 +195,72 @@ def test_a_lost_thruster_is_soon_at_nothing_and_every_step_has_an_answer() -> No
         assert np.abs(f[[2, 3, 4, 5, 7]]).max() > 1e4
 
 
-def test_slacks_are_no_moves() -> None:
-    """The error of an answer is that of its moves; a wrong slack is seen by the residuals."""
-    builder = AllocationQP(problem())
-    qp = builder.problem(builder.emit(*situation(0)))
-    assert (qp.n, qp.m, qp.block, qp.moves) == (11, 3 + 6 + 6 + 8 + 1 + 1, 0, 8)
+WHOLE = (Piece(), Piece(), Piece())
+NONE_LOST: frozenset[int] = frozenset()
+FULL = np.ones(3)
+
+
+@pytest.fixture
+def thrusters() -> ThrusterSet:
+    """Two stern azimuths of 100 kN, 5 m off the centre line, and a bow tunnel of 80 kN."""
+    port = Thruster("port", "azimuth", -30.0, -5.0, 1e5, 10.0)
+    starboard = Thruster("starboard", "azimuth", -30.0, 5.0, 1e5, 10.0)
+    return ThrusterSet((port, starboard, Thruster("bow", "tunnel", 30.0, 0.0, 8e4, 8.0)))
+
+
+def allocation(thrusters: ThrusterSet, *, room: bool = False, sides: int = 16) -> StaticAllocation:
+    return StaticAllocation(thrusters, sides, [room, room, False], [3 * room, 3 * room, 0])
+
+
+def forces(thrusters: ThrusterSet, qp: QuadraticProgram) -> np.ndarray:
+    """The certified optimum in N."""
     optimum = certify(qp)
-    away = optimum.z.copy()
-    away[8:] += 7.0
-    assert error_of(away, optimum, qp.block, qp.moves) == (0.0, 0.0)
-    away[3] += 0.5
-    assert error_of(away, optimum, qp.block, qp.moves) == (pytest.approx(0.5), pytest.approx(0.5))
+    assert optimum.kind != "infeasible"
+    return optimum.z * thrusters.per_entry(thrusters.thrust_N)
+
+
+def test_the_optimum_balances_the_load_with_the_least_effort(thrusters: ThrusterSet) -> None:
+    """T_e f = −load, and f is the weighted pseudo-inverse where no limit is met."""
+    load = np.array([-4e4, 3e4, -2e5])
+    f = forces(thrusters, allocation(thrusters).build_qp(load, FULL, WHOLE, NONE_LOST))
+    np.testing.assert_allclose(thrusters.T_e @ f, -load, rtol=1e-9, atol=1e-6)
+    W_inverse, T_e = np.diag(thrusters.per_entry(thrusters.thrust_N) ** 2), thrusters.T_e
+    expected = W_inverse @ T_e.T @ np.linalg.solve(T_e @ W_inverse @ T_e.T, -load)
+    np.testing.assert_allclose(f, expected, rtol=1e-9, atol=1e-6)
+
+
+@pytest.mark.parametrize("sides", [8, 16, 36])
+def test_the_most_ahead_is_full_thrust_times_its_share(thrusters: ThrusterSet, sides: int) -> None:
+    """Corners lie ahead: 2 · 100 kN · β is held and no more."""
+    shares = np.array([0.9, 0.9, 0.5])
+    program = allocation(thrusters, sides=sides)
+    for load_N, kind in ((1.8e5 * (1 - 1e-9), False), (1.8e5 * (1 + 1e-9), True)):
+        qp = program.build_qp(np.array([-load_N, 0.0, 0.0]), shares, WHOLE, NONE_LOST)
+        assert (certify(qp).kind == "infeasible") is kind
+
+
+def test_what_is_lost_gives_nothing(thrusters: ThrusterSet) -> None:
+    load = np.array([-4e4, 0.0, 0.0])
+    f = forces(thrusters, allocation(thrusters).build_qp(load, FULL, WHOLE, frozenset({0})))
+    np.testing.assert_allclose(f[:2], 0.0, atol=1e-9)
+    np.testing.assert_allclose(thrusters.T_e @ f, -load, rtol=1e-9, atol=1e-6)
+
+
+def test_a_piece_keeps_a_force_in_its_sector_and_behind_its_chord(thrusters: ThrusterSet) -> None:
+    """The port azimuth may push from 10° to 60° to port only, and there 40 % along a chord."""
+    chord = np.array([[math.cos(-0.5), math.sin(-0.5), 0.4]])
+    chosen = Piece((-1.0, -0.2), chord), Piece(), Piece()
+    load = np.array([-1.2e5, 0.0, 0.0])
+    f = forces(thrusters, allocation(thrusters, room=True).build_qp(load, FULL, chosen, NONE_LOST))
+    angle, size = math.atan2(f[1], f[0]), math.hypot(f[0], f[1])
+    assert -1.0 - 1e-9 <= angle <= -0.2 + 1e-9
+    assert size * math.cos(angle + 0.5) <= 0.4e5 * (1 + 1e-9)
+    assert size > 1e4
+
+
+def test_room_for_pieces_changes_the_shape_and_not_the_answer(thrusters: ThrusterSet) -> None:
+    load = np.array([-1.5e5, 4e4, 1e6])
+    builders = (allocation(thrusters, room=room) for room in (False, True))
+    narrow, wide = (builder.build_qp(load, FULL, WHOLE, NONE_LOST) for builder in builders)
+    assert wide.m == narrow.m + 2 * (2 + 3)
+    np.testing.assert_allclose(certify(wide).z, certify(narrow).z, atol=1e-12)

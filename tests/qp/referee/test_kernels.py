@@ -1,6 +1,4 @@
-"""The compiled kernels against fractions; the nearby active set against the one that is planted."""
-
-from __future__ import annotations
+"""Exact arithmetic and compiled kernels against fractions; nearby active sets."""
 
 import math
 from fractions import Fraction
@@ -14,13 +12,21 @@ from numba import njit
 from numpy.typing import NDArray
 
 from dpbench.qp.referee import kernels, referee
-from dpbench.qp.referee.joint import JointQP, Signs
-from dpbench.qp.referee.kernels import CROSSED, MEANINGLESS, MEANT, linear_kernel, meaning
+from dpbench.qp.referee.dyadic import Dyadic, is_semidefinite, solve_integer
+from dpbench.qp.referee.joint import JointQP
+from dpbench.qp.referee.kernels import (
+    CROSSED_LIMITS,
+    INVALID_DATA,
+    ORDERED_LIMITS,
+    classify_limits,
+    prove_active_set_optimal,
+)
 from dpbench.qp.referee.kkt import Geometry, KKTSystem, linear_certificate
-from dpbench.qp.referee.nearby import nearby
+from dpbench.qp.referee.nearby import guess_nearby
 from dpbench.qp.referee.referee import Referee
 
 INF = math.inf
+Array = NDArray[np.float64]
 UNIT_ROUNDOFF = Fraction(1, 2**53)
 
 
@@ -28,25 +34,18 @@ UNIT_ROUNDOFF = Fraction(1, 2**53)
 def compiled_residual(K, x, b):  # type: ignore[no-untyped-def]  # compiled: numba finds the types
     """b − K x as the certificate's kernel calculates it, compiled."""
     r = np.zeros(len(b))
-    kernels._residual(K, x, b, r)
+    kernels._write_residual(K, x, b, r)
     return r
 
 
-def _numbers(rng: np.random.Generator, spread: int, *shape: int) -> NDArray[np.float64]:
-    """Numbers of all signs, over `spread` powers of two up and down."""
-    return np.ldexp(rng.normal(size=shape), rng.integers(-spread, spread + 1, shape))
-
-
-def _exactly(
-    K: NDArray[np.float64], x: NDArray[np.float64], b: NDArray[np.float64]
-) -> tuple[list[Fraction], list[Fraction]]:
+def _exactly(K: Array, x: Array, b: Array) -> tuple[list[Fraction], list[Fraction]]:
     """b − K x and |b| + |K||x| in fractions."""
-    residuals, sizes = [], []
+    point, pairs = [Fraction(v) for v in x.tolist()], []
     for row, right in zip(K.tolist(), b.tolist(), strict=True):
-        terms = [-Fraction(k) * Fraction(v) for k, v in zip(row, x.tolist(), strict=True)]
-        residuals.append(Fraction(right) + sum(terms))
-        sizes.append(abs(Fraction(right)) + sum(abs(term) for term in terms))
-    return residuals, sizes
+        terms = [Fraction(right), *(-Fraction(k) * v for k, v in zip(row, point, strict=True))]
+        pairs.append((sum(terms, Fraction(0)), sum(map(abs, terms), Fraction(0))))
+    residuals, sizes = zip(*pairs, strict=True)
+    return list(residuals), list(sizes)
 
 
 @pytest.mark.slow
@@ -56,12 +55,13 @@ def _exactly(
 def test_residual_is_that_of_twice_the_precision(seed: int, N: int, spread: int) -> None:
     """Of numbers that cancel, compiled and not: the same to the last bit, within Dot2's bound."""
     rng = np.random.default_rng(seed)
-    K, x = np.tril(_numbers(rng, spread, N, N)), _numbers(rng, spread, N)
-    K += np.tril(K, -1).T
+    # Numbers of all signs, over `spread` powers of two up and down.
+    numbers = np.ldexp(rng.normal(size=(N + 1, N)), rng.integers(-spread, spread + 1, (N + 1, N)))
+    K, x = np.tril(numbers[:N]) + np.tril(numbers[:N], -1).T, numbers[N]
     # With the product rounded once as the other side, the residual is that rounding.
     b = np.array([-float(value) for value in _exactly(K, x, np.zeros(N))[0]])
     r, interpreted = compiled_residual(K, x, b), np.zeros(N)
-    kernels._residual.py_func(K, x, b, interpreted)
+    kernels._write_residual.py_func(K, x, b, interpreted)
     assert (r == interpreted).all()
     steps = (N + 1) * UNIT_ROUNDOFF
     for found, exact, size in zip(r.tolist(), *_exactly(K, x, b), strict=True):
@@ -86,7 +86,6 @@ def test_what_overflows_proves_nothing(huge: float) -> None:
 def test_enclosure_holds_the_exact_solution(
     seed: int, sizes: tuple[int, int], condition: int
 ) -> None:
-    """Point and multipliers of any active set are in their bounds, which are near to rounding."""
     rng = np.random.default_rng(seed)
     n, m = sizes
     Q = np.linalg.qr(rng.normal(size=(n, n)))[0]
@@ -111,14 +110,14 @@ def test_enclosure_holds_the_exact_solution(
 
 def _certified(problem: JointQP, system: KKTSystem) -> Any:
     geometry = Geometry(problem.C)
-    return linear_kernel(
+    return prove_active_set_optimal(
         *(problem.q, problem.L, problem.U, geometry.C_T, geometry.gamma),
         *(system.K, system.X_T, system.weight, system.rows, system.signs),
         *(system.alpha, system.gamma),
     )
 
 
-def solve_exactly(K: NDArray[np.float64], b: NDArray[np.float64]) -> list[Fraction]:
+def solve_exactly(K: Array, b: Array) -> list[Fraction]:
     """Gauss-Jordan elimination in fractions."""
     N = len(b)
     rows = [[Fraction(v) for v in (*K[i].tolist(), float(b[i]))] for i in range(N)]
@@ -135,59 +134,49 @@ def solve_exactly(K: NDArray[np.float64], b: NDArray[np.float64]) -> list[Fracti
 @pytest.mark.parametrize(
     ("q", "L", "U", "expected"),
     [
-        ([0.0], [0.0, -INF], [0.0, INF], MEANT),
-        ([0.0], [1.0, -INF], [0.0, INF], CROSSED),
-        ([0.0], [1.0, INF], [0.0, INF], MEANINGLESS),
-        ([0.0], [0.0, -INF], [0.0, -INF], MEANINGLESS),
-        ([0.0], [math.nan, 0.0], [0.0, 0.0], MEANINGLESS),
-        ([0.0], [0.0, 0.0], [0.0, math.nan], MEANINGLESS),
-        ([math.nan], [0.0, 0.0], [0.0, 0.0], MEANINGLESS),
-        ([-INF], [0.0, 0.0], [0.0, 0.0], MEANINGLESS),
+        (0.0, [0.0, -INF], [0.0, INF], ORDERED_LIMITS),
+        (0.0, [1.0, -INF], [0.0, INF], CROSSED_LIMITS),
+        (0.0, [1.0, INF], [0.0, INF], INVALID_DATA),
+        (0.0, [0.0, -INF], [0.0, -INF], INVALID_DATA),
+        (0.0, [math.nan, 0.0], [0.0, 0.0], INVALID_DATA),
+        (0.0, [0.0, 0.0], [0.0, math.nan], INVALID_DATA),
+        (math.nan, [0.0, 0.0], [0.0, 0.0], INVALID_DATA),
+        (-INF, [0.0, 0.0], [0.0, 0.0], INVALID_DATA),
     ],
 )
-def test_meaning(q: list[float], L: list[float], U: list[float], expected: int) -> None:
-    """Limits without sense count before crossed ones."""
-    assert meaning(np.array(q), np.array(L), np.array(U)) == expected
+def test_invalid_data_count_before_crossed_limits(q: Any, L: Any, U: Any, expected: int) -> None:
+    assert classify_limits(np.array([q]), np.array(L), np.array(U)) == expected
 
 
 @settings(max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(2, 8), changes=st.integers(0, 8))
 def test_nearby_set_is_that_of_the_optimum(seed: int, n: int, changes: int) -> None:
-    """Where variables have no part in each other the method ends, from any set at the optimum."""
     rng = np.random.default_rng(seed)
     P, target, ones = np.diag(rng.uniform(0.5, 2.0, n)), rng.uniform(-2.0, 2.0, n), np.ones(n)
     problem = JointQP(P, -P @ target, np.eye(n), -ones, ones)
     optimal = np.where(np.abs(target) > 1.0, np.sign(target), 0.0).astype(np.int8)
     begun, changed = optimal.copy(), rng.permutation(n)[:changes]
     begun[changed] = rng.integers(-1, 2, len(changed))
-    found = nearby(problem, Geometry(problem.C), KKTSystem(P, problem.C, begun))
+    found = guess_nearby(problem, Geometry(problem.C), KKTSystem(P, problem.C, begun))
     assert found is not None and (found == optimal).all()
 
 
 def test_nearby_gives_up_without_a_point() -> None:
-    """The same violated row twice has no point, and an infinite limit no equation."""
     C, U = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.array([1.0, 1.0, INF])
     problem = JointQP(np.eye(2), np.array([-3.0, 0.0]), C, np.full(3, -INF), U)
-    assert (
-        nearby(problem, Geometry(problem.C), KKTSystem(problem.P, C, np.zeros(3, dtype=np.int8)))
-        is None
-    )
-    endless = np.array([0, 0, 1], dtype=np.int8)
-    assert nearby(problem, Geometry(problem.C), KKTSystem(problem.P, C, endless)) is None
+    for begun in (np.zeros(3, dtype=np.int8), np.array([0, 0, 1], dtype=np.int8)):
+        assert guess_nearby(problem, Geometry(C), KKTSystem(problem.P, C, begun)) is None
 
 
 def test_a_nearby_set_that_is_wrong_proves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever set is named, the optimum stays: the certificate judges it."""
     rng = np.random.default_rng(1)
     P, A, ones = np.eye(4) + 0.3, rng.normal(size=(3, 4)), np.ones(4)
     steps = [(2 * rng.normal(size=4), -rng.random(3), rng.random(3)) for _ in range(20)]
     honest, deceived = Referee(P, A, -ones, ones), Referee(P, A, -ones, ones)
     known = [honest.certify(*step) for step in steps]
 
-    def lie(problem: JointQP, geometry: Geometry, system: KKTSystem) -> Signs:
-        return rng.integers(-1, 2, 7).astype(np.int8)
-
-    monkeypatch.setattr(referee, "nearby", lie)
+    lie = lambda *_: rng.integers(-1, 2, 7).astype(np.int8)  # noqa: E731
+    monkeypatch.setattr(referee, "guess_nearby", lie)
     for step, optimum in zip(steps, known, strict=True):
         found = deceived.certify(*step)
         assert found.kind == optimum.kind == "linear"
@@ -195,8 +184,7 @@ def test_a_nearby_set_that_is_wrong_proves_nothing(monkeypatch: pytest.MonkeyPat
 
 
 def test_sets_that_change_by_little_need_no_guesser(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Along a path that crosses limits every set is found from the one before."""
-    monkeypatch.setattr(referee, "guesses", lambda problem: pytest.fail("a guesser was asked"))
+    monkeypatch.setattr(referee, "guess_active_sets", lambda problem: pytest.fail("guessed"))
     n, none = 5, np.zeros(0)
     steady = Referee(np.eye(n) + 0.1, np.zeros((0, n)), -np.ones(n), np.ones(n))
     sets = set()
@@ -208,12 +196,75 @@ def test_sets_that_change_by_little_need_no_guesser(monkeypatch: pytest.MonkeyPa
 
 
 def test_any_memory_of_the_vectors_is_taken() -> None:
-    """Vectors that may not be written to, or are every second number of others, compile nothing."""
     P, none, ones = np.eye(3), np.zeros((0, 3)), np.ones(3)
     plain = Referee(P, none, -ones, ones).certify(np.array([-2.0, 0.5, 0.0]), ones[:0], ones[:0])
-    compiled = len(meaning.signatures), len(linear_kernel.signatures)
+    compiled = len(classify_limits.signatures), len(prove_active_set_optimal.signatures)
     q = np.array([-2.0, 9.0, 0.5, 9.0, 0.0, 9.0])
     q.setflags(write=False)
     strided = Referee(P, none, -ones, ones).certify(q[::2], ones[:0], ones[:0])
     assert (strided.z == plain.z).all() and strided.kind == plain.kind == "linear"
-    assert compiled == (len(meaning.signatures), len(linear_kernel.signatures))
+    assert compiled == (len(classify_limits.signatures), len(prove_active_set_optimal.signatures))
+
+
+numbers = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e150, max_value=1e150)
+
+
+def _fractions(value: Dyadic) -> list[Fraction]:
+    unit = Fraction(2) ** value.exponent
+    return [int(number) * unit for number in value.whole.ravel().tolist()]
+
+
+@settings(max_examples=100, derandomize=True, deadline=None)
+@given(st.lists(st.tuples(numbers, numbers), min_size=1, max_size=5))
+def test_sums_and_products_are_exact(pairs: list[tuple[float, float]]) -> None:
+    a, b = (np.array(column) for column in zip(*pairs, strict=True))
+    x, y = Dyadic.of(a), Dyadic.of(b)
+    exact = [(Fraction(s), Fraction(t)) for s, t in pairs]
+    assert _fractions(x + y) == [s + t for s, t in exact]
+    assert _fractions(x - y) == [s - t for s, t in exact]
+    assert _fractions(x * y) == [s * t for s, t in exact]
+    assert _fractions((x * y).sum()) == [sum(s * t for s, t in exact)]
+    assert _fractions(Dyadic.of(a[np.newaxis]) @ y) == [sum(s * t for s, t in exact)]
+
+
+@settings(max_examples=100, derandomize=True, deadline=None)
+@given(st.lists(numbers, min_size=1, max_size=6))
+def test_round_trip(values: list[float]) -> None:
+    """A float64 array survives the way there and back bit for bit, signs of values included."""
+    array = np.array(values)
+    assert (Dyadic.of(array).floats() == array).all()
+    assert (Dyadic.of(array).signs() == np.sign(array)).all()
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_integer_elimination_solves(seed: int) -> None:
+    """The numerators over the denominator satisfy the system exactly."""
+    rng = np.random.default_rng(seed)
+    n, w = 5, 3
+    B, G = rng.integers(-5, 6, (n, n)), rng.integers(-5, 6, (w, n))
+    K = np.block([[B.T @ B + np.eye(n, dtype=int), G.T], [G, np.zeros((w, w), dtype=int)]])
+    M, rhs = K.astype(object), rng.integers(-9, 10, (n + w, 2)).astype(object)
+    solved = solve_integer(M, rhs)
+    assert solved is not None
+    x, denominator = solved
+    assert denominator > 0
+    assert (M @ x == rhs * denominator).all()
+
+
+def test_integer_elimination_reports_dependent_rows() -> None:
+    K = np.array([[2, 0, 1, 1], [0, 2, 1, 1], [1, 1, 0, 0], [1, 1, 0, 0]]).astype(object)
+    assert solve_integer(K, np.ones((4, 1), dtype=int).astype(object)) is None
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_semidefinite_is_decided_exactly(seed: int) -> None:
+    """BᵀB is semidefinite whatever its rank, and no longer so after any shift down by one unit."""
+    rng = np.random.default_rng(seed)
+    B = rng.integers(-1000, 1001, (3, 6))
+    S = (B.T @ B).astype(object)
+    assert is_semidefinite(S)
+    for i in range(6):
+        shifted = S * 1000
+        shifted[i, i] -= 1
+        # Rank 3 in six dimensions: each axis has a part in the null space.
+        assert not is_semidefinite(shifted)

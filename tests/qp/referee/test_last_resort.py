@@ -1,10 +1,4 @@
-"""Optima that only the last resort certifies: equality rows, bad scaling, no interior, singular P.
-
-As in `test_certify_constructed`, all numbers are small multiples of 1/8 and powers of two, so that
-the planted optimum is the optimum to the last bit.
-"""
-
-from __future__ import annotations
+"""Optima that only the last resort certifies."""
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -18,13 +12,14 @@ from numpy.typing import NDArray
 
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee import oracle
-from dpbench.qp.referee.equilibrated import Scales, safe
-from dpbench.qp.referee.feasibility.implied import with_implied, without_empty
+from dpbench.qp.referee.equilibrated import Scales, is_scalable
+from dpbench.qp.referee.feasibility.implied import drop_empty_rows, make_equalities
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Proof
 from dpbench.qp.referee.kkt import KKTSystem
 from dpbench.qp.referee.last_resort import LastResort, enclosure_certificate
+from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.rational import rational_certificate
-from dpbench.qp.referee.referee import Optimum, Referee, certify
+from dpbench.qp.referee.referee import Referee, certify
 from dpbench.qp.residuals import is_true, residuals
 from dpbench.qp.solution import Solution, Status
 
@@ -65,22 +60,19 @@ def plant(
     A = (rng.integers(-3, 4, (m, n)) * (rng.random((m, n)) < density)).astype(float)
     z = rng.integers(-16, 17, n) / 8
     value, side = A @ z, rng.choice([-1.0, 1.0], m)
-    kind = np.repeat(["equal", "strict", "weak", "free"], [equal, strict, weak, m // 2])
     size = rng.integers(1, 16, m) / 8
+    kind = np.repeat(["equal", "strict", "weak", "free"], [equal, strict, weak, m // 2])
     y = np.where(np.isin(kind, ["equal", "strict"]), side * size, 0.0)
-    room = np.where(kind == "free", size, 0.0)
-    u = np.where((side > 0) | (kind == "free") | (kind == "equal"), value + room, INF)
-    l = np.where((side < 0) | (kind == "free") | (kind == "equal"), value - room, -INF)  # noqa: E741 - l as in QP
+    room, both = np.where(kind == "free", size, 0.0), np.isin(kind, ["free", "equal"])
+    u = np.where((side > 0) | both, value + room, INF)
+    l = np.where((side < 0) | both, value - room, -INF)  # noqa: E741 - l as in QP
     lb, ub, y_box = np.full(n, -INF), np.full(n, INF), np.zeros(n)
     held = rng.permutation(n)[:bounds]
     lb[held], y_box[held] = z[held], -rng.integers(1, 16, bounds) / 8
     q = -(P @ z + A.T @ y + y_box)
-    D = 2.0 ** rng.integers(-spread, spread + 1, n)
-    R = 2.0 ** rng.integers(-spread, spread + 1, m)
-    qp = QuadraticProgram(
-        P / np.outer(D, D), q / D, R[:, None] * A / D, R * l, R * u, lb * D, ub * D
-    )
-    return Planted(qp, z * D, D)
+    D, R = (2.0 ** rng.integers(-spread, spread + 1, count) for count in (n, m))
+    scaled = P / np.outer(D, D), q / D, R[:, None] * A / D, R * l, R * u, lb * D, ub * D
+    return Planted(QuadraticProgram(*scaled), z * D, D)
 
 
 def _certified(known: Planted) -> Optimum:
@@ -102,7 +94,6 @@ def test_weak_rows_beside_equalities(seed: int, spread: int) -> None:
 
 
 def test_definite_in_other_units() -> None:
-    """Units that hide from rounding that P is definite do not hide it from the referee."""
     for seed in range(3):
         _certified(plant(seed, 120, equal=20, strict=10, weak=10, density=0.2, spread=25))
 
@@ -126,7 +117,6 @@ def test_sparse_and_large(n: int) -> None:
 def test_bound_holds_on_its_own(
     seed: int, n: int, equal: int, strict: int, weak: int, spread: int
 ) -> None:
-    """Whatever is active, dependent or ill scaled, the last resort is silent or right."""
     known = plant(seed, n, equal=equal, strict=strict, weak=weak, spread=spread)
     proof = _resort(known.qp)
     if proof is not None:
@@ -154,15 +144,9 @@ def _resort(qp: QuadraticProgram) -> Proof | None:
 def test_singular_cost(
     seed: int, n: int, equal: int, strict: int, bounds: int, spread: int
 ) -> None:
-    """With singular P the bound covers the planted minimiser; it is found where rows make up for P.
-
-    A linear program (rank 0) is the extreme case.
-    """
-    rank = seed % n
-    bounds = min(bounds, n)
-    known = plant(
-        seed, n, equal=equal, strict=strict, weak=1, bounds=bounds, rank=rank, spread=spread
-    )
+    """With singular P the bound covers the planted minimiser."""
+    sizes = {"bounds": min(bounds, n), "rank": seed % n, "spread": spread}
+    known = plant(seed, n, equal=equal, strict=strict, weak=1, **sizes)
     optimum = certify(known.qp)
     assert optimum.kind != "infeasible"
     if np.isfinite(optimum.bound):
@@ -172,12 +156,10 @@ def test_singular_cost(
 
 @pytest.mark.parametrize("seed", range(5))
 def test_degenerate_vertex_of_a_linear_program(seed: int) -> None:
-    """Many strictly active rows at a vertex, far more than variables, stand in for the cost."""
     _certified(plant(seed, 45, equal=5, strict=60, weak=0, rank=0))
 
 
 def test_many_minimisers_have_no_certificate() -> None:
-    """A linear program with an edge of minimisers is not certified."""
     ones = np.ones(2)
     for q in ([1.0, 0.0], [0.0, 0.0], [1.0, 1.0]):
         qp = QuadraticProgram(np.zeros((2, 2)), q, [[1.0, 1.0]], [0.5], [0.5], -ones, ones)
@@ -186,7 +168,6 @@ def test_many_minimisers_have_no_certificate() -> None:
 
 @pytest.mark.parametrize(("row", "certified"), [([0.0, 1.0], True), ([1.0, 0.0], False)])
 def test_cost_convex_where_equalities_leave_room(row: list[float], certified: bool) -> None:
-    """A saddle is certified if equality rows hold its falling direction, else not."""
     P, free = np.diag([1.0, -1.0]), np.full(2, INF)
     qp = QuadraticProgram(P, [-1.0, 0.0], [row], [0.25], [0.25], -free, free)
     optimum = certify(qp)
@@ -199,22 +180,17 @@ def test_cost_convex_where_equalities_leave_room(row: list[float], certified: bo
 def test_agrees_with_exact_arithmetic(seed: int) -> None:
     """On data without any structure the last resort encloses what exact arithmetic finds."""
     rng = np.random.default_rng(seed)
-    n, m = 9, 6
-    B, A = rng.normal(size=(n, n)), rng.normal(size=(m, n))
-    P = B.T @ B
-    u = rng.normal(size=m)
-    l = np.where(np.arange(m) < 3, u, -INF)  # noqa: E741 - as in QuadraticProgram
-    ones = 5.0 * np.ones(n)
-    qp = QuadraticProgram(0.5 * (P + P.T), rng.normal(size=n), A, l, u, -ones, ones)
+    B, A, u = rng.normal(size=(9, 9)), rng.normal(size=(6, 9)), rng.normal(size=6)
+    limits = np.where(np.arange(6) < 3, u, -INF), u, [-5.0] * 9, [5.0] * 9
+    P = 0.5 * (B.T @ B + (B.T @ B).T)
+    qp = QuadraticProgram(P, rng.normal(size=9), A, *limits)
     joint = JointQP.of(qp)
-    start = np.zeros(n + m, dtype=np.int8)
+    start = np.zeros(15, dtype=np.int8)
     exact = rational_certificate(joint, ExactMatrices.of(joint.P, joint.C), start)
-    assert exact is not None
-    if exact.kind == "infeasible":
-        assert _resort(qp) is None
-        return
     proof = _resort(qp)
-    assert proof is not None
+    assert exact is not None and (proof is None) is (exact.kind == "infeasible")
+    if proof is None:
+        return
     assert np.abs(proof.z - exact.z).max() <= proof.bound + exact.bound
     assert proof.bound <= BOUND
 
@@ -222,21 +198,16 @@ def test_agrees_with_exact_arithmetic(seed: int) -> None:
 @pytest.mark.parametrize("rank", [0, 1, 2])
 @pytest.mark.parametrize("q", [(-2.0, 0.5), (-0.25, -0.25), (3.0, -3.0), (0.125, 0.5), (0.0, 0.0)])
 def test_every_active_set(q: tuple[float, float], rank: int) -> None:
-    """Given any active set the enclosure is silent or covers a minimiser of z_1 + z_2 = 1/4.
-
-    On that line the cost is one of z_1 alone, in [−3/4, 1].
-    """
+    """Given any active set the enclosure is silent or covers a minimiser of z_1 + z_2 = 1/4."""
     P = np.diag([1.0, 1.0]) if rank == 2 else np.diag([float(rank), 0.0])
     C = np.array([[1.0, 1.0], [1.0, 0.0], [0.0, 1.0]])
     U = np.array([0.25, 1.0, 1.0])
     problem = JointQP(P, np.array(q), C, np.array([0.25, -1.0, -1.0]), U)
     slope, curvature = q[0] - q[1] - 0.25 * P[1, 1], P[0, 0] + P[1, 1]
-    if curvature == 0.0 and slope == 0.0:
-        best = None
-    elif curvature == 0.0:
-        best = -0.75 if slope > 0.0 else 1.0
-    else:
-        best = float(np.clip(-slope / curvature, -0.75, 1.0))
+    best = None
+    if curvature or slope:
+        free = -slope / curvature if curvature else -INF * slope
+        best = float(np.clip(free, -0.75, 1.0))
     bounds = []
     for rest in product((-1, 0, 1), repeat=2):
         system = KKTSystem(P, C, np.array([1, *rest], dtype=np.int8))
@@ -246,41 +217,32 @@ def test_every_active_set(q: tuple[float, float], rank: int) -> None:
         exact = ExactMatrices.of(P, C)
         found = enclosure_certificate(problem, exact, system, inward, convex=True)
         if found is not None:
-            assert best is not None
-            assert (np.abs(found.z - [best, 0.25 - best]) <= found.bound).all()
+            assert best is not None and (np.abs(found.z - [best, 0.25 - best]) <= found.bound).all()
             bounds.append(found.bound.max())
     assert best is None or min(bounds) <= 1e-12
 
 
 def _cycle(change: float = 0.0) -> JointQP:
     """Rows z_1 ≥ z_2 ≥ … ≥ z_5 ≥ z_1 (all equal), an equality row twice, and an empty row."""
-    n = 5
-    A = np.zeros((8, n))
-    for i in range(n):
-        A[i, i], A[i, (i + 1) % n] = 1.0, -1.0
-    A[5] = A[6] = 1.0
-    A[6] *= 3.0
-    l = np.array([0.0, 0.0, 0.0, 0.0, -change, 2.0, 6.0, -1.0])  # noqa: E741 - as in QuadraticProgram
-    u = np.array([INF] * 5 + [2.0, 6.0, 1.0])
-    free = np.full(n, INF)
-    return JointQP.of(QuadraticProgram(np.eye(n), np.arange(n), A, l, u, -free, free))
+    eye, ones, free = np.eye(5), np.ones(5), np.full(5, INF)
+    A = np.vstack((eye - np.roll(eye, 1, axis=1), ones, 3.0 * ones, 0.0 * ones))
+    limits = [0.0] * 4 + [-change, 2.0, 6.0, -1.0], [INF] * 5 + [2.0, 6.0, 1.0]
+    return JointQP.of(QuadraticProgram(eye, np.arange(5), A, *limits, -free, free))
 
 
 def test_implied_equalities_are_found_exactly() -> None:
-    """Rows that close a circle are equalities, dependent ones go; a bit of slack is none."""
-    problem = without_empty(_cycle())
+    problem = drop_empty_rows(_cycle())
     assert np.isinf(problem.L[7])
     touched = np.array([-1] * 5 + [1, 1] + [0] * 6, dtype=np.int8)
-    found = with_implied(problem, touched)
+    found = make_equalities(problem, touched)
     assert found is not None
     equal = found.L == found.U
     assert equal.sum() == 5
     assert np.linalg.matrix_rank(found.C[equal]) == 5
-    assert with_implied(without_empty(_cycle(2.0**-60)), touched) is None
+    assert make_equalities(drop_empty_rows(_cycle(2.0**-60)), touched) is None
 
 
 def test_circle_of_rows_is_certified(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A feasible set without interior that no single row forces has a certificate."""
     problem = _cycle()
     proof = LastResort(problem.P, problem.C, convex=True).certify(problem)
     assert proof is not None
@@ -294,7 +256,6 @@ def test_circle_of_rows_is_certified(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_other_units_are_the_same_problem_to_the_last_bit(seed: int) -> None:
-    """Scaled numbers divided by their factors are the numbers as posed, and alike in size."""
     known = plant(seed, 8, equal=2, strict=2, weak=2, bounds=2, spread=25)
     joint = JointQP.of(known.qp)
     scales = Scales.of(joint.P, joint.C)
@@ -312,13 +273,12 @@ def test_other_units_are_the_same_problem_to_the_last_bit(seed: int) -> None:
 
 def test_numbers_out_of_range_are_left_alone() -> None:
     """Numbers that scaling could push out of float64 are refused, infinite limits are not."""
-    assert safe(np.array([1.0, 0.0, INF]))
-    assert not safe(np.array([1e300]))
-    assert not safe(np.array([1.0, 1e-300]))
+    assert is_scalable(np.array([1.0, 0.0, INF]))
+    assert not is_scalable(np.array([1e300]))
+    assert not is_scalable(np.array([1.0, 1e-300]))
 
 
 def test_referee_keeps_its_last_resort() -> None:
-    """Problems that share P and A are certified one after the other as each on its own."""
     known = plant(3, 50, equal=12, strict=6, weak=6)
     qp = known.qp
     referee = Referee(qp.P, qp.A, qp.lb, qp.ub)

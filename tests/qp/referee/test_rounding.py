@@ -1,9 +1,8 @@
 """Infeasible by rounding or in earnest: planted violations of known size."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from hypothesis import strategies as st
 
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.feasibility.farkas import farkas_valid
-from dpbench.qp.referee.feasibility.rounding import least_violation, sizes
+from dpbench.qp.referee.feasibility.rounding import bound_least_violation, limit_sizes
 from dpbench.qp.referee.joint import JointQP
 from dpbench.qp.referee.referee import certify
 
@@ -23,18 +22,15 @@ SCALES = [1.0, 2.0**20, 2.0**-20]
 
 def _opposed(violation: float, scale: float, n: int = 3) -> QuadraticProgram:
     """z_1 + … + z_n at most `scale` by one row, at least scale·(1 + violation) by another."""
-    A = np.ones((2, n))
-    l, u = [-INF, scale * (1.0 + violation)], [scale, INF]  # noqa: E741 - as in QuadraticProgram
-    free = np.full(n, 10.0 * scale)
-    return QuadraticProgram(np.eye(n), np.ones(n), A, l, u, -free, free)
+    limits, box = ([-INF, scale * (1.0 + violation)], [scale, INF]), np.full(n, 10.0 * scale)
+    return QuadraticProgram(np.eye(n), np.ones(n), np.ones((2, n)), *limits, -box, box)
 
 
 def _hollow(violation: float, scale: float) -> QuadraticProgram:
     """A row 0·z ≤ −violation·scale among rows of limits `scale`, as where a state is given."""
     A = np.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0]])
-    u = np.array([-violation, 1.0, 1.0]) * scale
-    free = np.full(2, INF)
-    return QuadraticProgram(np.eye(2), np.ones(2), A, np.full(3, -INF), u, -free, free)
+    limits = np.full(3, -INF), np.array([-violation, 1.0, 1.0]) * scale
+    return QuadraticProgram(np.eye(2), np.ones(2), A, *limits, [-INF] * 2, [INF] * 2)
 
 
 def _touching(violation: float, scale: float) -> QuadraticProgram:
@@ -44,29 +40,23 @@ def _touching(violation: float, scale: float) -> QuadraticProgram:
 
 @pytest.mark.parametrize("scale", SCALES)
 @pytest.mark.parametrize("plant", [_hollow, _touching])
-@pytest.mark.parametrize(
-    ("violation", "kind"),
-    [(1e-17, "undecided"), (1e-16, "undecided"), (1e-12, "infeasible"), (1e-3, "infeasible")],
-)
-def test_planted_violation(plant: object, violation: float, kind: str, scale: float) -> None:
+@pytest.mark.parametrize("violation", [1e-17, 1e-16, 1e-12, 1e-3])
+def test_planted_violation(plant: Any, violation: float, scale: float) -> None:
     """A violation of 1e-16 of the numbers around it is undecided, one of 1e-12 is not."""
-    qp = plant(violation, scale)  # type: ignore[operator]  # one of the functions above
+    qp = plant(violation, scale)
     optimum = certify(qp)
-    assert optimum.kind == kind
-    assert np.isnan(optimum.z).all()
-    assert optimum.bound == INF
+    assert optimum.kind == ("undecided" if violation < 1e-14 else "infeasible")
+    assert np.isnan(optimum.z).all() and optimum.bound == INF
     assert farkas_valid(qp, optimum.y, optimum.y_box)
 
 
 @pytest.mark.parametrize("scale", SCALES)
-@pytest.mark.parametrize(
-    ("violation", "kind"),
-    [(2.0**-52, "undecided"), (1e-12, "infeasible"), (1e-3, "infeasible")],
-)
+@pytest.mark.parametrize("violation", [2.0**-52, 1e-12, 1e-3])
 @pytest.mark.parametrize("n", [3, 60])
-def test_opposed_rows(n: int, violation: float, kind: str, scale: float) -> None:
+def test_opposed_rows(n: int, violation: float, scale: float) -> None:
     """Two rows that exclude one another by one unit in the last place are undecided."""
-    assert certify(_opposed(violation, scale, n)).kind == kind
+    expected = "undecided" if violation < 1e-14 else "infeasible"
+    assert certify(_opposed(violation, scale, n)).kind == expected
 
 
 @pytest.mark.parametrize("row", [True, False])
@@ -78,10 +68,11 @@ def test_crossed_limits(limit: float, row: bool) -> None:
         (limit - 1e-12 * abs(limit), "infeasible"),
         (limit - abs(limit), "infeasible"),
     ):
-        l, u = ([limit], [below]) if row else ([-INF], [INF])  # noqa: E741 - as in QuadraticProgram
-        lb, ub = ([-INF], [INF]) if row else ([limit], [below])
-        qp = QuadraticProgram(np.eye(1), [0.0], np.eye(1), l, u, lb, ub)
-        assert certify(qp).kind == kind
+        crossed, free = ([limit], [below]), ([-INF], [INF])
+        limits = (*crossed, *free) if row else (*free, *crossed)
+        optimum = certify(qp := QuadraticProgram(np.eye(1), [0.0], np.eye(1), *limits))
+        assert optimum.kind == kind
+        assert farkas_valid(qp, optimum.y, optimum.y_box)
 
 
 @pytest.mark.slow
@@ -91,15 +82,15 @@ def test_crossed_limits(limit: float, row: bool) -> None:
     st.sampled_from([_hollow, _touching]),
     st.sampled_from(SCALES),
 )
-def test_bounds_enclose_the_least_violation(violation: float, plant: object, scale: float) -> None:
+def test_bounds_enclose_the_least_violation(violation: float, plant: Any, scale: float) -> None:
     """lower ≤ t* ≤ upper, with t* by hand in fractions; the verdict is that of t* and γ."""
-    qp = plant(violation, scale)  # type: ignore[operator]  # one of the functions above
-    upper, lower = sizes(JointQP.of(qp))
+    qp = plant(violation, scale)
+    upper, lower = limit_sizes(JointQP.of(qp))
     # The row must rise, and the bound z ≥ 0 may fall to meet it.
     room = Fraction(float(upper[0])) + (Fraction(float(lower[1])) if qp.n == 1 else 0)
     exact = Fraction(float(-qp.u[0])) / room
     optimum = certify(qp)
-    found = least_violation(qp, np.concatenate((optimum.y, optimum.y_box)))
+    found = bound_least_violation(qp, np.concatenate((optimum.y, optimum.y_box)))
     assert Fraction(found.lower) <= exact
     assert found.lower >= 0.999 * float(exact)
     if found.upper < INF:
@@ -109,10 +100,7 @@ def test_bounds_enclose_the_least_violation(violation: float, plant: object, sca
 
 
 def _cycle(seed: int, n: int, m: int, share: float) -> QuadraticProgram:
-    """Rows that meet in one point, with Σ y_i a_i = 0, y > 0, less `share` of one limit.
-
-    That limit is 0 in the point, so that any share leaves a float64 number.
-    """
+    """Rows that meet in one point, with Σ y_i a_i = 0, y > 0, less `share` of one limit."""
     rng = np.random.default_rng(seed)
     A = rng.integers(-3, 4, (m, n)).astype(float)
     z = rng.integers(1, 17, n) / 8
@@ -147,31 +135,79 @@ def test_units_of_a_row_do_not_matter() -> None:
 
 @pytest.mark.parametrize("huge", [1e10, 1e20, 1e30])
 def test_huge_limits_hide_no_violation(huge: float) -> None:
-    """Numbers that stand for infinity do not make the rounding of others larger."""
     A = np.array([[1.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 1.0]])
-    qp = QuadraticProgram(
-        np.eye(2),
-        np.ones(2),
-        A,
-        [-huge, 1.0 + 1e-9, -huge, -huge],
-        [1.0, huge, huge, huge],
-        [-huge] * 2,
-        [huge] * 2,
-    )
+    limits = [-huge, 1.0 + 1e-9, -huge, -huge], [1.0, huge, huge, huge], [-huge] * 2, [huge] * 2
+    qp = QuadraticProgram(np.eye(2), np.ones(2), A, *limits)
     assert certify(qp).kind == "infeasible"
 
 
 def test_thin_feasible_sets_stay_feasible() -> None:
-    """Equalities, dependent ones and a forced vertex have optima, thin as their sets are."""
-    free = np.full(2, INF)
-    A = np.array([[1.0, 2.0], [2.0, 4.0], [1.0, -1.0]])
-    twice = QuadraticProgram(np.eye(2), [1.0, 1.0], A[:2], [1.0, 2.0], [1.0, 2.0], -free, free)
-    vertex = QuadraticProgram(
-        np.eye(2), [1.0, 1.0], A, [3.0, 6.0, 0.0], [3.0, 6.0, 0.0], -free, free
-    )
-    ones = np.ones(2)
+    free, ones, A = np.full(2, INF), np.ones(2), np.array([[1.0, 2.0], [2.0, 4.0], [1.0, -1.0]])
+    equal = [3.0, 6.0, 0.0]
+    twice = QuadraticProgram(np.eye(2), ones, A[:2], [1.0, 2.0], [1.0, 2.0], -free, free)
+    vertex = QuadraticProgram(np.eye(2), ones, A, equal, equal, -free, free)
     forced = QuadraticProgram(np.eye(2), ones, [[1.0, 1.0]], [2.0], [INF], -ones, ones)
     for qp, z in ((twice, (-0.2, 0.6)), (vertex, (1.0, 1.0)), (forced, (1.0, 1.0))):
         optimum = certify(qp)
         assert np.abs(optimum.z - z).max() <= optimum.bound + 1e-15
         assert optimum.bound <= 1e-12
+
+
+U = 2.0**-53
+
+
+@pytest.mark.parametrize(
+    ("n", "units", "undecided"),
+    [
+        # Violations are multiples of 2 u, the last place of 1 + violation.
+        # Both rows are of size 1 + n·1, so that t* is violation/(2 + 2 n). With one variable that
+        # is 2.5 u, then 3.5 u against γ_3 = 3 u.
+        (1, 10, True),
+        (1, 14, False),
+        # With three variables 4.5 u, then 5.5 u against γ_5 = 5 u
+        (3, 36, True),
+        (3, 44, False),
+    ],
+)
+def test_a_violation_is_undecided_up_to_the_bound(n: int, units: int, undecided: bool) -> None:
+    """A violation below γ_{n+2} is undecided, one above it is not."""
+    assert bound_least_violation(_opposed(units * U, 1.0, n)).undecided is undecided
+
+
+@pytest.mark.parametrize(("n", "roundings"), [(1, 3), (3, 5)])
+def test_the_bound_is_more_than_its_first_order(n: int, roundings: int) -> None:
+    """The bound γ_k = k u/(1 − k u) is k u + (k u)² and a little more."""
+    bound = bound_least_violation(_opposed(2 * U, 1.0, n)).rounding
+    assert roundings * U < bound < roundings * U * (1.0 + 2 * roundings * U)
+
+
+@pytest.mark.parametrize(
+    ("coefficient", "size"),
+    [
+        # No more than γ_3 of the largest coefficient of its column: all of it is rounding, and the
+        # row takes the size of the others' limits, 4
+        (2.5 * U, 4.0),
+        # More than that: a coefficient as any other, of a variable that goes up to 4
+        (3.5 * U, 14.0 * U),
+    ],
+)
+def test_the_size_of_a_row_whose_coefficients_are_rounding(coefficient: float, size: float) -> None:
+    """The row c·z ≤ −2⁻²⁰⁰ stands beside z ≤ 4."""
+    qp = QuadraticProgram(
+        np.eye(1), [1.0], [[coefficient], [1.0]], [-INF] * 2, [-(2.0**-200), 4.0], [-INF], [INF]
+    )
+    assert limit_sizes(JointQP.of(qp))[0][0] == pytest.approx(size, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("limit", "size"),
+    [
+        # Of the distances c and 1 the median is a half: up to 3 u of it is rounding and left out
+        (1.25 * U, 1.0 + 1.25 * U),
+        (1.75 * U, 3.5 * U),
+    ],
+)
+def test_a_distance_that_is_rounding_is_no_reach(limit: float, size: float) -> None:
+    """The row z ≤ −c has the size c + reach, beside the bound −1 ≤ z."""
+    qp = QuadraticProgram(np.eye(1), [1.0], [[1.0]], [-INF], [-limit], [-1.0], [INF])
+    assert limit_sizes(JointQP.of(qp))[0][0] == pytest.approx(size, rel=1e-15)

@@ -4,8 +4,6 @@ Playwright drives a Chromium of the system. Where either is absent the tests are
 reason; with `DPBENCH_BROWSER=required`, as CI sets it, they fail instead.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Iterator
@@ -13,12 +11,42 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from urllib.parse import parse_qs
 
 import pytest
 
 from dpbench.report.write import write_report
 
 DESK, PHONE = (1400, 900), (390, 844)
+AXE = Path(__file__).parent / "axe"
+SIZES = pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+SCHEMES = pytest.mark.parametrize("scheme", ["light", "dark"])
+
+
+def selection(page: Any) -> dict[str, str]:
+    """Return the selection that the address holds."""
+    fragment = page.evaluate("location.hash.slice(1)")
+    return {name: values[0] for name, values in parse_qs(fragment).items()}
+
+
+def wait_until_ready(page: Any) -> None:
+    """Wait for the script of the page."""
+    page.wait_for_selector("html[data-ready]", state="attached")
+
+
+def click_middle(page: Any, locator: Any) -> None:
+    """Scroll to a part of a figure and click on its middle."""
+    locator.scroll_into_view_if_needed()
+    box = locator.bounding_box()
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+
+
+def check_accessible(page: Any, width: int) -> None:
+    """Check that axe finds no violation and nothing scrolls sideways."""
+    page.evaluate((AXE / "axe.min.js").read_text())
+    violations = page.evaluate("axe.run(document).then((result) => result.violations)")
+    assert [(rule["id"], [n["html"][:200] for n in rule["nodes"]]) for rule in violations] == []
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
 def _absent(reason: str) -> None:
@@ -31,9 +59,7 @@ def _absent(reason: str) -> None:
 def chromium(request: pytest.FixtureRequest) -> Iterator[Any]:
     """A running browser."""
     if request.config.getoption("--without-extras"):
-        pytest.skip(
-            "no browser"
-        )  # its tools are left out on purpose; another job looks at the page
+        pytest.skip("no browser")  # left out on purpose; another job looks at the page
     try:
         from playwright.sync_api import sync_playwright
     except ImportError:
@@ -83,12 +109,14 @@ class Opener:
         page.on("pageerror", lambda error: self.errors.append(str(error)))
         page.on(
             "console",
-            lambda said: self.errors.append(said.text) if said.type in ("error", "warning") else 0,
+            lambda output: (
+                self.errors.append(output.text) if output.type in ("error", "warning") else 0
+            ),
         )
         page.on("request", lambda request: self.requests.append(request.url))
         page.goto(f"{self.file.as_uri()}{fragment}")
         if scripts:
-            page.wait_for_selector("html[data-ready]", state="attached")
+            wait_until_ready(page)
         return page
 
     def close(self) -> None:

@@ -1,7 +1,5 @@
 """What the page of a comparison does in a browser: its selection, its figures, its table."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,10 +11,16 @@ from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.report.compare.comparison import compare
 from dpbench.report.compare.page import write_comparison
-from tests.report.browser.conftest import Opener, opening
+from tests.report.browser.conftest import (
+    SCHEMES,
+    SIZES,
+    Opener,
+    check_accessible,
+    opening,
+    wait_until_ready,
+)
 from tests.result_folder import write_results
 
-PHONE = (390, 844)
 SLOWER, FACTOR = "piqp", 1.5
 
 
@@ -41,7 +45,6 @@ def compared(chromium: Any, comparison_file: Path) -> Iterator[Opener]:
 
 
 def test_it_opens_with_what_became_slower_most(compared: Opener) -> None:
-    """One sentence, one figure, the steps of the first; nothing is fetched."""
     page = compared()
     assert [u for u in compared.requests if not u.startswith("data:")] == [compared.file.as_uri()]
     assert SLOWER in page.inner_text("#answer .lead")
@@ -49,16 +52,10 @@ def test_it_opens_with_what_became_slower_most(compared: Opener) -> None:
     assert page.inner_text("#one-title").startswith(SLOWER)
     assert page.evaluate("views.steps.then((view) => view.data('pairs').length)") > 100
     assert page.evaluate("document.querySelectorAll('*').length") <= 3000
-    assert comparison_is_small(compared.file)
-
-
-def comparison_is_small(file: Path) -> bool:
-    """Within the budget of a page."""
-    return file.stat().st_size <= 5_000_000
+    assert compared.file.stat().st_size <= 5_000_000
 
 
 def test_a_row_and_a_dot_are_chosen_and_kept_in_the_address(compared: Opener) -> None:
-    """Heading, steps and mark follow; reload and back restore."""
     page = compared()
     page.fill("#table-filter", "osqp")
     page.locator("#times-body button").first.click()
@@ -68,7 +65,7 @@ def test_a_row_and_a_dot_are_chosen_and_kept_in_the_address(compared: Opener) ->
     page.wait_for_function("location.hash.includes('k=')")
     assert "ratio" in page.inner_text("#step-said")
     page.reload()
-    page.wait_for_selector("html[data-ready]", state="attached")
+    wait_until_ready(page)
     assert page.inner_text("#one-title").startswith("osqp")
     assert "ratio" in page.inner_text("#step-said")
     page.go_back()
@@ -76,7 +73,6 @@ def test_a_row_and_a_dot_are_chosen_and_kept_in_the_address(compared: Opener) ->
 
 
 def test_a_mark_of_the_figure_is_chosen_by_a_click(compared: Opener) -> None:
-    """Anywhere in its row."""
     page = compared()
     name = page.locator("#figure-ratios text", has_text="osqp").first
     chosen = str(name.text_content()).split(" (")[0]
@@ -87,7 +83,6 @@ def test_a_mark_of_the_figure_is_chosen_by_a_click(compared: Opener) -> None:
 
 
 def test_it_answers_without_scripts(compared: Opener) -> None:
-    """Sentence, both figures and the table; no control that would do nothing."""
     page = compared(scripts=False)
     assert SLOWER in page.inner_text("#answer .lead")
     for name in ("ratios", "both"):
@@ -97,12 +92,7 @@ def test_it_answers_without_scripts(compared: Opener) -> None:
         assert not control.is_visible()
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("size", [(1400, 900), PHONE])
+@SCHEMES
+@SIZES
 def test_axe_has_nothing_to_say(compared: Opener, size: tuple[int, int], scheme: str) -> None:
-    """On the desk and the phone, by day and night; nothing scrolls sideways."""
-    page = compared(size=size, scheme=scheme)
-    page.add_script_tag(path=str(Path(__file__).parent / "axe" / "axe.min.js"))
-    found = page.evaluate("axe.run().then((result) => result.violations.map((v) => v.id))")
-    assert found == []
-    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    check_accessible(compared(size=size, scheme=scheme), size[0])

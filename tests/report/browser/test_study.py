@@ -1,17 +1,22 @@
 """The page of a study in a browser: one selection of configuration, point and sea."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs
 
 import pytest
 
 from dpbench.report.write import write_report
 from tests.conftest import MadeRecords
-from tests.report.browser.conftest import DESK, PHONE, Opener, opening
+from tests.report.browser.conftest import (
+    SCHEMES,
+    SIZES,
+    Opener,
+    check_accessible,
+    opening,
+    selection,
+    wait_until_ready,
+)
 from tests.report.conftest import LOOSE, of_seas
 
 pytestmark = pytest.mark.slow
@@ -33,7 +38,6 @@ MIDDLE = """async ([name, wanted]) => {
   const box = view.container().querySelector("svg, canvas").getBoundingClientRect();
   return [found[0][0] + box.left, found[0][1] + box.top];
 }"""
-AXE = Path(__file__).parent / "axe" / "axe.min.js"
 
 
 @pytest.fixture(scope="module")
@@ -47,11 +51,6 @@ def study_page(chromium: Any, study_file: Path) -> Iterator[Opener]:
     """Opens it."""
     with opening(chromium, study_file) as opener:
         yield opener
-
-
-def _selection(page: Any) -> dict[str, str]:
-    fragment = page.evaluate("location.hash.slice(1)")
-    return {name: values[0] for name, values in parse_qs(fragment).items()}
 
 
 def _rows(page: Any, view: str, data: str) -> list[dict[str, Any]]:
@@ -69,7 +68,6 @@ def _click_on(page: Any, view: str, wanted: str) -> None:
 
 
 def test_it_opens_where_a_ship_is_lost(study_page: Opener) -> None:
-    """Configuration, point and sea in words and figures, and the loop of that sea below."""
     page = study_page()
     assert page.inner_text("#one-title").startswith("osqp (")
     assert "not held, at most 1.5 m off" in page.inner_text("#study-said")
@@ -84,41 +82,39 @@ def test_it_opens_where_a_ship_is_lost(study_page: Opener) -> None:
     assert not page.locator(".paper img").first.is_visible()
 
 
-@pytest.mark.slow
 def test_a_point_a_row_and_a_dot_are_chosen(study_page: Opener) -> None:
-    """By a click each; all figures, the loop and the address follow, reload and back restore."""
     page = study_page()
     _click_on(page, "design", "row.point === 0")
-    assert _selection(page)["sc"] == "seas: point 0, sea 2"
+    assert selection(page)["sc"] == "seas: point 0, sea 2"
     assert "in 4 of 4 seas" in page.inner_text("#study-said")
     assert [row["point"] for row in _rows(page, "design", "design") if row["chosen"]] == [0]
     _click_on(page, "seas", "row.replicate === 4 && row.who === 'chosen'")
-    assert _selection(page)["sc"] == "seas: point 0, sea 4"
+    assert selection(page)["sc"] == "seas: point 0, sea 4"
     assert page.inner_text("#one-said").startswith("In seas: point 0, sea 4")
     _click_on(page, "behind", "row.name === 'osqp' && row.replicate === 3")
-    chosen = _selection(page)
+    chosen = selection(page)
     assert (chosen["s"], chosen["set"]) == ("osqp", "default")
     assert chosen["sc"] == "seas: point 0, sea 3"
     marked = [row for row in _rows(page, "behind", "seas") if row["chosen"]]
     assert [(row["name"], row["replicate"]) for row in marked] == [("osqp", 3)]
-    assert marked[0]["behind_cm"] == pytest.approx(0.6)
-    said = page.inner_text("#study-said")
+    assert marked[0]["error_excess_cm"] == pytest.approx(0.6)
+    output = page.inner_text("#study-said")
     page.reload()
-    page.wait_for_selector("html[data-ready]", state="attached")
-    assert page.inner_text("#study-said") == said
+    wait_until_ready(page)
+    assert page.inner_text("#study-said") == output
     page.go_back()
     page.wait_for_function("document.getElementById('study-sea').value === '4'")
-    assert _selection(page)["set"] == LOOSE
+    assert selection(page)["set"] == LOOSE
 
 
-@pytest.mark.slow
 def test_numbers_choose_as_clicks_do(study_page: Opener) -> None:
-    """By the keyboard alone; a number that no point has is put back."""
     page = study_page()
     for control, value in (("point", "1"), ("sea", "3")):
         page.fill(f"#study-{control}", value)
         page.press(f"#study-{control}", "Enter")
-    page.wait_for_function("state.p >= 0 && facts.places[state.p].label === 'seas: point 1, sea 3'")
+    page.wait_for_function(
+        "state.p >= 0 && facts.experiments[state.p].label === 'seas: point 1, sea 3'"
+    )
     page.select_option("#study-who", label="daqp")
     page.wait_for_function("C().solver[state.c] === 'daqp'")
     assert page.inner_text("#study-said").count("daqp") == 1
@@ -136,11 +132,9 @@ def test_numbers_choose_as_clicks_do(study_page: Opener) -> None:
     ],
     ids=["zipped", "drawn", "one key"],
 )
-@pytest.mark.slow
 def test_a_design_is_drawn_over_what_tells_points_apart(
     chromium: Any, tmp_path: Path, keys: Any, values: Any, form: str, heights: Any
 ) -> None:
-    """A key that changes with the first is not set beside it; over one key the share is drawn."""
     records = MadeRecords()
     for point in range(20):
         x = dict(zip(keys, values(point), strict=True))
@@ -157,21 +151,15 @@ def test_a_design_is_drawn_over_what_tells_points_apart(
         assert [row["point"] for row in rows if row["state"] == "none held"] == [3]
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
-@pytest.mark.slow
+@SCHEMES
+@SIZES
 def test_it_is_seen_and_read(study_page: Opener, size: tuple[int, int], scheme: str) -> None:
-    """No complaint of axe, nothing sideways, the budget."""
     page = study_page(size=size, scheme=scheme)
-    page.evaluate(AXE.read_text())
-    violations = page.evaluate("axe.run(document).then((result) => result.violations)")
-    assert [(rule["id"], [n["html"][:200] for n in rule["nodes"]]) for rule in violations] == []
-    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    check_accessible(page, size[0])
     assert page.evaluate("document.querySelectorAll('*').length") <= 3000
 
 
 def test_without_scripts_maps_and_seas_are_pictures(study_page: Opener) -> None:
-    """As they are in the files."""
     page = study_page(scripts=False)
     assert page.locator(".paper img").count() == 2
     assert page.locator(".paper img").first.is_visible()

@@ -1,8 +1,5 @@
 """Solvers over their releases: versions in order, times, errors, what is no change."""
 
-from __future__ import annotations
-
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,11 +10,11 @@ import pytest
 
 from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
-from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
+from dpbench.bench.record.schema import as_runs, as_steps
 from dpbench.cli.main import main
 from dpbench.errors import InputError
-from dpbench.report.compare.releases import releases
-from dpbench.report.compare.releases_page import write_releases
+from dpbench.report.compare.releases import releases, write_releases
+from tests.report.conftest import run_row
 from tests.result_folder import write_results
 
 Make = Callable[..., Path]
@@ -39,30 +36,15 @@ def make(tmp_path: Path) -> Make:
         **columns: float,
     ) -> Path:
         rows = [
-            {
-                "run_id": f"{name}-{solver}",
-                "mode": "replay",
-                "scenario": scenario,
-                "sequence": scenario,
-                "solver": solver,
-                "solver_version": versions.get(solver, "1.0"),
-                "route": "native",
-                "policy": "fresh",
-                "settings": "default",
-                "formulation": "condensed_box",
-                "units": "scaled",
-                "outcome": "finished",
-                "schema": SCHEMA_VERSION,
-                "cell": json.dumps({"scenario": {"name": scenario}}),
-                "steps_planned": 1000,
-                "steps_done": 1000,
-                "error_move_max": errors.get(solver, 1e-6),
-                "failed_steps": 0,
-                "algo_p50_ns": 1e3 * time,
-                "algo_p99_ns": 2e3 * time,
-                "algo_max_ns": 3e3 * time,
+            run_row(
+                *(f"{name}-{solver}", "replay", solver, 1000),
+                scenario=scenario,
+                solver_version=versions.get(solver, "1.0"),
+                error_move_max=errors.get(solver, 1e-6),
+                failed_steps=0,
+                **{"algo_p50_ns": 1e3 * time, "algo_p99_ns": 2e3 * time, "algo_max_ns": 3e3 * time},
                 **columns,
-            }
+            )
             for solver, time in times_us.items()
         ]
         folder = tmp_path / name
@@ -114,7 +96,6 @@ def test_folders_of_two_machines_are_ratios_to_the_reference(make: Make) -> None
 
 
 def test_a_busier_machine_is_said_beside_the_change(make: Make) -> None:
-    """Twice the time while the load kernel took twice as long is no change to speak of."""
     old = make("old", OLD, {"piqp": 10.0}, load_kernel_ns=1e5, rounds=2, claimed_not_true=6)
     new = make("new", NEW, {"piqp": 20.0}, load_kernel_ns=2e5, rounds=4, claimed_not_true=12)
     found = releases([old, new])
@@ -124,19 +105,15 @@ def test_a_busier_machine_is_said_beside_the_change(make: Make) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_one_folder_is_none_to_compare(
-    make: Make, capsys: pytest.CaptureFixture[str], count: int
-) -> None:
-    """Nor is the same one twice; three without --releases are asked which view is meant."""
+def test_one_folder_is_none_to_compare(make: Make, capsys: Any, count: int) -> None:
     folder = str(make("a", OLD, {"daqp": 10.0}))
     assert main(["compare", *[folder] * count, "--releases"]) == 2
     assert "two or more result folders, each once" in capsys.readouterr().err
     assert main(["compare", folder, folder, folder]) == 2
-    assert "several with --releases" in capsys.readouterr().err
+    assert "or add --releases" in capsys.readouterr().err
 
 
 def test_folders_of_other_problems_have_no_releases(make: Make) -> None:
-    """Nothing in common is bad input, not an empty page."""
     folders = [make("a", OLD, {"piqp": 1.0}), make("b", NEW, {"piqp": 1.0}, scenario="rough")]
     with pytest.raises(InputError, match="no cell that two of the folders have"):
         releases(folders)

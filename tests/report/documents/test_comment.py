@@ -1,7 +1,5 @@
 """A solver beside others, for its author: a short comment, and the steps that export writes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -11,24 +9,23 @@ import pytest
 from dpbench.analysis.records.worst_steps import worst_steps
 from dpbench.cli.main import main
 from dpbench.errors import InputError
-from dpbench.report.documents.comment import MOST_BYTES, beside
+from dpbench.report.documents.markdown import COMMENT_BYTES, compare_solver
 
 
 @pytest.mark.parametrize("solver", ["piqp", "ecos", "scs", "daqp"])
 def test_the_comment_is_short_and_names_whom_it_is_beside(written: Any, solver: str) -> None:
     """At most 3 kB; the usual two, without the solver itself."""
-    text, worst = beside(written.report, solver)
-    assert len(text.encode()) <= MOST_BYTES
+    text, worst = compare_solver(written.report, solver)
+    assert len(text.encode()) <= COMMENT_BYTES
     others = ["osqp"] if solver == "daqp" else ["osqp", "daqp"]
     assert text.startswith(f"# {solver} beside {' and '.join(others)}\n")
     assert all(f"| {name} |" in text for name in [solver, *others])
     assert text.count("against") == len(others)
-    assert all(step.export in text for step in worst)
+    assert all(step.export_command in text for step in worst)
 
 
 def test_the_worst_step_is_the_largest_of_all_replays(written: Any) -> None:
-    """By error, time and iterations, found in the table of steps without the report's help."""
-    facts, results = written.report.facts, written.results
+    facts, results = written.report.data, written.results
     runs = results.runs[(results.runs["solver"] == "piqp") & (results.runs["mode"] == "replay")]
     known = {run.run_id for run in facts.records.runs}
     steps = results.steps[results.steps["run_id"].isin(set(runs["run_id"]) & known)]
@@ -42,18 +39,17 @@ def test_the_worst_step_is_the_largest_of_all_replays(written: Any) -> None:
 
 
 def test_other_names_and_names_of_nobody(written: Any) -> None:
-    """Whoever ran can be set beside it; a name that did not is an error with the nearest."""
-    text, _ = beside(written.report, "piqp", ["clarabel"])
+    text, _ = compare_solver(written.report, "piqp", ["clarabel"])
     assert text.startswith("# piqp beside clarabel\n")
-    with pytest.raises(InputError, match=r"--for: found 'piq'; allowed: e\.g\. piqp"):
-        beside(written.report, "piq")
+    with pytest.raises(InputError, match=r"--for: found 'piq'; allowed: piqp, "):
+        compare_solver(written.report, "piq")
     with pytest.raises(InputError, match="--against: found 'nobody'"):
-        beside(written.report, "piqp", ["nobody"])
+        compare_solver(written.report, "piqp", ["nobody"])
 
 
 @pytest.mark.slow
 def test_the_command_writes_it_and_the_step_can_be_exported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: Any, capsys: Any
 ) -> None:
     """Run, report, export: the third command is the one the second prints."""
     monkeypatch.chdir(tmp_path)
@@ -67,4 +63,4 @@ def test_the_command_writes_it_and_the_step_can_be_exported(
     with np.load("worst-error.npz", allow_pickle=False) as stored:
         assert len(stored["q"]) == 1
     assert main(["report", "mine", "--against", "daqp"]) == 2
-    assert "--for SOLVER as well" in capsys.readouterr().err
+    assert "by --for SOLVER" in capsys.readouterr().err

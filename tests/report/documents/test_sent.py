@@ -1,7 +1,5 @@
 """A result folder that is sent to us: made whole, and every fault of one said in a line."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable
@@ -19,8 +17,7 @@ from dpbench.bench.capability.table import (
 )
 from dpbench.cli.main import main
 from dpbench.errors import ResultsError
-from dpbench.report.documents.passive_page import check_passive
-from dpbench.report.documents.sent import MOST_BYTES, SENDER, SENT, check_sent
+from dpbench.report.documents.sent import MOST_BYTES, SENDER, SENT, check_passive, check_sent_folder
 
 COMMUNITY = Path(__file__).parents[3] / "results" / "community"
 SIGNED = 'who = "Ada"\nwhen = 2026-11-22\ncommand = "dpbench run smoke"\n'
@@ -50,20 +47,20 @@ def copy(sent: Path, tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 def test_what_is_sent_is_whole_and_small(sent: Path, capsys: Any) -> None:
-    """Five files, no script, far below the limit; the check says what it is."""
     assert sorted(path.name for path in sent.iterdir()) == sorted(SENT)
     page = (sent / "report.html").read_text("utf-8")
     assert "<script" not in page and "steps.parquet" not in page and "<svg" in page
+    for name in ("one", "two"):
+        assert f'id="{name}"' not in page and f'href="#{name}"' not in page, "a script fills it"
+    assert "figures/" not in page and "tables/runs.csv" not in page
     assert sum(path.stat().st_size for path in sent.iterdir()) < MOST_BYTES / 2
     assert main(["check", str(sent)]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "4 runs of 2 solvers" in said and "by Ada, 2026-11-22" in said
+    output = " ".join(capsys.readouterr().out.split())
+    assert "4 runs of 2 solvers" in output and "by Ada, 2026-11-22" in output
 
 
 @pytest.mark.slow
 def test_capability_plots_go_along(records: Any, tmp_path: Path) -> None:
-    """The page names the file by its hash, and is written again from what was sent; another file in
-    its place, or none, is found out."""
     records.loop("daqp", steps=20)
     out, folder = records.write(tmp_path / "out"), tmp_path / "folder"
     row = ("plot", 0, "psv", 8, "intact", "", 0.0, 20.0, True, 20.0, 7)
@@ -72,26 +69,25 @@ def test_capability_plots_go_along(records: Any, tmp_path: Path) -> None:
     (folder / SENDER).write_text(SIGNED, encoding="utf-8")
     assert (folder / CAPABILITY_FILE).read_bytes() == (out / CAPABILITY_FILE).read_bytes()
     assert 'id="capability"' in (folder / "report.html").read_text("utf-8")
-    check_sent(folder)
+    check_sent_folder(folder)
     load_capability(folder).assign(wind_mps=30.0).to_parquet(folder / CAPABILITY_FILE)
     with pytest.raises(ResultsError, match=r"a page of another capability\.parquet"):
-        check_sent(folder)
+        check_sent_folder(folder)
     (out / CAPABILITY_FILE).unlink()
     assert main(["report", str(out), "--send", str(folder), "--quiet"]) == 0
     assert not (folder / CAPABILITY_FILE).exists()
 
 
 def test_sending_again_keeps_the_signature(written: Any, copy: Path, tmp_path: Path) -> None:
-    """And a folder with other things in it, or the results themselves, are no place to send."""
-    from dpbench.report.documents.sent import prepare
+    from dpbench.report.documents.sent import prepare_sent_folder
 
-    prepare(written.folder, copy)
+    prepare_sent_folder(written.folder, copy)
     assert (copy / SENDER).read_text("utf-8") == SIGNED
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.tex").write_text("", encoding="utf-8")
     for place in (tmp_path / "other", written.folder):
         with pytest.raises(ValueError, match=r"--send: found .*a folder of its own"):
-            prepare(written.folder, place)
+            prepare_sent_folder(written.folder, place)
 
 
 def _edit(name: str, change: Callable[[dict[str, Any]], None]) -> Callable[[Path], None]:
@@ -128,6 +124,7 @@ def _gone(name: str) -> Callable[[Path], None]:
         *((_gone(name), (name, "o such file")) for name in SENT),
         (_written("runs.parquet", "PAR1"), ("runs.parquet", "a damaged file")),
         (_written("suite.json", "{"), ("suite.json", "no JSON")),
+        (_written("report.html", " " * MOST_BYTES), (f"at most {MOST_BYTES} in all",)),
         (_written("notes.txt", ""), ("notes.txt", "a file", "only report.html")),
         (_written(SENDER, ""), (SENDER, "who", "this key is required")),
         (_written(SENDER, SIGNED.replace("Ada", " ")), (SENDER, "who: found ' '")),
@@ -170,36 +167,18 @@ def test_a_fault_is_one_line(
 def test_a_page_that_runs_or_loads_something_is_refused(
     copy: Path, old: str, new: str, found: str, capsys: Any
 ) -> None:
-    """The line of the page and the tag or attribute are named."""
     page = (copy / "report.html").read_text("utf-8")
     assert old in page
     line = page[: page.index(old)].count("\n") + 1
     (copy / "report.html").write_text(page.replace(old, new, 1), encoding="utf-8")
     assert main(["check", str(copy)]) == 2
-    (said,) = capsys.readouterr().err.strip().splitlines()
-    assert f"report.html: line {line}: found" in said and found in said, said
-
-
-def test_a_folder_that_is_too_large(copy: Path, capsys: Any) -> None:
-    """A page with scripts and steps is for the sender's own disk."""
-    with (copy / "report.html").open("a", encoding="utf-8") as page:
-        page.write(" " * MOST_BYTES)
-    assert main(["check", str(copy)]) == 2
-    assert f"at most {MOST_BYTES} in all" in capsys.readouterr().err
+    (output,) = capsys.readouterr().err.strip().splitlines()
+    assert f"report.html: line {line}: found" in output and found in output, output
 
 
 @pytest.mark.parametrize("folder", sorted(p for p in COMMUNITY.glob("*") if p.is_dir()), ids=str)
 def test_every_folder_sent_so_far_is_whole(folder: Path) -> None:
-    """What lies in results/community can be read by the dpbench of today."""
-    assert check_sent(folder).startswith(str(folder))
-
-
-def test_the_page_that_is_sent_has_no_dead_link(sent: Path) -> None:
-    """Sections that scripts alone fill are neither there nor named in its contents."""
-    page = (sent / "report.html").read_text("utf-8")
-    for name in ("one", "two"):
-        assert f'id="{name}"' not in page and f'href="#{name}"' not in page
-    assert "figures/" not in page and "tables/runs.csv" not in page
+    assert check_sent_folder(folder).startswith(str(folder))
 
 
 UTF_8 = '<meta charset="utf-8">'

@@ -1,7 +1,5 @@
 """The page is one valid file that needs nothing beside it; its script finds what it asks for."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re
@@ -10,15 +8,17 @@ import subprocess
 import sys
 import tracemalloc
 from html.parser import HTMLParser
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import pytest
 from markupsafe import escape
 
-from dpbench.bench.record.result_folder import hashes
-from dpbench.report.page import cite
-from dpbench.report.page.write import SCRIPTS, own
+from dpbench.bench.record.result_folder import hash_files
+from dpbench.report.page.vendored import Vendored, file_digest, read_script, vendored_scripts
+from dpbench.report.page.write import SCRIPTS, read_page_file, software_citation
+from dpbench.report.topics.paper import CITATION as PAPER_CITATION
 from dpbench.report.write import write_report
 from tests.report.conftest import of_seas
 from tests.report.page.test_pack import unpacked
@@ -27,10 +27,10 @@ CITATION = Path(__file__).parents[3] / "CITATION.cff"
 VOID = {"meta", "img", "br", "link", "input", "hr"}
 WRITE = """
 import sys
-from dpbench.report.write import report_and_ending
-report_and_ending(sys.argv[1], figures=("pdf",))
+from dpbench.report.write import write_report_with_summary
+write_report_with_summary(sys.argv[1], figures=("pdf",))
 """
-JS = "".join(own(f"scripts/{name}.js") for name in SCRIPTS)
+JS = "".join(read_page_file(f"scripts/{name}.js") for name in SCRIPTS)
 
 
 class Checker(HTMLParser):
@@ -68,7 +68,6 @@ def checked(html: str) -> Checker:
 
 
 def test_every_tag_is_closed_and_every_id_stands_once(written: Any) -> None:
-    """What a browser would mend in silence. Ids of a picture's own gradients and clips aside."""
     ids = [name for name in checked(written.html).ids if not re.match(r"(clip|gradient)\d", name)]
     assert len(ids) == len(set(ids)) > 20
 
@@ -87,7 +86,6 @@ def test_nothing_is_loaded_from_elsewhere(written: Any) -> None:
 
 @pytest.mark.slow
 def test_the_script_asks_only_for_what_is_there(written: Any, records: Any, tmp_path: Any) -> None:
-    """Every `$("…")` of the script is an id of a page with all its parts, or of a study's."""
     asked = set(re.findall(r'\$\("([\w-]+)"\)', JS))
     assert len(asked) > 20
     studied = write_report(of_seas(records).write(tmp_path)).read_text("utf-8")
@@ -112,7 +110,7 @@ def test_two_processes_write_the_same_bytes(written: Any, tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_a_page_of_parts_has_what_the_script_cannot_do_without(records: Any, tmp_path: Any) -> None:
+def test_a_loop_alone_has_the_ids_that_scripts_need_at_once(records: Any, tmp_path: Any) -> None:
     """A loop alone: ids that are asked for without a guard at the start are still there."""
     records.loop("daqp", steps=20)
     ids = set(checked(write_report(records.write(tmp_path)).read_text("utf-8")).ids)
@@ -121,17 +119,17 @@ def test_a_page_of_parts_has_what_the_script_cannot_do_without(records: Any, tmp
 
 
 def test_the_block_unpacks_to_the_facts(written: Any) -> None:
-    """Configurations, places and cells are those of the facts, and the steps of a cell are within
-    a code of those of its run."""
     (text,) = re.findall(r'<script id="block"[^>]*>(.*?)</script>', written.html, re.S)
     document, arrays = unpacked(text.strip())
-    facts = written.report.facts
+    facts = written.report.data
     assert document["configurations"]["solver"] == [c.solver for c in facts.configurations]
-    assert [place["label"] for place in document["places"]] == [p.label for p in facts.places]
+    assert [experiment["label"] for experiment in document["experiments"]] == [
+        p.label for p in facts.experiments
+    ]
     cells = document["cells"]
     assert len(cells["id"]) == len(facts.runs)
     for i in (0, len(cells["id"]) // 2):
-        steps = facts.kept[cells["id"][i]].steps
+        steps = facts.thinned_runs[cells["id"][i]].steps
         assert arrays[cells["t"][i]] == pytest.approx(list(steps.time_ns), rel=0.006)
     verdicts = {v.configuration: v for v in facts.verdicts.all}
     for c, p99 in zip(facts.configurations, document["configurations"]["p99"], strict=True):
@@ -146,7 +144,7 @@ def test_a_file_larger_than_the_memory_has_a_hash(tmp_path: Path) -> None:
         file.truncate(64_000_000)
     tracemalloc.start()
     try:
-        found = hashes(tmp_path, ["steps.parquet", "absent"])
+        found = hash_files(tmp_path, ["steps.parquet", "absent"])
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -155,10 +153,11 @@ def test_a_file_larger_than_the_memory_has_a_hash(tmp_path: Path) -> None:
 
 
 def test_files_are_named_with_their_hashes(written: Any) -> None:
-    """What the page was made from can be checked."""
-    for name in ("runs.parquet", "steps.parquet", "machine.json", "suite.json", "tables/runs.csv"):
-        digest = hashlib.sha256((written.folder / name).read_bytes()).hexdigest()
-        assert digest in written.html
+    names = ("runs.parquet", "steps.parquet", "machine.json", "suite.json", "tables/runs.csv")
+    assert all(
+        hashlib.sha256((written.folder / name).read_bytes()).hexdigest() in written.html
+        for name in names
+    )
 
 
 def test_the_page_is_within_its_budget(written: Any) -> None:
@@ -170,16 +169,8 @@ def test_the_page_is_within_its_budget(written: Any) -> None:
     assert len(re.sub(r"<[^>]+>", " ", prose).split()) <= 1500
 
 
-def test_without_a_script_the_answer_and_the_figures_stand(written: Any) -> None:
-    """The pictures are drawn, not only their places."""
-    for name in ("ladder", "matrix", "accuracy"):
-        assert re.search(rf'<div id="figure-{name}"[^>]*>\s*<svg', written.html), name
-    assert "<noscript>" in written.html
-
-
 @pytest.mark.slow
 def test_figures_are_linked_in_each_format_there_is(written: Any, tmp_path: Any) -> None:
-    """PDF beside SVG where it was asked for; else the command that makes it."""
     for name in written.report.figures:
         for kind in ("svg", "pdf"):
             assert f'href="figures/{name}.{kind}"' in written.html
@@ -190,23 +181,38 @@ def test_figures_are_linked_in_each_format_there_is(written: Any, tmp_path: Any)
 
 
 def test_citations_are_those_of_the_citation_file(written: Any) -> None:
-    """Titles and authors; the year and version are those of the run."""
-    said = [
+    output = [
         line.strip().removeprefix("- ").split(": ", 1)
         for line in CITATION.read_text(encoding="utf-8").splitlines()
     ]
     of: dict[str, list[str]] = {}
-    for name, *values in said:
+    for name, *values in output:
         of.setdefault(name, []).extend(value.strip('"') for value in values)
-    entry = cite.software(written.results)
+    entry = software_citation(written.results)
     title, of_the_paper = of["title"]
     assert title in " ".join(entry.split())
     assert f"{{{of['name'][0]}}}" in entry
     assert f"year = {{{written.results.suite['started_utc'][:4]}}}" in entry
     assert f"version {written.results.suite['harness_version']}" in entry
-    assert f"title = {{{of_the_paper}}}" in cite.PAPER
+    assert f"title = {{{of_the_paper}}}" in PAPER_CITATION
     assert len(of["family-names"]) == 4
     for family, given in zip(of["family-names"], of["given-names"], strict=True):
-        assert f"{family}, {given}" in cite.PAPER
-    for text in (entry, cite.PAPER):
+        assert f"{family}, {given}" in PAPER_CITATION
+    for text in (entry, PAPER_CITATION):
         assert str(escape(text)) in written.html
+
+
+VENDOR = files("dpbench.report.page").joinpath("vendor")
+
+
+@pytest.mark.parametrize("entry", vendored_scripts(), ids=lambda entry: entry.file)
+def test_a_script_is_what_the_list_says(entry: Vendored) -> None:
+    assert file_digest(entry) == entry.sha256
+    assert "Redistribution" in VENDOR.joinpath(entry.licence_file).read_text()
+    assert entry.version in read_script(entry)
+    assert "</script" not in read_script(entry)
+
+
+def test_nothing_lies_there_unlisted() -> None:
+    listed = {name for entry in vendored_scripts() for name in (entry.file, entry.licence_file)}
+    assert {item.name for item in VENDOR.iterdir()} == listed | {"vendored.json"}

@@ -1,6 +1,4 @@
-"""Packed arrays, unpacked by a decoder that is written from the format's description alone."""
-
-from __future__ import annotations
+"""Packed arrays, read by a decoder written from their description; thinning of long runs."""
 
 import base64
 import json
@@ -10,11 +8,27 @@ import zlib
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpbench.report.page.pack import Block
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_steps import MEASURES, RunSteps, find_hardest_steps
+from dpbench.analysis.records.thinned_runs import (
+    FORCES,
+    TRACK,
+    ThinnedRun,
+    extreme_indices,
+    thin_track,
+    thinned_indices,
+)
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.verdict import judge_solvers
+from dpbench.report.page import data as page_data
+from dpbench.report.page import pack as packing
+from dpbench.report.page.data import PageData
+from dpbench.report.page.pack import FLAGS, Block, Room, pack_steps
 
 NUMBERS = st.lists(
     st.one_of(
@@ -73,7 +87,7 @@ def test_numbers_over_many_decades_are_told_apart_by_a_percent(values: list[floa
     """Half a code is 10^(1/400), 0.58 %; missing, zero and infinite are themselves. The largest
     code but one is 10^(65532/200 − 16), beyond every number."""
     block = Block()
-    assert block.log(values) == 0
+    assert block.add_log(values) == 0
     for value, found in zip(values, _one(block), strict=True):
         if value == 0.0 or not math.isfinite(value):
             np.testing.assert_equal(found, value)
@@ -84,7 +98,7 @@ def test_numbers_over_many_decades_are_told_apart_by_a_percent(values: list[floa
 def test_what_is_smaller_than_the_smallest_or_negative_is_said_so() -> None:
     """Below 1e-16 stands 1e-16 and not zero; a negative time or error is none."""
     block = Block()
-    block.log([1e-20, -1.0])
+    block.add_log([1e-20, -1.0])
     smallest, negative = _one(block)
     assert smallest == pytest.approx(1e-16) and math.isnan(negative)
 
@@ -96,7 +110,7 @@ def test_what_is_smaller_than_the_smallest_or_negative_is_said_so() -> None:
 def test_multiples_are_within_half_a_unit_or_cut_off(values: list[float], scale: float) -> None:
     """A value within 32767 units is rounded to the nearest; one beyond stands at the end."""
     block = Block()
-    block.linear(values, scale)
+    block.add_linear(values, scale)
     for value, found in zip(values, _one(block), strict=True):
         if math.isnan(value):
             assert math.isnan(found)
@@ -111,9 +125,8 @@ def test_multiples_are_within_half_a_unit_or_cut_off(values: list[float], scale:
     )
 )
 def test_counts_are_exact(values: list[float]) -> None:
-    """Whole numbers come back as they were; NaN and negative ones are missing."""
     block = Block()
-    block.count(values)
+    block.add_count(values)
     expected = [math.nan if math.isnan(v) or v < 0 else float(v) for v in values]
     np.testing.assert_equal(_one(block), expected)
 
@@ -121,21 +134,20 @@ def test_counts_are_exact(values: list[float]) -> None:
 def test_a_count_beyond_the_largest_is_the_largest() -> None:
     """70 000 iterations are shown as 65 534, not as missing."""
     block = Block()
-    block.count([70_000.0])
+    block.add_count([70_000.0])
     assert _one(block) == [65534.0]
 
 
 @given(st.sets(st.integers(0, 300_000), min_size=1, max_size=20))
 def test_some_elements_of_a_long_array_stand_in_their_places(places: set[int]) -> None:
-    """All others are missing, whatever the length; places further apart than a code are refused."""
     block, rising = Block(), sorted(places)
     length = rising[-1] + 3
     if max(np.diff(rising, prepend=0)) > 65535:
         with pytest.raises(ValueError, match="apart"):
-            block.place(rising, length)
+            block.add_place(rising, length)
         return
-    at = block.place(rising, length)
-    numbers = block.count(range(len(rising)), at), block.flag([7] * len(rising), at)
+    at = block.add_place(rising, length)
+    numbers = block.add_count(range(len(rising)), at), block.add_flag([7] * len(rising), at)
     counts, flags = (unpacked(block.text({}))[1][number] for number in numbers)
     assert len(counts) == len(flags) == length
     assert [counts[place] for place in rising] == [float(i) for i in range(len(rising))]
@@ -147,19 +159,129 @@ def test_some_elements_of_a_long_array_stand_in_their_places(places: set[int]) -
 def test_arrays_of_one_block_do_not_touch_each_other(
     arrays: list[list[float]], flags: list[int]
 ) -> None:
-    """Each array has its number, its length and its values whatever stands beside it, and the
-    document comes back with text of any alphabet."""
     block = Block()
-    numbers = [block.flag(flags), *(block.log(array) for array in arrays), block.count([3, 1])]
-    document, found = unpacked(block.text({"said": "µs ≥ 1"}))
+    numbers = [
+        block.add_flag(flags),
+        *(block.add_log(array) for array in arrays),
+        block.add_count([3, 1]),
+    ]
+    document, found = unpacked(block.text({"output": "µs ≥ 1"}))
     assert numbers == list(range(len(arrays) + 2))
-    assert document["said"] == "µs ≥ 1"
+    assert document["output"] == "µs ≥ 1"
     assert found[0] == [float(flag) for flag in flags]
     assert [len(array) for array in found[1:-1]] == [len(array) for array in arrays]
     assert found[-1] == [3.0, 1.0]
 
 
 def test_a_document_with_a_number_that_json_has_not_is_refused() -> None:
-    """A page that holds NaN would not parse in a browser."""
     with pytest.raises(ValueError, match="JSON"):
         Block().text({"x": math.nan})
+
+
+def _long(count: int, seed: int = 1) -> RunSteps:
+    """A run of `count` steps with a few slow, wrong and hard ones at random."""
+    rng = np.random.default_rng(seed)
+    flags = dict.fromkeys(("claimed", "true", *FLAGS[2:]), np.ones(count, dtype=bool))
+    return RunSteps(
+        k=np.arange(count) + 7,
+        time_ns=rng.lognormal(9.0, 0.5, count),
+        raw_ns=rng.lognormal(10.0, 0.5, count),
+        error=rng.lognormal(-20.0, 2.0, count),
+        iterations=rng.integers(1, 30, count).astype(float),
+        n_active=np.zeros(count),
+        **flags,
+        status=np.full(count, "SOLVED", dtype=object),
+        rounds=1,
+    )
+
+
+def test_what_fits_stays_whole() -> None:
+    lengths = [667] * 500
+    assert sum(lengths) <= packing.MOST_STEPS and Room.of(lengths).steps >= 667
+    chosen, extra = thinned_indices(_long(667), Room.of(lengths).steps)
+    assert len(chosen) == 667 and not extra.any()
+
+
+@pytest.mark.parametrize(
+    "lengths", [[100_000] * 10, [1000] * 1000, [500] * 800 + [100_000] * 6, [1] * 3 + [10**6]]
+)
+def test_a_million_steps_share_the_room(lengths: list[int]) -> None:
+    share = Room.of(lengths).steps
+    taken = sum(min(length, share) for length in lengths)
+    assert packing.MOST_STEPS - len(lengths) <= taken <= packing.MOST_STEPS
+    assert Room.of(lengths).points * len(lengths) <= packing.MOST_POINTS
+
+
+@pytest.mark.parametrize("most", [90, 600, 5000])
+def test_a_thinned_run_keeps_its_hardest_and_a_regular_part(most: int) -> None:
+    run = _long(20_000)
+    chosen, extra = thinned_indices(run, most)
+    assert len(chosen) <= most + 1 and np.all(np.diff(chosen) > 0)
+    assert len(set(np.diff(chosen[~extra]))) == 1
+    for measure in MEASURES:
+        assert {hard.at for hard in find_hardest_steps(run, measure, 5)} <= set(chosen.tolist())
+
+
+def test_left_out_steps_are_missing_in_the_block() -> None:
+    run, whole, thin = _long(20_000), Block(), Block()
+    of_whole = pack_steps(whole, ThinnedRun.of(run, 20_000))
+    of_thin = pack_steps(thin, ThinnedRun.of(run, 600))
+    assert of_whole["first"] == of_thin["first"] == 7
+    assert len(thin.text({})) < 0.1 * len(whole.text({}))
+    all_steps, some = (
+        unpacked(block.text({}))[1][entry["t"]]
+        for block, entry in ((whole, of_whole), (thin, of_thin))
+    )
+    kept_ones = ~np.isnan(some)
+    assert len(some) == len(all_steps) and 500 < kept_ones.sum() <= 601
+    np.testing.assert_array_equal(np.array(some)[kept_ones], np.array(all_steps)[kept_ones])
+
+
+def test_a_track_has_no_more_points_than_it_may() -> None:
+    names = [*TRACK, *FORCES]
+    table = pd.DataFrame({name: np.arange(1001.0) for name in names})
+    track = thin_track(table, np.ones(3), 100)
+    assert len(track.position) == 91 and track.every == 11
+    np.testing.assert_array_equal(track.position[:, 0], np.arange(1001.0)[::11])
+
+
+def test_extremes_of_a_line_are_drawn() -> None:
+    values = np.sin(np.arange(100_000) / 50.0)
+    values[[3, 70_001]] = 5.0, -5.0
+    places = extreme_indices(values, 1000)
+    assert len(places) <= 1000 and {3, 70_001} <= set(places.tolist())
+    assert len(extreme_indices(values[:1000], 1000)) == 1000
+
+
+def test_the_block_of_many_long_runs_stays_within_its_room(records: Any, monkeypatch: Any) -> None:
+    """The budget at a scale of 1 to 1000: a third of what the same runs take whole."""
+    for solver in ("daqp", "osqp", "quadprog", "piqp"):
+        records.replay(solver, steps=3000, rounds=1, spread=0.3)
+    results = records.results()
+
+    def size() -> int:
+        view, requirements = Records(results), Requirements.of(results.suite)
+        facts = PageData.of(view, judge_solvers(view, requirements))
+        cells = list(facts.cells())
+        assert len(cells) == 4
+        return len(facts.block.text({}))
+
+    whole = size()
+    monkeypatch.setattr(packing, "MOST_STEPS", 400)
+    assert size() < whole / 3
+
+
+def test_of_many_runs_fewer_hard_steps_are_listed(records: Any, monkeypatch: Any) -> None:
+    for solver in ("daqp", "osqp", "quadprog"):
+        records.replay(solver, steps=30, rounds=1, spread=0.3)
+
+    def listed(most: int) -> set[int]:
+        monkeypatch.setattr(page_data, "MOST_HARD", most)
+        view, requirements = records.view(), Requirements.of({})
+        facts = PageData.of(view, judge_solvers(view, requirements))
+        assert all(
+            len(rows) == 5 for run in facts.thinned_runs.values() for rows in run.hard.values()
+        )
+        return {len(rows) for cell in facts.cells() for rows in cell["hard"]}
+
+    assert listed(45) == {5} and listed(20) == {2} and listed(1) == {1}

@@ -1,11 +1,10 @@
 """Every kind of suite has a page of its own: what it has is shown, what nobody asked for is not."""
 
-from __future__ import annotations
-
 import copy
 import json
 import re
 from collections.abc import Callable
+from dataclasses import asdict
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -14,10 +13,9 @@ import pytest
 
 from dpbench.bench.record.result_folder import load_results
 from dpbench.cli.main import main
-from dpbench.errors import InputError
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.report.report import Report
-from dpbench.report.write import report_and_ending, write_report
+from dpbench.report.write import write_report, write_report_with_summary
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
 from tests.report.page.test_html import checked
 
@@ -34,12 +32,12 @@ TITLES = {
 TIMED = {"replay_s": 2.0, "involuntary_switches": 4, "steal_s": 0.0}
 
 
-def _replay_only(records: Any) -> None:
+def _pair_of_replays(records: Any) -> None:
     records.replay("daqp", steps=30)
     records.replay("osqp", steps=30, median_us=80.0)
 
 
-def _loops_only(records: Any) -> None:
+def _pair_of_loops(records: Any) -> None:
     records.loop("daqp", "calm", steps=40)
     records.loop("osqp", "calm", steps=40, error=0.4)
 
@@ -49,15 +47,10 @@ def _paper(records: Any) -> None:
     records.loop("unconstrained_clipped", steps=1000, formulation="none", error=1.0)
 
 
-def _timed(records: Any) -> None:
-    records.replay("daqp", steps=30, **TIMED)
-
-
 def _random(records: Any) -> None:
     recipe = RandomRecipe("plain", 4, 6, 1)
-    source = {"kind": "random", "name": recipe.name, "recipe": recipe.to_dict()}
-    own = {"scenario": "", "cell": json.dumps({"source": source})}
-    records.replay("daqp", steps=6, **own)
+    source = {"kind": "random", "name": recipe.name, "recipe": asdict(recipe)}
+    records.replay("daqp", steps=6, scenario="", cell=json.dumps({"source": source}))
 
 
 def _consequence(records: Any) -> None:
@@ -65,8 +58,8 @@ def _consequence(records: Any) -> None:
     for group in ("board A", "board B"):
         name = f"thrusters[0:30], {group} lost"
         source = {"kind": "consequence", "name": name, "group": group}
-        own = {"cell": json.dumps({"scenario": files, "source": source})}
-        records.replay("daqp", name, steps=30, **own)
+        cell = json.dumps({"scenario": files, "source": source})
+        records.replay("daqp", name, steps=30, cell=cell)
 
 
 def _slow(records: Any) -> None:
@@ -79,13 +72,13 @@ def _slow(records: Any) -> None:
 def _horizon(records: Any) -> None:
     for N_p, N_c in ((30, 5), (60, 10), (100, 20)):
         files = copy.deepcopy(records.scenario("paper").files)
-        controller = files["scenario"]["controller"]
-        controller["prediction_horizon"], controller["control_horizon"] = N_p, N_c
+        own = {"prediction_horizon": N_p, "control_horizon": N_c}
+        files["scenario"]["controller"].update(own)
         files["name"] = name = f"paper-{N_p}-{N_c}"
         columns = {"N_p": N_p, "N_c": N_c, "n": 3 * N_c, "m": 3 * N_c, "scenario": name}
-        cell = {"cell": json.dumps({"scenario": files, "first": 0})}
+        cell = json.dumps({"scenario": files, "first": 0})
         records._scenarios[name] = records.scenario("paper")
-        records.replay("daqp", name, steps=40, median_us=4.0 * N_c, **columns, **cell)
+        records.replay("daqp", name, steps=40, median_us=4.0 * N_c, **columns, cell=cell)
 
 
 def _calibration(records: Any) -> None:
@@ -101,18 +94,12 @@ def _recorded(records: Any) -> None:
 
 
 def _formulations(records: Any) -> None:
-    records.replay("osqp", steps=30)
-    records.replay("osqp", steps=30, formulation="sparse")
+    for form in ({}, {"formulation": "sparse"}):
+        records.replay("osqp", steps=30, **form)
 
 
-def _routes(records: Any) -> None:
-    records.replay("daqp", steps=200)
-    records.replay("daqp", steps=200, route="native", median_us=10.0)
-    records.replay("daqp", steps=200, route="native", policy="warm", median_us=5.0)
-
-
-def _routes_of_two(records: Any) -> None:
-    for solver in ("daqp", "osqp"):
+def _routes(records: Any, *solvers: str) -> None:
+    for solver in solvers or ("daqp",):
         records.replay(solver, steps=200)
         records.replay(solver, steps=200, route="native", median_us=10.0)
         records.replay(solver, steps=200, route="native", policy="warm", median_us=5.0)
@@ -124,15 +111,15 @@ def _levels(records: Any) -> None:
 
 
 def _searched(records: Any) -> None:
-    _replay_only(records)
+    _pair_of_replays(records)
     records.suite["report"] = {"step": 7, "configuration": "osqp (qpsolvers fresh)"}
 
 
 KINDS: dict[str, tuple[Callable[[Any], None], str, set[str]]] = {
-    "replays": (_replay_only, "race", set()),
-    "loops": (_loops_only, "loops", set()),
+    "replays": (_pair_of_replays, "race", set()),
+    "loops": (_pair_of_loops, "loops", set()),
     "paper": (_paper, "paper", set()),
-    "timed": (_timed, "", {"trust"}),
+    "timed": (lambda records: records.replay("daqp", steps=30, **TIMED), "", {"trust"}),
     "random": (_random, "random", set()),
     "consequence": (_consequence, "consequence", set()),
     "slow computers": (_slow, "slowdown", set()),
@@ -141,7 +128,7 @@ KINDS: dict[str, tuple[Callable[[Any], None], str, set[str]]] = {
     "recorded": (_recorded, "race", set()),
     "formulations": (_formulations, "formulations", set()),
     "routes": (_routes, "routes", set()),
-    "routes of two solvers": (_routes_of_two, "routes", set()),
+    "routes of two solvers": (lambda records: _routes(records, "daqp", "osqp"), "routes", set()),
     "settings": (_levels, "levels", set()),
     "worst case": (_searched, "worst-case", set()),
 }
@@ -160,12 +147,10 @@ def _words(html: str) -> str:
 def test_a_suite_shows_what_it_has_and_mentions_nothing_else(
     records: Any, tmp_path: Path, kind: str
 ) -> None:
-    """Its topics and no other stand on page and in Markdown; each has its files; nothing is called
-    missing that nobody asked for."""
     fill, lead, topics = KINDS[kind]
     fill(records)
     out = records.write(tmp_path / "out")
-    page, lines = report_and_ending(out)
+    page, lines = write_report_with_summary(out)
     html, text = page.read_text("utf-8"), (out / "report.md").read_text("utf-8")
     found = checked(html)
     shown = _words(html)
@@ -181,7 +166,7 @@ def test_a_suite_shows_what_it_has_and_mentions_nothing_else(
     report = Report.of(load_results(out))
     assert {topic.id for topic in report.topics} == topics | ({lead} - {""})
     first = report.topics[0] if lead else None
-    opening = first.lines[0] if first else report.answer.sentence
+    opening = first.lines[0] if first else report.recommendation.sentence
     assert answer.startswith(f"Answer {escape(opening)}") and opening in text
     assert (first is None) == (lead == "") and (first is None or first.leads)
     drawn = {path.stem for path in (out / "figures").iterdir()}
@@ -191,11 +176,10 @@ def test_a_suite_shows_what_it_has_and_mentions_nothing_else(
 
 
 @pytest.mark.parametrize("kind", ["random", "consequence", "slow computers", "calibration"])
-def test_without_a_solver_on_a_ship_no_demand_is_spoken_of(records: Any, kind: str) -> None:
-    """Its answer is that of its own question, and has no chip and nothing to paste."""
+def test_without_a_solver_on_a_ship_no_requirements_are_named(records: Any, kind: str) -> None:
     KINDS[kind][0](records)
     report = Report.of(records.results())
-    answer, lead = report.answer, report.topics[0]
+    answer, lead = report.recommendation, report.topics[0]
     starts = {
         "random": "0 false claims on ",
         "consequence": "In thrusters[0:30] the loss of board A or of board B can be held through",
@@ -203,15 +187,17 @@ def test_without_a_solver_on_a_ship_no_demand_is_spoken_of(records: Any, kind: s
         "calibration": "Waits of known length were measured within ",
     }
     assert lead.leads and lead.lines[0].startswith(starts[kind])
-    assert (answer.sentence, answer.demand, answer.snippets, answer.chips) == ("", "", (), ())
+    assert (answer.sentence, answer.requirements, answer.snippets, answer.chips) == ("", "", (), ())
 
 
-def _nothing(records: Any) -> None:
-    """Leave the records empty."""
+def _all_failed(records: Any, **columns: Any) -> None:
+    for solver in ("daqp", "scs"):
+        records.loop(solver, **columns)
+        records.replay(solver, **columns)
 
 
-def _refused_only(records: Any) -> None:
-    records.refused("qpax", "not installed")
+def _add_odd_names(records: Any) -> None:
+    records.loop('a<b>&"c|d', outcome_detail="<script>", outcome="timed_out", done=5)
 
 
 def _single_step(records: Any) -> None:
@@ -219,38 +205,26 @@ def _single_step(records: Any) -> None:
     records.replay("daqp", steps=1, rounds=1)
 
 
-def _all_crashed(records: Any) -> None:
-    for solver in ("daqp", "scs"):
-        records.loop(solver, done=0, outcome="crashed", outcome_detail="signal 11")
-        records.replay(solver, outcome="crashed", steps_done=0)
-
-
-def _all_silent(records: Any) -> None:
-    records.loop("ecos", error=float("inf"), failed=120)
-    records.replay("ecos", error=float("inf"), failed=3000)
-
-
-def _baseline_law_only(records: Any) -> None:
-    records.loop("unconstrained_clipped", formulation="none", error=1.0)
-
-
-def _si_only(records: Any) -> None:
-    records.loop("daqp", units="si", settings="high")
-
-
-def _odd_names(records: Any) -> None:
-    records.loop('a<b>&"c|d', outcome_detail="<script>", outcome="timed_out", done=5)
-
-
-PARTIAL = [
-    (_nothing, "No solver was run, so there is nothing to judge."),
-    (_refused_only, "Nothing is recommended"),
+CRASHED = {"done": 0, "outcome": "crashed", "outcome_detail": "signal 11"}
+NO_SOLVER = "No solver was run, so there is nothing to judge."
+PARTIAL: list[tuple[Callable[[Any], Any], str]] = [
+    (lambda _: None, NO_SOLVER),
+    (lambda records: records.refused("qpax", "not installed"), "Nothing is recommended"),
     (_single_step, "Use daqp (qpsolvers, fresh, default)"),
-    (_all_crashed, "Nothing is recommended"),
-    (_all_silent, "Nothing is recommended: no solver meets the demand"),
-    (_baseline_law_only, "No solver was run, so there is nothing to judge."),
-    (_si_only, "Right on every step of 1 closed loop: daqp (qpsolvers fresh, high, si)."),
-    (_odd_names, "Nobody is right on every step of 1 closed loop;"),
+    (lambda records: _all_failed(records, **CRASHED), "Nothing is recommended"),
+    (
+        lambda records: _all_failed(records, error=float("inf"), failed=120),
+        "Nothing is recommended: no solver passes",
+    ),
+    (
+        lambda records: records.loop("unconstrained_clipped", formulation="none", error=1.0),
+        NO_SOLVER,
+    ),
+    (
+        lambda records: records.loop("daqp", units="si", settings="high"),
+        "Right on every step of 1 closed loop: daqp (qpsolvers fresh, high, si).",
+    ),
+    (_add_odd_names, "Nobody is right on every step of 1 closed loop;"),
 ]
 
 
@@ -259,7 +233,6 @@ PARTIAL = [
 def test_partial_results_still_make_a_report(
     records: Any, tmp_path: Path, fill: Callable[[Any], None], says: str
 ) -> None:
-    """Whatever is not there, the report is written and valid, and its answer says how it is."""
     fill(records)
     out = records.write(tmp_path / "out")
     html = write_report(out).read_text(encoding="utf-8")
@@ -269,31 +242,22 @@ def test_partial_results_still_make_a_report(
 
 
 @pytest.mark.slow
-def test_words_of_a_library_never_become_tags(records: Any, tmp_path: Path) -> None:
-    """A name and a reason with markup and pipes are shown as they are, or the table would break."""
-    _odd_names(records)
+def test_odd_names_are_escaped_and_writing_again_changes_no_byte(
+    records: Any, tmp_path: Path
+) -> None:
+    _add_odd_names(records)
+    records.replay("daqp", steps=30)
     out = records.write(tmp_path / "out")
     html = write_report(out).read_text(encoding="utf-8")
     assert "<b>&" not in html and "a&lt;b&gt;" in html
     rows = [x for x in (out / "report.md").read_text("utf-8").splitlines() if x.startswith("|")]
     assert len({len(re.findall(r"(?<!\\)\|", row)) for row in rows}) == 1
-
-
-@pytest.mark.slow
-def test_the_same_records_give_the_same_report(records: Any, tmp_path: Path) -> None:
-    """Writing again changes no byte: nothing in it depends on the day or on chance."""
-    records.loop("daqp", steps=30)
-    records.replay("daqp", steps=30)
-    out = records.write(tmp_path / "out")
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     write_report(out)
-    files = [path for path in out.rglob("*") if path.is_file()]
-    before = {path: path.read_bytes() for path in files}
-    write_report(out)
-    assert {path: path.read_bytes() for path in files} == before
+    assert {path: path.read_bytes() for path in before} == before
 
 
 def test_every_figure_is_written_in_every_format_asked_for(written: Any) -> None:
-    """SVG with real text always, and PDF as it was asked for."""
     names = set(written.report.figures)
     assert names >= {"ladder", "matrix", "accuracy", "paper-errors"}
     found = {path.name for path in (written.folder / "figures").iterdir()}
@@ -306,20 +270,27 @@ def test_every_figure_is_written_in_every_format_asked_for(written: Any) -> None
 
 
 def test_every_figure_is_a_valid_specification(written: Any) -> None:
-    """The grammar checks each, which a report leaves out for its speed."""
-    for name, chart in {**written.report.charts, **written.report.figures}.items():
+    report = written.report
+    live = {n: chart for own in report.charts.values() for n, chart in own.items()}
+    for name, chart in {**live, **report.figures}.items():
         assert chart.to_dict(validate=True)["$schema"].startswith("https://vega"), name
 
 
-def test_an_unknown_format_is_refused_in_one_line(
-    records: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("options", "output"),
+    [
+        ("--figures gif", "--figures: found 'gif'; allowed: svg | pdf | png"),
+        (
+            "--baseline nope",
+            "--baseline: found 'nope'; allowed: a solver that was run, one of daqp",
+        ),
+    ],
+)
+def test_a_bad_option_writes_nothing(
+    records: Any, tmp_path: Path, capsys: Any, options: str, output: str
 ) -> None:
-    """Exit code 2, and nothing is written."""
     records.loop("daqp", steps=20)
     out = records.write(tmp_path / "out")
-    assert main(["report", str(out), "--figures", "gif"]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line == "dpbench: --figures: found 'gif'; allowed: svg | pdf | png"
-    assert not (out / "report.html").exists()
-    with pytest.raises(InputError, match="gif"):
-        report_and_ending(out, figures=["gif"])
+    assert main(["report", str(out), *options.split()]) == 2
+    assert capsys.readouterr().err == f"dpbench: {output}\n"
+    assert not (out / "report.html").exists() and not (out / "report.md").exists()

@@ -1,13 +1,11 @@
 """What an operator is told whose controller steers thrusters: no more than the runs carry."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
 
 from dpbench.report.report import Report
-from dpbench.report.topics.thrusters.conclusion import conclusion_topic
+from dpbench.report.topics.thrusters import conclusion_topic
 
 WARM = {"route": "native", "policy": "warm"}
 
@@ -24,23 +22,22 @@ def campaign(records: Any, solvers: dict[str, tuple[float, float]], *, forces: b
     return records
 
 
-def said(records: Any) -> tuple[str, ...]:
+def output(records: Any) -> tuple[str, ...]:
     """The lines of the topic; none where there is none."""
     report = Report.of(records.results())
-    topic = conclusion_topic(report.facts.records, report.facts.verdicts)
+    topic = conclusion_topic(report.data.records, report.data.verdicts)
     assert topic is None or report.topics[0].id == "conclusion"
     return () if topic is None else topic.lines
 
 
 def test_solvers_that_do_for_three_forces_only_are_named_with_their_fault(records: Any) -> None:
-    """One is too late, one wrong; the best is named, how near the deadline, and after the loss."""
     solvers = {"daqp": (40.0, 1e-9), "piqp": (4000.0, 1e-9), "osqp": (60.0, 0.3)}
-    first, second = said(campaign(records, solvers))
+    first, second = output(campaign(records, solvers))
     assert first.startswith(
         "To steer thrusters take daqp (native, warm, default): its largest step"
     )
     assert first.endswith(
-        "Of 3 solvers that do what is demanded with three forces (three_forces), 2 fail with "
+        "Of 3 solvers that pass with three forces (three_forces), 2 fail with "
         "thrusters: piqp, too late; osqp, wrong."
     )
     assert second == (
@@ -49,16 +46,14 @@ def test_solvers_that_do_for_three_forces_only_are_named_with_their_fault(record
 
 
 def test_without_runs_of_three_forces_nothing_is_said_of_them(records: Any) -> None:
-    """Who does what is demanded here is all that the runs carry."""
     solvers = {"daqp": (40.0, 1e-9), "piqp": (4000.0, 1e-9)}
-    first, _ = said(campaign(records, solvers, forces=False))
+    first, _ = output(campaign(records, solvers, forces=False))
     assert "three forces" not in first
-    assert first.endswith("1 of 2 solvers does what is demanded; not so: piqp, too late.")
+    assert first.endswith("1 of 2 solvers passes; not so: piqp, too late.")
 
 
 def test_where_nobody_qualifies_nobody_is_named(records: Any) -> None:
-    """And nothing is said of a ship that nobody steers rightly."""
-    (first,) = said(campaign(records, {"osqp": (60.0, 0.3)}))
+    (first,) = output(campaign(records, {"osqp": (60.0, 0.3)}))
     assert first.startswith("No solver can be recommended for a controller that steers thrusters.")
     assert first.endswith("with three forces (three_forces), 1 fails with thrusters: osqp, wrong.")
 
@@ -68,14 +63,13 @@ def test_a_loss_beyond_what_was_run_is_not_spoken_of(records: Any) -> None:
     for name in ("thrusters", "thrusters_loss"):
         records.loop("daqp", name, steps=200, **WARM)
     records.replay("daqp", "thrusters", **WARM)
-    (only,) = said(records)
+    (only,) = output(records)
     assert "loss" not in only
 
 
 @pytest.mark.parametrize("scenarios", [("paper",), ("paper", "rough", "thrusters")])
 def test_a_suite_about_other_things_says_nothing(records: Any, scenarios: tuple[str, ...]) -> None:
-    """Thrusters are steered in fewer than half of its loops."""
     for name in scenarios:
         records.loop("daqp", name, **WARM)
     records.replay("daqp", scenarios[-1], **WARM)
-    assert said(records) == ()
+    assert output(records) == ()

@@ -1,16 +1,13 @@
 """The figures of a large study stay small, and say what they leave out."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 
 import numpy as np
-import pytest
 
 from dpbench.analysis.suites import study_pictures
-from dpbench.analysis.suites.study import studies
-from dpbench.report.charts.render import vega
+from dpbench.analysis.suites.study import find_studies
+from dpbench.report.charts.render import compile_vega
 from dpbench.report.topics import study as topic
 
 WIND, EAST = "environment.wind.speed_mps", "start.east_m"
@@ -37,27 +34,23 @@ def _fill(records: Any, points: int, seas: int, *, lost: tuple[int, int] | None 
                     exact_cost=100.0 - (solver == "osqp"),
                     outcome="crashed" if behind and (point, sea) == lost else "finished",
                 )
-    return topic.study_topic(studies(records.view()))
+    return topic.study_topic(find_studies(records.view()))
 
 
 def _drawn(figure: Any, column: str) -> list[float]:
     """The values of a column in the data of a figure."""
-    sets = vega(figure.chart)["data"]
+    sets = compile_vega(figure.chart)["data"]
     return [row[column] for data in sets for row in data.get("values", []) if column in row]
 
 
 def test_a_small_study_is_drawn_whole(records: Any) -> None:
-    """A dot a sea, a mark a point and configuration."""
     found = _fill(records, points=5, seas=4)
     held, behind = found.figures
     assert len(_drawn(held, "held")) == 2 * 5 and "at each point" in held.caption
-    assert len(_drawn(behind, "behind_cm")) == 20 and "at even ranks" not in behind.caption
+    assert len(_drawn(behind, "error_excess_cm")) == 20 and "at even ranks" not in behind.caption
 
 
-def test_of_a_large_study_some_seas_are_drawn(
-    records: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The least and the largest among them; points become fields that hold all their seas."""
+def test_of_a_large_study_some_seas_are_drawn(records: Any, monkeypatch: Any) -> None:
     monkeypatch.setattr(study_pictures, "MOST_DOTS", 9)
     monkeypatch.setattr(study_pictures, "MOST_POINTS", 20)
     monkeypatch.setattr(study_pictures, "FIELDS", 3)
@@ -65,7 +58,7 @@ def test_of_a_large_study_some_seas_are_drawn(
     held, behind = found.figures
     assert "in 3 × 3 fields" in held.caption and "9 of 120 at even ranks" in behind.caption
     assert len(_drawn(held, "held")) <= 2 * 9 and sum(_drawn(held, "runs")) == 2 * 120
-    dots = _drawn(behind, "behind_cm")
+    dots = _drawn(behind, "error_excess_cm")
     assert len(dots) == 9 and min(dots) < 2.1 and max(dots) > 3.9
 
 
@@ -77,7 +70,6 @@ def test_a_share_of_all_or_none_has_a_bound(records: Any) -> None:
 
 
 def test_what_was_lost_is_a_condition(records: Any) -> None:
-    """A run that did not finish is counted, and the differences are said to leave it out."""
     found = _fill(records, points=2, seas=6, lost=(1, 3))
     assert "1 of 24 runs did not finish" in found.lines[1] and "conditional" in found.lines[1]
     assert "conditional on the realisations" in found.tables[0].note

@@ -1,14 +1,12 @@
 """What was published of the rescue ship Ratownik, and the ship itself."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from dpbench.scenario.scenario import load_vessel
-from dpbench.ship.capability.hull import CapabilityHull
+from dpbench.ship.capability.loads import CapabilityHull
 from dpbench.ship.thrusters import ThrusterSet
 from dpbench.ship.vessel import Vessel
 

@@ -1,7 +1,5 @@
 """Mean loads of level 1: the published ones of a ship, symmetry, and the weather between rows."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -10,14 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpbench.scenario.sea_states import DP_NUMBERS
+from dpbench.scenario.own_ship import DP_NUMBERS
 from dpbench.ship.capability.conditions import (
     DP_CONDITIONS,
     Condition,
-    condition_of_wind,
+    interpolate_condition,
 )
-from dpbench.ship.capability.hull import CapabilityHull
-from dpbench.ship.capability.loads import mean_loads
+from dpbench.ship.capability.loads import CapabilityHull, mean_loads
 
 PORT = np.array([1.0, -1.0, -1.0])
 """From axes with y to port to those with y to starboard, and back."""
@@ -41,39 +38,19 @@ def test_loads_are_the_published_ones(hull: CapabilityHull, published: pd.DataFr
 def test_weather_from_port_is_the_mirror_image(from_rad: float, wind_mps: float) -> None:
     """A hull is symmetric: surge stays, sway and yaw turn round."""
     some = CapabilityHull(80.0, 18.0, 5.0, 82.0, 1.0, 0.4, 1.2, 300.0, 900.0, 3.0, 400.0, -2.0)
-    condition = condition_of_wind(wind_mps)
+    condition = interpolate_condition(wind_mps)
     starboard, port = (mean_loads(some, condition, angle) for angle in (from_rad, -from_rad))
     np.testing.assert_allclose(port, starboard * PORT, rtol=1e-12, atol=1e-6)
-
-
-def test_weather_ahead_pushes_astern_and_abeam_sideways(hull: CapabilityHull) -> None:
-    """Signs of all three loads: from ahead −x, from astern +x, from starboard to port."""
-    condition = condition_of_wind(15.0)
-    ahead, abeam, astern = (
-        mean_loads(hull, condition, angle) for angle in (0.0, 0.5 * np.pi, np.pi)
-    )
-    assert (ahead[:, 0] < 0.0).all()
-    assert (astern[:, 0] > 0.0).all()
-    assert (abeam[:, 1] < 0.0).all()
-
-
-def test_the_bow_is_turned_away_by_weather_on_it(hull: CapabilityHull) -> None:
-    """Wind on the starboard bow turns the ship to port, on the starboard quarter to starboard."""
-    condition = condition_of_wind(15.0)
-    wind_on_bow, wind_on_quarter = (
-        mean_loads(hull, condition, math.radians(angle))[0, 2] for angle in (30, 150)
-    )
-    assert wind_on_bow < 0.0 < wind_on_quarter
 
 
 def test_rows_of_the_table_are_met_and_joined() -> None:
     """At a row its waves and current; between two rows, between theirs."""
     for wind_mps, *rest in DP_CONDITIONS.values():
-        found = condition_of_wind(wind_mps)
+        found = interpolate_condition(wind_mps)
         np.testing.assert_allclose([found.hs_m, found.tp_s, found.current_mps], rest)
-    middle = condition_of_wind(0.5 * (13.8 + 17.1))
+    middle = interpolate_condition(0.5 * (13.8 + 17.1))
     assert middle.hs_m == pytest.approx(0.5 * (3.1 + 4.2))
-    assert condition_of_wind(0.0).hs_m == condition_of_wind(0.0).current_mps == 0.0
+    assert interpolate_condition(0.0).hs_m == interpolate_condition(0.0).current_mps == 0.0
 
 
 def test_a_ship_of_ones_own_gets_the_weather_of_the_same_table() -> None:

@@ -1,21 +1,19 @@
 """Losses of thrust: the published factors of a ship, hand-worked cases of the standard's rules."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.ship.capability.conditions import DP_CONDITIONS, Condition, condition_of_wind
-from dpbench.ship.capability.hull import CapabilityHull
+from dpbench.ship.capability.conditions import DP_CONDITIONS, Condition, interpolate_condition
+from dpbench.ship.capability.loads import CapabilityHull
 from dpbench.ship.capability.losses import (
     MISCELLANEOUS,
     dead_losses,
     forbidden_zones,
     skeg_losses,
-    vented_share,
+    thrust_share_when_vented,
 )
 from dpbench.ship.thrusters import Screw, Thruster, ThrusterSet
 
@@ -28,19 +26,16 @@ def azimuth(x_m: float, y_m: float, diameter_m: float = 2.0, propeller: str = "o
 def test_factors_are_the_published_ones(
     hull: CapabilityHull, thrusters: ThrusterSet, published: pd.DataFrame
 ) -> None:
-    """β_misc β_vent β_skeg of five thrusters and 36 directions, to two digits and a degree.
-
-    In a notch the thrust falls by 2.3 % a degree, which is what a rounded angle costs.
-    """
+    """β_misc β_vent β_skeg of five thrusters and 36 directions, to two digits and a degree."""
     for row in published.itertuples():
         condition = Condition(*DP_CONDITIONS[row.number])
         for i, thruster in enumerate(thrusters.thrusters):
-            vented = vented_share(thruster, hull, condition, math.radians(row.from_deg))
+            vented = thrust_share_when_vented(thruster, hull, condition, math.radians(row.from_deg))
             skeg, allowed = 1.0, 0.0051
             if i < 2:
                 # Counter-clockwise there, clockwise here; so port is −y there and here the first.
                 pushed = -math.radians(float(getattr(row, f"angle_{i + 1}")))
-                skeg = min(loss.at(pushed) for loss in skeg_losses(thruster, hull))
+                skeg = min(loss.share_at(pushed) for loss in skeg_losses(thruster, hull))
                 allowed = 0.03 if skeg < 1.0 else allowed
             found = MISCELLANEOUS * vented * skeg
             assert found == pytest.approx(getattr(row, f"loss_{i + 1}"), abs=allowed), (row, i)
@@ -51,10 +46,13 @@ def test_waves_take_more_the_higher_they_are_and_nothing_unknown(
 ) -> None:
     """β_vent falls with the wind; a thruster whose screw is not known loses nothing."""
     for thruster in thrusters.thrusters:
-        shares = [vented_share(thruster, hull, condition_of_wind(w), 1.5) for w in (5, 15, 25, 32)]
+        shares = [
+            thrust_share_when_vented(thruster, hull, interpolate_condition(w), 1.5)
+            for w in (5, 15, 25, 32)
+        ]
         assert (np.diff(shares) <= 0.0).all()
     bare = Thruster("bare", "tunnel", 30.0, 0.0, 1e5, 8.0)
-    assert vented_share(bare, hull, condition_of_wind(32.0), 1.5) == 1.0
+    assert thrust_share_when_vented(bare, hull, interpolate_condition(32.0), 1.5) == 1.0
 
 
 def test_a_working_thruster_is_not_flushed() -> None:
@@ -83,13 +81,13 @@ def test_a_dead_thruster_takes_thrust_along_a_straight_line() -> None:
     """By hand: 5 diameters astern, β = 1 − 1/2.95 = 0.661, φ = arctan 0.12 = 6.843°."""
     (loss,) = dead_losses(azimuth(0.0, 0.0), [azimuth(-10.0, 0.0)])
     assert math.degrees(loss.end) == pytest.approx(6.843, abs=5e-4)
-    assert loss.at(0.0) == pytest.approx(1.0 - 1.0 / 2.95)
+    assert loss.share_at(0.0) == pytest.approx(1.0 - 1.0 / 2.95)
     angle = np.linspace(0.0, loss.end, 40)[:-1]
-    edge = np.array([loss.at(a) * np.array([math.cos(a), math.sin(a)]) for a in angle])
+    edge = np.array([loss.share_at(a) * np.array([math.cos(a), math.sin(a)]) for a in angle])
     along = np.diff(edge, axis=0)
     turned = along[1:, 0] * along[:-1, 1] - along[1:, 1] * along[:-1, 0]
     np.testing.assert_allclose(turned, 0.0, atol=1e-12)
-    assert loss.at(loss.end) == loss.at(2.0) == 1.0
+    assert loss.share_at(loss.end) == loss.share_at(2.0) == 1.0
     assert dead_losses(azimuth(0.0, 0.0), [azimuth(-16.0, 0.0)]) == []
     assert dead_losses(azimuth(0.0, 0.0, 2.0, "nozzle"), [azimuth(-8.0, 0.0)]) == []
 
@@ -100,11 +98,11 @@ def test_a_skeg_takes_thrust_of_both_sides_alike(
     """The tables for port and starboard are mirror images; the least is 2 α/π − 1."""
     (port,), (starboard,) = (skeg_losses(t, hull) for t in thrusters.thrusters[:2])
     for angle in np.linspace(0.0, 2.0 * np.pi, 721):
-        assert port.at(-angle) == pytest.approx(starboard.at(angle))
+        assert port.share_at(-angle) == pytest.approx(starboard.share_at(angle))
     flush = math.pi / 2 + math.atan(3.276 / 4.69)
     worst = flush + math.atan(0.6 * 3.1 / math.hypot(3.276, 4.69))
     assert starboard.worst == pytest.approx(worst)
-    assert starboard.at(worst) == pytest.approx(2.0 * worst / math.pi - 1.0)
+    assert starboard.share_at(worst) == pytest.approx(2.0 * worst / math.pi - 1.0)
     assert skeg_losses(thrusters.thrusters[2], hull) == []
 
 
@@ -115,5 +113,5 @@ def test_a_skeg_right_beside_a_thruster_is_no_division_by_zero() -> None:
     )
     for y_m in (-1.0, 1.0):
         (loss,) = skeg_losses(azimuth(22.0, y_m, 4.0), beside)
-        shares = [loss.at(angle) for angle in np.linspace(-np.pi, np.pi, 361)]
+        shares = [loss.share_at(angle) for angle in np.linspace(-np.pi, np.pi, 361)]
         assert 0.0 <= min(shares) <= max(shares) == 1.0

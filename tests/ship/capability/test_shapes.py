@@ -1,16 +1,14 @@
 """What an azimuth may give: the pieces are convex, and together what zones and losses leave."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from dpbench.ship.capability.hull import CapabilityHull
+from dpbench.ship.capability.loads import CapabilityHull
 from dpbench.ship.capability.losses import TURN, dead_losses, forbidden_zones, skeg_losses
-from dpbench.ship.capability.shapes import Piece, pieces
+from dpbench.ship.capability.shapes import Piece, convex_pieces
 from dpbench.ship.thrusters import ThrusterSet
 
 STEP = math.radians(1.0)
@@ -52,10 +50,10 @@ def test_the_pieces_are_what_zones_and_losses_leave(
     working = [every[i] for i in range(len(every)) if i not in dead]
     zones = forbidden_zones(every[1], working)
     losses = dead_losses(every[1], [every[i] for i in dead]), skeg_losses(every[1], hull)
-    shape = pieces(None, zones, *losses, STEP)
+    shape = convex_pieces(None, zones, *losses, STEP)
     assert bool(zones) == (0 not in dead)
     for direction in np.linspace(0.001, TURN, 180):
-        shares = [min((loss.at(direction) for loss in kind), default=1.0) for kind in losses]
+        shares = [min((loss.share_at(direction) for loss in kind), default=1.0) for kind in losses]
         wanted = 0.0 if forbidden(direction, zones) else shares[0] * shares[1]
         assert reach(shape, direction) == pytest.approx(wanted, abs=1e-4)
 
@@ -67,10 +65,10 @@ def test_corners_lie_on_the_edge_and_chords_inside(
     starboard = thrusters.thrusters[1]
     losses = skeg_losses(starboard, hull)
     angle = np.linspace(losses[0].start, losses[0].end, 160)
-    true = np.array([losses[0].at(a) for a in angle])
+    true = np.array([losses[0].share_at(a) for a in angle])
     gaps = []
     for step in (16.0, 8.0, 4.0, 2.0):
-        shape = pieces(None, [], [], losses, math.radians(step))
+        shape = convex_pieces(None, [], [], losses, math.radians(step))
         gap = true - np.array([reach(shape, a) for a in angle])
         assert gap.min() > -1e-8
         gaps.append(gap.max())
@@ -80,11 +78,10 @@ def test_corners_lie_on_the_edge_and_chords_inside(
 def test_every_piece_is_convex_and_at_most_half_a_turn(
     thrusters: ThrusterSet, hull: CapabilityHull
 ) -> None:
-    """Rows describe a convex set by themselves, so it is enough that no row cuts the edge off:
-    which the test above shows; half a turn is what two sector rows can say."""
+    """Rows describe a convex set by themselves, so it is enough that no row cuts the edge off."""
     starboard = thrusters.thrusters[1]
     zones = forbidden_zones(starboard, thrusters.thrusters)
-    shape = pieces(None, zones, [], skeg_losses(starboard, hull), STEP)
+    shape = convex_pieces(None, zones, [], skeg_losses(starboard, hull), STEP)
     assert len(shape) == 3
     for piece in shape:
         assert piece.sector is not None
@@ -93,11 +90,11 @@ def test_every_piece_is_convex_and_at_most_half_a_turn(
 
 def test_without_losses_it_is_the_circle_and_a_sector_stays_one() -> None:
     """One piece without rows; a sector without zones; nothing where all of it is forbidden."""
-    (whole,) = pieces(None, [], [], [], STEP)
+    (whole,) = convex_pieces(None, [], [], [], STEP)
     assert whole.sector is None
     assert len(whole.chords) == 0
-    (sector,) = pieces((0.5, 2.0), [], [], [], STEP)
+    (sector,) = convex_pieces((0.5, 2.0), [], [], [], STEP)
     assert sector.sector == (0.5, 2.0)
-    assert pieces((0.5, 2.0), [(0.4, 2.1)], [], [], STEP) == []
-    left = pieces((0.5, 2.0), [(1.0, 1.2), (1.9 - TURN, 2.2 - TURN)], [], [], STEP)
+    assert convex_pieces((0.5, 2.0), [(0.4, 2.1)], [], [], STEP) == []
+    left = convex_pieces((0.5, 2.0), [(1.0, 1.2), (1.9 - TURN, 2.2 - TURN)], [], [], STEP)
     np.testing.assert_allclose([p.sector for p in left], [(0.5, 1.0), (1.2, 1.9)])

@@ -1,7 +1,5 @@
 """What every estimator promises, on the nonlinear ship."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -12,9 +10,8 @@ from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.environment import Environment
 from dpbench.ship.estimation.estimator import Estimator, MeasuredState
 from dpbench.ship.estimation.kalman import SENSOR_STD, KalmanFilter, KalmanTuning
-from dpbench.ship.estimation.observer import change_matrix, model_change
+from dpbench.ship.estimation.observer import WaveModel, change_matrix, model_change
 from dpbench.ship.estimation.passive_observer import PassiveObserver, PassiveTuning
-from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.plant import SUBSTEPS, Plant
 
 SAMPLE_S = 0.3
@@ -42,10 +39,7 @@ ALL = (MeasuredState, *FILTERS)
 def turning_ship(
     estimator: Estimator, steps: int, heading_rad: float, wrapped: bool = False
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """States, estimates and changes (steps, 6) of a ship that is steered to a heading.
-
-    Steered from its true state by springs and dampers, pushed by BIAS, measured without noise.
-    """
+    """States, estimates and changes (steps, 6) of a ship that is steered to a heading."""
     sea = Environment(BIAS, NOTHING, np.ones(3), NOTHING)
     table = sea.stage_table(1, SAMPLE_S, SUBSTEPS)[0]
     plant, tau = Plant(SHIP, START, SAMPLE_S), np.zeros(3)

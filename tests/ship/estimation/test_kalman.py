@@ -1,7 +1,5 @@
 """The Kalman filter against its own stochastic model, built and simulated a second time."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -16,10 +14,9 @@ from dpbench.ship.estimation.kalman import (
     SENSOR_STD,
     KalmanFilter,
     KalmanTuning,
-    discretise,
-    kalman_model,
+    build_kalman_model,
 )
-from dpbench.ship.estimation.wave_filter import WaveModel
+from dpbench.ship.estimation.observer import WaveModel
 from dpbench.ship.vessel import Vessel
 
 SAMPLE_S = 0.3
@@ -65,10 +62,7 @@ def sampled(ship: Vessel, tuning: KalmanTuning, h: float) -> tuple[np.ndarray, .
 
 
 def innovations(tuning: KalmanTuning, steps: int, seed: int) -> tuple[KalmanFilter, np.ndarray]:
-    """Innovations (steps, 3) of a filter with `tuning` on data of the model with TUNING.
-
-    The ship is held near the origin by feedback of the estimate, which is known to the filter.
-    """
+    """Innovations (steps, 3) of a filter with `tuning` on data of the model with TUNING."""
     Phi, Gamma, Q, C = sampled(SHIP, TUNING, SAMPLE_S)
     scale = np.sqrt(np.diag(Q))
     root = scale[:, None] * np.linalg.cholesky(Q / np.outer(scale, scale))
@@ -97,7 +91,7 @@ def test_the_discrete_model_holds_the_integrals_of_the_continuous_one(bias_time_
     """Φ, Γ and Q equal the matrix exponential and the quadrature of its integrals."""
     tuning = replace(TUNING, bias_time_s=bias_time_s)
     Phi, Gamma, Q, C = sampled(SHIP, tuning, SAMPLE_S)
-    model = kalman_model(SHIP, tuning, SAMPLE_S)
+    model = build_kalman_model(SHIP, tuning, SAMPLE_S)
     size = np.sqrt(np.diag(Q))
     # Twelve Gauss points are exact to rounding here; Q is compared as a correlation.
     np.testing.assert_allclose(model.Phi, Phi, rtol=1e-12, atol=1e-15)
@@ -106,20 +100,10 @@ def test_the_discrete_model_holds_the_integrals_of_the_continuous_one(bias_time_
     np.testing.assert_array_equal(model.C, C)
 
 
-def test_van_loan_gives_the_textbook_integrals() -> None:
-    """A double integrator driven by white noise has Q = [[h³/3, h²/2], [h²/2, h]]."""
-    A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
-    h = 0.7
-    Phi, Gamma, Q = discretise(A, B, B, h)
-    np.testing.assert_allclose(Phi, [[1, h], [0, 1]], rtol=1e-14)
-    np.testing.assert_allclose(Gamma, [[h**2 / 2], [h]], rtol=1e-14)
-    np.testing.assert_allclose(Q, [[h**3 / 3, h**2 / 2], [h**2 / 2, h]], rtol=1e-13)
-
-
 def test_the_gain_is_where_the_riccati_iteration_comes_to_rest() -> None:
     """Iterated from another start, the covariance ends at the same gain."""
     Phi, _, Q, C = sampled(SHIP, TUNING, SAMPLE_S)
-    model = kalman_model(SHIP, TUNING, SAMPLE_S)
+    model = build_kalman_model(SHIP, TUNING, SAMPLE_S)
     R = np.diag(TUNING.measurement_std**2)
     P = 10 * Q
     for _ in range(4000):
@@ -141,7 +125,7 @@ def test_the_filter_forgets_its_start_for_every_vessel(name: str, wave_filter: b
     lengths = np.array([length, length, 1.0])
     waves = WaveModel.of_sea(8.5 / time, WAVES.std / lengths)
     tuning = KalmanTuning.of_ship(ship, waves, SENSOR_STD / lengths, wave_filter=wave_filter)
-    model = kalman_model(ship, tuning, SAMPLE_S / time)
+    model = build_kalman_model(ship, tuning, SAMPLE_S / time)
     forgets = (np.eye(len(model.K)) - model.K @ model.C) @ model.Phi
     radius = np.abs(np.linalg.eigvals(forgets)).max()
     assert radius < math.exp(-SAMPLE_S / 85.0)

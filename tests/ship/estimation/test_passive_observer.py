@@ -1,7 +1,5 @@
 """The passive observer against its equations written a second time, and its tuning rules."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -9,8 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dpbench.scenario.scenario import load_vessel
+from dpbench.ship.estimation.observer import WaveModel
 from dpbench.ship.estimation.passive_observer import PassiveObserver, PassiveTuning
-from dpbench.ship.estimation.wave_filter import WaveModel
 from dpbench.ship.vessel import Vessel
 
 SAMPLE_S = 0.3
@@ -60,10 +58,7 @@ def test_the_gains_follow_the_published_rules() -> None:
 
 @pytest.mark.parametrize("name", [*FULL_SCALE, "cybership2"])
 def test_the_defaults_are_passive_for_every_vessel(name: str) -> None:
-    """From the error of the force to the pose error the loop is strictly positive real.
-
-    H(s) = H0(s) H_B(s), the wave and pose part times the bias part, per axis (Fossen & Strand).
-    """
+    """From the error of the force to the pose error the loop is strictly positive real."""
     ship = load_vessel(name)
     scale = math.sqrt(70.0) if name == "cybership2" else 1.0
     waves = WaveModel.of_sea(8.5 / scale, WAVES.std)

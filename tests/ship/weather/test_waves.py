@@ -1,7 +1,5 @@
 """The sea, its drift force and the motion it adds to a measurement."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 
@@ -77,7 +75,7 @@ def test_short_waves_are_reflected_whole_and_long_ones_pass() -> None:
 
 @pytest.mark.parametrize("heading_deg", range(-170, 180, 35))
 def test_drift_on_a_turned_ship_follows_the_waves_in_body_axes(
-    heading_deg: float, hull: Vessel, felt_force: Felt
+    heading_deg: float, hull: Vessel, weather_force: Felt
 ) -> None:
     """X ∝ cos, Y ∝ sin and N ∝ −sin of twice the waves' direction in body axes."""
     psi = math.radians(heading_deg)
@@ -88,7 +86,7 @@ def test_drift_on_a_turned_ship_follows_the_waves_in_body_axes(
     expected = power * np.array(
         [b_x * math.cos(beta), b_y * math.sin(beta), -b_n * math.sin(2 * beta)]
     )
-    found = felt_force(hull, weather, psi)
+    found = weather_force(hull, weather, psi)
     lever = np.array([1.0, 1.0, hull.length_m])
     np.testing.assert_allclose(found / lever, expected / lever, rtol=2e-5, atol=1.0)
 
@@ -114,14 +112,6 @@ def test_turning_the_sea_turns_the_motion(to_rad: float) -> None:
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     np.testing.assert_allclose(turned[:, :3], north[:, :3] @ R.T, atol=1e-13)
     np.testing.assert_allclose(turned[:, 3:], north[:, 3:] @ R.T, atol=1e-13)
-
-
-def test_rates_of_the_motion_are_its_derivative() -> None:
-    """Columns 4 to 6 are the time derivative of columns 1 to 3."""
-    motion, h = FirstOrderMotion(SEA, 0.6, 0.2, 0.01), 1e-4
-    t = np.linspace(0.0, 60.0, 13)
-    slope = (motion.table(t + h, 5)[:, :3] - motion.table(t - h, 5)[:, :3]) / (2 * h)
-    np.testing.assert_allclose(motion.table(t, 5)[:, 3:], slope, atol=1e-6)
 
 
 @pytest.mark.slow

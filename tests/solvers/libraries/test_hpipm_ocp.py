@@ -1,24 +1,22 @@
 """HPIPM by stages: random optimal control problems against the referee's certified optimum."""
 
-from __future__ import annotations
-
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-import dpbench
+from dpbench.arrays import Flags, Matrix
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.libraries.hpipm_ocp import Stage, split_stages
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import available
+from dpbench.solvers.table import check_availability
+from tests.solvers.conftest import run_program, solve_next
 
-pytestmark = pytest.mark.skipif(not available("hpipm_ocp").ok, reason="casadi is not installed")
+needs_casadi = pytest.mark.skipif(
+    not check_availability("hpipm_ocp").ok, reason="casadi is not installed"
+)
 
 TIGHT = {
     **dict.fromkeys(("tol_stat", "tol_eq", "tol_ineq", "tol_comp"), 1e-10),
@@ -65,7 +63,8 @@ class Staged:
             rows.append(mixed)
         self._A = np.array(rows)
         step = self.step()
-        self.base = QuadraticProgram(P, step.q, self._A, step.l, step.u, lb, ub)
+        sizes = ((0, n_u), *[(n_x, n_u)] * stages)
+        self.base = QuadraticProgram(P, step.q, self._A, step.l, step.u, lb, ub, stages=sizes)
 
     def step(self) -> QPStep:
         """Another cost and other limits around a point within the bounds; one side may be open."""
@@ -84,13 +83,7 @@ def answers(case: Staged, policy: str) -> Iterator[tuple[QuadraticProgram, Solut
     workspace.setup(case.base)
     for _ in range(3):
         step = case.step()
-        qp = case.base.at(step)
-        if workspace.setup_every_step:
-            workspace.setup(qp)
-        else:
-            workspace.update(step)
-        workspace.solve()
-        yield qp, workspace.read()
+        yield case.base.at(step), solve_next(workspace, step)
 
 
 def assert_optimal(qp: QuadraticProgram, answer: Solution) -> None:
@@ -110,6 +103,7 @@ def assert_optimal(qp: QuadraticProgram, answer: Solution) -> None:
             assert (side[acting] * slack[acting] < 1e-8).all()
 
 
+@needs_casadi
 @pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
 def test_random_optimal_control_problems(policy: str) -> None:
     """Answers and multipliers; what is not claimed is a stall, which it comes to now and then."""
@@ -124,9 +118,9 @@ def test_random_optimal_control_problems(policy: str) -> None:
     assert stalls <= 4  # of 180
 
 
+@needs_casadi
 def test_it_leaves_the_factorisation_of_piqp_alone() -> None:
-    """PIQP's factorisation by stages brings a BLASFEO of its own, with the same names as HPIPM's;
-    one that called the other's would corrupt memory, so they are tried in a process of theirs."""
+    """PIQP's BLASFEO has the names of HPIPM's: one that calls the other's corrupts memory."""
     program = """
 import numpy as np
 from dpbench import load_scenario, open_workspace, record_sequence
@@ -143,10 +137,47 @@ for solver in ("hpipm_ocp", "hpipm", "piqp_multistage", "hpipm_ocp"):
 for answer in answers[1:]:
     assert np.abs(answer - answers[0]).max() < 1e-4 * np.abs(answers[0]).max()
 """
-    root = Path(dpbench.__file__).parents[1]
-    subprocess.run(
-        [sys.executable, "-c", program],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(root), *sys.path])},
-        check=True,
-        timeout=100,
-    )
+    run_program(program)
+
+
+def assert_complete(stages: list[Stage], P: Matrix, A: Matrix, equal: Flags) -> None:
+    """Each variable and each row is in one stage, and no entry is lost between them."""
+    variables = np.concatenate([stage.variables for stage in stages])
+    dynamics = np.concatenate([stage.dynamics for stage in stages])
+    rows = np.concatenate([dynamics, *(stage.rows for stage in stages)])
+    np.testing.assert_array_equal(np.sort(variables), np.arange(P.shape[0]))
+    np.testing.assert_array_equal(np.sort(rows), np.arange(A.shape[0]))
+    assert stages[0].states.size == 0 and equal[dynamics].all()
+    cost, linear = np.zeros_like(P), np.zeros_like(A)
+    for k, stage in enumerate(stages):
+        here = stage.variables
+        cost[np.ix_(here, here)] = P[np.ix_(here, here)]
+        linear[np.ix_(stage.rows, here)] = A[np.ix_(stage.rows, here)]
+        for row, state in zip(stage.dynamics, stage.states, strict=True):
+            linear[row, state] = A[row, state]
+            linear[row, stages[k - 1].variables] = A[row, stages[k - 1].variables]
+    np.testing.assert_array_equal(cost, P)
+    np.testing.assert_array_equal(linear, A)
+
+
+@pytest.mark.parametrize("coupling", [0.0, 0.01, 0.5])
+@pytest.mark.parametrize("seed", range(12))
+def test_stages_are_those_of_the_builder_and_lose_no_entry(seed: int, coupling: float) -> None:
+    """Rows in any order; with entries in places that fit no stage, there is a single one."""
+    rng, qp = np.random.default_rng(seed), Staged(seed, 1 + seed % 6).base
+    order = rng.permutation(qp.m)
+    A, equal = qp.A[order], (qp.l == qp.u)[order]
+    A[rng.uniform(size=A.shape) < coupling] = 0.3
+    stages = split_stages(qp.stages, qp.P, A, equal)
+    if not coupling or len(stages) > 1:
+        assert tuple((s.states.size, s.inputs.size) for s in stages) == qp.stages
+    assert_complete(stages, qp.P, A, equal)
+
+
+def test_sizes_that_do_not_fit_leave_a_single_stage() -> None:
+    """No sizes, a wrong sum, a state in the first stage, and a state that no row defines."""
+    A, equal = np.array([[1.0, -1.0], [2.0, -1.0]]), np.array([True, True])
+    for sizes in ([], [(0, 1)], [(1, 0), (1, 0)], [(0, 1), (1, 0)]):
+        stages = split_stages(sizes, np.eye(2), A, equal if sizes != [(0, 1), (1, 0)] else ~equal)
+        assert [stage.inputs.tolist() for stage in stages] == [[0, 1]]
+        assert stages[0].rows.tolist() == [0, 1]

@@ -1,9 +1,8 @@
 """Workspaces of libraries: what a start is, what is kept, what is said about their failures."""
 
-from __future__ import annotations
-
 import gc
 import time
+from dataclasses import replace
 from math import isnan
 
 import numpy as np
@@ -15,12 +14,12 @@ from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.libraries import NATIVE
-from dpbench.solvers.libraries.native_workspace import Start
+from dpbench.solvers.libraries.native_workspace import WarmStart
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import TABLE, available
-from tests.solvers.conftest import Sequence
+from dpbench.solvers.table import TABLE, check_availability
+from tests.solvers.conftest import Sequence, solve_next, solve_qp
 
-HERE = [name for name in NATIVE if available(name).ok]
+HERE = [name for name in NATIVE if check_availability(name).ok]
 WARM = [name for name in HERE if "warm" in TABLE[name].on("native").policies]
 
 
@@ -37,33 +36,25 @@ def answers(workspace, base, steps):
 
 @pytest.mark.parametrize("solver", WARM)
 def test_a_warm_start_makes_a_difference(solver, sequence):
-    """Where the table offers `warm`, steps solved twice take another number of iterations.
-
-    Fewer, but for HPIPM: an interior point near the optimum lies near its barrier.
-    """
-    base = QuadraticProgram(
-        *(getattr(sequence.base, name) for name in ("P", "q", "A", "l", "u", "lb", "ub"))
-    )
+    """Where the table offers `warm`, steps solved twice take another number of iterations."""
+    base = replace(sequence.base, block=0)
     steps = [step for step in sequence.steps[:3] for _ in range(2)]
     counts = {
         policy: sum(a.iterations for a in answers(opened(solver, policy, "high"), base, steps))
         for policy in ("fresh", "warm")
     }
-    if solver.startswith("hpipm"):
-        assert counts["warm"] != counts["fresh"]
-    else:
-        assert counts["warm"] < counts["fresh"]
+    assert counts["warm"] != counts["fresh"]
+    assert counts["warm"] < counts["fresh"] or solver.startswith("hpipm")
 
 
 def test_a_start_is_the_previous_answer_one_move_later():
-    """Moves and multipliers shift by a block, here of two variables and one row, the last is zero;
-    block 0 keeps all."""
+    """Moves and multipliers shift by a block of two variables and one row; block 0 keeps all."""
     z, y, y_box = np.arange(1.0, 7.0), np.arange(10.0, 13.0), np.arange(20.0, 26.0)
     for block, expected in (
         (2, ([3, 4, 5, 6, 0, 0], [11, 12, 0], [22, 23, 24, 25, 0, 0])),
         (0, (z, y, y_box)),
     ):
-        start = Start(6, 3, block)
+        start = WarmStart(6, 3, block)
         assert not start.advance()
         start.remember(Solution(Status.SOLVED, z, y, y_box))
         assert start.advance()
@@ -86,27 +77,9 @@ def test_what_a_kept_workspace_carries_on_is_what_the_table_says(solver, sequenc
     assert TABLE[solver].on("native").keeps
     for settings, same in ((STATELESS[solver], True), ("default", False)):
         kept = answers(opened(solver, "reuse", settings), sequence.base, sequence.steps)
-        new = []
-        for step in sequence.steps:
-            workspace = opened(solver, "fresh", settings)
-            workspace.setup(sequence.base.at(step))
-            workspace.solve()
-            new.append(workspace.read())
-        equal = all(np.array_equal(a.z, b.z) for a, b in zip(kept, new, strict=True))
-        assert equal is same
-
-
-@pytest.mark.parametrize("solver", WARM)
-def test_reset_forgets_the_start(solver, sequence):
-    """After a reset a warm workspace gives bit for bit what it gives after its setup."""
-    workspace = opened(solver, "warm")
-    first = answers(workspace, sequence.base, sequence.steps[:1])[0]
-    workspace.reset()
-    workspace.update(sequence.steps[0])
-    workspace.solve()
-    again = workspace.read()
-    np.testing.assert_array_equal(again.z, first.z)
-    assert again.iterations == first.iterations
+        problems = map(sequence.base.at, sequence.steps)
+        new = [solve_qp(opened(solver, "fresh", settings), qp) for qp in problems]
+        assert all(np.array_equal(a.z, b.z) for a, b in zip(kept, new, strict=True)) is same
 
 
 @pytest.mark.parametrize("solver", HERE)
@@ -129,50 +102,37 @@ class Panic(BaseException):
     """As raised by Rust libraries, which do not derive theirs from Exception."""
 
 
-CALLS = [("native", method) for method in ("_build", "_hand_over", "_call")]
-CALLS.append(("qpsolvers", "_call"))
-"""What of a workspace calls the library, on each route."""
+CALLS = [("native", method) for method in ("_build_solver", "_update_vectors", "_run_solver")]
+CALLS.append(("qpsolvers", "_run_solver"))
+"""Methods that call the library, on each route."""
 
 
 @pytest.mark.parametrize(("route", "method"), CALLS)
-@pytest.mark.parametrize("error", [KeyError("x"), ValueError("y"), Panic("z")])
+@pytest.mark.parametrize("error", [KeyError("x"), ValueError("y"), Panic("z"), KeyboardInterrupt()])
 def test_what_a_library_raises_is_an_answer(monkeypatch, sequence, route, method, error):
-    """Whatever a library raises, and whenever, becomes the status ERROR with its words."""
+    """Whatever a library raises becomes the status ERROR with its words; an interrupt passes."""
     workspace = open_workspace("osqp", route=route, policy="warm")
     workspace.setup(sequence.base)
 
     def fail(*arguments):
         raise error
 
+    def run():
+        if method == "_build_solver":
+            return solve_qp(workspace, sequence.base)
+        return solve_next(workspace, sequence.steps[0])
+
     with monkeypatch.context() as patch:
         patch.setattr(workspace, method, fail)
-        if method == "_build":
-            workspace.setup(sequence.base)
-        else:
-            workspace.update(sequence.steps[0])
-        workspace.solve()
-        answer = workspace.read()
+        if isinstance(error, KeyboardInterrupt):
+            with pytest.raises(KeyboardInterrupt):
+                run()
+            return
+        answer = run()
         assert answer.status is Status.ERROR
         assert answer.detail == f"{type(error).__name__}: {error}"
         assert np.isnan(answer.z).all()
-    workspace.update(sequence.steps[1])
-    workspace.solve()
-    assert workspace.read().claimed
-
-
-@pytest.mark.parametrize(("route", "method"), CALLS)
-def test_an_interrupt_is_no_answer(monkeypatch, sequence, route, method):
-    """A person's interrupt passes through."""
-    workspace = open_workspace("osqp", route=route, policy="warm")
-    workspace.setup(sequence.base)
-
-    def interrupt(*arguments):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(workspace, method, interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        for _ in answers(workspace, sequence.base, sequence.steps[:1]):
-            pass
+    assert solve_next(workspace, sequence.steps[1]).claimed
 
 
 @pytest.mark.parametrize(
@@ -193,16 +153,14 @@ def test_a_workspace_may_be_set_up_for_another_size(solver, sequence):
     workspace = opened(solver, settings="high")
     answers(workspace, sequence.base, sequence.steps[:2])
     eye = np.eye(2)
-    workspace.setup(QuadraticProgram(eye, [-3, 0], eye, [-1, -1], [1, 1], [-2, -2], [2, 2]))
-    workspace.solve()
+    qp = QuadraticProgram(eye, [-3, 0], eye, [-1, -1], [1, 1], [-2, -2], [2, 2])
     # An interior point ends at a gap of 1e-9, which allows 4.5e-5 for P = I.
-    np.testing.assert_allclose(workspace.read().z, [1.0, 0.0], rtol=0, atol=1e-4)
+    np.testing.assert_allclose(solve_qp(workspace, qp).z, [1.0, 0.0], rtol=0, atol=1e-4)
 
 
 @pytest.mark.parametrize("solver", ["piqp", "piqp_multistage", "piqp_sparse"])
 def test_rows_that_become_equalities_are_solved_as_such(solver):
-    """An interior point method has no interior on a row with l = u: it is handed over as an
-    equality, in whichever rows a step has them, and its multiplier comes back in its place."""
+    """Rows with l = u, which have no interior, are equalities; multipliers keep their places."""
     rng = np.random.default_rng(3)
     n, m = 6, 4
     A, q, free = rng.normal(size=(m, n)), rng.normal(size=n), np.full(n, 2.0)
@@ -213,35 +171,23 @@ def test_rows_that_become_equalities_are_solved_as_such(solver):
         low, high = middle - 0.1, middle + 0.1
         low[equal] = high[equal] = middle[equal]
         steps.append(QPStep(q, low, high))
-    for step, answer in zip(
-        steps, answers(opened(solver, "reuse", "high"), base, steps), strict=True
-    ):
+    found = answers(opened(solver, "reuse", "high"), base, steps)
+    for step, answer in zip(steps, found, strict=True):
         expected = certify(base.at(step))
         assert answer.status is Status.SOLVED and answer.iterations < 30
-        np.testing.assert_allclose(answer.z, expected.z, atol=1e-7)
-        np.testing.assert_allclose(answer.y, expected.y, atol=1e-6)
-        np.testing.assert_allclose(answer.y_box, expected.y_box, atol=1e-6)
+        for name, atol in (("z", 1e-7), ("y", 1e-6), ("y_box", 1e-6)):
+            np.testing.assert_allclose(getattr(answer, name), getattr(expected, name), atol=atol)
 
 
 def test_arrays_given_before_are_known_and_new_ones_are_taken(sequence):
-    """A set-up with the same arrays, with equal ones and with others after a step that brought its
-    own: the answer is that of the problem handed over, each time."""
+    """A set-up with the same arrays, equal ones, and others after a step with its own matrices."""
     workspace = open_workspace("piqp", route="native", policy="fresh", settings="high")
-    base = sequence.base
-    other = QuadraticProgram(
-        2.0 * base.P, base.q, base.A, base.l, base.u, base.lb, base.ub, base.block
-    )
+    base, other = sequence.base, replace(sequence.base, P=2.0 * sequence.base.P)
     step = QPStep(base.q, base.l, base.u, P=other.P)
     for qp in (base, base, other, base):
-        workspace.setup(qp)
-        workspace.solve()
-        np.testing.assert_allclose(workspace.read().z, certify(qp).z, atol=1e-6)
-    workspace.update(step)
-    workspace.solve()
-    np.testing.assert_allclose(workspace.read().z, certify(other).z, atol=1e-6)
-    workspace.setup(base)
-    workspace.solve()
-    np.testing.assert_allclose(workspace.read().z, certify(base).z, atol=1e-6)
+        np.testing.assert_allclose(solve_qp(workspace, qp).z, certify(qp).z, atol=1e-6)
+    np.testing.assert_allclose(solve_next(workspace, step).z, certify(other).z, atol=1e-6)
+    np.testing.assert_allclose(solve_qp(workspace, base).z, certify(base).z, atol=1e-6)
 
 
 @pytest.mark.skipif(isnan(heap_bytes()), reason="only glibc 2.33 and later shows its heap")
@@ -262,7 +208,7 @@ def test_a_step_leaves_no_memory_behind(solver, sequence):
 LIMITED = [
     (name, route, policy)
     for name, row in TABLE.items()
-    if row.time_limit and available(name).ok
+    if row.time_limit and check_availability(name).ok
     for route, policies in row.policies.items()
     for policy in policies
 ]
@@ -272,16 +218,11 @@ LIMITED = [
 @pytest.mark.parametrize(("solver", "route", "policy"), LIMITED)
 def test_a_time_limit_that_is_not_met_changes_no_bit(solver, route, policy, sequence):
     """Answers, iterations and statuses are those without a limit."""
-    with_limit, without = (
-        open_workspace(solver, route=route, policy=policy, step_limit_s=limit)
+    found = (
+        sequence.answers(open_workspace(solver, route=route, policy=policy, step_limit_s=limit))
         for limit in (60.0, None)
     )
-    pairs = zip(
-        answers(with_limit, sequence.base, sequence.steps),
-        answers(without, sequence.base, sequence.steps),
-        strict=True,
-    )
-    for one, other in pairs:
+    for one, other in zip(*found, strict=True):
         assert (one.status, one.iterations) == (other.status, other.iterations)
         np.testing.assert_array_equal(one.z, other.z)
 
@@ -291,14 +232,9 @@ def test_a_time_limit_that_is_not_met_changes_no_bit(solver, route, policy, sequ
 )
 def test_a_time_limit_is_one_of_each_solve(solver, sequence):
     """Solves that take longer than it together, and no single one, are all solved."""
-    limit_s = 0.2
-    workspace = opened(solver)
-    workspace = open_workspace(
-        solver, route="native", policy=workspace.policy, step_limit_s=limit_s
-    )
+    limit_s, policy = 0.2, opened(solver).policy
+    workspace = open_workspace(solver, route="native", policy=policy, step_limit_s=limit_s)
     workspace.setup(sequence.base)
     until = time.monotonic() + 1.5 * limit_s
     while time.monotonic() < until:
-        workspace.update(sequence.steps[0])
-        workspace.solve()
-        assert workspace.read().status is Status.SOLVED
+        assert solve_next(workspace, sequence.steps[0]).status is Status.SOLVED

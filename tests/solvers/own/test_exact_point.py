@@ -1,7 +1,5 @@
 """The bound of an answer's error by a point that satisfies its limits to the last bit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,15 +8,15 @@ from hypothesis import strategies as st
 from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.random_recipe import RandomRecipe
-from dpbench.qp.random_sequence import planted
+from dpbench.qp.random_sequence import plant_sequence
 from dpbench.qp.referee.joint import JointQP
 from dpbench.qp.referee.referee import certify
 from dpbench.scenario.problem_files import sequence_path
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.own import paper_active_set
-from dpbench.solvers.own.safeguards.exact_point import LARGEST, error_bound, is_regular
-
-INF = np.inf
+from dpbench.solvers.own.exact_point import LARGEST, error_bound, is_regular_vertex
+from tests.solvers.conftest import solve_next
+from tests.solvers.own.random_costs import INF, unlimited
 
 
 def bound_of(qp, z, y, y_box):
@@ -29,20 +27,19 @@ def bound_of(qp, z, y, y_box):
 @given(st.sampled_from(["plain", "equal", "free", "infinite_bounds"]), st.integers(1, 10**6))
 def test_an_optimum_is_bounded_to_rounding(family, seed):
     """At the planted optimum the bound is rounding; it holds where the answer is moved off it."""
-    found = planted(RandomRecipe(family, 5, 8, seed=seed, steps=1))
+    found = plant_sequence(RandomRecipe(family, 5, 8, seed=seed, steps=1))
     qp = found.sequence.problem(0)
     z, y, y_box = found.z[0], found.y[0], found.y_box[0]
     assert bound_of(qp, z, y, y_box) <= 1e-9
     for size in (1e-12, 1e-6, 1e-3):
         moved = z + size * np.random.default_rng(seed).normal(size=qp.n)
-        bound = bound_of(qp, moved, y, y_box)
-        assert bound >= np.abs(moved - z).max()
+        assert bound_of(qp, moved, y, y_box) >= np.abs(moved - z).max()
 
 
 def lines(third):
     """Three half-planes whose borders pass through, or near, (1, 1): z0 ≤ 1, z1 ≤ 1 and a third."""
-    A, none = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]), np.full(2, INF)
-    return QuadraticProgram(np.eye(2), [-3.0, -3.0], A, [-INF] * 3, [1.0, 1.0, third], -none, none)
+    A = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    return unlimited(np.eye(2), [-3.0, -3.0], A, [-INF] * 3, [1.0, 1.0, third])
 
 
 def test_limits_that_rounding_sets_apart_leave_no_exact_point():
@@ -75,27 +72,26 @@ def test_more_equations_than_exact_arithmetic_has_time_for_are_not_judged():
 def test_limits_are_regular_if_they_meet_at_an_angle(angle, regular):
     """Two borders through the origin; a third that is far away does not count."""
     A = np.array([[1.0, 0.0], [np.cos(angle), np.sin(angle)], [1.0, 1.0]])
-    none = np.full(2, INF)
-    qp = QuadraticProgram(np.eye(2), np.ones(2), A, [-INF] * 3, [0.0, 0.0, 1.0], -none, none)
-    assert is_regular(JointQP.of(qp), np.zeros(2)) is regular
+    qp = unlimited(np.eye(2), np.ones(2), A, [-INF] * 3, [0.0, 0.0, 1.0])
+    assert is_regular_vertex(JointQP.of(qp), np.zeros(2)) is regular
 
 
 def test_more_limits_than_variables_are_not_regular():
     """Three borders through one point of the plane."""
-    assert not is_regular(JointQP.of(lines(2.0)), np.ones(2))
-    assert is_regular(JointQP.of(lines(3.0)), np.ones(2))
+    assert not is_regular_vertex(JointQP.of(lines(2.0)), np.ones(2))
+    assert is_regular_vertex(JointQP.of(lines(3.0)), np.ones(2))
 
 
 def test_a_long_horizon_alone_raises_no_doubt(monkeypatch):
     """cond(P) is 4e7 at 200/40, yet rounding leaves the answer near the certified optimum."""
     recorded = load_recorded(sequence_path("paper-200-40"))
-    monkeypatch.setattr(paper_active_set, "is_sensitive", lambda *_: pytest.fail("was in doubt"))
+    monkeypatch.setattr(
+        paper_active_set, "moves_under_small_shifts", lambda *_: pytest.fail("was in doubt")
+    )
     workspace = open_workspace("paper_active_set", policy="warm")
     workspace.setup(recorded.sequence.base)
     for k, optimum in enumerate(recorded.optima):
-        workspace.update(recorded.sequence.step(k))
-        workspace.solve()
-        answer = workspace.read()
+        answer = solve_next(workspace, recorded.sequence.step(k))
         assert answer.claimed
         # What `is_near` allows; the optimum itself is known to 1e-10.
         np.testing.assert_allclose(answer.z, optimum.z, rtol=0, atol=5e-7)

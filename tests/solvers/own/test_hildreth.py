@@ -1,6 +1,6 @@
-"""Hildreth's method against its textbook form, the exact method and its own promises."""
+"""Hildreth's method against its textbook form, and the baseline law."""
 
-from __future__ import annotations
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,15 +11,10 @@ from dpbench.qp.referee.feasibility.farkas import farkas_valid
 from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
+from tests.solvers.conftest import solve_next, solve_qp
+from tests.solvers.own.random_costs import INF, solve, unlimited
 
-INF = np.inf
-
-
-def solve(qp, settings="default", policy="fresh"):
-    workspace = open_workspace("hildreth", policy=policy, settings=settings)
-    workspace.setup(qp)
-    workspace.solve()
-    return workspace.read()
+hildreth = partial(solve, solver="hildreth")
 
 
 def textbook(P, q, A, u, sweeps):
@@ -43,8 +38,7 @@ def one_sided(seed):
     B = rng.normal(size=(n, n))
     P, A = B @ B.T + np.eye(n), rng.normal(size=(m, n))
     q, u = 10 * rng.normal(size=n), rng.uniform(0.1, 1, m)
-    none = np.full(n, INF)
-    return QuadraticProgram(P, q, A, np.full(m, -INF), u, -none, none)
+    return unlimited(P, q, A, np.full(m, -INF), u)
 
 
 @pytest.mark.parametrize("sweeps", [1, 2, 7, 38])
@@ -53,7 +47,7 @@ def test_its_iterates_are_those_of_the_textbook(sweeps):
     for seed in range(10):
         qp = one_sided(seed)
         expected = textbook(qp.P, qp.q, qp.A, qp.u, sweeps)
-        answer = solve(qp, {"max_iter": sweeps})
+        answer = hildreth(qp, {"max_iter": sweeps})
         # Rounding of up to 38 sweeps.
         np.testing.assert_allclose(answer.z, expected, rtol=0, atol=1e-11)
 
@@ -62,7 +56,7 @@ def test_by_default_it_stops_where_the_textbook_does():
     """At most 38 sweeps, and what has not converged by then is not called solved."""
     endings = {Status.SOLVED: 0, Status.MAX_ITERATIONS: 0}
     for seed in range(20):
-        answer = solve(one_sided(seed))
+        answer = hildreth(one_sided(seed))
         endings[answer.status] += 1
         assert answer.iterations <= 38
         if answer.status is Status.MAX_ITERATIONS:
@@ -74,12 +68,9 @@ def test_by_default_it_stops_where_the_textbook_does():
 @pytest.mark.parametrize(("settings", "tolerance"), [("low", 1e-3), ("mid", 1e-6), ("high", 1e-9)])
 def test_the_ladder_keeps_what_it_promises(sequence, settings, tolerance):
     """A tolerance level bounds the residuals of P ≥ 1 by its number, give or take ten."""
-    workspace = open_workspace("hildreth", policy="reuse", settings=settings)
-    workspace.setup(sequence.base)
-    for step in sequence.steps:
-        workspace.update(step)
-        workspace.solve()
-        answer, qp = workspace.read(), sequence.base.at(step)
+    answers = sequence.answers(open_workspace("hildreth", policy="reuse", settings=settings))
+    for step, answer in zip(sequence.steps, answers, strict=True):
+        qp = sequence.base.at(step)
         assert answer.status is Status.SOLVED
         found = residuals(qp, answer)
         assert found.primal <= 10 * tolerance
@@ -97,9 +88,7 @@ def test_a_start_from_the_previous_multipliers_saves_sweeps():
         workspace.solve()
         sweeps[policy] = 0
         for k in range(10):
-            workspace.update(QPStep((1.0 + 1e-6 * k) * qp.q, qp.l, qp.u))
-            workspace.solve()
-            answer = workspace.read()
+            answer = solve_next(workspace, QPStep((1.0 + 1e-6 * k) * qp.q, qp.l, qp.u))
             assert answer.status is Status.SOLVED
             sweeps[policy] += answer.iterations
     assert sweeps["warm"] < 0.8 * sweeps["reuse"]
@@ -110,12 +99,8 @@ def test_the_multipliers_move_on_by_one_move():
     q = np.array([0.0, 0.0, -3.0, 0.0])
     qp = QuadraticProgram(np.eye(4), q, np.zeros((0, 4)), [], [], -np.ones(4), np.ones(4), 1)
     workspace = open_workspace("hildreth", policy="warm")
-    workspace.setup(qp)
-    workspace.solve()
-    assert workspace.read().iterations == 2
-    workspace.update(QPStep(np.roll(q, -1), qp.l, qp.u))
-    workspace.solve()
-    answer = workspace.read()
+    assert solve_qp(workspace, qp).iterations == 2
+    answer = solve_next(workspace, QPStep(np.roll(q, -1), qp.l, qp.u))
     assert answer.iterations == 1
     np.testing.assert_array_equal(answer.z, [0, 1, 0, 0])
 
@@ -125,18 +110,18 @@ def test_multipliers_without_end_are_a_proof():
     qp = QuadraticProgram(
         [[2.0, 0.5], [0.5, 1.0]], [-2, -6], [[1, 1], [1, -1]], [3, -9], [4, 9], [-1, -1], [1, 1]
     )
-    answer = solve(qp, {"max_iter": 1000})
+    answer = hildreth(qp, {"max_iter": 1000})
     assert answer.status is Status.PRIMAL_INFEASIBLE
     assert np.isnan(answer.z).all()
     assert farkas_valid(qp, answer.y, answer.y_box)
     # After one sweep nothing is proven, and nothing is claimed.
-    assert solve(qp, {"max_iter": 1}).status is Status.MAX_ITERATIONS
+    assert hildreth(qp, {"max_iter": 1}).status is Status.MAX_ITERATIONS
 
 
 def test_a_row_of_zeros_that_asks_for_more_is_infeasible():
     """No multiplier can move a row of zeros: it is its own proof."""
     qp = QuadraticProgram(np.eye(2), [1, 1], [[0, 0]], [1], [2], [-1, -1], [1, 1])
-    answer = solve(qp)
+    answer = hildreth(qp)
     assert answer.status is Status.PRIMAL_INFEASIBLE
     assert farkas_valid(qp, answer.y, answer.y_box)
 
@@ -154,3 +139,39 @@ def test_settings_it_does_not_know_are_refused(settings, words):
     """An unknown key or an impossible value is refused with what is allowed."""
     with pytest.raises(SettingsError, match=words):
         open_workspace("hildreth", settings=settings)
+
+
+@pytest.mark.parametrize("policy", ["fresh", "reuse"])
+def test_the_baseline_law_minimises_the_cost_and_claims_nothing(sequence, policy):
+    """Its answer makes the gradient vanish, whatever the limits; status UNKNOWN, no multipliers."""
+    workspace = open_workspace("unconstrained_clipped", policy=policy)
+    workspace.setup(sequence.base)
+    for step in sequence.steps:
+        answer = solve_next(workspace, step)
+        # Two triangular solves with a condition number below 100 leave some 1e-14.
+        np.testing.assert_allclose(sequence.base.P @ answer.z, -step.q, rtol=0, atol=1e-12)
+        assert answer.status is Status.UNKNOWN
+        assert not answer.y.any()
+        assert not answer.y_box.any()
+
+
+def test_new_matrices_of_the_baseline_law_are_factorised_again(sequence):
+    """A step that brings another P is solved with it, and so is the step after it."""
+    workspace = open_workspace("unconstrained_clipped", policy="reuse")
+    workspace.setup(sequence.base)
+    first, second = sequence.steps[:2]
+    workspace.update(QPStep(first.q, first.l, first.u, P=4.0 * sequence.base.P))
+    z = solve_next(workspace, second).z
+    np.testing.assert_allclose(4.0 * sequence.base.P @ z, -second.q, rtol=0, atol=1e-12)
+
+
+def test_a_cost_without_a_minimum_is_an_error():
+    """A P that is not positive definite gives ERROR and no answer."""
+    workspace = open_workspace("unconstrained_clipped")
+    eye = np.eye(2)
+    answer = solve_qp(
+        workspace,
+        QuadraticProgram(np.diag([1.0, -1.0]), [1, 1], eye, [-1, -1], [1, 1], [-1, -1], [1, 1]),
+    )
+    assert answer.status is Status.ERROR
+    assert np.isnan(answer.z).all()

@@ -1,30 +1,39 @@
-"""The paper's method from step to step: sequences of QPs, starts, odd arrays, size."""
+"""The paper's method from step to step: starts, rows that change, corners of polygons, slacks."""
 
-from __future__ import annotations
-
-import subprocess
-import sys
 from inspect import getclosurevars
 
 import numpy as np
 import pytest
 import quadprog
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from dpbench import load_scenario, run_closed_loop
-from dpbench.bench.run.exact_loop import sequence_of, solve_exactly
+from dpbench.bench.run.exact_loop import rebuild_sequence, solve_exactly
+from dpbench.bench.sequences.sequence_file import load_sequence
 from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.referee.referee import Referee
+from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.own.active_set import factor as active_set_factor
-from dpbench.solvers.own.active_set import layout as active_set_layout
-from dpbench.solvers.own.active_set.kernel import _entry_points, mark_spans
+from dpbench.solvers.own.active_set import factor, layout
+from dpbench.solvers.own.active_set.constants import new_problem_array, write_problem
+from dpbench.solvers.own.active_set.kernel import _compile_entry_points, mark_spans, solve_step
 from dpbench.solvers.own.hildreth import hildreth_step
+from dpbench.solvers.own.paper_active_set import PaperActiveSetWorkspace
+from tests.solvers.conftest import Sequence, run_program, solve_next, solve_qp
+from tests.solvers.own.random_costs import INF, solve, unlimited
 
-INF = np.inf
+POLICIES = ("fresh", "reuse", "warm")
 
 
-def workspace(policy="warm"):
-    return open_workspace("paper_active_set", policy=policy)
+def opened(policy="warm", solver="paper_active_set"):
+    return open_workspace(solver, route="native", policy=policy)
+
+
+def answers(workspace, sequence):
+    """Return the answers along a recorded sequence."""
+    return Sequence(sequence.base, map(sequence.step, range(len(sequence)))).answers(workspace)
 
 
 @pytest.mark.slow
@@ -32,8 +41,7 @@ def test_in_newtons_every_step_is_claimed_too():
     """In SI units, where a plan is 1e5 and its rounding 1e-11 of that, no claim is lost."""
     scenario = load_scenario("paper").first(100)
     for policy in ("fresh", "warm"):
-        solver = workspace(policy)
-        steps = run_closed_loop(scenario, solver, units="si").steps
+        steps = run_closed_loop(scenario, opened(policy), units="si").steps
         assert (steps["status"] == "SOLVED").all()
         assert steps["error_plan"].max() <= 1e-9
 
@@ -43,58 +51,62 @@ def test_every_step_of_a_scenario_is_the_certified_optimum(name):
     """Along the exactly solved loop every answer is the optimum to 1e-9 of a rate-limit step."""
     scenario = load_scenario(name)
     exact = solve_exactly(scenario)
-    sequence = sequence_of(scenario, exact)
-    iterations = {}
-    for policy in ("reuse", "warm"):
-        solver = workspace(policy)
-        solver.setup(sequence.base)
-        iterations[policy] = 0
-        for k in range(len(sequence)):
-            solver.update(sequence.step(k))
-            solver.solve()
-            answer = solver.read()
-            assert answer.status is Status.SOLVED
-            assert np.abs(answer.z - exact.z[k]).max() <= 1e-9
-            iterations[policy] += answer.iterations
+    count = {}
+    for policy in POLICIES[1:]:
+        found = answers(opened(policy), rebuild_sequence(scenario, exact))
+        assert all(answer.status is Status.SOLVED for answer in found)
+        assert max(np.abs(a.z - z).max() for a, z in zip(found, exact.z, strict=True)) <= 1e-9
+        count[policy] = sum(answer.iterations for answer in found)
     # What a start is for: the set changes in few steps, by few rows.
-    assert iterations["warm"] <= 0.15 * iterations["reuse"]
+    assert count["warm"] <= 0.15 * count["reuse"]
 
 
-def chain(block):
-    """Six moves of one variable each, of which the third wants beyond its bound."""
-    six = np.ones(6)
+def test_the_set_goes_on_from_step_to_step_though_all_of_them_bring_rows():
+    """Far fewer iterations than from nothing, and the same answers, on a shipped sequence."""
+    sequence, count = load_sequence("thrusters_turning-30-5"), {}
+    for policy in POLICIES[1:]:
+        found = answers(opened(policy), sequence)
+        assert all(answer.status is Status.SOLVED for answer in found)
+        count[policy] = sum(answer.iterations for answer in found[1:])
+    assert count["warm"] < 0.5 * count["reuse"]
+
+
+def chain(block, rows=((),)):
+    """Six moves of one variable and some rows each, of which the third wants beyond its limit."""
+    six, A = np.ones(6), np.kron(np.eye(6), np.reshape(rows, (-1, 1)))
     q = np.array([0.0, 0.0, -3.0, 0.0, 0.0, 0.0])
-    return QuadraticProgram(np.eye(6), q, np.zeros((0, 6)), [], [], -six, six, block)
+    bound = 9.0 if len(A) else 1.0
+    high = np.tile([9.0, 1.0], 6)[: len(A)]
+    return QuadraticProgram(np.eye(6), q, A, -high, high, -bound * six, bound * six, block)
 
 
-@pytest.mark.parametrize(("block", "iterations"), [(1, 0), (2, 2), (0, 2)])
-def test_the_kept_set_moves_on_by_one_move(block, iterations):
-    """A set that came one move nearer needs no change; moved otherwise it costs a drop and an add.
-
-    The next step's second variable is at its bound. Block 0 keeps variable 3, block 2 takes it to
-    1: either is dropped, and variable 2 brought in.
-    """
-    qp = chain(block)
-    solver = workspace()
-    solver.setup(qp)
-    solver.solve()
-    assert solver.read().iterations == 1
-    solver.update(QPStep(np.roll(qp.q, -1), qp.l, qp.u))
-    solver.solve()
-    answer = solver.read()
-    np.testing.assert_allclose(answer.z, [0, 1, 0, 0, 0, 0], rtol=0, atol=1e-15)
-    assert answer.iterations == iterations
+@pytest.mark.parametrize(
+    ("solver", "qp", "first", "then"),
+    [
+        ("paper_active_set", chain(1), 1, 0),
+        ("paper_active_set", chain(2), 1, 2),
+        ("paper_active_set", chain(0), 1, 2),
+        # Two rows a move, z_i ≤ 9 and 2 z_i ≤ 1.
+        ("paper_active_set", chain(1, [1.0, 2.0]), 1, 0),
+        ("hildreth", chain(1, [1.0, 2.0]), 2, 1),
+    ],
+)
+def test_the_kept_set_moves_on_by_one_move(solver, qp, first, then):
+    """A set one move nearer needs no change; moved otherwise it costs a drop and an add."""
+    workspace = opened(solver=solver)
+    assert solve_qp(workspace, qp).iterations == first
+    answer = solve_next(workspace, QPStep(np.roll(qp.q, -1), qp.l, qp.u))
+    expected = [0, 0.5 if qp.m else 1, 0, 0, 0, 0]
+    np.testing.assert_allclose(answer.z, expected, rtol=0, atol=1e-15)
+    assert answer.iterations == then
 
 
 def test_the_same_set_costs_no_iteration():
     """A set that is still optimal is kept as it is, whatever the block."""
     qp = chain(1)
-    solver = workspace()
-    solver.setup(qp)
-    solver.solve()
-    solver.update(QPStep(1.1 * qp.q, qp.l, qp.u))
-    solver.solve()
-    assert solver.read().iterations == 0
+    solver = opened()
+    assert solve_qp(solver, qp).iterations == 1
+    assert solve_next(solver, QPStep(1.1 * qp.q, qp.l, qp.u)).iterations == 0
     solver.reset()
     solver.solve()
     assert solver.read().iterations == 1
@@ -107,13 +119,7 @@ def test_nearly_parallel_rows_are_told_apart(angle):
     # z0 ≤ 1 and z0 + angle·z1 ≤ 1 − angle meet in (1, −1); the cost pulls between the two rows.
     high = np.array([1.0, 1.0 - angle])
     z, y = np.array([1.0, -1.0]), np.array([2.0, 3.0])
-    qp = QuadraticProgram(
-        np.eye(2), -(z + A.T @ y), A, [-INF, -INF], high, [-INF, -INF], [INF, INF]
-    )
-    solver = workspace()
-    solver.setup(qp)
-    solver.solve()
-    answer = solver.read()
+    answer = solve(unlimited(np.eye(2), -(z + A.T @ y), A, [-INF, -INF], high))
     assert answer.status is Status.SOLVED
     # The rounding of `high` alone moves the point by 1e-16 over the angle.
     np.testing.assert_allclose(answer.z, z, rtol=0, atol=1e-15 / angle)
@@ -133,36 +139,12 @@ def odd(array, kind):
 @pytest.mark.parametrize("kind", ["strided", "read-only", ">f8", "float32"])
 def test_other_kinds_of_arrays_are_taken_over_all_the_same(sequence, kind):
     """The compiled copy is for contiguous float64 arrays; others give the same answers."""
-    expected, found = workspace(), workspace()
-    for solver in (expected, found):
-        solver.setup(sequence.base)
-    for step in sequence.steps:
-        q, low, high = (a.astype(np.float32).astype(float) for a in (step.q, step.l, step.u))
-        expected.update(QPStep(q, low, high))
-        found.update(QPStep(odd(q, kind), odd(low, kind), odd(high, kind)))
-        expected.solve()
-        found.solve()
-        np.testing.assert_array_equal(found.read().z, expected.read().z)
-
-
-def test_two_workspaces_do_not_disturb_each_other(sequence):
-    """Workspaces that take turns give what each gives alone."""
-    alone = workspace()
-    alone.setup(sequence.base)
-    expected = []
-    for step in sequence.steps:
-        alone.update(step)
-        alone.solve()
-        expected.append(alone.read().z)
-    forth, back = workspace(), workspace()
-    forth.setup(sequence.base)
-    back.setup(sequence.base)
-    for k, step in enumerate(sequence.steps):
-        forth.update(step)
-        back.update(sequence.steps[-1 - k])
-        forth.solve()
-        back.solve()
-        np.testing.assert_array_equal(forth.read().z, expected[k])
+    vectors = [[a.astype("f4").astype(float) for a in (s.q, s.l, s.u)] for s in sequence.steps]
+    usual = [QPStep(*arrays) for arrays in vectors]
+    unusual = [QPStep(*(odd(array, kind) for array in arrays)) for arrays in vectors]
+    pairs = (sequence._replace(steps=steps).answers(opened()) for steps in (usual, unusual))
+    for expected, found in zip(*pairs, strict=True):
+        np.testing.assert_array_equal(found.z, expected.z)
 
 
 def test_three_hundred_variables_and_six_hundred_rows():
@@ -172,7 +154,7 @@ def test_three_hundred_variables_and_six_hundred_rows():
     B = rng.normal(size=(n, n))
     P, A = B @ B.T / n + 0.1 * np.eye(n), rng.normal(size=(m, n)) / np.sqrt(n)
     q, two, one = 10 * rng.normal(size=n), 2 * np.ones(m), np.ones(n)
-    solver = workspace()
+    solver = opened()
     solver.setup(QuadraticProgram(P, q, A, -two, two, -one, one))
     C = np.vstack([A, -A, np.eye(n), -np.eye(n)]).T
     limit = -np.concatenate([two, two, one, one])
@@ -190,14 +172,14 @@ def test_three_hundred_variables_and_six_hundred_rows():
 
 def test_compiled_code_on_disk_is_not_used_after_a_change(monkeypatch):
     """The mark of the compiled code changes with a constant that some function of it names."""
-    before = active_set_layout.stamp(_entry_points)
-    assert active_set_layout.stamp(_entry_points) == before
-    monkeypatch.setattr(active_set_factor, "CLOSE", 1e-7)
-    assert active_set_layout.stamp(_entry_points) != before
+    before = layout.code_checksum(_compile_entry_points)
+    assert layout.code_checksum(_compile_entry_points) == before
+    monkeypatch.setattr(factor, "CLOSE", 1e-7)
+    assert layout.code_checksum(_compile_entry_points) != before
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("first", ["hildreth", "active_set.pricing", "active_set.changed_rows"])
+@pytest.mark.parametrize("first", ["hildreth", "active_set.factor", "active_set.check"])
 def test_compiled_code_on_disk_is_used_whatever_was_imported_before(first):
     """Its mark tells nothing of the order of imports, nor of kernels that it does not call."""
     program = f"""
@@ -208,12 +190,215 @@ from dpbench.solvers.own.active_set.kernel import mark_spans
 for function in (mark_spans, hildreth.hildreth_step):
     print(getclosurevars(function.py_func).nonlocals["version"])
 """
-    command = [sys.executable, "-c", program]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
     here = (stamp_of(mark_spans), stamp_of(hildreth_step))
-    assert done.stdout.split() == [str(stamp) for stamp in here]
+    assert run_program(program).split() == [str(stamp) for stamp in here]
 
 
 def stamp_of(function):
     """What stands in the closure of a compiled function."""
     return getclosurevars(function.py_func).nonlocals["version"]
+
+
+def problem(rng, n, m):
+    """A feasible problem (z = 0 satisfies it) with rows of two entries each."""
+    root = rng.normal(size=(n, n))
+    one = np.ones(n)
+    low, high = -rng.uniform(0.0, 0.5, m), rng.uniform(0.0, 0.5, m)
+    P, q = root @ root.T + 0.1 * np.eye(n), 3.0 * rng.normal(size=n)
+    return QuadraticProgram(P, q, rows_of_two(rng, n, m), low, high, -one, one)
+
+
+def rows_of_two(rng, n, m):
+    A = np.zeros((m, n))
+    for i in range(m):
+        A[i, rng.choice(n, 2, replace=False)] = rng.normal(size=2)
+    return A
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_answers_on_rows_that_change_are_those_of_a_new_workspace(policy):
+    """Some of the rows, then all of them, then none, then dense ones, which are set up anew."""
+    rng = np.random.default_rng(4)
+    qp = problem(rng, 12, 30)
+    workspace = opened(policy)
+    workspace.setup(qp)
+    A = qp.A
+    for k in range(40):
+        A = A.copy()
+        if k % 4 == 3:
+            A[:] = rng.normal(size=A.shape)
+        elif k % 4 != 2:
+            which = rng.choice(30, 6 if k % 4 == 0 else 30, replace=False)
+            A[which] = rows_of_two(rng, 12, 30)[which]
+        step = QPStep(rng.normal(size=12) * 3.0, qp.l, qp.u, A=A)
+        answer = solve_next(workspace, step)
+        assert answer.status is Status.SOLVED
+        np.testing.assert_allclose(answer.z, solve(qp.at(step)).z, atol=1e-9)
+    assert workspace.matrix_updates == 40
+
+
+def test_vectors_alone_then_go_with_the_rows_that_came_last():
+    """Also where the problem as a whole is asked for, as behind a contradiction."""
+    one = np.ones(2)
+    qp = QuadraticProgram(np.eye(2), -2 * one, np.eye(2), -9 * one, 9 * one, -one, one)
+    workspace = opened()
+    workspace.setup(qp)
+    rows = np.array([[1.0, 1.0], [0.0, 1.0]])
+    workspace.update(QPStep(-2 * one, -9 * one, np.array([0.5, 9.0]), A=rows))
+    answer = solve_next(workspace, QPStep(-2 * one, -9 * one, np.array([1.0, 9.0])))
+    np.testing.assert_allclose(answer.z, [0.5, 0.5], atol=1e-12)
+    low = np.array([2.5, -9.0])
+    answer = solve_next(workspace, QPStep(-2 * one, low, np.array([9.0, 9.0])))
+    assert answer.status is Status.PRIMAL_INFEASIBLE
+    np.testing.assert_allclose(answer.y_box, -answer.y @ rows)
+    assert 2 * answer.y_box.max() + 2.5 * answer.y[0] < 0.0
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_rows_that_are_no_numbers_are_refused_and_the_next_ones_are_not(value):
+    rng = np.random.default_rng(1)
+    qp = problem(rng, 4, 6)
+    workspace = opened()
+    workspace.setup(qp)
+    bad = qp.A.copy()
+    bad[2, 1] = value
+    assert solve_next(workspace, QPStep(qp.q, qp.l, qp.u, A=bad)).status is Status.ERROR
+    assert solve_next(workspace, QPStep(qp.q, qp.l, qp.u, A=qp.A)).status is Status.SOLVED
+
+
+@settings(derandomize=True, max_examples=60, deadline=None)
+@given(st.integers(0, 10**6), st.integers(2, 12), st.integers(0, 6), st.booleans())
+def test_rows_with_equal_limits_are_active_from_the_start(seed, n, equal, at_rest):
+    """No iteration brings them in; one that depends on others is left out; z = 0 is no doubt."""
+    rng = np.random.default_rng(seed)
+    m = n + 4
+    qp = problem(rng, n, m)
+    low, high = qp.l.copy(), qp.u.copy()
+    A = rng.normal(size=(m, n))
+    which = rng.choice(m, min(equal, n - 1), replace=False)
+    low[which] = high[which] = 0.0
+    A[-1], low[-1], high[-1] = 2.0 * A[0], 2.0 * low[0], 2.0 * high[0]
+    q = np.zeros(n) if at_rest else qp.q
+    posed = QuadraticProgram(qp.P, q, A, low, high, qp.lb, qp.ub)
+    answer = solve(posed, policy="warm")
+    assert answer.status is Status.SOLVED
+    left = residuals(posed, answer)
+    assert left.primal <= 1e-9 and left.dual <= 1e-9 * (1.0 + np.abs(q).max())
+    if at_rest:
+        assert answer.iterations == 0
+        np.testing.assert_array_equal(answer.z, np.zeros(n))
+
+
+@pytest.fixture
+def workspace(monkeypatch):
+    """A warm workspace whose compiled method has to do without the safeguards."""
+
+    def refuse(self, ending):
+        raise AssertionError(f"left to the safeguards: ending {ending}")
+
+    monkeypatch.setattr(PaperActiveSetWorkspace, "_resolve_unclear_ending", refuse)
+    return open_workspace("paper_active_set", policy="warm")
+
+
+def azimuths(moves, thrust, sides=16):
+    """P and rows of two azimuth thrusters with polygons around f + Σz, in largest steps."""
+    angle = (2 * np.arange(sides // 2) + 1) * np.pi / sides
+    normals = np.kron(np.eye(2), np.column_stack((np.cos(angle), np.sin(angle))))
+    A = np.kron(np.tri(moves), normals)
+    high = np.full(len(A), thrust * np.cos(np.pi / sides))
+    force = np.array([[1.0, 0, 1, 0], [0, 1, 0, 1], [0.3, -1, -0.2, 1]])
+    reach = np.kron(np.tri(moves), force)
+    P = 0.1 * np.eye(4 * moves) + reach.T @ reach
+    return P, A, high, reach, normals
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("moves", "thrust"), [(3, 2), (5, 3), (6, 2)])
+def test_a_corner_reached_at_the_largest_rate_is_solved_as_any_other_point(
+    workspace, moves, thrust
+):
+    """More rows meet than there are dimensions, and no step is left to the safeguards."""
+    P, A, high, reach, normals = azimuths(moves, thrust)
+    one, f = np.ones(len(P)), np.zeros(4)
+    base = QuadraticProgram(P, one, A, -high, high, -one, one)
+    referee = Referee(P, A, base.lb, base.ub)
+    workspace.setup(base)
+    corners = 0
+    for k in range(40):
+        # Wanted: forces along the corners, first one way and then the other.
+        wanted = 9.0 * thrust * np.array([np.cos(k // 8), np.sin(k // 16), 0.1 * (k % 3)])
+        now = np.tile(normals @ f, moves)
+        q = -reach.T @ np.tile(wanted if k % 8 else np.array([9.0 * thrust, 0, 0]), moves)
+        step = QPStep(q, -high - now, high - now)
+        answer, optimum = solve_next(workspace, step), referee.certify(step.q, step.l, step.u)
+        assert answer.status is Status.SOLVED
+        np.testing.assert_allclose(answer.z, optimum.z, rtol=0, atol=1e-10)
+        value = np.concatenate([A @ answer.z, answer.z])
+        limit = np.concatenate([step.u, one]), np.concatenate([step.l, -one])
+        met = (np.abs(value - limit[0]) < 1e-9) | (np.abs(value - limit[1]) < 1e-9)
+        corners += np.count_nonzero(met) > np.linalg.matrix_rank(
+            np.vstack([A, np.eye(len(P))])[met]
+        )
+        f = f + answer.z[:4]
+    assert corners > 3
+
+
+@pytest.mark.parametrize("left", [0, 1, 3])
+def test_a_thruster_that_shrinks_at_its_rate_has_to_make_the_largest_steps(workspace, left):
+    """Rows and bounds that leave one another no room, exactly, are equalities."""
+    moves = 5
+    A, one = np.tri(moves), np.ones(moves)
+    # From 4 steps of thrust down to `left`, as fast as the rate allows.
+    high = np.maximum(left, 4.0 - np.arange(1, moves + 1)) - 4.0
+    qp = QuadraticProgram(np.eye(moves), -9 * one, A, np.full(moves, -8.0), high, -one, one)
+    answer = solve_qp(workspace, qp)
+    forced = np.diff(high, prepend=0.0)
+    assert answer.status is Status.SOLVED
+    np.testing.assert_array_equal(answer.z[: 4 - left], forced[: 4 - left])
+    np.testing.assert_allclose(answer.z, forced, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(answer.z - 9 + A.T @ answer.y + answer.y_box, 0, atol=1e-13)
+
+
+def test_rows_that_rounding_alone_sets_apart_are_doubtful():
+    """Where a rounded limit may leave no point at all, the compiled method says so."""
+    third, one = np.array([[1.0, 1 / 3, 1 / 7]]), np.ones(3)
+    limit = third.sum(axis=1)
+    qp = QuadraticProgram(np.eye(3), -3 * one, third, limit, [9.0], -one, one)
+    S = new_problem_array(3, 1)
+    assert write_problem(S, qp, keep=False) == ""
+    assert solve_step(S) == layout.DOUBTFUL
+
+
+def with_slacks(rng, moves, softened):
+    """Moves with rows that slacks soften: most of P⁻¹ and of the rows is zero."""
+    n, m = moves + softened, softened + moves
+    B = rng.normal(size=(moves, moves))
+    P = np.zeros((n, n))
+    P[:moves, :moves] = B @ B.T + np.eye(moves)
+    P[range(moves, n), range(moves, n)] = 1e-2
+    A = np.zeros((m, n))
+    A[:, :moves] = rng.normal(size=(m, moves))
+    A[range(softened), range(moves, n)] = -1.0
+    order = rng.permutation(n)
+    q = np.concatenate([5.0 * rng.normal(size=moves), np.full(softened, 20.0)])
+    lb = np.concatenate([np.full(moves, -1.0), np.zeros(softened)])
+    ub = np.concatenate([np.full(moves, 1.0), np.full(softened, INF)])
+    high = rng.uniform(0.1, 1.0, m)
+    low = np.where(np.arange(m) < softened, -INF, -high)
+    return QuadraticProgram(
+        P[np.ix_(order, order)], q[order], A[:, order], low, high, lb[order], ub[order]
+    )
+
+
+@pytest.mark.parametrize(("moves", "softened"), [(3, 40), (10, 10), (20, 100)])
+def test_softened_rows_give_the_certified_optimum(workspace, moves, softened):
+    """Through steps whose slacks come and go every answer is the optimum."""
+    rng = np.random.default_rng(softened)
+    qp = with_slacks(rng, moves, softened)
+    referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
+    workspace.setup(qp)
+    for _ in range(10):
+        step = QPStep(qp.q * rng.uniform(0.5, 1.5, qp.n), qp.l, qp.u)
+        answer, optimum = solve_next(workspace, step), referee.certify(step.q, step.l, step.u)
+        assert answer.status is Status.SOLVED
+        np.testing.assert_allclose(answer.z, optimum.z, rtol=0, atol=1e-11)

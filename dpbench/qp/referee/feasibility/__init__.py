@@ -1,1 +1,1 @@
-"""What limits leave: nothing, a point by rounding only, no freedom, no need."""
+"""Certificates of infeasibility, rounding of limits, forced and implied equalities."""

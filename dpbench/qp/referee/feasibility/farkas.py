@@ -8,12 +8,11 @@
 A feasible z would give 0 = zᵀ(Aᵀy + y_box) ≤ the sum on the left of "< 0".
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from fractions import Fraction
 from itertools import chain
 from math import lcm
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linprog
@@ -23,25 +22,21 @@ from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.dyadic import Dyadic
 from dpbench.qp.referee.joint import JointQP
 
-CONSISTENT = 1e-6
-"""How well a claimed vector must satisfy Aᵀy + y_box = 0 before its y_box is replaced by −Aᵀy."""
-DENOMINATORS = (1, 12, 60, 1000)
-"""Rounding of a vector from floating point to fractions, tried in turn where exactness counts."""
+CONSISTENT = 1e-6  # relative error of Aᵀy + y_box = 0 in a claimed vector
+DENOMINATORS = (1, 12, 60, 1000)  # of fractions near a vector, tried in turn
 
 
-def crossed(qp: QuadraticProgram) -> Vector | None:
-    """The unit vector (m + n,) of a row or bound whose lower limit exceeds its upper one."""
+def crossed_limits_vector(qp: QuadraticProgram) -> Vector | None:
+    """Return a Farkas vector (m + n,) of a row or bound with lower limit above upper, or None."""
     problem = JointQP.of(qp)
     crossing = np.flatnonzero(problem.L > problem.U)
     if not len(crossing):
         return None
-    unit = np.zeros(len(problem.L))
-    unit[crossing[0]] = 1.0
-    return unit
+    return np.asarray(np.eye(len(problem.L))[crossing[0]])
 
 
 def farkas_valid(qp: QuadraticProgram, y: Vector, y_box: Vector) -> bool:
-    """Whether (y, y_box) proves that `qp` has no feasible point.
+    """Return whether the Farkas vector (y, y_box) proves that the QP has no feasible point.
 
     y_box must satisfy Aᵀy + y_box = 0 to within `CONSISTENT`; it is then replaced by the exact
     −Aᵀy, whose sign must name finite bounds. A multiple of the unit vector of a row with l > u
@@ -62,13 +57,13 @@ def farkas_valid(qp: QuadraticProgram, y: Vector, y_box: Vector) -> bool:
     size = float(np.abs(qp.A).T.dot(np.abs(y)).max(initial=0.0)) + float(np.abs(y_box).max())
     if np.abs(box.floats() - y_box).max() > CONSISTENT * size:
         return False
-    rows = _upper_sum(Dyadic.of(y), qp.l, qp.u)
-    bounds = _upper_sum(box, qp.lb, qp.ub)
+    rows = _weighted_limit_sum(Dyadic.of(y), qp.l, qp.u)
+    bounds = _weighted_limit_sum(box, qp.lb, qp.ub)
     return rows is not None and bounds is not None and bool((rows + bounds).signs() < 0)
 
 
-def _upper_sum(y: Dyadic, lower: Vector, upper: Vector) -> Dyadic | None:
-    """Σ upper·y⁺ − Σ lower·y⁻, or None where a sign names an infinite limit."""
+def _weighted_limit_sum(y: Dyadic, lower: Vector, upper: Vector) -> Dyadic | None:
+    """Return Σ upper·y⁺ − Σ lower·y⁻ exactly; None where a sign names an infinite limit."""
     signs = y.signs()
     limits = np.where(signs > 0, upper, lower)
     used = signs != 0
@@ -78,13 +73,12 @@ def _upper_sum(y: Dyadic, lower: Vector, upper: Vector) -> Dyadic | None:
 
 
 def certify_infeasible(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
-    """A valid Farkas vector (y, y_box), or None where none is found.
+    """Find a Farkas vector (y, y_box) that proves the QP infeasible, or return None.
 
-    An independent linear program over the signed parts of (y, y_box), normalised to sum 1, then
-    verified exactly; with infinite bounds the vector is also tried as small fractions, since
-    Aᵀy = 0 has to hold to the last bit there.
+    From a linear program over the signed parts of (y, y_box), normalised to sum 1, then verified
+    exactly; with infinite bounds also as small fractions, since Aᵀy = 0 has to be exact there.
     """
-    unit = crossed(qp)
+    unit = crossed_limits_vector(qp)
     if unit is not None:
         return unit[: qp.m], unit[qp.m :]
     problem = JointQP.of(qp)
@@ -93,43 +87,39 @@ def certify_infeasible(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
     if not len(cost):
         return None
     balance = np.concatenate((problem.C[upper], -problem.C[lower])).T
-    answer = linprog(
-        cost, A_eq=balance, b_eq=np.zeros(qp.n), A_ub=np.ones((1, len(cost))), b_ub=[1.0]
-    )
+    answer = linprog(cost, np.ones((1, len(cost))), [1.0], balance, np.zeros(qp.n))
     if answer.x is None or answer.fun is None or not answer.fun < 0.0:
         return None
     both = np.zeros(len(problem.L))
     np.add.at(both, upper, answer.x[: len(upper)])
     np.subtract.at(both, lower, answer.x[len(upper) :])
-    return first_valid(qp, both)
+    return find_farkas_near(qp, both)
 
 
-def first_valid(qp: QuadraticProgram, both: Vector) -> tuple[Vector, Vector] | None:
-    """A valid Farkas vector (y, y_box) near the one in `both` (m + n,), if there is one."""
-    for y in chain((both[: qp.m],), _fractions(both[: qp.m])):
+def find_farkas_near(qp: QuadraticProgram, both: Vector) -> tuple[Vector, Vector] | None:
+    """Find a valid Farkas vector (y, y_box) near a candidate (m + n,), or return None."""
+    for y in chain((both[: qp.m],), _round_to_fractions(both[: qp.m])):
         y_box = -(y @ qp.A)
         if farkas_valid(qp, y, y_box):
             return y, y_box
     return None
 
 
-def _fractions(vector: Vector) -> Iterator[Vector]:
-    """Integer vectors near multiples of `vector`; lazily, for they take far longer than a proof."""
+def _round_to_fractions(vector: Vector) -> Iterator[Vector]:
+    """Yield integer vectors in nearly the proportions of `vector`, coarsest first."""
     size = float(np.abs(vector).max(initial=0.0))
     smallest = float(np.abs(vector[np.abs(vector) > 1e-7 * size]).min(initial=size))
     for unit in {size, smallest} - {0.0}:
         for limit in DENOMINATORS:
-            whole = in_integers(vector / unit, limit)
+            whole = to_integers(vector / unit, limit)
             if whole is not None:
                 yield whole
 
 
-def in_integers(vector: Vector, denominator: int) -> Vector | None:
-    """Integers in the proportions of the nearest fractions; None where float64 cannot hold them.
+def to_integers(vector: Vector, denominator: int) -> Vector | None:
+    """Round a vector to fractions and return integers in the same proportions.
 
-    Parameters
-    ----------
-    denominator : the largest of a fraction.
+    None where float64 cannot hold them.
     """
     parts = [Fraction(value).limit_denominator(denominator) for value in vector.tolist()]
     common = lcm(*(part.denominator for part in parts))
@@ -140,7 +130,7 @@ def in_integers(vector: Vector, denominator: int) -> Vector | None:
 
 
 def unbounded_valid(qp: QuadraticProgram, d: Vector) -> bool:
-    """Whether d proves that the objective of `qp` falls without end from any feasible point."""
+    """Return whether direction d proves that the QP is unbounded below."""
     d = np.asarray(d, dtype=np.float64)
     if d.shape != (qp.n,) or not np.isfinite(d).all():
         return False
@@ -151,24 +141,17 @@ def unbounded_valid(qp: QuadraticProgram, d: Vector) -> bool:
         return False
     problem = JointQP.of(qp)
     moves = (Dyadic.of(problem.C) @ exact).signs()
-    above, below = np.isfinite(problem.U), np.isfinite(problem.L)
-    return not (moves[above] > 0).any() and not (moves[below] < 0).any()
+    return not ((moves > 0) & np.isfinite(problem.U) | (moves < 0) & np.isfinite(problem.L)).any()
 
 
 def certify_unbounded(qp: QuadraticProgram) -> Vector | None:
-    """A valid direction of unboundedness, or None where none is found."""
+    """Find a direction (n,) that proves the QP unbounded below, or return None."""
     problem = JointQP.of(qp)
     above, below = np.isfinite(problem.U), np.isfinite(problem.L)
     cone = np.vstack((problem.C[above], -problem.C[below]))
-    answer = linprog(
-        qp.q,
-        A_eq=qp.P,
-        b_eq=np.zeros(qp.n),
-        A_ub=cone if len(cone) else None,
-        b_ub=np.zeros(len(cone)) if len(cone) else None,
-        bounds=(-1.0, 1.0),
-    )
+    rows: dict[str, Any] = {"A_ub": cone, "b_ub": np.zeros(len(cone))} if len(cone) else {}
+    answer = linprog(qp.q, A_eq=qp.P, b_eq=np.zeros(qp.n), bounds=(-1.0, 1.0), **rows)
     if answer.x is None or answer.fun is None or not answer.fun < 0.0:
         return None
-    candidates = chain((answer.x,), _fractions(answer.x))
+    candidates = chain((answer.x,), _round_to_fractions(answer.x))
     return next((d for d in candidates if unbounded_valid(qp, d)), None)

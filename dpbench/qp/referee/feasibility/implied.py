@@ -3,38 +3,34 @@
 *Never slack.* Rows whose sides add up to nothing, Σ v_i s_i c_i = 0 with v_i > 0 (of either sign on
 equality rows) and Σ v_i s_i limit_i = 0, are met with equality by every feasible z: their slacks
 are non-negative and add up to zero. Such a problem has no interior. With these rows as equalities,
-and those equality rows dropped that are combinations of others, it has the same feasible set.
+and without equality rows that are combinations of others, it has the same feasible set. The
+weights come from a linear program, are rounded to fractions, and must add up exactly.
 
-The weights come from a linear program, are rounded to fractions, and count only if they add up in
-exact arithmetic.
-
-*Forcing.* Rows that leave their variables no freedom, as after a drop of an amplitude limit. If Σ_j
-min(a_ij·lb_j, a_ij·ub_j) = u_i exactly, every variable of row i sits at the bound that gives the
-minimum (Andersen and Andersen, Presolving in linear programming, Mathematical Programming 71,
-1995); likewise the maximum and l_i. Such a problem has no interior and its multipliers are not
-unique, but with those variables fixed and the row dropped it has the same feasible set and an
-active set beyond doubt.
+*Forcing.* If Σ_j min(a_ij·lb_j, a_ij·ub_j) = u_i exactly, as after a drop of an amplitude limit,
+every variable of row i is at the bound that gives the minimum (Andersen and Andersen, Presolving in
+linear programming, Mathematical Programming 71, 1995); likewise the maximum and l_i. Such a problem
+has no interior and its multipliers are not unique, but with those variables fixed and the row
+dropped it has the same feasible set and an active set beyond doubt.
 """
 
-from __future__ import annotations
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linprog
 
 from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic
-from dpbench.qp.referee.feasibility.farkas import in_integers
-from dpbench.qp.referee.gap import independent
+from dpbench.qp.referee.feasibility.farkas import to_integers
+from dpbench.qp.referee.gap import select_independent
 from dpbench.qp.referee.joint import JointQP, Signs
 
-NEAR = 1e-9
-"""Relative distance within which a row is worth the exact comparison."""
+NEAR = 1e-9  # Relative distance within which a row is worth the exact comparison
 
 
-def fix_forced(problem: JointQP) -> JointQP | None:
-    """The same problem with forced variables fixed and forcing rows dropped; None without any.
+def fix_forced_variables(problem: JointQP) -> JointQP | None:
+    """Fix variables that a constraint row forces to bounds, and drop that row; None if none does.
 
-    None too where two rows force a variable to different bounds, which is for others to refute.
+    None too where two rows force a variable to different bounds, which other proofs refute.
     """
     n = len(problem.q)
     m = len(problem.L) - n
@@ -42,7 +38,7 @@ def fix_forced(problem: JointQP) -> JointQP | None:
     lb, ub = problem.L[m:], problem.U[m:]
     # The lower side of a row is the upper side of its negative.
     sides = ((A, U[:m]), (-A, -L[:m]))
-    forcing_rows = [_forcing(rows, lb, ub, limit) for rows, limit in sides]
+    forcing_rows = [_find_forcing_rows(rows, lb, ub, limit) for rows, limit in sides]
     if not any(len(rows) for rows in forcing_rows):
         return None
     for (signed, _), forcing in zip(sides, forcing_rows, strict=True):
@@ -57,8 +53,8 @@ def fix_forced(problem: JointQP) -> JointQP | None:
     return JointQP(problem.P, problem.q, problem.C, L, U)
 
 
-def _forcing(A: Matrix, lb: Vector, ub: Vector, u: Vector) -> Indices:
-    """Rows whose smallest value over the bounds is exactly their upper limit."""
+def _find_forcing_rows(A: Matrix, lb: Vector, ub: Vector, u: Vector) -> Indices:
+    """Return the rows whose smallest value over the bounds equals their upper limit exactly."""
     positive, negative = np.maximum(A, 0.0), np.minimum(A, 0.0)
     low, high = (np.isfinite(bound) for bound in (lb, ub))
     lb, ub = np.where(low, lb, 0.0), np.where(high, ub, 0.0)
@@ -75,68 +71,63 @@ def _forcing(A: Matrix, lb: Vector, ub: Vector, u: Vector) -> Indices:
     return forcing
 
 
-DENOMINATOR = 1000
-"""Largest denominator of a weight."""
-NONE = 1e-9
-"""Weights below it are rounding."""
+DENOMINATOR = 1000  # Largest denominator of a weight
+NEGLIGIBLE_WEIGHT = 1e-9  # Weights below it are rounding
 
 
-def without_empty(problem: JointQP) -> JointQP:
-    """The same problem less the limits of rows without coefficients that any z satisfies."""
+def drop_empty_rows(problem: JointQP) -> JointQP:
+    """Remove the limits of rows without coefficients that every z satisfies."""
     idle = ~problem.C.any(axis=1) & (problem.L <= 0.0) & (problem.U >= 0.0)
     L, U = np.where(idle, -np.inf, problem.L), np.where(idle, np.inf, problem.U)
     return JointQP(problem.P, problem.q, problem.C, L, U)
 
 
-def with_implied(problem: JointQP, touched: Signs) -> JointQP | None:
-    """The same problem with limits that are never slack as independent equality rows, or None.
+def make_equalities(problem: JointQP, touched: Signs) -> JointQP | None:
+    """Turn limits that every feasible point meets into equality rows; None without proof.
 
-    Parameters
-    ----------
-    touched : the limits that some feasible point meets; no others are looked at.
+    Only limits in `touched`, which some feasible point meets, are candidates.
     """
     equal = problem.L == problem.U
     rows = np.flatnonzero((touched != 0) & ~equal)
-    weights = _weights(problem, rows, touched[rows], np.flatnonzero(equal))
+    weights = _find_weights(problem, rows, touched[rows], np.flatnonzero(equal))
     if weights is None:
         return None
     limits = np.where(touched > 0, problem.U, problem.L)
     L, U = problem.L.copy(), problem.U.copy()
     if weights.any():
-        exact = in_integers(weights, DENOMINATOR)
+        exact = to_integers(weights, DENOMINATOR)
         if exact is None or (exact * touched < 0.0)[~equal].any():
             return None
-        if not _balanced(problem, limits, exact):
+        if not _is_balanced(problem, limits, exact):
             return None
         never_slack = np.flatnonzero((exact != 0.0) & ~equal)
         L[never_slack] = U[never_slack] = limits[never_slack]
-    return _independent_equalities(JointQP(problem.P, problem.q, problem.C, L, U))
+    return _drop_dependent_equalities(JointQP(problem.P, problem.q, problem.C, L, U))
 
 
-def _weights(problem: JointQP, rows: Indices, side: Signs, equal: Indices) -> Vector | None:
-    """v·s (N,) of as many rows as possible: the multipliers of a direction leading inside all."""
+def _find_weights(problem: JointQP, rows: Indices, side: Signs, equal: Indices) -> Vector | None:
+    """Find constraint weights (N,) by an LP that prove limits are always met with equality."""
     n, k = problem.C.shape[1], len(rows)
     G = side[:, np.newaxis] * problem.C[rows]
     E = problem.C[equal]
-    answer = linprog(
-        np.concatenate((np.zeros(n), -np.ones(k))),
-        A_ub=np.hstack((G, np.eye(k))) if k else None,
-        b_ub=np.zeros(k) if k else None,
-        A_eq=np.hstack((E, np.zeros((len(E), k)))) if len(E) else None,
-        b_eq=np.zeros(len(E)) if len(E) else None,
-        bounds=[(None, None)] * n + [(0.0, 1.0)] * k,
-    )
+    cost, bounds = np.repeat([0.0, -1.0], [n, k]), [(None, None)] * n + [(0.0, 1.0)] * k
+    constraints: dict[str, Any] = {}
+    if k:
+        constraints |= {"A_ub": np.hstack((G, np.eye(k))), "b_ub": np.zeros(k)}
+    if len(E):
+        constraints |= {"A_eq": np.hstack((E, np.zeros((len(E), k)))), "b_eq": np.zeros(len(E))}
+    answer = linprog(cost, bounds=bounds, **constraints)
     if answer.x is None:
         return None
     weights = np.zeros(len(problem.L))
     weights[rows] = -side * answer.ineqlin.marginals if k else 0.0
     weights[equal] = -answer.eqlin.marginals if len(E) else 0.0
-    weights[np.abs(weights) < NONE] = 0.0
+    weights[np.abs(weights) < NEGLIGIBLE_WEIGHT] = 0.0
     return weights
 
 
-def _balanced(problem: JointQP, limits: Vector, weights: Vector) -> bool:
-    """Whether the weighted rows and the weighted limits add up to nothing, exactly."""
+def _is_balanced(problem: JointQP, limits: Vector, weights: Vector) -> bool:
+    """Return whether weighted rows and weighted limits each sum to zero, in exact arithmetic."""
     used = np.flatnonzero(weights)
     exact = Dyadic.of(weights[used])
     if (Dyadic.of(problem.C[used].T) @ exact).signs().any():
@@ -144,18 +135,18 @@ def _balanced(problem: JointQP, limits: Vector, weights: Vector) -> bool:
     return not (Dyadic.of(limits[used]) * exact).sum().signs().any()
 
 
-def _independent_equalities(problem: JointQP) -> JointQP | None:
-    """The same problem less the equality rows that are exact combinations of others, or None."""
+def _drop_dependent_equalities(problem: JointQP) -> JointQP | None:
+    """Drop redundant equality rows; None if a dependent row is no exact combination of the rest."""
     equal = np.where(problem.L == problem.U, 1, 0).astype(np.int8)
-    basis = independent(problem.C, equal, equal)
+    basis = select_independent(problem.C, equal, equal)
     kept, rest = np.flatnonzero(basis), np.flatnonzero(equal != basis)
     L, U = problem.L.copy(), problem.U.copy()
     for i in rest:
         shares = np.linalg.lstsq(problem.C[kept].T, problem.C[i], rcond=None)[0]
         weights = np.zeros(len(L))
-        weights[kept], weights[i] = np.where(np.abs(shares) < NONE, 0.0, shares), -1.0
-        exact = in_integers(weights, DENOMINATOR)
-        if exact is None or not _balanced(problem, problem.U, exact):
+        weights[kept], weights[i] = np.where(np.abs(shares) < NEGLIGIBLE_WEIGHT, 0.0, shares), -1.0
+        exact = to_integers(weights, DENOMINATOR)
+        if exact is None or not _is_balanced(problem, problem.U, exact):
             return None
         L[i], U[i] = -np.inf, np.inf
     return JointQP(problem.P, problem.q, problem.C, L, U)

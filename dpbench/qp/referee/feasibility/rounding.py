@@ -1,5 +1,4 @@
-"""Infeasible by rounding: whether a problem without a feasible point had one before its numbers
-were rounded.
+"""Infeasibility by rounding: whether a problem was feasible before its numbers were rounded.
 
     t* = the least t for which some z has  L − t·s ≤ C z ≤ U + t·s,   C = [A; I]
     undecided:  t* ≤ γ_{n+2} = (n+2)·u / (1 − (n+2)·u),  u = 2^−53
@@ -13,21 +12,18 @@ more than the rounding of the median of them. Evaluating row i in float64 at a p
 is off by up to γ_{n+1}·Σ_j|c_ij||z_j|, comparing it with its limit by one rounding more (Higham,
 Accuracy and Stability, 3.1), and a z that violates rows by no more than γ·s satisfies exactly a
 problem whose numbers are rounded a little differently (Oettli and Prager, Numer. Math. 6, 1964).
-So nobody who calculates in float64 can know that the problem as meant has no feasible point, and
-nobody can know that it has one: both answers are honest. A row whose coefficients are all rounding
-of their columns, such as 0·z ≤ −7e-18, has no size of its own; it takes the median of |limit| of
-the other rows, or of the bounds if there are none.
+In float64 neither answer can be proven for such a problem as meant, and both are accepted. A row
+whose coefficients are all rounding of their columns, such as 0·z ≤ −7e-18, has no size of its own;
+it takes the median of |limit| of the other rows, or of the bounds if there are none.
 
-Not the other way round. A feasible set that a change of a few units in the last place would empty
-(equality rows, dependent ones, limits that force a vertex) stays feasible: every solver accepts
-violations up to a tolerance far above rounding, so that such a set is wide for it, and "solved" is
-an answer it can always give. Whoever says "infeasible" there claims to know what float64 cannot.
+The converse does not hold: a feasible set that a change of a few units in the last place would
+empty (equality rows, dependent ones, limits that force a vertex) stays feasible, because every
+solver accepts violations up to a tolerance far above rounding.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linprog
@@ -35,28 +31,22 @@ from scipy.optimize import linprog
 from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.dyadic import Dyadic
-from dpbench.qp.referee.feasibility.farkas import first_valid
+from dpbench.qp.referee.feasibility.farkas import find_farkas_near
 from dpbench.qp.referee.joint import JointQP
 from dpbench.qp.referee.kernels import OUTWARD, UNDERFLOW
 
 UNIT_ROUNDOFF = 2.0**-53
-ENDLESS = 1e20
-"""A limit this large stands for none, whatever its writer used for infinity."""
-ROUNDS = 6
-"""Linear programs per search: each gains some six digits of the violation."""
-GAIN = 1e6
-"""How much finer the violation is resolved from one linear program to the next."""
+ENDLESS = 1e20  # A limit this large stands for none, whatever its writer used for infinity
+ROUNDS = 6  # Linear programs per search: each gains some six digits of the violation
+GAIN = 1e6  # How much finer the violation is resolved from one linear program to the next
 
 
 @dataclass(frozen=True, slots=True)
 class LeastViolation:
-    """Rigorous bounds of t*, and what rounding can make of it.
+    """Rigorous bounds of the least relative constraint violation of a QP without feasible point.
 
-    Parameters
-    ----------
-    lower : by a Farkas vector; 0 without one.
-    upper : by a point; inf where none was found, or sought because `lower` settles the matter.
-    rounding : γ_{n+2}.
+    lower : by a Farkas vector, 0 without one; upper : by a point, inf where none was found or
+    `lower` > `rounding`; rounding : γ_{n+2}.
     """
 
     lower: float
@@ -65,29 +55,31 @@ class LeastViolation:
 
     @property
     def undecided(self) -> bool:
-        """Whether the violation is no more than rounding."""
+        """Return whether the violation is within rounding, so that feasibility is undecided."""
         return self.upper <= self.rounding
 
 
-def least_violation(qp: QuadraticProgram, y: Vector | None = None) -> LeastViolation:
-    """Bounds of the least violation of a problem without a feasible point.
+def bound_least_violation(qp: QuadraticProgram, y: Vector | None = None) -> LeastViolation:
+    """Bound the least relative constraint violation of a QP without a feasible point.
 
-    Parameters
-    ----------
-    y : (m + n,) a valid Farkas vector (y, y_box), as `farkas_valid` understands it.
+    y (m + n,) is a valid Farkas vector (y, y_box), if one is known.
     """
     problem = JointQP.of(qp)
-    upper, lower = sizes(problem)
+    upper, lower = limit_sizes(problem)
     steps = qp.n + 2
     rounding = steps * UNIT_ROUNDOFF / (1.0 - steps * UNIT_ROUNDOFF)
-    least = 0.0 if y is None else _least(problem, y, upper, lower)
+    least = 0.0 if y is None else _violation_by_vector(problem, y, upper, lower)
     if least > rounding:
         return LeastViolation(least, np.inf, rounding)
-    return LeastViolation(least, _reached(problem, upper, lower, rounding), rounding)
+    best = float(np.inf)
+    for point in _refine_points(problem, upper, lower):
+        if (best := min(best, point.violation)) <= rounding:
+            break
+    return LeastViolation(least, best, rounding)
 
 
-def sizes(problem: JointQP) -> tuple[Vector, Vector]:
-    """s of the upper and of the lower limits, (N,) each; 0 where a limit is infinite."""
+def limit_sizes(problem: JointQP) -> tuple[Vector, Vector]:
+    """Return magnitudes (N,) against which rounding errors of constraint limits are measured."""
     C = np.abs(problem.C)
     n = C.shape[1]
     m = len(C) - n
@@ -95,7 +87,9 @@ def sizes(problem: JointQP) -> tuple[Vector, Vector]:
     limits[limits >= ENDLESS] = 0.0
     gamma = (n + 2) * UNIT_ROUNDOFF
     hollow = (gamma * C.max(axis=0, initial=0.0) >= C).all(axis=1)
-    size = limits + np.where(hollow, 0.0, C @ _reach(C[~hollow], limits[:, ~hollow], gamma))
+    size = limits + np.where(
+        hollow, 0.0, C @ _variable_reach(C[~hollow], limits[:, ~hollow], gamma)
+    )
     known, bounds = limits[:, :m][:, ~hollow[:m]], limits[:, m:]
     others = known[known > 0.0] if known.any() else bounds[bounds > 0.0]
     if len(others):
@@ -104,8 +98,8 @@ def sizes(problem: JointQP) -> tuple[Vector, Vector]:
     return size[0], size[1]
 
 
-def _reach(C: Matrix, limits: Matrix, gamma: float) -> Vector:
-    """Z (n,): how far the nearest limit lets each variable go, rounding left out."""
+def _variable_reach(C: Matrix, limits: Matrix, gamma: float) -> Vector:
+    """Return each variable's size (n,) at the nearest limit that involves it."""
     reach = np.zeros(C.shape[1])
     for j, column in enumerate(C.T):
         mentions = column > 0.0
@@ -117,9 +111,9 @@ def _reach(C: Matrix, limits: Matrix, gamma: float) -> Vector:
     return reach
 
 
-def _least(problem: JointQP, y: Vector, upper: Vector, lower: Vector) -> float:
-    """No z violates less than (−Σ U y⁺ + Σ L y⁻) / Σ s|y|: the sum "< 0" must rise to 0."""
-    rows, weights = _named(problem, y)
+def _violation_by_vector(problem: JointQP, y: Vector, upper: Vector, lower: Vector) -> float:
+    """Return a lower bound of the least relative constraint violation from a Farkas vector y."""
+    rows, weights = _weighted_rows(problem, y)
     positive = weights.signs() > 0
     limits = np.where(positive, problem.U[rows], problem.L[rows])
     size = np.where(positive, upper[rows], lower[rows])
@@ -128,8 +122,8 @@ def _least(problem: JointQP, y: Vector, upper: Vector, lower: Vector) -> float:
     return short / total / OUTWARD if short > 0.0 and total > 0.0 else 0.0
 
 
-def _named(problem: JointQP, y: Vector) -> tuple[Indices, Dyadic]:
-    """The rows of a Farkas vector and their weights, with the exact −Aᵀy for its part of bounds."""
+def _weighted_rows(problem: JointQP, y: Vector) -> tuple[Indices, Dyadic]:
+    """Return the constraint rows with weight in a Farkas vector, and their exact weights."""
     m = len(problem.L) - len(problem.q)
     used = np.flatnonzero(y)
     if len(used) == 1 and problem.L[used[0]] > problem.U[used[0]]:
@@ -143,42 +137,32 @@ def _named(problem: JointQP, y: Vector) -> tuple[Indices, Dyadic]:
     return rows, Dyadic(whole[rows], low)
 
 
-def refute(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
-    """A valid Farkas vector (y, y_box) of a problem whose violation a plain linear program misses.
+def find_magnified_farkas(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
+    """Find a Farkas vector by linear programs on magnified residuals, or return None.
 
-    The multipliers of the magnified linear programs, one after the other, verified exactly.
+    The multipliers of the magnified linear programs, one after the other, are verified exactly.
     """
     problem = JointQP.of(qp)
-    upper, lower = sizes(problem)
-    for point in _points(problem, upper, lower):
+    upper, lower = limit_sizes(problem)
+    for point in _refine_points(problem, upper, lower):
         if point.violation == 0.0:
             return None
-        farkas = first_valid(qp, point.y)
+        farkas = find_farkas_near(qp, point.y)
         if farkas is not None:
             return farkas
     return None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Point:
-    """The violation of a point, exactly evaluated and rounded up, and multipliers y (N,) there."""
+class _PointViolation:
+    """Largest constraint violation of a point, rounded up, and multipliers y (N,) there."""
 
     violation: float
     y: Vector
 
 
-def _reached(problem: JointQP, upper: Vector, lower: Vector, enough: float) -> float:
-    """The violation of the best point found, or of the first that is no worse than `enough`."""
-    best = float(np.inf)
-    for point in _points(problem, upper, lower):
-        best = min(best, point.violation)
-        if best <= enough:
-            break
-    return best
-
-
-def _points(problem: JointQP, upper: Vector, lower: Vector) -> Iterator[_Point]:
-    """Points that violate less and less.
+def _refine_points(problem: JointQP, upper: Vector, lower: Vector) -> Iterator[_PointViolation]:
+    """Yield multipliers and violations of points that violate the limits less and less.
 
     Linear programs on the exact residuals of the point before, magnified (Gleixner, Steffy and
     Wolter, Iterative refinement for linear programming, INFORMS J. Computing 28, 2016).
@@ -194,20 +178,20 @@ def _points(problem: JointQP, upper: Vector, lower: Vector) -> Iterator[_Point]:
     magnified = 1.0 / max(float(size.max(initial=0.0)), UNDERFLOW)
     slack = limits
     for _ in range(ROUNDS):
-        step = _step(G, slack.floats() * magnified, size)
+        step = _solve_magnified(G, slack.floats() * magnified, size)
         if step is None:
             return
         z = z + Dyadic.of(step[0] / magnified)
         slack = limits - exact @ z
-        violation = _worst(slack, size)
+        violation = _largest_violation(slack, size)
         y = np.zeros(len(problem.L))
         np.add.at(y, rows, turn * step[1])
-        yield _Point(violation, y)
+        yield _PointViolation(violation, y)
         magnified *= GAIN
 
 
-def _worst(slack: Dyadic, size: Vector) -> float:
-    """max_i −slack_i / s_i, rounded up; inf where a limit of size zero is violated."""
+def _largest_violation(slack: Dyadic, size: Vector) -> float:
+    """Return the largest violation relative to the limits' sizes, rounded up."""
     violation = np.maximum(-slack.floats(), 0.0) * OUTWARD
     bad = violation > 0.0
     if (size[bad] == 0.0).any():
@@ -215,8 +199,8 @@ def _worst(slack: Dyadic, size: Vector) -> float:
     return float((violation[bad] / size[bad]).max(initial=0.0)) * OUTWARD
 
 
-def _step(G: Matrix, slack: Vector, size: Vector) -> tuple[Vector, Vector] | None:
-    """d that leaves the least t with G d ≤ slack + t·s, of magnified slacks, and multipliers."""
+def _solve_magnified(G: Matrix, slack: Vector, size: Vector) -> tuple[Vector, Vector] | None:
+    """Find the step to least constraint violation, and its multipliers, by a scaled-up LP."""
     near = slack < ENDLESS / GAIN
     A = np.column_stack((G, -size))[near]
     # Columns and rows in units of their largest numbers: the library's tolerance is absolute.
@@ -224,13 +208,12 @@ def _step(G: Matrix, slack: Vector, size: Vector) -> tuple[Vector, Vector] | Non
     A /= unit
     scale = np.maximum(np.abs(A).max(axis=1, initial=0.0), UNDERFLOW)
     n = G.shape[1]
-    answer = linprog(
-        np.append(np.zeros(n), 1.0),
-        A_ub=A / scale[:, np.newaxis],
-        b_ub=slack[near] / scale,
-        bounds=[(None, None)] * n + [(0.0, None)],
-        options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+    tolerances: Any = dict.fromkeys(
+        ("primal_feasibility_tolerance", "dual_feasibility_tolerance"), 1e-10
     )
+    bounds = [(None, None)] * n + [(0.0, None)]
+    scaled = A / scale[:, np.newaxis], slack[near] / scale
+    answer = linprog(np.eye(n + 1)[n], *scaled, bounds=bounds, options=tolerances)
     if answer.x is None:
         return None
     y = np.zeros(len(slack))

@@ -1,4 +1,4 @@
-// One solver in one place: its strips, its hardest steps, the chosen step, and the ship there.
+// One solver in one experiment: its strips, its hardest steps, the chosen step, and the ship there.
 "use strict";
 
 function options(id, values, chosen) {
@@ -11,14 +11,14 @@ function drawChoice() {
   const c = state.c, solver = C().solver[c];
   const own = all().filter((i) => C().solver[i] === solver);
   options("choose-solver", unique(C().solver).map((s) => [s, s]), solver);
-  options("choose-way", unique(own.map(way)).map((w) => [w, w.replace("-", " ")]), way(c));
-  options("choose-settings", unique(own.filter((i) => way(i) === way(c)).map((i) => C().settings[i]))
+  options("choose-mode", unique(own.map(callMode)).map((w) => [w, w.replace("-", " ")]), callMode(c));
+  options("choose-settings", unique(own.filter((i) => callMode(i) === callMode(c)).map((i) => C().settings[i]))
     .map((s) => [s, s]), C().settings[c]);
   // Of a study only the seas of one point, or they were hundreds.
-  const { study, point } = facts.places[state.p];
-  const near = (place) => !place.study || (place.study === study && place.point === point);
-  options("choose-place", facts.places.map((place, p) => [p, place.label])
-    .filter(([p]) => p === state.p || (near(facts.places[p]) && cell(c, p))), state.p);
+  const { study, point } = facts.experiments[state.p];
+  const near = (experiment) => !experiment.study || (experiment.study === study && experiment.point === point);
+  options("choose-experiment", facts.experiments.map((experiment, p) => [p, experiment.label])
+    .filter(([p]) => p === state.p || (near(facts.experiments[p]) && cell(c, p))), state.p);
 }
 
 function rowsOf(run) {
@@ -44,22 +44,22 @@ function trackOf(run) {
 }
 
 function referenceOf(p) {
-  const i = facts.cells.p.findIndex((place, j) => place === p && facts.cells.reference[j]);
+  const i = facts.cells.p.findIndex((experiment, j) => experiment === p && facts.cells.reference[j]);
   return i < 0 ? null : trackOf(cell(facts.cells.c[i], p));
 }
 
 // Of a study the page keeps the steps of some runs alone: where those of another are.
 function notKept() {
-  const { study, point, sea } = facts.places[state.p], runs = facts.studies.find((s) => s.name === study)?.runs;
+  const { study, point, sea } = facts.experiments[state.p], runs = facts.studies.find((s) => s.name === study)?.runs;
   const i = runs?.id.findIndex((_, j) => runs.point[j] === point && runs.sea[j] === sea
     && studied().c[runs.of[j]] === state.c) ?? -1;
   return i < 0 ? null : `This page keeps no steps of this run: pandas.read_parquet("steps.parquet", `
     + `filters=[("run_id", "==", "${runs.id[i]}")]).`;
 }
 
-// On how many steps the first move is farther off than the demand allows.
+// On how many steps the first move is farther off than the requirements allow.
 function over(run) {
-  return run.t == null ? "–" : array(run.e).filter((e) => e > facts.demand.error_move).length;
+  return run.t == null ? "–" : array(run.e).filter((e) => e > facts.requirements.error_move).length;
 }
 
 async function drawOne() {
@@ -71,29 +71,29 @@ async function drawOne() {
   // That of the answer stands there.
   $("one-call").parentElement.hidden = $("one-call").textContent === $("paste-1")?.textContent;
   if (!run) {
-    text.textContent = notKept() ?? `Not run in ${facts.places[state.p].label}.`;
+    text.textContent = notKept() ?? `Not run in ${facts.experiments[state.p].label}.`;
     for (const id of ["hard", "figure-strips", "strips-said", "step", "ship"]) $(id).hidden = true;
     return;
   }
   $("hard").hidden = false;
   $("ship").hidden = !trackOf(run);
-  const place = facts.places[state.p], judged = C().outcome[state.c] !== "not judged";
-  const verdict = { meets: "Holds", borderline: "Borderline", late: "Late", wrong: "Wrong" }[run.state] ?? "Open";
+  const experiment = facts.experiments[state.p], judged = C().verdict[state.c] !== "not judged";
+  const verdict = { pass: "Passes", borderline: "Borderline", late: "Late", fail: "Fails" }[run.verdict] ?? "Inconclusive";
   text.textContent = [
-    `${place.study ? "In" : `${verdict} in`} ${place.label}: ran ${run.steps} of ${run.planned} steps; `
-    + `first move beyond the demand on ${over(run)}, at most ${figure(run.error)}; said “solved” `
+    `${experiment.study ? "In" : `${verdict} in`} ${experiment.label}: ran ${run.steps} of ${run.planned} steps; `
+    + `first move beyond the requirements on ${over(run)}, at most ${figure(run.error)}; said “solved” `
     + `though residuals or plan say no on ${figure(run.untrue)}${run.answers === run.steps ? "" : ` of ${run.answers} answers`}; failed on ${figure(run.failed)}.`,
     run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the exactly solved loop`
       + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
     run.infeasible > 0 ? `${run.infeasible} of the steps had no solution${run.all_true ? ", and it said so" : ""}.` : "",
-    run.why && run.state !== "meets" ? `${run.outcome}: ${run.why}.` : "",
-    judged ? `Over all judged places: ${C().outcome[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}.` : "",
+    run.why && run.verdict !== "pass" ? `${run.outcome}: ${run.why}.` : "",
+    judged ? `Over all judged scenarios and replays: ${C().verdict[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}.` : "",
     solver.method ? `Method: ${solver.method}.` : "",
   ].filter(Boolean).join(" ").replaceAll("`", "");
   drawHard(run);
   const drawn = run.t !== undefined && run.t !== null;
   $("figure-strips").hidden = $("strips-said").hidden = !drawn;
-  $("strips-time").textContent = facts.places[state.p].mode === "replay"
+  $("strips-time").textContent = facts.experiments[state.p].mode === "replay"
     ? "Dot: the fastest counted round, grey up to the largest timing. A replay steers no ship."
     : "Dot: one timing a step, not timed alone; only replays compare times.";
   if (!drawn) { drawShip(null); return; }
@@ -114,12 +114,12 @@ async function drawOne() {
 }
 
 // Of the chosen configuration the steps that took longest (m = 0), with the most iterations (1) or
-// the largest error (2) over all places of a mode that enter its verdict, the worst first. Times of
+// the largest error (2) over all experiments of a mode that enter its verdict, the worst first. Times of
 // replays are those of the fastest round, of loops single timings.
 function worstAnywhere(m, mode) {
-  const known = facts.places.flatMap((place, p) => (place.trial || (mode && place.mode !== mode) ? []
+  const known = facts.experiments.flatMap((experiment, p) => (experiment.trial || (mode && experiment.mode !== mode) ? []
     : cell(state.c, p)?.hard?.[m] ?? []).map(([k, value]) => ({ p, k, value })));
-  // Windows of hardest steps have no place of their own: their steps are shown in the loop.
+  // Windows of hardest steps have no experiment of their own: their steps are shown in the loop.
   if (m === 0 && mode === "replay") known.push(...C().bounds[state.c].map(([p, k, value]) => ({ p, k, value })));
   const rank = (x) => (x === "inf" ? Infinity : x);
   return known.sort((a, b) => rank(b.value) - rank(a.value)).slice(0, 5);
@@ -127,13 +127,13 @@ function worstAnywhere(m, mode) {
 
 // Whether the iterations of a configuration differ from step to step.
 function varies(c) {
-  const known = facts.places.flatMap((_, p) => cell(c, p)?.hard?.[1] ?? []).map(([, value]) => value);
-  const usual = facts.places.flatMap((_, p) => array(cell(c, p)?.i)).filter((x) => x !== null);
+  const known = facts.experiments.flatMap((_, p) => cell(c, p)?.hard?.[1] ?? []).map(([, value]) => value);
+  const usual = facts.experiments.flatMap((_, p) => array(cell(c, p)?.i)).filter((x) => x !== null);
   return known.length > 0 && usual.some((x) => x !== known[0]);
 }
 
 function drawHard(run) {
-  const replayed = facts.places[state.p].mode === "replay";
+  const replayed = facts.experiments[state.p].mode === "replay";
   const names = [
     replayed ? "slowest steps, fastest round" : "largest single timings, stalls included", "most iterations", "largest error",
   ];
@@ -155,12 +155,12 @@ function drawHard(run) {
   // everywhere say nothing.
   const order = (replayed ? [0, 1, 2] : [1, 2, 0]).filter((m) => m !== 1 || varies(state.c));
   const said = (m) => ({ p, k, value }) => ({ p, k,
-    said: `${facts.places[p].label}, k ${k}: ${m === 0 ? time(value) : figure(value)}` });
-  // Of a single place its own lines say it.
-  const several = facts.places.filter((_, p) => cell(state.c, p)?.hard).length > 1;
-  const most = varies(state.c) ? [1] : [], worst = most.length && !["late", "wrong"].includes(C().outcome[state.c]) ? [] : [2];
+    said: `${facts.experiments[p].label}, k ${k}: ${m === 0 ? time(value) : figure(value)}` });
+  // Of a single experiment its own lines say it.
+  const several = facts.experiments.filter((_, p) => cell(state.c, p)?.hard).length > 1;
+  const most = varies(state.c) ? [1] : [], worst = most.length && !["late", "fail"].includes(C().verdict[state.c]) ? [] : [2];
   const everywhere = [[0, "slowest steps, fastest round of replays and windows", "replay"],
-    ...[...worst, ...most].map((m) => [m, `${names[m]}, all judged places`]),
+    ...[...worst, ...most].map((m) => [m, `${names[m]}, all judged scenarios and replays`]),
     [0, "largest single timings of all closed loops, stalls included", "closed_loop"]];
   $("hard").replaceChildren(
     ...(several ? everywhere : []).map(([m, name, mode]) => row(name, worstAnywhere(m, mode).map(said(m))))
@@ -198,11 +198,11 @@ function drawStep(run) {
     + `${many(array(run.a)[j], "active limit")}, error of the first move ${figure(off ? off[1] : array(run.e)[j])}; `
     + `it ${said(0) ? "said “solved”" : `did not say “solved”${known ? ` (${known[2].toLowerCase()})` : ""}`}; `
     + `its answer is ${said(1) ? "right" : "not right"}${flags.length ? `; ${flags.join(", ")}` : ""}. ${moved(run, k)}`;
-  const place = facts.places[run.p];
+  const experiment = facts.experiments[run.p];
   // A sea of a study has no file of its own to export from.
-  $("step-export").parentElement.hidden = !place.source;
+  $("step-export").parentElement.hidden = !experiment.source;
   $("step-export").textContent =
-    `dpbench export ${place.source} --at ${k + (place.first ?? 0)} --out step-${k}.npz`;
+    `dpbench export ${experiment.source} --at ${k + (experiment.first ?? 0)} --out step-${k}.npz`;
   $("step-query").textContent =
     `pandas.read_parquet("steps.parquet", filters=[("run_id", "==", "${run.id}"), ("k", "==", ${k})])`;
   box.hidden = false;
@@ -220,14 +220,14 @@ function shape(kind, attributes, parent) {
 const HULL = [[0.5, 0], [0.32, 0.11], [-0.5, 0.11], [-0.5, -0.11], [0.32, -0.11]];
 
 function drawShip(run) {
-  const host = $("figure-ship"), track = trackOf(run), place = facts.places[state.p];
+  const host = $("figure-ship"), track = trackOf(run), experiment = facts.experiments[state.p];
   $("ship").hidden = !track;
   if (!track) return;
   const exact = referenceOf(state.p), [N, E, psi] = track.x;
   const last = N.length - 1;
   let at = state.k === null ? last : Math.round((state.k - run.first) / track.every);
   at = Math.max(0, Math.min(last, at));
-  const goal = place.reference, size = place.length_m;
+  const goal = experiment.reference, size = experiment.length_m;
   const all = [...N.map((n, i) => [n, E[i]]), ...(exact ? exact.x[0].map((n, i) => [n, exact.x[1][i]]) : [])]
     .filter(([n, e]) => n !== null && e !== null);
   // The circle of 1 m too, unless it would hide the path.
@@ -243,7 +243,7 @@ function drawShip(run) {
   const X = (e) => width / 2 + ((e - mid[1]) / half) * (width / 2);
   const Y = (n) => width / 2 - ((n - mid[0]) / half) * (width / 2);
   const root = shape("svg", { viewBox: `0 0 ${width} ${width}`, role: "img",
-    "aria-label": `Path of the ship in ${place.label} and its hull at the chosen step` });
+    "aria-label": `Path of the ship in ${experiment.label} and its hull at the chosen step` });
   const clip = shape("g", {}, root);
   const path = (n, e) => n.map((v, i) => (v === null ? "" : `${i ? "L" : "M"}${X(e[i]).toFixed(1)} ${Y(v).toFixed(1)}`)).join("");
   const hull = (n, e, angle, look) => {
@@ -296,3 +296,38 @@ function play() {
     state.k = run.first + at * track.every; at += 2; drawShip(run); drawStep(run);
   }, 33);
 }
+
+// The step nearest to a click anywhere among the strips.
+function nearestStep(view, event) {
+  const x = event.clientX - view.container().querySelector("canvas").getBoundingClientRect().left;
+  const wanted = view.scale("x").invert(x - view.origin()[0] - view.padding().left);
+  const rows = rowsOf(cell(state.c, state.p));
+  return rows.reduce((best, row) => (Math.abs(row.k - wanted) < Math.abs(best.k - wanted) ? row : best)).k;
+}
+
+// One solver: what is chosen, the step, the ship.
+function listenOne() {
+  const choose = (change) => {
+    const solver = change.solver ?? C().solver[state.c];
+    const c = nearest(solver, change.mode ?? callMode(state.c), change.settings ?? C().settings[state.c]);
+    const p = cell(c, state.p) ? state.p : Math.max(0, facts.experiments.findIndex((_, i) => cell(c, i)));
+    // The same step of another solver, where that has it.
+    select({ c, p, k: p === state.p && stepped(cell(c, p), state.k) ? state.k : null });
+  };
+  for (const name of ["solver", "mode", "settings"]) on(`choose-${name}`, "change", (value) => choose({ [name]: value }));
+  on("choose-experiment", "change", (value) => select({ p: Number(value), k: null }));
+  on("ship-k", "input", (value) => {
+    const run = cell(state.c, state.p), track = trackOf(run);
+    select({ k: run.first + Number(value) * track.every });
+  });
+  $("ship-play").addEventListener("click", play);
+}
+
+FIGURES.strips = {
+  canvas: true,
+  // A replay has no forces, so no strip of them.
+  form: () => (facts.experiments[state.p].mode === "replay" ? "strips_replay" : "strips"),
+  sized: (spec, width) => ({ ...spec, width: width - 78, autosize: { type: "pad", resize: true } }),
+  picked: (datum, view, event) => select({ k: datum?.k ?? nearestStep(view, event) }),
+};
+SECTIONS.push({ id: "one", after: ["c", "p", "k"], draw: drawOne, listen: listenOne });

@@ -8,6 +8,12 @@
 
 const state = {};
 
+// What each section registers: the `id` of a node without which it is not on the page, `draw` after
+// a change of these parts of the selection, `redraw` in another look, and `listen` at the start.
+const SECTIONS = [];
+const sections = () => SECTIONS.filter((own) => $(own.id));
+const on = (id, event, act) => $(id).addEventListener(event, (e) => act(e.target.value));
+
 function time(ns) {
   if (ns === null || ns === undefined) return "–";
   if (ns < 1e3) return `${figure(ns)} ns`;
@@ -16,26 +22,26 @@ function time(ns) {
 }
 
 const C = () => facts.configurations;
-const way = (c) => `${C().route[c]}-${C().policy[c]}`;
+const callMode = (c) => `${C().route[c]}-${C().policy[c]}`;
 const label = (c) => `${C().solver[c]} (${C().route[c]} ${C().policy[c]}, ${C().settings[c]})`;
-const key = (c) => `${C().solver[c]}~${way(c)}~${C().settings[c]}`;
+const key = (c) => `${C().solver[c]}~${callMode(c)}~${C().settings[c]}`;
 const count = () => C().solver?.length ?? 0;
 const all = () => Array.from({ length: count() }, (_, c) => c);
 const unique = (list) => [...new Set(list)];
 
 function configuration(solver, w, settings) {
   const own = all().filter((c) => C().solver[c] === solver);
-  return own.find((c) => way(c) === w && C().settings[c] === settings)
-    ?? own.find((c) => way(c) === w) ?? own.find((c) => C().settings[c] === settings) ?? own[0];
+  return own.find((c) => callMode(c) === w && C().settings[c] === settings)
+    ?? own.find((c) => callMode(c) === w) ?? own.find((c) => C().settings[c] === settings) ?? own[0];
 }
 
-// Of a solver the configuration that the figures of the answer show; of a way of running it the one
-// that was run in the chosen place, with the chosen settings if there is one.
+// Of a solver the configuration that the figures of the answer show; of a call mode the one
+// that was run in the chosen experiment, with the chosen settings if there is one.
 function nearest(solver, w, settings) {
   if (solver !== C().solver[state.c]) return facts.answer.best[solver] ?? configuration(solver, w, settings);
   const ran = (c) => cell(c, state.p)?.t != null;
   const like = (c) => 2 * ran(c) + (C().settings[c] === settings);
-  const own = all().filter((c) => C().solver[c] === solver && way(c) === w);
+  const own = all().filter((c) => C().solver[c] === solver && callMode(c) === w);
   return settings !== C().settings[state.c] ? configuration(solver, w, settings)
     : own.reduce((best, c) => (like(c) > like(best) ? c : best));
 }
@@ -54,11 +60,11 @@ function read() {
   const asked = new URLSearchParams(location.hash.slice(1));
   const first = facts.answer.first;
   const solver = asked.get("s") ?? C().solver[first];
-  const c = configuration(solver, asked.get("w") ?? (asked.has("s") ? null : way(first)),
+  const c = configuration(solver, asked.get("w") ?? (asked.has("s") ? null : callMode(first)),
     asked.get("set") ?? (asked.has("s") ? null : C().settings[first])) ?? first;
-  let p = facts.places.findIndex((place) => place.label === asked.get("sc"));
-  if (p < 0 && !asked.has("s")) p = facts.answer.place ?? p;
-  if (p < 0) p = facts.places.findIndex((_, i) => cell(c, i)?.t != null);
+  let p = facts.experiments.findIndex((experiment) => experiment.label === asked.get("sc"));
+  if (p < 0 && !asked.has("s")) p = facts.answer.experiment ?? p;
+  if (p < 0) p = facts.experiments.findIndex((_, i) => cell(c, i)?.t != null);
   const [bs, bw, bset] = (asked.get("b") ?? "").split("~");
   const b = configuration(bs, bw, bset) ?? null;
   const slow = atMost(asked.get("slow"));
@@ -69,8 +75,8 @@ function read() {
 function select(change) {
   Object.assign(state, change);
   const hash = new URLSearchParams({
-    s: C().solver[state.c], w: way(state.c), set: C().settings[state.c],
-    sc: facts.places[state.p].label,
+    s: C().solver[state.c], w: callMode(state.c), set: C().settings[state.c],
+    sc: facts.experiments[state.p].label,
   });
   if (state.k !== null) hash.set("k", state.k);
   if (state.slow !== 1) hash.set("slow", figure(state.slow));

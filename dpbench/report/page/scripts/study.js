@@ -1,21 +1,21 @@
-// A study: what is chosen of it is the configuration and the place, a sea at one of its points.
+// A study: what is chosen of it is the configuration and the experiment, a sea at one of its points.
 "use strict";
 
 const MOST_TILES = 12;  // Values of a key that stand side by side as tiles.
 
-// The study of the chosen place; the first where that is of none.
-const studied = () => facts.studies.find((s) => s.name === facts.places[state.p]?.study) ?? facts.studies[0];
+// The study of the chosen experiment; the first where that is of none.
+const studied = () => facts.studies.find((s) => s.name === facts.experiments[state.p]?.study) ?? facts.studies[0];
 
-// The chosen point and sea; of a page that shows another place, the study's first.
+// The chosen point and sea; of a page that shows another experiment, the study's first.
 function there(study) {
-  const place = facts.places[state.p];
-  return place.study === study.name ? place : { point: study.points[0], sea: study.runs.sea[0] };
+  const experiment = facts.experiments[state.p];
+  return experiment.study === study.name ? experiment : { point: study.points[0], sea: study.runs.sea[0] };
 }
 
-// The number of a sea among the places; of a sea that is not there, of the point's first.
+// The number of a sea among the experiments; of a sea that is not there, of the point's first.
 function placeOf(study, point, sea) {
-  const of = (wanted) => facts.places.findIndex((place) => place.study === study.name
-    && place.point === point && (wanted === null || place.sea === wanted));
+  const of = (wanted) => facts.experiments.findIndex((experiment) => experiment.study === study.name
+    && experiment.point === point && (wanted === null || experiment.sea === wanted));
   const p = of(sea);
   return p < 0 ? of(null) : p;
 }
@@ -99,8 +99,8 @@ function meanRows(study) {
 function behindRows(study) {
   const { point, sea } = there(study);
   return study.runs.of.map((_, i) => i)
-    .filter((i) => study.runs.point[i] === point && study.runs.behind_cm[i] !== null && study.runs.of[i] !== study.reference)
-    .map((i) => ({ name: study.names[study.runs.of[i]], c: study.c[study.runs.of[i]], behind_cm: study.runs.behind_cm[i],
+    .filter((i) => study.runs.point[i] === point && study.runs.error_excess_cm[i] !== null && study.runs.of[i] !== study.reference)
+    .map((i) => ({ name: study.names[study.runs.of[i]], c: study.c[study.runs.of[i]], error_excess_cm: study.runs.error_excess_cm[i],
       replicate: study.runs.sea[i], chosen: study.runs.sea[i] === sea && study.c[study.runs.of[i]] === state.c }));
 }
 
@@ -110,12 +110,12 @@ function studySaid(study) {
   const at = `Point ${point} (${valuesAt(study, i)})`;
   if (who < 0) return `${at}. ${label(state.c)} is not in this study.`;
   const own = runsOf(study, who, point), all = runsOf(study, who), held = (list) => list.filter((j) => study.runs.held[j]).length;
-  const run = own.find((j) => study.runs.sea[j] === sea), behind = run === undefined ? null : study.runs.behind_cm[run];
+  const run = own.find((j) => study.runs.sea[j] === sea), behind = run === undefined ? null : study.runs.error_excess_cm[run];
   const tail = run === undefined ? null : study.runs.tail_m[run];
   const here = run === undefined ? "was not run" : tail === null ? "did not end"
     : `${study.runs.held[run] ? "held" : "not held"}, at most ${figure(tail)} m off in the second half`
       + (behind === null || who === study.reference ? "" : `, ${figure(behind)} cm behind ${study.names[study.reference]}`);
-  const share = held(all) / all.length, bound = 100 * Math.abs(share - study.none_of);
+  const share = held(all) / all.length, bound = 100 * Math.abs(share - study.upper_bound_of_none);
   const bounded = share === 1 || share === 0
     ? ` (95 % bound: at ${share ? "least" : "most"} ${bound.toFixed(0)} % of all seas)` : "";
   return `${at}: ${study.names[who]} stays within ${study.radius_m} m in ${held(own)} of ${own.length} seas, over all points in `
@@ -138,7 +138,7 @@ function drawStudyChoice(study) {
 
 async function drawStudy() {
   const study = studied();
-  if (!study || !$("study-live")) return;
+  if (!study) return;
   drawStudyChoice(study);
   $("study-said").textContent = studySaid(study);
   const fill = async (name, tables, signals = {}) => {
@@ -164,20 +164,29 @@ function pickedOfStudy(datum) {
 }
 
 function listenStudy() {
-  if (!$("study-live")) return;
   const choose = (change) => {
     const study = studied(), now = { ...there(study), ...change };
     if (study.points.includes(now.point)) select({ p: placeOf(study, now.point, now.sea), k: null });
     else drawStudyChoice(study);
   };
-  const on = (id, act) => $(id).addEventListener("change", (event) => act(event.target.value));
-  on("study-of", (name) => {
+  const chosen = (id, act) => on(id, "change", act);
+  chosen("study-of", (name) => {
     const study = facts.studies.find((s) => s.name === name);
     const p = placeOf(study, study.points[0], study.runs.sea[0]);
     select({ c: study.c.includes(state.c) ? state.c : study.c[0], p, k: null });
   });
-  on("study-who", (c) => select({ c: Number(c), k: null }));
-  on("study-point", (point) => choose({ point: Number(point) }));
-  on("study-sea", (sea) => choose({ sea: Number(sea) }));
-  for (const id of ["study-across", "study-up"]) on(id, drawStudy);
+  chosen("study-who", (c) => select({ c: Number(c), k: null }));
+  chosen("study-point", (point) => choose({ point: Number(point) }));
+  chosen("study-sea", (sea) => choose({ sea: Number(sea) }));
+  for (const id of ["study-across", "study-up"]) chosen(id, drawStudy);
 }
+
+const OF_STUDY = { picked: (datum) => datum && pickedOfStudy(datum) };
+FIGURES.design = {
+  ...OF_STUDY,
+  // A design of many values is no table.
+  form: () => (asTiles(studied()) ? "design_tiles" : "design_points"),
+  sized: (spec, width) => ({ ...named(spec), width, autosize: FIT }),
+};
+FIGURES.behind = FIGURES.seas = { ...OF_STUDY, canvas: true };
+SECTIONS.push({ id: "study-live", after: ["c", "p"], draw: drawStudy, listen: listenStudy });

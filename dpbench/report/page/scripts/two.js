@@ -4,14 +4,14 @@
 // The steps of all sequences that two configurations have replayed, with the time of each.
 function together(first, second) {
   const rows = [];
-  facts.places.forEach((place, p) => {
+  facts.experiments.forEach((experiment, p) => {
     const a = cell(first, p), b = cell(second, p);
-    if (place.mode !== "replay" || !a || !b || a.t == null || b.t == null) return;
+    if (experiment.mode !== "replay" || !a || !b || a.t == null || b.t == null) return;
     const x = array(a.t), y = array(b.t), f = array(a.f), g = array(b.f);
     x.forEach((ns, j) => {
       const i = a.first + j - b.first, other = y[i];
       if (ns > 0 && other > 0 && !((f[j] | g[i]) & HARD_ONLY)) rows.push({
-        k: a.first + j, a_us: ns / 1e3, b_us: other / 1e3, sequence: place.label });
+        k: a.first + j, a_us: ns / 1e3, b_us: other / 1e3, sequence: experiment.label });
     });
   });
   return rows;
@@ -72,5 +72,17 @@ async function drawTwo() {
     + [["p50", "p50"], ["p99", "p99"], ["largest step", "max"]].map(([name, column]) =>
       `| ${name} | ${time(C()[column][state.c])} | ${time(C()[column][second])} |`).join("\n")
     + `\n| largest error | ${figure(C().error[state.c])} | ${figure(C().error[second])} |\n`
-    + `| demand | ${C().outcome[state.c]} | ${C().outcome[second]} |\n\n${said.textContent.split(" Below")[0]}\n`;
+    + `| verdict | ${C().verdict[state.c]} | ${C().verdict[second]} |\n\n${said.textContent.split(" Below")[0]}\n`;
 }
+
+FIGURES.pairs = {
+  canvas: true,
+  sized: (spec, width) => {
+    const square = Math.min(width, 460);
+    return { ...named(spec), width: square, height: square, autosize: { ...FIT, type: "fit" } };
+  },
+};
+SECTIONS.push({
+  id: "two", after: ["c", "b"], draw: drawTwo,
+  listen: () => on("choose-other", "change", (value) => select({ b: Number(value) })),
+});

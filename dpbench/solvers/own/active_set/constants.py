@@ -8,8 +8,6 @@ With P = L Lᵀ, C = [I; A] and J = L⁻¹ Cᵀ,
 without which the compiled loops take twice as long.
 """
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -26,38 +24,40 @@ LINE_BYTES = 64
 ITERATIONS_PER_ROW = 20
 
 
-def _padded(length: int) -> int:
+def _pad_length(length: int) -> int:
+    """Return a length rounded up to a multiple of 16."""
     return -(-length // LANES) * LANES
 
 
-def _aligned(rows: int, columns: int) -> Matrix:
+def _allocate_aligned(rows: int, columns: int) -> Matrix:
+    """Return a zero matrix whose memory begins on a cache line."""
     raw = np.zeros(rows * columns + LINE_BYTES // 8)
     start = -raw.ctypes.data % LINE_BYTES // 8
     return raw[start : start + rows * columns].reshape(rows, columns)
 
 
-def empty(n: int, m: int) -> Matrix:
-    """S for n variables and m rows, all zero but for the sizes."""
-    n_pad, m_pad = _padded(n), _padded(m)
+def new_problem_array(n: int, m: int) -> Matrix:
+    """Allocate the work array of dpbench's compiled solvers, for n variables and m rows."""
+    n_pad, m_pad = _pad_length(n), _pad_length(m)
     width = n_pad + m_pad
     L = layout.block_starts(n_pad, width)[-1]
-    S = _aligned(L + n_pad, width + layout.TAIL)
+    S = _allocate_aligned(L + n_pad, width + layout.TAIL)
     head = S[layout.HEAD]
     head[layout.N], head[layout.N_PAD], head[layout.M] = n, n_pad, m
     head[layout.LIMIT] = ITERATIONS_PER_ROW * (n + m)
     return S
 
 
-def fill(S: Matrix, qp: QuadraticProgram, *, keep: bool) -> str:
-    """Write `qp` into S; "" or why the method cannot solve problems with these matrices.
+def write_problem(S: Matrix, qp: QuadraticProgram, *, keep: bool) -> str:
+    """Write `qp` and factors of P into the work array; return "" or why it cannot be solved.
 
     Parameters
     ----------
-    S : of `empty(qp.n, qp.m)`, or filled before.
+    S : of `new_problem_array(qp.n, qp.m)`, or filled before.
     keep : whether a solve starts from the active set of the one before, moved on by `qp.block`.
     """
     n, m = qp.n, qp.m
-    n_pad, width = _padded(n), S.shape[1] - layout.TAIL
+    n_pad, width = _pad_length(n), S.shape[1] - layout.TAIL
     rows = slice(n_pad, n_pad + m)
     if not (np.isfinite(qp.P).all() and np.isfinite(qp.A).all()):
         return "P or A is not finite"
@@ -69,14 +69,14 @@ def fill(S: Matrix, qp: QuadraticProgram, *, keep: bool) -> str:
     Ct = np.zeros((n, width))
     Ct[:, :n], Ct[:, rows] = np.eye(n), qp.A.T
     J = scipy.linalg.solve_triangular(L, Ct, lower=True, check_finite=False)
-    K, PA, H, Jt, A = _blocks(S, n_pad)
+    K, PA, H, Jt, A = _block_views(S, n_pad)
     K[:n] = -scipy.linalg.solve_triangular(L, J, lower=True, trans="T", check_finite=False)
     PA[:n, :n], PA[:n, rows] = P, qp.A.T
     H[:] = J.T @ J
     mark_spans(S)
     S[layout.SUM, :width] = np.abs(PA).sum(axis=0)
     Jt[:, :n], A[:m, :n] = J.T, qp.A
-    S[layout.UNIT, :width] = _unit(H, n, rows)
+    S[layout.UNIT, :width] = _inverse_row_lengths(H, n, rows)
     S[layout.LOW], S[layout.HIGH] = -np.inf, np.inf
     S[layout.LOW, :n], S[layout.HIGH, :n] = qp.lb, qp.ub
     S[layout.LOW, rows], S[layout.HIGH, rows], S[layout.Q, :n] = qp.l, qp.u, qp.q
@@ -90,15 +90,15 @@ def fill(S: Matrix, qp: QuadraticProgram, *, keep: bool) -> str:
     return ""
 
 
-def _blocks(S: Matrix, n_pad: int) -> tuple[Matrix, ...]:
-    """K, [P Aᵀ], H, Jᵀ, A as views of S."""
+def _block_views(S: Matrix, n_pad: int) -> tuple[Matrix, ...]:
+    """Return five matrices in the work array as views: −P⁻¹Cᵀ, [P Aᵀ], C P⁻¹Cᵀ, its factor, A."""
     width = S.shape[1] - layout.TAIL
     firsts = layout.block_starts(n_pad, width)
     return tuple(S[first:end, :width] for first, end in itertools.pairwise(firsts))
 
 
-def _unit(H: Matrix, n: int, rows: slice) -> Vector:
-    """One over each row's length in the norm of P⁻¹; 1 for zero rows, 0 for padding."""
+def _inverse_row_lengths(H: Matrix, n: int, rows: slice) -> Vector:
+    """Return 1 / P⁻¹-norm of each constraint row; 1 for zero rows, 0 for padding."""
     length = np.sqrt(H.diagonal())
     unit = np.ones(length.size)
     np.divide(1.0, length, out=unit, where=length > layout.ZERO_ROW)
@@ -107,20 +107,20 @@ def _unit(H: Matrix, n: int, rows: slice) -> Vector:
     return unit
 
 
-def results(S: Matrix, n: int, m: int) -> tuple[Vector, Vector, Vector]:
-    """z, y and y_box as views of S."""
-    n_pad = _padded(n)
+def result_views(S: Matrix, n: int, m: int) -> tuple[Vector, Vector, Vector]:
+    """Return the answer z and multipliers y, y_box as views of the solver's work array."""
+    n_pad = _pad_length(n)
     return S[layout.Z, :n], S[layout.LAM, n_pad : n_pad + m], S[layout.LAM, :n]
 
 
-def vectors(S: Matrix, n: int, m: int) -> tuple[Vector, Vector, Vector]:
-    """q, l and u as views of S."""
-    n_pad = _padded(n)
+def vector_views(S: Matrix, n: int, m: int) -> tuple[Vector, Vector, Vector]:
+    """Return linear cost q and row limits l, u as views of the solver's work array."""
+    n_pad = _pad_length(n)
     rows = slice(n_pad, n_pad + m)
     return S[layout.Q, :n], S[layout.LOW, rows], S[layout.HIGH, rows]
 
 
-def constraints(S: Matrix, n: int, m: int) -> tuple[Matrix, Vector, Vector, Vector, Vector]:
-    """A (m, n), l, u, lb and ub as views of S."""
-    A = _blocks(S, _padded(n))[-1][:m, :n]
-    return A, *vectors(S, n, m)[1:], S[layout.LOW, :n], S[layout.HIGH, :n]
+def constraint_views(S: Matrix, n: int, m: int) -> tuple[Matrix, Vector, Vector, Vector, Vector]:
+    """Return A (m, n), row limits l, u and bounds lb, ub as views of the solver's work array."""
+    A = _block_views(S, _pad_length(n))[-1][:m, :n]
+    return A, *vector_views(S, n, m)[1:], S[layout.LOW, :n], S[layout.HIGH, :n]

@@ -11,8 +11,8 @@ is answered `UNDECIDED`. The answer is then refined in the problem's own data,
 
 until a correction is rounding, or the next one would be. It is checked against every row again if
 it is not at once; in full (`check`) where rounding of large multipliers or of a long plan may show;
-and where more rows meet than are active, whether rounding moves the point (`crowded`). `layout`
-shows the array S that all of it works on, and what its indices mean.
+and where more rows meet than are active, whether rounding moves the point (`start`). `layout` shows
+the array S that all of it works on, and what its indices mean.
 
 An example to follow by hand: the point nearest (3, 3) under z₁ ≤ 1, z₂ ≤ 1 and z₁ + z₂ ≤ 2.5, that
 is P = I and q = (−3, −3). Bounds are rows 0 and 1 of C, the row of A is row 16 as n is padded to
@@ -36,12 +36,12 @@ the method stops where the table does:
 
 >>> import numpy as np
 >>> from dpbench.qp.program import QuadraticProgram
->>> from dpbench.solvers.own.active_set.constants import empty, fill
+>>> from dpbench.solvers.own.active_set.constants import new_problem_array, write_problem
 >>> from dpbench.solvers.own.active_set.layout import ACTIVE, LAM, LIMIT, Z
 >>> upper = np.ones(2)
 >>> nearest = np.eye(2), [-3, -3], [[1, 1]], [-10], [2.5], -10 * upper, upper
->>> S = empty(n=2, m=1)
->>> fill(S, QuadraticProgram(*nearest), keep=False)
+>>> S = new_problem_array(n=2, m=1)
+>>> write_problem(S, QuadraticProgram(*nearest), keep=False)
 ''
 >>> def multipliers_after(iterations):
 ...     S[HEAD, LIMIT] = iterations
@@ -60,29 +60,32 @@ the method stops where the table does:
 (4, [1.0, 1.0])
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from math import inf, sqrt
 from typing import Any
 
 from dpbench.arrays import Matrix
 from dpbench.kernel_cache import njit
-from dpbench.solvers.own.active_set.changed_rows import (
-    change,
-)
 from dpbench.solvers.own.active_set.check import (
-    excess,
-    is_near,
-)
-from dpbench.solvers.own.active_set.crowded import (
-    is_crowded,
+    correct_wrong_signs,
+    is_clearly_optimal,
+    is_near_optimum,
+    is_refinement_settled,
+    largest_excess,
+    refine_answer,
 )
 from dpbench.solvers.own.active_set.factor import (
     DEPENDENT,
-    append,
-    direction,
-    drop,
+    VIOLATED,
+    append_active_row,
+    apply_row_changes,
+    choose_next_row,
+    compute_values_on_set,
+    drop_active_row,
+    find_most_violated,
+    list_candidates,
+    recompute_values,
+    solve_direction,
 )
 from dpbench.solvers.own.active_set.layout import (
     ACTIVE,
@@ -101,6 +104,7 @@ from dpbench.solvers.own.active_set.layout import (
     LOW,
     MASK,
     N_PAD,
+    NARROW,
     PUT_ASIDE,
     REORDER,
     SIDE,
@@ -116,35 +120,19 @@ from dpbench.solvers.own.active_set.layout import (
     Q,
     R,
     V,
+    code_checksum,
     compiled,
-    stamp,
+    mark_all_spans,
+    row_width,
     starts,
-    width_of,
-)
-from dpbench.solvers.own.active_set.pricing import (
-    VIOLATED,
-    evaluate,
-    list_candidates,
-    most_violated,
-    next_row,
-    values,
-)
-from dpbench.solvers.own.active_set.refine import (
-    is_clear,
-    is_settled,
-    refine,
-    settle_signs,
-)
-from dpbench.solvers.own.active_set.spans import (
-    NARROW,
-    mark_all,
 )
 from dpbench.solvers.own.active_set.start import (
-    begin,
-    length,
-    repair,
-    retake,
-    start,
+    choose_start,
+    compute_unconstrained_values,
+    is_degenerate_vertex,
+    norm_of_values,
+    refactorise_active_set,
+    restore_dual_feasibility,
 )
 
 UNCLEAR = 1e-7
@@ -164,9 +152,9 @@ TINY = 1e-300
 
 
 @compiled
-def ray(S: Matrix, j: int, side: float, w: int) -> int:
-    """The multipliers become the proof that row j contradicts the active ones."""
-    for i in range(width_of(S)):
+def write_farkas_ray(S: Matrix, j: int, side: float, w: int) -> int:
+    """Replace the multipliers by a Farkas ray: proof that row j contradicts the active rows."""
+    for i in range(row_width(S)):
         S[LAM, i] = 0.0
     for k in range(w):
         S[LAM, int(S[ACTIVE, k]) & MASK] = -side * S[R, k]
@@ -175,18 +163,18 @@ def ray(S: Matrix, j: int, side: float, w: int) -> int:
 
 
 @compiled
-def put_aside(S: Matrix, H: int, j: int, lam: float) -> int:
-    """Row j is the active ones written twice: what multiplier it has gathered stays in v₀."""
+def set_duplicate_aside(S: Matrix, H: int, j: int, lam: float) -> int:
+    """Exclude row j, a combination of active rows; keep its multiplier's effect on row values."""
     S[SIDE, j], S[LAM, j] = PUT_ASIDE, lam
     S[HEAD, ASIDE] += 1
-    for i in range(width_of(S)):
+    for i in range(row_width(S)):
         S[V0, i] -= lam * S[H + j, i]
     return 0
 
 
 @compiled
-def first_to_block(S: Matrix, j: int, side: float, w: int, dependent: bool) -> tuple[int, float]:
-    """Position in W and step length at which a multiplier reaches zero first; (−1, inf) if none."""
+def find_blocking_row(S: Matrix, j: int, side: float, w: int, dependent: bool) -> tuple[int, float]:
+    """Find the active row whose multiplier is first to reach zero as row j's rises; −1 if none."""
     blocking, t_dual = -1, inf
     for k in range(w):
         i, a = int(S[ACTIVE, k]) & MASK, side * S[R, k]
@@ -199,8 +187,8 @@ def first_to_block(S: Matrix, j: int, side: float, w: int, dependent: bool) -> t
 
 
 @compiled
-def bring_in(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
-    """Raise the multiplier of row j until the row is active; rows that block are dropped.
+def activate_row(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
+    """Raise the multiplier of violated row j until it meets its limit; drop rows that block.
 
     A dependent row that nothing blocks is a contradiction, or the active rows written twice; with
     an infinite `size`, before values are refined, it is the former only where that is `GROSS`.
@@ -212,18 +200,18 @@ def bring_in(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
     while S[HEAD, ITERATIONS] < S[HEAD, LIMIT]:
         S[HEAD, ITERATIONS] += 1
         w = int(S[HEAD, COUNT]) & MASK
-        d = direction(S, L, H, J, j, int(S[HEAD, N_PAD]) & MASK, w)
+        d = solve_direction(S, L, H, J, j, int(S[HEAD, N_PAD]) & MASK, w)
         dependent = w == n or d <= DEPENDENT * DEPENDENT * S[H + j, j]
         if not dependent and d < UNCLEAR * UNCLEAR * S[H + j, j]:
             return UNDECIDED
-        blocking, t_dual = first_to_block(S, j, side, w, dependent)
+        blocking, t_dual = find_blocking_row(S, j, side, w, dependent)
         if dependent and blocking < 0:
             least = CONTRADICTION * (abs(g) * S[UNIT, j] + size)
             if size == inf:
-                least = GROSS * (abs(g) * S[UNIT, j] + S[CHECK, LENGTH] + length(S, V))
+                least = GROSS * (abs(g) * S[UNIT, j] + S[CHECK, LENGTH] + norm_of_values(S, V))
             if gap * S[UNIT, j] > least:
-                return ray(S, j, side, w)
-            return put_aside(S, H, j, lam)
+                return write_farkas_ray(S, j, side, w)
+            return set_duplicate_aside(S, H, j, lam)
         t_primal = inf if dependent else gap / d
         t = min(t_primal, t_dual)
         for k in range(w):
@@ -233,19 +221,19 @@ def bring_in(S: Matrix, L: int, H: int, J: int, j: int, size: float) -> int:
             for k in range(w):
                 S[L + w, k] = S[STEP, k]
             S[LAM, j] = lam
-            append(S, L, w, j, side, d)
+            append_active_row(S, L, w, j, side, d)
             return 0
         if not dependent:
             gap -= t * d
-        drop(S, L, blocking, w)
+        drop_active_row(S, L, blocking, w)
     return UNDECIDED
 
 
 @compiled
-def take_up(S: Matrix, H: int, size: float) -> int:
-    """The row put aside that is violated most, if by more than rounding, as any other row again."""
+def readmit_row(S: Matrix, H: int, size: float) -> int:
+    """Readmit the excluded dependent row that is violated most; return its number, −1 if none."""
     most, row = 1.0, -1
-    for i in range(width_of(S)):
+    for i in range(row_width(S)):
         if S[SIDE, i] == PUT_ASIDE:
             over, under = S[V, i] - S[HIGH, i], S[LOW, i] - S[V, i]
             e, g = (over, S[HIGH, i]) if over >= under else (under, S[LOW, i])
@@ -255,72 +243,77 @@ def take_up(S: Matrix, H: int, size: float) -> int:
     if row >= 0:
         S[SIDE, row] = 0.0
         S[HEAD, ASIDE] -= 1
-        for i in range(width_of(S)):
+        for i in range(row_width(S)):
             S[V0, i] += S[LAM, row] * S[H + row, i]
     return row
 
 
 @compiled
-def bring_all_in(S: Matrix, L: int, H: int, J: int, j: int, coarse: float, size: float) -> int:
-    """Bring in row j and then one violated row after the other; 0 if none is left, or an ending."""
-    if j >= 0 and width_of(S) > NARROW:
+def activate_violated_rows(
+    S: Matrix, L: int, H: int, J: int, j: int, coarse: float, size: float
+) -> int:
+    """Activate row j, then violated rows until none is left; return 0, or a code < 0 on failure."""
+    if j >= 0 and row_width(S) > NARROW:
         list_candidates(S, j, coarse)
     while j >= 0:
-        ending = bring_in(S, L, H, J, j, size)
+        ending = activate_row(S, L, H, J, j, size)
         if ending != 0:
             return ending
-        j = next_row(S, H, coarse)
+        j = choose_next_row(S, H, coarse)
     return 0
 
 
 @compiled
-def look_again(S: Matrix, P: int, L: int, H: int, noise: float, size: float, dropped: int) -> int:
-    """A row that the refined point violates, or one put aside that it violates; −1 for none."""
-    evaluate(S, P, H)
+def find_violated_row(
+    S: Matrix, P: int, L: int, H: int, noise: float, size: float, dropped: int
+) -> int:
+    """Find a row that the refined answer violates, excluded dependent rows last; −1 if none."""
+    recompute_values(S, P, H)
     if dropped > 0:
-        repair(S, L)
-        values(S, H)
-    j = most_violated(S, noise)
-    return take_up(S, H, size) if j < 0 and S[HEAD, ASIDE] > 0.0 else j
+        restore_dual_feasibility(S, L)
+        compute_values_on_set(S, H)
+    j = find_most_violated(S, noise)
+    return readmit_row(S, H, size) if j < 0 and S[HEAD, ASIDE] > 0.0 else j
 
 
 @compiled
-def solved(S: Matrix, P: int, H: int, J: int, L: int, size: float, clear: bool) -> int:
-    """The number of iterations; `DOUBTFUL` where rounding may decide where the optimum is."""
-    if is_crowded(S, L, H, J, size):
+def accept_or_doubt(S: Matrix, P: int, H: int, J: int, L: int, size: float, clear: bool) -> int:
+    """Return the iterations of an optimal answer, or `DOUBTFUL` where rounding may decide it."""
+    if is_degenerate_vertex(S, L, H, J, size):
         return DOUBTFUL
     n, alone = int(S[HEAD, N_PAD]) & MASK, S[HEAD, ASIDE] == 0.0
-    near = clear or (alone and is_near(S, P, H, n, width_of(S)))
+    near = clear or (alone and is_near_optimum(S, P, H, n, row_width(S)))
     return int(S[HEAD, ITERATIONS]) if near else DOUBTFUL
 
 
 @compiled
-def solve(S: Matrix) -> int:
-    n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
+def solve_qp(S: Matrix) -> int:
+    """Solve the QP in the work array; return the number of iterations, or a failure code < 0."""
+    n, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
     K, P, H, J, A, L = starts(n, width)
-    size = begin(S, K)
+    size = compute_unconstrained_values(S, K)
     if size < 0.0:
         return int(size)
     coarse, first = VIOLATED * size, max(size * size, TINY)
-    j, before = start(S, L, H, coarse), first
+    j, before = choose_start(S, L, H, coarse), first
     # Whether rows hardly contradict each other is decided on refined values only.
     size = inf
     for _ in range(PASSES):
-        ending = bring_all_in(S, L, H, J, j, coarse, size)
+        ending = activate_violated_rows(S, L, H, J, j, coarse, size)
         if ending != 0:
             return ending
-        correction = refine(S, K, P, H, A, L)
-        dropped = settle_signs(S, L, max(coarse, sqrt(correction)))
-        size = length(S, V)
-        settled = dropped == 0 and is_settled(correction, before, size)
-        if settled and is_clear(S, P, coarse, size, correction):
-            return solved(S, P, H, J, L, size, True)
-        j = look_again(S, P, L, H, max(VIOLATED * size, sqrt(correction)), size, dropped)
+        correction = refine_answer(S, K, P, H, A, L)
+        dropped = correct_wrong_signs(S, L, max(coarse, sqrt(correction)))
+        size = norm_of_values(S, V)
+        settled = dropped == 0 and is_refinement_settled(correction, before, size)
+        if settled and is_clearly_optimal(S, P, coarse, size, correction):
+            return accept_or_doubt(S, P, H, J, L, size, True)
+        j = find_violated_row(S, P, L, H, max(VIOLATED * size, sqrt(correction)), size, dropped)
         # No longer falling: the correction is the rounding of this problem.
         falling = correction <= 0.25 * before
         if j < 0 and (settled or (dropped == 0 and not falling)):
-            if excess(S, P, n, width) <= 1.0:
-                return solved(S, P, H, J, L, size, False)
+            if largest_excess(S, P, n, width) <= 1.0:
+                return accept_or_doubt(S, P, H, J, L, size, False)
             # What is left to do if it does not fall: a row that `VIOLATED` has let pass.
             j = -1 if falling else int(S[CHECK, WORST])
             if j < 0 and not falling:
@@ -329,18 +322,18 @@ def solve(S: Matrix) -> int:
     return UNDECIDED
 
 
-def _entry_points(version: int) -> tuple[Callable[..., Any], ...]:
-    """What Python calls: compiled for these types only, and kept on disk."""
+def _compile_entry_points(version: int) -> tuple[Callable[..., Any], ...]:
+    """Compile the active-set functions that Python calls, for fixed types, cached on disk."""
 
     @njit("i8(f8[:, ::1])", cache=True, fastmath=REORDER, error_model="numpy")
     def solve_step(S):  # type: ignore[no-untyped-def] # compiled by numba
         S[HEAD, STAMP] = version
-        ending = solve(S)
+        ending = solve_qp(S)
         S[HEAD, STALE] = 1.0 if ending < 0 and ending != DOUBTFUL else 0.0
         return ending
 
     @njit("b1(f8[:, ::1], f8[::1], f8[::1], f8[::1])", cache=True)
-    def take_over(S, q, low, high):  # type: ignore[no-untyped-def] # compiled by numba
+    def write_vectors(S, q, low, high):  # type: ignore[no-untyped-def] # compiled by numba
         S[HEAD, STAMP] = version
         n, n_pad, m = int(S[HEAD, N]), int(S[HEAD, N_PAD]) & MASK, int(S[HEAD, M])
         if q.shape[0] != n or low.shape[0] != m or high.shape[0] != m:
@@ -352,44 +345,46 @@ def _entry_points(version: int) -> tuple[Callable[..., Any], ...]:
         return True
 
     @njit("b1(f8[:, ::1], f8[:, ::1])", cache=True, fastmath=REORDER, error_model="numpy")
-    def take_over_rows(S, A):  # type: ignore[no-untyped-def] # compiled by numba
+    def replace_row_matrix(S, A):  # type: ignore[no-untyped-def] # compiled by numba
         S[HEAD, STAMP] = version
-        n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
+        n, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
         if A.shape[0] != S[HEAD, M] or A.shape[1] != S[HEAD, N]:
             return False
         K, P, H, J, rows, L = starts(n, width)
-        ending = change(S, K, P, H, J, rows, A)
+        ending = apply_row_changes(S, K, P, H, J, rows, A)
         if ending > 0:
-            mark_all(S, K, P, H, J, n)
+            mark_all_spans(S, K, P, H, J, n)
         if ending >= 0 and S[HEAD, KEEP] > 0.0 and S[HEAD, STALE] == 0.0:
-            retake(S, L, H)
+            refactorise_active_set(S, L, H)
         return ending >= 0
 
     @njit("f8(f8[:, ::1])", cache=True, fastmath=REORDER, error_model="numpy")
-    def excess_of(S):  # type: ignore[no-untyped-def] # compiled by numba
+    def optimality_excess(S):  # type: ignore[no-untyped-def] # compiled by numba
         S[HEAD, STAMP] = version
-        n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
-        return excess(S, starts(n, width)[1], n, width)
+        n, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
+        return largest_excess(S, starts(n, width)[1], n, width)
 
     @njit("void(f8[:, ::1])", cache=True, error_model="numpy")
     def mark_spans(S):  # type: ignore[no-untyped-def] # compiled by numba
         S[HEAD, STAMP] = version
-        n, width = int(S[HEAD, N_PAD]) & MASK, width_of(S)
+        n, width = int(S[HEAD, N_PAD]) & MASK, row_width(S)
         K, P, H, J, _, _ = starts(n, width)
-        mark_all(S, K, P, H, J, n)
+        mark_all_spans(S, K, P, H, J, n)
 
     # Without Numba's dispatcher, which takes 0.1 µs a call to find the type of S again.
     dispatcher: Any = solve_step
     step = dispatcher.get_overload(dispatcher.signatures[0])
-    return step, take_over, take_over_rows, excess_of, mark_spans
+    return step, write_vectors, replace_row_matrix, optimality_excess, mark_spans
 
 
-solve_step, take_over, take_over_rows, excess_of, mark_spans = _entry_points(stamp(_entry_points))
-"""solve_step(S): solve the QP in S; the number of iterations, or a negative ending.
-take_over(S, q, l, u): copy the vectors into S, or False where a length does not fit; TypeError for
+solve_step, write_vectors, replace_row_matrix, optimality_excess, mark_spans = (
+    _compile_entry_points(code_checksum(_compile_entry_points))
+)
+"""solve_step(S): solve the QP in S; return the number of iterations, or a negative ending.
+write_vectors(S, q, l, u): copy the vectors into S; False where a length does not fit, TypeError for
 anything but contiguous float64 vectors that may be written to.
-take_over_rows(S, A): A in place of the one in S, with all that is made of it, the active set kept;
-False where a shape does not fit or `fill` has to make it; TypeError for anything but a contiguous
+replace_row_matrix(S, A): write A and all that is made of it, keep the active set; False where a
+shape does not fit or `write_problem` has to make it; TypeError for anything but a contiguous
 float64 matrix. The limits in S are to be those of the step already.
-mark_spans(S): write where the rows of K, [P Aᵀ] and H are not zero; after every change of them.
-excess_of(S): how many times what is allowed z and λ in S miss the optimality conditions by."""
+optimality_excess(S): ratio of the optimality residuals of z and λ in S to what is allowed.
+mark_spans(S): write where the rows of K, [P Aᵀ] and H are not zero; after every change of them."""

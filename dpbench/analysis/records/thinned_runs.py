@@ -1,0 +1,136 @@
+"""Thinned steps of long runs: some of them, the hardest, and points of the ship's track."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from dpbench.analysis.records.run_steps import MEASURES, Measure, RunSteps, find_hardest_steps
+from dpbench.arrays import Flags, Floats, Ints
+
+TRACK = ("n_m", "e_m", "psi_rad")
+FORCES = ("tau_x_N", "tau_y_N", "tau_n_Nm")
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Ship positions (N, 3) [m, m, rad] and forces (N, 3) as shares of limits, every n-th step."""
+
+    every: int
+    position: Floats
+    force: Floats
+
+
+class HardRow(NamedTuple):
+    """One of a run's hardest steps: index, time or iterations or error, status, active limits."""
+
+    k: int
+    value: float
+    status: str
+    claimed: bool
+    true: bool
+    n_active: int
+
+
+@dataclass(frozen=True, eq=False)
+class ThinnedRun:
+    """Steps of a run thinned to what the report page has room for, the hardest included.
+
+    steps : those that are kept; extra : (K,) which of them for being hard alone.
+    last : the last step of the run, kept or not; is_whole : whether all are kept.
+    hard : the hardest of all by each measure, the hardest first.
+    track : None without a ship.
+    """
+
+    steps: RunSteps
+    extra: Flags
+    last: int
+    is_whole: bool
+    hard: dict[Measure, list[HardRow]]
+    track: Track | None
+
+    @classmethod
+    def of(cls, run: RunSteps, most: int, track: Track | None = None) -> ThinnedRun:
+        """Thin a run to about `most` steps: every n-th one and the hardest."""
+        chosen, extra = thinned_indices(run, most)
+        hard = {measure: _hard_rows(run, measure) for measure in MEASURES}
+        is_whole = len(chosen) == len(run.k)
+        return cls(run.at(chosen), extra, int(run.k[-1]), is_whole, hard, track)
+
+
+def _hard_rows(run: RunSteps, measure: Measure) -> list[HardRow]:
+    """Return a run's steps with the largest time, iterations or error, as table rows."""
+    rows = []
+    for hard in find_hardest_steps(run, measure):
+        i = hard.at
+        flags = bool(run.claimed[i]), bool(run.true[i])
+        rows.append(
+            HardRow(int(run.k[i]), hard.value, str(run.status[i]), *flags, int(run.n_active[i]))
+        )
+    return rows
+
+
+def thin_track(steps: pd.DataFrame, limits: Floats, most: int) -> Track:
+    """Thin a closed loop's ship positions and forces, the latter over limits, to `most` points.
+
+    limits : (3,) of the forces [N, N, N·m].
+    """
+    every = max(1, -(-len(steps) // most))
+
+    def thin(names: Iterable[str]) -> Floats:
+        return np.column_stack([steps[n].to_numpy(dtype=np.float64)[::every] for n in names])
+
+    return Track(every, thin(TRACK), thin(FORCES) / limits)
+
+
+WORST = 200
+"""So many hard steps of a thinned run are kept, at most a third of what is kept of it."""
+MOST = 2000
+"""So many points of a run a figure draws: four and more a pixel."""
+
+
+def common_length_limit(lengths: Sequence[int], most: int) -> int:
+    """Return the largest cap for each of some lengths that keeps their sum within `most`."""
+    shortest_first, rest = sorted(lengths), most
+    for i, length in enumerate(shortest_first):
+        share = rest // (len(shortest_first) - i)
+        if length > share:
+            return max(1, share)
+        rest -= length
+    return max(shortest_first, default=1)
+
+
+def thinned_indices(run: RunSteps, most: int) -> tuple[Ints, Flags]:
+    """Return about `most` step indices to keep, and which are kept only for being hard.
+
+    Of a longer run every n-th stays, and of the rest the hardest by each measure.
+    """
+    count = len(run.k)
+    if count <= most:
+        return np.arange(count), np.zeros(count, dtype=np.bool_)
+    worst = min(WORST, most // 3)
+    each = max(1, worst // len(MEASURES))
+    regular = np.arange(0, count, -(-count // max(1, most - worst)))
+    hard = [step.at for measure in MEASURES for step in find_hardest_steps(run, measure, each)]
+    both = np.union1d(regular, np.array(hard, dtype=np.int64))
+    return both, ~np.isin(both, regular)
+
+
+def extreme_indices(values: Floats, most: int = MOST) -> Ints:
+    """Return indices (M,) of at most `most` values to draw: least and largest of each section.
+
+    A line of a few hundred pixels shows no difference.
+    """
+    if len(values) <= most:
+        return np.arange(len(values))
+    edges = np.linspace(0, len(values), most // 2 + 1).astype(np.int64)
+    known = np.nan_to_num(values)
+    places = [
+        a + extreme(known[a:b]) for a, b in pairwise(edges) for extreme in (np.argmin, np.argmax)
+    ]
+    return np.unique(places)

@@ -1,0 +1,71 @@
+"""Requirements of a controller on a solver, as the suite writes them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.bench.record.result_folder import SuiteDescription
+
+MARGIN = 0.1
+"""A loop survives a slow computer with a cost within this share of the reference loop's."""
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """Limits that a controller sets on a solver: error, failed steps, p99, deadline."""
+
+    error_move: float = 1e-2
+    failed_steps: int = 0
+    p99_ms: float = 3.0
+    deadline_ms: float = 300.0
+
+    @classmethod
+    def of(cls, suite: SuiteDescription) -> Requirements:
+        """Read the limits on error, failed steps and time from a suite, or take defaults."""
+        # Folders of earlier releases have them as `demand`.
+        known: dict[str, Any] = {**suite.get("requirements", suite.get("demand", {}))}
+        return cls(**{f.name: known[f.name] for f in fields(cls) if f.name in known})
+
+    @property
+    def p99_ns(self) -> float:
+        """Limit on the p99 step time, each step's fastest repetition [ns]."""
+        return self.p99_ms * 1e6
+
+    @property
+    def deadline_ns(self) -> float:
+        """Deadline for the solution of a step's QP [ns]."""
+        return self.deadline_ms * 1e6
+
+
+def is_right(run: RunRecord, requirements: Requirements) -> bool:
+    """Return whether every step of a run was solved within the accuracy requirements.
+
+    A run that its time limit stopped counts if it had done every step at least once by then.
+    """
+    return (
+        run.outcome in ("finished", "timed_out")
+        and not run.remembers
+        and run.steps_done == run.steps_planned
+        and run.error_move_max <= requirements.error_move
+        and run.failed_steps <= requirements.failed_steps
+    )
+
+
+def is_right_to_the_end(run: RunRecord, requirements: Requirements) -> bool:
+    """Return whether a run finished and solved every step within the requirements."""
+    return run.outcome == "finished" and is_right(run, requirements)
+
+
+def cost_ratio(run: RunRecord) -> float:
+    """Return a closed loop's cost over that with exact solutions; NaN if it did not end."""
+    if not run.steps_done >= run.steps_planned:
+        return math.nan
+    return run.closed_loop_cost / run.exact_cost
+
+
+def has_survived(run: RunRecord) -> bool:
+    """Return whether a closed loop ended within 10 % of the exact cost, without violations."""
+    return cost_ratio(run) <= 1.0 + MARGIN and run.limit_violations == 0.0

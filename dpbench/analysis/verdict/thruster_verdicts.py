@@ -1,0 +1,136 @@
+"""Solvers of controllers that command thrusters, beside those of three forces."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite, nan
+from typing import Literal
+
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
+from dpbench.analysis.verdict.findings import LATE, MISSED, STATES, State
+from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts, judge_solvers
+
+Fault = Literal["too late", "wrong", "too late or wrong"]
+
+
+@dataclass(frozen=True)
+class ThrusterVerdicts:
+    """Verdicts on each solver where the MPC commands thrusters, and where three forces.
+
+    forces : scenarios whose controller commands three forces.
+    with_forces, with_thrusters : the best verdict on any configuration of each solver; the first
+        is empty where the suite has no such scenario.
+    faults : of the solvers that fail with thrusters, what contradicts it.
+    """
+
+    forces: tuple[str, ...]
+    with_forces: dict[str, State]
+    with_thrusters: dict[str, State]
+    faults: dict[str, Fault]
+
+    @property
+    def passing(self) -> list[str]:
+        """Names of the solvers that pass where the MPC commands thrusters."""
+        return [name for name, state in self.with_thrusters.items() if state == "pass"]
+
+    @property
+    def undecided(self) -> list[str]:
+        """Names of solvers inconclusive or borderline where the MPC commands thrusters."""
+        unclear = ("borderline", "inconclusive")
+        return [name for name, state in self.with_thrusters.items() if state in unclear]
+
+    @property
+    def passing_with_forces(self) -> list[str]:
+        """Names of solvers that pass with three forces and were also judged with thrusters."""
+        known = self.with_thrusters
+        return [s for s, state in self.with_forces.items() if state == "pass" and s in known]
+
+    @property
+    def passing_with_forces_only(self) -> list[str]:
+        """Names of solvers that pass with three forces, and fail or are late with thrusters."""
+        return [s for s in self.passing_with_forces if self.with_thrusters[s] in MISSED]
+
+    @property
+    def failing(self) -> list[str]:
+        """Names of the solvers that fail or are late where the MPC commands thrusters."""
+        return [name for name, state in self.with_thrusters.items() if state in MISSED]
+
+
+def is_about_thrusters(records: Records) -> bool:
+    """Return whether the MPC commands thrusters in most scenarios run in closed loop."""
+    loops = {run.scenario: run.commands_thrusters for run in records.select(mode="closed_loop")}
+    return 2 * sum(loops.values()) > len(loops)
+
+
+def compare_thrusters_with_forces(records: Records, requirements: Requirements) -> ThrusterVerdicts:
+    """Judge solvers both where the MPC commands thrusters and where three forces."""
+    of_thrusters = [run for run in records.runs if run.commands_thrusters]
+    of_forces = [run for run in records.runs if run.scenario_files and not run.commands_thrusters]
+    verdicts = judge_solvers(records, requirements, of_thrusters)
+    return ThrusterVerdicts(
+        tuple(dict.fromkeys(run.scenario for run in of_forces)),
+        _best_state_by_solver(judge_solvers(records, requirements, of_forces)),
+        _best_state_by_solver(verdicts),
+        {s: _common_fault(own) for s, own in verdicts.of.items() if _best_state(own) in MISSED},
+    )
+
+
+@dataclass(frozen=True)
+class ThrusterControlLoops:
+    """Closed loops in which the MPC commands thrusters, and each scenario's best loop.
+
+    The best is right to the end, ran farthest and is nearest to the exact loop.
+    """
+
+    best: dict[str, RunRecord]
+    configurations: dict[str, list[RunRecord]]
+
+
+def thruster_control_loops(records: Records, requirements: Requirements) -> ThrusterControlLoops:
+    """Select closed loops that command thrusters, in scenarios that some solver gets right."""
+    loops = (run for run in records.select(mode="closed_loop") if isfinite(run.power_share))
+    runs = [run for run in loops if not run.is_baseline_law and not run.slowdown > 0.0]
+    right = [run for run in runs if is_right_to_the_end(run, requirements)]
+    right.sort(key=lambda run: (run.scenario, -run.steps_done, run.dev_position_max_m))
+    best = first_by(right, lambda run: run.scenario)
+    known = (run for run in runs if run.scenario in best)
+    configurations = group_by(known, lambda run: run.configuration.in_common_formulation.label)
+    return ThrusterControlLoops(best, configurations)
+
+
+def largest_ratio(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str) -> float:
+    """Return the largest ratio of a loop's metric, as wear, to the best loop's; or NaN."""
+    beside = ((getattr(run, column), getattr(best[run.scenario], column)) for run in runs)
+    return max((own / least for own, least in beside if least > 0.0), default=nan)
+
+
+def late_losses(run: RunRecord) -> list[str]:
+    """Return the thrusters lost in a closed loop; empty unless all are in its second half."""
+    scenario = (run.scenario_files or {}).get("scenario", {})
+    faults = [fault for fault in scenario.get("faults") or () if fault.get("lost")]
+    if not faults:
+        return []
+    whole_s = scenario["sample_s"] * run.steps_done
+    early = min(fault["at_s"] for fault in faults) < 0.5 * whole_s
+    late = max(fault["at_s"] for fault in faults) >= whole_s
+    return [] if early or late else [str(name) for fault in faults for name in fault["lost"]]
+
+
+def _best_state_by_solver(verdicts: Verdicts) -> dict[str, State]:
+    """Return the best verdict, from pass to fail, of each solver that was run."""
+    states = {solver: _best_state(own) for solver, own in verdicts.of.items()}
+    return {solver: state for solver, state in states.items() if state != "not run"}
+
+
+def _best_state(own: Sequence[Verdict]) -> State:
+    """Return the best of several configurations' verdicts, from pass to fail."""
+    return min((verdict.state for verdict in own), key=STATES.index)
+
+
+def _common_fault(own: Sequence[Verdict]) -> Fault:
+    """Return why a solver fails in every configuration: answers late, wrong, or either."""
+    causes = [{finding.kind for finding in v.causes} for v in own if v.state != "not run"]
+    if all(kinds & {*LATE} for kinds in causes):
+        return "too late"
+    return "wrong" if all(kinds - {*LATE} for kinds in causes) else "too late or wrong"

@@ -1,0 +1,176 @@
+"""A request of a user, a suite or a part of it, and the plan it means."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel
+
+from dpbench.bench.judge.rules import supports_percentile
+from dpbench.bench.plan.cells import PlannedCell
+from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.suite import (
+    SuiteFile,
+    build_sequence_suite,
+    load_suite,
+    name_file_in_errors,
+)
+from dpbench.bench.sequences.recording import read_sequence
+from dpbench.errors import InputError
+from dpbench.scenario.problem_files import sequence_path
+from dpbench.solvers.table import load_solver_module
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """All planned runs that a user's request means, with the suite they come from.
+
+    `document` is the requested content of the suite; `part` tells whether it is less than all.
+    """
+
+    name: str
+    path: Path
+    document: SuiteFile
+    cells: list[PlannedCell]
+    part: bool
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of the descriptions of all planned runs, by which plans are compared."""
+        digest, separator = hashlib.sha256(), b""
+        # One by one: all texts joined would take as much memory again.
+        for text in sorted(planned.cell.to_json() for planned in self.cells):
+            digest.update(separator + text.encode())
+            separator = b"\n"
+        return digest.hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """The run that a user asks for: a suite or a sequence, and a choice of its parts."""
+
+    suite: str | None = None
+    sequence: str | None = None
+    solvers: Sequence[str] | None = None
+    scenarios: Sequence[str] | None = None
+    settings: Sequence[str] | None = None
+    steps: int | None = None
+    solver_module: str | None = None
+
+    def plan(self) -> Plan:
+        """Return the plan of all requested runs; InputError for what cannot be run."""
+        if self.solver_module is not None:
+            load_solver_module(self.solver_module)
+        name, path, document = self._load_suite()
+        chosen = {"scenarios": self.scenarios, "settings": self.settings}
+        document = select_part(document, steps=self.steps, **chosen)
+        with name_file_in_errors(path, chosen=bool(self.settings)):
+            cells = plan(
+                document, solvers=self.solvers, scenarios=self.scenarios, beside=path.parent
+            )
+        part = bool(self.solvers or self.scenarios or self.settings or self.steps is not None)
+        return Plan(name, path, document, cells, part)
+
+    @property
+    def _suite_file(self) -> Path | None:
+        """Path of the suite's TOML file; None for a suite by name, or no suite."""
+        named = self.suite is None or not self.suite.endswith(".toml")
+        return None if named else Path(str(self.suite))
+
+    @property
+    def has_suite(self) -> bool:
+        """Return whether the suite can be read on this machine."""
+        return self._suite_file is None or self._suite_file.is_file()
+
+    def with_absolute_path(self) -> RunRequest:
+        """Return the request with the suite's path made absolute."""
+        file = self._suite_file
+        return self if file is None else replace(self, suite=str(file.resolve()))
+
+    def _load_suite(self) -> tuple[str, Path, SuiteFile]:
+        """Return name, file and content of the requested suite, or of one for a sequence."""
+        if self.suite is not None and self.sequence is None:
+            path, document = load_suite(self.suite)
+            return path.stem, path, document
+        if self.sequence is not None and self.suite is None:
+            meta = read_sequence(sequence_path(self.sequence)).sequence.meta
+            name = f"sequence-{Path(self.sequence).resolve().stem}"
+            return name, Path("suite"), build_sequence_suite(self.sequence, meta)
+        both = f"suite {self.suite} and --sequence {self.sequence}"
+        found = "neither" if self.suite is None else both
+        raise InputError("run", "", found, "a suite, or --sequence PATH")
+
+
+def select_part(
+    suite: SuiteFile,
+    *,
+    scenarios: Sequence[str] | None = None,
+    settings: Sequence[str] | None = None,
+    steps: int | None = None,
+) -> SuiteFile:
+    """Return a suite reduced to some scenarios, settings and steps.
+
+    Parameters
+    ----------
+    scenarios : unless the suite names all of them, they replace its own, by name or TOML file: each
+        closed loop and replay runs with them, from the first step on.
+    settings : at these levels and no other.
+    steps : at most so many of each loop and replay.
+
+    Raises
+    ------
+    InputError : for less than one step.
+    """
+    if steps is not None and steps < 1:
+        raise InputError("--steps", "", steps, "a whole number, 1 or more")
+    asked = list(scenarios or ())
+    tables: dict[str, list[Any]] = {
+        key: list(getattr(suite, key)) for key in SuiteFile.list_cell_tables()
+    }
+    if not set(asked) <= set(suite.scenario_names):
+        tables["closed_loop"] = [
+            _copy_with(t, scenarios=asked, vessels=[], steps=0) for t in suite.closed_loop
+        ]
+        tables["replay"] = [
+            _copy_with(t, scenario=name, first=0, steps=0) for t in suite.replay for name in asked
+        ]
+    if settings:
+        for key, own in tables.items():
+            tables[key] = [_copy_with(t, settings=list(settings)) for t in own]
+    if steps is not None:
+        for key in ("closed_loop", "replay", "study"):
+            tables[key] = [_copy_with(t, steps=min(steps, t.steps or steps)) for t in tables[key]]
+        tables["replay"] = [_copy_with(t, hardest=min(steps, t.hardest)) for t in tables["replay"]]
+    if not (scenarios or settings or steps is not None):
+        return suite
+    # Tables may have become equal.
+    once = {
+        key: [table for i, table in enumerate(own) if table not in own[:i]]
+        for key, own in tables.items()
+    }
+    return _copy_with(suite, **once)
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def _copy_with(model: Model, **update: object) -> Model:
+    """Return a copy of a pydantic model with some fields replaced."""
+    return model.model_copy(update=update)
+
+
+def list_plan_limits(planned: Sequence[PlannedCell]) -> list[str]:
+    """Return remarks on what the planned runs cannot measure, such as a p99 with few steps."""
+    cells = [p.cell for p in planned if p.cell.is_timed]
+    lengths = [cell.steps for cell in cells]
+    if lengths and not supports_percentile(max(lengths), 99):
+        return [
+            f"no replay has steps enough for a p99 (the longest has {max(lengths)}): the largest "
+            "step is judged in its place"
+        ]
+    return []

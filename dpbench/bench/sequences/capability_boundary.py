@@ -1,0 +1,56 @@
+"""The QPs at a ship's capability boundary: made for a suite, or written as a file."""
+
+from pathlib import Path
+from typing import Any
+
+from dpbench.bench.capability.batch import all_points, allocation_sequence
+from dpbench.bench.capability.frontier import CapabilityPlot
+from dpbench.bench.capability.study import Capability, compute_capability
+from dpbench.bench.capability.table import capability_columns
+from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
+from dpbench.errors import InputError
+from dpbench.ship.vessel import Vessel
+
+
+def write_capability_boundary(path: Path, vessel: Vessel, sides: int, name: str) -> None:
+    """Write a ship's capability plot and its certified QPs to one file."""
+    frontier = CapabilityPlot(vessel, sides)
+    capability = compute_capability(frontier)
+    points = all_points(frontier, capability)
+    documents = {"capability": capability_columns(name, capability, points)}
+    save_sequence(path, allocation_sequence(frontier, points), documents=documents)
+
+
+def read_capability_plot(path: Path) -> dict[str, list[Any]] | None:
+    """Return the capability plot stored in a file with its QPs; None where the file is gone."""
+    try:
+        table: dict[str, list[Any]] | None = load_recorded(path).documents.get("capability")
+    except InputError:
+        return None
+    return table
+
+
+def write_capability_suite(frontier: CapabilityPlot, capability: Capability, folder: Path) -> Path:
+    """Write a capability plot's certified QPs and a suite that replays them; return its path."""
+    points = all_points(frontier, capability)
+    folder.mkdir(parents=True, exist_ok=True)
+    save_sequence(folder / "capability.npz", allocation_sequence(frontier, points))
+    suite = folder / "capability.toml"
+    suite.write_text(
+        _SUITE.format(vessel=capability.vessel, sides=frontier.sides), encoding="utf-8"
+    )
+    return suite
+
+
+_SUITE = """\
+title = "Static allocations at the edge of the capability of {vessel}, {sides} sides"
+baseline_law = false
+rounds = 1
+warmup_steps = 20
+cell_limit_s = 20.0
+
+[[recorded]]
+sequence = "capability.npz"
+settings = ["default"]
+"""
+"""One round is enough: claims do not change, and a batch has no deadline."""

@@ -1,0 +1,143 @@
+"""Text of `dpbench check` on a ship: its numbers, its weather, the offsets its controller holds."""
+
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from dpbench.arrays import Vector
+from dpbench.bench.design import OFFSETS_M, Bracket, find_still_water_bracket, is_held
+from dpbench.bench.progress import Progress, Silent
+from dpbench.cli.terminal import WIDTH
+from dpbench.report.formats import rounded_down, rounded_up, significant
+from dpbench.scenario.scenario import Scenario, load_scenario
+from dpbench.ship import characteristics as ships
+from dpbench.ship.froude import Froude
+from dpbench.ship.vessel import Vessel
+
+CONTROLLERS = ("paper", "rough")
+"""The scenarios whose controllers a vessel is tried with: the paper's 30/5 and the robust 60/10."""
+_SPEEDS = ("m/s", "m/s", "°/s")
+_DEGREES = np.array([1.0, 1.0, np.degrees(1.0)])
+_KILO = np.array([1e3, 1e3, 1e3])
+_TRIALS = 2 * len(OFFSETS_M)
+
+
+def vessel_text(file: Path, vessel: Vessel, progress: Progress | None = None) -> str:
+    """Describe a ship, and from which sideways offsets two DP controllers bring it back."""
+    tuned = [load_scenario(f"{name}@{file.resolve()}") for name in CONTROLLERS]
+    first = f"{file.name}: a vessel, {vessel.title}"
+    return _join_lines(first, [*ship_lines(vessel), *_try_offsets(tuned, progress)])
+
+
+def scenario_text(name: str | Path, scenario: Scenario, progress: Progress | None = None) -> str:
+    """Describe a scenario: ship, weather load, and sideways offsets that are recovered."""
+    shown = name.name if isinstance(name, Path) else name
+    first = f"{shown}: a scenario of {scenario.steps} steps with vessel {scenario.vessel.id}"
+    about = [*ship_lines(scenario.vessel), _weather_line(scenario)]
+    return _join_lines(first, [*about, *_try_offsets([scenario], progress)])
+
+
+def _join_lines(first: str, others: Sequence[str]) -> str:
+    """Join lines of text, the first one shortened to 80 columns."""
+    return "\n".join([textwrap.shorten(first, WIDTH, placeholder=" …"), *others])
+
+
+def ship_lines(vessel: Vessel) -> list[str]:
+    """Format a ship's force limits, rise times and accelerations by axis, as a table."""
+    kilo, per = ("k", 1e3) if vessel.tau_max[0] >= 1e3 else ("", 1.0)
+    limits = zip(vessel.tau_min / per, vessel.tau_max / per, strict=True)
+    units = (f"{kilo}N", f"{kilo}N", f"{kilo}N·m")
+    force = [f"{_format_range(*pair)} {unit}" for pair, unit in zip(limits, units, strict=True)]
+    rise = vessel.tau_max / vessel.rate_max
+    reach = vessel.reachable_acceleration()[1] * _KILO
+    drift = _format_with_units(
+        ships.steady_speed(vessel)[1] * _DEGREES, _SPEEDS, ships.slow_speed(vessel) * _DEGREES
+    )
+    rows = [
+        ("", "surge", "sway", "yaw"),
+        ("largest force", *force),
+        ("zero to full in", *(f"{_format_number(t)} s" for t in rise)),
+        ("time constant", *(f"{_format_number(t)} s" for t in ships.axis_time_constants_s(vessel))),
+        ("acceleration at full", *_format_with_units(reach, ("mm/s²", "mm/s²", "mrad/s²"))),
+        ("linear drift at full", *drift),
+    ]
+    table = [f"{row[0]:<22}" + "".join(f"{cell:<19}" for cell in row[1:]) for row in rows]
+    return [*(line.rstrip() for line in table), _sideways_line(vessel, f"{kilo}N", per)]
+
+
+def _format_range(low: float, high: float) -> str:
+    """Format a range of numbers as ±high, or low..high if it is not symmetric."""
+    least, most = _format_number(low), _format_number(high)
+    return f"±{most}" if low == -high else f"{least}..{most}"
+
+
+def _format_with_units(
+    values: Vector, units: Sequence[str], most: Sequence[float] | Vector = 3 * (np.inf,)
+) -> list[str]:
+    """Format each number with its unit, or as "> limit" where it exceeds its limit."""
+    return [
+        f"{_format_number(value) if value <= limit else f'> {significant(limit, 2)}'} {unit}"
+        for value, unit, limit in zip(values, units, most, strict=True)
+    ]
+
+
+def _format_number(value: float) -> str:
+    """Format a number to three digits, large ones without a decimal point."""
+    return f"{value:.0f}" if abs(value) >= 99.5 else significant(value)
+
+
+def _sideways_line(vessel: Vessel, unit: str, per: float) -> str:
+    """State a ship's force at 1 m/s sideways, its sway force limit, and the current it holds."""
+    needs = ships.sideways_force(vessel)[ships.SWAY] / per
+    has = min(-vessel.tau_min[ships.SWAY], vessel.tau_max[ships.SWAY]) / per
+    most = ships.slow_speed(vessel)[ships.SWAY]
+    current = ships.largest_current_abeam_mps(vessel)
+    largest = rounded_down(current, 2) if current <= most else f"> {significant(most, 2)}"
+    needed = f"1 m/s sideways needs {_format_number(needs)} {unit} of {_format_number(has)}"
+    return f"{needed}; holds {largest} m/s of current abeam"
+
+
+def _weather_line(scenario: Scenario) -> str:
+    """State a scenario's mean weather force in percent of the actuator limits, by axis."""
+    vessel = scenario.vessel
+    load = ships.mean_load(vessel, scenario.environment, float(scenario.reference[2]))
+    against = np.where(load < 0.0, vessel.tau_max, -vessel.tau_min)
+    shares = ", ".join(f"{share:.0%}" for share in np.abs(load) / against)
+    over = " - it cannot hold" if (np.abs(load) > against).any() else ""
+    return f"mean force of its weather: {shares} of the limits{over}"
+
+
+def _try_offsets(tuned: Sequence[Scenario], progress: Progress | None) -> list[str]:
+    """Simulate sideways offsets in still water; state from which each controller recovers."""
+    progress = progress or Silent()
+    progress.start(_TRIALS * len(tuned))
+    lines = []
+    for scenario in tuned:
+        trials = 0
+
+        def holds(trial: Scenario, offset_m: float, sides: Sequence[float]) -> bool:
+            nonlocal trials
+            trials += 1
+            progress.advance(1, f"sideways by {offset_m:g} m")
+            return is_held(trial, offset_m, sides)
+
+        bracket = find_still_water_bracket(scenario, holds)
+        progress.advance(_TRIALS - trials, "")
+        controller = scenario.controller.label
+        # Offsets are at full size; a model ship's own are printed.
+        scale = Froude(float(scenario.files["vessel"]["model_scale"])).length
+        lines.append(f"tuning {controller:<14} {_describe_bracket(bracket, scale)}")
+    return lines
+
+
+def _describe_bracket(bracket: Bracket, scale: float) -> str:
+    """State the largest sideways offset recovered and the smallest that is not [m]."""
+    holds = f"{float(rounded_down(scale * bracket.holds_m)):g}"
+    if bracket.fails_m is None:
+        return f"holds calm water, from {holds} m sideways and all below"
+    fails = f"{float(rounded_up(scale * bracket.fails_m)):g}"
+    if bracket.holds_m == 0.0:
+        return f"does not hold calm water: {fails} m sideways is too much"
+    return f"holds calm water, up to {holds} m sideways (not {fails} m)"

@@ -1,0 +1,323 @@
+"""Overview of all solvers: deadline ladder, verdict matrix, accuracy against time."""
+
+import json
+from collections.abc import Iterator
+from math import isfinite
+from typing import Any
+
+import altair as alt
+import pandas as pd
+
+from dpbench.analysis.verdict.findings import STATES
+from dpbench.report.charts import style
+
+TILE_COLUMNS = (
+    *("solver", "experiment", "settings", "call_mode", "verdict"),
+    *("error", "failed", "id", "experiment_id", "detail"),
+)
+MARKS = ("✓", "≈", "?", "▸", "✕", "–")
+MOST_ACROSS = 30
+"""Columns of a settings level, and half those of all levels, that leave room for names."""
+_HEADER = alt.Header(
+    labelFontSize=13,
+    labelFontWeight=600,
+    labelAnchor="start",
+    labelColor=style.INK,
+    labelOrient="top",
+    labelAngle=0,
+)
+
+
+def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
+    """Draw a tile with the verdict for each solver, scenario or replay, and settings.
+
+    Clicking sets `pick`. More experiments than `MOST_ACROSS` are rows instead of columns, then
+    `usermeta` has `tall`.
+
+    table : columns `TILE_COLUMNS`, solvers and experiments in their order.
+    """
+    solvers, experiments = table["solver"].unique().tolist(), table["experiment"].unique().tolist()
+    levels = table["settings"].unique().tolist()
+    # Worked out in the figure, so that the page can hand it other rows.
+    signs = json.dumps(dict(zip(STATES, MARKS, strict=True)), ensure_ascii=False)
+    inks = json.dumps(dict(zip(STATES, style.STATE_COLOURS, strict=True)))
+    pick = style.pick_selection("id", "experiment_id")
+    in_a_row = len(experiments) * (1 if stacked else len(levels))
+    tall = len(experiments) > MOST_ACROSS or in_a_row > 2 * MOST_ACROSS
+    across, down = ("solver", "experiment") if tall else ("experiment", "solver")
+    order = {"solver": solvers, "experiment": experiments}
+    above = alt.Axis(orient="top", labelAngle=-90 if stacked else -40)
+    x = alt.X(f"{across}:N", sort=order[across], title=None, axis=above)
+    y = alt.Y(f"{down}:N", sort=order[down], title=None)
+    titles = {"experiment": "in", "verdict": "verdict"}
+    titles |= {"off": "largest error_move", "fails": "failed steps", "because": "why"}
+    titled = (style.tooltip(f"{field}:N", title) for field, title in titles.items())
+    tips = ["solver:N", style.tooltip("call_mode:N", "call mode"), "settings:N", *titled]
+    base = (
+        alt.Chart()
+        .transform_calculate(
+            off="isValid(datum.error) ? format(datum.error, '.2~g') : '–'",
+            fails="isValid(datum.failed) ? datum.failed : '–'",
+            because="datum.detail || '–'",
+        )
+        .encode(x=x, y=y, tooltip=tips)
+    )
+    # One below the other the tiles are narrower than three words side by side.
+    legend: dict[str, Any] = {
+        "symbolType": "square",
+        "labelExpr": f"{signs}[datum.label] + ' ' + datum.label",
+    }
+    legend |= {"columns": 2} if stacked else {}
+    tiles = base.mark_rect(strokeWidth=1.5, stroke=style.PAPER).encode(
+        color=style.colour("verdict", STATES, style.FILLS, title="verdict", **legend)
+    )
+    # Above all tiles, or those beside it would cover half of its frame.
+    frame: dict[str, Any] = {"filled": False, "strokeWidth": 3, "aria": False}
+    chosen = base.transform_filter(pick).mark_rect(stroke=style.ACCENT, **frame)
+    signed = base.transform_calculate(sign=f"{signs}[datum.verdict]", ink=f"{inks}[datum.verdict]")
+    text = signed.mark_text(fontSize=12, fontWeight=600)
+    text = text.encode(text="sign:N", color=alt.Color("ink:N", scale=None))
+    size: dict[str, Any] = {"width": alt.Step(30), "height": alt.Step(15 if tall else 22)}
+    placed = alt.layer(tiles.add_params(pick), text, chosen, data=table, **size)
+    own: dict[str, Any] = {"sort": levels, "title": None, "header": _HEADER}
+    if stacked:
+        chart = placed.facet(row=alt.Row("settings:N", **own), spacing=14)
+        chart = chart.resolve_axis(x="independent")
+    else:
+        chart = placed.facet(column=alt.Column("settings:N", **own), spacing=14)
+    chart.usermeta = {"tall": tall}
+    states = "pass, borderline, inconclusive, late, fail or not run"
+    about = f"Tiles of solver by scenario: {states}, for each settings level."
+    return style.set_style(chart, "Verdicts by scenario and replay", about)
+
+
+POINT_COLUMNS = (
+    *("id", "solver", "family", "settings", "route", "policy"),
+    *("error", "p50_us", "p99_us", "verdict"),
+)
+FULL = {"pass": 0.95, "borderline": 0.6, "inconclusive": 0.3, "late": 0.0, "fail": 0.0}
+"""Opacity of a point by verdict."""
+_LEGEND = {"pass": style.INK, "inconclusive": style.LINE, "late or fail": style.PAPER}
+_LEGEND_COLUMNS = alt.ExprRef("narrow ? 1 : 3")
+"""Three legends are side by side on a phone."""
+_FIGURES = (
+    "verdict:N",
+    style.tooltip("error:Q", digits=2),
+    style.tooltip("p50_us:Q", "p50 [µs]"),
+    style.tooltip("p99_us:Q", "p99 [µs]"),
+)
+
+
+def draw_accuracy(table: pd.DataFrame, error_limit: float) -> Any:
+    """Draw largest error over step time, with a line through the points of a solver's settings.
+
+    Points are filled as `FULL` says; clicking sets `pick`; `percentile` is p50 or p99.
+
+    table : columns `POINT_COLUMNS`, errors finite; error_limit : drawn as a line.
+    """
+    table = table.assign(
+        shown=table["error"].clip(lower=style.FLOOR),
+        full=[FULL.get(state, FULL["inconclusive"]) for state in table["verdict"]],
+    )
+    percentile = alt.param(name="percentile", value="p50")
+    pick = style.pick_selection("id")
+    families = {f: hue for f, hue in style.FAMILY_COLOURS.items() if f in set(table["family"])}
+    colour = style.colour(
+        "family", families, families.values(), columns=_LEGEND_COLUMNS, symbolOpacity=1.0
+    )
+    decades = alt.Axis(format=".0e")
+    apart = style.log_scale(padding=12)  # room for the name of a point in the corner
+    base = (
+        alt.Chart(table)
+        .transform_calculate(time="percentile == 'p99' ? datum.p99_us : datum.p50_us")
+        .transform_filter("isValid(datum.time)")
+        .encode(
+            x=alt.X("time:Q", title="step time [µs], log scale", scale=apart),
+            y=alt.Y("shown:Q", title="largest error_move", scale=apart, axis=decades),
+            color=colour,
+            detail="solver:N",
+            tooltip=["solver:N", "settings:N", "route:N", "policy:N", *_FIGURES],
+        )
+    )
+    lines = base.mark_line(strokeWidth=1, opacity=0.45).add_params(
+        percentile, style.narrow_flag(), pick
+    )
+    filled = style.legend_below(
+        columns=_LEGEND_COLUMNS, symbolFillColor=style.INK, symbolOpacity=1.0
+    )
+    dots = base.mark_point(filled=True, strokeWidth=1.5).encode(
+        stroke=alt.Stroke(
+            "family:N", scale=style.names_scale(families, families.values()), legend=None
+        ),
+        fillOpacity=alt.FillOpacity("full:Q", scale=None, legend=None),
+        shape=alt.Shape("settings:N", title=None, legend=filled),
+        size=style.value_if(pick, 190, 70),
+    )
+    named = (
+        base.transform_window(rank="row_number()", groupby=["solver"], sort=[{"field": "shown"}])
+        .transform_filter("datum.rank == 1")
+        .mark_point(filled=True, opacity=0, size=110)
+        .properties(name=style.NAMES)
+    )
+    return style.set_style(
+        alt.layer(
+            lines,
+            style.draw_limit_rule(error_limit),
+            dots,
+            named,
+            _draw_opacity_legend(),
+            width=620,
+            height=360,
+        ),
+        "Accuracy against time",
+        "Largest error of the first move against step time, a point for each settings level.",
+    )
+
+
+def _draw_opacity_legend() -> Any:
+    """Draw the legend that tells which verdict a point's fill stands for."""
+    scale = style.names_scale(_LEGEND, _LEGEND.values())
+    looks_of: dict[str, Any] = {"symbolType": "circle", "symbolStrokeColor": style.INK}
+    legend = style.legend_below(columns=_LEGEND_COLUMNS, symbolStrokeWidth=1.5, **looks_of)
+    unseen = style.inline_chart(*({"look": look} for look in _LEGEND)).mark_point(
+        filled=True, size=0, opacity=0, aria=False
+    )
+    return unseen.encode(fill=alt.Fill("look:N", scale=scale, title="verdict", legend=legend))
+
+
+LOWEST_MS = 1e-3
+"""Left end of the axis."""
+ROOM = 300
+"""Least width of a figure with the names of the limits in full [px]."""
+_JITTER = "slow <= 1 ? '' : 'dashed: ' + (narrow ? '' : 'jitter of this machine, ') + 'as measured'"
+"""Remark on the whiskers on a slower computer."""
+
+
+def _verdict_expression() -> str:
+    """Return the Vega expression of a solver's verdict on a slower computer: late or as before."""
+    good = " || ".join(
+        f"datum.verdict == '{state}'" for state in ("pass", "borderline", "inconclusive")
+    )
+    return f"({good}) && slow > 1 && slow > datum.margin ? 'late' : datum.verdict"
+
+
+def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
+    """Draw all solvers' p50, p99, hardest step and largest timing against the deadline.
+
+    The parameter `slow` scales all but the largest timing, which is this machine's; colours are
+    verdicts there. With `narrow` names stand above their bars; clicking sets `pick`.
+
+    table : columns `analysis.times.solver_tables.TIMES`, the first row on top.
+    p99_ms : limit of the requirements.
+    """
+    base = _scale_rows(table)
+    x = _time_axis(table, deadline_ms)
+    parts = (
+        *_draw_click_areas(base),
+        *_draw_time_bars(base, x),
+        *_draw_limits(deadline_ms, p99_ms),
+    )
+    return style.set_style(
+        alt.layer(*parts, width=560, height=alt.Step(style.ROW_STEP["wide"])),
+        "How close to the deadline",
+        "Step times of each solver from median over p99 to the largest, against the deadline.",
+    )
+
+
+def _scale_rows(table: pd.DataFrame) -> alt.Chart:
+    """Return the base of the deadline chart: a row per solver, times scaled by the slow-down."""
+    scaled = alt.Chart(table).transform_calculate(
+        a="datum.p50_ms * slow",
+        c="isValid(datum.p99_ms) ? datum.p99_ms * slow : datum.p50_ms * slow",
+        m="datum.max_ms * slow",
+        called="datum.p50_ms * datum.share * slow",
+        left=f"{LOWEST_MS}",
+        now=_verdict_expression(),
+        computer="'× ' + format(slow, '.3~g')",
+        timing="format(datum.longest_ms, '.3~g') + (slow > 1 ? ', as measured' : '')",
+    )
+    times = (("a", "p50"), ("c", "p99, worst scenario"), ("m", "hardest step"))
+    tips = [
+        style.tooltip("label:N", "configuration"),
+        style.tooltip("computer:N", "computer slower"),
+        style.tooltip("now:N", "verdict there"),
+        *(style.tooltip(f"{name}:Q", f"{title} [ms]", 3) for name, title in times),
+        style.tooltip("replay_p99_ms:Q", "p99, whole replay, as measured [ms]", 3),
+        style.tooltip("raw_p99_ms:Q", "p99 of single timings there [ms]", 3),
+        style.tooltip("timing:N", "largest single timing [ms]"),
+        style.tooltip("margin:Q", "speed margin ×", 3),
+    ]
+    y = alt.Y("label:N", sort=table["label"].tolist(), title=None, axis=style.row_name_axis())
+    return scaled.encode(y=y, tooltip=tips)
+
+
+def _time_axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
+    """Return a logarithmic time axis up to ten times the deadline, or beyond the slowest."""
+    slowest = float(table[["max_ms", "longest_ms"]].max().max())
+    high = max(10.0 * deadline_ms, 1.0)
+    highest = alt.ExprRef(f"max({high}, {1.5 * slowest if isfinite(slowest) else 0.0} * slow)")
+    scale = style.log_scale(domainMin=LOWEST_MS, domainMax=highest, clamp=True)
+    axis = alt.Axis(
+        values=[10.0**e for e in range(-3, 8)],
+        format="~g",
+        orient="top",
+        labelOverlap="greedy",
+        labelSeparation=6,
+        offset=alt.ExprRef("narrow ? 8 : 0"),  # off the name above the first bar
+    )
+    return alt.X("a:Q", title="step time [ms], log scale", scale=scale, axis=axis)
+
+
+def _draw_click_areas(base: alt.Chart) -> Iterator[Any]:
+    """Draw, in each row of the deadline chart, an area that takes clicks and a mark if chosen."""
+    pick = style.pick_selection("id")
+    factor = alt.param(name="slow", value=1.0)
+    clicked = style.draw_whole_rows(base, alt.Undefined, opacity=0.0)
+    yield clicked.add_params(factor, style.narrow_flag(), pick)
+    yield style.draw_whole_rows(base, style.value_if(pick, 0.25, 0.0), color=style.ACCENT)
+
+
+def _draw_time_bars(base: alt.Chart, x: alt.X) -> Iterator[Any]:
+    """Draw each solver's call overhead, p50 marker, p99 bar, line to hardest step, and whisker."""
+    columns = alt.ExprRef("width < 200 ? 2 : narrow || width < 400 ? 3 : 5")
+    looks: dict[str, Any] = {"columns": columns, "offset": 40}  # below what is said of the limits
+    colour = style.colour("now", STATES, style.STATE_COLOURS, title="verdict", **looks)
+    yield base.mark_rule(strokeWidth=9, color=style.LINE).encode(
+        x=alt.X("left:Q"), x2="called:Q", opacity=alt.value(0.7)
+    )
+    yield (
+        base.transform_filter("datum.longest_ms > datum.m")
+        .mark_rule(strokeWidth=1, color=style.SOFT, strokeDash=[2, 2])
+        .encode(x=alt.X("m:Q"), x2="longest_ms:Q")
+    )
+    yield base.mark_rule(strokeWidth=2).encode(x=x, x2="m:Q", color=colour)
+    yield base.mark_rule(strokeWidth=9, strokeCap="butt").encode(x=x, x2="c:Q", color=colour)
+    shape = alt.Shape("now:N", scale=style.names_scale(STATES, style.STATE_SHAPES))
+    yield base.mark_point(filled=True, size=70, opacity=1).encode(x=x, color=colour, shape=shape)
+
+
+def _draw_limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
+    """Draw the deadline and the p99 limit as vertical lines with their names."""
+    words: dict[str, Any] = {"baseline": "top", "fontSize": 12}
+    limits = (
+        ("p99", p99_ms, f"p99 limit {p99_ms:g} ms", 0.75, style.LATE),
+        ("deadline", deadline_ms, f"deadline {deadline_ms:g} ms", 1.5, style.INK),
+    )
+    for name, at_ms, text, thick, colour in limits:
+        # On paper there is room for the first word alone.
+        said = f"width < {ROOM} ? '{name}' : '{text}'"
+        chart = alt.Chart(pd.DataFrame({name: [at_ms]})).transform_calculate(text=said)
+        yield chart.mark_rule(color=colour, strokeWidth=thick).encode(x=f"{name}:Q")
+        # Left of its line; the deadline's, to keep off that, right of it, or below where it is near
+        # the end of the axis.
+        right, near = name == "deadline", f"scale('x', {at_ms}) + 110 > width"
+        aside: dict[str, Any] = {"align": "right", "dx": -5}
+        if right:
+            aside["align"] = alt.ExprRef(f"{near} ? 'center' : 'left'")
+            aside["dx"] = alt.ExprRef(f"{near} ? 0 : 5")
+        yield chart.mark_text(dy=4, color=colour, **aside, **words).encode(
+            x=f"{name}:Q", y=alt.value("height"), text="text:N"
+        )
+    whiskers = style.inline_chart({}).mark_text(align="left", dy=20, color=style.SOFT, **words)
+    place: dict[str, Any] = {"x": alt.value(0), "y": alt.value("height")}
+    yield whiskers.encode(**place, text="said:N").transform_calculate(said=_JITTER)

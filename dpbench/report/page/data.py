@@ -1,0 +1,215 @@
+"""Data of the page: the runs by configuration and experiment, both by number, and packed steps."""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_steps import MEASURES
+from dpbench.analysis.records.thinned_runs import FORCES, TRACK, ThinnedRun, Track, thin_track
+from dpbench.analysis.statistics import upper_bound_of_none
+from dpbench.analysis.suites.study import Study, find_studies
+from dpbench.analysis.suites.study_pictures import error_excess_cm, mean_cm, worst_run
+from dpbench.analysis.verdict.run_matrix import Experiment, RunMatrix, common_configuration
+from dpbench.analysis.verdict.verdict import Verdicts
+from dpbench.report.formats import as_float
+from dpbench.report.page.pack import MOST_HARD, Block, Room, pack_steps, pack_track
+
+MOST_RUNS = 20_000
+"""Runs of studies on the page with their errors; the files have all."""
+MOST_LOOPS = 400
+"""Runs of studies on the page with their steps."""
+
+
+def select_shown_runs(runs: Iterable[RunRecord]) -> list[RunRecord]:
+    """Select the study runs that the report page shows, the first sea of all points first."""
+    solving = [run for run in runs if not run.is_baseline_law]
+    return sorted(solving, key=lambda run: run.replicate)[:MOST_RUNS]
+
+
+def study_document(
+    study: Study, runs: Mapping[str, RunRecord], number_of: Mapping[str, int]
+) -> dict[str, Any]:
+    """Return a study's points, configurations and runs as JSON data for the page's script.
+
+    runs : those that are shown, by run_id.
+    number_of : number on the page of a configuration, by name.
+    """
+    rows = study.runs[study.runs["run_id"].isin(list(runs))]
+    names = [c.name for c in study.configurations if c.name in number_of]
+    rows = rows[rows["configuration"].isin(names)]
+    place = {name: i for i, name in enumerate(names)}
+    return {
+        "name": study.name,
+        "radius_m": study.radius_m,
+        "upper_bound_of_none": upper_bound_of_none(study.realisations),
+        "reference": place.get(study.reference, 0),
+        "keys": [str(key) for key in study.points],
+        "points": [int(point) for point in study.points.index],
+        "values": [
+            [None if isinstance(x, float) and not math.isfinite(x) else x for x in column.tolist()]
+            for _, column in study.points.items()
+        ],
+        "names": names,
+        "c": [number_of[name] for name in names],
+        "means": [_mean_excess_error(study, name) for name in names],
+        "runs": {
+            "of": [place[name] for name in rows["configuration"]],
+            "point": rows["point"].tolist(),
+            "sea": rows["replicate"].tolist(),
+            "held": [int(held) for held in rows["held"]],
+            "tail_m": _round_values(rows["r_tail_max_m"].where(rows["finished"])),
+            "error_excess_cm": _round_values(error_excess_cm(study, rows)),
+            "id": rows["run_id"].tolist(),
+        },
+    }
+
+
+def choose_opening_run(study: Study, shown_runs: Sequence[RunRecord]) -> RunRecord | None:
+    """Choose a study's worst run, which the report page shows when opened; None without one."""
+    kept = {run.run_id: run for run in shown_runs[:MOST_LOOPS] if run.study == study.name}
+    worst = worst_run(study, list(kept))
+    return None if worst is None else kept[worst]
+
+
+def _mean_excess_error(study: Study, name: str) -> dict[str, Any]:
+    """Return a configuration's mean error over the reference [cm], interval, share of seas held."""
+    (found,) = (c for c in study.configurations if c.name == name)
+    known: dict[str, Any] = {"held": found.held, "pairs": 0}
+    if found.error_excess_m is None or found.error_excess_m.pairs == 0:
+        return known
+    return known | mean_cm(found.error_excess_m)
+
+
+def _round_values(values: Iterable[float]) -> list[float | None]:
+    """Round numbers to four significant digits; None for NaN and infinity."""
+    return [float(f"{x:.4g}") if math.isfinite(x) else None for x in values]
+
+
+@dataclass(eq=False)
+class PageData(RunMatrix):
+    """Runs and verdicts for the report page, with steps packed into compressed arrays."""
+
+    block: Block = field(default_factory=Block)
+
+    @classmethod
+    def of(cls, records: Records, verdicts: Verdicts) -> Self:
+        """Build the report page's data from a folder's runs and the verdicts on solvers."""
+        return cls.from_records(records, verdicts, select_shown_runs(records.study), MOST_LOOPS)
+
+    @cached_property
+    def studies(self) -> list[Study]:
+        """All studies of the result folder."""
+        return find_studies(self.records)
+
+    @cached_property
+    def study_documents(self) -> list[dict[str, Any]]:
+        """Points, configurations and runs of each study, as JSON data for the page's script."""
+        runs = {run.run_id: run for run in select_shown_runs(self.records.study)}
+        numbers = {run.name: self.index(common_configuration(run)) for run in runs.values()}
+        return [study_document(study, runs, numbers) for study in self.studies]
+
+    @property
+    def opening(self) -> tuple[int, int] | None:
+        """Indices of configuration and study run that a page on studies shows first; or None."""
+        if self.judged_experiments or not self.studies:
+            return None
+        run = choose_opening_run(self.studies[0], select_shown_runs(self.records.study))
+        if run is None:
+            return None
+        return self.index(common_configuration(run)), self.experiments.index(Experiment.of(run))
+
+    @cached_property
+    def thinned_runs(self) -> dict[str, ThinnedRun]:
+        """Steps of every run, thinned to what the report page has room for, by run id."""
+        runs = {run.run_id: run for run in self.runs.values()}
+        room = Room.of([run.steps_done for run in runs.values() if run.has_steps])
+        kept: dict[str, ThinnedRun] = {}
+        read = self.records.run_steps(list(runs.values()), (*TRACK, *FORCES))
+        for run_id, steps, rows in read:
+            run = runs[run_id]
+            limits = self._force_limits(run) if run.mode == "closed_loop" else None
+            track = None if limits is None else thin_track(rows, limits, room.points)
+            kept[run_id] = ThinnedRun.of(steps, room.steps, track)
+        return kept
+
+    @property
+    def thinned_count(self) -> int:
+        """Number of runs of which the page shows only a part of the steps."""
+        return sum(not run.is_whole for run in self.thinned_runs.values())
+
+    def cells(self) -> Iterator[dict[str, Any]]:
+        """Yield each run's results, packed steps and hardest steps, for the page's script."""
+        references: dict[int, Track] = {}
+        hard = max(1, min(5, MOST_HARD // max(1, len(MEASURES) * len(self.runs))))
+        # The run nearest to the exact loop comes first: the others' tracks refer to it.
+        off_m = {k: np.nan_to_num(r.dev_position_max_m, nan=np.inf) for k, r in self.runs.items()}
+        for c, p in sorted(self.runs, key=lambda key: (key[1], off_m[key])):
+            run = self.runs[c, p]
+            entry, kept = self._describe_run(c, p, run), self.thinned_runs.get(run.run_id)
+            if kept is not None:
+                entry |= pack_steps(self.block, kept) | {"hard": _hardest_steps(kept, hard)}
+                if kept.track is not None:
+                    entry |= pack_track(self.block, kept.track, references.get(p))
+                    entry["reference"] = p not in references
+                    references.setdefault(p, kept.track)
+            yield entry
+
+    def _describe_run(self, c: int, p: int, run: RunRecord) -> dict[str, Any]:
+        """Return a run's verdict, outcome and main results, for the page's script."""
+        return {
+            "c": c,
+            "p": p,
+            "id": run.run_id,
+            "verdict": self.state(c, p),
+            "outcome": run.outcome,
+            "why": run.outcome_detail[:200],
+            "infeasible": json_number(run.infeasible_steps),
+            "all_true": run.true_share == 1.0,
+            "steps": run.steps_done,
+            "answers": int(run.steps_done * max(1.0, run.rounds)),
+            "planned": run.steps_planned,
+            "error": json_number(run.error_move_max),
+            "failed": json_number(run.failed_steps),
+            "untrue": json_number(run.claimed_not_true),
+            "off_m": json_number(run.dev_position_max_m),
+            "settle_s": json_number(run.settle_s),
+        }
+
+    def _force_limits(self, run: RunRecord) -> Any:
+        """Return the largest force of a run's ship in each axis (3,), or None."""
+        scenario = self.scenario(run)
+        if scenario is None:
+            return None
+        vessel = scenario.vessel
+        return np.maximum(vessel.tau_max, -vessel.tau_min)
+
+
+def _hardest_steps(run: ThinnedRun, count: int) -> list[list[list[Any]]]:
+    """Return a run's steps of largest time, iterations and error as nested lists for JSON."""
+    return [
+        [
+            [h.k, json_number(h.value), h.status, int(h.claimed), int(h.true), h.n_active]
+            for h in run.hard[measure][:count]
+        ]
+        for measure in MEASURES
+    ]
+
+
+def json_number(value: object) -> float | str | None:
+    """Convert a number for JSON: None where it is missing, "inf" where infinite."""
+    x = as_float(value)
+    if math.isnan(x):
+        return None
+    return x if math.isfinite(x) else "inf"
+
+
+def columns_by_name(rows: Sequence[dict[str, Any]]) -> dict[str, list[Any]]:
+    """Convert a list of rows (dictionaries) to lists of column values by name."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    return {name: [row.get(name) for row in rows] for name in names}

@@ -1,0 +1,171 @@
+"""Data of the page's scripts: configurations, experiments, runs, and the first selection."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.times.solver_tables import configuration_columns
+from dpbench.analysis.verdict.fastest import (
+    best_verdict_by_solver,
+    find_solver_record,
+    solver_family,
+)
+from dpbench.analysis.verdict.run_matrix import Experiment
+from dpbench.analysis.verdict.verdict import Verdict
+from dpbench.bench.record.configuration import Configuration
+from dpbench.bench.record.result_folder import Results
+from dpbench.report.charts import style
+from dpbench.report.page.data import PageData, columns_by_name, json_number
+from dpbench.report.page.live import SECTIONS
+from dpbench.report.page.pack import FLAGS
+from dpbench.report.page.recommendation import Recommendation, python_call_text
+from dpbench.report.page.terms import GlossaryEntry
+
+
+def page_document(
+    data: PageData,
+    results: Results,
+    recommendation: Recommendation,
+    words: Mapping[int, GlossaryEntry],
+) -> dict[str, Any]:
+    """Return the JSON data of the report page, all but its charts, for its scripts.
+
+    Arrays of numbers go into `data.block`; words : descriptions of experiments, by index.
+    """
+    cells = list(data.cells())
+    verdicts = {v.configuration: v for v in data.verdicts.all}
+    rows = [
+        _describe_configuration(data, recommendation, c, verdicts.get(c))
+        for c in data.configurations
+    ]
+    document: dict[str, Any] = {
+        "solvers": {
+            name: {"family": solver_family(name), "method": known.method if known else ""}
+            for name in dict.fromkeys(c.solver for c in data.configurations)
+            for known in [find_solver_record(name)]
+        },
+        "configurations": columns_by_name(rows),
+        "experiments": _describe_experiments(data, words),
+        "cells": columns_by_name(cells),
+        "flags": FLAGS,
+        "row_step": style.ROW_STEP,
+        "requirements": {
+            "error_move": data.requirements.error_move,
+            "deadline_ms": data.requirements.deadline_ms,
+            "p99_ms": data.requirements.p99_ms,
+        },
+        "answer": _opening_selection(data, results, recommendation),
+    }
+    for section in SECTIONS:
+        document |= section.data(data, results)
+    return document
+
+
+def _describe_configuration(
+    data: PageData, recommendation: Recommendation, c: Configuration, v: Verdict | None
+) -> dict[str, Any]:
+    """Return a configuration's verdict, times, errors and code, for the page's script."""
+    times = {} if v is None else {"p50": v.p50_ns, "p99": v.p99_ns, "max": v.algo_max_ns}
+    return {
+        **configuration_columns(c),
+        "verdict": "not judged" if v is None else v.state,
+        "why": "" if v is None else recommendation.why(v),
+        **{name: json_number(times.get(name)) for name in ("p50", "p99", "max")},
+        "replay_p99": None if v is None else json_number(v.replay_p99_ns),
+        "raw_p99": None if v is None else json_number(v.raw_p99_ns),
+        "p99_in": "" if v is None else v.p99_on,
+        "error": None if v is None else json_number(v.error_move),
+        "failed": None if v is None else v.failed_steps,
+        "timed_experiment_index": None if v is None else data.timed_experiment_index(v),
+        "call": python_call_text(c),
+        **_describe_margin(data, c),
+        **_longest_timing(data, c),
+    }
+
+
+def _describe_margin(data: PageData, c: Configuration) -> dict[str, Any]:
+    """Return how much slower a computer may be for a configuration, and the limiting steps."""
+    margin = data.margin(c)
+    if margin is None:
+        return {"margin": None, "bounds": []}
+    loops = {
+        experiment.name: p
+        for p, experiment in enumerate(data.experiments)
+        if (experiment.mode, experiment.units, experiment.study) == ("closed_loop", "scaled", "")
+        and not experiment.slowdown
+    }
+    bounds = [
+        [loops[step.run.scenario], step.k, json_number(step.time_ns)]
+        for step in (margin.hardest, margin.p99)
+        if step.run.window_of and step.run.scenario in loops
+    ]
+    return {"margin": json_number(margin.factor), "bounds": bounds}
+
+
+def _longest_timing(data: PageData, c: Configuration) -> dict[str, Any]:
+    """Return a configuration's largest single timing [ns], and in which scenario or replay."""
+    experiment, run = data.longest_timing(c) or (None, None)
+    if experiment is None or run is None:
+        return {"longest": None, "longest_at": None}
+    p = data.experiments.index(experiment)
+    return {"longest": json_number(run.raw_max_ns), "longest_at": p}
+
+
+def _opening_selection(
+    data: PageData, results: Results, recommendation: Recommendation
+) -> dict[str, Any]:
+    """Return the configurations, scenario and step that the report page opens with."""
+    report = results.suite.get("report", {})
+    named = [i for i, c in enumerate(data.configurations) if c.label == report.get("configuration")]
+    first, second = (
+        max(0, data.index(c)) if c else None for c in (recommendation.first, recommendation.second)
+    )
+    of_study, experiment = data.opening or (None, None)
+    return {
+        "first": named[0] if named else first or of_study or 0,
+        "second": second,
+        "best": {
+            v.configuration.solver: data.index(v.configuration)
+            for v in best_verdict_by_solver(data.verdicts)
+            if data.index(v.configuration) >= 0
+        },
+        "experiment": experiment,
+        "k": report.get("step"),
+    }
+
+
+def _describe_experiments(
+    data: PageData, words: Mapping[int, GlossaryEntry]
+) -> list[dict[str, Any]]:
+    """Describe each scenario, replay or study run by its first run, for the page's script."""
+    shows = {p: {"shows": word.meaning} for p, word in words.items()}
+    return [
+        _describe_experiment(data, experiment, data.first_runs.get(p)) | shows.get(p, {})
+        for p, experiment in enumerate(data.experiments)
+    ]
+
+
+def _describe_experiment(
+    data: PageData, experiment: Experiment, run: RunRecord | None
+) -> dict[str, Any]:
+    """Describe a scenario, replay or study run for the page's script: label, mode, reference."""
+    wording: dict[str, Any] = {
+        "label": experiment.label,
+        "mode": experiment.mode,
+        "trial": experiment.units == "si",
+    }
+    if experiment.study:
+        wording |= {
+            "study": experiment.study,
+            "point": experiment.point,
+            "sea": experiment.replicate,
+        }
+    if run is None:
+        return wording
+    if not experiment.study:
+        wording |= {"source": run.export_argument, "first": run.first_step}
+    scenario = data.scenario(run) if run.scenario else None
+    if scenario is not None:
+        wording["reference"] = [float(x) for x in scenario.reference]
+        wording["length_m"] = float(scenario.vessel.length_m)
+    return wording

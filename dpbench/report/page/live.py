@@ -1,0 +1,164 @@
+"""The sections that follow the selection, each registered once in `SECTIONS`."""
+
+from collections.abc import Mapping
+from math import inf
+from typing import Any
+
+import pandas as pd
+
+from dpbench.analysis.suites.study import SMALL_M
+from dpbench.analysis.times.solver_tables import (
+    experiment_table,
+    level_table,
+    pair_half_widths,
+    time_table,
+)
+from dpbench.bench.record.result_folder import Results
+from dpbench.report.charts.overview import draw_accuracy, draw_deadline_chart, draw_verdict_tiles
+from dpbench.report.charts.steps import COLUMNS as STEP_COLUMNS
+from dpbench.report.charts.steps import draw_step_pairs, draw_step_strips
+from dpbench.report.charts.study import draw_point_errors, draw_point_seas, draw_study_points
+from dpbench.report.page.data import PageData
+from dpbench.report.page.section import Section
+from dpbench.report.page.tables import runs_table, select_tiles
+
+Charts = dict[str, Any]
+
+
+def _draw_ladder(data: PageData) -> Charts:
+    """Draw the chart of all solvers' step times against the deadline; none if not timed."""
+    timed = time_table(data)
+    if timed.empty:
+        return {}
+    return {
+        "ladder": draw_deadline_chart(
+            timed, data.requirements.deadline_ms, data.requirements.p99_ms
+        )
+    }
+
+
+def _draw_matrix(data: PageData) -> Charts:
+    """Draw verdicts by solver and scenario, as charts for wide and for narrow screens."""
+    tiles = select_tiles(experiment_table(data)).replace(inf, "inf")  # JSON has no infinity
+    if tiles.empty:
+        return {}
+    return {
+        "matrix": draw_verdict_tiles(tiles),
+        "matrix_narrow": draw_verdict_tiles(tiles, stacked=True),
+    }
+
+
+MATRIX = (
+    "Each cell is the verdict of that scenario or replay alone. Fail: an answer beyond the "
+    "requirements, or none. Late: right, but too slow. Borderline: a time as near to its limit as "
+    "rounds differ. Inconclusive: not all of it was judged. A closed loop counts with the replay "
+    "of its hardest steps."
+)
+
+
+def _matrix_text(data: PageData) -> str:
+    """Explain the chart of verdicts by scenario in text, and how many scenarios it leaves out."""
+    tiles = experiment_table(data)
+    tables = tiles, select_tiles(tiles)
+    there, drawn = (table["experiment"].nunique() if len(table) else 0 for table in tables)
+    wording = [MATRIX]
+    if any(data.experiments[p].units == "si" for p in data.judged_experiments):
+        wording.append(f"In N and N·m is an extra, in no verdict{_si_failures_text(data, tiles)}.")
+    if there != drawn:
+        most = f"The {drawn} of {there} scenarios and replays with the fewest passes"
+        wording.append(f"{most}; all are in tables/experiments.csv.")
+    return " ".join(wording)
+
+
+def _si_failures_text(data: PageData, tiles: pd.DataFrame) -> str:
+    """State how many solvers fail on QPs in SI units (N and N·m) with default settings."""
+    unscaled = [str(p) for p in data.judged_experiments if data.experiments[p].units == "si"]
+    ran = tiles[tiles["experiment_id"].isin(unscaled) & tiles["verdict"].ne("not run")]
+    requested = ran[ran["settings"] == "default"]
+    failing = requested.loc[requested["verdict"] == "fail", "solver"].nunique()
+    return f"; {failing} of {requested['solver'].nunique()} solvers fail there: scale the QP" * (
+        failing > 0
+    )
+
+
+def _draw_strips(data: PageData) -> Charts:
+    """Draw the empty charts of one run's steps, which the page's script fills."""
+    if not data.runs:
+        return {}
+    forces = pd.DataFrame(columns=["k", "force", "share"])
+    no_steps = pd.DataFrame(columns=list(STEP_COLUMNS))
+    charts = {"strips": draw_step_strips(no_steps, forces, data.requirements.error_move)}
+    if _replayed_configurations(data):
+        charts["strips_replay"] = draw_step_strips(no_steps, None, data.requirements.error_move)
+    return charts
+
+
+def _draw_pairs(data: PageData) -> Charts:
+    """Draw the empty chart of two solvers' step times, which the page's script fills."""
+    has_pair = len(_replayed_configurations(data)) > 1
+    return {"pairs": draw_step_pairs("first", "second")} if has_pair else {}
+
+
+def _replayed_configurations(data: PageData) -> set[int]:
+    """Return the indices of the solver configurations that have a replay."""
+    return {c for c, p in data.runs if data.experiments[p].mode == "replay"}
+
+
+def _pack_half_widths(data: PageData, _: Results) -> dict[str, Any]:
+    """Pack, for each two configurations, the half-width of their log time ratio's interval."""
+    timed, widths = pair_half_widths(data)
+    return {"paired": {"c": timed, "reach": data.block.add_log(widths)}}
+
+
+def _draw_accuracy(data: PageData) -> Charts:
+    """Draw the chart of largest error over step time, a point per solver and settings."""
+    points = level_table(data)
+    return {} if points.empty else {"accuracy": draw_accuracy(points, data.requirements.error_move)}
+
+
+def _draw_study(data: PageData) -> Charts:
+    """Draw the empty charts of a study, which the page's script fills."""
+    if not (data.studies and data.runs):
+        return {}
+    return {
+        "design_tiles": draw_study_points(tiles=True),
+        "design_points": draw_study_points(tiles=False),
+        "behind": draw_point_errors(100 * SMALL_M),
+        "seas": draw_point_seas(),
+    }
+
+
+SECTIONS = (
+    Section("answer", "Answer", _draw_ladder, ("ladder",), always=True),
+    Section("matrix", "Scenarios", _draw_matrix, ("matrix",), text=_matrix_text),
+    Section("one", "One solver", _draw_strips, live=True),
+    Section("two", "Two solvers", _draw_pairs, data=_pack_half_widths, live=True),
+    Section("accuracy", "Accuracy", _draw_accuracy, ("accuracy",)),
+    Section(
+        "study",
+        "Study",
+        _draw_study,
+        data=lambda data, _: {"studies": data.study_documents},
+        live=True,
+        in_topic=True,
+    ),
+    Section(
+        "data", "Data", data=lambda data, all: {"table": runs_table(data, all.runs)}, always=True
+    ),
+)
+"""In the order of the page; topics precede the last one."""
+
+
+def draw_section_charts(data: PageData) -> dict[str, Charts]:
+    """Draw the charts that follow the reader's selection, by section of the page and name."""
+    return {section.id: section.charts(data) for section in SECTIONS}
+
+
+def select_static_charts(charts: Mapping[str, Mapping[str, Any]]) -> Charts:
+    """Select the charts that the page shows before any script has run, by name."""
+    return {
+        name: charts[section.id][name]
+        for section in SECTIONS
+        for name in section.drawn
+        if name in charts.get(section.id, {})
+    }

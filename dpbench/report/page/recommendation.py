@@ -1,0 +1,290 @@
+"""The recommendation: which configuration to use, why, where that is valid, and what to paste."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from math import isnan
+from typing import Any
+
+from dpbench.analysis.times.contrasts import find_faster_inconclusive, paired_comparison
+from dpbench.analysis.times.machine import shortest_wait_ns
+from dpbench.analysis.verdict.fastest import (
+    SolverChoice,
+    choose_solver,
+    fastest_configuration,
+    find_solver_record,
+)
+from dpbench.analysis.verdict.speed_margin import SlowStep, largest_stall_ns
+from dpbench.analysis.verdict.verdict import Verdict
+from dpbench.bench.record.configuration import Configuration
+from dpbench.errors import InputError, list_allowed
+from dpbench.report.formats import (
+    and_list,
+    error_text,
+    plural,
+    rounded_down,
+    strip_markdown,
+    time_text,
+)
+from dpbench.report.page.data import PageData
+from dpbench.report.verdict_text import (
+    NOBODY,
+    deployment_facts,
+    describe_findings,
+    explain_no_recommendation,
+    judged_runs_text,
+    paired_text,
+    requirements_text,
+    usual_time_text,
+)
+from dpbench.solvers.settings import has_setting, level_options
+
+MOST_CHIPS = 16
+"""More experiments are counted by state, and named only where they are at most `FEW`."""
+FEW = 5
+MOST_INCONCLUSIVE = 2
+"""Number of faster but inconclusive configurations with a note."""
+
+
+@dataclass(frozen=True)
+class Badge:
+    """Badge on the report page: verdict on the recommended solver in a scenario or replay."""
+
+    state_text: str
+    mark: str
+    name: str = ""
+    experiment: int | None = None
+
+    @property
+    def text(self) -> str:
+        """Text of the badge for output other than the page: scenario and verdict."""
+        return f"{self.name}: {self.state_text}" if self.name else self.state_text
+
+
+@dataclass(frozen=True, eq=False)
+class Recommendation:
+    """Headline of the report page: solver to use, notes, verdicts by scenario, code to paste."""
+
+    sentence: str
+    notes: tuple[tuple[str, str], ...]
+    chips: tuple[Badge, ...]
+    snippets: tuple[tuple[str, str], ...]
+    requirements: str
+    machine: str
+    first: Configuration | None
+    second: Configuration | None
+
+    @staticmethod
+    def why(verdict: Verdict) -> str:
+        """Explain why a configuration does not pass; "" where it passes."""
+        if verdict.refusal:
+            return verdict.refusal
+        if verdict.state == "pass":
+            return ""
+        return strip_markdown(describe_findings(verdict.causes or verdict.missing))
+
+
+def build_recommendation(
+    data: PageData, machine: Mapping[str, Any], baseline: str | None = None
+) -> Recommendation:
+    """Build the report's headline: solver to use, one to compare, notes and code to paste.
+
+    baseline : solver to compare with; by default a faster one, or the next.
+
+    Raises InputError for a baseline that was not run.
+    """
+    found = choose_solver(data.verdicts)
+    chosen = found.chosen
+    known = [v.configuration for v in data.verdicts.all if v.state != "not run"]
+    first = chosen.configuration if chosen else known[0] if known else None
+    other = found.faster or found.runner_up
+    second = other.configuration if other else next((c for c in known if c != first), None)
+    if baseline is not None:
+        own = [c for c in known if c.solver == baseline]
+        if not own:
+            solvers = list_allowed(baseline, list(dict.fromkeys(c.solver for c in known)))
+            raise InputError("--baseline", "", repr(baseline), f"a solver that was run, {solvers}")
+        fastest = fastest_configuration(data.verdicts, baseline)
+        second = fastest.configuration if fastest else own[0]
+    return Recommendation(
+        sentence=_recommendation_sentence(data, found),
+        notes=tuple(_make_notes(data, found)),
+        chips=tuple(_make_badges(data, first)),
+        snippets=tuple(_make_snippets(chosen.configuration)) if chosen else (),
+        requirements=requirements_text(data.requirements) if data.verdicts.of else "",
+        machine=f"Machine: {machine.get('cpu_model', 'not known')}, {machine.get('cores', '?')} "
+        f"cores, {machine.get('python', '')}. Times hold for it alone.",
+        first=first,
+        second=second,
+    )
+
+
+def _recommendation_sentence(data: PageData, found: SolverChoice) -> str:
+    """State the solver to use with its p99 and error, or why there is none."""
+    chosen = found.chosen
+    if chosen is None:
+        return _explain_no_choice(data, found)
+    c = chosen.configuration
+    heads = {"pass": "Use", "borderline": "Borderline:"}
+    head = heads.get(chosen.state, "Nothing contradicts")
+    lacks = "" if chosen.state == "pass" else f"; {Recommendation.why(chosen)}"
+    return (
+        f"{head} {c.solver} ({c.route}, {c.policy}, {c.settings}): right on every step of "
+        f"{judged_runs_text(chosen)}{_infeasible_steps_text(data, c)}, {usual_time_text(chosen)}, "
+        f"largest error of the first move {error_text(chosen.error_move)}{lacks}."
+    )
+
+
+def _infeasible_steps_text(data: PageData, c: Configuration) -> str:
+    """State how many QPs had no solution, and if the solver reported that; "" for none."""
+    steps, told = data.count_infeasible_steps(c)
+    wording = ", and it said so" if told else ""
+    return f" ({plural(steps, 'step')} had no solution{wording})" if steps else ""
+
+
+def _explain_no_choice(data: PageData, found: SolverChoice) -> str:
+    """Explain why no solver is recommended; "" if the results are not meant for a choice."""
+    records = data.records
+    if any(not run.is_baseline_law for run in records.runs):
+        return strip_markdown(explain_no_recommendation(records, data.verdicts, found))
+    topics = records.random or records.consequence or records.at_edge or records.study
+    other = topics or records.delayed or records.calibration
+    return "" if other else NOBODY
+
+
+def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
+    """Yield notes on the recommended solver, as speed margin, as keyword and text."""
+    chosen = found.chosen
+    if chosen is None:
+        return
+    yield "aboard", deployment_facts(chosen.configuration.solver)
+    if slower := speed_margin_text(data, chosen):
+        yield "slower", slower
+    shortest_ns = shortest_wait_ns(data.records.calibration)
+    if chosen.p50_ns < shortest_ns:
+        p50, shortest = time_text(chosen.p50_ns), time_text(shortest_ns)
+        yield "checked", f"Its p50, {p50}, lies below the shortest wait checked, {shortest}."
+    if found.faster is not None:
+        label = found.faster.configuration.label
+        yield "faster", f"{label} is faster, and is not the answer: {found.because}."
+    yield from _inconclusive_notes(data, found)
+    if found.runner_up is not None:
+        beside = paired_text(paired_comparison(data.records, chosen, found.runner_up))
+        label, time = found.runner_up.configuration.label, usual_time_text(found.runner_up)
+        yield "next", f"Next: {label}, {time}, {beside}."
+
+
+def _inconclusive_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
+    """Yield notes on faster configurations whose verdict is inconclusive."""
+    if found.chosen is None or found.chosen.state != "pass":
+        return
+    known = None if found.faster is None else found.faster.configuration.solver
+    others = [
+        verdict
+        for verdict in find_faster_inconclusive(data.records, data.verdicts, found.chosen)
+        if verdict.configuration.solver != known
+    ]
+    for verdict in others[:MOST_INCONCLUSIVE]:
+        why = Recommendation.why(verdict) if verdict.loops else "not run in closed loop"
+        yield (
+            "inconclusive",
+            f"{verdict.configuration.label} is faster on average, and inconclusive: {why}.",
+        )
+
+
+def speed_margin_text(data: PageData, chosen: Verdict) -> str:
+    """State how much slower a computer may be for a solver, and the steps that limit it."""
+    margin, requirements = data.margin(chosen.configuration), data.requirements
+    if margin is None:
+        return ""
+    parts = [
+        f"The computer may be up to × {rounded_down(margin.factor)} slower.",
+        f"The p99 reaches {requirements.p99_ms:g} ms at × {rounded_down(margin.p99_limit)}: it is "
+        f"{_slow_step_text(margin.p99)}.",
+        f"The hardest step takes the deadline of {requirements.deadline_ms:g} ms at × "
+        f"{rounded_down(margin.deadline)}: it is {_slow_step_text(margin.hardest)}.",
+    ]
+    longest, arms_ns = data.longest_timing(chosen.configuration), largest_stall_ns(data.records)
+    if longest is not None:
+        experiment, run = longest
+        arms = f", the largest stall of a calibration run {time_text(arms_ns)}" * (arms_ns > 0.0)
+        largest = f"{time_text(run.raw_max_ns)} in {experiment.label}{arms}"
+        parts.append(f"Stalls do not scale with the computer: the largest timing is {largest}.")
+    return " ".join(parts)
+
+
+def _slow_step_text(step: SlowStep) -> str:
+    """Describe a slow step: time, scenario, index, iterations, active limits."""
+    iterations = "" if isnan(step.iterations) else f"{plural(step.iterations, 'iteration')}, "
+    work = f"{iterations}{plural(step.n_active, 'active limit')}"
+    where = step.run.scenario or step.run.sequence
+    return f"{time_text(step.time_ns)} in {where}, k {step.k} ({work})"
+
+
+def _make_badges(data: PageData, first: Configuration | None) -> list[Badge]:
+    """Build the badges of a configuration: its verdict in each scenario and replay."""
+    if first is None:
+        return []
+    c = data.index(first)
+    experiments = data.judged_experiments
+    states = [data.state(c, p) for p in experiments]
+    counts = Counter(states)
+    counted = {s for s in counts if len(states) > MOST_CHIPS and counts[s] > FEW}
+    marks = {state: "none" if state == "not run" else state for state in states}
+    named = [
+        Badge(
+            f"{state}{_other_call_modes(data, first, p)}",
+            marks[state],
+            data.experiments[p].label,
+            p,
+        )
+        for p, state in zip(experiments, states, strict=True)
+        if state not in counted
+    ]
+    sums = [
+        Badge(f"{state} in {counts[state]} of {len(states)}", marks[state])
+        for state in counts
+        if state in counted
+    ]
+    return [*sums, *named]
+
+
+def _other_call_modes(data: PageData, chosen: Configuration, p: int) -> str:
+    """State a solver's verdicts when called otherwise, if not run in the chosen way; or ""."""
+    if (data.index(chosen), p) in data.runs:
+        return ""
+    modes: dict[str, list[str]] = {}
+    for c, other in enumerate(data.configurations):
+        if (other.solver, other.settings) == (chosen.solver, chosen.settings):
+            modes.setdefault(data.state(c, p), []).append(f"{other.route} {other.policy}")
+    others = [f"{and_list(names)} {state}" for state, names in modes.items() if state != "not run"]
+    return f" in this call mode ({'; '.join(others)})" if others else ""
+
+
+def python_call_text(c: Configuration) -> str:
+    """Return Python code to paste that opens a solver with its interface and settings."""
+    call = (
+        "import dpbench\n"
+        f'solver = dpbench.open_workspace("{c.solver}", route="{c.route}", policy="{c.policy}", '
+        f'settings="{c.settings}")'
+    )
+    if find_solver_record(c.solver) is None or not has_setting(c.solver, c.settings):
+        return call
+    options = level_options(c.settings, c.solver)
+    keys = ", ".join(f"{key}={value!r}" for key, value in options.items())
+    return f"{call}\n# that is, {keys or 'as the library has them'}"
+
+
+def _make_snippets(c: Configuration) -> Iterator[tuple[str, str]]:
+    """Yield code to paste that opens a solver, by language: Python, C if known."""
+    yield "Python", python_call_text(c)
+    options = level_options(c.settings, c.solver)
+    known = find_solver_record(c.solver)
+    names = known.project.c_settings if known else None
+    if names is None:
+        return
+    # C has no True.
+    numbers = {key: int(x) if isinstance(x, bool) else x for key, x in options.items()}
+    lines = [f"settings.{key} = {value!r};" for key, value in numbers.items()]
+    start = f"{names.struct} settings;\n{names.defaults}(&settings);"
+    yield "C", "\n".join([start, *lines])

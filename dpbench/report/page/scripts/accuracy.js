@@ -1,0 +1,20 @@
+// Accuracy against time.
+"use strict";
+
+// Whose point is the large one, as a phone has no room for every name.
+function pointed() {
+  const own = rowsDrawn("accuracy").values.find((row) => Number(row.id) === state.c);
+  return own ? `Largest point, the chosen one: ${label(state.c)}.` : `${label(state.c)} has no point here.`;
+}
+
+const drawPercentile = () => signal("accuracy", { percentile: $("percentile").value });
+
+SECTIONS.push({
+  id: "accuracy", after: ["c", "p"],
+  draw: async () => {
+    await mark("accuracy", { id: String(state.c) });
+    $("accuracy-chosen").textContent = pointed();
+  },
+  redraw: drawPercentile,
+  listen: () => on("percentile", "change", drawPercentile),
+});

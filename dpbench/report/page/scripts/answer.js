@@ -1,0 +1,52 @@
+// The answer: its figure of times, and the computer that is slower.
+"use strict";
+
+// Names, of many only where the computer is slower.
+const listed = (rows, say = (row) => row.solver) => (rows.length && (rows.length <= 6 || state.slow > 1)
+  ? `: ${rows.map(say).join(", ")}` : "");
+
+// The speed margin of the chosen configuration, and the solvers that stay within both limits on the
+// slower computer: of those that pass here, or that nothing contradicts where none does.
+function kept() {
+  const { deadline_ms, p99_ms } = facts.requirements, margin = C().margin[state.c];
+  const own = margin === null ? "" : `${C().solver[state.c]}: ${
+    margin < state.slow ? "late beyond" : "up to"} × ${roundedDown(margin)}. `;
+  const which = (...verdicts) => rowsDrawn("ladder").values.filter((row) => verdicts.includes(row.verdict));
+  const passing = which("pass"), right = passing.length ? passing : which("borderline", "inconclusive");
+  if (!right.length) return own;
+  const safe = right.filter((row) => state.slow <= 1 || row.margin >= state.slow).sort((a, b) => b.margin - a.margin);
+  return `${own}${safe.length} of the ${right.length} that ${passing.length ? "pass" : "nothing contradicts"
+  } here keep the deadline of ${deadline_ms} ms and a p99 of ${p99_ms} ms${
+    listed(safe, (row) => `${row.solver} (× ${roundedDown(row.margin)})`)}.`;
+}
+
+// Where the slider stops: 1, 2 and 5 of each decade.
+const notch = (i) => [1, 2, 5][i % 3] * 10 ** Math.floor(i / 3);
+
+async function drawSlow() {
+  $("slow-said").value = figure(state.slow);
+  $("slow").value = String(Math.round(3 * Math.log10(state.slow)));
+  $("slow").setAttribute("aria-valuetext", `× ${figure(state.slow)}`);
+  $("slow-kept").textContent = kept();
+  await signal("ladder", { slow: state.slow });
+}
+
+FIGURES.ladder = {
+  // On paper the ladder shares its sheet: names above its bars would take the matrix's place.
+  sized: (spec, width) => fitted(spec, width, width < NARROW && innerWidth < NARROW),
+  // A name at the axis stands for its row.
+  picked: (datum) => datum && pickedRow(datum.id !== undefined ? datum
+    : rowsDrawn("ladder").values.find((row) => row.label === datum.value) ?? datum),
+  grid: () => rowsDrawn("ladder").values.map((row, y) => ({ c: Number(row.id), x: 0, y })),
+};
+SECTIONS.push({
+  id: "figure-ladder", after: ["c", "p"],
+  draw: () => mark("ladder", { id: String(state.c) }),
+  listen: () => steerable("ladder"),
+}, {
+  id: "slow", after: ["slow", "c"], draw: drawSlow,
+  listen: () => {
+    on("slow", "input", (value) => select({ slow: notch(Number(value)) }));
+    on("slow-said", "change", (value) => select({ slow: atMost(value) }));
+  },
+});

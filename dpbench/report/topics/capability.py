@@ -1,0 +1,233 @@
+"""Thruster capability: wind held by direction, losses held over time, answers of solvers there."""
+
+from collections.abc import Iterator, Sequence
+from math import isnan
+
+import pandas as pd
+
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.capability import Answers, CapabilityResult, capability_plots
+from dpbench.analysis.suites.consequence import (
+    HELD,
+    LOST,
+    BatchAnswers,
+    ConsequenceAnalysis,
+    consequence_analyses,
+)
+from dpbench.bench.capability.frontier import INTACT
+from dpbench.report.charts.capability import (
+    ANSWERS,
+    NOTHING,
+    RIGHT_HELD,
+    RIGHT_NOT,
+    WRONG,
+    draw_answer_shares,
+    draw_capability_rose,
+    draw_loss_spans,
+    draw_sample_shares,
+)
+from dpbench.report.formats import and_list, counted_list, plural, sample_share_text, significant
+from dpbench.report.page.section import Figure, Topic
+from dpbench.report.table import Table
+
+
+def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | None:
+    """Build the report's part on largest winds held by thrusters; None without such results."""
+    plots = [p for p in capability_plots(records, table) if len(p.edges) or p.answers]
+    if not plots:
+        return None
+    return Topic(
+        id="capability",
+        title="Capability",
+        lines=tuple(
+            " ".join(
+                [*_least_wind_sentences(plot), *(_name_right_solvers(plot) if plot.answers else ())]
+            )
+            for plot in plots
+        ),
+        figures=tuple(figure for plot in plots for figure in _capability_figures(plot)),
+    )
+
+
+def _least_wind_sentences(plot: CapabilityResult) -> Iterator[str]:
+    """State the least wind a ship can hold over all directions, intact and after a failure."""
+    if plot.edges.empty:
+        return
+    intact = plot.edges[plot.edges["case"] == INTACT]
+    failed = plot.edges[plot.edges["case"] != INTACT]
+    wording = f"Intact, {plot.vessel} holds at least {_least_wind_text(intact)}"
+    if len(failed):
+        worst = failed.nsmallest(1, "wind_mps").iloc[0]
+        wording += f"; after the loss of {worst['case']} {_least_wind_text(failed)}"
+    yield f"{wording} (DNV-ST-0111, level 1; azimuths as polygons of {plot.sides} sides)."
+
+
+def _least_wind_text(edges: pd.DataFrame) -> str:
+    """Format the least wind held over all directions [m/s], and its direction."""
+    least = edges.nsmallest(1, "wind_mps").iloc[0]
+    return f"{significant(least['wind_mps'])} m/s, from {least['from_deg']:.0f}°"
+
+
+def _name_right_solvers(plot: CapabilityResult) -> Iterator[str]:
+    """Name the solvers right on all QPs at the largest winds held, and those with untrue claims."""
+    right = sorted(a.solver for a in plot.answers if a.is_all_right)
+    qps = f"all {plural(plot.qps, 'QP')} at that edge"
+    names = f": {and_list(right)}" if right else ""
+    verb = "answers" if len(right) == 1 else "answer"
+    yield f"{len(right)} of {plural(len(plot.answers), 'solver')} {verb} {qps} rightly{names}."
+    wrong = [a for a in plot.answers if a.wrong]
+    if wrong:
+        yield f"Untrue claims: {counted_list((a.solver, a.wrong) for a in wrong)}."
+    else:
+        yield "None makes an untrue claim."
+    silent = sum(1 for a in plot.answers if a.unanswered)
+    if silent:
+        leave = "leaves" if silent == 1 else "leave"
+        yield f"{silent} {leave} some without an answer, or did not get so far in time."
+
+
+def _capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
+    """Yield the charts of a capability plot: largest winds held, and solvers' answers there."""
+    if len(plot.edges):
+        hollow = bool((plot.edges["untrue"] > 0).any())
+        note = "; hollow where a solver made an untrue claim" if hollow else ""
+        yield Figure(
+            f"capability-{plot.vessel}",
+            draw_capability_rose(plot.edges, f"{plot.vessel}: largest wind held"),
+            "Each mark is an edge, with QPs before and beyond it that the referee judges"
+            + note
+            + ".",
+        )
+    if plot.answers:
+        rows = [row for a in plot.answers for row in _answer_shares(a)]
+        yield Figure(
+            f"capability-answers-{plot.vessel}",
+            draw_answer_shares(pd.DataFrame(rows, columns=list(ANSWERS)), "Answers at the edge"),
+            f"{plural(plot.qps, 'QP')}: the rows of the standard's table around each edge, and a "
+            "thousandth of the wind before and beyond it.",
+        )
+
+
+def _answer_shares(a: Answers) -> Iterator[tuple[str, str, float, int]]:
+    """Yield a solver's share [%] and number of right, wrong and missing answers."""
+    counts = {RIGHT_HELD: a.balanced, RIGHT_NOT: a.refused, NOTHING: a.unanswered, WRONG: a.wrong}
+    for answer, count in counts.items():
+        yield a.solver, answer, 100.0 * count / a.asked, count
+
+
+MOST_ROWS = 8
+"""A longer table is only a file: the figures show the right solvers."""
+
+
+def consequence_topic(records: Records) -> Topic | None:
+    """Build the report's part on whether thruster losses can be held; None without results."""
+    analyses = consequence_analyses(records)
+    if not analyses:
+        return None
+    tables = [(list(_solver_rows(analysis)), analysis.name) for analysis in analyses]
+    long = max(len(rows) for rows, _ in tables) > MOST_ROWS
+    return Topic(
+        id="consequence",
+        title="Consequence analysis",
+        lines=(
+            *(
+                f"{_losses_held_sentence(analysis)} {_name_right_configurations(analysis)}"
+                for analysis in analyses
+            ),
+            "Where a loss cannot be held, work during which the ship must not leave its place has "
+            "to be ended safely. Ask no solver that misses such an alarm, or has no answer then."
+            + (" The counts of every solver: tables/consequence*.csv." if long else ""),
+        ),
+        figures=tuple(figure for analysis in analyses for figure in _consequence_figures(analysis)),
+        tables=tuple(Table.of(rows, name, shown=0 if long else None) for rows, name in tables),
+    )
+
+
+def _consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
+    """Yield the charts of a consequence analysis: losses that can be held, solve times."""
+    yield Figure(
+        f"consequence-{_analysis_file_name(analysis)}",
+        draw_loss_spans(analysis.spans, f"Losses held, {analysis.name}"),
+        "Proven for the mean force of each sample: an optimum, or that there is none.",
+    )
+    timed = [answers for answers in analysis.best.values() if not isnan(answers.largest)]
+    marks = [
+        {"name": a.name, "percent": 100.0 * a.largest, "right": a.is_all_right}
+        for a in sorted(timed, key=lambda a: a.largest)
+    ]
+    if marks:
+        yield Figure(
+            f"consequence-time-{_analysis_file_name(analysis)}",
+            draw_sample_shares(pd.DataFrame(marks), f"What it takes, {analysis.name}"),
+            "The best configuration of each solver; the QPs of all groups at one sample.",
+        )
+
+
+def _analysis_file_name(analysis: ConsequenceAnalysis) -> str:
+    """Return the name of a consequence analysis in a form fit for a file name."""
+    return analysis.name.rstrip("]").replace("[", "-").replace(":", "-")
+
+
+def _losses_held_sentence(analysis: ConsequenceAnalysis) -> str:
+    """State after which thruster losses the ship can hold position, and when."""
+    wording: dict[str, list[str]] = {}
+    for group, of_group in analysis.spans.groupby("group", sort=False):
+        wording.setdefault(_time_held_text(of_group), []).append(str(group))
+    parts = [f"the loss of {' or of '.join(of)} can be held {when}" for when, of in wording.items()]
+    return f"In {analysis.name} {'; '.join(parts)}."
+
+
+def _time_held_text(of_group: pd.DataFrame) -> str:
+    """Describe when a thruster loss can be held: throughout, until a time, or never."""
+    states, change_s = of_group["state"].tolist(), of_group["from_s"].iloc[-1]
+    if states == [HELD]:
+        return "throughout"
+    if HELD not in states:
+        return "at no time"
+    if states == [HELD, LOST]:
+        return f"until {change_s:.0f} s and not after"
+    if states == [LOST, HELD]:
+        return f"from {change_s:.0f} s on"
+    long_s = of_group["to_s"] - of_group["from_s"]
+    share = long_s[of_group["state"] == HELD].sum() / long_s.sum()
+    return f"in {100.0 * share:.0f} % of the time"
+
+
+def _name_right_configurations(analysis: ConsequenceAnalysis) -> str:
+    """Name the solver configurations right on all QPs, the fastest one, and any missed alarms."""
+    answers = analysis.answers
+    right = [a for a in answers if a.is_all_right]
+    head = f"{len(right)} of {plural(len(answers), 'configuration')} answer all QPs rightly"
+    timed = [a for a in right if not isnan(a.largest)]
+    if timed:
+        best = min(timed, key=lambda a: a.largest)
+        share, batch = sample_share_text(best.largest), plural(len(analysis.groups), "QP")
+        head += f", the fastest {best.name} with at most {share} of the sample for its {batch}"
+    silent = sum(1 for a in answers if a.unanswered)
+    leave = "leaves" if silent == 1 else "leave"
+    unanswered = f"; {silent} {leave} some without an answer" if silent else ""
+    missed = counted_list((a.name, a.missed) for a in answers if a.missed)
+    alarms = f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"
+    return f"{head}; {alarms}{unanswered}."
+
+
+def _solver_rows(analysis: ConsequenceAnalysis) -> Iterator[dict[str, str]]:
+    """Yield a consequence analysis's table row for each solver's best configuration."""
+    for solver, best in analysis.best.items():
+        right = [answers.is_all_right for answers in analysis.answers if answers.solver == solver]
+        yield consequence_row(best, right)
+
+
+def consequence_row(best: BatchAnswers, right: Sequence[bool]) -> dict[str, str]:
+    """Convert a configuration's answers on thruster losses to a table row."""
+    return {
+        "configuration": best.name,
+        "p99 share": sample_share_text(best.p99),
+        "largest share": sample_share_text(best.largest),
+        "held": f"{best.held} of {best.feasible}",
+        "not held": f"{best.refused} of {best.infeasible}",
+        "missed alarms": str(best.missed),
+        "other untrue claims": str(best.untrue - best.missed),
+        "no answer": str(best.unanswered),
+        "configurations all right": f"{sum(right)} of {len(right)}",
+    }

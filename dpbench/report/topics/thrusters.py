@@ -1,0 +1,236 @@
+"""Commanded thrusters: power and wear by solver, and the conclusion for an operator.
+
+Against the best loop in the same scenario: of those that are right on every step and ran as far,
+the one nearest to the exactly solved loop. What differs from it is due to the solver.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from math import isfinite
+
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.analysis.suites.consequence import (
+    HELD,
+    ConsequenceAnalysis,
+    answers_in_all,
+    consequence_analyses,
+    largest_share,
+)
+from dpbench.analysis.verdict.fastest import choose_solver
+from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
+from dpbench.analysis.verdict.thruster_verdicts import (
+    ThrusterVerdicts,
+    compare_thrusters_with_forces,
+    is_about_thrusters,
+    largest_ratio,
+    late_losses,
+    thruster_control_loops,
+)
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts
+from dpbench.report.formats import (
+    MISSING,
+    and_list,
+    plural,
+    rounded_up,
+    sample_share_text,
+    significant,
+)
+from dpbench.report.page.section import Topic
+from dpbench.report.table import Table
+
+MOST_ROWS = 8
+"""Rows on the page, the most often right first; the file has all."""
+LIKE = 0.01
+"""Relative difference of power or wear that counts as equal."""
+
+
+def thrusters_topic(records: Records, requirements: Requirements) -> Topic | None:
+    """Build the report's part on thruster power and wear by solver; None without such runs."""
+    found = thruster_control_loops(records, requirements)
+    if not found.best:
+        return None
+    best, configurations = found.best, found.configurations
+    lead = _thruster_load_sentence(best, configurations, requirements)
+    if not is_about_thrusters(records):
+        # Where thrusters are one scenario among others, what they cost is not what is asked.
+        return Topic("thrusters", "Thrusters", (lead,))
+    rows = [wear_row(name, of_it, best, requirements) for name, of_it in configurations.items()]
+    rows.sort(key=lambda row: (-int(row["right in"].split(" ")[0]), row["configuration"]))
+    by_solver = {row["configuration"].split(" (")[0]: row for row in reversed(rows)}
+    kept = list(by_solver.values())[::-1]
+    note = (
+        "Power is Σ|f|^1.5 over all thrusters and wear Σ|Δf|/T, as a ratio to the right loop that "
+        "is nearest to the exactly solved one; the largest of the scenarios that ran to their end. "
+        "One configuration a solver, the one that is right most often."
+    )
+    if len(kept) > MOST_ROWS:
+        note += " All of them: tables/thrusters.csv."
+    table = Table.of(kept, shown=MOST_ROWS)
+    return Topic("thrusters", "Thrusters", (lead, note), (), (table,))
+
+
+def _thruster_load_sentence(
+    best: dict[str, RunRecord],
+    configurations: dict[str, list[RunRecord]],
+    requirements: Requirements,
+) -> str:
+    """State how long a thruster is at its limit, and how many solvers are right there."""
+    hardest = max(best.values(), key=lambda run: run.at_limit_thrusters)
+    whole = sum(
+        {run.scenario for run in runs if is_right_to_the_end(run, requirements)} == set(best)
+        for runs in configurations.values()
+    )
+    return (
+        f"In {hardest.scenario} a thruster is at its limit in "
+        f"{100.0 * hardest.at_limit_thrusters:.0f} % of the "
+        f"{plural(hardest.steps_done, 'step')} run; {whole} of "
+        f"{plural(len(configurations), 'configuration')} {'is' if whole == 1 else 'are'} right on "
+        f"every step of {and_list(sorted(best))}."
+    )
+
+
+def wear_row(
+    name: str, runs: Sequence[RunRecord], best: dict[str, RunRecord], requirements: Requirements
+) -> dict[str, str]:
+    """Convert a solver's closed loops to a table row: loops right, power, wear, largest offset."""
+    ended = [run for run in runs if run.steps_done == best[run.scenario].steps_done]
+    right = sum(is_right_to_the_end(run, requirements) for run in runs)
+    off = [run.dev_position_max_m for run in ended if math.isfinite(run.dev_position_max_m)]
+    return {
+        "configuration": name,
+        "right in": f"{right} of {len(best)}",
+        "power": _ratio_text(ended, best, "power_share"),
+        "wear": _ratio_text(ended, best, "thrust_variation"),
+        "azimuth travel": _ratio_text(ended, best, "azimuth_travel_deg"),
+        "farthest off": f"{significant(max(off))} m" if off else MISSING,
+    }
+
+
+def _ratio_text(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str) -> str:
+    """Format the largest ratio of a loop's metric, as wear, to that of the best loop."""
+    largest = largest_ratio(runs, best, column)
+    if math.isnan(largest):
+        return MISSING
+    return "alike" if abs(largest - 1.0) < LIKE else f"× {significant(largest)}"
+
+
+def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
+    """Build the report's conclusions for an operator; None unless most loops command thrusters."""
+    if not is_about_thrusters(records):
+        return None
+    requirements, chosen = verdicts.requirements, choose_solver(verdicts).chosen
+    commanded = compare_thrusters_with_forces(records, requirements)
+    if not commanded.with_thrusters:
+        return None
+    first = [_solver_to_use_sentence(chosen, requirements), _compare_with_forces(commanded)]
+    second = [
+        *_offset_after_loss_sentences(records, chosen, requirements),
+        *_consequence_sentences(records, chosen),
+    ]
+    lines = [" ".join(part for part in parts if part) for parts in (first, second)]
+    return Topic("conclusion", "What to conclude", tuple(line for line in lines if line))
+
+
+def _solver_to_use_sentence(chosen: Verdict | None, requirements: Requirements) -> str:
+    """State which solver to use if the MPC commands thrusters, and its share of the deadline."""
+    if chosen is None:
+        return "No solver can be recommended for a controller that steers thrusters."
+    share = sample_share_text(chosen.algo_max_ns / requirements.deadline_ns)
+    if chosen.state != "pass":
+        label = chosen.configuration.label
+        return f"Nothing contradicts {label}; its largest step takes {share} of the sample."
+    c = chosen.configuration
+    label = f"{c.solver} ({c.route}, {c.policy}, {c.settings})"
+    return f"To steer thrusters take {label}: its largest step takes {share} of the sample."
+
+
+def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
+    """State which solvers pass if the MPC commands three forces, but not with thrusters."""
+    before = commanded.passing_with_forces
+    if not before:
+        fine, run = len(commanded.passing), len(commanded.with_thrusters)
+        wording = [f"{fine} of {plural(run, 'solver')} {'passes' if fine == 1 else 'pass'}"]
+        wording = wording if fine else ["no solver that was run is known to pass"]
+        missing, unknown = commanded.failing, commanded.undecided
+        wording += [f"not so: {_group_by_fault(commanded, missing)}"] if missing else []
+        wording += [f"inconclusive: {and_list(unknown)}"] if unknown else []
+        return f"{wording[0].capitalize()}{'; '.join(['', *wording[1:]])}."
+    lost, where = commanded.passing_with_forces_only, and_list(list(commanded.forces))
+    verb = "passes" if len(before) == 1 else "pass"
+    head = f"Of {plural(len(before), 'solver')} that {verb} with three forces ({where})"
+    if not lost:
+        return f"{head}, none fails with thrusters."
+    fail = "fails" if len(lost) == 1 else "fail"
+    return f"{head}, {len(lost)} {fail} with thrusters: {_group_by_fault(commanded, lost)}."
+
+
+def _group_by_fault(commanded: ThrusterVerdicts, solvers: Sequence[str]) -> str:
+    """List solvers that fail by fault, as late or wrong answers."""
+    of_fault = group_by(solvers, lambda solver: commanded.faults[solver])
+    return "; ".join(f"{and_list(names)}, {fault}" for fault, names in of_fault.items())
+
+
+def _offset_after_loss_sentences(
+    records: Records, chosen: Verdict | None, requirements: Requirements
+) -> Iterator[str]:
+    """State how far from its reference the ship stays after thrusters are lost."""
+    if chosen is None:
+        return
+    for run in records.select(mode="closed_loop", units="scaled"):
+        lost, own = (
+            late_losses(run),
+            run.configuration.in_common_formulation == chosen.configuration,
+        )
+        if own and lost and isfinite(run.r_tail_max_m) and is_right_to_the_end(run, requirements):
+            yield (
+                f"After the loss of {and_list(lost)} ({run.scenario}) the ship it steers stays "
+                f"within {rounded_up(run.r_tail_max_m, 2)} m."
+            )
+
+
+def _consequence_sentences(records: Records, chosen: Verdict | None) -> Iterator[str]:
+    """State which further thruster losses could be held, and which solvers report so rightly."""
+    analyses = consequence_analyses(records)
+    if not analyses:
+        return
+    yield f"{', '.join(map(_losses_at_end_text, analyses)).capitalize()}."
+    own = answers_in_all(analyses)
+    right = [name for name, of_it in own.items() if all(a.is_all_right for a in of_it)]
+    shares = {name: largest_share(own[name]) for name in right}
+    timed = {name: share for name, share in shares.items() if isfinite(share)}
+    wording = ["nobody answers all of that rightly"]
+    if timed:
+        best = min(timed, key=lambda name: timed[name])
+        share = sample_share_text(timed[best])
+        wording = [f"to know so at every sample takes {best} at most {share} of a sample"]
+    label = "" if chosen is None else _batch_name(chosen, own)
+    if label and label not in right:
+        wrong = sum(a.asked - a.held - a.refused for a in own[label])
+        requested = plural(sum(a.asked for a in own[label]), "QP")
+        wording.append(f"{label} leaves {wrong} of {requested} without a right answer")
+    missing = sorted({a.solver for of_it in own.values() for a in of_it if a.missed})
+    wording += [f"alarms are missed by {and_list(missing)}"] if missing else []
+    yield f"{wording[0][0].upper()}{'; '.join(wording)[1:]}."
+
+
+def _batch_name(chosen: Verdict, names: Iterable[str]) -> str:
+    """Return the one of some names that means a configuration; "" where none does."""
+    c = chosen.configuration
+    level = "" if c.settings == "default" else f", {c.settings}"
+    known = (
+        f"{c.solver} ({c.route}, {c.policy}{level})",
+        f"{c.solver} ({c.route}{level})",
+        c.solver,
+    )
+    return next((name for name in known if name in names), "")
+
+
+def _losses_at_end_text(analysis: ConsequenceAnalysis) -> str:
+    """State how many thruster losses could be held at the end of a consequence analysis."""
+    last = analysis.spans.groupby("group", sort=False).last()
+    held = int((last["state"] == HELD).sum())
+    count = {0: "none", len(last): "all"}.get(held, str(held))
+    where, losses = analysis.name.split("[")[0], "losses" if len(last) > 1 else "loss"
+    at_s = f"{last['to_s'].max():.0f} s"
+    return f"at {at_s} of {where} {count} of {len(last)} {losses} could be held"

@@ -1,0 +1,1 @@
+"""The controllers a scenario may have, one class each."""

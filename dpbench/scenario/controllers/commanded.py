@@ -1,0 +1,73 @@
+"""The thrusters that a controller commands: their limits, their weight, their turning rates."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dpbench.arrays import Flags, Matrix, Vector
+from dpbench.errors import InputError
+from dpbench.mpc.move_limits import MoveLimit, ThrusterLimit
+from dpbench.mpc.thruster_rows import ThrusterRows, thruster_rows
+from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning, TurningLimit
+from dpbench.scenario.controllers.specification import ControllerSpec
+from dpbench.ship.thrusters import ThrusterSet
+
+
+@dataclass(frozen=True, eq=False)
+class ThrusterControl:
+    """Thrusters that a controller commands, with their limits and their force weight W."""
+
+    thrusters: ThrusterSet
+    rows: ThrusterRows
+    W: Matrix
+
+    def move_limit(self, df_max: Vector) -> MoveLimit:
+        """Return the limiter of force changes, with the rate limits df_max (n_f,) [N]."""
+        return ThrusterLimit(self.rows, df_max)
+
+    def exceeds_rate(self, f: Matrix, before: Matrix, df_max: Vector) -> Flags:
+        """Return for K samples whether thruster forces change faster than their limits: (K,)."""
+        too_fast: Flags = np.any(np.abs(f - before) > df_max * (1.0 + 1e-12), axis=1)
+        return too_fast
+
+
+@dataclass(frozen=True, eq=False)
+class TurningThrusterControl(ThrusterControl):
+    """Commanded thrusters whose azimuths have a limited turning rate."""
+
+    turning: AzimuthTurning
+
+    def move_limit(self, df_max: Vector) -> MoveLimit:
+        """Return the limiter of force changes, for thrust rate and turning rate of azimuths."""
+        return TurningLimit(self.rows, df_max, self.turning)
+
+    def exceeds_rate(self, f: Matrix, before: Matrix, df_max: Vector) -> Flags:
+        """Return for K samples whether forces exceed the limits of thrust or turning rate: (K,)."""
+        too_fast = super().exceeds_rate(f, before, df_max)
+        for k in np.flatnonzero(~too_fast).tolist():
+            change = f[k] - before[k]
+            away = np.abs(self.turning.limit_move(before[k], change, df_max) - change)
+            too_fast[k] = bool((away > 1e-6 * df_max).any())
+        return too_fast
+
+
+def build_thruster_control(spec: ControllerSpec) -> ThrusterControl:
+    """Build the commanded thrusters of a scenario's controller, with their limits and weights.
+
+    Raises InputError for a vessel without thrusters, and where azimuth_turning does not apply.
+    """
+    table, where = spec.thruster_table, spec.where
+    thrusters = spec.require_thrusters("kind", spec.table.kind, "forces")
+    W = np.diag(table.thrust_weight_relative / thrusters.per_entry(thrusters.thrust_N) ** 2)
+    rows = thruster_rows(thrusters, table.polygon_sides)
+    if not table.azimuth_turning:
+        return ThrusterControl(thrusters, rows, W)
+    key = "controller.thrusters.azimuth_turning"
+    if spec.table.linearisation == "each_step":
+        allowed = 'false where controller.linearisation is "each_step"'
+        raise InputError(where, key, "true", allowed)
+    turning = AzimuthTurning.of(thrusters, spec.sample_s)
+    if not len(turning.x):
+        allowed = f"false, or turning_degps of an azimuth in the file of vessel {spec.vessel.id}"
+        raise InputError(where, key, "true", allowed)
+    return TurningThrusterControl(thrusters, rows, W, turning)

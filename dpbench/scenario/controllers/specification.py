@@ -1,0 +1,179 @@
+"""Tables and ship that a controller is made from, and what all controllers take from them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import TypedDict
+
+import numpy as np
+
+from dpbench.arrays import Matrix, Vector
+from dpbench.errors import InputError
+from dpbench.mpc.condense import ControlProblem
+from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
+from dpbench.mpc.model import StateSpace, build_prediction_model
+from dpbench.mpc.outputs import OutputBounds
+from dpbench.mpc.relinearised import RelinearisedQP
+from dpbench.mpc.thruster_rows import Limits, ThrusterRows
+from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning, TurningQP
+from dpbench.scenario.tables.scenario_file import (
+    ControllerTable,
+    FaultTable,
+    ScenarioFile,
+    ThrusterControlTable,
+)
+from dpbench.ship.froude import Froude
+from dpbench.ship.thrusters import ThrusterSet
+from dpbench.ship.vessel import Vessel
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Factory of condensed QPs for one way of linearising the ship's model.
+
+    condense : makes the builder of a problem, with the arguments of `CondensedQP`.
+    """
+
+    condense: Callable[..., CondensedQP]
+    why_no_sparse_form: str = ""
+
+
+FIXED_MODEL = Linearisation(CondensedQP)
+"""One model for the whole run."""
+
+
+def relinearised_model(psi0_rad: float) -> Linearisation:
+    """Return the factory of QPs that are re-linearised at each measured heading."""
+    why = "sparse: the model is linearised anew at each step, and its stages with it"
+    return Linearisation(partial(RelinearisedQP, psi0_rad=psi0_rad), why)
+
+
+def turning_rows(turning: AzimuthTurning) -> Linearisation:
+    """Return the maker of MPC QPs with constraints on how fast azimuth thrusters turn."""
+    why = "sparse: the directions of azimuths are other ones at each step, and so are rows"
+    return Linearisation(partial(TurningQP, turning=turning), why)
+
+
+class Planning(TypedDict):
+    """Planning settings of a controller: tuning, linearisation, limit policy, output bounds."""
+
+    tuning: str
+    psi0_rad: float
+    linearisation: Linearisation
+    amplitude: Amplitude
+    outputs: OutputBounds | None
+
+
+@dataclass(frozen=True, eq=False)
+class ControllerSpec:
+    """Scenario file, ship and scaling from which a controller is built."""
+
+    file: ScenarioFile
+    vessel: Vessel
+    sample_s: float
+    scale: Froude
+    where: str
+
+    @property
+    def table(self) -> ControllerTable:
+        """Controller settings of the scenario file."""
+        return self.file.controller
+
+    @property
+    def thruster_table(self) -> ThrusterControlTable:
+        """Settings of the commanded thrusters in the scenario file."""
+        assert self.table.thrusters is not None, "the table demands it"
+        return self.table.thrusters
+
+    @property
+    def planning(self) -> Planning:
+        """Controller settings for planning: tuning, linearisation, limit policy, output bounds."""
+        table, psi0_rad = self.table, self._psi0_rad
+        each_step = table.linearisation == "each_step"
+        return {
+            "tuning": table.tuning,
+            "psi0_rad": psi0_rad,
+            "linearisation": relinearised_model(psi0_rad) if each_step else FIXED_MODEL,
+            "amplitude": table.amplitude,
+            "outputs": self._output_bounds,
+        }
+
+    def build_problem(
+        self,
+        limits: Limits,
+        du_max: Vector,
+        R: Matrix,
+        *,
+        rows: ThrusterRows | None = None,
+        T_e: Matrix | None = None,
+        W: Matrix | None = None,
+    ) -> ControlProblem:
+        """Return the MPC problem with given limits and increment weights R, in SI units."""
+        ship, table, psi0_rad = self.vessel, self.table, self._psi0_rad
+        model = build_prediction_model(ship.M, ship.D, psi0_rad, self.sample_s)
+        if T_e is not None:
+            model = StateSpace(model.A, model.B @ T_e, model.C)
+        horizons = table.prediction_horizon, table.control_horizon
+        Q = np.diag(np.array(table.output_weight) / self.scale.pose**2)
+        sides = limits.low, limits.high, du_max
+        return ControlProblem(model, *horizons, Q, R, *sides, table.terminal, rows, W)
+
+    @property
+    def _psi0_rad(self) -> float:
+        """Heading [rad] at which the controller's model is linearised."""
+        return float(np.radians(self.table.model_heading_deg))
+
+    @property
+    def _output_bounds(self) -> OutputBounds | None:
+        """Bounds on predicted position and speed, in SI units; None without any."""
+        table = self.table.outputs
+        if table is None:
+            return None
+        return OutputBounds(
+            self.sample_s,
+            None if table.radius_m is None else table.radius_m * self.scale.length,
+            None if table.speed_mps is None else table.speed_mps * self.scale.time,
+        )
+
+    def require_thrusters(self, key: str, value: str, otherwise: str) -> ThrusterSet:
+        """Return the vessel's thrusters; InputError if a key needs them and there are none."""
+        if self.vessel.thrusters is None:
+            allowed = f'"{otherwise}", or thrusters in the file of vessel {self.vessel.id}'
+            raise InputError(self.where, f"controller.{key}", f'"{value}"', allowed)
+        return self.vessel.thrusters
+
+    def check_faults(self, *, lost: bool, limit_share: bool) -> None:
+        """Raise InputError for a kind of fault that the controller cannot have."""
+        for i, (_, fault) in enumerate(self._sorted_faults):
+            if not (lost if fault.lost is not None else limit_share):
+                found = "lost" if fault.lost is not None else "limit_share"
+                allowed = (
+                    "lost where thrusters limit the force or are commanded, limit_share where each "
+                    "axis of the force has a limit of its own"
+                )
+                raise InputError(self.where, f"faults.{i}", found, allowed)
+
+    @property
+    def limit_shares(self) -> list[tuple[int, Vector]]:
+        """Sample and remaining share (3,) of the force limits, for each fault that reduces them."""
+        shares = [(k, fault.limit_share) for k, fault in self._sorted_faults]
+        return [(k, np.array(share)) for k, share in shares if share is not None]
+
+    @property
+    def losses(self) -> list[tuple[int, set[int]]]:
+        """Sample and indices of all thrusters lost so far, for each fault that loses thrusters."""
+        losses: list[tuple[int, set[int]]] = []
+        lost: set[int] = set()
+        for i, (k, fault) in enumerate(self._sorted_faults):
+            if fault.lost is not None:
+                assert self.vessel.thrusters is not None, "known by now"
+                key = f"faults.{i}.lost"
+                lost = lost | self.vessel.thrusters.find_indices(fault.lost, self.where, key)
+                losses.append((k, lost))
+        return losses
+
+    @property
+    def _sorted_faults(self) -> list[tuple[int, FaultTable]]:
+        """Sample and settings of each fault, in order of time."""
+        in_time = sorted(self.file.faults, key=lambda fault: fault.at_s)
+        return [(round(fault.at_s / self.file.sample_s), fault) for fault in in_time]

@@ -1,0 +1,141 @@
+"""Controllers that command thrusters: by a plan of their forces, or by a cascade.
+
+A cascade plans the force, which a second QP or the pseudo-inverse allocates to the thrusters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from dpbench.arrays import Matrix
+from dpbench.mpc.condense import UnitSystem
+from dpbench.mpc.move_limits import MoveLimit
+from dpbench.mpc.thruster_rows import Limits
+from dpbench.mpc.thrusters.allocation_qp import AllocationProblem, AllocationQP
+from dpbench.scenario.controllers.commanded import (
+    ThrusterControl,
+    TurningThrusterControl,
+    build_thruster_control,
+)
+from dpbench.scenario.controllers.controller import (
+    Changes,
+    Controller,
+    MetricGroup,
+    limits_at_samples,
+)
+from dpbench.scenario.controllers.forces import ForceController, build_force_plan
+from dpbench.scenario.controllers.specification import ControllerSpec, turning_rows
+
+
+@dataclass(frozen=True, eq=False)
+class ThrusterController(Controller):
+    """Controller that commands the forces (n_f,) of the ship's thrusters directly."""
+
+    control: ThrusterControl
+
+    metric_groups: ClassVar[tuple[MetricGroup, ...]] = ("thrusters",)
+    commands: ClassVar[str] = ", thrusters"
+
+    @classmethod
+    def of(cls, spec: ControllerSpec) -> ThrusterController:
+        """Build the thruster controller of a scenario; InputError without fitting thrusters."""
+        control, planning = build_thruster_control(spec), spec.planning
+        spec.check_faults(lost=True, limit_share=False)
+        if isinstance(control, TurningThrusterControl):
+            planning["linearisation"] = turning_rows(control.turning)
+        thrusters, rows = control.thrusters, control.rows
+        df_max = thrusters.step_max(spec.sample_s)
+        R = np.diag(spec.thruster_table.move_weight_relative / df_max**2)
+        T_e = thrusters.T_e
+        problem = spec.build_problem(rows.intact, df_max, R, rows=rows, T_e=T_e, W=control.W)
+        changes = tuple((k, rows.limits_after_loss(lost)) for k, lost in spec.losses)
+        return cls(problem=problem, changes=changes, control=control, **planning)
+
+    @property
+    def commanded(self) -> ThrusterControl:
+        """Commanded thrusters, whose forces the MPC plans."""
+        return self.control
+
+    def move_limit(self) -> MoveLimit:
+        """Return the limiter of thruster force changes, for thrust and turning rates."""
+        return self.control.move_limit(self.problem.du_max)
+
+    def thruster_limits(self, samples: int) -> list[Limits]:
+        """Return the limits of the thrusters at each sample, faults included."""
+        return self.limits(samples)
+
+    def force(self, u: Matrix) -> Matrix:
+        """Return the force on the ship (..., 3) of thruster forces u (..., n_f)."""
+        force: Matrix = u @ self.control.thrusters.T_e.T
+        return force
+
+    def select_applied(self, tau: Matrix, thrust: Matrix) -> Matrix:
+        """Return the thruster forces (K, n_f), which are the commands."""
+        return thrust
+
+
+@dataclass(frozen=True, eq=False)
+class CascadeController(ForceController):
+    """Controller that plans a force (3,) and then allocates it to thrusters at each sample.
+
+    by_qp : whether a QP allocates, or the pseudo-inverse.
+    losses : changes of the limits of the thrusters, by faults.
+    """
+
+    control: ThrusterControl
+    allocation: AllocationProblem
+    by_qp: bool
+    losses: Changes
+
+    metric_groups: ClassVar[tuple[MetricGroup, ...]] = ("thrusters", "delivery")
+    allocates: ClassVar[bool] = True
+    commands: ClassVar[str] = ", cascade"
+    why_no_delay: ClassVar[str] = "slowdown: not of a cascade, whose QPs are two"
+
+    @classmethod
+    def of(cls, spec: ControllerSpec) -> CascadeController:
+        """Build a force controller with thrust allocation; InputError without thrusters."""
+        control, table = build_thruster_control(spec), spec.thruster_table
+        spec.check_faults(lost=True, limit_share=spec.table.limits == "box")
+        problem, changes = build_force_plan(spec)
+        thrusters, rows = control.thrusters, control.rows
+        df_max, step_max = thrusters.step_max(spec.sample_s), problem.du_max
+        assert table.slack_weight_relative is not None, "the table demands it"
+        R = np.diag(table.move_weight_relative / df_max**2)
+        slack = np.diag(table.slack_weight_relative / step_max**2)
+        return cls(
+            problem=problem,
+            changes=changes,
+            control=control,
+            allocation=AllocationProblem(
+                thrusters.T_e, rows, control.W, R, slack, df_max, step_max
+            ),
+            by_qp=table.allocation != "pseudo_inverse",
+            losses=tuple((k, rows.limits_after_loss(lost)) for k, lost in spec.losses),
+            **spec.planning,
+        )
+
+    @property
+    def commanded(self) -> ThrusterControl:
+        """Commanded thrusters, to which the planned force is allocated."""
+        return self.control
+
+    @property
+    def built_in_limits(self) -> None:
+        """None: limits enter each step's QP, as thrusters may miss the planned force."""
+        return None
+
+    def build_allocation(self, units: UnitSystem = "scaled") -> AllocationQP | None:
+        """Return the builder of the allocation QPs; None where the pseudo-inverse allocates."""
+        return AllocationQP(self.allocation, units=units) if self.by_qp else None
+
+    def thruster_limits(self, samples: int) -> list[Limits]:
+        """Return the thrusters' force limits at each sample, lost thrusters included."""
+        return limits_at_samples(self.control.rows.intact, self.losses, samples)
+
+    def as_baseline_law(self) -> CascadeController:
+        """Return this controller with allocation by pseudo-inverse in place of a QP."""
+        return replace(self, by_qp=False)

@@ -1,0 +1,341 @@
+"""HPIPM through ctypes, on the library in the casadi wheel: two-sided, start primal.
+
+`HpipmWorkspace` is common to its dense solver, here, and the one by stages, in `hpipm_ocp`. HPIPM
+takes an infinite side as one that is masked out, and l = u as an equality of its own.
+"""
+
+import ctypes
+from abc import abstractmethod
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.arrays import Vector
+from dpbench.qp.solution import Status
+from dpbench.solvers.adapter import Claim, NativeAdapter
+from dpbench.solvers.contract import Options, Policy
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stack_bound_rows
+from dpbench.solvers.one_sided import LimitSides
+from dpbench.solvers.record import Build, RouteRecord, SolverRecord, by_tolerance, project_facts
+
+MODES = ("SPEED_ABS", "SPEED", "BALANCE", "ROBUST")
+TOLERANCE_NAMES = ("tol_stat", "tol_eq", "tol_ineq", "tol_comp")
+INTEGERS = ("iter_max", "pred_corr", "cond_pred_corr", "kkt_fact_alg", "ric_alg")
+OPTION_NAMES = ("mode", "mu0", *TOLERANCE_NAMES, "reg_prim", "alpha_min", *INTEGERS[:3])
+"""Settings that both interfaces have."""
+STATUS = {
+    0: Status.SOLVED,
+    1: Status.MAX_ITERATIONS,
+    2: Status.NUMERICAL_ERROR,  # step length at its minimum
+    3: Status.NUMERICAL_ERROR,  # NaN in the solution
+    4: Status.PRIMAL_INFEASIBLE,  # inconsistent equalities
+}
+# BLASFEO writes less: names of four vector instructions at most.
+TEXT_BYTES = 256
+
+
+def _load_casadi_library(name: str) -> ctypes.CDLL:
+    """Load a shared library from the folder of the casadi package."""
+    return ctypes.CDLL(str(Path(str(import_module("casadi").__file__)).parent / name))
+
+
+def blasfeo_build() -> Build:
+    """Return the instruction set that casadi's BLASFEO, used by HPIPM, was compiled for."""
+    return read_blasfeo_build(_load_casadi_library("libblasfeo.so"))
+
+
+def read_blasfeo_build(library: Any) -> Build:
+    """Return the instruction set of a loaded BLASFEO; an empty build if it states none."""
+    if not hasattr(library, "blasfeo_processor_library_features"):
+        return Build()
+    features, text = ctypes.c_int(), ctypes.create_string_buffer(TEXT_BYTES)
+    library.blasfeo_processor_library_features(ctypes.byref(features))
+    if features.value == 0:
+        return Build("BLASFEO generic", generic=True)
+    library.blasfeo_processor_library_string(text)
+    return Build(f"BLASFEO {' '.join(text.value.decode('ascii').split())}")
+
+
+RECORD = SolverRecord(
+    name="hpipm",
+    family="interior point",
+    method="primal-dual interior point, dense",
+    distribution="casadi",
+    module="casadi",
+    extra="casadi",
+    form="dense",
+    routes={
+        "native": RouteRecord(
+            ("fresh", "reuse", "warm"),
+            updates="vectors",
+            start="primal",
+            two_sided=True,
+            detects_infeasibility=False,
+        )
+    },
+    # It meets equalities by a Schur complement by default, which takes a positive definite cost;
+    # by the null space (0) it takes any convex one.
+    levels=by_tolerance(*TOLERANCE_NAMES, iter_max=200, always={"kkt_fact_alg": 0}),
+    project=project_facts(
+        licence=("BSD-2-Clause", "HPIPM source, head of each file"),
+        language=("C, on BLASFEO", "HPIPM reference guide, Introduction"),
+        c_code=("it is C to embed", "HPIPM reference guide, Introduction"),
+        allocation_free=(
+            "yes, memory comes from the caller",
+            "HPIPM source, *_memsize and *_create",
+        ),
+        single_precision=("yes, routines s_*", "HPIPM source, s_dense_qp_ipm"),
+    ),
+    build=blasfeo_build,
+)
+
+
+class HpipmStructures:
+    """The C structures and memory in which HPIPM solves QPs of one size.
+
+    Parameters
+    ----------
+    kind : "dense_qp" or "ocp_qp".
+    sizes : the arguments of `dim_set_all`; options : settings by name.
+    stages : what the structure of the sizes is made of: nothing, or the number of the last stage.
+    """
+
+    def __init__(
+        self,
+        library: ctypes.CDLL,
+        kind: str,
+        sizes: tuple[Any, ...],
+        options: Options,
+        *stages: int,
+    ) -> None:
+        self._library, self._kind = library, f"d_{kind}"
+        self._memory: list[Any] = []
+        self.dim = self._create_structure("_dim", *stages)
+        self.look_up_function("dim_set_all")(*sizes, self.dim)
+        self.qp, self.sol, self.arg = (
+            self._create_structure(k, self.dim) for k in ("", "_sol", "_ipm_arg")
+        )
+        self._write_arguments(dict(options))
+        # Its size depends on the arguments.
+        self.ws = self._create_structure("_ipm_ws", self.dim, self.arg)
+        self._solve = self.look_up_function("ipm_solve")
+        self._set_warm_start = self.look_up_function("ipm_arg_set_warm_start")
+        self._warm_flags = [ctypes.byref(ctypes.c_int(flag)) for flag in (0, 1)]
+        self._flag, self._count = ctypes.c_int(), ctypes.c_int()
+        self._getters = [
+            (self.look_up_function("ipm_get_status"), ctypes.byref(self._flag)),
+            (self.look_up_function("ipm_get_iter"), ctypes.byref(self._count)),
+        ]
+
+    def look_up_function(self, name: str) -> Any:
+        """Return HPIPM's C function of this name, for dense or stage-wise QPs."""
+        return getattr(self._library, f"{self._kind}_{name}")
+
+    def list_array_calls(self, verb: str, arrays: dict[str, Vector]) -> list[tuple[Any, Any]]:
+        """Pair each nonempty array's address with the HPIPM function that sets or gets it."""
+        named = [(name, array) for name, array in arrays.items() if array.size]
+        return [
+            (self.look_up_function(f"{verb}_{name}"), array_pointer(array)) for name, array in named
+        ]
+
+    def start_warm(self, given: bool) -> None:
+        """Select whether HPIPM's next solve starts from the values in its solution structure."""
+        self._set_warm_start(self._warm_flags[given], self.arg)
+
+    def solve(self) -> None:
+        """Run HPIPM on the QP in its structures."""
+        self._solve(self.qp, self.sol, self.arg, self.ws)
+
+    def read_reported_status(self) -> Claim:
+        """Read status and iterations of HPIPM's last solve."""
+        for function, target in self._getters:
+            function(self.ws, target)
+        flag = self._flag.value
+        return STATUS.get(flag, Status.UNKNOWN), self._count.value, -1, f"status {flag}"
+
+    def _write_arguments(self, options: dict[str, Any]) -> None:
+        """Write mode and options into HPIPM's argument structure."""
+        mode = MODES.index(str(options.pop("mode", "SPEED")))
+        self.look_up_function("ipm_arg_set_default")(mode, self.arg)
+        for name, value in options.items():
+            number: Any = ctypes.c_int if name in INTEGERS else ctypes.c_double
+            self.look_up_function(f"ipm_arg_set_{name}")(ctypes.byref(number(value)), self.arg)
+
+    def _create_structure(self, kind: str, *parts: Any) -> Any:
+        """Allocate memory for a C structure of HPIPM and initialise it."""
+        library, prefix = self._library, f"{self._kind}{kind}"
+        sizes = [getattr(library, f"{prefix}_{name}") for name in ("strsize", "memsize")]
+        for function in sizes:
+            function.restype = ctypes.c_size_t
+        structure = ctypes.create_string_buffer(sizes[0]())
+        memory = ctypes.create_string_buffer(sizes[1](*parts))
+        self._memory += [structure, memory]
+        getattr(library, f"{prefix}_create")(*parts, structure, memory)
+        return structure
+
+
+def array_pointer(array: NDArray[Any]) -> Any:
+    """Return the memory address of an array as a C void pointer."""
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+class HpipmWorkspace(NativeWorkspace):
+    """Base of HPIPM's dense and stage-wise solvers, which treat limits of rows and bounds alike."""
+
+    _parts: HpipmStructures
+    _pattern: bytes | None = None
+
+    def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
+        super().__init__(record, policy, options)
+        # libhpipm needs libblasfeo loaded first. Its names stay its own: PIQP's factorisation by
+        # stages brings another BLASFEO of the same names, and would call this one and corrupt
+        # memory.
+        _load_casadi_library("libblasfeo.so")
+        self._library = _load_casadi_library("libhpipm.so")
+
+    @abstractmethod
+    def _send_vectors(self, q: Vector) -> None:
+        """Pass the linear cost q and the stored limits to HPIPM."""
+
+    @abstractmethod
+    def _write_start(self) -> None:
+        """Write the previous answer, shifted by a control increment, as HPIPM's start."""
+
+    def _convert_matrices(self) -> None:
+        """Allocate limits of rows and bounds together, (m + n,)."""
+        self._low, self._high = self._allocate_joint_limits()
+
+    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Pass q, limits and warm start on; make new structures if other limits are infinite."""
+        if LimitSides.encode_pattern(low, high) != self._pattern:
+            self._build_solver_for_step(q, low, high)
+            return
+        m = self._m
+        self._low[:m], self._high[:m] = low, high
+        self._send_vectors(q)
+        if self._warm:
+            given = self._start.advance()
+            if given:
+                self._write_start()
+            self._parts.start_warm(given)
+
+    def _run_solver(self) -> None:
+        """Solve the QP in HPIPM's structures."""
+        self._parts.solve()
+
+    def _read_reported_status(self) -> Claim:
+        """Read status and iterations that HPIPM reports."""
+        return self._parts.read_reported_status()
+
+
+class DenseLimits:
+    """Limits of rows and variables grouped as HPIPM takes them: equalities, bounds, general rows.
+
+    The wheel's HPIPM reads an index it never set when the lower side of a bound is masked out, so a
+    bound with an infinite side goes as a general row.
+    """
+
+    def __init__(self, low: Vector, high: Vector, m: int) -> None:
+        equal = low == high
+        as_bound = (np.arange(low.size) >= m) & np.isfinite(low) & np.isfinite(high) & ~equal
+        self.equal = np.flatnonzero(equal)
+        self.bounds = np.flatnonzero(as_bound)
+        self.rows = np.flatnonzero(~equal & ~as_bound)
+        # Bounds come before rows, as in HPIPM.
+        self.sides = np.concatenate([self.bounds, self.rows])
+        self.b = np.empty(self.equal.size)
+        self.low, self.high = np.empty(self.sides.size), np.empty(self.sides.size)
+        self.infinite = [np.flatnonzero(np.isinf(limit[self.sides])) for limit in (low, high)]
+
+    def fill(self, low: Vector, high: Vector) -> None:
+        """Copy a step's limits into the arrays of equalities, bounds and rows, 0 where infinite."""
+        low.take(self.sides, out=self.low)
+        high.take(self.sides, out=self.high)
+        for limit, infinite in zip((self.low, self.high), self.infinite, strict=True):
+            if infinite.size:
+                limit[infinite] = 0.0
+        if self.b.size:
+            high.take(self.equal, out=self.b)
+
+    def infinite_side_masks(self) -> list[Vector]:
+        """Return which lower and which upper limits of general rows are finite, as 1 or 0."""
+        masks = [np.ones(self.sides.size) for _ in range(2)]
+        for mask, infinite in zip(masks, self.infinite, strict=True):
+            mask[infinite] = 0.0
+        return [mask[self.bounds.size :].copy() for mask in masks]
+
+
+class DenseWorkspace(HpipmWorkspace):
+    """HPIPM's dense QP solver with bounds, two-sided general rows and equalities."""
+
+    def _convert_matrices(self) -> None:
+        """Allocate the limits and stack A and I, so that bounds can be rows."""
+        super()._convert_matrices()
+        self._rows = stack_bound_rows(self._A, self._n)
+
+    def _build_solver(self) -> None:
+        """Make HPIPM's dense structures and write the constant matrices into them."""
+        n, m, library = self._n, self._m, self._library
+        self._low[:m], self._high[:m] = self._l, self._u
+        self._pattern = LimitSides.encode_pattern(self._l, self._u)
+        limits = self._limits = DenseLimits(self._low, self._high, m)
+        sizes = (n, limits.equal.size, limits.bounds.size, limits.rows.size, 0)
+        self._parts = parts = HpipmStructures(library, "dense_qp", sizes, self._options)
+        lower, upper = limits.infinite_side_masks()
+        constants: dict[str, NDArray[Any]] = {
+            "H": self._P,
+            "A": np.asfortranarray(self._rows[limits.equal]),
+            "C": np.asfortranarray(self._rows[limits.rows]),
+            "idxb": (limits.bounds - m).astype(np.intc),
+            "lg_mask": lower,
+            "ug_mask": upper,
+        }
+        for name, array in constants.items():
+            parts.look_up_function(f"set_{name}")(array_pointer(array), parts.qp)
+        self._allocate_buffers(limits)
+        self._send_vectors(self._q)
+
+    def _allocate_buffers(self, limits: DenseLimits) -> None:
+        """Allocate the vectors passed to and from HPIPM and look up its C functions."""
+        n_bounds = limits.bounds.size
+        self._g, self._z = np.empty(self._n), np.empty(self._n)
+        self._pi = np.empty(limits.equal.size)
+        self._lower, self._upper = np.empty_like(limits.low), np.empty_like(limits.high)
+        inputs, outputs = {"g": self._g, "b": limits.b}, {"v": self._z, "pi": self._pi}
+        for side, limit, dual in (
+            ("l", limits.low, self._lower),
+            ("u", limits.high, self._upper),
+        ):
+            inputs |= {f"{side}b": limit[:n_bounds], f"{side}g": limit[n_bounds:]}
+            outputs |= {f"lam_{side}b": dual[:n_bounds], f"lam_{side}g": dual[n_bounds:]}
+        self._setters = self._parts.list_array_calls("set", inputs)
+        self._getters = self._parts.list_array_calls("sol_get", outputs)
+
+    def _send_vectors(self, q: Vector) -> None:
+        """Pass the linear cost and the limits of a step to HPIPM."""
+        self._g[:] = q
+        self._limits.fill(self._low, self._high)
+        qp = self._parts.qp
+        for function, address in self._setters:
+            function(address, qp)
+
+    def _write_start(self) -> None:
+        """Write the previous z, shifted by a control increment, as HPIPM's start."""
+        self._library.d_dense_qp_sol_set_v(array_pointer(self._start.z), self._parts.sol)
+
+    def _read_solution_vectors(self) -> Point:
+        """Return solution z and multipliers y, y_box from HPIPM's dense solution."""
+        m, sol = self._m, self._parts.sol
+        for function, address in self._getters:
+            function(sol, address)
+        y, limits = np.zeros(m + self._n), self._limits
+        y[limits.sides] = self._upper - self._lower
+        if limits.equal.size:
+            y[limits.equal] = -self._pi
+        return self._z.copy(), y[:m], y[m:]
+
+
+NATIVE = NativeAdapter(RECORD, DenseWorkspace, lambda: (*OPTION_NAMES, "kkt_fact_alg"))

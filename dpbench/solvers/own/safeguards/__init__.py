@@ -1,1 +1,0 @@
-"""What lets the active-set method claim an answer in a crowded place."""

@@ -1,0 +1,284 @@
+"""Experiments of runs and the state of each run in its experiment."""
+
+import json
+import math
+from typing import Any
+
+import pytest
+
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.run_matrix import Experiment, RunMatrix, common_configuration
+from dpbench.analysis.verdict.verdict import judge_solvers
+
+REQUIREMENTS = Requirements()
+
+
+def _matrix(records: Any, kept: int = 0) -> RunMatrix:
+    view = records.view()
+    return RunMatrix.from_records(view, judge_solvers(view, REQUIREMENTS), view.study, kept)
+
+
+def _labels(matrix: RunMatrix) -> list[str]:
+    return [experiment.label for experiment in matrix.experiments]
+
+
+def _window(records: Any, solver: str, steps: int = 30, **columns: Any) -> None:
+    """A window of the hardest steps of `paper`."""
+    source = {"kind": "hardest", "name": "paper hardest 30", "of": 450}
+    cell = {"scenario": records.scenario("paper").files, "source": source}
+    name = "paper hardest 30"
+    records.replay(solver, name, steps=steps, spread=0.0, cell=json.dumps(cell), **columns)
+
+
+@pytest.mark.parametrize(
+    ("experiment", "label"),
+    [
+        (Experiment("closed_loop", "paper", "scaled"), "paper"),
+        (Experiment("replay", "paper", "scaled"), "paper (replay)"),
+        (Experiment("closed_loop", "paper", "si"), "paper (in N and N·m)"),
+        (Experiment("closed_loop", "paper", "scaled", 0.5), "paper (computer × 0.5)"),
+        (Experiment("closed_loop", "paper", "scaled", 20.0), "paper (computer × 20)"),
+        (
+            Experiment("closed_loop", "paper", "scaled", 0.0, "condensed_stacked"),
+            "paper (condensed stacked)",
+        ),
+        (
+            Experiment("replay", "paper", "si", 2.5, "condensed_stacked"),
+            "paper (replay, in N and N·m, computer × 2.5, condensed stacked)",
+        ),
+        (
+            Experiment("closed_loop", "paper", "scaled", 0.0, "", "seas", 3, 2),
+            "seas: point 3, sea 2",
+        ),
+    ],
+)
+def test_the_label_of_an_experiment(experiment: Experiment, label: str) -> None:
+    """A label names what differs from a closed loop in scaled units."""
+    assert experiment.label == label
+
+
+def test_experiments_are_in_the_order_of_their_kind() -> None:
+    ordered = [
+        Experiment("closed_loop", "z", "scaled"),
+        Experiment("closed_loop", "y", "si"),
+        Experiment("replay", "x", "scaled"),
+        Experiment("replay", "w", "si"),
+        Experiment("closed_loop", "b", "scaled", study="a"),
+        Experiment("replay", "a", "scaled", study="a"),
+    ]
+    backwards = ordered[::-1]
+    assert sorted(backwards, key=lambda experiment: experiment.order) == ordered
+
+
+def test_the_experiment_of_each_kind_of_run(records: Any) -> None:
+    records.loop("daqp")
+    records.loop("daqp", slowdown=0.5)
+    records.replay("daqp", "paper[0:300]", steps=300)
+    records.sea("daqp", 3, 2, {"hs_m": 1.0}, slowdown=4.0, formulation="sparse")
+    loop, slow, replay, sea = records.view().all_runs
+    assert Experiment.of(loop, "sparse") == Experiment(
+        "closed_loop", "paper", "scaled", 0.0, "sparse"
+    )
+    assert Experiment.of(slow) == Experiment("closed_loop", "paper", "scaled", 0.5)
+    assert Experiment.of(replay) == Experiment("replay", "paper[0:300]", "scaled")
+    assert Experiment.of(sea, "sparse") == Experiment(
+        "closed_loop", "paper", "scaled", 0.0, "", "seas", 3, 2
+    )
+
+
+@pytest.mark.parametrize(("first", "second", "kept"), [(120, 60, 0), (60, 120, 1), (120, 120, 0)])
+def test_the_longer_of_two_runs_has_the_experiment(
+    first: int, second: int, kept: int, records: Any
+) -> None:
+    for steps in (first, second):
+        records.loop("daqp", steps=steps)
+    matrix = _matrix(records)
+    assert list(matrix.runs) == [(0, 0)]
+    assert matrix.runs[0, 0].run_id == f"run{kept:04d}"
+
+
+def test_another_formulation_has_a_experiment_of_its_own(records: Any) -> None:
+    """The common formulation is not named; on a slow computer none is."""
+    records.loop("daqp")
+    records.loop("daqp", formulation="condensed_stacked")
+    records.loop("daqp", formulation="condensed_stacked", slowdown=8.0)
+    matrix = _matrix(records)
+    assert _labels(matrix) == ["paper", "paper (condensed stacked)", "paper (computer × 8)"]
+    assert [c.formulation for c in matrix.configurations] == ["condensed_box"]
+
+
+def test_units_belong_to_the_experiment_of_a_configuration(records: Any) -> None:
+    """One configuration in two units has two experiments; the baseline law has none."""
+    records.replay("daqp", units="si")
+    records.loop("daqp", units="si")
+    records.loop("daqp")
+    records.loop("unconstrained_clipped", formulation="none")
+    matrix = _matrix(records)
+    assert _labels(matrix) == ["paper", "paper (in N and N·m)", "paper (replay, in N and N·m)"]
+    assert sorted(matrix.runs) == [(0, 0), (0, 1), (0, 2)]
+    assert matrix.configurations == [common_configuration(records.view().runs[0])]
+    assert {c.units for c in matrix.configurations} == {"scaled"}
+    assert {p: run.run_id for p, run in matrix.first_runs.items()} == {
+        0: "run0002",
+        1: "run0001",
+        2: "run0000",
+    }
+
+
+def test_the_runs_of_a_study_that_are_kept(records: Any) -> None:
+    """Every studied run has an experiment, those kept also a run; none of them is judged."""
+    records.loop("daqp")
+    for replicate in (1, 2):
+        records.sea("scs", 0, replicate, {"hs_m": 1.0}, settings="high")
+    matrix = _matrix(records, kept=1)
+    assert _labels(matrix) == ["paper", "seas: point 0, sea 1", "seas: point 0, sea 2"]
+    assert sorted(matrix.runs) == [(0, 0), (1, 1)]
+    assert matrix.judged_experiments == [0]
+    assert matrix.levels == ["default"]
+    assert [c.solver for c in matrix.configurations] == ["daqp", "scs"]
+    assert [c.solver for c in matrix.references] == ["daqp"]
+    assert sorted(_matrix(records, kept=0).runs) == [(0, 0)]
+
+
+def test_references_where_nothing_is_judged_are_the_first_of_each_solver(records: Any) -> None:
+    """Seas of a study give no verdict: the first configuration of a solver represents it."""
+    for solver, settings in (("daqp", "high"), ("daqp", "default"), ("scs", "default")):
+        records.sea(solver, 0, 1, {"hs_m": 1.0}, settings=settings)
+    references = _matrix(records).references
+    assert [(c.solver, c.settings) for c in references] == [("daqp", "high"), ("scs", "default")]
+
+
+def test_levels_are_in_the_order_of_use(records: Any) -> None:
+    for settings in ("special", "high", "low", "default"):
+        records.loop("daqp", settings=settings)
+    assert _matrix(records).levels == ["default", "low", "high", "special"]
+
+
+def test_scenarios_are_those_that_rows_carry(records: Any) -> None:
+    records.loop("daqp")
+    records.sea("daqp", 0, 1, {"hs_m": 1.0})
+    records.sea("scs", 0, 1, {"hs_m": 1.0})
+    bare = {"study": {"name": "seas", "point": 0, "replicate": 2, "x": {}}}
+    named = {"study": "seas", "study_point": 0, "replicate": 2}
+    records.loop("daqp", cell=json.dumps(bare), **named)
+    matrix = _matrix(records)
+    loop, sea, same, unknown = matrix.records.all_runs
+    assert matrix.scenario(loop) is matrix.records.scenario("paper")
+    assert (found := matrix.scenario(sea)) is not None and found.name == "paper"
+    assert matrix.scenario(same) is found
+    assert matrix.scenario(unknown) is None
+
+
+@pytest.mark.parametrize(
+    ("columns", "state"),
+    [
+        ({}, "pass"),
+        ({"error": 0.5}, "fail"),
+        ({"outcome": "hung", "done": 0}, "late"),
+        ({"outcome": "timed_out", "done": 40}, "inconclusive"),
+        ({"steps": 450, "raw_p50_ns": 3e6}, "borderline"),
+        ({"outcome": "refused", "done": 0}, "not run"),
+        ({"slowdown": 8.0, "exact_cost": 100.0}, "pass"),
+        ({"slowdown": 0.5, "exact_cost": 50.0}, "late"),
+        ({"exact_cost": 50.0}, "pass"),
+        ({"slowdown": 8.0, "exact_cost": 50.0, "error": 0.5}, "fail"),
+    ],
+)
+def test_the_state_of_a_run_alone(records: Any, columns: dict[str, Any], state: str) -> None:
+    records.loop("daqp", **columns)
+    matrix = _matrix(records)
+    assert matrix.state(0, 0) == state
+    assert matrix.state(0, 1) == matrix.state(1, 0) == "not run"
+
+
+@pytest.mark.parametrize(
+    ("columns", "state"),
+    [
+        ({"error": 0.5}, "fail"),
+        ({"settings": "high", "error": 0.5}, "pass"),
+        ({"units": "si", "error": 0.5}, "pass"),
+        ({"formulation": "sparse", "error": 0.5}, "pass"),
+    ],
+)
+def test_a_window_counts_in_the_loop_of_its_scenario(
+    records: Any, columns: dict[str, Any], state: str
+) -> None:
+    """A window has no experiment: its findings are in that of the scaled loop."""
+    records.loop("daqp")
+    records.loop("daqp", units="si")
+    records.replay("daqp")
+    if state == "pass":
+        _window(records, "daqp")
+    _window(records, "daqp", **columns)
+    matrix = _matrix(records)
+    assert _labels(matrix) == ["paper", "paper (in N and N·m)", "paper (replay)"]
+    loop = matrix.index(common_configuration(matrix.records.all_runs[0]))
+    states = [matrix.state(loop, p) for p in range(3)]
+    assert states == [state, "pass", "pass"]
+
+
+def test_the_replay_behind_a_p99(records: Any) -> None:
+    records.loop("daqp")
+    records.replay("daqp", "rough[900:1400]", steps=500, median_us=10.0, spread=0.0)
+    records.replay("daqp", median_us=50.0, spread=0.0)
+    matrix = _matrix(records)
+    (verdict,) = matrix.verdicts.references
+    margin = matrix.margin(verdict.configuration)
+    assert margin is not None and margin.factor == pytest.approx(60.0, rel=1e-3)
+    number = matrix.timed_experiment_index(verdict)
+    assert number is not None and matrix.experiments[number] == Experiment(
+        "replay", "paper", "scaled"
+    )
+
+
+def test_without_a_replay_no_p99_has_an_experiment(records: Any) -> None:
+    records.loop("daqp", raw_max_ns=math.nan)
+    matrix = _matrix(records)
+    (verdict,) = matrix.verdicts.references
+    assert matrix.timed_experiment_index(verdict) is None
+    assert matrix.margin(verdict.configuration) is None
+    assert matrix.longest_timing(verdict.configuration) is None
+
+
+def test_the_longest_timing_is_of_scaled_runs_outside_studies(records: Any) -> None:
+    records.loop("daqp", raw_max_ns=2e6)
+    records.replay("daqp", raw_max_ns=3e6)
+    records.loop("daqp", "calm", raw_max_ns=math.nan)
+    records.loop("daqp", units="si", raw_max_ns=9e6)
+    records.sea("daqp", 0, 1, {"hs_m": 1.0}, raw_max_ns=9e6)
+    records.loop("scs", raw_max_ns=9e6)
+    matrix = _matrix(records, kept=1)
+    found = matrix.longest_timing(matrix.configurations[0])
+    assert found is not None
+    assert (found[0].label, found[1].raw_max_ns) == ("paper (replay)", 3e6)
+
+
+@pytest.mark.parametrize(("reported", "all_reported"), [(1.0, True), (0.9, False)])
+def test_steps_without_a_solution_are_counted_once(
+    records: Any, reported: float, all_reported: bool
+) -> None:
+    records.replay("daqp", infeasible_steps=18, rounds=3, true_share=1.0)
+    records.loop("daqp", infeasible_steps=4, true_share=reported)
+    records.loop("daqp", "calm", infeasible_steps=0, true_share=0.5)
+    records.loop("daqp", units="si", infeasible_steps=7, true_share=0.5)
+    records.sea("daqp", 0, 1, {"hs_m": 1.0}, infeasible_steps=7, true_share=0.5)
+    records.loop("scs", infeasible_steps=7, true_share=0.5)
+    matrix = _matrix(records, kept=1)
+    assert matrix.count_infeasible_steps(matrix.configurations[0]) == (10, all_reported)
+
+
+def test_one_step_without_a_solution_counts(records: Any) -> None:
+    records.loop("daqp", infeasible_steps=1, rounds=0, true_share=0.5)
+    matrix = _matrix(records)
+    assert matrix.count_infeasible_steps(matrix.configurations[0]) == (1, False)
+
+
+def test_the_index_of_a_configuration(records: Any) -> None:
+    """A configuration that was not run has the index -1."""
+    records.loop("daqp")
+    records.loop("scs")
+    matrix = _matrix(records)
+    first, second = matrix.configurations
+    assert (matrix.index(first), matrix.index(second)) == (0, 1)
+    records.loop("osqp")
+    assert matrix.index(_matrix(records).configurations[2]) == -1

@@ -1,0 +1,173 @@
+"""Data of the page: experiments, verdicts, cells and studies, against their records."""
+
+import json
+from typing import Any
+
+import pytest
+
+from dpbench.analysis.times.solver_tables import experiment_table
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.verdict import judge_solvers
+from dpbench.report.page import data as page_data
+from dpbench.report.page import tables
+from dpbench.report.page.data import PageData, columns_by_name, json_number
+from dpbench.report.page.live import _matrix_text
+from dpbench.report.page.tables import select_tiles
+from dpbench.report.page.terms import describe_experiments
+from dpbench.report.report import Report
+from tests.report.conftest import HEIGHTS, LOOSE, OFFSETS, SEAS, of_seas
+
+REQUIREMENTS = Requirements()
+
+
+def _facts(records: Any) -> PageData:
+    view = records.view()
+    return PageData.of(view, judge_solvers(view, REQUIREMENTS))
+
+
+def test_the_index_of_what_was_not_run_is_none(records: Any) -> None:
+    """−1, so that a page asks for nothing that is not there."""
+    records.loop("daqp")
+    facts = _facts(records)
+    (own,) = facts.configurations
+    records.loop("osqp")
+    (_, other) = _facts(records).configurations
+    assert (facts.index(own), facts.index(other)) == (0, -1)
+
+
+def test_a_cell_holds_the_figures_of_its_run(records: Any) -> None:
+    records.loop("daqp", steps=50, error=1e-6, failed=2)
+    records.loop("scs", outcome="crashed", outcome_detail="signal 11", done=0)
+    facts = _facts(records)
+    cells = {facts.configurations[cell["c"]].solver: cell for cell in facts.cells()}
+    daqp, scs = cells["daqp"], cells["scs"]
+    assert (daqp["steps"], daqp["planned"], daqp["error"], daqp["failed"]) == (50, 50, 1e-6, 2)
+    by_time, by_iterations, by_error = daqp["hard"]
+    assert len(by_time) == len(by_error) == 5 and by_iterations == []
+    assert by_error[0][:2] == [49, 1e-6], "the largest error is planted in the last step"
+    assert "t" not in scs and (scs["outcome"], scs["why"]) == ("crashed", "signal 11")
+
+
+def test_the_track_is_a_distance_from_the_loop_closest_to_the_exact_one(records: Any) -> None:
+    """One reference in each experiment: the run whose deviation is least."""
+    records.loop("far", error=0.9)
+    records.loop("near", error=1e-9)
+    facts = _facts(records)
+    cells = list(facts.cells())
+    assert [facts.configurations[cell["c"]].solver for cell in cells] == ["near", "far"]
+    assert [cell["reference"] for cell in cells] == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("value", "output"), [(1.5, 1.5), (float("nan"), None), (float("inf"), "inf"), (None, None)]
+)
+def test_numbers_are_such_as_json_has(value: Any, output: Any) -> None:
+    assert json_number(value) == output
+
+
+def test_rows_of_different_kinds_make_columns_of_one_length() -> None:
+    assert columns_by_name([{"a": 1}, {"b": 2}]) == {"a": [1, None], "b": [None, 2]}
+
+
+def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None:
+    records.loop("daqp", "rough")
+    records.loop("daqp", "rough", units="si")
+    records.replay("daqp", "rough[900:1400]", steps=500, cell=_of_window(records))
+    records._scenarios["robot"] = records.scenario("rough")
+    records.replay("daqp", "robot", steps=30, scenario="", cell="{}")
+    facts = _facts(records)
+    output = {word.term: word.meaning for word in describe_experiments(facts).values()}
+    start = "Rough sea: sway thrust at its limit. Mean and slowly varying forces of about DP number"
+    assert output["rough"] == f"{start} 6-7."
+    assert output["rough (in N and N·m)"].startswith(start)
+    assert output["rough (in N and N·m)"].endswith("an extra that no verdict counts.")
+    window = "Here steps 900 to 1400 of its exactly solved loop, replayed: limits are active in 0 %"
+    assert window in output["rough[900:1400] (replay)"]
+    assert list(output) == [p.label for p in facts.experiments if p.name != "robot"]
+
+
+def _of_window(records: Any) -> str:
+    return json.dumps({"scenario": records.scenario("rough").files, "first": 900})
+
+
+def test_of_many_experiments_those_that_miss_most_are_drawn(records: Any, monkeypatch: Any) -> None:
+    for i, scenario in enumerate(("calm", "rough", "paper", "turn")):
+        for solver in ("daqp", "osqp"):
+            wrong = solver == "osqp" and i in (1, 3)
+            records.loop(solver, scenario, steps=20, error=1.0 if wrong else 1e-9)
+    facts = _facts(records)
+    tiles = experiment_table(facts)
+    assert select_tiles(tiles).equals(tiles)
+    monkeypatch.setattr(tables, "MOST_TILES", 5)
+    drawn = select_tiles(tiles)
+    assert drawn["experiment"].unique().tolist() == ["rough", "turn"] and len(drawn) == 4
+    output = _matrix_text(facts)
+    assert (
+        "The 2 of 4 scenarios and replays with the fewest passes" in output and "N·m" not in output
+    )
+    monkeypatch.undo()
+    records.loop("daqp", units="si")
+    assert _matrix_text(_facts(records)).endswith("In N and N·m is an extra, in no verdict.")
+    records.loop("osqp", units="si", error=0.5)
+    assert _matrix_text(_facts(records)).endswith("; 1 of 2 solvers fail there: scale the QP.")
+
+
+@pytest.mark.slow
+def test_every_sea_has_its_errors(records: Any) -> None:
+    """Those of its run: how far off, whether held, and how far behind the reference there."""
+    made = of_seas(records)
+    facts = Report.of(made.results()).data
+    (study,) = facts.study_documents
+    runs = made.results().runs.set_index("run_id")
+    own = study["runs"]
+    assert sorted(own["id"]) == sorted(runs.index)
+    assert study["names"][study["reference"]] == "daqp"
+    for i, run_id in enumerate(own["id"]):
+        run = runs.loc[run_id]
+        same = (runs["study_point"] == own["point"][i]) & (runs["replicate"] == own["sea"][i])
+        (reference,) = runs[same & (runs["solver"] == "daqp")]["r_95_m"]
+        assert own["tail_m"][i] == pytest.approx(run["r_tail_max_m"], rel=1e-3)
+        assert own["error_excess_cm"][i] == pytest.approx(
+            100 * (run["r_95_m"] - reference), abs=1e-3
+        )
+        assert own["held"][i] == (run["r_tail_max_m"] <= 1.0)
+        configuration = facts.configurations[study["c"][own["of"][i]]]
+        assert (configuration.solver, configuration.settings) == (run["solver"], run["settings"])
+
+
+@pytest.mark.slow
+def test_it_opens_where_least_is_held(records: Any) -> None:
+    facts = Report.of(of_seas(records).results()).data
+    c, p = facts.opening
+    experiment = facts.experiments[p]
+    assert (facts.configurations[c].solver, facts.configurations[c].settings) == ("osqp", LOOSE)
+    assert experiment.point >= len(OFFSETS) * (len(HEIGHTS) - 1) and experiment.replicate == 2
+    assert experiment.label == f"seas: point {experiment.point}, sea {experiment.replicate}"
+    assert facts.runs[c, p].r_tail_max_m == 1.5
+
+
+@pytest.mark.slow
+def test_seas_enter_no_verdict(records: Any) -> None:
+    made = of_seas(records)
+    made.loop("daqp", "calm", steps=40)
+    made.replay("daqp", "calm")
+    report = Report.of(made.results())
+    assert [report.data.experiments[p].label for p in report.data.judged_experiments] == [
+        "calm",
+        "calm (replay)",
+    ]
+    assert report.data.opening is None
+    assert not any("sea" in chip.text for chip in report.recommendation.chips)
+    assert set(report.tables["experiments"]["experiment"]) == {"calm", "calm (replay)"}
+    assert set(report.tables["experiments"]["settings"]) == {"default"}
+
+
+@pytest.mark.slow
+def test_a_page_keeps_the_first_seas_of_all_points(records: Any, monkeypatch: Any) -> None:
+    room = 3 * len(HEIGHTS) * len(OFFSETS)
+    monkeypatch.setattr(page_data, "MOST_LOOPS", room)
+    facts = Report.of(of_seas(records).results()).data
+    assert len(facts.runs) == room
+    assert {facts.experiments[p].replicate for _, p in facts.runs} == {1}
+    assert len(facts.experiments) == len(HEIGHTS) * len(OFFSETS) * SEAS
+    assert len(facts.study_documents[0]["runs"]["id"]) == room * SEAS

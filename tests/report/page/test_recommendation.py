@@ -1,0 +1,277 @@
+"""The answer in page, Markdown and terminal: its numbers are those of the verdicts."""
+
+import re
+from typing import Any
+
+import pytest
+
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.verdict.fastest import best_verdict_by_solver, choose_solver
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.verdict import judge_solvers
+from dpbench.errors import InputError
+from dpbench.report.documents.markdown import MOST_BYTES, report_markdown
+from dpbench.report.formats import error_text, rounded_down, time_text
+from dpbench.report.page.data import PageData
+from dpbench.report.page.recommendation import Recommendation, build_recommendation
+from dpbench.report.report import Report
+
+
+def _facts(records: Any) -> PageData:
+    view, requirements = records.view(), Requirements()
+    return PageData.of(view, judge_solvers(view, requirements))
+
+
+def _answer(records: Any, baseline: str | None = None) -> Recommendation:
+    return build_recommendation(_facts(records), {}, baseline)
+
+
+def _plain(html: str) -> str:
+    head = html.split("<script", 1)[0].split("</style>", 1)[1]
+    return re.sub(r"<[^>]+>", "", head)
+
+
+def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
+    """The recommendation, its p99 and its speed margin are the same everywhere."""
+    requirements = Requirements.of(written.results.suite)
+    verdicts = judge_solvers(Records(written.results), requirements)
+    chosen = choose_solver(verdicts).chosen
+    assert chosen.configuration.solver == "daqp"
+    page, text = _plain(written.html), written.markdown
+    terminal = "\n".join(output for _, output in written.lines)
+    margin = written.report.data.margin(chosen.configuration)
+    for output in (page, text, terminal):
+        assert (
+            "Use daqp (qpsolvers, fresh, default): right on every step of 4 closed loops" in output
+        )
+        assert f"p99 {time_text(chosen.p99_ns)}" in output
+        assert error_text(chosen.error_move) in output
+        assert f"The computer may be up to × {rounded_down(margin.factor)} slower." in output
+        assert f"The p99 reaches 3 ms at × {rounded_down(margin.p99_limit)}: it is " in output
+        deadline = rounded_down(margin.deadline)
+        assert f"The hardest step takes the deadline of 300 ms at × {deadline}: it is " in output
+        for step in (margin.p99, margin.hardest):
+            where = f"{time_text(step.time_ns)} in {step.run.scenario}, k {step.k} ("
+            assert where in output
+    output = dict(written.lines)
+    assert "native warm" not in output["answer"], (
+        "a call mode that was replayed alone is not recommended"
+    )
+    assert output["inconclusive"].startswith(
+        "daqp (native warm) is faster on average, and inconclusive: not run"
+    )
+
+
+def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) -> None:
+    """At most 8 kB; a row a solver with verdict, times, error and failed steps of its verdict."""
+    assert len(written.markdown.encode()) <= MOST_BYTES
+    rows = [line.strip("| ").split(" | ") for line in written.markdown.splitlines() if "|" in line]
+    head, _, *body = rows
+    best = best_verdict_by_solver(written.report.data.verdicts)
+    assert len(body) == len(best) == len(written.report.data.verdicts.of)
+    for cells, verdict in zip(body, best, strict=True):
+        row = dict(zip(head, cells, strict=True))
+        assert row["solver"] == verdict.configuration.solver
+        assert row["call mode"] == verdict.configuration.options
+        assert row["verdict"] == verdict.state
+        assert row["p99"] == time_text(verdict.replay_p99_ns)
+        assert row["worst p99"] == time_text(verdict.p99_ns)
+        assert row["p99 of timings"] == time_text(verdict.raw_p99_ns)
+        assert row["hardest step"] == time_text(verdict.algo_max_ns)
+        assert row["largest error"] == error_text(verdict.error_move)
+        assert row["failed"] == str(verdict.failed_steps)
+
+
+@pytest.mark.slow
+def test_a_markdown_of_very_many_solvers_is_cut_at_a_line(records: Any) -> None:
+    for i in range(150):
+        records.loop(f"somebody_elses_solver_{i:03d}")
+    text = report_markdown(Report.of(records.results()))
+    assert len(text.encode()) <= MOST_BYTES
+    assert text.endswith("More rows: `tables/verdicts.csv`.\n")
+    assert all(line.endswith("|") for line in text.splitlines() if line.startswith("|"))
+
+
+def test_chips_say_of_each_experiment_what_the_first_did_there(records: Any) -> None:
+    records.loop("daqp", "paper")
+    records.replay("daqp", "paper")
+    records.loop("osqp", "rough")
+    answer = _answer(records)
+    assert answer.first is not None and answer.first.solver == "daqp"
+    assert {(chip.text, chip.mark) for chip in answer.chips} == {
+        ("paper: pass", "pass"),
+        ("rough: not run", "none"),
+        ("paper (replay): pass", "pass"),
+    }
+
+
+def test_a_chip_says_how_other_ways_did_where_the_first_was_not_run(records: Any) -> None:
+    for way in ({"route": "native", "policy": "warm", "median_us": 5.0}, {}):
+        records.loop("daqp", "paper", **{k: v for k, v in way.items() if k != "median_us"})
+        records.replay("daqp", "paper", **way)
+    records.loop("daqp", "paper", units="si")
+    records.loop("daqp", "paper", units="si", policy="reuse", route="native", error=0.4)
+    records.loop("osqp", "paper", units="si")
+    answer = _answer(records)
+    assert answer.first is not None and answer.first.policy == "warm"
+    output = next(chip for chip in answer.chips if "N·m" in chip.text)
+    assert output.text == (
+        "paper (in N and N·m): not run in this call mode (qpsolvers fresh pass; native reuse fail)"
+    )
+    assert output.mark == "none"
+
+
+def test_open_is_not_recommended(records: Any) -> None:
+    records.replay("daqp")
+    sentence = _answer(records).sentence
+    assert sentence.startswith("Nothing contradicts daqp (qpsolvers, fresh, default): right on")
+    assert "every step of 1 replay, " in sentence
+    assert sentence.endswith("; no closed loop was run.")
+    records.replay("daqp", policy="reuse", route="native", median_us=5.0)
+    assert "inconclusive" not in dict(_answer(records).notes), "the sentence says so"
+
+
+NOBODY = [
+    ({"error": 0.4}, "Nothing is recommended: no solver passes in any configuration"),
+    ({"outcome": "timed_out", "done": 9}, "Nothing is recommended while the verdict on a solver"),
+]
+
+
+@pytest.mark.parametrize(("loop", "says"), NOBODY)
+def test_nothing_qualifies_is_said_as_far_as_the_runs_go(
+    records: Any, loop: dict[str, Any], says: str
+) -> None:
+    records.loop("osqp", **loop)
+    records.replay("osqp")
+    answer = _answer(records)
+    assert answer.sentence.startswith(says) and "`" not in answer.sentence
+    assert answer.snippets == () and answer.notes == ()
+
+
+def test_own_code_alone_is_no_recommendation(records: Any) -> None:
+    records.loop("hildreth", route="native")
+    records.replay("hildreth", route="native")
+    answer = _answer(records)
+    assert answer.sentence.startswith("Nothing that can go aboard passes; hildreth")
+    assert answer.notes == ()
+
+
+def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> None:
+    """Own code beside a library: the library is the answer, the other its comparison."""
+    for solver, route, median_us in (("hildreth", "native", 3.0), ("daqp", "qpsolvers", 9.0)):
+        records.loop(solver, route=route)
+        records.replay(solver, route=route, median_us=median_us)
+    answer = _answer(records)
+    assert (answer.first.solver, answer.second.solver) == ("daqp", "hildreth")
+    assert "is not the answer: own code of this benchmark" in dict(answer.notes)["faster"]
+
+
+def test_what_is_faster_and_open_is_named(records: Any) -> None:
+    for solver, route in (("daqp", "native"), ("paper_active_set", "native"), ("osqp", "native")):
+        fast = {"paper_active_set": 3.0, "daqp": 9.0}.get(solver, 50.0)
+        records.loop(solver, route=route, policy="warm")
+        records.replay(solver, route=route, policy="warm", median_us=fast)
+        records.replay(solver, route=route, policy="reuse", median_us=fast / 2)
+    records.loop("hildreth", route="native", error=0.4)
+    records.replay("hildreth", route="native", error=0.4, median_us=4.0)
+    for settings, median_us, error in (("high", 4.0, 1e-9), ("mid", 5.0, 1e-9), ("low", 2.0, 0.4)):
+        way = {"route": "native", "policy": "reuse", "settings": settings}
+        records.replay("hildreth", median_us=median_us, error=error, **way)
+    notes = [text for word, text in _answer(records).notes if word == "inconclusive"]
+    assert notes == [
+        "hildreth (native reuse, high) is faster on average, and inconclusive: not run in closed "
+        "loop.",
+        "daqp (native reuse) is faster on average, and inconclusive: not run in closed loop.",
+    ]
+
+
+def test_steps_without_a_solution_are_said(records: Any) -> None:
+    records.loop("daqp")
+    records.loop("daqp", "thruster_loss_hard", infeasible_steps=3)
+    records.loop("daqp", "thruster_loss_hard", infeasible_steps=40, units="si")
+    records.replay("daqp")
+    output = "of 2 closed loops and 1 replay (3 steps had no solution, and it said so), p99"
+    assert output in _answer(records).sentence
+    records.replay("daqp", "thruster_loss_hard", infeasible_steps=6, rounds=3, true_share=0.99)
+    assert "(5 steps had no solution), p99" in _answer(records).sentence
+    records.loop("osqp")
+    assert _facts(records).count_infeasible_steps(_facts(records).configurations[-1]) == (0, True)
+
+
+@pytest.mark.parametrize(("shortest_us", "output"), [(20, True), (5, False), (None, False)])
+def test_a_p50_below_the_shortest_checked_wait_is_said(
+    records: Any, shortest_us: int | None, output: bool
+) -> None:
+    records.loop("daqp")
+    records.replay("daqp", median_us=9.0)
+    for wait_us in (shortest_us, 1000) if shortest_us else ():
+        name = f"busy_wait_{wait_us}us"
+        records.replay(name, median_us=wait_us + 0.2, route="native", policy="reuse")
+    note = dict(_answer(records).notes).get("checked", "")
+    assert ("lies below the shortest wait checked, 20.0 µs." in note) == output == bool(note)
+
+
+def test_a_snippet_opens_what_it_recommends(records: Any) -> None:
+    records.loop("daqp", route="native", policy="warm")
+    records.replay("daqp", route="native", policy="warm")
+    names: dict[str, Any] = {}
+    exec(compile(dict(_answer(records).snippets)["Python"], "snippet", "exec"), names)
+    assert names["solver"] is not None
+
+
+@pytest.mark.parametrize(
+    ("solver", "settings", "text"),
+    [
+        ("daqp", "default", "DAQPSettings settings;\ndaqp_default_settings(&settings);"),
+        (
+            "osqp",
+            "default_polished",
+            "OSQPSettings settings;\nosqp_set_default_settings(&settings);\n"
+            "settings.adaptive_rho = 1;\nsettings.adaptive_rho_interval = 50;\n"
+            "settings.polishing = 1;",
+        ),
+        ("quadprog", "default", None),
+    ],
+)
+def test_a_snippet_in_c_has_the_numbers_of_the_record(
+    records: Any, solver: str, settings: str, text: str | None
+) -> None:
+    for settings_run in dict.fromkeys(("default", settings)):
+        error = 0.4 if settings_run != settings else 1e-9
+        records.loop(solver, settings=settings_run, error=error)
+        records.replay(solver, settings=settings_run, error=error)
+    assert dict(_answer(records).snippets).get("C") == text
+
+
+def test_why_is_the_verdicts_cause(records: Any) -> None:
+    records.loop("osqp", error=0.4)
+    records.replay("daqp")
+    records.refused("qpax", "not installed")
+    why = {v.configuration.solver: Recommendation.why(v) for v in _facts(records).verdicts.all}
+    assert why["osqp"].startswith("its first move is up to 0.40 of a rate-limit step off the opti")
+    assert why["daqp"] == "no closed loop was run"
+    assert why["qpax"] == "not installed"
+    assert "`" not in "".join(why.values())
+
+
+def test_the_baseline_is_beside_the_answer(records: Any) -> None:
+    for solver, us in (("daqp", 10.0), ("osqp", 50.0), ("piqp", 30.0)):
+        records.replay(solver, median_us=us, steps=60)
+    assert [c and c.solver for c in (_answer(records).first, _answer(records).second)] == [
+        "daqp",
+        "piqp",
+    ]
+    second = _answer(records, "osqp").second
+    assert second is not None and second.solver == "osqp"
+    with pytest.raises(InputError, match=r"--baseline: found 'nope'; allowed: .* daqp, osqp, piqp"):
+        _answer(records, "nope")
+
+
+@pytest.mark.parametrize(("named", "second"), [("piqp", "piqp"), ("scs", "osqp"), (None, "osqp")])
+@pytest.mark.slow
+def test_the_suite_names_the_baseline(records: Any, named: str | None, second: str) -> None:
+    for solver, us in (("daqp", 10.0), ("osqp", 20.0), ("piqp", 30.0)):
+        records.replay(solver, median_us=us, steps=60)
+    records.suite["report"] = {"baseline": named}
+    found = Report.of(records.results()).recommendation.second
+    assert found is not None and found.solver == second

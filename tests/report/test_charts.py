@@ -1,0 +1,121 @@
+"""Figures: the rose of a capability, file formats, colours, and a limited address space."""
+
+import json
+import math
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, get_args
+
+import pandas as pd
+import pytest
+
+import dpbench
+from dpbench.report.charts.capability import COLUMNS, draw_capability_rose
+from dpbench.report.charts.render import encode_figure, save_figure
+from dpbench.report.charts.style import FAMILY_COLOURS
+from dpbench.solvers.record import Family
+from dpbench.solvers.table import TABLE
+from tests.conftest import MadeRecords
+
+
+@pytest.fixture(scope="module")
+def chart() -> Any:
+    """Two cases and four directions."""
+    rows = [
+        (case, from_deg, wind - less, 7)
+        for case, less in (("intact", 0.0), ("board A", 5.0))
+        for from_deg, wind in ((0.0, 30.0), (90.0, 15.0), (180.0, 25.0), (270.0, 15.0))
+    ]
+    return draw_capability_rose(pd.DataFrame(rows, columns=list(COLUMNS)), "Some ship")
+
+
+def test_ahead_is_up_and_starboard_to_the_right(chart: Any) -> None:
+    """And each line is closed: its first point stands again at the end."""
+    specification = chart.to_dict(validate=True)
+    tables = specification["datasets"].values()
+    points = next(table for table in tables if "case" in table[0] and "from_deg" in table[0])
+    assert [point["case"] for point in points] == 5 * ["intact"] + 5 * ["board A"]
+    places = {
+        point["from_deg"]: (round(point["x"], 9), round(point["y"], 9))
+        for point in points
+        if point["case"] == "intact"
+    }
+    assert places == {0.0: (0, 30), 90.0: (15, 0), 180.0: (0, -25), 270.0: (-15, 0)}
+    assert points[0]["x"] == points[4]["x"] and points[0]["y"] == points[4]["y"]
+
+
+def test_rings_are_named_where_no_line_runs(chart: Any) -> None:
+    clear, rows = 135.0, []
+    for from_deg in range(0, 360, 15):
+        wind = 32.6 if from_deg != clear else 30.5
+        rows.append(("intact", float(from_deg), wind, 7))
+    specification = draw_capability_rose(
+        pd.DataFrame(rows, columns=list(COLUMNS)), "Some ship"
+    ).to_dict()
+    tables = specification["datasets"].values()
+    names = next(
+        table for table in tables if set(table[0]) == {"x", "y", "name"} and table[0]["name"] == "3"
+    )
+    assert {round(math.degrees(math.atan2(row["x"], row["y"])), 6) for row in names} == {clear}
+
+
+def test_points_with_untrue_claims_are_hollow() -> None:
+    rows = [("intact", 0.0, 20.0, 7, 0), ("intact", 90.0, 15.0, 6, 2)]
+    table = pd.DataFrame(rows, columns=[*COLUMNS, "untrue"])
+    marks = [layer["mark"] for layer in draw_capability_rose(table, "Some ship").to_dict()["layer"]]
+    assert [mark["filled"] for mark in marks if mark["type"] == "point"] == [True, False]
+    plain = draw_capability_rose(table.assign(untrue=0), "Some ship").to_dict()["layer"]
+    assert [m["mark"]["filled"] for m in plain if m["mark"]["type"] == "point"] == [True]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("suffix", "begins"), [("svg", b"<svg"), ("pdf", b"%PDF"), ("png", b"\x89PNG"), ("html", b"<!")]
+)
+def test_it_is_written_in_four_formats(
+    chart: Any, tmp_path: Path, suffix: str, begins: bytes
+) -> None:
+    """The page fetches nothing: its libraries are inside."""
+    written = save_figure(chart, tmp_path / f"rose.{suffix}").read_bytes()
+    assert written.lstrip().startswith(begins)
+    assert b"<script src=" not in written
+
+
+def test_names_that_xml_cannot_hold_are_drawn() -> None:
+    rows = [("a\x1b\x00\x0c\\\ufffeb", 0.0, 1.0, 7), ("c\\u001b", 0.0, 1.0, 7)]
+    drawn = encode_figure(
+        draw_capability_rose(pd.DataFrame(rows, columns=list(COLUMNS)), "x"), "svg"
+    ).decode()
+    assert "c\\u001b" in drawn and not {"\x1b", "\x00", "\x0c", "\ufffe"} & set(drawn)
+
+
+def _limited() -> None:
+    resource.setrlimit(resource.RLIMIT_AS, (2_000_000 * 1024,) * 2)
+
+
+@pytest.mark.slow
+def test_a_report_is_written_without_its_figures(records: MadeRecords, tmp_path: Path) -> None:
+    for solver in ("daqp", "quadprog"):
+        records.loop(solver, steps=30)
+        records.replay(solver, steps=30)
+    campaign = records.write(tmp_path / "results")
+    run = [sys.executable, "-m", "dpbench", "report", str(campaign), "--json"]
+    env = {**os.environ, "PYTHONPATH": str(Path(dpbench.__file__).parents[1])}
+    for limit in (_limited, None):
+        done = subprocess.run(run, env=env, preexec_fn=limit, capture_output=True, text=True)  # noqa: PLW1510 - asserted below, with what it said
+        assert (done.returncode, done.stderr) == (0, "")
+        drawn = limit is None
+        page = (campaign / "report.html").read_text(encoding="utf-8")
+        assert ("figures" in json.loads(done.stdout)) != drawn
+        assert ("<script" in page and "<svg" in page) == drawn
+        assert "daqp" in page
+        assert any((campaign / "figures").glob("*.svg")) == drawn
+
+
+def test_every_family_of_a_record_has_a_colour_of_its_own() -> None:
+    assert set(get_args(Family)) <= set(FAMILY_COLOURS)
+    assert len(set(FAMILY_COLOURS.values())) == len(FAMILY_COLOURS)
+    assert "not stated" not in {row.family for row in TABLE.values()}

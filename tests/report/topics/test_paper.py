@@ -1,0 +1,223 @@
+"""The paper: claims, choices and stability follow the records."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dpbench.analysis.records.records import Records
+from dpbench.bench.design import Bracket, DesignRecord, Designs, UnanalysedStability
+from dpbench.bench.record.recorded_steps import StepsInMemory
+from dpbench.bench.record.result_folder import Results
+from dpbench.report.topics.paper import judge_claims, list_choices, paper_topic
+
+WHOLE = 1000
+"""Steps of the paper's case: 300 s in samples of 0.3 s."""
+
+
+def _states(records: Any) -> dict[str, str]:
+    return {claim.claim: claim.state for claim in judge_claims(records.view())}
+
+
+def _pair(records: Any, scenario: str = "paper", **law: Any) -> None:
+    records.loop("daqp", scenario, steps=WHOLE)
+    baseline_law = {
+        "steps": WHOLE,
+        "settle_0p1m_s": 64.0,
+        "overshoot_e": 1.13,
+        "heading_max_deg": 0.3,
+    }
+    records.loop("unconstrained_clipped", scenario, formulation="none", **(baseline_law | law))
+
+
+def test_claims_of_the_paper_case(records: Any) -> None:
+    _pair(records)
+    _pair(records, "paper_tight", tail_m=9.0, settle_0p1m_s=np.inf)
+    failed = [claim for claim, state in _states(records).items() if state != "reproduced"]
+    assert failed == [
+        "Its steady error is smaller (tuning of `paper`)",
+        "Its precision is better in heading too (Fig. 5)",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "claim"),
+    [
+        ("overshoot_e", 0.9, "The constrained law is smoother in the transient: less overshoot"),
+        ("settle_0p1m_s", 40.0, "It settles earlier (Fig. 5)"),
+    ],
+)
+def test_rows_that_contradict_are_believed(
+    records: Any, column: str, value: float, claim: str
+) -> None:
+    _pair(records, **{column: value})
+    assert _states(records)[claim] == "opposite"
+    topic = paper_topic(records.view())
+    assert topic is not None and "; the opposite: “" in topic.lines[0]
+    assert f"“{claim}”" in topic.lines[0].split("the opposite: ")[1]
+
+
+@pytest.mark.parametrize(
+    ("columns", "claim"),
+    [
+        ({"limit_violations": 1}, "No limit is ever violated (Figs 6, 7)"),
+        ({"at_rate_sway": 0.0}, "The rate limits shape the transfer (Fig. 7)"),
+        ({"tail_m": 1.2}, "The ship is held within the 1 m precision circle (Fig. 4)"),
+        ({"tail_m": 0.06}, "It is nearly stationary there (steady error below 5 cm)"),
+    ],
+)
+def test_claims_on_one_law_follow_its_row(
+    records: Any, columns: dict[str, Any], claim: str
+) -> None:
+    records.loop("daqp", steps=WHOLE, **columns)
+    assert _states(records)[claim] == "not reproduced"
+
+
+@pytest.mark.parametrize(
+    ("outside", "says"),
+    [
+        (range(0), "within 1 m from the start ("),
+        (range(34), "enters 1 m at 10.2 s and stays (95.0 % of the run inside)"),
+        ([0, 3, 500], "enters 1 m at 150 s and stays ("),
+        ([0, WHOLE - 1], "outside 1 m at the end ("),
+    ],
+)
+def test_held_is_to_enter_and_to_stay(records: Any, outside: Any, says: str) -> None:
+    records.loop("daqp", steps=WHOLE)
+    found = records.results()
+    steps = found.steps.copy()
+    steps[["n_m", "e_m"]] = 0.0
+    steps.loc[steps["k"].isin(list(outside)), "n_m"] = 1.5
+    view = Records(Results(found.runs, StepsInMemory(steps), found.machine, found.suite))
+    assert judge_claims(view)[0].found.startswith(says)
+
+
+def test_without_the_paper_nothing_is_claimed(records: Any) -> None:
+    records.loop("daqp", "calm")
+    assert set(_states(records).values()) == {"not measured"}
+    assert list_choices(records.view()) == []
+
+
+def test_a_run_cut_short_represents_nobody(records: Any) -> None:
+    records.loop("cut", steps=WHOLE, error=1e-15, done=20, outcome="timed_out")
+    records.loop("inexact", steps=WHOLE, error=0.3, tail_m=2.0)
+    records.loop("exact", steps=WHOLE, error=1e-12)
+    assert _states(records)["The ship is held within the 1 m precision circle (Fig. 4)"] == (
+        "reproduced"
+    )
+
+
+def test_choices_are_those_of_the_rows(records: Any) -> None:
+    _pair(records)
+    found = dict(list_choices(records.view()))
+    topic = paper_topic(records.view())
+    assert topic is not None and dict(topic.tables[1].rows) == found
+    assert found["Q"].startswith("diag(1, 1, 100)")
+    assert found["disturbance, amplitude"].startswith("100, 80, 3000")
+
+
+def test_a_claim_takes_the_whole_scenario(records: Any) -> None:
+    """A complete run over the first 60 of 1000 steps measures no claim, and its length is told."""
+    records.loop("daqp", steps=60)
+    records.loop("unconstrained_clipped", steps=60, formulation="none", error=1.0)
+    found = [claim for claim in judge_claims(records.view()) if "paper_tight" not in claim.claim]
+    assert {claim.state for claim in found} == {"not measured"}
+    assert {claim.found for claim in found} == {"60 of 1\u202f000 steps"}
+
+
+def _called_paper(records: Any, change: Callable[[dict[str, Any]], None]) -> Results:
+    """Whole runs of a scenario called `paper` whose documents have been changed."""
+    _pair(records)
+    found = records.results()
+    files = json.loads(json.dumps(records.scenario("paper").files))
+    change(files)
+    runs = found.runs.assign(cell=json.dumps({"scenario": files}))
+    return Results(runs, found.recorded, found.machine, found.suite)
+
+
+@pytest.mark.parametrize("part", ["sea", "ship"])
+def test_a_namesake_is_not_the_paper(records: Any, part: str) -> None:
+
+    def change(files: dict[str, Any]) -> None:
+        if part == "sea":
+            files["scenario"]["environment"]["amplitude_kN"][0] += 1.0
+        else:
+            files["vessel"]["length_m"] += 1.0
+
+    results = _called_paper(records, change)
+    view = Records(results)
+    assert {claim.state for claim in judge_claims(view)} == {"not measured"}
+    assert list_choices(view) == []
+    assert paper_topic(view) is None
+
+
+def test_reworded_prose_is_still_the_paper(records: Any) -> None:
+    """Another title makes no other scenario: it is the paper's by what is computed."""
+
+    def change(files: dict[str, Any]) -> None:
+        files["scenario"]["title"] = "Another title"
+
+    topic = paper_topic(Records(_called_paper(records, change)))
+    assert [figure.name for figure in topic.figures] == [
+        "paper-path",
+        "paper-errors",
+        "paper-forces",
+        "paper-increments",
+    ]
+
+
+def test_the_topic_counts_what_is_reproduced(records: Any) -> None:
+    _pair(records)
+    topic = paper_topic(records.view())
+    states = list(_states(records).values())
+    measured = [state for state in states if state != "not measured"]
+    held = measured.count("reproduced")
+    assert topic.lines[0].startswith(f"{held} of {len(measured)} claims")
+    assert [row[2] for row in topic.tables[0].rows] == states
+    for claim, state in _states(records).items():
+        assert (claim.replace("`", "") in topic.lines[0]) == (
+            state in ("not reproduced", "opposite")
+        )
+
+
+PAPER = DesignRecord(
+    vessel="tug",
+    controller="paper",
+    tuning="paper",
+    N_p=30,
+    N_c=5,
+    eigenvalues=((0.9, 0.1), (0.9, -0.1), (0.5, 0.0)),
+    held={"still water": Bracket(1.0, 1.046875), "calm": Bracket(0.5, 0.515625)},
+)
+ROBUST = replace(
+    PAPER,
+    controller="rough",
+    tuning="robust",
+    N_p=60,
+    N_c=10,
+    eigenvalues=((1.02, 0.0),),
+    held={"still water": Bracket(64.0, None), "calm": Bracket(0.0, 0.25)},
+)
+MISSING = UnanalysedStability("tug", "turn", "killed by SIGKILL")
+
+
+def _rows(designs: Designs | None, records: Any) -> list[tuple[str, ...]]:
+    """The rows of the table on stability; none where there is no such table."""
+    records.loop("daqp", steps=1000)
+    topic = paper_topic(records.view(), designs)
+    return [row for table in topic.tables if "Stability" in table.title for row in table.rows]
+
+
+def test_the_table_shows_the_numbers_of_the_records(records: Any) -> None:
+    none = replace(PAPER, held={})
+    paper, robust, unknown = _rows(Designs((PAPER, ROBUST, none), (MISSING,)), records)
+    assert paper == ("paper 30/5 in tug", "0.9055", "1.00 – 1.05", "0.500 – 0.516")
+    assert robust == ("robust 60/10 in tug", "1.0200", "≥ 64", "< 0.250")
+    assert unknown[2:] == ("–", "–")
+
+
+def test_without_designs_there_is_no_such_table(records: Any) -> None:
+    assert _rows(None, records) == []

@@ -1,0 +1,122 @@
+"""Topics on replays: formulations side by side, and the quality of measurements."""
+
+from typing import Any
+
+from dpbench.analysis.times.contrasts import compare_routes
+from dpbench.analysis.times.machine import round_spread
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.verdict import Verdict, judge_solvers
+from dpbench.report.formats import significant
+from dpbench.report.table import Table
+from dpbench.report.topics.replays import formulations_topic
+from dpbench.report.topics.trust import trust_topic
+
+REQUIREMENTS = Requirements()
+
+
+def _figures(verdict: Verdict) -> tuple[object, ...]:
+    return verdict.configuration, verdict.state, verdict.p99_ns, verdict.steps, verdict.causes
+
+
+def _rows(table: Table) -> dict[str, dict[str, str]]:
+    return {row[0]: dict(zip(table.heads[1:], row[1:], strict=True)) for row in table.rows}
+
+
+def test_the_forms_stand_side_by_side(records: Any) -> None:
+    """Medians of 1000 steps without spread; a form with wrong answers says so, one that was not
+    run is a dash, and one that was refused a word."""
+    exact = {"spread": 0.0}
+    records.replay("osqp", median_us=80.0, **exact)
+    records.replay("osqp", median_us=40.0, formulation="sparse", **exact)
+    records.replay("osqp", median_us=20.0, formulation="condensed_stacked", error=0.5, **exact)
+    records.replay("daqp", median_us=10.0, **exact)
+    records.refused("daqp", "P is only semidefinite", "replay", formulation="sparse")
+    topic = formulations_topic(records.view(), REQUIREMENTS)
+    (table,) = topic.tables
+    assert _rows(table) == {
+        "osqp (qpsolvers fresh)": {
+            "condensed_box": "80.0 µs",
+            "sparse": "40.0 µs",
+            "condensed_stacked": "20.0 µs (not right)",
+        },
+        "daqp (qpsolvers fresh)": {
+            "condensed_box": "10.0 µs",
+            "sparse": "refused",
+            "condensed_stacked": "–",
+        },
+    }
+
+
+def test_route_settings_and_units_are_told_apart(records: Any) -> None:
+    for units in ("scaled", "si"):
+        for route, median in (("qpsolvers", 50.0), ("native", 40.0)):
+            configuration = {"route": route, "units": units, "spread": 0.0}
+            records.replay("piqp", median_us=median, **configuration)
+            records.replay("piqp", median_us=90.0, formulation="sparse", **configuration)
+    topic = formulations_topic(records.view(), REQUIREMENTS)
+    scaled, si = topic.tables
+    assert [cells["condensed_box"] for cells in _rows(scaled).values()] == ["50.0 µs", "40.0 µs"]
+    assert len(si.rows) == 2 and si.title == "paper (SI units)"
+
+
+def test_without_a_second_form_there_is_nothing_to_say(records: Any) -> None:
+    records.replay("daqp")
+    records.replay("daqp", sequence="rough", formulation="sparse")
+    view = records.view()
+    assert formulations_topic(view, REQUIREMENTS) is None
+    # The only formulation of a sequence is its common one.
+    assert [run.formulation for run in view.replays("rough")] == ["sparse"]
+
+
+def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> None:
+    records.replay("osqp", median_us=80.0, route="native", policy="reuse")
+    records.replay("osqp", median_us=90.0, route="native", policy="fresh")
+    records.loop("osqp", route="native")
+    before = records.view()
+    expected = (
+        [_figures(v) for v in judge_solvers(before, REQUIREMENTS).all],
+        compare_routes(before, "paper"),
+        [run.run_id for run in before.replays("paper")],
+    )
+    configuration = {"route": "native", "formulation": "sparse", "error": 0.7}
+    records.replay("osqp", median_us=5.0, policy="reuse", **configuration)
+    records.replay("osqp", median_us=5.0, policy="fresh", **configuration)
+    records.loop("osqp", failed=9, **configuration)
+    after = records.view()
+    found = (
+        [_figures(v) for v in judge_solvers(after, REQUIREMENTS).all],
+        compare_routes(after, "paper"),
+        [run.run_id for run in after.replays("paper")],
+    )
+    assert found == expected
+    assert len(after.all_runs) == len(before.all_runs) + 3
+
+
+def test_one_sentence_says_which_figure_applies_to_what(records: Any) -> None:
+    """The interval within the run; against another run what the rounds of 95 % differ by."""
+    records.replay("daqp", replay_s=9.0)
+    view = records.view()
+    topic = trust_topic(view)
+    usual, high = round_spread(view)
+    rule = topic.lines[0]
+    assert "95 % interval of their pair" in rule
+    assert f"another run or day only beyond × {significant(high)}." in rule
+    assert f"(median {significant(usual)})" in rule
+
+
+def test_what_the_machine_hides_is_said(records: Any) -> None:
+    records.replay("daqp", replay_s=9.0, rerun_rounds=2, involuntary_switches=0, steal_s=0.0)
+    topic = trust_topic(records.view())
+    (quiet,) = (line for line in topic.lines if line.startswith("The machine was quiet"))
+    assert "disturbed even when run again, as 2 were." in quiet
+    assert quiet.endswith("Not watched, as the machine hides it: its frequency and throttling.")
+
+
+def test_a_wait_is_said_by_its_largest_replay(records: Any) -> None:
+    for sequence, median_us in (("calm", 50.1), ("paper", 52.0), ("rough", 50.2)):
+        records.replay("busy_wait_50us", sequence, median_us=median_us, replay_s=1.0)
+    topic = trust_topic(records.view())
+    (waits,) = (line for line in topic.lines if line.startswith("Waits of known length"))
+    assert "50 µs as 52.0 µs (p50 of the timings that count, the largest of its replays)" in waits
+    assert "known to 4.0 %" in waits
+    assert "busy_wait_50us 52.0 µs" in records.ending()["harness"]

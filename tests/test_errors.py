@@ -1,0 +1,60 @@
+"""Errors of a person: one line, long lists cut, and the same behind a process boundary."""
+
+import pickle
+
+import pytest
+
+from dpbench.errors import InputError, SituationError, SolverUnavailableError, list_allowed
+from dpbench.solvers import table
+from dpbench.solvers.table import Availability, check_available
+
+NAMES = ("calm", "rough", "squall", "swell", "turn", "turning", "waves")
+
+
+def test_a_short_list_is_given_whole() -> None:
+    """Six names, in their own order."""
+    assert list_allowed("tern", NAMES[1:]) == "one of rough, squall, swell, turn, turning, waves"
+
+
+@pytest.mark.parametrize(
+    ("listing", "end"), [("", ""), ("dpbench list scenarios", ": `dpbench list scenarios`")]
+)
+def test_a_long_list_is_cut_to_the_nearest_three(listing: str, end: str) -> None:
+    """Seven names; the nearest first, then how many more there are and what lists them."""
+    *near, rest = list_allowed("tern", NAMES, listing=listing).split(", ")
+    assert near[:2] == ["turn", "turning"] and near[2] in NAMES
+    assert rest == f"… 4 more{end}"
+
+
+def test_a_long_list_is_cut_for_a_name_like_no_other() -> None:
+    """Three names all the same, also for a text of a megabyte, at once."""
+    assert list_allowed("§" * 1_000_000, NAMES).endswith("… 4 more")
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (InputError("a.toml", "key", 3, "0 to 1"), "a.toml: key: found 3; allowed: 0 to 1"),
+        (SituationError("--against", "add\n --for SOLVER"), "--against: add --for SOLVER"),
+    ],
+)
+def test_an_error_is_the_same_from_another_process(error: InputError, text: str) -> None:
+    """One line, of the same class, after pickling."""
+    again = pickle.loads(pickle.dumps(error))
+    assert (str(again), type(again)) == (text, type(error)) and str(error) == text
+
+
+@pytest.mark.parametrize(
+    ("reason", "text"),
+    [
+        ("importing osqp failed: no libm", "importing osqp failed: no libm; pip install osqp"),
+        ("not installed: pip install osqp", "not installed: pip install osqp"),
+    ],
+)
+def test_a_missing_solver_is_named_with_its_remedy(
+    reason: str, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The command that installs it, once."""
+    monkeypatch.setattr(table, "check_availability", lambda name: Availability(False, "", reason))
+    with pytest.raises(SolverUnavailableError, match=f"^solver osqp: {text}$"):
+        check_available("osqp")
