@@ -10,6 +10,7 @@ import argparse
 import atexit
 import json
 import os
+import resource
 import sys
 import warnings
 from collections.abc import Sequence
@@ -37,8 +38,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         with first_signal_only() as interruption:
             return _run_until_signal(argv, interruption)
     open_streams()
-    # Arrow's own allocator reserves 1 GB of addresses, half of what a limited process may have.
-    os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
+    if resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY:
+        # Arrow's own allocator reserves 1 GB of addresses, which may be half of all.
+        os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
     try:
         with first_signal_only(for_good=True) as interruption:
             return _run_until_signal(sys.argv[1:], interruption)
