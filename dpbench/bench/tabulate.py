@@ -105,14 +105,10 @@ def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str)
         for planned in cells
         for settings in (planned.cell.settings, *planned.alias_settings)
     }
-    rows = runs_to_frame(PublicTables(out).read_rows())
-    rows = rows[rows["outcome"] != "refused"]
-    values = (
-        rows[list(_SELECTION_COLUMNS)]
-        .astype(object)
-        .where(rows[list(_SELECTION_COLUMNS)].notna(), None)
-    )
-    others = [row for row in values.itertuples(index=False, name=None) if row not in asked]
+    names = (*_SELECTION_COLUMNS, "outcome")
+    rows = PublicTables(out).read_rows(names)
+    values = zip(*(rows[name].to_pylist() for name in names), strict=True)
+    others = [row for *row, outcome in values if outcome != "refused" and tuple(row) not in asked]
     if others:
         first = dict(zip(_SELECTION_COLUMNS, others[0], strict=True))
         place = first["sequence"] or first["scenario"]

@@ -9,7 +9,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 from importlib.metadata import version
 from typing import Any, ClassVar, Literal
 
@@ -264,7 +264,7 @@ class Cell:
         description = self._to_dict()
         return _hash_json([description.get(name) for name in _PROBLEM])
 
-    @property
+    @cached_property
     def key(self) -> str:
         """Hash of all fields that describe the run."""
         return _hash_json(self._to_dict())
@@ -273,6 +273,7 @@ class Cell:
         """Return the run's description as a JSON object, without unused optional fields."""
         study = {} if self.study is None else vars(self.study)
         values = vars(self) | {"source": self.source.to_dict(), "study": study}
+        values.pop("key", None)  # cached, and no field
         return {k: v for k, v in values.items() if k not in _OPTIONAL or v}
 
     def to_json(self) -> str:

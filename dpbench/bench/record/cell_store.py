@@ -109,12 +109,15 @@ class Source(ABC):
     def remove(self) -> None:
         """Delete the files that finished runs are read from."""
 
-    def read_rows(self) -> pa.Table:
-        """Return the rows of finished runs as one table; an empty one if unreadable."""
+    def read_rows(self, columns: Sequence[str] = ()) -> pa.Table:
+        """Return some or all columns of finished runs as one table; no rows if unreadable."""
+        none = NO_RUNS.select(columns or NO_RUNS.column_names)
         try:
-            return pa.concat_tables([NO_RUNS, *self.iterate_rows()])
+            # One after the other, as whole tables are large.
+            some = (table.select(none.column_names) for table in self.iterate_rows())
+            return pa.concat_tables([none, *some])
         except DAMAGE:
-            return NO_RUNS
+            return none
 
     def outcomes(self) -> dict[str, str]:
         """Return the outcome of finished runs by run_id, without runs whose steps are damaged."""
