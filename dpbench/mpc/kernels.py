@@ -192,7 +192,7 @@ def write_summed_rows(G, rows):
 
 
 @njit(cache=True, error_model="numpy")
-def reachable_limits(u_prev, u_min, u_max, row_max, row_unit, l, u, N_c):  # noqa: E741 - as in the program
+def reachable_limits(u_prev, u_min, u_max, row_max, row_unit, l, u, N_c):  # noqa: E741 - of l ≤ Az ≤ u
     """Write each move's amplitude limits, extended as far as the rate limit requires, into l and u.
 
     In rate-limit steps the reachable bounds −i and i are exact, so a row that is forced to its

@@ -152,11 +152,11 @@ class LimitRampDown:
 
     def compute_limits(self, f: Vector, limits: Limits) -> tuple[Matrix, Matrix]:
         """Return limits (N_c, r) on the summed force change; lowered ones close in slowly."""
-        l, u = np.empty(self._shape), np.empty(self._shape)  # noqa: E741 - as in the program
+        l, u = np.empty(self._shape), np.empty(self._shape)  # noqa: E741 - of l ≤ Az ≤ u
         self.write_limits(f, limits, l.reshape(-1), u.reshape(-1))
         return l, u
 
-    def write_limits(self, f: Vector, limits: Limits, l: Vector, u: Vector) -> None:  # noqa: E741 - as in the program
+    def write_limits(self, f: Vector, limits: Limits, l: Vector, u: Vector) -> None:  # noqa: E741 - of l ≤ Az ≤ u
         """Write each move's force limits, lowered ones tightened gradually, into l and u."""
         _write_retreating_limits(self._table, f, *limits, l, u, self._shape[0])
 
@@ -166,7 +166,7 @@ LOW, HIGH, ROW_MAX, FACTOR, ALONG, DU_MAX, ROW_FROM, ENTRY_FROM, G_FROM = range(
 
 
 @njit(cache=True, error_model="numpy")
-def _write_retreating_limits(table, f, low, high, lost, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; as in the program
+def _write_retreating_limits(table, f, low, high, lost, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; of l ≤ Az ≤ u
     """Write each move's force limits into l and u, tightened gradually if f is outside them."""
     r, n_f, stride = low.shape[0], f.shape[0], l.shape[0] // N_c
     for k in range(r):

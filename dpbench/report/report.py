@@ -1,4 +1,4 @@
-"""What a report is made of: the results, what is known of them, the recommendation, the topics."""
+"""Contents of a report: results, data made of them, recommendation and topics."""
 
 from __future__ import annotations
 

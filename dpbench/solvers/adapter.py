@@ -24,7 +24,7 @@ OpenWorkspace = Callable[[SolverRecord, Policy, Options], Workspace]
 
 @dataclass(frozen=True)
 class NativeAdapter:
-    """How to call a solver library by its own Python interface: facts, constructor, options.
+    """Means to call a solver library by its own Python interface: facts, constructor, options.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def make_status_reader(read_info: InfoReader) -> ReadStatus:
 
 @dataclass(frozen=True)
 class QpsolversAdapter:
-    """How to call a solver library through qpsolvers: facts, status reader, option names.
+    """Means to call a solver library through qpsolvers: facts, status reader, option names.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ Box = Literal["native", "rows"]
 
 
 class LimitSides:
-    """Which of a block of constraint rows are equalities or have a finite upper or lower limit."""
+    """Masks of the constraint rows that are equalities or have a finite upper or lower limit."""
 
     def __init__(self, low: Vector, high: Vector) -> None:
         equal = low == high

@@ -70,7 +70,7 @@ def by_tolerance(*criteria: str, always: Options | None = None, **constant: obje
 
 @dataclass(frozen=True)
 class Build:
-    """How a solver library was compiled: its instruction set, and whether that is a generic one.
+    """Build of a solver library: its instruction set, and whether it is a generic build.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ NO_PROJECT_FACTS = project_facts(licence=None, language=None)
 
 @dataclass(frozen=True)
 class RouteRecord:
-    """What a solver can do through one interface: ways of starting, updates, known faults.
+    """Abilities of a solver through one interface: ways of starting, updates, known faults.
 
     Parameters
     ----------

@@ -51,7 +51,7 @@ OTHER_LIBRARIES = (
 
 @dataclass(frozen=True)
 class Availability:
-    """Whether a solver is installed here: version and build, or why it cannot be used."""
+    """Availability of a solver here: version and build, or why it cannot be used."""
 
     ok: bool
     version: str = ""

@@ -90,7 +90,7 @@ class History:
 
     @property
     def whole_change(self) -> float:
-        """p50 step time of the newest version over that of the oldest; NaN if untimed."""
+        """Ratio of p50 step times, the newest version over the oldest; NaN if untimed."""
         return self.releases[-1].p50 / self.releases[0].p50
 
 

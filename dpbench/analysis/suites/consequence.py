@@ -63,9 +63,9 @@ class BatchAnswers:
 
 @dataclass(frozen=True, eq=False)
 class ConsequenceAnalysis:
-    """When a ship can hold position after losing thrusters, and what solvers answered.
+    """Results of a consequence analysis: losses after which position is held, answers of solvers.
 
-    spans : columns `SPAN`, in which time what is proven of which loss.
+    spans : columns `SPAN`: for each loss, spans of time and what is proven of them.
     answers : of every configuration, right ones first, then the fastest.
     """
 

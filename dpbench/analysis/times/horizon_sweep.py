@@ -54,12 +54,12 @@ class SweepPoint:
 
     @property
     def p99_ns(self) -> float:
-        """p99 step time [ns], each step's fastest repetition; NaN for too few steps."""
+        """The p99 step time [ns], each step's fastest repetition; NaN for too few steps."""
         return percentile(self.times.algo_ns, 99) if self.times else math.nan
 
     @cached_property
     def p99_interval(self) -> Interval:
-        """p99 step time [ns], each step's fastest repetition, with its 95 % interval."""
+        """The p99 step time [ns], each step's fastest repetition, with its 95 % interval."""
         return percentile_interval(self.times.algo_ns, 99) if self.times else UNKNOWN
 
 

@@ -26,7 +26,7 @@ from dpbench.scenario.scenario import Scenario, build_scenario
 
 @dataclass(frozen=True)
 class Experiment:
-    """What configurations are judged on: a scenario in closed loop, a replay, or a study's run."""
+    """Basis of a verdict: a scenario in closed loop, a replay, or a study's run."""
 
     mode: str
     name: str

@@ -32,7 +32,7 @@ RouteName = Literal["default", "qpsolvers", "native"]
 
 
 class RunsTable(FileModel):
-    """How a suite table calls its solvers: settings, library interface, what steps hand on."""
+    """Call options of a suite table: settings, library interface, what steps hand on."""
 
     settings: list[str] = ["default"]
     """default, low, mid, high, a name that a solver has beside them, or a tolerance: "1e-4"."""

@@ -24,7 +24,7 @@ from dpbench.solvers.contract import Policy, Route
 
 @dataclass(frozen=True)
 class QPSource:
-    """Where a replay's QPs come from; `name` is that of the replayed sequence.
+    """Origin of a replay's QPs; `name` is that of the replayed sequence.
 
     Attributes
     ----------
@@ -313,7 +313,7 @@ OUTCOMES = ("finished", "crashed", "hung", "timed_out", "refused", "invalid", "l
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended (finished, crashed, hung, ...), why, and the size of its QP.
+    """End of a run (finished, crashed, hung, ...), its reason, and the size of its QP.
 
     n, m : size of the QP given to the solver; None where it got none.
     peak_bytes : largest resident memory of its process; None where unknown.

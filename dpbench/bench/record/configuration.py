@@ -31,7 +31,7 @@ class Configuration:
 
     @property
     def options(self) -> str:
-        """How the solver is called, with unusual settings, as text such as `native warm, high`."""
+        """Call of the solver, with unusual settings, as text such as `native warm, high`."""
         settings = "" if self.settings == "default" else f", {self.settings}"
         return f"{self.route} {self.policy}{settings}"
 

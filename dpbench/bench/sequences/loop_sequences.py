@@ -62,7 +62,7 @@ def build_consequence_sequence(scenario: Scenario, tau: Matrix, group: str) -> Q
     least, most, _ = rows.limits_after_loss(thrusters.groups[group])
     low, high = np.maximum(low, least), np.minimum(high, most)
     allocation = AllocationAfterLoss(thrusters, rows)
-    l, u = allocation.limits(average_force(tau, scenario.sample_s), low, high)  # noqa: E741 - as in the program
+    l, u = allocation.limits(average_force(tau, scenario.sample_s), low, high)  # noqa: E741 - of l ≤ Az ≤ u
     base = allocation.problem(l[0], u[0])
     meta: dict[str, str | float | int]
     meta = {"scenario": scenario.name, "group": group, "sample_s": scenario.sample_s}

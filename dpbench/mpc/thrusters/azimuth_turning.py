@@ -143,7 +143,7 @@ X, ARC, LEAST_N, RADIAL, UNIT, FIRST = range(6)
 
 
 @njit(cache=True, error_model="numpy")
-def _write_turning_rows(table, f, A, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; as in the program
+def _write_turning_rows(table, f, A, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; of l ≤ Az ≤ u
     """Write the rows that limit each azimuth's force change along and across its direction."""
     rows, block = A.shape[0] // N_c, A.shape[1] // N_c
     for j in range(table.shape[1]):

@@ -109,7 +109,7 @@ class AllocationAfterLoss:
         balance = force / self._units
         return (np.hstack([balance, low / self._thrust]), np.hstack([balance, high / self._thrust]))
 
-    def problem(self, l: Vector, u: Vector) -> QuadraticProgram:  # noqa: E741 - as in the program
+    def problem(self, l: Vector, u: Vector) -> QuadraticProgram:  # noqa: E741 - of l ≤ Az ≤ u
         """Return the allocation QP with row limits l and u (3 + r,)."""
         n = self._A.shape[1]
         return QuadraticProgram(np.eye(n), np.zeros(n), self._A, l, u, -np.ones(n), np.ones(n))

@@ -1,4 +1,4 @@
-"""What all figures share: colours, shapes, fonts, axes, legends, tooltips."""
+"""Style of all figures: colours, shapes, fonts, axes, legends, tooltips."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any

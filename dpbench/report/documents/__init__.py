@@ -1,1 +1,1 @@
-"""What is handed to others: a comment, a statement, the report as Markdown, a folder to send."""
+"""Documents for others: a comment, a statement, the report as Markdown, a folder to send."""

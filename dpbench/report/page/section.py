@@ -1,4 +1,4 @@
-"""What the page is made of: sections that follow the selection, and topics below them."""
+"""Parts of the page: sections that follow the selection, and topics below them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

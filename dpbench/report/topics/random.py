@@ -1,4 +1,4 @@
-"""What solvers claim of random QPs whose optimum is known."""
+"""Claims of solvers on random QPs whose optimum is known."""
 
 from collections.abc import Mapping
 

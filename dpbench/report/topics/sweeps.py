@@ -1,4 +1,4 @@
-"""What a sweep shows: longer horizons, slower computers."""
+"""Results of sweeps: longer horizons, slower computers."""
 
 import math
 from collections.abc import Sequence

@@ -38,7 +38,7 @@ NOTHING: Indices = np.empty(0, dtype=np.intp)
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """Which variables and rows of a QP belong to one stage of its optimal control problem.
+    """Variables and rows of a QP that belong to one stage of its optimal control problem.
 
     Parameters
     ----------

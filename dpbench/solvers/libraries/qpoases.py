@@ -60,7 +60,7 @@ FIXED = {"printLevel": "none", "error_on_fail": False}
 
 
 class QpoasesWorkspace(NativeWorkspace):
-    """qpOASES as QP solver, called through casadi; after the first solve it starts hot."""
+    """Workspace of qpOASES, called through casadi; after the first solve it starts hot."""
 
     def _convert_matrices(self) -> None:
         """Lay out P and A in qpOASES's memory order; allocate its inputs and outputs."""

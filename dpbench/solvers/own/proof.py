@@ -70,7 +70,7 @@ def _largest_sum_along_ray(ray, low, high):  # type: ignore[no-untyped-def] # co
 
 
 @njit("b1(f8[:, :], f8[:], f8[:], f8[:], f8[:], f8[:], f8[:])", cache=True, error_model="numpy")
-def is_infeasibility_proof(A, l, u, lb, ub, y, y_box):  # type: ignore[no-untyped-def] # noqa: E741 - compiled by numba; as in the program
+def is_infeasibility_proof(A, l, u, lb, ub, y, y_box):  # type: ignore[no-untyped-def] # noqa: E741 - compiled by numba; of l ≤ Az ≤ u
     """Return whether a Farkas ray (y, y_box) proves limits of rows and bounds contradictory.
 
     Aᵀy + y_box vanishes to `CONSISTENT` of the terms it is the sum of. With y_box := −Aᵀy, what the

@@ -1,4 +1,4 @@
-"""What the compiled active-set method keeps from step to step, in one array S.
+"""State of the compiled active-set method from step to step, in one array S.
 
 With P = L Lᵀ, C = [I; A] and J = L⁻¹ Cᵀ,
 

@@ -1,4 +1,4 @@
-"""Where a step starts: v₀, and the set of the step before, moved on and made dual feasible.
+"""Start of a step: v₀, and the set of the step before, moved on and made dual feasible.
 
 The multipliers come along with the set. What eq. 31 asks of it is another λ*, and where that has a
 wrong sign λ goes towards it until the first multiplier reaches zero; that row is dropped, and λ*
