@@ -43,3 +43,6 @@ class Froude:
     def pose(self) -> Vector:
         """Froude scale factors (3,) of north, east and heading."""
         return np.array([self.length, self.length, 1.0])
+
+
+FULL_SIZE = Froude()

@@ -77,11 +77,26 @@ def test_the_true_ship_differs_by_per_cent() -> None:
     assert scenario.actuators.delay_samples == 2
 
 
+def with_harris_gusts(document: dict[str, Any]) -> None:
+    document["environment"]["wind"]["gusts"] = "harris"
+
+
 @pytest.mark.slow
-def test_a_model_ship_sails_the_full_size_run_at_its_scale() -> None:
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("thruster_loss", lambda s: None),
+        ("squall", lambda s: None),
+        ("weather", lambda s: None),
+        ("weather", with_harris_gusts),
+        ("waves", lambda s: None),
+        ("waves_passive", lambda s: None),
+    ],
+)
+def test_a_model_ship_sails_the_full_size_run_at_its_scale(name: str, change: Change) -> None:
     """A ship scaled 1 : 70 by hand makes the same run, lengths /70 and times /√70."""
     ratio = 70.0
-    full = load_scenario("thruster_loss")
+    full = changed(name, change)
 
     def shrink(ship: dict[str, Any]) -> None:
         m, mx, mxx = ratio**-3, ratio**-4, ratio**-5
@@ -95,8 +110,11 @@ def test_a_model_ship_sails_the_full_size_run_at_its_scale() -> None:
         limits["rate_max_N_per_s"] = rates.tolist()
         ship["model_scale"] = ratio
         ship["length_m"] /= ratio
+        for area in ("frontal_m2", "lateral_m2"):
+            ship["windage"][area] /= ratio**2
+        ship["reflection"]["breadth_m"] /= ratio
 
-    model = changed("thruster_loss", lambda s: None, shrink)
+    model = changed(name, change, shrink)
     assert model.sample_s == pytest.approx(0.3 / math.sqrt(70.0))
     large, small = solve_exactly(full), solve_exactly(model)
     # The loop amplifies rounding by what it does not damp; a nanometre of a metre is plenty.

@@ -53,7 +53,7 @@ class ReflectionTable(FileModel):
     breadth_m: keys.Positive
     """Breadth at the waterline [m]."""
     head: keys.NotNegative = WaveReflection.head
-    """R₀², the share that short waves from ahead act with (DNV-ST-0111, bow of 22°)."""
+    """R₀², the share that short waves from ahead act with (DNV-ST-0111, bow angle of 24°)."""
     beam: keys.NotNegative = WaveReflection.beam
     """R₀² of short waves from abeam."""
     yaw: keys.NotNegative = WaveReflection.yaw

@@ -67,7 +67,7 @@ class WindTable(FileModel):
 
     def build_wind(self, scale: Froude) -> Wind:
         """Return the wind in SI units."""
-        return Wind(self.speed_mps * scale.time, towards_rad(self.from_deg), self.gusts)
+        return Wind(self.speed_mps * scale.time, towards_rad(self.from_deg), self.gusts, scale)
 
 
 class CurrentTable(FileModel):
@@ -113,7 +113,7 @@ class WavesTable(FileModel):
     def build_sea(self, scale: Froude) -> Sea:
         """Return the sea in SI units."""
         to_rad = towards_rad(self.from_deg)
-        return Sea(self.hs_m * scale.length, self.tp_s * scale.time, to_rad, self.gamma)
+        return Sea(self.hs_m * scale.length, self.tp_s * scale.time, to_rad, self.gamma, scale)
 
     def build_motion(self, scale: Froude) -> FirstOrderMotion | None:
         """Return the wave-frequency motion in SI units; None where the measurement shows none."""
@@ -165,7 +165,11 @@ class EnvironmentTable(FileModel):
     phase_rad: keys.Three = [0.0, 1.0, 2.0]
     """Phase of each sine [rad]."""
     ramp_s: keys.NotNegative = 0.0
-    """g(t) grows from 0 to 1 in this time [s]; 0: it is 1 from the start."""
+    """g(t) grows from 0 to 1 in this time [s]; 0: it is 1 from the start.
+
+    It multiplies slow forces, speeds of wind and current, and the wave height that causes drift:
+    forces of wind and drift grow with g², that of the current with g. Squalls, wave motion and
+    noise are not ramped."""
     seed: keys.Count = 0
     """Of gusts, waves and noise: the same seed is the same weather."""
     squalls: list[SquallTable] = []

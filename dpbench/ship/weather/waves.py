@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
+from dpbench.ship.froude import FULL_SIZE, Froude
 from dpbench.ship.weather.harmonics import Harmonics, draw_harmonics, jonswap, random_stream
 
 WATER_DENSITY = 1026.0
@@ -33,12 +34,14 @@ class Sea:
     hs_m, tp_s : significant height [m], peak period [s].
     to_rad : where the waves run to, clockwise from north [rad].
     gamma : peakedness, 1 (Pierson-Moskowitz) to 7.
+    scale : of the model ship in this sea; height and period above are the model's.
     """
 
     hs_m: float
     tp_s: float
     to_rad: float
     gamma: float = 3.3
+    scale: Froude = FULL_SIZE
 
     def harmonics(self, seed: int) -> Harmonics:
         """Draw the wave components of a seed; their significant wave height is exact."""
@@ -69,9 +72,10 @@ class WaveReflection:
 
     R² falls with the period, since long waves pass under the hull: R² = R₀² f(T'), f = 1 for
     T' ≤ 1, else T'⁻³ exp(1 − T'⁻³), with T' = Tz/(0.75 √B) abeam and Tz/(0.9 L^0.33) ahead and
-    Tz = Tp/1.4049 (DNV-ST-0111, section 3.7).
+    Tz = Tp/1.4049 (DNV-ST-0111, section 3.7). The exponent 0.33 makes T' ahead depend on the unit
+    of length, so T' is that of the full-size ship.
 
-    head, beam, yaw : R₀² of short waves from ahead (the standard's value for a bow of 22°),
+    head, beam, yaw : R₀² of short waves from ahead (the standard's value for a bow angle of 24°),
         from abeam and, for the moment, from the quarters.
     """
 
@@ -82,9 +86,9 @@ class WaveReflection:
 
     def coefficients(self, length_m: float, sea: Sea) -> Vector:
         """Return the wave drift coefficients (3,) [N/m², N/m², N/m] of surge, sway and yaw."""
-        tz_s = sea.tp_s / 1.4049
-        ahead = period_factor(tz_s / (0.9 * length_m**0.33))
-        abeam = period_factor(tz_s / (0.75 * self.breadth_m**0.5))
+        tz_s, smaller = sea.tp_s / sea.scale.time / 1.4049, sea.scale.length
+        ahead = period_factor(tz_s / (0.9 * (length_m / smaller) ** 0.33))
+        abeam = period_factor(tz_s / (0.75 * (self.breadth_m / smaller) ** 0.5))
         widths = [
             self.breadth_m * self.head * ahead,
             length_m * self.beam * abeam,

@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
+from dpbench.ship.froude import FULL_SIZE, Froude
 from dpbench.ship.weather.harmonics import draw_harmonics, harris_gust, norsok_gust, random_stream
 
 AIR_DENSITY = 1.226
@@ -37,25 +38,32 @@ def towards_rad(from_deg: float) -> float:
 
 @dataclass(frozen=True)
 class Wind:
-    """Wind of constant direction, with gusts around a mean speed at 10 m height."""
+    """Wind of constant direction, with gusts around a mean speed at 10 m height.
+
+    speed_mps : mean speed at the ship, so that of the model's wind for a model ship [m/s].
+    scale : of the model ship. The spectra hold at full size and do not follow Froude's law, so the
+        gusts are drawn there and then scaled.
+    """
 
     speed_mps: float
     to_rad: float
     gusts: Literal["norsok", "harris", "none"] = "norsok"
+    scale: Froude = FULL_SIZE
 
     def speed(self, start_s: Vector, offset_s: Vector, seed: int) -> Matrix:
         """Return the wind speed [m/s] at times start_s (K,) + offset_s (M,): (K, M)."""
         if self.gusts == "none" or self.speed_mps == 0.0:
             return np.full((start_s.size, offset_s.size), self.speed_mps)
-        spectrum, turn = _GUSTS[self.gusts], 2 * np.pi
+        spectrum, turn, slower = _GUSTS[self.gusts], 2 * np.pi, self.scale.time
         low, high = GUST_BAND_HZ
         gust = draw_harmonics(
-            lambda omega: spectrum(omega / turn, self.speed_mps) / turn,
+            lambda omega: spectrum(omega / turn, self.speed_mps / slower) / turn,
             (turn * low, turn * high),
             _COMPONENTS,
             random_stream(seed, "wind"),
         )
-        speed: Matrix = self.speed_mps + gust.at(start_s, offset_s).real
+        gusts = gust.at(start_s / slower, offset_s / slower).real
+        speed: Matrix = self.speed_mps + slower * gusts
         return speed
 
 
