@@ -69,12 +69,14 @@ class ThrusterRows:
         """Return the limits after the loss of thrusters, given by index: those give no force.
 
         As many rows of a thruster become zero as it has entries, of an azimuth two that lie across
-        each other: more would be redundant.
+        each other: more would be redundant. The edges of a sector, which meet at zero force, open.
         """
         low, high = self.low.copy(), self.high.copy()
         for i in lost:
             rows = np.flatnonzero(self.thruster == i)
             sides = np.count_nonzero(self.low[rows] < 0.0)
+            edges = rows[self.low[rows] == 0.0]
+            low[edges] = -high[edges]
             zero = rows[np.array([0, sides // 2])[: np.count_nonzero(self.entry == i)]]
             low[zero] = high[zero] = 0.0
         return Limits(low, high, np.isin(np.arange(self.entry[-1] + 1), list(lost)))

@@ -28,7 +28,8 @@ _INTEGERS = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1)
 
 def of_bytes(data: bytes, rng: random.Random) -> bytes:
     """Some bytes flipped, overwritten, cut, repeated or put in."""
-    kind, size = rng.randrange(7), max(len(data), 1)
+    # Nothing can be flipped in an empty file: something is put in.
+    kind, size = rng.randrange(7) if data else 5, max(len(data), 1)
     at = rng.randrange(size)
     length = min(size - at, int(rng.expovariate(1 / 16)) + 1)
     changed = bytearray(data)

@@ -247,8 +247,10 @@ def main() -> int:
                     print(said, flush=True)
                 if done % 20 == 0:
                     print(f"{done} of {len(runs)} batches", file=sys.stderr, flush=True)
-        except KeyboardInterrupt:
+        except BaseException as error:
             pool.shutdown(cancel_futures=True)
+            if not isinstance(error, KeyboardInterrupt):
+                raise
             print("interrupted: the table is of what was read until then", file=sys.stderr)
     print(f"\n{'kind':10}  mutants     read  refused    bad   longest s    largest MB  seconds")
     print(*counts.values(), sep="\n")

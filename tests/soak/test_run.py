@@ -9,7 +9,7 @@ import pytest
 
 from dpbench.errors import InputError
 from tests.soak import run
-from tests.soak.mutations import of_json
+from tests.soak.mutations import of_bytes, of_json
 from tests.soak.readers import KINDS, Soaked
 
 
@@ -53,6 +53,11 @@ def test_every_fault_is_found_and_named(
     name = said.splitlines()[0].rpartition(" ")[2]
     assert "KeyError" in (tmp_path / name.replace(":", "-") / "said.txt").read_text("utf-8")
     assert run._again(name) == 1 and "KeyError" in capsys.readouterr().out
+
+
+def test_an_empty_file_is_mutated_too() -> None:
+    """A mutation that cuts a file to nothing may be followed by another."""
+    assert all(of_bytes(b"", random.Random(seed)) for seed in range(50))
 
 
 @pytest.mark.parametrize("kind", ["toml", "sequences", "hulls"])
