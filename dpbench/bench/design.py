@@ -179,9 +179,11 @@ def is_held(scenario: Scenario, offset_m: float, sides: Sequence[float] = SIDES)
     for sign in sides:
         start = np.array([0.0, sign * offset_m * scale.length, 0.0])
         try:
-            state = solve_exactly(replace(scenario, start=start, velocity=np.zeros(AXES))).state
+            exact = solve_exactly(replace(scenario, start=start, velocity=np.zeros(AXES)))
+            exact.require_certificates(scenario.name)
         except CertificateError:
             return False
+        state = exact.state
         away = np.hypot(*(state[-tail - 1 :, NORTH:HEADING] - scenario.reference[:YAW]).T)
         # NaN stays outside.
         if not (away <= TOLERANCE_M * scale.length).all():

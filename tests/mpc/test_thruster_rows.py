@@ -69,6 +69,18 @@ def test_a_sector_keeps_the_directions_it_allows(width_deg: float) -> None:
     np.testing.assert_array_equal(inside(rows, f), within)
 
 
+def test_a_lost_azimuth_is_held_at_zero_by_two_rows_alone() -> None:
+    """The edges of its sector meet at zero force: rounding would decide whether both allow it."""
+    rows = thruster_rows(one_azimuth(sector_rad=(math.radians(-40.0), math.radians(100.0))), 16)
+    low, high, _ = rows.limits_after_loss({0})
+    own = rows.thruster == 0
+    touched = own & ((low == 0.0) | (high == 0.0))
+    assert np.count_nonzero(touched) == 2
+    np.testing.assert_array_equal(low[touched], high[touched])
+    # The two normals lie across each other.
+    assert abs(np.linalg.det(rows.G[touched][:, :2])) == pytest.approx(1.0)
+
+
 @pytest.mark.slow
 @settings(derandomize=True, max_examples=100)
 @given(

@@ -80,17 +80,11 @@ class ExactWorkspace(Workspace):
         self.optima.append(self._referee.certify(step.q, step.l, step.u))
 
     def read(self) -> Solution:
-        """Return the certified optimum, or a proven infeasibility; else CertificateError.
-
-        A step that is undecided at rounding has no answer either.
-        """
+        """Return the certified optimum; no answer where infeasible or where nothing is proven."""
         assert self.optima, "solve comes first"
         optimum = self.optima[-1]
-        if optimum.kind in ("infeasible", "undecided"):
-            return Solution(Status.PRIMAL_INFEASIBLE, optimum.z, optimum.y, optimum.y_box, 0)
-        if not np.isfinite(optimum.bound):
-            raise CertificateError(f"no certified optimum ({optimum.kind})")
-        return Solution(Status.SOLVED, optimum.z, optimum.y, optimum.y_box, 0)
+        status = Status.SOLVED if np.isfinite(optimum.bound) else Status.PRIMAL_INFEASIBLE
+        return Solution(status, optimum.z, optimum.y, optimum.y_box, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +108,13 @@ class ExactLoop:
     demand: Matrix | None = None
     allocated: list[Optimum] = field(default_factory=list)
     drawn: WeatherDraw = field(default_factory=dict)
+
+    def require_certificates(self, name: str) -> None:
+        """Raise CertificateError where nothing is proven of a step; `name` is the scenario's."""
+        for optima in (self.optima, self.allocated):
+            for k, optimum in enumerate(optima):
+                if optimum.kind == "none":
+                    raise CertificateError(f"{name}: step {k} has no certified optimum")
 
     def save(self, path: Path) -> None:
         """Write the states, forces and certified optima of the loop to a file."""
@@ -175,8 +176,7 @@ def _arrays_to_optima(stored: Mapping[str, NDArray[Any]], name: str) -> list[Opt
 def solve_exactly(scenario: Scenario) -> ExactLoop:
     """Run a closed loop of a scenario with the certified optimum of every step.
 
-    Where a step is proven to have no feasible point, the loop follows its last plan;
-    CertificateError when a step has neither.
+    Where a step has no feasible point, or nothing can be proven, the loop follows its last plan.
     """
     builder = QPBuilder(scenario)
     log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes))
@@ -190,10 +190,6 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
     if builder.allocation is not None:
         setup.allocating = TimedSolver(second, BoxFormulation(builder.allocation.base()), clock)
     closed_loop(setup)
-    without = log.flags[:, 0].astype(bool) & (log.status[0] != Status.PRIMAL_INFEASIBLE)
-    if without.any():
-        k = int(np.flatnonzero(without)[0])
-        raise CertificateError(f"{scenario.name}: step {k} has no certified optimum")
     loop = log.theta, log.state, log.tau, log.thrust, log.z[0], workspace.optima
     demand = log.demand if scenario.controller.allocates else None
     return ExactLoop(*loop, demand, second.optima, drawn)
@@ -286,5 +282,10 @@ def _stack_matrices(matrices: list[Matrix | None]) -> Floats | None:
 def record_sequence(
     scenario: Scenario, *, units: UnitSystem = "scaled", part: Part = "controller"
 ) -> QPSequence:
-    """Solve a scenario's loop exactly and return the QPs of its controller or allocation."""
-    return rebuild_sequence(scenario, solve_exactly(scenario), units=units, part=part)
+    """Solve a scenario's loop exactly and return the QPs of its controller or allocation.
+
+    CertificateError where nothing is proven of a step.
+    """
+    exact = solve_exactly(scenario)
+    exact.require_certificates(scenario.name)
+    return rebuild_sequence(scenario, exact, units=units, part=part)

@@ -56,7 +56,9 @@ def record_scenario(
         if not 1 <= steps <= scenario.steps:
             raise InputError("--steps", "", steps, f"1 to {scenario.steps} of {scenario.name}")
         scenario = scenario.first(steps)
-    sequence = rebuild_sequence(scenario, solve_exactly(scenario), part=part)
+    exact = solve_exactly(scenario)
+    exact.require_certificates(scenario.name)
+    sequence = rebuild_sequence(scenario, exact, part=part)
     meta = sequence.meta | scenario.problem.horizons
     sequence = thin_sequence(replace(sequence, meta=meta), None, every)
     builder = QPBuilder(scenario, "si")

@@ -8,9 +8,14 @@ For feasible z, and y whose signs name finite limits,
 z and y are refined in exact dyadic arithmetic against limits moved inwards by τ, so that z is
 feasible to the last bit and every slack of an active row is τ to within the refinement; no
 difference of objectives is taken, which would be rounding noise.
+
+More rows than dimensions may meet in a point, as a sector's edge does in a corner of a polygon.
+Rounding then decides which of them hold it, and the point of the others violates the rest by an
+ulp: an exchange of rows by the dual simplex rule then leads to the ones that do.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +30,7 @@ TAU_EXPONENT = -120
 """τ = 2^−120: √(2·τ·‖y‖₁·(P⁻¹)_ii) stays below 1e-12 for ‖y‖₁·(P⁻¹)_ii up to 1e12."""
 LAST_BIT = -170  # Refined x is a multiple of 2^LAST_BIT
 ROUNDS = 12  # Each round of refinement gains some 53 − log₂ cond(K) bits; 12 are enough up to 1e12
+EXCHANGES = 20  # Most choices of rows that are tried where more than n meet in a point
 NEAR = 1e-9  # Relative slack below which an inactive row counts as weakly active
 
 
@@ -56,24 +62,91 @@ def select_independent(C: Matrix, signs: Signs, first: Signs) -> Signs:
 
 
 def gap_certificate(
-    problem: JointQP, exact: ExactMatrices, system: KKTSystem, inverse: Matrix
+    problem: JointQP,
+    exact: ExactMatrices,
+    systems: Callable[[Signs], KKTSystem],
+    signs: Signs,
+    inverse: Matrix,
 ) -> Proof | None:
     """Certify an optimum by its duality gap at an exactly feasible point, or return None.
 
-    system : a `proven` system of all rows that may be active; inverse (n, n) : entrywise upper
-    bounds of |P⁻¹|, P positive definite. None where no feasible z is found this way, as with
-    equality-like rows (see `last_resort`).
+    signs (N,) : independent rows that may be active; systems : the KKT system of such a set;
+    inverse (n, n) : entrywise upper bounds of |P⁻¹|, P positive definite. None where no feasible z
+    is found this way, as with equality-like rows (see `last_resort`).
     """
-    rows = system.rows
+    for _ in range(EXCHANGES):
+        system = systems(signs)
+        if not system.proven:
+            return None
+        limits = np.concatenate((problem.U, problem.L))[system.limits]
+        inward = Dyadic(np.array([-int(s) for s in system.signs], dtype=object), TAU_EXPONENT)
+        refined = refine_exactly(problem, exact, system, Dyadic.of(limits) + inward)
+        if refined is None:
+            return None
+        z, lam = refined
+        violated = _violated_limits(problem, exact, z)
+        if not violated.any():
+            return _bound_by_gap(problem, exact, system, inverse, z, lam)
+        exchanged = exchange_rows(problem, system, lam.floats(), violated)
+        if exchanged is None:
+            return None
+        signs = exchanged
+    return None
+
+
+def exchange_violated(problem: JointQP, exact: ExactMatrices, system: KKTSystem) -> Signs | None:
+    """Exchange a row of the system for one that the point of its limits violates, or return None.
+
+    Rows of the system, and equality rows, which no finite binary number need satisfy, do not count.
+    """
     limits = np.concatenate((problem.U, problem.L))[system.limits]
-    inward = Dyadic(np.array([-int(s) for s in system.signs], dtype=object), TAU_EXPONENT)
-    target = Dyadic.of(limits) + inward
-    refined = refine_exactly(problem, exact, system, target)
+    refined = refine_exactly(problem, exact, system, Dyadic.of(limits))
     if refined is None:
         return None
-    z, lam = refined
-    if not _is_feasible(problem, exact, z):
-        return None
+    violated = _violated_limits(problem, exact, refined[0])
+    violated[system.rows], violated[problem.L == problem.U] = 0, 0
+    return exchange_rows(problem, system, refined[1].floats(), violated)
+
+
+def exchange_rows(
+    problem: JointQP, system: KKTSystem, multipliers: Vector, violated: Signs
+) -> Signs | None:
+    """Return an active set (N,) in which a violated row replaces one that it depends on, or None.
+
+    With s_t c_t = Σ α_i s_i c_i over the system's rows, the multiplier of a row t that enters rises
+    until that of row i, λ_i − α_i λ_t, is the first to reach zero: row i leaves (dual simplex
+    method; Nocedal & Wright 2006, section 13.6). Equality rows stay.
+    """
+    rows = system.rows
+    own = problem.C[rows] * system.signs[:, np.newaxis]
+    may_leave = problem.L[rows] != problem.U[rows]
+    for t in np.flatnonzero(violated):
+        enters = violated[t] * problem.C[t]
+        share = np.linalg.lstsq(own.T, enters, rcond=None)[0]
+        apart = np.abs(own.T @ share - enters).max() > NEAR * np.abs(enters).max()
+        falling = may_leave & (share > NEAR)
+        if apart or not falling.any():
+            continue
+        ratio = np.full(len(rows), np.inf)
+        np.divide(multipliers * system.signs, share, out=ratio, where=falling)
+        signs = np.zeros_like(violated)
+        signs[rows] = system.signs
+        signs[rows[np.argmin(ratio)]], signs[t] = 0, violated[t]
+        return signs
+    return None
+
+
+def _bound_by_gap(
+    problem: JointQP,
+    exact: ExactMatrices,
+    system: KKTSystem,
+    inverse: Matrix,
+    z: Dyadic,
+    lam: Dyadic,
+) -> Proof:
+    """Return the proof that an exactly feasible point z with multipliers λ is near the optimum."""
+    rows = system.rows
+    limits = np.concatenate((problem.U, problem.L))[system.limits]
     # A multiplier of the wrong sign is set to zero: its row becomes part of r.
     lam = Dyadic(np.where(lam.signs() == system.signs, lam.whole, 0), lam.exponent)
     G = exact.C[rows]
@@ -121,10 +194,11 @@ def _round_to_multiples(step: Vector) -> NDArray[np.object_]:
     return np.asarray(digits.whole >> -shift, dtype=object)
 
 
-def _is_feasible(problem: JointQP, exact: ExactMatrices, z: Dyadic) -> bool:
-    """Return whether a point satisfies all limits, in exact arithmetic."""
+def _violated_limits(problem: JointQP, exact: ExactMatrices, z: Dyadic) -> Signs:
+    """Return the signs (N,) of the limits that a point violates, in exact arithmetic."""
     value = exact.C @ z
     upper, lower = np.isfinite(problem.U), np.isfinite(problem.L)
-    over = value[upper] - Dyadic.of(problem.U[upper])
-    under = Dyadic.of(problem.L[lower]) - value[lower]
-    return not any((excess.signs() > 0).any() for excess in (over, under))
+    violated = np.zeros(len(problem.L), dtype=np.int8)
+    violated[lower] -= (Dyadic.of(problem.L[lower]) - value[lower]).signs() > 0
+    violated[upper] += (value[upper] - Dyadic.of(problem.U[upper])).signs() > 0
+    return violated

@@ -41,7 +41,14 @@ from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic
 from dpbench.qp.referee.equilibrated import Scales, is_scalable
 from dpbench.qp.referee.feasibility.implied import drop_empty_rows, make_equalities
-from dpbench.qp.referee.gap import TAU_EXPONENT, find_met_limits, refine_exactly, select_independent
+from dpbench.qp.referee.gap import (
+    EXCHANGES,
+    TAU_EXPONENT,
+    exchange_violated,
+    find_met_limits,
+    refine_exactly,
+    select_independent,
+)
 from dpbench.qp.referee.joint import ExactMatrices, JointQP, Kind, Proof, Signs
 from dpbench.qp.referee.kernels import OUTWARD, UNIT
 from dpbench.qp.referee.kkt import (
@@ -304,17 +311,28 @@ class LastResort:
         if z is None:
             return None, None
         touched = np.where(equal, equal, find_met_limits(problem, z))
-        all_held = select_independent(problem.C, np.where(held, held, touched), held)
-        system = KKTSystem(problem.P, problem.C, all_held)
-        inward = _inward_amounts(problem, system, touched)
-        if inward is None:
-            return None, touched
-        if not system.proven:
-            return None, None
-        enclosed = enclosure_certificate(problem, self._exact, system, inward, convex=self._convex)
-        if enclosed is None:
-            return None, None
-        return self._unscale_proof(enclosed.z, enclosed.y, enclosed.bound, "gap"), None
+        return self._enclose(problem, held, touched)
+
+    def _enclose(
+        self, problem: JointQP, held: Signs, touched: Signs
+    ) -> tuple[Proof | None, Signs | None]:
+        """Enclose the optimum at `touched` rows, `held` first; return a set without interior."""
+        assert self._exact is not None, "made before any guess is asked for"
+        rows: Signs | None = select_independent(problem.C, np.where(held, held, touched), held)
+        for _ in range(EXCHANGES):
+            if rows is None:
+                break
+            system = KKTSystem(problem.P, problem.C, rows)
+            inward = _inward_amounts(problem, system, touched)
+            if inward is None:
+                return None, touched
+            if not system.proven:
+                break
+            found = enclosure_certificate(problem, self._exact, system, inward, convex=self._convex)
+            if found is not None:
+                return self._unscale_proof(found.z, found.y, found.bound, "gap"), None
+            rows = exchange_violated(problem, self._exact, system)
+        return None, None
 
     def _unscale_proof(self, z: Vector, y: Vector, bound: Vector, kind: Kind) -> Proof:
         """Convert a proof in equilibrated units to the units of the problem."""

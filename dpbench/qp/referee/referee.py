@@ -276,10 +276,9 @@ class Referee:
             return None
         # The point to rounding is enough to see which limits it touches.
         touched = find_met_limits(problem, system.X @ system.rhs(problem.q, problem.L, problem.U))
-        system = self._kkt_system(select_independent(self._C, np.where(held, held, touched), held))
-        if not system.proven:
-            return None
-        return gap_certificate(problem, self._exact_matrices(), system, self._data.inverse)
+        signs = select_independent(self._C, np.where(held, held, touched), held)
+        exact, inverse = self._exact_matrices(), self._data.inverse
+        return gap_certificate(problem, exact, self._kkt_system, signs, inverse)
 
     def _split_proof(self, proof: Proof) -> Optimum:
         """Return a proof as an optimum, its multipliers split into rows and bounds."""

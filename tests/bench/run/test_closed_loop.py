@@ -1,9 +1,11 @@
 """The closed loop does what method.md section 3 says, whatever the solver does."""
 
 import copy
+import itertools
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +15,14 @@ from hypothesis import strategies as st
 from dpbench import load_scenario
 from dpbench.bench.record.cell import DEFAULT_FALLBACK
 from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.run.fallback_policies import FALLBACKS
+from dpbench.errors import CertificateError
 from dpbench.mpc.law import UnconstrainedLaw, gains
 from dpbench.mpc.move_limits import limit_move
 from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.qp.referee.optimum import Optimum
+from dpbench.qp.referee.referee import Referee
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario, build_scenario, condense
 from dpbench.solvers.contract import Workspace
@@ -151,6 +157,30 @@ def test_shifted_plan_follows_the_last_plan_then_holds(scenario: Scenario) -> No
     np.testing.assert_allclose(moves[2:9, 0], [0.5, 0.4, 0.3, 0.2, 0.1, 0.0, 0.0], atol=1e-9)
     assert log.flags[:, 0].tolist() == [0] * 3 + [1] * 37
     assert workspace.resets == 37, "the workspace is reset after every unusable answer"
+
+
+def test_the_exact_loop_follows_its_last_plan_where_nothing_is_proven(
+    scenario: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A loop has its table although a step has no certificate; its QPs are not published."""
+    certify, count = Referee.certify, itertools.count()
+
+    def fail_at_five(referee: Referee, *vectors: Any) -> Optimum:
+        optimum = certify(referee, *vectors)
+        if next(count) != 5:
+            return optimum
+        n, m = len(optimum.z), len(optimum.y)
+        return Optimum(*(np.full(size, np.nan) for size in (n, m, n)), np.inf, "none")
+
+    monkeypatch.setattr(Referee, "certify", fail_at_five)
+    exact = solve_exactly(scenario.first(8))
+    assert [optimum.kind == "none" for optimum in exact.optima] == [k == 5 for k in range(8)]
+    du_max = scenario.problem.du_max
+    np.testing.assert_allclose(
+        (exact.tau[5] - exact.tau[4]) / du_max, exact.optima[4].z[3:6], atol=1e-12
+    )
+    with pytest.raises(CertificateError, match="paper: step 5 has no certified optimum"):
+        exact.require_certificates(scenario.name)
 
 
 def test_hold_keeps_the_force(scenario: Scenario) -> None:

@@ -1,5 +1,6 @@
 """Azimuths that turn at a limited rate: the rows of a step, what is cut, a run that keeps to it."""
 
+import copy
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -103,6 +104,19 @@ def test_a_run_keeps_to_the_turning_rate_and_uses_it(case: Scenario) -> None:
     thrust = solve_exactly(case).thrust
     most = np.array([arcs(case, before, now - before)[1] for before, now in pairwise(thrust)])
     assert most.max() == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("sector_deg", [[-60.0, 60.0], [-90.0, 90.0], [90.0, 250.0]])
+@pytest.mark.parametrize("lost", [["stern port"], ["stern port", "stern starboard"]])
+def test_every_step_around_the_loss_of_an_azimuth_with_a_sector_is_certified(
+    sector_deg: list[float], lost: list[str]
+) -> None:
+    files = copy.deepcopy(load_scenario("thrusters_loss").files)
+    files["vessel"]["thrusters"][0]["sector_deg"] = sector_deg
+    files["scenario"]["faults"] = [{"at_s": 6.0, "lost": lost}]
+    exact = solve_exactly(build_scenario(files).first(50))
+    assert {optimum.kind for optimum in exact.optima} <= {"linear", "gap"}
+    np.testing.assert_allclose(exact.thrust[-1, :2], 0.0, atol=1e-9)
 
 
 def thrusters_of(name: str) -> ThrusterSet:

@@ -205,3 +205,27 @@ def test_contradicting_rows_are_infeasible() -> None:
     ones = np.ones(2)
     qp = QuadraticProgram(np.eye(2), ones, A, [-np.inf, 2.0], [-2.0, np.inf], -ones, ones)
     assert certify(qp).kind == "infeasible"
+
+
+@settings(derandomize=True, max_examples=60)
+@given(st.floats(-np.pi, np.pi), st.floats(0.05, 0.5), st.floats(0.05, 1.0), st.floats(0.05, 1.0))
+def test_three_limits_through_one_corner(
+    to: float, half: float, along: float, across: float
+) -> None:
+    """Two sides of a polygon and the edge of a sector meet in (cos, sin) of `to`, but for rounding.
+
+    The cost pulls out of the corner between the normals of one side and of the edge.
+    """
+    n = 42  # Too large for the rational certificate
+    corner = np.array([np.cos(to), np.sin(to)])
+    sides = [np.array([np.cos(to + turn), np.sin(to + turn)]) for turn in (-half, half)]
+    edge = np.array([np.sin(to), -np.cos(to)])
+    A = np.zeros((3, n))
+    A[:, :2] = [*sides, edge]
+    q = np.zeros(n)
+    q[:2] = -(corner + along * sides[1] + across * edge)
+    upper, free = np.array([np.cos(half), np.cos(half), 0.0]), np.full(n, 5.0)
+    optimum = certify(QuadraticProgram(np.eye(n), q, A, np.full(3, -np.inf), upper, -free, free))
+    assert optimum.bound <= 1e-10
+    np.testing.assert_allclose(optimum.z[:2], corner, rtol=0, atol=1e-14)
+    np.testing.assert_array_equal(optimum.z[2:], 0.0)
