@@ -246,7 +246,8 @@ def _build_actuators(
     losses = Actuators(1.0 - loss / 100.0, plant.delay_samples)
     if controller.commanded is not None:
         lag_s = plant.thruster_lag_s * scale.time
-        return CommandedThrusters(controller.commanded.thrusters, sample_s, lag_s, losses)
+        control = controller.commanded
+        return CommandedThrusters(control.thrusters, sample_s, lag_s, losses, control.trips)
     return losses if loss.any() or plant.delay_samples else None
 
 

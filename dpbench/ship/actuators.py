@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.ship.layout import AXES
-from dpbench.ship.thrusters import ThrusterSet
+from dpbench.ship.thrusters import ThrusterSet, Trips
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,12 +28,16 @@ class Actuators:
 
 @dataclass(frozen=True, eq=False)
 class CommandedThrusters:
-    """Thrusters with commanded forces, with a first-order lag, dead time and thrust losses."""
+    """Thrusters with commanded forces, with a first-order lag, dead time and thrust losses.
+
+    trips : thrusters that give no force from a sample on, whatever is commanded.
+    """
 
     thrusters: ThrusterSet
     sample_s: float
     lag_s: float
     behind: Actuators
+    trips: Trips = ()
 
     def start(self) -> ThrusterForces:
         """Return the thrusters' state at the start of a run, without thrust."""
@@ -75,6 +79,8 @@ class ThrusterForces:
     def __init__(self, commanded: CommandedThrusters) -> None:
         thrusters, behind = commanded.thrusters, commanded.behind
         self.f = np.zeros(thrusters.n_f)
+        self._k, self._trips = 0, dict(commanded.trips)
+        self._stopped: Indices = np.zeros(0, dtype=np.intp)
         self._efficient: Matrix = behind.efficiency[:, np.newaxis] * thrusters.T_e
         self._step_max = thrusters.step_max(commanded.sample_s)
         self._delay = DelayLine(behind.delay_samples, thrusters.n_f)
@@ -90,11 +96,22 @@ class ThrusterForces:
     def deliver(self, command: Vector) -> Vector:
         """Return the force on the hull (3,) in this sample for commanded thruster forces (n_f,)."""
         goal, f = self._delay.push(command), self.f
+        if self._trips:
+            f[self._stop_tripped()] = 0.0
         target = np.clip(goal, f - self._step_max, f + self._step_max)
         for at, thrust_N in self._circles:
             size = float(np.sqrt((target[at] ** 2).sum()))
             if size > thrust_N:
                 target[at] *= thrust_N / size
+        target[self._stopped] = 0.0
         behind = f - target
         self.f = target + self._left * behind
         return self._efficient @ (target + self._mean * behind)
+
+    def _stop_tripped(self) -> Indices:
+        """Return the entries of f that have stopped by this sample, and count the sample."""
+        entries = self._trips.get(self._k)
+        if entries is not None:
+            self._stopped = np.union1d(self._stopped, entries)
+        self._k += 1
+        return self._stopped

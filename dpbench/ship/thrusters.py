@@ -11,19 +11,21 @@ optimiser chooses, because azimuths are replaced by force components.
              main      −a_i T_i ≤ f_i ≤ T_i                     a_i: share of the thrust astern
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.errors import InputError, list_allowed
 from dpbench.ship.layout import AXES
 
 ThrusterKind = Literal["azimuth", "tunnel", "main"]
 Propeller = Literal["open", "nozzle", "tunnel"]
+Trips = tuple[tuple[int, Indices], ...]
+"""(sample, entries of f) of thrusters that stop at once at a sample, in order of time."""
 ETA_1 = {"open": 800.0, "nozzle": 1200.0, "tunnel": 900.0}
 """η_1 of DNV-ST-0111 (2021), section 3.8: N from kW and m."""
 MECHANICAL_EFFICIENCY = 0.93
@@ -145,6 +147,11 @@ class ThrusterSet:
         """Return the largest change of each force component (n_f,) [N] in one sample."""
         rise_s = np.array([thruster.rise_s for thruster in self.thrusters])
         return self.per_entry(self.thrust_N * sample_s / rise_s)
+
+    def find_entries(self, indices: Collection[int]) -> Indices:
+        """Return the entries of the force vector f that belong to thrusters given by index."""
+        belongs = [float(i in indices) for i in range(len(self.thrusters))]
+        return np.flatnonzero(self.per_entry(belongs))
 
     def magnitudes(self, f: Matrix) -> Matrix:
         """Return the magnitude of each thruster's force (..., p), for forces f (..., n_f) [N]."""

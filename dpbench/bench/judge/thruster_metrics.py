@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.bench.judge.control_metrics import AT_LIMIT, previous_forces
+from dpbench.bench.judge.control_metrics import AT_LIMIT
 from dpbench.mpc.thruster_rows import LimitRampDown, Limits
 from dpbench.scenario.controllers.commanded import ThrusterControl
 from dpbench.scenario.controllers.controller import stack_limits
@@ -35,7 +35,7 @@ def thruster_metrics(scenario: Scenario, f: Matrix, limits: Sequence[Limits]) ->
     control = scenario.controller.commanded
     assert control is not None, "a controller of thrusters"
     step_max = control.thrusters.step_max(scenario.sample_s)
-    before = previous_forces(f)
+    before = np.array([control.force_before(f, k) for k in range(len(f))])
     change = f - before
     shares = shares_of_full(scenario, f)
     per_entry = control.thrusters.per_entry(control.thrusters.thrust_N)

@@ -6,7 +6,7 @@ on the ship. A cascade allocates u to its thrusters; what they make of it become
 
 import numpy as np
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.run.timed_solver import Clock, TimedSolver, is_usable, record_answer
@@ -31,6 +31,9 @@ class Actuation:
     def prepare(self) -> None:
         """Set up the allocation solver, if any, before the first step."""
 
+    def trip(self, entries: Indices) -> None:
+        """Set the commands of thrusters that stop at once to zero, and what follows from them."""
+
     def apply_step(self, k: int) -> int:
         """Set command and force from step k's limited u; return the allocation's time [ns]."""
         return 0
@@ -42,6 +45,10 @@ class ThrusterActuation(Actuation):
     def __init__(self, control: ThrusterControl, log: RawLog, u: Vector) -> None:
         super().__init__(u, np.zeros(AXES), log.thrust)
         self._T_e, self._log = control.thrusters.T_e, log
+
+    def trip(self, entries: Indices) -> None:
+        """Set the forces u of thrusters that stop to zero."""
+        self.command[entries] = 0.0
 
     def apply_step(self, k: int) -> int:
         """Set the force on the ship to T_e u, from the thruster forces u of step k."""
@@ -82,6 +89,11 @@ class Allocator(Actuation):
         answers = self._log.allocation
         if self._solver is not None and answers is not None:
             answers.setup_once_ns[0] = self._solver.prepare()
+
+    def trip(self, entries: Indices) -> None:
+        """Set the forces of thrusters that stop to zero, and u to what the others give."""
+        self.command[entries] = 0.0
+        self._T_e.dot(self.command, out=self.tau)
 
     def apply_step(self, k: int) -> int:
         """Allocate force u to the thrusters, set u to what they make; return the QP's time [ns]."""

@@ -73,7 +73,8 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     limit, limits = scenario.controller.move_limit(), builder.limits
     actuation = build_actuation(scenario.controller, builder, log, setup.allocating, clock, u)
     tau, command, applied = actuation.tau, actuation.command, actuation.applied
-    act = actuation.apply_step
+    act, commanded = actuation.apply_step, scenario.controller.commanded
+    trips = {} if commanded is None else dict(commanded.trips)
     actuation.prepare()
     sense, estimate = sensors.sense, estimator.update
     log.counters[:] = np.nan
@@ -86,6 +87,8 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
         t0 = clock()
         x[pose] = estimate(sense(state, k), tau)[POSE]
         x[change] = estimator.change
+        if k in trips:
+            actuation.trip(trips[k])
         log.theta[k, at_x], log.theta[k, at_u] = x, u
         t1 = clock()
         step = formulate(emit(k, x, u))

@@ -47,7 +47,7 @@ class QPBuilder:
         self.allocation: AllocationQP | None = controller.build_allocation(units)
         self.limits = controller.limits(steps)
         self.thruster_limits = controller.thruster_limits(steps)
-        self._n_f = controller.n_f
+        self._n_f, self._commanded = controller.n_f, controller.commanded
         # Limits that a builder has built in are not handed over to it again.
         self._built_in, self._allocates = controller.built_in_limits, controller.allocates
 
@@ -85,7 +85,8 @@ class QPBuilder:
 
     def rebuild_allocation(self, k: int, demand: Matrix, thrust: Matrix) -> QPStep:
         """Return the thrust-allocation QP of step k from recorded demand (K, 3) and thrust."""
-        return self.emit_allocation(k, demand[k], thrust[k - 1] if k else np.zeros(self._n_f))
+        assert self._commanded is not None, "a cascade"
+        return self.emit_allocation(k, demand[k], self._commanded.force_before(thrust, k))
 
 
 NO_MODEL = "the QPs of a scenario; recorded and random ones bring no model whose states to keep"

@@ -1,6 +1,6 @@
 """The thrusters that a controller commands: their limits, their weight, their turning rates."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -10,16 +10,31 @@ from dpbench.mpc.move_limits import MoveLimit, ThrusterLimit
 from dpbench.mpc.thruster_rows import ThrusterRows, thruster_rows
 from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning, TurningLimit
 from dpbench.scenario.controllers.specification import ControllerSpec
-from dpbench.ship.thrusters import ThrusterSet
+from dpbench.ship.thrusters import ThrusterSet, Trips
 
 
 @dataclass(frozen=True, eq=False)
 class ThrusterControl:
-    """Thrusters that a controller commands, with their limits and their force weight W."""
+    """Thrusters that a controller commands, with their limits and their force weight W.
+
+    trips : thrusters that stop at once; their force before that step's move is zero.
+    """
 
     thrusters: ThrusterSet
     rows: ThrusterRows
     W: Matrix
+    trips: Trips = field(default=(), kw_only=True)
+
+    def force_before(self, f: Matrix, k: int) -> Vector:
+        """Return the force (n_f,) from which the move to the applied force f[k] starts.
+
+        That of the step before; zero at first, and of thrusters that stop at step k.
+        """
+        before: Vector = f[k - 1].copy() if k else np.zeros(f.shape[1])
+        for sample, entries in self.trips:
+            if sample == k:
+                before[entries] = 0.0
+        return before
 
     def move_limit(self, df_max: Vector) -> MoveLimit:
         """Return the limiter of force changes, with the rate limits df_max (n_f,) [N]."""
@@ -61,7 +76,7 @@ def build_thruster_control(spec: ControllerSpec) -> ThrusterControl:
     W = np.diag(table.thrust_weight_relative / thrusters.per_entry(thrusters.thrust_N) ** 2)
     rows = thruster_rows(thrusters, table.polygon_sides)
     if not table.azimuth_turning:
-        return ThrusterControl(thrusters, rows, W)
+        return ThrusterControl(thrusters, rows, W, trips=spec.trips)
     key = "controller.thrusters.azimuth_turning"
     if spec.table.linearisation == "each_step":
         allowed = 'false where controller.linearisation is "each_step"'
@@ -70,4 +85,4 @@ def build_thruster_control(spec: ControllerSpec) -> ThrusterControl:
     if not len(turning.x):
         allowed = f"false, or turning_degps of an azimuth in the file of vessel {spec.vessel.id}"
         raise InputError(where, key, "true", allowed)
-    return TurningThrusterControl(thrusters, rows, W, turning)
+    return TurningThrusterControl(thrusters, rows, W, turning, trips=spec.trips)

@@ -23,6 +23,7 @@ class ForceController(Controller):
     def of(cls, spec: ControllerSpec) -> ForceController:
         """Build the force controller of a scenario, with limits axis by axis or joint ones."""
         spec.check_faults(lost=spec.table.limits != "box", limit_share=spec.table.limits == "box")
+        spec.refuse_trips()
         problem, changes = build_force_plan(spec)
         wanted = ForceController if problem.thrusters is None else JointForceController
         return wanted(problem=problem, changes=changes, **spec.planning)

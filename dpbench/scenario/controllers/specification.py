@@ -23,7 +23,7 @@ from dpbench.scenario.tables.scenario_file import (
     ThrusterControlTable,
 )
 from dpbench.ship.froude import Froude
-from dpbench.ship.thrusters import ThrusterSet
+from dpbench.ship.thrusters import ThrusterSet, Trips
 from dpbench.ship.vessel import Vessel
 
 
@@ -171,6 +171,23 @@ class ControllerSpec:
                 lost = lost | self.vessel.thrusters.find_indices(fault.lost, self.where, key)
                 losses.append((k, lost))
         return losses
+
+    @property
+    def trips(self) -> Trips:
+        """Sample and entries of f of the thrusters that stop at once, for each such fault."""
+        thrusters, trips = self.vessel.thrusters, []
+        for i, (k, fault) in enumerate(self._sorted_faults):
+            if fault.loss == "trip" and fault.lost is not None and thrusters is not None:
+                lost = thrusters.find_indices(fault.lost, self.where, f"faults.{i}.lost")
+                trips.append((k, thrusters.find_entries(lost)))
+        return tuple(trips)
+
+    def refuse_trips(self) -> None:
+        """Raise InputError for a fault that stops thrusters at once, as none are commanded."""
+        for i, (_, fault) in enumerate(self._sorted_faults):
+            if fault.loss == "trip":
+                allowed = '"ramp_down", or "trip" where thrusters are commanded'
+                raise InputError(self.where, f"faults.{i}.loss", '"trip"', allowed)
 
     @property
     def _sorted_faults(self) -> list[tuple[int, FaultTable]]:

@@ -52,7 +52,7 @@ class PlantTable(FileModel):
 class FaultTable(FileModel):
     """Fault known to the controller: force limits reduced to a share, or thrusters lost."""
 
-    later_keys: ClassVar[frozenset[str]] = frozenset({"lost"})
+    later_keys: ClassVar[frozenset[str]] = frozenset({"lost", "loss"})
 
     at_s: keys.NotNegative
     """When [s]."""
@@ -61,12 +61,18 @@ class FaultTable(FileModel):
     lost: list[str] | None = None
     """Thrusters, or failure groups, lost from then on; where thrusters limit the force or are
     commanded. Of a cascade it changes the allocation and not the plan."""
+    loss: Literal["ramp_down", "trip"] = "ramp_down"
+    """How a lost thruster loses its force: "ramp_down", as fast as its rate allows, as when it is
+    taken out of service; "trip", at once, as when its breaker opens. With "trip" thrusters must be
+    commanded."""
 
     @model_validator(mode="after")
     def _check_one_kind(self) -> FaultTable:
         """Raise ValueError unless exactly one of limit_share and lost is given."""
         if (self.limit_share is None) == (self.lost is None):
             raise ValueError("exactly one of limit_share and lost")
+        if self.loss == "trip" and self.lost is None:
+            raise ValueError('loss = "trip" together with lost')
         return self
 
 

@@ -25,6 +25,7 @@ from dpbench.bench.sequences.source import log_size
 from dpbench.errors import InputError
 from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE
 from dpbench.qp.program import QuadraticProgram
+from dpbench.qp.referee.referee import certify_sequence
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario, build_scenario, load_scenario
 from dpbench.ship.plant import SUBSTEPS, Plant
@@ -173,6 +174,27 @@ def test_a_lost_board_gives_nothing_as_soon_as_its_rate_allows() -> None:
     assert np.abs(log.thrust[gone:, [0, 2, 3]]).max() < 1e-5
     assert np.abs(log.thrust[19, [0, 2, 3]]).max() > 1e4
     assert np.abs(log.thrust[gone:, [1, 4, 5]]).max() > 1e4
+
+
+def test_a_tripped_board_gives_nothing_at_once_and_its_allocations_are_rebuilt() -> None:
+    """The second QPs start from the forces that are left, in the loop and in its sequence."""
+    fault = {"at_s": 6.0, "lost": ["board A"], "loss": "trip"}
+    case = scenario(30, tables={"faults": [fault]})
+    exact = solve_exactly(case)
+    np.testing.assert_allclose(exact.thrust[20:, [0, 2, 3]], 0.0, atol=1e-6)
+    assert np.abs(exact.thrust[19, [0, 2, 3]]).max() > 1e3
+    sequence = rebuild_sequence(case, exact, part="allocation", first=18, count=5)
+    for optimum, known in zip(certify_sequence(sequence), exact.allocated[18:23], strict=True):
+        np.testing.assert_allclose(optimum.z, known.z, atol=1e-12)
+
+
+def test_without_commanded_thrusters_none_can_trip() -> None:
+    files = copy.deepcopy(load_scenario("thrusters_cascade").files)
+    files["scenario"]["controller"] |= {"kind": "forces", "limits": "attainable"}
+    del files["scenario"]["controller"]["thrusters"]
+    files["scenario"]["faults"] = [{"at_s": 6.0, "lost": ["board A"], "loss": "trip"}]
+    with pytest.raises(InputError, match='loss: found "trip"'):
+        build_scenario(files)
 
 
 def test_with_the_attainable_set_both_halves_know_what_is_lost() -> None:

@@ -144,6 +144,46 @@ def test_a_lost_group_gives_nothing_as_soon_as_its_rate_allows(case: Scenario) -
     assert np.abs(log.thrust[gone:, 2:6]).max() > 1e4
 
 
+def test_a_tripped_group_gives_nothing_at_once(case: Scenario) -> None:
+    """Port azimuth and tunnel trip at 6 s: their force and what the QP starts from are zero."""
+    fault = {"at_s": 6.0, "lost": ["port", "tunnel"]}
+    tripped = scenario(40, faults=[fault | {"loss": "trip"}])
+    log = steered_by("daqp", tripped)
+    assert not log.flags.any()
+    assert limit_violations(tripped, log) == 0.0
+    ramped = steered_by("daqp", scenario(40, faults=[fault]))
+    np.testing.assert_array_equal(log.state[:21], ramped.state[:21])
+    np.testing.assert_allclose(log.thrust[20:, [0, 1, 6]], 0.0, atol=1e-6)
+    u_prev = tripped.problem.model.theta.u_prev
+    np.testing.assert_array_equal(log.theta[20, u_prev][[0, 1, 6]], 0.0)
+    np.testing.assert_array_equal(log.theta[20, u_prev][2:6], log.thrust[19, 2:6])
+    # What the hull feels in that sample is the force of the other thrusters alone.
+    assert tripped.controller.commanded is not None
+    T_e = tripped.controller.commanded.thrusters.T_e
+    np.testing.assert_allclose(log.tau[20], T_e[:, 2:6] @ log.thrust[20, 2:6], atol=1e-3)
+    away = [np.abs(run.state[21:, 3:5]).max() for run in (log, ramped)]
+    assert away[0] != away[1]
+
+
+def test_a_tripped_thruster_loses_what_is_under_way() -> None:
+    """Neither commands delayed by two samples nor the lag's remainder reach the hull any more."""
+    trips = ((4, SHIP.find_entries({0, 3})),)
+    plain, tripping = (
+        CommandedThrusters(SHIP, 0.5, 2.0, Actuators(delay_samples=2), trips=given).start()
+        for given in ((), trips)
+    )
+    goal = np.array([3e3, 4e3, 1e3, 0.0, 5e3, 0.0, 2e3])
+    for k in range(8):
+        whole, tau = plain.deliver(goal).copy(), tripping.deliver(goal)
+        if k < 4:
+            np.testing.assert_array_equal(tau, whole)
+            continue
+        assert not tripping.f[[0, 1, 6]].any()
+        np.testing.assert_array_equal(tripping.f[2:6], plain.f[2:6])
+        lost = SHIP.T_e[:, [0, 1, 6]]
+        assert np.abs(tau - whole).max() > 0.1 * np.abs(lost @ plain.f[[0, 1, 6]]).max()
+
+
 @pytest.mark.parametrize("fallback", FALLBACKS)
 def test_without_answers_the_fallback_keeps_to_all_limits(fallback: str) -> None:
     case = scenario(30)
