@@ -4,6 +4,10 @@
 
 The load is balanced where u ≤ 1. Circles are second-order cones; with a number of sides they are
 the polygons of the QPs.
+
+Few thrusters, or ones in line, leave a set without interior, on which an interior-point method may
+stop. A load outside its span is seen at once; what else is left open is solved by linear programs
+that add the tangent of a circle wherever the force is outside it (Kelley 1960).
 """
 
 from functools import cache
@@ -11,6 +15,7 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
+from scipy.optimize import linprog
 from scipy.sparse import csc_matrix
 
 from dpbench.arrays import Matrix, Vector
@@ -23,8 +28,15 @@ from dpbench.ship.capability.shapes import Piece
 from dpbench.ship.layout import AXES
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
-_SOLVED = ("Solved", "AlmostSolved")
-_EMPTY = ("PrimalInfeasible", "AlmostPrimalInfeasible")
+SPAN = 1e-9
+"""Share of a load that may lie outside the span of the thrusters' forces: rounding."""
+TANGENTS = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+"""Directions of the first tangents of a circle [rad]."""
+OUTSIDE = 1e-10
+"""Relative distance outside a circle at which a tangent is added."""
+ROUNDS = 100
+"""Most linear programs; each adds a tangent, and some ten are enough."""
+_PRECISE = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 
 
 @cache
@@ -64,16 +76,25 @@ class Utilisation:
         if not cones.entries.size:
             return np.inf if load.any() else 0.0
         balance = (self._thrusters.per_entry(shares) * self._balance)[:, cones.entries]
+        wanted = -load / self._units
+        if not _is_in_span(balance, wanted):
+            return np.inf
         A, b = cones.insert_balance(balance), cones.zeros.copy()
-        b[:AXES] = -load / self._units
+        b[:AXES] = wanted
         problem = cones.quadratic, cones.cost, A, b, cones.kinds
         solution = _import_clarabel().DefaultSolver(*problem, self._settings).solve()
         status = str(solution.status)
-        if status in _SOLVED:
+        if status == "Solved":
             return float(solution.x[-1])
-        if status in _EMPTY:
-            return np.inf
-        raise ArithmeticError(f"utilisation of thrusters: Clarabel ends with {status}")
+        return np.inf if status == "PrimalInfeasible" else cones.least_use_by_tangents(wanted)
+
+
+def _is_in_span(balance: Matrix, wanted: Vector) -> bool:
+    """Return whether a force (3,) lies in the span of the thrusters' forces, balance (3, e)."""
+    U, size, _ = np.linalg.svd(balance, full_matrices=False)
+    basis = U[:, size > SPAN * size[0]]
+    outside = wanted - basis @ (basis.T @ wanted)
+    return bool(np.linalg.norm(outside) <= SPAN * np.linalg.norm(wanted))
 
 
 class _Cones:
@@ -95,18 +116,25 @@ class _Cones:
         places = [np.arange(thrusters.n_f)[thrusters.slices[i]] for i in alive]
         self.entries = np.concatenate([*places, np.zeros(0, dtype=np.intp)]).astype(np.intp)
         width = len(self.entries) + 1
-        blocks, kinds, first = [], [_import_clarabel().ZeroConeT(AXES)], 0
+        kinds, first, height = [_import_clarabel().ZeroConeT(AXES)], 0, AXES
+        blocks: list[Matrix] = []
+        self._circles: list[int] = []
+        round_rows: list[int] = []
         for i, place in zip(alive, places, strict=True):
             rows, cones = _cone_rows(thrusters.thrusters[i], chosen[i], sides)
+            if thrusters.thrusters[i].kind == "azimuth" and sides is None:
+                self._circles.append(first)
+                round_rows += range(height, height + 3)
             wide = np.zeros((len(rows), width))
             wide[:, first : first + len(place)], wide[:, -1] = rows[:, :-1], rows[:, -1]
             blocks.append(wide)
             kinds += cones
-            first += len(place)
+            first, height = first + len(place), height + len(rows)
         balance = np.hstack([np.ones((AXES, width - 1)), np.zeros((AXES, 1))])
         whole = np.vstack([balance, *(-block for block in blocks)])
         self.kinds, self.zeros = kinds, np.zeros(len(whole))
         self.quadratic, self.cost = csc_matrix((width, width)), np.eye(width)[-1]
+        self._flat = np.setdiff1d(np.arange(AXES, len(whole)), round_rows)
         self._matrix = csc_matrix(whole)
         self._of_balance = self._matrix.indices < AXES
 
@@ -114,6 +142,33 @@ class _Cones:
         """Return the constraint matrix with the force-balance rows (3, entries) filled in."""
         self._matrix.data[self._of_balance] = balance.T.ravel()
         return self._matrix
+
+    def least_use_by_tangents(self, wanted: Vector) -> float:
+        """Return the least share of thrust for a force (3,) by linear programs; inf if none."""
+        size = float(np.abs(wanted).max())
+        if size == 0.0:
+            return 0.0
+        A = self._matrix.toarray()
+        posed: dict[str, Any] = {"A_eq": A[:AXES], "b_eq": wanted / size, "bounds": (None, None)}
+        tangents = [self._tangent(at, angle) for at in self._circles for angle in TANGENTS]
+        for _ in range(ROUNDS):
+            rows = np.vstack([A[self._flat], *tangents])
+            posed |= {"A_ub": rows, "b_ub": np.zeros(len(rows)), "options": _PRECISE}
+            answer = linprog(self.cost, **posed)
+            if answer.x is None:
+                return np.inf
+            x, use = answer.x, float(answer.x[-1])
+            beyond = [at for at in self._circles if np.hypot(*x[at : at + 2]) > use * (1 + OUTSIDE)]
+            if not beyond:
+                break
+            tangents += [self._tangent(at, np.arctan2(x[at + 1], x[at])) for at in beyond]
+        return size * use
+
+    def _tangent(self, at: int, angle_rad: float) -> Matrix:
+        """Return the row (1, width) of a circle's tangent: (cos, sin)·f/T − u ≤ 0."""
+        row = np.zeros((1, len(self.cost)))
+        row[0, at], row[0, at + 1], row[0, -1] = np.cos(angle_rad), np.sin(angle_rad), -1.0
+        return row
 
 
 def _cone_rows(thruster: Thruster, piece: Piece, sides: int | None) -> tuple[Matrix, list[Any]]:
