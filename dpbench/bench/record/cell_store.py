@@ -270,6 +270,8 @@ def _select_finished(runs: pa.Table) -> pa.Table:
     """Return the rows of finished runs of the current schema version."""
     became = pc.is_in(runs["outcome"], pa.array(_FINISHED))
     wanted = pc.and_(became, pc.equal(runs["schema"], SCHEMA_VERSION))
+    # A damaged row without a name belongs to no cell, which then runs again.
+    wanted = pc.and_(wanted, runs["run_id"].is_valid())
     # Filtering so many columns takes longer than all else, and mostly keeps all rows.
     return runs if pc.all(wanted, min_count=0, skip_nulls=False).as_py() else runs.filter(wanted)
 

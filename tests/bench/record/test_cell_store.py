@@ -149,7 +149,8 @@ def test_what_another_schema_left_is_not_finished(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"N_p": "many"}, {"seed": None}, {"run_id": 5}, {"cell": "{"}, {"cell": 5}]
+    "wrong",
+    [{"N_p": "many"}, {"seed": None}, {"run_id": 5}, {"run_id": None}, {"cell": "{"}, {"cell": 5}],
 )
 def test_a_row_of_other_types_is_not_finished(tmp_path: Path, wrong: dict[str, Any]) -> None:
     rows = {"a": row_of("a"), "b": row_of("b") | wrong, "c": row_of("c")}
