@@ -54,7 +54,6 @@ def cache_folders() -> list[Path]:
 
 
 def _user_cache_folder() -> Path:
-    """Return the folder in which Numba keeps compiled functions of this user."""
     return Path(_app_dirs(appname="numba", appauthor=False).user_cache_dir)
 
 

@@ -203,7 +203,6 @@ def _read_other_holders(lock: int) -> list[Holder]:
 
 
 def _write_holders(lock: int, named: Sequence[Holder]) -> None:
-    """Write lock holders into a lock file, one JSON line each."""
     with suppress(OSError):
         os.ftruncate(lock, 0)
         os.pwrite(lock, "".join(f"{json.dumps(asdict(one))}\n" for one in named).encode(), 0)

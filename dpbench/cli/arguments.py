@@ -67,26 +67,22 @@ def offer_completions(whole: argparse.ArgumentParser) -> None:
 
 
 def _list_stored_files(kind: str, **_: object) -> list[str]:
-    """List names of stored vessels, scenarios, suites or QP sequences, for shell completion."""
     from dpbench.scenario.problem_files import problem_names
 
     return problem_names(kind)
 
 
 def _list_solvers(**_: object) -> list[str]:
-    """List the names of all QP solvers that dpbench can run, for shell completion."""
     from dpbench.solvers.table import solver_names
 
     return list(solver_names())
 
 
 def _add_option(command: Command, name: str, value: str, meaning: str, **keywords: Any) -> None:
-    """Add an option that takes a value to a command's parser, with value name and help text."""
     command.add_argument(name, metavar=value, help=meaning, **keywords)
 
 
 def _add_run_arguments(run: Command) -> None:
-    """Add the options and arguments of `dpbench run` to its parser."""
     option = partial(_add_option, run)
     run.add_argument("--out", help="result folder (default: results/<suite>)")
     _add_suite_arguments(run)
@@ -122,7 +118,6 @@ def _add_suite_arguments(run: Command) -> None:
 
 
 def _add_cells_arguments(cells: Command) -> None:
-    """Add the options and arguments of `dpbench cells` to its parser."""
     cells.description = (
         "For schedulers that know only commands: the cells of one of N shards, which "
         "several machines may run at a time. Give the same command again after an interruption."
@@ -133,7 +128,6 @@ def _add_cells_arguments(cells: Command) -> None:
 
 
 def _add_gather_arguments(gather: Command) -> None:
-    """Add the options and arguments of `dpbench gather` to its parser."""
     gather.add_argument("folders", metavar="DIR", nargs="+", help="a folder of each shard")
     option = partial(_add_option, gather)
     option("--out", "DIR", "result folder", required=True)
@@ -143,14 +137,12 @@ def _add_gather_arguments(gather: Command) -> None:
 
 
 def _add_ending_arguments(command: Command) -> None:
-    """Add the options --open, --json and --quiet to a command's parser."""
     command.add_argument("--open", action="store_true", help="open the page in a browser")
     command.add_argument("--json", action="store_true", help="say how it ended as JSON")
     command.add_argument("--quiet", action="store_true", help="say nothing but where the page is")
 
 
 def _add_report_arguments(report: Command) -> None:
-    """Add the options and arguments of `dpbench report` to its parser."""
     report.add_argument("dir", help="a folder written by `dpbench run`")
     option = partial(_add_option, report)
     repeated = partial(option, action="append", default=[])
@@ -167,7 +159,6 @@ def _add_report_arguments(report: Command) -> None:
 
 
 def _add_compare_arguments(compare: Command) -> None:
-    """Add the options and arguments of `dpbench compare` to its parser."""
     compare.add_argument("folders", metavar="DIR", nargs="+", help="two result folders, A and B")
     releases = "instead: each solver over its versions, in two folders or more"
     compare.add_argument("--releases", action="store_true", help=releases)
@@ -181,7 +172,6 @@ def _add_compare_arguments(compare: Command) -> None:
 
 
 def _add_export_arguments(export: Command) -> None:
-    """Add the options and arguments of `dpbench export` to its parser."""
     problems = "a scenario, a sequence (by name or .npz) or a folder of problems"
     export.add_argument("what", nargs="?", help=problems)
     export.add_argument("--all", action="store_true", help="instead: all stored sequences anew")
@@ -197,7 +187,6 @@ def _add_export_arguments(export: Command) -> None:
 
 
 def _add_worst_case_arguments(worst_case: Command) -> None:
-    """Add the options and arguments of `dpbench worst-case` to its parser."""
     add, option = worst_case.add_argument, partial(_add_option, worst_case)
     add("solver", help="the solver to search")
     add("--goal", default="iterations", help="iterations (default) or error")
@@ -213,12 +202,10 @@ def _add_worst_case_arguments(worst_case: Command) -> None:
 
 
 def _add_paper_arguments(paper: Command) -> None:
-    """Add the options and arguments of `dpbench paper` to its parser."""
     _add_option(paper, "--out", "DIR", "folder (default: results/paper)")
 
 
 def _add_list_arguments(listing: Command) -> None:
-    """Add the options and arguments of `dpbench list` to its parser."""
     listing.add_argument("what", choices=_LISTED, type=_pluralise)
 
 
@@ -228,7 +215,6 @@ def _pluralise(word: str) -> str:
 
 
 def _add_check_arguments(check: Command) -> None:
-    """Add the options and arguments of `dpbench check` to its parser."""
     file = (
         "a name, scenario@vessel, a TOML file, or a .npz or folder of problems, whose every "
         "step is certified anew; or a folder of results/community"
@@ -237,12 +223,10 @@ def _add_check_arguments(check: Command) -> None:
 
 
 def _add_completion_arguments(completion: Command) -> None:
-    """Add the options and arguments of `dpbench completion` to its parser."""
     completion.add_argument("shell", choices=("bash", "zsh", "fish"))
 
 
 def _add_init_arguments(init: Command) -> None:
-    """Add the options and arguments of `dpbench init` to its parser."""
     init.description = (
         "Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml, with what "
         "was derived how in their comments. With NAME.toml there and --sea N alone: the same ship "
@@ -266,7 +250,6 @@ def _add_init_arguments(init: Command) -> None:
 
 
 def _add_capability_arguments(capability: Command) -> None:
-    """Add the options and arguments of `dpbench capability` to its parser."""
     capability.description = (
         "For 36 directions, intact and after the loss of each failure group; with "
         "--solver, which solvers tell the loads at that edge apart."

@@ -90,7 +90,6 @@ def _parse_figure_path(name: str | None) -> Path | None:
 
 
 def _save_rose_figure(capability: Capability, vessel: Vessel, path: Path) -> None:
-    """Draw the largest wind by direction as a polar plot and save it."""
     from dpbench.report.charts.capability import COLUMNS as DRAWN
     from dpbench.report.charts.capability import draw_capability_rose
     from dpbench.report.charts.render import save_figure

@@ -40,7 +40,6 @@ def _list_vessels() -> RenderableType:
 
 
 def _list_scenarios() -> RenderableType:
-    """Make a table of all stored scenarios: vessel, tuning, horizons and number of steps."""
     from dpbench.scenario import problem_files as problems
     from dpbench.scenario.tables.scenario_file import ScenarioFile
 
@@ -56,7 +55,6 @@ def _list_scenarios() -> RenderableType:
 
 
 def _list_suites() -> RenderableType:
-    """Make a table of all stored suites with the number of solver runs in each."""
     from dpbench.bench.plan.plan import plan
     from dpbench.bench.plan.suite import load_suite
     from dpbench.scenario import problem_files as problems
@@ -69,7 +67,6 @@ def _list_suites() -> RenderableType:
 
 
 def _list_sequences() -> RenderableType:
-    """Make a table of all stored QP sequences with QP sizes and numbers of active limits."""
     import numpy as np
 
     from dpbench.bench.sequences.sequence_file import active_set, load_recorded
@@ -92,14 +89,12 @@ def _list_sequences() -> RenderableType:
 
 
 def _list_solvers() -> RenderableType:
-    """Describe all known QP solvers, plug-ins included, as text."""
     from dpbench.solvers.table import solver_names
 
     return unstyled_text("\n".join(map(_describe_solver, solver_names())))
 
 
 def _describe_solver(name: str) -> str:
-    """Describe a solver as text: version, method, start policies and tolerance settings."""
     from dpbench.solvers.settings import describe_levels
     from dpbench.solvers.table import check_availability, find_record
 

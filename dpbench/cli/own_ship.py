@@ -278,7 +278,6 @@ def vessel_text(ship: OwnShip, command: str) -> str:
 
 
 def _wrap_as_comment(caller: Callable[[], str]) -> str:
-    """Wrap a paragraph of a template as `#` comment lines."""
     text = " ".join(caller().split())
     lines = textwrap.wrap(text, COMMENT_WIDTH, break_long_words=False, break_on_hyphens=False)
     return "".join(f"# {line}\n" for line in lines)

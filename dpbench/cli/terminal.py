@@ -91,7 +91,6 @@ def make_report_table(table: ReportTable, screen: Console) -> RenderableType:
 
 
 def _format_rows_as_text(table: ReportTable) -> Text:
-    """Format a report's table as text, one paragraph for each row."""
     named = table.text_columns
     rows = [
         format_entry(

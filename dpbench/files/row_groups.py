@@ -201,7 +201,6 @@ def _shift_offsets(data: bytes, group: tuple[int, Struct, int], by: int) -> byte
 
 
 def _byte_range(group: Struct) -> tuple[int, int]:
-    """Return a Parquet row group's range in the file: its first byte and the one after its last."""
     first, end = 2**63, 0
     for _, chunk, _ in group[_COLUMNS].value:
         if _ELSEWHERE & chunk.keys():

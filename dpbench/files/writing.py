@@ -111,7 +111,6 @@ def file_list_path(folder: Path) -> Path:
 
 
 def _read_file_list(folder: Path) -> set[str]:
-    """Return the names of existing files that dpbench wrote into a folder together."""
     path = file_list_path(folder)
     try:
         state = path.lstat()
@@ -126,5 +125,4 @@ def _read_file_list(folder: Path) -> set[str]:
 
 
 def _write_file_list(folder: Path, names: set[str]) -> None:
-    """Write the list of files that dpbench has written into a folder together."""
     write_text(file_list_path(folder), json.dumps(sorted(names), indent=1) + "\n")

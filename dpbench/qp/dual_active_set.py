@@ -145,7 +145,6 @@ class DualActiveSet:
         self._x = self._base
 
     def _build_outcome(self, ending: Ending) -> Outcome:
-        """Return the present active set, multipliers and iteration count as the result."""
         active = np.array(self._active, dtype=np.intp)
         return Outcome(ending, active, self._side, self._lam, self.iterations)
 
@@ -205,7 +204,6 @@ class DualActiveSet:
         return Ending.ITERATION_LIMIT
 
     def _factor_active_rows(self) -> None:
-        """Compute the QR factorisation of the active constraints' normals."""
         self._Q, self._R = np.linalg.qr(self._J[:, self._active])
 
     def _project(self, a: Vector) -> tuple[Vector, Vector]:
@@ -263,7 +261,6 @@ class DualActiveSet:
 
 
 def _solve_triangular(R: Matrix, b: Vector, *, lower: bool = False) -> Vector:
-    """Solve the triangular system R x = b."""
     x = scipy.linalg.solve_triangular(R, b, lower=lower, check_finite=False)
     return np.asarray(x, dtype=np.float64)
 

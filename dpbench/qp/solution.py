@@ -94,10 +94,12 @@ class Solution:
     detail: str = ""
 
     @classmethod
-    def missing(cls, n: int, m: int, status: Status, detail: str = "") -> Solution:
-        """Return an answer without a point: all arrays are NaN."""
+    def missing(
+        cls, n: int, m: int, status: Status, detail: str = "", counters: tuple[int, int] = (-1, -1)
+    ) -> Solution:
+        """Return an answer without a point, all arrays NaN; counters: iterations, time [ns]."""
         nan = np.nan
-        return cls(status, np.full(n, nan), np.full(m, nan), np.full(n, nan), detail=detail)
+        return cls(status, np.full(n, nan), np.full(m, nan), np.full(n, nan), *counters, detail)
 
     def with_iterate(self, z: Vector, y: Vector, y_box: Vector) -> Solution:
         """Return a copy with other arrays z, y and y_box, and the same status and counters."""
@@ -198,5 +200,4 @@ def _read_integer(name: str, value: Any) -> int:
 
 
 def _describe_type(value: Any) -> str:
-    """Return the type of a value in words, for an error message."""
     return "None" if value is None else f"of type {type(value).__name__}"

@@ -88,7 +88,6 @@ class Scenario:
         )
 
     def _repr_html_(self) -> str:
-        """Return the scenario as an HTML table for notebooks."""
         units = ("m", "m", "rad")
         fields = {
             "shows": self.shows,

@@ -5,7 +5,14 @@ from typing import Concatenate
 
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status, sanitise_answer
-from dpbench.solvers.contract import Options, Policy, Workspace, check_step, missing_setup_error
+from dpbench.solvers.contract import (
+    Options,
+    Policy,
+    Workspace,
+    check_step,
+    describe_exception,
+    missing_setup_error,
+)
 
 Solve = Callable[Concatenate[QuadraticProgram, ...], Solution]
 
@@ -36,15 +43,15 @@ class FunctionWorkspace(Workspace):
         """Call the user's function on the QP; store its answer or its exception."""
         assert self._qp is not None, "setup comes first"
         try:
-            answer = self._function(self._qp, **self._options)
-            # `_solution` is None before the call, so an answer None is replaced.
-            self._solution = (
-                sanitise_answer(answer, self._qp.n, self._qp.m) if answer is None else answer
-            )
+            answer: Solution | None = self._function(self._qp, **self._options)
+            if answer is None:
+                # `_solution` is None before the call, so an answer None is replaced.
+                answer = sanitise_answer(answer, self._qp.n, self._qp.m)
+            self._solution = answer
         except MemoryError:
             raise
         except Exception as error:
-            self._solution = self._make_error_solution(f"{type(error).__name__}: {error}")
+            self._solution = self._make_error_solution(describe_exception(error))
 
     def read(self) -> Solution:
         """Return a copy of the answer that the user's function gave."""

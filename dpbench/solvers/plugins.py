@@ -40,7 +40,6 @@ from dpbench.solvers.record import (
     Project,
     RouteRecord,
     SolverRecord,
-    unknown_build,
 )
 
 GROUP = "dpbench.solvers"
@@ -88,7 +87,7 @@ def solver_record(
     module: str = "",
     project: Project = NO_PROJECT_FACTS,
     needs_strict_convexity: bool = False,
-    build: Callable[[], Build] = unknown_build,
+    build: Callable[[], Build] = Build,
     refused: Mapping[Any, str] = MappingProxyType({}),
     **abilities: Any,
 ) -> SolverRecord:

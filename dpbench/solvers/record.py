@@ -70,19 +70,15 @@ def by_tolerance(*criteria: str, always: Options | None = None, **constant: obje
 
 @dataclass(frozen=True)
 class Build:
-    """Build of a solver library: its instruction set, and whether it is a generic build.
+    """Build of a solver library: its instruction set, "" if unknown.
 
-    Parameters
-    ----------
-    text : in a few words; "" if unknown.
-    generic : it has kernels for vector instructions, and this build has none.
+    `generic`: it has kernels for vector instructions, and this build has none.
     """
 
     text: str = ""
     generic: bool = False
 
 
-UNKNOWN_BUILD = Build()
 BUILDS = {"_avx512": "AVX-512", "_avx2": "AVX2", "": "no AVX"}
 """Instruction sets by the end of a module's name."""
 
@@ -91,11 +87,6 @@ def vectorised_build(module: str) -> Build:
     """Return the CPU instruction set that the loaded library `module` was compiled for."""
     built = (text for end, text in BUILDS.items() if sys.modules.get(f"{module}{end}") is not None)
     return Build(next(built, ""))
-
-
-def unknown_build() -> Build:
-    """Return an empty description, for a library that does not state how it was compiled."""
-    return UNKNOWN_BUILD
 
 
 UNKNOWN_FACT = "not stated", ""
@@ -216,7 +207,7 @@ class SolverRecord:
     project: Project
     needs_strict_convexity: bool = False
     needs_modules: tuple[str, ...] = ()
-    build: Callable[[], Build] = unknown_build
+    build: Callable[[], Build] = Build
     time_limit: str = ""
 
     @property

@@ -4,7 +4,7 @@ import importlib
 import sys
 import warnings
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import metadata
 from importlib.abc import MetaPathFinder
@@ -16,16 +16,10 @@ from dpbench.errors import DpbenchError, SolverUnavailableError, UnknownNameErro
 from dpbench.solvers import plugins
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, read_found
 from dpbench.solvers.calibration import CALIBRATION, open_calibration
-from dpbench.solvers.contract import describe_exception
+from dpbench.solvers.contract import Policy, describe_exception
 from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
 from dpbench.solvers.own.adapters import OWN
-from dpbench.solvers.record import (
-    NO_PROJECT_FACTS,
-    UNKNOWN_BUILD,
-    Build,
-    RouteRecord,
-    SolverRecord,
-)
+from dpbench.solvers.record import NO_PROJECT_FACTS, Build, RouteRecord, SolverRecord
 
 LISTING = "dpbench list solvers"
 """The command that lists all solvers."""
@@ -56,7 +50,7 @@ class Availability:
     ok: bool
     version: str = ""
     reason: str = ""
-    build: Build = UNKNOWN_BUILD
+    build: Build = field(default_factory=Build)
 
     @property
     def identity(self) -> str:
@@ -116,11 +110,8 @@ def _is_served_by_qpsolvers(name: str) -> bool:
 
 def _make_generic_adapter(name: str) -> QpsolversAdapter:
     """Describe how to call a solver that only qpsolvers knows; its settings go unchecked."""
-    can = RouteRecord(
-        ("fresh",),
-        detects_infeasibility=False,
-        refused={"warm": "whether it takes a start is not known"},
-    )
+    refused: dict[Policy, str] = {"warm": "whether it takes a start is not known"}
+    can = RouteRecord(("fresh",), detects_infeasibility=False, refused=refused)
     record = SolverRecord(
         name=name,
         family="not stated",

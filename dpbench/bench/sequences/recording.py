@@ -99,7 +99,6 @@ def select_step(sequence: QPSequence, k: int) -> QPSequence:
 
 
 def _select_steps(sequence: QPSequence, kept: slice, name: str, meta: dict[str, Any]) -> QPSequence:
-    """Return some of the QPs of a sequence as a sequence with another name."""
     arrays = {part: getattr(sequence, part) for part in ("q", "l", "u", *CONSTANT)}
     cut: dict[str, Any] = {part: array[kept] for part, array in arrays.items() if array is not None}
     return replace(

@@ -253,7 +253,6 @@ def _read_document(where: str, name: str, texts: dict[str, str]) -> dict[str, An
 
 
 def _read_meta(where: str, texts: dict[str, str]) -> dict[str, Any]:
-    """Return a sequence's metadata, after checking the numbers that a replay depends on."""
     meta = _read_document(where, "meta", texts)
     for key, least in (("first", 0), ("every", 1), ("sample_s", 0)):
         value = meta.get(key, least)

@@ -192,7 +192,6 @@ class CellRun:
         return (self.folder / f"{cell.name}.raw").exists()
 
     def _start_process(self, cells: Sequence[BatchCell], core: int) -> Child:
-        """Start a process that does a batch's runs, or judges them when all are done."""
         target, verdict = run_batch, "json"
         if not self._to_run:
             target, verdict = evaluate_batch, "evaluated.json"
@@ -249,7 +248,6 @@ class FileRun:
         return self._start_process(rest, core) if rest and not child.is_suspect else None
 
     def _start_process(self, tasks: Sequence[FileTask], core: int) -> Child:
-        """Start a process that makes files one after the other."""
         target, alone = partial(make_files_in_turn, self.batch.target), self.batch.isolated
         return _ItemProcess(
             self._context, target, tasks, self.folder, core, logs=False, alone=alone

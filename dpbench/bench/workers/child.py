@@ -433,7 +433,6 @@ def is_stopped(pid: int) -> bool:
 
 
 def _kill_and_wait(pid: int) -> None:
-    """Kill a process, and wait until it is gone."""
     with suppress(ProcessLookupError):
         os.kill(pid, signal.SIGKILL)
     _wait_for_end(pid)
@@ -466,7 +465,6 @@ def hide_main_module() -> Iterator[None]:
 
 
 def _signal_name(number: int) -> str:
-    """Return the name of a signal, such as SIGSEGV."""
     try:
         return signal.Signals(number).name
     except ValueError:

@@ -378,5 +378,4 @@ class CellExecutor(ExitStack):
 
 
 def _lost_result(job: CellJob, cause: str) -> Result:
-    """Return the result "lost" of a run, with its cause."""
     return Result(job.run_id, Outcome("lost", cause))

@@ -223,7 +223,6 @@ class ReplayGroup:
             return False
 
     def _open_log(self, worker: ReplayWorker) -> RawLog:
-        """Return the raw log of one solver configuration's replay."""
         return RawLog.open(self._folder / f"{worker.run_id}.raw")
 
 

@@ -39,7 +39,6 @@ def _describe_folder_fault(found: os.stat_result) -> str:
 
 
 def _user_name(uid: int) -> str:
-    """Return the name of a user id, such as "user alice", for messages."""
     try:
         return f"user {pwd.getpwuid(uid).pw_name}"
     except KeyError:

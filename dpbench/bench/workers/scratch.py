@@ -100,5 +100,4 @@ class Scratch(ExitStack):
 
 
 def _format_megabytes(size: int) -> str:
-    """Return a number of bytes as text in MB."""
     return f"{size / 1e6:.1f} MB"

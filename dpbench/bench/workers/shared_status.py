@@ -120,7 +120,6 @@ class _Sink(io.FileIO):
 
 
 def _receive_output(descriptor: Any) -> Output:
-    """Rebuild the captured output in the process that it was sent to."""
     return Output(descriptor.detach())
 
 
@@ -198,7 +197,6 @@ class SharedStatus:
 
 
 def _receive_status(descriptor: Any, output: Output) -> SharedStatus:
-    """Rebuild the shared status in the process that it was sent to."""
     notice = SharedStatus(descriptor.detach(), output)
     notice.close_descriptor()
     return notice

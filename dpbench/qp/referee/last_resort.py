@@ -335,7 +335,6 @@ class LastResort:
         return None, None
 
     def _unscale_proof(self, z: Vector, y: Vector, bound: Vector, kind: Kind) -> Proof:
-        """Convert a proof in equilibrated units to the units of the problem."""
         D = self._scales.D
         worst = float((D * bound).max()) * OUTWARD
         return Proof(D * z, self._scales.multipliers(y), worst, kind)

@@ -34,7 +34,6 @@ class Optimum:
         return f"<Optimum of {len(self.z)} variables: {self._proven_statement}>"
 
     def _repr_html_(self) -> str:
-        """Return the certified optimum as an HTML table for notebooks."""
         fields = {"certificate": f"{self.kind}: {self._proven_statement}"}
         fields |= {name: numbers_text(getattr(self, name)) for name in ("z", "y", "y_box")}
         return fields_html(f"Optimum of {len(self.z)} variables", fields)

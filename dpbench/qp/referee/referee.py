@@ -334,7 +334,6 @@ class Referee:
         return Optimum(np.full(n, nan), np.full(self._m, nan), np.full(n, nan), np.inf, "none")
 
     def _as_qp(self, problem: JointQP) -> QuadraticProgram:
-        """Convert a QP with rows and bounds joined back to one with separate rows and bounds."""
         m = self._m
         return QuadraticProgram(
             self._P, problem.q, self._A, problem.L[:m], problem.U[:m], self._lb, self._ub

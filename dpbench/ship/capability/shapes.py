@@ -122,7 +122,6 @@ class _ThrustEdge:
 
 
 def _cross_product(a: tuple[float, float], b: tuple[float, float]) -> float:
-    """Return the cross product of two plane vectors."""
     return a[0] * b[1] - a[1] * b[0]
 
 

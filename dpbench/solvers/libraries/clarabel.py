@@ -64,12 +64,12 @@ def read_status(answer: Any, options: Options) -> Claim:
     return make_claim(answer.extras["status"], -1, answer.extras["solve_time"])
 
 
-def make_settings() -> Any:
-    """Return Clarabel's default settings."""
-    return import_module("clarabel").DefaultSettings()
-
-
-THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "rows", read_status, make_settings=make_settings)
+THROUGH_QPSOLVERS = QpsolversAdapter(
+    RECORD,
+    "rows",
+    read_status,
+    make_settings=lambda: import_module("clarabel").DefaultSettings(),
+)
 
 
 class ClarabelWorkspace(OneSidedWorkspace):
@@ -87,7 +87,7 @@ class ClarabelWorkspace(OneSidedWorkspace):
 
     def _create_solver_from_form(self) -> None:
         """Make a Clarabel solver for the QP, without presolve."""
-        settings = make_settings()
+        settings = self._library.DefaultSettings()
         # Presolve would drop rows, and with them the right to update.
         settings.verbose, settings.presolve_enable = False, False
         self._apply_options(settings)
@@ -97,16 +97,13 @@ class ClarabelWorkspace(OneSidedWorkspace):
         )
 
     def _send_form_vectors(self) -> None:
-        """Pass the linear cost q and right-hand sides b to the Clarabel solver."""
         self._solver.update(q=self._form.q, b=self._form.bh)
 
     def _read_reported_status(self) -> Claim:
-        """Read status, iterations and time that Clarabel reports."""
         result = self._result
         return make_claim(result.status, int(result.iterations), result.solve_time)
 
     def _read_solution_vectors(self) -> Point:
-        """Return solution z and multipliers y, y_box of Clarabel's result."""
         dual, count = np.array(self._result.z), self._equalities
         return np.array(self._result.x), *self._form.two_sided(dual[count:], dual[:count])
 

@@ -113,7 +113,6 @@ class DaqpWorkspace(NativeWorkspace):
         self._high_view: Any = self._high_rows.data
 
     def _build_solver(self) -> None:
-        """Make a DAQP model and set it up with the current problem."""
         self._f[:], self._low_rows[:], self._high_rows[:] = self._q, self._l, self._u
         self._model = self._library.Model()
         if self._options:
@@ -142,7 +141,6 @@ class DaqpWorkspace(NativeWorkspace):
         self._refused = self._update(*self._vectors)
 
     def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Copy linear cost and row limits into DAQP's arrays and update its model."""
         self._f[:], self._low_rows[:], self._high_rows[:] = q, low, high
         self._refused = self._update(*self._vectors)
 
@@ -172,7 +170,6 @@ class DaqpWorkspace(NativeWorkspace):
         return Solution(SOLVED, z.copy(), dual[n:], dual[:n], info["iterations"], reported_ns)
 
     def _read_reported_status(self) -> Claim:
-        """Read exit flag, iterations and time that DAQP reports."""
         _, _, flag, info = self._result
         status, reported_ns = STATUS.get(flag, Status.UNKNOWN), int(info["solve_time"] * 1e9)
         return status, info["iterations"], reported_ns, f"exit flag {flag}"

@@ -52,17 +52,12 @@ RECORD = SolverRecord(
 )
 
 
-def make_settings() -> Any:
-    """Return HiGHS's default options."""
-    return import_module("highspy").HighsOptions()
-
-
 # Without a solution HiGHS fills x with zeros, which must not be taken for an iterate.
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "native",
     read_found,
-    make_settings=make_settings,
+    make_settings=lambda: import_module("highspy").HighsOptions(),
     iterate_when_not_found=False,
 )
 
@@ -85,7 +80,6 @@ class HighsWorkspace(NativeWorkspace):
     """HiGHS as QP solver, with two-sided rows, bounds and a sparse Hessian."""
 
     def _convert_matrices(self) -> None:
-        """Write P, A and the bounds into a HiGHS model."""
         n, m, library = self._n, self._m, self._library
         lower, rows = scipy.sparse.tril(self._P, format="csc"), scipy.sparse.csc_matrix(self._A)
         model = library.HighsModel()
@@ -102,7 +96,6 @@ class HighsWorkspace(NativeWorkspace):
         self._columns, self._row_numbers = (np.arange(k, dtype=np.int32) for k in (n, m))
 
     def _build_solver(self) -> None:
-        """Make a HiGHS object, set its options and pass it the model."""
         lp = self._model.lp_
         lp.col_cost_, lp.row_lower_, lp.row_upper_ = self._q, self._l, self._u
         solver = self._library.Highs()
@@ -118,7 +111,6 @@ class HighsWorkspace(NativeWorkspace):
             raise DpbenchError("HiGHS refuses the model")
 
     def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Change the linear cost and the row limits of the HiGHS model."""
         solver = self._solver
         self._raise_on_error(solver.changeColsCost(self._n, self._columns, q))
         if self._m:
@@ -133,7 +125,6 @@ class HighsWorkspace(NativeWorkspace):
         self._solver.run()
 
     def _read_reported_status(self) -> Claim:
-        """Read model status and QP iterations that HiGHS reports."""
         name = str(self._solver.getModelStatus().name)
         iterations = int(self._solver.getInfo().qp_iteration_count)
         return STATUS.get(name, Status.UNKNOWN), iterations, -1, name

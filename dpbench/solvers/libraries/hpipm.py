@@ -157,7 +157,6 @@ class HpipmStructures:
         return STATUS.get(flag, Status.UNKNOWN), self._count.value, -1, f"status {flag}"
 
     def _write_arguments(self, options: dict[str, Any]) -> None:
-        """Write mode and options into HPIPM's argument structure."""
         mode = MODES.index(str(options.pop("mode", "SPEED")))
         self.look_up_function("ipm_arg_set_default")(mode, self.arg)
         for name, value in options.items():
@@ -165,7 +164,6 @@ class HpipmStructures:
             self.look_up_function(f"ipm_arg_set_{name}")(ctypes.byref(number(value)), self.arg)
 
     def _create_structure(self, kind: str, *parts: Any) -> Any:
-        """Allocate memory for a C structure of HPIPM and initialise it."""
         library, prefix = self._library, f"{self._kind}{kind}"
         sizes = [getattr(library, f"{prefix}_{name}") for name in ("strsize", "memsize")]
         for function in sizes:
@@ -223,11 +221,9 @@ class HpipmWorkspace(NativeWorkspace):
             self._parts.start_warm(given)
 
     def _run_solver(self) -> None:
-        """Solve the QP in HPIPM's structures."""
         self._parts.solve()
 
     def _read_reported_status(self) -> Claim:
-        """Read status and iterations that HPIPM reports."""
         return self._parts.read_reported_status()
 
 
@@ -277,7 +273,6 @@ class DenseWorkspace(HpipmWorkspace):
         self._rows = stack_bound_rows(self._A, self._n)
 
     def _build_solver(self) -> None:
-        """Make HPIPM's dense structures and write the constant matrices into them."""
         n, m, library = self._n, self._m, self._library
         self._low[:m], self._high[:m] = self._l, self._u
         self._pattern = LimitSides.encode_pattern(self._l, self._u)
@@ -315,7 +310,6 @@ class DenseWorkspace(HpipmWorkspace):
         self._getters = self._parts.list_array_calls("sol_get", outputs)
 
     def _send_vectors(self, q: Vector) -> None:
-        """Pass the linear cost and the limits of a step to HPIPM."""
         self._g[:] = q
         self._limits.fill(self._low, self._high)
         qp = self._parts.qp
@@ -327,7 +321,6 @@ class DenseWorkspace(HpipmWorkspace):
         self._library.d_dense_qp_sol_set_v(array_pointer(self._start.z), self._parts.sol)
 
     def _read_solution_vectors(self) -> Point:
-        """Return solution z and multipliers y, y_box from HPIPM's dense solution."""
         m, sol = self._m, self._parts.sol
         for function, address in self._getters:
             function(sol, address)

@@ -273,7 +273,6 @@ class OcpWorkspace(HpipmWorkspace):
         self._pattern = None
 
     def _build_solver(self) -> None:
-        """Make HPIPM's stage-wise structures and write all matrices into them."""
         m = self._m
         self._low[:m], self._high[:m] = self._l, self._u
         pattern = LimitSides.encode_pattern(self._l, self._u)
@@ -350,7 +349,6 @@ class OcpWorkspace(HpipmWorkspace):
         self._set(*self._pieces, self._parts.sol)
 
     def _read_solution_vectors(self) -> Point:
-        """Return solution z and multipliers y, y_box from HPIPM's stage-wise solution."""
         data, m = self._data, self._m
         self._get(self._parts.sol, *self._pieces)
         z, y = np.empty(self._n), np.zeros(m + self._n)

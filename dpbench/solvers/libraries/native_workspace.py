@@ -94,7 +94,6 @@ class NativeWorkspace(Workspace):
         """Return copies of solution z and multipliers y, y_box; None if there are none."""
 
     def _apply_options(self, settings: Any) -> None:
-        """Set the solver options as attributes of a settings object."""
         for name, value in self._options.items():
             setattr(settings, name, value)
 
@@ -202,14 +201,15 @@ class NativeWorkspace(Workspace):
             raise missing_setup_error("read")
         if self._failure:
             self._unread = False
-            return self._make_empty_solution(Status.ERROR, -1, -1, self._failure)
+            return Solution.missing(self._n, self._m, Status.ERROR, self._failure)
         if not self._done:
-            return self._make_empty_solution(Status.ERROR, -1, -1, NOT_SOLVED)
+            return Solution.missing(self._n, self._m, Status.ERROR, NOT_SOLVED)
         status, iterations, reported_ns, detail = self._read_reported_status()
         detail = "" if status is SOLVED else detail
         point = self._read_solution_vectors() if status.is_usable else None
         if point is None:
-            solution = self._make_empty_solution(status, iterations, reported_ns, detail)
+            counters = iterations, reported_ns
+            solution = Solution.missing(self._n, self._m, status, detail, counters)
         else:
             solution = Solution(status, *point, iterations, reported_ns, detail)
         if self._unread:
@@ -225,14 +225,6 @@ class NativeWorkspace(Workspace):
         """Store an answer as the next warm start, unless the library keeps it itself."""
         if self._given_start:
             self._start.remember(solution)
-
-    def _make_empty_solution(
-        self, status: Status, iterations: int, reported_ns: int, detail: str
-    ) -> Solution:
-        """Return an answer without numbers, with given status, iterations and time [ns]."""
-        solution = Solution.missing(self._n, self._m, status, detail)
-        solution.iterations, solution.reported_ns = iterations, reported_ns
-        return solution
 
     def reset(self) -> None:
         """Discard the warm start by making a new library object, unless it has not been used."""

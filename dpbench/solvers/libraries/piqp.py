@@ -66,16 +66,11 @@ STATUS = {
 read_info = make_info_reader(STATUS, 1e9, word=attrgetter("status.name"), on_request=True)
 
 
-def make_settings() -> Any:
-    """Return PIQP's default settings."""
-    return import_module("piqp").DenseSolver().settings
-
-
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "native",
     make_status_reader(read_info),
-    make_settings=make_settings,
+    make_settings=lambda: import_module("piqp").DenseSolver().settings,
 )
 
 
@@ -106,7 +101,6 @@ class PiqpWorkspace(NativeWorkspace):
         )
 
     def _make_piqp_solver(self) -> Any:
-        """Return a new sparse or dense PIQP solver object."""
         kind = "SparseSolver" if self.form == "csc" else "DenseSolver"
         return getattr(self._library, kind)()
 
@@ -141,13 +135,11 @@ class PiqpWorkspace(NativeWorkspace):
         self._build_solver_for_step(q, low, high)
 
     def _read_reported_status(self) -> Claim:
-        """Read status, iterations and time that PIQP reports."""
         self._result = self._solver.result
         info = self._result.info
         return read_info(info, info.solve_time, self._options)
 
     def _read_solution_vectors(self) -> Point:
-        """Return solution z and multipliers y, y_box of PIQP's result."""
         result = self._result
         # x is a view of the library's memory.
         z, y, y_box = result.x.copy(), result.z_u - result.z_l, result.z_bu - result.z_bl
@@ -161,7 +153,6 @@ class MultistageWorkspace(PiqpWorkspace):
     """PIQP as QP solver, with its stage-wise factorisation for optimal control problems."""
 
     def _make_piqp_solver(self) -> Any:
-        """Return a sparse PIQP solver with the stage-wise factorisation."""
         solver = super()._make_piqp_solver()
         solver.settings.kkt_solver = self._library.sparse_multistage
         return solver

@@ -121,7 +121,6 @@ class ProxqpWorkspace(NativeWorkspace):
             self._C = scipy.sparse.csc_matrix(stack_bound_rows(self._A, n))
 
     def _build_solver(self) -> None:
-        """Make a dense or sparse ProxQP object and set it up."""
         n, m, library = self._n, self._m, self._library
         self._low[:m], self._high[:m] = self._l, self._u
         sparse, dense = library.sparse.QP, library.dense.QP
@@ -161,7 +160,6 @@ class ProxqpWorkspace(NativeWorkspace):
         return claimed
 
     def _read_solution_vectors(self) -> Point:
-        """Return solution z and multipliers y, y_box of ProxQP's result."""
         # Both are views of the library's memory.
         results, m = self._result, self._m
         z, y = results.x.copy(), results.z.copy()

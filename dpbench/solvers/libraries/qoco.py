@@ -48,12 +48,10 @@ class QocoWorkspace(OneSidedWorkspace):
     """QOCO as QP solver, on A z = b and G z ≤ h."""
 
     def _prepare_form_matrices(self) -> None:
-        """Convert cost P, equality rows A and inequality rows G to sparse for QOCO."""
         form, csc = self._form, scipy.sparse.csc_matrix
         self._matrices = tuple(None if M is None else csc(M) for M in (self._P, form.A, form.G))
 
     def _create_solver_from_form(self) -> None:
-        """Make a QOCO solver and set it up."""
         P, A, G = self._matrices
         form = self._form
         inequalities = 0 if form.h is None else form.h.size
@@ -67,23 +65,19 @@ class QocoWorkspace(OneSidedWorkspace):
         self._result = self._solver._solver.solution
 
     def _send_form_vectors(self) -> None:
-        """Pass linear cost q and right-hand sides b, h to the QOCO solver."""
         form = self._form
         self._solver.update_vector_data(c=form.q, b=form.b, h=form.h)
 
     def _run_solver(self) -> None:
-        """Call QOCO's solve function."""
         self._solver._solver.solve()
 
     def _read_reported_status(self) -> Claim:
-        """Read status, iterations and time that QOCO reports."""
         result = self._result
         name = self._solver.solvecodes[result.status]
         took_ns = round(result.solve_time_sec * 1e9)
         return STATUS.get(name, Status.UNKNOWN), int(result.iters), took_ns, name
 
     def _read_solution_vectors(self) -> Point:
-        """Return solution z and multipliers y, y_box of QOCO's solution."""
         result = self._result
         duals = np.array(result.z), np.array(result.y)
         return np.array(result.x), *self._form.two_sided(*duals)

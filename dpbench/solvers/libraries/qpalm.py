@@ -1,18 +1,12 @@
 """QPALM: two-sided, vectors updated, start given or cold; time in seconds."""
 
 from importlib import import_module
-from typing import Any
 
 import scipy
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import (
-    Claim,
-    QpsolversAdapter,
-    make_info_reader,
-    make_status_reader,
-)
+from dpbench.solvers.adapter import Claim, QpsolversAdapter, make_info_reader, make_status_reader
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stack_bound_rows
 from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, project_facts
 
@@ -67,13 +61,11 @@ STATUS = {
 read_info = make_info_reader(STATUS, 1e9)
 
 
-def make_settings() -> Any:
-    """Return QPALM's default settings."""
-    return import_module("qpalm").Settings()
-
-
 THROUGH_QPSOLVERS = QpsolversAdapter(
-    RECORD, "rows", make_status_reader(read_info), make_settings=make_settings
+    RECORD,
+    "rows",
+    make_status_reader(read_info),
+    make_settings=lambda: import_module("qpalm").Settings(),
 )
 
 
@@ -89,17 +81,15 @@ class QpalmWorkspace(NativeWorkspace):
         self._low, self._high = self._allocate_joint_limits()
 
     def _build_solver(self) -> None:
-        """Make a QPALM solver from the current problem and options."""
         m, data = self._m, self._data
         self._low[:m], self._high[:m] = self._l, self._u
         data.q, data.bmin, data.bmax = self._q, self._low, self._high
-        settings = make_settings()
+        settings = self._library.Settings()
         settings.verbose = False
         self._apply_options(settings)
         self._solver = self._library.Solver(data, settings)
 
     def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Update q and limits of the QPALM solver, and give it the warm start."""
         m, solver = self._m, self._solver
         self._low[:m], self._high[:m] = low, high
         solver.update_q(q)
@@ -108,16 +98,13 @@ class QpalmWorkspace(NativeWorkspace):
             solver.warm_start(self._start.z, self._start.dual)
 
     def _run_solver(self) -> None:
-        """Call QPALM and wait for its result."""
         self._solver.solve(asynchronous=False)
 
     def _read_reported_status(self) -> Claim:
-        """Read status, iterations and time that QPALM reports."""
         info = self._solver.info
         return read_info(info, info.solve_time, self._options)
 
     def _read_solution_vectors(self) -> Point:
-        """Return solution z and multipliers y, y_box of QPALM's solution."""
         # Both are views of the library's memory.
         solution, m = self._solver.solution, self._m
         z, y = solution.x.copy(), solution.y.copy()

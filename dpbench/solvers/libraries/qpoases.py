@@ -76,7 +76,6 @@ class QpoasesWorkspace(NativeWorkspace):
         self._outputs = {name: np.empty(size) for name, size in outputs}
 
     def _build_solver(self) -> None:
-        """Make casadi's qpOASES function and attach its inputs and outputs."""
         dense, n, m = self._library.Sparsity.dense, self._n, self._m
         shapes = {"h": dense(n, n), "a": dense(m, n)}
         options = {**FIXED, **self._options}
@@ -92,12 +91,10 @@ class QpoasesWorkspace(NativeWorkspace):
         self._update_vectors(self._q, self._l, self._u)
 
     def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Copy q and row limits into the input buffers of qpOASES."""
         inputs = self._inputs
         inputs["g"][:], inputs["lba"][:], inputs["uba"][:] = q, low, high
 
     def _run_solver(self) -> None:
-        """Call qpOASES on the stored inputs and outputs."""
         self._trigger()
 
     def _read_reported_status(self) -> Claim:

@@ -99,7 +99,6 @@ class QpsolversWorkspace(Workspace):
             self._failure = describe_exception(error)
 
     def _run_solver(self) -> Any:
-        """Call qpsolvers on the QP with the warm start and the options."""
         return solve_problem(self._problem, self._name, initvals=self._start, **self._options)
 
     def read(self) -> Solution:
@@ -118,9 +117,7 @@ class QpsolversWorkspace(Workspace):
             detail = ""
         absent = answer.x is None or np.shape(answer.x) != (n,)
         if absent or not (answer.found or self._adapter.iterate_when_not_found):
-            solution = Solution.missing(n, m, status, detail)
-            solution.iterations, solution.reported_ns = iterations, reported_ns
-            return solution
+            return Solution.missing(n, m, status, detail, (iterations, reported_ns))
         z = np.array(answer.x, dtype=np.float64)
         pair = self._form.convert_qpsolvers_multipliers(answer.z, answer.y, answer.z_box)
         y, y_box = (np.full(m, np.nan), np.full(n, np.nan)) if pair is None else pair

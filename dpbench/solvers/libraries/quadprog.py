@@ -106,7 +106,6 @@ class QuadprogWorkspace(OneSidedWorkspace):
             self._status = STATUS.get(self._words, Status.UNKNOWN)
 
     def _read_reported_status(self) -> Claim:
-        """Read quadprog's iterations, or the status of its error."""
         if self._result is None:
             return self._status, -1, -1, self._words
         return Status.SOLVED, int(self._result[3][0]), -1, ""
