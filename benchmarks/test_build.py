@@ -59,7 +59,6 @@ def qpmpc_build(problem: ControlProblem) -> Callable[[], Any]:
 def test_condense(
     benchmark: BenchmarkFixture, exactly: Callable[..., None], problem: ControlProblem
 ) -> None:
-    """The whole CondensedQP: E, F, Φ, the affine map, scaling."""
     A = CondensedQP(problem).A
     exactly(lambda: CondensedQP(problem), rows=A.shape[0], variables=A.shape[1])
     benchmark(CondensedQP, problem)
@@ -67,7 +66,6 @@ def test_condense(
 
 @pytest.mark.benchmark(group="condense 30/5 from given (A, B, C)")
 def test_condense_matrices_and_map(benchmark: BenchmarkFixture, problem: ControlProblem) -> None:
-    """The algebra alone: what a re-linearised step needs."""
     benchmark(lambda: build_affine_map(problem, condense_matrices(problem), "scaled"))
 
 
@@ -79,7 +77,6 @@ def test_qpmpc_builds(benchmark: BenchmarkFixture, problem: ControlProblem) -> N
 
 @pytest.mark.benchmark(group="condense 300/300 (n = 900), by turns with qpmpc")
 def test_condense_long(benchmark: BenchmarkFixture, problem: ControlProblem) -> None:
-    """The whole CondensedQP."""
     long = replace(problem, N_p=300, N_c=300)
     build, times = qpmpc_build(long), []
 
@@ -99,7 +96,6 @@ def test_condense_long(benchmark: BenchmarkFixture, problem: ControlProblem) -> 
 @pytest.mark.benchmark(group="growth: P by the block recursion, N_p = N_c = n/3")
 @pytest.mark.parametrize("n", SIZES)
 def test_hessian_grows(benchmark: BenchmarkFixture, problem: ControlProblem, n: int) -> None:
-    """E alone from given Markov parameters; its output has n² entries."""
     horizon = n // problem.model.n_u
     h = condense_matrices(replace(problem, N_p=horizon, N_c=horizon)).h
     benchmark.extra_info["n"] = n
@@ -110,7 +106,6 @@ def test_hessian_grows(benchmark: BenchmarkFixture, problem: ControlProblem, n: 
 @pytest.mark.benchmark(group="growth: the whole CondensedQP, N_p = N_c = n/3")
 @pytest.mark.parametrize("n", SIZES)
 def test_condense_grows(benchmark: BenchmarkFixture, problem: ControlProblem, n: int) -> None:
-    """Markov parameters, E, gradient, affine map, scaling."""
     horizon = n // problem.model.n_u
     benchmark.extra_info["n"] = n
     benchmark(CondensedQP, replace(problem, N_p=horizon, N_c=horizon))
@@ -120,7 +115,6 @@ def test_condense_grows(benchmark: BenchmarkFixture, problem: ControlProblem, n:
 def test_emit(
     benchmark: BenchmarkFixture, exactly: Callable[..., None], problem: ControlProblem
 ) -> None:
-    """θ → q, l, u in memory of its own."""
     builder = CondensedQP(problem)
     x, y_ref, u_prev = np.full(9, 0.1), np.zeros(3), np.ones(3)
     exactly(lambda: builder.emit(x, y_ref, u_prev), rows=builder.A.shape[0])
@@ -129,7 +123,6 @@ def test_emit(
 
 @pytest.mark.benchmark(group="emit one step")
 def test_emit_as_timed(benchmark: BenchmarkFixture, scenario: Scenario) -> None:
-    """What `emit_ns` is of: the QP of a step, in the formulation that the solver gets."""
     builder = QPBuilder(scenario)
     box, x, u_prev = BoxFormulation(base_problem(builder.condensed)), np.full(9, 0.1), np.ones(3)
     benchmark(lambda: box.step(builder.emit(0, x, u_prev)))
@@ -152,7 +145,6 @@ def loss(request: pytest.FixtureRequest) -> Scenario:
 @pytest.mark.benchmark(group="emit one step with thrusters")
 @pytest.mark.parametrize("behind", [-1, 1], ids=["intact", "lost"])
 def test_emit_with_thrusters(benchmark: BenchmarkFixture, loss: Scenario, behind: int) -> None:
-    """θ → q, l, u before and after the fault."""
     builder, fault = QPBuilder(loss), min(k for k, _ in loss.controller.changes)
     x, f = np.full(9, 0.1), np.full(loss.controller.n_f, 5e3)
     benchmark(builder.emit, fault + behind, x, f)
@@ -160,7 +152,6 @@ def test_emit_with_thrusters(benchmark: BenchmarkFixture, loss: Scenario, behind
 
 @pytest.mark.benchmark(group="emit one step with thrusters")
 def test_bare_product_with_thrusters(benchmark: BenchmarkFixture, loss: Scenario) -> None:
-    """The product of the same matrix: what emitting is measured against."""
     Z = condense(loss).Z
     theta, out = np.full(Z.shape[1], 0.1), np.empty(Z.shape[0])
     benchmark(lambda: np.dot(Z, theta, out=out))

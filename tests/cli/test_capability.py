@@ -43,7 +43,6 @@ def test_the_table_fits_a_terminal_and_names_what_is_assumed(
 
 
 def test_json_and_a_figure_say_the_same_as_the_table(capsys: pytest.CaptureFixture[str]) -> None:
-    """Cases and numbers; the figure is written beside it."""
     assert main(["capability", "osv", "--json", "--figure", "rose.svg"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert [case["name"] for case in document["cases"]] == ["intact", "board A", "board B"]
@@ -56,7 +55,6 @@ def test_json_and_a_figure_say_the_same_as_the_table(capsys: pytest.CaptureFixtu
 
 
 def test_many_groups_are_told_by_the_worst() -> None:
-    """Six cases do not fit beside each other."""
     held = {
         case: tuple(WindLimit(20.0 - i, 7) for _ in FROM_DEG)
         for i, case in enumerate(["intact", *"abcde"])
@@ -84,7 +82,6 @@ def test_the_notation_is_that_of_the_standard() -> None:
 def test_solvers_are_asked_at_the_edge_and_judged(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From four directions: quadprog is right on all QPs, and what was judged stays on disk."""
     monkeypatch.setattr(study, "DIRECTIONS", 4)
     for module in (study, "dpbench.bench.capability.batch", "dpbench.cli.capability"):
         name = module if isinstance(module, str) else module.__name__
@@ -126,7 +123,6 @@ def test_bad_input_is_one_line(
 def test_a_solver_that_is_not_installed_is_named(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Before anything is computed, with what mends it."""
     missing = Availability(False, reason="not installed")
     monkeypatch.setattr(table, "check_availability", lambda solver: missing)
     assert main(["capability", "osv", "--solver", "quadprog"]) == 2
@@ -148,7 +144,6 @@ def test_a_solver_that_is_not_installed_is_named(
 def test_a_bad_hull_is_named(
     old: str, new: str, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """File, key, what was found and what is allowed."""
     text = problem_path("vessels", "osv").read_text(encoding="utf-8")
     assert old in text
     Path("mine.toml").write_text(text.replace(old, new), encoding="utf-8")

@@ -57,7 +57,6 @@ def _quick_trials(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_check_takes_what_run_takes(
     asked: str, said: str, place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Names of every kind, a scenario with another vessel, files and folders by qpsolvers."""
     assert main(["check", asked]) == 0
     first, *_ = capsys.readouterr().out.splitlines()
     assert said in first
@@ -65,7 +64,6 @@ def test_check_takes_what_run_takes(
 
 @pytest.mark.parametrize("suite", problem_names("suites"))
 def test_check_takes_every_suite(suite: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Whichever tables it has, as one of studies alone; beside a scenario of that name."""
     assert main(["check", suite]) == 0
     *_, line = capsys.readouterr().out.splitlines()
     about, cells = line.removesuffix(" cells").split(": a suite of ")
@@ -73,7 +71,6 @@ def test_check_takes_every_suite(suite: str, capsys: pytest.CaptureFixture[str])
 
 
 def test_the_tables_of_a_suite_are_named(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Where a file has none of them."""
     (place / "else.toml").write_text('title = "x"', encoding="utf-8")
     assert main(["check", "else.toml"]) == 2
     tables = "[[study]], [[replay]], [[recorded]], [[random]], [[capability]]"
@@ -130,7 +127,6 @@ def test_what_is_wrong_is_one_line_and_exit_2(
     place: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Damage of any kind and names that nothing has: one line that names them."""
     if harm is not None:
         assert main(["check", asked]) == (2 if harm is empty else 0), "whole before"
         capsys.readouterr()
@@ -144,7 +140,6 @@ def test_what_is_wrong_is_one_line_and_exit_2(
 def test_a_problem_that_cannot_be_met_is_certified_so(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A file whose rows contradict each other is no bad file: its step has no feasible point."""
     rows = np.array([[1.0, 0.0], [-1.0, 0.0]])
     Problem(np.eye(2), np.zeros(2), rows, np.array([-1.0, -1.0])).save("never.npz")
     assert main(["check", "never.npz"]) == 0
@@ -152,7 +147,6 @@ def test_a_problem_that_cannot_be_met_is_certified_so(
 
 
 def test_one_problem_is_a_sequence_of_one_step(place: Path) -> None:
-    """What `run --sequence` reads of a single file is its problem, two-sided."""
     sequence = read_sequence(Path("alone.npz")).sequence
     assert (sequence.name, len(sequence)) == ("alone", 1)
     assert sequence.base.u.tolist() == [50.0] and sequence.base.l.tolist() == [-np.inf]

@@ -39,7 +39,6 @@ def test_a_vessel_fits_a_dozen_lines_of_a_terminal(
 def test_a_scenario_fits_a_dozen_lines_of_a_terminal(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With its weather and its own tuning."""
     up_to(monkeypatch, 1.7)
     lines = check_ship.scenario_text(name, load_scenario(name)).splitlines()
     assert len(lines) <= 12
@@ -66,7 +65,6 @@ def test_the_numbers_of_the_papers_ship(monkeypatch: pytest.MonkeyPatch) -> None
 def test_a_tuning_that_holds_nothing_or_everything(
     offset_m: float, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without a bracket it says which end it is."""
     up_to(monkeypatch, offset_m)
     assert read_stored_text("osv").count(said) == 2
 

@@ -43,7 +43,6 @@ def without(option: str) -> list[str]:
 
 
 def test_the_three_files_are_of_one_ship(capsys: pytest.CaptureFixture[str]) -> None:
-    """They load, the suite runs the scenario of that vessel, and each says what comes next."""
     assert main(SHIP) == 0
     said = capsys.readouterr().out
     assert all(name in said for name in FILES)
@@ -58,7 +57,6 @@ def test_the_three_files_are_of_one_ship(capsys: pytest.CaptureFixture[str]) -> 
 
 
 def test_the_vessel_file_says_how_it_was_made() -> None:
-    """The method, the vessel it is from, its validity, and the command that wrote it."""
     main(SHIP)
     text = Path(FILES[0]).read_text(encoding="utf-8").replace("\n# ", " ")
     for said in ("Bis system", "supply_mss", "Valid for", "Clarke", "--displacement 6000"):
@@ -89,7 +87,6 @@ def test_any_ship_that_is_allowed_becomes_files_that_are(
     number: int,
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
-    """Six digits of its numbers, a weather and a suite that load."""
     breadth_m = length_m / slender
     draught_m = breadth_m / shallow
     mass_kg = block * 1026.0 * length_m * breadth_m * draught_m
@@ -114,7 +111,6 @@ def test_any_ship_that_is_allowed_becomes_files_that_are(
 
 
 def test_a_hull_of_the_mss_toolbox(capsys: pytest.CaptureFixture[str]) -> None:
-    """Only the thrust is asked for; M and D are those of the file, and its remark is passed on."""
     assert "--thrust" in refused(["init", "supply", "--from-mss", str(CUT)], capsys)
     assert main(["init", "supply", "--from-mss", str(CUT), "--thrust", "500"]) == 0
     vessel, hull = load_vessel("supply.toml"), read_mss(CUT)
@@ -126,7 +122,6 @@ def test_a_hull_of_the_mss_toolbox(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_hull_of_a_table(capsys: pytest.CaptureFixture[str]) -> None:
-    """Particulars that the table lacks are asked for; options go before its own."""
     rows = "coefficient,value\nM11,7e6\nM22,8e6\nM66,4e9\nD11,2e5\nD22,8e5\nD66,3e8\nlength_m,80\n"
     Path("ship.csv").write_text(rows, encoding="utf-8")
     command = ["init", "mine", "--from-csv", "ship.csv", "--thrust", "300"]
@@ -139,7 +134,6 @@ def test_a_hull_of_a_table(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_the_same_ship_in_another_sea(capsys: pytest.CaptureFixture[str]) -> None:
-    """`--sea` alone leaves the vessel as it is and writes scenario and suite beside it."""
     main(SHIP)
     before = {path.name: path.read_bytes() for path in Path().iterdir()}
     capsys.readouterr()
@@ -155,7 +149,6 @@ def test_the_same_ship_in_another_sea(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_nothing_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """One file that is there keeps all from being written; `--force` and `--out` say otherwise."""
     Path(FILES[2]).write_text("mine", encoding="utf-8")
     line = refused(SHIP, capsys)
     assert FILES[2] in line and "--force" in line
@@ -190,7 +183,6 @@ def test_nothing_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[s
 def test_what_cannot_be_is_refused_in_one_line(
     arguments: list[str], parts: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The line names the option, what was found and what is allowed; nothing is written."""
     line = refused(arguments, capsys)
     assert all(part in line for part in parts), line
     assert not list(tmp_path.iterdir())
@@ -204,7 +196,6 @@ def commands() -> list[list[str]]:
 
 
 def test_the_page_shows_what_is_written_and_read(tmp_path: Path) -> None:
-    """Its table of coefficients is a ship, and its first command that of these tests."""
     assert commands()[0] == SHIP
     table = PAGE.split("```csv\n")[1].split("```")[0]
     (tmp_path / "ship.csv").write_text(table, encoding="utf-8")
@@ -215,7 +206,6 @@ def test_the_page_shows_what_is_written_and_read(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_own_ship_from_init_to_its_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The commands of the page make the pages it names; the runs are shortened."""
     short = ["--solver", "quadprog", "--solver", "daqp", "--steps", "60"]
     for words in commands():
         assert main(words + short * (words[0] == "run")) == 0

@@ -49,7 +49,6 @@ def test_a_suite_that_cannot_be_run(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The line names the file, and no result folder is begun."""
     monkeypatch.chdir(tmp_path)
     Path("x.toml").write_text(text, encoding="utf-8")
     line = mistake(["run", "x.toml"], capsys)
@@ -63,7 +62,6 @@ def test_a_suite_that_cannot_be_run(
 def test_a_ship_in_other_units_is_none(
     key: str, number: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Length in km or mm, mass in t: not those of one ship."""
     path = tmp_path / "x.toml"
     path.write_text(changed(VESSEL, key, f"{key} = {number}"), encoding="utf-8")
     said = mistake(["check", str(path)], capsys)
@@ -85,7 +83,6 @@ def test_a_ship_in_other_units_is_none(
 def test_bad_input_is_one_line_and_exit_2(
     words: list[str], parts: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The line names what was found and what is allowed."""
     line = mistake(words, capsys)
     assert all(part in line for part in parts), line
 
@@ -94,7 +91,6 @@ def test_bad_input_is_one_line_and_exit_2(
 def test_an_unknown_word_is_named_as_it_was_typed(
     words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """No s is added to a kind of list."""
     with pytest.raises(SystemExit, match="2"):
         main(words)
     (line,) = capsys.readouterr().err.splitlines()

@@ -17,7 +17,6 @@ SUITE = 'title = "Old"\ncontrast = false\n[[closed_loop]]\nscenarios = ["paper"]
 
 
 def test_an_old_key_of_a_suite_means_the_new_one(tmp_path: Path) -> None:
-    """`contrast` is read as `baseline_law`, and the line names file and both words."""
     path = tmp_path / "old.toml"
     path.write_text(SUITE)
     with pytest.warns(RenamedWarning, match=r"old\.toml: contrast is now called baseline_law"):
@@ -25,7 +24,6 @@ def test_an_old_key_of_a_suite_means_the_new_one(tmp_path: Path) -> None:
 
 
 def test_both_words_at_once_are_a_mistake(tmp_path: Path, capsys: Any) -> None:
-    """With the new key beside it the old one is unknown."""
     path = tmp_path / "both.toml"
     path.write_text("baseline_law = true\n" + SUITE)
     assert main(["check", str(path)]) == 2
@@ -33,14 +31,12 @@ def test_both_words_at_once_are_a_mistake(tmp_path: Path, capsys: Any) -> None:
 
 
 def test_the_old_name_of_a_suite_is_read() -> None:
-    """`ladder` is `levels`."""
     with pytest.warns(RenamedWarning, match="ladder is now called levels"):
         assert load_suite("ladder")[0].name == "levels.toml"
 
 
 @pytest.mark.parametrize("schema", [SCHEMA_VERSION - 1, SCHEMA_VERSION + 1])
 def test_another_schema_is_refused(schema: int, records: Any, tmp_path: Path) -> None:
-    """In one line that names it and the one that is read."""
     records.replay("daqp")
     path = records.write(tmp_path / "other") / "runs.parquet"
     pd.read_parquet(path).assign(schema=schema).to_parquet(path)
@@ -49,7 +45,6 @@ def test_another_schema_is_refused(schema: int, records: Any, tmp_path: Path) ->
 
 
 def test_the_old_command_says_the_new_one(capsys: Any) -> None:
-    """`dpbench hunt` is `dpbench worst-case`: the same complaint after one line."""
     assert main(["hunt", "nobody"]) == 2
     old = capsys.readouterr().err.splitlines()
     assert main(["worst-case", "nobody"]) == 2
@@ -60,7 +55,6 @@ def test_the_old_command_says_the_new_one(capsys: Any) -> None:
 
 
 def test_a_plugin_may_still_say_ladder(tmp_path: Path) -> None:
-    """LADDER is read as LEVELS."""
     example = Path(__file__).parents[1] / "solvers" / "example_plugin.py"
     path = tmp_path / "old_plugin.py"
     text = example.read_text().replace("LEVELS =", "LADDER =").replace('"admm"', '"old_admm"')
@@ -72,7 +66,6 @@ def test_a_plugin_may_still_say_ladder(tmp_path: Path) -> None:
 
 
 def test_a_refused_key_of_a_suite_names_the_new_one(tmp_path: Path, capsys: Any) -> None:
-    """`[demand]` is refused in one line that names `requirements`."""
     path = tmp_path / "old.toml"
     path.write_text('title = "Old"\n[demand]\np99_ms = 2.0\n[[replay]]\nscenario = "paper"\n')
     assert main(["check", str(path)]) == 2

@@ -87,7 +87,6 @@ def _folders(process: subprocess.Popen[str]) -> list[Path]:
 def test_a_signal_ends_a_run_in_one_line(
     signals: tuple[int, ...], whole_group: bool, tmp_path: Path, place: Path
 ) -> None:
-    """Whether the program alone gets it or all its processes; more of them change nothing."""
     process = started(tmp_path, place)
     folders = _folders(process)
     assert len(folders) == 2
@@ -104,7 +103,6 @@ def test_a_signal_ends_a_run_in_one_line(
 
 
 def test_what_a_killed_run_left_goes_with_the_next(tmp_path: Path, place: Path) -> None:
-    """Its sockets and logs, by the first command that makes such a folder."""
     process = started(tmp_path, place)
     folders = _folders(process)
     assert len(folders) == 2
@@ -121,7 +119,6 @@ def test_what_a_killed_run_left_goes_with_the_next(tmp_path: Path, place: Path) 
 
 
 def test_a_hang_up_that_is_ignored_stays_ignored() -> None:
-    """As under nohup."""
     program = (
         "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
         "from dpbench.bench.workers.interrupts import first_signal_only\n"

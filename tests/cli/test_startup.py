@@ -40,7 +40,6 @@ def _loaded(*arguments: str) -> tuple[str, set[str]]:
     ],
 )
 def test_a_quick_command_loads_nothing_heavy(command: str, shown: str) -> None:
-    """It prints what it is asked for, without pandas, Numba and SciPy's optimisers."""
     printed, heavy = _loaded(*command.split())
     assert shown in printed
     assert not heavy
@@ -48,7 +47,6 @@ def test_a_quick_command_loads_nothing_heavy(command: str, shown: str) -> None:
 
 @pytest.mark.parametrize("kind", ["scenarios", "vessels"])
 def test_a_mistake_in_a_file_is_answered_before_anything_heavy(kind: str, tmp_path: Path) -> None:
-    """An unknown key; a file without one loads them, as its ship is steered in trials."""
     name = {"scenarios": "turn", "vessels": "osv"}[kind]
     text = problem_path(kind, name).read_text(encoding="utf-8")
     bad = tmp_path / "bad.toml"

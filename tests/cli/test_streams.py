@@ -25,7 +25,6 @@ def _shell(script: str, **variables: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_a_reader_that_goes_away_ends_it_without_a_word() -> None:
-    """As any program that a closed pipe ends; the library of tables has its own exit code."""
     for command, code in (("list scenarios", 1), ("check paper", 141)):
         done = _shell(f"dpbench {command} | true; echo ${{PIPESTATUS[0]}}")
         assert (done.stdout, done.stderr) == (f"{code}\n", "")
@@ -33,7 +32,6 @@ def test_a_reader_that_goes_away_ends_it_without_a_word() -> None:
 
 @pytest.mark.parametrize("closed", [">&-", "<&- >&-", "2>&-", "<&- >&- 2>&-"])
 def test_closed_streams_change_nothing_else(closed: str) -> None:
-    """What has no place to go is not printed; errors keep their exit code."""
     assert _shell(f"dpbench list solvers {closed}").returncode == 0
     done = _shell(f"dpbench report no/such/folder {closed}")
     lines = done.stderr.splitlines()
@@ -41,7 +39,6 @@ def test_closed_streams_change_nothing_else(closed: str) -> None:
 
 
 def test_a_terminal_of_ascii_shows_the_same_numbers() -> None:
-    """Signs that it has not are those that come nearest."""
     plain, full = _shell("dpbench check paper", **ASCII), _shell("dpbench check paper")
     assert plain.returncode == full.returncode == 0 and plain.stderr == ""
     expected = full.stdout
@@ -52,14 +49,12 @@ def test_a_terminal_of_ascii_shows_the_same_numbers() -> None:
 
 
 def test_a_full_disk_is_one_line() -> None:
-    """Also where the output is only written at the end."""
     done = _shell("dpbench check paper > /dev/full")
     assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
     assert "No space left on device" in done.stderr
 
 
 def test_python_without_docstrings_is_refused_in_one_line() -> None:
-    """The library that describes figures does not load without its own."""
     done = _shell("dpbench list solvers", PYTHONOPTIMIZE="2")
     assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
     assert "PYTHONOPTIMIZE" in done.stderr

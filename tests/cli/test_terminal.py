@@ -39,7 +39,6 @@ def _dumb(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("command", ["", *_CALLS])
 def test_help_fits(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Of the program and of each command, with a sentence for each option."""
     with pytest.raises(SystemExit, match="0"):
         main([*command.split(), "--help"])
     assert_readable(capsys.readouterr().out)
@@ -48,7 +47,6 @@ def test_help_fits(command: str, capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_lists_fit(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Into a pipe; the singular is as good."""
     assert main(["list", kind.removesuffix("s")]) == 0
     said = capsys.readouterr().out
     assert_readable(said)
@@ -77,7 +75,6 @@ def test_lists_fit(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
 def test_what_a_command_says_fits(
     words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Into a pipe. JSON is for scripts: a line each."""
     monkeypatch.setattr(check_ship, "is_held", lambda trial, offset_m, sides: offset_m <= 1.0)
     assert main(words) == 0
     said = capsys.readouterr()
@@ -88,7 +85,6 @@ def test_what_a_command_says_fits(
 
 @pytest.mark.slow
 def test_a_report_and_a_comparison_fit(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The widest tables there are; with the same folder on both sides nothing is worse."""
     assert main(["report", str(campaign)]) == 0
     assert main(["compare", str(campaign), str(campaign)]) == 0
     assert_readable(capsys.readouterr().out)
@@ -98,7 +94,6 @@ def test_a_report_and_a_comparison_fit(campaign: Path, capsys: pytest.CaptureFix
 @pytest.mark.parametrize("setting", [{"TERM": "dumb"}, {"TERM": "xterm", "NO_COLOR": "1"}])
 @pytest.mark.parametrize("words", [["list", "vessels"], EXPORT], ids=lambda words: words[0])
 def test_a_terminal_of_80_columns(words: list[str], setting: dict[str, str]) -> None:
-    """A real one: no colour where none is wanted, no code at the end."""
     primary, secondary = pty.openpty()
     environment = {k: v for k, v in os.environ.items() if k != "NO_COLOR"} | setting
     program = [sys.executable, "-m", "dpbench", *words]
@@ -129,7 +124,6 @@ def wide_table(words: int) -> Table:
 
 
 def test_a_table_that_does_not_fit_is_told_row_by_row(capsys: pytest.CaptureFixture[str]) -> None:
-    """Whole words, no cell cut: each with its head."""
     screen = Console(width=WIDTH)
     screen.print(make_report_table(wide_table(4), screen))
     assert "┃" in capsys.readouterr().out
@@ -141,7 +135,6 @@ def test_a_table_that_does_not_fit_is_told_row_by_row(capsys: pytest.CaptureFixt
 
 
 def test_a_line_is_broken_at_spaces_and_a_path_is_not(capsys: pytest.CaptureFixture[str]) -> None:
-    """What is copied stays whole."""
     path = "/".join(["folder"] * 20)
     print_wrapped(["short", "word " * 30, f"see {path}"])
     said = capsys.readouterr().out
@@ -152,7 +145,6 @@ def test_a_line_is_broken_at_spaces_and_a_path_is_not(capsys: pytest.CaptureFixt
 
 @pytest.mark.slow
 def test_doctor_puts_a_long_fact_beside_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Machines differ; what is said of them keeps its column."""
     machine: dict[str, Any] = {"load_average": [], "memory_GiB": 8, "kernel": "k", "python": "p"}
     versions = {f"library{i}": "1.0" for i in range(20)}
     monkeypatch.setattr(doctor, "describe_machine", lambda: machine | {"versions": versions})
@@ -162,7 +154,6 @@ def test_doctor_puts_a_long_fact_beside_its_name(monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_remark_is_said_where_no_bar_can_be(capsys: pytest.CaptureFixture[str]) -> None:
-    """That compiling takes a while, into a pipe: beside the output, not in it."""
     with ProgressBar(transient=True) as bar:
         bar.remark("compiling")
     with ProgressBar(quiet=True) as bar:

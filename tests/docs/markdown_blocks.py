@@ -25,12 +25,10 @@ class Block:
 
     @property
     def commands(self) -> list[str]:
-        """The commands as printed."""
         return self.body.splitlines()
 
     @property
     def tested(self) -> list[str]:
-        """The same, shortened where a page says how."""
         return (self.instead or self.body).splitlines()
 
 

@@ -36,13 +36,11 @@ def _defined(file: str) -> set[str]:
 
 @pytest.mark.parametrize(("page", "file", "name"), PLACES)
 def test_a_function_that_a_page_names_is_where_it_says(page: str, file: str, name: str) -> None:
-    """Tables of formulas and equations name a file and a function or class in it."""
     assert name in _defined(file), page
 
 
 @pytest.mark.parametrize("page", TEXT)
 def test_every_place_that_a_page_names_exists(page: str) -> None:
-    """Files and folders of this repository in backticks."""
     named = re.findall(r"`((?:dpbench|tests|benchmarks|problems|docs)/[\w./-]*)`", TEXT[page])
     assert [name for name in named if not (ROOT / name).exists()] == []
 
@@ -58,7 +56,6 @@ def test_every_equation_has_its_code() -> None:
 
 
 def test_every_figure_of_a_run_has_its_formula() -> None:
-    """Whatever stands in `runs.parquet` beside what a run is, by its name or that of its kind."""
     named = set(re.findall(r"`([\w*]+)`", TEXT["method.md"]))
     figures = set(schema.RUN_COLUMNS) - set(schema.IDENTITY_COLUMNS)
     missing = [name for name in figures if not any(fnmatch.fnmatch(name, n) for n in named)]
@@ -67,7 +64,6 @@ def test_every_figure_of_a_run_has_its_formula() -> None:
 
 @pytest.mark.parametrize("page", TEXT)
 def test_every_command_that_a_page_prints_is_one(page: str) -> None:
-    """In blocks and in the text; what stands for a name of one's own is a name too."""
     commands = [
         line
         for block in blocks_of(ROOT / "docs" / page)
@@ -86,7 +82,6 @@ def test_every_command_that_a_page_prints_is_one(page: str) -> None:
 
 @pytest.mark.parametrize("kind", toml_keys.FILES)
 def test_every_key_has_a_meaning(kind: str) -> None:
-    """A sentence below it in the model that reads it."""
     for section in toml_keys.sections(toml_keys.FILES[kind]):
         texts = toml_keys.meanings(section.model)
         assert set(texts) == set(section.model.model_fields), section.header
@@ -94,7 +89,6 @@ def test_every_key_has_a_meaning(kind: str) -> None:
 
 
 def test_keys_have_type_bounds_and_default() -> None:
-    """A few rows as a reader sees them."""
     pages = toml_keys.pages()
     vessel, scenario, suite = (pages[f"reference/{kind}.md"] for kind in toml_keys.FILES)
     assert "| `length_m` | number | ≥ 0.001, ≤ 1e+06 | **required** | Length" in vessel
@@ -106,7 +100,6 @@ def test_keys_have_type_bounds_and_default() -> None:
 
 
 def test_every_column_name_and_solver_has_its_entry() -> None:
-    """Generated pages leave nothing out."""
     made = columns.pages()["reference/columns.md"]
     assert all(f"| `{name}` |" in made for name in (*schema.RUN_COLUMNS, *schema.STEP_COLUMNS))
     python = python_names.pages()["reference/python.md"]
@@ -117,7 +110,6 @@ def test_every_column_name_and_solver_has_its_entry() -> None:
 
 @pytest.mark.parametrize("maker", MAKERS, ids=lambda maker: str(maker.__name__))
 def test_generated_tables_have_as_many_cells_in_each_row(maker: Any) -> None:
-    """No sign of the text has become one of the table."""
     for name, text in maker.pages().items():
         for run in re.findall(r"(?:^\|.*\n)+", text, re.M):
             widths = {line.count(" | ") for line in run.splitlines() if not line.startswith("| --")}
@@ -125,7 +117,6 @@ def test_generated_tables_have_as_many_cells_in_each_row(maker: Any) -> None:
 
 
 def test_a_page_of_a_solver_says_what_its_record_says() -> None:
-    """Licence, policies with the reason of a missing one, faults, settings in numbers, pitfalls."""
     page = solvers.pages()["solvers/clarabel.md"]
     assert "| licence | Apache-2.0 |" in page
     assert "no: Clarabel has no interface for a start |" in page
@@ -136,7 +127,6 @@ def test_a_page_of_a_solver_says_what_its_record_says() -> None:
 
 
 def test_the_navigation_leads_to_every_page() -> None:
-    """What is written by hand is listed in mkdocs.yml; the solvers are added by a hook."""
     listed = set(re.findall(r"([\w/-]+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.M))
     generated = {name for maker in MAKERS for name in maker.pages()}
     assert listed - generated - {"contributing.md"} == set(TEXT)
@@ -144,7 +134,6 @@ def test_the_navigation_leads_to_every_page() -> None:
 
 
 def test_a_docstring_becomes_prose_lists_and_formulas() -> None:
-    """Signs are taken as they are, sections become lists, what is further in is code."""
     from sitegen.markup import docstring
 
     def documented() -> None:

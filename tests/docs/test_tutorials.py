@@ -18,7 +18,6 @@ REGRESSION_SHOWN = 1
 
 
 def test_the_five_ways_have_something_to_follow() -> None:
-    """Each tutorial has commands; so do the pages of the guide that promise some."""
     tutorials = {page.stem for page in FOLLOWED if page.parent.name == "tutorials"}
     assert len(tutorials) == 5
     assert all(
@@ -32,7 +31,6 @@ def test_the_five_ways_have_something_to_follow() -> None:
 def test_a_page_runs_from_top_to_bottom(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Files are saved under the names it gives, every command ends as it should, Python runs."""
     monkeypatch.chdir(tmp_path)
     # Another page may have loaded the same name from another file.
     monkeypatch.setattr(plugins, "_LOADED", {})
@@ -63,7 +61,6 @@ def _run(command: str) -> None:
 
 @pytest.mark.parametrize("page", (README, *PAGES), ids=lambda page: str(page.stem))
 def test_what_is_tested_is_what_is_printed(page: Path) -> None:
-    """A replacement is the same command with other limits: as many lines, the same words first."""
     for block in blocks_of(page):
         if not block.instead:
             continue

@@ -24,7 +24,6 @@ EQUAL = 1e-9
 
 
 def optimum(qp: QuadraticProgram) -> Optimum:
-    """The certified optimum."""
     found = certify(qp)
     assert found.bound < 1e-10
     return found
@@ -45,7 +44,6 @@ def lost_thruster(ship: Any) -> tuple[Any, np.ndarray, Limits]:
 
 
 def test_where_hard_limits_are_feasible_the_soft_plan_is_the_hard_one(case: Any) -> None:
-    """As long as no unconstrained move exceeds the quarter of the range that the default allows."""
     hard, soft = CondensedQP(case.problem), CondensedQP(case.problem, amplitude="soft")
     assert soft.penalty is not None
     free = np.linalg.solve(hard.P, hard.emit(case.x, case.y_ref, case.u_prev).q)
@@ -115,7 +113,6 @@ def test_where_hard_limits_are_infeasible_the_soft_plan_violates_them_least(ship
 def test_hard_and_soft_rows_have_exactly_the_new_limits(
     ship: Any, amplitude: Any, units: Any
 ) -> None:
-    """The new limits less the force applied, however far that is."""
     problem, u_prev, limits = lost_thruster(ship)
     builder = CondensedQP(problem, amplitude=amplitude, units=units)
     theta = (np.full(9, 0.01), np.zeros(3), u_prev)
@@ -165,7 +162,6 @@ def test_slacks_leave_the_cost_of_the_moves_and_the_condition_of_it_alone(ship: 
 
 
 def test_soft_problems_in_scaled_and_si_units_have_one_answer(ship: Any) -> None:
-    """The optimum of a violated step, mapped to SI, is stationary there and costs the same."""
     problem, u_prev, limits = lost_thruster(ship)
     scaled, si = (CondensedQP(problem, amplitude="soft", units=u) for u in ("scaled", "si"))  # type: ignore[arg-type] # names from a loop
     theta = (np.full(9, 0.02), np.zeros(3), u_prev)
@@ -181,7 +177,6 @@ def test_soft_problems_in_scaled_and_si_units_have_one_answer(ship: Any) -> None
 
 
 def test_soft_rows_are_the_forces_within_their_limits_and_slacks(ship: Any) -> None:
-    """A plan meets the rows exactly when every force is within its limits widened by the slack."""
     problem, u_prev, limits = lost_thruster(ship)
     builder = CondensedQP(problem, amplitude="soft")
     step = builder.emit(np.zeros(9), np.zeros(3), u_prev, limits=limits)

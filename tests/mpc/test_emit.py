@@ -30,7 +30,6 @@ def pieces(step: QPStep) -> np.ndarray:
 def test_every_condensed_formulation_is_one_affine_map(
     ship: Any, units: Any, amplitude: Any, bounded: bool, turning: bool
 ) -> None:
-    """At one heading: the map shown makes every step, and steps combine as their parameters do."""
     problem = ship("supply_fs99", N_p=20, N_c=4)
     outputs = OutputBounds(0.3, 5.0, 0.15) if bounded else None
     form: dict[str, Any] = {"units": units, "amplitude": amplitude, "outputs": outputs}
@@ -118,7 +117,6 @@ def test_reachable_limits_follow_the_rate_row_by_row(case: Any, units: Any, fact
 
 
 def test_reachable_limits_always_leave_a_feasible_plan(case: Any) -> None:
-    """Moving towards the new limits at full rate, and no further, satisfies every row."""
     problem = case.problem
     limits = Limits(0.3 * problem.u_min, 0.3 * problem.u_max)
     builder = CondensedQP(problem)
@@ -133,7 +131,6 @@ def test_reachable_limits_always_leave_a_feasible_plan(case: Any) -> None:
 
 
 def test_scaled_and_si_problems_have_one_answer(case: Any, by_quadprog: Any) -> None:
-    """Both systems of units have the same plan, cost and, mapped, the same multipliers."""
     scaled, si = CondensedQP(case.problem), CondensedQP(case.problem, units="si")
     theta = (case.x, case.y_ref, case.u_prev)
     problem, raw = scaled.problem(scaled.emit(*theta)), si.problem(si.emit(*theta))

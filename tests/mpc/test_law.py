@@ -73,7 +73,6 @@ def test_the_output_part_of_the_state_gain_is_the_reference_gain(case: Any) -> N
 def test_the_unconstrained_loop_is_stable(
     ship: Any, naive: Any, robust: bool, radius: float
 ) -> None:
-    """Both tunings keep all eigenvalues of eq."""
     problem = ship("supply_fs99", robust=robust, **HORIZONS[robust])
     model, law = problem.model, gains(problem)
     roots = compute_closed_loop_eigenvalues(model, law)
@@ -128,7 +127,6 @@ def test_constrained_plan_is_the_unconstrained_one_less_the_correction(
 @pytest.mark.parametrize("psi0_rad", [0.0, 0.7])
 @pytest.mark.parametrize("name", VESSELS)
 def test_every_ship_is_controllable(name: str, psi0_rad: float) -> None:
-    """The nine states of the incremental model are controllable for all vessels and headings."""
     ship = load_vessel(name)
     model = build_prediction_model(ship.M, ship.D, psi0_rad, sample_of(name))
     # The Hautus test, eigenvalue by eigenvalue; all are 0.6 … 1 here, and rows are scaled because

@@ -34,7 +34,6 @@ def stepped(problem: Any, x: np.ndarray, moves: np.ndarray) -> tuple[np.ndarray,
 
 
 def excess(points: np.ndarray, radius: float, sides: int) -> np.ndarray:
-    """How far points (…."""
     half = np.pi / sides
     corners = radius * np.exp(1j * (2 * half * np.arange(sides) - half))
     along = np.roll(corners, -1) - corners
@@ -190,7 +189,6 @@ def test_output_bounds_leave_cost_and_amplitude_rows_of_the_moves_alone(
 
 
 def test_bounds_are_for_ships(random_plant: Any) -> None:
-    """A plant of two outputs has no north, east and heading."""
     with pytest.raises(ShapeError, match="3 outputs"):
         CondensedQP(random_plant(1, 2, 2, 9, 3), outputs=OutputBounds(SAMPLE_S, 5.0))
 

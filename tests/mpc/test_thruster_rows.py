@@ -70,7 +70,6 @@ def test_a_sector_keeps_the_directions_it_allows(width_deg: float) -> None:
 
 
 def test_a_lost_azimuth_is_held_at_zero_by_two_rows_alone() -> None:
-    """The edges of its sector meet at zero force: rounding would decide whether both allow it."""
     rows = thruster_rows(one_azimuth(sector_rad=(math.radians(-40.0), math.radians(100.0))), 16)
     low, high, _ = rows.limits_after_loss({0})
     own = rows.thruster == 0

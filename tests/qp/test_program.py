@@ -109,7 +109,6 @@ def test_stacked_form_has_the_sixty_rows_of_the_paper_in_its_order() -> None:
 
 @pytest.mark.parametrize("name", STEPS)
 def test_stacked_and_two_sided_forms_have_one_optimum(builder: CondensedQP, name: str) -> None:
-    """quadprog on the stacked rows, mapped back, and daqp on the two-sided form agree."""
     x, u_prev, least_active = STEPS[name]
     qp = builder.problem(builder.emit(x, np.zeros(3), u_prev))
     limits = (np.concatenate(pair) for pair in ((qp.ub, qp.u), (qp.lb, qp.l)))
@@ -162,7 +161,6 @@ def test_stacking_a_step_is_stacking_its_problem(builder: CondensedQP) -> None:
 
 @pytest.mark.parametrize("changed", [(), ("A",), ("P", "A"), ("lb",), ("ub",), ("P", "lb", "ub")])
 def test_a_chain_of_steps_stays_in_step_with_the_two_sided_form(changed: tuple[str, ...]) -> None:
-    """Each step is stacked against the problem it follows."""
     two_sided = program(0)
     one_sided = stack(two_sided)
     for seed, brought in enumerate((changed, (), changed), 1):

@@ -106,7 +106,6 @@ def test_nan_in_the_problem_is_never_a_residual_of_zero() -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_formulas_term_by_term(seed: int) -> None:
-    """At any point the residuals are those of the definitions, evaluated entry by entry."""
     qp = _qp(seed=seed)
     rng = np.random.default_rng(seed)
     z, y, y_box = rng.normal(size=qp.n), rng.normal(size=qp.m), rng.normal(size=qp.n)
@@ -196,7 +195,6 @@ def test_error_of_move_and_plan() -> None:
 
 
 def test_slacks_are_no_error_of_a_move_or_a_plan() -> None:
-    """With `moves`, only the first variables of every block count."""
     qp = _qp()
     optimum = certify(qp)
     z = optimum.z.copy()

@@ -61,13 +61,11 @@ def test_the_mss_hull_is_the_ship_that_others_published() -> None:
 
 
 def test_what_the_next_frequency_says_is_said() -> None:
-    """Sway's added mass almost doubles to the next frequency of this file."""
     (remark,) = read_mss(CUT).remarks
     assert "0.209 rad/s" in remark and "1.91, 1.91, 1.89" in remark
 
 
 def test_order_speeds_and_one_matrix_of_viscous_damping(tmp_path: Path) -> None:
-    """Frequencies in any order, a fourth axis of speeds, Bv as one matrix: the same hull."""
     vessel, expected = structure(), read_mss(CUT)
     other = vessel | {
         "freqs": vessel["freqs"][::-1],
@@ -83,7 +81,6 @@ def test_order_speeds_and_one_matrix_of_viscous_damping(tmp_path: Path) -> None:
 
 
 def test_a_file_of_one_frequency(tmp_path: Path) -> None:
-    """MATLAB drops its axis; nothing is said of a next one."""
     vessel = structure()
     alone = vessel | {key: vessel[key][:, :, 0] for key in ("A", "B", "Bv")} | {"freqs": 0.1}
     hull = read_mss(save(tmp_path / "alone.mat", alone))
@@ -105,7 +102,6 @@ def test_a_file_of_one_frequency(tmp_path: Path) -> None:
 def test_a_structure_that_lacks_something_is_refused_in_one_line(
     change: Callable[[dict[str, Any]], object], parts: list[str], tmp_path: Path
 ) -> None:
-    """The line names file, field, what was found and what is allowed."""
     vessel = structure()
     change(vessel)
     path = save(tmp_path / "bad.mat", vessel)
@@ -115,7 +111,6 @@ def test_a_structure_that_lacks_something_is_refused_in_one_line(
 
 
 def test_files_that_are_no_such_structure_are_refused(tmp_path: Path) -> None:
-    """No file, no MATLAB file, another variable."""
     (tmp_path / "text.mat").write_text("nonsense " * 40, encoding="utf-8")
     scipy.io.savemat(tmp_path / "ship.mat", {"ship": 1.0})
     for name, part in (("none", "no such file"), ("text", "save -v7"), ("ship", "found ship")):
@@ -125,7 +120,6 @@ def test_files_that_are_no_such_structure_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_file_that_kills_scipy_is_one_line(tmp_path: Path) -> None:
-    """Two elements whose types and lengths SciPy's C code follows out of the file."""
     path = save(tmp_path / "ship.mat", {"MRB": np.eye(6), "main": {"Lpp": 82.8}, "name": "x"})
     whole = path.read_bytes()
     for at in (260, 668):
@@ -140,7 +134,6 @@ def test_a_file_that_kills_scipy_is_one_line(tmp_path: Path) -> None:
 def test_a_reader_that_is_killed_or_does_not_end_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By a signal, or after the time it has."""
     path = save(tmp_path / "ship.mat", structure())
     child = tmp_path / "mat_child.py"
     monkeypatch.setattr(mat, "__file__", str(tmp_path / "mat.py"))
@@ -155,7 +148,6 @@ def test_a_reader_that_is_killed_or_does_not_end_is_one_line(
 
 @pytest.mark.parametrize("name", ["supply_fs99", "supply_mss", "osv"])
 def test_a_table_gives_back_what_was_written_into_it(name: str, tmp_path: Path) -> None:
-    """All coefficients of library vessels, with remarks and in any order."""
     ship = load_vessel(name)
     entries = {(0, 0): "11", (1, 1): "22", (2, 2): "66", (1, 2): "26", (2, 1): "62"}
     rows = [f"M{key},{float(ship.M[ij])!r}" for ij, key in entries.items() if key != "62"]
@@ -196,7 +188,6 @@ def test_couplings_may_be_left_out(tmp_path: Path) -> None:
     ],
 )
 def test_a_bad_table_is_refused_in_one_line(text: str, parts: list[str], tmp_path: Path) -> None:
-    """The line names file, coefficient, what was found and what is allowed."""
     path = tmp_path / "ship.csv"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as caught:

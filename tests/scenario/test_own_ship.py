@@ -33,7 +33,6 @@ def own_size(ship: LibraryShip, factor: float = 1.0) -> Particulars:
 
 @pytest.mark.parametrize("name", LIBRARY)
 def test_a_library_vessel_at_its_own_size_is_itself(name: str) -> None:
-    """Inertia, damping, limits, rates and areas come back."""
     vessel, ship = load_vessel(name), LIBRARY[name]
     same = scale_vessel(name, own_size(ship), ThrustLimits(vessel.tau_max[0]))
     for key in ("M", "D", "tau_min", "tau_max", "rate_max"):
@@ -46,7 +45,6 @@ def test_a_library_vessel_at_its_own_size_is_itself(name: str) -> None:
 @pytest.mark.slow
 @given(name=st.sampled_from(sorted(LIBRARY)), factor=st.floats(0.05, 20.0))
 def test_a_larger_ship_of_one_form_follows_froudes_law(name: str, factor: float) -> None:
-    """Masses grow with λ³, times with √λ, accelerations stay; limits and rates as the forces."""
     vessel, ship, law = load_vessel(name), LIBRARY[name], Froude(1.0 / factor)
     thrust = ThrustLimits(vessel.tau_max[0] * law.force[0])
     large = scale_vessel(name, own_size(ship, factor), thrust)
@@ -73,7 +71,6 @@ def test_a_larger_ship_of_one_form_follows_froudes_law(name: str, factor: float)
 def test_a_heavier_ship_of_one_length_keeps_its_time_constants(
     heavier: float, stronger: float
 ) -> None:
-    """In the Bis system mass scales inertia and damping alike; thrust has no part in either."""
     vessel, ship = load_vessel("supply_mss"), LIBRARY["supply_mss"]
     own = Particulars(ship.length_m, ship.breadth_m, 6.0, heavier * ship.mass_kg)
     heavy = scale_vessel("supply_mss", own, ThrustLimits(stronger * vessel.tau_max[0]))
@@ -83,7 +80,6 @@ def test_a_heavier_ship_of_one_length_keeps_its_time_constants(
 
 
 def test_forces_that_are_given_are_taken() -> None:
-    """Sway force and moment replace the shares, and the moment follows the sway force."""
     own = own_size(LIBRARY["supply_fs99"])
     given_ = scale_vessel("supply_fs99", own, ThrustLimits(3e5, 2e5, 5e6))
     np.testing.assert_allclose(given_.tau_max, [3e5, 2e5, 5e6])
@@ -97,7 +93,6 @@ def test_forces_that_are_given_are_taken() -> None:
 
 @pytest.mark.parametrize("name", [name for name in LIBRARY if name not in NOT_CHOSEN])
 def test_the_nearest_ship_of_a_library_ship_is_itself(name: str) -> None:
-    """Also a little larger."""
     assert nearest_ship(own_size(LIBRARY[name])) == name
     assert nearest_ship(own_size(LIBRARY[name], 1.01)) == name
 
@@ -113,7 +108,6 @@ def test_the_regressions_of_a_ship_worked_out_by_hand() -> None:
 
 @pytest.mark.parametrize("name", LIBRARY)
 def test_the_largest_sea_leaves_thrust_to_spare(name: str) -> None:
-    """Its mean force is within the share, that of the next beyond it, and loads grow."""
     vessel = load_vessel(name)
     shares = [load_share(vessel, number) for number in DP_NUMBERS]
     assert shares == sorted(shares)
@@ -123,7 +117,6 @@ def test_the_largest_sea_leaves_thrust_to_spare(name: str) -> None:
 
 
 def test_a_ship_that_no_sea_suits_gets_the_smallest() -> None:
-    """A hundredth of the thrust."""
     own = own_size(LIBRARY["supply_fs99"])
     weak = scale_vessel("supply_fs99", own, ThrustLimits(5e3))
     assert load_share(weak, 1) > SPARE

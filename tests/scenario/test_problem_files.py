@@ -36,7 +36,6 @@ GOOD = {"title": "t", "inner": {"depth_m": 3.0}}
 
 @pytest.mark.parametrize("kind", ["vessels", "scenarios", "suites"])
 def test_every_shipped_name_leads_to_its_file(kind: str) -> None:
-    """Names are the stems of the files of their folder, in order."""
     names = problem_names(kind)
     assert names
     assert names == sorted(names)
@@ -49,7 +48,6 @@ def test_every_shipped_name_leads_to_its_file(kind: str) -> None:
 def test_a_path_is_taken_beside_the_file_that_names_it_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A relative path is looked for beside the naming file, then in the current folder."""
     beside, here = tmp_path / "beside", tmp_path / "here"
     for folder in (beside, here):
         folder.mkdir()
@@ -65,7 +63,6 @@ def test_a_path_is_taken_beside_the_file_that_names_it_first(
 def test_a_name_never_means_a_file_in_the_current_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`paper` is the shipped scenario, whatever lies in the current folder."""
     (tmp_path / "paper").write_text("x = 1", encoding="utf-8")
     (tmp_path / "paper.toml").write_text("x = 1", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
@@ -74,7 +71,6 @@ def test_a_name_never_means_a_file_in_the_current_folder(
 
 @pytest.mark.parametrize("content", ["nothing", "folder"])
 def test_a_path_without_a_file_is_refused(tmp_path: Path, content: str) -> None:
-    """A path to nothing, or to a folder, names the path and the kind of file wanted."""
     path = tmp_path / "ship.toml"
     if content == "folder":
         path.mkdir()
@@ -84,7 +80,6 @@ def test_a_path_without_a_file_is_refused(tmp_path: Path, content: str) -> None:
 
 
 def test_a_folder_of_the_right_name_cannot_be_read(tmp_path: Path) -> None:
-    """Reading a folder is a mistake of a person, told with the system's reason."""
     with pytest.raises(InputError) as caught:
         read_toml(tmp_path)
     assert caught.value.where == str(tmp_path)
@@ -133,7 +128,6 @@ def test_a_file_that_is_no_toml_is_told_with_the_place(
 def test_a_document_that_does_not_fit_names_key_found_and_allowed(
     document: dict[str, object], key: str, found: str, allowed: str
 ) -> None:
-    """An unknown key comes first, with the nearest name; then what is missing or of wrong type."""
     with pytest.raises(InputError) as caught:
         parse_model(document, Outer, "file.toml")
     error = caught.value
@@ -149,7 +143,6 @@ def test_a_whole_number_may_stand_for_a_real_one() -> None:
 
 @pytest.mark.parametrize("name", ["supplyfs99", "nothing like it"])
 def test_an_unknown_name_lists_what_there_is(name: str) -> None:
-    """Every vessel is offered, as there are few."""
     with pytest.raises(UnknownNameError) as caught:
         problem_path("vessels", name)
     assert caught.value.allowed == f"one of {', '.join(problem_names('vessels'))}; or a .toml path"
@@ -158,7 +151,6 @@ def test_an_unknown_name_lists_what_there_is(name: str) -> None:
 def test_a_sequence_is_a_stored_name_or_a_path(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A stored name whatever lies in the folder; any other is a path, the near one first."""
     beside, here = tmp_path / "beside", tmp_path / "here"
     for folder in (beside / "robot", here / "robot", here / "paper-30-5", here / "mine"):
         folder.mkdir(parents=True)
@@ -189,7 +181,6 @@ def test_a_sequence_is_a_stored_name_or_a_path(
     ids=["key", "header", "inline", "brackets", "levels", "digits", "hexadecimal", "size"],
 )
 def test_what_a_parser_would_choke_on_is_refused(text: str, found: str, tmp_path: Path) -> None:
-    """In one line with the number of the line in the file; tomllib takes gigabytes for a key."""
     path = tmp_path / "ship.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as caught:
@@ -198,7 +189,6 @@ def test_what_a_parser_would_choke_on_is_refused(text: str, found: str, tmp_path
 
 
 def test_dots_that_join_no_key_are_read(tmp_path: Path) -> None:
-    """Numbers in a row, sentences in a text, and a key of many parts."""
     key = ".".join("a" * 31)
     numbers = ", ".join(["0.1"] * 100)
     text = f'remark = "{"Yes. No. " * 10}"\nrow = [{numbers}]\n{key} = 1\n# {"... " * 99}\n'

@@ -76,7 +76,6 @@ SCENARIOS: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("name", VESSELS)
 def test_vessels_carry_the_published_matrices(name: str) -> None:
-    """M and D of every vessel are those of its source, in SI units."""
     M, D = VESSELS[name]
     ship = load_vessel(name)
     np.testing.assert_allclose(ship.M, M, rtol=1e-14)
@@ -113,7 +112,6 @@ SCALED = {"ratownik": ("supply_tmr", 6.5e6)}
 
 @pytest.mark.parametrize("name", SCALED)
 def test_vessels_without_published_matrices_have_scaled_ones(name: str) -> None:
-    """To the five digits in their file; limits are what their thrusters give."""
     ship, (like, mass_kg) = load_vessel(name), SCALED[name]
     M, D = scale_matrices(like, ship.length_m, mass_kg)
     np.testing.assert_allclose(ship.M, M, rtol=5e-5)
@@ -123,14 +121,12 @@ def test_vessels_without_published_matrices_have_scaled_ones(name: str) -> None:
 
 
 def test_nothing_but_the_tabled_problems_is_shipped_untested() -> None:
-    """Every vessel on file stands in a table above."""
     assert set(problem_names("vessels")) == {*VESSELS, *SCALED}
     assert set(SCENARIOS) <= set(problem_names("scenarios"))
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_scenarios_are_those_of_the_table(name: str) -> None:
-    """Vessel, sample, duration, start, reference and weather of the first four scenarios."""
     row, scenario = SCENARIOS[name], load_scenario(name)
     mean, amplitude, period_s, ramp_s = row["sea"]
     assert scenario.name == name
@@ -179,7 +175,6 @@ def test_condensed_sizes_are_those_of_the_paper() -> None:
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_a_scenario_comes_back_from_its_documents(name: str) -> None:
-    """The documents of a scenario survive JSON and make the same run again."""
     scenario = load_scenario(name)
     again = build_scenario(json.loads(json.dumps(scenario.files)))
     assert (again.name, again.steps, again.vessel.id) == (name, scenario.steps, scenario.vessel.id)
@@ -191,7 +186,6 @@ def test_a_scenario_comes_back_from_its_documents(name: str) -> None:
 
 
 def test_a_scenario_can_be_cut_to_its_first_steps() -> None:
-    """The first n samples are the same run, and no more than there are."""
     scenario = load_scenario("paper")
     assert scenario.first(120).steps == 120
     assert scenario.first(5000).steps == 1000

@@ -28,7 +28,6 @@ def write(tmp_path: Path) -> Callable[..., Path]:
 
 
 def test_a_file_of_ones_own_needs_no_installation(write: Callable[..., Path]) -> None:
-    """A scenario by path may name a vessel file beside it."""
     write("vessels", "supply_tmr")
     path = write("scenarios", "calm", '"supply_fs99"', '"my_vessel.toml"')
     scenario = load_scenario(path)
@@ -40,7 +39,6 @@ def test_a_file_of_ones_own_needs_no_installation(write: Callable[..., Path]) ->
 def test_degrees_and_kilonewtons_in_files_are_radians_and_newtons_in_the_run(
     write: Callable[..., Path],
 ) -> None:
-    """Files speak the units of the trade; a scenario holds SI."""
     path = write("scenarios", "paper", "heading_deg = 0.0", "heading_deg = 90.0")
     assert load_scenario(path).start[2] == pytest.approx(np.pi / 2, rel=1e-15)
     path = write("scenarios", "paper", "[controller]", "[controller]\nmodel_heading_deg = -45.0")
@@ -68,7 +66,6 @@ def test_a_start_under_way_is_in_SI_and_scales_with_the_ship(
 
 
 def test_rest_is_not_written() -> None:
-    """Documents of a ship at rest are those of before a start had a speed, and give rest again."""
     files = load_scenario("paper").files
     assert files["scenario"]["start"] == {"north_m": 1.2, "east_m": 1.3, "heading_deg": 0.0}
     np.testing.assert_array_equal(build_scenario(files).velocity, 0.0)
@@ -102,7 +99,6 @@ BAD_SCENARIOS = [
 def test_a_mistake_in_a_scenario_file_is_one_line(
     old: str, new: str, key: str, found: str, allowed: str, write: Callable[..., Path]
 ) -> None:
-    """One line names the file, the key, what was found and what is allowed."""
     path = write("scenarios", "calm", old, new)
     with pytest.raises(InputError) as caught:
         load_scenario(path)
@@ -125,7 +121,6 @@ BAD_VESSELS = [
 def test_a_mistake_in_a_vessel_file_is_one_line(
     old: str, new: str, key: str, found: str, allowed: str, write: Callable[..., Path]
 ) -> None:
-    """The line names the vessel's file, also when a scenario brought it in."""
     path = write("vessels", "supply_fs99", old, new)
     scenario = write("scenarios", "calm", '"supply_fs99"', '"my_vessel.toml"')
     for load, file in ((load_vessel, path), (load_scenario, scenario)):
@@ -150,7 +145,6 @@ def check_one_line(error: InputError, path: Path, key: str, found: str, allowed:
     [("papr", "paper, "), ("Rough", "rough, "), ("zzz", ""), ("", ""), ("x" * 300, "")],
 )
 def test_an_unknown_scenario_name_lists_the_nearest(name: str, hint: str) -> None:
-    """A name that does not exist is answered with the nearest three and how to list the rest."""
     with pytest.raises(UnknownNameError) as caught:
         load_scenario(name)
     assert repr(name)[:78] in str(caught.value)
@@ -161,7 +155,6 @@ def test_an_unknown_scenario_name_lists_the_nearest(name: str, hint: str) -> Non
 
 
 def test_a_scenario_takes_another_vessel_by_name(write: Callable[..., Path]) -> None:
-    """`rough@osv` is `rough` with the vessel `osv`; an unknown vessel lists the nearest."""
     scenario = load_scenario("rough@osv")
     assert (scenario.name, scenario.vessel.id) == ("rough@osv", "osv")
     path = write("scenarios", "calm", '"supply_fs99"', '"suply_fs99"')

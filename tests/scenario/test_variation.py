@@ -23,7 +23,6 @@ def _by_hand(tmp_path: Path, name: str, *edits: tuple[str, str]) -> Path:
 
 
 def test_a_varied_scenario_is_the_file_with_these_values(tmp_path: Path) -> None:
-    """Weather, horizon, an entry of a list and the seed: the documents of a file edited by hand."""
     values = {
         "environment.wind.speed_mps": 14.5,
         "environment.seed": 7,
@@ -45,7 +44,6 @@ def test_a_varied_scenario_is_the_file_with_these_values(tmp_path: Path) -> None
 
 
 def test_keys_of_the_vessel_and_another_vessel() -> None:
-    """A vessel by name gives what scenario@vessel gives; a key of it changes that ship alone."""
     base = load_scenario("rough")
     other = replace_values(base, {"vessel": "supply_mss"}, "test")
     assert other.files["vessel"] == load_scenario("rough@supply_mss").files["vessel"]
@@ -67,13 +65,11 @@ def test_keys_of_the_vessel_and_another_vessel() -> None:
     ],
 )
 def test_what_cannot_be_is_said_in_a_line(values: dict[str, object], said: str) -> None:
-    """An unknown key, a key of what the scenario has not, a value of a wrong type or size."""
     with pytest.raises(InputError, match=said):
         replace_values(load_scenario("weather"), values, "study")
 
 
 def test_own_values_and_what_has_none() -> None:
-    """The base's own values are read by the same names."""
     base = load_scenario("weather")
     assert read_value(base, "environment.waves.hs_m", "x") == 2.1
     assert read_value(base, "vessel", "x") == "supply_fs99"
@@ -98,14 +94,12 @@ def test_own_values_and_what_has_none() -> None:
 def test_whether_a_key_makes_a_difference(
     scenario: str, key: str, pair: tuple[object, object], steps: int, expected: bool
 ) -> None:
-    """Names and a seed without randomness make none; weather, ship and controller do."""
     base = load_scenario(scenario)
     one, other = (replace_values(base, {key: value}, "test") for value in pair)
     assert behave_differently(one, other, steps) is expected
 
 
 def test_weather_after_the_last_step_makes_no_difference() -> None:
-    """A squall that begins later than the steps that are run changes none of them."""
     base = load_scenario("squall")
     key = "environment.squalls.0.start_s"
     one, other = (replace_values(base, {key: start_s}, "test") for start_s in (10.0, 12.0))
@@ -115,7 +109,6 @@ def test_weather_after_the_last_step_makes_no_difference() -> None:
 
 @pytest.mark.parametrize("name", ["weather", "waves", "rough"])
 def test_a_scenario_that_is_made_once_is_made_for_all_seas(name: str) -> None:
-    """What was made for one seed serves another, and is what its own documents make."""
     base = load_scenario(name)
     for seed in (5, 0, 6):
         files = replace_values(base, {"environment.seed": seed}, "test").files

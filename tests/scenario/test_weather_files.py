@@ -46,12 +46,10 @@ def test_sailors_name_wind_and_waves_by_where_they_come_from() -> None:
     [("calm", MeasuredState), ("waves", KalmanFilter), ("waves_passive", PassiveObserver)],
 )
 def test_the_scenario_chooses_the_estimator(name: str, kind: type) -> None:
-    """`estimator.kind` decides what stands between the sensors and the controller."""
     assert type(load_scenario(name).estimator()) is kind
 
 
 def test_an_estimator_starts_where_the_ship_starts() -> None:
-    """Its first estimate is the start of the run."""
     scenario = changed("waves", lambda s: s["start"].update(north_m=3.0, heading_deg=20.0))
     estimate = scenario.estimator().update(np.append(np.zeros(3), scenario.start), np.zeros(3))
     np.testing.assert_allclose(estimate, [0, 0, 0, 3.0, 0.0, np.radians(20.0)], atol=1e-12)
@@ -68,7 +66,6 @@ def test_limits_change_at_the_sample_of_the_fault() -> None:
 
 
 def test_the_true_ship_differs_by_per_cent() -> None:
-    """`plant` changes the ship, not what the controller knows of it."""
     scenario = load_scenario("mismatch")
     np.testing.assert_allclose(scenario.true_ship.M, 1.2 * scenario.vessel.M, rtol=1e-15)
     np.testing.assert_allclose(scenario.true_ship.D, 0.7 * scenario.vessel.D, rtol=1e-15)
@@ -168,7 +165,6 @@ def delete(table: str, key: str) -> Change:
 def test_bad_weather_ships_and_faults_are_refused_in_one_line(
     name: str, change: Change, vessel: Change | None, words: str
 ) -> None:
-    """The line names the file, the key, what was found and what is allowed."""
     with pytest.raises(DpbenchError) as caught:
         changed(name, change, vessel)
     text = str(caught.value)

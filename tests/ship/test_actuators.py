@@ -30,7 +30,6 @@ def track(tau: np.ndarray, actuators: Actuators | None) -> np.ndarray:
 
 @pytest.mark.parametrize("delay", [0, 1, 4, 30])
 def test_a_delayed_ship_does_what_it_was_told_some_samples_ago(delay: int) -> None:
-    """Dead time of d samples is a command that begins with d samples of nothing, bit for bit."""
     tau = commands(20)
     earlier = np.concatenate([np.zeros((delay, 3)), tau])[:20]
     late = track(tau, Actuators(delay_samples=delay))
@@ -38,7 +37,6 @@ def test_a_delayed_ship_does_what_it_was_told_some_samples_ago(delay: int) -> No
 
 
 def test_lost_thrust_scales_the_force_on_the_hull() -> None:
-    """Each axis delivers its share of the command, to the last bit."""
     share = np.array([0.9, 0.45, 0.6])
     np.testing.assert_array_equal(
         track(commands(20), Actuators(share, 2)),
@@ -47,14 +45,12 @@ def test_lost_thrust_scales_the_force_on_the_hull() -> None:
 
 
 def test_two_ships_of_one_design_do_not_share_their_commands() -> None:
-    """A description of actuators serves any number of runs, each starting from rest."""
     actuators = Actuators(delay_samples=3)
     first = track(commands(10), actuators)
     np.testing.assert_array_equal(first, track(commands(10), actuators))
 
 
 def test_the_command_is_left_as_it_was() -> None:
-    """Neither loss nor delay writes into the caller's command."""
     tau = commands(1)[0]
     before = tau.copy()
     plant = Plant(

@@ -49,7 +49,6 @@ def test_the_surge_of_a_ship_dies_away_with_its_time_constant(name: str) -> None
 
 @pytest.mark.parametrize("swap", [False, True])
 def test_a_mode_belongs_to_the_axis_that_moves_in_it(swap: bool) -> None:
-    """Weakly coupled axes keep their own constants, whichever of them is the slower."""
     slow, fast = 100.0, 10.0
     T = np.array([50.0, fast, slow] if swap else [50.0, slow, fast])
     ship = load_vessel("supply_fs99")
@@ -62,7 +61,6 @@ def test_a_mode_belongs_to_the_axis_that_moves_in_it(swap: bool) -> None:
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("side", [0, 1])
 def test_the_steady_speed_is_where_the_ship_ends_up(axis: int, side: int) -> None:
-    """A ship without couplings comes to it under full force."""
     ship = load_vessel("supply_fs99")
     ship = replace(ship, M=np.diag(np.diag(ship.M)), D=np.diag(np.diag(ship.D)))
     plant = Plant(ship, np.zeros(6), 10.0)
@@ -84,7 +82,6 @@ def test_the_force_sideways_keeps_the_ship_at_that_speed() -> None:
 
 @pytest.mark.parametrize("name", problem_names("vessels"))
 def test_the_largest_current_abeam_takes_all_of_one_axis(name: str) -> None:
-    """At that current one axis is at its limit and none beyond it."""
     ship = load_vessel(name)
     force = largest_current_abeam_mps(ship) * np.abs(sideways_force(ship))
     share = force / np.minimum(-ship.tau_min, ship.tau_max)
@@ -108,7 +105,6 @@ def anchored_mean(
 
 @pytest.mark.parametrize("heading_deg", [0.0, 35.0, -120.0])
 def test_the_mean_load_is_what_an_anchored_ship_feels(heading_deg: float) -> None:
-    """Slow forces, steady wind and current from different sides, at any heading."""
     ship, heading = load_vessel("supply_mss"), np.radians(heading_deg)
     mean = np.array([2e4, -3e4, 4e5])
     weather = replace(
@@ -127,7 +123,6 @@ def test_the_mean_drift_is_what_an_anchored_ship_feels() -> None:
 
 
 def test_slow_is_the_same_froude_number_at_any_size() -> None:
-    """A ship four times as long is slow up to twice the speed, and turns half as fast then."""
     ship = load_vessel("supply_fs99")
     longer = slow_speed(replace(ship, length_m=4 * ship.length_m))
     np.testing.assert_allclose(longer / slow_speed(ship), [2.0, 2.0, 0.5])

@@ -21,7 +21,6 @@ PERIOD_S, PHASE_RAD = [150.0, 120.0, 100.0], [0.0, 1.0, 2.0]
 
 
 def sea(ramp_s: float = 0.0) -> Environment:
-    """The weather of `calm`."""
     return Environment(
         np.array(MEAN), np.array(AMPLITUDE), np.array(PERIOD_S), np.array(PHASE_RAD), ramp_s
     )
@@ -68,13 +67,11 @@ SQUALL = Squall(60.0, 5.0, 105.0, 30.0, np.array([-120e3, 340e3, 3000e3]))
 
 
 def rough(ramp_s: float = 0.0, seed: int = 4) -> Environment:
-    """All sources at once."""
     return replace(sea(ramp_s), seed=seed, **SOURCES)  # type: ignore[arg-type] # one type per key
 
 
 @pytest.mark.parametrize("source", COLUMNS)
 def test_a_source_is_the_same_with_and_without_the_others(source: str) -> None:
-    """Adding or leaving out other sources changes no bit of a source's columns."""
     alone = replace(sea(), seed=4, **{source: SOURCES[source]})  # type: ignore[arg-type] # one type per key
     together, single = rough().stage_table(40, 0.3, 10), alone.stage_table(40, 0.3, 10)
     np.testing.assert_array_equal(together[..., COLUMNS[source]], single[..., COLUMNS[source]])
@@ -84,7 +81,6 @@ def test_a_source_is_the_same_with_and_without_the_others(source: str) -> None:
 
 
 def test_motion_and_noise_do_not_hang_on_the_other_sources() -> None:
-    """What the measurement shows is the same whatever pushes the ship, and is drawn apart."""
     alone = replace(sea(), seed=4, noise=SOURCES["noise"], motion=SOURCES["motion"])  # type: ignore[arg-type] # one type per key
     np.testing.assert_array_equal(rough().noise_table(50), alone.noise_table(50))
     np.testing.assert_array_equal(rough().measured_motion(50, 0.3), alone.measured_motion(50, 0.3))
@@ -95,7 +91,6 @@ def test_motion_and_noise_do_not_hang_on_the_other_sources() -> None:
 def test_every_random_source_draws_from_a_stream_of_its_own(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Wind, waves and noise each take one stream by a name that no other uses."""
     streams: dict[str, set[tuple[int, str]]] = {}
     for module in ("weather.wind", "weather.waves", "environment"):
         names = streams.setdefault(module, set())
@@ -115,7 +110,6 @@ def test_every_random_source_draws_from_a_stream_of_its_own(
 
 
 def test_weather_is_a_function_of_its_seed() -> None:
-    """The same seed gives the same weather to the last bit, another seed another weather."""
     for table in (
         lambda weather: weather.stage_table(30, 0.3, 10)[..., [3, 7]],
         lambda weather: weather.measured_motion(30, 0.3)[:, [0, 1, 2]],
@@ -126,7 +120,6 @@ def test_weather_is_a_function_of_its_seed() -> None:
 
 
 def test_a_shorter_run_meets_the_beginning_of_the_same_weather() -> None:
-    """Cutting a run leaves the weather of its first samples untouched."""
     weather = rough(60.0)
     for table in (
         lambda steps: weather.stage_table(steps, 0.3, 10),
@@ -137,7 +130,6 @@ def test_a_shorter_run_meets_the_beginning_of_the_same_weather() -> None:
 
 
 def test_columns_are_vectors_along_each_source_at_the_stage_times() -> None:
-    """Wind, current and envelope stand north and east at the times of the forces."""
     weather = rough()
     table = weather.stage_table(3, 0.3, 10)
     t = np.add.outer(0.3 * np.arange(3), 0.015 * np.arange(21))
@@ -164,7 +156,6 @@ def test_all_weather_but_squalls_grows_over_the_ramp() -> None:
 
 
 def test_weather_that_ignores_the_ship_keeps_three_columns() -> None:
-    """Squalls, motion and noise add no column and no load, so the plain plant serves them."""
     weather = replace(sea(), squalls=(SQUALL,), motion=SOURCES["motion"], noise=SOURCES["noise"])  # type: ignore[arg-type] # one type per key
     assert weather.stage_table(4, 0.3, 10).shape == (4, 21, 3)
     assert not weather.depends_on_ship
@@ -174,7 +165,6 @@ def test_weather_that_ignores_the_ship_keeps_three_columns() -> None:
 def test_weather_that_needs_hull_data_says_so_in_one_line(
     source: str, key: str, hull: Vessel
 ) -> None:
-    """A vessel without areas cannot stand in wind, nor one without a breadth in drift."""
     weather = replace(sea(), **{source: SOURCES[source]})  # type: ignore[arg-type] # one type per key
     loads = weather.load_coefficients(hull)
     assert loads is not None
@@ -187,7 +177,6 @@ def test_weather_that_needs_hull_data_says_so_in_one_line(
 
 
 def test_noise_has_its_standard_deviations() -> None:
-    """Each measured axis has white noise of the given size."""
     noise = SensorNoise(np.array([0.1, 0.2, 0.001])).table(40_000, 3)
     # 40 000 draws: 0.35 % on a standard deviation, 0.5 % on a correlation; five of those.
     np.testing.assert_allclose(noise.std(axis=0), [0.1, 0.2, 0.001], rtol=0.02)
@@ -223,7 +212,6 @@ def test_a_squall_rises_holds_and_decays_on_straight_lines(t_s: float, share: fl
     ],
 )
 def test_a_squall_does_not_grow_with_the_ramp(t_s: float, force: list[float]) -> None:
-    """The ramp multiplies the slow forces only; a squall has its own rise."""
     squall = replace(SQUALL, start_s=27.5, hold_until_s=65.0)
     gusty = replace(STEADY, squalls=(squall,))
     np.testing.assert_allclose(gusty.force(t_s), force, rtol=1e-13)
@@ -233,13 +221,11 @@ NAMES = ("wind", "waves", "noise")
 
 
 def test_sources_draw_from_different_streams() -> None:
-    """No two sources of one seed, and no two seeds of one source, begin with the same numbers."""
     draws = {tuple(random_stream(seed, name).random(4)) for seed in range(50) for name in NAMES}
     assert len(draws) == 150
 
 
 def test_streams_of_one_seed_are_uncorrelated() -> None:
-    """The streams of different sources have no common part."""
     draws = np.array([random_stream(7, name).standard_normal(40_000) for name in NAMES])
     # The correlation of independent series has a standard deviation of 1/√40000 = 0.005.
     np.testing.assert_allclose(np.corrcoef(draws), np.eye(3), atol=0.025)
@@ -247,7 +233,6 @@ def test_streams_of_one_seed_are_uncorrelated() -> None:
 
 @pytest.mark.parametrize("hash_seed", ["0", "1"])
 def test_a_stream_is_the_same_in_another_process(hash_seed: str) -> None:
-    """The key does not hang on anything that a process draws at its start."""
     imported = "from dpbench.ship.weather.harmonics import random_stream"
     script = f"{imported}; print(random_stream(3, 'wind').random().hex())"
     done = subprocess.run(

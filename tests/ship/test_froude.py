@@ -21,7 +21,6 @@ def test_factors_of_a_model_of_one_to_four() -> None:
 @settings(derandomize=True, max_examples=50)
 @given(st.floats(0.1, 200.0))
 def test_factors_agree_with_one_another(ratio: float) -> None:
-    """Accelerations are unchanged, mass scales as length³, a moment as force times length."""
     scale = Froude(ratio)
     acceleration = scale.velocity / scale.time
     assert acceleration[:2] == pytest.approx([1.0, 1.0])
@@ -51,7 +50,6 @@ def test_the_model_ship_meets_the_weather_of_the_full_ship() -> None:
 
 
 def test_the_model_ship_is_weighed_as_the_full_ship() -> None:
-    """Weights scale with the inverse squares of lengths and forces."""
     calm = load_scenario("calm@cybership2")
     # 1·70², and 100 of the heading as it is
     np.testing.assert_allclose(calm.problem.Q, np.diag([4900.0, 4900.0, 100.0]), rtol=1e-12)

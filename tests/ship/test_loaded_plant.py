@@ -42,7 +42,6 @@ def simulate(
 
 
 def test_the_loaded_plant_agrees_with_an_adaptive_integrator(hull: Vessel) -> None:
-    """Under thrust, wind, current and drift the ship follows an eighth-order integrator."""
     sea = weather("none")
     waves, beam = WAVES.harmonics(9), hull.reflection
     assert beam is not None
@@ -87,7 +86,6 @@ def test_the_error_falls_with_the_fourth_power_in_gusts_and_waves(hull: Vessel) 
 
 
 def test_port_and_starboard_are_alike_in_all_weather(hull: Vessel) -> None:
-    """The mirrored start, force and weather give the mirrored track."""
     sea, flip = weather("norsok"), np.array([1.0, -1.0, -1.0])
     mirrored = replace(
         sea,
@@ -110,7 +108,6 @@ def test_port_and_starboard_are_alike_in_all_weather(hull: Vessel) -> None:
 
 
 def test_weather_of_no_strength_is_no_weather(hull: Vessel) -> None:
-    """A current of zero and waves of no height leave the plain plant's motion."""
     plain = replace(weather("none"), wind=None, current=None, drift=None)
     nothing = replace(plain, current=Current(0.0, 1.0), drift=WaveDrift(Sea(0.0, 8.0, 0.0)))
     # The kernels add the same terms in the same order; only zeros join them.
@@ -123,7 +120,6 @@ def test_weather_of_no_strength_is_no_weather(hull: Vessel) -> None:
 
 @pytest.mark.parametrize("columns", [2, 3, 4, 8, 9, 10])
 def test_a_table_of_another_width_is_refused(hull: Vessel, columns: int) -> None:
-    """A plain plant takes three columns of weather, a loaded one nine."""
     stages = np.zeros((2 * SUBSTEPS + 1, columns))
     for width, loads in ((3, None), (9, np.zeros(6))):
         plant = Plant(hull, START, 0.3, loads=loads)
@@ -142,7 +138,6 @@ def flowing(speed_mps: float, to_rad: float) -> Environment:
 
 @pytest.mark.parametrize("name", ["supply_fs99", "supply_mss", "supply_tmr"])
 def test_a_free_ship_ends_up_drifting_with_the_current(name: str) -> None:
-    """Without thrust a ship at rest is carried along until it moves as the water does."""
     ship, weather = load_vessel(name), flowing(0.75, 2.0)
     plant = Plant(ship, np.zeros(6), 0.3, loads=weather.load_coefficients(ship))
     # 12 000 s are 100 of the longest time constants; the table of one sample serves for all.

@@ -122,7 +122,6 @@ def test_kinetic_energy_changes_by_work_less_dissipation(name: str) -> None:
 
 @pytest.mark.parametrize("angle_rad", [0.4, np.pi / 2, -2.0])
 def test_the_plant_has_no_preferred_compass_direction(angle_rad: float) -> None:
-    """Turning start, heading and weather by an angle turns the whole track by that angle."""
     ship = load_vessel("supply_mss")
     R = np.array(
         [
@@ -148,7 +147,6 @@ def test_the_plant_has_no_preferred_compass_direction(angle_rad: float) -> None:
 
 @pytest.mark.parametrize("name", [*FULL_SCALE, "cybership2"])
 def test_the_plant_agrees_with_an_adaptive_integrator(name: str) -> None:
-    """Every vessel under force and weather follows an eighth-order adaptive integrator."""
     ship = load_vessel(name)
     scale = 1.0 if name != "cybership2" else 1.0 / np.sqrt(70.0)
     sample_s, steps = SAMPLE_S * scale, 100
@@ -187,7 +185,6 @@ def test_a_sample_has_ten_sub_steps_unless_stated() -> None:
 
 
 def test_the_start_state_is_copied() -> None:
-    """A plant never writes into the array it was started with."""
     ship = load_vessel("supply_fs99")
     start = np.zeros(6)
     plant = Plant(ship, start, SAMPLE_S)
@@ -197,7 +194,6 @@ def test_the_start_state_is_copied() -> None:
 
 
 def test_the_heading_is_never_wrapped() -> None:
-    """A ship that keeps turning passes half a turn without a jump."""
     ship = load_vessel("supply_fs99")
     states = simulate(
         ship, np.array([0.0, 0.0, 0.05, 0.0, 0.0, 3.0]), np.array([0.0, 0.0, 18e6]), CALM, 200
@@ -214,7 +210,6 @@ def measured_weather(**more: object) -> Environment:
 
 
 def test_ideal_sensors_show_the_state() -> None:
-    """Without wave motion and noise the measurement is the state itself."""
     state = np.arange(6.0)
     np.testing.assert_array_equal(Sensors(measured_weather(), 4, 0.3).sense(state, 2), state)
 
@@ -236,7 +231,6 @@ def test_wave_motion_and_noise_are_added_to_pose_and_speed() -> None:
 
 
 def test_measured_speed_is_the_rate_of_the_measured_pose() -> None:
-    """For a ship at rest that heads north the measured speed is the derivative of its pose."""
     sky = measured_weather(motion=FirstOrderMotion(Sea(2.0, 8.5, 0.5), 0.6, 0.2, 0.01))
     sample_s = 1e-3
     sensors, rest = Sensors(sky, 3, sample_s), np.zeros(6)

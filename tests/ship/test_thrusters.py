@@ -99,7 +99,6 @@ def test_limits_of_a_ship_are_those_of_each_axis_by_itself() -> None:
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(thrusters: object, said: str) -> None:
-    """Names twice, an axis nobody pushes, a sector that is not convex, a name nobody has."""
     with pytest.raises(InputError, match=said) as refused:
         thrusters()  # type: ignore[operator] # a lambda of the table above
     assert "\n" not in str(refused.value)

@@ -35,7 +35,6 @@ def vessel(**changes: object) -> Vessel:
 def test_a_vessel_that_cannot_exist_is_refused_in_one_line(
     key: str, value: np.ndarray, found: str, allowed: str
 ) -> None:
-    """Symmetry, definiteness and limits around zero are checked by name."""
     with pytest.raises(InputError) as caught:
         vessel(**{key: value})
     error = caught.value
@@ -72,7 +71,6 @@ def test_time_constants_of_the_default_ship_by_hand() -> None:
 
 @pytest.mark.parametrize("name", ["supply_fs99", "supply_mss", "supply_tmr", "osv", "cybership2"])
 def test_a_mode_decays_by_its_time_constant(name: str) -> None:
-    """A ship let go in still water loses its slowest motion with the longest time constant."""
     ship = load_vessel(name)
     slow = ship.time_constants_s()[-1]
     decay = expm(-slow * np.linalg.solve(ship.M, ship.D))

@@ -49,7 +49,6 @@ def _run(root: Path, *arguments: str) -> str:
 
 @pytest.mark.slow
 def test_a_file_is_all_that_a_solver_takes(copied: Path) -> None:
-    """Its routes, levels, family, colour, place in a legend and facts are those of its record."""
     program = f"""
 import json
 from dpbench.report.charts.style import FAMILY_COLOURS
@@ -83,7 +82,6 @@ print(json.dumps(facts))
 
 @pytest.mark.slow
 def test_it_is_listed(copied: Path) -> None:
-    """`dpbench list solvers` tells of it."""
     listed = _run(copied, "-m", "dpbench", "list", "solvers")
     assert all(re.search(rf"^{name}\b", listed, re.M) for name in NEWCOMERS)
     assert "that of the" in listed[listed.index("newcomer") :]
@@ -91,7 +89,6 @@ def test_it_is_listed(copied: Path) -> None:
 
 @pytest.mark.slow
 def test_conformance_is_tested_from_its_record(copied: Path) -> None:
-    """The command that CONTRIBUTING gives runs the tests of the new solvers, and they pass."""
     (asked,) = re.findall(r"`pytest tests/solvers (-k NAME)`", TEXT)
     option, _ = asked.split()
     lines = _run(copied, "-m", "pytest", "-v", "tests/test_conformance.py", option, "newcomer")
@@ -102,7 +99,6 @@ def test_conformance_is_tested_from_its_record(copied: Path) -> None:
 def test_a_file_without_an_adapter_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A file that registers nothing, or a name a second time, does not pass in silence."""
     folder = tmp_path / "two_solvers"
     folder.mkdir()
     (folder / "__init__.py").touch()
@@ -120,7 +116,6 @@ def test_a_file_without_an_adapter_is_an_error(
 
 @pytest.mark.parametrize("field", ["family", "levels", "project", "routes"])
 def test_a_forgotten_field_is_an_error(tmp_path: Path, field: str) -> None:
-    """A record that does not say its family, levels, facts or routes is none."""
     text = (HERE / "example_native.py").read_text()
     incomplete = re.sub(rf"^    {field}=.*?(?=^    \w+=)", "", text, count=1, flags=re.M | re.S)
     assert incomplete != text

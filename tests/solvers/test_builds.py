@@ -39,14 +39,12 @@ class Blasfeo:
 def test_a_blasfeo_is_generic_where_it_needs_no_vector_instruction(
     library: object, build: Build
 ) -> None:
-    """A target with vector instructions is named by them; a library that does not say is not."""
     assert read_blasfeo_build(library) == build
 
 
 @pytest.mark.skipif(not check_availability("hpipm").ok, reason="casadi is not installed")
 @pytest.mark.parametrize("solver", ["hpipm", "hpipm_ocp"])
 def test_the_read_blasfeo_build_hpipm_is_that_of_the_headers_beside_it(solver: str) -> None:
-    """The library says generic exactly where the header it was installed with has that target."""
     header = Path(str(import_module("casadi").__file__)).parent / "include" / "blasfeo_target.h"
     target = "#define TARGET_GENERIC" in header.read_text(encoding="utf-8")
     assert check_availability(solver).build.generic is target
@@ -57,7 +55,6 @@ def test_the_read_blasfeo_build_hpipm_is_that_of_the_headers_beside_it(solver: s
     ("solver", "loaded"), [("piqp", "piqp_python"), ("proxqp", "proxsuite_pywrap")]
 )
 def test_a_build_chosen_at_import_is_the_one_in_memory(solver: str, loaded: str) -> None:
-    """What is said is compiled into the one file of the library that this process has mapped."""
     text = check_availability(solver).build.text
     end = {"AVX-512": "_avx512", "AVX2": "_avx2", "no AVX": ""}[text]
     maps = Path("/proc/self/maps").read_text(encoding="utf-8")
@@ -69,14 +66,12 @@ def test_a_build_chosen_at_import_is_the_one_in_memory(solver: str, loaded: str)
 def test_a_lesser_processor_has_a_lesser_build(
     end: str, text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The module that was imported tells the build; none imported tells nothing."""
     assert vectorised_build("absent.library") == Build()
     monkeypatch.setitem(sys.modules, f"absent.library{end}", ModuleType("library"))
     assert vectorised_build("absent.library") == Build(text)
 
 
 def test_results_of_one_build_are_not_those_of_another() -> None:
-    """Version and build together name a library; without a build the version does."""
     versions = [Availability(True, "1.0", build=Build(text)) for text in ("", "AVX2", "AVX-512")]
     assert len({each.identity for each in versions}) == 3
     assert versions[0].identity == "1.0"

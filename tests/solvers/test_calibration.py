@@ -30,7 +30,6 @@ def qp() -> QuadraticProgram:
 
 
 def test_they_have_names_but_are_no_solvers() -> None:
-    """Each is found by its name and listed nowhere; another name is unknown all the same."""
     assert not set(CALIBRATION) & set(solver_names())
     assert all(find_record(name).name == name for name in CALIBRATION)
     with pytest.raises(UnknownNameError):
@@ -38,7 +37,6 @@ def test_they_have_names_but_are_no_solvers() -> None:
 
 
 def test_no_plug_in_takes_their_name(tmp_path) -> None:
-    """A plug-in called like one of them would have its results hidden."""
     text = Path(__file__).with_name("example_plugin.py").read_text(encoding="utf-8")
     (tmp_path / "mine.py").write_text(text.replace('"admm", m', f'"{NO_OP}", m'), encoding="utf-8")
     with pytest.raises(InputError, match=NO_OP):
@@ -47,7 +45,6 @@ def test_no_plug_in_takes_their_name(tmp_path) -> None:
 
 @pytest.mark.parametrize("name", CALIBRATION)
 def test_they_run_one_way_and_claim_nothing(name: str, qp: QuadraticProgram) -> None:
-    """Policy reuse alone; the answer is no answer, which no referee could take for one."""
     with pytest.raises(PolicyError, match="reuse"):
         open_workspace(name)
     workspace = open_workspace(name, policy="reuse")
@@ -59,7 +56,6 @@ def test_they_run_one_way_and_claim_nothing(name: str, qp: QuadraticProgram) -> 
 
 
 def test_copy_only_copies_in_and_out(qp: QuadraticProgram) -> None:
-    """It holds the numbers of the step, not the step's memory, and gives out memory of its own."""
     workspace = CopyOnlyWorkspace(COPY_ONLY)
     workspace.setup(qp)
     step = QPStep(qp.q + 1, qp.l - 1, qp.u + 2)

@@ -96,7 +96,6 @@ def assert_certified(configuration, answer, qp):
 
 @pytest.mark.parametrize("name", KNOWN)
 def test_known_optimum(configuration, name, solve_qp):
-    """Every solver finds the optimum and the signed multipliers of a problem solved by hand."""
     qp, expected = KNOWN[name]
     answer = solve_qp(configuration.open(), qp)
     assert answer.status is Status.SOLVED
@@ -109,7 +108,6 @@ def parts(answer):
 
 
 def test_updated_answers_are_those_of_a_new_setup_and_optimal(configuration, sequence, solve_qp):
-    """Bit for bit those of a new workspace, or to tolerance with a memory; KKT conditions hold."""
     atol = 0.0 if configuration.exact_again else 2 * configuration.tolerance
     answers = sequence.answers(configuration.open())
     for step, answer in zip(sequence.steps, answers, strict=True):
@@ -121,7 +119,6 @@ def test_updated_answers_are_those_of_a_new_setup_and_optimal(configuration, seq
 
 
 def test_limits_may_become_infinite_equal_and_finite_again(configuration, sequence):
-    """A step may change which limits are infinite or equal."""
     first, second, third = sequence.steps[:3]
     low, high = second.l.copy(), second.u.copy()
     low[0], high[1], low[2:4], high[2] = -INF, INF, (0.25, -INF), 0.25
@@ -132,7 +129,6 @@ def test_limits_may_become_infinite_equal_and_finite_again(configuration, sequen
 
 
 def test_matrices_may_change(configuration, sequence, solve_next):
-    """A step that brings matrices and bounds is solved with them, and so are those after it."""
     workspace = configuration.open()
     base, (step, later) = sequence.base, sequence.steps[:2]
     matrices = 2.0 * base.P, -base.A, 0.5 * base.lb, 0.25 * base.ub
@@ -148,7 +144,6 @@ def test_matrices_may_change(configuration, sequence, solve_next):
 def test_inputs_stay_unchanged_and_are_not_shared(
     configuration, sequence, rebuilt, solve_qp, solve_next
 ):
-    """No solver writes to the caller's arrays or sees later writes, also if the pattern changes."""
     base, step = sequence.base, sequence.steps[0]
     if rebuilt:
         step.l[1] = -INF
@@ -172,7 +167,6 @@ def test_inputs_stay_unchanged_and_are_not_shared(
 
 
 def test_an_answer_is_the_callers_own(configuration, sequence, solve_qp, solve_next):
-    """Neither the next solve nor a second read changes an answer, nor does writing to it."""
     workspace = configuration.open()
     first = solve_qp(workspace, sequence.base)
     before = [array.copy() for array in parts(first)]
@@ -184,7 +178,6 @@ def test_an_answer_is_the_callers_own(configuration, sequence, solve_qp, solve_n
 
 
 def test_reset_forgets_the_start(warm_configuration, sequence, solve_qp, solve_next):
-    """After a reset a warm workspace gives bit for bit what it gives after its setup."""
     configuration, step = warm_configuration, sequence.steps[0]
     workspace, new = configuration.open("default"), configuration.open("default")
     first = sequence.answers(workspace)[0]
@@ -198,7 +191,6 @@ def test_reset_forgets_the_start(warm_configuration, sequence, solve_qp, solve_n
 
 @pytest.mark.parametrize("name", ["q", "l", "u", "P", "A", "lb", "ub"])
 def test_wrong_shapes_are_refused(configuration, sequence, name):
-    """An array of another shape is refused by name instead of being half taken over."""
     workspace = configuration.open()
     workspace.setup(sequence.base)
     step = sequence.steps[0]
@@ -208,7 +200,6 @@ def test_wrong_shapes_are_refused(configuration, sequence, name):
 
 
 def test_infeasible_problems_are_not_claimed_solved(configuration, solve_qp):
-    """An infeasible problem is reported as such where the table says so, and never as solved."""
     answer = solve_qp(configuration.open("default"), INFEASIBLE)
     if configuration.record.detects_infeasibility:
         assert answer.status is Status.PRIMAL_INFEASIBLE
@@ -234,7 +225,6 @@ def spoil(step, fault):
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["infeasible", "nan in q", "nan in u"])
 def test_recovery_without_a_reset(configuration, sequence, fault, solve_qp, solve_next):
-    """After a step that cannot be solved the next one is solved, even if nobody resets."""
     workspace = configuration.open(**patience(configuration))
     solve_qp(workspace, sequence.base)
     bad, after = sequence.steps[:2]
@@ -252,7 +242,6 @@ def test_recovery_without_a_reset(configuration, sequence, fault, solve_qp, solv
 @pytest.mark.filterwarnings("ignore:invalid value encountered")
 @pytest.mark.parametrize("fault", ["infeasible", "nan in q", "nan in u", "interrupted"])
 def test_no_state_of_a_failed_step_survives(configuration, sequence, fault, monkeypatch):
-    """Driven as in a loop, the answers after a failed step are those the referee certifies."""
     workspace = configuration.open(**patience(configuration))
     solver = TimedSolver(workspace, BoxFormulation(sequence.base), time.perf_counter_ns)
     solver.prepare()
@@ -286,7 +275,6 @@ def interrupted(solver):
 @pytest.mark.filterwarnings("ignore:invalid value encountered")
 @pytest.mark.parametrize("fault", ["nan in q", "nan in u"])
 def test_a_nan_is_not_claimed_solved(configuration, sequence, fault, solve_next):
-    """Nobody claims to have solved a problem with a NaN in it, but for the faults in the table."""
     workspace = configuration.open(**patience(configuration))
     workspace.setup(sequence.base)
     assert solve_next(workspace, spoil(sequence.steps[0], fault)).claimed == (
@@ -295,7 +283,6 @@ def test_a_nan_is_not_claimed_solved(configuration, sequence, fault, solve_next)
 
 
 def test_recovery_from_an_iteration_limit(limited_configuration, sequence, solve_qp, solve_next):
-    """After a step that was stopped by the iteration limit, one within the limit is solved."""
     configuration, base = limited_configuration, sequence.base
     hard = QPStep(40.0 * sequence.steps[0].q, base.l, base.u)
     easy = QPStep(0.0 * hard.q, base.l - 5.0, base.u + 5.0)
@@ -314,7 +301,6 @@ def test_recovery_from_an_iteration_limit(limited_configuration, sequence, solve
 
 
 def test_two_workspaces_do_not_disturb_each_other(configuration, sequence):
-    """Workspaces that take turns give bit for bit what each gives alone."""
     base, steps = sequence.base, sequence.steps[:4]
     other = QuadraticProgram(2.0 * base.P, base.q, -base.A, -base.u, -base.l, base.lb, base.ub)
     cases = [sequence._replace(base=qp, steps=steps) for qp in (base, other)]
@@ -339,7 +325,6 @@ def resident_bytes():
 
 @pytest.mark.slow
 def test_workspaces_do_not_leak(configuration, solve_qp):
-    """Workspaces that are made, used and dropped leave no memory behind."""
     n = 40
     rng = np.random.default_rng(5)
     P, A = np.eye(n) + np.ones((n, n)) / n, rng.normal(size=(n, n))
@@ -364,7 +349,6 @@ def test_workspaces_do_not_leak(configuration, solve_qp):
 
 
 def test_a_cost_that_is_not_convex_enough(configuration, solve_qp):
-    """Where the table asks for strict convexity, a semidefinite cost is refused, not mis-solved."""
     qp = problem([[2, 0], [0, 0]], [-2, -1], [[1, 1]], [-9], [1], [-1, -1], [1, 0.5])
     answer = solve_qp(configuration.open(), qp)
     if TABLE[configuration.solver].needs_strict_convexity:
@@ -376,7 +360,6 @@ def test_a_cost_that_is_not_convex_enough(configuration, solve_qp):
 
 
 def test_read_before_solve_is_no_answer(configuration, sequence):
-    """A workspace that has not solved says so."""
     workspace = configuration.open()
     workspace.setup(sequence.base)
     answer = workspace.read()

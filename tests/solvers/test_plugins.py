@@ -31,12 +31,10 @@ def nothing_loaded(monkeypatch):
 
 
 def test_the_example_is_short():
-    """The example of a plug-in fits into thirty lines."""
     assert len(TEXT.splitlines()) <= 30
 
 
 def test_a_file_adds_a_solver(sequence):
-    """The example file is a solver: listed, available, opened by name and right."""
     row = load_solver_module(EXAMPLE)
     assert (row.name, row.extra) == ("admm", "plugin")
     assert "admm" in solver_names() and find_record("admm") is row and check_availability("admm").ok
@@ -50,7 +48,6 @@ def test_a_file_adds_a_solver(sequence):
 
 
 def test_a_files_version_is_its_content(tmp_path):
-    """Another content is another version, so that results of the two are never mixed."""
     file, versions = tmp_path / "mine.py", []
     for text in (TEXT, TEXT, TEXT + "# changed\n"):
         file.write_text(text)
@@ -60,7 +57,6 @@ def test_a_files_version_is_its_content(tmp_path):
 
 
 def test_the_levels_of_a_plugin_reaches_it(sequence):
-    """The names of settings mean what the plug-in says, and its own keys pass through."""
     load_solver_module(EXAMPLE)
     assert has_tolerance_levels("admm")
     assert "high: tolerance=1e-09" in describe_levels("admm")
@@ -74,7 +70,6 @@ def test_the_levels_of_a_plugin_reaches_it(sequence):
 
 
 def test_a_plugin_of_yesterday_is_read(tmp_path):
-    """Old words are read: LADDER with a line that names LEVELS, no family, a refusal by route."""
     old = TEXT.replace("LEVELS = ", "LADDER = ").replace('family="first order", ', "")
     file = tmp_path / "old.py"
     refused = 'refused={("native", "warm"): "it has no start"}'
@@ -88,7 +83,6 @@ def test_a_plugin_of_yesterday_is_read(tmp_path):
 
 
 def test_what_a_plugin_raises_is_an_answer(sequence):
-    """An option that the function does not have becomes the status ERROR with Python's words."""
     load_solver_module(EXAMPLE)
     workspace = open_workspace("admm", settings={"tolerances": 1.0})
     workspace.setup(sequence.base)
@@ -118,7 +112,6 @@ def test_what_a_plugin_raises_is_an_answer(sequence):
     ],
 )
 def test_what_is_no_plugin_is_refused(tmp_path, text, words):
-    """A file that is missing, fails, lacks a part or takes a name of the table is refused."""
     file = tmp_path / "mine.py"
     if text is not None:
         file.write_text(text)
@@ -128,7 +121,6 @@ def test_what_is_no_plugin_is_refused(tmp_path, text, words):
 
 
 def test_an_import_without_end_is_refused(tmp_path, monkeypatch):
-    """It is ended after a stated time, and named."""
     monkeypatch.setattr(plugins, "TRIAL_S", 1.0)
     file = tmp_path / "mine.py"
     file.write_text("while True:\n    pass\n")
@@ -137,7 +129,6 @@ def test_an_import_without_end_is_refused(tmp_path, monkeypatch):
 
 
 def test_two_files_cannot_have_one_name(tmp_path):
-    """A second file with the name of the first is refused."""
     load_solver_module(EXAMPLE)
     copy = tmp_path / "other.py"
     copy.write_text(TEXT)
@@ -146,7 +137,6 @@ def test_two_files_cannot_have_one_name(tmp_path):
 
 
 def test_an_entry_point_adds_a_solver(monkeypatch, tmp_path):
-    """A distribution that names an entry point adds a solver under its name and version."""
     (tmp_path / "their_solver.py").write_text(TEXT)
     folder = tmp_path / "their_solver-2.5.dist-info"
     folder.mkdir()
@@ -164,7 +154,6 @@ def test_an_entry_point_adds_a_solver(monkeypatch, tmp_path):
 
 
 def test_a_solver_that_only_qpsolvers_knows_works_by_its_name(monkeypatch, sequence):
-    """A name registered with qpsolvers runs without any record of it in dpbench."""
     inner = qpsolvers.solvers.solve_function["quadprog"]
     monkeypatch.setitem(qpsolvers.solvers.solve_function, "brandnew", inner)
     monkeypatch.setattr(qpsolvers, "available_solvers", [*qpsolvers.available_solvers, "brandnew"])
@@ -177,7 +166,6 @@ def test_a_solver_that_only_qpsolvers_knows_works_by_its_name(monkeypatch, seque
 
 
 def test_a_solver_that_qpsolvers_serves_but_does_not_find_says_so():
-    """A name that qpsolvers has an interface for is known, and why it cannot run is said."""
     assert not check_availability("gurobi").ok
     assert "pip install qpsolvers[gurobi]" in check_availability("gurobi").reason
     with pytest.raises(UnknownNameError):

@@ -40,7 +40,6 @@ def solve(solver, settings, qp):
 
 @pytest.mark.parametrize("name", LEVELS)
 def test_every_level_is_accepted_by_the_library(installed, name, sequence):
-    """Each key of a level is a key of the library, on each route, and it solves with it."""
     options = level_options(name, installed)
     for adapters in (THROUGH_QPSOLVERS, NATIVE):
         if installed in adapters:
@@ -50,7 +49,6 @@ def test_every_level_is_accepted_by_the_library(installed, name, sequence):
 
 
 def test_high_is_more_accurate_than_default(installed, sequence):
-    """Where the settings matter, `high` brings the answer nearer to the optimum."""
     exact = certify(sequence.base).z
     default, high = (
         np.abs(solve(installed, name, sequence.base).z - exact).max()
@@ -61,7 +59,6 @@ def test_high_is_more_accurate_than_default(installed, sequence):
 
 
 def test_settings_matter_where_there_are_levels():
-    """Solvers without a tolerance are known as such."""
     without = {name for name in TABLE if not has_tolerance_levels(name)}
     own = {"paper_active_set", "unconstrained_clipped"}
     assert without >= {*own, "pyqpmad", "qpoases", "quadprog"}
@@ -70,7 +67,6 @@ def test_settings_matter_where_there_are_levels():
 
 @pytest.mark.parametrize("solver", TABLE)
 def test_a_stated_tolerance_lies_among_the_levels(solver):
-    """At the tolerance of a level it is that level; between two it differs from both."""
     for level, tolerance in TOLERANCES.items():
         assert level_options(f"{tolerance:g}", solver) == level_options(level, solver)
     between = level_options("2e-5", solver)
@@ -83,7 +79,6 @@ def test_a_stated_tolerance_lies_among_the_levels(solver):
 
 @pytest.mark.parametrize("name", ["1e-4.", "-1e-4", "0", "nan", "inf", "1", "1e-4x", ""])
 def test_what_is_no_tolerance_is_no_name_of_settings(name):
-    """Numbers that no solver can stop at, and what is no number, are refused."""
     with pytest.raises(SettingsError, match="a tolerance such as 1e-4"):
         level_options(name, "osqp")
 
@@ -103,14 +98,12 @@ def test_a_tolerance_decides_how_exact_an_answer_is(route, sequence):
 @pytest.mark.parametrize("route", ["qpsolvers", "native"])
 @pytest.mark.parametrize("name", sorted(set(setting_names("osqp")) - set(LEVELS)))
 def test_polishing_is_a_setting_of_its_own(route, name, sequence):
-    """OSQP's polished settings are accurate to rounding where `default` ends at its tolerance."""
     # A polished answer solves the KKT system of its active set to rounding, here some 1e-15.
     assert error("osqp", route, name, sequence.base) <= 1e-13
     assert error("osqp", route, "default", sequence.base) > 1e-6
 
 
 def test_the_levels_are_described_in_words(installed):
-    """Each name of a solver's settings has a line with the keys and values that it sets."""
     lines = describe_levels(installed).splitlines()
     assert [line.split(":")[0] for line in lines] == list(setting_names(installed))
     if has_tolerance_levels(installed):
@@ -120,7 +113,6 @@ def test_the_levels_are_described_in_words(installed):
 
 
 def test_osqp_adapts_its_penalty_by_iterations_at_every_level():
-    """No name of OSQP's settings leaves the interval of adaptation to a clock."""
     for name in setting_names("osqp"):
         assert "adaptive_rho_interval=50" in describe_levels("osqp").splitlines()[0]
         assert resolve_options(name, THROUGH_QPSOLVERS["osqp"])["adaptive_rho_interval"] == 50
@@ -129,7 +121,6 @@ def test_osqp_adapts_its_penalty_by_iterations_at_every_level():
 
 @pytest.mark.parametrize("key", ["eps_absolut", "verbose", "initvals", "backend"])
 def test_an_unknown_key_is_refused(installed, key):
-    """A key the library does not have, or one that the route decides, is refused by name."""
     with pytest.raises(SettingsError, match=f"settings of {installed}: {key}"):
         open_workspace(installed, settings={key: 1e-6})
 
@@ -139,7 +130,6 @@ def test_an_unknown_key_is_refused(installed, key):
     [("osqp", "eps_abss", "eps_abs"), ("sip", "termination.max_gap", "termination.max_")],
 )
 def test_the_refusal_names_the_nearest_keys(solver, key, near):
-    """The refusal of a misspelt key names the key that was meant, in groups too."""
     group, _, name = key.rpartition(".")
     settings = {group: {name: 1.0}} if group else {name: 1.0}
     with pytest.raises(SettingsError, match=f"{key}: found an unknown key; allowed: .*{near}"):
@@ -148,21 +138,18 @@ def test_the_refusal_names_the_nearest_keys(solver, key, near):
 
 @pytest.mark.parametrize("solver", ["clarabel", "highs", "osqp", "piqp", "pyqpmad", "qpalm"])
 def test_a_value_of_the_wrong_kind_is_refused(solver):
-    """A value that the library's settings object refuses is a person's mistake, not a failure."""
     key = {"highs": "time_limit", "pyqpmad": "tolerance"}.get(solver, "max_iter")
     with pytest.raises(SettingsError, match=f"{key}: found 'many'"):
         open_workspace(solver, settings={key: "many"})
 
 
 def test_an_unknown_name_is_refused(installed):
-    """A name that it does not have is refused with those that are."""
     with pytest.raises(SettingsError, match=r"'hihg'; allowed: default \| low \| mid \| high"):
         open_workspace(installed, settings="hihg")
 
 
 @pytest.mark.parametrize("solver", WRITTEN_DOWN)
 def test_names_written_down_are_the_librarys(solver, sequence):
-    """Each name that had to be written down is taken by the library, one at a time."""
     values = WRITTEN_DOWN[solver]
     assert sorted(values) == sorted(THROUGH_QPSOLVERS[solver].list_options())
     for key, value in values.items():
@@ -178,6 +165,5 @@ def test_names_written_down_are_the_librarys(solver, sequence):
     ],
 )
 def test_a_setting_reaches_the_library(solver, loose, sequence):
-    """A library's own key changes its iterations, in a group as well."""
     counts = [solve(solver, settings, sequence.base).iterations for settings in (loose, "default")]
     assert counts[0] < counts[1]

@@ -33,7 +33,6 @@ PROMISED = (
 
 
 def test_every_promised_solver_is_in_the_table():
-    """The table has all that qpsolvers serves from wheels, the native ones and the own ones."""
     own = [name for name, row in TABLE.items() if row.extra == "own"]
     assert {"paper_active_set", "unconstrained_clipped"} <= set(own)
     assert {*PROMISED.split(), *own} <= set(TABLE) <= set(solver_names())
@@ -41,14 +40,12 @@ def test_every_promised_solver_is_in_the_table():
 
 
 def test_no_adapter_is_hidden_by_another():
-    """A solver with an adapter on each route has both of them in its row, wrapped by default."""
     for name in THROUGH_QPSOLVERS:
         assert TABLE[name].default_route == "qpsolvers"
     assert all("native" in TABLE[name].routes for name in NATIVE)
 
 
 def test_a_distribution_is_declared_where_its_record_says():
-    """The part of dpbench's dependencies that a record names brings its distribution."""
     root = Path(dpbench.__file__).parents[1]
     project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
     declared = {"core": project["dependencies"], **project["optional-dependencies"]}
@@ -59,7 +56,6 @@ def test_a_distribution_is_declared_where_its_record_says():
 
 
 def test_an_installed_solver_has_name_version_and_form_of_its_record(installed):
-    """The name is one of qpsolvers, the version that of the index, the form that of the record."""
     row = find_record(installed)
     if "qpsolvers" in row.routes:
         assert qpsolvers_adapter(installed).qpsolvers_key in qpsolvers.available_solvers
@@ -69,7 +65,6 @@ def test_an_installed_solver_has_name_version_and_form_of_its_record(installed):
 
 
 def test_a_missing_distribution_is_listed_with_reason_and_remedy(monkeypatch):
-    """A solver that is not installed is listed with the command that installs it."""
 
     def missing(name):
         raise importlib.metadata.PackageNotFoundError(name)
@@ -83,7 +78,6 @@ def test_a_missing_distribution_is_listed_with_reason_and_remedy(monkeypatch):
 
 @pytest.mark.parametrize("raised", ["ImportError", "RuntimeError", "BaseException"])
 def test_a_library_that_fails_to_import_is_listed_with_its_words(monkeypatch, tmp_path, raised):
-    """Whatever a library raises while it is imported becomes the reason it is unavailable."""
     (tmp_path / "daqp.py").write_text(f"raise {raised}('no such  instruction')\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "daqp", raising=False)
@@ -93,7 +87,6 @@ def test_a_library_that_fails_to_import_is_listed_with_its_words(monkeypatch, tm
 
 
 def test_unknown_names_are_refused():
-    """An unknown solver is refused with the list of those there are."""
     with pytest.raises(UnknownNameError, match=r"quadprgo.*quadprog"):
         open_workspace("quadprgo")
 
@@ -115,25 +108,21 @@ def test_unknown_names_are_refused():
     ],
 )
 def test_routes_and_policies_that_do_not_exist_are_refused(solver, route, policy, words):
-    """A policy that could not differ, or a route that is not there, is refused with the reason."""
     with pytest.raises(PolicyError, match=words):
         open_workspace(solver, route=route, policy=policy)
 
 
 def test_the_default_route_is_the_solvers_own():
-    """Without a route, libraries go through qpsolvers and the own solvers run natively."""
     routes = {"daqp": "qpsolvers", "piqp_sparse": "native", "paper_active_set": "native"}
     assert {solver: open_workspace(solver).route for solver in routes} == routes
 
 
 def test_native_workspaces_set_up_anew_only_when_fresh(configuration):
-    """The harness sets a native workspace up at every step under `fresh`, and never else."""
     fresh = configuration.route == "native" and configuration.policy == "fresh"
     assert configuration.open().setup_every_step == fresh
 
 
 def test_no_fact_without_a_source():
-    """What is said of a project names its source; every one has a licence and a language."""
     for row in TABLE.values():
         facts = dataclasses.asdict(row.project)
         in_c = facts.pop("c_settings")
@@ -145,7 +134,6 @@ def test_no_fact_without_a_source():
 
 
 def test_settings_in_c_have_the_names_of_the_options():
-    """OSQP's installed headers have the structure, each option as a field, and its function."""
     row = TABLE["osqp"]
     headers = Path(import_module("osqp").__file__).parent.rglob("osqp_api_*.h")
     text = "".join(header.read_text(encoding="utf-8") for header in headers)
@@ -157,7 +145,6 @@ def test_settings_in_c_have_the_names_of_the_options():
 
 
 def test_isolation_comes_before_qpsolvers():
-    """Isolating after qpsolvers was imported is refused."""
     open_workspace("daqp")
     with pytest.raises(DpbenchError, match="too late"):
         isolate("daqp")
@@ -169,7 +156,6 @@ def test_isolation_comes_before_qpsolvers():
     [("daqp", "daqp"), ("sip", "cvxopt sip_qp_python"), ("clarabel", "clarabel"), ("admm", "")],
 )
 def test_an_isolated_process_loads_one_library(solver, loaded):
-    """After isolation a fresh process solves with its solver and has loaded no other one."""
     program = f"""
 import sys
 from dpbench.solvers.open import open_workspace

@@ -182,7 +182,6 @@ def test_equalities_have_two_equal_sides(units: Any) -> None:
 
 
 def test_a_lost_thruster_is_soon_at_nothing_and_every_step_has_an_answer() -> None:
-    """From wherever it was, whatever is demanded."""
     case, lost = problem(), {0, 3}
     builder, limits = AllocationQP(case), case.rows.limits_after_loss(lost)
     for seed in range(4):

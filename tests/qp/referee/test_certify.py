@@ -41,7 +41,6 @@ def _random(n: int, m: int, seed: int, condition: float = 1e4) -> QuadraticProgr
 
 @pytest.mark.parametrize("seed", range(20))
 def test_agrees_with_quadprog(seed: int) -> None:
-    """The certified optimum is that of the Goldfarb-Idnani solver."""
     qp = _random(12, 10, seed)
     eye = np.eye(qp.n)
     C = np.vstack((qp.A, eye, -qp.A, -eye))
@@ -92,7 +91,6 @@ def test_singular_matrix_is_not_proven_definite() -> None:
 
 
 def test_definiteness_survives_rounding() -> None:
-    """A matrix that rounding made exactly indefinite is never called definite."""
     indefinite = 0
     for seed in range(100):
         B = np.random.default_rng(seed).normal(size=(2, 3))
@@ -107,7 +105,6 @@ BOX = [-1.0] * 2, [1.0] * 2
 
 
 def test_semidefinite_cost_with_a_unique_optimum() -> None:
-    """With semidefinite P a strictly active, regular optimum is certified: it is the only one."""
     qp = QuadraticProgram(np.diag([2.0, 0.0]), [-1.0, 1.0], np.zeros((0, 2)), [], [], *BOX)
     optimum = certify(qp)
     assert optimum.kind == "linear"
@@ -169,7 +166,6 @@ CASES = {
 
 @pytest.mark.parametrize("q", CASES)
 def test_linear_certificate(q: tuple[float, float]) -> None:
-    """The linear certificate names the optimum or nothing, whichever rows are said to be active."""
     problem = _problem(q)
     for signs in ACTIVE_SETS:
         system = KKTSystem(problem.P, problem.C, signs)
@@ -180,7 +176,6 @@ def test_linear_certificate(q: tuple[float, float]) -> None:
 
 @pytest.mark.parametrize("q", CASES)
 def test_gap_certificate(q: tuple[float, float]) -> None:
-    """The bound of the gap certificate covers the optimum, however wrong the active rows are."""
     problem = _problem(q)
     exact = ExactMatrices.of(problem.P, problem.C)
     systems, bounds = partial(KKTSystem, problem.P, problem.C), []
@@ -194,7 +189,6 @@ def test_gap_certificate(q: tuple[float, float]) -> None:
 
 @pytest.mark.parametrize("q", CASES)
 def test_rational_certificate(q: tuple[float, float]) -> None:
-    """The rational certificate finds the optimum to the last bit from any guess."""
     problem = _problem(q)
     exact = ExactMatrices.of(problem.P, problem.C)
     for signs in ACTIVE_SETS:

@@ -178,7 +178,6 @@ def test_dropped_limit_has_a_cheap_certificate(blocks: int, forced: int, seed: i
 
 @pytest.mark.parametrize("seed", range(5))
 def test_fixing_keeps_the_optimum(seed: int) -> None:
-    """The certificate with fixed variables encloses the optimum of the problem as posed."""
     qp = _dropped(3, 2, seed)
     joint = JointQP.of(qp)
     assert fix_forced_variables(joint) is not None
@@ -200,7 +199,6 @@ def test_one_bit_of_freedom_is_not_forcing() -> None:
 
 
 def test_contradicting_rows_are_infeasible() -> None:
-    """Two rows that force one variable to different bounds leave no feasible point."""
     A = np.array([[1.0, 1.0], [1.0, -1.0]])
     ones = np.ones(2)
     qp = QuadraticProgram(np.eye(2), ones, A, [-np.inf, 2.0], [-2.0, np.inf], -ones, ones)

@@ -45,7 +45,6 @@ def _infeasible(seed: int, n: int, m: int, boxed: bool) -> tuple[QuadraticProgra
 @settings(max_examples=80, derandomize=True, deadline=None)
 @given(seeds, st.integers(1, 6), st.integers(2, 7), st.booleans())
 def test_infeasible_problems_are_recognised(seed: int, n: int, m: int, boxed: bool) -> None:
-    """A problem without a feasible point is certified as such, by a vector that is valid."""
     qp, y = _infeasible(seed, n, m, boxed)
     assert farkas_valid(qp, y, -(y @ qp.A))
     optimum = certify(qp)
@@ -75,7 +74,6 @@ def test_no_vector_refutes_a_feasible_problem(seed: int, n: int, m: int) -> None
 @settings(max_examples=40, derandomize=True, deadline=None)
 @given(seeds)
 def test_false_vectors_are_refused(seed: int) -> None:
-    """Swapped signs, an inconsistent y_box, NaN or a wrong shape is no certificate."""
     qp, y = _infeasible(seed, 3, 4, boxed=True)
     y_box = -(y @ qp.A)
     wrong = [(-y, -y_box), (y, y_box + 1.0), (0.0 * y, 0.0 * y_box), (y[:2], y_box)]
@@ -127,7 +125,6 @@ def test_a_false_infeasible_is_as_wrong_as_a_false_solved() -> None:
 
 
 def test_unbounded_problems() -> None:
-    """A falling direction of the recession cone proves unboundedness, and nothing else does."""
     P, free = np.diag([1.0, 0.0, 0.0]), np.full(3, INF)
     A = np.array([[0.0, 1.0, -3.0]])
     q = np.array([0.0, -1.0, 0.0])

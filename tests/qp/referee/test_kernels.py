@@ -71,7 +71,6 @@ def test_residual_is_that_of_twice_the_precision(seed: int, N: int, spread: int)
 
 @pytest.mark.parametrize("huge", [1e301, 1e308])
 def test_what_overflows_proves_nothing(huge: float) -> None:
-    """A point beyond the numbers that can be split is not certified."""
     problem = JointQP(np.eye(1), np.array([-huge]), np.eye(1), np.array([-INF]), np.array([INF]))
     system = KKTSystem(problem.P, problem.C, np.zeros(1, dtype=np.int8))
     assert linear_certificate(problem, Geometry(problem.C), system) is None
@@ -118,7 +117,6 @@ def _certified(problem: JointQP, system: KKTSystem) -> Any:
 
 
 def solve_exactly(K: Array, b: Array) -> list[Fraction]:
-    """Gauss-Jordan elimination in fractions."""
     N = len(b)
     rows = [[Fraction(v) for v in (*K[i].tolist(), float(b[i]))] for i in range(N)]
     for k in range(N):
@@ -238,7 +236,6 @@ def test_round_trip(values: list[float]) -> None:
 
 @pytest.mark.parametrize("seed", range(10))
 def test_integer_elimination_solves(seed: int) -> None:
-    """The numerators over the denominator satisfy the system exactly."""
     rng = np.random.default_rng(seed)
     n, w = 5, 3
     B, G = rng.integers(-5, 6, (n, n)), rng.integers(-5, 6, (w, n))

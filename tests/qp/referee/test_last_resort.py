@@ -85,7 +85,6 @@ def _certified(known: Planted) -> Optimum:
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("spread", [0, 10])
 def test_weak_rows_beside_equalities(seed: int, spread: int) -> None:
-    """Weakly active rows beside equality rows are certified beyond the size of exact arithmetic."""
     known = plant(seed, 60, equal=15, strict=10, weak=10, spread=spread)
     optimum = _certified(known)
     answer = Solution(Status.UNKNOWN, optimum.z, optimum.y, optimum.y_box)
@@ -101,7 +100,6 @@ def test_definite_in_other_units() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("n", [150, 300])
 def test_sparse_and_large(n: int) -> None:
-    """Sparse problems of some hundred variables, half of them held by equalities, are certified."""
     _certified(plant(n, n, equal=n // 3, strict=n // 10, weak=n // 10, density=0.1, spread=6))
 
 
@@ -144,7 +142,6 @@ def _resort(qp: QuadraticProgram) -> Proof | None:
 def test_singular_cost(
     seed: int, n: int, equal: int, strict: int, bounds: int, spread: int
 ) -> None:
-    """With singular P the bound covers the planted minimiser."""
     sizes = {"bounds": min(bounds, n), "rank": seed % n, "spread": spread}
     known = plant(seed, n, equal=equal, strict=strict, weak=1, **sizes)
     optimum = certify(known.qp)
@@ -178,7 +175,6 @@ def test_cost_convex_where_equalities_leave_room(row: list[float], certified: bo
 
 @pytest.mark.parametrize("seed", range(6))
 def test_agrees_with_exact_arithmetic(seed: int) -> None:
-    """On data without any structure the last resort encloses what exact arithmetic finds."""
     rng = np.random.default_rng(seed)
     B, A, u = rng.normal(size=(9, 9)), rng.normal(size=(6, 9)), rng.normal(size=6)
     limits = np.where(np.arange(6) < 3, u, -INF), u, [-5.0] * 9, [5.0] * 9

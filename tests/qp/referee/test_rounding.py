@@ -54,7 +54,6 @@ def test_planted_violation(plant: Any, violation: float, scale: float) -> None:
 @pytest.mark.parametrize("violation", [2.0**-52, 1e-12, 1e-3])
 @pytest.mark.parametrize("n", [3, 60])
 def test_opposed_rows(n: int, violation: float, scale: float) -> None:
-    """Two rows that exclude one another by one unit in the last place are undecided."""
     expected = "undecided" if violation < 1e-14 else "infeasible"
     assert certify(_opposed(violation, scale, n)).kind == expected
 

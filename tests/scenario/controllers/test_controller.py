@@ -16,12 +16,10 @@ from dpbench.scenario.tables.scenario_file import ControllerTable
 
 
 def test_every_kind_of_the_file_has_a_class() -> None:
-    """The keys that a file may name are those of the classes."""
     assert set(get_args(ControllerTable.model_fields["kind"].annotation)) == set(CONTROLLERS)
 
 
 def test_every_group_of_metrics_is_computed() -> None:
-    """A controller cannot name a group that nothing computes."""
     assert set(METRICS) == set(get_args(MetricGroup))
 
 
@@ -36,7 +34,6 @@ def test_every_group_of_metrics_is_computed() -> None:
     ],
 )
 def test_limits_hold_until_the_next_change(changes: list[tuple[int, int]], high: list[int]) -> None:
-    """Four samples, each with the limits of the last change up to it."""
     own, *changed = (Limits(np.array([-h]), np.array([h])) for h in (9, *(h for _, h in changes)))
     pairs = tuple(zip((k for k, _ in changes), changed, strict=True))
     limits = limits_at_samples(own, pairs, 4)
@@ -52,7 +49,6 @@ class Gentle(ForceController):
 
 
 def test_a_class_of_its_own_steers_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A class behind a key is all that a run needs to know of a controller."""
 
     def gentle(spec: object) -> ForceController:
         return Gentle(**vars(ForceController.of(spec)))  # type: ignore[arg-type] # a specification

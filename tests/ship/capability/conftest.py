@@ -25,13 +25,11 @@ def ratownik() -> Vessel:
 
 @pytest.fixture(scope="session")
 def hull(ratownik: Vessel) -> CapabilityHull:
-    """Its hull."""
     assert ratownik.capability is not None
     return ratownik.capability
 
 
 @pytest.fixture(scope="session")
 def thrusters(ratownik: Vessel) -> ThrusterSet:
-    """Its thrusters."""
     assert ratownik.thrusters is not None
     return ratownik.thrusters

@@ -36,7 +36,6 @@ def test_loads_are_the_published_ones(hull: CapabilityHull, published: pd.DataFr
 
 @given(st.floats(0.0, math.pi), st.floats(0.0, 33.0))
 def test_weather_from_port_is_the_mirror_image(from_rad: float, wind_mps: float) -> None:
-    """A hull is symmetric: surge stays, sway and yaw turn round."""
     some = CapabilityHull(80.0, 18.0, 5.0, 82.0, 1.0, 0.4, 1.2, 300.0, 900.0, 3.0, 400.0, -2.0)
     condition = interpolate_condition(wind_mps)
     starboard, port = (mean_loads(some, condition, angle) for angle in (from_rad, -from_rad))
@@ -44,7 +43,6 @@ def test_weather_from_port_is_the_mirror_image(from_rad: float, wind_mps: float)
 
 
 def test_rows_of_the_table_are_met_and_joined() -> None:
-    """At a row its waves and current; between two rows, between theirs."""
     for wind_mps, *rest in DP_CONDITIONS.values():
         found = interpolate_condition(wind_mps)
         np.testing.assert_allclose([found.hs_m, found.tp_s, found.current_mps], rest)
@@ -54,6 +52,5 @@ def test_rows_of_the_table_are_met_and_joined() -> None:
 
 
 def test_a_ship_of_ones_own_gets_the_weather_of_the_same_table() -> None:
-    """Up to a strong gale."""
     assert list(DP_NUMBERS) == list(range(1, 10))
     assert all(DP_CONDITIONS[number] == row for number, row in DP_NUMBERS.items())

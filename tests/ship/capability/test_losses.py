@@ -107,7 +107,6 @@ def test_a_skeg_takes_thrust_of_both_sides_alike(
 
 
 def test_a_skeg_right_beside_a_thruster_is_no_division_by_zero() -> None:
-    """Its loss then ends abruptly at half a turn, on both sides."""
     beside = CapabilityHull(
         80.0, 18.0, 5.0, 80.0, 0.0, 0.4, 1.0, 300.0, 900.0, 0.0, 400.0, 0.0, ((30.0, 0.0),)
     )

@@ -61,7 +61,6 @@ def test_the_pieces_are_what_zones_and_losses_leave(
 def test_corners_lie_on_the_edge_and_chords_inside(
     thrusters: ThrusterSet, hull: CapabilityHull
 ) -> None:
-    """A coarser edge gives away thrust, to the second order of its step, and never adds any."""
     starboard = thrusters.thrusters[1]
     losses = skeg_losses(starboard, hull)
     angle = np.linspace(losses[0].start, losses[0].end, 160)
@@ -78,7 +77,6 @@ def test_corners_lie_on_the_edge_and_chords_inside(
 def test_every_piece_is_convex_and_at_most_half_a_turn(
     thrusters: ThrusterSet, hull: CapabilityHull
 ) -> None:
-    """Rows describe a convex set by themselves, so it is enough that no row cuts the edge off."""
     starboard = thrusters.thrusters[1]
     zones = forbidden_zones(starboard, thrusters.thrusters)
     shape = convex_pieces(None, zones, [], skeg_losses(starboard, hull), STEP)
@@ -89,7 +87,6 @@ def test_every_piece_is_convex_and_at_most_half_a_turn(
 
 
 def test_without_losses_it_is_the_circle_and_a_sector_stays_one() -> None:
-    """One piece without rows; a sector without zones; nothing where all of it is forbidden."""
     (whole,) = convex_pieces(None, [], [], [], STEP)
     assert whole.sector is None
     assert len(whole.chords) == 0

@@ -62,7 +62,6 @@ def turning_ship(
 
 @pytest.mark.parametrize("make", ALL)
 def test_the_first_update_is_at_the_start(make: Callable[[], Estimator]) -> None:
-    """Measured where it starts, a moving ship is estimated there, without a change."""
     estimator = make()
     for _ in range(2):
         estimator.start(START)
@@ -85,7 +84,6 @@ def test_a_wrapped_heading_is_unwrapped(make: Callable[[], Estimator]) -> None:
 
 
 def test_the_measured_state_is_passed_on_with_its_difference() -> None:
-    """Without an estimator the law sees the measurement and its difference, to the last bit."""
     states, estimates, changes = turning_ship(MeasuredState(), 50, 1.0)
     np.testing.assert_array_equal(estimates, states)
     np.testing.assert_array_equal(changes[1:], states[1:] - states[:-1])
@@ -93,7 +91,6 @@ def test_the_measured_state_is_passed_on_with_its_difference() -> None:
 
 @pytest.mark.parametrize("make", FILTERS)
 def test_a_pose_is_all_a_filter_reads(make: Callable[[], Estimator]) -> None:
-    """The measured speed makes no difference: a pose alone gives the same estimate."""
     full, pose = make(), make()
     full.start(START)
     pose.start(START)
@@ -121,7 +118,6 @@ def test_a_ship_that_turns_by_ninety_degrees_is_followed(
 
 
 def test_the_change_by_the_model_is_that_of_the_ship() -> None:
-    """From the state after a sample the model tells what it changed, at a steady heading."""
     heading, tau = 0.7, np.array([300e3, -200e3, 0.0])
     # Without coupling to yaw the heading stays, so that the nonlinear ship is exactly linear.
     ship = load_vessel("supply_tmr")
@@ -141,7 +137,6 @@ def test_the_change_by_the_model_is_that_of_the_ship() -> None:
 def test_sensor_noise_reaches_the_change_less_than_the_difference(
     make: Callable[[], Estimator],
 ) -> None:
-    """Of white sensor noise the change holds less than a fifth of what differences hold."""
     estimator, rng = make(), np.random.default_rng(11)
     estimator.start(np.zeros(6))
     estimates, changes = np.empty((2, 4000, 6))
@@ -153,7 +148,6 @@ def test_sensor_noise_reaches_the_change_less_than_the_difference(
 
 
 def test_a_pose_does_not_make_a_measured_state() -> None:
-    """Without an estimator a measurement without speeds is refused in one line."""
     estimator = MeasuredState()
     estimator.start(np.zeros(6))
     with pytest.raises(ShapeError, match=r"MeasuredState: measured: found shape \(3,\)"):

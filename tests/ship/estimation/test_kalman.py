@@ -101,7 +101,6 @@ def test_the_discrete_model_holds_the_integrals_of_the_continuous_one(bias_time_
 
 
 def test_the_gain_is_where_the_riccati_iteration_comes_to_rest() -> None:
-    """Iterated from another start, the covariance ends at the same gain."""
     Phi, _, Q, C = sampled(SHIP, TUNING, SAMPLE_S)
     model = build_kalman_model(SHIP, TUNING, SAMPLE_S)
     R = np.diag(TUNING.measurement_std**2)
@@ -195,7 +194,6 @@ def test_a_turn_of_the_ship_does_not_turn_the_sea() -> None:
 
 
 def test_without_wave_filter_the_motion_counts_as_sensor_noise() -> None:
-    """Told of no wave states, the filter still expects innovations of the size of the waves."""
     tuning = KalmanTuning.of_ship(SHIP, WAVES, wave_filter=False)
     kalman, found = innovations(tuning, 4500, seed=22)
     ratio = found[500:].std(axis=0) / np.sqrt(np.diag(kalman.model.S))
@@ -204,7 +202,6 @@ def test_without_wave_filter_the_motion_counts_as_sensor_noise() -> None:
 
 
 def test_a_bias_that_hardly_moves_is_refused() -> None:
-    """A bias noise that rounding cannot tell from none has no steady state, and is refused so."""
     tuning = KalmanTuning(SENSOR_STD, np.full(3, 1e4), np.full(3, 1e-30), WAVES)
     with pytest.raises(InputError, match="no steady state"):
         KalmanFilter(SHIP, tuning, SAMPLE_S)

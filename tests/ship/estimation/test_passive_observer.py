@@ -58,7 +58,6 @@ def test_the_gains_follow_the_published_rules() -> None:
 
 @pytest.mark.parametrize("name", [*FULL_SCALE, "cybership2"])
 def test_the_defaults_are_passive_for_every_vessel(name: str) -> None:
-    """From the error of the force to the pose error the loop is strictly positive real."""
     ship = load_vessel(name)
     scale = math.sqrt(70.0) if name == "cybership2" else 1.0
     waves = WaveModel.of_sea(8.5 / scale, WAVES.std)
@@ -102,7 +101,6 @@ def test_wave_motion_at_the_peak_period_is_taken_out(axis: int) -> None:
 
 
 def test_the_step_is_the_solution_of_the_differential_equations() -> None:
-    """Through a turn in waves the estimate follows a high-order integration of the equations."""
     observer = PassiveObserver(SHIP, TUNING, SAMPLE_S)
     K11, K12, K2, K3, K4 = TUNING.gains
     w0, lam = WAVES.omega0_radps, WAVES.damping

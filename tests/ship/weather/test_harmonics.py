@@ -47,7 +47,6 @@ def test_the_variance_of_every_realisation_is_the_integral_of_the_spectrum(seed:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_energy_lies_where_the_spectrum_has_it(seed: int) -> None:
-    """The share of harmonics below any frequency is the spectrum's share, within one harmonic."""
     omega = made(seed).omega
     for below in (0.5, 0.7, 0.8, 1.0, 1.5, 2.5):
         share = integral(BAND[0], below) / integral(*BAND)
@@ -55,7 +54,6 @@ def test_the_energy_lies_where_the_spectrum_has_it(seed: int) -> None:
 
 
 def test_a_given_variance_replaces_the_integral() -> None:
-    """A process can be asked to have an exact variance, whatever the truncation of its band."""
     found = draw_harmonics(density, BAND, COUNT, random_stream(0, "waves"), 0.25)
     assert COUNT * found.amplitude**2 / 2 == pytest.approx(0.25, rel=1e-14)
 
@@ -76,7 +74,6 @@ def test_the_factored_sum_is_the_sum(steps: int) -> None:
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_derivatives_are_those_of_the_sum(order: int) -> None:
-    """The derivative of each order is the central difference of the one below."""
     waves, t, h = made(2), np.linspace(0.0, 40.0, 9), 1e-4
     beside = waves.at(t, np.array([-h, h]), order - 1)
     # Truncation h²ω³a/6 ≈ 2e-8 m/s, cancellation 1e-16/h ≈ 1e-12.

@@ -65,7 +65,6 @@ def test_mean_forces_are_those_of_the_standard(dp: int, hull: Vessel) -> None:
 
 @pytest.mark.parametrize("dp", TABLE)
 def test_the_linear_damping_of_the_model_overstates_the_current(dp: int, hull: Vessel) -> None:
-    """With the current through D the sum beam-on is between the table and twice the table."""
     beam = mean_loads_kN(hull, dp)[1] + hull.D[1, 1] * CURRENT_MPS / 1000
     assert 1.0 < beam / TABLE[dp][3] < 2.0
 

@@ -103,7 +103,6 @@ def test_motion_lies_along_the_waves_with_the_given_amplitude() -> None:
 
 @pytest.mark.parametrize("to_rad", [0.4, -2.0, 3.1])
 def test_turning_the_sea_turns_the_motion(to_rad: float) -> None:
-    """Motion along and across, and its rates, turn with the waves; the heading's stays."""
     north, turned = (
         FirstOrderMotion(Sea(2.0, 8.5, angle), 0.6, 0.2, 0.01).table(np.linspace(0, 50, 9), 5)
         for angle in (0.0, to_rad)
@@ -116,7 +115,6 @@ def test_turning_the_sea_turns_the_motion(to_rad: float) -> None:
 
 @pytest.mark.slow
 def test_the_motion_along_the_waves_is_the_waters_own() -> None:
-    """On a crest the water moves with the waves at its fastest and its displacement is zero."""
     sea = Sea(2.0, 8.5, 0.0)
     waves = sea.harmonics(6)
     t = np.linspace(0.0, 600.0, 40_001)
@@ -129,7 +127,6 @@ def test_the_motion_along_the_waves_is_the_waters_own() -> None:
 
 
 def test_drift_and_motion_belong_to_the_same_waves() -> None:
-    """Of one seed, the envelope of the drift is the envelope of the motion."""
     t = np.linspace(0.0, 100.0, 21)
     motion = FirstOrderMotion(Sea(3.1, 8.5, 0.0), 1.0, 1.0).table(t, 8)
     envelope = WaveDrift(Sea(3.1, 8.5, 0.0)).envelope(t, NOW, 8)[:, 0]

@@ -23,7 +23,6 @@ def blowing(speed_mps: float, to_rad: float) -> Environment:
 
 @pytest.mark.parametrize(("come", "go"), [(0, 180), (90, -90), (180, 0), (270, 90), (405, -135)])
 def test_a_wind_from_one_side_goes_to_the_other(come: float, go: float) -> None:
-    """Compass degrees of origin become radians of destination, clockwise from north."""
     assert math.degrees(towards_rad(come)) == pytest.approx(go, abs=1e-12)
 
 
@@ -50,7 +49,6 @@ def test_wind_on_a_turned_moving_ship_is_the_force_of_fossen(
 
 
 def test_signs_are_those_a_sailor_expects(hull: Vessel, weather_force: Felt) -> None:
-    """Wind from ahead pushes back, from starboard to port, and on the bow it turns the bow away."""
     ahead, starboard, bow = (
         weather_force(hull, blowing(15.0, towards_rad(come_deg))) for come_deg in (0, 90, 45)
     )
@@ -74,7 +72,6 @@ def test_gusts_have_the_mean_and_variance_of_their_spectrum(
 
 
 def test_a_wind_without_gusts_is_steady() -> None:
-    """With gusts "none", or no wind at all, the speed is the mean speed at every instant."""
     t = 0.3 * np.arange(50)
     for wind in (Wind(12.0, 1.0, "none"), Wind(0.0, 1.0, "norsok")):
         np.testing.assert_array_equal(wind.speed(t, np.zeros(2), 0), wind.speed_mps)

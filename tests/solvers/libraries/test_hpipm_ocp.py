@@ -106,7 +106,6 @@ def assert_optimal(qp: QuadraticProgram, answer: Solution) -> None:
 @needs_casadi
 @pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
 def test_random_optimal_control_problems(policy: str) -> None:
-    """Answers and multipliers; what is not claimed is a stall, which it comes to now and then."""
     stalls = 0
     for seed in range(60):
         for qp, answer in answers(Staged(seed, 1 + seed % 4), policy):
@@ -120,7 +119,6 @@ def test_random_optimal_control_problems(policy: str) -> None:
 
 @needs_casadi
 def test_it_leaves_the_factorisation_of_piqp_alone() -> None:
-    """PIQP's BLASFEO has the names of HPIPM's: one that calls the other's corrupts memory."""
     program = """
 import numpy as np
 from dpbench import load_scenario, open_workspace, record_sequence
@@ -163,7 +161,6 @@ def assert_complete(stages: list[Stage], P: Matrix, A: Matrix, equal: Flags) -> 
 @pytest.mark.parametrize("coupling", [0.0, 0.01, 0.5])
 @pytest.mark.parametrize("seed", range(12))
 def test_stages_are_those_of_the_builder_and_lose_no_entry(seed: int, coupling: float) -> None:
-    """Rows in any order; with entries in places that fit no stage, there is a single one."""
     rng, qp = np.random.default_rng(seed), Staged(seed, 1 + seed % 6).base
     order = rng.permutation(qp.m)
     A, equal = qp.A[order], (qp.l == qp.u)[order]
@@ -175,7 +172,6 @@ def test_stages_are_those_of_the_builder_and_lose_no_entry(seed: int, coupling: 
 
 
 def test_sizes_that_do_not_fit_leave_a_single_stage() -> None:
-    """No sizes, a wrong sum, a state in the first stage, and a state that no row defines."""
     A, equal = np.array([[1.0, -1.0], [2.0, -1.0]]), np.array([True, True])
     for sizes in ([], [(0, 1)], [(1, 0), (1, 0)], [(0, 1), (1, 0)]):
         stages = split_stages(sizes, np.eye(2), A, equal if sizes != [(0, 1), (1, 0)] else ~equal)

@@ -36,7 +36,6 @@ def answers(workspace, base, steps):
 
 @pytest.mark.parametrize("solver", WARM)
 def test_a_warm_start_makes_a_difference(solver, sequence):
-    """Where the table offers `warm`, steps solved twice take another number of iterations."""
     base = replace(sequence.base, block=0)
     steps = [step for step in sequence.steps[:3] for _ in range(2)]
     counts = {
@@ -73,7 +72,6 @@ STATELESS = {
 
 @pytest.mark.parametrize("solver", sorted(STATELESS))
 def test_what_a_kept_workspace_carries_on_is_what_the_table_says(solver, sequence):
-    """With what `keeps` names switched off, reuse gives bit for bit what fresh gives; else not."""
     assert TABLE[solver].on("native").keeps
     for settings, same in ((STATELESS[solver], True), ("default", False)):
         kept = answers(opened(solver, "reuse", settings), sequence.base, sequence.steps)
@@ -84,7 +82,6 @@ def test_what_a_kept_workspace_carries_on_is_what_the_table_says(solver, sequenc
 
 @pytest.mark.parametrize("solver", HERE)
 def test_limits_that_cross_are_never_solved(solver, sequence):
-    """Limits that cross have no answer, at setup or later, but for the faults in the table."""
     blind = "solved despite limits that cross" in TABLE[solver].on("native").faults
     base, step = sequence.base, sequence.steps[0]
     low = step.l.copy()
@@ -110,7 +107,6 @@ CALLS.append(("qpsolvers", "_run_solver"))
 @pytest.mark.parametrize(("route", "method"), CALLS)
 @pytest.mark.parametrize("error", [KeyError("x"), ValueError("y"), Panic("z"), KeyboardInterrupt()])
 def test_what_a_library_raises_is_an_answer(monkeypatch, sequence, route, method, error):
-    """Whatever a library raises becomes the status ERROR with its words; an interrupt passes."""
     workspace = open_workspace("osqp", route=route, policy="warm")
     workspace.setup(sequence.base)
 
@@ -139,7 +135,6 @@ def test_what_a_library_raises_is_an_answer(monkeypatch, sequence, route, method
     ("solver", "route"), [*((name, "native") for name in HERE), ("daqp", "qpsolvers")]
 )
 def test_use_before_setup_is_a_persons_mistake(solver, route, sequence):
-    """Update and read before setup raise, with the remedy."""
     workspace = open_workspace(solver, route=route)
     with pytest.raises(DpbenchError, match="call setup"):
         workspace.update(sequence.steps[0])
@@ -149,7 +144,6 @@ def test_use_before_setup_is_a_persons_mistake(solver, route, sequence):
 
 @pytest.mark.parametrize("solver", HERE)
 def test_a_workspace_may_be_set_up_for_another_size(solver, sequence):
-    """Setting up again, for a problem of another size, starts from nothing."""
     workspace = opened(solver, settings="high")
     answers(workspace, sequence.base, sequence.steps[:2])
     eye = np.eye(2)
@@ -180,7 +174,6 @@ def test_rows_that_become_equalities_are_solved_as_such(solver):
 
 
 def test_arrays_given_before_are_known_and_new_ones_are_taken(sequence):
-    """A set-up with the same arrays, equal ones, and others after a step with its own matrices."""
     workspace = open_workspace("piqp", route="native", policy="fresh", settings="high")
     base, other = sequence.base, replace(sequence.base, P=2.0 * sequence.base.P)
     step = QPStep(base.q, base.l, base.u, P=other.P)
@@ -217,7 +210,6 @@ LIMITED = [
 
 @pytest.mark.parametrize(("solver", "route", "policy"), LIMITED)
 def test_a_time_limit_that_is_not_met_changes_no_bit(solver, route, policy, sequence):
-    """Answers, iterations and statuses are those without a limit."""
     found = (
         sequence.answers(open_workspace(solver, route=route, policy=policy, step_limit_s=limit))
         for limit in (60.0, None)
@@ -231,7 +223,6 @@ def test_a_time_limit_that_is_not_met_changes_no_bit(solver, route, policy, sequ
     "solver", sorted({name for name, route, _ in LIMITED if route == "native"})
 )
 def test_a_time_limit_is_one_of_each_solve(solver, sequence):
-    """Solves that take longer than it together, and no single one, are all solved."""
     limit_s, policy = 0.2, opened(solver).policy
     workspace = open_workspace(solver, route="native", policy=policy, step_limit_s=limit_s)
     workspace.setup(sequence.base)

@@ -21,7 +21,6 @@ THROUGH = [name for name in THROUGH_QPSOLVERS if check_availability(name).ok]
 
 @pytest.mark.parametrize("solver", THROUGH)
 def test_warm_is_offered_where_a_start_matters_and_only_there(solver, sequence):
-    """A start changes something if and only if the table offers the policy `warm`."""
     adapter = THROUGH_QPSOLVERS[solver]
     row = adapter.record
     name = adapter.qpsolvers_key
@@ -69,7 +68,6 @@ ON_REQUEST = {name for name in TABLE if name.startswith(("piqp", "proxqp"))}
 
 @pytest.mark.slow
 def test_self_reported_time_is_in_nanoseconds(installed, sequence):
-    """A library's own time lies within the clock's and is no less than a microsecond."""
     workspace = open_workspace(
         installed, settings={"compute_timings": True} if installed in ON_REQUEST else {}
     )
@@ -89,7 +87,6 @@ STATUS_DROPPED = {"daqp", "highs", "jaxopt", "pyqpmad", "qpax", "quadprog"}
 
 @pytest.mark.parametrize("solver", sorted({*THROUGH} - STATUS_DROPPED))
 def test_iteration_limits_show_as_such(solver, sequence):
-    """A library stopped by its iteration limit reports it, and its iterate is passed on."""
     key = Configuration(solver, "qpsolvers", "fresh").limit_key
     workspace = open_workspace(solver, settings={key: 1 if solver == "proxqp" else 2})
     answer = solve_qp(workspace, sequence.base)

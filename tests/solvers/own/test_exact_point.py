@@ -26,7 +26,6 @@ def bound_of(qp, z, y, y_box):
 @pytest.mark.slow
 @given(st.sampled_from(["plain", "equal", "free", "infinite_bounds"]), st.integers(1, 10**6))
 def test_an_optimum_is_bounded_to_rounding(family, seed):
-    """At the planted optimum the bound is rounding; it holds where the answer is moved off it."""
     found = plant_sequence(RandomRecipe(family, 5, 8, seed=seed, steps=1))
     qp = found.sequence.problem(0)
     z, y, y_box = found.z[0], found.y[0], found.y_box[0]
@@ -60,7 +59,6 @@ def test_a_multiplier_of_a_limit_there_is_not_proves_nothing():
 
 
 def test_more_equations_than_exact_arithmetic_has_time_for_are_not_judged():
-    """NaN is neither a bound nor the finding that no point exists."""
     n = LARGEST + 1
     none = np.full(n, INF)
     qp = QuadraticProgram(np.eye(n), -2.0 * np.ones(n), np.zeros((0, n)), [], [], -none, np.ones(n))
@@ -70,14 +68,12 @@ def test_more_equations_than_exact_arithmetic_has_time_for_are_not_judged():
 
 @pytest.mark.parametrize(("angle", "regular"), [(1.0, True), (1e-3, True), (1e-5, False)])
 def test_limits_are_regular_if_they_meet_at_an_angle(angle, regular):
-    """Two borders through the origin; a third that is far away does not count."""
     A = np.array([[1.0, 0.0], [np.cos(angle), np.sin(angle)], [1.0, 1.0]])
     qp = unlimited(np.eye(2), np.ones(2), A, [-INF] * 3, [0.0, 0.0, 1.0])
     assert is_regular_vertex(JointQP.of(qp), np.zeros(2)) is regular
 
 
 def test_more_limits_than_variables_are_not_regular():
-    """Three borders through one point of the plane."""
     assert not is_regular_vertex(JointQP.of(lines(2.0)), np.ones(2))
     assert is_regular_vertex(JointQP.of(lines(3.0)), np.ones(2))
 

@@ -43,7 +43,6 @@ def one_sided(seed):
 
 @pytest.mark.parametrize("sweeps", [1, 2, 7, 38])
 def test_its_iterates_are_those_of_the_textbook(sweeps):
-    """With upper limits only, sweep by sweep it is the textbook's procedure."""
     for seed in range(10):
         qp = one_sided(seed)
         expected = textbook(qp.P, qp.q, qp.A, qp.u, sweeps)
@@ -79,7 +78,6 @@ def test_the_ladder_keeps_what_it_promises(sequence, settings, tolerance):
 
 
 def test_a_start_from_the_previous_multipliers_saves_sweeps():
-    """On a slowly varying problem `warm` takes fewer sweeps than `reuse`, to the same answer."""
     qp = one_sided(3)
     sweeps = {}
     for policy in ("reuse", "warm"):
@@ -95,7 +93,6 @@ def test_a_start_from_the_previous_multipliers_saves_sweeps():
 
 
 def test_the_multipliers_move_on_by_one_move():
-    """Multipliers that came one move nearer are right at once: the first sweep changes nothing."""
     q = np.array([0.0, 0.0, -3.0, 0.0])
     qp = QuadraticProgram(np.eye(4), q, np.zeros((0, 4)), [], [], -np.ones(4), np.ones(4), 1)
     workspace = open_workspace("hildreth", policy="warm")
@@ -106,7 +103,6 @@ def test_the_multipliers_move_on_by_one_move():
 
 
 def test_multipliers_without_end_are_a_proof():
-    """On contradicting limits the multipliers grow along a ray that the referee accepts."""
     qp = QuadraticProgram(
         [[2.0, 0.5], [0.5, 1.0]], [-2, -6], [[1, 1], [1, -1]], [3, -9], [4, 9], [-1, -1], [1, 1]
     )
@@ -119,7 +115,6 @@ def test_multipliers_without_end_are_a_proof():
 
 
 def test_a_row_of_zeros_that_asks_for_more_is_infeasible():
-    """No multiplier can move a row of zeros: it is its own proof."""
     qp = QuadraticProgram(np.eye(2), [1, 1], [[0, 0]], [1], [2], [-1, -1], [1, 1])
     answer = hildreth(qp)
     assert answer.status is Status.PRIMAL_INFEASIBLE
@@ -136,14 +131,12 @@ def test_a_row_of_zeros_that_asks_for_more_is_infeasible():
     ],
 )
 def test_settings_it_does_not_know_are_refused(settings, words):
-    """An unknown key or an impossible value is refused with what is allowed."""
     with pytest.raises(SettingsError, match=words):
         open_workspace("hildreth", settings=settings)
 
 
 @pytest.mark.parametrize("policy", ["fresh", "reuse"])
 def test_the_baseline_law_minimises_the_cost_and_claims_nothing(sequence, policy):
-    """Its answer makes the gradient vanish, whatever the limits; status UNKNOWN, no multipliers."""
     workspace = open_workspace("unconstrained_clipped", policy=policy)
     workspace.setup(sequence.base)
     for step in sequence.steps:
@@ -156,7 +149,6 @@ def test_the_baseline_law_minimises_the_cost_and_claims_nothing(sequence, policy
 
 
 def test_new_matrices_of_the_baseline_law_are_factorised_again(sequence):
-    """A step that brings another P is solved with it, and so is the step after it."""
     workspace = open_workspace("unconstrained_clipped", policy="reuse")
     workspace.setup(sequence.base)
     first, second = sequence.steps[:2]
@@ -166,7 +158,6 @@ def test_new_matrices_of_the_baseline_law_are_factorised_again(sequence):
 
 
 def test_a_cost_without_a_minimum_is_an_error():
-    """A P that is not positive definite gives ERROR and no answer."""
     workspace = open_workspace("unconstrained_clipped")
     eye = np.eye(2)
     answer = solve_qp(
