@@ -113,11 +113,6 @@ class MeanEstimate:
         return 3.0 / skew * (math.cbrt(1.0 + skew * (quantile - skew / 6)) - 1.0)
 
 
-def is_rounding(spread: float, size: float) -> bool:
-    """Return whether a spread is only rounding error of values of magnitude `size`."""
-    return spread <= 1e-12 * size
-
-
 def adjust_holm(p: Floats) -> Floats:
     """Adjust p-values for multiple tests by Holm's step-down Bonferroni method (1979)."""
     order = np.argsort(p, kind="stable")
@@ -151,7 +146,7 @@ def estimate_mean(values: Floats) -> MeanEstimate:
         return MeanEstimate(mean)
     away = np.array([part.mean() for part in np.array_split(values, PARTS)]) - mean
     squares = float(away @ away)
-    if is_rounding(math.sqrt(squares), size):
+    if math.sqrt(squares) <= 1e-12 * size:  # nothing but rounding
         return MeanEstimate(mean, 0.0, PARTS - 1)
     correlation = float(away[1:] @ away[:-1]) / squares + 2.0 / PARTS
     correlation = min(max(correlation, 0.0), LARGEST_CORRELATION)

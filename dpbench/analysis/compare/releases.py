@@ -84,10 +84,6 @@ class History:
         """Return the p50 step time of version i over that of the one before; NaN for the first."""
         return self.releases[i].p50 / self.releases[i - 1].p50 if i else math.nan
 
-    def load_change(self, i: int) -> float:
-        """Return the load-sensing speed test's time with version i over that with the previous."""
-        return self.releases[i].load_ns / self.releases[i - 1].load_ns if i else math.nan
-
     @property
     def whole_change(self) -> float:
         """Ratio of p50 step times, the newest version over the oldest; NaN if untimed."""

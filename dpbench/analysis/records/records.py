@@ -20,7 +20,6 @@ from dpbench.bench.judge.rules import is_ranked
 from dpbench.bench.record.configuration import COMMON_FORMULATION
 from dpbench.bench.record.recorded_steps import ALL_COLUMNS, row_ranges_by_run
 from dpbench.bench.record.result_folder import Results
-from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.scenario.scenario import Scenario, build_scenario
 from dpbench.solvers.calibration import CALIBRATION
 
@@ -113,21 +112,6 @@ class Records:
         loops = self.select(mode="closed_loop", scenario=scenario)
         return max((run.steps_planned for run in loops), default=0)
 
-    def count_scenario_steps(self, scenario: str) -> int:
-        """Return the number of steps of a whole scenario, run or not."""
-        carried = self.scenario(scenario)
-        return self.count_planned_steps(scenario) if carried is None else carried.steps
-
-    def select_full_loops(self, scenario: str) -> list[RunRecord]:
-        """Return a scenario's full-length closed loops with default settings and scaled QPs."""
-        return self.select(
-            mode="closed_loop",
-            scenario=scenario,
-            settings="default",
-            units="scaled",
-            steps_planned=self.count_planned_steps(scenario),
-        )
-
     @cached_property
     def sequences(self) -> list[str]:
         """Names of the replayed QP sequences in the order of the suite."""
@@ -167,20 +151,12 @@ class Records:
             self._delays |= dict(delays_by_run(table))
         return {run.run_id: self._delays[run.run_id] for run in runs if run.run_id in self._delays}
 
-    @cached_property
-    def _documents_by_scenario(self) -> dict[str, ScenarioDocuments]:
-        """Recorded definition (scenario and vessel documents) of each scenario, by its name."""
-        return {
-            run.scenario: files
-            for run in reversed(self.runs)
-            if (files := run.scenario_files) is not None
-        }
-
     def scenario(self, name: str) -> Scenario | None:
         """Build the named scenario from its recorded documents; None without them."""
         if name not in self._scenarios:
-            carried = self._documents_by_scenario.get(name)
-            self._scenarios[name] = None if carried is None else build_scenario(carried)
+            carried = (run.scenario_files for run in self.runs if run.scenario == name)
+            files = next(filter(None, carried), None)
+            self._scenarios[name] = None if files is None else build_scenario(files)
         return self._scenarios[name]
 
 

@@ -134,15 +134,6 @@ class RunSteps:
         return RunSteps(**{n: getattr(self, n)[places] for n in arrays}, rounds=self.rounds)
 
 
-@dataclass(frozen=True)
-class HardStep:
-    """One of a run's steps that are largest in time [ns], iterations or error, with its index."""
-
-    measure: Measure
-    value: float
-    at: int
-
-
 def run_steps(counting: CountingRows) -> Iterator[tuple[str, RunSteps]]:
     """Yield each run's id and its steps merged over repetitions, in table order."""
     for run_id in counting.bounds:
@@ -173,16 +164,15 @@ def _merge_rounds(rows: CountingRows) -> RunSteps:
     )
 
 
-def find_hardest_steps(run: RunSteps, measure: Measure, count: int = 5) -> list[HardStep]:
-    """Return a run's steps with the largest time, iterations or error, hardest first."""
+def find_hardest_steps(run: RunSteps, measure: Measure, count: int = 5) -> Ints:
+    """Return the indices of a run's steps of largest time, iterations or error, hardest first."""
     values = run.values(measure)
     there = np.flatnonzero(~np.isnan(values))
     if len(there) > count:
         # Only those that reach the least of the hardest have to be put in order.
         least = np.partition(values[there], -count)[-count]
         there = there[values[there] >= least]
-    order = there[np.argsort(-values[there], kind="stable")][:count]
-    return [HardStep(measure, float(values[i]), int(i)) for i in order]
+    return there[np.argsort(-values[there], kind="stable")][:count]
 
 
 def _reduce_by_step(choose: np.ufunc, at: Ints, count: int, values: Floats) -> Floats:

@@ -36,6 +36,12 @@ class HardRow(NamedTuple):
     true: bool
     n_active: int
 
+    @classmethod
+    def of(cls, run: RunSteps, measure: Measure, i: int) -> HardRow:
+        """Return step `i` of a run, hard by one measure."""
+        answer = str(run.status[i]), bool(run.claimed[i]), bool(run.true[i]), int(run.n_active[i])
+        return cls(int(run.k[i]), float(run.values(measure)[i]), *answer)
+
 
 @dataclass(frozen=True, eq=False)
 class ThinnedRun:
@@ -58,21 +64,12 @@ class ThinnedRun:
     def of(cls, run: RunSteps, most: int, track: Track | None = None) -> ThinnedRun:
         """Thin a run to about `most` steps: every n-th one and the hardest."""
         chosen, extra = thinned_indices(run, most)
-        hard = {measure: _hard_rows(run, measure) for measure in MEASURES}
+        hard = {
+            measure: [HardRow.of(run, measure, int(i)) for i in find_hardest_steps(run, measure)]
+            for measure in MEASURES
+        }
         is_whole = len(chosen) == len(run.k)
         return cls(run.at(chosen), extra, int(run.k[-1]), is_whole, hard, track)
-
-
-def _hard_rows(run: RunSteps, measure: Measure) -> list[HardRow]:
-    """Return a run's steps with the largest time, iterations or error, as table rows."""
-    rows = []
-    for hard in find_hardest_steps(run, measure):
-        i = hard.at
-        flags = bool(run.claimed[i]), bool(run.true[i])
-        rows.append(
-            HardRow(int(run.k[i]), hard.value, str(run.status[i]), *flags, int(run.n_active[i]))
-        )
-    return rows
 
 
 def thin_track(steps: pd.DataFrame, limits: Floats, most: int) -> Track:
@@ -116,8 +113,8 @@ def thinned_indices(run: RunSteps, most: int) -> tuple[Ints, Flags]:
     worst = min(WORST, most // 3)
     each = max(1, worst // len(MEASURES))
     regular = np.arange(0, count, -(-count // max(1, most - worst)))
-    hard = [step.at for measure in MEASURES for step in find_hardest_steps(run, measure, each)]
-    both = np.union1d(regular, np.array(hard, dtype=np.int64))
+    hard = [find_hardest_steps(run, measure, each) for measure in MEASURES]
+    both = np.union1d(regular, np.concatenate(hard))
     return both, ~np.isin(both, regular)
 
 

@@ -63,9 +63,10 @@ def _worst_by_measure(run: RunRecord, steps: RunSteps) -> dict[Measure, WorstSte
     """Return one run's step of largest error, of largest time, and of most iterations."""
     worst: dict[Measure, WorstStep] = {}
     for measure in MEASURES:
-        for hard in find_hardest_steps(steps, measure, 1):
-            alone, usual = steps.at(np.array([hard.at])), median_known(steps.values(measure))
-            worst[measure] = WorstStep(measure, run, alone, hard.value, usual)
+        at, values = find_hardest_steps(steps, measure, 1), steps.values(measure)
+        if len(at):
+            value, usual = float(values[at[0]]), median_known(values)
+            worst[measure] = WorstStep(measure, run, steps.at(at), value, usual)
     return worst
 
 

@@ -42,12 +42,15 @@ class LawPair:
 
 def find_laws(view: Records, scenario: str) -> LawPair:
     """Find a scenario's complete runs of the MPC law and of the clipped unconstrained law."""
-    loops = [r for r in view.select_full_loops(scenario) if r.has_steps and r.outcome == "finished"]
+    planned, carried = view.count_planned_steps(scenario), view.scenario(scenario)
+    usual = {"mode": "closed_loop", "settings": "default", "units": "scaled"}
+    full = view.select(scenario=scenario, steps_planned=planned, **usual)
+    loops = [row for row in full if row.has_steps and row.outcome == "finished"]
     solved = [row for row in loops if not row.is_baseline_law and row.policy == "fresh"]
     off_m = {row: np.nan_to_num(row.dev_position_max_m, nan=np.inf) for row in solved}
     best = min(solved, key=lambda row: (off_m[row], row.solver), default=None)
     clipped = next((row for row in loops if row.is_baseline_law), None)
-    return LawPair(best, clipped, view.count_scenario_steps(scenario))
+    return LawPair(best, clipped, planned if carried is None else carried.steps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +179,11 @@ def assess_claim(records: Records, scenario: str, by: str) -> ClaimFinding:
     if by == "circle":
         values["entered_s"] = find_circle_entry_s(records, runs[0])
     if by == "steady":
-        values["alike"] = _is_equal_at_rest(records, *runs)
+        # Whether both end with equal errors, as no limit is active.
+        two = [run.r_tail_max_m for run in runs]
+        active = records.steps(runs[0])["n_active"].to_numpy()
+        is_free = not active[len(active) // 2 :].any()
+        values["alike"] = abs(two[0] - two[1]) <= SAME * max(two) and is_free
     return ClaimFinding(by, _claim_state(by, *runs), values)
 
 
@@ -200,10 +207,3 @@ def find_circle_entry_s(records: Records, run: RunRecord) -> float:
         return 0.0
     last = int(outside[-1])
     return np.inf if last == len(steps) - 1 else float(steps["t_s"].iloc[last + 1])
-
-
-def _is_equal_at_rest(records: Records, run: RunRecord, law: RunRecord) -> bool:
-    """Return whether MPC and clipped law end with equal errors, as no limit is active."""
-    two = run.r_tail_max_m, law.r_tail_max_m
-    active = records.steps(run)["n_active"].to_numpy()
-    return abs(two[0] - two[1]) <= SAME * max(two) and not active[len(active) // 2 :].any()

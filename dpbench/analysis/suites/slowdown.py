@@ -1,7 +1,6 @@
 """Closed loops on slow computers, gathered: which slow-down each solver survives."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
 
@@ -38,17 +37,15 @@ class DelayedGroup:
 def delayed_groups(records: Records) -> list[DelayedGroup]:
     """Group the closed loops on simulated slow computers by scenario."""
     groups = group_by(records.delayed, lambda r: (r.scenario, r.steps_planned, r.deadline_s))
-    return [DelayedGroup(*key, _group_by_configuration(runs)) for key, runs in groups.items()]
-
-
-def _group_by_configuration(runs: Sequence[RunRecord]) -> tuple[DelayedConfiguration, ...]:
-    """Group closed loops on slow computers by configuration; most slow-down survived first."""
-    rising = sorted(runs, key=lambda run: run.slowdown)
-    delayed = [
-        DelayedConfiguration(configuration, {run.slowdown: run for run in loops})
-        for configuration, loops in group_by(rising, lambda run: run.configuration).items()
-    ]
-    return tuple(sorted(delayed, key=_survival_key))
+    delayed = []
+    for key, runs in groups.items():
+        rising = sorted(runs, key=lambda run: run.slowdown)
+        configurations = [
+            DelayedConfiguration(configuration, {run.slowdown: run for run in loops})
+            for configuration, loops in group_by(rising, lambda run: run.configuration).items()
+        ]
+        delayed.append(DelayedGroup(*key, tuple(sorted(configurations, key=_survival_key))))
+    return delayed
 
 
 def _survival_key(configuration: DelayedConfiguration) -> tuple[float, float, str]:

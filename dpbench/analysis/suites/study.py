@@ -311,12 +311,6 @@ class Study:
             loosest[solver] = max(cheap, key=itemgetter(0))[1] if cheap else None
         return loosest
 
-    def held_map(self, configuration: str) -> pd.DataFrame:
-        """Tabulate a configuration's runs, and share with position held, at each study point."""
-        runs = self.runs[self.runs["configuration"] == configuration]
-        held = runs.groupby("point")["held"].agg(runs="count", held="mean")
-        return self.points.join(held, how="inner")
-
 
 def find_studies(records: Records) -> list[Study]:
     """Return all studies of a result folder: solvers over many parameter points and seas."""

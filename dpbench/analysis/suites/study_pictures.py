@@ -33,7 +33,9 @@ def held_maps(study: Study) -> pd.DataFrame:
     names = list(columns.values())
     tables = []
     for configuration in [study.configurations[0], *ordered]:
-        table = study.held_map(configuration.name).rename(columns=columns)
+        runs = study.runs[study.runs["configuration"] == configuration.name]
+        held = runs.groupby("point")["held"].agg(runs="count", held="mean")
+        table = study.points.join(held, how="inner").rename(columns=columns)
         part = table[[*names, "held", "runs"]]
         if not has_point_per_tile(study):
             part = part.assign(**{name: _bin_centres(part[name]) for name in names})

@@ -8,6 +8,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from dpbench.analysis.records.run_record import group_by
 from dpbench.analysis.verdict.findings import STATES
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
@@ -25,16 +27,10 @@ def fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
     return sorted(
         verdicts,
         key=lambda v: (
-            _finite_or_inf(v.p99_ns),
-            _finite_or_inf(v.algo_max_ns),
+            *np.nan_to_num((v.p99_ns, v.algo_max_ns), nan=math.inf).tolist(),
             v.configuration.solver,
         ),
     )
-
-
-def _finite_or_inf(time_ns: float) -> float:
-    """Return a time [ns], infinity for NaN, so that missing times sort last."""
-    return time_ns if math.isfinite(time_ns) else math.inf
 
 
 def rank_configurations(verdicts: Verdicts) -> list[Verdict]:

@@ -48,11 +48,6 @@ class Experiment:
         return cls(run.mode, name, run.units, slowdown, formulation)
 
     @property
-    def order(self) -> tuple[bool, bool, bool]:
-        """Sort key: closed loops before replays, problems in SI units after both, studies last."""
-        return self.study != "", self.mode == "replay", self.units == "si"
-
-    @property
     def label(self) -> str:
         """Name of the scenario, replay or study realisation on the report page."""
         if self.study:
@@ -104,7 +99,10 @@ class RunMatrix:
         known = dict.fromkeys(
             [*(experiment for _, experiment in runs), *map(Experiment.of, studied)]
         )
-        experiments = sorted(known, key=lambda experiment: experiment.order)
+        # Closed loops before replays, problems in SI units after both, studies last.
+        experiments = sorted(
+            known, key=lambda e: (e.study != "", e.mode == "replay", e.units == "si")
+        )
         numbers = {experiment: p for p, experiment in enumerate(experiments)}
         matrix = cls(records, verdicts.requirements, verdicts, configurations, experiments)
         for (configuration, experiment), run in runs.items():

@@ -29,32 +29,15 @@ class ThrusterVerdicts:
     with_thrusters: dict[str, State]
     faults: dict[str, Fault]
 
-    @property
-    def passing(self) -> list[str]:
-        """Names of the solvers that pass where the MPC commands thrusters."""
-        return [name for name, state in self.with_thrusters.items() if state == "pass"]
-
-    @property
-    def undecided(self) -> list[str]:
-        """Names of solvers inconclusive or borderline where the MPC commands thrusters."""
-        unclear = ("borderline", "inconclusive")
-        return [name for name, state in self.with_thrusters.items() if state in unclear]
+    def names(self, *states: State) -> list[str]:
+        """Return the solvers with one of these verdicts where the MPC commands thrusters."""
+        return [name for name, state in self.with_thrusters.items() if state in states]
 
     @property
     def passing_with_forces(self) -> list[str]:
         """Names of solvers that pass with three forces and were also judged with thrusters."""
         known = self.with_thrusters
         return [s for s, state in self.with_forces.items() if state == "pass" and s in known]
-
-    @property
-    def passing_with_forces_only(self) -> list[str]:
-        """Names of solvers that pass with three forces, and fail or are late with thrusters."""
-        return [s for s in self.passing_with_forces if self.with_thrusters[s] in MISSED]
-
-    @property
-    def failing(self) -> list[str]:
-        """Names of the solvers that fail or are late where the MPC commands thrusters."""
-        return [name for name, state in self.with_thrusters.items() if state in MISSED]
 
 
 def is_about_thrusters(records: Records) -> bool:

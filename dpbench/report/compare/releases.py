@@ -202,7 +202,9 @@ def _version_rows(history: History, histories: Histories) -> list[dict[str, str]
             else and_list(list(release.runs)),
             f"p50{unit}": _format_time(release.p50, histories),
             BEFORE[0]: significant(history.change(i)),
-            BEFORE[1]: significant(history.load_change(i)),
+            BEFORE[1]: significant(release.load_ns / history.releases[i - 1].load_ns)
+            if i
+            else MISSING,
             f"p99{unit}": _format_time(release.p99, histories),
             f"largest step{unit}": _format_time(release.largest, histories),
             "largest error": error_text(release.error_move),

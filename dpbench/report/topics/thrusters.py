@@ -18,6 +18,7 @@ from dpbench.analysis.suites.consequence import (
     largest_share,
 )
 from dpbench.analysis.verdict.fastest import choose_solver
+from dpbench.analysis.verdict.findings import MISSED
 from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
 from dpbench.analysis.verdict.thruster_verdicts import (
     ThrusterVerdicts,
@@ -149,14 +150,16 @@ def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
     """State which solvers pass if the MPC commands three forces, but not with thrusters."""
     before = commanded.passing_with_forces
     if not before:
-        fine, run = len(commanded.passing), len(commanded.with_thrusters)
+        fine, run = len(commanded.names("pass")), len(commanded.with_thrusters)
         wording = [f"{fine} of {plural(run, 'solver')} {'passes' if fine == 1 else 'pass'}"]
         wording = wording if fine else ["no solver that was run is known to pass"]
-        missing, unknown = commanded.failing, commanded.undecided
+        missing = commanded.names(*MISSED)
+        unknown = commanded.names("borderline", "inconclusive")
         wording += [f"not so: {_group_by_fault(commanded, missing)}"] if missing else []
         wording += [f"inconclusive: {and_list(unknown)}"] if unknown else []
         return f"{wording[0].capitalize()}{'; '.join(['', *wording[1:]])}."
-    lost, where = commanded.passing_with_forces_only, and_list(list(commanded.forces))
+    missed, where = commanded.names(*MISSED), and_list(list(commanded.forces))
+    lost = [solver for solver in before if solver in missed]
     verb = "passes" if len(before) == 1 else "pass"
     head = f"Of {plural(len(before), 'solver')} that {verb} with three forces ({where})"
     if not lost:

@@ -17,6 +17,7 @@ from dpbench.analysis.suites.study import (
     mean_over_points,
     paired_difference,
 )
+from dpbench.analysis.suites.study_pictures import held_maps
 
 LOST = math.nan
 
@@ -230,9 +231,9 @@ def test_the_figures_of_a_configuration() -> None:
     assert law.error_excess_m is not None and law.error_excess_m.pairs == 1
     assert (study.replicates, study.realisations) == (2, 2)
     assert study.points["hs_m"].to_dict() == {0: 0.0, 1: 1.0}
-    held = study.held_map("osqp")
-    assert held["runs"].to_list() == [2, 2] and held["held"].to_list() == [1.0, 0.0]
-    assert study.held_map("law")["runs"].to_dict() == {0: 1}
+    maps = held_maps(study)
+    assert maps["configuration"].tolist() == ["osqp", "osqp", "law"]
+    assert maps["runs"].tolist() == [2, 2, 1] and maps["held"].tolist() == [1.0, 0.0, 1.0]
 
 
 @pytest.mark.parametrize(

@@ -57,19 +57,6 @@ def test_the_label_of_an_experiment(experiment: Experiment, label: str) -> None:
     assert experiment.label == label
 
 
-def test_experiments_are_in_the_order_of_their_kind() -> None:
-    ordered = [
-        Experiment("closed_loop", "z", "scaled"),
-        Experiment("closed_loop", "y", "si"),
-        Experiment("replay", "x", "scaled"),
-        Experiment("replay", "w", "si"),
-        Experiment("closed_loop", "b", "scaled", study="a"),
-        Experiment("replay", "a", "scaled", study="a"),
-    ]
-    backwards = ordered[::-1]
-    assert sorted(backwards, key=lambda experiment: experiment.order) == ordered
-
-
 def test_the_experiment_of_each_kind_of_run(records: Any) -> None:
     records.loop("daqp")
     records.loop("daqp", slowdown=0.5)

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from dpbench.analysis.verdict.findings import MISSED
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.thruster_verdicts import (
     ThrusterVerdicts,
@@ -54,11 +55,10 @@ def test_who_passes_with_thrusters_and_with_forces() -> None:
         },
         {},
     )
-    assert verdicts.passing == ["a", "c"]
-    assert verdicts.undecided == ["d", "e"]
-    assert verdicts.failing == ["b", "f"]
+    assert verdicts.names("pass") == ["a", "c"]
+    assert verdicts.names("borderline", "inconclusive") == ["d", "e"]
+    assert verdicts.names(*MISSED) == ["b", "f"]
     assert verdicts.passing_with_forces == ["a", "b", "d"]
-    assert verdicts.passing_with_forces_only == ["b"]
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_the_best_outcome_of_a_solver_counts(records: Any) -> None:
     }
     assert found.with_thrusters == {"daqp": "pass", "piqp": "late", "scs": "fail"}
     assert found.faults == {"piqp": "too late", "scs": "wrong"}
-    assert (found.passing, found.passing_with_forces_only) == (["daqp"], ["piqp"])
+    assert found.names("pass") == ["daqp"]
 
 
 @pytest.mark.parametrize(

@@ -219,7 +219,7 @@ def test_a_thinned_run_keeps_its_hardest_and_a_regular_part(most: int) -> None:
     assert len(chosen) <= most + 1 and np.all(np.diff(chosen) > 0)
     assert len(set(np.diff(chosen[~extra]))) == 1
     for measure in MEASURES:
-        assert {hard.at for hard in find_hardest_steps(run, measure, 5)} <= set(chosen.tolist())
+        assert {*find_hardest_steps(run, measure, 5).tolist()} <= set(chosen.tolist())
 
 
 def test_left_out_steps_are_missing_in_the_block() -> None:
