@@ -31,7 +31,7 @@ from dpbench.scenario.problem_files import (
 from dpbench.scenario.tables.scenario_file import ScenarioFile
 from dpbench.scenario.tables.vessel_file import VesselFile
 from dpbench.ship.actuators import Actuators, CommandedThrusters
-from dpbench.ship.environment import Environment
+from dpbench.ship.environment import Current, Environment
 from dpbench.ship.estimation.estimator import Estimator
 from dpbench.ship.froude import Froude
 from dpbench.ship.vessel import Vessel
@@ -194,6 +194,9 @@ def build_scenario(
         plant.mass_percent, plant.damping_percent
     )
     environment = spec.environment.build_environment(scale)
+    if vessel.drag is not None and environment.current is None:
+        # Drag acts on the velocity through the water, which a current at rest puts into the tables.
+        environment = replace(environment, current=Current(0.0, 0.0))
     made_from = ControllerSpec(spec, vessel, sample_s, scale, where)
     controller = CONTROLLERS[spec.controller.kind](made_from)
     # An error before anything runs: wind and drift need data of the hull.

@@ -85,7 +85,7 @@ def mean_load(vessel: Vessel, weather: Environment, heading_rad: float = 0.0) ->
     if weather.current is not None:
         towards = weather.current.to_rad - heading_rad
         flow = np.array([np.cos(towards), np.sin(towards), 0.0])
-        load = load + weather.current.speed_mps * vessel.D @ flow
+        load = load - vessel.damping_force(-weather.current.speed_mps * flow)
     return load
 
 

@@ -3,7 +3,8 @@
     η̇ = R(ψ) ν,      M ν̇ + D ν = τ + R(ψ)ᵀ b(t)        (paper eq. 3-4, b in the NED frame)
 
 In wind, current or wave drift the damping acts on the velocity through the water, D (ν − ν_c), and
-the loads of `wind` and `waves` join the force. State (6,) = [u, v, r, n, e, ψ] in m/s, m/s, rad/s,
+the loads of `wind` and `waves` join the force. A vessel with drag meets that of `drag` in place of
+D (ν − ν_c). State (6,) = [u, v, r, n, e, ψ] in m/s, m/s, rad/s,
 m, m, rad; ψ is never wrapped here. The force τ is held over the sample; the weather is read at the
 stage times from a table (`Environment.stage_table`).
 
@@ -17,7 +18,7 @@ State s and the rows b of a stage table are laid out as `layout` says:
     sub-step 0     k1   k2 k3    k4
     sub-step 1                   k1   k2 k3    k4
 
-There are two kernels, because a branch in the derivative keeps it from being inlined and triples
+There are three kernels, because a branch in the derivative keeps it from being inlined and triples
 the cost of the ship that has no wind, current or drift.
 
 What is measured: [ν; η] + [R(ψ)ᵀ η̇_w; η_w] + [0; noise], η_w the motion of the waves.
@@ -28,11 +29,13 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.kernel_cache import njit
 from dpbench.ship.actuators import Actuators, CommandedThrusters
+from dpbench.ship.drag import write_drag
 from dpbench.ship.environment import Environment
 from dpbench.ship.layout import (
     AIR_EAST,
     AIR_NORTH,
     AXES,
+    COEFFICIENTS,
     DRIFT_R,
     DRIFT_U,
     DRIFT_V,
@@ -127,6 +130,21 @@ def _derivative_in_weather(s, tau, b, Minv, MinvD, loads, out):  # type: ignore[
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
+def _derivative_with_drag(s, tau, b, Minv, undamped, loads, D, hull, out):  # type: ignore[no-untyped-def] # compiled by numba
+    """Write the state derivative (6,) in all weather to out, with drag in place of damping."""
+    c, sn = np.cos(s[HEADING]), np.sin(s[HEADING])
+    u = s[U] - (c * b[WATER_NORTH] + sn * b[WATER_EAST])
+    v = s[V] - (c * b[WATER_EAST] - sn * b[WATER_NORTH])
+    # The last entries of out are free until the weather writes them.
+    force = out[NORTH:]
+    write_drag(u, v, s[R], D, hull, force)
+    f0, f1, f2 = force[U], force[V], force[R]
+    _derivative_in_weather(s, tau, b, Minv, undamped, loads, out)
+    for i in range(AXES):
+        out[i] -= Minv[i, 0] * f0 + Minv[i, 1] * f1 + Minv[i, 2] * f2
+
+
+@njit(cache=True, error_model="numpy", fastmath=False)
 def advance(s, tau, b, Minv, MinvD, h, work):  # type: ignore[no-untyped-def] # compiled by numba
     """Advance the ship state s (6,) in place by one sample under thrust and slow forces b."""
     if b.shape[1] != PLAIN:
@@ -160,6 +178,23 @@ def advance_in_weather(s, tau, b, Minv, MinvD, loads, h, work):  # type: ignore[
         _combine_slopes(s, work, h)
 
 
+@njit(cache=True, error_model="numpy", fastmath=False)
+def advance_with_drag(s, tau, b, Minv, undamped, loads, D, hull, h, work):  # type: ignore[no-untyped-def] # compiled by numba
+    """Advance the ship state s (6,) in place by one sample in all weather, with nonlinear drag."""
+    if b.shape[1] != LOADED:
+        raise ValueError("a stage table of 9 columns is for a ship with drag")
+    mid = work[STAGES]
+    for i in range(b.shape[0] // 2):
+        _derivative_with_drag(s, tau, b[2 * i], Minv, undamped, loads, D, hull, work[0])
+        _write_midpoint(s, work[0], 0.5 * h, mid)
+        _derivative_with_drag(mid, tau, b[2 * i + 1], Minv, undamped, loads, D, hull, work[1])
+        _write_midpoint(s, work[1], 0.5 * h, mid)
+        _derivative_with_drag(mid, tau, b[2 * i + 1], Minv, undamped, loads, D, hull, work[2])
+        _write_midpoint(s, work[2], h, mid)
+        _derivative_with_drag(mid, tau, b[2 * i + 2], Minv, undamped, loads, D, hull, work[3])
+        _combine_slopes(s, work, h)
+
+
 class Plant:
     """Simulated true ship, a nonlinear 3-DOF model advanced by one sample at a time.
 
@@ -182,6 +217,10 @@ class Plant:
         self.state: Vector = np.array(state, dtype=np.float64)
         self._Minv: Matrix = np.ascontiguousarray(np.linalg.inv(vessel.M))
         self._MinvD: Matrix = np.ascontiguousarray(np.linalg.solve(vessel.M, vessel.D))
+        self._D, self._hull = np.ascontiguousarray(vessel.D), None
+        if vessel.drag is not None:
+            self._hull, self._MinvD = vessel.drag.to_array(), np.zeros_like(vessel.D)
+            loads = np.zeros(COEFFICIENTS) if loads is None else loads
         self._loads = None if loads is None else np.array(loads, dtype=np.float64)
         self._thrust = None if actuators is None else actuators.start()
         self._h = sample_s / substeps
@@ -190,15 +229,19 @@ class Plant:
     def advance(self, tau: Vector, stages: Matrix) -> None:
         """Advance the ship by one sample under a force (3,) or thruster forces (n_f,).
 
-        Raises ValueError unless the weather has 9 columns where the plant has loads, 3 elsewhere.
+        Raises ValueError unless the weather has 9 columns where the plant has loads or drag, and 3
+        elsewhere.
         """
         if self._thrust is not None:
             tau = self._thrust.deliver(tau)
         s, Minv, MinvD, h, work = self.state, self._Minv, self._MinvD, self._h, self._work
-        if self._loads is None:
+        loads, hull = self._loads, self._hull
+        if loads is None:
             advance(s, tau, stages, Minv, MinvD, h, work)
+        elif hull is None:
+            advance_in_weather(s, tau, stages, Minv, MinvD, loads, h, work)
         else:
-            advance_in_weather(s, tau, stages, Minv, MinvD, self._loads, h, work)
+            advance_with_drag(s, tau, stages, Minv, MinvD, loads, self._D, hull, h, work)
 
 
 @njit(cache=True)

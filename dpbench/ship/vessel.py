@@ -12,6 +12,7 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.ship.capability.loads import CapabilityHull
+from dpbench.ship.drag import HullDrag
 from dpbench.ship.thrusters import ThrusterSet
 from dpbench.ship.weather.waves import WaveReflection
 from dpbench.ship.weather.wind import Windage
@@ -28,6 +29,7 @@ class Vessel:
     rate_max : (3,) limits of its rate [N/s, N/s, N·m/s].
     windage, reflection, thrusters, capability : for wind, wave drift, commanded thrusters, and DP
         capability level 1.
+    drag : nonlinear drag of the plant; without it D is all that the ship meets.
     """
 
     id: str
@@ -44,6 +46,7 @@ class Vessel:
     reflection: WaveReflection | None = None
     thrusters: ThrusterSet | None = None
     capability: CapabilityHull | None = None
+    drag: HullDrag | None = None
 
     def __post_init__(self) -> None:
         self._check_matrices()
@@ -77,9 +80,17 @@ class Vessel:
         return np.stack([self.tau_min, self.tau_max]) / np.diag(self.M)
 
     def with_mismatch(self, mass_percent: float = 0.0, damping_percent: float = 0.0) -> Vessel:
-        """Return a vessel with inertia M and damping D changed by per cent."""
+        """Return a vessel with inertia M, and damping D and drag, changed by per cent."""
         mass, damping = 1.0 + mass_percent / 100.0, 1.0 + damping_percent / 100.0
-        return replace(self, M=mass * self.M, D=damping * self.D)
+        drag = self.drag and self.drag.scaled(damping)
+        return replace(self, M=mass * self.M, D=damping * self.D, drag=drag)
+
+    def damping_force(self, velocity: Vector) -> Vector:
+        """Return the force (3,) [N, N, N·m] that keeps a velocity (3,) through the water."""
+        if self.drag is None:
+            linear: Vector = self.D @ velocity
+            return linear
+        return self.drag.force(self.D, velocity)
 
 
 def descale_bis(Mb: Matrix, m_kg: float, length_m: float) -> Matrix:

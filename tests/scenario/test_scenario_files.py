@@ -161,3 +161,22 @@ def test_a_scenario_takes_another_vessel_by_name(write: Callable[..., Path]) -> 
     for name, where in (("rough@osw", "rough.toml"), (path, path.name)):
         with pytest.raises(UnknownNameError, match=f"{where}: vessel: .*(osv|supply_fs99)"):
             load_scenario(name)
+
+
+def test_a_vessel_with_drag_has_it_in_every_scenario(write: Callable[..., Path]) -> None:
+    """The true ship has it, in water at rest too; the model of the controller is the same."""
+    path = write("vessels", "osv", "length_m =", 'drag = "cross_flow"\nlength_m =')
+    plain, scenario = load_scenario("calm@osv"), load_scenario(f"calm@{path}")
+    assert scenario.true_ship.drag is not None and plain.true_ship.drag is None
+    still = np.zeros(6)
+    table = scenario.environment.stage_table(2, 0.3, 10)
+    np.testing.assert_array_equal(table[..., 3:], np.broadcast_to(still, (2, 21, 6)))
+    np.testing.assert_array_equal(scenario.problem.model.A, plain.problem.model.A)
+    assert "drag" not in plain.files["vessel"] and scenario.files["vessel"]["drag"] == "cross_flow"
+
+
+def test_drag_without_a_hull_is_refused(write: Callable[..., Path]) -> None:
+    """In the line of any other mistake."""
+    path = write("vessels", "supply_mss", "length_m =", 'drag = "cross_flow"\nlength_m =')
+    with pytest.raises(InputError, match="capability beside drag"):
+        load_vessel(path)

@@ -6,6 +6,7 @@ where a fresh interpreter takes half a second.
 
 import gc
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from dpbench.mpc.move_limits import limit_move
 from dpbench.mpc.reference import unwrap_pose
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify
+from dpbench.ship.drag import HullDrag
 from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.ship.vessel import Vessel
 
@@ -29,8 +31,9 @@ def _compile_kernels() -> None:
     """Call all Numba-compiled code once, so that forked workers need not compile it."""
     three = np.ones(3)
     ship = Vessel("", "", "", 1.0, np.eye(3), np.eye(3), -three, three, three)
-    for loads, columns in ((None, 3), (np.zeros(6), 9)):
-        plant = Plant(ship, np.zeros(6), 0.1, loads=loads)
+    hull = HullDrag(along=1.0, across=1.0, centre_m=0.0, length_m=1.0, fading_mps=1.0)
+    for drag, loads, columns in ((None, None, 3), (None, np.zeros(6), 9), (hull, np.zeros(6), 9)):
+        plant = Plant(replace(ship, drag=drag), np.zeros(6), 0.1, loads=loads)
         plant.advance(three, np.zeros((2 * SUBSTEPS + 1, columns)))
     limit_move(three, three, three, -three, three, np.empty(3))
     unwrap_pose(three, three)

@@ -13,6 +13,7 @@ from dpbench.errors import InputError
 from dpbench.scenario.problem_files import FileModel
 from dpbench.scenario.tables import key_types as keys
 from dpbench.ship.capability.loads import CapabilityHull
+from dpbench.ship.drag import HullDrag
 from dpbench.ship.thrusters import Screw, Thruster, ThrusterSet, nominal_thrust_N
 from dpbench.ship.vessel import Vessel, descale_bis, descale_bis_damping
 from dpbench.ship.weather.waves import WATER_DENSITY, WaveReflection
@@ -125,6 +126,8 @@ class ThrusterTable(FileModel):
 class CapabilityTable(FileModel):
     """Hull data for DP capability plots by DNV-ST-0111, table A-2, besides those of `[windage]`.
 
+    The cross-flow drag of a vessel takes the hull below the water from it too.
+
     What is left out is assumed, and listed with the result.
     """
 
@@ -181,7 +184,7 @@ class VesselFile(FileModel):
     `model_scale` λ makes it a model ship of scale 1 : λ, for which scenarios are scaled.
     """
 
-    later_keys: ClassVar[frozenset[str]] = frozenset({"thrusters", "capability"})
+    later_keys: ClassVar[frozenset[str]] = frozenset({"thrusters", "capability", "drag"})
 
     title: str
     """The ship in words."""
@@ -200,7 +203,10 @@ class VesselFile(FileModel):
     reflection: ReflectionTable | None = None
     """Needed where the weather has wave drift."""
     capability: CapabilityTable | None = None
-    """Needed by `dpbench capability`, with windage and thrusters."""
+    """Needed by `dpbench capability`, with windage and thrusters, and for drag = "cross_flow"."""
+    drag: Literal["linear", "cross_flow"] = "linear"
+    """What the true ship meets in the water. linear: D at any speed; cross_flow: D that fades with
+    speed, and the cross-flow drag of the hull in `[capability]`. The controller's model has D."""
     inertia: keys.ThreeByThree | None = None
     """M (3, 3) with added mass [kg, kg·m, kg·m²]; symmetric, positive definite."""
     damping: keys.ThreeByThree | None = None
@@ -223,6 +229,8 @@ class VesselFile(FileModel):
             raise ValueError("limits, or thrusters to derive them from")
         if self.capability is not None and self.windage is None:
             raise ValueError("windage beside capability, which takes its areas from there")
+        if self.drag == "cross_flow" and self.capability is None:
+            raise ValueError('capability beside drag = "cross_flow", for the hull of it')
         return self
 
     def build_vessel(self, name: str, where: str) -> Vessel:
@@ -241,9 +249,10 @@ class VesselFile(FileModel):
         hull = None
         if self.capability and windage:
             hull = self.capability.build_hull(self.length_m, windage)
+        drag = HullDrag.of(hull) if hull and self.drag == "cross_flow" else None
         ship = (name, self.title, self.source, self.length_m, M, D, low, high, rate, where)
         try:
-            vessel = Vessel(*ship, windage, reflection, thrusters, hull)
+            vessel = Vessel(*ship, windage, reflection, thrusters, hull, drag)
         except InputError as error:
             bis = "" if self.inertia is not None else "_bis"
             names = {"M": f"inertia{bis}", "D": f"damping{bis}", "tau_min, tau_max": "limits"}

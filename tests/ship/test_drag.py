@@ -1,0 +1,195 @@
+"""Cross-flow drag against strips summed one by one, another integrator, DNV-ST-0111 and Froude."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from dpbench.scenario.scenario import load_vessel
+from dpbench.ship.capability.conditions import Condition
+from dpbench.ship.capability.loads import mean_loads
+from dpbench.ship.characteristics import mean_load
+from dpbench.ship.drag import HullDrag, cross_flow_coefficient
+from dpbench.ship.environment import Current, Environment
+from dpbench.ship.froude import Froude
+from dpbench.ship.plant import SUBSTEPS, Plant
+from dpbench.ship.vessel import Vessel
+
+ZERO = np.zeros(3)
+START = np.array([0.4, -0.3, 0.01, 1.2, 1.3, 0.7])
+STRIPS = 20_000
+SPEEDS = st.floats(-2.0, 2.0)
+TURNS = st.floats(-0.05, 0.05)
+
+
+def with_drag() -> Vessel:
+    """The rescue ship, whose hull below the water is published, with drag."""
+    vessel = load_vessel("ratownik")
+    assert vessel.capability is not None
+    return replace(vessel, drag=HullDrag.of(vessel.capability))
+
+
+def flowing(speed_mps: float, to_rad: float) -> Environment:
+    """A current and nothing else."""
+    return Environment(ZERO, ZERO, np.ones(3), ZERO, current=Current(speed_mps, to_rad))
+
+
+def sum_strips(D: np.ndarray, u: float, v: float, r: float) -> np.ndarray:
+    """The force on `ratownik` by the numbers of its file, strip by strip; B/2T is 1.88."""
+    length, area, centre = 95.85, 440.9, 4.717
+    x = centre + length * ((np.arange(STRIPS) + 0.5) / STRIPS - 0.5)
+    w = v + x * r
+    strips = 0.5 * 1026.0 * 0.6637 * area / STRIPS * w * np.abs(w)
+    speed = math.hypot(u, v)
+    left = math.exp(-speed / (0.004 * math.sqrt(9.81 * 86.56)))
+    S = np.diag([left**0.5, left**0.5, 1.0])
+    along = 0.5 * 1026.0 * 0.07 * 18.8 * 5.0 * speed * u
+    force: np.ndarray = S @ D @ S @ [u, v, r] + [along, strips.sum(), (x * strips).sum()]
+    return force
+
+
+@pytest.mark.slow
+@given(u=SPEEDS, v=SPEEDS, r=TURNS)
+def test_the_force_is_that_of_many_strips(u: float, v: float, r: float) -> None:
+    """In any motion, also one in which bow and stern move to different sides."""
+    ship = with_drag()
+    expected = sum_strips(ship.D, u, v, r)
+    scale = 1.0 + math.hypot(u, v, 48.0 * r) ** 2
+    error = (ship.damping_force(np.array([u, v, r])) - expected) / np.array([1.0, 1.0, 48.0])
+    assert np.abs(error).max() <= 20.0 * scale
+
+
+@pytest.mark.slow
+@given(u=SPEEDS, v=SPEEDS, r=TURNS)
+def test_drag_takes_power_from_any_motion(u: float, v: float, r: float) -> None:
+    """Whatever D is, if it is positive definite."""
+    ship, velocity = with_drag(), np.array([u, v, r])
+    D = ship.D.copy()
+    D[1, 2] = D[2, 1] = 0.99 * math.sqrt(D[1, 1] * D[2, 2])
+    assert replace(ship, D=D).damping_force(velocity) @ velocity >= 0.0
+
+
+def test_slow_motion_meets_the_linear_damping() -> None:
+    """At 0.1 mm/s and as slow a turn; at ten times V_0 nothing of it is left but in yaw."""
+    ship = with_drag()
+    slow = np.array([1e-4, -1e-4, 2e-6])
+    np.testing.assert_allclose(ship.damping_force(slow), ship.D @ slow, rtol=3e-3)
+    without = replace(ship, D=1e-6 * ship.D)
+    fast = np.array([0.8, -0.9, 0.0])
+    np.testing.assert_allclose(ship.damping_force(fast), without.damping_force(fast), rtol=3e-3)
+
+
+@pytest.mark.parametrize(
+    ("half_ratio", "published"),
+    [(0.646, 0.999), (0.988, 0.828), (1.64, 0.691), (2.31, 0.631), (3.01, 0.587), (4.0, 0.559)],
+)
+def test_the_coefficient_is_hoerners(half_ratio: float, published: float) -> None:
+    """Within 2 % of the curve as MSS has it digitised, `Hoerner.m`."""
+    assert cross_flow_coefficient(2.0 * half_ratio, 1.0) == pytest.approx(published, rel=0.02)
+
+
+def test_the_force_of_a_current_is_near_that_of_the_standard() -> None:
+    """Ahead equal to DNV-ST-0111, abeam by C_d over its 0.6, with the moment about x_c."""
+    ship = with_drag()
+    assert ship.capability is not None
+    still = replace(ship, D=1e-9 * ship.D)
+    ahead, abeam = (
+        mean_loads(ship.capability, Condition(0.0, 0.0, 3.5, 0.75), from_rad)[1]
+        for from_rad in (0.0, math.pi / 2)
+    )
+    np.testing.assert_allclose(
+        mean_load(still, flowing(0.75, math.pi)), ahead, rtol=1e-6, atol=1e-3
+    )
+    felt = mean_load(still, flowing(0.75, -math.pi / 2))
+    np.testing.assert_allclose(felt[1:], abeam[1:] * 0.6637 / 0.6, rtol=1e-3)
+
+
+@pytest.mark.slow
+def test_the_plant_agrees_with_an_adaptive_integrator() -> None:
+    """Under thrust in a current the ship follows an eighth-order integrator of the strips."""
+    ship, sea = with_drag(), flowing(0.6, 2.0)
+
+    def derivative(t: float, s: np.ndarray) -> np.ndarray:
+        c, sn = np.cos(s[5]), np.sin(s[5])
+        R = np.array([[c, -sn, 0.0], [sn, c, 0.0], [0.0, 0.0, 1.0]])
+        water = R.T @ [0.6 * np.cos(2.0), 0.6 * np.sin(2.0), 0.0]
+        force = 0.2 * ship.tau_max - sum_strips(ship.D, *(s[:3] - water))
+        return np.concatenate([np.linalg.solve(ship.M, force), R @ s[:3]])
+
+    plant = Plant(ship, START, 0.3, loads=sea.load_coefficients(ship))
+    for stages in sea.stage_table(100, 0.3, SUBSTEPS):
+        plant.advance(0.2 * ship.tau_max, stages)
+    theirs = solve_ivp(derivative, (0.0, 30.0), START, method="DOP853", rtol=1e-10, atol=1e-11)
+    # C_d above has four digits.
+    np.testing.assert_allclose(plant.state, theirs.y[:, -1], rtol=2e-4)
+
+
+def test_a_model_ship_with_drag_moves_as_its_full_size_ship() -> None:
+    """At 1 : 70 by Froude's law, to rounding."""
+    ship, law = with_drag(), Froude(70.0)
+    assert ship.capability is not None
+    lengths = ("length_m", "breadth_m", "draught_m", "submerged_length_m", "current_x_m")
+    smaller = {key: getattr(ship.capability, key) * law.length for key in lengths}
+    area = ship.capability.submerged_m2 * law.length**2
+    arm = np.array([1.0, 1.0, law.length])
+    by_mass = law.length**3 * np.outer(arm, arm)
+    model = replace(
+        ship,
+        length_m=ship.length_m * law.length,
+        M=by_mass * ship.M,
+        D=by_mass * ship.D / law.time,
+        drag=HullDrag.of(replace(ship.capability, submerged_m2=area, **smaller)),
+    )
+    at_full_size = np.concatenate([law.velocity, law.pose])
+    states = []
+    for each, scale, start in ((ship, Froude(), START), (model, law, START * at_full_size)):
+        sea = flowing(0.6 * scale.time, 2.0)
+        plant = Plant(each, start, 0.3 * scale.time, loads=sea.load_coefficients(each))
+        for stages in sea.stage_table(200, 0.3 * scale.time, SUBSTEPS):
+            plant.advance(0.2 * ship.tau_max * scale.force, stages)
+        states.append(plant.state)
+    np.testing.assert_allclose(states[1], states[0] * at_full_size, rtol=1e-11)
+
+
+def test_a_free_ship_with_drag_ends_up_drifting_with_the_current() -> None:
+    """Carried along until the water around it is at rest."""
+    ship, sea = with_drag(), flowing(0.75, 2.0)
+    plant = Plant(ship, np.zeros(6), 1.0, loads=sea.load_coefficients(ship))
+    stages = sea.stage_table(1, 1.0, SUBSTEPS)[0]
+    for _ in range(5000):
+        plant.advance(ZERO, stages)
+    u, v, r, *_, psi = plant.state
+    north, east = np.cos(psi) * u - np.sin(psi) * v, np.sin(psi) * u + np.cos(psi) * v
+    np.testing.assert_allclose([north, east], 0.75 * np.array([np.cos(2), np.sin(2)]), atol=1e-6)
+    assert r == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_mean_load_is_what_the_plant_feels() -> None:
+    """By the momentum that an enormous mass takes up in a current from the quarter."""
+    ship, sea = with_drag(), flowing(0.75, -2.2)
+    still = replace(ship, M=1e9 * ship.M)
+    plant = Plant(still, np.zeros(6), 1.0, loads=sea.load_coefficients(ship))
+    plant.advance(ZERO, sea.stage_table(1, 1.0, SUBSTEPS)[0])
+    np.testing.assert_allclose(still.M @ plant.state[:3], mean_load(ship, sea), rtol=1e-6)
+
+
+def test_a_mismatch_of_damping_is_one_of_drag_too() -> None:
+    """By the same percentage at any speed."""
+    ship = with_drag()
+    for velocity in ([1e-3, 1e-3, 1e-5], [0.5, 1.0, 0.01]):
+        force, more = (
+            one.damping_force(np.array(velocity))
+            for one in (ship, ship.with_mismatch(damping_percent=20.0))
+        )
+        np.testing.assert_allclose(more, 1.2 * force, rtol=1e-12)
+
+
+def test_a_ship_with_drag_needs_the_weather_that_moves_with_it() -> None:
+    """Three columns have no velocity of the water."""
+    plant = Plant(with_drag(), START, 0.3)
+    with pytest.raises(ValueError, match="9 columns"):
+        plant.advance(ZERO, np.zeros((2 * SUBSTEPS + 1, 3)))
