@@ -1,7 +1,6 @@
 """Run a suite: plan it, run what is not finished yet, write the tables.
 
-A cell that was finished before with the same key is not run again, so an interrupted campaign
-loses at most the cells in flight.
+An interrupted campaign loses at most the cells in flight.
 """
 
 import json

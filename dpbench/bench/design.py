@@ -1,9 +1,9 @@
 """Stability of controllers in ships, and the largest sway offset each one recovers from.
 
-A design is the controller of one scenario in one vessel. Without limits its loop is linear, and
-stable where the roots of paper eq. 35 are inside the unit circle. With limits the ship starts at
-rest at a sway offset, to starboard and to port, steered by the certified optimum of every step; an
-offset is held when from both sides the ship stays near the reference over the end of a long run.
+A design is the controller of one scenario in one vessel. Without limits its loop is stable where
+the roots of paper eq. 35 are inside the unit circle. With limits the ship starts at rest at a sway
+offset to each side, steered by the certified optimum of every step; an offset is held when the ship
+stays near the reference over the end of a long run.
 """
 
 import hashlib
@@ -74,11 +74,8 @@ class Bracket:
 class DesignRecord:
     """Closed-loop eigenvalues and held sway offsets of one controller in one vessel.
 
-    Parameters
-    ----------
-    tuning, N_p, N_c : of the controller.
-    eigenvalues : real and imaginary parts of the closed loop without limits, by falling modulus.
-    held : the bracket of each weather.
+    `eigenvalues` are real and imaginary parts without limits, by falling modulus; `held` has the
+    bracket of each weather.
     """
 
     vessel: str
@@ -172,7 +169,7 @@ SIDES = (1.0, -1.0)
 def is_held(scenario: Scenario, offset_m: float, sides: Sequence[float] = SIDES) -> bool:
     """Return whether the ship recovers from a sway offset [m, full size] on every side.
 
-    An offset with a step without a certified optimum does not count as held.
+    A step without a certified optimum counts as not held.
     """
     scale = Froude(float(scenario.files["vessel"]["model_scale"]))
     tail = round(TAIL_S * scale.time / scenario.sample_s)
@@ -237,10 +234,7 @@ def linear_record(scenario: Scenario) -> DesignRecord:
 
 
 def find_still_water_bracket(scenario: Scenario, holds: Holds = is_held) -> Bracket:
-    """Return the sway offsets up to which a scenario's controller recovers in still water.
-
-    `holds` tells of a trial, an offset [m] and its sides whether the ship comes back.
-    """
+    """Return the offsets up to which a controller recovers in still water, by trials of `holds`."""
     own = scenario.files["scenario"]
     kept = ("title", "shows", "vessel", "sample_s", "controller")
     trial = {key: own[key] for key in kept} | {"duration_s": DURATION_S, "environment": {}}

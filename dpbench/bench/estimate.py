@@ -33,10 +33,7 @@ Kind = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Rates:
-    """Step times [s] by solver configuration, and bytes per table row, to estimate a campaign.
-
-    `steps_s` has the step time [s] of kinds that were run before; others take `STEP_S`.
-    """
+    """Step times [s] of kinds that were run before, else `STEP_S`; and bytes per table row."""
 
     origin: str
     steps_s: dict[Kind, float] = field(default_factory=dict)
@@ -58,14 +55,8 @@ STATED_RATES = Rates(
 class Estimate:
     """Expected duration, table size and number of runs of a campaign.
 
-    Parameters
-    ----------
-    cells, refused : cells that run, and rows without running.
-    unmeasured : cells whose time and size are in none of these figures.
-    steps : recorded steps, of all rounds.
-    time_s : on so many slots, without the report; size_bytes : of its tables.
-    slots : closed loops at a time.
-    rates : origin of the rates.
+    `refused` cells leave rows without running; `unmeasured` ones are in no figure of time and size.
+    `time_s` is that on `slots` closed loops at a time, without the report.
     """
 
     cells: int
@@ -111,10 +102,7 @@ def _kind_of_cell(cell: Cell) -> Kind:
 
 
 def estimate_cells(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> Estimate:
-    """Return the expected time and table size of planned runs, without capability plots.
-
-    `slots` are closed loops at a time; replays along a loop run one after the other.
-    """
+    """Return expected time and table size of planned runs on `slots`, without capability plots."""
     to_run = [p for p in planned if not p.refused]
     measured = [p for p in to_run if not isinstance(p.cell.source, CapabilitySource)]
     return Estimate(

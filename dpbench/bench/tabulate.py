@@ -33,10 +33,7 @@ from dpbench.errors import InputError
 
 
 class RequestedRuns:
-    """The runs that a campaign was asked for, one row of `runs.parquet` each, in order.
-
-    A cell whose settings have no effect has rows under each of its names.
-    """
+    """The runs that a campaign was asked for, each with a row under every name of its settings."""
 
     def __init__(self, work: Sequence[CellJob]) -> None:
         self.jobs: dict[str, tuple[CellJob, str]] = {}

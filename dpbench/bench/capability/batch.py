@@ -1,9 +1,8 @@
 """The static allocations at the edge of what a ship holds, as a sequence of QPs.
 
-For each case and direction there are four: the two winds of the standard's table between which the
-edge lies, and the edge itself, a thousandth of the wind before and beyond; half have no feasible
-point. Below the first row half of the edge is taken; beyond the last row the last four rows are.
-Where several pieces of an azimuth may be chosen, the QP has the choice that uses the least thrust.
+For each case and direction there are four: the two winds of the standard's table around the edge,
+and a thousandth of the wind before and beyond it. Below the first row half of the edge is taken,
+beyond the last row the last four rows. The choice of azimuth pieces is that of least thrust.
 """
 
 import math

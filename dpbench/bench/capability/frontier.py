@@ -38,10 +38,7 @@ class Case:
 
 @dataclass(frozen=True)
 class WindLimit:
-    """The largest wind [m/s] held from one direction, and the DP capability number.
-
-    At number 11 the wind is that of the standard's last row: nothing is known beyond.
-    """
+    """The largest wind [m/s] held from one direction, and its number (11: nothing known beyond)."""
 
     wind_mps: float
     number: int
@@ -58,14 +55,8 @@ class Weather:
 class CapabilityPlot:
     """Solver of the largest wind a ship's thrusters hold, by direction and failure case.
 
-    Parameters
-    ----------
-    vessel : with thrusters and the hull of `[capability]`.
-    sides : of the polygons in place of circles, even and at least 4; None for circles.
-
-    Raises
-    ------
-    InputError : the vessel has no thrusters or no such hull; sides that cannot be.
+    `sides` are those of polygons in place of circles, even and at least 4; None for circles.
+    InputError for bad sides, or a vessel without thrusters or the hull of `[capability]`.
     """
 
     def __init__(self, vessel: Vessel, sides: int | None = None) -> None:

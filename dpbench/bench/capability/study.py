@@ -15,13 +15,9 @@ FROM_DEG = tuple(360.0 * k / DIRECTIONS for k in range(DIRECTIONS))
 
 @dataclass(frozen=True)
 class Capability:
-    """Wind limits of a ship from each direction of `FROM_DEG`, by failure case.
+    """Wind limits of a ship from each direction of `FROM_DEG`, by failure case, intact first.
 
-    Parameters
-    ----------
-    sides : of the polygons in place of circles; None for circles.
-    held, lost : by case, intact first: what is held, and the thrusters that the case lacks.
-    assumed : keys of the hull that its file leaves out.
+    `lost` are the thrusters that a case lacks; `assumed` the keys that the hull's file leaves out.
     """
 
     vessel: str

@@ -65,9 +65,8 @@ class Utilisation:
     ) -> float:
         """Return the least share of full thrust that balances a load (3,) [N, N, N·m]; inf if none.
 
-        Parameters
-        ----------
-        shares : (p,) effective over nominal thrust; chosen : (p,) pieces, kept by this object.
+        `shares` (p,) is effective over nominal thrust; `chosen` (p,) pieces are kept by this
+        object.
         """
         key = lost, tuple(map(id, chosen))
         if key not in self._cones:

@@ -186,20 +186,13 @@ def _open_own_cluster(workers: int) -> Iterator[Client]:
 class Cluster:
     """The workers of a Dask cluster that can take a campaign's runs, as they come and go.
 
-    Parameters
-    ----------
-    is_own : whether all workers are processes of this campaign.
+    InputError for a worker that cannot run cells as they are here.
 
     Attributes
     ----------
     slots : tasks at a time; concurrency : the most of them on one machine so far.
     exclusive : whether a worker offered `EXCLUSIVE` when the campaign began.
     machine : that of the one that times replays; kinds : number of kinds of machines.
-    addresses : of the workers that may have a task.
-
-    Raises
-    ------
-    InputError : for a worker that cannot run cells as they are here.
     """
 
     def __init__(self, client: Client, *, is_own: bool = False) -> None:
@@ -223,10 +216,7 @@ class Cluster:
         self.kinds = len({info.machine["id"] for info in self._infos.values()})
 
     def refresh(self) -> list[str]:
-        """Read the current workers from the Dask scheduler; return a remark on each refused one.
-
-        Nothing changes where the scheduler does not answer, or has none.
-        """
+        """Update the workers, if the scheduler answers; return a remark on each refused one."""
         try:
             return [f"a worker is given no cells: {error}" for error in self._update_workers()]
         except OSError:

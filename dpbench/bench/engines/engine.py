@@ -32,12 +32,8 @@ class EngineGoneError(DpbenchError):
 class Engine(AbstractContextManager["Engine"], Protocol):
     """Protocol of what does batches of runs: this machine's processes, or a cluster's workers.
 
-    Of a result folder it writes only the files that it is asked to make.
-
-    Attributes
-    ----------
-    machine : the machine of the cells, as `describe_machine` describes it; of several the one that
-        times replays.
+    Of a result folder it writes only the files that it is asked to make. `machine` is that of the
+    cells; of several the one that times replays.
     """
 
     machine: MachineDescription
@@ -60,11 +56,9 @@ class Engine(AbstractContextManager["Engine"], Protocol):
         """Start or queue a batch of runs, whose files of QPs must exist."""
 
     def completed(self) -> Iterator[Completed]:
-        """Wait for completed batches of runs, some seconds at most; yield each with its results.
+        """Wait some seconds for completed batches of runs; yield each with its results.
 
-        Raises
-        ------
-        HandOverError, EngineGoneError : also of `submit`.
+        HandOverError or EngineGoneError, also of `submit`, where the batches are lost.
         """
 
     def has_source(self, key: str, cell: Cell) -> bool:

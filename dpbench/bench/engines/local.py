@@ -24,10 +24,7 @@ COMPILING = "compiling the kernels, once after an installation: up to a minute"
 
 
 class LocalEngine(ExitStack):
-    """An engine that does runs in processes on this machine, several side by side.
-
-    `slots` processes run at a time, on as many cores; timed replays run one at a time.
-    """
+    """Engine that does runs in `slots` processes on this machine; timed replays one at a time."""
 
     def __init__(self, slots: int, patience: WaitLimit = WaitLimit()) -> None:  # noqa: B008 - frozen
         super().__init__()

@@ -41,10 +41,7 @@ class WorkerInfo:
 
 @dataclass(frozen=True)
 class CampaignContext:
-    """Solver names and plug-in source code that all cluster tasks of a campaign share.
-
-    solvers : all that it runs; modules : the text of plug-ins, by the paths in the cells.
-    """
+    """Solver names, and texts of plug-ins by the paths in the cells, of all cluster tasks."""
 
     solvers: tuple[str, ...] = ()
     modules: Mapping[str, str] = field(default_factory=dict)
@@ -137,11 +134,7 @@ def run_cells(
 ) -> list[Result]:
     """Do a batch of runs on this cluster worker and return their evaluated results.
 
-    Parameters
-    ----------
-    sources : of their QPs, by key.
-    alone : whether they have all cores of this machine, or one.
-    concurrency : of timed replays, see the column of that name.
+    `sources` are of their QPs, by key. `alone` gives them all cores of this machine, else one.
     """
     results = [*_lose_other_versions(batch.jobs)]
     known = {result.run_id for result in results}

@@ -21,17 +21,9 @@ def open_engine(
 ) -> AbstractContextManager[Engine]:
     """Open what does a campaign's runs: "local" processes, or the workers of a "dask" cluster.
 
-    Parameters
-    ----------
-    jobs : cells at a time; all cores of this machine by default.
-    scheduler : of engine dask: the address of its scheduler; None for workers on this machine.
-    tls : files to reach that scheduler with; by default as in Dask's configuration.
-    patience : of engine local: with other campaigns on this machine.
-
-    Raises
-    ------
-    InputError : for an unknown engine or a bad count of jobs, without the extra of dask, and for a
-        scheduler that does not answer or whose workers cannot run cells.
+    Without a `scheduler` the cluster is made of `jobs` workers of this machine; `patience` is with
+    other campaigns on it. InputError for a bad option, without the extra of dask, and for a
+    scheduler that does not answer or whose workers cannot run cells.
     """
     if name not in ENGINES:
         raise InputError("--engine", "", repr(name), " or ".join(ENGINES))

@@ -65,8 +65,8 @@ class Shard:
     def select_jobs(self, jobs: list[CellJob]) -> list[CellJob]:
         """Return the runs of this part of a suite, in order; all parts have about equal work.
 
-        Cells of one source stay together as far as possible, as each part makes its own sources;
-        replays of one sequence always do, as they are timed by turns.
+        Cells of one source stay together as far as possible; replays of one sequence always do, as
+        they are timed by turns.
         """
         if self == WHOLE:
             return jobs

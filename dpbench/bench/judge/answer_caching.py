@@ -47,10 +47,9 @@ def caching_metrics(log: RawLog) -> dict[str, float]:
     """Return how much slower QPs are solved the first time than later, a sign of cached answers.
 
     `first_visit_ratio` is the median over steps of the first visit's time over the shortest later
-    one, less the factor by which the reference kernel was slower around the first visits than at
-    its best. `first_visit_excess` is the share of slow first visits less twice that of slow visits
-    in any later round, and less what the switches of the first visits' round explain: it finds a
-    memory of hard steps alone, which leaves the median as it is.
+    one, by the slow-down of the reference kernel. `first_visit_excess` is the share of slow first
+    visits less twice that of any later round and less what switches explain: a memory of hard steps
+    alone leaves the median as it is.
     """
     total = sum_step_ns(log.times)
     warm_up, steps = int(log.done[0]), len(log.first_ns)
@@ -129,9 +128,8 @@ _CONFIGURATION = ["scenario", *CONFIGURATION_COLUMNS]
 def with_loop_ratio(runs: pd.DataFrame) -> pd.DataFrame:
     """Add columns to a table of runs: closed-loop over replay step time, at p50 and at p90.
 
-    They are the median and the 90th percentile of the configuration's own closed loop over those of
-    its replay; NaN without a loop in that scenario that finished without a failed step, as a solver
-    that fails meets other QPs.
+    NaN without a loop in that scenario that finished without a failed step, as a solver that fails
+    meets other QPs.
     """
     columns = {"loop_ratio": "p50", "loop_tail_ratio": "p90"}
     if not {"raw_p50_ns", "failed_steps"} <= set(runs):

@@ -92,10 +92,8 @@ class EvaluatedCell:
 class StepEvaluator:
     """Evaluator of a solver's answers against certified optima, many steps at once.
 
-    Parameters
-    ----------
-    scaled, own : the base problem in scaled units and in those the solver was given.
-    units : how the two relate.
+    `scaled` and `own` are the base problem in scaled and in the solver's units, which `units`
+    relate.
     """
 
     def __init__(self, scaled: QuadraticProgram, own: QuadraticProgram, units: Units) -> None:

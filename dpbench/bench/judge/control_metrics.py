@@ -21,11 +21,8 @@ def control_metrics(
 ) -> dict[str, float]:
     """Return pose error, settling, effort and cost metrics of a closed loop of K steps.
 
-    Parameters
-    ----------
     state : (K + 1, 6) [u, v, r, n, e, ψ] at the samples; u : (K, n_u) force or thruster forces.
-    reference : at least (K + 1, 3) [n, e, ψ] at the sample times.
-    exact : the exactly solved loop, at least as long.
+    reference : at least (K + 1, 3) [n, e, ψ]; exact : the exactly solved loop, at least as long.
     """
     K, controller = len(u), scenario.controller
     tau = controller.force(u)

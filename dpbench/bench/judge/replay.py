@@ -32,10 +32,7 @@ def evaluate_sequence(
 ) -> EvaluatedCell:
     """Evaluate a replay's raw log; return its step columns and metrics.
 
-    Parameters
-    ----------
-    optima : of the steps, where they are certified.
-    judged : False for configurations whose answers are none.
+    `optima` are of the steps, where they are certified; answers that are none are not `judged`.
     """
     rounds = np.flatnonzero(log.done > 0).tolist()
     counts = log.done[rounds].tolist()
@@ -92,15 +89,9 @@ def _evaluate_rounds(
 def repeatability(log: RawLog, own_per_scaled: Floats) -> dict[str, float]:
     """Return how equal a solver's answers and iterations are over all rounds of a replay.
 
-    Parameters
-    ----------
-    own_per_scaled : (n,) a variable in the solver's units over the same in scaled units.
-
-    Returns
-    -------
-    Shares of the steps with two rounds or more that have equal status and bits of z, and equal
-    iterations, in all of them; the largest difference of a z between two rounds, in scaled units,
-    and of iterations. NaN where no step was repeated, or iterations are not counted.
+    Of steps with two rounds or more: shares with equal status and bits of z, and with equal
+    iterations; largest differences of a z, in scaled units by `own_per_scaled` (n,), and of
+    iterations. NaN where no step was repeated, or iterations are not counted.
     """
     z, iterations, recorded = log.z, log.iterations, _find_recorded_steps(log)
     repeated = recorded.sum(axis=0) >= 2

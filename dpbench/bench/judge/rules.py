@@ -43,12 +43,8 @@ _NO_USE = tuple(status.name for status in Status if not status.is_usable)
 def is_ranked(concurrency: float, machine_id: str, of_folder: str) -> bool:
     """Return whether a replay's times may be compared with those of other replays in the folder.
 
-    They are taken one cell at a time, on the machine of the result folder.
-
-    Parameters
-    ----------
-    concurrency : the column of that name; NaN where no times are compared, and in old folders.
-    machine_id : of the run; of_folder : of `machine.json`.
+    They are taken one cell at a time (`concurrency`, NaN where unknown), on the machine
+    `of_folder`.
     """
     return bool(np.isnan(concurrency)) or (concurrency <= 1.0 and machine_id == of_folder)
 
@@ -56,14 +52,9 @@ def is_ranked(concurrency: float, machine_id: str, of_folder: str) -> bool:
 def explained_late_timings(switches: float, timed_share: float) -> int:
     """Return how many late step times involuntary context switches may explain.
 
-    A switch comes at any moment of the process's own time. A process gets at least a quarter of a
-    core, so at most four times `timed_share` of that time is spent in timed calls. Three standard
-    deviations of a Poisson count are added.
-
-    Parameters
-    ----------
-    timed_share : base time of the timed calls over the wall time of the run; NaN where that is not
-        known, which leaves all switches as an explanation.
+    A process gets at least a quarter of a core, so at most four times `timed_share`, the base time
+    of timed calls over the wall time, is spent in timed calls; all of it where that is NaN. Three
+    standard deviations of a Poisson count are added.
     """
     hits = switches * (1.0 if math.isnan(timed_share) else min(1.0, LEAST_PROCESSORS * timed_share))
     return int(min(switches, math.ceil(hits + 3.0 * math.sqrt(hits))))
@@ -72,9 +63,7 @@ def explained_late_timings(switches: float, timed_share: float) -> int:
 def is_disturbed(reference_kernel_ns: Floats) -> Flags:
     """Return a mask (R,) of the replay rounds in which the machine-speed test ran too slowly.
 
-    Parameters
-    ----------
-    reference_kernel_ns : (R, 2) before and after each round [ns], 0 where it was not timed.
+    `reference_kernel_ns` (R, 2) is before and after each round [ns], 0 where it was not timed.
     """
     seen = reference_kernel_ns[reference_kernel_ns > 0]
     best = seen.min() if seen.size else np.inf
@@ -89,13 +78,9 @@ def disturbed_rounds(rounds: NDArray[np.int32], reference_kernel_ns: Floats) -> 
 
 
 def counting_rows(repeat: NDArray[np.int32], disturbed: Flags) -> Flags:
-    """Return a mask (N,) of replay steps that count: no warm-up, and no disturbed round.
+    """Return a mask (N,) of replay steps, in rounds `repeat`, that count: not the warm-up.
 
-    Where every round is disturbed all of them count but the warm-up.
-
-    Parameters
-    ----------
-    repeat : (N,) round of each row; disturbed : (N,) whether that is a disturbed one.
+    No disturbed round counts, unless all of them are.
     """
     rounds: Flags = repeat != WARM_UP
     undisturbed = rounds & ~disturbed

@@ -68,10 +68,7 @@ def plan_cell(
 ) -> PlannedCell:
     """Return the planned run of one solver configuration of a suite table, refused or not.
 
-    Parameters
-    ----------
-    why_no_sparse_form : reason why the QPs have no sparse form; "" where they have one.
-    fields : those of the cell's mode.
+    `why_no_sparse_form` is empty where the QPs have one; `fields` are those of the cell's mode.
     """
     baseline_law = configuration.solver == BASELINE_LAW
     own_limit_s = table.limit_s if isinstance(table, ClosedLoopTable | ReplayTable) else None
@@ -142,15 +139,9 @@ def _intended_wait_s(configuration: Configuration, steps: int, rounds: int = 0, 
 def recorded_cells(
     suite: SuiteFile, solvers: Sequence[str], beside: Path | None, taken: Sequence[str]
 ) -> list[PlannedCell]:
-    """Plan the replays of all recorded sequences of QPs that a suite names.
+    """Plan the replays of all recorded sequences of QPs that a suite in folder `beside` names.
 
-    Parameters
-    ----------
-    beside : folder of the suite; taken : names of its scenarios.
-
-    Raises
-    ------
-    InputError : for a file that is no sequence, or two sequences of one name.
+    InputError for a file that is no sequence, or a name that is there twice or `taken`.
     """
     cells: list[PlannedCell] = []
     digests: dict[str, str] = {}

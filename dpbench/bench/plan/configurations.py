@@ -29,13 +29,9 @@ Table = ClosedLoopTable | ReplayTable | RandomTable | RecordedTable | Capability
 def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     """Return the solvers of a suite, or those of `only` where some are chosen.
 
-    "all" means every solver of the table except those of an optional extra that is not installed
-    (`dpbench list solvers`), which have to be named.
-
-    Raises
-    ------
-    UnknownNameError : for an unknown solver.
-    InputError : for a baseline of the report, or solvers of a replay, that the suite has not.
+    "all" leaves out those of an optional extra that is not installed. UnknownNameError for an
+    unknown solver; InputError for a baseline of the report, or solvers of a table, that the suite
+    has not.
     """
     named = _resolve_solvers("solvers", suite.solvers)
     for kind, tables in (("closed_loop", suite.closed_loop), ("replay", suite.replay)):
@@ -84,10 +80,8 @@ def _is_default_solver(solver: str) -> bool:
 def check_backup(name: str) -> tuple[str, str]:
     """Return the backup solver of a closed loop, and why it cannot be opened; "" for neither.
 
-    Raises
-    ------
-    UnknownNameError : there is no such solver.
-    InputError : a plug-in of a file, which the workers of another solver do not load.
+    UnknownNameError for an unknown solver; InputError for a plug-in of a file, which the workers of
+    another solver do not load.
     """
     if not name:
         return "", ""

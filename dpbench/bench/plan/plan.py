@@ -38,12 +38,9 @@ def plan(
 ) -> list[PlannedCell]:
     """Return all planned runs of a suite in the order they run.
 
-    Paths of scenarios and sequences are relative to `beside`, the folder of the suite. A choice of
-    `scenarios` leaves out all that have no scenario.
-
-    Raises
-    ------
-    InputError : for an unknown scenario or solver, or a scenario that the suite does not have.
+    Paths are relative to `beside`, the folder of the suite. A choice of `scenarios` leaves out all
+    that have none. InputError for an unknown scenario or solver, or a scenario that the suite has
+    not.
     """
     chosen = choose_solvers(suite, solvers)
     known = suite.scenario_names

@@ -113,18 +113,10 @@ def select_part(
     settings: Sequence[str] | None = None,
     steps: int | None = None,
 ) -> SuiteFile:
-    """Return a suite reduced to some scenarios, settings and steps.
+    """Return a suite reduced to some scenarios, settings and `steps` of each loop and replay.
 
-    Parameters
-    ----------
-    scenarios : unless the suite names all of them, they replace its own, by name or TOML file: each
-        closed loop and replay runs with them, from the first step on.
-    settings : at these levels and no other.
-    steps : at most so many of each loop and replay.
-
-    Raises
-    ------
-    InputError : for less than one step.
+    Unless the suite names all `scenarios`, they replace its own, by name or TOML file: each closed
+    loop and replay runs with them, from the first step on. InputError for less than one step.
     """
     if steps is not None and steps < 1:
         raise InputError("--steps", "", steps, "a whole number, 1 or more")

@@ -174,16 +174,13 @@ class Cell:
     Parameters
     ----------
     scenario : documents of the scenario (`Scenario.files`); empty where the QPs have none.
-    steps : steps to run from `first` on; a closed loop starts at 0.
     first : first step of a replayed sequence, or of the stretch whose hardest steps are replayed.
     rounds, warmup_steps : of a replay: counting rounds, and steps of the round before them.
     limit_s : the cell's own run time after which it stops.
     memory_gb : own memory of its process; 0 for the usual share of the machine's (`footprint.py`).
-    budget_s : of a replay: run time after which no further round begins, once `FEWEST_ROUNDS`
-        count (`interleaved.py`); 0 for no limit.
-    repeat_budget_s : of a replay: run time for repeated rounds (`interleaved.py`).
-    fallback : policy of `FALLBACKS` without a usable answer.
-    backup : of a closed loop: second solver used before the fallback; "" for none.
+    budget_s, repeat_budget_s : of a replay: run time for all and for repeated rounds
+        (`interleaved.py`); no limit of all for 0.
+    fallback : policy of `FALLBACKS` without a usable answer; backup : solver asked before it.
     slowdown, deadline_s : of a closed loop: factor ≥ 1 by which the ship's computer is slower, and
         deadline of a step; 0 to wait for every answer, and for the whole sample.
     seed : of the order of configurations within a round.

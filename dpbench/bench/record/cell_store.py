@@ -72,12 +72,9 @@ _OWN_FILE = re.compile(
 
 @dataclass(frozen=True, eq=False)
 class StepGroup:
-    """Step rows of some runs in one Parquet row group, read on demand.
+    """Step rows of the runs `names` in row group `index` of a Parquet file, read on demand.
 
-    Parameters
-    ----------
-    index : of the row group; names : run_ids of these runs, in order.
-    may_copy : whether the row group has no other runs, is sound, and is not small.
+    `may_copy`: whether the row group has no other runs, is sound, and is not small.
     """
 
     path: Path

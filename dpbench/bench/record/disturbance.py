@@ -38,10 +38,10 @@ QUIET_RULE = (
 
 
 def read_counters() -> Floats:
-    """Read clock, context switches, host's time, throttling, thread time of this process (6,).
+    """Read the counters (6,) of `COUNTERS`, counted so far, of this process and its core.
 
-    Clock [s], context switches of this process, steal time [s] and throttle events of its core (the
-    mean over several), processor time of all threads but the calling one [s].
+    Steal time [s] and throttle events are means over its cores, where there are several; thread
+    time [s] is that of all threads but the calling one.
     """
     used = resource.getrusage(resource.RUSAGE_SELF)
     # Both by the precise clock of the scheduler, the process last: an idle one adds nothing to it.
@@ -102,11 +102,8 @@ def disturbance_metrics(log: RawLog) -> dict[str, float]:
 class Disturbance:
     """Measures of what disturbed replays: slow rounds, context switches, time the host took.
 
-    Parameters
-    ----------
-    rounds, disturbed, rerun : rounds that count, those still disturbed, those repeated.
-    seconds : their duration; steal_s : of it taken by the host.
-    involuntary : context switches; throttled : throttle events.
+    Of the `rounds` that count, `disturbed` ones still are and `rerun` ones were repeated; `steal_s`
+    of their `seconds` was taken by the host.
     """
 
     rounds: float

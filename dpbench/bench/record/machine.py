@@ -48,8 +48,7 @@ def clock_read_ns() -> tuple[float, int]:
 def describe_machine() -> MachineDescription:
     """Describe this machine for `machine.json`; its `id` hashes what makes timings comparable.
 
-    That is CPU model, cores, memory, kernel release, Python and the libraries of every
-    configuration; a solver's own version is part of each cell's key instead.
+    A solver's own version is part of each cell's key instead.
     """
     (read_cost, resolution), clock = clock_read_ns(), psutil.cpu_freq()
     lasting: ComparedMachine = {

@@ -193,17 +193,9 @@ def read_float_array(
     infinite: str = "",
     nan: bool = False,
 ) -> Floats:
-    """Return an array as float64 after checking its type, shape and special values.
+    """Return an array of `shape` as float64; InputError, naming file and array, where it is not.
 
-    Parameters
-    ----------
-    where : its file; shape : the required one.
-    infinite : allowed infinities: "+", "-", "+-" or none.
-    nan : whether NaN is allowed.
-
-    Raises
-    ------
-    InputError : naming file, array, what was found and what is allowed.
+    `infinite` has the signs of allowed infinities: "+", "-", "+-" or none; `nan` allows NaN.
     """
     if name not in arrays:
         raise InputError(where, name, "nothing", "this array is required")

@@ -70,12 +70,9 @@ def loop_layout(
 ) -> Layout:
     """Return type and shape of every array that records a closed loop of `steps` steps.
 
-    Parameters
-    ----------
-    n, m : of the QPs; n_theta : length of [θ; 1].
-    n_f : entries of the thrusters' forces, where they are commanded.
-    allocation : n and m of the second QP of a cascade, (0, 0) where it has none; None where the
-        controller is no cascade.
+    n, m : of the QPs; n_theta : length of [θ; 1]; n_f : of the forces of commanded thrusters.
+    allocation : n and m of the second QP of a cascade, (0, 0) where it has none; None for no
+        cascade.
     """
     layout = _answer_layout(1, steps, n, m) | {
         "theta": ("f8", (steps, n_theta)),
@@ -209,10 +206,7 @@ class RawLog(AnswerLog):
         """Create the file that a run is recorded in, at full size; OSError where there is no room.
 
         It appears at `path` whole or not at all, as the supervisor may read it at any moment.
-
-        Raises
-        ------
-        OSError : there is no room for it. A later step would die by SIGBUS.
+        Without all its room a later step would die by SIGBUS.
         """
         path.with_suffix(".layout").write_text(json.dumps(layout), encoding="ascii")
         blank = path.with_suffix(".blank")

@@ -181,13 +181,7 @@ def _run_rules(runs: pd.DataFrame) -> Iterator[tuple[str, pd.Series[Any], str]]:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """A result folder: its runs, steps, machine and suite.
-
-    Parameters
-    ----------
-    runs : rows of `runs.parquet`; recorded : those of `steps.parquet`, by run and column.
-    machine, suite : `machine.json` and `suite.json`.
-    """
+    """A result folder: rows of `runs.parquet` and `steps.parquet`, `machine.json`, `suite.json`."""
 
     runs: pd.DataFrame
     recorded: StepTable
@@ -208,12 +202,9 @@ def lock_result_folder(
 ) -> Iterator[None]:
     """Lock a result folder for one campaign of `suite`; make it where it is missing.
 
-    A report that is being written there is waited for with `patience`.
-
-    Raises
-    ------
-    InputError : it cannot be written, has other files or the results of another suite, its folder
-        of cells is a link, or another campaign uses it. Nothing is changed then.
+    A report that is being written there is waited for with `patience`. InputError, and nothing
+    changed, where it cannot be written, has other files or the results of another suite, its folder
+    of cells is a link, or another campaign uses it.
     """
     where = "--out"
     if str(folder) in ("", "."):
@@ -248,11 +239,8 @@ def lock_result_folder(
 def lock_for_writing(folder: Path, patience: WaitLimit = WaitLimit()) -> Iterator[None]:  # noqa: B008 - frozen
     """Lock a result folder against other campaigns and reports, after waiting for them.
 
-    A missing folder, or one on a disk without locks, is not locked.
-
-    Raises
-    ------
-    BusyError : another still writes there at the end of the wait.
+    A missing folder, or one on a disk without locks, is not locked. BusyError if the wait is too
+    short.
     """
 
     def say_waiting(others: str) -> None:

@@ -97,12 +97,9 @@ def _check_whole_numbers(runs: pa.Table) -> pa.Table:
 
 
 def step_batch(steps: Mapping[str, NDArray[Any]]) -> pa.RecordBatch:
-    """Return the steps of one run as an Arrow record batch.
+    """Return the steps of one run as an Arrow record batch, from (N,) arrays by `STEP_COLUMNS`.
 
-    Parameters
-    ----------
-    steps : (N,) arrays by the names of `STEP_COLUMNS`; missing whole numbers are `MISSING_INT`, and
-        an absent column has no value in any row.
+    A missing whole number is `MISSING_INT`; an absent column has no value in any row.
     """
     rows = len(steps["k"])
     arrays = [_step_array(name, steps, rows) for name in STEPS_SCHEMA.names]

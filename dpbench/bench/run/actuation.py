@@ -19,10 +19,8 @@ from dpbench.ship.layout import AXES
 class Actuation:
     """Actuation where the controller commands the force itself: its limited u acts on the ship.
 
-    Attributes
-    ----------
-    command : of the ship; tau (3,) : the force on it without its losses.
-    applied : where the log records the limited u of each step.
+    `command` is the ship's, `tau` (3,) the force on it without losses; the log records u in
+    `applied`.
     """
 
     def __init__(self, command: Vector, tau: Vector, applied: Matrix) -> None:
@@ -58,14 +56,10 @@ class ThrusterActuation(Actuation):
 
 
 class Allocator(Actuation):
-    """Thrust allocation of a cascade: distributes force u to thrusters by QP or pseudo-inverse.
+    """Thrust allocation of a cascade: distributes force u (3,) to thrusters.
 
-    Without a usable answer of the QP the pseudo-inverse acts.
-
-    Parameters
-    ----------
-    solver : of the QPs; None where the pseudo-inverse allocates.
-    u : (3,) the demanded force, and after `apply_step` what the thrusters make of it.
+    A pseudo-inverse acts without a `solver`, or a usable answer of it. After `apply_step` u is what
+    the thrusters make of it.
     """
 
     def __init__(

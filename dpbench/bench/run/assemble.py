@@ -40,15 +40,9 @@ def closed_loop_setup(
 ) -> ClosedLoopSetup:
     """Build what a closed-loop run needs: QP builder, timed solver, log, backup, time limits.
 
-    Parameters
-    ----------
-    hung : steps in which an earlier process of the cell hung, in order; `new_log` opens its log.
-        For a step that is there twice, the backup and the second solver of a cascade hung too.
-
-    Raises
-    ------
-    InputError : "sparse" for a scenario without stages, an impossible slow-down or deadline, or a
-        backup or second workspace of a cascade that cannot be opened.
+    `hung` are steps in which an earlier process hung, whose log `new_log` opens; for a step that is
+    there twice, the backup and the second solver of a cascade hung too. InputError for "sparse"
+    without stages, an impossible delay, or a backup or second workspace that cannot be opened.
     """
     scenario = with_cell_formulation(cell, scenario)
     delay = find_delay(cell, scenario.sample_s)

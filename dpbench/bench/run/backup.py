@@ -21,14 +21,9 @@ WARM_UP_SOLVES = 3
 class Backup:
     """The backup solver of a closed loop, with the log of its answers.
 
-    Parameters
-    ----------
-    solver : its workspace is set up at every step; moves : maps z to the plan (N_c, n_u).
-    hung : steps in which it hung in an earlier process, each for `limit_ns`.
-
-    Attributes
-    ----------
-    recorded_ready_ns : (K,) when its answers of an earlier process were ready on a slow computer.
+    `solver` is set up at every step; `moves` maps z to the plan (N_c, n_u). In steps `hung` it hung
+    in an earlier process, each for `limit_ns`; `recorded_ready_ns` (K,) is when its answers were
+    ready.
     """
 
     def __init__(

@@ -14,14 +14,7 @@ Law = Callable[[Vector, Vector, Vector], Vector]
 class FallbackPolicy:
     """Policy for the move of a step without a usable answer; this one holds the force.
 
-    Parameters
-    ----------
-    N_c, n_u : moves of a plan and entries of each; law : of the controller.
-
-    Attributes
-    ----------
-    acted : whether the last move was one without an answer.
-    follows_plans : whether a plan that arrived late is followed too (`slow_computer.py`).
+    `acted` is whether the last move was one; `follows_plans` whether a late plan is followed too.
     """
 
     follows_plans = False

@@ -69,10 +69,9 @@ def machine_memory_bytes() -> int:
 
 
 def limit_memory(size: int) -> None:
-    """Limit the data of this process to `size` bytes more than now (RLIMIT_DATA).
+    """Limit the data of this process, and of each that it starts, to `size` bytes more than now.
 
-    Each process that it starts has the same limit for itself. Files and reserved address space do
-    not count, of which libraries map far more than they use, so RLIMIT_AS would refuse them.
+    RLIMIT_AS would refuse libraries, which reserve far more address space than they use.
     """
     hard, size_now = resource.getrlimit(resource.RLIMIT_DATA)[1], _read_status("VmData")
     most = size + (0 if isnan(size_now) else int(size_now))
@@ -90,8 +89,8 @@ def mark_as_first_oom_victim() -> None:
 class MemoryWatch:
     """Meter of a solver's peak memory: that of its process, less the benchmark's own part.
 
-    Made before the solver's library is imported. A forked process starts with its parent's present
-    memory as its peak, which is subtracted; an older process resets its peak first.
+    Made before the solver's library is imported. The memory of a forked process at its birth is
+    subtracted; an older process resets its peak first.
     """
 
     def __init__(self) -> None:
@@ -165,12 +164,9 @@ def count_affordable_steps(log: RawLog) -> int:
 def measure_step_memory(
     sequence: QPSequence, solver: TimedSolver, steps: int
 ) -> tuple[float, float, float]:
-    """Return memory blocks, peak bytes and heap growth of solving one QP, untimed.
+    """Return medians of memory blocks left, peak bytes and heap growth [B] of untimed solves.
 
-    Returns
-    -------
-    Medians over `steps` of the Python memory blocks that an answer leaves, and of the peak of
-    traced bytes above the start of the step; the growth of the C heap a step [B].
+    The peak is that of traced bytes above the start of the step.
     """
     if steps < 1:
         return float("nan"), float("nan"), float("nan")

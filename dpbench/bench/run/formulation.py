@@ -26,10 +26,8 @@ class QPBuilder:
 
     Attributes
     ----------
-    condensed : builder of the condensed QPs; staged : of the sparse ones, if they are meant.
-    reference (K + N_p, 3) : wanted pose at each sample; limits (K) : of u.
-    allocation : builder of a cascade's second QPs; None where there are none.
-    thruster_limits (K) : of thrusters that are commanded.
+    condensed, staged : builders of condensed and of sparse QPs; allocation : of a cascade's second.
+    reference (K + N_p, 3) : wanted pose; limits, thruster_limits (K) : of u and of thrusters.
     """
 
     def __init__(

@@ -45,10 +45,8 @@ def _increment(value: int) -> int:
 def _load_kernel() -> None:
     """Run the machine-load test: some 60 µs of Python calls, small NumPy calls, a LAPACK inverse.
 
-    Other load may slow all of it by a factor of two, which the dependent chain hardly shows. Over
-    40 runs on such a machine the factor that 14 configurations had in common correlated at 0.98
-    with that of these three parts, at 0.7 with the reference kernel, and at 0.6 to 0.9 with walks
-    through 256 kB and 1 MB.
+    Over 40 runs under other load the slow-down that 14 configurations had in common correlated at
+    0.98 with that of these parts, at 0.7 with the reference kernel.
     """
     value = 0
     for _ in range(100):
@@ -80,8 +78,9 @@ class ReplayRun:
     ----------
     warmup_steps : length of round 0; preroll : steps solved before each round without a record.
     limit_ns : own run time of all rounds together; of a round that is run again the last counts.
-    hung : (round, step) in which earlier processes of the replay hung, in order; the log is theirs.
-        The last of these rounds goes on where it was, and no such step is tried again.
+    hung : (round, step) in which earlier processes of the replay hung, whose log this is; the last
+        of
+        these rounds goes on where it was, and no such step is tried again.
     """
 
     def __init__(

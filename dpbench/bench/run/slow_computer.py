@@ -89,15 +89,9 @@ def find_delay(cell: Cell, sample_s: float) -> ComputationalDelay:
 class SlowComputer:
     """Solver and fallback of a loop on one slow processor, whose answers may arrive late.
 
-    Parameters
-    ----------
-    latency_ns : (K,) receives the latency of each answer, −1 where no computation began.
-    backup : acts where the solver fails or is stopped at its deadline.
-
-    Attributes
-    ----------
-    phases_ns, waited_ns : as of `TimedSolver`; −1 and 0 in a step without a computation.
-    acted : whether the last move was not of an answer that is in time or arrived just now.
+    `latency_ns` (K,) receives the latency of each answer, −1 where no computation began. `backup`
+    acts where the solver fails or is stopped at its deadline. `phases_ns` and `waited_ns` are as of
+    `TimedSolver`; `acted` is whether the last move was not of an answer in time or just arrived.
     """
 
     def __init__(

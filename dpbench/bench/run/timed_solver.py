@@ -190,14 +190,10 @@ def record_answer(log: AnswerLog, r: int, k: int, solution: Solution, waited_ns:
 
 
 class ResumedSolver(TimedSolver):
-    """A timed solver that repeats recorded answers up to the step in which its process hung.
+    """A timed solver that repeats recorded `answers` up to step `at`, in which its process hung.
 
-    The loop around it is deterministic, so the ship comes to the very state that it had.
-
-    Parameters
-    ----------
-    answers : the log of the loop so far; at : the step that hung.
-    skips : whether this solver hung in it, for `limit_ns`, and has no answer to it.
+    The loop around it is deterministic, so the ship comes to the very state that it had. `skips` is
+    whether this solver hung there, for `limit_ns`, and has no answer to it.
     """
 
     def __init__(
@@ -299,8 +295,7 @@ UNKNOWN = -1
 class RunDelay:
     """Meter of how long a thread was ready to run while its core ran something else.
 
-    The kernel's scheduler sums it up: the second number of `schedstat` in proc(5). Sleep, and
-    waiting for another thread, do not count.
+    It is the second number of `schedstat` in proc(5), without sleep and waits for other threads.
     """
 
     def __init__(self) -> None:

@@ -39,10 +39,7 @@ _WORDS = {"timed_out": "slow"}
 class WorstCase:
     """Result of a search for a solver's worst step: goal, solver, search and saved files.
 
-    Parameters
-    ----------
-    cell : how the solver was run on which scenario; search : baseline, best case and failures.
-    path : of the best case, if there is one; failures : of the first case of each failure.
+    `path` is of the best case, if there is one; `failures` are of the first case of each failure.
     """
 
     goal: Goal

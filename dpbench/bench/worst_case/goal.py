@@ -22,14 +22,10 @@ _NO_ANSWER_CLAIMS = [status for status in Status if status.denies_optimum]
 
 @dataclass(frozen=True)
 class WorstStep:
-    """The worst step of a replay: iterations, error, status, and how bad it is.
+    """The worst step of a replay: iterations (−1 if not counted), error, status, and how bad it is.
 
-    Parameters
-    ----------
-    step : its number in the sequence; iterations : of the solver, −1 if not counted.
-    error_plan, bound : as in `steps.parquet`; status : what the solver claimed.
-    objective : how bad the step is by the goal.
-    score : of the whole replay, which a search maximises; equal objectives may differ in it.
+    `objective` is how bad by the goal; `score` is of the whole replay, which a search maximises:
+    equal objectives may differ in it.
     """
 
     step: int
@@ -54,8 +50,7 @@ class WorstStep:
 def find_worst_step(evaluated: EvaluatedCell, goal: Goal) -> WorstStep | None:
     """Return the worst step of a replay, by iterations or error; None if none can be rated.
 
-    Goal "iterations": the most iterations, whatever the answer. Goal "error": an answer that is
-    claimed counts its `error_plan`; one that is declined (no claim, or a failure) counts at most
+    By "error" a claimed answer counts its `error_plan`; one that is declined counts at most
     `DECLINED`, because a controller can act on a refusal; a false "infeasible", and a "solved" of
     what has no feasible point, count as infinite.
     """

@@ -1,9 +1,8 @@
 """Search by differential evolution, which keeps the worst case.
 
-The solver answers one sequence after the other in a process of its own; one that crashes or hangs
-costs the sequence it failed on. Every sequence is answered by a new workspace as in
-`notebook.runs.replay` and a campaign (a warm-up round, then one that counts), so that a case
-replays to the same figures.
+The solver answers in a process of its own; one that crashes or hangs costs the sequence it failed
+on. Every sequence is answered by a new workspace, a warm-up round first, as in a campaign, so that
+a case replays to the same figures.
 """
 
 from dataclasses import dataclass, replace
@@ -126,10 +125,8 @@ class Search:
     def run(self, base: Scenario, seed: int) -> None:
         """Replay the unchanged scenario, then search its variants until all trials are used up.
 
-        Raises
-        ------
-        InputError : the goal is iterations and the solver counts none, or a case cannot be made.
-        CertificateError : a step of the scenario itself cannot be certified.
+        InputError where the goal is iterations and the solver counts none, or a case cannot be
+        made; CertificateError for the scenario itself.
         """
         # An impossible length is an error before anything runs.
         self._space.build_variant(np.zeros(self._space.dimensions))

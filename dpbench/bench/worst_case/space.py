@@ -36,13 +36,10 @@ _WHEN, _FIRST_FAULT = 12, 13
 
 
 class SearchSpace:
-    """The variants of a scenario that a search tries: start, speed, steady and sudden force.
+    """The variants, of `steps` samples, that a search tries: start, speed, steady and sudden force.
 
-    Parameters
-    ----------
-    scenario : whose ship, controller, estimator and weather all variants share; a start further
-        from the reference than `REACH`, or faster than `SPEED_REACH`, widens the reach.
-    steps : length of each variant in samples; name : of the variants.
+    All share the ship, controller and weather of `scenario`; a start further from the reference
+    than `REACH`, or faster than `SPEED_REACH`, widens the reach.
     """
 
     def __init__(self, scenario: Scenario, steps: int, name: str) -> None:
