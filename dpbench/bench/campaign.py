@@ -17,10 +17,9 @@ import pandas as pd
 from dpbench.bench.capability.table import CAPABILITY_FILE, write_capability
 from dpbench.bench.design import Design, DesignStudy, plan_designs
 from dpbench.bench.engines.dispatcher import Dispatcher, longest_cell
-from dpbench.bench.engines.engine import Engine, TlsFiles
+from dpbench.bench.engines.engine import Engine, SourceFiles, TlsFiles
 from dpbench.bench.engines.open_engine import open_engine
 from dpbench.bench.engines.shards import WHOLE, Shard, ShardRecord
-from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.configurations import library_identity
 from dpbench.bench.plan.run_request import Plan, RunRequest, list_plan_limits
@@ -170,10 +169,7 @@ class Campaign:
         remarks: Sequence[str],
         made_by: list[Revision] | None = None,
     ) -> None:
-        """Write all result files: runs, steps, stability, capability, machine, suite.
-
-        `made_by` are the revisions of dpbench that ran the cells, if not this one.
-        """
+        """Write all result files; `made_by` are the revisions that ran the cells, if not this."""
         self.designs.write(self._out)
         runs, step_rows = tabulate(self.work, self.store)
         suite: dict[str, Any] = {

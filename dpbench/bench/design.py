@@ -249,7 +249,7 @@ def run_design(text: str, folder: Path, name: str, core: int, path: Path) -> Non
     """Study a controller's stability in a process of its own; write the record to `path`."""
     pin_to_core(core)
     disable_gc_and_warnings()
-    _write_designs(path, Designs((study_design(Design(**json.loads(text))),)))
+    write_json(path, asdict(Designs((study_design(Design(**json.loads(text))),))))
     write_outcome(folder / f"{name}.json", Outcome("finished", ""))
 
 
@@ -305,12 +305,7 @@ class DesignStudy:
             if records[path] is None
         ]
         finished = tuple(record for record in records.values() if record is not None)
-        _write_designs(out / DESIGN_FILE, Designs(finished, tuple(missing)))
-
-
-def _write_designs(path: Path, designs: Designs) -> None:
-    """Write controllers' stability records to a JSON file."""
-    write_json(path, asdict(designs))
+        write_json(out / DESIGN_FILE, asdict(Designs(finished, tuple(missing))))
 
 
 def _read_record(path: Path) -> DesignRecord | None:

@@ -42,7 +42,8 @@ class Rates:
 
     def seconds_of(self, cell: Cell) -> float:
         """Return the expected time of a run [s], by the measured or stated step times."""
-        step_s = self.steps_s.get(_kind_of_cell(cell), STEP_S - JUDGE_STEP_S)
+        kind = tuple(str(getattr(cell, name)) for name in _KIND)
+        step_s = self.steps_s.get(kind, STEP_S - JUDGE_STEP_S)
         return CELL_S + (step_s + JUDGE_STEP_S) * count_recorded_steps(cell)
 
 
@@ -94,11 +95,6 @@ def _format_duration(seconds: float) -> str:
 def count_recorded_steps(cell: Cell) -> int:
     """Return the number of rows that a run leaves in `steps.parquet`."""
     return cell.steps * cell.rounds + cell.warmup_steps if cell.mode == "replay" else cell.steps
-
-
-def _kind_of_cell(cell: Cell) -> Kind:
-    """Return a run's mode and solver configuration, by which measured step times are kept."""
-    return tuple(str(getattr(cell, name)) for name in _KIND)
 
 
 def estimate_cells(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> Estimate:

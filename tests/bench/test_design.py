@@ -28,8 +28,8 @@ from dpbench.bench.design import (
     plan_designs,
 )
 from dpbench.bench.engines.dispatcher import Dispatcher
+from dpbench.bench.engines.engine import SourceFiles
 from dpbench.bench.engines.local import LocalEngine
-from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.plan.suite import DesignTable
 from dpbench.bench.progress import Silent
 from dpbench.bench.run.exact_loop import solve_exactly

@@ -70,10 +70,8 @@ class CapabilityPlot:
         self.vessel, self.thrusters, self.hull = vessel, vessel.thrusters, vessel.capability
         self.sides = sides
         self._utilisation = Utilisation(self.thrusters, sides)
-        self.pieces_of, self.combinations = (
-            cache(self._split_thrust_areas),
-            cache(self._list_combinations),
-        )
+        self.pieces_of = cache(self._split_thrust_areas)
+        self.combinations = cache(self._list_combinations)
         # One wind is asked with many choices of pieces in a row.
         self.weather = lru_cache(maxsize=64)(self._compute_weather)
 

@@ -26,14 +26,15 @@ from dpbench.bench.engines.engine import (
     Completed,
     EngineGoneError,
     HandOverError,
+    SourceFiles,
     TlsFiles,
 )
-from dpbench.bench.engines.sources import SourceFiles, read_source
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome, RecordedSource
 from dpbench.bench.record.machine import describe_machine
-from dpbench.bench.sequences.source import is_readable
+from dpbench.bench.sequences.source import is_readable, source_file
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, list_solvers
+from dpbench.errors import CertificateError, InputError
 from dpbench.files.writing import write_bytes
 
 RETRIES = 2
@@ -219,7 +220,7 @@ class DaskEngine(ExitStack):
         for path, text in batch.texts.items():
             cell = Cell.from_json(text)
             if isinstance(cell.source, RecordedSource) or is_readable(cell, path):
-                found = read_source(cell, path)
+                found = _read_source(cell, path)
                 made[str(path)] = self._submit(on_worker.return_file, found, name="source")
                 del texts[path]
         if texts:
@@ -244,3 +245,13 @@ class DaskEngine(ExitStack):
         if not self.cluster.is_own:
             how["workers"] = [*self.cluster.addresses]
         return self.cluster.client.submit(function, *args, key=key, pure=False, **how)
+
+
+def _read_source(cell: Cell, path: Path) -> on_worker.MadeFile:
+    """Return the file of a run's QPs as bytes; make it where it is missing."""
+    if not is_readable(cell, path):
+        try:
+            source_file(cell).make(path)
+        except (CertificateError, InputError) as error:
+            return on_worker.MadeFile(Outcome("invalid", str(error)))
+    return on_worker.MadeFile(Outcome("finished", ""), path.read_bytes())

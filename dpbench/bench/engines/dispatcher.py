@@ -9,8 +9,13 @@ from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from dpbench.bench.engines.engine import Completed, Engine, EngineGoneError, HandOverError
-from dpbench.bench.engines.sources import SourceFiles
+from dpbench.bench.engines.engine import (
+    Completed,
+    Engine,
+    EngineGoneError,
+    HandOverError,
+    SourceFiles,
+)
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.workers.jobs import (

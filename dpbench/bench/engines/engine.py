@@ -1,11 +1,11 @@
-"""The protocol of an engine: it takes batches, and hands back their results."""
+"""The protocol of an engine: it takes batches and files of QPs, and hands back results."""
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Protocol
 
-from dpbench.bench.engines.sources import SourceFiles
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.result_folder import MachineDescription
@@ -19,6 +19,32 @@ TlsFiles = Sequence[str | Path]
 key."""
 Completed = tuple[Batch, Sequence[Result]]
 """A batch and the results of its cells or files. One without a result took its process along."""
+
+
+_SOURCE = re.compile(r"exact-(?P<key>\w+)(?:\.part)*\.npz")
+
+
+class SourceFiles:
+    """The files of QPs of one campaign, which its workers read; those in `kept` stay at its end."""
+
+    def __init__(self, folder: Path, kept: Collection[str] = ()) -> None:
+        self.folder, self._kept = folder, set(kept)
+
+    def path(self, key: str) -> Path:
+        """Return the path of the file of QPs with this hash key."""
+        return self.folder / f"exact-{key}.npz"
+
+    def remove(self, key: str) -> None:
+        """Delete the file of QPs with this key, unless it is to be kept."""
+        if key not in self._kept:
+            self.path(key).unlink(missing_ok=True)
+
+    def clear(self) -> None:
+        """Delete all files of QPs but those to be kept, also those of an interrupted campaign."""
+        for path in self.folder.iterdir():
+            own = _SOURCE.fullmatch(path.name)
+            if own and own["key"] not in self._kept:
+                path.unlink(missing_ok=True)
 
 
 class HandOverError(DpbenchError):

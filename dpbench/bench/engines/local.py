@@ -4,8 +4,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 
-from dpbench.bench.engines.engine import BATCHES_AHEAD, Completed
-from dpbench.bench.engines.sources import SourceFiles
+from dpbench.bench.engines.engine import BATCHES_AHEAD, Completed, SourceFiles
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.machine import describe_machine

@@ -13,7 +13,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import cache
-from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 from dpbench.bench.progress import Silent
@@ -179,10 +178,8 @@ def _find_library_identity(solver: str) -> str:
     return check_availability(solver).identity
 
 
-@cache
-def _get_forkserver(solvers: tuple[str, ...]) -> ForkServerContext:
-    """Return the starter of this worker's processes, made once for each set of solvers."""
-    return start_forkserver(solvers)
+_get_forkserver = cache(start_forkserver)
+"""The starter of this worker's processes, made once for each set of solvers."""
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.bench.judge.rules import WARM_UP, disturbed_rounds
+from dpbench.bench.judge.rules import is_disturbed
 from dpbench.bench.record.disturbance import Disturbance, disturbance_metrics
 from dpbench.bench.record.raw_log import RawLog, sum_step_ns
 from dpbench.bench.run.assemble import NO_LIMIT_NS, clock, replay_parts
@@ -75,8 +75,7 @@ def _replay_configuration(name: str) -> tuple[float, Disturbance]:
         steps, timed_solver, log, warmup_steps=_STEPS, limit_ns=NO_LIMIT_NS, clock=clock
     )
     replaying.run_all_rounds()
-    rounds = np.arange(_ROUNDS + 1, dtype=np.int32)
-    slowed = disturbed_rounds(rounds, log.reference_kernel_ns) != WARM_UP
+    slowed = is_disturbed(log.reference_kernel_ns)[1:]  # the warm-up does not count
     seen = disturbance_metrics(log)
     return float(np.median(sum_step_ns(log.times[1:]))), Disturbance(
         rounds=_ROUNDS,

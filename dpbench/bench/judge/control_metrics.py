@@ -153,12 +153,7 @@ def _deviation_metrics(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str
 def axis_limit_metrics(
     scenario: Scenario, tau: Matrix, limits: Sequence[Limits]
 ) -> dict[str, float]:
-    """Return the shares of steps at each axis's limits, and the number of violations.
-
-    Parameters
-    ----------
-    tau : (K, 3) applied forces; limits : of at least K samples.
-    """
+    """Return shares of steps at limits of each axis, and violations, of applied tau (K, 3)."""
     du_max, before = scenario.problem.du_max, previous_forces(tau)
     low, high = stack_limits(limits[: len(tau)])
     near = AT_LIMIT * du_max

@@ -16,8 +16,7 @@ from dpbench.bench.judge.closed_loop import (
     recorded_answer,
 )
 from dpbench.bench.record.disturbance import disturbance_metrics
-from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.run.footprint import footprint_metrics
+from dpbench.bench.record.raw_log import FOOTPRINT, RawLog
 from dpbench.qp.program import QPSequence, Units
 from dpbench.qp.referee.optimum import Optimum
 
@@ -49,7 +48,8 @@ def evaluate_sequence(
     for kernel in ("reference_kernel_ns", "load_kernel_ns"):
         columns[kernel] = getattr(log, kernel)[rounds].copy()
     metrics = {"sample_s": sample_s, "first_sample": float(first), "every_sample": float(every)}
-    metrics |= repeatability(log, units.z) | disturbance_metrics(log) | footprint_metrics(log)
+    metrics |= repeatability(log, units.z) | disturbance_metrics(log)
+    metrics |= dict(zip(FOOTPRINT, log.footprint.tolist(), strict=True))
     return EvaluatedCell(columns, metrics | caching_metrics(log))
 
 

@@ -72,11 +72,6 @@ def is_disturbed(reference_kernel_ns: Floats) -> Flags:
     return slowed
 
 
-def disturbed_rounds(rounds: NDArray[np.int32], reference_kernel_ns: Floats) -> NDArray[np.int32]:
-    """Return those replay `rounds` (R,) in which the machine-speed test ran too slowly."""
-    return rounds[is_disturbed(reference_kernel_ns)]
-
-
 def counting_rows(repeat: NDArray[np.int32], disturbed: Flags) -> Flags:
     """Return a mask (N,) of replay steps, in rounds `repeat`, that count: not the warm-up.
 

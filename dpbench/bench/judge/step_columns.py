@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.arrays import Flags, Floats, Ints
+from dpbench.arrays import Flags, Ints
 from dpbench.bench.judge import rules
 from dpbench.bench.judge.closed_loop import (
     BACKUP_PREFIX,
@@ -20,6 +20,7 @@ from dpbench.bench.judge.closed_loop import (
     Columns,
     EvaluatedCell,
 )
+from dpbench.bench.judge.control_metrics import previous_forces
 from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.judge.timing import deadline_columns, find_disturbed_rounds
 from dpbench.bench.record.cell import Cell
@@ -145,11 +146,12 @@ def _as_integers(values: NDArray[Any]) -> Ints:
 def _ship_columns(columns: Columns) -> StepColumns:
     """Return pose, velocity, force and command of the ship in each step of a closed loop."""
     state, tau = columns["state"][:-1], columns["tau"].astype(np.float64)
+    change = tau - previous_forces(tau)
     ship = {name: columns[name] for name in ("fallback", "unconverged", "clipped")}
     ship |= {name: state[:, i] for i, name in enumerate(_STATE)}
     for i, axis in enumerate(AXIS_FORCES):
         ship[f"tau_{axis}"] = tau[:, i]
-        ship[f"dtau_{axis}"] = row_changes(tau[:, i], columns["k"])
+        ship[f"dtau_{axis}"] = change[:, i]
         ship[f"cmd_{axis}"] = columns["command"][:, i]
     return ship | {name: columns[name] for name in _OF_THRUSTERS if name in columns}
 
@@ -163,11 +165,3 @@ def step_time_ns(steps: Mapping[str, NDArray[Any]]) -> Ints:
         total += np.maximum(part, 0)
     total[np.maximum.reduce(phases) < 0] = MISSING_INT
     return total
-
-
-def row_changes(values: Floats, k: NDArray[Any]) -> Floats:
-    """Return the change (N,) of a column from row to row, from zero at k = 0."""
-    before = np.roll(values, 1)
-    before[k == 0] = 0.0
-    change: Floats = values - before
-    return change

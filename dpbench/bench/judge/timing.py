@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Floats, Ints
 from dpbench.bench.judge.closed_loop import SECOND_QP_PREFIX, Columns, EvaluatedCell
-from dpbench.bench.judge.rules import WARM_UP, disturbed_rounds, median_known, percentile
+from dpbench.bench.judge.rules import WARM_UP, is_disturbed, median_known, percentile
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.schema import MISSING_INT
 from dpbench.bench.run.slow_computer import ComputationalDelay
@@ -99,7 +99,7 @@ def load_kernel_time_ns(columns: Columns, counting: NDArray[np.int32]) -> float:
 def find_disturbed_rounds(columns: Columns) -> NDArray[np.int32]:
     """Return the rounds of a replay in which the machine-speed test ran too slowly."""
     rounds: NDArray[np.int32] = np.unique(columns["repeat"]).astype(np.int32)
-    return disturbed_rounds(rounds, columns["reference_kernel_ns"].astype(np.float64))
+    return rounds[is_disturbed(columns["reference_kernel_ns"].astype(np.float64))]
 
 
 def deadline_columns(

@@ -190,7 +190,7 @@ def random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -
     blanks = replay_cells(suite, table, solvers, table.steps, scenario={})
     cells: list[PlannedCell] = []
     for recipe in table.list_recipes():
-        source = RandomSource.from_recipe(recipe)
+        source = RandomSource(name=recipe.name, recipe=recipe)
         planned = [replace(blank, cell=replace(blank.cell, source=source)) for blank in blanks]
         semidefinite = FAMILIES[recipe.family].semidefinite
         cells += map(_refuse_semidefinite, planned) if semidefinite else planned

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, cached_property
 from importlib.metadata import version
@@ -101,11 +101,6 @@ class RandomSource(QPSource):
 
     recipe: RandomRecipe
 
-    @classmethod
-    def from_recipe(cls, recipe: RandomRecipe) -> RandomSource:
-        """Return the origin of random QPs from their family, size and seed, named after these."""
-        return cls(name=recipe.name, recipe=recipe)
-
 
 @dataclass(frozen=True)
 class RecordedSource(QPSource):
@@ -118,6 +113,7 @@ class RecordedSource(QPSource):
 
 
 CONTROLLER = ControllerSource()
+_validator: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
 _KINDS = (RandomSource, RecordedSource, HardestSource, ConsequenceSource, CapabilitySource)
 SOURCES: Mapping[str, type[QPSource]] = {source.kind: source for source in _KINDS}
 
@@ -129,13 +125,8 @@ def parse_source(values: Mapping[str, Any]) -> QPSource:
     kind = str(values.get("kind"))
     if kind not in SOURCES:
         raise InputError("cell", "source.kind", repr(kind), ", ".join(map(repr, SOURCES)))
-    return _source_validator(kind).validate_python(values)
-
-
-@cache
-def _source_validator(kind: str) -> TypeAdapter[QPSource]:
-    """Return the pydantic validator for one kind of origin of QPs."""
-    return TypeAdapter(SOURCES[kind])
+    source: QPSource = _validator(SOURCES[kind]).validate_python(values)
+    return source
 
 
 Formulation = Literal["condensed_box", "condensed_stacked", "sparse", "none"]

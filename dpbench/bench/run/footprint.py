@@ -19,7 +19,7 @@ import numpy as np
 import psutil
 from threadpoolctl import threadpool_info
 
-from dpbench.bench.record.raw_log import FOOTPRINT, RawLog, sum_step_ns
+from dpbench.bench.record.raw_log import RawLog, sum_step_ns
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence
 
@@ -199,8 +199,3 @@ def measure_step_memory(
     tracemalloc.stop()
     # Of passes the median: what is allocated once, or served from freed memory, is no step's.
     return float(np.median(blocks)), float(np.median(peaks)), float(np.median(growth))
-
-
-def footprint_metrics(log: RawLog) -> dict[str, float]:
-    """Return the memory and thread columns of a replay from its raw log."""
-    return dict(zip(FOOTPRINT, log.footprint.tolist(), strict=True))
