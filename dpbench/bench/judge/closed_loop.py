@@ -23,6 +23,7 @@ from dpbench.bench.record.raw_log import COUNTERS, PHASES, AnswerLog, RawLog
 from dpbench.bench.run.assemble import with_cell_formulation
 from dpbench.bench.run.exact_loop import ExactLoop, base_problem
 from dpbench.bench.run.formulation import QPBuilder
+from dpbench.bench.run.station import station_metrics
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
 from dpbench.qp.referee.referee import Referee, claim_is_true, get_shared_referee, measure_errors
@@ -220,6 +221,7 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCell:
     metrics = control_metrics(scenario, columns["state"], applied, scaled.reference, exact)
     for group in scenario.controller.metric_groups:
         metrics |= METRICS[group](AppliedForces(scenario, scaled, columns, thrust))
+    metrics |= station_metrics(scenario, exact, cell.steps)
     metrics |= {"sample_s": scenario.sample_s, "first_sample": 0.0, "every_sample": 1.0}
     metrics["matrix_steps"] = float(matrix_steps)
     metrics |= dict(zip(COUNTERS, log.counters[0].tolist(), strict=True))

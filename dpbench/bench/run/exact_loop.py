@@ -15,7 +15,7 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.arrays import Floats, Matrix
+from dpbench.arrays import Flags, Floats, Matrix
 from dpbench.bench.record.cell import DEFAULT_FALLBACK
 from dpbench.bench.record.npz import open_arrays, write_arrays
 from dpbench.bench.record.raw_log import RawLog, loop_layout
@@ -27,7 +27,7 @@ from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, SparseEquivalent, Units
 from dpbench.qp.referee.joint import Kind
-from dpbench.qp.referee.optimum import Optimum
+from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
 from dpbench.qp.referee.referee import Referee, get_shared_referee
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario
@@ -35,7 +35,7 @@ from dpbench.ship.environment import WeatherDraw
 from dpbench.ship.plant import SUBSTEPS
 from dpbench.solvers.contract import Workspace
 
-_OF_LOOP = ("theta", "state", "tau", "thrust", "z")
+_OF_LOOP = ("theta", "state", "tau", "thrust", "z", "active")
 _OF_OPTIMUM = ("z", "y", "y_box", "bound", "kind")
 ALLOCATED = "allocated"
 """Prefix of the arrays with the optima of allocations in a stored loop."""
@@ -94,6 +94,7 @@ class ExactLoop:
     Attributes
     ----------
     theta (K, 16) : [x; y_ref; u_prev; 1]; state (K + 1, 6); tau (K, 3); thrust (K, n_f); z (K, n).
+    active : (K,) whether the controller's QP has an active limit, or no feasible point.
     optima : certified, of each step in scaled units.
     demand (K, 3), allocated : of a cascade, the demanded force and the optima of its second QPs.
     drawn : what all runs in the same weather share, see `Environment.precompute_weather`.
@@ -104,6 +105,7 @@ class ExactLoop:
     tau: Matrix
     thrust: Matrix
     z: Matrix
+    active: Flags
     optima: list[Optimum]
     demand: Matrix | None = None
     allocated: list[Optimum] = field(default_factory=list)
@@ -190,9 +192,27 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
     if builder.allocation is not None:
         setup.allocating = TimedSolver(second, BoxFormulation(builder.allocation.base()), clock)
     closed_loop(setup)
-    loop = log.theta, log.state, log.tau, log.thrust, log.z[0], workspace.optima
+    active = _has_active_limits(base, workspace.optima)
+    loop = log.theta, log.state, log.tau, log.thrust, log.z[0], active, workspace.optima
     demand = log.demand if scenario.controller.allocates else None
     return ExactLoop(*loop, demand, second.optima, drawn)
+
+
+def _has_active_limits(qp: QuadraticProgram, optima: Sequence[Optimum]) -> Flags:
+    """Return in which steps (K,) a limit is active, or no feasible point exists.
+
+    The lower bounds of slacks do not count: they are active where a soft limit is not.
+    """
+    is_move = np.arange(qp.n) % (qp.block or qp.n) < (qp.moves or qp.n)
+    return np.array(
+        [
+            optimum.kind == "infeasible"
+            or bool((np.abs(optimum.y) > ACTIVE_MULTIPLIER).any())
+            or bool((np.abs(optimum.y_box[is_move]) > ACTIVE_MULTIPLIER).any())
+            for optimum in optima
+        ],
+        dtype=np.bool_,
+    )
 
 
 def base_problem(builder: CondensedQP) -> QuadraticProgram:

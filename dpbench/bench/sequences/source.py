@@ -4,7 +4,7 @@ A file has the exactly solved loop, or a sequence with its certified optima.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from dpbench.bench.run.exact_loop import (
     rebuild_sequence,
     solve_exactly,
 )
+from dpbench.bench.run.station import station_metrics
 from dpbench.bench.sequences.capability_boundary import write_capability_boundary
 from dpbench.bench.sequences.loop_sequences import (
     build_consequence_sequence,
@@ -48,11 +49,15 @@ from dpbench.ship.layout import AXES
 
 @dataclass(frozen=True, eq=False)
 class ReplayInput:
-    """The QPs of a replay, the time between them [s], and their certified optima if known."""
+    """The QPs of a replay, the time between them [s], and their certified optima if known.
+
+    station : of QPs along an exactly solved loop, its station keeping, see `station_metrics`.
+    """
 
     sequence: QPSequence
     sample_s: float
     optima: list[Optimum] | None
+    station: dict[str, float] = field(default_factory=dict)
 
 
 _latest: dict[tuple[str, Path], ReplayInput] = {}
@@ -111,7 +116,8 @@ class _LoopFile:
             scenario, exact, units=cell.units, first=first, count=cell.steps
         )
         optima = exact.optima[first : first + cell.steps]
-        return ReplayInput(sequence, scenario.sample_s, optima)
+        station = station_metrics(scenario, exact, cell.last_step)
+        return ReplayInput(sequence, scenario.sample_s, optima, station)
 
     def check(self, path: Path) -> None:
         """Read the whole file of a loop; ResultsError where it is damaged or has too few steps."""
@@ -133,7 +139,8 @@ class _ConsequenceFile(_LoopFile):
     def load(self, path: Path) -> ReplayInput:
         """Return the consequence-analysis QPs of the replay's failure group, without optima."""
         cell, scenario = self.cell, cached_scenario(self.cell.scenario)
-        whole = build_consequence_sequence(scenario, ExactLoop.load(path).tau, self.source.group)
+        exact = ExactLoop.load(path)
+        whole = build_consequence_sequence(scenario, exact.tau, self.source.group)
         last = cell.first + cell.steps
         sequence = replace(
             whole,
@@ -142,7 +149,8 @@ class _ConsequenceFile(_LoopFile):
             meta=whole.meta | {"first": cell.first},
             **{name: getattr(whole, name)[cell.first : last] for name in ("q", "l", "u")},
         )
-        return ReplayInput(sequence, scenario.sample_s, None)
+        station = station_metrics(scenario, exact, cell.last_step)
+        return ReplayInput(sequence, scenario.sample_s, None, station)
 
     def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
         """Return n and m of the consequence-analysis QPs."""

@@ -434,7 +434,10 @@ def _evaluate_log(cell: Cell, source: Path, log: RawLog) -> EvaluatedCell:
     """Evaluate the raw log of a replay or closed loop; return step columns and metrics."""
     if cell.mode == "replay":
         known, judged = read_replay(cell, source), cell.solver not in CALIBRATION
-        return evaluate_sequence(log, known.sequence, known.sample_s, known.optima, judged=judged)
+        replayed = evaluate_sequence(
+            log, known.sequence, known.sample_s, known.optima, judged=judged
+        )
+        return replace(replayed, metrics=replayed.metrics | known.station)
     return evaluate_log(cell, log, _load_exact_loop(source))
 
 

@@ -81,7 +81,15 @@ def exact_loop(pose: Rows, tau: Rows, thrust: Rows | None = None) -> ExactLoop:
     forces = np.array(tau, dtype=float)
     K = len(forces)
     of_thrusters = np.zeros((K, 0)) if thrust is None else np.array(thrust, dtype=float)
-    return ExactLoop(np.zeros((K, 16)), state, forces, of_thrusters, np.zeros((K, 15)), [])
+    return ExactLoop(
+        np.zeros((K, 16)),
+        state,
+        forces,
+        of_thrusters,
+        np.zeros((K, 15)),
+        np.zeros(K, dtype=bool),
+        [],
+    )
 
 
 def metrics_of(

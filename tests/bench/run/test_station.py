@@ -1,0 +1,87 @@
+"""Whether the exactly solved loop keeps its ship on station."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
+from dpbench.bench.run.station import find_arrivals, station_metrics
+from dpbench.scenario.scenario import Scenario, load_scenario
+
+
+def loop_along(scenario: Scenario, east_m: Any, active: Any = False) -> ExactLoop:
+    """An exactly solved loop whose ship is these offsets east of the origin [m]."""
+    K = len(east_m) - 1
+    state = np.zeros((K + 1, 6))
+    state[:, 4] = east_m
+    tau, none = np.zeros((K, 3)), np.zeros((K, 0))
+    flags = np.broadcast_to(np.asarray(active, dtype=bool), K)
+    return ExactLoop(np.zeros((K, 16)), state, tau, none, np.zeros((K, 15)), flags, [])
+
+
+def test_a_ship_that_drifts_off_leaves_at_the_first_sample_outside() -> None:
+    calm = load_scenario("calm")
+    east = np.append(np.linspace(0.0, 10.0, 11), [37.0, 36.0])
+    found = station_metrics(calm, loop_along(calm, east, np.arange(12) % 4 == 0), 12)
+    assert found["exact_left_s"] == pytest.approx(6 * calm.sample_s)
+    assert found["exact_offset_max_m"] == 37.0 and found["exact_offset_end_m"] == 36.0
+    assert found["exact_offset_max_s"] == pytest.approx(11 * calm.sample_s)
+    assert found["exact_active_share"] == 0.25
+
+
+def test_only_the_steps_asked_for_count() -> None:
+    calm = load_scenario("calm")
+    found = station_metrics(calm, loop_along(calm, np.linspace(0.0, 10.0, 11)), 4)
+    assert found["exact_steps"] == 4.0 and found["exact_offset_max_m"] == 4.0
+    assert np.isnan(found["exact_left_s"])
+
+
+def test_a_transfer_is_no_departure_and_its_overshoot_neither() -> None:
+    """It starts 25 m off, overshoots by 10.8 m, and then stays: offsets count from its arrival."""
+    move = load_scenario("move")
+    found = station_metrics(move, solve_exactly(move), move.steps)
+    assert np.isnan(found["exact_left_s"])
+    assert found["exact_offset_max_m"] < 1.0 and found["exact_offset_end_m"] < 0.1
+
+
+def test_a_squall_that_carries_the_ship_off_for_a_while_is_a_departure() -> None:
+    squall = load_scenario("squall")
+    found = station_metrics(squall, solve_exactly(squall), squall.steps)
+    assert 100.0 < found["exact_left_s"] < found["exact_offset_max_s"] < 130.0
+    assert found["exact_offset_max_m"] > 5.0 > found["exact_offset_end_m"]
+
+
+def test_a_model_ship_has_a_station_of_its_own_size() -> None:
+    model = load_scenario("squall@cybership2")
+    found = station_metrics(model, loop_along(model, [0.0, 0.05, 0.08]), 2)
+    assert found["station_radius_m"] == pytest.approx(5.0 / 70.0, rel=0.05)
+    assert found["exact_left_s"] == pytest.approx(2 * model.sample_s)
+
+
+def test_slacks_at_rest_are_no_active_limits() -> None:
+    """In still water at its setpoint the ship with soft limits has none that is active."""
+    circle = load_scenario("watch_circle")
+    active = solve_exactly(circle).active
+    assert active[0] and not active[circle.steps // 2 :].any()
+
+
+@pytest.mark.parametrize(
+    ("distance", "moved", "arrived"),
+    [
+        ([0, 0, 2, 3, 0], [], [1, 1, 1, 1, 1]),
+        ([5, 4, 3, 2, 1], [], [0, 0, 0, 0, 0]),
+        ([3, 1, 2, 1, 1], [], [0, 0, 0, 0, 1]),
+        ([0, 2, 2, 1, 1], [1], [1, 0, 0, 0, 1]),
+        ([3, 3, 3, 4, 9], [], [1, 1, 1, 1, 1]),
+        ([0, 2, 3, 4, 9], [1, 2, 3, 4], [1, 0, 0, 0, 0]),
+        ([0, 2, 3, 4, 9], [1, 2], [1, 0, 1, 1, 1]),
+    ],
+)
+def test_when_a_ship_has_arrived(
+    distance: list[float], moved: list[int], arrived: list[int]
+) -> None:
+    """Beyond 1 it is outside; it arrives by two samples inside, or by drifting off."""
+    jumps = np.isin(np.arange(5), moved)
+    found = find_arrivals(np.array(distance, dtype=float), jumps, 2)
+    np.testing.assert_array_equal(found, np.array(arrived, dtype=bool))
