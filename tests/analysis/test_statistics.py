@@ -149,7 +149,7 @@ def test_without_skewness_it_is_the_t_interval(value: float, error: float, df: f
 
 
 @given(st.floats(0.05, 3), st.floats(2, 60), st.floats(-3, 3))
-def test_an_interval_ends_where_its_p_value_is_one_in_forty(
+def test_an_interval_ends_at_a_p_value_of_one_in_forty(
     error: float, df: float, skew: float
 ) -> None:
     """Interval and p-values agree, and skewness widens the interval on its long side alone."""
@@ -232,9 +232,7 @@ def _in_turn(parts: int, each: int) -> np.ndarray:
 @pytest.mark.parametrize(
     ("percent", "value", "low", "high"), [(50, 499.5, 483.0, 515.0), (90, 899.1, 889.0, 909.0)]
 )
-def test_the_interval_of_a_percentile_of_even_parts(
-    percent: float, value: float, low: float, high: float
-) -> None:
+def test_percentiles_of_even_parts(percent: float, value: float, low: float, high: float) -> None:
     """Equal shares in all parts count as 4000 independent steps for 1000.
 
     The shares of 2000 and of 400 in 4000 lie within 0.4844 and 0.5156, and within 0.0909 and
@@ -302,9 +300,7 @@ def test_two_of_three_sequences_without_spread_leave_an_interval() -> None:
         ([0.0, 0.0, 0.0, 0.0, 5.0], 9, 0.0),
     ],
 )
-def test_the_error_of_resampled_blocks_by_hand(
-    values: list[float], block: int, error: float
-) -> None:
+def test_the_error_of_resampled_blocks(values: list[float], block: int, error: float) -> None:
     """Sums of two of 0, 0, 0, 0, 5 in a circle have a variance of 6, single values of 4.
 
     Two blocks of two and one of one: sqrt(2 * 6 + 4) / 5 = 0.8.

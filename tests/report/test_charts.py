@@ -75,9 +75,7 @@ def test_points_with_untrue_claims_are_hollow() -> None:
 @pytest.mark.parametrize(
     ("suffix", "begins"), [("svg", b"<svg"), ("pdf", b"%PDF"), ("png", b"\x89PNG"), ("html", b"<!")]
 )
-def test_it_is_written_in_four_formats(
-    chart: Any, tmp_path: Path, suffix: str, begins: bytes
-) -> None:
+def test_it_has_four_formats(chart: Any, tmp_path: Path, suffix: str, begins: bytes) -> None:
     """The page fetches nothing: its libraries are inside."""
     written = save_figure(chart, tmp_path / f"rose.{suffix}").read_bytes()
     assert written.lstrip().startswith(begins)

@@ -25,9 +25,7 @@ def _folder(records: Any, out: Path, *solvers: str) -> Path:
 
 
 @pytest.mark.parametrize("name", ["figures", "tables"])
-def test_a_linked_folder_is_refused_and_left_alone(
-    records: Any, tmp_path: Path, capsys: Any, name: str
-) -> None:
+def test_a_linked_folder_is_refused(records: Any, tmp_path: Path, capsys: Any, name: str) -> None:
     """One line, exit code 2; nothing is written, there or here."""
     out, thesis = _folder(records, tmp_path / "out"), tmp_path / "thesis"
     thesis.mkdir()
@@ -73,9 +71,7 @@ def test_files_of_others_beside_figures_and_tables_stay(records: Any, tmp_path: 
 
 
 @pytest.mark.parametrize("name", ["../../x", "/tmp/x", "a\x1b[2J", ""])
-def test_a_solver_without_a_name_of_a_file_is_refused(
-    records: Any, tmp_path: Path, capsys: Any, name: str
-) -> None:
+def test_a_solver_named_like_no_file(records: Any, tmp_path: Path, capsys: Any, name: str) -> None:
     out = _folder(records, tmp_path / "a" / "b", "daqp", name)
     there = sorted(tmp_path.rglob("*"))
     assert main(["report", str(out), "--for", name]) == 2

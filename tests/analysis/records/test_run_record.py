@@ -91,7 +91,7 @@ def test_horizons_are_told_from_the_name(sequence: str, without: str) -> None:
         ),
     ],
 )
-def test_a_configuration_is_called_by_what_is_not_the_default(
+def test_a_configuration_is_called_by_its_options(
     columns: dict[str, str], label: str, name: str
 ) -> None:
     plain = {"policy": "fresh", "settings": "default", "units": "scaled"}
@@ -122,7 +122,6 @@ def test_algorithmic_time_is_the_minimum_over_rounds(records: Any) -> None:
     steps = view.steps(view.runs[0])
     pivot = steps[~steps["warmup"]].pivot(index="k", columns="repeat", values="total_ns")
     times = view.times(view.runs[0])
-    assert times is not None
     np.testing.assert_array_equal(times.algo_ns, pivot.min(axis=1).astype(float))
     assert times.raw_max_ns == pivot.max().max()
 
@@ -134,7 +133,6 @@ def test_disturbed_rounds_do_not_count(records: Any) -> None:
         view = _spoil(records, disturbed)
         steps, times = view.steps(view.runs[0]), view.times(view.runs[0])
         least = steps[steps["repeat"].isin(counting)].groupby("k")["total_ns"].min()
-        assert times is not None
         np.testing.assert_array_equal(times.algo_ns, least.astype(float))
 
 
@@ -147,6 +145,5 @@ def test_a_run_without_counting_rounds_has_no_time(records: Any) -> None:
 def test_the_scenario_comes_from_the_rows(records: Any) -> None:
     records.loop("daqp")
     scenario = records.view().scenario("paper")
-    assert scenario is not None
     np.testing.assert_allclose(scenario.problem.du_max, [32736.0, 11008.0, 475200.0], rtol=1e-12)
     assert records.view().scenario("rough") is None

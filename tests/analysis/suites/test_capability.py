@@ -113,7 +113,6 @@ def test_the_topic_says_what_is_held_and_who_knows(records: Any) -> None:
     """With two figures; a part that is missing is not spoken of."""
     runs = edge_runs(records)
     topic = capability_topic(runs, plot_table())
-    assert topic is not None
     assert topic.lines == (
         "Intact, osv holds at least 12.0 m/s, from 90° (DNV-ST-0111, level 1; azimuths as polygons "
         "of 8 sides). 1 of 2 solvers answers all 4 QPs at that edge rightly: quadprog. Untrue "
@@ -121,10 +120,8 @@ def test_the_topic_says_what_is_held_and_who_knows(records: Any) -> None:
     )
     assert len(topic.figures) == 2
     without_plot = capability_topic(runs, None)
-    assert without_plot is not None
     assert without_plot.lines[0].startswith("1 of 2 solvers") and len(without_plot.figures) == 1
     without_runs = capability_topic(Records(replace(records.results(), runs=NOBODY)), plot_table())
-    assert without_runs is not None
     assert without_runs.lines[0].endswith("sides).") and len(without_runs.figures) == 1
 
 

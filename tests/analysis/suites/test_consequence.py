@@ -131,13 +131,11 @@ def test_the_topic_says_when_a_loss_can_be_held(
     monkeypatch.setitem(CERTIFICATES, "board A", certificates)
     answers = [REFUSED if kind == "infeasible" else TRUE for kind in certificates]
     topic = consequence_topic(view(records, {"quadprog": {"board A": [answers]}}))
-    assert topic is not None
     assert f"the loss of board A can be held {said}." in topic.lines[0]
 
 
 def test_the_topic_names_who_misses_alarms(storm: Records) -> None:
     topic = consequence_topic(storm)
-    assert topic is not None
     assert "1 of 3 configurations answer all QPs rightly, the fastest quadprog" in topic.lines[0]
     said = "alarms are missed by osqp (1); 2 leave some without an answer."
     assert topic.lines[0].endswith(said)

@@ -77,7 +77,6 @@ def test_the_topic_shows_who_survives_best_first(records: Any) -> None:
     """A row a configuration with the slow-down it survives and its latest answer."""
     fill(records)
     topic = slowdown_topic(records.view())
-    assert topic is not None
     (table,) = topic.tables
     assert [(row[0].split()[0], row[1]) for row in table.rows] == [
         ("daqp", "1000"),

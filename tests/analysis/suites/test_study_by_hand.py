@@ -73,9 +73,7 @@ def _configuration(
         ([[0.0, 2.0, 4.0], [7.0, 5.0, 3.0]], 3.5, 0.0, 2.0),
     ],
 )
-def test_the_mean_over_points_by_hand(
-    values: list[list[float]], mean: float, error2: float, df: float
-) -> None:
+def test_mean_by_hand(values: list[list[float]], mean: float, error2: float, df: float) -> None:
     """Squares of 1 to 6 about 3.5 are 17.5; opposite deviations at two points cancel."""
     found = mean_over_points(np.array(values))
     assert (found.value, found.df) == pytest.approx((mean, df))
@@ -159,12 +157,7 @@ def test_replicates_for_a_difference(difference: float, count: int) -> None:
 
 @pytest.mark.parametrize(
     ("behind", "dearer", "cheap"),
-    [
-        (0.0099, 0.0099, True),
-        (0.0101, 0.0, False),
-        (0.0, 0.01, False),
-        (-1.0, -1.0, True),
-    ],
+    [(0.0099, 0.0099, True), (0.0101, 0.0, False), (0.0, 0.01, False), (-1.0, -1.0, True)],
 )
 def test_a_cheap_configuration_costs_less_than_a_percent_and_a_centimetre(
     behind: float, dearer: float, cheap: bool

@@ -166,9 +166,7 @@ def test_a_single_late_timing_of_a_short_loop(records: Any, switches: int, p: fl
 
 
 @pytest.mark.parametrize(("middle_ns", "count"), [(6_000_000.0, 1), (6_000_001.0, 0)])
-def test_a_loop_that_is_late_in_the_median_is_not_tested(
-    records: Any, middle_ns: float, count: int
-) -> None:
+def test_a_loop_late_in_the_median_is_untested(records: Any, middle_ns: float, count: int) -> None:
     """225 of 451 timings are late; beyond the limit the median is a cause of its own."""
     slow = dict.fromkeys(range(225), 7e6) | {225: middle_ns}
     _loop(records, 451, slow, involuntary_switches=0)
@@ -176,7 +174,7 @@ def test_a_loop_that_is_late_in_the_median_is_not_tested(
 
 
 @pytest.mark.parametrize(("late", "doubtful"), [(40, True), (4, False)])
-def test_hidden_switches_leave_a_doubt_of_more_than_a_p99_allows(
+def test_hidden_switches_doubt_more_than_a_p99_allows(
     records: Any, late: int, doubtful: bool
 ) -> None:
     """Without a count of context switches the p-value is at the limit of a doubt; 4 are allowed."""
@@ -214,9 +212,7 @@ def test_a_replay_of_one_round_is_tested_like_a_loop(records: Any) -> None:
         ({2: 11, 3: 1000, 4: 1000}, True),
     ],
 )
-def test_a_replay_without_others_is_doubtful_in_its_middle_round(
-    records: Any, late: dict[int, int], found: bool
-) -> None:
+def test_a_replay_alone_is_doubtful(records: Any, late: dict[int, int], found: bool) -> None:
     """The second smallest count of four rounds decides; ten of 1000 are allowed."""
     _replay(records, "daqp", late)
     tests = _found(records).get("daqp", [])
@@ -229,9 +225,7 @@ def test_a_replay_without_others_is_doubtful_in_its_middle_round(
     ("rounds", "late", "found"),
     [(3, 1, False), (3, 2, True), (5, 2, False), (5, 3, True), (6, 3, False), (6, 4, True)],
 )
-def test_the_middle_round_is_the_lower_median(
-    records: Any, rounds: int, late: int, found: bool
-) -> None:
+def test_the_middle_is_the_lower_median(records: Any, rounds: int, late: int, found: bool) -> None:
     """Of three rounds the second smallest count decides, of five and six the third."""
     _replay(records, "daqp", {rounds - i: 11 for i in range(late)}, rounds=rounds)
     assert bool(_found(records)) is found
@@ -272,9 +266,7 @@ def test_long_delays_among_many_short_stalls(records: Any, long_ns: int, found: 
 
 
 @pytest.mark.parametrize(("excess_ns", "stalls"), [(1_500_000, 0), (1_500_001, 1)])
-def test_stalls_of_others_are_longer_than_half_the_limit(
-    records: Any, excess_ns: int, stalls: int
-) -> None:
+def test_stalls_are_longer_than_half_the_limit(records: Any, excess_ns: int, stalls: int) -> None:
     """The machine leads to expect half a stall more than the other solver had, for three rounds."""
     _replay(records, "daqp", {2: 3, 3: 3, 4: 3})
     _replay(records, "piqp", {3: 1}, BASE_NS + excess_ns)
@@ -296,11 +288,7 @@ def test_a_replay_with_more_late_timings_than_a_p99_allows(records: Any) -> None
 
 @pytest.mark.parametrize(
     ("other", "excess_ns", "stalls", "tests"),
-    [
-        ("piqp", 150_000_000, 0, 2),
-        (COPY_ONLY, 150_000_000, 0, 1),
-        (COPY_ONLY, 150_000_001, 1, 1),
-    ],
+    [("piqp", 150_000_000, 0, 2), (COPY_ONLY, 150_000_000, 0, 1), (COPY_ONLY, 150_000_001, 1, 1)],
 )
 def test_timings_past_the_deadline_against_the_stalls_of_others(
     records: Any, other: str, excess_ns: int, stalls: int, tests: int

@@ -91,7 +91,7 @@ def test_only_the_most_widely_timed_are_ranked() -> None:
         ("qpsolvers", "warm", 101.0, "high"),
     ],
 )
-def test_usual_settings_within_three_percent_are_chosen(
+def test_usual_settings_within_3_percent(
     route: str, policy: str, p99_ns: float, settings: str
 ) -> None:
     """The default of the same route and policy is chosen up to 1.03 times the time."""
@@ -110,9 +110,7 @@ def test_usual_settings_within_three_percent_are_chosen(
         ({"policy": "fresh"}, {"policy": "reuse"}),
     ],
 )
-def test_another_route_or_policy_is_never_alike(
-    fastest: dict[str, str], other: dict[str, str]
-) -> None:
+def test_another_route_or_policy_is_no_twin(fastest: dict[str, str], other: dict[str, str]) -> None:
     best = _verdict("daqp", 100.0, settings="high", **fastest)
     usual = _verdict("daqp", 101.0, **other)
     assert rank_solvers(_verdicts(usual, best)) == [best]
@@ -122,9 +120,7 @@ def test_another_route_or_policy_is_never_alike(
     ("rounds_ns", "settings"),
     [((20.0, 30.0), "default"), ((20.5, 30.0), "high"), ((5.0, 10.0), "default")],
 )
-def test_rounds_that_overlap_make_settings_alike(
-    rounds_ns: tuple[float, float], settings: str
-) -> None:
+def test_overlapping_rounds_are_alike(rounds_ns: tuple[float, float], settings: str) -> None:
     """Rounds of 10 to 20 ns overlap with rounds from 20 ns on or up to 10 ns."""
     best = _verdict("daqp", 100.0, settings="high", rounds_ns=(10.0, 20.0))
     usual = _verdict("daqp", 150.0, rounds_ns=rounds_ns)
@@ -174,9 +170,7 @@ def test_nothing_is_recommended_where_nobody_can_be_deployed() -> None:
         (("inconclusive", "inconclusive", "inconclusive"), 0),
     ],
 )
-def test_a_better_verdict_precedes_a_shorter_time(
-    states: tuple[str, str, str], chosen: int
-) -> None:
+def test_a_better_verdict_precedes_a_time(states: tuple[str, str, str], chosen: int) -> None:
     solvers = ("daqp", "piqp", "osqp")
     verdicts = [
         _verdict(solver, 10.0 * (i + 1), state=state)

@@ -74,9 +74,7 @@ def test_the_experiment_of_each_kind_of_run(records: Any) -> None:
 
 
 @pytest.mark.parametrize(("first", "second", "kept"), [(120, 60, 0), (60, 120, 1), (120, 120, 0)])
-def test_the_longer_of_two_runs_has_the_experiment(
-    first: int, second: int, kept: int, records: Any
-) -> None:
+def test_the_longer_of_two_runs_counts(first: int, second: int, kept: int, records: Any) -> None:
     for steps in (first, second):
         records.loop("daqp", steps=steps)
     matrix = _matrix(records)
@@ -187,9 +185,7 @@ def test_the_state_of_a_run_alone(records: Any, columns: dict[str, Any], state: 
         ({"formulation": "sparse", "error": 0.5}, "pass"),
     ],
 )
-def test_a_window_counts_in_the_loop_of_its_scenario(
-    records: Any, columns: dict[str, Any], state: str
-) -> None:
+def test_a_window_counts_in_its_loop(records: Any, columns: dict[str, Any], state: str) -> None:
     """A window has no experiment: its findings are in that of the scaled loop."""
     records.loop("daqp")
     records.loop("daqp", units="si")
@@ -236,14 +232,11 @@ def test_the_longest_timing_is_of_scaled_runs_outside_studies(records: Any) -> N
     records.loop("scs", raw_max_ns=9e6)
     matrix = _matrix(records, kept=1)
     found = matrix.longest_timing(matrix.configurations[0])
-    assert found is not None
     assert (found[0].label, found[1].raw_max_ns) == ("paper (replay)", 3e6)
 
 
 @pytest.mark.parametrize(("reported", "all_reported"), [(1.0, True), (0.9, False)])
-def test_steps_without_a_solution_are_counted_once(
-    records: Any, reported: float, all_reported: bool
-) -> None:
+def test_infeasible_steps_count_once(records: Any, reported: float, all_reported: bool) -> None:
     records.replay("daqp", infeasible_steps=18, rounds=3, true_share=1.0)
     records.loop("daqp", infeasible_steps=4, true_share=reported)
     records.loop("daqp", "calm", infeasible_steps=0, true_share=0.5)

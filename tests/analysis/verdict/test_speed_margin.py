@@ -76,7 +76,7 @@ def test_a_window_has_the_p99_of_its_stretch(records: Any) -> None:
 
 
 @pytest.mark.parametrize(("late", "state"), [(4, "pass"), (5, "late")])
-def test_more_late_steps_in_a_window_than_one_in_a_hundred_of_its_stretch(
+def test_late_steps_of_a_window_beyond_a_hundredth_of_its_stretch(
     records: Any, late: int, state: str
 ) -> None:
     """Four steps of 450 may take 10 ms, five may not, whatever the others take."""

@@ -128,9 +128,7 @@ def _powered(records: Any, solver: str, scenario: str = "turn", **columns: Any) 
     records.loop(solver, scenario, cell=THRUSTERS, **{"power_share": 0.2} | columns)
 
 
-def test_the_best_loop_is_right_ran_farthest_and_is_nearest_to_the_reference(
-    records: Any,
-) -> None:
+def test_the_best_loop_is_right_ran_farthest_and_is_nearest(records: Any) -> None:
     _powered(records, "wrong", steps=300, error=0.5, dev_position_max_m=0.0)
     _powered(records, "short", steps=60, dev_position_max_m=0.0)
     _powered(records, "far", dev_position_max_m=0.2)
@@ -167,11 +165,7 @@ def _run(**columns: Any) -> Any:
 
 def test_the_largest_ratio_of_a_metric_by_hand() -> None:
     """3 / 2 and 5 / 4: the first is larger; a metric of zero has no ratio."""
-    best: Any = {
-        "a": _run(power_share=2.0),
-        "b": _run(power_share=4.0),
-        "c": _run(power_share=0.0),
-    }
+    best: Any = {"a": _run(power_share=2.0), "b": _run(power_share=4.0), "c": _run(power_share=0.0)}
     runs = [_run(scenario=name, power_share=x) for name, x in (("b", 5.0), ("a", 3.0), ("c", 9.0))]
     assert largest_ratio(runs, best, "power_share") == 1.5
     assert largest_ratio(runs[:1], best, "power_share") == 1.25

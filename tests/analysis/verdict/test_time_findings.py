@@ -51,9 +51,7 @@ def _found(findings: list[Finding]) -> list[tuple[str, list[str], float]]:
         (199, 5e5 - 1, ""),
     ],
 )
-def test_the_median_of_a_loop_beside_the_limit(
-    records: Any, steps: int, p50_ns: float, kind: str
-) -> None:
+def test_the_median_of_a_loop_at_limits(records: Any, steps: int, p50_ns: float, kind: str) -> None:
     """From 200 steps on a median beyond twice the limit is late, from half of it borderline."""
     records.loop("daqp", steps=steps, raw_p50_ns=p50_ns)
     found = find_slow_loops(records.view().runs, REQUIREMENTS, UNCERTAINTY)
@@ -151,7 +149,7 @@ def _even_replay(records: Any, ns: float, steps: int, **columns: Any) -> None:
         (199, 1_000_001, ["no p99"]),
     ],
 )
-def test_the_times_of_a_replay_beside_each_limit(
+def test_the_times_of_a_replay_at_limits(
     records: Any, steps: int, ns: int, kinds: list[str]
 ) -> None:
     """All steps take the same time, so that p95, p99 and maximum are equal.
@@ -165,9 +163,7 @@ def test_the_times_of_a_replay_beside_each_limit(
 
 
 @pytest.mark.parametrize(("slow", "kinds"), [(20, []), (21, ["p95 borderline"])])
-def test_a_p95_is_judged_where_no_step_exceeds_the_limit(
-    records: Any, slow: int, kinds: list[str]
-) -> None:
+def test_a_p95_is_judged_where_no_step_is_over(records: Any, slow: int, kinds: list[str]) -> None:
     """Of 400 steps the p95 is at index 0.95 * 399 = 379.05.
 
     With 20 steps of 0.8 ms it is 0.4 + 0.05 * 0.4 = 0.42 ms, with 21 it is 0.8 ms.
@@ -185,12 +181,9 @@ def _window(records: Any, of: int, ns: float, steps: int = 30, **columns: Any) -
 
 
 @pytest.mark.parametrize(
-    ("ns", "kinds"),
-    [(2_000_001, ["window late"]), (2_000_000, ["p99 borderline"]), (400_000, [])],
+    ("ns", "kinds"), [(2_000_001, ["window late"]), (2_000_000, ["p99 borderline"]), (400_000, [])]
 )
-def test_a_window_that_is_too_slow_has_its_own_cause(
-    records: Any, ns: int, kinds: list[str]
-) -> None:
+def test_a_slow_window_has_its_own_cause(records: Any, ns: int, kinds: list[str]) -> None:
     """A window always has a p99: that of its stretch."""
     _window(records, 450, ns)
     findings, figures = _judged(records)

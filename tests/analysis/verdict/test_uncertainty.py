@@ -32,9 +32,7 @@ def _of(records: Any) -> tuple[Uncertainty, list[tuple[float, float, float]]]:
         ((10.0, 14.0), (1.2, 1.3, 1.4)),  # quantiles 12, 13, 14 over 10
     ],
 )
-def test_the_factors_of_rounds(
-    records: Any, rounds_us: tuple[float, ...], expected: tuple[float, ...]
-) -> None:
+def test_factors(records: Any, rounds_us: tuple[float, ...], expected: tuple[float, ...]) -> None:
     _replay(records, "daqp", rounds_us)
     found, factors = _of(records)
     assert factors == [pytest.approx(expected)]

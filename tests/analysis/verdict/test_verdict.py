@@ -8,12 +8,11 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.times.contrasts import paired_comparison
-from dpbench.analysis.verdict.fastest import choose_solver, fastest_first
+from dpbench.analysis.verdict.fastest import fastest_first
 from dpbench.analysis.verdict.findings import MISSED
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.report.page.recommendation import Recommendation
-from dpbench.report.report import Report
 from dpbench.report.verdict_text import (
     count_solvers,
     describe_findings,
@@ -57,7 +56,7 @@ CAUSES = [
 
 
 @pytest.mark.parametrize(("loop", "replay", "clause"), CAUSES)
-def test_each_cause_has_its_sentence(
+def test_causes_in_words(
     records: Any, loop: dict[str, Any], replay: dict[str, Any], clause: str
 ) -> None:
     """Whatever contradicts the requirements makes a solver fail, and the sentence says what."""
@@ -80,7 +79,7 @@ def test_each_cause_has_its_sentence(
         ({"outcome": "timed_out", "done": 40}, {}, "inconclusive"),
     ],
 )
-def test_a_miss_is_late_or_wrong(
+def test_late_or_wrong(
     records: Any, loop: dict[str, Any], replay: dict[str, Any], state: str
 ) -> None:
     """Late where time alone contradicts the requirements; with an answer that does it is wrong."""
@@ -98,13 +97,12 @@ DOUBTS = [
         "the harness lost `paper`: no room for its log",
     ),
     ({"uncertified": 2}, "2 steps of `paper` have no certified optimum"),
+    ({"thread_s": 1.3, "solve_s": 1.0}, "work 1.3 times as long as all timed calls"),
 ]
 
 
 @pytest.mark.parametrize(("loop", "clause"), DOUBTS)
-def test_what_was_not_measured_leaves_it_open(
-    records: Any, loop: dict[str, Any], clause: str
-) -> None:
+def test_the_unmeasured_leaves_it_open(records: Any, loop: dict[str, Any], clause: str) -> None:
     records.loop("daqp", **loop)
     records.replay("daqp")
     verdict = _verdict(records, "daqp")
@@ -120,9 +118,7 @@ def test_what_was_not_measured_leaves_it_open(
     ],
 )
 @pytest.mark.parametrize("mode", ["closed_loop", "replay"])
-def test_who_crashes_or_hangs_fails_with_the_cause(
-    records: Any, outcome: str, clause: str, mode: str
-) -> None:
+def test_crashes_and_hangs_have_a_cause(records: Any, outcome: str, clause: str, mode: str) -> None:
     ended = {"outcome": outcome, "outcome_detail": "killed by SIGSEGV", "done": 0}
     records.loop("daqp", **(ended if mode == "closed_loop" else {}))
     records.replay("daqp", **(ended if mode == "replay" else {}))
@@ -151,13 +147,6 @@ def test_too_few_steps_for_a_p99(records: Any) -> None:
     assert "do not support a p99" in _why(near)
 
 
-def test_a_refused_solver_was_not_run(records: Any) -> None:
-    records.refused("qpax", "qpax is not installed: install the extra jax")
-    verdict = _verdict(records, "qpax")
-    assert verdict.state == "not run"
-    assert "install the extra jax" in _why(verdict)
-
-
 def test_the_requirements_are_read_from_the_suite(records: Any) -> None:
     records.loop("osqp", error=0.05)
     records.replay("osqp")
@@ -165,14 +154,6 @@ def test_the_requirements_are_read_from_the_suite(records: Any) -> None:
     assert judge_solvers(records.view(), looser).references[0].state == "pass"
     assert _verdict(records, "osqp").state == "fail"
     assert "within 0.1 of a rate-limit step" in requirements_text(looser)
-
-
-def test_one_slow_step_of_a_loop_says_nothing(records: Any) -> None:
-    """A loop's steps are timed once."""
-    records.loop("daqp", raw_max_ns=1e12, raw_p50_ns=2.1e6)
-    records.replay("daqp", median_us=20.0)
-    verdict = _verdict(records, "daqp")
-    assert verdict.state == "pass" and verdict.p99_ns < 1e5
 
 
 def test_a_loop_of_200_timings_that_is_slow_in_the_median_is_late(records: Any) -> None:
@@ -195,9 +176,7 @@ def test_a_loop_of_200_timings_that_is_slow_in_the_median_is_late(records: Any) 
     ("median_us", "state"),
     [(2500.0, "pass"), (2900.0, "borderline"), (3300.0, "borderline"), (3600.0, "late")],
 )
-def test_a_p99_within_the_spread_of_rounds_of_its_limit_is_borderline(
-    records: Any, median_us: float, state: str
-) -> None:
+def test_a_p99_within_the_spread_of_rounds(records: Any, median_us: float, state: str) -> None:
     """The spread of rounds is 1.155: every time from 2.60 to 3.46 ms is borderline."""
     records.loop("daqp")
     records.replay("daqp", median_us=median_us, spread=0.0)
@@ -261,7 +240,7 @@ def _high(records: Any, **columns: Any) -> Any:
         ({"steps": 120}, ""),
     ],
 )
-def test_a_level_meets_only_where_it_was_run(
+def test_a_level_passes_where_it_was_run(
     records: Any, columns: dict[str, Any], clause: str
 ) -> None:
     """Settings that were not run, or not whole, where the default was judged are open there."""
@@ -270,63 +249,6 @@ def test_a_level_meets_only_where_it_was_run(
     assert clause in _why(verdict)
     if clause:
         assert count_solvers(judge_solvers(records.view(), REQUIREMENTS)) == "inconclusive: osqp"
-
-
-@pytest.mark.parametrize(
-    ("route", "policy"),
-    [("qpsolvers", "warm"), ("native", "reuse"), ("native", "warm"), ("native", "fresh")],
-)
-def test_loops_under_any_policy_and_route_count_as_run(
-    records: Any, route: str, policy: str
-) -> None:
-    records.loop("daqp", route=route, policy=policy)
-    records.replay("daqp", route=route, policy=policy)
-    records.loop("osqp", route=route, policy=policy, error=0.5)
-    records.replay("osqp", route=route, policy=policy)
-    said = count_solvers(judge_solvers(records.view(), REQUIREMENTS))
-    assert said == "1 of 2 pass; fail: osqp"
-
-
-def test_the_largest_timing_is_no_algorithmic_time(records: Any) -> None:
-    """Round 1 is the minimum of every step, 20 µs; the largest timing is a slower round's."""
-    records.loop("daqp")
-    records.replay("daqp", median_us=20.0, spread=0.0)
-    (verdict,) = judge_solvers(records.view(), REQUIREMENTS).references
-    samples = records.results().steps.query("not warmup")["total_ns"]
-    samples = samples[records.results().steps["run_id"] == "run0001"]
-    assert verdict.raw_max_ns == samples.max() > verdict.algo_max_ns
-
-
-def test_the_recommendation_can_go_aboard(records: Any) -> None:
-    for solver, median in (("paper_active_set", 5.0), ("daqp", 10.0), ("qtqp", 7.0), ("scs", 90.0)):
-        route = "native" if solver == "paper_active_set" else "qpsolvers"
-        records.loop(solver, route=route)
-        records.replay(solver, route=route, median_us=median)
-    view = records.view()
-    found = choose_solver(judge_solvers(view, REQUIREMENTS))
-    assert found.chosen is not None and found.runner_up is not None and found.faster is not None
-    names = (
-        found.chosen.configuration.solver,
-        found.runner_up.configuration.solver,
-        found.faster.configuration.solver,
-    )
-    assert names == ("daqp", "scs", "paper_active_set")
-    answer = Report.of(records.results()).recommendation
-    notes = dict(answer.notes)
-    assert answer.sentence.startswith("Use daqp (qpsolvers, fresh, default): right on every step")
-    licence = "Licence: MIT; language: C, library-free; C code: yes, it writes its workspace as C."
-    assert notes["aboard"] == licence
-    assert (
-        "is not the answer: own code of this benchmark (Python, compiled by Num" in notes["faster"]
-    )
-    assert notes["next"].startswith("Next: scs (qpsolvers fresh), p99 ")
-
-
-def test_nobody_to_go_aboard_is_said(records: Any) -> None:
-    records.loop("hildreth", route="native")
-    records.replay("hildreth", route="native")
-    text = Report.of(records.results()).recommendation.sentence
-    assert text.startswith("Nothing that can go aboard passes; hildreth (native fresh)")
 
 
 def test_summary_counts_everybody_once(records: Any) -> None:
@@ -401,35 +323,10 @@ def test_terminal_lines_carry_no_markup(records: Any) -> None:
     assert not {"*", "`"} & set(text)
 
 
-def test_inconclusive_verdicts_are_not_counted_as_failures(records: Any) -> None:
-    records.loop("daqp", outcome="timed_out", done=10)
-    records.replay("daqp")
-    records.loop("osqp", error=0.4)
-    records.replay("osqp")
-    said = records.ending()
-    assert said["solvers"] == "fail: osqp; inconclusive: daqp."
-    assert said["answer"].startswith("Nothing is recommended while the verdict on a solver")
-
-
-def test_a_miss_by_all_is_a_miss(records: Any) -> None:
-    records.loop("osqp", error=0.4)
-    records.replay("osqp")
-    said = records.ending()
-    assert said["solvers"] == "0 of 1 pass; fail: osqp."
-    assert "no solver passes in any configuration" in said["answer"]
-
-
-@pytest.mark.parametrize(("thread_s", "outcome"), [(0.9, "pass"), (1.3, "inconclusive")])
-@pytest.mark.parametrize("mode", ["closed_loop", "replay"])
-def test_work_outside_the_timed_calls_leaves_it_open(
-    records: Any, thread_s: float, outcome: str, mode: str
-) -> None:
-    """Threads cannot work for 1.3 s within calls of 1 s on one core."""
-    took = {"thread_s": thread_s, "solve_s": 1.0}
-    records.loop("daqp", **(took if mode == "closed_loop" else {}))
-    records.replay("daqp", **(took if mode == "replay" else {}))
-    verdict = _verdict(records, "daqp")
-    assert verdict.state == outcome
-    assert ("work 1.3 times as long as all timed calls" in _why(verdict)) == (
-        outcome == "inconclusive"
-    )
+def test_a_headline_that_cannot_be_told_apart_carries_caution(records: Any) -> None:
+    for solver in ("daqp", "osqp"):
+        records.replay(solver, median_us=10.0, spread=0.1, route="native", policy="warm")
+        records.replay(solver, median_us=50.0)
+    second = records.ending()["next"]
+    assert "cannot be told apart" in second
+    assert "(native warm)" in second

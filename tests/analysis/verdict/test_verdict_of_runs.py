@@ -94,9 +94,7 @@ def test_runs_in_si_units_and_of_the_baseline_law_are_not_judged(records: Any) -
 
 
 @pytest.mark.parametrize(("first", "second", "error"), [(60, 120, 2), (120, 60, 1), (60, 60, 1)])
-def test_the_longest_run_in_a_experiment_is_judged(
-    records: Any, first: int, second: int, error: float
-) -> None:
+def test_the_longest_run_is_judged(records: Any, first: int, second: int, error: float) -> None:
     records.loop("daqp", steps=first, error=1e-4)
     records.loop("daqp", steps=second, error=2e-4)
     verdict = _only(records)

@@ -156,9 +156,7 @@ def test_no_two_texts_of_a_figure_overlap(opened: Any, size: tuple[int, int]) ->
     assert size != PHONE or [text for text in texts if text["size"] < 11.5] == [], "12 pixels"
 
 
-def test_many_experiments_at_many_levels_stand_below_each_other(
-    chromium: Any, tmp_path: Path
-) -> None:
+def test_many_experiments_and_levels_stand_below_each_other(chromium: Any, tmp_path: Path) -> None:
     """Of few solvers the tiles of all levels are too many for a row: no two names overlap, and the
     arrow keys go as the eye does."""
     records = MadeRecords()

@@ -277,9 +277,7 @@ def test_the_slider_moves_the_ladder(opened: Any) -> None:
     assert page.input_value("#slow-said") == "10"
 
 
-def test_where_nothing_is_judged_whole_the_count_is_of_what_nothing_contradicts(
-    chromium: Any, tmp_path: Path
-) -> None:
+def test_replays_alone_are_counted_as_uncontradicted(chromium: Any, tmp_path: Path) -> None:
     """Of replays alone nobody passes: not "0 of the 0" who do."""
     records = MadeRecords()
     for solver in ("daqp", "osqp"):
@@ -296,9 +294,7 @@ def test_a_bound_is_never_rounded_up(opened: Any) -> None:
 
 
 @pytest.mark.parametrize("slow", [1, 200, 2000, 10_000])
-def test_the_speed_margin_decides_everywhere_on_a_slower_computer(
-    opened: Any, written: Any, slow: int
-) -> None:
+def test_the_speed_margin_decides_on_slower_computers(opened: Any, written: Any, slow: int) -> None:
     page = opened()
     page.fill("#slow-said", str(slow))
     page.press("#slow-said", "Enter")

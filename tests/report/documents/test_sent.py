@@ -137,7 +137,7 @@ def _gone(name: str) -> Callable[[Path], None]:
         (_runs(schema=1), ("schema", "run again")),
     ],
 )
-def test_a_fault_is_one_line(
+def test_faults(
     copy: Path, spoil: Callable[[Path], None], parts: tuple[str, ...], capsys: Any
 ) -> None:
     """It names the file, what is found there and what could be; exit 2."""
@@ -164,9 +164,7 @@ def test_a_fault_is_one_line(
         ("</main>", "</main><p a='<b>'>", "<p a='"),
     ],
 )
-def test_a_page_that_runs_or_loads_something_is_refused(
-    copy: Path, old: str, new: str, found: str, capsys: Any
-) -> None:
+def test_an_active_page_is_refused(copy: Path, old: str, new: str, found: str, capsys: Any) -> None:
     page = (copy / "report.html").read_text("utf-8")
     assert old in page
     line = page[: page.index(old)].count("\n") + 1

@@ -50,7 +50,7 @@ def test_pdf_and_svg_are_written(records: Any, tmp_path: Path, capsys: Any) -> N
     "missing",
     ["loop", *(pytest.param(part, marks=pytest.mark.slow) for part in ("replay", "right", "all"))],
 )
-def test_nothing_to_recommend_is_nothing_to_state(
+def test_no_recommendation_no_statement(
     records: Any, tmp_path: Path, capsys: Any, missing: str
 ) -> None:
     """One line, exit code 2 and no file: what is open or missed cannot be handed over."""
@@ -71,9 +71,7 @@ def test_it_holds_the_hashes_of_the_files(drawn: str, written: Any) -> None:
         assert f"{name}  SHA-256 {digest}" in drawn
 
 
-def test_it_has_the_verdict_where_it_is_valid_and_what_is_not_covered(
-    drawn: str, written: Any
-) -> None:
+def test_it_has_the_verdict_where_it_is_valid_and_what_is_not(drawn: str, written: Any) -> None:
     text = " ".join("".join(element.itertext()) for element in _texts(drawn))
     facts, first = written.report.data, written.report.recommendation.first
     (verdict,) = (v for v in facts.verdicts.all if v.configuration == first)

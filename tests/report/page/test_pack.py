@@ -156,9 +156,7 @@ def test_some_elements_of_a_long_array_stand_in_their_places(places: set[int]) -
 
 
 @given(st.lists(NUMBERS, min_size=1, max_size=5), st.lists(st.integers(0, 255), max_size=20))
-def test_arrays_of_one_block_do_not_touch_each_other(
-    arrays: list[list[float]], flags: list[int]
-) -> None:
+def test_arrays_of_a_block_stay_apart(arrays: list[list[float]], flags: list[int]) -> None:
     block = Block()
     numbers = [
         block.add_flag(flags),

@@ -138,9 +138,7 @@ NOBODY = [
 
 
 @pytest.mark.parametrize(("loop", "says"), NOBODY)
-def test_nothing_qualifies_is_said_as_far_as_the_runs_go(
-    records: Any, loop: dict[str, Any], says: str
-) -> None:
+def test_nothing_qualifies_is_said_with_why(records: Any, loop: dict[str, Any], says: str) -> None:
     records.loop("osqp", **loop)
     records.replay("osqp")
     answer = _answer(records)
@@ -158,12 +156,17 @@ def test_own_code_alone_is_no_recommendation(records: Any) -> None:
 
 def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> None:
     """Own code beside a library: the library is the answer, the other its comparison."""
-    for solver, route, median_us in (("hildreth", "native", 3.0), ("daqp", "qpsolvers", 9.0)):
+    solvers = {"hildreth": ("native", 3.0), "daqp": ("qpsolvers", 9.0), "scs": ("qpsolvers", 90.0)}
+    for solver, (route, median_us) in solvers.items():
         records.loop(solver, route=route)
         records.replay(solver, route=route, median_us=median_us)
     answer = _answer(records)
     assert (answer.first.solver, answer.second.solver) == ("daqp", "hildreth")
-    assert "is not the answer: own code of this benchmark" in dict(answer.notes)["faster"]
+    notes = dict(answer.notes)
+    assert "is not the answer: own code of this benchmark" in notes["faster"]
+    assert notes["next"].startswith("Next: scs (qpsolvers fresh), p99 ")
+    licence = "Licence: MIT; language: C, library-free; C code: yes, it writes its workspace as C."
+    assert notes["aboard"] == licence
 
 
 def test_what_is_faster_and_open_is_named(records: Any) -> None:
@@ -199,7 +202,7 @@ def test_steps_without_a_solution_are_said(records: Any) -> None:
 
 
 @pytest.mark.parametrize(("shortest_us", "output"), [(20, True), (5, False), (None, False)])
-def test_a_p50_below_the_shortest_checked_wait_is_said(
+def test_a_p50_below_checked_waits_is_said(
     records: Any, shortest_us: int | None, output: bool
 ) -> None:
     records.loop("daqp")
@@ -233,7 +236,7 @@ def test_a_snippet_opens_what_it_recommends(records: Any) -> None:
         ("quadprog", "default", None),
     ],
 )
-def test_a_snippet_in_c_has_the_numbers_of_the_record(
+def test_a_snippet_in_c_has_numbers(
     records: Any, solver: str, settings: str, text: str | None
 ) -> None:
     for settings_run in dict.fromkeys(("default", settings)):

@@ -144,9 +144,7 @@ def _words(html: str) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_suite_shows_what_it_has_and_mentions_nothing_else(
-    records: Any, tmp_path: Path, kind: str
-) -> None:
+def test_a_suite_shows_what_it_has_alone(records: Any, tmp_path: Path, kind: str) -> None:
     fill, lead, topics = KINDS[kind]
     fill(records)
     out = records.write(tmp_path / "out")
@@ -242,9 +240,7 @@ def test_partial_results_still_make_a_report(
 
 
 @pytest.mark.slow
-def test_odd_names_are_escaped_and_writing_again_changes_no_byte(
-    records: Any, tmp_path: Path
-) -> None:
+def test_odd_names_are_escaped_and_rewritten_the_same(records: Any, tmp_path: Path) -> None:
     _add_odd_names(records)
     records.replay("daqp", steps=30)
     out = records.write(tmp_path / "out")
@@ -286,9 +282,7 @@ def test_every_figure_is_a_valid_specification(written: Any) -> None:
         ),
     ],
 )
-def test_a_bad_option_writes_nothing(
-    records: Any, tmp_path: Path, capsys: Any, options: str, output: str
-) -> None:
+def test_bad_options(records: Any, tmp_path: Path, capsys: Any, options: str, output: str) -> None:
     records.loop("daqp", steps=20)
     out = records.write(tmp_path / "out")
     assert main(["report", str(out), *options.split()]) == 2

@@ -50,7 +50,7 @@ def test_claims_of_the_paper_case(records: Any) -> None:
         ("settle_0p1m_s", 40.0, "It settles earlier (Fig. 5)"),
     ],
 )
-def test_rows_that_contradict_are_believed(
+def test_contradicting_rows_are_believed(
     records: Any, column: str, value: float, claim: str
 ) -> None:
     _pair(records, **{column: value})
@@ -69,9 +69,7 @@ def test_rows_that_contradict_are_believed(
         ({"tail_m": 0.06}, "It is nearly stationary there (steady error below 5 cm)"),
     ],
 )
-def test_claims_on_one_law_follow_its_row(
-    records: Any, columns: dict[str, Any], claim: str
-) -> None:
+def test_claims_on_a_law_follow_its_row(records: Any, columns: dict[str, Any], claim: str) -> None:
     records.loop("daqp", steps=WHOLE, **columns)
     assert _states(records)[claim] == "not reproduced"
 
