@@ -60,9 +60,8 @@ def offer_completions(whole: argparse.ArgumentParser) -> None:
         for action in command._actions:
             is_solver, kind = action.dest in ("solver", "solvers"), _STORED.get(action.dest)
             if action.choices is None and (is_solver or kind):
-                action.completer = (
-                    _list_solvers if is_solver else partial(_list_stored_files, str(kind))
-                )
+                stored = partial(_list_stored_files, str(kind))
+                action.completer = _list_solvers if is_solver else stored
     argcomplete.autocomplete(whole)
 
 
@@ -149,10 +148,8 @@ def _add_report_arguments(report: Command) -> None:
     option("--baseline", "S", "the solver set beside the answer")
     repeated("--figures", "FORMAT", "figures as pdf or png too; repeatable")
     option("--statement", "FILE.pdf", "a one-page statement for a class society")
-    beside_others = (
-        "also DIR/S.md: this solver beside others, for a pull request, and its worst steps"
-    )
-    option("--for", "S", beside_others, dest="solver")
+    beside = "also DIR/S.md: this solver beside others, for a pull request, and its worst steps"
+    option("--for", "S", beside, dest="solver")
     repeated("--against", "S", "with --for: beside this one (osqp and daqp); repeatable")
     option("--send", "FOLDER", "make a folder for results/community, to be sent to us")
     _add_ending_arguments(report)
@@ -201,14 +198,6 @@ def _add_worst_case_arguments(worst_case: Command) -> None:
     option("--solver-module", "FILE.py", "a plug-in that brings the solver")
 
 
-def _add_paper_arguments(paper: Command) -> None:
-    _add_option(paper, "--out", "DIR", "folder (default: results/paper)")
-
-
-def _add_list_arguments(listing: Command) -> None:
-    listing.add_argument("what", choices=_LISTED, type=_pluralise)
-
-
 def _pluralise(word: str) -> str:
     """Return a kind for `dpbench list` in plural, `solvers` for `solver`; other words unchanged."""
     return f"{word}s" if f"{word}s" in _LISTED else word
@@ -220,10 +209,6 @@ def _add_check_arguments(check: Command) -> None:
         "step is certified anew; or a folder of results/community"
     )
     check.add_argument("file", help=file)
-
-
-def _add_completion_arguments(completion: Command) -> None:
-    completion.add_argument("shell", choices=("bash", "zsh", "fish"))
 
 
 def _add_init_arguments(init: Command) -> None:
@@ -297,12 +282,16 @@ _COMMANDS: dict[str, tuple[Callable[[Command], None], str, str | None]] = {
         None,
     ),
     "paper": (
-        _add_paper_arguments,
+        lambda paper: _add_option(paper, "--out", "DIR", "folder (default: results/paper)"),
         "reproduce the paper: Figures 4-7, the data behind them, its claims",
         "Exit code: 0 done, whatever became of the claims; 1 runs were lost by the "
         "benchmark itself, give the same command again; 2 bad input.",
     ),
-    "list": (_add_list_arguments, "what there is", None),
+    "list": (
+        lambda listing: listing.add_argument("what", choices=_LISTED, type=_pluralise),
+        "what there is",
+        None,
+    ),
     "check": (
         _add_check_arguments,
         "check a vessel, scenario, suite, sequence or sent result",
@@ -310,7 +299,7 @@ _COMMANDS: dict[str, tuple[Callable[[Command], None], str, str | None]] = {
     ),
     "doctor": (lambda doctor: None, "is this machine quiet, is the harness right", None),
     "completion": (
-        _add_completion_arguments,
+        lambda completion: completion.add_argument("shell", choices=("bash", "zsh", "fish")),
         "complete names in a shell",
         'bash, zsh: eval "$(dpbench completion bash)"; fish: dpbench completion fish | source',
     ),

@@ -38,7 +38,10 @@ _CELL = 15
 
 def capability_text(arguments: argparse.Namespace) -> str:
     """Compute the largest wind that a vessel's thrusters hold, by direction, as text or JSON."""
-    figure = _parse_figure_path(arguments.figure)
+    figure = None if arguments.figure is None else Path(arguments.figure)
+    if figure is not None and figure.suffix not in FIGURES:
+        allowed = f"a file that ends with {', '.join(FIGURES)}"
+        raise InputError("--figure", "", arguments.figure, allowed)
     for name in arguments.solver or ():
         if name != "all":
             check_available(name)
@@ -77,16 +80,6 @@ def _judge_solvers(
         folder = run_campaign(suite, out / "run", solvers=solvers, may_leave_out=True, progress=bar)
     records = Records(load_results(folder))
     return count_answers(records, [run for run in records.runs if run.default_route])
-
-
-def _parse_figure_path(name: str | None) -> Path | None:
-    """Return the file path given to --figure; InputError unless its ending is a figure type."""
-    if name is None:
-        return None
-    path = Path(name)
-    if path.suffix not in FIGURES:
-        raise InputError("--figure", "", name, f"a file that ends with {', '.join(FIGURES)}")
-    return path
 
 
 def _save_rose_figure(capability: Capability, vessel: Vessel, path: Path) -> None:

@@ -103,13 +103,11 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
 
     of_suite = SuiteFile.list_cell_tables()
     if not any(table in document for table in of_suite):
-        raise InputError(
-            str(file),
-            "",
-            f"tables {', '.join(document) or '(none)'}",
+        allowed = (
             "[limits] or [[thrusters]] (a vessel), [controller] and [environment] (a scenario), "
-            f"or {', '.join(f'[[{table}]]' for table in of_suite)} (a suite)",
+            f"or {', '.join(f'[[{table}]]' for table in of_suite)} (a suite)"
         )
+        raise InputError(str(file), "", f"tables {', '.join(document) or '(none)'}", allowed)
     suite_path, suite = load_suite(file)
     from dpbench.bench.plan.plan import plan
 

@@ -52,9 +52,8 @@ def ship_lines(vessel: Vessel) -> list[str]:
     force = [f"{_format_range(*pair)} {unit}" for pair, unit in zip(limits, units, strict=True)]
     rise = vessel.tau_max / vessel.rate_max
     reach = vessel.reachable_acceleration()[1] * _KILO
-    drift = _format_with_units(
-        ships.steady_speed(vessel)[1] * _DEGREES, _SPEEDS, ships.slow_speed(vessel) * _DEGREES
-    )
+    speeds = ships.steady_speed(vessel)[1], ships.slow_speed(vessel)
+    drift = _format_with_units(speeds[0] * _DEGREES, _SPEEDS, speeds[1] * _DEGREES)
     rows = [
         ("", "surge", "sway", "yaw"),
         ("largest force", *force),

@@ -4,13 +4,8 @@ from dpbench.bench.judge.calibration import calibrate
 from dpbench.bench.record.disturbance import QUIET_RULE
 from dpbench.bench.record.machine import describe_machine
 from dpbench.cli.terminal import wrap_paragraph
+from dpbench.report import machine_verdict as verdict
 from dpbench.report.formats import MISSING
-from dpbench.report.machine_verdict import (
-    calibration_text,
-    disturbance_facts,
-    disturbance_text,
-    machine_facts,
-)
 from dpbench.solvers.table import check_availability, solver_names
 
 _WIDTH = 32
@@ -24,23 +19,19 @@ def doctor_lines() -> list[str]:
     builds = [f"{name} {here.build.text}" for name, here in available if here.build.text]
     loads = ", ".join(f"{load:.2f}" for load in machine["load_average"])
     facts = [
-        *machine_facts(machine),
+        *verdict.machine_facts(machine),
         ("memory", f"{machine['memory_GiB']} GiB"),
         ("system", f"{machine['kernel']}, {machine['python']}"),
         ("versions", ", ".join(f"{k} {v}" for k, v in machine["versions"].items())),
         ("solver builds", ", ".join(builds) or MISSING),
         ("load average", loads or MISSING),
-        *disturbance_facts(harness.disturbance),
+        *verdict.disturbance_facts(harness.disturbance),
     ]
     verdicts = (
-        f"machine: {disturbance_text(harness.disturbance)}",
+        f"machine: {verdict.disturbance_text(harness.disturbance)}",
         f"quiet means: {QUIET_RULE}",
-        f"harness: {calibration_text(harness.p50_ns)}",
+        f"harness: {verdict.calibration_text(harness.p50_ns)}",
     )
-    return [
-        *(
-            wrap_paragraph(text, first=f"{what:<{_WIDTH}}", others=" " * _WIDTH)
-            for what, text in facts
-        ),
-        *(wrap_paragraph(text, others="  ") for text in verdicts),
-    ]
+    blank = " " * _WIDTH
+    lines = [wrap_paragraph(fact, first=f"{what:<{_WIDTH}}", others=blank) for what, fact in facts]
+    return lines + [wrap_paragraph(text, others="  ") for text in verdicts]

@@ -107,11 +107,8 @@ def _call_and_report_errors(arguments: argparse.Namespace, interruption: Interru
             raise
         # Whatever else cannot be read or written: a full disk, a folder in a file's place.
         name = f"{error.filename}: " if error.filename else ""
-        print(
-            f"dpbench: {name}{error.strerror or error}; name a file or folder that can be read "
-            "and written, on a disk with free space",
-            file=sys.stderr,
-        )
+        remedy = "name a file or folder that can be read and written, on a disk with free space"
+        print(f"dpbench: {name}{error.strerror or error}; {remedy}", file=sys.stderr)
         return 2
     except MemoryError as error:
         print(f"dpbench: out of memory: {error or 'no details'}", file=sys.stderr)
@@ -235,12 +232,8 @@ def _compare_folders(arguments: argparse.Namespace) -> int:
     if len(arguments.folders) != 2:
         given = f"{len(arguments.folders)} folders were given"
         raise SituationError("compare", f"{given}; name two, A and B, or add --releases")
-    compared = compare(
-        *arguments.folders,
-        reference=arguments.reference,
-        margin=arguments.margin,
-        alpha=arguments.alpha,
-    )
+    limits = {"margin": arguments.margin, "alpha": arguments.alpha}
+    compared = compare(*arguments.folders, reference=arguments.reference, **limits)
     if arguments.html is not None:
         from dpbench.report.compare.page import write_comparison
 

@@ -36,17 +36,10 @@ def open_regular_file(
     most_bytes: int | None = None,
     error: type[InputError] = InputError,
 ) -> Iterator[BinaryIO]:
-    """Open an untrusted file to read bytes; raise an error unless it is regular and not too large.
+    """Open an untrusted file to read bytes; `error` unless it is regular and not too large.
 
-    Parameters
-    ----------
     what : what the file should be, for the error's words.
     most_bytes : its largest size; None where the reader bounds what it takes.
-    error : the class that is raised.
-
-    Raises
-    ------
-    InputError : it does not exist, is no regular file, cannot be opened, or is too large.
     """
     try:
         number = os.open(path, _FLAGS)

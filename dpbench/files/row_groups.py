@@ -240,9 +240,8 @@ class RowGroupWriter:
         ValueError, KeyError, IndexError : the footer is damaged or of another schema, or the row
             group needs bytes outside of it; the file is as it was then.
         """
-        if self._footer is not None and footer.raw_value(_SCHEMA) != self._footer.raw_value(
-            _SCHEMA
-        ):
+        first_footer = self._footer or footer
+        if footer.raw_value(_SCHEMA) != first_footer.raw_value(_SCHEMA):
             raise ValueError("a row group of another schema")
         group = footer.groups[index]
         rows = group[1][_GROUP_ROWS].value
@@ -260,7 +259,7 @@ class RowGroupWriter:
                 raise ValueError("a file that became shorter")
             self._append_bytes(block)
             first += len(block)
-        self._footer = self._footer or footer
+        self._footer = first_footer
         self._groups.append(moved)
         self.rows += rows
 

@@ -23,14 +23,8 @@ MOST_ENTRIES = 100_000
 """Of a list in the footer, as that of columns or of row groups: 10¹⁰ steps have as many."""
 _CODE, _NUMBER = 4, 8
 """Bytes of a value in memory: of the code of a word, and of any number."""
-_IS_ALLOWED = (
-    pa.types.is_integer,
-    pa.types.is_floating,
-    pa.types.is_boolean,
-    pa.types.is_null,
-    pa.types.is_string,
-    pa.types.is_large_string,
-)
+_IS_TEXT = (pa.types.is_string, pa.types.is_large_string)
+_IS_NUMBER = (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean, pa.types.is_null)
 
 
 @contextmanager
@@ -48,11 +42,9 @@ def open_table(path: Path, *, error: type[InputError] = InputError) -> Iterator[
         schema = metadata.schema.to_arrow_schema()
         for field in schema:
             kind = field.type.value_type if pa.types.is_dictionary(field.type) else field.type
-            if not any(fits(kind) for fits in _IS_ALLOWED):
+            if not any(fits(kind) for fits in (*_IS_NUMBER, *_IS_TEXT)):
                 raise error(str(path), field.name[:80], f"type {kind}", "numbers and words")
-        words = [
-            f.name for f in schema if pa.types.is_string(f.type) or pa.types.is_large_string(f.type)
-        ]
+        words = [f.name for f in schema if any(fits(f.type) for fits in _IS_TEXT)]
         check_unpacked(path, _unpacked_bytes(metadata, len(words)), size, error=error)
     with pq.ParquetFile(
         path, metadata=metadata, read_dictionary=words, page_checksum_verification=True

@@ -219,9 +219,8 @@ class CondensedQP:
         P = self.P if step.P is None else step.P
         A = self.A if step.A is None else step.A
         moves = len(self._du) if self.block > len(self._du) else 0
-        return QuadraticProgram(
-            P, step.q, A, step.l, step.u, self.lb, self.ub, block=self.block, moves=moves
-        )
+        limits = step.l, step.u, self.lb, self.ub
+        return QuadraticProgram(P, step.q, A, *limits, block=self.block, moves=moves)
 
     def moves(self, z: Vector) -> Matrix:
         """Return the control increments ΔU (N_c, n_u) of a solution z, in N, N, N·m."""

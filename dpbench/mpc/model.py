@@ -17,7 +17,7 @@ import scipy.linalg
 
 from dpbench.arrays import Matrix
 from dpbench.errors import ShapeError
-from dpbench.qp.program import check_shape
+from dpbench.qp.program import check_shapes
 from dpbench.ship.layout import AXES
 
 SPEED_CHANGE, POSE_CHANGE, POSE = (slice(first, first + AXES) for first in (0, AXES, 2 * AXES))
@@ -53,9 +53,7 @@ class StateSpace:
 
     def __post_init__(self) -> None:
         n_x, n_u, n_y = np.shape(self.A)[0], np.shape(self.B)[-1], np.shape(self.C)[0]
-        for name, shape in {"A": (n_x, n_x), "B": (n_x, n_u), "C": (n_y, n_x)}.items():
-            array = check_shape("StateSpace", name, getattr(self, name), shape)
-            object.__setattr__(self, name, array)
+        check_shapes(self, {"A": (n_x, n_x), "B": (n_x, n_u), "C": (n_y, n_x)})
 
     @property
     def n_x(self) -> int:
@@ -100,9 +98,7 @@ def discretise(continuous: StateSpace, sample_s: float) -> StateSpace:
     block[:n_x, :n_x] = continuous.A
     block[:n_x, n_x:] = continuous.B
     held = scipy.linalg.expm(block * sample_s)
-    return StateSpace(
-        np.ascontiguousarray(held[:n_x, :n_x]), np.ascontiguousarray(held[:n_x, n_x:]), continuous.C
-    )
+    return StateSpace(held[:n_x, :n_x], held[:n_x, n_x:], continuous.C)
 
 
 def augment(discrete: StateSpace) -> StateSpace:

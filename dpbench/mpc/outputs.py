@@ -68,9 +68,8 @@ def output_blocks(
     if bounds.radius_m is not None:
         block = _polygon_block(problem, bounds, free[i], moved[i], bounds.radius_m, rho)
         # The circle is centred on the reference.
-        block.high[:, :, problem.model.theta.y_ref][:, :, HORIZONTAL] = (
-            bounds.directions / block.row_unit[0]
-        )
+        centre = block.high[:, :, problem.model.theta.y_ref][:, :, HORIZONTAL]
+        centre[...] = bounds.directions / block.row_unit[0]
         blocks.append(block)
     if bounds.speed_mps is not None:
         per_s = 1.0 / bounds.sample_s

@@ -108,10 +108,8 @@ class RelinearisedQP(CondensedQP):
         self._condensed_at = psi0_rad
         *samples, check = [self._condense_at(turn) for turn in (*_TURNS, _CHECKED_TURN)]
         self._sampled = [sample.matrices for sample in samples]
-        self._series = {
-            name: HeadingSeries.of([getattr(sample, name) for sample in samples])
-            for name in ("P", "A", "Z")
-        }
+        parts = {name: [getattr(sample, name) for sample in samples] for name in ("P", "A", "Z")}
+        self._series = {name: HeadingSeries.of(of_turns) for name, of_turns in parts.items()}
         self._verify_series(check)
         self._brings_P = always or len(self._series["P"].varying) > 0
         self._brings_A = len(self._series["A"].varying) > 0

@@ -8,7 +8,7 @@ to face NaN.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Flag, auto
 from typing import TYPE_CHECKING, Any
@@ -42,12 +42,13 @@ def rows_per_block(n: int, m: int, block: int) -> int:
     return m * block // n
 
 
-def check_shape(where: str, name: str, value: object, shape: tuple[int, ...]) -> Floats:
-    """Return `value` as a contiguous float64 array; ShapeError if its shape is not `shape`."""
-    array = np.ascontiguousarray(value, dtype=np.float64)
-    if array.shape != shape:
-        raise ShapeError.of(where, name, array.shape, f"shape {shape}")
-    return array
+def check_shapes(owner: object, shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Make fields of a frozen dataclass contiguous float64 arrays; ShapeError for other shapes."""
+    for name, shape in shapes.items():
+        array = np.ascontiguousarray(getattr(owner, name), dtype=np.float64)
+        if array.shape != shape:
+            raise ShapeError.of(type(owner).__name__, name, array.shape, f"shape {shape}")
+        object.__setattr__(owner, name, array)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,9 +89,7 @@ class QuadraticProgram:
         if m < 0:
             raise ShapeError.of("QuadraticProgram", "A", np.shape(self.A), f"shape (m, {n})")
         shapes = {"P": (n, n), "q": (n,), "A": (m, n), "l": (m,), "u": (m,), "lb": (n,), "ub": (n,)}
-        for name, shape in shapes.items():
-            array = check_shape("QuadraticProgram", name, getattr(self, name), shape)
-            object.__setattr__(self, name, array)
+        check_shapes(self, shapes)
         if not has_equal_blocks(n, m, self.block):
             allowed = f"0, or a divisor of n={n} into moves that share m={m} rows alike"
             raise ShapeError.of("QuadraticProgram", "block", (self.block,), allowed)
@@ -124,11 +123,9 @@ class QuadraticProgram:
         """Return whether a step brings matrices or bounds that differ from this problem's."""
         if step.P is step.A is step.lb is step.ub is None:
             return False
-        pairs = [(getattr(step, name), getattr(self, name)) for name in CONSTANT]
-        return any(
-            new is not None and new is not old and not np.array_equal(new, old)
-            for new, old in pairs
-        )
+        pairs = ((getattr(step, name), getattr(self, name)) for name in CONSTANT)
+        changed = ((new, old) for new, old in pairs if new is not None and new is not old)
+        return any(not np.array_equal(new, old) for new, old in changed)
 
     def at(self, step: QPStep) -> QuadraticProgram:
         """Return this QP with a step's vectors q, l and u, and its matrices if the step has any."""
@@ -207,11 +204,8 @@ class QPSequence:
         K, n, m = np.shape(self.q)[0], self.base.n, self.base.m
         shapes: dict[str, tuple[int, ...]] = {"q": (K, n), "l": (K, m), "u": (K, m)}
         shapes |= {"P": (K, n, n), "A": (K, m, n), "lb": (K, n), "ub": (K, n)}
-        for name, shape in shapes.items():
-            if getattr(self, name) is None and name in CONSTANT:
-                continue
-            array = check_shape("QPSequence", name, getattr(self, name), shape)
-            object.__setattr__(self, name, array)
+        given = {name: shape for name, shape in shapes.items() if getattr(self, name) is not None}
+        check_shapes(self, given)
 
     def __len__(self) -> int:
         return int(self.q.shape[0])
@@ -247,12 +241,10 @@ def convert_units(scaled: QPSequence, units: Units) -> QPSequence:
     problem = replace(base, **own)
     # The same factors for all steps: they are those of the last axes.
     parts = {name: getattr(scaled, name) for name in ARRAYS}
-    steps: dict[str, Any] = {
-        name: None if part is None else part * factor[name] for name, part in parts.items()
-    }
-    return replace(
-        scaled, base=problem, units=units, scaled=scaled, sparse_equivalent=None, **steps
-    )
+    steps: dict[str, Any]
+    steps = {name: part if part is None else part * factor[name] for name, part in parts.items()}
+    steps |= {"units": units, "scaled": scaled, "sparse_equivalent": None}
+    return replace(scaled, base=problem, **steps)
 
 
 @dataclass(frozen=True, eq=False)

@@ -85,9 +85,8 @@ def compute_residuals_of_many(
         # A sum is finite only if every term is (or it overflows: then the iterate is useless too).
         no_point = ~(np.abs(z.sum(axis=1)) < inf)
         nothing = no_point | ~(np.abs(multiplier.sum(axis=1)) < inf)
-    return Residuals(
-        _make_inf(primal, no_point), *(_make_inf(number, nothing) for number in of_multipliers)
-    )
+    others = (_make_inf(number, nothing) for number in of_multipliers)
+    return Residuals(_make_inf(primal, no_point), *others)
 
 
 def _make_inf(numbers: Vector, lost: Flags) -> Vector:

@@ -27,8 +27,8 @@ from dpbench.bench.record.configuration import COMMON_FORMULATION, Configuration
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.documents import parse_json
-from dpbench.scenario.horizons import Horizons
 from dpbench.scenario.problem_files import ScenarioDocuments
+from dpbench.scenario.tables.key_types import Horizons
 from dpbench.solvers.contract import Policy, Route
 
 Count = float

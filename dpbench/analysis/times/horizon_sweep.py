@@ -17,7 +17,7 @@ from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import percentile
 from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.schema import FORCES
-from dpbench.scenario.horizons import Horizons
+from dpbench.scenario.tables.key_types import Horizons
 
 HORIZON_KEYS = ("prediction_horizon", "control_horizon")
 LEAST_SIZES = 3

@@ -24,8 +24,8 @@ from dpbench.bench.record.cell import CONTROLLER, ConsequenceSource, HardestSour
 from dpbench.bench.sequences.loop_sequences import select_thruster_rows
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.errors import InputError, list_allowed
-from dpbench.scenario.horizons import Horizons
 from dpbench.scenario.scenario import Scenario, load_scenario
+from dpbench.scenario.tables.key_types import Horizons
 from dpbench.solvers.calibration import CALIBRATION
 
 

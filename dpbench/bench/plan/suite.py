@@ -12,8 +12,8 @@ from dpbench.bench.record.cell import DEFAULT_FALLBACK, SLOWEST, Units
 from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import RandomRecipe
-from dpbench.scenario.horizons import Horizons, check_distinct_horizons, parse_horizons
 from dpbench.scenario.problem_files import FileModel, parse_model, problem_path, read_toml
+from dpbench.scenario.tables.key_types import Horizons, check_distinct_horizons, parse_horizons
 from dpbench.solvers.contract import Policy
 from dpbench.solvers.record import LEVELS
 

@@ -36,9 +36,8 @@ def write_capability_suite(frontier: CapabilityPlot, capability: Capability, fol
     folder.mkdir(parents=True, exist_ok=True)
     save_sequence(folder / "capability.npz", allocation_sequence(frontier, points))
     suite = folder / "capability.toml"
-    suite.write_text(
-        _SUITE.format(vessel=capability.vessel, sides=frontier.sides), encoding="utf-8"
-    )
+    text = _SUITE.format(vessel=capability.vessel, sides=frontier.sides)
+    suite.write_text(text, encoding="utf-8")
     return suite
 
 

@@ -1,6 +1,7 @@
 """`dpbench export`: a scenario or a sequence as a file for others."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -10,9 +11,9 @@ from dpbench.bench.sequences.qpbenchmark_files import list_steps_with_optimum, s
 from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.errors import InputError, SituationError
 from dpbench.qp.referee.referee import certify_sequence
-from dpbench.scenario.horizons import Horizons, parse_horizons
 from dpbench.scenario.problem_files import is_stored, problem_names, sequence_path
 from dpbench.scenario.scenario import load_scenario
+from dpbench.scenario.tables.key_types import Horizons, parse_horizons
 
 Format = Literal["npz", "qpbenchmark"]
 FORMATS: tuple[Format, ...] = get_args(Format)
@@ -92,15 +93,12 @@ def _record_requested(
     is_file = path.suffix == ".npz" or path.is_dir() or is_stored(what)
     if str(what) in problem_names("scenarios") or not is_file:
         scenario = load_scenario(what)
+        record = partial(recording.record_scenario, horizons=horizons, part=part)
         if at is None:
-            return recording.record_scenario(
-                scenario, horizons=horizons, steps=steps, every=every, part=part
-            )
+            return record(scenario, steps=steps, every=every)
         # The loop up to there is what leads to the step; what follows is not needed.
         upto = at + 1 if 0 <= at < scenario.steps else None
-        return _record_step(
-            recording.record_scenario(scenario, horizons=horizons, steps=upto, part=part), at
-        )
+        return _record_step(record(scenario, steps=upto), at)
     if part != "controller":
         allowed = "a scenario: a sequence holds the QPs it holds"
         raise InputError("--part", "", f"{part} for a recorded sequence", allowed)

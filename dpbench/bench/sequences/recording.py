@@ -13,11 +13,7 @@ import numpy as np
 
 from dpbench.bench.run.exact_loop import Part, rebuild_sequence, solve_exactly
 from dpbench.bench.run.formulation import QPBuilder
-from dpbench.bench.sequences.qpsolvers_files import (
-    is_problem_file,
-    list_problem_files,
-    read_problems,
-)
+from dpbench.bench.sequences import qpsolvers_files as problem_files
 from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
 from dpbench.errors import InputError
 from dpbench.files.opening import open_regular_file
@@ -101,17 +97,11 @@ def select_step(sequence: QPSequence, k: int) -> QPSequence:
 def _select_steps(sequence: QPSequence, kept: slice, name: str, meta: dict[str, Any]) -> QPSequence:
     arrays = {part: getattr(sequence, part) for part in ("q", "l", "u", *CONSTANT)}
     cut: dict[str, Any] = {part: array[kept] for part, array in arrays.items() if array is not None}
-    return replace(
-        sequence,
-        name=name,
-        scaled=None
-        if sequence.scaled is None
-        else _select_steps(sequence.scaled, kept, name, meta),
-        meta=sequence.meta | meta,
-        # It would have all steps.
-        sparse_equivalent=None,
-        **cut,
-    )
+    if sequence.scaled is not None:
+        cut["scaled"] = _select_steps(sequence.scaled, kept, name, meta)
+    # The sparse equivalent would have all steps.
+    cut |= {"meta": sequence.meta | meta, "sparse_equivalent": None}
+    return replace(sequence, name=name, **cut)
 
 
 def describe_sequence(sequence: QPSequence, optima: Sequence[Optimum]) -> str:
@@ -126,8 +116,8 @@ def describe_sequence(sequence: QPSequence, optima: Sequence[Optimum]) -> str:
 
 def read_sequence(path: Path) -> Recorded:
     """Return the QPs in a dpbench `.npz` with optima, or in qpsolvers files, which have none."""
-    if path.is_dir() or is_problem_file(path):
-        return Recorded(read_problems(path), None)
+    if path.is_dir() or problem_files.is_problem_file(path):
+        return Recorded(problem_files.read_problems(path), None)
     if not path.is_file():
         raise InputError(str(path), "", "no such file or folder", WHAT)
     return load_recorded(path)
@@ -137,7 +127,7 @@ def hash_sequence_files(path: Path) -> str:
     """Return the SHA-256 of a sequence file, or of all problem files in a folder."""
     total = hashlib.sha256()
     try:
-        for file in list_problem_files(path) if path.is_dir() else [path]:
+        for file in problem_files.list_problem_files(path) if path.is_dir() else [path]:
             with open_regular_file(file, WHAT) as stream:
                 size = os.fstat(stream.fileno()).st_size
                 total.update(f"{file.name if path.is_dir() else ''}:{size}:".encode())

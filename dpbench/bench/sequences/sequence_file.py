@@ -170,15 +170,12 @@ def load_recorded(path: str | Path) -> Recorded:
     sizes = q.shape[0], q.shape[1], A.shape[0]
     sequence = _read_sequence(arrays, where, sizes, texts["name"], _read_meta(where, texts))
     _, n, m = sizes
-    units = Units(
-        read_float_array(arrays, where, "unit_z", (n,)),
-        read_float_array(arrays, where, "unit_row", (m,)),
-    )
+    given = {"unit_z": (n,), "unit_row": (m,)}
+    units = Units(*(read_float_array(arrays, where, *unit) for unit in given.items()))
+    own = (units.z == 1.0).all() and (units.row == 1.0).all()
+    optima = _read_optima(arrays, where, sizes)
     return Recorded(
-        sequence,
-        _read_optima(arrays, where, sizes),
-        None if (units.z == 1.0).all() and (units.row == 1.0).all() else units,
-        _read_document(where, "documents", texts),
+        sequence, optima, None if own else units, _read_document(where, "documents", texts)
     )
 
 
@@ -197,10 +194,7 @@ def _read_sequence(
     matrices = {key: read(key, key, shapes[key]) for key in CONSTANT}
     names = {key: f"{key}_steps" for key in CONSTANT if f"{key}_steps" in arrays}
     steps = {key: read(key, name, (K, *shapes[key])) for key, name in names.items()}
-    block, moves = (
-        read_count_array(arrays, where, "block"),
-        read_count_array(arrays, where, "moves"),
-    )
+    block, moves = (read_count_array(arrays, where, key) for key in ("block", "moves"))
     try:
         first = {key: vector[0] for key, vector in vectors.items()}
         base = QuadraticProgram(**matrices, **first, block=block, moves=moves)

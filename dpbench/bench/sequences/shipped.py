@@ -74,20 +74,13 @@ class RecordingRule:
         scenario = load_scenario(self.scenario)
         # Second QPs are of one size, whatever the horizons.
         horizons = (self.N_p, self.N_c) if self.part == "controller" else None
-        steps = steps or self.steps
-        return record_scenario(
-            scenario, horizons=horizons, steps=steps, every=self.every, part=self.part
-        )
-
-
-def manifest_path() -> Path:
-    """Return the path of the file with the recording rules of the shipped QPs."""
-    return problems_root() / SEQUENCES / "manifest.toml"
+        kept = {"steps": steps or self.steps, "every": self.every}
+        return record_scenario(scenario, horizons=horizons, part=self.part, **kept)
 
 
 def load_rules(path: Path | None = None) -> list[RecordingRule]:
     """Return the rules in a file by which shipped QPs are recorded; InputError if bad."""
-    place = path or manifest_path()
+    place = path or problems_root() / SEQUENCES / "manifest.toml"
     manifest = read_model(place, ManifestFile)
     rules = {rule.name: rule for rule in _expand_rules(manifest)}
     for table in manifest.left_out:

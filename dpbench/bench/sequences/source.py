@@ -88,10 +88,8 @@ def log_size(cell: Cell, path: Path) -> int:
         n, m = source_file(cell).size(stored)
         if cell.mode == "closed_loop":
             n_theta, n_f = stored["theta"].shape[1], stored["thrust"].shape[1]
-            second = read_allocation_sizes(stored)
-            return log_bytes(
-                loop_layout(cell.steps, n, m, n_theta, n_f, second, backup=bool(cell.backup))
-            )
+            sizes = n, m, n_theta, n_f, read_allocation_sizes(stored)
+            return log_bytes(loop_layout(cell.steps, *sizes, backup=bool(cell.backup)))
     return log_bytes(replay_layout(cell.rounds + 1, cell.steps, n, m))
 
 
@@ -109,13 +107,11 @@ class _LoopFile:
         """Return the QPs of the replay along the loop in the file, with their optima."""
         cell = self.cell
         scenario, exact = cached_scenario(cell.scenario), ExactLoop.load(path)
-        first = cell.first
+        first, steps = cell.first, cell.steps
         if cell.is_window:
-            first = find_hardest_window(exact.optima, first, cell.last_step - first, cell.steps)
-        sequence = rebuild_sequence(
-            scenario, exact, units=cell.units, first=first, count=cell.steps
-        )
-        optima = exact.optima[first : first + cell.steps]
+            first = find_hardest_window(exact.optima, first, cell.last_step - first, steps)
+        sequence = rebuild_sequence(scenario, exact, units=cell.units, first=first, count=steps)
+        optima = exact.optima[first : first + steps]
         station = station_metrics(scenario, exact, cell.last_step)
         return ReplayInput(sequence, scenario.sample_s, optima, station)
 

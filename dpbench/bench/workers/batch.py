@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import remove_log
@@ -24,19 +24,7 @@ from dpbench.bench.workers.worker import BatchCell, evaluate_batch, find_hang, r
 EVALUATION_LIMIT_S = 600.0
 
 
-class Item(Protocol):
-    """Protocol of one thing that a worker process does, such as a run or a file."""
-
-    @property
-    def name(self) -> str:
-        """Name of the file with the outcome of a worker's item, without suffix."""
-
-    @property
-    def limit_s(self) -> float | None:
-        """Longest run time of a worker process's item [s]; None for no limit."""
-
-
-AnyItem = TypeVar("AnyItem", bound=Item)
+AnyItem = TypeVar("AnyItem", "BatchCell", "FileTask")
 
 
 class _ItemProcess(Child, Generic[AnyItem]):
@@ -54,7 +42,8 @@ class _ItemProcess(Child, Generic[AnyItem]):
         logs: bool = True,
         alone: bool = False,
     ) -> None:
-        self.items, self._suffix, self._at, self._logs = list(items), verdict, 0, logs
+        self.items: list[AnyItem] = list(items)
+        self._suffix, self._at, self._logs = verdict, 0, logs
         args = (tuple(items), folder, core)
         for item in items:
             (folder / f"{item.name}.{verdict}").unlink(missing_ok=True)

@@ -13,7 +13,7 @@ from functools import partial
 from multiprocessing.connection import wait
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 from dpbench.bench.judge.rows import run_row
 from dpbench.bench.progress import Progress
@@ -35,17 +35,7 @@ POLL_S = 0.1
 """The end of a process is noticed at once; this is for what takes too long."""
 
 
-class Task(Protocol):
-    """Protocol of work on one core, done by worker processes one after the other."""
-
-    def start(self, core: int) -> Child:
-        """Start the task's first worker process on a core."""
-
-    def start_next(self, child: Child, core: int) -> Child | None:
-        """Record how a process ended; start the task's next one, or return None at the end."""
-
-
-AnyTask = TypeVar("AnyTask", bound=Task)
+AnyTask = TypeVar("AnyTask", bound=CellRun | FileRun)
 
 
 class CorePool(Generic[AnyTask]):
@@ -251,9 +241,8 @@ class CellExecutor(ExitStack):
         Suspects of a dead template run alone, which finds the one that ends its template; the
         others take turns once more.
         """
-        cells = [
-            (job.run_id, replace(job.cell, solver_module=self._plugin_path(job))) for job in jobs
-        ]
+        modules = ((job, self._plugin_path(job)) for job in jobs)
+        cells = [(job.run_id, replace(job.cell, solver_module=path)) for job, path in modules]
         turns = partial(self._run_turns, batch, sources[jobs[0].source_key], folder)
         outcomes = turns(cells)
         suspects = [entry for entry in cells if outcomes[entry[0]] == FORKSERVER_DIED]
@@ -334,17 +323,10 @@ class CellExecutor(ExitStack):
         self, job: CellJob, sources: Sources, outcome: Outcome | None = None
     ) -> BatchCell:
         """Return what a worker process needs to do or judge a run."""
-        return BatchCell(
-            job.run_id,
-            job.cell.to_json(),
-            job.cell.limit_s,
-            sources[job.source_key],
-            outcome,
-            job.library,
-            self._machine_id,
-            self._plugin_path(job),
-            self._concurrency if job.cell.is_timed else None,
-        )
+        cell, source = job.cell, sources[job.source_key]
+        about = outcome, job.library, self._machine_id, self._plugin_path(job)
+        concurrency = self._concurrency if cell.is_timed else None
+        return BatchCell(job.run_id, cell.to_json(), cell.limit_s, source, *about, concurrency)
 
     def _build_results(
         self, outcomes: Mapping[CellJob, Outcome], parts: Sequence[BatchPart], folder: Path
@@ -357,11 +339,9 @@ class CellExecutor(ExitStack):
                 detail = "its record cannot be kept: the steps it made went away"
                 became[job] = Outcome("lost", detail)
             elif outcome.outcome != "lost" and job.run_id not in kept:
-                about = job.run_id, job.cell, outcome, job.library, self._machine_id
-                row = run_row(
-                    *about, None, None, concurrency=self._concurrency if job.cell.is_timed else None
-                )
-                without_steps[job.run_id] = row, no_steps()
+                about = job.run_id, job.cell, outcome, job.library, self._machine_id, None, None
+                concurrency = self._concurrency if job.cell.is_timed else None
+                without_steps[job.run_id] = run_row(*about, concurrency=concurrency), no_steps()
             remove_log(folder / f"{job.run_id}.raw")
             for suffix in ("json", "judged", "evaluated.json"):
                 # What somebody else put in a file's place goes with the folder.

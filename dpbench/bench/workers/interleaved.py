@@ -86,10 +86,8 @@ class IdleWorkers:
         if child is not None:
             child.begin_cell(order.folder, order.name)
         else:
-            where = order.folder, order.name
-            child = ServingChild(
-                self._context, serve_replays, (self._core,), *where, limit_s=cell.limit_s
-            )
+            target = serve_replays, (self._core,), order.folder, order.name
+            child = ServingChild(self._context, *target, limit_s=cell.limit_s)
         child.send_order(order)
         return child
 
@@ -153,11 +151,8 @@ class ReplayGroup:
             order = Random(self._cells[0][1].seed)
             for r in range(rounds + 1):
                 for worker in order.sample(workers, len(workers)):
-                    if (
-                        worker.serving
-                        and r <= worker.cell.rounds
-                        and not worker.is_budget_exhausted
-                    ):
+                    due = r <= worker.cell.rounds and not worker.is_budget_exhausted
+                    if worker.serving and due:
                         self.run_round(worker, r)
                 yield r
             self._rerun_loaded_rounds(workers, order)
@@ -260,19 +255,15 @@ def rerun_loaded_rounds(
     order : of the configurations within a turn.
     """
     # Within its own limit too: a repetition must not end a configuration that had done its work.
-    end_s = {
-        one.run_id: min(one.spent_s + one.cell.repeat_budget_s, one.cell.limit_s)
-        for one in configurations
-    }
+    cells = {one.run_id: (one.spent_s, one.cell) for one in configurations}
+    end_s = {k: min(spent_s + c.repeat_budget_s, c.limit_s) for k, (spent_s, c) in cells.items()}
     while True:
         serving = [one for one in configurations if one.serving]
         levels = {one.run_id: measure_load(logs[one.run_id]) for one in serving}
-        quietest = np.fmin.reduce(
-            [np.fmin.reduce(of_rounds) for of_rounds in levels.values()], initial=np.nan
-        )
+        quietest = float(np.fmin.reduce([np.nan, *map(np.fmin.reduce, levels.values())]))
         due = []
         for one in serving:
-            r = find_most_loaded_round(levels[one.run_id], float(quietest))
+            r = find_most_loaded_round(levels[one.run_id], quietest)
             if r is not None:
                 took_s = float(np.nan_to_num(logs[one.run_id].counters[r, 0]))
                 if one.spent_s + took_s < end_s[one.run_id]:

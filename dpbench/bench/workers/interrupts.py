@@ -59,9 +59,9 @@ def first_signal_only(*, for_good: bool = False) -> Iterator[Interruption]:
 
 
 @contextmanager
-def block_sigint() -> Iterator[None]:
-    """Delay Ctrl-C to the end of the block, also in processes started in it."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+def block_sigint(*others: signal.Signals) -> Iterator[None]:
+    """Delay Ctrl-C and `others` to the end of the block, also in processes started in it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, *others})
     try:
         yield
     finally:
@@ -87,8 +87,7 @@ def delay_signals() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-    before = {number: signal.getsignal(number) for number in numbers}
+    before = {number: signal.getsignal(number) for number in ENDING}
     heard: list[int] = []
     for number, handler in before.items():
         if callable(handler):
@@ -111,8 +110,5 @@ def block_terminal_signals() -> Iterator[None]:
     """
     # It would let them through again while it starts its own process, and does nothing later.
     multiprocessing.resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
-    try:
+    with block_sigint(signal.SIGHUP):
         yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -15,6 +15,7 @@ from dpbench.bench.record.step_table import BatchPart
 from dpbench.solvers.table import Availability
 
 Item = TypeVar("Item")
+Key = TypeVar("Key")
 CELL_S, STEP_S = 0.009, 0.00025
 """Rates measured for `docs/guide/scale.md`: a cell, and a step of it with its judgement."""
 BATCH_CELLS = 32
@@ -144,20 +145,22 @@ class FileBatch:
 Batch = CellBatch | FileBatch
 
 
+def group_jobs(jobs: Iterable[CellJob], key: Callable[[CellJob], Key]) -> dict[Key, list[CellJob]]:
+    """Group runs by a key, in the order in which the keys appear."""
+    groups: dict[Key, list[CellJob]] = {}
+    for job in jobs:
+        groups.setdefault(key(job), []).append(job)
+    return groups
+
+
 def group_by_source(jobs: Iterable[CellJob]) -> dict[str, list[CellJob]]:
     """Group runs by the file of their QPs."""
-    of_key: dict[str, list[CellJob]] = {}
-    for job in jobs:
-        of_key.setdefault(job.source_key, []).append(job)
-    return of_key
+    return group_jobs(jobs, lambda job: job.source_key)
 
 
-def group_by_problem(jobs: Sequence[CellJob]) -> list[list[CellJob]]:
+def group_by_problem(jobs: Iterable[CellJob]) -> list[list[CellJob]]:
     """Group replays by their QPs; the solvers of a group are timed by turns."""
-    groups: dict[str, list[CellJob]] = {}
-    for job in jobs:
-        groups.setdefault(job.cell.problem_key, []).append(job)
-    return list(groups.values())
+    return list(group_jobs(jobs, lambda job: job.cell.problem_key).values())
 
 
 def configuration_key(cell: Cell) -> tuple[str, ...]:
@@ -172,9 +175,7 @@ def split_into_batches(kind: Kind, jobs: Sequence[CellJob], slots: int) -> list[
     """
     if kind == "replays":
         return [CellBatch(kind, group) for group in group_by_problem(jobs)]
-    alike: dict[tuple[str, ...], list[CellJob]] = {}
-    for job in jobs:
-        alike.setdefault(configuration_key(job.cell), []).append(job)
+    alike = group_jobs(jobs, lambda job: configuration_key(job.cell))
     size_s = choose_batch_seconds(sum(expected_cell_seconds(job) for job in jobs), slots)
     groups = [
         g for some in alike.values() for g in cut_into_groups(some, expected_cell_seconds, size_s)

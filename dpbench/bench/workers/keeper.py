@@ -16,12 +16,7 @@ import select
 import signal
 
 from dpbench.bench.workers import orphans
-from dpbench.bench.workers.orphans import (
-    adopt_orphans,
-    end_children,
-    end_with_parent,
-    signal_process,
-)
+from dpbench.bench.workers.orphans import adopt_orphans, end_children, end_with_parent
 
 _IGNORED = (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE)
 
@@ -79,7 +74,7 @@ def _reap_children(template: int) -> bool:
             continue
         if state.si_code != os.CLD_STOPPED:
             return False
-        signal_process(template, signal.SIGCONT)
+        orphans.signal_process(template, signal.SIGCONT)
 
 
 _split_keeper()

@@ -20,7 +20,7 @@ import numpy as np
 from dpbench.arrays import Flags, Matrix, Vector
 from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.thruster_rows import NOTHING_LOST, LimitRampDown, Limits, ThrusterRows
-from dpbench.qp.program import QPStep, QuadraticProgram, Units, check_shape
+from dpbench.qp.program import QPStep, QuadraticProgram, Units, check_shapes
 from dpbench.ship.layout import AXES
 
 
@@ -46,9 +46,7 @@ class AllocationProblem:
         n_f = len(self.rows.entry)
         shapes: dict[str, tuple[int, ...]] = {"T_e": (AXES, n_f), "W": (n_f, n_f), "R": (n_f, n_f)}
         shapes |= {"slack": (AXES, AXES), "df_max": (n_f,), "step_max": (AXES,)}
-        for name, shape in shapes.items():
-            array = check_shape("AllocationProblem", name, getattr(self, name), shape)
-            object.__setattr__(self, name, array)
+        check_shapes(self, shapes)
 
     @cached_property
     def row_max(self) -> Vector:
@@ -83,12 +81,10 @@ class AllocationQP:
         self.n_f, self.n, self.m = n_f, n_f + AXES, AXES + r
         unit = np.concatenate([problem.df_max, problem.step_max])
         row_unit = np.concatenate([problem.step_max, problem.row_max])
-        scaled = units == "scaled"
-        one, row_one = np.ones(self.n), np.ones(self.m)
-        self.scale = Units(one if scaled else unit, row_one if scaled else row_unit)
-        # One unit of a variable and of a row in [N, N·m].
-        self._unit: Vector = unit if scaled else one
-        self._row_unit: Vector = row_unit if scaled else row_one
+        si, one = Units(unit, row_unit), Units(np.ones(self.n), np.ones(self.m))
+        # What one unit of a variable and of a row is in [N, N·m] is the other of the two.
+        self.scale, own = (one, si) if units == "scaled" else (si, one)
+        self._unit, self._row_unit = own.z, own.row
         self._build_matrices()
         self._theta = np.ones(AXES + n_f + 1)
         of_limits = problem.row_max / self._row_unit[AXES:]

@@ -60,9 +60,8 @@ def attainable_set(thrusters: ThrusterSet, sides: int) -> AttainableSet:
 
     InputError for an azimuth with a sector.
     """
-    parts = [
-        _thruster_corners(t, sides, thrusters.where) @ t.columns.T for t in thrusters.thrusters
-    ]
+    corners = ((t, _thruster_corners(t, sides, thrusters.where)) for t in thrusters.thrusters)
+    parts = [along @ thruster.columns.T for thruster, along in corners]
     # In metres of arm, moments weigh as forces do, and edges can be compared.
     arm = np.array([1.0, 1.0, 1.0 / thrusters.longest_arm_m])
     edges = np.vstack([_edge_directions(part * arm) for part in parts])

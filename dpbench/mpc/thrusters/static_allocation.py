@@ -98,10 +98,8 @@ class AllocationAfterLoss:
     """
 
     def __init__(self, thrusters: ThrusterSet, rows: ThrusterRows) -> None:
-        self._units, self._thrust = (
-            compute_balance_units(thrusters),
-            thrusters.thrust_N[rows.thruster],
-        )
+        self._units = compute_balance_units(thrusters)
+        self._thrust = thrusters.thrust_N[rows.thruster]
         self._A = np.vstack([build_balance_matrix(thrusters), rows.G])
 
     def limits(self, force: Matrix, low: Matrix, high: Matrix) -> tuple[Matrix, Matrix]:

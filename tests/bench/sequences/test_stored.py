@@ -15,10 +15,10 @@ from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import RecordedTable, SuiteFile
 from dpbench.bench.record.npz import write_npz
 from dpbench.bench.sequences.sequence_file import active_set, load_recorded
-from dpbench.bench.sequences.shipped import load_rules, manifest_path, record_shipped_sequences
+from dpbench.bench.sequences.shipped import load_rules, record_shipped_sequences
 from dpbench.cli.main import main
 from dpbench.qp.referee.referee import Referee
-from dpbench.scenario.problem_files import problem_names, sequence_path
+from dpbench.scenario.problem_files import problem_names, problems_root, sequence_path
 from dpbench.scenario.scenario import load_scenario
 
 Arrays = dict[str, Any]
@@ -124,7 +124,7 @@ def test_all_is_said_with_nothing_beside_it(capsys: pytest.CaptureFixture[str]) 
 
 
 def test_a_manifest_that_leaves_out_what_it_has_not_is_refused(tmp_path: Path) -> None:
-    text = manifest_path().read_text(encoding="utf-8")
+    text = (problems_root() / "sequences" / "manifest.toml").read_text(encoding="utf-8")
     bad = tmp_path / "manifest.toml"
     bad.write_text(text + '\n[[left_out]]\nsequences = ["papr-30-5"]\nreason = "x"\n', "utf-8")
     with pytest.raises(InputError, match=r"left_out.sequences: found 'papr-30-5'"):
