@@ -1,7 +1,6 @@
 """`dpbench capability`: the table within 80 columns, JSON, solvers judged, and bad input."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,27 +10,23 @@ from dpbench.bench.capability.frontier import WindLimit
 from dpbench.bench.capability.study import FROM_DEG, Capability
 from dpbench.bench.sequences.sequence_file import load_sequence
 from dpbench.cli.capability import table_lines
-from dpbench.cli.main import main
 from dpbench.scenario.problem_files import problem_path
 from dpbench.scenario.scenario import load_vessel
 from dpbench.solvers import table
 from dpbench.solvers.table import Availability
+from tests.cli.conftest import Say
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(autouse=True)
-def _place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def _place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    yield
 
 
-def test_the_table_fits_a_terminal_and_names_what_is_assumed(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_table_fits_a_terminal_and_names_what_is_assumed(say: Say) -> None:
     """36 rows, the notation, the groups, and the hull's keys that the file leaves out."""
-    assert main(["capability", "osv"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = say("capability", "osv").splitlines()
     assert max(map(len, lines)) <= 80
     rows = [line for line in lines if line[:4].strip().isdigit() and line[4] == "°"]
     assert [int(row[:4]) for row in rows] == [int(from_deg) for from_deg in FROM_DEG]
@@ -42,9 +37,8 @@ def test_the_table_fits_a_terminal_and_names_what_is_assumed(
     assert "32.6+ 11" in rows[0]
 
 
-def test_json_and_a_figure_say_the_same_as_the_table(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["capability", "osv", "--json", "--figure", "rose.svg"]) == 0
-    document = json.loads(capsys.readouterr().out)
+def test_json_and_a_figure_say_the_same_as_the_table(say: Say) -> None:
+    document = json.loads(say("capability", "osv", "--json", "--figure", "rose.svg"))
     assert [case["name"] for case in document["cases"]] == ["intact", "board A", "board B"]
     assert document["cases"][1]["lost"] == ["bow 1", "stern port"]
     assert document["from_deg"] == list(FROM_DEG)
@@ -80,15 +74,13 @@ def test_the_notation_is_that_of_the_standard() -> None:
 
 
 def test_solvers_are_asked_at_the_edge_and_judged(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    say: Say, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(study, "DIRECTIONS", 4)
-    for module in (study, "dpbench.bench.capability.batch", "dpbench.cli.capability"):
-        name = module if isinstance(module, str) else module.__name__
-        monkeypatch.setattr(f"{name}.FROM_DEG", (20.0, 110.0, 200.0, 290.0))
-    words = ["capability", "osv", "--sides", "12", "--solver", "quadprog", "--out", "edge"]
-    assert main(words) == 0
-    table = capsys.readouterr().out.split("static allocations")[1]
+    for module in ("bench.capability.study", "bench.capability.batch", "cli.capability"):
+        monkeypatch.setattr(f"dpbench.{module}.FROM_DEG", (20.0, 110.0, 200.0, 290.0))
+    words = "capability osv --sides 12 --solver quadprog --out edge"
+    table = say(*words.split()).split("static allocations")[1]
     (row,) = (line.split() for line in table.splitlines() if line.startswith("quadprog"))
     (balanced, feasible), (refused, infeasible) = (cell.split("/") for cell in row[1:3])
     assert (balanced, refused, row[3]) == (feasible, infeasible, "0")
@@ -109,24 +101,18 @@ def test_solvers_are_asked_at_the_edge_and_judged(
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_bad_input_is_one_line(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """And exit 2, before anything is written."""
-    assert main(["capability", *words]) == 2
-    complaint = capsys.readouterr().err.strip()
-    assert said in complaint
-    assert len(complaint.splitlines()) == 1
+def test_bad_input_is_one_line(words: list[str], said: str, refuse: Say) -> None:
+    assert said in refuse("capability", *words)
     assert list(Path().iterdir()) == []
 
 
 def test_a_solver_that_is_not_installed_is_named(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    refuse: Say, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     missing = Availability(False, reason="not installed")
     monkeypatch.setattr(table, "check_availability", lambda solver: missing)
-    assert main(["capability", "osv", "--solver", "quadprog"]) == 2
-    assert "solver quadprog: not installed; pip install quadprog\n" in capsys.readouterr().err
+    line = refuse("capability", "osv", "--solver", "quadprog")
+    assert line.endswith("solver quadprog: not installed; pip install quadprog")
     assert list(Path().iterdir()) == []
 
 
@@ -141,13 +127,9 @@ def test_a_solver_that_is_not_installed_is_named(
     ],
     ids=lambda text: text.splitlines()[0] if text else "nothing",
 )
-def test_a_bad_hull_is_named(
-    old: str, new: str, said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bad_hull_is_named(old: str, new: str, said: str, refuse: Say) -> None:
     text = problem_path("vessels", "osv").read_text(encoding="utf-8")
     assert old in text
     Path("mine.toml").write_text(text.replace(old, new), encoding="utf-8")
-    assert main(["capability", "mine.toml"]) == 2
-    complaint = capsys.readouterr().err
-    assert complaint.startswith("dpbench: mine.toml")
-    assert said in complaint
+    complaint = refuse("capability", "mine.toml")
+    assert complaint.startswith("dpbench: mine.toml") and said in complaint

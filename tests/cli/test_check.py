@@ -9,8 +9,8 @@ from qpsolvers import Problem
 
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.cli import check_ship
-from dpbench.cli.main import main
 from dpbench.scenario.problem_files import problem_names, problem_path
+from tests.cli.conftest import Say
 
 
 def save(path: Path, *, q: float = -3.0, u: float = 1.0) -> None:
@@ -54,27 +54,21 @@ def _quick_trials(monkeypatch: pytest.MonkeyPatch) -> None:
         ("paper-30-5", "paper-30-5.npz: "),
     ],
 )
-def test_check_takes_what_run_takes(
-    asked: str, said: str, place: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["check", asked]) == 0
-    first, *_ = capsys.readouterr().out.splitlines()
-    assert said in first
+def test_check_takes_what_run_takes(asked: str, said: str, place: Path, say: Say) -> None:
+    assert said in say("check", asked).splitlines()[0]
 
 
 @pytest.mark.parametrize("suite", problem_names("suites"))
-def test_check_takes_every_suite(suite: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check", suite]) == 0
-    *_, line = capsys.readouterr().out.splitlines()
+def test_check_takes_every_suite(suite: str, say: Say) -> None:
+    *_, line = say("check", suite).splitlines()
     about, cells = line.removesuffix(" cells").split(": a suite of ")
     assert about.endswith(f"{suite}.toml") and int(cells) > 0
 
 
-def test_the_tables_of_a_suite_are_named(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_tables_of_a_suite_are_named(place: Path, refuse: Say) -> None:
     (place / "else.toml").write_text('title = "x"', encoding="utf-8")
-    assert main(["check", "else.toml"]) == 2
     tables = "[[study]], [[replay]], [[recorded]], [[random]], [[capability]]"
-    line = capsys.readouterr().err
+    line = refuse("check", "else.toml")
     assert tables in line and "[[thrusters]] (a vessel)" in line
 
 
@@ -125,25 +119,21 @@ def test_what_is_wrong_is_one_line_and_exit_2(
     harm: Callable[[Path], None] | None,
     parts: list[str],
     place: Path,
-    capsys: pytest.CaptureFixture[str],
+    say: Say,
+    refuse: Say,
 ) -> None:
     if harm is not None:
-        assert main(["check", asked]) == (2 if harm is empty else 0), "whole before"
-        capsys.readouterr()
+        # Whole before.
+        (refuse if harm is empty else say)("check", asked)
         harm(place)
-    assert main(["check", asked]) == 2
-    captured = capsys.readouterr()
-    (line,) = captured.err.strip().splitlines()
-    assert not captured.out and all(part in line for part in parts), line
+    line = refuse("check", asked)
+    assert all(part in line for part in parts), line
 
 
-def test_a_problem_that_cannot_be_met_is_certified_so(
-    place: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_problem_that_cannot_be_met_is_certified_so(place: Path, say: Say) -> None:
     rows = np.array([[1.0, 0.0], [-1.0, 0.0]])
     Problem(np.eye(2), np.zeros(2), rows, np.array([-1.0, -1.0])).save("never.npz")
-    assert main(["check", "never.npz"]) == 0
-    assert "certificates: 1 infeasible" in capsys.readouterr().out
+    assert "certificates: 1 infeasible" in say("check", "never.npz")
 
 
 def test_one_problem_is_a_sequence_of_one_step(place: Path) -> None:

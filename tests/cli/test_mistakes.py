@@ -7,6 +7,7 @@ import pytest
 
 from dpbench.cli.main import main
 from dpbench.scenario.problem_files import problem_path
+from tests.cli.conftest import Say
 
 VESSEL = problem_path("vessels", "supply_mss").read_text(encoding="utf-8")
 SCENARIO = problem_path("scenarios", "rough").read_text(encoding="utf-8")
@@ -18,13 +19,6 @@ def changed(text: str, key: str, line: str) -> str:
     new, count = re.subn(rf"^{key} = .*$", line, text, count=1, flags=re.M)
     assert count == 1
     return new
-
-
-def mistake(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """The one line of a command that exits with 2."""
-    assert main(words) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    return line
 
 
 @pytest.mark.parametrize(
@@ -43,15 +37,11 @@ def mistake(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     ids=["nothing to run", "unknown scenario", "settings", "scenario", "vessel", "cut"],
 )
 def test_a_suite_that_cannot_be_run(
-    text: str,
-    parts: list[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    text: str, parts: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refuse: Say
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("x.toml").write_text(text, encoding="utf-8")
-    line = mistake(["run", "x.toml"], capsys)
+    line = refuse("run", "x.toml")
     assert all(part in line for part in parts), line
     assert [path.name for path in tmp_path.iterdir()] == ["x.toml"]
 
@@ -60,11 +50,11 @@ def test_a_suite_that_cannot_be_run(
     ("key", "number"), [("length_m", 0.0762), ("length_m", 76200), ("mass_kg", 6000.0)]
 )
 def test_a_ship_in_other_units_is_none(
-    key: str, number: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    key: str, number: float, tmp_path: Path, refuse: Say
 ) -> None:
     path = tmp_path / "x.toml"
     path.write_text(changed(VESSEL, key, f"{key} = {number}"), encoding="utf-8")
-    said = mistake(["check", str(path)], capsys)
+    said = refuse("check", str(path))
     assert "length_m" in said and "m and kg" in said
 
 
@@ -80,10 +70,8 @@ def test_a_ship_in_other_units_is_none(
         (["run"], ["suite"]),
     ],
 )
-def test_bad_input_is_one_line_and_exit_2(
-    words: list[str], parts: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    line = mistake(words, capsys)
+def test_bad_input_is_one_line_and_exit_2(words: list[str], parts: list[str], refuse: Say) -> None:
+    line = refuse(*words)
     assert all(part in line for part in parts), line
 
 

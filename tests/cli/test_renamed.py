@@ -11,7 +11,7 @@ from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.record.schema import SCHEMA_VERSION
 from dpbench.cli.main import main
 from dpbench.errors import RenamedWarning, ResultsError
-from dpbench.solvers.plugins import find_plugin, load_file
+from tests.cli.conftest import Say
 
 SUITE = 'title = "Old"\ncontrast = false\n[[closed_loop]]\nscenarios = ["paper"]\n'
 
@@ -23,11 +23,10 @@ def test_an_old_key_of_a_suite_means_the_new_one(tmp_path: Path) -> None:
         assert load_suite(path)[1].baseline_law is False
 
 
-def test_both_words_at_once_are_a_mistake(tmp_path: Path, capsys: Any) -> None:
+def test_both_words_at_once_are_a_mistake(tmp_path: Path, refuse: Say) -> None:
     path = tmp_path / "both.toml"
     path.write_text("baseline_law = true\n" + SUITE)
-    assert main(["check", str(path)]) == 2
-    assert "contrast" in capsys.readouterr().err
+    assert "contrast" in refuse("check", str(path))
 
 
 def test_the_old_name_of_a_suite_is_read() -> None:
@@ -54,20 +53,8 @@ def test_the_old_command_says_the_new_one(capsys: Any) -> None:
     ]
 
 
-def test_a_plugin_may_still_say_ladder(tmp_path: Path) -> None:
-    example = Path(__file__).parents[1] / "solvers" / "example_plugin.py"
-    path = tmp_path / "old_plugin.py"
-    text = example.read_text().replace("LEVELS =", "LADDER =").replace('"admm"', '"old_admm"')
-    path.write_text(text)
-    with pytest.warns(RenamedWarning, match="LADDER is now called LEVELS"):
-        load_file(path, ())
-    plugin = find_plugin("old_admm")
-    assert plugin is not None and set(plugin.record.levels) == {"low", "mid", "high"}
-
-
-def test_a_refused_key_of_a_suite_names_the_new_one(tmp_path: Path, capsys: Any) -> None:
+def test_a_refused_key_of_a_suite_names_the_new_one(tmp_path: Path, refuse: Say) -> None:
     path = tmp_path / "old.toml"
     path.write_text('title = "Old"\n[demand]\np99_ms = 2.0\n[[replay]]\nscenario = "paper"\n')
-    assert main(["check", str(path)]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    line = refuse("check", str(path))
     assert "demand" in line and "requirements" in line

@@ -15,6 +15,7 @@ from dpbench.cli import check_ship, doctor
 from dpbench.cli.main import _CALLS, main
 from dpbench.cli.terminal import WIDTH, ProgressBar, format_entry, make_report_table, print_wrapped
 from dpbench.report.table import Table
+from tests.cli.conftest import Say
 
 CODES = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
 NUMBERS = {"length": 80, "breadth": 18, "draught": 6, "displacement": 6000, "thrust": 300}
@@ -46,9 +47,8 @@ def test_help_fits(command: str, capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_lists_fit(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["list", kind.removesuffix("s")]) == 0
-    said = capsys.readouterr().out
+def test_lists_fit(kind: str, say: Say) -> None:
+    said = say("list", kind.removesuffix("s"))
     assert_readable(said)
     known = dict(zip(KINDS, ("osv", "paper_tight", "standard", "rough-60-10", "daqp"), strict=True))
     assert re.search(rf"^{known[kind]} *\b", said, re.M)
@@ -73,21 +73,19 @@ def test_lists_fit(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
     ids=lambda words: "-".join(words[:2]),
 )
 def test_what_a_command_says_fits(
-    words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    words: list[str], say: Say, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(check_ship, "is_held", lambda trial, offset_m, sides: offset_m <= 1.0)
-    assert main(words) == 0
-    said = capsys.readouterr()
+    said = say(*words)
     if "--json" not in words:
-        assert_readable(said.out)
-    assert not CODES.search(said.out)
+        assert_readable(said)
+    assert not CODES.search(said)
 
 
 @pytest.mark.slow
-def test_a_report_and_a_comparison_fit(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["report", str(campaign)]) == 0
-    assert main(["compare", str(campaign), str(campaign)]) == 0
-    assert_readable(capsys.readouterr().out)
+def test_a_report_and_a_comparison_fit(campaign: Path, say: Say) -> None:
+    assert_readable(say("report", str(campaign)))
+    assert_readable(say("compare", str(campaign), str(campaign)))
 
 
 @pytest.mark.slow
