@@ -75,8 +75,7 @@ class ResultsError(InputError):
     """A result folder or file that is missing, damaged or of an unknown format version."""
 
 
-MOST_NAMES = 6
-"""A list of more names is cut to the nearest."""
+MOST_NAMES = 6  # A list of more names is cut to the nearest
 _NEAREST = 3
 
 

@@ -21,13 +21,10 @@ import psutil
 from dpbench.errors import InputError
 
 FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
-FILE = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
-"""Flags to open a lock."""
+FILE = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW  # Flags to open a lock
 EXCLUSIVE, SHARED = fcntl.LOCK_EX, fcntl.LOCK_SH
-MAX_BYTES = 2**16
-"""Largest part of a lock file that is read."""
-MAX_WORK = 100
-"""Longest command of a holder."""
+MAX_BYTES = 2**16  # Largest part of a lock file that is read
+MAX_WORK = 100  # Longest command of a holder
 _POLL_S = 0.1
 
 

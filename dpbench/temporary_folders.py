@@ -15,14 +15,10 @@ from pathlib import Path
 
 from dpbench.locks import FOLDER, try_lease
 
-PREFIX = "dpbench-scratch-"
-"""Beginning of the names of such folders alone."""
-LONGEST = 70
-"""Bytes of the path of a folder of sockets: Linux allows 107, and Python adds up to 33."""
-_LAST = -200
-"""Behind what `multiprocessing` does at the end of a process, whose last is −100."""
-ATTEMPTS = 10
-"""To remove a folder that others still write to."""
+PREFIX = "dpbench-scratch-"  # Beginning of the names of such folders alone
+LONGEST = 70  # Bytes of the path of a folder of sockets: Linux allows 107, and Python adds up to 33
+_LAST = -200  # Behind what `multiprocessing` does at the end of a process, whose last is −100
+ATTEMPTS = 10  # To remove a folder that others still write to
 
 
 @contextmanager

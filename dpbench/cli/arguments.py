@@ -10,10 +10,8 @@ from functools import partial
 from importlib.metadata import version
 from typing import Any, NoReturn
 
-Command = Any
-"""A parser of a command, or a group of its arguments."""
-HOW_TO_END = ("open", "json", "quiet")
-"""Arguments of what comes after a run or report."""
+Command = Any  # A parser of a command, or a group of its arguments
+HOW_TO_END = ("open", "json", "quiet")  # Arguments of what comes after a run or report
 _LISTED = ("vessels", "scenarios", "suites", "sequences", "solvers")
 _STORED = {
     "suite": "suites",

@@ -31,8 +31,7 @@ from dpbench.solvers.table import check_available
 SIDES = 24
 """Default sides of polygons: they lose 0.9 % of the thrust; de Wit (2009) recommends up to 1 %."""
 FIGURES = (".svg", ".html", ".png", ".pdf")
-_WIDE = 4
-"""Cases that fit beside each other."""
+_WIDE = 4  # Cases that fit beside each other
 _CELL = 15
 
 

@@ -26,8 +26,7 @@ from dpbench.files.writing import write_named_file
 if TYPE_CHECKING:
     from dpbench.report.table import Table
 
-INTERRUPTED = 130
-"""The exit code after Ctrl-C; after another signal 128 and its number."""
+INTERRUPTED = 130  # The exit code after Ctrl-C; after another signal 128 and its number
 OLD_COMMANDS = {"hunt": "worst-case"}
 """Old names of commands that are still read, with the new ones."""
 

@@ -27,11 +27,9 @@ from dpbench.ship.weather.waves import WATER_DENSITY
 
 WHERE = "init"
 COMMENT_WIDTH = 96
-STEPS = 1000
-"""Steps of the scenario, as many as a p99 needs."""
+STEPS = 1000  # Steps of the scenario, as many as a p99 needs
 SAMPLE_S = 0.3
-START_M = (1.2, 1.3)
-"""North and east; sample and start are the paper's."""
+START_M = (1.2, 1.3)  # North and east; sample and start are the paper's
 YAW_WEIGHT = 3000.0
 """Heading weight of the robust tuning of the paper's ship [1/rad²]; its lever is 0.72 L."""
 FORM_DIFFERS = 0.2
@@ -79,10 +77,8 @@ PARTICULARS = ("length", "breadth", "draught", "displacement")
 _KEYS = {"displacement": "displacement_t"} | {
     option: f"{option}_m" for option in ("length", "breadth", "draught")
 }
-BLOCK = (0.3, 1.0)
-"""Block coefficients of floating things; beyond them a unit is wrong."""
-TO_WEIGHT = (5e-4, 0.2)
-"""Thrust over weight; the paper's ship has 0.028 ahead."""
+BLOCK = (0.3, 1.0)  # Block coefficients of floating things; beyond them a unit is wrong
+TO_WEIGHT = (5e-4, 0.2)  # Thrust over weight; the paper's ship has 0.028 ahead
 
 
 def write_own_ship(options: argparse.Namespace) -> list[str]:

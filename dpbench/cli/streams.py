@@ -7,10 +7,8 @@ import select
 import sys
 import unicodedata
 
-PIPE_CLOSED = 141
-"""The exit code of a program that a closed pipe ended, as a shell gives it."""
-_ERRORS = "dpbench"
-"""The name of `_plain` among the handlers of encoding errors."""
+PIPE_CLOSED = 141  # The exit code of a program that a closed pipe ended, as a shell gives it
+_ERRORS = "dpbench"  # The name of `_plain` among the handlers of encoding errors
 # fmt: off
 _PLAIN = {
     "µ": "u", "≤": "<=", "≥": ">=", "≈": "~", "×": "x", "·": "*", "−": "-", "–": "-",

@@ -20,8 +20,7 @@ from rich.text import Text
 if TYPE_CHECKING:
     from dpbench.report.table import Table as ReportTable
 
-WIDTH = 80
-"""Columns of a file or a pipe, and the most of prose on a terminal."""
+WIDTH = 80  # Columns of a file or a pipe, and the most of prose on a terminal
 STYLES = {"slower": "bold red", "worse": "bold red", "faster": "green", "better": "green"}
 """Colours of words in a comparison."""
 ENDING_STYLES = {"answer": "bold green", "solver": "bold green", "next": "cyan", "page": "bold"}

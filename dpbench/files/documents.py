@@ -7,8 +7,7 @@ from typing import Any
 from dpbench.errors import InputError
 from dpbench.files.opening import read_bytes
 
-MOST_JSON_BYTES = 2**22
-"""Of a JSON document; empty objects take 24 times as much memory."""
+MOST_JSON_BYTES = 2**22  # Of a JSON document; empty objects take 24 times as much memory
 MOST_DEPTH = 32
 """Levels of nested tables and arrays, and parts of a dotted key. dpbench itself has at most 8."""
 

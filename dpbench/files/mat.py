@@ -14,23 +14,17 @@ from numpy.typing import NDArray
 from dpbench.errors import InputError
 from dpbench.files.opening import open_regular_file
 
-MOST_MAT_BYTES = 2**25
-"""The largest vessel of the MSS toolbox has 2 MB."""
-WAIT_S = 30.0
-"""For the process, which ends itself after `mat_child.TIME_S` of a processor."""
+MOST_MAT_BYTES = 2**25  # The largest vessel of the MSS toolbox has 2 MB
+WAIT_S = 30.0  # For the process, which ends itself after `mat_child.TIME_S` of a processor
 _ALLOWED = "a .mat file of version 7 or older (in MATLAB: save -v7)"
 
 
 def read_structure(path: Path, name: str) -> tuple[list[str], dict[str, NDArray[Any]]]:
     """Read the numeric fields of a structure in an untrusted MATLAB file, in a child process.
 
-    Returns
-    -------
     The names of all variables, and of the structure `name` each field as an array, by its dotted
     name from `name` on; a field without numbers is empty.
 
-    Raises
-    ------
     InputError : it cannot be opened, is no such file, or reading it takes too long or too much.
     """
     program = [sys.executable, "-P", str(Path(__file__).with_name("mat_child.py")), name]

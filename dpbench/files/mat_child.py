@@ -8,10 +8,8 @@ import resource
 import sys
 from typing import Any
 
-MEMORY_BYTES = 2**29
-"""Python with SciPy takes a quarter of it."""
-TIME_S = 10
-"""Of a processor; a file of the largest size that is read takes a second."""
+MEMORY_BYTES = 2**29  # Python with SciPy takes a quarter of it
+TIME_S = 10  # Of a processor; a file of the largest size that is read takes a second
 
 
 def main(name: str) -> int:

@@ -40,8 +40,7 @@ class Field(NamedTuple):
     value: Any
 
 
-Struct = dict[int, Field]
-"""Fields by their numbers."""
+Struct = dict[int, Field]  # Fields by their numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,8 +213,6 @@ def _byte_range(group: Struct) -> tuple[int, int]:
 class RowGroupWriter:
     """Writer of one Parquet file from row groups copied from others of the same schema.
 
-    Attributes
-    ----------
     rows : how many are written; crc32 : of all bytes that are written.
     """
 
@@ -235,8 +232,6 @@ class RowGroupWriter:
     def copy(self, source: BinaryIO, footer: Footer, index: int) -> None:
         """Copy a row group of another Parquet file without decoding it.
 
-        Raises
-        ------
         ValueError, KeyError, IndexError : the footer is damaged or of another schema, or the row
             group needs bytes outside of it; the file is as it was then.
         """

@@ -21,8 +21,7 @@ from dpbench.files.opening import check_unpacked, open_regular_file
 WHAT = "a table written by `dpbench run`"
 MOST_ENTRIES = 100_000
 """Of a list in the footer, as that of columns or of row groups: 10¹⁰ steps have as many."""
-_CODE, _NUMBER = 4, 8
-"""Bytes of a value in memory: of the code of a word, and of any number."""
+_CODE, _NUMBER = 4, 8  # Bytes of a value in memory: of the code of a word, and of any number
 _IS_TEXT = (pa.types.is_string, pa.types.is_large_string)
 _IS_NUMBER = (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean, pa.types.is_null)
 
@@ -31,9 +30,7 @@ _IS_NUMBER = (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean, pa
 def open_table(path: Path, *, error: type[InputError] = InputError) -> Iterator[pq.ParquetFile]:
     """Open an untrusted Parquet table of numbers and texts, with its unpacked size bounded.
 
-    Raises
-    ------
-    InputError : it is no regular file, has columns of other types, or unpacks to too much.
+    Raises InputError : it is no regular file, has columns of other types, or unpacks to too much.
     OSError, ValueError, ArrowException : it is damaged.
     """
     with open_regular_file(path, WHAT, error=error) as file:

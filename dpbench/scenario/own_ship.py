@@ -65,16 +65,14 @@ NOT_CHOSEN = ("osv",)
 DP_NUMBERS = {number: DP_CONDITIONS[number] for number in range(1, 10)}
 """Wind [m/s], Hs [m], Tp [s], current [m/s] of DP capability numbers up to a strong gale."""
 
-FROM_DEG = 30.0
-"""Wind and waves come from the bow, not quite ahead: a heading a ship may choose."""
+FROM_DEG = 30.0  # Wind and waves come from the bow, not quite ahead: a heading a ship may choose
 
 CURRENT_SHARE = 0.4
 """Of the standard's current. Linear damping is meant for some cm/s; on the supply ship of Fossen &
 Strand D·0.3 m/s abeam is the force that the standard gives to its 0.75 m/s (section 3.6)."""
 
 RAMP_S = 60.0
-SPARE = 0.5
-"""Share of the limits that the mean force may take: gusts and drift need the rest."""
+SPARE = 0.5  # Share of the limits that the mean force may take: gusts and drift need the rest
 
 
 @dataclass(frozen=True, eq=False)

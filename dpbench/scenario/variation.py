@@ -17,8 +17,7 @@ from dpbench.scenario.scenario import Scenario, build_scenario, read_vessel_docu
 from dpbench.ship.plant import SUBSTEPS
 
 VESSEL = "vessel"
-SEED = "environment.seed"
-"""Any whole number makes a sea of its own, and changes nothing else."""
+SEED = "environment.seed"  # Any whole number makes a sea of its own, and changes nothing else
 _LABELS = {"name": "", "title": "", "shows": "", "files": {}}
 
 

@@ -14,8 +14,7 @@ from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather.waves import GRAVITY
 
 SWAY = 1
-SLOW_FROUDE_NUMBER = 0.2
-"""Beyond it waves of the hull's own making take over from linear damping."""
+SLOW_FROUDE_NUMBER = 0.2  # Beyond it waves of the hull's own making take over from linear damping
 
 
 def axis_time_constants_s(vessel: Vessel) -> Vector:

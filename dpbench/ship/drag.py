@@ -29,8 +29,7 @@ from dpbench.ship.weather.waves import GRAVITY, WATER_DENSITY
 
 FADING_FROUDE_NUMBER = 0.004
 """V_0 over √(gL): 0.11 m/s on a ship of 76 m, so that 1 % of D is left at 0.5 m/s."""
-SURGE_COEFFICIENT = 0.07
-"""Of ½ρ B T V u (DNV-ST-0111, section 3.6)."""
+SURGE_COEFFICIENT = 0.07  # Of ½ρ B T V u (DNV-ST-0111, section 3.6)
 _HOERNER = np.array(
     [
         [0.2, 0.35, 0.47, 0.5, 0.65, 0.83, 1.0, 1.3, 1.65, 2.0, 2.5, 3.0, 4.0],

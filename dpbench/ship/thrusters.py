@@ -28,8 +28,7 @@ Trips = tuple[tuple[int, Indices], ...]
 """(sample, entries of f) of thrusters that stop at once at a sample, in order of time."""
 ETA_1 = {"open": 800.0, "nozzle": 1200.0, "tunnel": 900.0}
 """η_1 of DNV-ST-0111 (2021), section 3.8: N from kW and m."""
-MECHANICAL_EFFICIENCY = 0.93
-"""η_m of DNV-ST-0111 level 1."""
+MECHANICAL_EFFICIENCY = 0.93  # η_m of DNV-ST-0111 level 1
 
 
 def nominal_thrust_N(power_kW: float, diameter_m: float, propeller: Propeller) -> float:

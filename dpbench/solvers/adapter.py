@@ -26,8 +26,6 @@ OpenWorkspace = Callable[[SolverRecord, Policy, Options], Workspace]
 class NativeAdapter:
     """Means to call a solver library by its own Python interface: facts, constructor, options.
 
-    Parameters
-    ----------
     record : its row in the table, with its abilities on route native.
     workspace : makes a workspace of this record.
     list_options : the names of the library's settings; None where they are those of
@@ -76,8 +74,6 @@ def make_info_reader(
 ) -> InfoReader:
     """Make a reader of a solver library's info object: common status, iterations, time [ns].
 
-    Parameters
-    ----------
     statuses : by `word`, or by `number` where there is one; unit_ns : the unit of its times [ns].
     on_request : it times itself only with the option `compute_timings`.
     """
@@ -105,8 +101,6 @@ def make_status_reader(read_info: InfoReader) -> ReadStatus:
 class QpsolversAdapter:
     """Means to call a solver library through qpsolvers: facts, status reader, option names.
 
-    Parameters
-    ----------
     record : its row in the table, with its abilities on route qpsolvers.
     box : "native" for bounds as bounds, "rows" for rows prepared once because qpsolvers would
         otherwise append an identity matrix at every solve.
@@ -165,13 +159,8 @@ def find_adapters(
 ) -> tuple[dict[str, NativeAdapter], dict[str, QpsolversAdapter]]:
     """Import all modules of a package; return its native and qpsolvers interfaces by solver.
 
-    Parameters
-    ----------
     package : its name, while it is being imported; besides : modules without an adapter.
-
-    Raises
-    ------
-    DpbenchError : a module without an adapter, or two adapters of one name and route.
+    Raises DpbenchError : a module without an adapter, or two adapters of one name and route.
     """
     native: dict[str, NativeAdapter] = {}
     wrapped: dict[str, QpsolversAdapter] = {}

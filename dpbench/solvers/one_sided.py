@@ -77,8 +77,6 @@ class LimitSides:
 class OneSidedForm:
     """A QP with two-sided limits rewritten as G z ≤ h, A z = b, updated in place at each step.
 
-    Parameters
-    ----------
     qp : the problem; its matrices are copied.
     form : "dense" (C-contiguous) or "csc" matrices.
     box : "native" for bounds as bounds, "rows" for rows behind those of A.

@@ -43,8 +43,7 @@ from dpbench.solvers.record import (
 )
 
 GROUP = "dpbench.solvers"
-TRIAL_S = 60.0
-"""Time limit of a plug-in's file in `try_file`."""
+TRIAL_S = 60.0  # Time limit of a plug-in's file in `try_file`
 # The last line that the process of `try_file` prints.
 _RAN = b"\ndpbench: ran\n"
 _TRIAL = f"""
@@ -93,8 +92,6 @@ def solver_record(
 ) -> SolverRecord:
     """Make the facts of a plug-in solver: name, method, and abilities of its own interface.
 
-    Parameters
-    ----------
     refused : reasons of missing policies, by policy, or by ("native", policy) as in old releases.
     abilities : further fields of `RouteRecord`.
     """

@@ -55,8 +55,6 @@ LEVELS = (DEFAULT, *TOLERANCES)
 def by_tolerance(*criteria: str, always: Options | None = None, **constant: object) -> Levels:
     """Make option presets default, low, mid and high, from the names of tolerance options.
 
-    Parameters
-    ----------
     criteria : options that are the tolerance at the levels of `TOLERANCES`.
     always : options of every level, and of a person's own settings.
     constant : further options of the levels of `TOLERANCES`.
@@ -113,8 +111,6 @@ class CSettings:
 class Project:
     """Facts on embedding a solver: licence, language, C code, memory allocation, single precision.
 
-    Parameters
-    ----------
     licence, language : of the solver itself, not of its Python interface.
     c_code : whether it generates C code for a problem, or is C code one can embed.
     allocation_free : whether a solve after set-up allocates no memory.
@@ -151,8 +147,6 @@ NO_PROJECT_FACTS = project_facts(licence=None, language=None)
 class RouteRecord:
     """Abilities of a solver through one interface: ways of starting, updates, known faults.
 
-    Parameters
-    ----------
     policies : those it runs; `refused` : the reasons for missing ones, where there is one to give.
     updates : what the library takes over without a new set-up.
     start : what a warm start consists of.
@@ -180,8 +174,6 @@ class RouteRecord:
 class SolverRecord:
     """All facts about one solver: method, package, interfaces, option presets, project.
 
-    Parameters
-    ----------
     method : the algorithm in a line.
     distribution, module : of `pip install` and `import`; "" for dpbench's own.
     extra : the part of dpbench's dependencies that installs it; "own", "plugin" and "qpsolvers" are

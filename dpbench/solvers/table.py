@@ -21,8 +21,7 @@ from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
 from dpbench.solvers.own.adapters import OWN
 from dpbench.solvers.record import NO_PROJECT_FACTS, Build, RouteRecord, SolverRecord
 
-LISTING = "dpbench list solvers"
-"""The command that lists all solvers."""
+LISTING = "dpbench list solvers"  # The command that lists all solvers
 _ON_NATIVE: dict[str, NativeAdapter] = {**NATIVE, **OWN}
 TABLE: dict[str, SolverRecord] = {
     name: (_ON_NATIVE if name in _ON_NATIVE else THROUGH_QPSOLVERS)[name].record
@@ -130,12 +129,7 @@ def _make_generic_adapter(name: str) -> QpsolversAdapter:
 def load_solver_module(path: str | Path, *, tried: bool = False) -> SolverRecord:
     """Load a plug-in solver from a Python file into this process; return the facts about it.
 
-    Parameters
-    ----------
     tried : whether the file is known not to end the process that runs it, or may do so.
-
-    Raises
-    ------
     InputError : the file is missing, fails when run, is no plug-in, or takes a name of the table.
     """
     if not tried:
@@ -220,9 +214,7 @@ def isolate(*solvers: str) -> None:
     `import qpsolvers` imports every solver library it finds, which costs time and memory, starts
     threads and lets one library's OpenMP or BLAS settings act on another's.
 
-    Raises
-    ------
-    UnknownNameError : there is no such solver.
+    Raises UnknownNameError : there is no such solver.
     DpbenchError : qpsolvers was imported before, so it is too late.
     """
     rows = [find_record(solver) for solver in solvers]

@@ -32,17 +32,12 @@ def export(
 ) -> str:
     """Write the certified QPs of a scenario or a sequence to a file; return a line on it.
 
-    Parameters
-    ----------
     what : a scenario by name or TOML path, a sequence by name or `.npz`, or a folder of qpsolvers
         problems.
     out : the `.npz` file; for "qpbenchmark" the name of the Parquet file and the Python file.
     horizons : "N_p/N_c" instead of those of the tuning; of a scenario only.
     steps, every : the first so many steps, and of these each `every`-th; at : one step instead.
     part : "allocation" for the second QPs of a cascade; of a scenario only.
-
-    Raises
-    ------
     InputError : for bad input; CertificateError when the loop of a scenario cannot be certified.
     """
     target = Path(out)

@@ -31,8 +31,7 @@ from dpbench.scenario.controllers.controller import stack_limits
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import ThrusterSet
 
-AVERAGE_S = 60.0
-"""Time constant of the mean of the force [s]."""
+AVERAGE_S = 60.0  # Time constant of the mean of the force [s]
 
 
 def select_thruster_rows(scenario: Scenario) -> tuple[ThrusterSet, ThrusterRows]:
@@ -89,8 +88,6 @@ def measure_hardness(active: Ints, feasible: Flags) -> Floats:
 
     A step without an optimum is harder by 1 than the hardest of all others.
 
-    Parameters
-    ----------
     active : (K, m + n) as of `find_active_limits`; feasible : (K,) whether a step has an optimum.
     """
     before = np.vstack((np.zeros_like(active[:1]), active[:-1]))

@@ -35,14 +35,9 @@ def record_scenario(
 ) -> Recorded:
     """Solve a scenario's loop exactly and return its QPs in scaled units, all certified.
 
-    Parameters
-    ----------
     horizons : (N_p, N_c) instead of those of the tuning; they change the loop too.
     steps : length of the loop; every : of its steps the first and each `every`-th are kept.
     part : "allocation" for the second QPs of a cascade.
-
-    Raises
-    ------
     InputError : for impossible horizons, steps, thinning or part; CertificateError when a step has
         neither a certified optimum nor proof that there is none.
     """

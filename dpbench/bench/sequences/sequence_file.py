@@ -60,8 +60,6 @@ _TEXTS = ("format", "name", "meta", "documents")
 class Recorded:
     """A sequence of QPs in scaled units with its certified optima, None if not certified yet.
 
-    Parameters
-    ----------
     units : what 1 is in SI; None where the QPs have no units but their own.
     documents : of the scenario (`Scenario.files`), or the capability plot; empty for others.
     """

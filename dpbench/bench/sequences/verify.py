@@ -26,8 +26,6 @@ WITHOUT_OPTIMUM = ("infeasible", "undecided")
 def verify_sequence(path: Path, progress: Progress | None = None) -> str:
     """Certify every step of a sequence and compare the stored optima; return one line on it.
 
-    Raises
-    ------
     InputError : for a damaged file, or the first step whose stored optimum, multipliers, active
         set or proof of infeasibility are false.
     """

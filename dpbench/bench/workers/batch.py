@@ -90,12 +90,7 @@ class _ItemProcess(Child, Generic[AnyItem]):
 class CellRun:
     """Execution of a batch of runs on one core: one process does them, then another judges them.
 
-    Parameters
-    ----------
     to_run : whether the cells are to be run; otherwise they left steps before.
-
-    Attributes
-    ----------
     outcomes : outcome of each cell, without those that a dead fork server took along.
     parts : the cells that left steps, with these.
     """

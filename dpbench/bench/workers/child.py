@@ -72,8 +72,7 @@ START_ALLOWANCE_S = 60.0
 GRACE_S = 3.0
 """Beyond a cell's own limit, for one call that does not return; for a round of a replay no longer
 than the limit."""
-STOPPED_S = 10.0
-"""A process that somebody stopped (SIGSTOP) is killed after this time."""
+STOPPED_S = 10.0  # A process that somebody stopped (SIGSTOP) is killed after this time
 _BY_MEMORY = "killed by SIGKILL, as by the out-of-memory killer"
 FORKSERVER_DIED = Outcome(
     "lost", "the template of its process was killed, as by the out-of-memory killer"
@@ -81,12 +80,9 @@ FORKSERVER_DIED = Outcome(
 KILLED_FORKSERVER = Outcome(
     "crashed", "the process that starts the workers was killed twice while it ran, then alone"
 )
-_UNHEARD = 255
-"""The exit code that `multiprocessing` gives a process whose template died."""
-STARTS = 3
-"""Attempts to start a process whose template is killed meanwhile."""
-_DYING_S = 1.0
-"""For a process of which it is known that it was killed, until it is gone."""
+_UNHEARD = 255  # The exit code that `multiprocessing` gives a process whose template died
+STARTS = 3  # Attempts to start a process whose template is killed meanwhile
+_DYING_S = 1.0  # For a process of which it is known that it was killed, until it is gone
 _STARTING = threading.Lock()
 """Held while a process starts: what that changes for the moment is seen all over this one."""
 
@@ -142,22 +138,14 @@ def _running_forkserver() -> Iterator[None]:
 class Child:
     """A worker process, which records a run and writes its outcome, with limits on its time.
 
-    Parameters
-    ----------
     target, args : called in the process as target(*args); it writes `verdict` before it ends, and
         sets its phase in `shared_status.py`. An end without a verdict is charged to that phase.
     folder, name : of its raw log and verdict.
     limit_s : own run time after the start of its log; None for no limit.
     logs : whether it leaves a raw log; otherwise its time runs from its start.
-
-    Attributes
-    ----------
     forkserver_died : whether its template died before it, so that its end is unknown.
     alone : whether it runs while nothing else does, because an earlier template died.
-
-    Raises
-    ------
-    NoProcessError : the system starts no process, nor a new template.
+    Raises NoProcessError : the system starts no process, nor a new template.
     """
 
     def __init__(

@@ -31,8 +31,7 @@ from dpbench.bench.workers.worker import BatchCell
 from dpbench.errors import InputError
 from dpbench.locks import EXCLUSIVE, SHARED, Holder, WaitLimit
 
-POLL_S = 0.1
-"""The end of a process is noticed at once; this is for what takes too long."""
+POLL_S = 0.1  # The end of a process is noticed at once; this is for what takes too long
 
 
 AnyTask = TypeVar("AnyTask", bound=CellRun | FileRun)
@@ -85,8 +84,7 @@ def run_on_cores(tasks: Sequence[AnyTask], cores: Sequence[int]) -> Iterator[Any
         yield from pool.wait_for_tasks()
 
 
-Sources = Mapping[str, Path]
-"""The files behind the QPs of a batch, by key."""
+Sources = Mapping[str, Path]  # The files behind the QPs of a batch, by key
 WAITING = (
     "waiting for {}: while one campaign times replays on this machine, no other runs cells "
     "(--no-wait, --wait SECONDS)"
@@ -107,8 +105,6 @@ def _avoid_core(core: int) -> Iterator[None]:
 class CellExecutor(ExitStack):
     """Executor of batches of runs and files in worker processes on this machine's cores.
 
-    Parameters
-    ----------
     slots : processes side by side, on as many of the `cores`.
     machine_id : of this machine, for the rows of the cells.
     modules : paths of plug-ins on this machine, by their paths where the cells were planned.

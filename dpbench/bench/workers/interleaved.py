@@ -33,12 +33,10 @@ from dpbench.bench.workers.child import ServingChild
 from dpbench.bench.workers.worker import Hang, ReplayOrder, find_hang, serve_replays
 
 STARTED_TOGETHER = 4
-DISTURBED_RETRIES = 1
-"""How often a round in which the reference kernel was slowed is run again."""
+DISTURBED_RETRIES = 1  # How often a round in which the reference kernel was slowed is run again
 FEWEST_ROUNDS = 3
 """Rounds, none of them disturbed, that a configuration gets whatever its budget is."""
-FEWEST_OF_WINDOW = 2
-"""The same for a window, whose steps are the longest of all."""
+FEWEST_OF_WINDOW = 2  # The same for a window, whose steps are the longest of all
 ROBBED_FACTOR = 1.25
 """A round whose load kernel took this much longer than in the quietest round of any
 configuration."""
@@ -47,8 +45,6 @@ configuration."""
 class ReplayWorker:
     """One solver configuration's worker process in a replay by turns, and its progress.
 
-    Attributes
-    ----------
     serving : whether it takes further rounds.
     spent_s : time of its rounds; clean_rounds : undisturbed ones.
     hung : steps in which earlier processes of it hung.
@@ -117,8 +113,6 @@ def process_key(cell: Cell) -> tuple[str, ...]:
 class ReplayGroup:
     """Replay of one sequence of QPs by several solver configurations by turns, round by round.
 
-    Parameters
-    ----------
     cells : (run_id, cell) of each configuration; all see the same QPs.
     source : file the sequence is made from.
     alone : whether nothing else runs because a template died, see `Child`.
@@ -249,8 +243,6 @@ def rerun_loaded_rounds(
     The last attempt counts. Configurations take turns because a neighbour stays for longer than a
     round.
 
-    Parameters
-    ----------
     logs : raw log of each configuration; serve : runs a round of a configuration into it.
     order : of the configurations within a turn.
     """

@@ -39,8 +39,6 @@ def first_signal_only(*, for_good: bool = False) -> Iterator[Interruption]:
     Repeats, by a person or a program that passes them on, must not interrupt what is being saved.
     Nothing changes outside the main thread, or for signals that are handled or ignored already.
 
-    Parameters
-    ----------
     for_good : the program ends with the block; signals after the first stay ignored.
     """
     interruption = Interruption()

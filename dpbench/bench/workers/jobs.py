@@ -18,8 +18,7 @@ Item = TypeVar("Item")
 Key = TypeVar("Key")
 CELL_S, STEP_S = 0.009, 0.00025
 """Rates measured for `docs/guide/scale.md`: a cell, and a step of it with its judgement."""
-BATCH_CELLS = 32
-"""Cells of a batch at most."""
+BATCH_CELLS = 32  # Cells of a batch at most
 SHORTEST_S, LONGEST_S = 0.1, 1.0
 """Work of a batch by those rates, from the least worth a process to what an accident may cost (4000
 steps leave some 8 MB of raw logs). A longer cell is a batch of its own."""
@@ -73,8 +72,6 @@ class Result:
 class CellBatch:
     """Runs of one solver configuration that share a process, or timed replays of one sequence.
 
-    Parameters
-    ----------
     isolated : whether it runs alone, because an earlier process of it took others along.
     attempts : how often it was handed over in vain.
     shown_work : steps that the progress bar shows of it before it is completed.
@@ -112,8 +109,6 @@ class CellBatch:
 class FileBatch:
     """Files, mostly of QPs, to be made one after the other in one process.
 
-    Parameters
-    ----------
     texts : the description of each file, by its path.
     limit_s : time limit of each; None for none.
     are_sources : whether cells need them: they are stored where the cells run.

@@ -13,8 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 _SET_PDEATHSIG, _SET_CHILD_SUBREAPER = 1, 36
-_ALL_CHILDREN = 0x40000000
-"""`__WALL` of waitpid(2): children made by clone(2) too."""
+_ALL_CHILDREN = 0x40000000  # `__WALL` of waitpid(2): children made by clone(2) too
 END_S = 5.0
 """Time in which all orphans must be gone; a process in an uninterruptible call may take longer."""
 _libc = ctypes.CDLL(None)

@@ -16,10 +16,8 @@ import psutil
 from dpbench.errors import DpbenchError
 from dpbench.temporary_folders import clear_abandoned, temporary_folder
 
-MEMORY = Path("/dev/shm")
-"""The file system in memory that every Linux has, of whatever size."""
-MARGIN_BYTES = 2**21
-"""For what lies beside the logs: verdicts, and what libraries print."""
+MEMORY = Path("/dev/shm")  # The file system in memory that every Linux has, of whatever size
+MARGIN_BYTES = 2**21  # For what lies beside the logs: verdicts, and what libraries print
 
 
 class NoRoomError(DpbenchError):

@@ -24,8 +24,7 @@ from typing import Any
 from dpbench.bench.run.footprint import mark_as_first_oom_victim, process_peak_bytes
 from dpbench.bench.workers import orphans
 
-OUTPUT_BYTES = 2**20
-"""What is kept of the output of one cell; the rest is dropped."""
+OUTPUT_BYTES = 2**20  # What is kept of the output of one cell; the rest is dropped
 CUT = f"its output was cut at {OUTPUT_BYTES // 2**20} MiB"
 _HEAD = struct.Struct("iiI")
 """Who is at work, on which of its cells, and the bytes of the words behind it."""

@@ -53,8 +53,7 @@ from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import Availability, isolate, load_solver_module
 
-Hang = tuple[int, int]
-"""Round, 0 in a closed loop, and step in which a process hung."""
+Hang = tuple[int, int]  # Round, 0 in a closed loop, and step in which a process hung
 
 
 def disable_gc_and_warnings() -> None:

@@ -38,8 +38,7 @@ class Linearisation:
     why_no_sparse_form: str = ""
 
 
-FIXED_MODEL = Linearisation(CondensedQP)
-"""One model for the whole run."""
+FIXED_MODEL = Linearisation(CondensedQP)  # One model for the whole run
 
 
 def relinearised_model(psi0_rad: float) -> Linearisation:

@@ -29,8 +29,7 @@ ThreeLosses = Annotated[
 ]
 ThreeShares = Annotated[list[Share], Field(min_length=3, max_length=3)]
 
-Horizons = tuple[int, int]
-"""N_p and N_c."""
+Horizons = tuple[int, int]  # N_p and N_c
 
 
 def parse_horizons(text: str) -> Horizons:

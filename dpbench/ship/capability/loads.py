@@ -25,8 +25,7 @@ from dpbench.ship.capability.conditions import Condition
 from dpbench.ship.weather.waves import GRAVITY, WATER_DENSITY, period_factor
 from dpbench.ship.weather.wind import AIR_DENSITY
 
-DYNAMIC_FACTOR = 1.25
-"""By which thrust has to exceed the mean loads (3.2.2)."""
+DYNAMIC_FACTOR = 1.25  # By which thrust has to exceed the mean loads (3.2.2)
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,7 @@ from dpbench.ship.capability.conditions import Condition
 from dpbench.ship.capability.loads import CapabilityHull, fold_angle
 from dpbench.ship.thrusters import Thruster
 
-MISCELLANEOUS = 0.9
-"""β_misc."""
+MISCELLANEOUS = 0.9  # β_misc
 FLUSHING_DIAMETERS = 15.0
 """Distance in diameters below which flushing a working thruster is forbidden."""
 TURN = 2.0 * math.pi

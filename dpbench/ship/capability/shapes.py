@@ -20,8 +20,7 @@ import numpy as np
 from dpbench.arrays import Matrix
 from dpbench.ship.capability.losses import TURN, Loss
 
-_ROUNDING = 1e-9
-"""Angles [rad] that are the same."""
+_ROUNDING = 1e-9  # Angles [rad] that are the same
 
 
 @dataclass(frozen=True, eq=False)

@@ -89,8 +89,7 @@ BIAS_SHARE = 0.02
 
 Small enough that in waves of 2 m the thrusters of `supply_fs99` meet their rate limit in a few per
 cent of the steps only; the bias then follows weather that changes within minutes, not faster."""
-RESIDUAL_MAX = 1e-6
-"""Largest relative residual of the Riccati equation that a solution may leave."""
+RESIDUAL_MAX = 1e-6  # Largest relative residual of the Riccati equation that a solution may leave
 RADIUS_MAX = 1.0 - 1e-9
 """Largest spectral radius of a filter; at 0.3 s it forgets its start in ten years."""
 

@@ -43,12 +43,9 @@ from dpbench.ship.vessel import Vessel
 CUTOFF_RATIO = 1.5
 """ω_c / ω0. The rules alone do not make the error loop passive: at the 1.1 / 0.8976 of Fossen's
 example its phase reaches -95°, at 1.5 with the ratios below it stays above -90°."""
-STIFFNESS_RATIO = 0.4
-"""√(K4 / M) / ω0: how fast a pose error moves the speed."""
-BIAS_RATIO = 0.1
-"""(K3 / K4) / ω0: how fast it moves the bias."""
-BIAS_TIME_RATIO = 1e4
-"""T_b · ω0: a constant bias is short by K4 / (K3 T_b), a thousandth of it."""
+STIFFNESS_RATIO = 0.4  # √(K4 / M) / ω0: how fast a pose error moves the speed
+BIAS_RATIO = 0.1  # (K3 / K4) / ω0: how fast it moves the bias
+BIAS_TIME_RATIO = 1e4  # T_b · ω0: a constant bias is short by K4 / (K3 T_b), a thousandth of it
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,7 @@ from dpbench.ship.weather.harmonics import Harmonics, draw_harmonics, jonswap, r
 WATER_DENSITY = 1026.0
 GRAVITY = 9.81
 
-_BAND = (0.5, 5.0)
-"""Of the peak frequency: holds all but 0.1 % of the energy."""
+_BAND = (0.5, 5.0)  # Of the peak frequency: holds all but 0.1 % of the energy
 
 _COMPONENTS = 200
 

@@ -21,8 +21,7 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.ship.froude import FULL_SIZE, Froude
 from dpbench.ship.weather.harmonics import draw_harmonics, harris_gust, norsok_gust, random_stream
 
-AIR_DENSITY = 1.226
-"""kg/m³ (DNV-ST-0111, section 3.5)."""
+AIR_DENSITY = 1.226  # kg/m³ (DNV-ST-0111, section 3.5)
 
 GUST_BAND_HZ = (1.0 / 600.0, 0.5)
 """Slower changes are the mean of a ten-minute run; faster ones do not reach a whole hull."""

@@ -96,8 +96,6 @@ RECORD = SolverRecord(
 class HpipmStructures:
     """The C structures and memory in which HPIPM solves QPs of one size.
 
-    Parameters
-    ----------
     kind : "dense_qp" or "ocp_qp".
     sizes : the arguments of `dim_set_all`; options : settings by name.
     stages : what the structure of the sizes is made of: nothing, or the number of the last stage.

@@ -40,8 +40,6 @@ NOTHING: Indices = np.empty(0, dtype=np.intp)
 class Stage:
     """Variables and rows of a QP that belong to one stage of its optimal control problem.
 
-    Parameters
-    ----------
     inputs, states : its variables.
     dynamics : for each state, the row that defines it; none in stage 0.
     rows : the other rows, which have variables of this stage only.
@@ -66,8 +64,6 @@ def split_stages(
     A row with l = u that ends in a state, as the first one to do so, defines this state by the
     stage before. The cost and all other rows couple variables of one stage only.
 
-    Parameters
-    ----------
     sizes : (states, inputs) of each stage, in the order of the variables; no state in the first.
     P : (n, n) symmetric cost; A : (m, n) rows; equal : (m,) which rows have l = u.
     """
@@ -155,12 +151,7 @@ class StageLimits:
 class StageData:
     """A QP's matrices stage by stage for HPIPM, and the order of variables, dynamics and limits.
 
-    Parameters
-    ----------
     stages : as found; P : cost; A : rows; low, high : limits of [A; I].
-
-    Attributes
-    ----------
     order : the variables, dynamics : their defining rows, sides : the limits, stage by stage.
     pivots : what the variable that a row of `dynamics` defines is multiplied with.
     """
@@ -221,8 +212,6 @@ class StageData:
 class StagedVector:
     """A vector over all stages, passed to HPIPM only for stages in which it has changed.
 
-    Parameters
-    ----------
     calls : for each stage, the setters and how many entries of the vector each takes in turn.
     """
 

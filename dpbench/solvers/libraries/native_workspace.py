@@ -44,8 +44,6 @@ class NativeWorkspace(Workspace):
     Whatever a method of a subclass raises becomes the status ERROR with the library's words. Where
     a warm start is made of vectors, `_start` holds the previous answer.
 
-    Parameters
-    ----------
     record : its row in the table; the module it names is imported as `_library`.
     policy : "fresh", "reuse" or "warm", already checked against the table.
     options : the library's own settings, already validated.
