@@ -32,12 +32,18 @@ def build_tables(
     results: Results, data: PageData, recommendation: Recommendation, topics: Sequence[Topic]
 ) -> dict[str, pd.DataFrame]:
     """Build all tables of the report as data frames by name; some may be empty."""
+    verdicts, ladder = verdict_table(data), time_table(data).drop(columns="id")
+    if len(verdicts):
+        why = [recommendation.why(verdict) for verdict in data.verdicts.all]
+        verdicts.insert(list(verdicts).index("verdict") + 1, "why", why)
+    times = [name for name in ladder.columns if name.endswith("_ms")]
+    ladder[times] = 1e3 * ladder[times]
     tables = {
         "runs": results.runs.drop(columns="cell"),
-        "verdicts": _verdicts_table(data, recommendation),
+        "verdicts": verdicts,
         "experiments": experiment_table(data),
         "hard_steps": hard_step_table(data, data.thinned_runs),
-        "ladder": _microsecond_times(data),
+        "ladder": ladder.rename(columns={n: f"{n.removesuffix('_ms')}_us" for n in times}),
         "paired_ratios": ratio_table(data),
     }
     for topic in topics:
@@ -54,34 +60,13 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
     """
     written = {name: table for name, table in tables.items() if len(table)}
     contents = {f"{name}.csv": partial(csv_bytes, table) for name, table in written.items()}
-    write_together(folder, {**contents, LEGEND: lambda: _describe_tables(written).encode()})
-
-
-def _describe_tables(tables: Mapping[str, pd.DataFrame]) -> str:
-    """Return the README that explains each CSV table and its columns."""
-    known = {name: RUN_MEANINGS if name == "runs" else COLUMNS for name in tables}
+    known = {name: RUN_MEANINGS if name == "runs" else COLUMNS for name in written}
     wording = {
         markdown_text(name): (
             TABLES.get(name, "A table of a part of the page."),
             {column: known[name][column] for column in table if column in known[name]},
         )
-        for name, table in tables.items()
+        for name, table in written.items()
     }
-    return render_document("tables.md", tables=wording)
-
-
-def _microsecond_times(data: PageData) -> pd.DataFrame:
-    """Tabulate solvers' step times [µs] and how much slower a computer may be."""
-    table = time_table(data).drop(columns="id")
-    times = [name for name in table.columns if name.endswith("_ms")]
-    table[times] = 1e3 * table[times]
-    return table.rename(columns={name: f"{name.removesuffix('_ms')}_us" for name in times})
-
-
-def _verdicts_table(data: PageData, recommendation: Recommendation) -> pd.DataFrame:
-    """Tabulate the verdict on each solver configuration with the reason for it."""
-    table = verdict_table(data)
-    if len(table):
-        why = [recommendation.why(verdict) for verdict in data.verdicts.all]
-        table.insert(list(table).index("verdict") + 1, "why", why)
-    return table
+    legend = render_document("tables.md", tables=wording)
+    write_together(folder, {**contents, LEGEND: legend.encode})

@@ -33,23 +33,27 @@ def draw_capability_rose(table: pd.DataFrame, title: str) -> Any:
         Points are hollow where an optional column `untrue` counts solvers with an untrue claim.
     """
     cases = list(dict.fromkeys(table["case"]))
-    closed = pd.concat([_close_ring(table[table["case"] == case]) for case in cases])
+    rings = []
+    for case in cases:
+        own = table[table["case"] == case]
+        own = pd.concat([own, own.iloc[:1]])  # closed: the first row again at the end
+        places = _coordinates(own["wind_mps"].to_numpy(), own["from_deg"].to_numpy())
+        rings.append(own.assign(**places, i=range(len(own))))
+    closed = pd.concat(rings)
     span = alt.Scale(domain=[-1.12 * _OUTER, 1.12 * _OUTER], nice=False)
-    x = alt.X("x:Q", scale=span, axis=None)
-    y = alt.Y("y:Q", scale=span, axis=None)
-    place = {"x": x, "y": y}
+    place = {"x": alt.X("x:Q", scale=span, axis=None), "y": alt.Y("y:Q", scale=span, axis=None)}
     colour = style.colour("case", cases, style.PALETTE[: len(cases)], columns=3)
     lines = alt.Chart(closed).mark_line(strokeWidth=2, interpolate="linear")
     lines = lines.encode(**place, order="i:Q", color=colour)
     points = _draw_points(closed, place)
     turn, ends = np.linspace(0.0, 360.0, _RING_CORNERS), np.array([0.0, _OUTER])
-    rings = [
+    circles = [
         {**_coordinates(DP_CONDITIONS[n][0], turn), "i": range(len(turn)), "n": n} for n in _RINGS
     ]
     spokes = [{**_coordinates(ends, bearing), "spoke": bearing} for bearing in _SPOKES_DEG]
     bearings = [{**_coordinates(1.07 * _OUTER, deg), "name": f"{deg}°"} for deg in _SPOKES_DEG]
     web = [
-        _draw_web_lines(rings, place).encode(detail="n:N", order="i:Q"),
+        _draw_web_lines(circles, place).encode(detail="n:N", order="i:Q"),
         _draw_web_lines(spokes, place).encode(detail="spoke:N"),
         *_draw_ring_names(place, closed),
         alt.Chart(pd.DataFrame(bearings))
@@ -100,13 +104,6 @@ def _coordinates(radius: Any, from_deg: Any) -> dict[str, Any]:
     """Return chart x and y of wind speeds by directions off the bow [°]; ahead is up."""
     angle = np.radians(from_deg)
     return {"x": radius * np.sin(angle), "y": radius * np.cos(angle)}
-
-
-def _close_ring(case: pd.DataFrame) -> pd.DataFrame:
-    """Return a failure case's winds by direction as a closed curve, its first row last again."""
-    ring = pd.concat([case, case.iloc[:1]])
-    places = _coordinates(ring["wind_mps"].to_numpy(), ring["from_deg"].to_numpy())
-    return ring.assign(**places, i=range(len(ring)))
 
 
 def _draw_web_lines(parts: Iterable[dict[str, Any]], place: Place) -> Any:

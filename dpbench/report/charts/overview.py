@@ -11,21 +11,9 @@ import pandas as pd
 from dpbench.analysis.verdict.findings import STATES
 from dpbench.report.charts import style
 
-TILE_COLUMNS = (
-    *("solver", "experiment", "settings", "call_mode", "verdict"),
-    *("error", "failed", "id", "experiment_id", "detail"),
-)
 MARKS = ("✓", "≈", "?", "▸", "✕", "–")
 MOST_ACROSS = 30
 """Columns of a settings level, and half those of all levels, that leave room for names."""
-_HEADER = alt.Header(
-    labelFontSize=13,
-    labelFontWeight=600,
-    labelAnchor="start",
-    labelColor=style.INK,
-    labelOrient="top",
-    labelAngle=0,
-)
 
 
 def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
@@ -34,7 +22,7 @@ def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     Clicking sets `pick`. More experiments than `MOST_ACROSS` are rows instead of columns, then
     `usermeta` has `tall`.
 
-    table : columns `TILE_COLUMNS`, solvers and experiments in their order.
+    table : of `experiment_table`, solvers and experiments in their order.
     """
     solvers, experiments = table["solver"].unique().tolist(), table["experiment"].unique().tolist()
     levels = table["settings"].unique().tolist()
@@ -79,7 +67,14 @@ def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     text = text.encode(text="sign:N", color=alt.Color("ink:N", scale=None))
     size: dict[str, Any] = {"width": alt.Step(30), "height": alt.Step(15 if tall else 22)}
     placed = alt.layer(tiles.add_params(pick), text, chosen, data=table, **size)
-    own: dict[str, Any] = {"sort": levels, "title": None, "header": _HEADER}
+    heads: dict[str, Any] = {
+        "labelFontSize": 13,
+        "labelFontWeight": 600,
+        "labelAnchor": "start",
+        "labelAngle": 0,
+    }
+    header = alt.Header(**heads, labelColor=style.INK, labelOrient="top")
+    own: dict[str, Any] = {"sort": levels, "title": None, "header": header}
     if stacked:
         chart = placed.facet(row=alt.Row("settings:N", **own), spacing=14)
         chart = chart.resolve_axis(x="independent")
@@ -91,10 +86,6 @@ def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     return style.set_style(chart, "Verdicts by scenario and replay", about)
 
 
-POINT_COLUMNS = (
-    *("id", "solver", "family", "settings", "route", "policy"),
-    *("error", "p50_us", "p99_us", "verdict"),
-)
 FULL = {"pass": 0.95, "borderline": 0.6, "inconclusive": 0.3, "late": 0.0, "fail": 0.0}
 """Opacity of a point by verdict."""
 _LEGEND = {"pass": style.INK, "inconclusive": style.LINE, "late or fail": style.PAPER}
@@ -113,7 +104,7 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float) -> Any:
 
     Points are filled as `FULL` says; clicking sets `pick`; `percentile` is p50 or p99.
 
-    table : columns `POINT_COLUMNS`, errors finite; error_limit : drawn as a line.
+    table : of `level_table`; error_limit : drawn as a line.
     """
     table = table.assign(
         shown=table["error"].clip(lower=style.FLOOR),
@@ -193,14 +184,6 @@ _JITTER = "slow <= 1 ? '' : 'dashed: ' + (narrow ? '' : 'jitter of this machine,
 """Remark on the whiskers on a slower computer."""
 
 
-def _verdict_expression() -> str:
-    """Return the Vega expression of a solver's verdict on a slower computer: late or as before."""
-    good = " || ".join(
-        f"datum.verdict == '{state}'" for state in ("pass", "borderline", "inconclusive")
-    )
-    return f"({good}) && slow > 1 && slow > datum.margin ? 'late' : datum.verdict"
-
-
 def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
     """Draw all solvers' p50, p99, hardest step and largest timing against the deadline.
 
@@ -226,13 +209,14 @@ def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) 
 
 def _scale_rows(table: pd.DataFrame) -> alt.Chart:
     """Return the base of the deadline chart: a row per solver, times scaled by the slow-down."""
+    good = " || ".join(f"datum.verdict == '{s}'" for s in ("pass", "borderline", "inconclusive"))
     scaled = alt.Chart(table).transform_calculate(
         a="datum.p50_ms * slow",
         c="isValid(datum.p99_ms) ? datum.p99_ms * slow : datum.p50_ms * slow",
         m="datum.max_ms * slow",
         called="datum.p50_ms * datum.share * slow",
         left=f"{LOWEST_MS}",
-        now=_verdict_expression(),
+        now=f"({good}) && slow > 1 && slow > datum.margin ? 'late' : datum.verdict",
         computer="'× ' + format(slow, '.3~g')",
         timing="format(datum.longest_ms, '.3~g') + (slow > 1 ? ', as measured' : '')",
     )

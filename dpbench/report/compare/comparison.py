@@ -108,24 +108,22 @@ def times_table(
         f"faster: by more than {percent}; equivalent: within {percent}; each kind of claim "
         f"with a family-wise error of {100 * alpha:g} % (Holm)."
     )
-    return Table.of(list(map(_time_row, rows)), "Step times, replays", note=note, text_columns=2)
-
-
-def _time_row(compared: ComparedTimes) -> dict[str, str]:
-    """Convert a compared step time to a table row: times in A and B, ratio, verdict."""
-    timing, assessment = compared.timing, compared.assessment
-    return {
-        "configuration": timing.pair.label,
-        "sequence": timing.pair.a.problem,
-        "A p50 [µs]": microseconds_text(timing.median_ns[0]),
-        "B p50 [µs]": microseconds_text(timing.median_ns[1]),
-        "B/A": f"{assessment.raw:.3f}",
-        "machine": f"{assessment.machine:.3f}",
-        "B/A less machine": f"{assessment.ratio.value:.3f}",
-        "interval": interval_text(assessment.ratio.low, assessment.ratio.high),
-        "steps × rounds": f"{count_text(timing.steps)} × {count_text(timing.rounds)}",
-        "verdict": assessment.verdict,
-    }
+    cells = [
+        {
+            "configuration": timing.pair.label,
+            "sequence": timing.pair.a.problem,
+            "A p50 [µs]": microseconds_text(timing.median_ns[0]),
+            "B p50 [µs]": microseconds_text(timing.median_ns[1]),
+            "B/A": f"{found.raw:.3f}",
+            "machine": f"{found.machine:.3f}",
+            "B/A less machine": f"{found.ratio.value:.3f}",
+            "interval": interval_text(found.ratio.low, found.ratio.high),
+            "steps × rounds": f"{count_text(timing.steps)} × {count_text(timing.rounds)}",
+            "verdict": found.verdict,
+        }
+        for timing, found in ((row.timing, row.assessment) for row in rows)
+    ]
+    return Table.of(cells, "Step times, replays", note=note, text_columns=2)
 
 
 def shared_line(shared: SharedFactor) -> str:
@@ -158,8 +156,18 @@ def changes_table(answers: Sequence[FigureChange], margin: float) -> Table | Non
         f"the same within {100 * margin:g} %, counts and shares exactly. A range: over the rounds."
         f"{left_out}"
     )
-    rows, title = list(map(_change_row, changed)), "Accuracy and control: what changed"
-    return Table.of(rows, title, note=note, text_columns=3)
+    rows = [
+        {
+            "configuration": answer.pair.label,
+            "experiment": f"{answer.pair.a.mode.replace('_', ' ')} of {answer.pair.a.problem}",
+            "figure": answer.measure.head,
+            "A": _range_text(answer.measure.column, answer.a),
+            "B": _range_text(answer.measure.column, answer.b),
+            "change": answer.change,
+        }
+        for answer in changed
+    ]
+    return Table.of(rows, "Accuracy and control: what changed", note=note, text_columns=3)
 
 
 def change_line(answer: FigureChange) -> str:
@@ -167,19 +175,6 @@ def change_line(answer: FigureChange) -> str:
     column = answer.measure.column
     values = " → ".join(_range_text(column, values) for values in (answer.a, answer.b))
     return f"{answer.measure.head} of {answer.pair.label} in {answer.pair.a.problem}, {values}"
-
-
-def _change_row(answer: FigureChange) -> dict[str, str]:
-    """Convert a changed accuracy or control quantity to a table row: value in A and B, change."""
-    column = answer.measure.column
-    return {
-        "configuration": answer.pair.label,
-        "experiment": f"{answer.pair.a.mode.replace('_', ' ')} of {answer.pair.a.problem}",
-        "figure": answer.measure.head,
-        "A": _range_text(column, answer.a),
-        "B": _range_text(column, answer.b),
-        "change": answer.change,
-    }
 
 
 def _range_text(column: str, values: Range) -> str:

@@ -33,8 +33,16 @@ LEFT_OUT = ("B/A", "steps × rounds")
 def write_comparison(path: Path, comparison: Comparison) -> Path:
     """Write the page that compares two result folders, as one HTML file."""
     order = sort_claims_first(comparison.compared)
-    charts = _draw_charts(order, comparison.margin)
-    times = _page_times_table(order, comparison) if order else None
+    charts, times, left_out = dict[str, Any](), None, 0
+    if order:
+        table = ratio_table(order)
+        furthest, times = select_furthest(table, SHOWN), _page_times_table(order, comparison)
+        left_out = len(order) - len(furthest)
+        charts = {
+            "ratios": draw_ratios(furthest, comparison.margin),
+            "both": draw_both_runs(table),
+            "steps": draw_step_pairs("A: step time", "B: step time"),
+        }
     others = [t for t in comparison.tables if "B/A less machine" not in t.heads]
     text = render_page(
         "compare",
@@ -43,25 +51,13 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
         lead=lead_sentences(comparison),
         lines=[strip_markdown(line) for line in comparison.lines],
         figures={name: figure_markup(chart) for name, chart in charts.items() if name != "steps"},
-        left_out=len(order) - len(select_furthest(ratio_table(order), SHOWN)) if order else 0,
+        left_out=left_out,
         times=times,
         tables=[replace(t, shown=MOST_ROWS) for t in others],
         block="" if times is None else _pack_data(order, charts, times),
     )
     write_named_file(path, text.encode())
     return path
-
-
-def _draw_charts(order: Sequence[ComparedTimes], margin: float) -> dict[str, Any]:
-    """Draw the charts that compare the step times of two runs, by name; none without times."""
-    if not order:
-        return {}
-    table = ratio_table(order)
-    return {
-        "ratios": draw_ratios(select_furthest(table, SHOWN), margin),
-        "both": draw_both_runs(table),
-        "steps": draw_step_pairs("A: step time", "B: step time"),
-    }
 
 
 def _page_times_table(order: Sequence[ComparedTimes], comparison: Comparison) -> Table:

@@ -6,7 +6,7 @@ from math import isnan
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.capability import Answers, CapabilityResult, capability_plots
+from dpbench.analysis.suites.capability import CapabilityResult, capability_plots
 from dpbench.analysis.suites.consequence import (
     HELD,
     LOST,
@@ -99,20 +99,20 @@ def _capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
             + ".",
         )
     if plot.answers:
-        rows = [row for a in plot.answers for row in _answer_shares(a)]
+        rows = [
+            (a.solver, answer, 100.0 * count / a.asked, count)
+            for a in plot.answers
+            for answer, count in (
+                *((RIGHT_HELD, a.balanced), (RIGHT_NOT, a.refused)),
+                *((NOTHING, a.unanswered), (WRONG, a.wrong)),
+            )
+        ]
         yield Figure(
             f"capability-answers-{plot.vessel}",
             draw_answer_shares(pd.DataFrame(rows, columns=list(ANSWERS)), "Answers at the edge"),
             f"{plural(plot.qps, 'QP')}: the rows of the standard's table around each edge, and a "
             "thousandth of the wind before and beyond it.",
         )
-
-
-def _answer_shares(a: Answers) -> Iterator[tuple[str, str, float, int]]:
-    """Yield a solver's share [%] and number of right, wrong and missing answers."""
-    counts = {RIGHT_HELD: a.balanced, RIGHT_NOT: a.refused, NOTHING: a.unanswered, WRONG: a.wrong}
-    for answer, count in counts.items():
-        yield a.solver, answer, 100.0 * count / a.asked, count
 
 
 MOST_ROWS = 8
@@ -124,7 +124,18 @@ def consequence_topic(records: Records) -> Topic | None:
     analyses = consequence_analyses(records)
     if not analyses:
         return None
-    tables = [(list(_solver_rows(analysis)), analysis.name) for analysis in analyses]
+    tables = [
+        (
+            [
+                consequence_row(
+                    best, [a.is_all_right for a in analysis.answers if a.solver == solver]
+                )
+                for solver, best in analysis.best.items()
+            ],
+            analysis.name,
+        )
+        for analysis in analyses
+    ]
     long = max(len(rows) for rows, _ in tables) > MOST_ROWS
     return Topic(
         id="consequence",
@@ -209,13 +220,6 @@ def _name_right_configurations(analysis: ConsequenceAnalysis) -> str:
     missed = counted_list((a.name, a.missed) for a in answers if a.missed)
     alarms = f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"
     return f"{head}; {alarms}{unanswered}."
-
-
-def _solver_rows(analysis: ConsequenceAnalysis) -> Iterator[dict[str, str]]:
-    """Yield a consequence analysis's table row for each solver's best configuration."""
-    for solver, best in analysis.best.items():
-        right = [answers.is_all_right for answers in analysis.answers if answers.solver == solver]
-        yield consequence_row(best, right)
 
 
 def consequence_row(best: BatchAnswers, right: Sequence[bool]) -> dict[str, str]:

@@ -1,23 +1,13 @@
 """Claims of solvers on random QPs whose optimum is known."""
 
-from collections.abc import Mapping
-
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.random_claims import RandomClaims, Tally
+from dpbench.analysis.suites.random_claims import RandomClaims
 from dpbench.report.charts.lines import draw_count_tiles
 from dpbench.report.formats import and_list
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
-
-
-def _false_claims_by_solver(by_solver: Mapping[tuple[str, ...], Tally]) -> str:
-    """State how many false claims of an optimum or infeasibility each solver made."""
-    wrong = sorted((-tally.wrong, name) for (name,), tally in by_solver.items() if tally.wrong)
-    none = [name for (name,), tally in by_solver.items() if not tally.wrong]
-    wording = [", ".join(f"{name} {-count}" for count, name in wrong)] if wrong else []
-    return "; ".join([*wording, *([f"none by {and_list(none)}"] if none else [])])
 
 
 def random_topic(records: Records) -> Topic | None:
@@ -32,15 +22,32 @@ def random_topic(records: Records) -> Topic | None:
             for (solver, family), tally in claims.tally_by("solver", "family").items()
         ]
     )
-    rows = sorted(by_solver.items(), key=lambda item: (-item[1].wrong, -item[1].nothing, item[0]))
+    wrong = sorted((-tally.wrong, name) for (name,), tally in by_solver.items() if tally.wrong)
+    none = [name for (name,), tally in by_solver.items() if not tally.wrong]
+    wording = [", ".join(f"{name} {-count}" for count, name in wrong)] if wrong else []
+    wording += [f"none by {and_list(none)}"] if none else []
+    tallies = sorted(
+        by_solver.items(), key=lambda item: (-item[1].wrong, -item[1].nothing, item[0])
+    )
     steps = sum(tally.steps for tally in by_solver.values())
-    wrong = sum(tally.wrong for tally in by_solver.values())
+    rows = [
+        {
+            "solver": name,
+            "steps": str(tally.steps),
+            "claimed and true": str(tally.right_claims + tally.right_refusals),
+            "false claims": str(tally.wrong),
+            "true, not claimed": str(tally.not_claimed),
+            "no answer": str(tally.nothing),
+            "never reached": str(tally.missed),
+        }
+        for (name,), tally in tallies
+    ]
     return Topic(
         id="random",
         title="Random QPs: what is claimed, what is true",
         lines=(
-            f"{wrong} false claims on {steps} certified steps: "
-            f"{_false_claims_by_solver(by_solver)}.",
+            f"{-sum(count for count, _ in wrong)} false claims on {steps} certified steps: "
+            f"{'; '.join(wording)}.",
             "A set that knows of no ship: it says whom to trust, not who is fast.",
         ),
         figures=(
@@ -48,18 +55,5 @@ def random_topic(records: Records) -> Topic | None:
                 "random-claims", draw_count_tiles(table, "False claims", "family", "solver"), ""
             ),
         ),
-        tables=(Table.of([_claims_row(name, tally) for (name,), tally in rows]),),
+        tables=(Table.of(rows),),
     )
-
-
-def _claims_row(solver: str, tally: Tally) -> dict[str, str]:
-    """Convert a solver's counts of true and false claims to a table row."""
-    return {
-        "solver": solver,
-        "steps": str(tally.steps),
-        "claimed and true": str(tally.right_claims + tally.right_refusals),
-        "false claims": str(tally.wrong),
-        "true, not claimed": str(tally.not_claimed),
-        "no answer": str(tally.nothing),
-        "never reached": str(tally.missed),
-    }

@@ -1,6 +1,5 @@
 """Topics on replays and loops: routes, formulations, settings, two solvers, a search, control."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import isfinite
@@ -78,8 +77,11 @@ def formulations_topic(records: Records, requirements: Requirements) -> Topic | 
     )
     if not tables:
         return None
+    wins = count_fastest_forms(records, requirements)
+    counts = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())
     wording = (
-        _fastest_forms_text(records, requirements),
+        "Fastest form with right answers, of "
+        f"{plural(wins.total(), 'configuration')} on a sequence: {counts or 'none'}.",
         "Median step time of the same QPs in each form; a solver is judged in the common one.",
     )
     return Topic("formulations", "Formulations", wording, (), tuple(tables))
@@ -168,16 +170,6 @@ def _median_tables(
     return tables
 
 
-def _fastest_forms_text(records: Records, requirements: Requirements) -> str:
-    """State how often each QP formulation is the fastest of those with right answers."""
-    wins = count_fastest_forms(records, requirements)
-    wording = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())
-    return (
-        "Fastest form with right answers, of "
-        f"{plural(wins.total(), 'configuration')} on a sequence: {wording or 'none'}."
-    )
-
-
 def _median_text(records: Records, run: RunRecord | None, requirements: Requirements) -> str:
     """Format a replay's median step time, or how the replay ended if it has no step."""
     times = None if run is None else records.times(run)
@@ -201,12 +193,17 @@ def worst_case_topic(records: Records) -> Topic | None:
         return None
     searched = str(requested.get("configuration") or "")
     rows.sort(key=lambda row: (row[0] != searched, row[0]))
-    lead = [_step_sentence(row, k) for row in rows[:1]]
+    name, took, median, iterations, usual, error, answer = rows[0]
+    counted = "" if iterations == MISSING else f", {iterations} iterations (median {usual})"
+    lead = (
+        f"At step {k} {name} takes {took} (median {median}){counted}; error of the first move "
+        f"{error}, {answer}."
+    )
     head = ("configuration", "time", "its median", "iterations", "its median", "error", "answer")
     return Topic(
         "worst-case",
         "The step that was searched for",
-        (*lead, "The same step of the other configurations stands below."),
+        (lead, "The same step of the other configurations stands below."),
         (),
         (Table(head, tuple(rows), f"step {k}"),),
     )
@@ -226,16 +223,6 @@ def _step_row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None
         count_text(median_known(steps.iterations)),
         error_text(float(steps.error[i])),
         answer_text(steps, i),
-    )
-
-
-def _step_sentence(row: tuple[str, ...], k: int) -> str:
-    """State a run's time, iterations and error at one step in a sentence."""
-    name, took, median, iterations, usual, error, answer = row
-    counted = "" if iterations == MISSING else f", {iterations} iterations (median {usual})"
-    return (
-        f"At step {k} {name} takes {took} (median {median}){counted}; error of the first move "
-        f"{error}, {answer}."
     )
 
 
@@ -260,24 +247,20 @@ def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
         names = and_list(right) if len(right) <= 4 else f"{len(right)} configurations"
         others = f" {plural(rest, 'configuration')} {'is' if rest == 1 else 'are'} not."
         lead = f"Right on every step of {requested}: {names}.{others if rest else ''}"
-    rows = [
-        {"configuration": name, "right in": f"{whole[name]} of {len(runs)}"}
-        | _control_columns(runs)
-        for name, runs in by_name.items()
-    ]
+    rows = []
+    for name, runs in by_name.items():
+        off = [run for run in runs if isfinite(run.dev_position_max_m)]
+        worst = max(off, key=lambda run: run.dev_position_max_m, default=None)
+        farthest = MISSING if worst is None else f"{significant(worst.dev_position_max_m)} m"
+        rows.append(
+            {
+                "configuration": name,
+                "right in": f"{whole[name]} of {len(runs)}",
+                "steps with a fallback": count_text(np.nansum([run.fallbacks for run in runs])),
+                "farthest from the exact loop": farthest,
+                "in": MISSING if worst is None else worst.scenario,
+            }
+        )
     rows.sort(key=lambda row: -whole[row["configuration"]])
     note = "The distance from the exactly solved loop is what wrong or late answers do to the ship."
     return Topic("loops", "Closed loops", (lead, note), (), (Table.of(rows),))
-
-
-def _control_columns(runs: Sequence[RunRecord]) -> dict[str, str]:
-    """Return a configuration's number of fallbacks and largest distance from the exact loop."""
-    fallbacks = sum(run.fallbacks for run in runs if math.isfinite(run.fallbacks))
-    off = [run for run in runs if math.isfinite(run.dev_position_max_m)]
-    worst = max(off, key=lambda run: run.dev_position_max_m, default=None)
-    farthest = MISSING if worst is None else f"{significant(worst.dev_position_max_m)} m"
-    return {
-        "steps with a fallback": count_text(fallbacks),
-        "farthest from the exact loop": farthest,
-        "in": MISSING if worst is None else worst.scenario,
-    }

@@ -67,8 +67,9 @@ def _study_lines(study: Study) -> Iterator[str]:
 def _larger_errors_text(study: Study) -> str:
     """Name the solvers with a significantly larger position error than the reference."""
     others = study.configurations[1:]
-    worse = sorted((c for c in others if c.has_larger_error), key=lambda c: -_mean_excess_m(c))
-    wording = [f"{c.name} by {significant(100.0 * _mean_excess_m(c), 2)} cm" for c in worse[:3]]
+    excess_m = {c.name: c.error_excess_m.mean.value for c in others if c.error_excess_m}
+    worse = sorted((c for c in others if c.has_larger_error), key=lambda c: -excess_m[c.name])
+    wording = [f"{c.name} by {significant(100.0 * excess_m[c.name], 2)} cm" for c in worse[:3]]
     unnamed = f" and {len(worse) - 3} more" if len(worse) > 3 else ""
     if not worse:
         return f"none is significantly behind {study.reference} in the same realisation."
@@ -182,8 +183,3 @@ def _difference_text(difference: PairedDifference, scale: float) -> str:
         return f"{significant(value, 2)} in all {difference.pairs}"
     low, high = (significant(scale * value, 2) for value in (mean.low, mean.high))
     return f"{significant(scale * mean.value, 2)} [{low}, {high}]"
-
-
-def _mean_excess_m(configuration: StudiedConfiguration) -> float:
-    """Return a configuration's mean position error over the reference's [m]; 0 for itself."""
-    return 0.0 if configuration.error_excess_m is None else configuration.error_excess_m.mean.value

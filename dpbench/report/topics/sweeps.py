@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.slowdown import DelayedConfiguration, DelayedGroup, delayed_groups
+from dpbench.analysis.suites.slowdown import delayed_groups
 from dpbench.analysis.times.horizon_sweep import (
     Sweep,
     SweptConfiguration,
@@ -104,9 +104,8 @@ def _longest_text(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> s
 
 def slowdown_topic(records: Records) -> Topic | None:
     """Build the report's part on simulated slower computers; None where none was simulated."""
-    figures, tables = [], []
-    groups = delayed_groups(records)
-    for group in groups:
+    figures, tables, leads = [], [], []
+    for group in delayed_groups(records):
         points = [
             {
                 "name": delayed.configuration.label,
@@ -128,32 +127,25 @@ def slowdown_topic(records: Records) -> Topic | None:
                 limit=1.0 + MARGIN,
             )
             figures.append(Figure(f"slowdown-{group.scenario}", chart, "Dashed: 10 % more cost."))
-        tables.append(Table.of(list(map(_survival_row, group.configurations)), group.scenario))
+        rows = []
+        for delayed in group.configurations:
+            survived = delayed.survived_slowdown
+            latest_ns = max(
+                (run.latency_max_ns for run in delayed.loops.values()), default=math.nan
+            )
+            row = {"configuration": delayed.configuration.label}
+            row["survives ×"] = MISSING if math.isnan(survived) else f"{survived:g}"
+            rows.append(row | {"latest answer": time_text(latest_ns)})
+        tables.append(Table.of(rows, group.scenario))
+        survivors = [c for c in group.configurations if c.survived_slowdown > 0]
+        best = [f"{c.configuration.label} × {c.survived_slowdown:g}" for c in survivors[:3]]
+        named = ", ".join(best) if best else "nobody survives a slow-down"
+        leads.append(f"Slower computers, {group.scenario}: {named}.")
     if not tables:
         return None
     wording = (
-        *map(_survivors_text, groups),
+        *leads,
         "The ship sailed with answers as late as a slower computer makes them. A configuration "
         f"survives a slow-down while the loop costs at most {100 * MARGIN:g} % more.",
     )
     return Topic("slowdown", "Slower computers", wording, tuple(figures), tuple(tables))
-
-
-def _survival_row(delayed: DelayedConfiguration) -> dict[str, str]:
-    """Convert a configuration's loops on slow computers to a table row: slow-down survived."""
-    latest_ns = max((run.latency_max_ns for run in delayed.loops.values()), default=math.nan)
-    return {
-        "configuration": delayed.configuration.label,
-        "survives ×": MISSING
-        if math.isnan(delayed.survived_slowdown)
-        else f"{delayed.survived_slowdown:g}",
-        "latest answer": time_text(latest_ns),
-    }
-
-
-def _survivors_text(group: DelayedGroup) -> str:
-    """State which solvers survive the largest slow-down of the computer in closed loop."""
-    survivors = [c for c in group.configurations if c.survived_slowdown > 0]
-    best = [f"{c.configuration.label} × {c.survived_slowdown:g}" for c in survivors[:3]]
-    wording = ", ".join(best) if best else "nobody survives a slow-down"
-    return f"Slower computers, {group.scenario}: {wording}."

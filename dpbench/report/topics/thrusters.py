@@ -5,14 +5,13 @@ the one nearest to the exactly solved loop. What differs from it is due to the s
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from math import isfinite
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.suites.consequence import (
     HELD,
-    ConsequenceAnalysis,
     answers_in_all,
     consequence_analyses,
     largest_share,
@@ -197,7 +196,15 @@ def _consequence_sentences(records: Records, chosen: Verdict | None) -> Iterator
     analyses = consequence_analyses(records)
     if not analyses:
         return
-    yield f"{', '.join(map(_losses_at_end_text, analyses)).capitalize()}."
+    held_at_end = []
+    for analysis in analyses:
+        last = analysis.spans.groupby("group", sort=False).last()
+        held = int((last["state"] == HELD).sum())
+        count = {0: "none", len(last): "all"}.get(held, str(held))
+        where, losses = analysis.name.split("[")[0], "losses" if len(last) > 1 else "loss"
+        at_s = f"{last['to_s'].max():.0f} s"
+        held_at_end.append(f"at {at_s} of {where} {count} of {len(last)} {losses} could be held")
+    yield f"{', '.join(held_at_end).capitalize()}."
     own = answers_in_all(analyses)
     right = [name for name, of_it in own.items() if all(a.is_all_right for a in of_it)]
     shares = {name: largest_share(own[name]) for name in right}
@@ -207,7 +214,12 @@ def _consequence_sentences(records: Records, chosen: Verdict | None) -> Iterator
         best = min(timed, key=lambda name: timed[name])
         share = sample_share_text(timed[best])
         wording = [f"to know so at every sample takes {best} at most {share} of a sample"]
-    label = "" if chosen is None else _batch_name(chosen, own)
+    label = ""
+    if chosen is not None:
+        c = chosen.configuration
+        level = "" if c.settings == "default" else f", {c.settings}"
+        modes = (f" ({c.route}, {c.policy}{level})", f" ({c.route}{level})", "")
+        label = next((c.solver + mode for mode in modes if c.solver + mode in own), "")
     if label and label not in right:
         wrong = sum(a.asked - a.held - a.refused for a in own[label])
         requested = plural(sum(a.asked for a in own[label]), "QP")
@@ -215,25 +227,3 @@ def _consequence_sentences(records: Records, chosen: Verdict | None) -> Iterator
     missing = sorted({a.solver for of_it in own.values() for a in of_it if a.missed})
     wording += [f"alarms are missed by {and_list(missing)}"] if missing else []
     yield f"{wording[0][0].upper()}{'; '.join(wording)[1:]}."
-
-
-def _batch_name(chosen: Verdict, names: Iterable[str]) -> str:
-    """Return the one of some names that means a configuration; "" where none does."""
-    c = chosen.configuration
-    level = "" if c.settings == "default" else f", {c.settings}"
-    known = (
-        f"{c.solver} ({c.route}, {c.policy}{level})",
-        f"{c.solver} ({c.route}{level})",
-        c.solver,
-    )
-    return next((name for name in known if name in names), "")
-
-
-def _losses_at_end_text(analysis: ConsequenceAnalysis) -> str:
-    """State how many thruster losses could be held at the end of a consequence analysis."""
-    last = analysis.spans.groupby("group", sort=False).last()
-    held = int((last["state"] == HELD).sum())
-    count = {0: "none", len(last): "all"}.get(held, str(held))
-    where, losses = analysis.name.split("[")[0], "losses" if len(last) > 1 else "loss"
-    at_s = f"{last['to_s'].max():.0f} s"
-    return f"at {at_s} of {where} {count} of {len(last)} {losses} could be held"

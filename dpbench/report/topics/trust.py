@@ -69,18 +69,14 @@ def _machine_load_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> 
             "run again when it is idle."
         )
     rounds = plural(disturbance.rounds, "round")
+    keys = {"governor": "its frequency", "throttle_counters": "throttling"}
+    hidden = [name for key, name in keys.items() if machine.get(key, UNSEEN) == UNSEEN]
+    unwatched = f" Not watched, as the machine hides it: {and_list(hidden)}." if hidden else ""
     return (
         "The machine was quiet by the operating system's counters: "
         f"{count_text(disturbance.disturbed)} of {rounds} disturbed even when run again, as "
-        f"{count_text(disturbance.rerun)} were.{_unwatched_text(machine)}"
+        f"{count_text(disturbance.rerun)} were.{unwatched}"
     )
-
-
-def _unwatched_text(machine: Mapping[str, Any]) -> str:
-    """State which properties the machine hides, such as its frequency; "" for none."""
-    keys = {"governor": "its frequency", "throttle_counters": "throttling"}
-    hidden = [name for key, name in keys.items() if machine.get(key, UNSEEN) == UNSEEN]
-    return f" Not watched, as the machine hides it: {and_list(hidden)}." if hidden else ""
 
 
 def trust_topic(records: Records) -> Topic | None:
