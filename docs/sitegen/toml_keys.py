@@ -30,6 +30,7 @@ BEYOND_ANY_SHIP = 1e15
 """Bounds as large as this only catch slips of the keyboard."""
 BOUNDS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
 TYPES = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true, false"}
+NESTED = "tables within tables"
 Schema = Mapping[str, Any]
 
 
@@ -120,6 +121,8 @@ def _read(schema: Schema) -> tuple[str, str]:
         return _read_list(schema)
     if schema["type"] == "object":
         inner, allowed = _read(schema["additionalProperties"])
+        if inner == NESTED or inner.startswith("keys"):
+            return NESTED, allowed
         return f"keys, each with a {inner}", allowed
     bounds = (
         f"{sign} {schema[key]:g}"

@@ -90,7 +90,7 @@ class RequestedRuns:
 
 _SELECTION_COLUMNS = (
     *("mode", "scenario", "sequence", "solver", "route", "policy", "formulation", "units"),
-    *("slowdown", "steps_planned", "study", "study_point", "replicate", "settings"),
+    *("slowdown", "steps_planned", "study", "study_point", "replicate", "options", "settings"),
 )
 """Columns by which a row is the same cell, whichever version and machine ran it."""
 
@@ -119,7 +119,7 @@ def _selection_key(cell: Cell) -> tuple[object, ...]:
     asked = (cell.route, cell.policy, cell.formulation, cell.units, cell.slowdown, cell.steps)
     study = (s.name, s.point, s.replicate) if (s := cell.study) else ("", None, None)
     named = (cell.mode, cell.scenario_name, cell.sequence, cell.solver)
-    return (*named, *asked, *study)
+    return (*named, *asked, *study, cell.options)
 
 
 def is_tabulated(work: Sequence[CellJob], store: CellStore) -> bool:

@@ -100,9 +100,11 @@ def _add_suite_arguments(run: Command) -> None:
     scenario = "only this scenario; another one, or a file, takes the place of the suite's"
     run.add_argument("suite", nargs="?", help="a suite by name, or a TOML file")
     option("--sequence", "S", sequence)
-    repeated("--solver", "S", "only this solver; repeatable", dest="solvers")
+    solver = "only this solver, as osqp or with options as 'osqp[rho=[0.1,1]]'; repeatable"
+    repeated("--solver", "S", solver, dest="solvers")
     repeated("--scenario", "N", scenario, dest="scenarios")
-    repeated("--settings", "L", "only at default, low, mid or high")
+    settings = "only at default, low, mid, high or [settings.L] of the suite; repeatable"
+    repeated("--settings", "L", settings)
     option("--steps", "N", "at most N steps of each run", type=int)
     option("--jobs", "J", "loops or random configurations at a time", type=int)
     option("--solver-module", "FILE.py", "a plug-in that brings a solver")

@@ -31,7 +31,14 @@ def resolve_options(settings: Settings, adapter: NativeAdapter | QpsolversAdapte
         check_option_names(name, settings, list_attributes(target))
     if target is not None:
         _check_values(name, settings, target)
-    return {**adapter.record.levels.get(DEFAULT, {}), **settings}
+    return all_options(settings, name)
+
+
+def all_options(settings: Settings, solver: str) -> Options:
+    """Return the options that a preset or a mapping sets, with those that dpbench always sets."""
+    if isinstance(settings, str):
+        return level_options(settings, solver)
+    return {**find_record(solver).levels.get(DEFAULT, {}), **settings}
 
 
 def setting_names(solver: str) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ def cell(solver: str, steps: int, **more: object) -> PlannedCell:
 
 @pytest.mark.parametrize("slots", [1, 2])
 def test_time_goes_by_cells_steps_and_configurations(slots: int) -> None:
-    kind = ("closed_loop", "daqp", "native", "fresh", "default", "condensed_box", "scaled")
+    kind = ("closed_loop", "daqp", "native", "fresh", "default", "", "condensed_box", "scaled")
     rates = Rates("a test", {kind: 0.004})
     loops = [cell("daqp", 400)] * 90 + [cell("osqp", 1000)] * 30
     replays = [cell("osqp", 50, mode="replay", rounds=4, warmup_steps=5)] * 3

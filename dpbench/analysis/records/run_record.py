@@ -59,6 +59,7 @@ class RunRecord:
     route: Route
     policy: Policy
     settings: str
+    options: str
     formulation: Formulation
     N_p: Count
     N_c: Count
@@ -153,7 +154,8 @@ class RunRecord:
     def configuration(self) -> Configuration:
         """Solver configuration of the run: interface, warm start, settings, units, formulation."""
         return Configuration(
-            self.solver, self.route, self.policy, self.settings, self.units, self.formulation
+            *(self.solver, self.route, self.policy, self.settings),
+            *(self.units, self.formulation, self.options),
         )
 
     @property

@@ -49,6 +49,7 @@ def run_row(
         "route": cell.route,
         "policy": cell.policy,
         "settings": cell.settings,
+        "options": cell.options,
         "formulation": cell.formulation,
         "form": outcome.form,
         **_size_columns(cell, outcome),

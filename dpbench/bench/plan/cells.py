@@ -77,6 +77,7 @@ def plan_cell(
         route=configuration.route,
         policy=configuration.policy,
         settings=configuration.settings,
+        options=configuration.options,
         formulation="none" if baseline_law else configuration.formulation,
         units=configuration.units,
         limit_s=(own_limit_s or suite.cell_limit_s) + _intended_wait_s(configuration, **fields),
@@ -126,7 +127,7 @@ def replay_cells(
             warmup_steps=min(most, steps),
             **fields,
         )
-        for configuration in list_configurations(solvers, table)
+        for configuration in list_configurations(suite, solvers, table)
         if configuration.solver != BASELINE_LAW
     ]
 

@@ -4,6 +4,11 @@ from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 
+from dpbench.bench.plan.solver_settings import (
+    check_own_settings,
+    check_settings_names,
+    list_settings,
+)
 from dpbench.bench.plan.suite import (
     CapabilityTable,
     ClosedLoopTable,
@@ -14,12 +19,12 @@ from dpbench.bench.plan.suite import (
 )
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.configuration import Configuration
-from dpbench.errors import InputError, SettingsError, UnknownNameError, list_allowed
+from dpbench.errors import InputError, UnknownNameError, list_allowed
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Route
 from dpbench.solvers.own.adapters import UNCONSTRAINED_CLIPPED
+from dpbench.solvers.own_settings import expand_choice, split_choice
 from dpbench.solvers.plugins import find_plugin
-from dpbench.solvers.settings import has_setting, has_tolerance_levels, setting_names
 from dpbench.solvers.table import TABLE, Availability, check_availability, find_record, solver_names
 
 BASELINE_LAW = UNCONSTRAINED_CLIPPED.name
@@ -29,28 +34,37 @@ Table = ClosedLoopTable | ReplayTable | RandomTable | RecordedTable | Capability
 def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     """Return the solvers of a suite, or those of `only` where some are chosen.
 
-    "all" leaves out those of an optional extra that is not installed. UnknownNameError for an
-    unknown solver; InputError for a baseline of the report, or solvers of a table, that the suite
-    has not.
+    A solver with options of one's own is a text such as `osqp[rho=1.6]`. "all" leaves out those of
+    an optional extra that is not installed. UnknownNameError for an unknown solver; SettingsError
+    for options that a solver does not have; InputError for a baseline of the report, or solvers of
+    a table, that the suite has not.
     """
     named = _resolve_solvers("solvers", suite.solvers)
     for kind, tables in (("closed_loop", suite.closed_loop), ("replay", suite.replay)):
         key = f"{kind}.solvers"
         for table in tables:
-            if table.solvers and not set(_resolve_solvers(key, table.solvers)) & set(named):
+            wanted = _resolve_solvers(key, table.solvers)
+            if wanted and not any(_is_among(choice, wanted) for choice in named):
                 found = ", ".join(table.solvers)
                 allowed = f"a solver of the suite: {list_allowed(found, named)}"
                 raise InputError("suite", key, found, allowed)
     baseline = suite.report.baseline
-    if baseline is not None and baseline not in named:
-        allowed = f"a solver of the suite: {list_allowed(baseline, named)}"
+    solvers = [split_choice(choice)[0] for choice in named]
+    if baseline is not None and baseline not in solvers:
+        allowed = f"a solver of the suite: {list_allowed(baseline, solvers)}"
         raise InputError("suite", "report.baseline", repr(baseline), allowed)
     chosen = _expand_names(only) if only else named
     if not only and suite.baseline_law:
         chosen.append(BASELINE_LAW)
     if not only and suite.calibration:
         chosen += CALIBRATION
+    check_own_settings(suite, chosen)
     return list(dict.fromkeys(chosen))
+
+
+def _is_among(choice: str, names: Sequence[str]) -> bool:
+    """Return whether a choice such as `osqp[rho=1.6]`, or its solver, is one of `names`."""
+    return choice in names or split_choice(choice)[0] in names
 
 
 def _resolve_solvers(key: str, names: Sequence[str]) -> list[str]:
@@ -62,13 +76,14 @@ def _resolve_solvers(key: str, names: Sequence[str]) -> list[str]:
 
 
 def _expand_names(names: Sequence[str]) -> list[str]:
-    """Return solver names without repeats, with "all" replaced by all default solvers."""
+    """Return choices of solvers without repeats, with "all" and grids of settings expanded."""
     chosen: list[str] = []
     for name in names:
         if name == "all":
             chosen += [s for s in solver_names() if s != BASELINE_LAW and _is_default_solver(s)]
         else:
-            chosen.append(find_record(name).name)
+            find_record(split_choice(name)[0])
+            chosen += expand_choice(name)
     return list(dict.fromkeys(chosen))
 
 
@@ -85,7 +100,8 @@ def check_backup(name: str) -> tuple[str, str]:
     """
     if not name:
         return "", ""
-    (solver,) = _resolve_solvers("closed_loop.backup", [name]) if name != "all" else ("",)
+    one = name != "all" and "[" not in name
+    (solver,) = _resolve_solvers("closed_loop.backup", [name]) if one else ("",)
     if not solver or plugin_file(solver) or solver in CALIBRATION:
         allowed = "one solver of `dpbench list solvers`, or of an installed plug-in"
         raise InputError("suite", "closed_loop.backup", repr(name), allowed)
@@ -106,7 +122,9 @@ def plugin_file(solver: str) -> str:
     return plugin.origin if plugin is not None and Path(plugin.origin).is_file() else ""
 
 
-def list_configurations(solvers: Sequence[str], table: Table) -> list[Configuration]:
+def list_configurations(
+    suite: SuiteFile, solvers: Sequence[str], table: Table
+) -> list[Configuration]:
     """Return each solver of a suite table in every way to call it: settings, units, QP form.
 
     Of solvers named by the table, those of the suite take part. The harness's own configurations
@@ -115,31 +133,21 @@ def list_configurations(solvers: Sequence[str], table: Table) -> list[Configurat
     solvers = _select_solvers(solvers, table)
     if not solvers:
         return []
-    for name in table.settings:
-        if not any(has_setting(solver, name) for solver in solvers):
-            known = [name for solver in solvers for name in setting_names(solver)]
-            allowed = f"{' | '.join(dict.fromkeys(known))} | a tolerance such as 1e-4"
-            raise SettingsError("settings", "", repr(name), allowed)
+    check_settings_names(suite, table, solvers)
     own = [name for name in solvers if name in CALIBRATION]
     solvers = [name for name in solvers if name not in CALIBRATION]
     configurations: list[Configuration] = []
-    for units, formulation, policy, wanted, solver in product(
+    for units, formulation, policy, wanted, choice in product(
         table.units, table.formulations, table.policies, table.routes, solvers
     ):
-        row = find_record(solver)
+        row = find_record(split_choice(choice)[0])
         route: Route = row.default_route if wanted == "default" else wanted
         if route not in row.policies:
             continue
-        names = [name for name in table.settings if has_setting(solver, name)]
-        if has_tolerance_levels(solver):
-            configurations += [
-                Configuration(solver, route, policy, name, units, formulation) for name in names
-            ]
-        elif names:
-            name, *alias = names
-            configurations.append(
-                Configuration(solver, route, policy, name, units, formulation, tuple(alias))
-            )
+        configurations += [
+            Configuration(row.name, route, policy, name, units, formulation, options, alias)
+            for name, options, alias in list_settings(choice, table, suite)
+        ]
     timed = isinstance(table, ReplayTable | RecordedTable)
     return configurations + [Configuration(name, "native", "reuse") for name in own if timed]
 
@@ -150,7 +158,9 @@ def _select_solvers(solvers: Sequence[str], table: Table) -> list[str]:
         return list(solvers)
     named = _expand_names(table.solvers) if table.solvers else solvers
     without = _expand_names(table.without)
-    return [name for name in solvers if name in named and name not in without]
+    return [
+        choice for choice in solvers if _is_among(choice, named) and not _is_among(choice, without)
+    ]
 
 
 def find_refusal(configuration: Configuration) -> str:

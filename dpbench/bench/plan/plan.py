@@ -135,7 +135,7 @@ def _closed_loop_cells(
             deadline_s=table.deadline_s,
         )
         for slowdown in table.slowdowns
-        for configuration in list_configurations(solvers, table)
+        for configuration in list_configurations(suite, solvers, table)
         if configuration.solver != BASELINE_LAW
         or (configuration.units, configuration.settings, configuration.policy) == plain
     ]

@@ -73,7 +73,7 @@ def _plan_base_cells(
             scenario=base.files,
             steps=1,
         )
-        for configuration in list_configurations(solvers, loops)
+        for configuration in list_configurations(suite, solvers, loops)
     ]
     # The baseline law does not look at settings or policies: it runs once, under one name.
     once = ("default", "fresh")

@@ -35,7 +35,7 @@ class RunsTable(FileModel):
     """Call options of a suite table: settings, library interface, what steps hand on."""
 
     settings: list[str] = ["default"]
-    """default, low, mid, high, a name that a solver has beside them, or a tolerance: "1e-4"."""
+    """default, low, mid, high, a tolerance as "1e-4", another preset of a solver, or [settings]."""
     routes: list[RouteName] = ["default"]
     """How a solver is called; default: each solver's own."""
     policies: list[Policy] = ["fresh"]

@@ -21,6 +21,11 @@ Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Size = Annotated[list[Count], Field(min_length=2, max_length=2)]
+Option = bool | int | float | str
+OptionsTable = Annotated[
+    dict[str, Option | list[Option] | dict[str, Option | list[Option]]], Field(min_length=1)
+]
+"""Options of one solver; those of a group in a table of its own."""
 FormulationName = Literal["condensed_box", "condensed_stacked", "sparse"]
 
 
@@ -242,6 +247,8 @@ class SuiteFile(FileModel):
     """What is required of a solver."""
     report: ReportTable = ReportTable()
     """What the report shows first."""
+    settings: dict[str, dict[str, OptionsTable]] = {}
+    """Settings of one's own by name: each solver's options by its own keys; a list is a grid."""
     design: DesignTable | None = None
     """Stability and region of attraction of the controllers; not studied without this table."""
     closed_loop: list[ClosedLoopTable] = []

@@ -19,7 +19,8 @@ from dpbench.bench.record.schema import SCHEMA_VERSION
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.scenario.problem_files import ScenarioDocuments
-from dpbench.solvers.contract import Policy, Route
+from dpbench.solvers.contract import Policy, Route, Settings
+from dpbench.solvers.own_settings import decode_options
 
 
 @dataclass(frozen=True)
@@ -145,6 +146,7 @@ _OPTIONAL = (
     "repeat_budget_s",
     "backup",
     "memory_gb",
+    "options",
 )
 
 
@@ -176,6 +178,7 @@ class Cell:
         deadline of a step; 0 to wait for every answer, and for the whole sample.
     seed : of the order of configurations within a round.
     solver_module : file of the solver's plug-in; "" for none.
+    options : options of settings of one's own, as JSON; "" where `settings` names a preset.
     """
 
     mode: Literal["closed_loop", "replay"]
@@ -202,6 +205,12 @@ class Cell:
     repeat_budget_s: float = 0.0
     backup: str = ""
     memory_gb: float = 0.0
+    options: str = ""
+
+    @property
+    def solver_settings(self) -> Settings:
+        """What the solver is opened with: options of one's own, or the name of a preset."""
+        return decode_options(self.options) or self.settings
 
     @property
     def scenario_name(self) -> str:

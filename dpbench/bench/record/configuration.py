@@ -5,12 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from dpbench.bench.record.cell import Formulation, Units
-from dpbench.solvers.contract import Policy, Route
+from dpbench.solvers.contract import Policy, Route, Settings
+from dpbench.solvers.own_settings import decode_options, describe_options
 from dpbench.solvers.record import LEVELS
 
 COMMON_FORMULATION: Formulation = "condensed_box"
 """The formulation that solvers are compared in."""
-CONFIGURATION_COLUMNS = ("solver", "route", "policy", "settings", "formulation", "units")
+CONFIGURATION_COLUMNS = (
+    *("solver", "route", "policy", "settings", "options"),
+    *("formulation", "units"),
+)
 """The columns of `runs.parquet` that name a configuration."""
 
 
@@ -18,7 +22,8 @@ CONFIGURATION_COLUMNS = ("solver", "route", "policy", "settings", "formulation",
 class Configuration:
     """A solver with call mode, settings, units and formulation, as results are compared by.
 
-    `alias` has further names of the same settings, where settings have no effect.
+    `options` of settings of one's own are JSON, "" with a preset; `alias` has further names of the
+    same settings, where settings have no effect.
     """
 
     solver: str
@@ -27,10 +32,22 @@ class Configuration:
     settings: str = "default"
     units: Units = "scaled"
     formulation: Formulation = COMMON_FORMULATION
+    options: str = ""
     alias: tuple[str, ...] = field(default=(), compare=False)
 
     @property
-    def options(self) -> str:
+    def solver_settings(self) -> Settings:
+        """What the solver is opened with: options of one's own, or the name of a preset."""
+        return decode_options(self.options) or self.settings
+
+    @property
+    def options_text(self) -> str:
+        """Options of settings of one's own, where their name does not show them; "" else."""
+        text = describe_options(decode_options(self.options))
+        return "" if text == self.settings else text
+
+    @property
+    def call_text(self) -> str:
         """Call of the solver, with unusual settings, as text such as `native warm, high`."""
         settings = "" if self.settings == "default" else f", {self.settings}"
         return f"{self.route} {self.policy}{settings}"
@@ -45,7 +62,7 @@ class Configuration:
         units = "" if self.units == "scaled" else f", {self.units}"
         formulated = self.formulation not in (COMMON_FORMULATION, "none")
         formulation = f", {self.formulation.replace('_', ' ')}" if formulated else ""
-        return f"{solver} ({self.options}{units}{formulation})"
+        return f"{solver} ({self.call_text}{units}{formulation})"
 
     @property
     def in_common_formulation(self) -> Configuration:

@@ -127,6 +127,7 @@ IDENTITY_COLUMNS: Columns = {
     "route": ("str", "qpsolvers | native"),
     "policy": ("str", "fresh | reuse | warm"),
     "settings": ("str", "name of the settings"),
+    "options": ("str", "options of settings of one's own, as JSON; empty for a preset"),
     "formulation": ("str", "condensed_box | condensed_stacked | sparse | none"),
     "form": ("str", "dense | csc: what the library was given"),
     "N_p": ("Int64", "prediction horizon; null where no controller predicts"),

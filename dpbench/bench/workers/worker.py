@@ -148,7 +148,7 @@ def _open_workspace(cell: Cell, *, settled: bool = False) -> Workspace:
         cell.solver,
         route=cell.route,
         policy=cell.policy,
-        settings=cell.settings,
+        settings=cell.solver_settings,
         step_limit_s=STEP_SHARE * cell.limit_s,
     )
     set_phase(Phase.HARNESS)

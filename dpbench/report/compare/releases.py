@@ -125,7 +125,7 @@ def _time_change_text(changed: Sequence[History]) -> str:
     beside = f" on a {busier} machine (load kernel {significant(load)})"
     return (
         f"p50 {significant(timed.whole_change)} times as long"
-        f"{beside if abs(load - 1.0) > BUSY else ''}, {timed.run.configuration.options} on "
+        f"{beside if abs(load - 1.0) > BUSY else ''}, {timed.run.configuration.call_text} on "
         f"{timed.run.problem}"
     )
 

@@ -69,7 +69,7 @@ def solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, 
     return [
         (
             verdict.configuration.solver,
-            verdict.configuration.options,
+            verdict.configuration.call_text,
             verdict.state,
             time_text(verdict.p50_ns),
             time_text(verdict.replay_p99_ns),
@@ -166,7 +166,7 @@ def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Ve
         (
             step.measure,
             f"{step.k} of {step.run.problem}",
-            step.run.configuration.options,
+            step.run.configuration.call_text,
             _figure_text(step.measure, step.value),
             _figure_text(step.measure, step.median),
             answer_text(step.step, 0),
@@ -192,7 +192,7 @@ def worst_text(worst: Sequence[WorstStep]) -> list[tuple[str, str]]:
     return [
         (
             f"worst {step.measure}",
-            f"step {step.k} of {step.run.problem} ({step.run.configuration.options}): "
+            f"step {step.k} of {step.run.problem} ({step.run.configuration.call_text}): "
             f"{_figure_text(step.measure, step.value)}, median "
             f"{_figure_text(step.measure, step.median)}; "
             f"{step.export_command}",

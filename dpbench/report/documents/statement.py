@@ -24,7 +24,7 @@ from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import speed_margin_text
 from dpbench.report.verdict_text import deployment_facts, judged_runs_text, requirements_text
 from dpbench.report.words import render_document
-from dpbench.solvers.settings import level_options
+from dpbench.solvers.settings import all_options
 
 WIDTH, HEIGHT, MARGIN = 595, 842, 48
 """A4 in points."""
@@ -91,7 +91,7 @@ def _format_lines(
 def _fill_statement(folder: Path, results: Results, data: PageData, chosen: Verdict) -> str:
     """Return the text of the one-page statement: solver, settings, ship, machine, file hashes."""
     c, scenarios = chosen.configuration, map(data.records.scenario, data.records.scenarios)
-    options = level_options(c.settings, c.solver)
+    options = all_options(c.solver_settings, c.solver)
     versions = results.runs.loc[results.runs["solver"] == c.solver, "solver_version"]
     vessels = {s.vessel.id: s.vessel for s in scenarios if s is not None}
     return render_document(

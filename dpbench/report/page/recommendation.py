@@ -37,7 +37,7 @@ from dpbench.report.verdict_text import (
     requirements_text,
     usual_time_text,
 )
-from dpbench.solvers.settings import has_setting, level_options
+from dpbench.solvers.settings import all_options, has_setting
 
 MOST_CHIPS = 16
 """More experiments are counted by state, and named only where they are at most `FEW`."""
@@ -263,14 +263,16 @@ def _other_call_modes(data: PageData, chosen: Configuration, p: int) -> str:
 
 def python_call_text(c: Configuration) -> str:
     """Return Python code to paste that opens a solver with its interface and settings."""
+    settings = repr(c.solver_settings) if c.options else f'"{c.settings}"'
     call = (
         "import dpbench\n"
         f'solver = dpbench.open_workspace("{c.solver}", route="{c.route}", policy="{c.policy}", '
-        f'settings="{c.settings}")'
+        f"settings={settings})"
     )
-    if find_solver_record(c.solver) is None or not has_setting(c.solver, c.settings):
+    known = find_solver_record(c.solver) is not None
+    if not known or not (c.options or has_setting(c.solver, c.settings)):
         return call
-    options = level_options(c.settings, c.solver)
+    options = all_options(c.solver_settings, c.solver)
     keys = ", ".join(f"{key}={value!r}" for key, value in options.items())
     return f"{call}\n# that is, {keys or 'as the library has them'}"
 
@@ -278,7 +280,7 @@ def python_call_text(c: Configuration) -> str:
 def _make_snippets(c: Configuration) -> Iterator[tuple[str, str]]:
     """Yield code to paste that opens a solver, by language: Python, C if known."""
     yield "Python", python_call_text(c)
-    options = level_options(c.settings, c.solver)
+    options = all_options(c.solver_settings, c.solver)
     known = find_solver_record(c.solver)
     names = known.project.c_settings if known else None
     if names is None:

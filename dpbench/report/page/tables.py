@@ -31,7 +31,7 @@ GROUPS: dict[str, str] = {
         "peak_rss_bytes python_peak_bytes_per_step heap_growth_bytes_per_step os_threads "
         "bit_identical_share voluntary_switches involuntary_switches"
     ),
-    "run": "solver_version build units formulation n m steps_done run_id",
+    "run": "options solver_version build units formulation n m steps_done run_id",
 }
 """Columns of the page, a group at a time."""
 TIMES = {

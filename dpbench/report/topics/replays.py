@@ -128,12 +128,12 @@ def race_topic(records: Records) -> Topic | None:
         return None
     first, second = records.solvers
     replays = list(match_replays(records, first, second))
-    if len({run.configuration.options for run, *_ in replays}) != 1:
+    if len({run.configuration.call_text for run, *_ in replays}) != 1:
         return None
     rows, wording = [], []
     for run, *both in replays:
         ratio = paired_ratio(*match_steps(*both))
-        options = run.configuration.options
+        options = run.configuration.call_text
         wording.append(f"{_ratio_text(ratio)} in {run.sequence} ({options})")
         p50 = [time_text(median_known(times.algo_ns)) for times in both]
         p99 = [time_text(percentile(times.algo_ns, 99)) for times in both]

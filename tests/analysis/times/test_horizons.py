@@ -79,8 +79,10 @@ def test_the_best_way_is_right_first_and_fast_second(records: Any) -> None:
     _law(records, "osqp", 1.0, 1.0, policy="warm", error=0.4)
     _law(records, "osqp", 3.0, 1.0, policy="reuse")
     (sweep,) = find_sweeps(records.view(), REQUIREMENTS)
-    assert [configuration.configuration.options for configuration in sweep.best] == ["native reuse"]
-    every = [configuration.configuration.options for configuration in sweep.swept]
+    assert [configuration.configuration.call_text for configuration in sweep.best] == [
+        "native reuse"
+    ]
+    every = [configuration.configuration.call_text for configuration in sweep.swept]
     assert every == ["native warm", "native reuse"]
 
 

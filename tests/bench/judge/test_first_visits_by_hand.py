@@ -155,6 +155,7 @@ def _rows(*rows: dict[str, Any]) -> pd.DataFrame:
         "route": "native",
         "policy": "warm",
         "settings": "default",
+        "options": "",
         "formulation": "condensed_box",
         "units": "scaled",
         "mode": "closed_loop",

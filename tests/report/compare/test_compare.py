@@ -484,3 +484,17 @@ def test_another_build_of_the_same_version_is_said() -> None:
     assert Pair(generic, generic).label.startswith("hpipm (")
     output = "hpipm 1.0 BLASFEO generic → 1.0 BLASFEO AVX2 FMA ("
     assert Pair(generic, fast).label.startswith(output)
+
+
+def test_other_options_under_one_name_are_not_compared(make: Make) -> None:
+    """The name of settings of one's own does not make two runs comparable; their options do."""
+    loop = {"outcome": "finished"}
+    mine = {"settings": "mine", "configurations": ("daqp",), "loop": loop}
+    a = make("a", seed=1, options='{"primal_tol": 1e-05}', **mine)
+    b = make("b", seed=2, options='{"primal_tol": 1e-06}', **mine)
+    compared = compare(a, b)
+    assert [pair.a.mode for pair in compared.pairs.pairs] == ["closed_loop"]
+    (only_a,), (only_b,) = compared.pairs.only_a, compared.pairs.only_b
+    assert "mine) with primal_tol=1e-5, replay" in only_a
+    assert "mine) with primal_tol=1e-6, replay" in only_b
+    assert len(compare(a, a).pairs.pairs) == 2

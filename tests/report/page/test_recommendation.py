@@ -72,7 +72,7 @@ def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) 
     for cells, verdict in zip(body, best, strict=True):
         row = dict(zip(head, cells, strict=True))
         assert row["solver"] == verdict.configuration.solver
-        assert row["call mode"] == verdict.configuration.options
+        assert row["call mode"] == verdict.configuration.call_text
         assert row["verdict"] == verdict.state
         assert row["p99"] == time_text(verdict.replay_p99_ns)
         assert row["worst p99"] == time_text(verdict.p99_ns)
@@ -278,3 +278,16 @@ def test_the_suite_names_the_baseline(records: Any, named: str | None, second: s
     records.suite["report"] = {"baseline": named}
     found = Report.of(records.results()).recommendation.second
     assert found is not None and found.solver == second
+
+
+def test_the_code_to_paste_has_settings_of_ones_own(records: Any) -> None:
+    """In Python as a mapping, in C as assignments with what dpbench always sets."""
+    options = '{"eps_abs": 1e-05, "polishing": true}'
+    for settings, own, error in (("default", "", 0.4), ("mine", options, 1e-9)):
+        records.loop("osqp", settings=settings, options=own, error=error)
+        records.replay("osqp", settings=settings, options=own, error=error)
+    snippets = dict(_answer(records).snippets)
+    assert "settings={'eps_abs': 1e-05, 'polishing': True})" in snippets["Python"]
+    assert "adaptive_rho_interval=50, eps_abs=1e-05, polishing=True" in snippets["Python"]
+    assert "settings.polishing = 1;" in snippets["C"]
+    assert "settings.adaptive_rho_interval = 50;" in snippets["C"]

@@ -1,0 +1,128 @@
+"""Settings of one's own: a solver's options as written by a person, as grids and as text.
+
+    osqp[rho=1.6,eps_abs=1e-5]    OSQP with two options
+    osqp[rho=[0.1,1,10]]          a grid: OSQP three times, with one value each
+
+The brackets hold what a TOML inline table holds between its braces.
+"""
+
+import json
+import tomllib
+from collections.abc import Iterator, Mapping
+from itertools import product
+from math import isfinite
+
+from dpbench.errors import InputError, ResultsError
+from dpbench.files.documents import parse_json
+from dpbench.solvers.contract import Options
+
+MOST_POINTS = 1000
+"""A grid of more points is a slip of the keyboard."""
+
+
+def split_choice(choice: str) -> tuple[str, str]:
+    """Split `osqp[rho=1.6]` into solver and options as text; "" for a solver alone."""
+    solver, bracket, rest = choice.partition("[")
+    return (solver, rest.removesuffix("]")) if bracket else (choice, "")
+
+
+def expand_choice(choice: str) -> list[str]:
+    """Return a choice of solver and options, such as `osqp[rho=[1,2]]`, for each grid point.
+
+    The options of each are sorted and written alike; InputError for a text that is no such choice.
+    """
+    solver, _ = split_choice(choice)
+    if solver == choice:
+        return [choice]
+    points = expand_grid(parse_choice(choice), f"solver {solver}")
+    return [f"{solver}[{describe_options(options)}]" for options in points]
+
+
+def parse_choice(choice: str) -> Options:
+    """Parse the options of a choice such as `osqp[rho=1.6]`; {} for a solver alone."""
+    solver, text = split_choice(choice)
+    if solver == choice:
+        return {}
+    try:
+        options = tomllib.loads(f"options = {{{text}}}")["options"]
+        reason = ""
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        options, reason = {}, f" ({error})"
+    if not options or not choice.endswith("]"):
+        allowed = f"options as in TOML, such as {solver}[max_iter=50]"
+        raise InputError(f"solver {solver}", "", f"{choice!r}{reason}"[:200], allowed)
+    return dict(options)
+
+
+def expand_grid(options: Options, where: str) -> list[Options]:
+    """Return the options of each point of a grid, in which a list has one value for each point.
+
+    InputError, at `where`, for a list without values or a grid of more than `MOST_POINTS` points.
+    """
+    pairs = list(_flatten(options))
+    axes = [value if isinstance(value, list) else [value] for _, value in pairs]
+    count = 1
+    for (key, _), axis in zip(pairs, axes, strict=True):
+        count *= len(axis)
+        bad = [value for value in axis if not _is_value(value)]
+        if bad or not axis:
+            found = repr(bad[0])[:80] if bad else "[]"
+            raise InputError(where, key, found, "a number, text, true or false, or a list of them")
+        if count > MOST_POINTS:
+            raise InputError(where, key, f"a grid of {count} points", f"at most {MOST_POINTS}")
+    keys = [key for key, _ in pairs]
+    return [_nest(dict(zip(keys, point, strict=True))) for point in product(*axes)]
+
+
+def describe_options(options: Options) -> str:
+    """Return options as text in TOML, sorted by name, such as `eps_abs=1e-5,rho=1.6`."""
+    return ",".join(f"{key}={_describe_value(value)}" for key, value in sorted(_flatten(options)))
+
+
+def encode_options(options: Options) -> str:
+    """Return options as JSON, equal for equal options; "" for none."""
+    return json.dumps(options, sort_keys=True, ensure_ascii=False) if options else ""
+
+
+def decode_options(text: str) -> Options:
+    """Return the options that `encode_options` made a text of; ResultsError for another text."""
+    try:
+        options = parse_json(text) if text else {}
+    except ValueError:
+        options = None
+    if not isinstance(options, dict):
+        raise ResultsError("runs.parquet", "options", repr(text[:80]), "a JSON object")
+    return options
+
+
+def _is_value(value: object) -> bool:
+    """Return whether an option may have this value: a finite number, text, true or false."""
+    return isinstance(value, (bool, int, str)) or (isinstance(value, float) and isfinite(value))
+
+
+def _flatten(options: Options, prefix: str = "") -> Iterator[tuple[str, object]]:
+    """Yield options by name, those of a group as `group.name`."""
+    for key, value in options.items():
+        if isinstance(value, Mapping):
+            yield from _flatten(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def _nest(options: Options) -> Options:
+    """Return options with those named `group.name` in a mapping of each group."""
+    nested: dict[str, object] = {}
+    for key, value in options.items():
+        group, dot, name = key.partition(".")
+        if not dot:
+            nested[key] = value
+            continue
+        known = nested.get(group)
+        nested[group] = {**(known if isinstance(known, Mapping) else {}), name: value}
+    return nested
+
+
+def _describe_value(value: object) -> str:
+    """Return the value of an option as TOML, exponents without a leading zero."""
+    text = json.dumps(value, ensure_ascii=False)
+    return text.replace("e-0", "e-").replace("e+0", "e+") if isinstance(value, float) else text

@@ -1,0 +1,132 @@
+"""Settings of one's own in a suite and on the command line, from the text to the cells."""
+
+from pathlib import Path
+
+import pytest
+
+from dpbench.bench.plan.cells import PlannedCell
+from dpbench.bench.plan.run_request import RunRequest
+from dpbench.bench.record.cell import Cell
+from dpbench.errors import DpbenchError, InputError, SettingsError, UnknownNameError
+
+SUITE = """
+title = "Settings of one's own"
+solvers = ["osqp", "daqp"]
+baseline_law = false
+
+[settings.mine]
+osqp = { rho = 1.6, eps_abs = 1e-5 }
+
+[settings.grid]
+osqp = { rho = [0.1, 1.0], max_iter = 900 }
+daqp = { primal_tol = 1e-7 }
+
+[[replay]]
+scenario = "paper"
+steps = 5
+settings = ["default", "mine"]
+"""
+
+
+@pytest.fixture
+def suite(tmp_path: Path) -> str:
+    path = tmp_path / "own.toml"
+    path.write_text(SUITE)
+    return str(path)
+
+
+def describe(cells: list[PlannedCell]) -> list[tuple[str, str, object]]:
+    return [(p.cell.solver, p.cell.settings, p.cell.solver_settings) for p in cells]
+
+
+def test_a_suite_names_settings_of_its_own(suite: str) -> None:
+    """A solver without options in `[settings.NAME]` does not run at that name."""
+    assert describe(RunRequest(suite).plan().cells) == [
+        ("osqp", "default", "default"),
+        ("osqp", "mine", {"rho": 1.6, "eps_abs": 1e-5}),
+        ("daqp", "default", "default"),
+    ]
+
+
+def test_only_settings_of_ones_own_can_be_chosen(suite: str) -> None:
+    plan = RunRequest(suite, settings=["grid"]).plan()
+    assert describe(plan.cells) == [
+        ("osqp", "grid[rho=0.1]", {"rho": 0.1, "max_iter": 900}),
+        ("osqp", "grid[rho=1.0]", {"rho": 1.0, "max_iter": 900}),
+        ("daqp", "grid", {"primal_tol": 1e-7}),
+    ]
+    assert plan.part
+
+
+def test_a_solver_is_chosen_with_settings_on_the_command_line(suite: str) -> None:
+    """Beside the solver alone it runs as well; in place of the table's settings."""
+    solvers = ["osqp[rho=[0.5,2],eps_abs=1e-5]", "daqp"]
+    assert describe(RunRequest(suite, solvers=solvers).plan().cells) == [
+        ("osqp", "eps_abs=1e-5,rho=0.5", {"rho": 0.5, "eps_abs": 1e-5}),
+        ("osqp", "eps_abs=1e-5,rho=2", {"rho": 2, "eps_abs": 1e-5}),
+        ("daqp", "default", "default"),
+    ]
+
+
+def test_options_are_part_of_what_a_cell_is(suite: str) -> None:
+    """Cells of presets keep their identity; other options under one name are another cell."""
+    cells = [p.cell for p in RunRequest(suite, settings=["default", "mine"]).plan().cells]
+    assert "options" not in cells[0].to_json()
+    assert Cell.from_json(cells[1].to_json()) == cells[1]
+    text = Path(suite).read_text().replace("rho = 1.6", "rho = 1.7")
+    Path(suite).write_text(text)
+    again = [p.cell for p in RunRequest(suite, settings=["default", "mine"]).plan().cells]
+    assert [a.key == b.key for a, b in zip(cells, again, strict=True)] == [True, False, True]
+
+
+def test_the_tables_of_a_suite_may_name_a_choice_or_its_solver(suite: str) -> None:
+    text = Path(suite).read_text().replace('"osqp",', '"osqp[rho=1]", "osqp[rho=2]",')
+    for table, expected in (
+        ('solvers = ["osqp"]', ["rho=1", "rho=2"]),
+        ('solvers = ["osqp[rho=2]"]', ["rho=2"]),
+        ('without = ["daqp", "osqp[rho=1]"]', ["rho=2"]),
+    ):
+        Path(suite).write_text(f"{text}{table}\n".replace('"default", "mine"', '"default"'))
+        assert [p.cell.settings for p in RunRequest(suite).plan().cells] == expected
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "kind", "message"),
+    [
+        ("rho = 1.6", "rhoo = 1.6", SettingsError, r"settings\.mine\.osqp: rhoo: .*: rho, "),
+        ("rho = 1.6", 'rho = "x"', SettingsError, r"settings\.mine\.osqp: rho: found 'x'"),
+        ("rho = 1.6", "rho = []", InputError, r"settings\.mine\.osqp: rho: found \[\]"),
+        ("rho = 1.6", "rho = 1979-05-27", InputError, r"settings\.mine\.osqp\.rho"),
+        ("settings.mine", "settings.high", InputError, r"settings\.high: found the name of a p"),
+        ("settings.mine", 'settings."1e-4"', InputError, r"settings\.1e-4: found the name of a p"),
+        ("osqp = { rho = 1.6", "osqq = { rho = 1.6", UnknownNameError, r"mine\.osqq: .*osqp"),
+        ("osqp = { rho = 1.6, eps_abs = 1e-5 }", "osqp = {}", InputError, r"mine\.osqp"),
+        ('"mine"', '"mien"', SettingsError, r"settings: found 'mien'; allowed: .*mine"),
+    ],
+)
+def test_a_mistake_in_a_suite_is_named(
+    suite: str, old: str, new: str, kind: type[DpbenchError], message: str
+) -> None:
+    Path(suite).write_text(Path(suite).read_text().replace(old, new))
+    with pytest.raises(kind, match=rf"own\.toml: .*{message}"):
+        RunRequest(suite).plan()
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [
+        ("osqp[rhoo=1.6]", r"settings of osqp: rhoo: found an unknown key; allowed: rho, "),
+        ("quadprog[tol=1e-6]", r"settings of quadprog: tol: .*: no settings"),
+        ("all[rho=1]", "found 'all'"),
+    ],
+)
+def test_a_mistake_on_the_command_line_is_named(suite: str, choice: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        RunRequest(suite, solvers=[choice]).plan()
+
+
+def test_a_backup_has_no_settings_of_its_own(suite: str) -> None:
+    loop = '[[closed_loop]]\nscenarios = ["calm"]\nbackup = "daqp[primal_tol=[1e-7,1e-8]]"\n'
+    Path(suite).write_text(f"{Path(suite).read_text()}{loop}")
+    with pytest.raises(InputError, match=r"closed_loop\.backup: found 'daqp\["):
+        RunRequest(suite).plan()
