@@ -110,6 +110,7 @@ def test_any_ship_that_is_allowed_becomes_files_that_are(
     assert load_scenario(folder / "sea.toml").steps == 1000
 
 
+@pytest.mark.slow
 def test_a_hull_of_the_mss_toolbox(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--thrust" in refused(["init", "supply", "--from-mss", str(CUT)], capsys)
     assert main(["init", "supply", "--from-mss", str(CUT), "--thrust", "500"]) == 0

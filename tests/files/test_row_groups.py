@@ -55,6 +55,7 @@ def join(files: list[bytes], path: Path) -> int:
     return writer.rows
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(
     parts=st.lists(st.tuples(ROWS, st.sampled_from(["zstd", "none", "snappy"])), max_size=20),
@@ -91,6 +92,7 @@ def test_a_group_of_another_schema_is_refused(tmp_path: Path) -> None:
     assert pq.read_table(tmp_path / "all.parquet").num_rows == 1
 
 
+@pytest.mark.slow
 def test_damaged_footers_raise_what_is_documented(tmp_path: Path) -> None:
     whole = encoded([(str(i), i, float(i), True) for i in range(20)], "zstd", 5)
     rng, refused = random.Random(1), 0

@@ -39,6 +39,7 @@ def test_a_long_word_in_each_row(tmp_path: Path) -> None:
         decode_words(file.read(), path)
 
 
+@pytest.mark.slow
 def test_a_damaged_entry_of_a_column_ends_no_process(tmp_path: Path) -> None:
     path = tmp_path / "runs.parquet"
     pq.write_table(pa.table({"a": ["x", None, "y"], "b": [1.0, 2.0, None]}), path)

@@ -110,6 +110,7 @@ def test_a_structure_that_lacks_something_is_refused_in_one_line(
     assert all(part in str(caught.value) for part in [str(path), *parts]), caught.value
 
 
+@pytest.mark.slow
 def test_files_that_are_no_such_structure_are_refused(tmp_path: Path) -> None:
     (tmp_path / "text.mat").write_text("nonsense " * 40, encoding="utf-8")
     scipy.io.savemat(tmp_path / "ship.mat", {"ship": 1.0})

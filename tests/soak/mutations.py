@@ -127,7 +127,7 @@ def of_archive(data: bytes, rng: random.Random) -> bytes:
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", method) as archive:
         for key, content in members.items():
-            archive.writestr(key, content)
+            archive.writestr(zipfile.ZipInfo(key), content, method)
     return packed.getvalue()
 
 

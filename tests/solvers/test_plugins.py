@@ -47,6 +47,7 @@ def test_a_file_adds_a_solver(sequence):
         np.testing.assert_allclose(answer.z, exact, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_files_version_is_its_content(tmp_path):
     file, versions = tmp_path / "mine.py", []
     for text in (TEXT, TEXT, TEXT + "# changed\n"):
@@ -120,6 +121,7 @@ def test_what_is_no_plugin_is_refused(tmp_path, text, words):
     assert "mine.py" in str(caught.value) and "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_an_import_without_end_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(plugins, "TRIAL_S", 1.0)
     file = tmp_path / "mine.py"

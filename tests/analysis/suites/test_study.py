@@ -196,6 +196,7 @@ def test_the_reference_is_chosen_by_settings_not_by_results() -> None:
     assert behind is not None and behind.mean.value == pytest.approx(0.03, abs=2e-4)
 
 
+@pytest.mark.slow
 def test_claims_hold_together_over_all_configurations() -> None:
     """Adjusted p-values are Holm's of those of each configuration alone. At most 6 of 40 studies of
     13 configurations without a difference claim one.

@@ -85,6 +85,7 @@ def _known(arg: object) -> object:
     return arg.result() if isinstance(arg, Done) else arg
 
 
+@pytest.mark.slow
 def test_sources_of_a_task_whose_worker_died_are_made_apart(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -64,6 +64,7 @@ with lock_result_folder(folder, "smoke") if sys.argv[1] == "campaign" else lock_
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", ["campaign", "report"])
 def test_the_holder_of_a_folder_is_named(tmp_path: Path, first: str) -> None:
     (tmp_path / "out").mkdir()

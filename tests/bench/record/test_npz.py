@@ -34,6 +34,7 @@ def test_arrays_come_back_bit_for_bit(write: Callable[..., None], tmp_path: Path
     assert [found.name for found in tmp_path.iterdir()] == ["a.npz"]
 
 
+@pytest.mark.slow
 def test_every_changed_byte_is_seen(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     write_arrays(path, ARRAYS)

@@ -119,6 +119,7 @@ def test_a_daemon_ends_with_its_worker(
     wait_until(lambda: not is_running(int(number.read_text())), "it lives")
 
 
+@pytest.mark.slow
 def test_all_end_with_the_main_program(tmp_path: Path) -> None:
     program = (
         "import sys, time\n"
@@ -141,6 +142,7 @@ def test_all_end_with_the_main_program(tmp_path: Path) -> None:
     assert not alive
 
 
+@pytest.mark.slow
 def test_a_stopped_worker_is_given_up(
     context: ForkServerContext, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -256,6 +256,7 @@ def test_figures_of_accuracy_and_control(make: Make, change: Any, figures: set[s
         assert found.worse is (bool(figures) and word == "worse")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("before", "after"),
     [

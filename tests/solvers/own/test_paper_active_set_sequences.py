@@ -147,6 +147,7 @@ def test_other_kinds_of_arrays_are_taken_over_all_the_same(sequence, kind):
         np.testing.assert_array_equal(found.z, expected.z)
 
 
+@pytest.mark.slow
 def test_three_hundred_variables_and_six_hundred_rows():
     """With a box, 600 rows and some 200 of them active it agrees with quadprog."""
     rng = np.random.default_rng(0)
