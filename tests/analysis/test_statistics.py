@@ -27,7 +27,6 @@ from dpbench.bench.judge.rules import percentile, supports_percentile
 
 @pytest.mark.parametrize(("percent", "enough"), [(50, 20), (95, 200), (99, 1000), (99.9, 10_000)])
 def test_a_percentile_needs_ten_samples_beyond_it(percent: float, enough: int) -> None:
-    """A percentile is refused with fewer than ten samples beyond it and given from there on."""
     assert supports_percentile(enough, percent)
     assert not supports_percentile(enough - 1, percent)
     assert np.isnan(percentile(np.ones(enough - 1), percent))
@@ -35,7 +34,6 @@ def test_a_percentile_needs_ten_samples_beyond_it(percent: float, enough: int) -
 
 
 def test_interval_is_unknown_where_the_percentile_is_refused() -> None:
-    """No interval is made up for a percentile that is not printed."""
     assert percentile_interval(np.ones(500), 99) is UNKNOWN
 
 
@@ -102,7 +100,6 @@ def test_pairing_removes_what_both_share() -> None:
 
 
 def test_an_unknown_interval_decides_nothing() -> None:
-    """Where nothing is known nothing is told apart."""
     assert UNKNOWN.spans(1.0)
     assert not Interval(2.0, 1.5, 2.5).spans(1.0)
     assert pooled_mean([np.empty(0)]) is UNKNOWN
@@ -110,7 +107,6 @@ def test_an_unknown_interval_decides_nothing() -> None:
 
 
 def test_few_steps_give_no_interval() -> None:
-    """The estimate stands; the interval that says nothing holds every number."""
     times = np.random.default_rng(6).uniform(1.0, 2.0, LEAST_STEPS - 1)
     middle = float(np.median(times))
     assert percentile_interval(times, 50) == Interval(middle, 0.0, np.inf)
@@ -141,7 +137,6 @@ def test_the_error_of_a_mean_over_blocks_is_that_of_its_resamples(steps: int) ->
 
 @given(st.floats(-5, 5), st.floats(0.01, 3), st.floats(1, 60))
 def test_without_skewness_it_is_the_t_interval(value: float, error: float, df: float) -> None:
-    """Interval and p-values are Student's."""
     found = MeanEstimate(value, error, df)
     low, high = stats.t.interval(0.95, df, value, error)
     assert (found.interval.low, found.interval.high) == pytest.approx((low, high), rel=1e-9)
@@ -152,7 +147,6 @@ def test_without_skewness_it_is_the_t_interval(value: float, error: float, df: f
 def test_an_interval_ends_at_a_p_value_of_one_in_forty(
     error: float, df: float, skew: float
 ) -> None:
-    """Interval and p-values agree, and skewness widens the interval on its long side alone."""
     found = MeanEstimate(1.0, error, df, skew)
     symmetric = MeanEstimate(1.0, error, df).interval
     interval = found.interval
@@ -172,7 +166,6 @@ def test_nothing_is_claimed_of_a_mean_without_an_error() -> None:
     ("number", "inside"), [(0.999, False), (1.0, True), (3.0, True), (3.001, False)]
 )
 def test_an_interval_holds_its_ends(number: float, inside: bool) -> None:
-    """The ends belong to the interval."""
     assert Interval(2.0, 1.0, 3.0).spans(number) is inside
 
 
@@ -220,7 +213,6 @@ def test_adjusted_p_values_rise_in_their_order_up_to_one() -> None:
 
 @pytest.mark.parametrize(("count", "share"), [(0, 1.0), (0.5, 1.0), (3, 1.0), (4, 0.75), (30, 0.1)])
 def test_the_rule_of_three(count: float, share: float) -> None:
-    """Three over the count, at most one."""
     assert upper_bound_of_none(count) == share
 
 

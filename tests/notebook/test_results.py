@@ -18,7 +18,6 @@ def results(campaign: Path) -> Results:
 
 
 def test_the_verdict_has_a_row_for_each_configuration(results: Results) -> None:
-    """As judged by the report: who passes, and why others do not."""
     verdict = results.verdict().set_index(["solver", "route", "policy", "settings"])
     assert verdict.index.is_unique
     assert set(verdict["verdict"]) <= {*STATES}
@@ -28,7 +27,6 @@ def test_the_verdict_has_a_row_for_each_configuration(results: Results) -> None:
 
 
 def test_tables_are_those_beside_the_page(results: Results, tmp_path: Path) -> None:
-    """One source: what is written by a report is what a notebook gets, table by table."""
     write_tables(tmp_path, results.tables)
     written = {path.stem for path in tmp_path.glob("*.csv")}
     assert written == {name for name, table in results.tables.items() if len(table)}
@@ -39,7 +37,6 @@ def test_tables_are_those_beside_the_page(results: Results, tmp_path: Path) -> N
 
 
 def test_ladder_and_ratios_are_of_the_same_solvers(results: Results) -> None:
-    """A row for each timed solver; the fastest is what all others are compared with."""
     ladder, ratios = results.ladder(), results.paired_ratios()
     assert ladder["solver"].is_unique
     assert len(ratios) == len(ladder) - 1
@@ -52,14 +49,12 @@ def test_ladder_and_ratios_are_of_the_same_solvers(results: Results) -> None:
 
 
 def test_hard_steps_lie_in_their_runs(results: Results) -> None:
-    """Each hard step is a row of the run's own steps."""
     hard = results.hard_steps()
     known = set(zip(results.steps["run_id"], results.steps["k"], strict=True))
     assert set(zip(hard["run_id"], hard["k"], strict=True)) <= known
 
 
 def test_results_say_what_they_are(results: Results) -> None:
-    """One line as text; the answer and the solvers as plain HTML."""
     solvers = results.runs["solver"].nunique()
     assert repr(results) == f"<Results synthetic: {len(results.runs)} runs of {solvers} solvers>"
     html = results._repr_html_()
@@ -70,7 +65,6 @@ def test_results_say_what_they_are(results: Results) -> None:
 
 @pytest.mark.slow
 def test_a_comparison_says_what_it_found(campaign: Path) -> None:
-    """A folder with itself: no regression; its tables as in the terminal."""
     found = compare(campaign, campaign)
     assert "no regression" in repr(found) and len(repr(found)) < 100
     html = found._repr_html_()

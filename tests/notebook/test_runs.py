@@ -61,7 +61,6 @@ class _Cells(HTMLParser):
 
 
 def test_a_run_ends_after_the_steps_asked_for(loop: Run) -> None:
-    """`steps` cuts the scenario: the first rows are those of any longer run."""
     longer = run_closed_loop(
         load_scenario("paper"), open_workspace("daqp", route="native"), steps=2 * STEPS
     )
@@ -73,7 +72,6 @@ def test_a_run_ends_after_the_steps_asked_for(loop: Run) -> None:
 
 
 def test_objects_say_what_they_are_in_a_line(loop: Run, replayed: Run) -> None:
-    """No repr prints arrays or documents; each names what it is about."""
     scenario = load_scenario("paper")
     qp = condense(scenario).problem(condense(scenario).emit(np.ones(9), np.zeros(3), np.zeros(3)))
     for shown, words in (
@@ -88,7 +86,6 @@ def test_objects_say_what_they_are_in_a_line(loop: Run, replayed: Run) -> None:
 
 
 def test_an_optimum_without_a_point_says_so() -> None:
-    """An infeasible QP is not shown as one with a bound."""
     qp = condense(load_scenario("paper"))
     problem = qp.problem(qp.emit(np.zeros(9), np.zeros(3), np.zeros(3)))
     problem.l[0], problem.u[0] = 1e6, 2e6
@@ -96,7 +93,6 @@ def test_an_optimum_without_a_point_says_so() -> None:
 
 
 def test_html_is_plain_tables_with_the_numbers_of_the_run(loop: Run, replayed: Run) -> None:
-    """Nothing that runs, loads or styles; the figures are those of the summary."""
     for shown in (load_scenario("paper"), loop, replayed):
         page = _Cells(shown._repr_html_())
         assert page.tags <= {"table", "caption", "tbody", "tr", "td"}
@@ -106,13 +102,11 @@ def test_html_is_plain_tables_with_the_numbers_of_the_run(loop: Run, replayed: R
 
 
 def test_text_in_html_is_escaped() -> None:
-    """A title out of a file is text, whatever it holds."""
     scenario = replace(load_scenario("paper"), title="<script>x</script>")
     assert "<script" not in scenario._repr_html_()
 
 
 def test_the_path_is_that_of_the_steps(loop: Run, clipped: Run) -> None:
-    """The figure of two laws has both tracks, by their labels."""
     chart = loop.plot.ship(clipped)
     chart.to_dict()  # against the grammar
     lines = chart.layer[1].data
@@ -122,7 +116,6 @@ def test_the_path_is_that_of_the_steps(loop: Run, clipped: Run) -> None:
 
 
 def test_errors_are_those_of_the_steps(loop: Run) -> None:
-    """North error of the figure is north of the steps; two runs of a name are numbered."""
     chart = loop.plot.errors(loop)
     chart.to_dict()
     north = chart.vconcat[0].data
@@ -134,7 +127,6 @@ def test_errors_are_those_of_the_steps(loop: Run) -> None:
 
 @pytest.mark.parametrize("kind", ["loop", "replayed"])
 def test_steps_are_those_of_the_run(kind: str, request: pytest.FixtureRequest) -> None:
-    """Times are the least over the rounds, the largest timing only that of a replay."""
     run: Run = request.getfixturevalue(kind)
     chart = run.plot.steps()
     chart.to_dict()
@@ -157,7 +149,6 @@ def loop_limit(run: Run) -> float:
 
 
 def test_an_answer_that_is_none_can_be_drawn(loop: Run) -> None:
-    """An infinite error is a number in the figure: JSON has no infinity."""
     steps = loop.steps.copy()
     steps.loc[3, "error_move"] = np.inf
     chart = Run(steps, loop.summary, loop.scenario).plot.steps()
@@ -166,7 +157,6 @@ def test_an_answer_that_is_none_can_be_drawn(loop: Run) -> None:
 
 
 def test_what_has_no_ship_draws_none(loop: Run, replayed: Run) -> None:
-    """A replay has steps alone; runs of two scenarios share no figure."""
     with pytest.raises(InputError, match="replay"):
         replayed.plot.ship()
     with pytest.raises(InputError, match="replay"):
@@ -178,7 +168,6 @@ def test_what_has_no_ship_draws_none(loop: Run, replayed: Run) -> None:
 
 @pytest.mark.slow
 def test_a_run_does_not_load_what_draws() -> None:
-    """Altair is imported when a figure is asked for, and not before."""
     script = (
         "import sys, dpbench; dpbench.load_results, dpbench.run_closed_loop, dpbench.Run.plot;"
         "raise SystemExit('altair' in sys.modules)"
@@ -196,7 +185,6 @@ def test_a_run_does_not_load_what_draws() -> None:
     ],
 )
 def test_a_replay_from_memory_is_named_as_such(figures: dict[str, float], remembers: bool) -> None:
-    """Slow first visits, of all steps or of hard ones alone, are in the text and the fields."""
     sequence = record_sequence(load_scenario("paper").first(8))
     run = replay(sequence, open_workspace("daqp"), repeats=1, warmup_steps=2)
     summary = run.summary.copy()

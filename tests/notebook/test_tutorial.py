@@ -20,7 +20,6 @@ def _shown(notebook: Any) -> list[dict[str, str]]:
 
 
 def test_it_is_kept_without_outputs() -> None:
-    """What a machine once measured is not shown as if it were the reader's."""
     cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
     code = [cell for cell in cells if cell["cell_type"] == "code"]
     assert len(code) > 10
@@ -29,7 +28,6 @@ def test_it_is_kept_without_outputs() -> None:
 
 @pytest.mark.slow
 def test_every_cell_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In a kernel of its own and an empty folder; tables are HTML, figures are Vega-Lite."""
     import nbclient
     import nbformat
 

@@ -33,7 +33,6 @@ def chart() -> Any:
 
 
 def test_ahead_is_up_and_starboard_to_the_right(chart: Any) -> None:
-    """And each line is closed: its first point stands again at the end."""
     specification = chart.to_dict(validate=True)
     tables = specification["datasets"].values()
     points = next(table for table in tables if "case" in table[0] and "from_deg" in table[0])
@@ -76,7 +75,6 @@ def test_points_with_untrue_claims_are_hollow() -> None:
     ("suffix", "begins"), [("svg", b"<svg"), ("pdf", b"%PDF"), ("png", b"\x89PNG"), ("html", b"<!")]
 )
 def test_it_has_four_formats(chart: Any, tmp_path: Path, suffix: str, begins: bytes) -> None:
-    """The page fetches nothing: its libraries are inside."""
     written = save_figure(chart, tmp_path / f"rose.{suffix}").read_bytes()
     assert written.lstrip().startswith(begins)
     assert b"<script src=" not in written

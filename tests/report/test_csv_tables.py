@@ -105,7 +105,6 @@ def test_tables_of_topics_are_files_too(written: Any) -> None:
 
 
 def test_the_legend_explains_every_table_and_column(written: Any) -> None:
-    """Of the tables that no topic made: the names and units of what is in the files."""
     legend = (written.folder / "tables" / "README.md").read_text(encoding="utf-8")
     parts = dict(part.split(".csv\n", 1) for part in legend.split("\n## ")[1:])
     files = {path.stem for path in (written.folder / "tables").glob("*.csv")}

@@ -91,7 +91,6 @@ def _spoilt(records: Any, out: Path) -> Path:
 
 
 def test_markdown_has_no_html_or_links_of_the_folder(records: Any, tmp_path: Path) -> None:
-    """Solvers, suite and processor are text, wherever they stand: in headings, tables and lines."""
     records.refused("ecos", HOSTILE)
     out = _spoilt(records, tmp_path / "out")
     assert main(["report", str(out), "--for", FORMULA.replace("/", ""), "--quiet"]) == 0

@@ -81,7 +81,6 @@ def test_a_change_at_the_margin_is_the_hardest_no_claim() -> None:
 
 @pytest.mark.slow
 def test_equivalence_at_the_margin_is_not_claimed() -> None:
-    """The same for the two one-sided tests: a true ratio at the margin is not called equivalent."""
     rng, false = np.random.default_rng(5), 0
     at = np.log1p(0.05) * np.array([1, -1, 1, -1, 1, -1])
     for _ in range(400):
@@ -138,7 +137,6 @@ def test_the_machine_factor_is_that_of_the_sequence_and_never_the_configurations
 
 
 def test_the_error_inside_the_runs_counts() -> None:
-    """A wide error of a configuration's own leaves a large ratio without a verdict."""
     logs = np.array([0.0, 0.0, 0.0, 0.0, np.log(1.3)])
     quiet = assess_ratios(remove_machine_factor(logs, np.zeros(5), ["paper"] * 5), 0.05, 0.05)
     own = np.array([0.0, 0.0, 0.0, 0.0, 0.2])
@@ -196,7 +194,6 @@ def test_false_claims_against_a_reference_are_rare() -> None:
 
 
 def test_without_a_reference_nothing_is_known() -> None:
-    """A sequence that the reference did not replay has no claim."""
     logs = np.log([1.0, 9.0, 9.0])
     evidence = remove_reference_factor(logs, np.zeros(3), ["a", "a", "b"], np.array([0, 0, -1]))
     assert evidence.effect[:2] == pytest.approx([0.0, np.log(9.0)])

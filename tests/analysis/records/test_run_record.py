@@ -36,7 +36,6 @@ def _record(**columns: Any) -> RunRecord:
 
 
 def test_a_record_has_columns_of_the_schema() -> None:
-    """By name, order and type; what is found out beside them is named here."""
     names = [field.name for field in fields(RunRecord)]
     columns = [name for name in RUN_COLUMNS if name in names]
     assert names == columns + DERIVED
@@ -47,7 +46,6 @@ def test_a_record_has_columns_of_the_schema() -> None:
 
 
 def test_every_column_is_read_as_its_type() -> None:
-    """A null of a nullable integer is NaN, as a missing float is."""
     record = _record(run_id="a", mode="replay", steps_planned=5, rounds=3)
     for field in fields(RunRecord):
         if field.name not in DERIVED:
@@ -116,7 +114,6 @@ def _spoil(records: Any, rounds: list[int]) -> Records:
 
 
 def test_algorithmic_time_is_the_minimum_over_rounds(records: Any) -> None:
-    """Per step the fastest counting round is the algorithmic time; a step cut short has its own."""
     records.replay("daqp", steps=100, rounds=3)
     view = records.view()
     steps = view.steps(view.runs[0])
@@ -127,7 +124,6 @@ def test_algorithmic_time_is_the_minimum_over_rounds(records: Any) -> None:
 
 
 def test_disturbed_rounds_do_not_count(records: Any) -> None:
-    """A round in which the machine was slowed is left out, unless no other is left."""
     records.replay("daqp", steps=100, rounds=3)
     for disturbed, counting in (([1], [2, 3]), ([1, 2, 3], [1, 2, 3])):
         view = _spoil(records, disturbed)

@@ -43,7 +43,6 @@ def asked(results: Results) -> list[Answers]:
 
 
 def test_claims_are_held_against_certificates(records: Any) -> None:
-    """Two QPs are feasible and two are not; a wrong claim of either kind counts as wrong."""
     held, refused = TRUE, TRUE | REFUSED | EMPTY
     results = results_of(
         records,
@@ -110,7 +109,6 @@ def test_an_untrue_claim_is_found_on_the_plot(records: Any) -> None:
 
 
 def test_the_topic_says_what_is_held_and_who_knows(records: Any) -> None:
-    """With two figures; a part that is missing is not spoken of."""
     runs = edge_runs(records)
     topic = capability_topic(runs, plot_table())
     assert topic.lines == (
@@ -126,7 +124,6 @@ def test_the_topic_says_what_is_held_and_who_knows(records: Any) -> None:
 
 
 def test_runs_at_an_edge_are_no_part_of_a_verdict(records: Any) -> None:
-    """They steer no ship; a folder without any has no topic."""
     runs = edge_runs(records)
     assert runs.runs == [] and len(runs.at_edge) == 2
     assert capability_topic(Records(replace(records.results(), runs=NOBODY)), None) is None

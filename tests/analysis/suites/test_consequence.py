@@ -80,7 +80,6 @@ def storm(records: Any) -> Records:
 
 
 def test_each_qp_counts_once_by_its_worst_round(storm: Records) -> None:
-    """Eight QPs, six with a feasible point; what was never reached is no answer."""
     (analysis,) = consequence_analyses(storm)
     assert (analysis.name, analysis.groups) == ("thrusters_loss[2:6]", ("board A", "board B"))
     found = {a.solver: a for a in analysis.answers}
@@ -127,7 +126,6 @@ def test_spans_join_what_is_proven_alike(storm: Records) -> None:
 def test_the_topic_says_when_a_loss_can_be_held(
     records: Any, monkeypatch: pytest.MonkeyPatch, certificates: list[str], said: str
 ) -> None:
-    """One sentence a run, whatever the order of the proofs."""
     monkeypatch.setitem(CERTIFICATES, "board A", certificates)
     answers = [REFUSED if kind == "infeasible" else TRUE for kind in certificates]
     topic = consequence_topic(view(records, {"quadprog": {"board A": [answers]}}))
@@ -148,7 +146,6 @@ def test_the_topic_names_who_misses_alarms(storm: Records) -> None:
 
 
 def test_it_says_nothing_of_what_steers_the_ship(records: Any, storm: Records) -> None:
-    """Runs and routes are those without it; without an analysis there is no topic."""
     assert not storm.runs and len(storm.consequence) == 6
     records.replay("daqp")
     assert [run.sequence for run in records.view().runs] == ["paper"]

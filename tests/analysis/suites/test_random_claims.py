@@ -122,7 +122,6 @@ def test_the_topic_puts_who_lies_first(records: Any) -> None:
 
 
 def test_what_never_ran_is_counted_as_never_reached(records: Any) -> None:
-    """A crashed cell counts its steps as missed; a refused one is nobody's."""
     records.replay("daqp", outcome="crashed", steps_done=0, steps_planned=24, **cell())
     records.replay("ecos", outcome="refused", steps_done=0, **cell())
     topic = random_topic(records.view())

@@ -74,7 +74,6 @@ def test_budgets_are_groups_of_their_own(records: Any, budget: float) -> None:
 
 
 def test_the_topic_shows_who_survives_best_first(records: Any) -> None:
-    """A row a configuration with the slow-down it survives and its latest answer."""
     fill(records)
     topic = slowdown_topic(records.view())
     (table,) = topic.tables
@@ -118,7 +117,6 @@ def test_nobody_survives_is_said(records: Any) -> None:
 
 
 def test_the_machine_of_slow_loops_is_judged(records: Any) -> None:
-    """Where nothing was replayed the loops themselves tell what disturbed them."""
     slow(records, "daqp", 1, 100.0, replay_s=2.0, involuntary_switches=400, steal_s=0.0)
     slow(records, "osqp", 1, 100.0, replay_s=2.0, involuntary_switches=420, steal_s=0.0)
     assert "involuntary context switches a second" in records.ending()["machine"]

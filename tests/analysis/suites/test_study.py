@@ -26,7 +26,6 @@ def _values(table: np.ndarray) -> pd.Series:
 
 @given(seed=st.integers(0, 2**32 - 1), replicates=st.integers(6, 30))
 def test_at_one_point_it_is_the_paired_t_test(seed: int, replicates: int) -> None:
-    """Error and degrees of freedom are those of scipy's paired t-test, whose interval it holds."""
     one, other = np.random.default_rng(seed).normal(size=(2, 1, replicates))
     difference = paired_difference(_values(one), _values(other))
     expected = stats.ttest_rel(one[0], other[0])
@@ -39,7 +38,6 @@ def test_at_one_point_it_is_the_paired_t_test(seed: int, replicates: int) -> Non
 
 @given(seed=st.integers(0, 2**32 - 1), points=st.integers(6, 40))
 def test_points_without_replicates_are_the_sample(seed: int, points: int) -> None:
-    """With one realisation a point the error is that of the t-test over points."""
     one, other = np.random.default_rng(seed).normal(size=(2, points, 1))
     estimate = paired_difference(_values(one), _values(other)).estimate
     expected = stats.ttest_rel(one[:, 0], other[:, 0])
@@ -86,7 +84,6 @@ def test_points_run_once_beside_one_repeated_give_no_interval() -> None:
 @pytest.mark.slow
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_sea_drops_out(seed: int) -> None:
-    """What both have of a sea, however large, changes neither mean nor interval."""
     draw = np.random.default_rng(seed)
     one, other = draw.normal(size=(2, 5, 6))
     sea = 50.0 * draw.normal(size=(5, 6))
@@ -126,7 +123,6 @@ def test_without_spread_an_interval_has_a_width() -> None:
 
 
 def test_only_seas_that_both_ended_are_paired() -> None:
-    """A sea that one of the two lacks is in no pair; too few pairs make no interval."""
     one, other = _values(np.arange(8.0).reshape(2, 4)), _values(np.zeros((2, 4)))
     assert paired_difference(one.drop((0, 1)), other.drop((1, 2))).pairs == 6
     few = paired_difference(one.iloc[:3], other)
@@ -135,7 +131,6 @@ def test_only_seas_that_both_ended_are_paired() -> None:
 
 
 def test_as_many_replicates_as_it_says_tell_the_difference() -> None:
-    """The advised count has a half-width within the difference, one fewer has not."""
     values = np.random.default_rng(3).normal(scale=0.05, size=(3, 10))
     difference = paired_difference(_values(values), _values(np.zeros((3, 10))))
     for size in (0.1, 0.03, 0.01):
@@ -216,7 +211,6 @@ def test_claims_hold_together_over_all_configurations() -> None:
 
 
 def test_who_lost_a_run_is_no_reference_and_its_other_seas_are_paired() -> None:
-    """A run that did not end is neither held nor paired, and its configuration is not cheap."""
     study = _study(_runs({"near": 0.0, "off": 0.03}, near="crashed"), radius_m=9.0)
     assert study.reference == "off"
     near = next(c for c in study.configurations if c.name == "near")
@@ -244,7 +238,6 @@ def test_the_loosest_tolerance_that_costs_little() -> None:
 
 
 def test_the_loosest_tolerance_is_one_of_the_same_solver() -> None:
-    """Solvers before and after it in the alphabet have looser ones that cost nothing."""
     tolerances = {"clarabel": "1e-3", "osqp": "1e-6", "piqp": "1e-4"}
     away = {f"{solver}/{tolerance}": 0.0 for solver, tolerance in tolerances.items()}
     found = _study(_runs({"daqp": 0.0} | away)).loosest
@@ -252,7 +245,6 @@ def test_the_loosest_tolerance_is_one_of_the_same_solver() -> None:
 
 
 def test_a_solver_that_is_not_known_here_has_no_tolerance() -> None:
-    """A folder may come from an installation with another plug-in."""
     runs = _runs({"daqp default": 0.0, "daqp 1e-4": 0.001})
     for run in runs:
         run.solver = "somebodys_own"

@@ -118,7 +118,6 @@ def test_an_error_as_small_as_nothing_has_no_skewness(monkeypatch: pytest.Monkey
 
 @pytest.mark.parametrize(("extent", "constant"), [(1e-6, True), (2e-6, False)])
 def test_differences_within_a_millionth_are_constant(extent: float, constant: bool) -> None:
-    """The largest less the smallest difference of a point."""
     index = pd.MultiIndex.from_product([[0], [1, 2, 3]], names=["point", "replicate"])
     one = pd.Series([0.0, extent, 0.0], index=index)
     assert paired_difference(one, 0.0 * one).is_constant is constant
@@ -169,7 +168,6 @@ def test_a_cheap_configuration_costs_less_than_a_percent_and_a_centimetre(
 
 
 def test_a_configuration_differs_on_either_side() -> None:
-    """A difference of a millimetre is more than nothing, of a ten-millionth less."""
     p_values = [
         _configuration(_difference(value), _difference(0.0)).p_unadjusted[0]
         for value in (1e-3, -1e-3, 1e-7)
@@ -233,7 +231,6 @@ def test_the_figures_of_a_configuration() -> None:
     "order", [["paper_active_set", "daqp", "osqp (1e-9)"], ["daqp", "daqp (1e-9)", "daqp (1e-6)"]]
 )
 def test_the_reference_is_the_most_exact(order: list[str]) -> None:
-    """Of two active sets the first of their list; the tolerance that one is given comes second."""
     runs = [
         _run(name, 0, 1, solver=name.split()[0], settings=name.partition("(")[2].rstrip(")"))
         for name in order

@@ -53,7 +53,6 @@ def test_a_pure_power_law_is_found_exactly(power: float, scale: float, sizes: li
 
 
 def test_no_exponent_below_three_sizes() -> None:
-    """Two sizes lie on any line, also where one of them is there twice."""
     times = [np.full(20, 1.0), np.full(20, 2.0), np.full(20, 3.0)]
     assert growth_exponent([15, 30], times[:2]) is None
     assert growth_exponent([15, 30, 30], times) is None
@@ -75,7 +74,6 @@ def test_a_p99_whose_interval_holds_the_limit_settles_nothing(records: Any) -> N
 
 
 def test_the_best_way_is_right_first_and_fast_second(records: Any) -> None:
-    """A fast way with wrong answers gives way to a slower one; both are in the sweep."""
     _law(records, "osqp", 1.0, 1.0, policy="warm", error=0.4)
     _law(records, "osqp", 3.0, 1.0, policy="reuse")
     (sweep,) = find_sweeps(records.view(), REQUIREMENTS)

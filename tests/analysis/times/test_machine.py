@@ -33,7 +33,6 @@ def _with_calibration(records: Any, off_us: float = 0.4, **columns: Any) -> None
 
 
 def test_own_configurations_change_nothing_of_the_verdicts(records: Any) -> None:
-    """With and without them, everything but what is said of machine and harness reads the same."""
     for solver, median in (("daqp", 18.0), ("quadprog", 25.0)):
         records.replay(solver, median_us=median, **QUIET)
         records.loop(solver)
@@ -45,7 +44,6 @@ def test_own_configurations_change_nothing_of_the_verdicts(records: Any) -> None
 
 
 def test_nothing_but_the_harness_has_no_verdict(records: Any) -> None:
-    """The suite `calibration` alone: machine and harness, and no sentence that misses solvers."""
     _with_calibration(records)
     said = records.ending()
     assert list(said) == ["answer", "machine", "harness"]
@@ -54,7 +52,6 @@ def test_nothing_but_the_harness_has_no_verdict(records: Any) -> None:
 
 
 def test_own_configurations_are_seen_in_no_other_part_of_the_view(records: Any) -> None:
-    """They are no solvers and no runs of anything but the calibration."""
     records.replay("daqp", **QUIET)
     _with_calibration(records)
     view = records.view()
@@ -88,7 +85,6 @@ def test_the_bar_is_1_us_or_a_hundredth(records: Any, off_us: float, missed: lis
 
 
 def test_a_quiet_machine_and_a_disturbed_one(records: Any) -> None:
-    """Sums over all configurations; a run under two names of its settings counts once."""
     same = QUIET | {"raw_max_ns": 7e4}
     records.replay("quadprog", **same)
     records.replay("quadprog", **(same | {"settings": "high"}))
@@ -132,7 +128,6 @@ def test_a_busy_machine_hits_every_configuration_and_is_told(records: Any) -> No
 
 
 def test_disturbed_rounds_are_part_of_all_rounds(records: Any) -> None:
-    """One of four where three count, three of three where all are disturbed and count."""
     records.replay("daqp", **(QUIET | {"disturbed_rounds": 1}))
     assert "1 of 4 rounds disturbed" in records.ending()["machine"]
     records._runs[-1] |= {"disturbed_rounds": 3, "counting_disturbed": 3}
@@ -143,14 +138,12 @@ def test_disturbed_rounds_are_part_of_all_rounds(records: Any) -> None:
 
 
 def test_records_without_counters_say_nothing(records: Any) -> None:
-    """A folder of closed loops has no topic on what was never looked at."""
     records.loop("daqp")
     assert trust_topic(records.view()) is None
     assert "machine" not in records.ending()
 
 
 def test_how_far_rounds_lie_apart_is_said(records: Any) -> None:
-    """A replay whose last round takes twice as long as its first: no ratio below two counts."""
     records.replay("daqp", spread=0.0, median_us=10.0, rounds=3, **QUIET)
     steps = records._steps[-1]
     for repeat, total_ns in zip((1, 2, 3), (10_000, 15_000, 20_000), strict=True):

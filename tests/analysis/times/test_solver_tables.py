@@ -122,7 +122,6 @@ def test_both_times_of_a_point_are_of_the_same_steps(records: Any) -> None:
 
 
 def test_the_points_have_their_levels_in_order_and_leaves_out_other_ways(records: Any) -> None:
-    """Default, low, mid, high on the default route; warm starts are another way."""
     for settings in ("high", "default", "low", "mid"):
         records.replay("osqp", settings=settings)
     records.replay("osqp", settings="mid", policy="warm", median_us=1.0)
@@ -132,7 +131,6 @@ def test_the_points_have_their_levels_in_order_and_leaves_out_other_ways(records
 
 
 def test_all_points_of_a_solver_are_of_the_way_that_is_asked_for(records: Any) -> None:
-    """No other policy or route joins the line, however fast; a solver without a way has none."""
     for policy, us in (("fresh", 20.0), ("warm", 5.0), ("reuse", 8.0)):
         records.replay("osqp", route="native", policy=policy, median_us=us, spread=0.0)
     for policy, us in (("fresh", 30.0), ("warm", 60.0)):

@@ -159,7 +159,6 @@ def test_switches_outside_of_the_timed_calls_explain_nothing(records: Any) -> No
 
 @pytest.mark.parametrize(("switches", "p"), [(0, 1.0 - 0.99**3), (1, None), (2, None)])
 def test_a_single_late_timing_of_a_short_loop(records: Any, switches: int, p: float | None) -> None:
-    """One late timing of three is doubtful unless a context switch explains it."""
     _loop(records, 3, {1: 7e6}, involuntary_switches=switches)
     found = [late.p for late in _found(records).get("daqp", [])]
     assert found == ([] if p is None else [pytest.approx(p)])
@@ -184,7 +183,6 @@ def test_hidden_switches_doubt_more_than_a_p99_allows(
 
 
 def test_runs_that_are_not_tested(records: Any) -> None:
-    """SI units, slower computers and the baseline law have no late timings."""
     slow = dict.fromkeys(range(40), 7e6)
     for columns in ({"units": "si"}, {"slowdown": 0.5}, {"formulation": "none"}):
         _loop(records, 450, slow, involuntary_switches=0, **columns)
@@ -310,7 +308,6 @@ def test_timings_past_the_deadline_against_the_stalls_of_others(
 
 
 def test_a_timing_past_the_deadline_without_others_is_a_doubt(records: Any) -> None:
-    """The replay of the same solver shows nothing of the machine."""
     _loop(records, 450, {7: 4e8}, involuntary_switches=3)
     _replay(records, "daqp", {})
     (found,) = _found(records)["daqp"]

@@ -68,7 +68,6 @@ def test_random_lateness_is_found(
 
 @pytest.mark.parametrize("call", [23, 203])
 def test_the_same_delays_in_all_solvers_are_the_machine(records: Any, call: int) -> None:
-    """What strikes everybody alike contradicts nobody."""
     shifted = {
         solver: {(r, (k + 7 * i) % 1000): ms for (r, k), ms in _every(call, 10.0).items()}
         for i, solver in enumerate(("daqp", *HONEST))
@@ -83,7 +82,6 @@ def test_the_same_delays_in_all_solvers_are_the_machine(records: Any, call: int)
 
 
 def test_a_second_liar_hides_nobody(records: Any) -> None:
-    """Both are late at random; those proven so are no measure of the machine."""
     _campaign(records, daqp=_every(23, 10.0), piqp=_every(23, 10.0))
     assert _verdict(records).state == _verdict(records, "piqp").state == "late"
     assert _verdict(records, "ecos").state == "pass"

@@ -138,7 +138,6 @@ def test_without_a_p99_medians_are_compared() -> None:
 
 
 def test_the_recommendation_is_the_fastest_that_can_be_deployed() -> None:
-    """Code of this project is named as faster and not chosen."""
     fast, second, third = (
         _verdict(BENCHMARK_CODE, 10.0),
         _verdict("daqp", 20.0),

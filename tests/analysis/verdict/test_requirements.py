@@ -84,7 +84,6 @@ def test_the_verdict_of_figures_at_the_requirements(
 
 
 def test_a_stopped_loop_is_not_right_to_the_end(records: Any) -> None:
-    """A loop stopped after its last step is right, but not right to the end."""
     records.loop("daqp", outcome="timed_out")
     assert is_right(only_run(records), REQUIREMENTS)
     assert not is_right_to_the_end(only_run(records), REQUIREMENTS)
@@ -105,7 +104,6 @@ def test_a_loop_survives_within_a_tenth_of_the_exact_cost(
 
 
 def test_the_worst_run_is_first_and_the_others_keep_their_order() -> None:
-    """Of two equal figures the first is the worst; without a run there is no finding."""
     runs: list[Any] = [
         SimpleNamespace(name=n, x=x) for n, x in zip("abcd", (2, 5, 1, 5), strict=True)
     ]
@@ -117,7 +115,6 @@ def test_the_worst_run_is_first_and_the_others_keep_their_order() -> None:
 
 
 def test_verdicts_are_ordered_from_best_to_worst() -> None:
-    """What something contradicts is late or fails; a crash fails, a hang is late."""
     assert MISSED == ("late", "fail")
     assert STATES == ("pass", "borderline", "inconclusive", "late", "fail", "not run")
     assert [kind in LATE for kind in OWN_DOING] == [False, True]
@@ -125,7 +122,6 @@ def test_verdicts_are_ordered_from_best_to_worst() -> None:
 
 
 def test_the_requirements_of_a_suite() -> None:
-    """Entries replace the defaults, unknown ones are ignored, limits are in ns as well."""
     assert Requirements.of({}) == Requirements(1e-2, 0, 3.0, 300.0)
     found = Requirements.of(
         {"requirements": {"p99_ms": 2.0, "deadline_ms": 50.0, "failed_steps": 1, "x": 1}}

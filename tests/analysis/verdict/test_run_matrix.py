@@ -53,7 +53,6 @@ def _window(records: Any, solver: str, steps: int = 30, **columns: Any) -> None:
     ],
 )
 def test_the_label_of_an_experiment(experiment: Experiment, label: str) -> None:
-    """A label names what differs from a closed loop in scaled units."""
     assert experiment.label == label
 
 
@@ -83,7 +82,6 @@ def test_the_longer_of_two_runs_counts(first: int, second: int, kept: int, recor
 
 
 def test_another_formulation_has_a_experiment_of_its_own(records: Any) -> None:
-    """The common formulation is not named; on a slow computer none is."""
     records.loop("daqp")
     records.loop("daqp", formulation="condensed_stacked")
     records.loop("daqp", formulation="condensed_stacked", slowdown=8.0)
@@ -93,7 +91,6 @@ def test_another_formulation_has_a_experiment_of_its_own(records: Any) -> None:
 
 
 def test_units_belong_to_the_experiment_of_a_configuration(records: Any) -> None:
-    """One configuration in two units has two experiments; the baseline law has none."""
     records.replay("daqp", units="si")
     records.loop("daqp", units="si")
     records.loop("daqp")
@@ -111,7 +108,6 @@ def test_units_belong_to_the_experiment_of_a_configuration(records: Any) -> None
 
 
 def test_the_runs_of_a_study_that_are_kept(records: Any) -> None:
-    """Every studied run has an experiment, those kept also a run; none of them is judged."""
     records.loop("daqp")
     for replicate in (1, 2):
         records.sea("scs", 0, replicate, {"hs_m": 1.0}, settings="high")
@@ -126,7 +122,6 @@ def test_the_runs_of_a_study_that_are_kept(records: Any) -> None:
 
 
 def test_references_where_nothing_is_judged_are_the_first_of_each_solver(records: Any) -> None:
-    """Seas of a study give no verdict: the first configuration of a solver represents it."""
     for solver, settings in (("daqp", "high"), ("daqp", "default"), ("scs", "default")):
         records.sea(solver, 0, 1, {"hs_m": 1.0}, settings=settings)
     references = _matrix(records).references
@@ -186,7 +181,6 @@ def test_the_state_of_a_run_alone(records: Any, columns: dict[str, Any], state: 
     ],
 )
 def test_a_window_counts_in_its_loop(records: Any, columns: dict[str, Any], state: str) -> None:
-    """A window has no experiment: its findings are in that of the scaled loop."""
     records.loop("daqp")
     records.loop("daqp", units="si")
     records.replay("daqp")

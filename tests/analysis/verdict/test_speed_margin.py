@@ -120,7 +120,6 @@ def test_the_largest_p99_of_two_replays(records: Any) -> None:
 
 
 def test_only_scaled_replays_with_steps_have_a_margin(records: Any) -> None:
-    """Loops, SI units and replays without a step leave none; settings have their own."""
     records.loop("scs")
     records.replay("scs", done=0)
     records.replay("scs", units="si")

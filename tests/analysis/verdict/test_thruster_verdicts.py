@@ -68,7 +68,6 @@ def test_who_passes_with_thrusters_and_with_forces() -> None:
 def test_a_folder_is_about_thrusters_by_more_than_half_of_its_scenarios(
     records: Any, thrusters: int, forces: int, about: bool
 ) -> None:
-    """Scenarios are counted, not loops; replays do not count."""
     names = iter(["turn", "paper", "calm", "rough"])
     for cell in [THRUSTERS] * thrusters + [FORCES] * forces:
         name = next(names)
@@ -79,7 +78,6 @@ def test_a_folder_is_about_thrusters_by_more_than_half_of_its_scenarios(
 
 
 def test_the_best_outcome_of_a_solver_counts(records: Any) -> None:
-    """A solver passes where one of its configurations does, and has a fault where none does."""
     _with_forces(records, "daqp")
     _with_forces(records, "piqp")
     _with_forces(records, "scs", error=0.5)
@@ -117,7 +115,6 @@ def test_the_best_outcome_of_a_solver_counts(records: Any) -> None:
 def test_the_fault_of_a_solver_is_that_of_all_its_configurations(
     records: Any, default: dict[str, Any], high: dict[str, Any], fault: str
 ) -> None:
-    """A configuration with both faults agrees with either; one that was refused has none."""
     records.loop("daqp", cell=THRUSTERS, **default)
     records.loop("daqp", cell=THRUSTERS, settings="high", **high)
     assert compare_thrusters_with_forces(records.view(), REQUIREMENTS).faults == {"daqp": fault}

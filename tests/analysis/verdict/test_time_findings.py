@@ -96,7 +96,6 @@ def _late(run: Any, kind: Any, late: int, p: float) -> LateTimings:
 
 
 def test_late_timings_are_reported_by_kind_with_the_worst_run_first() -> None:
-    """Proven and doubtful ones are two kinds; of both the largest share is the figure."""
     runs: list[Any] = [SimpleNamespace(run_id=name, solver=name) for name in "abcd"]
     a, b, c, d = runs
     late = {
@@ -209,7 +208,6 @@ def test_a_replay_of_all_steps_has_the_usual_p99() -> None:
 
 
 def test_replays_without_times_are_doubts_and_hide_no_other(records: Any) -> None:
-    """Times beside other load and remembered answers are reported; the last replay is timed."""
     records.replay("daqp", concurrency=2.0, first_visit_ratio=40.0)
     records.replay("daqp", "rough[0:300]", steps=300, done=0)
     records.replay("daqp", "rough[300:600]", steps=300, done=0, outcome="timed_out")

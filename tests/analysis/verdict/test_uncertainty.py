@@ -40,7 +40,6 @@ def test_factors(records: Any, rounds_us: tuple[float, ...], expected: tuple[flo
 
 
 def test_the_largest_factors_of_the_replays_of_a_configuration(records: Any) -> None:
-    """Each factor is the largest of its own; settings are configurations of their own."""
     _replay(records, "daqp", (10.0, 16.0, 16.0))
     _replay(records, "daqp", (10.0, 11.0, 40.0), sequence="calm")
     _replay(records, "daqp", (10.0, 10.0, 10.0), settings="high")

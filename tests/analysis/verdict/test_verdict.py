@@ -59,7 +59,6 @@ CAUSES = [
 def test_causes_in_words(
     records: Any, loop: dict[str, Any], replay: dict[str, Any], clause: str
 ) -> None:
-    """Whatever contradicts the requirements makes a solver fail, and the sentence says what."""
     records.loop("daqp", **loop)
     records.replay("daqp", **replay)
     verdict = _verdict(records, "daqp")
@@ -82,7 +81,6 @@ def test_causes_in_words(
 def test_late_or_wrong(
     records: Any, loop: dict[str, Any], replay: dict[str, Any], state: str
 ) -> None:
-    """Late where time alone contradicts the requirements; with an answer that does it is wrong."""
     records.loop("daqp", **loop)
     records.replay("daqp", **replay)
     verdict = _verdict(records, "daqp")
@@ -157,7 +155,6 @@ def test_the_requirements_are_read_from_the_suite(records: Any) -> None:
 
 
 def test_a_loop_of_200_timings_that_is_slow_in_the_median_is_late(records: Any) -> None:
-    """Half of its steps took longer than is allowed of one in a hundred."""
     records.loop("daqp", steps=200, raw_p50_ns=5.74e6)
     records.loop("daqp", "rough", steps=200, raw_p50_ns=4.1e6)
     records.replay("daqp", median_us=20.0)
@@ -197,7 +194,6 @@ def test_a_hardest_step_beyond_the_deadline_is_late(records: Any) -> None:
 
 
 def test_borderline_is_counted_as_such(records: Any) -> None:
-    """A solver that nothing but a near limit stands against is named beside those that meet."""
     for solver, median_us in (("daqp", 20.0), ("osqp", 2900.0)):
         records.loop(solver)
         records.replay(solver, median_us=median_us, spread=0.0)
@@ -206,7 +202,6 @@ def test_borderline_is_counted_as_such(records: Any) -> None:
 
 
 def test_high_settings_rescue(records: Any) -> None:
-    """A solver that is right only at tight tolerances is said to be so, by name."""
     records.loop("osqp", error=0.4)
     records.loop("osqp", settings="high")
     records.replay("osqp", error=0.4)
@@ -243,7 +238,6 @@ def _high(records: Any, **columns: Any) -> Any:
 def test_a_level_passes_where_it_was_run(
     records: Any, columns: dict[str, Any], clause: str
 ) -> None:
-    """Settings that were not run, or not whole, where the default was judged are open there."""
     verdict = _high(records, **columns)
     assert verdict.state == ("inconclusive" if clause else "pass")
     assert clause in _why(verdict)

@@ -71,7 +71,6 @@ def test_the_steps_with_a_judged_answer(records: Any, columns: dict[str, Any], s
 
 
 def test_counts_and_errors_over_all_runs(records: Any) -> None:
-    """Steps and failed steps add up, the error is the largest; a refused run adds nothing."""
     records.loop("daqp", steps=100, failed=2, error=1e-4)
     records.loop("daqp", "calm", steps=50, done=40, failed=1, error=1e-3, outcome="timed_out")
     records.replay("daqp", steps=300, failed=4, error=1e-5)
@@ -82,7 +81,6 @@ def test_counts_and_errors_over_all_runs(records: Any) -> None:
 
 
 def test_runs_in_si_units_and_of_the_baseline_law_are_not_judged(records: Any) -> None:
-    """Only scaled runs of solvers have a verdict; `among` selects some of them."""
     records.loop("daqp", error=0.5, units="si")
     records.loop("daqp")
     records.loop("unconstrained_clipped", formulation="none")
@@ -106,7 +104,6 @@ def _settings(records: Any) -> list[str]:
 
 
 def test_the_reference_has_the_most_usual_settings_that_ran(records: Any) -> None:
-    """Settings that were refused come last, whatever they are."""
     records.refused("daqp", "no model")
     for settings in ("high", "low", "mid"):
         records.loop("daqp", settings=settings)
@@ -114,7 +111,6 @@ def test_the_reference_has_the_most_usual_settings_that_ran(records: Any) -> Non
 
 
 def test_a_stopped_run_makes_a_reference(records: Any) -> None:
-    """A run stopped at its time limit was run: its settings are judged first."""
     records.loop("daqp", settings="high")
     records.loop("daqp", outcome="timed_out", done=40)
     assert _settings(records) == ["default", "high"]
@@ -145,7 +141,6 @@ def test_the_reference_has_loops_and_replays(records: Any) -> None:
 
 
 def test_gaps_of_a_configuration(records: Any) -> None:
-    """Absent runs are one finding; refused and short ones follow, with the planned steps."""
     for scenario in ("paper", "calm", "rough", "turn", "move"):
         outcome = {"outcome": "timed_out", "done": 90} if scenario == "turn" else {}
         records.loop("daqp", scenario, **outcome)

@@ -41,7 +41,6 @@ def rows_in(page: Any, view: str, data: str) -> int:
 
 
 def test_it_opens_without_error_or_request(opened: Any) -> None:
-    """One file: nothing is fetched, and the answer stands in it."""
     page = opened()
     assert [url for url in opened.requests if not url.startswith("data:")] == [opened.file.as_uri()]
     assert page.inner_text("#answer .lead").startswith("Use ")

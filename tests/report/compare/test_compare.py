@@ -116,7 +116,6 @@ def test_planted_ratios_are_found_and_the_others_are_equivalent(make: Make) -> N
 
 @pytest.mark.slow
 def test_the_verdict_of_a_solver_is_that_of_its_configurations(make: Make) -> None:
-    """Who is slower, who is faster, who steers worse: one line each, before any other table."""
     usual = {"r_rms_m": 0.3}
     a = make("a", seed=1, loop=usual)
     slow = {"piqp": 1.3, "scs": 1 / 1.3}

@@ -84,7 +84,6 @@ def test_versions_stand_in_their_order_with_what_changed(make: Make, tmp_path: P
 
 
 def test_folders_of_two_machines_are_ratios_to_the_reference(make: Make) -> None:
-    """Twice as slow a machine: the ratio to daqp tells that the release did not change."""
     here = make("here", OLD, {"daqp": 10.0, "piqp": 80.0})
     there = make("there", NEW, {"daqp": 20.0, "piqp": 160.0}, machine="two")
     found = releases([here, there])

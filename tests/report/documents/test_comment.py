@@ -49,7 +49,6 @@ def test_other_names_and_names_of_nobody(written: Any) -> None:
 
 @pytest.mark.slow
 def test_the_command_writes_a_step_to_export(tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
-    """Run, report, export: the third command is the one the second prints."""
     monkeypatch.chdir(tmp_path)
     run = "run smoke --solver daqp --solver quadprog --steps 12 --out mine --quiet"
     assert main(run.split()) == 0

@@ -49,7 +49,6 @@ def test_a_cell_holds_the_figures_of_its_run(records: Any) -> None:
 
 
 def test_the_track_is_a_distance_from_the_loop_closest_to_the_exact_one(records: Any) -> None:
-    """One reference in each experiment: the run whose deviation is least."""
     records.loop("far", error=0.9)
     records.loop("near", error=1e-9)
     facts = _facts(records)
@@ -114,7 +113,6 @@ def test_of_many_experiments_those_that_miss_most_are_drawn(records: Any, monkey
 
 @pytest.mark.slow
 def test_every_sea_has_its_errors(records: Any) -> None:
-    """Those of its run: how far off, whether held, and how far behind the reference there."""
     made = of_seas(records)
     facts = Report.of(made.results()).data
     (study,) = facts.study_documents

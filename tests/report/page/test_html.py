@@ -73,7 +73,6 @@ def test_every_tag_is_closed_and_every_id_stands_once(written: Any) -> None:
 
 
 def test_nothing_is_loaded_from_elsewhere(written: Any) -> None:
-    """No address but those of files beside it and of places within: ships have no network."""
     found = checked(written.html)
     assert all(source.startswith("data:") for source in found.sources)
     for link in found.links:
@@ -111,7 +110,6 @@ def test_two_processes_write_the_same_bytes(written: Any, tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_a_loop_alone_has_the_ids_that_scripts_need_at_once(records: Any, tmp_path: Any) -> None:
-    """A loop alone: ids that are asked for without a guard at the start are still there."""
     records.loop("daqp", steps=20)
     ids = set(checked(write_report(records.write(tmp_path)).read_text("utf-8")).ids)
     bound = set(re.findall(r'\$\("([\w-]+)"\)\.addEventListener', JS))

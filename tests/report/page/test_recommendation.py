@@ -155,7 +155,6 @@ def test_own_code_alone_is_no_recommendation(records: Any) -> None:
 
 
 def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> None:
-    """Own code beside a library: the library is the answer, the other its comparison."""
     solvers = {"hildreth": ("native", 3.0), "daqp": ("qpsolvers", 9.0), "scs": ("qpsolvers", 90.0)}
     for solver, (route, median_us) in solvers.items():
         records.loop(solver, route=route)

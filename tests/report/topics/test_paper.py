@@ -153,7 +153,6 @@ def test_a_namesake_is_not_the_paper(records: Any, part: str) -> None:
 
 
 def test_reworded_prose_is_still_the_paper(records: Any) -> None:
-    """Another title makes no other scenario: it is the paper's by what is computed."""
 
     def change(files: dict[str, Any]) -> None:
         files["scenario"]["title"] = "Another title"

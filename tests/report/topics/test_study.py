@@ -77,7 +77,6 @@ def test_what_was_lost_is_a_condition(records: Any) -> None:
 
 
 def test_a_mean_without_an_interval_has_no_ends(records: Any) -> None:
-    """Two pairs support none: the point is drawn without a bar, and the table says so."""
     found = _fill(records, points=1, seas=2)
     assert _drawn(found.figures[1], "low_cm") in ([], [None])
     assert "(no interval)" in found.tables[0].rows[1][4]
