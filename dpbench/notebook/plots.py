@@ -26,10 +26,9 @@ class JudgedRun(Protocol):
 
 
 class RunPlots:
-    """Plots of one solver's run whose answers have been judged, as Altair charts.
+    """Plots of one solver's run as Altair charts; `run.plot.ship(other)` draws several together.
 
-    `run.plot.ship(other)` draws other runs of the same scenario into the same figure. A chart has
-    `save` for PNG, SVG, PDF and HTML.
+    A chart has `save` for PNG, SVG, PDF and HTML.
     """
 
     def __init__(self, run: JudgedRun) -> None:

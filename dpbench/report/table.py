@@ -66,10 +66,8 @@ def _disarm_formula(value: Any) -> Any:
 class Table:
     """Table of text with heads, a title and a note, for page, file and Markdown.
 
-    heads : with units; note : population, route, machine, and what a failure counted as.
-    text_columns : so many leading ones are left-aligned.
-    shown : number of rows on the page, by default all, with 0 no table; a file has all of them.
-    folded : whether it opens there with a click.
+    heads : with units; text_columns : so many leading ones are left-aligned.
+    shown : rows on the page, by default all, with 0 no table; folded : opens there with a click.
     """
 
     heads: tuple[str, ...]

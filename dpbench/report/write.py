@@ -32,8 +32,8 @@ def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
     Raises
     ------
     ResultsError : when the folder holds no readable results.
-    InputError : for a baseline that was not run, or a link in place of a folder to write into;
-        nothing is written then.
+    InputError : for a baseline that was not run, or a link in place of a folder; nothing is
+        written.
     """
     return write_report_with_summary(out, baseline=baseline)[0]
 

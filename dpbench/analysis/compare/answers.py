@@ -1,9 +1,8 @@
 """Accuracy and control of the same configurations in two runs, as far as no clock enters them.
 
 A deterministic solver repeats them bit for bit, so nothing is estimated: a figure differs by more
-than the margin, beyond what the replay rounds of one run differ among themselves, or not. Where a
-time limit stopped a run or an answer, the figures of the whole run are not comparable; accuracy
-is compared on the steps before that.
+than the margin, beyond what the rounds of one run differ, or not. Where a time limit stopped a run,
+accuracy is compared on the steps before that.
 """
 
 import math

@@ -1,13 +1,11 @@
 """Verdicts on ratios between two runs: the noise of a run, minimum effects, equivalence, Holm.
 
-Two runs of one suite are two draws of the machine's state: memory layout, frequency, neighbours. A
-factor of that kind holds for a whole run, so no resampling of steps or rounds sees it. Its part
-common to all configurations of a sequence is the machine factor, taken as the median over the
-*other* configurations, and stated wherever it is taken out; the spread of the configurations around
-it is the noise between runs that remains. That spread is estimated robustly from few configurations
-and moderated by a prior, as in the moderated t-statistic (Smyth 2004, Stat. Appl. Genet. Mol. Biol.
-3(1), article 3). Errors from inside the runs are part of that spread, so a ratio's own counts as
-far as it exceeds the usual one.
+Two runs of one suite are two draws of the machine's state: memory layout, frequency, neighbours. No
+resampling of steps or rounds sees that. Its part common to all configurations of a sequence, the
+machine factor, is the median over the *other* configurations, and is stated wherever it is taken
+out. The spread around it is the noise between runs, estimated robustly from few configurations and
+moderated by a prior, as in the moderated t-statistic (Smyth 2004, Stat. Appl. Genet. Mol. Biol.
+3(1), article 3). A ratio's own error inside the runs counts as far as it exceeds the usual one.
 """
 
 from collections.abc import Sequence
@@ -92,12 +90,9 @@ def remove_machine_factor(
 
     logs : (N,) measured; own : (N,) standard errors from inside the two runs.
     groups : (N,) which ratios share a machine factor: the sequence they were measured on.
-    prior : of the noise between runs.
-    kernel : (N,) log ratios of a reference kernel: the machine factor where a group has too few
-        configurations to tell; NaN where no kernel tells it either, which leaves nothing known of
-        the configuration. None for a machine that has no such factor.
-    own_share : of the usual variance from inside the runs, what the scatter of the configurations
-        shows.
+    kernel : (N,) log ratios of a reference kernel, used where a group has too few configurations;
+        NaN leaves nothing known of the configuration. None for a machine without such a factor.
+    own_share : of the variance from inside the runs, what the scatter of configurations shows.
     """
     labels = np.asarray(groups)
     centre, error, df = np.zeros(len(logs)), np.empty(len(logs)), np.empty(len(logs))
@@ -170,9 +165,8 @@ def _estimate_spread(
 def assess_ratios(evidence: Evidence, margin: float, alpha: float) -> list[Assessment]:
     """Test each step time ratio of two runs: slower, faster, equivalent or undecided.
 
-    "slower" and "faster" reject a ratio within the margin (minimum-effect test of |log ratio| ≤
-    log(1 + margin), at its least favourable point); "equivalent" rejects one beyond it (two
-    one-sided tests, Schuirmann 1987). Claims of either kind are one Holm family each.
+    "slower" and "faster" reject a ratio within the margin (at its least favourable point),
+    "equivalent" one beyond it (two one-sided tests, Schuirmann 1987); each kind is one Holm family.
     """
     bound, size = np.log1p(margin), np.abs(evidence.effect)
     tail = stats.t(evidence.df)

@@ -22,8 +22,8 @@ from dpbench.errors import InputError, UnknownNameError, list_allowed
 class Release:
     """Runs and step times of one solver version on one problem in one configuration.
 
-    runs : of every folder that has it, with the folder's name.
-    p50, p99, largest : of the algorithmic step time, geometric mean over the folders, in ns, or as
+    runs : by the folder's name.
+    p50, p99, largest : algorithmic step time, geometric mean over the folders, in ns or as
         multiples of the reference solver's p50 in the same folder; NaN where nothing was timed.
     """
 
@@ -95,8 +95,8 @@ class Histories:
     """Version histories of all solvers in several result folders, and the unit of their times.
 
     reference : the solver whose p50 is the unit of all times; "" where they are in ns.
-    spread : the largest ratio between the folders of two p50 of one version of one configuration:
-        what lies within it is no change; NaN where no version was run twice.
+    spread : largest ratio between two folders' p50 of one version: less is no change; NaN if
+        unknown.
     alone : cells that only one of the folders has; folders : how many there are.
     """
 

@@ -98,12 +98,11 @@ class ComparedTimes:
 
 @dataclass(frozen=True)
 class SharedFactor:
-    """Step time ratio of runs B and A that all configurations on one QP sequence share.
+    """Step time ratio B/A that all configurations on one QP sequence share.
 
-    factor : median over the configurations of B/A; kernel, load : the same of the reference kernel
-        and the load kernel, NaN where a folder does not have it.
-    assessment : on factor / what the kernels lead to expect; None where it cannot be judged, for
-        the reason `unjudged`.
+    factor : median over the configurations; kernel, load : of the reference and the load kernel, or
+        NaN.
+    assessment : on factor / what the kernels predict; None for the reason `unjudged`.
     """
 
     sequence: str
@@ -217,8 +216,7 @@ def compare_times(
 ) -> tuple[list[ComparedTimes], list[SharedFactor]]:
     """Judge step time ratios B/A: each configuration's own, and what a QP sequence's all share.
 
-    unjudged : see `find_unjudged_sequences`; such a sequence has no assessment of what its
-        configurations share, nor of those that only the reference kernel is compared with.
+    unjudged : see `find_unjudged_sequences`; such a sequence has no assessment of a shared change.
     """
     groups = [t.problem for t in timings]
     labels = np.asarray(groups)
@@ -358,9 +356,8 @@ def _steps_timing(records_a: Records, records_b: Records, pair: Pair) -> Timing 
 def _jackknife_variance(times: Floats) -> float:
     """Return the jackknife variance, over repetitions, of the mean log fastest step time.
 
-    A consecutive part of the rounds is left out at a time: a stretch of slow rounds leaves the
-    minimum over the others unchanged, and one reached in a single part is not reliable. A single
-    round has 0.
+    Consecutive parts are left out in turn: a stretch of slow rounds leaves the minimum unchanged,
+    and one reached in a single part is not reliable. A single round has 0.
     """
     parts = min(PARTS, len(times))
     if parts < 2:

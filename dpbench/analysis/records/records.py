@@ -27,13 +27,13 @@ from dpbench.solvers.calibration import CALIBRATION
 class Records:
     """All runs of one result folder, grouped by subject, with access to their steps and times.
 
-    Runs are in memory; steps are read when needed, those of many runs by `scan`, those of one by
-    `steps`. Each of `all_runs` is in one of: `runs`, about the ship in the common formulation of
-    their problem, from which all selections below are made; `delayed`, loops on a slow computer;
-    `random`, without a ship; `consequence`, whether a loss can be held; `at_edge`, static
-    allocations around a capability plot; `study`, one scenario at many points; or in none, of
-    another formulation. The harness's own configurations are in `calibration` only. A replay that
-    must not be ranked has no times.
+    Steps are read when needed: those of many runs by `scan`, those of one by `steps`. Each of
+    `all_runs` is in one of: `runs`, about the ship in the common formulation of their problem, from
+    which all selections below are made; `delayed`, loops on a slow computer; `random`, without a
+    ship; `consequence`, whether a loss can be held; `at_edge`, static allocations around a
+    capability plot; `study`, one scenario at many points; or in none, of another formulation. The
+    harness's own configurations are in `calibration` only. A replay that must not be ranked has no
+    times.
     """
 
     def __init__(self, results: Results) -> None:

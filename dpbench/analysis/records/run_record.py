@@ -40,12 +40,11 @@ Mode = Literal["closed_loop", "replay"]
 class RunRecord:
     """One run of a solver configuration on one problem: a typed row of `runs.parquet`.
 
-    files : the documents of its scenario; empty where the row carries none.
-    first, fallback, backup : as in its cell; "" where that has none.
+    files : the documents of its scenario, or empty; first, fallback, backup : as in its cell.
     x : of a study, the values of its keys at the run's point.
     default_route : whether it runs on its solver's own route, set by `Records`.
     own_switches_a_step : involuntary switches a step of the configuration's own making, set by
-        `machine.py` and then not among `involuntary_switches`. NaN for none.
+        `machine.py` and then not among `involuntary_switches`; NaN for none.
     """
 
     # identity and outcome: `IDENTITY_COLUMNS`

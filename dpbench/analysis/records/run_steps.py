@@ -23,10 +23,8 @@ from dpbench.bench.record.recorded_steps import row_ranges_by_run
 class CountingRows:
     """Arrays (N,) of all valid step rows of several runs, ordered by run; NaN where missing.
 
-    run_id, repeat, k : run, round and step.
-    total_ns, iterations, error_move, n_active : as in the step table.
     known : whether the right answer is known; true : whether this one is, by the referee.
-    failed : see `failed_steps`; claimed, late, fallback, clipped, status : as in the step table.
+    failed : see `failed_steps`; the others as in the step table.
     """
 
     run_id: NDArray[np.object_]
@@ -98,15 +96,13 @@ _FLAGS = ("claimed", "failed", "late", "fallback", "clipped")
 
 @dataclass(frozen=True, eq=False)
 class RunSteps:
-    """Steps (K,) of one run merged over its repetitions: times, errors, iterations and flags.
+    """Steps (K,) of one run merged over its repetitions, rising in k.
 
-    k : (K,) the steps, rising; time_ns, raw_ns : (K,) least and largest time over the rounds.
-    error, iterations : (K,) the largest over them, NaN where there is none.
-    n_active : (K,) active limits at the optimum.
-    claimed, true, failed, late, fallback, clipped : (K,) of the last round; an answer without a
-        known right one counts as true.
-    status : (K,) of the round of the largest error, else of the last.
-    rounds : how many there are.
+    time_ns, raw_ns : least and largest time; error, iterations : the largest, NaN without one.
+    n_active : active limits at the optimum.
+    claimed, true, failed, late, fallback, clipped : of the last round; an answer without a known
+        right one counts as true.
+    status : of the round of the largest error, else of the last; rounds : how many there are.
     """
 
     k: Ints

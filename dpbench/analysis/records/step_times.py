@@ -20,9 +20,7 @@ class StepTimes:
     """Step times of one replay: the fastest repetition of each step, and the largest timing.
 
     k : (K,) steps, rising; algo_ns : (K,) least over the rounds, the algorithmic time.
-    raw_max_ns : the largest single timing.
-    rounds_ns : (R,) median of the samples of each round, in the order of the rounds: how far they
-        lie apart is what the machine adds, whatever the solver.
+    rounds_ns : (R,) median of the samples of each round: how far they differ is the machine's part.
     """
 
     k: Ints
@@ -65,19 +63,14 @@ core, for its timing to be late. Refilling a cache after a wait takes a hundredt
 class Delays:
     """Timings of one run that took much longer than their step usually does.
 
-    The base time of a timing is the fastest time of its step where the run has several rounds. A
-    run of one round, such as a closed loop, has the median over its steps as the base of all, and
-    every timing above it is a delay: of slow steps or of the machine.
+    The base time of a timing is the fastest time of its step. In a run of one round it is the
+    median over the steps, and every timing above it is a delay. Where the kernel shows how long a
+    step waited for the core, a delay without more work of its own is neither late nor a stall.
 
-    Where the kernel shows how long a step waited for the core (`waited_ns`), a delay in which the
-    step itself did next to nothing more than usual is neither late nor a stall: another program
-    ran.
-
-    samples : (R,) timings of each round.
-    base_ns : (R,) sum of their base times: the time that the run is exposed to the machine.
+    samples : (R,) timings of each round; base_ns : (R,) sum of their base times, the exposed time.
     step_ns : median over the timings.
-    round : (D,) index of the round of each delay; delay_ns : (D,) its timing; own_ns : (D,) its
-        base time; net_ns : (D,) its timing less the wait for the core, where that is known.
+    round, delay_ns, own_ns, net_ns : (D,) of each delay the index of its round, its timing, its
+        base time, and its timing less the wait for the core, where that is known.
     has_waits : whether the wait of every timing is recorded.
     """
 

@@ -17,8 +17,7 @@ class Answers:
     """Counts of a solver's right and wrong answers to static thrust allocation QPs.
 
     asked : QPs of the batch; feasible, infeasible : how many of each it reached.
-    balanced : claimed optima that are true; refused : infeasible ones rightly called so.
-    wrong : untrue claims of either kind.
+    balanced : true optima; refused : infeasible ones rightly called so; wrong : untrue claims.
     p50_ns, max_ns : of its step times; NaN without any.
     """
 

@@ -34,8 +34,7 @@ class BatchAnswers:
     asked : all QPs; feasible, infeasible : how many of each it reached.
     held : feasible, with a true optimum; refused : infeasible, and rightly called so.
     missed : infeasible, and claimed solved; untrue : all untrue claims, those included.
-    p99, largest : share of the sample that a batch takes, over the samples; NaN for too few, or
-        where a group was not run to its end.
+    p99, largest : share of the sample that a batch takes; NaN for too few, or an unfinished group.
     """
 
     solver: str

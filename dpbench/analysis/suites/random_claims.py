@@ -1,4 +1,4 @@
-"""Count what solvers claimed of random problems and what the referee found, from rows alone.
+"""Claims of solvers on random problems, and what the referee found.
 
 Every certified step of a configuration counts once:
 

@@ -141,16 +141,13 @@ class StudiedConfiguration:
     """Results of a configuration in a study: share of runs in position, cost, error, p-values.
 
     runs, finished : how many it was given, and how many came to their end.
-    held : share of runs whose radial error stays within the radius in their second half; a run
-        that did not end is not held.
-    cost : closed-loop cost over that of the exactly solved loop in the same sea, less one: mean
-        over runs.
+    held : share of runs that end, with a radial error within the radius in their second half.
+    cost : closed-loop cost over that of the exact loop in the same sea, less one: mean over runs.
     r_95_m : 95 % radial error, mean over runs [m].
-    error_excess_m, log_cost_excess : 95 % radial error [m] and logarithm of the closed-loop cost,
-        less those of the reference; None of the reference itself.
-    p_differs : of "its radial error differs from the reference's by more than `NOTHING`";
-    p_cheap : of "it costs less than `SMALL_M` and less than `SMALL_COST`"; both adjusted for all
-        configurations of the study (Holm), 1 of the reference.
+    error_excess_m, log_cost_excess : r_95_m and logarithm of the cost, less the reference's; None
+        of the reference itself.
+    p_differs : of a radial error that differs from the reference's by more than `NOTHING`;
+    p_cheap : of costing less than `SMALL_M` and `SMALL_COST`; both Holm over the study.
     """
 
     name: str
@@ -243,10 +240,9 @@ class Study:
 
     @cached_property
     def reference(self) -> str:
-        """Name of the most exact configuration, with which all others are compared.
+        """Name of the most exact configuration by its settings, of those that finished most runs.
 
-        Of those that finished most runs the most exact by its settings. No error or cost decides:
-        those are compared.
+        All others are compared with it. No error or cost decides: those are compared.
         """
         solving = self.runs[~self.runs["baseline_law"]]
         pool = solving if len(solving) else self.runs

@@ -1,8 +1,7 @@
 """Contrasts on the same QPs: routes, settings, formulations, and two solvers.
 
-Routes are compared with their neighbours, in the order qpsolvers fresh, native fresh, native
-reuse, native warm: the first step is the cost of the wrapper, the second the gain of a kept
-workspace, the third that of a warm start.
+Routes are compared with their neighbours in the order qpsolvers fresh, native fresh, native reuse,
+native warm: the cost of the wrapper, the gain of a kept workspace, that of a warm start.
 """
 
 import math

@@ -30,9 +30,9 @@ def count_variables(horizons: Horizons) -> int:
 
 
 def growth_exponent(sizes: Sequence[int], times: Sequence[Floats]) -> float | None:
-    """Fit p of the power law t = c · size^p to median times; None for few sizes.
+    """Fit p of the power law t = c · size^p to median times, by least squares of logarithms.
 
-    Least squares of log t on log size; None with fewer than `LEAST_SIZES` different sizes.
+    None with fewer than `LEAST_SIZES` different sizes.
     """
     if len(set(sizes)) < LEAST_SIZES:
         return None

@@ -222,8 +222,8 @@ def pair_half_widths(matrix: RunMatrix) -> tuple[list[int], list[float]]:
 class LevelPoint:
     """Step times and error of a solver at one tolerance setting, over all QP sequences.
 
-    p50_ns, p99_ns : algorithmic step time, each the worst over the sequences that support a p99,
-        so that both are of the same steps; where none does, p50 over all and p99 NaN.
+    p50_ns, p99_ns : algorithmic step time, each the worst over the sequences that support a p99;
+        where none does, p50 over all and p99 NaN.
     error_move : the largest error of the first move, NaN where no optimum is certified.
     """
 

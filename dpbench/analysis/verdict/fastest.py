@@ -1,7 +1,6 @@
-"""Fastest configurations of all verdicts, and the one to use.
+"""Fastest configurations of all verdicts, and the one to use: the fastest that can be deployed.
 
-To use is the fastest that nothing contradicts and that can be deployed. The fastest of all may
-exist only as this benchmark's own Python code; it is named, and never recommended by itself.
+The fastest of all may exist only as this benchmark's own Python code; it is named, not recommended.
 """
 
 import math
@@ -103,8 +102,7 @@ class SolverChoice:
 def choose_solver(verdicts: Verdicts) -> SolverChoice:
     """Choose, of the solvers that pass and can be deployed, the one of smallest p99 step time.
 
-    Where none does, those that are borderline are compared, else those that nothing contradicts, as
-    where the suite has no closed loop; their outcome says so.
+    Where none does, those that are borderline are compared, else those that nothing contradicts.
     """
     known = rank_solvers(verdicts)
     met, near = ([v for v in known if v.state == name] for name in ("pass", "borderline"))
@@ -138,8 +136,8 @@ def deployment_blocker(solver: str) -> str:
 def best_verdict_by_solver(verdicts: Verdicts) -> list[Verdict]:
     """Return each solver's best verdict, solvers sorted from pass to fail, then by time.
 
-    It is one of the solver's best state: that of `rank_solvers`, else its reference, else the
-    fastest. Where some were run in both modes, those without a loop or a replay do not count.
+    Of its best state that of `rank_solvers`, else its reference, else the fastest. Where some were
+    run in both modes, those without a loop or a replay do not count.
     """
     fastest = {verdict.configuration.solver: verdict for verdict in rank_solvers(verdicts)}
     chosen = []

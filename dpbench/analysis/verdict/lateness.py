@@ -1,30 +1,26 @@
 """Late timings that the machine does not explain, by one-sided tests with stated error rates.
 
-The algorithmic time of a step is its fastest round, so a solver that is late at random has a good
-one. The single timings show it, but so do interrupts of the machine. Where another program took
-the core, the kernel shows for how long, and the step is not to blame (`step_times.py`). What is
-left of the machine is told apart by what the other configurations suffered in the same interleaved
-rounds: a stall strikes whoever runs, in proportion to the time that it runs. A solver that waits
-for threads of its own (`THREAD_WAITS`) is tested without regard to who had the core, and so are
-those that it is compared with.
+The fastest round of a step hides a solver that is late at random; its single timings show it, but
+so do interrupts of the machine. Time in which another program had the core is left out where the
+kernel shows it (`step_times.py`). The rest of the machine is known from what the other
+configurations met in the same interleaved rounds: a stall strikes whoever runs, in proportion to
+the time that it runs. A solver that waits for threads of its own (`THREAD_WAITS`), and those that
+it is compared with, are tested without regard to who had the core.
 
 Replays. A timing is late if it exceeds the limit and twice the fastest time of its step. Let x be
-the count of late timings in the middle round (the lower median over rounds, as a burst of the
-machine is in one or two of them), B the time that the round is exposed, λ the rate at which the
-other solvers and the calibration configurations met stalls longer than half the limit on the same
-sequence. If the machine alone acts, counts are negative binomial with mean λB and the dispersion
-found over those rounds. Two nulls are tested: the machine alone ("late at random", at each of
-`MULTIPLES` of the limit, with Bonferroni's correction), and the machine with one late timing in a
-hundred, which a p99 allows ("late timings").
+the count of late timings in the middle round (the lower median: a burst of the machine is in one or
+two rounds), B the time that the round is exposed, λ the rate of stalls longer than half the limit
+on the same sequence. If the machine alone acts, counts are negative binomial with mean λB and the
+dispersion found over those rounds. Two nulls are tested: the machine alone ("late at random", at
+each of `MULTIPLES` of the limit, Bonferroni), and the machine with one late timing in a hundred,
+which a p99 allows ("late timings").
 
-Closed loops, and replays of one round. Each step is timed once, so hard steps and delays look the
-same, and one late timing in a hundred is allowed. Late is here what exceeds the limit by more than
-the uncertainty of the times. The count is compared with a binomial one with a share of 1 %. Where
-waits for the core are not recorded, each involuntary context switch explains one late timing; only
-those switches count that can have hit the base time of a timed call (`explained_late_timings`).
+Closed loops, and replays of one round. Hard steps and delays look the same, and one late timing in
+a hundred is allowed: binomial with a share of 1 %. Late is what exceeds the limit by more than the
+uncertainty of the times. Where waits are not recorded, each involuntary context switch that can
+have hit a timed call explains one (`explained_late_timings`).
 
-Deadline. One stall of the machine as long as a sample is rare in a whole campaign, so its rate is
-that of all replays together, for loops and replays alike.
+Deadline. So long a stall is rare in a whole campaign: its rate is that of all replays together.
 
 The tests of one kind are one family (Holm 1979): "proven" holds at a family-wise error of `PROVEN`,
 "doubtful" at one of `DOUBTFUL`.
@@ -210,10 +206,7 @@ def choose_trusted_runs(
     delays: Mapping[str, Delays],
     requirements: Requirements,
 ) -> list[RunRecord]:
-    """Choose runs to estimate the machine's stalls from: test solvers, else the calmest.
-
-    These are the calibration configurations, or else the half of the solvers with fewer stalls.
-    """
+    """Choose the runs that show the machine's stalls: test solvers, else the calmest half."""
     if arms:
         return list(arms)
     stalls: Counter[str] = Counter()

@@ -1,10 +1,8 @@
 """Runs by configuration and experiment, each judged alone: the cells of the page's grid.
 
-configurations   those that were run, whatever the units and the formulation: an experiment has its
-experiments      scenarios in closed loop and sequences in replay, in the order of the suite, then
-                 the realisations of studies
-runs, states     by the numbers of configuration and experiment in these lists; a window of the
-                 hardest steps counts in the experiment of its scenario's closed loop
+An experiment has its scenarios in closed loop and sequences in replay, in the order of the suite,
+then the realisations of studies. A window of the hardest steps counts in its scenario's closed
+loop.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Speed margins: how much slower a computer may be, from steps timed several times.
 
-Two limits bound it: the deadline, for the hardest step, and the limit of the p99. Both times are
-algorithmic: the fastest round of a step is the work of the solver, which grows with the slowness
-of a computer, while an interrupt does not. The hardest step is of all replays, of which windows
-hold the hardest steps of each scenario. Stalls are stated apart, as they were measured.
+Two limits bound it: the deadline, for the hardest step of all replays, and the limit of the p99.
+Both times are the fastest round of a step, the work of the solver: that grows with the slowness of
+a computer, an interrupt does not. Stalls are reported apart, as measured.
 """
 
 import math

@@ -44,8 +44,7 @@ def find_slow_loops(
 ) -> list[Finding]:
     """Find closed loops whose median solve time is near or beyond the limit on the p99.
 
-    The median of `LOOP_TIMINGS` or more is an answer: the loop is late where it lies beyond the
-    limit by more than its uncertainty, and borderline within that.
+    Late beyond its uncertainty, borderline within; the median needs `LOOP_TIMINGS` to be late.
     """
     order: tuple[Cause | Doubt | Near, ...] = ("slow loop", "short slow loop", "loop borderline")
     kinds: dict[Cause | Doubt | Near, list[RunRecord]] = {kind: [] for kind in order}
@@ -69,8 +68,7 @@ def find_slow_loops(
 def find_hidden_work(runs: Sequence[RunRecord]) -> list[Finding]:
     """Find runs whose solver computed more in other threads than in the timed calls.
 
-    A worker has one core, so what exceeds the timed calls was done outside of them. Of a window the
-    few steps that are solved before each round without a record would count.
+    A worker has one core. Windows are left out: steps solved before each round would count.
     """
     long = (run for run in runs if not run.window_of)
     hidden = [run for run in long if _other_threads_share(run) > HIDDEN]
@@ -149,8 +147,7 @@ def judge_times(
 def p99_ns(run: RunRecord, algo_ns: Floats) -> float:
     """Return a replay's p99 step time, of each step's fastest repetition [ns], or NaN.
 
-    A window holds the hardest steps of a stretch: one in a hundred steps of the stretch may be
-    slower than its p99, and those are in the window.
+    A window holds the hardest steps of a stretch, so those beyond the stretch's p99 are all in it.
     """
     if not run.window_of:
         return percentile(algo_ns, 99)

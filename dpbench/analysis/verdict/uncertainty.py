@@ -22,13 +22,11 @@ UNKNOWN = 1.5
 class Uncertainty:
     """Factors within which step times are uncertain, by configuration.
 
-    The algorithmic time of a step is its fastest round, which one slow round does not change, so
-    that of a replay is as uncertain as the middle round is slower than the fastest. A closed loop
-    is timed once, maybe in a slow round: the upper quartile of them, as other work may have
-    disturbed one round.
+    A replay's time is the fastest round of each step, so it is as uncertain as the middle round is
+    slower. A closed loop is timed once, maybe in a slow round: the upper quartile of the rounds.
 
-    middle, slow, slowest : by configuration, the median of the middle round, of the upper quartile
-        and of the slowest round over that of the fastest, the largest of its replays.
+    middle, slow, slowest : median of the middle round, of the upper quartile and of the slowest
+        round over that of the fastest, the largest of its replays.
     usual : the quantile `QUANTILE` of `middle`, at least `LEAST`.
     """
 

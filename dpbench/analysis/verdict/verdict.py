@@ -43,14 +43,12 @@ class Verdict:
     refusal : why it was not run at all.
     loops, replays, windows : how many of its runs were judged.
     steps : the steps with a judged answer; error_move : their largest error of the first move.
-    p99_ns : largest p99 of the algorithmic step time, of the replay `p99_run`; a window has the p99
-        of the stretch whose hardest steps it holds.
-    p50_ns : algorithmic step time on the sequence `timed_on`, of those replayed whole the one of
-        the worst p99, or of the worst p50 where none supports a p99.
-    rounds_ns : median of the fastest and of the slowest round there.
-    replay_p99_ns, raw_p99_ns : p99 of the algorithmic step time there, and of the single timings.
-    algo_max_ns, raw_max_ns : largest algorithmic step time and largest single timing of all
-        sequences.
+    p99_ns : largest p99 of the algorithmic step time, in the replay or window `p99_run`.
+    p50_ns : on the sequence `timed_on`, of those replayed whole the one of the worst p99, or of the
+        worst p50 where none supports a p99.
+    rounds_ns, replay_p99_ns, raw_p99_ns : there, median of the fastest and of the slowest round,
+        p99 of the algorithmic step time, and of the single timings.
+    algo_max_ns, raw_max_ns : largest step time and largest single timing of all sequences.
     """
 
     configuration: Configuration

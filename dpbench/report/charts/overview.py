@@ -19,8 +19,7 @@ MOST_ACROSS = 30
 def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     """Draw a tile with the verdict for each solver, scenario or replay, and settings.
 
-    Clicking sets `pick`. More experiments than `MOST_ACROSS` are rows instead of columns, then
-    `usermeta` has `tall`.
+    Clicking sets `pick`. More experiments than `MOST_ACROSS` are rows; then `usermeta` has `tall`.
 
     table : of `experiment_table`, solvers and experiments in their order.
     """

@@ -12,12 +12,9 @@ Numbers become small integers, since a screen shows no more:
     place   uint16, rising, as differences from element to element, not modulo anything
 
 An array of a few elements of a long one has the number of the array of their `places` behind it,
-whose scale is the length of the long one; all other elements are missing, or 0 of a flag. The bytes
-of 16-bit arrays are stored low bytes first, and linear and count arrays as differences from element
-to element: both halve what zlib leaves.
-
-The track of a closed loop is stored as its distance from that of the run which follows the exactly
-solved loop most closely: most ships sail the same line to a millimetre, and zeros pack to nothing.
+whose scale is the length of the long one; other elements are missing, or 0 of a flag. 16-bit arrays
+have their low bytes first; linear and count arrays are differences from element to element. The
+track of a closed loop is its distance from the run nearest to the exactly solved loop.
 """
 
 from __future__ import annotations

@@ -14,10 +14,8 @@ class Section:
     """Part of the report page that follows the reader's selection: charts, data, text.
 
     charts : its figures by name; without any it is left out, unless it is shown `always`.
-    drawn : those of them that are on the page before any script has run.
-    data : further data of its script, by name; text : paragraph for its template.
-    live : filled by its script alone, so that a page without scripts leaves it out.
-    in_topic : part of the topic of the same id.
+    drawn : those on the page before any script has run; live : filled by its script alone.
+    data : further data of its script, by name; in_topic : part of the topic of the same id.
     """
 
     id: str

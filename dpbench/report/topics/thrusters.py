@@ -1,7 +1,7 @@
 """Commanded thrusters: power and wear by solver, and the conclusion for an operator.
 
-Against the best loop in the same scenario: of those that are right on every step and ran as far,
-the one nearest to the exactly solved loop. What differs from it is due to the solver.
+Against the best loop in the same scenario: of those right on every step and run as far, the one
+nearest to the exactly solved loop.
 """
 
 import math
