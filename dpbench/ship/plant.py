@@ -29,7 +29,7 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.kernel_cache import njit
 from dpbench.ship.actuators import Actuators, CommandedThrusters
-from dpbench.ship.drag import write_drag
+from dpbench.ship.drag_kernel import write_drag
 from dpbench.ship.environment import Environment
 from dpbench.ship.layout import (
     AIR_EAST,
