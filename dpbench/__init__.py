@@ -41,38 +41,26 @@ if TYPE_CHECKING:
     from dpbench.solvers.contract import Workspace as Workspace
     from dpbench.solvers.open import open_workspace as open_workspace
 
-_HOMES = {
-    "Comparison": "report.compare.comparison",
-    "CondensedQP": "mpc.condensed_qp",
-    "DpbenchError": "errors",
-    "InputError": "errors",
-    "Optimum": "qp.referee.optimum",
-    "QPSequence": "qp.program",
-    "QPStep": "qp.program",
-    "QuadraticProgram": "qp.program",
-    "Refresh": "qp.program",
-    "Residuals": "qp.residuals",
-    "Results": "notebook.results",
-    "Run": "notebook.runs",
-    "Scenario": "scenario.scenario",
-    "Solution": "qp.solution",
-    "Status": "qp.solution",
-    "Workspace": "solvers.contract",
-    "certify": "qp.referee.referee",
-    "compare": "report.compare.comparison",
-    "condense": "scenario.scenario",
-    "load_results": "notebook.results",
-    "load_scenario": "scenario.scenario",
-    "load_sequence": "bench.sequences.sequence_file",
-    "open_workspace": "solvers.open",
-    "record_sequence": "bench.run.exact_loop",
-    "replay": "notebook.runs",
-    "residuals": "qp.residuals",
-    "run_campaign": "bench.campaign",
-    "run_closed_loop": "notebook.runs",
-    "save_sequence": "bench.sequences.sequence_file",
-    "write_report": "report.write",
+_NAMES = {
+    "bench.campaign": "run_campaign",
+    "bench.run.exact_loop": "record_sequence",
+    "bench.sequences.sequence_file": "load_sequence save_sequence",
+    "errors": "DpbenchError InputError",
+    "mpc.condensed_qp": "CondensedQP",
+    "notebook.results": "Results load_results",
+    "notebook.runs": "Run replay run_closed_loop",
+    "qp.program": "QPSequence QPStep QuadraticProgram Refresh",
+    "qp.referee.optimum": "Optimum",
+    "qp.referee.referee": "certify",
+    "qp.residuals": "Residuals residuals",
+    "qp.solution": "Solution Status",
+    "report.compare.comparison": "Comparison compare",
+    "report.write": "write_report",
+    "scenario.scenario": "Scenario condense load_scenario",
+    "solvers.contract": "Workspace",
+    "solvers.open": "open_workspace",
 }
+_HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
 
 __all__ = list(_HOMES)
 

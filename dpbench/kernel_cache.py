@@ -72,7 +72,6 @@ def _make_own_cache() -> bool:
 
 
 def _link_kernels(sources: Path, own: Path) -> None:
-    """Link functions already compiled from one source folder into the new cache folder."""
     name = _locator.get_suitable_cache_subpath(str(sources / "any.py"))
     given = [Path(folder) / name for folder in filter(None, [_config.CACHE_DIR])]
     for place in (*given, sources / "__pycache__", _user_cache_folder() / name):

@@ -93,7 +93,6 @@ def _add_run_arguments(run: Command) -> None:
 
 
 def _add_suite_arguments(run: Command) -> None:
-    """Add arguments that select a suite of runs, some of its runs, and how to wait for a lock."""
     option = partial(_add_option, run)
     repeated = partial(option, action="append")
     sequence = "instead: a stored sequence, a .npz, or a folder of them by qpsolvers"

@@ -45,7 +45,6 @@ def check_file(name: str, progress: Progress | None = None) -> str:
 
 
 def _unknown_name_error(name: str) -> InputError:
-    """Return the error for a name that no vessel, scenario, suite or QP sequence has."""
     kinds = (*problems.KINDS, problems.SEQUENCES)
     names = [known for kind in kinds for known in problems.problem_names(kind)]
     near = difflib.get_close_matches(name, names, n=3)
@@ -64,7 +63,6 @@ def _check_folder(folder: Path, progress: Progress | None) -> str:
 
 
 def _check_sequence(path: Path, progress: Progress | None) -> str:
-    """Certify the optimum of every QP in a file of QPs and describe the outcome."""
     from dpbench.bench.sequences.verify import verify_sequence
 
     return verify_sequence(path, progress)

@@ -99,7 +99,6 @@ def _sideways_line(vessel: Vessel, unit: str, per: float) -> str:
 
 
 def _weather_line(scenario: Scenario) -> str:
-    """State a scenario's mean weather force in percent of the actuator limits, by axis."""
     vessel = scenario.vessel
     load = ships.mean_load(vessel, scenario.environment, float(scenario.reference[2]))
     against = np.where(load < 0.0, vessel.tau_max, -vessel.tau_min)

@@ -141,7 +141,6 @@ def _named_parameters(arguments: argparse.Namespace, *without: str) -> dict[str,
 
 
 def _print_estimate(arguments: argparse.Namespace) -> int:
-    """Print the estimated number of runs, time and disk size of a suite (`run --dry-run`)."""
     from dpbench.bench.estimate import estimate_campaign
 
     unused = ("dry_run", "fresh", "scheduler", "tls", "wait_s")
@@ -151,7 +150,6 @@ def _print_estimate(arguments: argparse.Namespace) -> int:
 
 
 def _run_suite(arguments: argparse.Namespace) -> int:
-    """Run all solver runs of a suite and write the report (`dpbench run`)."""
     if arguments.dry_run:
         return _print_estimate(arguments)
     from dpbench.bench.campaign import run_campaign
@@ -177,7 +175,6 @@ def _print_accidents(out: Path) -> int:
 
 
 def _run_shard(arguments: argparse.Namespace) -> int:
-    """Do one share of a suite's solver runs and print where the results are (`dpbench cells`)."""
     from dpbench.bench.campaign import run_campaign
     from dpbench.cli.terminal import ProgressBar
 
@@ -188,7 +185,6 @@ def _run_shard(arguments: argparse.Namespace) -> int:
 
 
 def _gather_shards(arguments: argparse.Namespace) -> int:
-    """Merge the result folders of a suite's shares and write the report (`dpbench gather`)."""
     from dpbench.bench.gather import gather
     from dpbench.cli.terminal import print_ending
     from dpbench.report.write import write_report_with_summary
@@ -199,7 +195,6 @@ def _gather_shards(arguments: argparse.Namespace) -> int:
 
 
 def _rewrite_report(arguments: argparse.Namespace) -> None:
-    """Write the report of an existing result folder again (`dpbench report`)."""
     from dpbench.cli.terminal import print_ending
     from dpbench.report.write import write_report_with_summary
 
@@ -212,7 +207,6 @@ def _rewrite_report(arguments: argparse.Namespace) -> None:
 
 
 def _print_completion(arguments: argparse.Namespace) -> None:
-    """Print shell code that completes dpbench's words on Tab (`dpbench completion`)."""
     from argcomplete.shell_integration import shellcode
 
     code = shellcode(["dpbench"], shell=arguments.shell)  # type: ignore[no-untyped-call] # argcomplete types nothing
@@ -220,7 +214,6 @@ def _print_completion(arguments: argparse.Namespace) -> None:
 
 
 def _compare_folders(arguments: argparse.Namespace) -> int:
-    """Compare two result folders; return 1 if the second is worse (`dpbench compare`)."""
     from dpbench.report.compare.comparison import compare
 
     if arguments.any_machine:
@@ -242,7 +235,6 @@ def _compare_folders(arguments: argparse.Namespace) -> int:
 
 
 def _compare_releases(arguments: argparse.Namespace) -> None:
-    """Compare versions of solvers over several result folders (`dpbench compare --releases`)."""
     from dpbench.report.compare.releases import releases, write_releases
 
     over = releases(arguments.folders, reference=arguments.reference)
@@ -270,7 +262,6 @@ def _print_comparison(
 
 
 def _export_qps(arguments: argparse.Namespace) -> None:
-    """Write QPs with certified optima to files (`dpbench export`)."""
     from dpbench.bench.sequences.export import check_export_options, export
     from dpbench.cli.terminal import print_wrapped
 
@@ -287,7 +278,6 @@ def _export_qps(arguments: argparse.Namespace) -> None:
 
 
 def _find_worst_case(arguments: argparse.Namespace) -> int:
-    """Search for a solver's slowest or least accurate control step (`dpbench worst-case`)."""
     from dpbench.bench.worst_case.find import find_worst_case
     from dpbench.cli.terminal import ProgressBar, print_wrapped
 
@@ -298,7 +288,6 @@ def _find_worst_case(arguments: argparse.Namespace) -> int:
 
 
 def _reproduce_paper(arguments: argparse.Namespace) -> int:
-    """Reproduce the figures and claims of the paper on DP by MPC (`dpbench paper`)."""
     from dpbench.cli.terminal import ProgressBar, print_wrapped
     from dpbench.report.reproduce import reproduce_paper
 
@@ -311,7 +300,6 @@ def _reproduce_paper(arguments: argparse.Namespace) -> int:
 
 
 def _print_listing(arguments: argparse.Namespace) -> None:
-    """Print a table of stored vessels, scenarios, suites, QPs or solvers (`dpbench list`)."""
     from dpbench.cli.listing import list_table
     from dpbench.cli.terminal import make_console
 
@@ -319,7 +307,6 @@ def _print_listing(arguments: argparse.Namespace) -> None:
 
 
 def _write_own_ship(arguments: argparse.Namespace) -> None:
-    """Write vessel, scenario and suite files of a new ship (`dpbench init`)."""
     from dpbench.cli.own_ship import write_own_ship
     from dpbench.cli.terminal import print_wrapped
 
@@ -327,21 +314,18 @@ def _write_own_ship(arguments: argparse.Namespace) -> None:
 
 
 def _print_capability(arguments: argparse.Namespace) -> None:
-    """Print the largest wind that a ship's thrusters hold (`dpbench capability`)."""
     from dpbench.cli.capability import capability_text
 
     print(capability_text(arguments))
 
 
 def _print_machine_check(arguments: argparse.Namespace) -> None:
-    """Print facts about this machine and how well it measures times (`dpbench doctor`)."""
     from dpbench.cli.doctor import doctor_lines
 
     print("\n".join(doctor_lines()))
 
 
 def _check_named_file(arguments: argparse.Namespace) -> None:
-    """Check and describe a ship, scenario, suite or QPs, by file or name (`dpbench check`)."""
     from dpbench.cli.check import check_file
     from dpbench.cli.terminal import ProgressBar, print_wrapped
 

@@ -133,7 +133,6 @@ def _parse_sea_number(text: str | None) -> int | None:
 
 
 def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None]) -> OwnShip:
-    """Make the user's ship from options by scaling a library vessel, the nearest by default."""
     if options.from_mss and options.from_csv:
         both = "--from-csv and --from-mss exclude each other; give one of them"
         raise SituationError(WHERE, both)
@@ -161,7 +160,6 @@ def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None
 
 
 def _read_particulars(numbers: dict[str, float | None], hull: Hull | None) -> scaling.Particulars:
-    """Read the ship's length, breadth, draught and displacement from options or hull file."""
     values = {}
     for option in PARTICULARS:
         quantity = QUANTITIES[option]
@@ -207,7 +205,6 @@ def _read_thrust(
 
 
 def _restate_command(options: argparse.Namespace) -> str:
-    """Return the `dpbench init` command line that would make this ship's files again."""
     words = ["dpbench", "init", options.name]
     for option in (*QUANTITIES, "like", "from-mss", "from-csv", "sea"):
         value = getattr(options, option.replace("-", "_"))
@@ -334,7 +331,6 @@ def scenario_text(name: str, vessel: Vessel, number: int, *, chosen: bool) -> st
 
 
 def _explain_sea_choice(share: float, *, chosen: bool) -> str:
-    """State why a sea was chosen for a new ship, from the share of its limits that it takes."""
     if not chosen:
         return "as asked for"
     limit = f"whose mean force takes at most {scaling.SPARE:.0%} of the limits"

@@ -180,7 +180,6 @@ def _encode_signed(number: int) -> bytes:
 
 
 def _shift_offsets(data: bytes, group: tuple[int, Struct, int], by: int) -> bytes:
-    """Return a Parquet row group's description with all file offsets moved by `by` bytes."""
     begin, fields, end = group
     changed = [fields[_GROUP_OFFSET]] if _GROUP_OFFSET in fields else []
     for _, chunk, _ in fields[_COLUMNS].value:

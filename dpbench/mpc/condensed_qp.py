@@ -89,7 +89,6 @@ class CondensedQP:
         return self._matrices
 
     def _build_hard_qp(self) -> None:
-        """Build the constant QP matrices with hard increment and amplitude limits, no slacks."""
         problem, N_c = self.control, self.control.N_c
         self.block = problem.model.n_u
         self.n, self.m = N_c * self.block, N_c * len(problem.G)
@@ -113,7 +112,6 @@ class CondensedQP:
         return []
 
     def _build_with_blocks(self, extra: list[ConstraintBlock]) -> None:
-        """Rebuild the QP with soft amplitude limits, output bounds or further constraints."""
         problem, matrices = self.control, self._matrices
         du = np.tile(problem.du_max, problem.N_c)
         P, Z = matrices.E * np.outer(du, du), build_affine_map(problem, matrices, "scaled")
@@ -201,7 +199,6 @@ class CondensedQP:
         return self._matrices.F_y
 
     def _write_amplitude_limits(self, step: QPStep, u_prev: Vector, limits: Limits) -> None:
-        """Write changed input amplitude limits into a step's row limits l and u."""
         problem, unit = self.control, self._row_unit
         if self._ramp_down is not None:
             self._ramp_down.write_limits(u_prev, limits, step.l, step.u)

@@ -119,7 +119,6 @@ def build_prediction_model(M: Matrix, D: Matrix, psi0_rad: float, sample_s: floa
 
 @lru_cache(maxsize=64)
 def _cached_model(M: bytes, D: bytes, psi0_rad: float, sample_s: float) -> StateSpace:
-    """Build a ship's incremental model from its inertia and damping as bytes, the cache keys."""
     inertia, damping = (np.frombuffer(part).reshape(AXES, AXES) for part in (M, D))
     return augment(discretise(linearise(inertia, damping, psi0_rad), sample_s))
 

@@ -115,7 +115,6 @@ class RelinearisedQP(CondensedQP):
         self._brings_A = len(self._series["A"].varying) > 0
 
     def _condense_at(self, turn_rad: float) -> CondensedQP:
-        """Build the condensed QP of the model linearised at a heading turned by `turn_rad`."""
         form = CondensedOptions(units=self.units, amplitude=self.amplitude, outputs=self.outputs)
         return CondensedQP(self.control.rotate(turn_rad), **(form | {"penalty": self.penalty}))
 
@@ -146,7 +145,6 @@ class RelinearisedQP(CondensedQP):
         return HeadingSeries.of([matrices.F_y for matrices in self._sampled])
 
     def _reference_map(self) -> Matrix:
-        """Return the map from the reference to the QP gradient at the current heading."""
         F_y = self._sampled[0].F_y.copy()
         self._reference_series.write(self.heading_rad - self.psi0_rad, F_y)
         return F_y

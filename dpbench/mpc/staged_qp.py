@@ -95,7 +95,6 @@ class StagedQP:
         return slice(first, first + model.n_x)
 
     def _build_cost(self) -> None:
-        """Build the sparse QP's Hessian P and the maps from the reference to its gradient q."""
         problem, model, unit = self.control, self.control.model, self._unit
         weight = model.C.T @ problem.Q @ model.C
         move = problem.R * np.outer(unit, unit)
@@ -123,7 +122,6 @@ class StagedQP:
         self._held[-model.n_x :] += self._end
 
     def _build_rows(self) -> None:
-        """Build the constraints of dynamics and amplitude limits: A, row limits and bounds."""
         problem, model, unit = self.control, self.control.model, self._unit
         n_u, n_x = model.n_u, model.n_x
         one, B = np.eye(n_u), model.B * unit

@@ -235,7 +235,6 @@ def cached_scenario(files: ScenarioDocuments) -> Scenario:
 
 @lru_cache(maxsize=64)
 def _build_from_json(files: str) -> Scenario:
-    """Build a scenario from its files' contents as JSON text, the key of the cache."""
     return build_scenario(json.loads(files))
 
 

@@ -32,7 +32,6 @@ _steady_ns: Callable[[], int] = (
 
 
 def _make_record(name: str, method: str) -> SolverRecord:
-    """Make the facts of a dummy solver, which times the benchmark itself and has no settings."""
     return SolverRecord(
         name=name,
         family="harness",

@@ -52,7 +52,6 @@ def _make_workspace(
     settings: Settings,
     step_limit_s: float | None,
 ) -> Workspace:
-    """Check the settings, import the solver's library and open the solver."""
     solver = row.name
     check_available(solver)
     limited = row.time_limit and step_limit_s is not None

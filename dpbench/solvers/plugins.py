@@ -190,7 +190,6 @@ def entry_point_names() -> tuple[str, ...]:
 
 @cache
 def _entry_points() -> dict[str, metadata.EntryPoint]:
-    """Return plug-in solvers that installed packages declare as entry points, by name."""
     return {point.name: point for point in metadata.entry_points(group=GROUP)}
 
 
@@ -246,7 +245,6 @@ def _register_plugin(
 
 
 def _read_levels(where: str, module: Any, record: SolverRecord) -> Levels:
-    """Return a plug-in's presets of solver options by tolerance level."""
     if not hasattr(module, "LEVELS") and hasattr(module, "LADDER"):
         warn_renamed(where, "LADDER", "LEVELS")
     return dict(getattr(module, "LEVELS", getattr(module, "LADDER", record.levels)))

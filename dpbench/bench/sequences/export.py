@@ -83,7 +83,6 @@ def _record_requested(
     at: int | None,
     part: Part,
 ) -> Recorded:
-    """Return the requested QPs of a scenario or a stored sequence, with certified optima."""
     path = Path(what)
     is_file = path.suffix == ".npz" or path.is_dir() or is_stored(what)
     if str(what) in problem_names("scenarios") or not is_file:
@@ -109,7 +108,6 @@ def _record_requested(
 
 
 def _record_step(recorded: Recorded, k: int) -> Recorded:
-    """Return the QP of step k of a recorded sequence alone, with its certified optimum."""
     sequence = recording.select_step(recorded.sequence, k)
     return replace(recorded, sequence=sequence, optima=certify_sequence(sequence))
 

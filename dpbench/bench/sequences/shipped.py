@@ -92,7 +92,6 @@ def load_rules(path: Path | None = None) -> list[RecordingRule]:
 
 
 def _expand_rules(manifest: ManifestFile) -> Iterator[RecordingRule]:
-    """Yield a rule to record QPs for each scenario and horizons of a manifest, and each cascade."""
     for scenario, steps in manifest.steps.items():
         for table in manifest.horizons:
             yield RecordingRule(scenario, table.prediction, table.control, steps, table.every)

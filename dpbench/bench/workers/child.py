@@ -114,7 +114,6 @@ def start_forkserver(solvers: Iterable[str]) -> ForkServerContext:
 
 @contextmanager
 def _running_forkserver() -> Iterator[None]:
-    """Keep the process that workers are forked from running during the block."""
     with _STARTING:
         before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
         pin_threads()
@@ -176,7 +175,6 @@ class Child:
         self.notice.close_descriptor()
 
     def _name_files(self, folder: Path, name: str, verdict: str) -> None:
-        """Set the paths of a run's raw log and outcome file, and delete an old outcome."""
         self.folder, self.name = folder, name
         # Somebody else may have removed the folder, which costs those that had files in it.
         folder.mkdir(0o700, parents=True, exist_ok=True)

@@ -167,7 +167,6 @@ class CellExecutor(ExitStack):
             yield run.batch, results
 
     def _start_run(self, run: CellRun | FileRun) -> None:
-        """Queue a batch on this machine's cores, with the machine locked against timed replays."""
         self._idle.close()
         if not len(self._pool):
             self._sharing.enter_context(self._lock_machine(SHARED))
@@ -192,7 +191,6 @@ class CellExecutor(ExitStack):
         self._start_run(run)
 
     def _collect_results(self, run: CellRun) -> list[Result]:
-        """Return the results of the runs of a batch that has ended."""
         self._log_bytes.pop(run)
         ended = (job for job in run.batch.jobs if job.run_id in run.outcomes)
         outcomes = {job: run.outcomes[job.run_id] for job in ended}
@@ -300,7 +298,6 @@ class CellExecutor(ExitStack):
                 pass
 
     def _lock_machine(self, how: int) -> AbstractContextManager[bool]:
-        """Lock this machine, shared or exclusive for timing, after waiting for other campaigns."""
         return lease_machine(
             how, self._holder, patience=self._patience, say_waiting=self._report_wait
         )
@@ -318,7 +315,6 @@ class CellExecutor(ExitStack):
     def _make_batch_cell(
         self, job: CellJob, sources: Sources, outcome: Outcome | None = None
     ) -> BatchCell:
-        """Return what a worker process needs to do or judge a run."""
         cell, source = job.cell, sources[job.source_key]
         about = outcome, job.library, self._machine_id, self._plugin_path(job)
         concurrency = self._concurrency if cell.is_timed else None
@@ -327,7 +323,6 @@ class CellExecutor(ExitStack):
     def _build_results(
         self, outcomes: Mapping[CellJob, Outcome], parts: Sequence[BatchPart], folder: Path
     ) -> list[Result]:
-        """Return the results of ended runs with their stored rows, and delete temporary files."""
         kept = {name: part for part in parts for name in part.outcomes}
         became, without_steps = dict(outcomes), {}
         for job, outcome in outcomes.items():

@@ -156,7 +156,6 @@ class ReplayGroup:
                 self.outcomes[worker.run_id] = outcome
 
     def _rerun_loaded_rounds(self, workers: list[ReplayWorker], order: Random) -> None:
-        """Replay rounds again that other load slowed, of solvers whose raw logs still exist."""
         logs: dict[str, RawLog] = {}
         for worker in workers:
             if worker.serving:

@@ -22,7 +22,6 @@ _IGNORED = (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP, signal
 
 
 def _split_keeper() -> None:
-    """Fork: the child becomes the process workers are forked from, the parent its supervisor."""
     main, keeper = os.getppid(), os.getpid()
     adopt_orphans()
     template = os.fork()

@@ -222,7 +222,6 @@ def _run_closed_loop(
 def _replay_untimed(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
-    """Do all rounds of a replay whose times are not compared, and return its outcome."""
     sequence = source_file(cell).load(source).sequence
     # Without a time to take, cold caches do no harm, and a step that hangs should be recorded.
     configuration, timed_solver, log = _prepare_replay(
@@ -238,7 +237,6 @@ def _replay_untimed(
 
 
 def _describe_last_round(log: RawLog) -> str:
-    """Return which round of a replay was reached last, in words."""
     return f"in round {int(np.flatnonzero(log.done)[-1])}"
 
 

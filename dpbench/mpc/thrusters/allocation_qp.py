@@ -92,7 +92,6 @@ class AllocationQP:
         self._ramp_down = LimitRampDown(problem.rows, *rates, 1, factor=of_limits)
 
     def _build_matrices(self) -> None:
-        """Build the allocation QP's constant P, A, bounds, and the map Z that gives q, l, u."""
         problem, n_f, n, m = self.allocation, self.n_f, self.n, self.m
         unit, row_unit = self._unit, self._row_unit[:, np.newaxis]
         P, A = np.zeros((n, n)), np.zeros((m, n))

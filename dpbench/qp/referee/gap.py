@@ -144,7 +144,6 @@ def _bound_by_gap(
     z: Dyadic,
     lam: Dyadic,
 ) -> Proof:
-    """Return the proof that an exactly feasible point z with multipliers λ is near the optimum."""
     rows = system.rows
     limits = np.concatenate((problem.U, problem.L))[system.limits]
     # A multiplier of the wrong sign is set to zero: its row becomes part of r.

@@ -310,7 +310,6 @@ class Referee:
         return verdict if verdict.kind == "infeasible" else None
 
     def _refutation(self, problem: JointQP, y: Vector, y_box: Vector) -> Optimum:
-        """Return the verdict of a Farkas vector: "infeasible", or "undecided" within rounding."""
         least = bound_least_violation(self._as_qp(problem), np.concatenate((y, y_box)))
         kind: Kind = "undecided" if least.undecided else "infeasible"
         return Optimum(np.full(len(problem.q), np.nan), y, y_box, np.inf, kind)
@@ -348,7 +347,6 @@ def get_shared_referee(P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
 
 @lru_cache(maxsize=8)
 def _cached_referee(thread: int, n: int, P: bytes, A: bytes, lb: bytes, ub: bytes) -> Referee:
-    """Build a checker of QP optima from its matrices as bytes, the keys of the cache."""
     square, rows, *bounds = (np.array(memoryview(part).cast("d")) for part in (P, A, lb, ub))
     return Referee(square.reshape(n, n), rows.reshape(-1, n), *bounds)
 

@@ -222,7 +222,6 @@ def _solve_riccati(Phi: Matrix, C: Matrix, Q: Matrix, where: str) -> tuple[Matri
 
 
 def _continuous_model(ship: Vessel, tuning: KalmanTuning) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-    """Return the continuous matrices A, B, E and C of ship, bias and waves, in SI units."""
     n = WITHOUT_WAVES if tuning.waves is None else WITH_WAVES
     Minv = np.linalg.inv(ship.M)
     A, B, C = np.zeros((n, n)), np.zeros((n, AXES)), np.zeros((AXES, n))
@@ -263,7 +262,6 @@ def _state_units(ship: Vessel, tuning: KalmanTuning, n: int) -> Vector:
 
 @njit(cache=True)
 def _rotate_state(x, c, s):  # type: ignore[no-untyped-def] # compiled by numba
-    """Rotate the horizontal vectors in state x in place, by the angle of cosine c and sine s."""
     for first in (ETA, BIAS, XI1, XI2):
         if first < len(x):
             turned = c * x[first] - s * x[first + 1]

@@ -97,7 +97,6 @@ class DaqpWorkspace(NativeWorkspace):
         self._result = (None, 0.0, 0, {})
 
     def _convert_matrices(self) -> None:
-        """Allocate the arrays from which DAQP reads limits and vectors."""
         n, m = self._n, self._m
         # DAQP looks at these buffers, so they live as long as the model does.
         self._f = np.empty(n)

@@ -38,7 +38,6 @@ TEXT_BYTES = 256
 
 
 def _load_casadi_library(name: str) -> ctypes.CDLL:
-    """Load a shared library from the folder of the casadi package."""
     return ctypes.CDLL(str(Path(str(import_module("casadi").__file__)).parent / name))
 
 
@@ -292,7 +291,6 @@ class DenseWorkspace(HpipmWorkspace):
         self._send_vectors(self._q)
 
     def _allocate_buffers(self, limits: DenseLimits) -> None:
-        """Allocate the vectors passed to and from HPIPM and look up its C functions."""
         n_bounds = limits.bounds.size
         self._g, self._z = np.empty(self._n), np.empty(self._n)
         self._pi = np.empty(limits.equal.size)
@@ -315,7 +313,6 @@ class DenseWorkspace(HpipmWorkspace):
             function(address, qp)
 
     def _write_start(self) -> None:
-        """Write the previous z, shifted by a control increment, as HPIPM's start."""
         self._library.d_dense_qp_sol_set_v(array_pointer(self._start.z), self._parts.sol)
 
     def _read_solution_vectors(self) -> Point:

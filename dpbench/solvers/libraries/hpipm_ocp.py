@@ -172,7 +172,6 @@ class StageData:
         self.matrices = [self._stage_matrices(k, P, A) for k in range(len(stages))]
 
     def _stage_matrices(self, k: int, P: Matrix, A: Matrix) -> dict[str, NDArray[Any]]:
-        """Return cost, dynamics and constraint matrices of stage k by HPIPM's names for them."""
         stage, limits = self.stages[k], self.limits[k]
         u, x, general = stage.inputs, stage.states, select_limit_rows(A, limits.rows)
         matrices: dict[str, NDArray[Any]] = {
@@ -289,7 +288,6 @@ class OcpWorkspace(HpipmWorkspace):
                 parts.look_up_function(f"set_{name}")(k, array_pointer(mask), parts.qp)
 
     def _allocate_buffers(self) -> None:
-        """Allocate vectors over all stages, and tables of the addresses that HPIPM reads."""
         nx, nu, nbx, nbu, ng, _ = self._data.sizes
         nb, parts = nbx + nbu, self._parts
         by_stage = list(zip(nu.tolist(), nx.tolist(), nb.tolist(), ng.tolist(), strict=True))
@@ -319,7 +317,6 @@ class OcpWorkspace(HpipmWorkspace):
         )
 
     def _send_vectors(self, q: Vector, everything: bool = False) -> None:
-        """Pass q, dynamics offsets and limits of a step to HPIPM, stage by stage."""
         data = self._data
         self._cost.gather(q, data.order)
         b = self._b.gather(self._high, data.dynamics)

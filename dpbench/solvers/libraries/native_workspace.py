@@ -101,12 +101,10 @@ class NativeWorkspace(Workspace):
         return np.concatenate([rows, self._lb]), np.concatenate([rows, self._ub])
 
     def _build_solver_for_step(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Store a step's linear cost and row limits and make a new library object for them."""
         self._q[:], self._l[:], self._u[:] = q, low, high
         self._build_with_empty_start()
 
     def _build_with_empty_start(self) -> None:
-        """Make a new library object and discard the stored warm start."""
         if self._given_start:
             self._start = WarmStart(self._n, self._m, self._block)
         self._build_solver()
@@ -232,7 +230,6 @@ class NativeWorkspace(Workspace):
             self._rebuild_solver()
 
     def _clear_answer_state(self) -> None:
-        """Clear the flags and the failure text of earlier solves."""
         self._done = self._unread = self._unusable = False
         self._failure = ""
 

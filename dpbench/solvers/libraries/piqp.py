@@ -90,7 +90,6 @@ class PiqpWorkspace(NativeWorkspace):
     """
 
     def _convert_matrices(self) -> None:
-        """Split the rows into equalities and inequalities, and convert all matrices."""
         as_form = scipy.sparse.csc_matrix if self.form == "csc" else np.asfortranarray
         equal = self._l == self._u
         self._pattern = equal.tobytes()

@@ -54,7 +54,6 @@ class QpsolversWorkspace(Workspace):
         self._build_qpsolvers_problem(qp.q, qp.l, qp.u)
 
     def _build_qpsolvers_problem(self, q: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
-        """Make a `qpsolvers.Problem` of a step's linear cost and row limits."""
         form = self._form
         form.fill(q, low, high)
         self._problem = Problem(form.P, form.q, form.G, form.h, form.A, form.b, form.lb, form.ub)

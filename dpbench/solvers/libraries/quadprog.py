@@ -87,7 +87,6 @@ class QuadprogWorkspace(OneSidedWorkspace):
         self._send_form_vectors()
 
     def _send_form_vectors(self) -> None:
-        """Write a step's linear cost and limits, signed as quadprog takes them."""
         form, count = self._form, self._equalities
         np.negative(form.q, out=self._a)
         if self._b is not None:
