@@ -60,10 +60,19 @@ def ship_lines(vessel: Vessel) -> list[str]:
         ("zero to full in", *(f"{_format_number(t)} s" for t in rise)),
         ("time constant", *(f"{_format_number(t)} s" for t in ships.axis_time_constants_s(vessel))),
         ("acceleration at full", *_format_with_units(reach, ("mm/s²", "mm/s²", "mrad/s²"))),
-        ("linear drift at full", *drift),
+        ("drift at full" if vessel.drag else "linear drift at full", *drift),
     ]
     table = [f"{row[0]:<22}" + "".join(f"{cell:<19}" for cell in row[1:]) for row in rows]
-    return [*(line.rstrip() for line in table), _sideways_line(vessel, f"{kilo}N", per)]
+    lines = [*(line.rstrip() for line in table), _sideways_line(vessel, f"{kilo}N", per)]
+    return [*lines, *_drag_lines(vessel, f"{kilo}N", per)]
+
+
+def _drag_lines(vessel: Vessel, unit: str, per: float) -> list[str]:
+    """State how far the controller's model is from the drag of a ship; nothing without drag."""
+    if vessel.drag is None:
+        return []
+    linear = f"{_format_number(vessel.D[ships.SWAY, ships.SWAY] / per)} {unit}"
+    return [f"cross-flow drag; the controller's linear model has {linear} at 1 m/s sideways"]
 
 
 def _format_range(low: float, high: float) -> str:

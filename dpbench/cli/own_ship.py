@@ -264,6 +264,7 @@ def vessel_text(ship: OwnShip, command: str) -> str:
         quoted=partial(json.dumps, ensure_ascii=False),
         library=load_vessel(ship.like),
         forms=_form_ratios(ship),
+        fitted_mps=scaling.fitted_speed_mps(ship.own.length_m),
         cautions=list_cautions(ship),
         added=dict(zip(("surge", "sway", "yaw"), added.tolist(), strict=True)),
         ranges=list(zip(vessel.tau_min, vessel.tau_max, strict=True)),
@@ -307,19 +308,18 @@ def choose_sample_s(vessel: Vessel) -> float:
 def scenario_text(name: str, vessel: Vessel, number: int, *, chosen: bool) -> str:
     """Render the scenario file of a new ship; `chosen` if dpbench chose the sea, not the user."""
     longer = scaling.froude_time(vessel.length_m) ** 2
-    wind_mps, hs_m, _, current_mps = scaling.DP_NUMBERS[number]
+    wind_mps, hs_m, *_ = scaling.DP_NUMBERS[number]
     return render_document(
         "own_scenario.toml",
         comment=_wrap_as_comment,
         name=name,
+        has_drag=vessel.drag is not None,
         number=number,
         most=max(scaling.DP_NUMBERS),
         why=_explain_sea_choice(scaling.load_share(vessel, number), chosen=chosen),
         share=scaling.load_share(vessel, number),
         wind_mps=wind_mps,
         hs_m=hs_m,
-        current_mps=current_mps,
-        current_share=scaling.CURRENT_SHARE,
         from_deg=scaling.FROM_DEG,
         step_s=choose_sample_s(vessel),
         steps=STEPS,

@@ -6,8 +6,15 @@ length L:
     M = m N M_b N,   D = m √(g/L) N D_b N,   N = diag(1, 1, L)
 
 Two ships of one form and one fineness have the same M_b and D_b. The rest follows Froude's law.
-Breadth and draught have no part in it: they measure how far the ship's form is from the library's,
-and the added masses of two published regressions how far the result can be trusted.
+Length, breadth and draught make the drag of the plant, and sway damping is fitted to it:
+
+    D_22 = Y(v₁)/v₁,   v₁ = 0.018 √(gL)
+
+Y is the cross-flow drag, v₁ 0.5 m/s on a ship of 76 m; couplings change with √D_22, so that D stays
+positive definite. The linear model of the controller and the plant agree at v₁. Below, the model
+damps up to 1.6 times as strongly, above too weakly, by v/v₁. The ratios of dimensions measure how
+far the ship's form is from the library's, and the added masses of two published regressions how far
+the result can be trusted.
 """
 
 import math
@@ -16,11 +23,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
+from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_vessel
+from dpbench.scenario.tables.vessel_file import CapabilityTable
 from dpbench.scenario.tables.weather import CurrentTable, EnvironmentTable, WavesTable, WindTable
-from dpbench.ship.capability.conditions import DP_CONDITIONS
-from dpbench.ship.characteristics import mean_load
-from dpbench.ship.froude import Froude
+from dpbench.ship.capability.conditions import DP_CONDITIONS, Condition
+from dpbench.ship.capability.loads import DYNAMIC_FACTOR, mean_loads
+from dpbench.ship.capability.losses import MISCELLANEOUS
+from dpbench.ship.drag import HullDrag
+from dpbench.ship.layout import V
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather.waves import GRAVITY, WATER_DENSITY
 
@@ -59,20 +70,22 @@ LIBRARY = {
 """Library vessels of full size; breadths of the first two as their wave reflection has them."""
 
 PAPER_SHIP = "supply_fs99"
-NOT_CHOSEN = ("osv",)
-"""Used on request only: MSS `osv.m` makes its damping from chosen time constants."""
+NOT_CHOSEN = ("osv", "supply_tmr")
+"""Used on request only: MSS `osv.m` makes its damping from chosen time constants, and `supply_tmr`
+damps surge three to five times as strongly as the others."""
 
 DP_NUMBERS = {number: DP_CONDITIONS[number] for number in range(1, 10)}
 """Wind [m/s], Hs [m], Tp [s], current [m/s] of DP capability numbers up to a strong gale."""
 
 FROM_DEG = 30.0  # Wind and waves come from the bow, not quite ahead: a heading a ship may choose
 
-CURRENT_SHARE = 0.4
-"""Of the standard's current. Linear damping is meant for some cm/s; on the supply ship of Fossen &
-Strand D·0.3 m/s abeam is the force that the standard gives to its 0.75 m/s (section 3.6)."""
+FITTED_FROUDE_NUMBER = 0.018
+"""v₁ over √(gL), at which linear damping and cross-flow drag abeam are equal."""
 
 RAMP_S = 60.0
-SPARE = 0.5  # Share of the limits that the mean force may take: gusts and drift need the rest
+SPARE = MISCELLANEOUS / DYNAMIC_FACTOR
+"""Share of the limits that the mean force may take, as in `dpbench capability`: gusts and drift
+need the rest, and thrusters lose some."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +123,7 @@ def scale_matrices(like: str, length_m: float, mass_kg: float) -> tuple[Matrix, 
 
 
 def scale_vessel(like: str, own: Particulars, thrust: ThrustLimits, name: str = "own") -> Vessel:
-    """Scale a library vessel to the dimensions and thrust of the user's ship.
+    """Scale a library vessel to the dimensions and thrust of the user's ship, and add its drag.
 
     Forces that are not given keep the library vessel's share of the force ahead, the moment its
     share of sway force times length. Times, and with them the rate limits, grow with √L. Areas in
@@ -124,24 +137,44 @@ def scale_vessel(like: str, own: Particulars, thrust: ThrustLimits, name: str = 
     yaw = sway * longer if thrust.yaw_Nm is None else thrust.yaw_Nm / vessel.tau_max[2]
     stronger: Vector = np.array([ahead, sway, yaw])
     windage, reflection = vessel.windage, vessel.reflection
+    assert windage is not None, "as every library vessel"
+    windage = replace(
+        windage,
+        frontal_m2=windage.frontal_m2 * longer * broader,
+        lateral_m2=windage.lateral_m2 * longer**2,
+    )
+    hull = CapabilityTable(breadth_m=own.breadth_m, draught_m=own.draught_m)
+    capability = hull.build_hull(own.length_m, windage)
+    drag = HullDrag.of(capability)
     return replace(
         vessel,
         id=name,
         length_m=own.length_m,
         M=M,
-        D=D,
+        D=fit_sway_damping(D, drag, own.length_m),
         tau_min=stronger * vessel.tau_min,
         tau_max=stronger * vessel.tau_max,
         rate_max=stronger * vessel.rate_max / math.sqrt(longer),
         where=name,
-        windage=windage
-        and replace(
-            windage,
-            frontal_m2=windage.frontal_m2 * longer * broader,
-            lateral_m2=windage.lateral_m2 * longer**2,
-        ),
+        windage=windage,
         reflection=reflection and replace(reflection, breadth_m=own.breadth_m),
+        thrusters=None,
+        capability=capability,
+        drag=drag,
     )
+
+
+def fitted_speed_mps(length_m: float) -> float:
+    """Return the speed v₁ abeam [m/s] at which linear damping is fitted to the drag."""
+    return FITTED_FROUDE_NUMBER * math.sqrt(GRAVITY * length_m)
+
+
+def fit_sway_damping(D: Matrix, drag: HullDrag, length_m: float) -> Matrix:
+    """Return damping (3, 3) whose sway force at v₁ is the cross-flow drag; couplings with it."""
+    scale = np.ones(len(D))
+    scale[V] = math.sqrt(drag.across * fitted_speed_mps(length_m) / D[V, V])
+    fitted: Matrix = D * np.outer(scale, scale)
+    return fitted
 
 
 def regression_added_mass(own: Particulars) -> Vector:
@@ -189,21 +222,29 @@ def sea_state(number: int) -> EnvironmentTable:
         ramp_s=RAMP_S,
         seed=1,
         wind=WindTable(speed_mps=wind_mps, from_deg=FROM_DEG),
-        current=CurrentTable(
-            speed_mps=round(CURRENT_SHARE * current_mps, 3), towards_deg=FROM_DEG + 180.0
-        ),
+        current=CurrentTable(speed_mps=current_mps, towards_deg=FROM_DEG + 180.0),
         waves=WavesTable(hs_m=hs_m, tp_s=tp_s, from_deg=FROM_DEG),
     )
 
 
 def load_share(vessel: Vessel, number: int) -> float:
-    """Return the largest ratio over the axes of mean force to limit, in a DP number's weather."""
-    load = mean_load(vessel, sea_state(number).build_environment(Froude()))
+    """Return the share of the limits that the mean force of a DP number's weather takes.
+
+    The force is that of `dpbench capability`, level 1 of DNV-ST-0111, from `FROM_DEG`. The share is
+    that of surge, or of sway and yaw together: the same thrusters at bow and stern make both.
+    Raises InputError where the vessel has no hull for it.
+    """
+    if vessel.capability is None:
+        allowed = "this table, with at least breadth_m and draught_m, and [windage]"
+        raise InputError(vessel.where, "capability", "nothing", allowed)
+    condition = Condition(*DP_NUMBERS[number])
+    load = mean_loads(vessel.capability, condition, math.radians(FROM_DEG)).sum(axis=0)
     # What pushes astern is met with force ahead.
     limit = np.where(load < 0.0, vessel.tau_max, -vessel.tau_min)
-    return float(np.max(np.abs(load) / limit))
+    surge, sway, yaw = np.abs(load) / limit
+    return float(max(surge, sway + yaw))
 
 
 def largest_sea(vessel: Vessel) -> int:
-    """Return the largest DP number whose mean weather force takes at most half of the limits."""
+    """Return the largest DP number whose mean force takes at most `SPARE` of the limits."""
     return max((n for n in DP_NUMBERS if load_share(vessel, n) <= SPARE), default=1)

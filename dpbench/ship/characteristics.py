@@ -1,11 +1,14 @@
 """Time constants, speeds, drift and mean force in weather of the linear model of a ship.
 
-M ν̇ + D ν = τ + w, order surge, sway, yaw. Speeds are those at which linear damping balances the
-force; it is meant for some cm/s, a faster hull meets quadratic drag too (Fossen 2021, chapter 6).
+M ν̇ + D ν = τ + w, order surge, sway, yaw. Speeds are those at which damping balances the force:
+the linear one, meant for some cm/s, or the drag of a vessel that has it.
 """
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
-from scipy.optimize import linear_sum_assignment
+from scipy.optimize import brentq, linear_sum_assignment
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.ship.environment import Environment
@@ -33,7 +36,15 @@ def axis_time_constants_s(vessel: Vessel) -> Vector:
 
 def steady_speed(vessel: Vessel) -> Matrix:
     """Return the steady speeds (2, 3) [m/s, m/s, rad/s] under the least and the largest force."""
-    return np.stack([vessel.tau_min, vessel.tau_max]) / np.diag(vessel.D)
+    axes = np.eye(len(vessel.D))
+
+    def speed(axis: int, force: float) -> float:
+        along = np.sign(force) * axes[axis]
+        excess = partial(_excess, vessel, along, np.where(axes[axis] > 0.0, abs(force), np.inf))
+        return float(np.sign(force)) * _find_root(excess)
+
+    limits = (vessel.tau_min, vessel.tau_max)
+    return np.array([[speed(i, force) for i, force in enumerate(limit)] for limit in limits])
 
 
 def slow_speed(vessel: Vessel) -> Vector:
@@ -47,15 +58,26 @@ def slow_speed(vessel: Vessel) -> Vector:
 
 def sideways_force(vessel: Vessel) -> Vector:
     """Return the force (3,) [N, N, N·m] that holds the ship in a current abeam of 1 m/s."""
-    force: Vector = vessel.D[:, SWAY].copy()
-    return force
+    return vessel.damping_force(np.eye(len(vessel.D))[SWAY])
 
 
 def largest_current_abeam_mps(vessel: Vessel) -> float:
     """Return the largest current abeam [m/s] that the ship can hold against."""
     reach = np.minimum(-vessel.tau_min, vessel.tau_max)
-    per_mps = np.abs(sideways_force(vessel))
-    return float(np.min(reach[per_mps > 0] / per_mps[per_mps > 0]))
+    return _find_root(partial(_excess, vessel, np.eye(len(vessel.D))[SWAY], reach))
+
+
+def _excess(vessel: Vessel, along: Vector, reach: Vector, speed: float) -> float:
+    """Return the largest share over the axes of a reach (3,) that a speed takes, less 1."""
+    return float(np.max(np.abs(vessel.damping_force(speed * along)) / reach)) - 1.0
+
+
+def _find_root(excess: Callable[[float], float]) -> float:
+    """Return the positive argument at which a function that grows from −1 is zero."""
+    high = 1e-3
+    while excess(high) < 0.0:
+        high *= 2.0
+    return float(brentq(excess, 0.0, high, xtol=1e-300, rtol=1e-14))
 
 
 def has_mirror_symmetry(vessel: Vessel) -> bool:

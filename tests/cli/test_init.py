@@ -64,7 +64,7 @@ def test_the_vessel_file_says_how_it_was_made() -> None:
     assert "CAUTION" not in text
     main([*SHIP[:2], "--length", "120", *SHIP[4:], "--force"])
     text = Path(FILES[0]).read_text(encoding="utf-8").replace("\n# ", " ")
-    assert "supply_tmr: L/B and L/volume^(1/3) differ by more than 20%" in text
+    assert "supply_mss: L/B and L/volume^(1/3) differ by more than 20%" in text
 
 
 @pytest.mark.slow
