@@ -15,7 +15,6 @@ HEAD = 'title = "x"\nsolvers = ["daqp"]\n'
 
 
 def changed(text: str, key: str, line: str) -> str:
-    """A file with another line for a key of it."""
     new, count = re.subn(rf"^{key} = .*$", line, text, count=1, flags=re.M)
     assert count == 1
     return new

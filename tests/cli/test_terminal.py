@@ -116,7 +116,6 @@ def _read(terminal: int) -> bytes:
 
 
 def wide_table(words: int) -> Table:
-    """A table of one row with so many long columns."""
     heads = tuple(f"column{i}" for i in range(words))
     return Table(("name", *heads), (("daqp", *heads[:-1], "slower"),), "Wide", "A note.")
 

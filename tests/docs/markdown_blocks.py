@@ -33,7 +33,6 @@ class Block:
 
 
 def blocks_of(page: Path) -> list[Block]:
-    """The blocks of a page in their order."""
     found = _BLOCK.finditer(page.read_text(encoding="utf-8"))
     return [
         Block(part["language"], part["title"] or "", part["body"], part["instead"] or "")

@@ -133,7 +133,6 @@ class Case:
         return np.tile(self.y_ref, (self.problem.N_p, 1))
 
     def preview(self) -> Array:
-        """A reference that changes along the horizon."""
         walk = self.rng.normal(size=(self.problem.N_p, self.problem.model.n_y))
         return self.y_ref + 0.1 * np.cumsum(walk, axis=0)
 
@@ -168,7 +167,6 @@ CASES: dict[str, Callable[[], Case]] = {
 
 @pytest.fixture(params=list(CASES))
 def case(request: pytest.FixtureRequest) -> Case:
-    """Vessels, headings, horizons and random plants of one to three inputs in turn."""
     return CASES[request.param]()
 
 

@@ -19,7 +19,6 @@ from tests.mpc.conftest import assert_close
 
 
 def pieces(step: QPStep) -> np.ndarray:
-    """[q; l; u] copied into one vector."""
     return np.concatenate([step.q, step.l, step.u])
 
 

@@ -100,7 +100,7 @@ def test_closed_loop_matrix_is_one_step_of_the_loop(case: Any) -> None:
 def test_constrained_plan_is_the_unconstrained_one_less_the_correction(
     case: Any, by_quadprog: Any
 ) -> None:
-    """Eq. 31, 32, 36: the optimum is eq."""
+    """Eq. 31, 32 and 36."""
     builder = CondensedQP(case.problem)
     x, y_ref, n_u = case.x, case.y_ref, case.problem.model.n_u
     active = np.zeros(0, dtype=bool)

@@ -209,7 +209,6 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 
 def builder_of(problem: Any, options: dict[str, Any]) -> CondensedQP:
-    """The controller of a variant."""
     options = dict(options)
     if "terminal" in options:
         return CondensedQP(replace(problem, terminal=options["terminal"]))

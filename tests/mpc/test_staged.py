@@ -29,14 +29,12 @@ SAME = 1e-8
 
 
 def both(problem: Any, units: UnitSystem = "scaled", **policy: Any) -> tuple[Any, Any]:
-    """The condensed builder and the staged one."""
     return CondensedQP(problem, units=units, **policy), StagedQP(problem, units=units, **policy)
 
 
 def rolled_out(
     problem: Any, unit: np.ndarray, theta: tuple[Any, ...], Y_d: np.ndarray, found: Solution
 ) -> Solution:
-    """All variables and multipliers of the staged problem from a condensed answer."""
     x, u_prev = theta
     model, Q, N_c = problem.model, problem.Q, problem.N_c
     moves, y = found.z.reshape(N_c, -1), found.y.reshape(N_c, -1)

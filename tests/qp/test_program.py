@@ -18,7 +18,6 @@ K, N, M = 4, 6, 4
 
 
 def program(seed: int, **more: Any) -> QuadraticProgram:
-    """A convex QP with random numbers everywhere."""
     rng = np.random.default_rng(seed)
     root, q, A = rng.normal(size=(N, N)), rng.normal(size=N), rng.normal(size=(M, N))
     l, u, lb, ub = (sign * rng.uniform(1, 2, k) for k in (M, N) for sign in (-1, 1))  # noqa: E741
@@ -26,7 +25,6 @@ def program(seed: int, **more: Any) -> QuadraticProgram:
 
 
 def sequence(problems: list[QuadraticProgram], *matrices: str) -> QPSequence:
-    """The problems as a sequence that brings these matrices."""
     names = "q", "l", "u", *matrices
     stacked = {name: np.array([getattr(p, name) for p in problems]) for name in names}
     return QPSequence(name="random", base=problems[0], **stacked)
@@ -85,7 +83,6 @@ STEPS = {
 
 @pytest.fixture(scope="module")
 def builder() -> CondensedQP:
-    """The paper's problem: N_p 30, N_c 5, three axes, scaled."""
     return condense(load_scenario("paper"))
 
 

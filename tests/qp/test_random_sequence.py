@@ -136,7 +136,6 @@ def test_plain_problems_are_strictly_complementary() -> None:
 
 
 def test_equal_free_and_infinite_limits_are_there() -> None:
-    """Rows with l = u, rows without a limit and infinite bounds, each where its family says so."""
     equal = random_sequence(recipe("equal"))
     assert (equal.l == equal.u).sum(axis=1).min() == 4
     free = random_sequence(recipe("free"))
@@ -156,7 +155,6 @@ def test_cost_matrices_have_the_condition_they_name(family: str, cond: float, n:
 
 
 def test_semidefinite_costs_lose_a_fifth_of_their_rank() -> None:
-    """P has n//5 zero eigenvalues, to rounding, and none below zero."""
     eigenvalues = np.linalg.eigvalsh(random_sequence(recipe("semidefinite", 30, 60)).base.P)
     assert (np.abs(eigenvalues) < 1e-13 * eigenvalues[-1]).sum() == 6
     assert eigenvalues[6] > 1e-3 * eigenvalues[-1]

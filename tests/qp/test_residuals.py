@@ -128,7 +128,6 @@ def test_formulas_term_by_term(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_exact_answer_is_true_at_every_level(seed: int) -> None:
-    """The certified optimum with its multipliers is true at 1e-3, 1e-4 and 1e-6."""
     qp = _qp(seed=seed)
     assert all(_true(qp, _exact(qp), tol) for tol in (1e-3, 1e-4, 1e-6))
 

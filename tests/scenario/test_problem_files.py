@@ -102,7 +102,6 @@ def test_a_folder_of_the_right_name_cannot_be_read(tmp_path: Path) -> None:
 def test_a_file_that_is_no_toml_is_told_with_the_place(
     tmp_path: Path, content: bytes, found: str
 ) -> None:
-    """Text that is no TOML, or bytes that are no UTF-8, are told with file and place."""
     path = tmp_path / "bad.toml"
     path.write_bytes(content)
     with pytest.raises(InputError) as caught:

@@ -21,7 +21,6 @@ Change = Callable[[dict[str, Any]], None]
 
 
 def changed(name: str, change: Change, vessel: Change | None = None) -> Scenario:
-    """A scenario of the library with its documents changed."""
     files = copy.deepcopy(load_scenario(name).files)
     change(files["scenario"])
     if vessel is not None:

@@ -1,4 +1,4 @@
-"""What the tests of the loads share: a ship with hull data and the force that it feels."""
+"""What the tests share: weather of one kind, a ship with hull data, the force that it feels."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -7,11 +7,23 @@ import numpy as np
 import pytest
 
 from dpbench.scenario.scenario import load_vessel
-from dpbench.ship.environment import Environment
+from dpbench.ship.environment import Current, Environment
 from dpbench.ship.plant import Plant
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather.waves import WaveReflection
 from dpbench.ship.weather.wind import Windage
+
+CALM = Environment(np.zeros(3), np.zeros(3), np.ones(3), np.zeros(3))
+
+
+def flowing(speed_mps: float, to_rad: float) -> Environment:
+    """A current and nothing else."""
+    return replace(CALM, current=Current(speed_mps, to_rad))
+
+
+def rotation(psi_rad: float) -> np.ndarray:
+    c, s = np.cos(psi_rad), np.sin(psi_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 @pytest.fixture

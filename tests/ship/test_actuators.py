@@ -13,13 +13,11 @@ STAGES = Environment(ZERO, ZERO, np.ones(3), ZERO).stage_table(1, 0.3, SUBSTEPS)
 
 
 def commands(steps: int) -> np.ndarray:
-    """Commands that change in every sample."""
     ship = load_vessel("supply_fs99")
     return np.random.default_rng(3).uniform(ship.tau_min, ship.tau_max, (steps, 3))
 
 
 def track(tau: np.ndarray, actuators: Actuators | None) -> np.ndarray:
-    """States after each of the commands."""
     plant = Plant(load_vessel("supply_fs99"), np.zeros(6), 0.3, actuators=actuators)
     states = []
     for command in tau:

@@ -21,9 +21,9 @@ from dpbench.ship.plant import Plant
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather.waves import Sea, WaveDrift
 from dpbench.ship.weather.wind import Wind
+from tests.ship.conftest import CALM
 
 ZERO = np.zeros(3)
-CALM = Environment(ZERO, ZERO, np.ones(3), ZERO)
 
 
 @pytest.mark.parametrize("name", problem_names("vessels"))

@@ -14,10 +14,10 @@ from dpbench.ship.capability.conditions import Condition
 from dpbench.ship.capability.loads import mean_loads
 from dpbench.ship.characteristics import mean_load
 from dpbench.ship.drag import HullDrag, cross_flow_coefficient
-from dpbench.ship.environment import Current, Environment
 from dpbench.ship.froude import Froude
 from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.ship.vessel import Vessel
+from tests.ship.conftest import flowing, rotation
 
 ZERO = np.zeros(3)
 START = np.array([0.4, -0.3, 0.01, 1.2, 1.3, 0.7])
@@ -31,11 +31,6 @@ def with_drag() -> Vessel:
     vessel = load_vessel("ratownik")
     assert vessel.capability is not None
     return replace(vessel, drag=HullDrag.of(vessel.capability))
-
-
-def flowing(speed_mps: float, to_rad: float) -> Environment:
-    """A current and nothing else."""
-    return Environment(ZERO, ZERO, np.ones(3), ZERO, current=Current(speed_mps, to_rad))
 
 
 def sum_strips(D: np.ndarray, u: float, v: float, r: float) -> np.ndarray:
@@ -114,8 +109,7 @@ def test_the_plant_agrees_with_an_adaptive_integrator() -> None:
     ship, sea = with_drag(), flowing(0.6, 2.0)
 
     def derivative(t: float, s: np.ndarray) -> np.ndarray:
-        c, sn = np.cos(s[5]), np.sin(s[5])
-        R = np.array([[c, -sn, 0.0], [sn, c, 0.0], [0.0, 0.0, 1.0]])
+        R = rotation(s[5])
         water = R.T @ [0.6 * np.cos(2.0), 0.6 * np.sin(2.0), 0.0]
         force = 0.2 * ship.tau_max - sum_strips(ship.D, *(s[:3] - water))
         return np.concatenate([np.linalg.solve(ship.M, force), R @ s[:3]])

@@ -29,7 +29,6 @@ def sea(ramp_s: float = 0.0) -> Environment:
 @pytest.mark.parametrize("t_s", [0.0, 0.15, 29.7, 60.0, 137.4, 300.0])
 @pytest.mark.parametrize("ramp_s", [0.0, 60.0])
 def test_force_is_the_ramped_mean_plus_one_sinusoid_per_axis(t_s: float, ramp_s: float) -> None:
-    """b(t) = min(t/ramp, 1)·(mean + amplitude·sin(2πt/T + phase)) in each axis."""
     grown = min(t_s / ramp_s, 1.0) if ramp_s else 1.0
     expected = [
         grown * (m + a * math.sin(2 * math.pi * t_s / T + p))
@@ -148,7 +147,6 @@ def test_columns_are_vectors_along_each_source_at_the_stage_times() -> None:
 
 
 def test_all_weather_but_squalls_grows_over_the_ramp() -> None:
-    """Forces, wind, current and envelope are multiplied by min(t/ramp, 1)."""
     grown, full = (rough(ramp_s).stage_table(100, 0.3, 10) for ramp_s in (20.0, 0.0))
     t = np.add.outer(0.3 * np.arange(100), 0.015 * np.arange(21))
     share = np.minimum(t / 20.0, 1.0)[..., np.newaxis]

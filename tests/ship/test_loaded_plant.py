@@ -12,6 +12,7 @@ from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather.waves import Sea, WaveDrift
 from dpbench.ship.weather.wind import Wind
+from tests.ship.conftest import flowing, rotation
 
 WAVES = Sea(3.1, 8.5, 0.4)
 START = np.array([0.4, -0.3, 0.01, 1.2, 1.3, 0.7])
@@ -49,8 +50,7 @@ def test_the_loaded_plant_agrees_with_an_adaptive_integrator(hull: Vessel) -> No
     turns = np.array([-1.0, 2.0, 0.4])
 
     def derivative(t: float, s: np.ndarray) -> np.ndarray:
-        c, sn = np.cos(s[5]), np.sin(s[5])
-        R = np.array([[c, -sn, 0.0], [sn, c, 0.0], [0.0, 0.0, 1.0]])
+        R = rotation(s[5])
         air, water, _ = (
             R.T @ np.array([length * np.cos(to), length * np.sin(to), 0.0])
             for length, to in zip((13.8, 0.75, 0.0), turns, strict=True)
@@ -72,7 +72,6 @@ def test_the_loaded_plant_agrees_with_an_adaptive_integrator(hull: Vessel) -> No
 
 
 def test_the_error_falls_with_the_fourth_power_in_gusts_and_waves(hull: Vessel) -> None:
-    """Halving the sub-step divides the error by about 16 with every load present."""
     sea, sample_s = weather("norsok"), 2.4
     exact = simulate(hull, sea, 20, sample_s, 768)
     size = np.abs(exact)
@@ -128,12 +127,6 @@ def test_a_table_of_another_width_is_refused(hull: Vessel, columns: int) -> None
         else:
             with pytest.raises(ValueError, match=f"{width} columns"):
                 plant.advance(np.zeros(3), stages)
-
-
-def flowing(speed_mps: float, to_rad: float) -> Environment:
-    """A current and nothing else."""
-    zero = np.zeros(3)
-    return Environment(zero, zero, np.ones(3), zero, current=Current(speed_mps, to_rad))
 
 
 @pytest.mark.parametrize("name", ["supply_fs99", "supply_mss", "supply_tmr"])

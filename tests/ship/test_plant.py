@@ -1,6 +1,7 @@
 """The plant against closed forms, balances, symmetries and a second integrator."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,11 +12,10 @@ from dpbench.ship.environment import Environment, SensorNoise
 from dpbench.ship.plant import SUBSTEPS, Plant, Sensors
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather.waves import FirstOrderMotion, Sea
+from tests.ship.conftest import CALM, rotation
 
 FULL_SCALE = ("supply_fs99", "supply_mss", "supply_tmr", "osv")
 SAMPLE_S = 0.3
-
-CALM = Environment(np.zeros(3), np.zeros(3), np.ones(3), np.zeros(3))
 
 
 def weather(ship: Vessel, period_s: float = 20.0, ramp_s: float = 0.0) -> Environment:
@@ -51,10 +51,7 @@ def equations_of_motion(
     """Paper eq. 3-4 in matrix form."""
 
     def derivative(t: float, s: np.ndarray) -> np.ndarray:
-        nu, psi = s[:3], s[5]
-        R = np.array(
-            [[np.cos(psi), -np.sin(psi), 0.0], [np.sin(psi), np.cos(psi), 0.0], [0.0, 0.0, 1.0]]
-        )
+        nu, R = s[:3], rotation(s[5])
         nu_dot = np.linalg.solve(ship.M, tau + R.T @ force(t) - ship.D @ nu)
         return np.concatenate([nu_dot, R @ nu])
 
@@ -123,14 +120,7 @@ def test_kinetic_energy_changes_by_work_less_dissipation(name: str) -> None:
 @pytest.mark.parametrize("angle_rad", [0.4, np.pi / 2, -2.0])
 def test_the_plant_has_no_preferred_compass_direction(angle_rad: float) -> None:
     ship = load_vessel("supply_mss")
-    R = np.array(
-        [
-            [np.cos(angle_rad), -np.sin(angle_rad), 0.0],
-            [np.sin(angle_rad), np.cos(angle_rad), 0.0],
-            [0.0, 0.0, 1.0],
-        ]
-    )
-    start, tau = turning(ship), 0.2 * ship.tau_max
+    R, start, tau = rotation(angle_rad), turning(ship), 0.2 * ship.tau_max
     straight = Plant(ship, start, SAMPLE_S)
     turned_start = start.copy()
     turned_start[3:] = R @ start[3:]
@@ -166,7 +156,6 @@ def test_the_plant_agrees_with_an_adaptive_integrator(name: str) -> None:
 
 @pytest.mark.parametrize("name", FULL_SCALE)
 def test_ten_sub_steps_leave_less_than_a_nanometre_per_sample(name: str) -> None:
-    """At 0.3 s and ten sub-steps one sample is exact to 1e-10 m and 1e-10 rad for every ship."""
     ship = load_vessel(name)
     sea, tau, start = weather(ship), 0.3 * ship.tau_max, turning(ship)
     coarse = simulate(ship, start, tau, sea, 1)[-1]
@@ -202,11 +191,8 @@ def test_the_heading_is_never_wrapped() -> None:
     assert np.abs(np.diff(states[:, 5])).max() < 0.05
 
 
-ZEROS = (np.zeros(3), np.zeros(3), np.ones(3), np.zeros(3))
-
-
 def measured_weather(**more: object) -> Environment:
-    return Environment(*ZEROS, seed=3, **more)  # type: ignore[arg-type] # what the test asks for
+    return replace(CALM, seed=3, **more)  # type: ignore[arg-type] # what the test asks for
 
 
 def test_ideal_sensors_show_the_state() -> None:
@@ -222,10 +208,9 @@ def test_wave_motion_and_noise_are_added_to_pose_and_speed() -> None:
     state = np.array([0.5, -0.2, 0.01, 3.0, 4.0, np.radians(40.0)])
     k, sample_s = 7, 0.3
     moved, noise = sky.measured_motion(10, sample_s)[k], sky.noise_table(10)[k]
-    c, s = np.cos(state[5]), np.sin(state[5])
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     found = Sensors(sky, 10, sample_s).sense(state, k)
-    np.testing.assert_allclose(found[:3], state[:3] + R.T @ moved[3:], rtol=0, atol=1e-14)
+    speed = state[:3] + rotation(state[5]).T @ moved[3:]
+    np.testing.assert_allclose(found[:3], speed, rtol=0, atol=1e-14)
     np.testing.assert_allclose(found[3:], state[3:] + moved[:3] + noise, rtol=0, atol=1e-14)
     assert np.abs(found - state).min() > 0
 

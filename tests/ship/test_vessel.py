@@ -18,7 +18,6 @@ GOOD = {
 
 
 def vessel(**changes: object) -> Vessel:
-    """A plain ship with some entries replaced."""
     return Vessel("id", "title", "source", 76.2, where="ship.toml", **{**GOOD, **changes})  # type: ignore[arg-type] # bad on purpose
 
 

@@ -101,14 +101,12 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 def solve_qp(workspace: Workspace, qp: QuadraticProgram) -> Solution:
-    """Set a workspace up with a problem, solve it and read."""
     workspace.setup(qp)
     workspace.solve()
     return workspace.read()
 
 
 def solve_next(workspace: Workspace, step: QPStep) -> Solution:
-    """Update a workspace, solve and read."""
     workspace.update(step)
     workspace.solve()
     return workspace.read()

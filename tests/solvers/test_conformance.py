@@ -22,7 +22,6 @@ TWO = 2.0 * np.eye(2)
 
 
 def problem(P, q, A, l, u, lb, ub):  # noqa: E741 - l ≤ Az ≤ u, the name of the field
-    """Return a problem from nested lists."""
     rows = np.reshape(np.asarray(A, dtype=float), (-1, len(q)))
     return QuadraticProgram(P, q, rows, l, u, lb, ub)
 
@@ -262,8 +261,6 @@ def test_no_state_of_a_failed_step_survives(configuration, sequence, fault, monk
 
 
 def interrupted(solver):
-    """Return a `read` that raises as after an alarm."""
-
     def read():
         solver.interrupted = "interrupted"
         raise StepTimeLimitError(solver.interrupted)
@@ -318,7 +315,6 @@ def test_two_workspaces_do_not_disturb_each_other(configuration, sequence):
 
 
 def resident_bytes():
-    """Memory of this process that is in use."""
     gc.collect()
     return psutil.Process().memory_info().rss
 

@@ -24,7 +24,6 @@ SEEDS: dict[Policy, range] = {"fresh": range(4), "reuse": range(4, 8), "warm": r
 
 
 def answers(problem, policy, solver="paper_active_set", settings="default"):
-    """Yield the problem and the answer of every step."""
     sequence = problem.sequence
     workspace = open_workspace(solver, route="native", policy=policy, settings=settings)
     workspace.setup(sequence.base)
@@ -64,7 +63,6 @@ def test_it_solves_every_random_problem_and_claims_nothing_untrue(
 @pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
 @pytest.mark.parametrize("family", STRICT)
 def test_the_same_at_the_largest_size(family: str, policy: Policy) -> None:
-    """With 120 variables and 300 rows every answer is true at 1e-6 too."""
     rows = 0 if family == "no_rows" else 300
     check(plant_sequence(RandomRecipe(family, 120, rows, 1, steps=9)), policy)
 

@@ -90,7 +90,6 @@ def error(solver, route, settings, qp):
 
 @pytest.mark.parametrize("route", ["qpsolvers", "native"])
 def test_a_tolerance_decides_how_exact_an_answer_is(route, sequence):
-    """Clarabel at 1e-2 stops earlier than at 1e-11."""
     loose, tight = (error("clarabel", route, name, sequence.base) for name in ("1e-2", "1e-11"))
     assert tight < 1e-2 * loose
 

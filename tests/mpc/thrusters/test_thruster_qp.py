@@ -37,7 +37,6 @@ PLAIN = build_prediction_model(SHIP.M, SHIP.D, 0.3, SAMPLE_S)
 def problem(
     sides: int = 8, N_p: int = 12, N_c: int = 3, model: StateSpace = PLAIN
 ) -> ControlProblem:
-    """The controller of the ship with four thrusters."""
     rows, du_max = thruster_rows(THRUSTERS, sides), THRUSTERS.step_max(SAMPLE_S)
     commanded = StateSpace(model.A, model.B @ THRUSTERS.T_e, model.C)
     R = np.diag(0.3 / du_max**2)

@@ -53,7 +53,6 @@ def test_agrees_with_quadprog(seed: int) -> None:
 @pytest.mark.parametrize("n", [15, 30])
 @pytest.mark.parametrize("condition", [1e4, 1e8])
 def test_strict_problems_are_bounded_far_below_what_is_judged(n: int, condition: float) -> None:
-    """Random problems with unit rows are certified to 1e-9 up to a condition of 1e8."""
     for seed in range(10):
         assert certify(_random(n, n, seed, condition)).bound <= 1e-9
 
@@ -201,7 +200,6 @@ def test_rational_certificate(q: tuple[float, float]) -> None:
 @pytest.mark.parametrize("name", ["paper", "rough"])
 @pytest.mark.parametrize("drop", [False, True])
 def test_steps_of_a_scenario(name: str, drop: bool) -> None:
-    """Every step has a linear certificate below 1e-12, also while a limit has dropped."""
     builder = condense(load_scenario(name))
     control = builder.control
     referee = Referee(builder.P, builder.A, builder.lb, builder.ub)

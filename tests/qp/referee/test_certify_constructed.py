@@ -23,8 +23,6 @@ ROLES = ("strict", "weak", "equal", "inactive", "one_sided", "free", "copy_stric
 
 @dataclass(frozen=True)
 class Known:
-    """A problem and its optimum."""
-
     qp: QuadraticProgram
     z: NDArray[np.float64]
 
@@ -84,7 +82,6 @@ problems = st.builds(
 @settings(max_examples=250, derandomize=True, deadline=None)
 @given(problems)
 def test_bound_holds_whatever_is_active(known: Known) -> None:
-    """The certified optimum is within its bound of the true one, and the bound is at most 1e-9."""
     _agrees(known)
 
 
@@ -105,7 +102,6 @@ def test_active_bounds_alone_give_a_linear_certificate(seed: int, roles: list[st
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("n", [15, 30])
 def test_weak_activity_at_full_size(n: int, seed: int) -> None:
-    """Weakly active independent limits of a full-sized problem are certified to 1e-9."""
     rng = np.random.default_rng(seed)
     bounds = rng.choice(["strict", "weak", "inactive"], n, p=[0.3, 0.3, 0.4]).tolist()
     rows = ["inactive"] * n
@@ -137,7 +133,6 @@ def test_more_active_rows_than_variables() -> None:
 @settings(max_examples=60, derandomize=True, deadline=None)
 @given(problems)
 def test_certified_multipliers_explain_the_optimum(known: Known) -> None:
-    """The certified optimum, its own multipliers or the best ones, is true at 1e-6."""
     qp = known.qp
     optimum = certify(qp)
     own = Solution(Status.UNKNOWN, optimum.z, optimum.y, optimum.y_box)

@@ -42,7 +42,6 @@ def _touching(violation: float, scale: float) -> QuadraticProgram:
 @pytest.mark.parametrize("plant", [_hollow, _touching])
 @pytest.mark.parametrize("violation", [1e-17, 1e-16, 1e-12, 1e-3])
 def test_planted_violation(plant: Any, violation: float, scale: float) -> None:
-    """A violation of 1e-16 of the numbers around it is undecided, one of 1e-12 is not."""
     qp = plant(violation, scale)
     optimum = certify(qp)
     assert optimum.kind == ("undecided" if violation < 1e-14 else "infeasible")
@@ -61,7 +60,6 @@ def test_opposed_rows(n: int, violation: float, scale: float) -> None:
 @pytest.mark.parametrize("row", [True, False])
 @pytest.mark.parametrize("limit", [1.0, -7.7, 1e9, 1e-9])
 def test_crossed_limits(limit: float, row: bool) -> None:
-    """Limits crossed by one unit in the last place are undecided, by 1e-12 of them infeasible."""
     for below, kind in (
         (np.nextafter(limit, -INF), "undecided"),
         (limit - 1e-12 * abs(limit), "infeasible"),
@@ -124,7 +122,6 @@ def test_many_rows_together(seed: int, n: int, m: int) -> None:
 
 
 def test_units_of_a_row_do_not_matter() -> None:
-    """A genuine violation stays one when a single row is written in units 1e6 times smaller."""
     qp = _opposed(1e-6, 1.0)
     for unit in (2.0**20, 2.0**-20):
         A, u, l = qp.A.copy(), qp.u.copy(), qp.l.copy()  # noqa: E741 - as in QuadraticProgram
@@ -169,7 +166,6 @@ U = 2.0**-53
     ],
 )
 def test_a_violation_is_undecided_up_to_the_bound(n: int, units: int, undecided: bool) -> None:
-    """A violation below γ_{n+2} is undecided, one above it is not."""
     assert bound_least_violation(_opposed(units * U, 1.0, n)).undecided is undecided
 
 

@@ -19,7 +19,6 @@ def published() -> pd.DataFrame:
 
 @pytest.fixture(scope="session")
 def ratownik() -> Vessel:
-    """The vessel of the library."""
     return load_vessel("ratownik")
 
 

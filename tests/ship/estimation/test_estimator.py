@@ -23,12 +23,10 @@ START = np.array([0.3, -0.2, 0.004, 12.0, -7.0, 0.8])
 
 
 def kalman() -> KalmanFilter:
-    """The Kalman filter with its defaults for the ship."""
     return KalmanFilter(SHIP, KalmanTuning.of_ship(SHIP, WAVES), SAMPLE_S)
 
 
 def passive() -> PassiveObserver:
-    """The passive observer with its defaults for the ship."""
     return PassiveObserver(SHIP, PassiveTuning.of_ship(SHIP, WAVES), SAMPLE_S)
 
 

@@ -18,37 +18,31 @@ from dpbench.ship.estimation.kalman import (
 )
 from dpbench.ship.estimation.observer import WaveModel
 from dpbench.ship.vessel import Vessel
+from tests.ship.estimation.conftest import (
+    FULL_SCALE,
+    OMEGA0,
+    OUTPUT,
+    SAMPLE_S,
+    SHIP,
+    WAVES,
+    model_matrix,
+    response,
+)
 
-SAMPLE_S = 0.3
-SHIP = load_vessel("supply_fs99")
-WAVES = WaveModel.of_sea(8.5, np.array([0.3, 0.3, np.radians(0.5)]))
-OMEGA0 = 2 * np.pi / 8.5
 TUNING = KalmanTuning.of_ship(SHIP, WAVES)
-FULL_SCALE = ("supply_fs99", "supply_mss", "supply_tmr", "osv")
 
 
 def continuous(ship: Vessel, tuning: KalmanTuning) -> tuple[np.ndarray, ...]:
     """A, B, E Eᵀ, C of the states [η, b, ν, ξ1, ξ2], written block by block in SI."""
-    I3, O3 = np.eye(3), np.zeros((3, 3))
-    Minv = np.linalg.inv(ship.M)
-    waves = tuning.waves
+    O3, Minv, waves = np.zeros((3, 3)), np.linalg.inv(ship.M), tuning.waves
     assert waves is not None
     w0, lam = 2 * np.pi / waves.peak_period_s, waves.damping
-    A = np.block(
-        [
-            [O3, O3, I3, O3, O3],
-            [O3, -I3 / tuning.bias_time_s, O3, O3, O3],
-            [O3, Minv, -Minv @ ship.D, O3, O3],
-            [O3, O3, O3, O3, I3],
-            [O3, O3, O3, -np.diag(w0**2), -np.diag(2 * lam * w0)],
-        ]
-    )
     B = np.vstack([O3, O3, Minv, O3, O3])
     # var ξ2 = K_w²/(4 λ ω0) is to be σ².
     drive = np.diag(4 * lam * w0 * waves.std**2)
     force = Minv @ np.diag(tuning.force_noise**2) @ Minv.T
     EE = block_diag(O3, np.diag(tuning.bias_noise**2), force, O3, drive)
-    return A, B, EE, np.hstack([I3, O3, O3, O3, I3])
+    return model_matrix(ship, np.full(3, 1 / tuning.bias_time_s), waves), B, EE, OUTPUT
 
 
 def sampled(ship: Vessel, tuning: KalmanTuning, h: float) -> tuple[np.ndarray, ...]:
@@ -88,7 +82,6 @@ def outside_bounds(series: np.ndarray, lags: int) -> int:
 
 @pytest.mark.parametrize("bias_time_s", [math.inf, 30.0])
 def test_the_discrete_model_holds_the_integrals_of_the_continuous_one(bias_time_s: float) -> None:
-    """Φ, Γ and Q equal the matrix exponential and the quadrature of its integrals."""
     tuning = replace(TUNING, bias_time_s=bias_time_s)
     Phi, Gamma, Q, C = sampled(SHIP, tuning, SAMPLE_S)
     model = build_kalman_model(SHIP, tuning, SAMPLE_S)
@@ -159,17 +152,8 @@ def test_innovations_have_the_covariance_the_filter_predicts() -> None:
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_wave_motion_at_the_peak_period_is_taken_out(axis: int) -> None:
     """Motion at the peak loses 20 dB on its way to the pose, as the transfer function says."""
-    amplitude = np.array([0.5, 0.5, 0.01])[axis]
     kalman = KalmanFilter(SHIP, TUNING, SAMPLE_S)
-    kalman.start(np.zeros(6))
-    N = 1700  # sixty periods of 85/3 samples
-    t, estimates = SAMPLE_S * np.arange(2 * N), np.empty((2 * N, 6))
-    measured = np.zeros(3)
-    for k in range(2 * N):
-        measured[axis] = amplitude * math.sin(OMEGA0 * t[k])
-        estimates[k] = kalman.update(measured, np.zeros(3))
-    phasor = np.exp(-1j * OMEGA0 * t[N:])
-    reached = np.abs(2 / N * phasor @ estimates[N:, 3 + axis]) / amplitude
+    reached = response(kalman, axis)
     Phi, _, _, C = sampled(SHIP, TUNING, SAMPLE_S)
     K, z = kalman.model.K, np.exp(1j * OMEGA0 * SAMPLE_S)
     H = np.linalg.solve(np.eye(15) - (np.eye(15) - K @ C) @ Phi / z, K)

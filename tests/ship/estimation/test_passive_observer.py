@@ -10,32 +10,26 @@ from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.estimation.observer import WaveModel
 from dpbench.ship.estimation.passive_observer import PassiveObserver, PassiveTuning
 from dpbench.ship.vessel import Vessel
+from tests.ship.conftest import rotation
+from tests.ship.estimation.conftest import (
+    FULL_SCALE,
+    OMEGA0,
+    OUTPUT,
+    SAMPLE_S,
+    SHIP,
+    WAVES,
+    model_matrix,
+    response,
+)
 
-SAMPLE_S = 0.3
-SHIP = load_vessel("supply_fs99")
-WAVES = WaveModel.of_sea(8.5, np.array([0.3, 0.3, np.radians(0.5)]))
-OMEGA0 = 2 * np.pi / 8.5
 TUNING = PassiveTuning.of_ship(SHIP, WAVES)
-FULL_SCALE = ("supply_fs99", "supply_mss", "supply_tmr", "osv")
 
 
 def linear(ship: Vessel, tuning: PassiveTuning) -> tuple[np.ndarray, np.ndarray]:
     """A and B of ẋ = A x + B y at heading zero, x = [η̂, b̂, ν̂, ξ̂1, ξ̂2]."""
-    I3, O3 = np.eye(3), np.zeros((3, 3))
-    Minv = np.linalg.inv(ship.M)
     K11, K12, K2, K3, K4 = (np.diag(gain) for gain in tuning.gains)
-    w0, lam = 2 * np.pi / tuning.waves.peak_period_s, tuning.waves.damping
-    B = np.vstack([K2, K3, Minv @ K4, K11, K12])
-    A = np.block(
-        [
-            [O3, O3, I3, O3, O3],
-            [O3, -np.diag(1 / tuning.bias_time_s), O3, O3, O3],
-            [O3, Minv, -Minv @ ship.D, O3, O3],
-            [O3, O3, O3, O3, I3],
-            [O3, O3, O3, -np.diag(w0**2), -np.diag(2 * lam * w0)],
-        ]
-    )
-    return A - B @ np.hstack([I3, O3, O3, O3, I3]), B
+    B = np.vstack([K2, K3, np.linalg.inv(ship.M) @ K4, K11, K12])
+    return model_matrix(ship, 1 / tuning.bias_time_s, tuning.waves) - B @ OUTPUT, B
 
 
 def test_the_gains_follow_the_published_rules() -> None:
@@ -76,22 +70,8 @@ def test_the_defaults_are_passive_for_every_vessel(name: str) -> None:
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_wave_motion_at_the_peak_period_is_taken_out(axis: int) -> None:
     """Motion at the peak loses 20 dB on its way to the pose, as the transfer function says."""
-    amplitude = np.array([0.5, 0.5, 0.01])[axis]
-    filtered, plain = (
-        PassiveObserver(SHIP, PassiveTuning.of_ship(SHIP, WAVES, wave_filter=on), SAMPLE_S)
-        for on in (True, False)
-    )
-    N = 1700  # sixty periods of 85/3 samples
-    t = SAMPLE_S * np.arange(2 * N)
-    phasor = np.exp(-1j * OMEGA0 * t[N:])
-    measured, reached = np.zeros(3), []
-    for observer in (filtered, plain):
-        observer.start(np.zeros(6))
-        estimates = np.empty((2 * N, 6))
-        for k in range(2 * N):
-            measured[axis] = amplitude * math.sin(OMEGA0 * t[k])
-            estimates[k] = observer.update(measured, np.zeros(3))
-        reached.append(np.abs(2 / N * phasor @ estimates[N:, 3 + axis]) / amplitude)
+    tunings = (PassiveTuning.of_ship(SHIP, WAVES, wave_filter=on) for on in (True, False))
+    reached = [response(PassiveObserver(SHIP, tuning, SAMPLE_S), axis) for tuning in tunings]
     A, B = linear(SHIP, TUNING)
     H = np.linalg.solve(1j * OMEGA0 * np.eye(15) - A, B)
     assert reached[0] < 0.1
@@ -119,8 +99,7 @@ def test_the_step_is_the_solution_of_the_differential_equations() -> None:
         def equations(at_s: float, x: np.ndarray, k: int = k) -> np.ndarray:
             y = poses[k - 1] + (poses[k] - poses[k - 1]) * at_s / SAMPLE_S
             eta, b, nu, xi1, xi2 = x.reshape(5, 3)
-            c, s = np.cos(y[2]), np.sin(y[2])
-            R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+            R = rotation(y[2])
             e = y - eta - xi2
             return np.concatenate(
                 [

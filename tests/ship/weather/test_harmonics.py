@@ -85,7 +85,6 @@ def test_derivatives_are_those_of_the_sum(order: int) -> None:
 
 
 def test_a_long_series_has_the_variance_and_does_not_repeat() -> None:
-    """Over 20 000 instants the series has its variance, and late values differ from early ones."""
     waves = made(3)
     z = waves.at(97.3 * np.arange(20_000), np.zeros(1))[:, 0].real
     # Independent Gaussian values leave a relative error of √(2/20000) = 1 %; five of those.

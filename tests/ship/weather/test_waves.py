@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from dpbench.ship.environment import Environment
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather.waves import FirstOrderMotion, Sea, WaveDrift, WaveReflection
+from tests.ship.conftest import CALM, rotation
 
 Felt = Callable[..., np.ndarray]
 SEA = Sea(3.1, 8.5, 0.4)
@@ -17,13 +19,11 @@ NOW = np.zeros(1)
 
 def drifting(sea: Sea, seed: int = 0) -> Environment:
     """Drift in a sea and nothing else."""
-    zero = np.zeros(3)
-    return Environment(zero, zero, np.ones(3), zero, drift=WaveDrift(sea), seed=seed)
+    return replace(CALM, drift=WaveDrift(sea), seed=seed)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_wave_height_is_four_standard_deviations_of_the_elevation(seed: int) -> None:
-    """A long record of the elevation has Hs = 4σ."""
     elevation = SEA.harmonics(seed).at(101.7 * np.arange(20_000), NOW)[:, 0].real
     # The standard deviation of 20 000 independent values is known to 0.5 %; five of those.
     assert 4 * elevation.std() == pytest.approx(SEA.hs_m, rel=0.025)
@@ -107,8 +107,7 @@ def test_turning_the_sea_turns_the_motion(to_rad: float) -> None:
         FirstOrderMotion(Sea(2.0, 8.5, angle), 0.6, 0.2, 0.01).table(np.linspace(0, 50, 9), 5)
         for angle in (0.0, to_rad)
     )
-    c, s = math.cos(to_rad), math.sin(to_rad)
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    R = rotation(to_rad)
     np.testing.assert_allclose(turned[:, :3], north[:, :3] @ R.T, atol=1e-13)
     np.testing.assert_allclose(turned[:, 3:], north[:, 3:] @ R.T, atol=1e-13)
 

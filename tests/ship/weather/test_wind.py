@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,14 +12,14 @@ from dpbench.ship.environment import Environment
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather.harmonics import harris_gust, norsok_gust
 from dpbench.ship.weather.wind import Wind, towards_rad
+from tests.ship.conftest import CALM, rotation
 
 Felt = Callable[..., np.ndarray]
 
 
 def blowing(speed_mps: float, to_rad: float) -> Environment:
     """A steady wind and nothing else."""
-    zero = np.zeros(3)
-    return Environment(zero, zero, np.ones(3), zero, wind=Wind(speed_mps, to_rad, "none"))
+    return replace(CALM, wind=Wind(speed_mps, to_rad, "none"))
 
 
 @pytest.mark.parametrize(("come", "go"), [(0, 180), (90, -90), (180, 0), (270, 90), (405, -135)])
@@ -33,8 +34,9 @@ def test_wind_on_a_turned_moving_ship_is_the_force_of_fossen(
     """X, Y, N are ½ρV²(−c_x cos γ A_F, c_y sin γ A_L, c_n sin 2γ A_L L) of the relative wind."""
     psi, nu = math.radians(heading_deg), np.array([1.5, -0.8, 0.0])
     speed, to_rad = 13.8, 0.9
-    R = np.array([[math.cos(psi), -math.sin(psi)], [math.sin(psi), math.cos(psi)]])
-    u, v = nu[:2] - R.T @ (speed * np.array([math.cos(to_rad), math.sin(to_rad)]))
+    u, v = nu[:2] - rotation(psi)[:2, :2].T @ (
+        speed * np.array([math.cos(to_rad), math.sin(to_rad)])
+    )
     gamma, pressure = -math.atan2(v, u), 0.5 * 1.226 * (u * u + v * v)
     expected = pressure * np.array(
         [

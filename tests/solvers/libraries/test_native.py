@@ -30,7 +30,6 @@ def opened(solver, policy="", settings="default"):
 
 
 def answers(workspace, base, steps):
-    """The answers of a workspace along steps."""
     return Sequence(base, steps).answers(workspace)
 
 

@@ -23,6 +23,5 @@ def cost(rng, n, condition=None):
 
 
 def unlimited(P, q, A, low, high) -> QuadraticProgram:
-    """Return a problem without bounds."""
     free = np.full(len(q), INF)
     return QuadraticProgram(P, q, A, low, high, -free, free)
