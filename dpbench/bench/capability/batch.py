@@ -49,10 +49,12 @@ def points_at_edge(case: Case, from_rad: float, edge: WindLimit) -> list[Point]:
     if number == max(DP_CONDITIONS):
         rows = range(number + 1 - POINTS, number + 1)
         return [Point(case, from_rad, DP_CONDITIONS[row][0], True) for row in rows]
+    # A ship that holds no wind holds that of no row: calm and half of the first one.
+    beyond = (1.0 + EDGE) * wind_mps if wind_mps > EDGE else 0.5 * DP_CONDITIONS[1][0]
     winds = [
         (DP_CONDITIONS[number][0] if number else 0.5 * wind_mps, True),
         ((1.0 - EDGE) * wind_mps, True),
-        ((1.0 + EDGE) * wind_mps, False),
+        (beyond, False),
         (DP_CONDITIONS[number + 1][0], False),
     ]
     # By rising wind: the edge may lie within a thousandth of a row of the table.

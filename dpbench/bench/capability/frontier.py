@@ -3,13 +3,13 @@
 import math
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from itertools import product
 
 import numpy as np
 from scipy.optimize import brentq
 
 from dpbench.arrays import Vector
-from dpbench.bench.capability.utilisation import Utilisation
+from dpbench.bench.capability.choices import find_best_choice
+from dpbench.bench.capability.utilisation import Choices, Combination, Utilisation
 from dpbench.errors import InputError
 from dpbench.ship.capability import losses
 from dpbench.ship.capability.conditions import DP_CONDITIONS, interpolate_condition
@@ -22,10 +22,12 @@ DIRECTIONS = 36
 INTACT = "intact"
 CHORD_RAD = math.radians(1.0)
 """Angle between corners on the edge of a notch, where circles are circles."""
-WIND_TOLERANCE = 1e-4
+_NOWHERE = Piece()
+"""Stands in for the piece of a thruster that may push in no direction, which counts as lost."""
+WIND_TOLERANCE = 1e-7
 """Of a wind held [m/s]."""
-
-Combination = tuple[Piece, ...]
+USE_TOLERANCE = 1e-8
+"""Share of full thrust by which another choice of pieces has to be better."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,6 @@ class CapabilityPlot:
         self.sides = sides
         self._utilisation = Utilisation(self.thrusters, sides)
         self.pieces_of = cache(self._split_thrust_areas)
-        self.combinations = cache(self._list_combinations)
         # One wind is asked with many choices of pieces in a row.
         self.weather = lru_cache(maxsize=64)(self._compute_weather)
 
@@ -118,9 +119,9 @@ class CapabilityPlot:
         nowhere = {i for i, parts in enumerate(self.pieces_of(case)) if not parts}
         return case.lost | nowhere
 
-    def _list_combinations(self, case: Case) -> list[Combination]:
-        """Return every choice of one convex piece of thrust area for each thruster."""
-        return list(product(*(some or [Piece()] for some in self.pieces_of(case))))
+    def _choices(self, case: Case) -> Choices:
+        """Return the pieces of each thruster between which there is a choice."""
+        return tuple(tuple(some or [_NOWHERE]) for some in self.pieces_of(case))
 
     def least_use(self, case: Case, from_rad: float, wind_mps: float, chosen: Combination) -> float:
         """Return the least share of full thrust that holds a wind, in given convex thrust areas."""
@@ -133,37 +134,45 @@ class CapabilityPlot:
         self, case: Case, from_rad: float, wind_mps: float
     ) -> tuple[float, Combination]:
         """Return the least share of full thrust that holds a wind, and its convex thrust areas."""
-        uses = [
-            (self.least_use(case, from_rad, wind_mps, chosen), chosen)
-            for chosen in self.combinations(case)
-        ]
-        return min(uses, key=lambda use: use[0])
+        weather, lost = self.weather(from_rad, wind_mps), self.lost_thrusters(case)
+        return find_best_choice(
+            lambda some: self._utilisation.relax(weather.load, weather.shares, some, lost),
+            self._choices(case),
+        )
 
     def find_wind_limit(self, case: Case, from_rad: float) -> WindLimit:
         """Return the largest wind held, with all weaker winds of the standard's table held too."""
-        number, low, choices = 0, 0.0, self.combinations(case).copy()
+        number, low = 0, 0.0
+        # Nothing pushes in calm: any choice holds it.
+        chosen = tuple(pieces[0] for pieces in self._choices(case))
         for wind_mps, *_ in DP_CONDITIONS.values():
-            uses = (self.least_use(case, from_rad, wind_mps, chosen) for chosen in choices)
-            holding = next((i for i, use in enumerate(uses) if use <= 1.0), None)
-            if holding is None:
-                return WindLimit(
-                    self._solve_wind_limit(case, from_rad, (low, wind_mps), choices), number
-                )
             # What holds this wind most likely holds the next.
-            choices.insert(0, choices.pop(holding))
+            if self.least_use(case, from_rad, wind_mps, chosen) > 1.0:
+                use, best = self.best_choice(case, from_rad, wind_mps)
+                if use > 1.0:
+                    limit = self._solve_wind_limit(case, from_rad, (low, wind_mps), chosen)
+                    return WindLimit(limit, number)
+                chosen = best
             number, low = number + 1, wind_mps
         return WindLimit(low, number)
 
     def _solve_wind_limit(
-        self, case: Case, from_rad: float, between: tuple[float, float], choices: list[Combination]
+        self, case: Case, from_rad: float, between: tuple[float, float], chosen: Combination
     ) -> float:
-        """Return the wind [m/s] within `between` that takes full thrust, in the best areas."""
+        """Return the wind [m/s] within `between` that takes full thrust, in the best areas.
+
+        chosen : areas that hold the lower of the two.
+        """
         low, high = between
-        for chosen in choices:
+        while True:
 
             def missing(wind_mps: float, chosen: Combination = chosen) -> float:
                 return min(self.least_use(case, from_rad, wind_mps, chosen), 10.0) - 1.0
 
-            if missing(low) < 0.0:
-                low = float(brentq(missing, low, high, xtol=WIND_TOLERANCE))
-        return low
+            if missing(high) <= 0.0:
+                return high
+            low = float(brentq(missing, low, high, xtol=WIND_TOLERANCE))
+            use, better = self.best_choice(case, from_rad, low)
+            if use > 1.0 - USE_TOLERANCE or better == chosen:
+                return low
+            chosen = better

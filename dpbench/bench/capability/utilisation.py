@@ -3,12 +3,16 @@
     min u   subject to   T_e f = −load,   |f_i| ≤ u T_i,   f_i within u times its piece
 
 The load is balanced where u ≤ 1. Circles are second-order cones; with a number of sides they are
-the polygons of the QPs.
+the polygons of the QPs. Where a thruster has several pieces, its force is a sum of one from each,
+f_i = Σ_k f_ik with f_ik within u_k times piece k and Σ_k u_k ≤ u: the convex hull of the pieces,
+which bounds the use of every choice of one from below.
 
 Few thrusters, or ones in line, leave a set without interior, on which an interior-point method may
 stop. A load outside its span is seen at once; what else is left open is solved by linear programs
 that add the tangent of a circle wherever the force is outside it (Kelley 1960).
 """
+
+from __future__ import annotations
 
 from functools import cache
 from importlib import import_module
@@ -18,7 +22,7 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.sparse import csc_matrix
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.mpc.thrusters.static_allocation import (
     build_balance_matrix,
     compute_balance_units,
@@ -28,6 +32,10 @@ from dpbench.ship.capability.shapes import Piece
 from dpbench.ship.layout import AXES
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
+Combination = tuple[Piece, ...]
+"""A piece for each thruster."""
+Choices = tuple[tuple[Piece, ...], ...]
+"""Pieces of each thruster between which there is a choice."""
 SPAN = 1e-9
 """Share of a load that may lie outside the span of the thrusters' forces: rounding."""
 TANGENTS = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
@@ -61,31 +69,57 @@ class Utilisation:
         self._settings = settings
 
     def least_use(
-        self, load: Vector, shares: Vector, chosen: tuple[Piece, ...], lost: frozenset[int]
+        self, load: Vector, shares: Vector, chosen: Combination, lost: frozenset[int]
     ) -> float:
         """Return the least share of full thrust that balances a load (3,) [N, N, N·m]; inf if none.
 
         `shares` (p,) is effective over nominal thrust; `chosen` (p,) pieces are kept by this
         object.
         """
-        key = lost, tuple(map(id, chosen))
+        return self.relax(load, shares, tuple((piece,) for piece in chosen), lost)[0]
+
+    def relax(
+        self, load: Vector, shares: Vector, choices: Choices, lost: frozenset[int]
+    ) -> tuple[float, list[Vector]]:
+        """Return the least use in the convex hulls of pieces, and the use u_k of each piece.
+
+        Parameters
+        ----------
+        shares : (p,) effective over nominal thrust; choices : (p,) pieces of each thruster, kept by
+            this object; lost : indices of those that give nothing.
+        """
+        unused = [np.zeros(len(pieces)) for pieces in choices]
+        key = lost, tuple(id(piece) for pieces in choices for piece in (*pieces, None))
         if key not in self._cones:
-            self._cones[key] = _Cones(self._thrusters, self._sides, chosen, lost)
+            self._cones[key] = _Cones(self._thrusters, self._sides, choices, lost)
         cones = self._cones[key]
         if not cones.entries.size:
-            return np.inf if load.any() else 0.0
+            return np.inf if load.any() else 0.0, unused
         balance = (self._thrusters.per_entry(shares) * self._balance)[:, cones.entries]
         wanted = -load / self._units
         if not _is_in_span(balance, wanted):
-            return np.inf
+            return np.inf, unused
+        # A use is proportional to its load: solved for a load of 1, it is as exact for a small one.
+        size = float(np.abs(wanted).max())
+        if size == 0.0:
+            return 0.0, unused
+        x = self._solve_cones(cones, balance, wanted / size)
+        if x is None:
+            return np.inf, unused
+        x *= size
+        return float(x[-1]), [x[at] for at in cones.sizes]
+
+    def _solve_cones(self, cones: _Cones, balance: Matrix, wanted: Vector) -> Vector | None:
+        """Return the optimum of a cone program for a force (3,); None where there is none."""
         A, b = cones.insert_balance(balance), cones.zeros.copy()
         b[:AXES] = wanted
         problem = cones.quadratic, cones.cost, A, b, cones.kinds
         solution = _import_clarabel().DefaultSolver(*problem, self._settings).solve()
         status = str(solution.status)
         if status == "Solved":
-            return float(solution.x[-1])
-        return np.inf if status == "PrimalInfeasible" else cones.least_use_by_tangents(wanted)
+            x: Vector = np.array(solution.x)
+            return x
+        return None if status == "PrimalInfeasible" else cones.solve_by_tangents(wanted)
 
 
 def _is_in_span(balance: Matrix, wanted: Vector) -> bool:
@@ -97,43 +131,44 @@ def _is_in_span(balance: Matrix, wanted: Vector) -> bool:
 
 
 class _Cones:
-    """Cone program for the least thrust share in one choice of convex thrust areas, but the load.
+    """Cone program for the least thrust share in given choices of thrust areas, but the load.
 
-    x = (f_i/T_i of the thrusters that are not lost, u). A begins with the balance, the only part of
-    it that changes.
+    x = (f_ik/T_i of each piece k of the thrusters that are not lost, its u_k where there are
+    several, u). A begins with the balance, the only part of it that changes. `entries` are those of
+    f in x, and `sizes` (p,) the places of u_k.
     """
 
     def __init__(
         self,
         thrusters: ThrusterSet,
         sides: int | None,
-        chosen: tuple[Piece, ...],
+        choices: Choices,
         lost: frozenset[int],
     ) -> None:
-        self.chosen = chosen
-        alive = [i for i in range(len(chosen)) if i not in lost]
-        places = [np.arange(thrusters.n_f)[thrusters.slices[i]] for i in alive]
-        self.entries = np.concatenate([*places, np.zeros(0, dtype=np.intp)]).astype(np.intp)
-        width = len(self.entries) + 1
-        kinds, first, height = [_import_clarabel().ZeroConeT(AXES)], 0, AXES
-        blocks: list[Matrix] = []
-        self._circles: list[int] = []
-        round_rows: list[int] = []
-        for i, place in zip(alive, places, strict=True):
-            rows, cones = _cone_rows(thrusters.thrusters[i], chosen[i], sides)
-            if thrusters.thrusters[i].kind == "azimuth" and sides is None:
-                self._circles.append(first)
-                round_rows += range(height, height + 3)
-            wide = np.zeros((len(rows), width))
-            wide[:, first : first + len(place)], wide[:, -1] = rows[:, :-1], rows[:, -1]
-            blocks.append(wide)
-            kinds += cones
-            first, height = first + len(place), height + len(rows)
-        balance = np.hstack([np.ones((AXES, width - 1)), np.zeros((AXES, 1))])
-        whole = np.vstack([balance, *(-block for block in blocks)])
-        self.kinds, self.zeros = kinds, np.zeros(len(whole))
+        self.choices = choices
+        alive = [i for i in range(len(choices)) if i not in lost]
+        several = [i for i in alive if len(choices[i]) > 1]
+        width = 1 + sum(
+            len(choices[i]) * (thrusters.thrusters[i].components + (i in several)) for i in alive
+        )
+        rows = _ConeRows(width)
+        self.sizes = [np.zeros(len(pieces), dtype=np.intp) for pieces in choices]
+        entries: list[int] = []
+        for i in alive:
+            thruster, own = thrusters.thrusters[i], thrusters.slices[i]
+            is_round = thruster.kind == "azimuth" and sides is None
+            for k, piece in enumerate(choices[i]):
+                entries += range(own.start, own.stop)
+                blocks, cones = _cone_rows(thruster, piece, sides)
+                self.sizes[i][k] = rows.add_piece(blocks, cones, i in several, is_round=is_round)
+            if i in several:
+                rows.add_sum(self.sizes[i])
+        self.entries = np.array(entries, dtype=np.intp)
+        whole = rows.stack()
+        self.kinds, self.zeros = rows.kinds, np.zeros(len(whole))
         self.quadratic, self.cost = csc_matrix((width, width)), np.eye(width)[-1]
-        self._flat = np.setdiff1d(np.arange(AXES, len(whole)), round_rows)
+        self._circles = rows.circles
+        self._flat = np.setdiff1d(np.arange(AXES, len(whole)), rows.round_rows)
         self._matrix = csc_matrix(whole)
         self._of_balance = self._matrix.indices < AXES
 
@@ -142,32 +177,78 @@ class _Cones:
         self._matrix.data[self._of_balance] = balance.T.ravel()
         return self._matrix
 
-    def least_use_by_tangents(self, wanted: Vector) -> float:
-        """Return the least share of thrust for a force (3,) by linear programs; inf if none."""
-        size = float(np.abs(wanted).max())
-        if size == 0.0:
-            return 0.0
+    def solve_by_tangents(self, wanted: Vector) -> Vector | None:
+        """Return the optimum for a force (3,) by linear programs; None where there is none."""
         A = self._matrix.toarray()
-        posed: dict[str, Any] = {"A_eq": A[:AXES], "b_eq": wanted / size, "bounds": (None, None)}
-        tangents = [self._tangent(at, angle) for at in self._circles for angle in TANGENTS]
+        posed: dict[str, Any] = {"A_eq": A[:AXES], "b_eq": wanted, "bounds": (None, None)}
+        tangents = [self._tangent(*at, angle) for at in self._circles for angle in TANGENTS]
         for _ in range(ROUNDS):
             rows = np.vstack([A[self._flat], *tangents])
             posed |= {"A_ub": rows, "b_ub": np.zeros(len(rows)), "options": _PRECISE}
             answer = linprog(self.cost, **posed)
             if answer.x is None:
-                return np.inf
-            x, use = answer.x, float(answer.x[-1])
-            beyond = [at for at in self._circles if np.hypot(*x[at : at + 2]) > use * (1 + OUTSIDE)]
+                return None
+            x: Vector = answer.x
+            beyond = [
+                (at, own)
+                for at, own in self._circles
+                if np.hypot(*x[at : at + 2]) > x[own] + OUTSIDE * x[-1]
+            ]
             if not beyond:
                 break
-            tangents += [self._tangent(at, np.arctan2(x[at + 1], x[at])) for at in beyond]
-        return size * use
+            tangents += [self._tangent(at, own, np.arctan2(x[at + 1], x[at])) for at, own in beyond]
+        return x
 
-    def _tangent(self, at: int, angle_rad: float) -> Matrix:
-        """Return the row (1, width) of a circle's tangent: (cos, sin)·f/T − u ≤ 0."""
+    def _tangent(self, at: int, own: int, angle_rad: float) -> Matrix:
+        """Return the row (1, width) of a circle's tangent: (cos, sin)·f/T − u_k ≤ 0."""
         row = np.zeros((1, len(self.cost)))
-        row[0, at], row[0, at + 1], row[0, -1] = np.cos(angle_rad), np.sin(angle_rad), -1.0
+        row[0, at], row[0, at + 1], row[0, own] = np.cos(angle_rad), np.sin(angle_rad), -1.0
         return row
+
+
+class _ConeRows:
+    """Rows of a cone program as they are collected, of x with `width` entries.
+
+    circles : places of f and of its u_k; round_rows : rows of circles; kinds : the cones.
+    """
+
+    def __init__(self, width: int) -> None:
+        self._blocks: list[Matrix] = []
+        self._width, self._first, self._height = width, 0, AXES
+        self._forces = np.zeros(width)
+        self.kinds: list[Any] = [_import_clarabel().ZeroConeT(AXES)]
+        self.circles: list[tuple[int, int]] = []
+        self.round_rows: list[int] = []
+
+    def add_piece(self, rows: Matrix, cones: list[Any], has_size: bool, *, is_round: bool) -> int:
+        """Add the rows of one piece; return the place of its u_k, that of u without one."""
+        at, count = self._first, rows.shape[1] - 1
+        own = at + count if has_size else self._width - 1
+        if is_round:
+            self.circles.append((at, own))
+            self.round_rows += range(self._height, self._height + 3)
+        wide = np.zeros((len(rows), self._width))
+        wide[:, at : at + count], wide[:, own] = rows[:, :-1], rows[:, -1]
+        self._forces[at : at + count] = 1.0
+        self._append(wide, cones)
+        self._first = at + count + has_size
+        return own
+
+    def add_sum(self, sizes: Indices) -> None:
+        """Add the row Σ u_k ≤ u of a thruster with several pieces."""
+        row = np.zeros((1, self._width))
+        row[0, sizes], row[0, -1] = -1.0, 1.0
+        self._append(row, [_import_clarabel().NonnegativeConeT(1)])
+
+    def _append(self, rows: Matrix, cones: list[Any]) -> None:
+        """Append rows and their cones."""
+        self._blocks.append(rows)
+        self.kinds += cones
+        self._height += len(rows)
+
+    def stack(self) -> Matrix:
+        """Return the rows of A, first ones that mark the forces in the balance."""
+        return np.vstack([np.tile(self._forces, (AXES, 1)), *(-block for block in self._blocks)])
 
 
 def _cone_rows(thruster: Thruster, piece: Piece, sides: int | None) -> tuple[Matrix, list[Any]]:

@@ -21,6 +21,7 @@ from dpbench.arrays import Matrix
 from dpbench.ship.capability.losses import TURN, Loss
 
 _ROUNDING = 1e-9  # Angles [rad] that are the same
+_THROUGH_ORIGIN = 1e-6  # A chord as near bounds nothing along itself but for rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +87,9 @@ class _ThrustEdge:
                 first = i
         cuts.append((first, len(tangents)))
         chords = [[chord for _, _, chord in tangents[a:b] if chord] for a, b in cuts]
+        for (a, b), rows in zip(cuts, chords, strict=True):
+            if len(rows) == b - a and min(row[2] for row in rows) < _THROUGH_ORIGIN:
+                rows.append(_outer_row(0.5 * (corners[a] + corners[b]), points[a : b + 1]))
         return [
             Piece((corners[a], corners[b]), np.array(rows, dtype=np.float64).reshape(-1, 3))
             for (a, b), rows in zip(cuts, chords, strict=True)
@@ -118,6 +122,14 @@ class _ThrustEdge:
         along = (q[0] - p[0]) / length, (q[1] - p[1]) / length
         normal = along[1], -along[0]
         return along, along, (*normal, normal[0] * p[0] + normal[1] * p[1])
+
+
+def _outer_row(
+    direction: float, points: Sequence[tuple[float, float]]
+) -> tuple[float, float, float]:
+    """Return the row n·f ≤ h of points, n in a direction [rad]."""
+    normal = math.cos(direction), math.sin(direction)
+    return (*normal, max(normal[0] * x + normal[1] * y for x, y in points))
 
 
 def _cross_product(a: tuple[float, float], b: tuple[float, float]) -> float:

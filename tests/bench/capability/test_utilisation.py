@@ -122,3 +122,20 @@ def test_what_few_thrusters_cannot_balance_is_never_held() -> None:
     chosen, full, lost = (Piece(),) * 3, np.ones(3), frozenset({2})
     assert use.least_use(np.array([0.0, 5e4, 0.0]), full, chosen, lost) == np.inf
     assert use.least_use(np.array([2e5, -5e4, -1.5e6]), full, chosen, lost) == pytest.approx(0.5)
+
+
+def test_a_small_load_is_as_exact_as_a_large_one() -> None:
+    """A use is proportional to its load; a billionth that cannot be balanced is not held either."""
+    narrow = (0.4, 0.5)
+    trio = (
+        Thruster("fore", "tunnel", 30.0, 0.0, 3e4, 8.0),
+        Thruster("aft", "tunnel", -36.0, 0.0, 7e4, 8.0),
+        Thruster("azimuth", "azimuth", 3.0, -2.0, 7e4, 8.0, sector_rad=narrow),
+    )
+    use = Utilisation(ThrusterSet(trio), SIDES)
+    posed = np.ones(3), (Piece(), Piece(), Piece(narrow)), frozenset[int]()
+    load = np.array([-2e4, 3e3, 1e5])
+    whole = use.least_use(load, *posed)
+    for size in (1e-4, 1e-9):
+        assert use.least_use(size * load, *posed) == pytest.approx(size * whole, rel=1e-8)
+        assert use.least_use(-size * load, *posed) == np.inf

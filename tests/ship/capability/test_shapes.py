@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from dpbench.ship.capability.loads import CapabilityHull
-from dpbench.ship.capability.losses import TURN, dead_losses, forbidden_zones, skeg_losses
+from dpbench.ship.capability.losses import (
+    TURN,
+    Loss,
+    dead_losses,
+    forbidden_zones,
+    skeg_losses,
+)
 from dpbench.ship.capability.shapes import Piece, convex_pieces
 from dpbench.ship.thrusters import ThrusterSet
 
@@ -95,3 +101,11 @@ def test_without_losses_it_is_the_circle_and_a_sector_stays_one() -> None:
     assert convex_pieces((0.5, 2.0), [(0.4, 2.1)], [], [], STEP) == []
     left = convex_pieces((0.5, 2.0), [(1.0, 1.2), (1.9 - TURN, 2.2 - TURN)], [], [], STEP)
     np.testing.assert_allclose([p.sector for p in left], [(0.5, 1.0), (1.2, 1.9)])
+
+
+def test_a_piece_that_ends_where_no_thrust_is_left_is_bounded() -> None:
+    """From an edge to directions without thrust a chord leads through the origin."""
+    tent = Loss(0.0, 0.5 * math.pi, math.pi, lambda angle: abs(2.0 * angle / math.pi - 1.0))
+    start = math.radians(87.86)
+    shape = convex_pieces(None, [(0.3, start)], [], [tent], math.radians(15.0))
+    assert reach(shape, start) == pytest.approx(tent.share_at(start), abs=1e-6)
