@@ -226,6 +226,14 @@ class MadeRecords:
             "at_rate_sway": 0.13,
             "at_rate_yaw": 0.0,
             "dev_position_max_m": min(error, 1.0) / 3,
+            "exact_steps": steps,
+            "station_radius_m": 5.0,
+            "exact_offset_max_m": 1.77,
+            "exact_offset_max_s": 0.3,
+            "exact_offset_end_m": 0.04,
+            "exact_heading_max_deg": 0.85,
+            "exact_heading_end_deg": 0.01,
+            "exact_active_share": 0.14,
         }
         row = self._row("closed_loop", solver, scenario, figures | columns)
         if done:

@@ -11,7 +11,7 @@ from importlib.metadata import version
 from typing import Any, NoReturn
 
 Command = Any  # A parser of a command, or a group of its arguments
-HOW_TO_END = ("open", "json", "quiet")  # Arguments of what comes after a run or report
+HOW_TO_END = ("open", "json", "quiet", "strict")  # Arguments of what comes after a run or report
 _LISTED = ("vessels", "scenarios", "suites", "sequences", "solvers")
 _STORED = {
     "suite": "suites",
@@ -138,6 +138,8 @@ def _add_ending_arguments(command: Command) -> None:
     command.add_argument("--open", action="store_true", help="open the page in a browser")
     command.add_argument("--json", action="store_true", help="say how it ended as JSON")
     command.add_argument("--quiet", action="store_true", help="say nothing but where the page is")
+    strict = "exit with 1 where the controller does not hold a ship, whatever the solver"
+    command.add_argument("--strict", action="store_true", help=strict)
 
 
 def _add_report_arguments(report: Command) -> None:

@@ -1,7 +1,8 @@
 """The command line: parse arguments, call one public function, print, choose the exit code.
 
-Exit 0: done (a solver's failure is data). 1: a comparison shows a regression, or the benchmark lost
-cells of a run by an accident of its own. 2: bad input.
+Exit 0: done (a solver's failure is data). 1: a comparison shows a regression, the benchmark lost
+cells of a run by an accident of its own, or with `--strict` the controller does not hold a ship.
+2: bad input.
 """
 
 from __future__ import annotations
@@ -160,8 +161,8 @@ def _run_suite(arguments: argparse.Namespace) -> int:
         out = run_campaign(**_named_parameters(arguments, "dry_run", *HOW_TO_END), progress=bar)
         bar.advance(0, "writing the report")
         page_and_ending = write_report_with_summary(out)
-    print_ending(*page_and_ending, arguments)
-    return _print_accidents(out)
+    lost_ship = print_ending(*page_and_ending, arguments)
+    return _print_accidents(out) or lost_ship
 
 
 def _print_accidents(out: Path) -> int:
@@ -190,11 +191,11 @@ def _gather_shards(arguments: argparse.Namespace) -> int:
     from dpbench.report.write import write_report_with_summary
 
     out = gather(**_named_parameters(arguments, *HOW_TO_END))
-    print_ending(*write_report_with_summary(out), arguments)
-    return _print_accidents(out)
+    lost_ship = print_ending(*write_report_with_summary(out), arguments)
+    return _print_accidents(out) or lost_ship
 
 
-def _rewrite_report(arguments: argparse.Namespace) -> None:
+def _rewrite_report(arguments: argparse.Namespace) -> int:
     from dpbench.cli.terminal import print_ending
     from dpbench.report.write import write_report_with_summary
 
@@ -203,7 +204,7 @@ def _rewrite_report(arguments: argparse.Namespace) -> None:
     page_and_ending = write_report_with_summary(
         arguments.dir, **_named_parameters(arguments, "dir", *HOW_TO_END)
     )
-    print_ending(*page_and_ending, arguments)
+    return print_ending(*page_and_ending, arguments)
 
 
 def _print_completion(arguments: argparse.Namespace) -> None:

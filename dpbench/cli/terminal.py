@@ -23,7 +23,14 @@ if TYPE_CHECKING:
 WIDTH = 80  # Columns of a file or a pipe, and the most of prose on a terminal
 STYLES = {"slower": "bold red", "worse": "bold red", "faster": "green", "better": "green"}
 """Colours of words in a comparison."""
-ENDING_STYLES = {"answer": "bold green", "solver": "bold green", "next": "cyan", "page": "bold"}
+ENDING_STYLES = {
+    "warning": "bold red",
+    "ship": "bold",
+    "answer": "bold green",
+    "solver": "bold green",
+    "next": "cyan",
+    "page": "bold",
+}
 """Styles of the lines that a run ends with."""
 _INDENT = 4 * " "
 
@@ -104,8 +111,11 @@ def _format_rows_as_text(table: ReportTable) -> Text:
     return text
 
 
-def print_ending(page: Path, rows: list[tuple[str, str]], arguments: argparse.Namespace) -> None:
-    """Print a report's main results as table or JSON, or the path of its page alone."""
+def print_ending(page: Path, rows: list[tuple[str, str]], arguments: argparse.Namespace) -> int:
+    """Print a report's main results as table or JSON, or the path of its page alone.
+
+    Returns the exit code: 1 with `--strict` where the controller does not hold a ship.
+    """
     if arguments.json:
         print(json.dumps({"page": str(page)} | dict(rows), ensure_ascii=False, indent=2))
     elif arguments.quiet:
@@ -121,6 +131,10 @@ def print_ending(page: Path, rows: list[tuple[str, str]], arguments: argparse.Na
         screen.print(table)
     if arguments.open:
         webbrowser.open(page.resolve().as_uri())
+    warning = dict(rows).get("warning", "")
+    if arguments.strict and warning:
+        print(f"dpbench: {warning}", file=sys.stderr)
+    return int(bool(arguments.strict and warning))
 
 
 class ProgressBar:

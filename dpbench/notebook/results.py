@@ -32,9 +32,20 @@ class Results(result_folder.Results):
 
     @property
     def answer(self) -> str:
-        """Sentence that names the recommended solver and settings, or the question of the suite."""
-        rows = self._full_report.summary_rows()
-        return next((text for about, text in rows if about == "answer"), "")
+        """Sentence that names the recommended solver and settings, or the question of the suite.
+
+        Where the controller does not hold the ship, whatever the solver, it begins with that.
+        """
+        rows = dict(self._full_report.summary_rows())
+        return " ".join(rows[about] for about in ("warning", "answer") if about in rows)
+
+    def ships(self) -> pd.DataFrame:
+        """Return what the controller itself does to each scenario's ship: a row per scenario.
+
+        From the exactly solved loop, with offsets [m], times [s] and the share of steps with active
+        limits; `ship` is "on station", "leaves", "not there" (at its setpoint) or "not run".
+        """
+        return self.tables["ships"]
 
     @property
     def tables(self) -> Mapping[str, pd.DataFrame]:

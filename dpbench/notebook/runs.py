@@ -13,6 +13,8 @@ from typing import Any
 
 import pandas as pd
 
+from dpbench.analysis.records.run_record import build_records
+from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.judge.answer_caching import is_remembered
 from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_log
 from dpbench.bench.judge.replay import evaluate_sequence
@@ -40,6 +42,7 @@ from dpbench.report.formats import (
     significant,
     time_text,
 )
+from dpbench.report.ship_text import ShipSummary, summarise_ships
 from dpbench.scenario.scenario import Scenario
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.table import Availability
@@ -84,7 +87,8 @@ class Run:
         return (
             f"<Run of {self.label}: {self._sequence_text}, {self._steps_text}, "
             f"error_move ≤ {error_text(row['error_move_max'])}, p50 {time_text(row['raw_p50_ns'])}"
-            f"{f', {REMEMBERED}' if self.remembers else ''}>"
+            f"{f', {REMEMBERED}' if self.remembers else ''}"
+            f"{f'; {self._ship.warning}' if self._ship.warning else ''}>"
         )
 
     def _repr_html_(self) -> str:
@@ -113,12 +117,21 @@ class Run:
         row = self.summary
         return f"{row['steps_done']} of {plural(row['steps_planned'], 'step')}"
 
+    @property
+    def _ship(self) -> ShipSummary:
+        """What the controller itself does to the ship of a closed loop."""
+        if self.scenario is None:
+            return ShipSummary()
+        (run,) = build_records(pd.DataFrame([self.summary]))
+        return summarise_ships([ShipResult(run.scenario, run)])
+
     def _describe_control(self) -> dict[str, str]:
         """Return a closed loop's position errors and number of fallbacks, as text by field name."""
         if self.scenario is None:
             return {}
         row = self.summary
         return {
+            "ship": " ".join(self._ship.lines),
             "fallbacks": count_text(row["fallbacks"]),
             "position error, rms": f"{significant(row['r_rms_m'])} m",
             "position error, second half": f"≤ {significant(row['r_tail_max_m'])} m",

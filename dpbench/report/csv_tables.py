@@ -13,6 +13,7 @@ from dpbench.analysis.times.solver_tables import (
     time_table,
     verdict_table,
 )
+from dpbench.analysis.verdict.ship_results import ship_table
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.files.writing import write_together
@@ -39,6 +40,7 @@ def build_tables(
     times = [name for name in ladder.columns if name.endswith("_ms")]
     ladder[times] = 1e3 * ladder[times]
     tables = {
+        "ships": ship_table(data.ships),
         "runs": results.runs.drop(columns="cell"),
         "verdicts": verdicts,
         "experiments": experiment_table(data),
@@ -60,7 +62,8 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
     """
     written = {name: table for name, table in tables.items() if len(table)}
     contents = {f"{name}.csv": partial(csv_bytes, table) for name, table in written.items()}
-    known = {name: RUN_MEANINGS if name == "runs" else COLUMNS for name in written}
+    of_runs = {"runs": RUN_MEANINGS, "ships": RUN_MEANINGS | COLUMNS}
+    known = {name: of_runs.get(name, COLUMNS) for name in written}
     wording = {
         markdown_text(name): (
             TABLES.get(name, "A table of a part of the page."),

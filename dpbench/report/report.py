@@ -22,6 +22,7 @@ from dpbench.bench.design import Designs
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts.render import NOT_DRAWN, can_draw
 from dpbench.report.csv_tables import build_tables
+from dpbench.report.formats import strip_markdown
 from dpbench.report.machine_verdict import calibration_text, disturbance_text
 from dpbench.report.page.data import PageData
 from dpbench.report.page.live import draw_section_charts, select_static_charts
@@ -87,7 +88,10 @@ class Report:
     def summary_rows(self) -> list[tuple[str, str]]:
         """List the summary that a run prints last on the terminal, as keyword and text."""
         lead = next((topic for topic in self.topics if topic.leads), None)
-        rows = [("answer", lead.lines[0])] if lead else []
+        ship = self.recommendation.ship
+        rows = [("warning", ship.warning), ("ship", ship.text)]
+        rows = [(about, strip_markdown(text)) for about, text in rows if text]
+        rows += [("answer", lead.lines[0])] if lead else []
         headline, verdicts = self.recommendation, self.data.verdicts
         if headline.sentence and not (lead and lead.id == "loops"):
             rows.append(("solver" if lead else "answer", headline.sentence))

@@ -132,6 +132,15 @@ class RunRecord:
     at_limit_thrusters: float
     closed_loop_cost: float
     exact_cost: float
+    exact_steps: Count
+    station_radius_m: float
+    exact_offset_max_m: float
+    exact_offset_max_s: float
+    exact_offset_end_m: float
+    exact_heading_max_deg: float
+    exact_heading_end_deg: float
+    exact_left_s: float
+    exact_active_share: float
     dev_position_max_m: float
 
     files: ScenarioDocuments = field(default_factory=ScenarioDocuments, repr=False)

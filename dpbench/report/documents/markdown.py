@@ -19,6 +19,7 @@ from dpbench.report.formats import (
 )
 from dpbench.report.page.data import PageData
 from dpbench.report.report import Report
+from dpbench.report.ship_text import ShipSummary
 from dpbench.report.table import markdown_line, markdown_table, markdown_text, one_line
 from dpbench.report.verdict_text import (
     answer_text,
@@ -48,6 +49,7 @@ def report_markdown(report: Report) -> str:
     after += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
     parts = [
         f"# dpbench: {markdown_text(str(report.results.suite.get('name', 'results')))}",
+        *ship_lines(recommendation.ship),
         *map(markdown_line, [*lead, *wording]),
         solver_table(data, best_verdict_by_solver(data.verdicts)),
         *map(markdown_line, after),
@@ -56,6 +58,12 @@ def report_markdown(report: Report) -> str:
     ]
     text = "\n\n".join(part for part in parts if part) + "\n"
     return truncate_text(text, MOST_BYTES, "tables/verdicts.csv")
+
+
+def ship_lines(ship: ShipSummary) -> list[str]:
+    """Return the first lines of a Markdown document: what the controller does to the ship."""
+    warning = [f"**{markdown_line(ship.warning)}**"] if ship.warning else []
+    return [*warning, *([markdown_line(ship.text)] if ship.text else [])]
 
 
 def solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
@@ -125,6 +133,7 @@ def compare_solver(
     made_by = f"Suite {suite.get('name', '')}, dpbench {suite.get('harness_version', '')}."
     parts = [
         f"# {markdown_text(solver)} beside {markdown_text(names)}",
+        *ship_lines(report.recommendation.ship),
         markdown_line(_verdict_sentence(data, best[solver])),
         solver_table(data, [*own[:MOST_CONFIGURATIONS], *chosen]),
         "\n".join(f"- {markdown_text(_pair_sentence(data, best[solver], v))}" for v in chosen),

@@ -16,6 +16,7 @@ from dpbench.analysis.statistics import upper_bound_of_none
 from dpbench.analysis.suites.study import Study, find_studies
 from dpbench.analysis.suites.study_pictures import error_excess_cm, mean_cm, worst_run
 from dpbench.analysis.verdict.run_matrix import Experiment, RunMatrix, common_configuration
+from dpbench.analysis.verdict.ship_results import ShipResult, ship_results
 from dpbench.analysis.verdict.verdict import Verdicts
 from dpbench.report.formats import as_float
 from dpbench.report.page.pack import MOST_HARD, Block, Room, pack_steps, pack_track
@@ -101,6 +102,11 @@ class PageData(RunMatrix):
     def of(cls, records: Records, verdicts: Verdicts) -> Self:
         """Build the report page's data from a folder's runs and the verdicts on solvers."""
         return cls.from_records(records, verdicts, select_shown_runs(records.study), MOST_LOOPS)
+
+    @cached_property
+    def ships(self) -> list[ShipResult]:
+        """What the controller itself does to the ship of each scenario and sea."""
+        return ship_results(self.records)
 
     @cached_property
     def studies(self) -> list[Study]:

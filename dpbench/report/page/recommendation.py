@@ -27,6 +27,7 @@ from dpbench.report.formats import (
     time_text,
 )
 from dpbench.report.page.data import PageData
+from dpbench.report.ship_text import ShipSummary, summarise_ships
 from dpbench.report.verdict_text import (
     NOBODY,
     deployment_facts,
@@ -63,8 +64,12 @@ class Badge:
 
 @dataclass(frozen=True, eq=False)
 class Recommendation:
-    """Headline of the report page: solver to use, notes, verdicts by scenario, code to paste."""
+    """Headline of the report page: ship, solver to use, notes, verdicts by scenario, code to paste.
 
+    ship : what the controller does to it whatever the solver; comes before `sentence` everywhere.
+    """
+
+    ship: ShipSummary
     sentence: str
     notes: tuple[tuple[str, str], ...]
     chips: tuple[Badge, ...]
@@ -107,6 +112,7 @@ def build_recommendation(
         fastest = fastest_configuration(data.verdicts, baseline)
         second = fastest.configuration if fastest else own[0]
     return Recommendation(
+        ship=summarise_ships(data.ships),
         sentence=_recommendation_sentence(data, found),
         notes=tuple(_make_notes(data, found)),
         chips=tuple(_make_badges(data, first)),

@@ -165,7 +165,9 @@ def test_a_suite_shows_what_it_has_alone(records: Any, tmp_path: Path, kind: str
     assert {topic.id for topic in report.topics} == topics | ({lead} - {""})
     first = report.topics[0] if lead else None
     opening = first.lines[0] if first else report.recommendation.sentence
-    assert answer.startswith(f"Answer {escape(opening)}") and opening in text
+    ship = report.recommendation.ship.text
+    shown_first = " ".join(escape(line) for line in (ship.replace("`", ""), opening) if line)
+    assert answer.startswith(f"Answer {shown_first}") and opening in text and ship in text
     assert (first is None) == (lead == "") and (first is None or first.leads)
     drawn = {path.stem for path in (out / "figures").iterdir()}
     assert drawn == set(report.figures)

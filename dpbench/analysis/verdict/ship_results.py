@@ -1,0 +1,107 @@
+"""What the controller itself does to the ship of each scenario, from the exactly solved loop.
+
+A ship that leaves its station there is lost with every solver: none does better than right answers
+in every step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import pandas as pd
+
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.bench.run.station import HEADING_DEG
+
+ShipState = Literal["on station", "leaves", "not there", "not run"]
+"""It stays on its station or leaves it; it has not reached its setpoint; there is no such loop."""
+
+
+@dataclass(frozen=True)
+class ShipResult:
+    """Ship of one scenario, or of one sea of a study, steered by certified optima.
+
+    name : the scenario, with the horizons where it has several; run : one that has the columns
+    `exact_*` of its exactly solved loop.
+    """
+
+    name: str
+    run: RunRecord
+
+    @property
+    def state(self) -> ShipState:
+        """Whether the controller keeps the ship on station."""
+        if not self.run.exact_steps > 0.0:
+            return "not run"
+        if not math.isnan(self.run.exact_left_s):
+            return "leaves"
+        return "on station" if self.is_inside_at_end else "not there"
+
+    @property
+    def is_inside_at_end(self) -> bool:
+        """True if the ship is within the limits of its station at the end."""
+        run = self.run
+        is_near = run.exact_offset_end_m <= run.station_radius_m
+        return is_near and run.exact_heading_end_deg <= HEADING_DEG
+
+
+def ship_results(records: Records) -> list[ShipResult]:
+    """Return the ship's result in every scenario of a folder, and in every sea of its studies.
+
+    Of several runs in a scenario the one with the longest exactly solved loop counts.
+    """
+    with_ship = [run for run in records.all_runs if run.scenario or run.exact_steps > 0.0]
+    by_ship = group_by(with_ship, _ship_key)
+    longest = [
+        max(own, key=lambda run: _count_or_none(run.exact_steps)) for own in by_ship.values()
+    ]
+    tunings = group_by(longest, lambda run: (run.study, run.scenario))
+    return [
+        ShipResult(_name_ship(run, several=len(tunings[run.study, run.scenario]) > 1), run)
+        for run in longest
+    ]
+
+
+def _ship_key(run: RunRecord) -> tuple[object, ...]:
+    """Return what tells a run's ship, weather and controller from those of other runs."""
+    sea = run.study, _count_or_none(run.study_point), _count_or_none(run.replicate)
+    return *sea, run.scenario, run.horizons
+
+
+def _count_or_none(count: float) -> float:
+    """Return a count; -1 where it is missing (NaN), so that it equals and orders."""
+    return -1.0 if math.isnan(count) else count
+
+
+def _name_ship(run: RunRecord, *, several: bool) -> str:
+    """Name the scenario of a run, with the horizons where there are `several`."""
+    if run.horizons is None or run.study or not several:
+        return run.scenario
+    return "{} {}/{}".format(run.scenario, *run.horizons)
+
+
+SHIP_COLUMNS = (
+    *("exact_steps", "station_radius_m", "exact_left_s", "exact_offset_max_m"),
+    *("exact_offset_max_s", "exact_offset_end_m", "exact_heading_max_deg"),
+    *("exact_heading_end_deg", "exact_active_share"),
+)
+
+
+def ship_table(ships: Sequence[ShipResult]) -> pd.DataFrame:
+    """Tabulate ship results: scenario, study's point and sea, state, and `SHIP_COLUMNS`."""
+    rows = [
+        {
+            "scenario": ship.name,
+            "study": ship.run.study,
+            "study_point": ship.run.study_point,
+            "replicate": ship.run.replicate,
+            "ship": ship.state,
+            **{name: getattr(ship.run, name) for name in SHIP_COLUMNS},
+        }
+        for ship in ships
+    ]
+    return pd.DataFrame(rows)

@@ -1,0 +1,139 @@
+"""What the controller does to the ship, in words: the first lines of every report."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dpbench.analysis.records.run_record import group_by
+from dpbench.analysis.verdict.ship_results import ShipResult
+from dpbench.bench.run.station import HEADING_DEG
+from dpbench.report.formats import and_list, plural, share_text, significant
+
+BANNER = "The controller does not hold this ship in this weather, whatever the solver"
+NOT_RUN = "Ship: not run. No exactly solved loop shows whether the controller holds it."
+MOST_NAMED = 3
+"""Scenarios that a sentence describes or names."""
+
+
+@dataclass(frozen=True)
+class ShipSummary:
+    """First lines of a report: a warning where the controller does not hold a ship, and results.
+
+    warning : begins with `BANNER`; "" where no ship is lost. text : "" without any ship.
+    """
+
+    warning: str = ""
+    text: str = ""
+
+    @property
+    def lines(self) -> list[str]:
+        """The lines that are not empty, the warning first."""
+        return [line for line in (self.warning, self.text) if line]
+
+
+def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
+    """State in which scenarios the controller holds the ship, by the exactly solved loop alone."""
+    if not ships:
+        return ShipSummary()
+    known = [ship for ship in ships if ship.state != "not run"]
+    if not known:
+        return ShipSummary(text=NOT_RUN)
+    lost = [ship for ship in known if ship.state == "leaves"]
+    warning = f"{BANNER}: {_describe_lost(lost)}." if lost else ""
+    sentences = [_describe_kept(known), *_describe_rest(ships), *_describe_limits(known)]
+    return ShipSummary(warning, " ".join(sentence for sentence in sentences if sentence))
+
+
+def _describe_lost(lost: Sequence[ShipResult]) -> str:
+    """Describe when and how far lost ships leave their station, those of a study together."""
+    by_study = group_by((ship for ship in lost if ship.run.study), lambda ship: ship.run.study)
+    alone = sorted(
+        (ship for ship in lost if not ship.run.study),
+        key=lambda ship: -ship.run.exact_offset_max_m / ship.run.station_radius_m,
+    )
+    parts = [_describe_departure(ship) for ship in alone[:MOST_NAMED]]
+    if others := alone[MOST_NAMED:]:
+        parts.append(f"it leaves in {plural(len(others), 'more scenario')}")
+    for study, seas in by_study.items():
+        far = max(ship.run.exact_offset_max_m for ship in seas)
+        parts.append(
+            f"in {plural(len(seas), 'sea')} of `{study}` it leaves, by up to {significant(far)} m"
+        )
+    return "; ".join(parts)
+
+
+def _describe_departure(ship: ShipResult) -> str:
+    """Describe when a lost ship leaves its station, its largest offset and the last."""
+    run = ship.run
+    heading = f"; largest heading error {significant(run.exact_heading_max_deg)}°"
+    turned = heading if run.exact_heading_max_deg > HEADING_DEG else ""
+    back = ", back on station" if ship.is_inside_at_end else ""
+    return (
+        f"in `{ship.name}` it leaves its station ({_limits_text(ship)}) at "
+        f"{significant(run.exact_left_s)} s; largest offset {significant(run.exact_offset_max_m)} "
+        f"m at {significant(run.exact_offset_max_s)} s, last offset "
+        f"{significant(run.exact_offset_end_m)} m{back}{turned}"
+    )
+
+
+def _limits_text(ship: ShipResult) -> str:
+    """State the limits of a station."""
+    return f"{ship.run.station_radius_m:.3g} m, {HEADING_DEG:g}°"
+
+
+def _describe_kept(known: Sequence[ShipResult]) -> str:
+    """State in how many scenarios and seas the ship stays on station, and its largest offset."""
+    kept = [ship for ship in known if ship.state == "on station"]
+    if not kept:
+        return ""
+    farthest = max(kept, key=lambda ship: ship.run.exact_offset_max_m / ship.run.station_radius_m)
+    run, of_study = farthest.run, any(ship.run.study for ship in known)
+    if len(known) == 1:
+        where, there = f"in `{farthest.name}`", ""
+    else:
+        kind = "scenarios and seas" if of_study else "scenarios"
+        where, there = f"in {len(kept)} of {len(known)} {kind}", f" in `{farthest.name}`"
+    return (
+        f"Solved exactly, the controller holds the ship on station ({_limits_text(farthest)}) "
+        f"{where}; largest offset {significant(run.exact_offset_max_m)} m{there} at "
+        f"{significant(run.exact_offset_max_s)} s, {significant(run.exact_offset_end_m)} m at the "
+        "end."
+    )
+
+
+def _describe_rest(ships: Sequence[ShipResult]) -> list[str]:
+    """Name the ships that have not reached their setpoint, and those without a loop."""
+    away = [ship for ship in ships if ship.state == "not there"]
+    absent = [ship for ship in ships if ship.state == "not run"]
+    sentences = []
+    if away:
+        far = max(away, key=lambda ship: ship.run.exact_offset_end_m)
+        sentences.append(
+            f"Not at its setpoint at the end of the run: {_name_ships(away)} (up to "
+            f"{significant(far.run.exact_offset_end_m)} m off)."
+        )
+    if absent:
+        sentences.append(f"Ship not run: no exactly solved loop of {_name_ships(absent)}.")
+    return sentences
+
+
+def _describe_limits(known: Sequence[ShipResult]) -> list[str]:
+    """State the share of steps with active limits, and where the QP was never hard."""
+    by_share = sorted(known, key=lambda ship: ship.run.exact_active_share)
+    least, most = by_share[0], by_share[-1]
+    low, high = (share_text(ship.run.exact_active_share) for ship in (least, most))
+    if high == "0 %":
+        return ["No limit is ever active: the QPs were never hard."]
+    if low == high:
+        return [f"Limits are active in {low} of the steps."]
+    never = [ship for ship in known if ship.run.exact_active_share == 0.0]
+    return [
+        f"Limits are active in {low} (`{least.name}`) to {high} (`{most.name}`) of the steps.",
+        *([f"In {_name_ships(never)} none ever is: these QPs were never hard."] if never else []),
+    ]
+
+
+def _name_ships(ships: Sequence[ShipResult]) -> str:
+    """Name the first scenarios of some ships, and count the others."""
+    names = [f"`{name}`" for name in dict.fromkeys(ship.run.study or ship.name for ship in ships)]
+    others = len(names) - MOST_NAMED
+    return and_list([*names[:MOST_NAMED], *([f"{others} more"] if others > 0 else [])])

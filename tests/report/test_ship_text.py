@@ -1,0 +1,184 @@
+"""What the controller does to the ship comes first, on every surface, before any solver."""
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dpbench import load_results, open_workspace, run_closed_loop
+from dpbench.analysis.verdict.ship_results import ship_results
+from dpbench.cli.main import main
+from dpbench.report.documents.markdown import report_markdown
+from dpbench.report.report import Report
+from dpbench.report.ship_text import BANNER, NOT_RUN, ShipSummary, summarise_ships
+from dpbench.scenario.scenario import load_scenario
+
+LOST = {
+    "exact_left_s": 9.0,
+    "exact_offset_max_m": 37.0,
+    "exact_offset_max_s": 30.0,
+    "exact_offset_end_m": 36.0,
+}
+SCENARIO = """\
+title = "Still water, or a storm"
+shows = "A mean force from abeam, of thrusters that hold 417 kN."
+vessel = "supply_fs99"
+sample_s = 0.3
+duration_s = 12.0
+
+[environment]
+mean_kN = [0.0, {sway_kN:.1f}, 0.0]
+
+[controller]
+tuning = "paper"
+prediction_horizon = 30
+control_horizon = 5
+output_weight = [1.0, 1.0, 100.0]
+move_weight = [1e-10, 1e-10, 1e-14]
+"""
+SUITE = """\
+title = "A ship alone"
+solvers = ["paper_active_set"]
+cell_limit_s = 5.0
+rounds = 2
+warmup_steps = 5
+
+[[closed_loop]]
+scenarios = ["ship.toml"]
+
+[[replay]]
+scenario = "ship.toml"
+"""
+
+
+def _summary(records: Any) -> ShipSummary:
+    return summarise_ships(ship_results(records.view()))
+
+
+def test_a_lost_ship_is_a_banner_with_when_and_how_far(records: Any) -> None:
+    records.loop("daqp", "rough", steps=100)
+    records.loop("daqp", "extreme", steps=200, **LOST)
+    told = _summary(records)
+    assert told.warning == (
+        f"{BANNER}: in `extreme` it leaves its station (5 m, 5°) at 9.00 s; largest offset 37.0 m "
+        "at 30.0 s, last offset 36.0 m."
+    )
+    assert "in 1 of 2 scenarios; largest offset 1.77 m in `rough` at 0.300 s" in told.text
+
+
+def test_a_ship_that_turns_away_or_comes_back_is_lost_too(records: Any) -> None:
+    records.loop("daqp", "turn", exact_left_s=3.0, exact_heading_max_deg=40.0)
+    (ship,) = ship_results(records.view())
+    assert ship.state == "leaves"
+    told = _summary(records).warning
+    assert told.endswith("m, back on station; largest heading error 40.0°.")
+
+
+def test_the_longest_loop_of_a_scenario_counts_whichever_solver_ran_it(records: Any) -> None:
+    records.loop("osqp", "rough", steps=60)
+    records.loop("daqp", "rough", steps=90, done=3, outcome="crashed", **LOST)
+    records.loop("unconstrained_clipped", "rough", steps=70, formulation="none")
+    assert [ship.state for ship in ship_results(records.view())] == ["leaves"]
+
+
+def test_a_ship_on_its_way_and_one_without_a_loop_are_said_to_be(records: Any) -> None:
+    records.loop("daqp", "move", exact_offset_end_m=12.0)
+    records.replay("daqp", "paper")
+    told = _summary(records)
+    assert told.warning == ""
+    assert "Not at its setpoint at the end of the run: `move` (up to 12.0 m off)." in told.text
+    assert "Ship not run: no exactly solved loop of `paper`." in told.text
+    records.loop("daqp", "paper")
+    assert "Ship not run" not in _summary(records).text
+
+
+def test_without_any_loop_the_ship_is_not_run(records: Any) -> None:
+    records.replay("daqp", "paper")
+    assert _summary(records) == ShipSummary(text=NOT_RUN)
+
+
+def test_a_qp_that_never_meets_a_limit_was_never_hard(records: Any) -> None:
+    records.loop("daqp", "calm", exact_active_share=0.0)
+    assert _summary(records).text.endswith("No limit is ever active: the QPs were never hard.")
+    records.loop("daqp", "rough", exact_active_share=0.2)
+    assert _summary(records).text.endswith(
+        "Limits are active in 0 % (`calm`) to 20.0 % (`rough`) of the steps. In `calm` none ever "
+        "is: these QPs were never hard."
+    )
+
+
+def test_seas_of_a_study_are_counted(records: Any) -> None:
+    for sea in (1, 2, 3):
+        records.sea("daqp", 0, sea, {"waves.hs_m": 4.0}, **(LOST if sea > 1 else {}))
+    told = _summary(records)
+    assert told.warning == f"{BANNER}: in 2 seas of `seas` it leaves, by up to 37.0 m."
+    assert "in 1 of 3 scenarios and seas" in told.text
+
+
+@pytest.mark.slow
+def test_no_solver_is_recommended_before_the_ship(records: Any) -> None:
+    """Report.md, the terminal's rows and the page's data: the banner is the first line of each."""
+    records.loop("daqp", **LOST)
+    records.replay("daqp")
+    report = Report.of(records.results())
+    assert "Use daqp" in report.recommendation.sentence
+    assert [about for about, _ in report.summary_rows()][:3] == ["warning", "ship", "answer"]
+    first, _, rest = report_markdown(report).partition("Use daqp")
+    assert f"**{BANNER}" in first and BANNER not in rest
+
+
+class Written:
+    """A campaign of one ship in a sway force [kN], and what each surface shows of it."""
+
+    def __init__(self, folder: Path, sway_kN: float, capsys: Any) -> None:
+        self.out = folder / "out"
+        (folder / "ship.toml").write_text(SCENARIO.format(sway_kN=sway_kN))
+        (folder / "suite.toml").write_text(SUITE)
+        run = ["run", str(folder / "suite.toml"), "--out", str(self.out), "--strict", "--json"]
+        self.code = main(run)
+        printed = capsys.readouterr()
+        self.json, self.errors = json.loads(printed.out), printed.err
+        report = ["report", str(self.out)]
+        self.code_without = main(report)
+        self.terminal = " ".join(capsys.readouterr().out.split())
+        self.markdown = (self.out / "report.md").read_text(encoding="utf-8")
+        page = (self.out / "report.html").read_text(encoding="utf-8")
+        self.page = re.sub(r"<[^>]*>", "", page.partition("<main>")[2].partition("<script")[0])
+
+
+@pytest.mark.slow
+def test_every_surface_says_first_that_the_ship_is_lost(tmp_path: Path, capsys: Any) -> None:
+    lost = Written(tmp_path, 1300.0, capsys)
+    assert (lost.code, lost.code_without) == (1, 0)
+    assert BANNER in lost.errors and lost.json["warning"].startswith(BANNER)
+    assert list(lost.json)[1] == "warning"
+    for surface in (lost.terminal, lost.page, lost.markdown):
+        assert 0 <= surface.index(BANNER) < surface.index("paper_active_set")
+    assert "alert" not in lost.page and "leaves its station (5 m, 5°)" in lost.page
+    results = load_results(lost.out)
+    assert results.answer.startswith(BANNER)
+    assert results._repr_html_().index(BANNER) > 0
+    assert list(results.ships()["ship"]) == ["leaves"]
+    scenario = load_scenario(tmp_path / "ship.toml")
+    run = run_closed_loop(scenario, open_workspace("paper_active_set"))
+    assert BANNER in repr(run) and BANNER in run._repr_html_()
+
+
+@pytest.mark.slow
+def test_a_ship_on_station_has_no_banner_anywhere(tmp_path: Path, capsys: Any) -> None:
+    kept = Written(tmp_path, 5.0, capsys)
+    assert (kept.code, kept.code_without) == (0, 0)
+    assert "warning" not in kept.json and BANNER not in kept.errors
+    for surface in (kept.terminal, kept.page, kept.markdown):
+        assert BANNER not in surface
+        assert "Solved exactly, the controller holds the ship on station (5 m, 5°)" in surface
+        assert "No limit is ever active: the QPs were never hard." in surface
+    ships = load_results(kept.out).ships()
+    assert list(ships["ship"]) == ["on station"]
+    assert math.isnan(ships["exact_left_s"][0])
+    scenario = load_scenario(tmp_path / "ship.toml")
+    run = run_closed_loop(scenario, open_workspace("paper_active_set"))
+    assert BANNER not in repr(run) and "on station" in run._repr_html_()
