@@ -313,7 +313,6 @@ def scenario_text(name: str, vessel: Vessel, number: int, *, chosen: bool) -> st
         "own_scenario.toml",
         comment=_wrap_as_comment,
         name=name,
-        has_drag=vessel.drag is not None,
         number=number,
         most=max(scaling.DP_NUMBERS),
         why=_explain_sea_choice(scaling.load_share(vessel, number), chosen=chosen),

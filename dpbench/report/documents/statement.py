@@ -22,6 +22,7 @@ from dpbench.files.writing import write_named_file
 from dpbench.report.charts.style import INK, LINE, SOFT
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import speed_margin_text
+from dpbench.report.page.terms import DRAG_MISMATCH
 from dpbench.report.verdict_text import deployment_facts, judged_runs_text, requirements_text
 from dpbench.report.words import render_document
 from dpbench.solvers.settings import all_options
@@ -107,6 +108,7 @@ def _fill_statement(folder: Path, results: Results, data: PageData, chosen: Verd
         requirements=requirements_text(data.requirements),
         slower=speed_margin_text(data, chosen),
         ships=[f"{vessel.title} ({vessel.id})" for vessel in vessels.values()],
+        mismatch=DRAG_MISMATCH if any(vessel.drag for vessel in vessels.values()) else "",
         experiments=[
             data.experiments[p].label
             for p in data.judged_experiments

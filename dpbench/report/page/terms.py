@@ -33,6 +33,8 @@ _FOUND = re.compile(
     re.IGNORECASE,
 )
 
+DRAG_MISMATCH = "The ship meets cross-flow drag; the controller's model is linear."
+
 _HEAD_TOPICS = (
     "Solvers and how they are run",
     "Studies",
@@ -136,6 +138,8 @@ def _describe_scenario(data: PageData, experiment: Experiment, run: RunRecord) -
         return ""
     shows = re.split(r"(?<=\.)\s+(?=[A-Z])", scenario.shows.strip())[0]
     parts = [f"{part.strip().rstrip('.')}." for part in (scenario.title, shows) if part.strip()]
+    if scenario.true_ship.drag is not None:
+        parts.append(DRAG_MISMATCH)
     if experiment.mode == "replay":
         parts.append(_describe_replay(data, run))
     if experiment.units == "si":

@@ -2,6 +2,7 @@
 
 import hashlib
 import re
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from dpbench.cli.main import main
 from dpbench.report.documents.statement import HEIGHT, MARGIN, WIDTH, statement_svg
 from dpbench.report.formats import error_text, time_text
 from dpbench.report.page.recommendation import speed_margin_text
+from dpbench.ship.drag import HullDrag
 
 
 def _good(records: Any, tmp_path: Path) -> Path:
@@ -108,3 +110,17 @@ def test_it_fits_a_page(drawn: str) -> None:
         length = len("".join(line.itertext())) * float(line.get("font-size", "nan"))
         assert MARGIN + 0.5 * length <= WIDTH
     assert not re.search(r"\bnan\b|None", drawn)
+
+
+def test_it_says_that_the_model_lacks_the_drag_of_the_ship(written: Any) -> None:
+    """Beside the ships; without such a ship it says nothing of it."""
+    facts, (name, *_) = written.report.data, written.report.data.records.scenarios
+    hull, records = HullDrag(1.0, 1.0, 0.0, 76.2, 0.1), copy(facts.records)
+    plain = records.scenario(name)
+    dragged = replace(plain, vessel=replace(plain.vessel, id="own", drag=hull))
+    records._scenarios = {**records._scenarios, name: dragged}
+    with_drag = replace(facts, records=records)
+    for data, count in ((facts, 0), (with_drag, 1)):
+        svg = statement_svg(written.folder, written.results, data)
+        text = " ".join("".join(element.itertext()) for element in _texts(svg))
+        assert text.count("The ship meets cross-flow drag") == count

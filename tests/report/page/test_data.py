@@ -15,6 +15,7 @@ from dpbench.report.page.live import _matrix_text
 from dpbench.report.page.tables import select_tiles
 from dpbench.report.page.terms import describe_experiments
 from dpbench.report.report import Report
+from dpbench.scenario.scenario import build_scenario
 from tests.report.conftest import HEIGHTS, LOOSE, OFFSETS, SEAS, of_seas
 
 REQUIREMENTS = Requirements()
@@ -83,6 +84,19 @@ def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None
     window = "Here steps 900 to 1400 of its exactly solved loop, replayed: limits are active in 0 %"
     assert window in output["rough[900:1400] (replay)"]
     assert list(output) == [p.label for p in facts.experiments if p.name != "robot"]
+
+
+def test_a_ship_with_drag_is_said_to_differ_from_its_model(records: Any) -> None:
+    """After the words of the scenario; one that is linear has no such sentence."""
+    files = records.scenario("calm").files
+    hull = {"breadth_m": 18.0, "draught_m": 5.0}
+    with_drag = files["vessel"] | {"drag": "cross_flow", "capability": hull}
+    records._scenarios["rough"] = build_scenario(files | {"vessel": with_drag})
+    for name in ("calm", "rough"):
+        records.loop("daqp", name)
+    output = {word.term: word.meaning for word in describe_experiments(_facts(records)).values()}
+    sentence = "The ship meets cross-flow drag; the controller's model is linear."
+    assert output["rough"].endswith(sentence) and sentence not in output["calm"]
 
 
 def _of_window(records: Any) -> str:
