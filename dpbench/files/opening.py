@@ -36,11 +36,7 @@ def open_regular_file(
     most_bytes: int | None = None,
     error: type[InputError] = InputError,
 ) -> Iterator[BinaryIO]:
-    """Open an untrusted file to read bytes; `error` unless it is regular and not too large.
-
-    what : what the file should be, for the error's words.
-    most_bytes : its largest size; None where the reader bounds what it takes.
-    """
+    """Open a file to read bytes; `error` unless it is a regular `what` of at most `most_bytes`."""
     try:
         number = os.open(path, _FLAGS)
     except FileNotFoundError as failure:

@@ -210,10 +210,7 @@ def _byte_range(group: Struct) -> tuple[int, int]:
 
 
 class RowGroupWriter:
-    """Writer of one Parquet file from row groups copied from others of the same schema.
-
-    rows : how many are written; crc32 : of all bytes that are written.
-    """
+    """Writer of one Parquet file from row groups of others; crc32 : of all bytes written."""
 
     def __init__(self, path: Path) -> None:
         self._file, self._at, self.crc32 = path.open("wb"), 0, 0
@@ -229,11 +226,7 @@ class RowGroupWriter:
         self._at += len(data)
 
     def copy(self, source: BinaryIO, footer: Footer, index: int) -> None:
-        """Copy a row group of another Parquet file without decoding it.
-
-        ValueError, KeyError, IndexError : the footer is damaged or of another schema, or the row
-            group needs bytes outside of it; the file is as it was then.
-        """
+        """Copy a row group undecoded; ValueError, KeyError or IndexError where it is damaged."""
         first_footer = self._footer or footer
         if footer.raw_value(_SCHEMA) != first_footer.raw_value(_SCHEMA):
             raise ValueError("a row group of another schema")

@@ -209,10 +209,7 @@ def reachable_limits(u_prev, u_min, u_max, row_max, row_unit, l, u, N_c):  # noq
 
 @njit(cache=True)
 def build_affine_blocks(F_x, F_held, F_u, G, u_min, u_max, unit, row_unit):
-    """Return the affine map Z from [x; y_ref; u_prev; 1] to the QP vectors [q; l; u] (eq. 20-24).
-
-    `unit` (n_u,), `row_unit` (r,) are the forces that one unit of z and of a row stands for.
-    """
+    """Return Z from [x; y_ref; u_prev; 1] to [q; l; u] (eq. 20-24), in units of z and of rows."""
     n, n_x, n_y = F_x.shape[0], F_x.shape[1], F_held.shape[1]
     r, n_u = G.shape
     N_c = n // n_u

@@ -14,10 +14,7 @@ CLIP_TOLERANCE = 1e-9
 
 
 class MoveLimit(Protocol):
-    """Function that applies rate and amplitude limits to a planned control increment.
-
-    u (n_u,) the force applied before; du (n_u,) the move; limits : those in force.
-    """
+    """Function that limits a move du (n_u,) from u (n_u,), the force applied before."""
 
     def __call__(self, u: Vector, du: Vector, limits: Limits, applied: Vector) -> bool:
         """Write the rate- and amplitude-limited force to `applied`; return whether it was cut."""

@@ -39,11 +39,7 @@ def build_reference_table(
     sample_s: float,
     smoothed: ReferenceFilter | None = None,
 ) -> Matrix:
-    """Return the reference pose at each sample (samples, 3) [m, m, rad], smoothed if required.
-
-    start, target : (3,) poses; the filter begins at rest at the start. smoothed : the filter; None
-    for a set-point from the first sample on.
-    """
+    """Return the reference (samples, 3), smoothed from rest at the start or the target at once."""
     goal = unwrap_pose(target, start)
     table = np.tile(goal, (samples, 1))
     if smoothed is None:

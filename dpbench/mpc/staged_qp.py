@@ -215,10 +215,7 @@ class StagedQP:
         return QuadraticProgram(self.P, *vectors, stages=stages)
 
     def condensed(self, solution: Solution) -> Solution:
-        """Convert a sparse solution to the condensed one: increments and limit multipliers.
-
-        NaN stays NaN; a claim of infeasibility keeps its proof (see the module).
-        """
+        """Convert a sparse solution to the condensed one; NaN stays NaN, a proof stays a proof."""
         return solution.with_iterate(
             self._view_moves(solution.z).reshape(-1),
             self._view_amplitude_rows(solution.y).reshape(-1),

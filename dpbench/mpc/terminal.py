@@ -50,10 +50,7 @@ class TerminalCost:
 
 
 def solve_riccati(model: StateSpace, Q: Matrix, R: Matrix, du_max: Vector) -> Matrix:
-    """Return the solution S (n_x, n_x) of the discrete algebraic Riccati equation.
-
-    InputError when no stabilising solution exists, as for an output that no input controls.
-    """
+    """Return the solution S (n_x, n_x) of the discrete Riccati equation; InputError if none."""
     # In N and N·m the entries of B and R lie up to fourteen decades from those of A and Q.
     A, B, R = model.A, model.B * du_max, R * du_max * du_max[:, np.newaxis]
     reason = "the regulator leaves a mode that does not decay"

@@ -267,10 +267,7 @@ def _solve_triangular(R: Matrix, b: Vector, *, lower: bool = False) -> Vector:
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """Cholesky factor L (n, n) of P and scaled constraint normals J (n, N), shared by many QPs.
-
-    Columns of J have unit length: the method is independent of the units of z and of the rows.
-    """
+    """Cholesky factor L (n, n) of P and normals J (n, N) of unit length, shared by many QPs."""
 
     L: Matrix
     J: Matrix
@@ -295,10 +292,7 @@ class Projection:
         start: Vector | None = None,
         contradiction: float = CONTRADICTION,
     ) -> Outcome:
-        """Solve the QP with gradient q and row limits (N,); return active set and multipliers.
-
-        start : (N,) signs of the rows to begin with, as in `DualActiveSet.run`.
-        """
+        """Solve for q and row limits (N,); start : (N,) signs, as in `DualActiveSet.run`."""
         x0 = -np.linalg.solve(self.L, q).astype(np.float64)
         limit = ITERATIONS_PER_ROW * self.scale.size
         low, high = lower * self.scale, upper * self.scale

@@ -187,10 +187,7 @@ def _draw_signals(rng: np.random.Generator, K: int, N: int) -> Matrix:
 def _choose_active_limits(
     frame: _ConstantParts, family: Family, s: Vector, count: int
 ) -> tuple[Vector, Vector, Flags]:
-    """Choose which limits the optimum of a step meets, with which multipliers.
-
-    The `count` strongest signals carry a multiplier, the next ones touch without one.
-    """
+    """Choose the limits that an optimum meets: the strongest with multipliers, the next without."""
     n = len(frame.lo)
     side = np.where(s > 0, 1.0, -1.0)
     side = np.where(frame.above & frame.below, side, np.where(frame.above, 1.0, -1.0))
@@ -237,10 +234,7 @@ def _plant_step(frame: _ConstantParts, family: Family, s: Vector, count: int) ->
 
 
 def _make_infeasible(frame: _ConstantParts, step: _PlantedStep, row: int, k: int) -> _PlantedStep:
-    """Return the step made infeasible, with a Farkas vector that proves it.
-
-    In turn: a row demands more than the bounds allow, or than its copy does.
-    """
+    """Return the step made infeasible, by the bounds or by a row's copy in turn, and a proof."""
     l, u, a = step.l.copy(), step.u.copy(), frame.A[row]  # noqa: E741 - as in QuadraticProgram
     y = np.zeros(len(l))
     if k % 2:

@@ -36,11 +36,7 @@ class Status(IntEnum):
 
     @property
     def is_usable(self) -> bool:
-        """Return whether an answer with this status is applied to the ship, if it is finite.
-
-        Infeasible, error and time-limit claims come with no plan worth following; an inaccurate or
-        unfinished iterate is applied and marked.
-        """
+        """Return whether a finite answer with this status is applied, as an unfinished one is."""
         return self in _USABLE
 
     @property
@@ -123,10 +119,7 @@ _LARGEST = int(np.iinfo(np.int64).max)
 
 
 def is_plain(answer: Any, n: int, m: int) -> bool:
-    """Return whether an answer is a `Solution` of exactly the expected types and shapes.
-
-    Reading such an answer later runs no code of a solver.
-    """
+    """Return whether an answer is a `Solution` of plain types, read without a solver's code."""
     if type(answer) is not Solution:
         return False
     z, y, y_box = answer.z, answer.y, answer.y_box
@@ -145,10 +138,7 @@ def is_plain(answer: Any, n: int, m: int) -> bool:
 
 
 def sanitise_answer(answer: Any, n: int, m: int) -> Solution:
-    """Return a copy of a solver's answer with checked types, or status ERROR if malformed.
-
-    n, m : variables and rows of its QP; the fault of a malformed answer is in `detail`.
-    """
+    """Return a checked copy of a solver's answer; status ERROR and its fault if malformed."""
     try:
         return _copy_answer(answer, n, m)
     except _MalformedError as error:

@@ -24,10 +24,7 @@ def stack(qp: QuadraticProgram) -> QuadraticProgram:
 
 
 def stack_step(step: QPStep, stacked: QuadraticProgram) -> QPStep:
-    """Convert one step of a QP with two-sided rows to a step of its one-sided form `stacked`.
-
-    A step with matrices brings P and A of the two-sided form, from which M is built.
-    """
+    """Convert a step of a QP to one of its one-sided form `stacked`, M from what it brings."""
     m = step.l.shape[0]
     gamma = stacked.u.copy()
     np.negative(step.l, out=gamma[:m])

@@ -28,10 +28,7 @@ class Actuators:
 
 @dataclass(frozen=True, eq=False)
 class CommandedThrusters:
-    """Thrusters with commanded forces, with a first-order lag, dead time and thrust losses.
-
-    trips : thrusters that give no force from a sample on, whatever is commanded.
-    """
+    """Thrusters with lag, dead time and losses; trips : those without force from a sample on."""
 
     thrusters: ThrusterSet
     sample_s: float

@@ -21,11 +21,7 @@ SLOW_FROUDE_NUMBER = 0.2  # Beyond it waves of the hull's own making take over f
 
 
 def axis_time_constants_s(vessel: Vessel) -> Vector:
-    """Return the time constants (3,) [s] of the ship's motion in surge, sway and yaw.
-
-    1 over the real parts of the eigenvalues of M⁻¹D, assigned to axes by participation factors
-    (Kundur 1994, chapter 12) so that their sum is largest.
-    """
+    """Return the time constants (3,) [s] by participation factors (Kundur 1994, chapter 12)."""
     rates, right = np.linalg.eig(np.linalg.solve(vessel.M, vessel.D))
     participation = np.abs(right * np.linalg.inv(right).T)
     axes, modes = linear_sum_assignment(participation, maximize=True)

@@ -174,10 +174,7 @@ class Environment:
         return table
 
     def load_coefficients(self, vessel: Vessel) -> Vector | None:
-        """Return the hull's coefficients (6,) of wind and wave drift; None for other weather.
-
-        Raises InputError where the weather has wind or drift and the vessel no hull data for it.
-        """
+        """Return the coefficients (6,) of wind and drift, or None; InputError without hull data."""
         if not self.depends_on_ship:
             return None
         coefficients = np.zeros(COEFFICIENTS)

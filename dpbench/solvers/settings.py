@@ -61,11 +61,7 @@ def has_setting(solver: str, name: str) -> bool:
 
 
 def _options_at_tolerance(solver: str, name: str) -> Options | None:
-    """Return a solver's options at a tolerance such as "1e-4"; None for other names.
-
-    Options that are the tolerance at `low`, `mid` and `high` are this one; all others are those of
-    `mid`.
-    """
+    """Return a solver's options at a tolerance such as "1e-4", else as at `mid`; or None."""
     tolerance, levels = parse_tolerance(name), find_record(solver).levels
     if tolerance is None:
         return None

@@ -194,10 +194,7 @@ def _check_qpsolvers_availability(name: str) -> Availability:
 
 
 class HiddenModules(MetaPathFinder):
-    """An import hook that makes modules of given names fail to import.
-
-    None in `sys.modules` hides a module too, but SciPy reads attributes of what is there as "jax".
-    """
+    """Import hook that hides modules: a None in `sys.modules` SciPy would take for "jax"."""
 
     def __init__(self, names: Collection[str]) -> None:
         self._names = frozenset(names)

@@ -97,10 +97,7 @@ def measure_hardness(active: Ints, feasible: Flags) -> Floats:
 
 
 def find_window_start(hard: Floats, steps: int) -> int:
-    """Return where the hardest window of `steps` steps around the hardest step begins.
-
-    Of all windows with that step, it has the largest sum of hardness; of equals the earliest.
-    """
+    """Return where the window of `steps` around the hardest step with the most hardness begins."""
     sums = sliding_window_view(hard, steps).sum(axis=1)
     at = int(np.argmax(hard))
     earliest = max(0, at - steps + 1)

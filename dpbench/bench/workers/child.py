@@ -50,10 +50,7 @@ def list_uncompiled_modules(modules: Sequence[str]) -> list[str]:
 
 
 def compile_in_processes(modules: Sequence[str]) -> None:
-    """Compile the Numba code of each module in a process of its own, side by side.
-
-    The error of one that fails appears where its kernels are needed.
-    """
+    """Compile each module's Numba code in a process; errors appear where kernels are needed."""
     processes: list[subprocess.Popen[bytes]] = []
     try:
         for module in modules:
@@ -96,11 +93,7 @@ class NoProcessError(DpbenchError):
 
 
 def start_forkserver(solvers: Iterable[str]) -> ForkServerContext:
-    """Start the process that workers are forked from, code compiled; return its context.
-
-    Its first call decides which of dpbench's own `solvers` the template has loaded; others load
-    their kernels when opened.
-    """
+    """Start the process that workers are forked from, with its first caller's `solvers` loaded."""
     modules = list_kernel_modules(solvers)
     absent = list_uncompiled_modules(modules)
     # A cell that did would lose its time to start; what is left over the template compiles itself.
@@ -438,10 +431,7 @@ def _wait_for_end(pid: int, wait_s: float = _DYING_S) -> bool:
 
 @contextmanager
 def hide_main_module() -> Iterator[None]:
-    """Hide the main program during the block from processes that are started.
-
-    They would run it again: without `if __name__ == "__main__"` each would start a campaign.
-    """
+    """Hide the main program from processes started in the block, which would run it again."""
     program = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
     try:

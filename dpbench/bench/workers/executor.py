@@ -151,10 +151,7 @@ class CellExecutor(ExitStack):
             self._submit_cells(batch, sources)
 
     def wait_for_batches(self) -> Iterator[tuple[Batch, list[Result]]]:
-        """Wait until batches of runs or files have ended; yield each with its results.
-
-        Cells and files that a dead fork server took along have none.
-        """
+        """Wait for batches of runs or files; yield each with its results, of lost cells none."""
         while self._refused:
             yield self._refused.pop()
         if self._replays:
@@ -230,11 +227,7 @@ class CellExecutor(ExitStack):
     def _run_turns_with_retries(
         self, batch: CellBatch, jobs: Sequence[CellJob], sources: Sources, folder: Path
     ) -> dict[str, Outcome]:
-        """Do replays by turns, those suspected of a crash again alone; return outcomes by run_id.
-
-        Suspects of a dead template run alone, which finds the one that ends its template; the
-        others take turns once more.
-        """
+        """Do replays by turns, suspects of a crash alone first; return outcomes by run_id."""
         modules = ((job, self._plugin_path(job)) for job in jobs)
         cells = [(job.run_id, replace(job.cell, solver_module=path)) for job, path in modules]
         turns = partial(self._run_turns, batch, sources[jobs[0].source_key], folder)

@@ -77,11 +77,7 @@ def forget_interrupts() -> None:
 
 @contextmanager
 def delay_signals() -> Iterator[None]:
-    """Delay Ctrl-C, SIGTERM and SIGHUP to the end of the block.
-
-    Where an exception already ends the program they are dropped. Nothing changes outside the main
-    thread, or for signals without a handler.
-    """
+    """Delay Ctrl-C, SIGTERM and SIGHUP to the block's end; an exception that ends it drops them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -102,10 +98,7 @@ def delay_signals() -> Iterator[None]:
 
 @contextmanager
 def block_terminal_signals() -> Iterator[None]:
-    """Block Ctrl-C and SIGHUP in threads and processes started in the block.
-
-    A terminal sends both to all processes of a program, of which one handles them for all.
-    """
+    """Block Ctrl-C and SIGHUP in what is started in the block: one process handles them for all."""
     # It would let them through again while it starts its own process, and does nothing later.
     multiprocessing.resource_tracker.ensure_running()
     with block_sigint(signal.SIGHUP):

@@ -52,11 +52,7 @@ class CellJob:
 
 @dataclass(frozen=True)
 class Result:
-    """Outcome of a run by its run_id, or of a made file by its path.
-
-    `part` has the finished cells of its batch, one object for all of these; None where nothing is
-    kept.
-    """
+    """Outcome of a run by run_id or of a file by path; part : the finished cells, or None."""
 
     run_id: str
     outcome: Outcome
@@ -164,10 +160,7 @@ def configuration_key(cell: Cell) -> tuple[str, ...]:
 
 
 def split_into_batches(kind: Kind, jobs: Sequence[CellJob], slots: int) -> list[CellBatch]:
-    """Split runs of one kind into batches, enough to keep `slots` processes busy.
-
-    All configurations meet a sea at about the same time, so that its source is released soon.
-    """
+    """Split runs of one kind into batches, sea by sea, enough to keep `slots` processes busy."""
     if kind == "replays":
         return [CellBatch(kind, group) for group in group_by_problem(jobs)]
     alike = group_jobs(jobs, lambda job: configuration_key(job.cell))

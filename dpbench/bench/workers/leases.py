@@ -47,10 +47,7 @@ def _user_name(uid: int) -> str:
 
 @contextmanager
 def lease_core() -> Iterator[int]:
-    """Lock a free processor core against other campaigns in the block; yield its number.
-
-    Where all are leased it is the first of them.
-    """
+    """Lock a free processor core in the block, the first where all are leased; yield its number."""
     cores, folder = sorted(os.sched_getaffinity(0)), open_lease_folder()
     for core in cores:
         with try_lease(folder / f"core-{core}", FILE) as held:

@@ -50,10 +50,7 @@ def clear_places(beside: Path) -> list[Path]:
 
 
 class Scratch(ExitStack):
-    """The temporary folders of one campaign's raw logs, removed at the end.
-
-    `beside` is a folder on the disk of the results, the last resort.
-    """
+    """Temporary folders of one campaign's raw logs; `beside`, on the results' disk, comes last."""
 
     def __init__(self, beside: Path) -> None:
         super().__init__()

@@ -57,10 +57,7 @@ class Phase(IntEnum):
 
 
 class Output:
-    """Captured output of a worker process and its children, in memory of fixed size.
-
-    Its position is shared with the supervisor and tells how far it is filled.
-    """
+    """Captured output of a worker process, in memory of fixed size; its position is shared."""
 
     def __init__(self, descriptor: int | None = None) -> None:
         if descriptor is None:
@@ -141,10 +138,7 @@ class SharedStatus:
         os.close(self._descriptor)
 
     def begin(self) -> None:
-        """Record the ids of this worker's parent processes, and that the benchmark is at work.
-
-        The process ends here if its template has died.
-        """
+        """Record this worker's parents, and that the benchmark works; end if the template died."""
         orphans.end_with_parent(orphans.template)
         orphans.adopt_orphans()
         _TEMPLATE.pack_into(self._page, _HEAD.size, orphans.template, orphans.keeper)

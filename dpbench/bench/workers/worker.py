@@ -399,10 +399,7 @@ def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> No
 
 
 def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
-    """Judge the raw logs of several runs in a process that has not loaded their solver.
-
-    Their part appears in `folder` as `<name of the first>.judged`.
-    """
+    """Judge logs of runs without loading their solver; the first names its `<name>.judged`."""
     pin_to_core(core)
     disable_gc_and_warnings()
     judged: dict[str, tuple[Row, pa.RecordBatch]] = {}

@@ -36,10 +36,7 @@ class AttainableSet:
     corners: tuple[Matrix, ...]
 
     def limits(self, lost: Collection[int]) -> Limits:
-        """Return the limits of the attainable-force polytope's facets after the loss of thrusters.
-
-        The force as a whole counts as lost where the set is empty in some direction.
-        """
+        """Return the facets' limits after a loss; all force is lost where the set is empty."""
         low, high = np.zeros(len(self.normals)), np.zeros(len(self.normals))
         for i, corners in enumerate(self.corners):
             if i not in lost:
@@ -56,10 +53,7 @@ class AttainableSet:
 
 
 def attainable_set(thrusters: ThrusterSet, sides: int) -> AttainableSet:
-    """Return the polytope of attainable forces, with circles as polygons of `sides` sides.
-
-    InputError for an azimuth with a sector.
-    """
+    """Return the polytope of attainable forces, circles as polygons; InputError for a sector."""
     corners = ((t, _thruster_corners(t, sides, thrusters.where)) for t in thrusters.thrusters)
     parts = [along @ thruster.columns.T for thruster, along in corners]
     # In metres of arm, moments weigh as forces do, and edges can be compared.

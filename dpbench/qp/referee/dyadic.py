@@ -112,11 +112,7 @@ def solve_integer(M: Whole, rhs: Whole) -> tuple[Whole, int] | None:
 
 
 def is_semidefinite(S: Whole) -> bool:
-    """Return whether a symmetric integer matrix is positive semidefinite, in exact arithmetic.
-
-    Symmetric elimination: a negative pivot refutes it, and so does a zero pivot whose row is not
-    zero (Golub and Van Loan, Matrix Computations, 4.2.8).
-    """
+    """Return whether a symmetric integer matrix is semidefinite (Golub and Van Loan, 4.2.8)."""
     work = S.copy()
     previous = 1
     while work.shape[0]:

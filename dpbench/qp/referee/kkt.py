@@ -80,11 +80,7 @@ class KKTSystem:
 
 
 def is_positive_definite(P: Matrix) -> bool:
-    """Return whether P is proven positive definite, rounding included.
-
-    Rump, BIT 46 (2006), theorem 2.3: if it runs to completion with c ≥ γ_{n+1}/(1−γ_{n+1})·tr(P),
-    every eigenvalue of P is positive.
-    """
+    """Return whether P is proven positive definite, with rounding (Rump, BIT 46, theorem 2.3)."""
     n = P.shape[0]
     trace = float(np.abs(np.diagonal(P)).sum())
     margin = 2.0 * gamma(n + 3) * trace + UNDERFLOW

@@ -235,10 +235,7 @@ class LastResort:
         self._exact: ExactMatrices | None = None
 
     def certify(self, problem: JointQP) -> Proof | None:
-        """Certify the optimum of a QP that the other certificates left open, or return None.
-
-        Its multipliers are NaN where implied limits took part: theirs are not the problem's.
-        """
+        """Certify an optimum that is still open; y is NaN where implied limits took part."""
         if not (self._safe and is_scalable(problem.q, problem.L, problem.U)):
             return None
         if self._exact is None:
@@ -375,11 +372,7 @@ def _solve_equality_qp(problem: JointQP, signs: Signs) -> Vector | None:
 
 
 def _inward_amounts(problem: JointQP, system: KKTSystem, touched: Signs) -> Vector | None:
-    """Return how far inside its limits to hold each active row so that all limits near hold.
-
-    1 for inequality rows where no other row is touched; else by a direction that leads inside all
-    of them; None where there is no such direction.
-    """
+    """Return how far inside its limit to hold each active row so that all near hold, or None."""
     equal = problem.L == problem.U
     amounts = np.where(equal[system.rows], 0.0, 1.0)
     others = touched != 0

@@ -45,11 +45,7 @@ def _guess_by_daqp(problem: JointQP) -> Signs | None:
 
 
 def _guess_by_dual_method(problem: JointQP) -> Signs | None:
-    """Return the active set that the dual active-set method ends at.
-
-    Its iterations are limited, unlike those of quadprog, which never ends on some rows that depend
-    on one another but for rounding.
-    """
+    """Return the active set at which the dual method ends, its iterations limited."""
     outcome = Projection.of(problem.P, problem.C).solve(problem.q, problem.L, problem.U)
     if outcome.ending is Ending.INFEASIBLE:
         return None

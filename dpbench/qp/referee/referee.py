@@ -399,11 +399,7 @@ def certify_sequence(sequence: QPSequence) -> list[Optimum]:
 
 
 def claim_is_true(qp: QuadraticProgram, solution: Solution, optimum: Optimum) -> bool:
-    """Return whether a solver's claim "infeasible" or "unbounded" is proven true.
-
-    A valid certificate of the solver in (y, y_box), or direction in z, is accepted; otherwise the
-    referee's verdict decides. Any other status gives False.
-    """
+    """Return whether a claim of infeasible or unbounded is proven, by its vectors or by ours."""
     if solution.status is Status.PRIMAL_INFEASIBLE:
         return optimum.kind == "infeasible" or farkas_valid(qp, solution.y, solution.y_box)
     if solution.status is Status.DUAL_INFEASIBLE:

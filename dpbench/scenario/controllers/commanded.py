@@ -26,10 +26,7 @@ class ThrusterControl:
     trips: Trips = field(default=(), kw_only=True)
 
     def force_before(self, f: Matrix, k: int) -> Vector:
-        """Return the force (n_f,) from which the move to the applied force f[k] starts.
-
-        That of the step before; zero at first, and of thrusters that stop at step k.
-        """
+        """Return the force (n_f,) before the move of step k: zero at first, and where one trips."""
         before: Vector = f[k - 1].copy() if k else np.zeros(f.shape[1])
         for sample, entries in self.trips:
             if sample == k:
@@ -67,10 +64,7 @@ class TurningThrusterControl(ThrusterControl):
 
 
 def build_thruster_control(spec: ControllerSpec) -> ThrusterControl:
-    """Build the commanded thrusters of a scenario's controller, with their limits and weights.
-
-    Raises InputError for a vessel without thrusters, and where azimuth_turning does not apply.
-    """
+    """Build a controller's commanded thrusters; InputError without any, or for wrong turning."""
     table, where = spec.thruster_table, spec.where
     thrusters = spec.require_thrusters("kind", spec.table.kind, "forces")
     W = np.diag(table.thrust_weight_relative / thrusters.per_entry(thrusters.thrust_N) ** 2)

@@ -44,10 +44,7 @@ class JointForceController(ForceController):
 
 
 def build_force_plan(spec: ControllerSpec) -> tuple[ControlProblem, Changes]:
-    """Return the MPC problem of a planned force, and the changes of its limits by faults.
-
-    Raises InputError for limits = "attainable" in a vessel without thrusters.
-    """
+    """Return the MPC problem of a planned force, and the changes of its limits by faults."""
     ship = spec.vessel
     R, du_max = np.diag(_move_weights(spec)), ship.step_max(spec.sample_s)
     if spec.table.limits == "box":

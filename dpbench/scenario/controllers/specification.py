@@ -29,10 +29,7 @@ from dpbench.ship.vessel import Vessel
 
 @dataclass(frozen=True)
 class Linearisation:
-    """Factory of condensed QPs for one way of linearising the ship's model.
-
-    condense : makes the builder of a problem, with the arguments of `CondensedQP`.
-    """
+    """Factory of condensed QPs, with arguments of `CondensedQP`, for one linearisation."""
 
     condense: Callable[..., CondensedQP]
     why_no_sparse_form: str = ""

@@ -79,11 +79,7 @@ class ThrusterController(Controller):
 
 @dataclass(frozen=True, eq=False)
 class CascadeController(ForceController):
-    """Controller that plans a force (3,) and then allocates it to thrusters at each sample.
-
-    by_qp : whether a QP allocates, or the pseudo-inverse.
-    losses : changes of the limits of the thrusters, by faults.
-    """
+    """Controller that plans a force (3,), then allocates it; losses : limits after faults."""
 
     control: ThrusterControl
     allocation: AllocationProblem

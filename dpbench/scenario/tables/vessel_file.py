@@ -262,10 +262,7 @@ class VesselFile(FileModel):
         return vessel
 
     def _check_units(self, surge_kg: float, where: str) -> None:
-        """Raise InputError where length and mass cannot be in m and kg.
-
-        Ships are 0.5 to 5 % of the water in a cube of their length.
-        """
+        """Raise InputError unless a ship is 0.5 to 5 % of the water in a cube of its length."""
         share = surge_kg / (WATER_DENSITY * self.length_m**3)
         if not 1e-4 <= share <= 1.0:
             found = f"{self.length_m:g} with an inertia of {surge_kg:.3g} kg in surge"

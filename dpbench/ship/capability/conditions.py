@@ -44,9 +44,6 @@ class Condition:
 
 
 def interpolate_condition(wind_mps: float) -> Condition:
-    """Return the waves and current for a wind speed, interpolated in the standard's table.
-
-    The standard has the rows alone; interpolation is ours.
-    """
+    """Return the waves and current for a wind speed; interpolation in the table is ours."""
     columns = (float(np.interp(wind_mps, _TABLE[:, 0], column)) for column in _TABLE.T[1:])
     return Condition(wind_mps, *columns)

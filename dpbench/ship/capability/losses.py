@@ -78,10 +78,7 @@ def forbidden_zones(thruster: Thruster, working: Sequence[Thruster]) -> list[tup
 
 
 def dead_losses(thruster: Thruster, dead: Sequence[Thruster]) -> list[Loss]:
-    """Return the thrust losses of an azimuth whose propeller race hits a dead thruster.
-
-    From β at the centre to 1 at both edges the largest thrust lies on a straight line.
-    """
+    """Return the losses of an azimuth that hits a dead thruster: straight lines from β to 1."""
     screw = thruster.screw
     if thruster.kind != "azimuth" or screw is None:
         return []

@@ -122,10 +122,7 @@ class KalmanTuning:
         wave_filter: bool = True,
         where: str = "KalmanTuning",
     ) -> KalmanTuning:
-        """Choose noise levels in proportion to the ship's force limits and the wave period.
-
-        Without the wave filter the motion of the waves counts as sensor noise.
-        """
+        """Choose noise by force limits and wave period; waves that are not filtered are noise."""
         period = waves.peak_period_s
         # Weather pushes no harder along the ship than across it, whatever its main propellers can.
         force = np.minimum(ship.tau_max, [ship.tau_max[1], np.inf, np.inf])
@@ -188,10 +185,7 @@ def build_kalman_model(ship: Vessel, tuning: KalmanTuning, sample_s: float) -> K
 
 
 def discretise(A: Matrix, B: Matrix, E: Matrix, h: float) -> tuple[Matrix, Matrix, Matrix]:
-    """Discretise ẋ = A x + B u + E w exactly over h seconds; w is white noise of unit intensity.
-
-    Van Loan, "Computing integrals involving the matrix exponential", IEEE TAC 23 (1978).
-    """
+    """Discretise ẋ = A x + B u + E w, w white of intensity 1, exactly (Van Loan, IEEE TAC 23)."""
     n, m = B.shape
     held = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * h)
     noise = expm(np.block([[-A, E @ E.T], [np.zeros((n, n)), A.T]]) * h)

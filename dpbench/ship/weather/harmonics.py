@@ -30,10 +30,7 @@ _ROWS = 1024
 
 
 def random_stream(seed: int, name: str) -> np.random.Generator:
-    """Return a fresh random generator for a seed and a named source, such as wind or waves.
-
-    The name is part of the key: a source draws the same numbers whatever other sources there are.
-    """
+    """Return a generator of a seed and a named source, independent of what others there are."""
     # NumPy may change its default generator.
     key = np.random.SeedSequence(seed, spawn_key=tuple(name.encode()))
     return np.random.Generator(np.random.PCG64(key))
@@ -68,10 +65,7 @@ def draw_harmonics(
     rng: np.random.Generator,
     variance: float | None = None,
 ) -> Harmonics:
-    """Draw random harmonics of a spectral density over a band of frequencies [rad/s].
-
-    variance : of the process; the integral of the density over the band when None.
-    """
+    """Draw harmonics of a density over a band [rad/s], of `variance` or the density's integral."""
     omega = np.geomspace(*band, _GRID)
     S = density(omega)
     energy = np.concatenate([[0.0], np.cumsum(0.5 * (S[1:] + S[:-1]) * np.diff(omega))])

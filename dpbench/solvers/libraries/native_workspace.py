@@ -235,11 +235,7 @@ class NativeWorkspace(Workspace):
 
 
 class OneSidedWorkspace(NativeWorkspace):
-    """Base of solvers whose library takes only A z = b and G z ≤ h, not two-sided limits.
-
-    Rows with l = u are equalities and infinite sides are left out, by the pattern at setup; a step
-    of another pattern makes the library object anew.
-    """
+    """Base of solvers of A z = b, G z ≤ h, made anew where other rows are equal or infinite."""
 
     _form: OneSidedForm
 
@@ -286,11 +282,7 @@ class OneSidedWorkspace(NativeWorkspace):
 
 
 class WarmStart:
-    """The previous answer shifted by one control increment, to start the next solve.
-
-    Moves shift by a block of variables, multipliers of rows by the rows of a move; those of the
-    last move are zero. Block 0 shifts nothing.
-    """
+    """The previous answer shifted by one move, to start the next solve; block 0 shifts nothing."""
 
     def __init__(self, n: int, m: int, block: int) -> None:
         rows = rows_per_block(n, m, block)

@@ -83,11 +83,7 @@ MULTISTAGE = replace(
 
 
 class PiqpWorkspace(NativeWorkspace):
-    """PIQP as QP solver: rows two-sided, those with equal limits as equalities, bounds apart.
-
-    A row with l = u leaves an interior-point method no interior, so another pattern of equalities
-    makes the library object anew.
-    """
+    """PIQP with two-sided rows; those with l = u are equalities, and others make it anew."""
 
     def _convert_matrices(self) -> None:
         as_form = scipy.sparse.csc_matrix if self.form == "csc" else np.asfortranarray

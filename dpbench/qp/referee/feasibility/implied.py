@@ -82,10 +82,7 @@ def drop_empty_rows(problem: JointQP) -> JointQP:
 
 
 def make_equalities(problem: JointQP, touched: Signs) -> JointQP | None:
-    """Turn limits that every feasible point meets into equality rows; None without proof.
-
-    Only limits in `touched`, which some feasible point meets, are candidates.
-    """
+    """Make limits in `touched` that all feasible points meet equalities; None without proof."""
     equal = problem.L == problem.U
     rows = np.flatnonzero((touched != 0) & ~equal)
     weights = _find_weights(problem, rows, touched[rows], np.flatnonzero(equal))

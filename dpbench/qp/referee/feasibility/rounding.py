@@ -138,10 +138,7 @@ def _weighted_rows(problem: JointQP, y: Vector) -> tuple[Indices, Dyadic]:
 
 
 def find_magnified_farkas(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
-    """Find a Farkas vector by linear programs on magnified residuals, or return None.
-
-    The multipliers of the magnified linear programs, one after the other, are verified exactly.
-    """
+    """Find a Farkas vector by linear programs on magnified residuals, or return None."""
     problem = JointQP.of(qp)
     upper, lower = limit_sizes(problem)
     for point in _refine_points(problem, upper, lower):
