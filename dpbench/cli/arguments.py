@@ -253,6 +253,33 @@ def _add_capability_arguments(capability: Command) -> None:
     capability.add_argument("--json", action="store_true", help="say it as JSON")
 
 
+def _add_tune_arguments(tune: Command) -> None:
+    """Add the options and arguments of `dpbench tune-solver` to its parser."""
+    tune.description = (
+        "Find the fastest settings of a solver that are accurate on the training sequences, and "
+        "measure them on test sequences of other loops. Give the same command again after an "
+        "interruption."
+    )
+    add, option = tune.add_argument, partial(_add_option, tune)
+    repeated = partial(option, action="append", default=[])
+    add("solver", help="the solver to tune")
+    training = "search on this sequence or scenario; repeatable (paper, rough, turn)"
+    repeated("--train", "S", training, dest="training")
+    repeated("--test", "S", "measure on this one; repeatable (move, squall, weather)")
+    stated = "search this option, as 'rho=[1e-3,10]', in place of the stated ones; repeatable"
+    repeated("--range", "RANGE", stated, dest="ranges")
+    add("--route", help="native (default where there is one) or qpsolvers")
+    add("--policy", default="fresh", help="fresh (default), reuse or warm")
+    error = "largest error of the first move, in rate-limit steps (0.01)"
+    option("--error", "E", error, type=float, default=0.01, dest="error_move")
+    option("--trials", "N", "settings to try (48)", type=int, default=48)
+    option("--steps", "N", "at most N steps of each scenario (all)", type=int, default=0)
+    add("--seed", type=int, default=1, help="of the search (1)")
+    option("--name", "NAME", "of the settings found (tuned)", default="tuned")
+    option("--out", "DIR", "folder (results/tune-SOLVER)")
+    option("--solver-module", "FILE.py", "a plug-in that brings the solver")
+
+
 _COMMANDS: dict[str, tuple[Callable[[Command], None], str, str | None]] = {
     "run": (
         _add_run_arguments,
@@ -281,6 +308,11 @@ _COMMANDS: dict[str, tuple[Callable[[Command], None], str, str | None]] = {
         _add_worst_case_arguments,
         "search for a solver's slowest or least accurate step",
         None,
+    ),
+    "tune-solver": (
+        _add_tune_arguments,
+        "search for a solver's fastest accurate settings",
+        "Exit code: 0 settings found; 1 none is accurate on every training sequence; 2 bad input.",
     ),
     "paper": (
         lambda paper: _add_option(paper, "--out", "DIR", "folder (default: results/paper)"),

@@ -129,7 +129,7 @@ def _call_and_report_errors(arguments: argparse.Namespace, interruption: Interru
 
 def _print_interrupted(arguments: argparse.Namespace) -> int:
     """Print that a command was stopped by a signal; return its exit code."""
-    resumes = arguments.call in (_run_suite, _run_shard)
+    resumes = arguments.call in (_run_suite, _run_shard, _tune_solver)
     kept = "; finished cells are kept, run again to go on" if resumes else ""
     print(f"dpbench: interrupted{kept}", file=sys.stderr)
     return INTERRUPTED
@@ -288,6 +288,21 @@ def _find_worst_case(arguments: argparse.Namespace) -> int:
     return INTERRUPTED if worst_case.search.stopped == "interrupted" else 0
 
 
+def _tune_solver(arguments: argparse.Namespace) -> int:
+    """Search a solver's settings on some sequences, test them on others (`dpbench tune-solver`)."""
+    from dpbench.cli.terminal import ProgressBar, make_console, make_report_table, print_wrapped
+    from dpbench.tuning.tune import tune_solver
+
+    with ProgressBar() as bar:
+        tuning = tune_solver(**_named_parameters(arguments), progress=bar)
+    if tuning.roles:
+        screen = make_console()
+        screen.print(make_report_table(tuning.table, screen))
+        screen.print()
+    print_wrapped(tuning.lines)
+    return 0 if tuning.path is not None else 1
+
+
 def _reproduce_paper(arguments: argparse.Namespace) -> int:
     from dpbench.cli.terminal import ProgressBar, print_wrapped
     from dpbench.report.reproduce import reproduce_paper
@@ -343,6 +358,7 @@ _CALLS = {
     "compare": _compare_folders,
     "export": _export_qps,
     "worst-case": _find_worst_case,
+    "tune-solver": _tune_solver,
     "paper": _reproduce_paper,
     "list": _print_listing,
     "check": _check_named_file,

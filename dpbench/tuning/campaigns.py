@@ -1,0 +1,134 @@
+"""Campaigns that measure settings of a solver: their suites, and scores from their results."""
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.verdict.requirements import Requirements, is_right
+from dpbench.bench.campaign import run_campaign
+from dpbench.bench.progress import Progress
+from dpbench.bench.record.result_folder import load_results
+from dpbench.files.writing import write_text
+from dpbench.solvers.contract import Options
+from dpbench.solvers.own_settings import describe_options
+from dpbench.tuning.search import Score
+from dpbench.tuning.sequences import TunedProblem
+
+DEFAULT = "default"
+FAILED = 12.0
+"""Excess of a run without an answer, in decades of the error."""
+CELL_LIMIT_S = 20.0
+ROUNDS, WARMUP_STEPS = 5, 20
+
+
+@dataclass(frozen=True)
+class TunedSolver:
+    """The solver whose settings are measured, how it is called, and what is required of it."""
+
+    name: str
+    route: str
+    policy: str
+    requirements: Requirements
+    solver_module: str | None = None
+
+
+def measure_settings(
+    solver: TunedSolver,
+    problems: Sequence[TunedProblem],
+    settings: Sequence[Options],
+    folder: Path,
+    progress: Progress,
+    presets: Sequence[str] = (DEFAULT,),
+) -> list[RunRecord]:
+    """Time settings of a solver and some of its presets side by side; return the runs.
+
+    The suite is written beside `folder`, which is the result folder; finished runs are kept.
+    """
+    suite = folder.with_suffix(".toml")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    write_text(suite, suite_text(solver, problems, settings, presets))
+    run_campaign(
+        suite, folder, may_leave_out=True, progress=progress, solver_module=solver.solver_module
+    )
+    return list(Records(load_results(folder)).all_runs)
+
+
+def suite_text(
+    solver: TunedSolver,
+    problems: Sequence[TunedProblem],
+    settings: Sequence[Options],
+    presets: Sequence[str],
+) -> str:
+    """Return a suite as TOML: the solver with presets and other settings on some sequences."""
+    choices = [solver.name, *(f"{solver.name}[{describe_options(own)}]" for own in settings)]
+    lines = [
+        f"title = {json.dumps(f'Settings of {solver.name}')}",
+        f"solvers = {json.dumps(choices, ensure_ascii=False)}",
+        "baseline_law = false",
+        f"rounds = {ROUNDS}",
+        f"warmup_steps = {WARMUP_STEPS}",
+        f"cell_limit_s = {CELL_LIMIT_S}",
+    ]
+    for problem in problems:
+        kind, *values = problem.table.items()
+        calls = {"routes": [solver.route], "policies": [solver.policy], "settings": [*presets]}
+        lines += ["", f"[[{kind[1]}]]"]
+        pairs = [*values, *calls.items()]
+        lines += [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in pairs]
+    return "\n".join(lines) + "\n"
+
+
+def step_time_ns(run: RunRecord) -> float:
+    """Return the p99 step time of a run, or its largest one where it is too short for a p99."""
+    return run.algo_max_ns if math.isnan(run.algo_p99_ns) else run.algo_p99_ns
+
+
+def runs_by_settings(
+    runs: Iterable[RunRecord], problems: Sequence[TunedProblem]
+) -> dict[str, list[RunRecord]]:
+    """Return the runs on some sequences by the name of their settings."""
+    names = {problem.name for problem in problems}
+    found: dict[str, list[RunRecord]] = {}
+    for run in runs:
+        if run.sequence in names:
+            found.setdefault(run.settings, []).append(run)
+    return found
+
+
+def score_runs(
+    runs: Sequence[RunRecord], defaults: Sequence[RunRecord], requirements: Requirements
+) -> Score:
+    """Return the score of runs with the same settings, beside those with default settings."""
+    wrong = [run for run in runs if not is_right(run, requirements)]
+    missing = len(defaults) - len(runs)
+    default_ns = {run.sequence: step_time_ns(run) for run in defaults}
+    logs = [math.log(step_time_ns(run) / default_ns[run.sequence]) for run in runs if not wrong]
+    return Score(
+        len(wrong) + missing,
+        sum(_excess(run, requirements) for run in wrong) + FAILED * missing,
+        math.exp(sum(logs) / len(logs)) if logs and not missing else math.nan,
+    )
+
+
+def score_settings(
+    settings: Sequence[Options],
+    runs: Mapping[str, Sequence[RunRecord]],
+    requirements: Requirements,
+) -> list[Score]:
+    """Return the score of each of some settings, from runs by the name of their settings."""
+    return [
+        score_runs(runs.get(describe_options(own), ()), runs[DEFAULT], requirements)
+        for own in settings
+    ]
+
+
+def _excess(run: RunRecord, requirements: Requirements) -> float:
+    """Return by how many decades the error of a run is above the requirement; `FAILED` at most."""
+    error = run.error_move_max
+    if not math.isfinite(error) or run.steps_done < run.steps_planned:
+        return FAILED
+    return min(FAILED, max(0.0, math.log10(max(error, 1e-300) / requirements.error_move)))

@@ -1,0 +1,76 @@
+"""Scores from runs, and the suites that make them."""
+
+import math
+import tomllib
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from dpbench.analysis.records.run_record import RunRecord, build_records
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.bench.plan.suite import SuiteFile
+from dpbench.bench.record.schema import as_runs
+from dpbench.solvers.own_settings import parse_choice
+from dpbench.tuning.campaigns import FAILED, TunedSolver, score_settings, suite_text
+from dpbench.tuning.sequences import TunedProblem
+
+LIMIT = Requirements(error_move=1e-2)
+SOLVER = TunedSolver("hpipm", "native", "warm", LIMIT)
+PROBLEMS = [
+    TunedProblem("a[:30]", {"kind": "recorded", "sequence": 'C:\\"a"é.npz'}),
+    TunedProblem("paper", {"kind": "replay", "scenario": "paper", "steps": 9}),
+]
+
+
+def _run(settings: str, sequence: str, time_ns: float, **columns: Any) -> RunRecord:
+    usual = {"run_id": f"{settings} {sequence}", "mode": "replay", "outcome": "finished"}
+    counts = {"steps_planned": 30, "steps_done": 30, "failed_steps": 0, "error_move_max": 1e-6}
+    row = usual | counts | {"settings": settings, "sequence": sequence, "algo_max_ns": time_ns}
+    (record,) = build_records(as_runs(pd.DataFrame([row | columns])))
+    return record
+
+
+def _score(*runs: RunRecord) -> Any:
+    by_settings = {"default": [_run("default", "a", 100.0), _run("default", "b", 400.0)]}
+    by_settings["rho=2"] = list(runs)
+    (score,) = score_settings([{"rho": 2}], by_settings, LIMIT)
+    return score
+
+
+def test_the_time_is_the_geometric_mean_of_ratios_to_the_default() -> None:
+    """Of the p99 where there is one, and else of the largest step."""
+    score = _score(_run("rho=2", "a", 200.0), _run("rho=2", "b", 1e9, algo_p99_ns=50.0))
+    assert score.is_right
+    assert score.ratio == pytest.approx(math.sqrt(2.0 * 0.125))
+
+
+@pytest.mark.parametrize(
+    ("columns", "excess"),
+    [
+        ({"error_move_max": 1.0}, 2.0),
+        ({"failed_steps": 1}, 0.0),
+        ({"error_move_max": math.inf}, FAILED),
+        ({"outcome": "crashed", "steps_done": 3, "error_move_max": 1e-9}, FAILED),
+    ],
+)
+def test_one_wrong_run_is_enough(columns: dict[str, Any], excess: float) -> None:
+    score = _score(_run("rho=2", "a", 1.0), _run("rho=2", "b", 1.0, **columns))
+    assert (score.wrong, score.is_right) == (1, False)
+    assert score.excess == pytest.approx(excess) and math.isnan(score.ratio)
+
+
+def test_what_was_not_run_is_no_success() -> None:
+    assert _score(_run("rho=2", "a", 1.0)).wrong == 1
+    assert _score().wrong == 2
+
+
+def test_the_suite_has_all_settings_on_all_sequences() -> None:
+    """Names of any kind stay the same in TOML."""
+    options = {"mode": "ROBUST", "mu0": 1e-5}
+    text = suite_text(SOLVER, PROBLEMS, [options], ["default", "high"])
+    suite = SuiteFile.model_validate(tomllib.loads(text))
+    assert suite.solvers[0] == "hpipm" and parse_choice(suite.solvers[1]) == options
+    assert suite.recorded[0].sequence == 'C:\\"a"é.npz'
+    assert (suite.replay[0].steps, suite.replay[0].policies) == (9, ["warm"])
+    assert suite.replay[0].settings == ["default", "high"]

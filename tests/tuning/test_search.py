@@ -1,0 +1,59 @@
+"""The search on functions with a known best point."""
+
+import math
+from collections.abc import Sequence
+
+from dpbench.solvers.contract import Options
+from dpbench.tuning.search import BATCH, Score, SettingsSearch
+from dpbench.tuning.space import OptionRange, SearchSpace
+
+SPACE = SearchSpace((OptionRange("a", 1e-3, 1e3), OptionRange("b", 0.0, 1.0)))
+
+
+def _time(options: Options) -> float:
+    """1 at a = 10 and b = 0.7, and more elsewhere."""
+    a, b = float(str(options["a"])), float(str(options["b"]))
+    return 1.0 + math.log10(a / 10.0) ** 2 + (b - 0.7) ** 2
+
+
+def _evaluate(settings: Sequence[Options]) -> list[Score]:
+    """Inaccurate above a = 100, the more the larger."""
+    scores = []
+    for options in settings:
+        excess = max(0.0, math.log10(float(str(options["a"])) / 100.0))
+        scores.append(Score(int(excess > 0.0), excess, _time(options) if not excess else math.nan))
+    return scores
+
+
+def test_the_batches_near_the_best_improve_it() -> None:
+    search = SettingsSearch(SPACE, _evaluate, seed=1)
+    search.run(8)
+    spread = search.trials[: 4 * BATCH]
+    assert search.best is not None and search.best.score.is_right
+    assert search.best not in spread
+    assert search.best.score.ratio < 1.02
+    assert len({trial.name for trial in search.trials}) == len(search.trials) <= 8 * BATCH
+
+
+def test_the_same_seed_tries_the_same_settings() -> None:
+    """So that a search that was interrupted finds its finished runs again."""
+    trials = []
+    for seed in (3, 3, 4):
+        search = SettingsSearch(SPACE, _evaluate, seed)
+        search.run(2)
+        trials.append([trial.name for trial in search.trials])
+    assert trials[0] == trials[1] != trials[2]
+
+
+def test_accuracy_comes_before_time() -> None:
+    """Of inaccurate settings the nearest to the requirement; a run without a time comes last."""
+    first_to_last = [
+        Score(0, 0.0, 0.5),
+        Score(0, 0.0, 2.0),
+        Score(0, 0.0, math.nan),
+        Score(1, 0.1, math.nan),
+        Score(1, 3.0, math.nan),
+        Score(2, 0.1, math.nan),
+    ]
+    last_to_first = first_to_last[::-1]
+    assert sorted(last_to_first, key=lambda score: score.key) == first_to_last

@@ -1,0 +1,61 @@
+"""Training and test have no QP and no loop in common."""
+
+from pathlib import Path
+
+import pytest
+
+from dpbench import load_sequence
+from dpbench.bench.sequences.sequence_file import save_sequence
+from dpbench.errors import InputError, UnknownNameError
+from dpbench.tuning.sequences import load_problem, refuse_overlap
+
+
+@pytest.mark.parametrize(
+    ("training", "test", "why"),
+    [
+        ("paper-60-10", "paper-60-10", "QPs of the same loop as paper-60-10"),
+        ("paper-60-10", "paper-30-5", "QPs of the same loop as paper-60-10"),
+        ("paper", "paper-30-5", "QPs of the same loop as paper of"),
+        ("paper", "paper", "QPs of the same loop as paper of"),
+    ],
+)
+def test_what_overlaps_is_refused(training: str, test: str, why: str) -> None:
+    """Other horizons along one loop are other QPs, but of the same states and references."""
+    with pytest.raises(InputError, match=rf"--test: .* has {why}"):
+        refuse_overlap([load_problem("calm"), load_problem(training)], [load_problem(test)])
+
+
+def test_sequences_of_other_scenarios_do_not_overlap() -> None:
+    refuse_overlap(
+        [load_problem("paper-60-10"), load_problem("rough")],
+        [load_problem("squall-60-10"), load_problem("move")],
+    )
+
+
+def test_a_file_without_a_scenario_is_compared_by_its_qps(tmp_path: Path) -> None:
+    """A shorter file of another name has QPs of the longer one."""
+    path = tmp_path / "mine.npz"
+    save_sequence(path, load_sequence("calm-30-5"))
+    mine = load_problem(str(path))
+    assert mine.loop == ""
+    with pytest.raises(InputError, match="has the same QPs as calm-30-5"):
+        refuse_overlap([load_problem("calm-30-5")], [mine])
+    refuse_overlap([load_problem("move-30-5")], [mine])
+
+
+def test_a_problem_is_a_table_of_a_suite(tmp_path: Path) -> None:
+    """Files are named by an absolute path, since the suite is written to another folder."""
+    assert load_problem("calm-30-5").table == {"kind": "recorded", "sequence": "calm-30-5"}
+    assert load_problem("paper", steps=7).table == {
+        "kind": "replay",
+        "scenario": "paper",
+        "steps": 7,
+    }
+    path = tmp_path / "mine.npz"
+    save_sequence(path, load_sequence("calm-30-5"))
+    assert load_problem(str(path)).table["sequence"] == str(path.resolve())
+
+
+def test_an_unknown_name_is_refused() -> None:
+    with pytest.raises(UnknownNameError, match="tune-solver: found 'papre'; allowed: paper"):
+        load_problem("papre")
