@@ -20,6 +20,7 @@ from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
 from dpbench.analysis.suites.random_claims import CLAIMS, classify_steps
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, percentile
+from dpbench.bench.record.cell import ConsequenceSource
 from dpbench.scenario.scenario import cached_scenario
 
 HELD, LOST, UNKNOWN = "can be held", "cannot be held", "not known"
@@ -64,12 +65,14 @@ class BatchAnswers:
 class ConsequenceAnalysis:
     """Results of a consequence analysis: losses after which position is held, answers of solvers.
 
+    margin : by which the force to hold is multiplied.
     spans : columns `SPAN`: for each loss, spans of time and what is proven of them.
     answers : of every configuration, right ones first, then the fastest.
     """
 
     name: str
     groups: tuple[str, ...]
+    margin: float
     spans: pd.DataFrame
     answers: tuple[BatchAnswers, ...]
 
@@ -105,7 +108,9 @@ def _build_analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> C
     spans = pd.concat(
         [_loss_state_spans(records, run, sample_s) for run in longest if run.has_steps]
     )
-    return ConsequenceAnalysis(name, tuple(groups), spans, tuple(answers))
+    source = runs[0].source
+    margin = source.margin if isinstance(source, ConsequenceSource) else math.nan
+    return ConsequenceAnalysis(name, tuple(groups), margin, spans, tuple(answers))
 
 
 def _loss_state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:

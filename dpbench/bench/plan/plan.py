@@ -158,6 +158,9 @@ def _replay_cells(
     steps = min(table.steps or scenario.steps, scenario.steps - table.first)
     if table.hardest:
         _check_window(table, scenario)
+    if "margin" in table.model_fields_set and not table.consequence:
+        where = f"suite: replay of {scenario.name}"
+        raise InputError(where, "margin", table.margin, "nothing without consequence = true")
     if table.consequence:
         return _consequence_cells(suite, table, scenario, solvers, steps)
     source: QPSource = CONTROLLER
@@ -223,6 +226,6 @@ def _consequence_cells(
             steps,
             scenario=scenario.files,
             first=table.first,
-            source=ConsequenceSource(f"{sequence}, {group} lost", group),
+            source=ConsequenceSource(f"{sequence}, {group} lost", group, table.margin),
         )
     ]

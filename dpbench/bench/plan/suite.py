@@ -14,6 +14,7 @@ from dpbench.errors import InputError
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.scenario.problem_files import FileModel, parse_model, problem_path, read_toml
 from dpbench.scenario.tables.key_types import Horizons, check_distinct_horizons, parse_horizons
+from dpbench.ship.capability.loads import DYNAMIC_FACTOR
 from dpbench.solvers.contract import Policy
 from dpbench.solvers.record import LEVELS
 
@@ -110,6 +111,8 @@ class ReplayTable(RunsTable):
     """The scenario whose exactly solved loop is recorded."""
     consequence: bool = False
     """Consequence analysis along the loop, in place of the controller's own QPs."""
+    margin: Annotated[float, Field(ge=1, le=10)] = DYNAMIC_FACTOR
+    """Dynamic margin of a consequence analysis: the force to hold is multiplied by it."""
     solvers: list[str] = []
     """Only these of the suite's solvers; all where it is empty."""
     without: list[str] = []

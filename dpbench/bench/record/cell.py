@@ -73,12 +73,16 @@ class HardestSource(QPSource):
 
 @dataclass(frozen=True)
 class ConsequenceSource(QPSource):
-    """QPs along a loop that ask if thrusters hold the ship without the failure group `group`."""
+    """QPs along a loop that ask if thrusters hold the ship without the failure group `group`.
+
+    margin : by which the force to hold is multiplied; earlier folders have none.
+    """
 
     kind = "consequence"
     is_judged = False
 
     group: str = ""
+    margin: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,10 @@
 
 Consequence analysis verifies that after the worst failure the remaining thrusters can make the
 force and moment that are required before it (IMO MSC.1/Circ.1580, 1.2.5; MSC/Circ.645, 3.4.2.4),
-for ships of equipment class 2 and 3. Required is what the controller applies, averaged:
+for ships of equipment class 2 and 3. Required is what the controller applies, through a 60 s filter
+and times a dynamic margin, by default the 1.25 of DNV-ST-0111, level 1 (3.2.2):
 
-    τ̄_k = τ̄_{k−1} + a (τ_k − τ̄_{k−1}),   a = 1 − exp(−T_s / 60 s),   τ̄_{−1} = 0
+    τ̄_k = τ̄_{k−1} + a (τ_k − τ̄_{k−1}),   a = 1 − exp(−T_s / 60 s),   τ̄_{−1} = τ_0
 
 Waves and gusts pass before a ship has drifted off. No rule names the 60 s. At each sample every
 failure group has a QP (`AllocationAfterLoss`) without feasible point where the loss cannot be held.
@@ -31,7 +32,7 @@ from dpbench.scenario.controllers.controller import stack_limits
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import ThrusterSet
 
-AVERAGE_S = 60.0  # Time constant of the mean of the force [s]
+FILTER_S = 60.0  # Time constant of the filter of the force [s]
 
 
 def select_thruster_rows(scenario: Scenario) -> tuple[ThrusterSet, ThrusterRows]:
@@ -43,25 +44,32 @@ def select_thruster_rows(scenario: Scenario) -> tuple[ThrusterSet, ThrusterRows]
     return commanded.thrusters, commanded.rows
 
 
-def average_force(tau: Matrix, sample_s: float) -> Matrix:
-    """Return the running mean τ̄ (K, 3) of forces (K, 3) [N, N, N·m] over `AVERAGE_S`."""
+def filter_force(tau: Matrix, sample_s: float) -> Matrix:
+    """Return forces (K, 3) [N, N, N·m] through a filter of `FILTER_S` that starts at the first."""
     # A campaign starts half a second sooner without: it brings scipy.stats along.
     from scipy.signal import lfilter
 
-    share = -math.expm1(-sample_s / AVERAGE_S)
-    mean: Matrix = lfilter([share], [1.0, share - 1.0], tau, axis=0)
-    return mean
+    share = -math.expm1(-sample_s / FILTER_S)
+    filtered: Matrix
+    filtered, _ = lfilter([share], [1.0, share - 1.0], tau, axis=0, zi=(1.0 - share) * tau[:1])
+    return filtered
 
 
-def build_consequence_sequence(scenario: Scenario, tau: Matrix, group: str) -> QPSequence:
-    """Return the QPs that ask whether a force tau (K, 3) can be made without a failure group."""
+def build_consequence_sequence(
+    scenario: Scenario, tau: Matrix, group: str, margin: float
+) -> QPSequence:
+    """Return the QPs that ask whether a force tau (K, 3) can be made without a failure group.
+
+    margin : by which the filtered force is multiplied.
+    """
     thrusters, rows = select_thruster_rows(scenario)
     # What a fault of the run takes shrinks the limits just as the loss does.
     low, high = stack_limits(scenario.controller.thruster_limits(len(tau)))
     least, most, _ = rows.limits_after_loss(thrusters.groups[group])
     low, high = np.maximum(low, least), np.minimum(high, most)
     allocation = AllocationAfterLoss(thrusters, rows)
-    l, u = allocation.limits(average_force(tau, scenario.sample_s), low, high)  # noqa: E741 - of l ≤ Az ≤ u
+    required = margin * filter_force(tau, scenario.sample_s)
+    l, u = allocation.limits(required, low, high)  # noqa: E741 - of l ≤ Az ≤ u
     base = allocation.problem(l[0], u[0])
     meta: dict[str, str | float | int]
     meta = {"scenario": scenario.name, "group": group, "sample_s": scenario.sample_s}

@@ -136,7 +136,8 @@ class _ConsequenceFile(_LoopFile):
         """Return the consequence-analysis QPs of the replay's failure group, without optima."""
         cell, scenario = self.cell, cached_scenario(self.cell.scenario)
         exact = ExactLoop.load(path)
-        whole = build_consequence_sequence(scenario, exact.tau, self.source.group)
+        group, margin = self.source.group, self.source.margin
+        whole = build_consequence_sequence(scenario, exact.tau, group, margin)
         last = cell.first + cell.steps
         sequence = replace(
             whole,

@@ -159,7 +159,8 @@ def _consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
     yield Figure(
         f"consequence-{_analysis_file_name(analysis)}",
         draw_loss_spans(analysis.spans, f"Losses held, {analysis.name}"),
-        "Proven for the mean force of each sample: an optimum, or that there is none.",
+        "Proven for the force through a 60 s filter, times a dynamic margin of "
+        f"{analysis.margin:g}: an optimum, or that there is none.",
     )
     timed = [answers for answers in analysis.best.values() if not isnan(answers.largest)]
     marks = [

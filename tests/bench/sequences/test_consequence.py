@@ -19,9 +19,9 @@ from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import log_bytes, replay_layout
 from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.sequences.loop_sequences import (
-    AVERAGE_S,
-    average_force,
+    FILTER_S,
     build_consequence_sequence,
+    filter_force,
 )
 from dpbench.bench.sequences.source import log_size, read_replay
 from dpbench.errors import InputError
@@ -124,22 +124,41 @@ def test_a_group_without_which_no_sway_is_left_is_never_held() -> None:
     tau = np.outer(np.arange(1, 13), [0.0, 3e5, 0.0])
     kinds = {}
     for group in ("all", "bow 2"):
-        sequence = build_consequence_sequence(case, tau, group)
+        sequence = build_consequence_sequence(case, tau, group, 1.0)
         assert (sequence.P, sequence.A, sequence.base.n, sequence.base.m) == (None, None, 8, 29)
         kinds[group] = [certify(sequence.problem(k)).kind for k in range(12)]
     assert set(kinds["all"]) == {"infeasible"}
     assert kinds["bow 2"][0] != "infeasible"
 
 
-def test_what_is_required_is_the_mean_of_the_last_minute() -> None:
-    """A steady force is approached by 1 − exp(−t/60 s); wave forces hardly remain."""
+def test_what_is_required_passes_a_filter_from_the_first_sample() -> None:
+    """A steady force is there at once, a step is approached by 1 − exp(−t/60 s); wave forces hardly
+    remain."""
     sample_s, steps = 0.3, 800
-    t = sample_s * np.arange(1, steps + 1)
-    steady = average_force(np.tile([1e5, -2e5, 3e6], (steps, 1)), sample_s)
-    approach = 1.0 - np.exp(-t / AVERAGE_S)
-    np.testing.assert_allclose(steady, approach[:, None] * [1e5, -2e5, 3e6], rtol=1e-12)
-    waves = average_force(np.outer(np.sin(2.0 * np.pi * t / 9.5), np.ones(3)), sample_s)
+    t = sample_s * np.arange(steps)
+    force = np.array([1e5, -2e5, 3e6])
+    np.testing.assert_allclose(filter_force(np.tile(force, (steps, 1)), sample_s)[0], force)
+    step = filter_force(np.outer(t > 0.0, force), sample_s)
+    approach = 1.0 - np.exp(-t / FILTER_S)
+    np.testing.assert_allclose(step, approach[:, None] * force, rtol=1e-12)
+    waves = filter_force(np.outer(np.sin(2.0 * np.pi * t / 9.5), np.ones(3)), sample_s)
     assert np.abs(waves[400:]).max() < 0.05
+
+
+def test_a_dynamic_margin_multiplies_what_is_required() -> None:
+    case = load_scenario("thrusters")
+    tau = np.tile([1e5, -2e5, 3e6], (4, 1))
+    plain, more = (build_consequence_sequence(case, tau, "board A", x) for x in (1.0, 1.25))
+    np.testing.assert_allclose(more.l[:, :3], 1.25 * plain.l[:, :3])
+    np.testing.assert_array_equal(more.u[:, 3:], plain.u[:, 3:])
+    assert ReplayTable(scenario="thrusters", consequence=True).margin == 1.25
+
+
+def test_a_margin_belongs_to_a_consequence_analysis() -> None:
+    table = ReplayTable(scenario="thrusters", margin=1.1)
+    suite = SuiteFile(title="", solvers=["daqp"], cell_limit_s=1.0, replay=[table])
+    with pytest.raises(InputError, match=r"margin: found 1\.1; allowed: nothing without conseq"):
+        plan(suite)
 
 
 def test_what_the_run_has_lost_stays_lost() -> None:
@@ -153,7 +172,7 @@ def test_what_the_run_has_lost_stays_lost() -> None:
     }
     tau = np.tile([1e3, 0.0, 0.0], (case.steps, 1))
     for group in GROUPS:
-        sequence = build_consequence_sequence(case, tau, group)
+        sequence = build_consequence_sequence(case, tau, group, 1.0)
         for k in (fault - 1, fault):
             qp = sequence.problem(k)
             lost = entries[group] | (entries["board A"] if k == fault else False)
@@ -168,7 +187,7 @@ def test_a_cascade_has_an_analysis_too() -> None:
     thrusters = case.controller.commanded.thrusters
     tau = np.array([np.zeros(3), [1e9, 0.0, 0.0]])
     for group in thrusters.groups:
-        sequence = build_consequence_sequence(case, tau, group)
+        sequence = build_consequence_sequence(case, tau, group, 1.0)
         assert sequence.base.n == thrusters.n_f
         kinds = [certify(sequence.problem(k)).kind == "infeasible" for k in range(2)]
         assert kinds == [False, True]
@@ -210,7 +229,7 @@ def test_the_window_of_a_cell_is_that_of_the_run(tmp_path: Path) -> None:
     cells = [planned.cell for planned in plan(suite_of("thrusters", first=3, steps=5))]
     for cell, group in zip(cells, GROUPS, strict=True):
         found = read_replay(cell, tmp_path / "loop.npz")
-        whole = build_consequence_sequence(case, exact.tau, group)
+        whole = build_consequence_sequence(case, exact.tau, group, 1.25)
         np.testing.assert_array_equal(found.sequence.l, whole.l[3:8])
         np.testing.assert_array_equal(found.sequence.base.u, whole.u[3])
         assert (found.sequence.name, found.sample_s) == (cell.sequence, 0.3)
