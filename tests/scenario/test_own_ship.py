@@ -92,7 +92,7 @@ def test_a_heavier_ship_of_one_length_keeps_its_time_constants(
 
 
 def test_the_model_and_the_drag_agree_at_the_fitted_speed() -> None:
-    """Of the ship of issue 29: 110 m and 14 000 t, not 1683 but some 165 kN per m/s."""
+    """For 110 m and 14 000 t by hand: B/2T = 1.57, C_d = 0.705, 278 kN abeam at 1 m/s."""
     own = Particulars(110.0, 22.0, 7.0, 14e6)
     ship = scale_vessel(nearest_ship(own), own, ThrustLimits(1120e3, 540e3))
     speed = fitted_speed_mps(110.0)
@@ -100,8 +100,7 @@ def test_the_model_and_the_drag_agree_at_the_fitted_speed() -> None:
     assert ship.D[1, 1] == pytest.approx(165e3, rel=0.01)
     drag = ship.damping_force(np.array([0.0, speed, 0.0]))[1]
     assert drag == pytest.approx(ship.D[1, 1] * speed, rel=0.02)
-    # The issue's own estimate of cross-flow drag at 1 m/s.
-    assert ship.damping_force(np.array([0.0, 1.0, 0.0]))[1] == pytest.approx(280e3, rel=0.02)
+    assert ship.damping_force(np.array([0.0, 1.0, 0.0]))[1] == pytest.approx(278e3, rel=0.01)
 
 
 def test_forces_that_are_given_are_taken() -> None:

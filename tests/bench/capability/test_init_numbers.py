@@ -73,6 +73,18 @@ def test_the_number_is_within_one_of_the_capability(
 
 
 @pytest.mark.slow
+def test_the_number_of_a_ship_with_main_propellers_is_within_one() -> None:
+    """110 m and 14 000 t with 1120 kN ahead and 540 kN of tunnels abeam."""
+    own = Particulars(110.0, 22.0, 7.0, 14e6)
+    mains = [Thruster(f"main {y:g}", "main", -52.0, y, 560e3, 10.0) for y in (-5.0, 5.0)]
+    tunnels = [Thruster(f"at {x:g}", "tunnel", x, 0.0, 180e3, 10.0) for x in (45.0, 48.0, -42.0)]
+    ship = scale_vessel(nearest_ship(own), own, ThrustLimits(1120e3, 540e3))
+    number = capability_number(replace(ship, thrusters=ThrusterSet((*mains, *tunnels))))
+    assert number == 7
+    assert abs(largest_sea(ship) - number) <= 1
+
+
+@pytest.mark.slow
 def test_the_number_of_the_rescue_ship_is_within_one() -> None:
     """Whose hull and thrusters are published."""
     ship = load_vessel("ratownik")
