@@ -174,22 +174,15 @@ def compare_routes(records: Records, sequence: str) -> list[RouteGain]:
         }
         if any(route == "native" for route, _ in times):
             fastest = min(float(np.median(of_route.algo_ns)) for of_route in times.values())
-            own = medians.setdefault((fastest, solver), [])
-            own += [RouteGain(solver, settings, *gain) for gain in _gains_by_route(times)]
+            gains_of = medians.setdefault((fastest, solver), [])
+            for route, own in times.items():
+                above = next((above for above in ABOVE.get(route, ()) if above in times), None)
+                both = ((), ()) if above is None else match_steps(times[above], own)
+                if above is not None and len(both[0]):
+                    gain, median_ns = paired_ratio(*both), float(np.median(own.algo_ns))
+                    gains_of.append(RouteGain(solver, settings, above, route, gain, median_ns))
     gains = [gain for key in sorted(medians) for gain in medians[key]]
     return gains if any(gain.route[0] == "native" for gain in gains) else []
-
-
-def _gains_by_route(
-    times: Mapping[RoutePolicy, StepTimes],
-) -> Iterator[tuple[RoutePolicy, RoutePolicy, Interval, float]]:
-    """Yield each way to call a solver with its speed-up over the next simpler, and median time."""
-    for route, own in times.items():
-        above = next((above for above in ABOVE.get(route, ()) if above in times), None)
-        if above is not None:
-            above_ns, own_ns = match_steps(times[above], own)
-            if len(own_ns):
-                yield above, route, paired_ratio(above_ns, own_ns), float(np.median(own.algo_ns))
 
 
 def find_right_levels(records: Records, requirements: Requirements) -> dict[str, list[str]]:

@@ -51,19 +51,17 @@ def _separate_own_switches(runs: Sequence[RunRecord]) -> list[RunRecord]:
     rates = np.array([run.involuntary_switches / run.replay_s for run in runs])
     known = rates[np.isfinite(rates)]
     allowed = max(float(np.median(known)), MAX_SWITCHES_PER_S) if len(known) else np.inf
-    return [
-        replace(run, involuntary_switches=np.nan, own_switches_a_step=a_step)
-        if (a_step := _switches_per_step(run)) >= OWN_A_STEP and rate > OWN_TIMES * allowed
-        else run
-        for run, rate in zip(runs, rates, strict=True)
-    ]
-
-
-def _switches_per_step(run: RunRecord) -> float:
-    """Return a run's involuntary context switches per step; NaN without a repetition."""
-    rounds = 1.0 if run.mode == "closed_loop" else run.rounds
-    # One that was stopped before its first round that counts has none.
-    return run.involuntary_switches / (rounds * run.steps_done) if rounds else np.nan
+    separated = []
+    for run, rate in zip(runs, rates, strict=True):
+        rounds = 1.0 if run.mode == "closed_loop" else run.rounds
+        # One that was stopped before its first round that counts has none.
+        a_step = run.involuntary_switches / (rounds * run.steps_done) if rounds else np.nan
+        if a_step >= OWN_A_STEP and rate > OWN_TIMES * allowed:
+            own = replace(run, involuntary_switches=np.nan, own_switches_a_step=a_step)
+            separated.append(own)
+        else:
+            separated.append(run)
+    return separated
 
 
 def _measurement_key(run: RunRecord) -> tuple[object, ...]:

@@ -71,13 +71,6 @@ def study_document(
     }
 
 
-def choose_opening_run(study: Study, shown_runs: Sequence[RunRecord]) -> RunRecord | None:
-    """Choose a study's worst run, which the report page shows when opened; None without one."""
-    kept = {run.run_id: run for run in shown_runs[:MOST_LOOPS] if run.study == study.name}
-    worst = worst_run(study, list(kept))
-    return None if worst is None else kept[worst]
-
-
 def _mean_excess_error(study: Study, name: str) -> dict[str, Any]:
     """Return a configuration's mean error over the reference [cm], interval, share of seas held."""
     (found,) = (c for c in study.configurations if c.name == name)
@@ -125,9 +118,12 @@ class PageData(RunMatrix):
         """Indices of configuration and study run that a page on studies shows first; or None."""
         if self.judged_experiments or not self.studies:
             return None
-        run = choose_opening_run(self.studies[0], select_shown_runs(self.records.study))
-        if run is None:
+        study, shown = self.studies[0], select_shown_runs(self.records.study)[:MOST_LOOPS]
+        kept = {run.run_id: run for run in shown if run.study == study.name}
+        worst = worst_run(study, list(kept))
+        if worst is None:
             return None
+        run = kept[worst]
         return self.index(common_configuration(run)), self.experiments.index(Experiment.of(run))
 
     @cached_property
@@ -139,8 +135,10 @@ class PageData(RunMatrix):
         read = self.records.run_steps(list(runs.values()), (*TRACK, *FORCES))
         for run_id, steps, rows in read:
             run = runs[run_id]
-            limits = self._force_limits(run) if run.mode == "closed_loop" else None
-            track = None if limits is None else thin_track(rows, limits, room.points)
+            scenario, track = self.scenario(run) if run.mode == "closed_loop" else None, None
+            if scenario is not None:
+                limits = np.maximum(scenario.vessel.tau_max, -scenario.vessel.tau_min)
+                track = thin_track(rows, limits, room.points)
             kept[run_id] = ThinnedRun.of(steps, room.steps, track)
         return kept
 
@@ -159,7 +157,14 @@ class PageData(RunMatrix):
             run = self.runs[c, p]
             entry, kept = self._describe_run(c, p, run), self.thinned_runs.get(run.run_id)
             if kept is not None:
-                entry |= pack_steps(self.block, kept) | {"hard": _hardest_steps(kept, hard)}
+                hardest = [
+                    [
+                        [k, json_number(value), status, int(claimed), int(true), active]
+                        for k, value, status, claimed, true, active in kept.hard[measure][:hard]
+                    ]
+                    for measure in MEASURES
+                ]
+                entry |= pack_steps(self.block, kept) | {"hard": hardest}
                 if kept.track is not None:
                     entry |= pack_track(self.block, kept.track, references.get(p))
                     entry["reference"] = p not in references
@@ -186,25 +191,6 @@ class PageData(RunMatrix):
             "off_m": json_number(run.dev_position_max_m),
             "settle_s": json_number(run.settle_s),
         }
-
-    def _force_limits(self, run: RunRecord) -> Any:
-        """Return the largest force of a run's ship in each axis (3,), or None."""
-        scenario = self.scenario(run)
-        if scenario is None:
-            return None
-        vessel = scenario.vessel
-        return np.maximum(vessel.tau_max, -vessel.tau_min)
-
-
-def _hardest_steps(run: ThinnedRun, count: int) -> list[list[list[Any]]]:
-    """Return a run's steps of largest time, iterations and error as nested lists for JSON."""
-    return [
-        [
-            [h.k, json_number(h.value), h.status, int(h.claimed), int(h.true), h.n_active]
-            for h in run.hard[measure][:count]
-        ]
-        for measure in MEASURES
-    ]
 
 
 def json_number(value: object) -> float | str | None:

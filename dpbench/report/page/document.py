@@ -45,7 +45,11 @@ def page_document(
             for known in [find_solver_record(name)]
         },
         "configurations": columns_by_name(rows),
-        "experiments": _describe_experiments(data, words),
+        "experiments": [
+            _describe_experiment(data, experiment, data.first_runs.get(p))
+            | ({"shows": words[p].meaning} if p in words else {})
+            for p, experiment in enumerate(data.experiments)
+        ],
         "cells": columns_by_name(cells),
         "flags": FLAGS,
         "row_step": style.ROW_STEP,
@@ -65,6 +69,7 @@ def _describe_configuration(
     data: PageData, recommendation: Recommendation, c: Configuration, v: Verdict | None
 ) -> dict[str, Any]:
     """Return a configuration's verdict, times, errors and code, for the page's script."""
+    longest = data.longest_timing(c)
     times = {} if v is None else {"p50": v.p50_ns, "p99": v.p99_ns, "max": v.algo_max_ns}
     return {
         **configuration_columns(c),
@@ -79,7 +84,8 @@ def _describe_configuration(
         "timed_experiment_index": None if v is None else data.timed_experiment_index(v),
         "call": python_call_text(c),
         **_describe_margin(data, c),
-        **_longest_timing(data, c),
+        "longest": None if longest is None else json_number(longest[1].raw_max_ns),
+        "longest_at": None if longest is None else data.experiments.index(longest[0]),
     }
 
 
@@ -100,15 +106,6 @@ def _describe_margin(data: PageData, c: Configuration) -> dict[str, Any]:
         if step.run.window_of and step.run.scenario in loops
     ]
     return {"margin": json_number(margin.factor), "bounds": bounds}
-
-
-def _longest_timing(data: PageData, c: Configuration) -> dict[str, Any]:
-    """Return a configuration's largest single timing [ns], and in which scenario or replay."""
-    experiment, run = data.longest_timing(c) or (None, None)
-    if experiment is None or run is None:
-        return {"longest": None, "longest_at": None}
-    p = data.experiments.index(experiment)
-    return {"longest": json_number(run.raw_max_ns), "longest_at": p}
 
 
 def _opening_selection(
@@ -132,17 +129,6 @@ def _opening_selection(
         "experiment": experiment,
         "k": report.get("step"),
     }
-
-
-def _describe_experiments(
-    data: PageData, words: Mapping[int, GlossaryEntry]
-) -> list[dict[str, Any]]:
-    """Describe each scenario, replay or study run by its first run, for the page's script."""
-    shows = {p: {"shows": word.meaning} for p, word in words.items()}
-    return [
-        _describe_experiment(data, experiment, data.first_runs.get(p)) | shows.get(p, {})
-        for p, experiment in enumerate(data.experiments)
-    ]
 
 
 def _describe_experiment(

@@ -62,23 +62,18 @@ def _matrix_text(data: PageData) -> str:
     tables = tiles, select_tiles(tiles)
     there, drawn = (table["experiment"].nunique() if len(table) else 0 for table in tables)
     wording = [MATRIX]
-    if any(data.experiments[p].units == "si" for p in data.judged_experiments):
-        wording.append(f"In N and N·m is an extra, in no verdict{_si_failures_text(data, tiles)}.")
+    unscaled = [str(p) for p in data.judged_experiments if data.experiments[p].units == "si"]
+    if unscaled:
+        ran = tiles[tiles["experiment_id"].isin(unscaled) & tiles["verdict"].ne("not run")]
+        requested = ran[ran["settings"] == "default"]
+        failing = requested.loc[requested["verdict"] == "fail", "solver"].nunique()
+        of = f"{failing} of {requested['solver'].nunique()} solvers"
+        fail = f"; {of} fail there: scale the QP" if failing else ""
+        wording.append(f"In N and N·m is an extra, in no verdict{fail}.")
     if there != drawn:
         most = f"The {drawn} of {there} scenarios and replays with the fewest passes"
         wording.append(f"{most}; all are in tables/experiments.csv.")
     return " ".join(wording)
-
-
-def _si_failures_text(data: PageData, tiles: pd.DataFrame) -> str:
-    """State how many solvers fail on QPs in SI units (N and N·m) with default settings."""
-    unscaled = [str(p) for p in data.judged_experiments if data.experiments[p].units == "si"]
-    ran = tiles[tiles["experiment_id"].isin(unscaled) & tiles["verdict"].ne("not run")]
-    requested = ran[ran["settings"] == "default"]
-    failing = requested.loc[requested["verdict"] == "fail", "solver"].nunique()
-    return f"; {failing} of {requested['solver'].nunique()} solvers fail there: scale the QP" * (
-        failing > 0
-    )
 
 
 def _draw_strips(data: PageData) -> Charts:

@@ -76,8 +76,12 @@ def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
             cells = [str(x) for x in runs[name]] if text else [json_number(x) for x in runs[name]]
             if all(x in ("", None) for x in cells):
                 continue
-            columns.append({"name": name, "meaning": meaning, "group": group, "text": text})
-            columns[-1] |= _column_label(name)
+            label: dict[str, Any] = {"label": name}
+            if name.endswith("_ns"):
+                short = TIMES.get(name, name.removesuffix("_ns"))
+                label = {"label": f"{short} [µs]", "scale": 1e-3}
+            described = {"name": name, "meaning": meaning, "group": group, "text": text}
+            columns.append(described | label)
             values.append(cells)
     return {
         "rows": len(runs),
@@ -86,13 +90,6 @@ def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
         "c": [None if key is None else key[0] for key in keys],
         "p": [None if key is None else key[1] for key in keys],
     }
-
-
-def _column_label(name: str) -> dict[str, Any]:
-    """Return a column's label on the page and its scale: times are in microseconds."""
-    if not name.endswith("_ns"):
-        return {"label": name}
-    return {"label": f"{TIMES.get(name, name.removesuffix('_ns'))} [µs]", "scale": 1e-3}
 
 
 def select_tiles(tiles: pd.DataFrame) -> pd.DataFrame:

@@ -141,10 +141,7 @@ def consequence_topic(records: Records) -> Topic | None:
         id="consequence",
         title="Consequence analysis",
         lines=(
-            *(
-                f"{_losses_held_sentence(analysis)} {_name_right_configurations(analysis)}"
-                for analysis in analyses
-            ),
+            *map(_consequence_text, analyses),
             "Where a loss cannot be held, work during which the ship must not leave its place has "
             "to be ended safely. Ask no solver that misses such an alarm, or has no answer then."
             + (" The counts of every solver: tables/consequence*.csv." if long else ""),
@@ -180,15 +177,6 @@ def _analysis_file_name(analysis: ConsequenceAnalysis) -> str:
     return analysis.name.rstrip("]").replace("[", "-").replace(":", "-")
 
 
-def _losses_held_sentence(analysis: ConsequenceAnalysis) -> str:
-    """State after which thruster losses the ship can hold position, and when."""
-    wording: dict[str, list[str]] = {}
-    for group, of_group in analysis.spans.groupby("group", sort=False):
-        wording.setdefault(_time_held_text(of_group), []).append(str(group))
-    parts = [f"the loss of {' or of '.join(of)} can be held {when}" for when, of in wording.items()]
-    return f"In {analysis.name} {'; '.join(parts)}."
-
-
 def _time_held_text(of_group: pd.DataFrame) -> str:
     """Describe when a thruster loss can be held: throughout, until a time, or never."""
     states, change_s = of_group["state"].tolist(), of_group["from_s"].iloc[-1]
@@ -205,8 +193,12 @@ def _time_held_text(of_group: pd.DataFrame) -> str:
     return f"in {100.0 * share:.0f} % of the time"
 
 
-def _name_right_configurations(analysis: ConsequenceAnalysis) -> str:
-    """Name the solver configurations right on all QPs, the fastest one, and any missed alarms."""
+def _consequence_text(analysis: ConsequenceAnalysis) -> str:
+    """State which losses can be held, who is right on all QPs, the fastest, and missed alarms."""
+    when: dict[str, list[str]] = {}
+    for group, of_group in analysis.spans.groupby("group", sort=False):
+        when.setdefault(_time_held_text(of_group), []).append(str(group))
+    held = [f"the loss of {' or of '.join(of)} can be held {time}" for time, of in when.items()]
     answers = analysis.answers
     right = [a for a in answers if a.is_all_right]
     head = f"{len(right)} of {plural(len(answers), 'configuration')} answer all QPs rightly"
@@ -220,7 +212,7 @@ def _name_right_configurations(analysis: ConsequenceAnalysis) -> str:
     unanswered = f"; {silent} {leave} some without an answer" if silent else ""
     missed = counted_list((a.name, a.missed) for a in answers if a.missed)
     alarms = f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"
-    return f"{head}; {alarms}{unanswered}."
+    return f"In {analysis.name} {'; '.join(held)}. {head}; {alarms}{unanswered}."
 
 
 def consequence_row(best: BatchAnswers, right: Sequence[bool]) -> dict[str, str]:
