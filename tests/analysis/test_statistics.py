@@ -99,13 +99,6 @@ def test_pairing_removes_what_both_share() -> None:
     assert found.spans(1.01)
 
 
-def test_an_unknown_interval_decides_nothing() -> None:
-    assert UNKNOWN.spans(1.0)
-    assert not Interval(2.0, 1.5, 2.5).spans(1.0)
-    assert pooled_mean([np.empty(0)]) is UNKNOWN
-    assert pooled_mean([]) is UNKNOWN
-
-
 def test_few_steps_give_no_interval() -> None:
     times = np.random.default_rng(6).uniform(1.0, 2.0, LEAST_STEPS - 1)
     middle = float(np.median(times))
@@ -167,6 +160,7 @@ def test_nothing_is_claimed_of_a_mean_without_an_error() -> None:
 )
 def test_an_interval_holds_its_ends(number: float, inside: bool) -> None:
     assert Interval(2.0, 1.0, 3.0).spans(number) is inside
+    assert UNKNOWN.spans(number) and pooled_mean([np.empty(0)]) is pooled_mean([]) is UNKNOWN
 
 
 def test_one_degree_of_freedom_is_enough() -> None:

@@ -72,15 +72,6 @@ def test_lost_runs_worked_by_hand() -> None:
     assert estimate.df == pytest.approx(25 / 17)
 
 
-def test_points_run_once_beside_one_repeated_give_no_interval() -> None:
-    """2, 1, 1, 1 replicates: the spread of one point is none of three or four, however many they
-    are."""
-    for singles, supported in ((1, True), (2, False), (3, False)):
-        values = np.full((1 + singles, 6), np.nan)
-        values[:, 0], values[0] = 1.0, np.arange(6.0)
-        assert mean_over_points(values).is_supported is supported
-
-
 @pytest.mark.slow
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_sea_drops_out(seed: int) -> None:
@@ -235,13 +226,6 @@ def test_the_loosest_tolerance_that_costs_little() -> None:
     loosest = study.loosest
     assert set(loosest) == {"osqp", "piqp"} and loosest["piqp"] is None
     assert loosest["osqp"] is not None and loosest["osqp"].settings == "1e-4"
-
-
-def test_the_loosest_tolerance_is_one_of_the_same_solver() -> None:
-    tolerances = {"clarabel": "1e-3", "osqp": "1e-6", "piqp": "1e-4"}
-    away = {f"{solver}/{tolerance}": 0.0 for solver, tolerance in tolerances.items()}
-    found = _study(_runs({"daqp": 0.0} | away)).loosest
-    assert {solver: one and one.settings for solver, one in found.items()} == tolerances
 
 
 def test_a_solver_that_is_not_known_here_has_no_tolerance() -> None:

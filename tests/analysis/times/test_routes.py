@@ -54,12 +54,6 @@ def test_warm_is_compared_with_fresh_where_there_is_no_reuse(records: Any) -> No
     assert KEPT not in gains
 
 
-def test_a_warm_start_that_costs_time_is_a_loss(records: Any) -> None:
-    """A gain below 1."""
-    _routes(records, "proxqp", 40.0, 20.0, 10.0, 15.0)
-    assert 1.0 / _gains(records)[WARM].gain.value == pytest.approx(1.5, rel=0.01)
-
-
 def test_gain_of_a_warm_start_through_the_wrapper(records: Any) -> None:
     """A warm start that halves the time is a gain of two, one that does nothing is none.
 

@@ -145,17 +145,6 @@ def test_a_hard_step_opens(opened: Any) -> None:
     assert page.locator("#figure-strips canvas").count() == 1
 
 
-@SIZES
-def test_a_name_of_the_ladder_is_chosen_by_a_click(opened: Any, size: tuple[int, int]) -> None:
-    page = opened(size=size)
-    row = page.evaluate("rowsDrawn('ladder').values.at(-1)")
-    name = page.locator("#figure-ladder text", has_text=row["solver"]).last
-    output = name.text_content()
-    assert output.replace(", ", " ").replace("(", "").startswith(row["solver"] + " ")
-    click_middle(page, name)
-    page.wait_for_function(f"state.c === {row['id']}")
-
-
 def test_a_click_among_the_strips_opens_the_nearest_step(opened: Any) -> None:
     page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
     canvas = page.locator("#figure-strips canvas")
@@ -347,26 +336,6 @@ def test_reload_and_back_restore(opened: Any) -> None:
     wait_for_strips(page)
     assert page.inner_text("#step-said") == output
     assert page.input_value("#slow-said") == "50"
-
-
-def test_another_solver_shows_the_same_step(opened: Any) -> None:
-    page = opened(CHOSEN)
-    page.select_option("#choose-solver", "daqp")
-    page.wait_for_function("location.hash.includes('s=daqp')")
-    wait_for_strips(page)
-    assert selection(page)["k"] == "74"
-    output = page.inner_text("#step-said")
-    assert output.startswith("Step 74:") and "it said “solved”; its answer is right" in output
-
-
-def test_the_way_back_from_a_word_leads_to_where_it_stood(opened: Any) -> None:
-    page = opened(CHOSEN)
-    page.locator("#answer .term").first.scroll_into_view_if_needed()
-    page.locator("#answer .term").first.click()
-    page.wait_for_function("scrollY > 1000")
-    page.go_back()
-    page.wait_for_function("scrollY < 1000")
-    assert selection(page)["k"] == "74"
 
 
 def test_every_scenario_is_explained(opened: Any) -> None:

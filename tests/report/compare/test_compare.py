@@ -298,14 +298,6 @@ def test_steps_after_a_solvers_own_time_limit_are_not_comparable(make: Make) -> 
         assert figures["error_move_max"] == ("worse" if worse else "same")
 
 
-@pytest.mark.slow
-def test_an_error_that_is_rounding_in_both_is_no_change(make: Make) -> None:
-    """1e-14 to 1e-10 is a factor of ten thousand and nothing at all."""
-    a = make("a", seed=1, errors=dict.fromkeys(ARMS, 1e-6) | {"daqp": 1e-6})
-    b = make("b", seed=1)
-    assert not compare(a, b).worse
-
-
 def test_rounds_are_cut_to_the_fewer(make: Make, tmp_path: Path) -> None:
     a = make("a", seed=1)
     b = make("b", seed=1)

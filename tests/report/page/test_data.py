@@ -10,7 +10,7 @@ from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.report.page import data as page_data
 from dpbench.report.page import tables
-from dpbench.report.page.data import PageData, columns_by_name, json_number
+from dpbench.report.page.data import PageData, json_number
 from dpbench.report.page.live import _matrix_text
 from dpbench.report.page.tables import select_tiles
 from dpbench.report.page.terms import describe_experiments
@@ -24,16 +24,6 @@ REQUIREMENTS = Requirements()
 def _facts(records: Any) -> PageData:
     view = records.view()
     return PageData.of(view, judge_solvers(view, REQUIREMENTS))
-
-
-def test_the_index_of_what_was_not_run_is_none(records: Any) -> None:
-    """−1, so that a page asks for nothing that is not there."""
-    records.loop("daqp")
-    facts = _facts(records)
-    (own,) = facts.configurations
-    records.loop("osqp")
-    (_, other) = _facts(records).configurations
-    assert (facts.index(own), facts.index(other)) == (0, -1)
 
 
 def test_a_cell_holds_the_figures_of_its_run(records: Any) -> None:
@@ -63,10 +53,6 @@ def test_the_track_is_a_distance_from_the_loop_closest_to_the_exact_one(records:
 )
 def test_numbers_are_such_as_json_has(value: Any, output: Any) -> None:
     assert json_number(value) == output
-
-
-def test_rows_of_different_kinds_make_columns_of_one_length() -> None:
-    assert columns_by_name([{"a": 1}, {"b": 2}]) == {"a": [1, None], "b": [None, 2]}
 
 
 def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None:

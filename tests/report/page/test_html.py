@@ -150,14 +150,6 @@ def test_a_file_larger_than_the_memory_has_a_hash(tmp_path: Path) -> None:
     assert peak < 4_000_000
 
 
-def test_files_are_named_with_their_hashes(written: Any) -> None:
-    names = ("runs.parquet", "steps.parquet", "machine.json", "suite.json", "tables/runs.csv")
-    assert all(
-        hashlib.sha256((written.folder / name).read_bytes()).hexdigest() in written.html
-        for name in names
-    )
-
-
 def test_the_page_is_within_its_budget(written: Any) -> None:
     """At most 5 MB, 3000 elements and 1500 words as it opens, before a script has run."""
     assert len(written.html.encode()) <= 5e6

@@ -146,14 +146,6 @@ def test_nothing_qualifies_is_said_with_why(records: Any, loop: dict[str, Any], 
     assert answer.snippets == () and answer.notes == ()
 
 
-def test_own_code_alone_is_no_recommendation(records: Any) -> None:
-    records.loop("hildreth", route="native")
-    records.replay("hildreth", route="native")
-    answer = _answer(records)
-    assert answer.sentence.startswith("Nothing that can go aboard passes; hildreth")
-    assert answer.notes == ()
-
-
 def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> None:
     solvers = {"hildreth": ("native", 3.0), "daqp": ("qpsolvers", 9.0), "scs": ("qpsolvers", 90.0)}
     for solver, (route, median_us) in solvers.items():
@@ -166,6 +158,14 @@ def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> 
     assert notes["next"].startswith("Next: scs (qpsolvers fresh), p99 ")
     licence = "Licence: MIT; language: C, library-free; C code: yes, it writes its workspace as C."
     assert notes["aboard"] == licence
+
+
+def test_own_code_alone_is_no_recommendation(records: Any) -> None:
+    records.loop("hildreth", route="native")
+    records.replay("hildreth", route="native")
+    answer = _answer(records)
+    assert answer.sentence.startswith("Nothing that can go aboard passes; hildreth")
+    assert answer.notes == ()
 
 
 def test_what_is_faster_and_open_is_named(records: Any) -> None:
