@@ -131,7 +131,12 @@ def compare_releases(folders: Mapping[str, Records], reference: str | None = Non
     units = {name: _reference_times(records, solver) for name, records in folders.items()}
     by_cell = [_build_history(runs, units) for runs in common.values()]
     by_cell.sort(key=lambda h: (h.run.solver, h.run.mode != "replay", usual_first_key(h.run)))
-    ratios = [ratio for history in by_cell for ratio in _ratios_between_folders(history, units)]
+    ratios = []
+    for release in (release for history in by_cell for release in history.releases):
+        runs = release.runs.items()
+        times = [_relative_time(run, "algo_p50_ns", units[name]) for name, run in runs]
+        if len(times) > 1 and all(map(math.isfinite, times)):
+            ratios.append(max(times) / min(times))
     spread = max(ratios, default=math.nan)
     return Histories(by_cell, solver, spread, len(cells) - len(common), len(folders))
 
@@ -203,18 +208,6 @@ def _relative_time(run: RunRecord, column: str, unit: Mapping[str, float] | None
         return math.nan  # loops run beside each other
     divisor = 1.0 if unit is None else unit.get(run.problem, math.nan)
     return float(getattr(run, column)) / divisor
-
-
-def _ratios_between_folders(
-    history: History, units: Mapping[str, Mapping[str, float] | None]
-) -> Iterator[float]:
-    """Yield each solver version's largest p50 step time over its smallest, among the folders."""
-    for release in history.releases:
-        times = [
-            _relative_time(run, "algo_p50_ns", units[name]) for name, run in release.runs.items()
-        ]
-        if len(times) > 1 and all(map(math.isfinite, times)):
-            yield max(times) / min(times)
 
 
 def _count_per_round(run: RunRecord, count: float) -> float:

@@ -38,19 +38,38 @@ class Answers:
         return self.asked - self.right - self.wrong
 
     @property
-    def is_all_right(self) -> bool:
-        """True if the solver answered every QP correctly."""
-        return self.right == self.asked
-
-    @property
     def right(self) -> int:
         """Number of a solver's correct answers: true optima, true claims of infeasibility."""
         return self.balanced + self.refused
 
+    @property
+    def is_all_right(self) -> bool:
+        """True if the solver answered every QP correctly."""
+        return self.right == self.asked
+
 
 def count_answers(records: Records, runs: Sequence[RunRecord]) -> list[Answers]:
     """Count each run's right and wrong answers to thrust allocation QPs, the best run first."""
-    answers = [_count_run_answers(records, run) for run in runs if run.outcome != "refused"]
+    answers = []
+    for run in runs:
+        if run.outcome == "refused":
+            continue
+        steps = records.counting_steps(run, ("run_id", "total_ns", *CLAIMS))
+        counts = claims_by_run(steps).reindex([run.run_id], fill_value=0).iloc[0].astype(int)
+        infeasible = int((steps["certificate"] == INFEASIBLE).sum())
+        times: pd.Series[float] = steps["total_ns"].astype("float64")
+        answers.append(
+            Answers(
+                *(run.solver, run.outcome, run.steps_planned),
+                feasible=len(steps) - infeasible,
+                infeasible=infeasible,
+                balanced=int(counts["right_claims"]),
+                refused=int(counts["right_refusals"]),
+                wrong=int(counts["false_claims"] + counts["wrong_refusals"]),
+                p50_ns=float(times.median()),
+                max_ns=float(times.max()),
+            )
+        )
     return sorted(answers, key=lambda a: (a.wrong > 0, -a.right, a.wrong, a.p50_ns))
 
 
@@ -124,23 +143,3 @@ def _wind_by_direction(
         wind_mps, number = first["edge_mps"], first["number"]
         rows.append((case, first["lost"], from_deg, wind_mps, number, len(said)))
     return pd.DataFrame(rows, columns=list(EDGES))
-
-
-def _count_run_answers(records: Records, run: RunRecord) -> Answers:
-    """Count one run's right and wrong answers to static thrust allocation QPs."""
-    steps = records.counting_steps(run, ("run_id", "total_ns", *CLAIMS))
-    counts = claims_by_run(steps).reindex([run.run_id], fill_value=0).iloc[0]
-    infeasible = int((steps["certificate"] == INFEASIBLE).sum())
-    times: pd.Series[float] = steps["total_ns"].astype("float64")
-    return Answers(
-        run.solver,
-        run.outcome,
-        run.steps_planned,
-        len(steps) - infeasible,
-        infeasible,
-        int(counts["right_claims"]),
-        int(counts["right_refusals"]),
-        int(counts["false_claims"] + counts["wrong_refusals"]),
-        float(times.median()),
-        float(times.max()),
-    )

@@ -18,7 +18,6 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
 from dpbench.analysis.suites.random_claims import CLAIMS, classify_steps
-from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, percentile
 from dpbench.bench.record.cell import ConsequenceSource
 from dpbench.scenario.scenario import cached_scenario
@@ -130,10 +129,23 @@ def _count_batch_answers(
     records: Records, runs: Sequence[RunRecord], groups: int, sample_s: float
 ) -> BatchAnswers:
     """Count a configuration's answers over all thruster losses; add times per control sample."""
-    of_runs = [_count_claims(records.counting_steps(run, ("k", *CLAIMS))) for run in runs]
+    of_runs = []
+    for run in runs:
+        steps = records.counting_steps(run, ("k", *CLAIMS))
+        claims, infeasible = classify_steps(steps), steps["certificate"] == INFEASIBLE
+        lies = claims["false_claims"]
+        always = {"feasible": claims["steps"] & ~infeasible, "infeasible": infeasible}
+        always["held"] = claims["right_claims"]
+        always["refused"] = claims["right_refusals"] & infeasible
+        ever = {"missed": lies & infeasible, "untrue": lies | claims["wrong_refusals"]}
+        by_step = [pd.DataFrame(columns).groupby(steps["k"]) for columns in (always, ever)]
+        of_runs.append(pd.concat([by_step[0].all().sum(), by_step[1].any().sum()]))
     counts = pd.concat(of_runs, axis=1).sum(axis=1)
-    batch_ns = _batch_times_ns(records, runs) if len(runs) == groups else np.zeros(0)
-    shares = batch_ns / (1e9 * sample_s)
+    # The time of a sample's batch is known where every group was run to its end.
+    times = [known.algo_ns for known in map(records.times, runs) if known is not None]
+    lengths = {len(algo) for algo in times} | {run.steps_planned for run in runs}
+    is_whole = len(times) == len(runs) == groups and len(lengths) == 1
+    shares = np.sum(times, axis=0) / (1e9 * sample_s) if is_whole else np.zeros(0)
     return BatchAnswers(
         solver=runs[0].solver,
         name=runs[0].name,
@@ -142,34 +154,6 @@ def _count_batch_answers(
         largest=float(shares.max()) if len(shares) else math.nan,
         **{str(name): int(count) for name, count in counts.items()},
     )
-
-
-def _count_claims(steps: pd.DataFrame) -> pd.Series[int]:
-    """Count a run's answers on feasible and infeasible QPs: right, missed alarm, untrue."""
-    claims = classify_steps(steps)
-    infeasible = steps["certificate"] == INFEASIBLE
-    always = {
-        "feasible": claims["steps"] & ~infeasible,
-        "infeasible": infeasible,
-        "held": claims["right_claims"],
-        "refused": claims["right_refusals"] & infeasible,
-    }
-    lies = claims["false_claims"]
-    ever = {"missed": lies & infeasible, "untrue": lies | claims["wrong_refusals"]}
-    by_step = [pd.DataFrame(columns).groupby(steps["k"]) for columns in (always, ever)]
-    counts: pd.Series[int] = pd.concat([by_step[0].all().sum(), by_step[1].any().sum()])
-    return counts
-
-
-def _batch_times_ns(records: Records, runs: Sequence[RunRecord]) -> Floats:
-    """Return the time (K,) [ns] to solve the QPs of all thruster losses per sample; or empty."""
-    times = [records.times(run) for run in runs]
-    timed = [known.algo_ns for known in times if known is not None]
-    steps = {len(of_group) for of_group in timed} | {run.steps_planned for run in runs}
-    if len(timed) < len(runs) or len(steps) > 1:
-        return np.zeros(0)
-    total: Floats = np.sum(timed, axis=0)
-    return total
 
 
 def answers_in_all(analyses: Sequence[ConsequenceAnalysis]) -> dict[str, list[BatchAnswers]]:

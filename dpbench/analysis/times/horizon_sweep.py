@@ -143,7 +143,15 @@ class Sweep:
     @property
     def best(self) -> list[SweptConfiguration]:
         """The best configuration of each solver and formulation; the fastest solvers first."""
-        best = sorted(self.swept, key=_preference_key)
+
+        def preference(swept: SweptConfiguration) -> tuple[int, int, float, str]:
+            """Return a sort key: most horizons right, most timed, then fastest."""
+            right = sum(point.right for point in swept.timed.values())
+            largest = max(swept.timed, key=_moves_key, default=None)
+            slowest_ns = swept.timed[largest].median_ns if largest else math.inf
+            return -right, -len(swept.timed), slowest_ns, swept.configuration.solver
+
+        best = sorted(self.swept, key=preference)
         kinds = first_by(best, lambda s: (s.configuration.solver, s.configuration.formulation))
         return list(kinds.values())
 
@@ -195,11 +203,3 @@ def _build_sweep(records: Records, runs: Sequence[RunRecord], requirements: Requ
         sequences=dict(sorted(sequences.items(), key=lambda item: _moves_key(item[0]))),
         swept=[SweptConfiguration(*item) for item in points.items()],
     )
-
-
-def _preference_key(swept: SweptConfiguration) -> tuple[int, int, float, str]:
-    """Return a sort key of configurations: most horizons right, most timed, then fastest."""
-    right = sum(point.right for point in swept.timed.values())
-    largest = max(swept.timed, key=_moves_key, default=None)
-    slowest_ns = swept.timed[largest].median_ns if largest else math.inf
-    return -right, -len(swept.timed), slowest_ns, swept.configuration.solver

@@ -126,9 +126,12 @@ def find_late_timings(
     arms = [run for run in records.calibration if run.mode == "replay"]
     found = records.delays([*replays, *loops, *arms])
     replays, loops, arms = ([r for r in of if r.run_id in found] for of in (replays, loops, arms))
-    delays = {
-        run.run_id: _usable_delays(run, found[run.run_id]) for run in (*replays, *loops, *arms)
-    }
+    delays: dict[str, Delays] = {}
+    for run in (*replays, *loops, *arms):
+        own = found[run.run_id]
+        # Of a solver that waits so often its own threads may have had the core.
+        has_threads = run.voluntary_switches >= THREAD_WAITS * float(own.samples.sum())
+        delays[run.run_id] = own.without_waits if has_threads else own
     repeated = [run for run in replays if len(delays[run.run_id].samples) > 1]
     once = [*loops, *(run for run in replays if run not in repeated)]
     tests: dict[Kind, list[LateTimings]] = {
@@ -146,12 +149,6 @@ def find_late_timings(
     }
     adjusted = (test for family in tests.values() for test in adjust_p_values(family))
     return group_by((test for test in adjusted if test.p <= DOUBTFUL), lambda test: test.run.run_id)
-
-
-def _usable_delays(run: RunRecord, delays: Delays) -> Delays:
-    """Return a run's delays, ignoring waits for the core that its own threads may cause."""
-    waits = run.voluntary_switches >= THREAD_WAITS * float(delays.samples.sum())
-    return delays.without_waits if waits else delays
 
 
 def adjust_p_values(tests: Sequence[LateTimings]) -> list[LateTimings]:
@@ -252,19 +249,15 @@ def _test_replay(
         return LateTimings(kind, run, late, samples, math.nan, p)
     allowed = round(float(own.samples.mean())) if kind == "late timings" else 0
     limits_ns = [m * requirements.p99_ns for m in ((1.0,) if allowed else MULTIPLES)]
-    ps = [_middle_round_p_value(own, machine(limit), limit, allowed) for limit in limits_ns]
+    rounds = len(own.samples)
+    middle, ps = (rounds - 1) // 2, []
+    for limit_ns in limits_ns:
+        x = int(np.sort(own.count_late(limit_ns))[middle])
+        p = machine(limit_ns).tail_probability(x, float(own.base_ns.mean()), allowed)
+        ps.append(float(binom.sf(rounds - middle - 1, rounds, p)))
     stalls = machine(requirements.p99_ns).rate * float(own.base_ns.sum())
     expected = (stalls + late - int(counts.sum())) / samples
     return LateTimings(kind, run, late, samples, expected, min(1.0, len(ps) * min(ps)))
-
-
-def _middle_round_p_value(own: Delays, machine: StallModel, limit_ns: float, allowed: int) -> float:
-    """Return the p-value of the late timings in a replay's repetition of median count."""
-    counts, rounds = own.count_late(limit_ns), len(own.samples)
-    middle = (rounds - 1) // 2
-    x = int(np.sort(counts)[middle])
-    one_round = machine.tail_probability(x, float(own.base_ns.mean()), allowed)
-    return float(binom.sf(rounds - middle - 1, rounds, one_round))
 
 
 def _test_single_round(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:

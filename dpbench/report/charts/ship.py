@@ -90,28 +90,21 @@ def draw_increments(laws: Sequence[Law], scenario: Scenario) -> Any:
 
 
 def _draw_axes(laws: Sequence[Law], column: str, sign: str, low: Vector, high: Vector) -> Any:
-    """Draw force or force change over time for surge, sway and yaw, with their limits (3,)."""
+    """Draw force or force change over time for each axis, with limits (3,) or a note on them."""
     panels = []
     for (name, key, unit, scale, shown), *limits in zip(DRAWN_FORCES, low, high, strict=True):
-        title = f"{sign}{name} [{shown}]"
-        panels.append(_draw_force(laws, f"{column}_{key}_{unit}", scale, title, limits))
+        title, field = f"{sign}{name} [{shown}]", f"{column}_{key}_{unit}"
+        table = _law_time_series(laws, lambda law, f=field, s=scale: law.steps[f].to_numpy() / s)
+        reach = float(np.abs(table["value"]).max())
+        near = [limit / scale for limit in limits if abs(limit / scale) <= 2.5 * max(reach, 1e-12)]
+        # Limits far off are said, as a figure without them looks as if there were none.
+        far = f"limits ±{max(map(abs, limits)) / scale:.4g}"
+        corner = {"x": alt.value("width"), "y": alt.value(0), "text": alt.value(far)}
+        note = alt.MarkDef("text", align="right", baseline="top", color=style.SOFT, fontSize=12)
+        words = style.inline_chart({}).properties(mark=note).encode(**corner)
+        lines = _draw_law_lines(table, laws, title, last=name == "yaw")
+        panels.append(alt.layer(lines, _draw_limits(near) if near else words))
     return _stack_panels(panels)
-
-
-def _draw_force(
-    laws: Sequence[Law], column: str, scale: float, title: str, limits: Sequence[float]
-) -> Any:
-    """Draw the force in one axis over time, with its limits or a note on them."""
-    table = _law_time_series(laws, lambda law: law.steps[column].to_numpy() / scale)
-    reach = float(np.abs(table["value"]).max())
-    near = [limit / scale for limit in limits if abs(limit / scale) <= 2.5 * max(reach, 1e-12)]
-    # Limits far off are said, as a figure without them looks as if there were none.
-    far = f"limits ±{max(map(abs, limits)) / scale:.4g}"
-    corner = {"x": alt.value("width"), "y": alt.value(0), "text": alt.value(far)}
-    note = alt.MarkDef("text", align="right", baseline="top", color=style.SOFT, fontSize=12)
-    words = style.inline_chart({}).properties(mark=note).encode(**corner)
-    lines = _draw_law_lines(table, laws, title, last="yaw" in title)
-    return alt.layer(lines, _draw_limits(near) if near else words)
 
 
 def _law_time_series(laws: Sequence[Law], value: Any) -> pd.DataFrame:
