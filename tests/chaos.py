@@ -128,7 +128,6 @@ class Place:
 
     @property
     def out(self) -> Path:
-        """Where the results are."""
         return self.folder / "out"
 
     @property
@@ -442,7 +441,6 @@ def _place(folder: Path, of_plugin: bool) -> Place:
 
 
 def run_scenarios(scenarios: list[Scenario], folder: Path) -> int:
-    """Run scenarios, a line each; how many failed."""
     undisturbed: dict[bool, Place] = {}
     failed = 0
     for scenario in scenarios:

@@ -248,7 +248,6 @@ def run(target: str, tests: str, sample: int | None, seed: int) -> Count:
 
 
 def _tests_of(file: str) -> str:
-    """The tests of a file or package inside a target."""
     for target, tests in TARGETS.items():
         if file == target or file.startswith(f"{target}/"):
             return tests

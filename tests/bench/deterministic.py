@@ -4,10 +4,11 @@ import json
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
-from dpbench import load_results
+from dpbench import load_results, run_campaign
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import ACCURACY_COLUMNS, CONTROL_COLUMNS, STEP_COLUMNS
 
@@ -34,15 +35,38 @@ def assert_same(found: Path, wanted: Path) -> None:
         pd.testing.assert_frame_equal(one, other, check_exact=True)
 
 
-def head(**fields: object) -> str:
-    """The head of a small suite in TOML, of daqp alone unless `fields` have other solvers."""
+def suite_toml(**fields: object) -> str:
+    """A small suite, daqp alone unless `fields` have other solvers; a list of dicts is tables."""
     usual = {"solvers": ["daqp"], "baseline_law": False, "cell_limit_s": 60.0}
-    values = {"title": "A suite for one test"} | usual | fields
-    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
+    lines, tables = [], list[str]()
+    for key, value in ({"title": "A suite for one test"} | usual | fields).items():
+        if isinstance(value, list) and isinstance(value[0], dict):
+            for table in value:
+                rows = (f"{name} = {_inline(of_row)}" for name, of_row in table.items())
+                tables += ["", f"[[{key}]]", *rows]
+        else:
+            lines.append(f"{key} = {_inline(value)}")
+    return "\n".join([*lines, *tables, ""])
+
+
+def _inline(value: object) -> str:
+    if not isinstance(value, dict):
+        return json.dumps(value)
+    return "{ " + ", ".join(f"{json.dumps(k)} = {_inline(v)}" for k, v in value.items()) + " }"
+
+
+def suite_file(folder: Path, text: str) -> Path:
+    path = folder / "tiny.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def run_suite(folder: Path, text: str, **given: Any) -> Path:
+    """The results of a suite, which is written into a folder beside them."""
+    return run_campaign(suite_file(folder, text), folder / "out", **given)
 
 
 def wait_until(is_true: Callable[[], object], failure: str) -> None:
-    """Wait for some seconds until a condition holds."""
     deadline = time.monotonic() + 20.0
     while not is_true():
         assert time.monotonic() < deadline, failure

@@ -42,7 +42,6 @@ class Spoiling(Workspace):
         self._zero()
 
     def update(self, step: QPStep) -> None:
-        """The same."""
         self._inside.update(step.copy())
         self.matrix_updates = self._inside.matrix_updates
         self._take(step)
@@ -52,7 +51,6 @@ class Spoiling(Workspace):
             setattr(step, name, None if array is None else np.zeros_like(array))
 
     def solve(self) -> None:
-        """Solve the copy."""
         self._inside.solve()
 
     def read(self) -> Solution:

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 import pytest
 
 from dpbench import load_scenario, record_sequence
-from dpbench.bench.campaign import run_campaign
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.bench.run.formulation import replay_formulation
@@ -13,34 +12,24 @@ from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.bench.workers.interleaved import FEWEST_ROUNDS
 from dpbench.solvers.calibration import NO_OP, open_calibration
+from tests.bench.deterministic import run_suite, suite_toml
 
 # A budget of 0.04 s, in which a machine to itself does few rounds.
 pytestmark = pytest.mark.alone
 
 STEPS, ROUNDS = 20, 6
-SUITE = f"""
-title = "Tiny"
-solvers = ["daqp", "busy_wait_1000us", "busy_wait_20us"]
-baseline_law = false
-rounds = {ROUNDS}
-warmup_steps = 2
-replay_budget_s = 0.04 # less than two rounds of a wait of 1 ms
-
-[[closed_loop]]
-scenarios = ["paper"]
-steps = 10
-
-[[replay]]
-scenario = "paper"
-steps = {STEPS}
-"""
+SUITE = suite_toml(
+    **{"solvers": ["daqp", "busy_wait_1000us", "busy_wait_20us"], "cell_limit_s": 5.0},
+    # Less than two rounds of a wait of 1 ms.
+    **{"rounds": ROUNDS, "warmup_steps": 2, "replay_budget_s": 0.04},
+    closed_loop=[{"scenarios": ["paper"], "steps": 10}],
+    replay=[{"scenario": "paper", "steps": STEPS}],
+)
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
-    base = tmp_path_factory.mktemp("budgets")
-    (base / "tiny.toml").write_text(SUITE, encoding="utf-8")
-    return load_results(run_campaign(base / "tiny.toml", base / "out"))
+    return load_results(run_suite(tmp_path_factory.mktemp("budgets"), SUITE))
 
 
 def test_a_slow_configuration_has_fewer_rounds_and_is_finished(results: Results) -> None:

@@ -25,24 +25,16 @@ from dpbench.cli.main import main
 from dpbench.qp.program import QPSequence
 from dpbench.report.write import write_report, write_report_with_summary
 from dpbench.solvers.calibration import CALIBRATION, NO_OP, open_calibration
+from tests.bench.deterministic import run_suite, suite_toml
 
 # Waits of 5 to 1000 µs are measured.
 pytestmark = pytest.mark.alone
 
 STEPS, ROUNDS = 12, 2
-SUITE = f"""
-title = "Tiny"
-solvers = ["daqp"]
-calibration = true
-baseline_law = false
-rounds = {ROUNDS}
-warmup_steps = 3
-
-[[recorded]]
-sequence = "short.npz"
-routes = ["native"]
-policies = ["warm"]
-"""
+SUITE = suite_toml(
+    **{"calibration": True, "rounds": ROUNDS, "warmup_steps": 3},
+    recorded=[{"sequence": "short.npz", "routes": ["native"], "policies": ["warm"]}],
+)
 
 
 @pytest.fixture(scope="module")
@@ -54,8 +46,7 @@ def sequence() -> QPSequence:
 def folder(sequence: QPSequence, tmp_path_factory: pytest.TempPathFactory) -> Path:
     base = tmp_path_factory.mktemp("calibrating")
     save_sequence(base / "short.npz", sequence)
-    (base / "tiny.toml").write_text(SUITE, encoding="utf-8")
-    return run_campaign(base / "tiny.toml", base / "out")
+    return run_suite(base, SUITE)
 
 
 @pytest.fixture(scope="module")

@@ -14,40 +14,28 @@ from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import AXIS_FORCES, RUN_COLUMNS, STEP_COLUMNS
 from dpbench.errors import InputError, ResultsError, UnknownNameError
 from dpbench.scenario.problem_files import problem_path
-from dpbench.solvers import plugins
+from tests.bench.deterministic import run_suite, suite_toml
 
 pytestmark = pytest.mark.slow
 
-SUITE = """
-title = "A suite for one test"
-solvers = ["quadprog", "osqp"]
-cell_limit_s = 60.0  # what a loaded machine keeps
-rounds = 2
-warmup_steps = 5
-
-[[closed_loop]]
-scenarios = ["paper"]
-steps = 30
-
-[[closed_loop]]
-scenarios = ["paper"]
-units = ["si"]
-settings = ["default", "high"]
-steps = 20
-
-[[replay]]
-scenario = "paper"
-steps = 30
-settings = ["default", "high"]
-policies = ["fresh", "warm"]
-"""
+SUITE = suite_toml(
+    **{"solvers": ["quadprog", "osqp"], "baseline_law": True, "rounds": 2, "warmup_steps": 5},
+    closed_loop=[
+        {"scenarios": ["paper"], "steps": 30},
+        {"scenarios": ["paper"], "units": ["si"], "settings": ["default", "high"], "steps": 20},
+    ],
+    replay=[
+        {
+            **{"scenario": "paper", "steps": 30},
+            **{"settings": ["default", "high"], "policies": ["fresh", "warm"]},
+        }
+    ],
+)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    base = tmp_path_factory.mktemp("campaign")
-    (base / "tiny.toml").write_text(SUITE, encoding="utf-8")
-    return run_campaign(base / "tiny.toml", base / "out")
+    return run_suite(tmp_path_factory.mktemp("campaign"), SUITE)
 
 
 @pytest.fixture(scope="module")
@@ -183,9 +171,7 @@ def test_damaged_results_are_said_in_one_line(folder: Path, tmp_path: Path) -> N
         load_results(tmp_path)
 
 
-def test_a_part_of_a_suite_never_replaces_the_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_part_has_its_own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert run_campaign("smoke", solvers=["quadprog"]) == Path("results/smoke-part")
 
@@ -222,23 +208,16 @@ def test_scenarios_of_one_name_are_refused(tmp_path: Path) -> None:
     for part in ("a", "b"):
         (tmp_path / part).mkdir()
         (tmp_path / part / "paper.toml").write_text(text, encoding="utf-8")
-    suite = 'title = "x"\n[[closed_loop]]\nscenarios = ["a/paper.toml", "b/paper.toml"]\n'
-    (tmp_path / "twins.toml").write_text(suite, encoding="utf-8")
+    loop = {"scenarios": ["a/paper.toml", "b/paper.toml"]}
     with pytest.raises(InputError, match="two scenarios called 'paper'"):
-        run_campaign(tmp_path / "twins.toml", tmp_path / "out")
+        run_suite(tmp_path, suite_toml(closed_loop=[loop]))
 
 
-def test_a_plug_in_runs_in_a_process_of_its_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(plugins, "_LOADED", {})
+def test_a_plug_in_runs_in_a_process_of_its_own(tmp_path: Path) -> None:
     module = Path(__file__).parents[1] / "solvers" / "example_plugin.py"
-    head = 'title = "x"\ncell_limit_s = 60.0\n[[closed_loop]]\n'
-    suite = head + 'scenarios = ["calm"]\nsettings = ["high"]\nsteps = 20\n'
-    (tmp_path / "one.toml").write_text(suite, encoding="utf-8")
-    out = run_campaign(
-        tmp_path / "one.toml", tmp_path / "out", solvers=["admm"], solver_module=module
-    )
+    loop = {"scenarios": ["calm"], "settings": ["high"], "steps": 20}
+    text = suite_toml(closed_loop=[loop])
+    out = run_suite(tmp_path, text, solvers=["admm"], solver_module=module)
     (row,) = load_results(out).runs.to_dict("records")
     assert (row["solver"], row["outcome"], row["steps_done"]) == ("admm", "finished", 20)
     assert row["true_share"] == 1.0

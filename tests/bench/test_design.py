@@ -74,7 +74,6 @@ def designs(out: Path) -> Designs:
 
 @pytest.fixture(scope="module")
 def still() -> Scenario:
-    """Trials of the paper's controller in still water."""
     files = plan_designs(TABLE)[0].files
     return build_scenario(files | {"scenario": files["scenario"] | {"environment": {}}})
 
@@ -113,9 +112,7 @@ def test_the_eigenvalues_are_the_poles_of_the_loop_the_optima_close(designs: Des
     assert (record.vessel, record.controller) == ("supply_fs99", "paper")
 
 
-def test_a_step_without_a_certified_optimum_does_not_count_as_held(
-    still: Scenario, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_uncertified_steps_are_not_held(still: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(scenario: Scenario) -> None:
         raise CertificateError(f"{scenario.name}: step 0 has no certified optimum")
 
@@ -177,9 +174,7 @@ def test_a_design_whose_process_fails_is_missing_with_the_reason(tmp_path: Path)
         (["paper"], ["no/such.toml"], "no/such.toml"),
     ],
 )
-def test_a_bad_table_is_refused_before_anything_runs(
-    controllers: list[str], vessels: list[str], says: str
-) -> None:
+def test_bad_tables_are_refused(controllers: list[str], vessels: list[str], says: str) -> None:
     with pytest.raises(InputError, match=says):
         plan_designs(DesignTable(controllers=controllers, vessels=vessels))
 
@@ -223,9 +218,7 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize("kind", DAMAGE)
-def test_a_damaged_file_is_refused_in_one_line(
-    designs: Designs, out: Path, tmp_path: Path, kind: str
-) -> None:
+def test_damaged_files_are_refused(designs: Designs, out: Path, tmp_path: Path, kind: str) -> None:
     damage, says = DAMAGE[kind]
     path = tmp_path / "design.json"
     path.write_text(damage((out / "design.json").read_text(encoding="utf-8")), encoding="utf-8")

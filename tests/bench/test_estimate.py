@@ -11,7 +11,7 @@ from dpbench.bench.record.cell import CapabilitySource, Cell
 from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
 from dpbench.bench.workers.jobs import CELL_S, STEP_S
 from dpbench.cli.main import main
-from tests.bench.deterministic import head
+from tests.bench.deterministic import suite_file, suite_toml
 
 
 def cell(solver: str, steps: int, **more: object) -> PlannedCell:
@@ -42,19 +42,10 @@ def test_what_does_not_run_takes_nothing() -> None:
     assert found.time_s == pytest.approx(CELL_S + 20 * STEP_S)
 
 
-SUITE = (
-    head(solvers=["daqp", "quadprog"], rounds=2, warmup_steps=3)
-    + """
-[[study]]
-base = "weather"
-steps = 12
-replicates = { key = "environment.seed", count = 40 }
-
-[[replay]]
-scenario = "paper"
-steps = 20
-policies = ["fresh", "warm"]
-"""
+SUITE = suite_toml(
+    **{"solvers": ["daqp", "quadprog"], "rounds": 2, "warmup_steps": 3},
+    study=[{"base": "weather", "steps": 12, "replicates": {"count": 40}}],
+    replay=[{"scenario": "paper", "steps": 20, "policies": ["fresh", "warm"]}],
 )
 
 
@@ -63,7 +54,7 @@ def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "tiny.toml").write_text(SUITE, encoding="utf-8")
+    suite_file(tmp_path, SUITE)
     assert main(["run", "tiny.toml", "--dry-run"]) == 0
     said = capsys.readouterr()
     assert said.err == ""

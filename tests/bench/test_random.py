@@ -6,7 +6,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from dpbench import load_results, run_campaign
+from dpbench import load_results
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.random_claims import RandomClaims
 from dpbench.bench.plan.cells import SEMIDEFINITE_REFUSAL
@@ -17,29 +17,25 @@ from dpbench.errors import InputError
 from dpbench.qp.random_recipe import FAMILIES
 from dpbench.report.write import write_report
 from dpbench.solvers import plugins
-from tests.bench.deterministic import head
+from tests.bench.deterministic import run_suite, suite_toml
 
 # What else runs could use up a limit of one second, which one of its solvers is to reach.
 pytestmark = pytest.mark.alone
 
 PLUGIN = Path(__file__).with_name("faulty_plugin.py")
 STEPS = 6
-SUITE = (
-    head(solvers=["quadprog", "daqp"], rounds=1, warmup_steps=0, cell_limit_s=1.0)
-    + f"""
-[[random]]
-families = ["no_rows"]
-sizes = [[3, 0], [4, 0], [5, 0], [6, 0], [7, 0], [8, 0]]
-steps = {STEPS}
-routes = ["native"]
-
-[[random]]
-families = ["infeasible_steps"]
-sizes = [[4, 6]]
-steps = {STEPS}
-routes = ["native"]
-policies = ["fresh", "warm"]
-"""
+SUITE = suite_toml(
+    **{"solvers": ["quadprog", "daqp"], "rounds": 1, "warmup_steps": 0, "cell_limit_s": 1.0},
+    random=[
+        {
+            **{"families": ["no_rows"], "sizes": [[n, 0] for n in range(3, 9)]},
+            **{"steps": STEPS, "routes": ["native"]},
+        },
+        {
+            **{"families": ["infeasible_steps"], "sizes": [[4, 6]]},
+            **{"steps": STEPS, "routes": ["native"], "policies": ["fresh", "warm"]},
+        },
+    ],
 )
 
 
@@ -47,11 +43,10 @@ policies = ["fresh", "warm"]
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A campaign of two sound solvers and one that lies, dies and hangs."""
     base = tmp_path_factory.mktemp("random")
-    (base / "tiny.toml").write_text(SUITE, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(plugins, "_LOADED", {})
         solvers = ["quadprog", "daqp", "faulty"]
-        out = run_campaign(base / "tiny.toml", base / "out", solvers=solvers, solver_module=PLUGIN)
+        out = run_suite(base, SUITE, solvers=solvers, solver_module=PLUGIN)
         write_report(out)
     return out
 

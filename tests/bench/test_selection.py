@@ -8,39 +8,26 @@ from dpbench import load_results, run_campaign
 from dpbench.bench.gather import gather
 from dpbench.cli.main import main
 from dpbench.errors import InputError
+from tests.bench.deterministic import suite_file, suite_toml
 
 pytestmark = pytest.mark.slow
 
-SUITE = """
-title = "A suite for one test"
-solvers = ["quadprog", "daqp"]
-cell_limit_s = 60.0
-rounds = 1
-warmup_steps = 0
-
-[[closed_loop]]
-scenarios = ["paper", "calm"]
-settings = ["default", "high"]
-steps = 4
-
-[[replay]]
-scenario = "paper"
-steps = 4
-
-[[study]]
-base = "weather"
-name = "seas"
-steps = 4
-replicates = { key = "environment.seed", count = 2 }
-product = { "start.east_m" = [0.0] }
-"""
+SUITE = suite_toml(
+    **{"solvers": ["quadprog", "daqp"], "baseline_law": True, "rounds": 1, "warmup_steps": 0},
+    closed_loop=[{"scenarios": ["paper", "calm"], "settings": ["default", "high"], "steps": 4}],
+    replay=[{"scenario": "paper", "steps": 4}],
+    study=[
+        {
+            **{"base": "weather", "name": "seas", "steps": 4},
+            **{"replicates": {"count": 2}, "product": {"start.east_m": [0.0]}},
+        }
+    ],
+)
 
 
 @pytest.fixture(scope="module")
 def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("selection") / "tiny.toml"
-    path.write_text(SUITE, encoding="utf-8")
-    return path
+    return suite_file(tmp_path_factory.mktemp("selection"), SUITE)
 
 
 @pytest.fixture(scope="module")

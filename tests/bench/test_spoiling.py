@@ -14,7 +14,6 @@ from dpbench import (
     open_workspace,
     record_sequence,
     replay,
-    run_campaign,
     run_closed_loop,
 )
 from dpbench.bench.record.cell import Formulation
@@ -22,9 +21,8 @@ from dpbench.mpc.condense import UnitSystem
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario
-from dpbench.solvers import plugins
 from dpbench.solvers.contract import Policy, Workspace
-from tests.bench.deterministic import head
+from tests.bench.deterministic import run_suite, suite_toml
 
 PLUGIN = Path(__file__).with_name("spoiling_plugin.py")
 WAYS: list[tuple[str, Policy, Formulation, UnitSystem, str]] = [
@@ -58,7 +56,6 @@ def _answers(steps: pd.DataFrame) -> pd.DataFrame:
 
 
 def _bytes(sequence: QPSequence) -> list[bytes]:
-    """All numbers of a sequence."""
     parts: list[Any] = [sequence, sequence.base]
     found = [
         getattr(part, name) for part in parts for name in ("P", "q", "A", "l", "u", "lb", "ub")
@@ -126,37 +123,24 @@ def test_the_zero_answer_to_a_cost_made_zero_is_wrong() -> None:
     assert run.summary["true_share"] == 0.0 and not run.steps["true"].any()
 
 
-SUITE = (
-    head(solvers=["quadprog"], rounds=2, warmup_steps=12)
-    + """
-[[closed_loop]]
-scenarios = ["paper"]
-steps = 12
-
-[[replay]]
-scenario = "paper"
-steps = 12
-routes = ["native"]
-policies = ["fresh", "reuse"]
-
-[[random]]
-families = ["infeasible_steps"]
-sizes = [[4, 6]]
-steps = 6
-routes = ["native"]
-"""
+SUITE = suite_toml(
+    **{"solvers": ["quadprog"], "rounds": 2, "warmup_steps": 12},
+    closed_loop=[{"scenarios": ["paper"], "steps": 12}],
+    replay=[
+        {
+            **{"scenario": "paper", "steps": 12},
+            **{"routes": ["native"], "policies": ["fresh", "reuse"]},
+        }
+    ],
+    random=[
+        {"families": ["infeasible_steps"], "sizes": [[4, 6]], "steps": 6, "routes": ["native"]}
+    ],
 )
 
 
 @pytest.mark.slow
-def test_a_worker_hands_over_the_same_qps_in_every_round(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(plugins, "_LOADED", {})
-    (tmp_path / "disturbed.toml").write_text(SUITE, encoding="utf-8")
-    out = run_campaign(
-        tmp_path / "disturbed.toml", tmp_path / "out", solvers=["spoiling"], solver_module=PLUGIN
-    )
+def test_a_worker_hands_over_the_same_qps_in_every_round(tmp_path: Path) -> None:
+    out = run_suite(tmp_path, SUITE, solvers=["spoiling"], solver_module=PLUGIN)
     runs = load_results(out).runs
     assert (runs["outcome"] == "finished").all(), runs["outcome_detail"].tolist()
     assert (runs["true_share"] == 1.0).all() and (runs["failed_steps"] == 0).all()

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import dpbench
-from tests.bench.deterministic import head
+from tests.bench.deterministic import suite_file, suite_toml
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(dpbench.__file__).parents[1])}
 NEEDLESS = (
@@ -32,14 +32,7 @@ from dpbench import load_results, run_campaign
 out = run_campaign("tiny.toml", "out", engine="ENGINE")
 print(*load_results(out).runs["outcome"])
 """
-SUITE = (
-    head()
-    + """
-[[closed_loop]]
-scenarios = ["paper"]
-steps = 3
-"""
-)
+SUITE = suite_toml(closed_loop=[{"scenarios": ["paper"], "steps": 3}])
 
 
 @pytest.mark.slow
@@ -59,12 +52,10 @@ print(*sorted({{*{NEEDLESS!r}, *{solvers!r}}} & set(sys.modules)))
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["local", "dask"])
-def test_a_script_that_runs_a_campaign_is_not_run_again_by_its_processes(
-    tmp_path: Path, engine: str
-) -> None:
+def test_a_script_is_not_run_again_by_its_processes(tmp_path: Path, engine: str) -> None:
     if engine == "dask":
         pytest.importorskip("distributed", reason="engine dask needs the extra `cluster`")
-    (tmp_path / "tiny.toml").write_text(SUITE, encoding="utf-8")
+    suite_file(tmp_path, SUITE)
     (tmp_path / "script.py").write_text(SCRIPT.replace("ENGINE", engine), encoding="utf-8")
     command = [sys.executable, "script.py"]
     done = subprocess.run(

@@ -51,7 +51,6 @@ class Soaked(ABC):
         """Read the folder, or the file in it that was changed."""
 
     def choose(self, rng: random.Random) -> str:
-        """The file to change."""
         return rng.choice(sorted(self.files))
 
     whole = False

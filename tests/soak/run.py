@@ -58,17 +58,14 @@ class Count:
 
     @property
     def bad(self) -> int:
-        """How many are not fine."""
         return self.outcomes.total() - sum(self.outcomes[name] for name in FINE)
 
     def add(self, outcome: str, took_s: float, took_bytes: int) -> None:
-        """Count one."""
         self.outcomes[outcome] += 1
         self.longest_s = max(self.longest_s, took_s)
         self.largest_bytes = max(self.largest_bytes, took_bytes)
 
     def merge(self, other: Count) -> None:
-        """Count those of another batch too."""
         self.outcomes += other.outcomes
         self.longest_s = max(self.longest_s, other.longest_s)
         self.largest_bytes = max(self.largest_bytes, other.largest_bytes)
@@ -108,7 +105,6 @@ def _read(soaked: Soaked, seed: str, folder: Path) -> tuple[str, str]:
 
 
 def _peak_bytes() -> int:
-    """Peak of the resident memory since `_forget_peak`."""
     status = Path("/proc/self/status").read_text(encoding="ascii")
     return 1024 * int(status.split("VmHWM:")[1].split()[0])
 
@@ -177,7 +173,6 @@ _MADE: dict[str, Soaked] = {}
 
 
 def _soaked(kind: str) -> Soaked:
-    """The files of a kind, made once a process."""
     if kind not in _MADE:
         with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -213,7 +208,6 @@ def _keep(soaked: Soaked, name: str, outcome: str, said: str) -> str:
 
 
 def _again(name: str) -> int:
-    """Read one mutant in this process, with its traceback."""
     with tempfile.TemporaryDirectory() as folder:
         outcome, said = _read(_soaked(name.partition(":")[0]), name, Path(folder))
     print(outcome, said)

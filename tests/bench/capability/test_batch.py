@@ -23,6 +23,7 @@ from dpbench.qp.referee.referee import certify_sequence
 from dpbench.report.write import write_report
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.capability.conditions import DP_CONDITIONS
+from tests.bench.deterministic import suite_file, suite_toml
 
 SOME = (0.0, 20.0, 100.0, 200.0)
 
@@ -65,9 +66,7 @@ def test_a_direction_has_four_points_around_its_edge() -> None:
 
 
 @pytest.mark.slow
-def test_the_referee_proves_what_the_cone_program_found(
-    frontier: CapabilityPlot, points: list[batch.Point]
-) -> None:
+def test_the_referee_agrees(frontier: CapabilityPlot, points: list[batch.Point]) -> None:
     sequence = batch.allocation_sequence(frontier, points)
     assert len(sequence) == len(points) == 4 * len(SOME) * 4
     for point, optimum in zip(points, certify_sequence(sequence), strict=True):
@@ -107,9 +106,7 @@ def test_a_plot_of_a_suite_is_a_row_a_qp(frontier: CapabilityPlot, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_a_batch_is_a_suite_that_runs_as_it_stands(
-    frontier: CapabilityPlot, tmp_path: Path
-) -> None:
+def test_a_batch_runs_as_a_suite(frontier: CapabilityPlot, tmp_path: Path) -> None:
     capability = made_up(frontier)
     path, suite = load_suite(write_capability_suite(frontier, capability, tmp_path / "new"))
     assert path.parent == tmp_path / "new"
@@ -120,16 +117,9 @@ def test_a_batch_is_a_suite_that_runs_as_it_stands(
     assert np.isfinite(recorded.sequence.l).all()
 
 
-SUITE = """
-title = "The edge of a ship"
-baseline_law = false
-cell_limit_s = 60.0
-
-[[capability]]
-vessel = "osv"
-sides = 8
-routes = ["default", "native"]
-"""
+SUITE = suite_toml(
+    solvers=["all"], capability=[{"vessel": "osv", "sides": 8, "routes": ["default", "native"]}]
+)
 
 
 def suite_of(**keys: object) -> SuiteFile:
@@ -156,9 +146,8 @@ def test_a_vessel_that_has_no_plot_is_refused(keys: dict[str, object], said: str
 
 @pytest.mark.slow
 def test_a_run_leaves_the_plot_and_answers_that_the_referee_judged(tmp_path: Path) -> None:
-    """A row a QP in `capability.parquet`."""
-    (tmp_path / "edge.toml").write_text(SUITE, encoding="utf-8")
-    out = run_campaign(tmp_path / "edge.toml", tmp_path / "out", solvers=["quadprog"])
+    suite, out = suite_file(tmp_path, SUITE), tmp_path / "out"
+    run_campaign(suite, out, solvers=["quadprog"])
     table_of_run = table.load_capability(out)
     assert table_of_run is not None
     (plot,) = capability_plots(Records(load_results(out)), table_of_run)
@@ -168,7 +157,7 @@ def test_a_run_leaves_the_plot_and_answers_that_the_referee_judged(tmp_path: Pat
     assert (answers.balanced, answers.refused) == (held, len(table_of_run) - held)
     assert len(plot.edges) == 36 * 3 and not plot.edges["untrue"].any()
     (out / "capability.parquet").unlink()
-    run_campaign(tmp_path / "edge.toml", out, solvers=["quadprog"])
+    run_campaign(suite, out, solvers=["quadprog"])
     assert table.load_capability(out) is not None
     page = write_report(out).read_text(encoding="utf-8")
     assert 'id="answer"' in page and "1 of 1 solver answers all 432 QPs" in page

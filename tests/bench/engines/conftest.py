@@ -5,38 +5,22 @@ from pathlib import Path
 import pytest
 
 from dpbench import run_campaign
-from tests.bench.deterministic import head
+from tests.bench.deterministic import suite_file, suite_toml
 
-SUITE = (
-    head(solvers=["quadprog", "daqp"], rounds=2, warmup_steps=0)
-    + """
-[[closed_loop]]
-scenarios = ["paper", "rough"]
-settings = ["default", "high"]
-steps = 6
-
-[[replay]]
-scenario = "paper"
-steps = 6
-
-[[random]]
-families = ["no_rows"]
-sizes = [[3, 0], [4, 0]]
-steps = 5
-
-[[closed_loop]]
-scenarios = ["calm"]
-solvers = ["daqp"]
-steps = 6
-"""
+SUITE = suite_toml(
+    **{"solvers": ["quadprog", "daqp"], "rounds": 2, "warmup_steps": 0},
+    closed_loop=[
+        {"scenarios": ["paper", "rough"], "settings": ["default", "high"], "steps": 6},
+        {"scenarios": ["calm"], "solvers": ["daqp"], "steps": 6},
+    ],
+    replay=[{"scenario": "paper", "steps": 6}],
+    random=[{"families": ["no_rows"], "sizes": [[3, 0], [4, 0]], "steps": 5}],
 )
 
 
 @pytest.fixture(scope="session")
 def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("engines") / "tiny.toml"
-    path.write_text(SUITE, encoding="utf-8")
-    return path
+    return suite_file(tmp_path_factory.mktemp("engines"), SUITE)
 
 
 @pytest.fixture(scope="session")

@@ -19,8 +19,7 @@ from dpbench.bench.progress import Silent
 from dpbench.bench.record.result_folder import read_accidents
 from dpbench.bench.workers import jobs
 from dpbench.cli.main import main
-from dpbench.solvers import plugins
-from tests.bench.deterministic import assert_same
+from tests.bench.deterministic import assert_same, run_suite, suite_file, suite_toml
 
 WHY = "engine dask needs the extra `cluster`"
 distributed = pytest.importorskip("distributed", reason=WHY)
@@ -91,7 +90,6 @@ Cluster = tuple[str, subprocess.Popen[bytes]]
 
 @contextmanager
 def cluster_in(folder: Path) -> Iterator[Cluster]:
-    """One as long as the block lasts."""
     processes = [started(folder, *SCHEDULER), started(folder, *WORKER)]
     try:
         while not (folder / FILE).exists():
@@ -129,18 +127,15 @@ def test_a_cluster_of_this_machine_gives_the_same(
     assert sorted(path.name for path in (out / "cells").iterdir()) == [".lock"]
 
 
-def test_a_worker_that_is_killed_costs_no_cell_unless_its_cell_does_it_again(
-    suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(plugins, "_LOADED", {})
-    module, path = tmp_path / "killing.py", tmp_path / "tiny.toml"
+def test_a_killed_worker_costs_only_its_killer(suite: Path, tmp_path: Path) -> None:
+    module = tmp_path / "killing.py"
     killer = KILLER.replace("MARKER", repr(str(tmp_path / "marker")))
     module.write_text(PLUGIN.read_text(encoding="utf-8") + killer, encoding="utf-8")
     loops = suite.read_text(encoding="utf-8").split("[[replay]]")[0]
-    path.write_text(loops.replace(', "rough"', ""), encoding="utf-8")
+    loops = loops.replace(', "rough"', "")
     given = {"solver_module": module, "solvers": ["admm", "quadprog"], "engine": "dask", "jobs": 1}
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
-        runs = load_results(run_campaign(path, tmp_path / "out", **given)).runs
+        runs = load_results(run_suite(tmp_path, loops, **given)).runs
     assert runs["run_id"].is_unique
     runs = runs.set_index(["solver", "settings"])
     others = runs.loc[runs["outcome"] != "finished", ["outcome", "outcome_detail"]]
@@ -148,9 +143,7 @@ def test_a_worker_that_is_killed_costs_no_cell_unless_its_cell_does_it_again(
     assert others.T.to_dict("list") == {("admm", "high"): died}
 
 
-def test_replays_beside_others_enter_no_ranking(
-    suite: Path, tmp_path: Path, scheduler: Cluster
-) -> None:
+def test_shared_replays_are_not_ranked(suite: Path, tmp_path: Path, scheduler: Cluster) -> None:
     watching = Watching(0, None)
     given = {"engine": "dask", "scheduler": scheduler[0], "solvers": ["daqp"]}
     out = run_campaign(suite, tmp_path / "out", progress=watching, **given)
@@ -248,28 +241,11 @@ def test_without_its_scheduler_cells_are_lost_until_there_is_one(
     assert_same(out, undisturbed)
 
 
-DESIGN = """
-title = "A suite for one test"
-solvers = ["daqp"]
-baseline_law = false
-
-[design]
-controllers = ["paper"]
-vessels = ["supply_fs99"]
-
-[[closed_loop]]
-scenarios = ["calm"]
-steps = 6
-"""
-CAPABILITY = """
-title = "A suite for one test"
-solvers = ["daqp"]
-baseline_law = false
-
-[[capability]]
-vessel = "osv"
-sides = 4
-"""
+DESIGN = suite_toml(
+    design={"controllers": ["paper"], "vessels": ["supply_fs99"]},
+    closed_loop=[{"scenarios": ["calm"], "steps": 6}],
+)
+CAPABILITY = suite_toml(capability=[{"vessel": "osv", "sides": 4}])
 
 
 def _kill_with_files(
@@ -302,8 +278,7 @@ def test_a_scheduler_that_dies_as_files_are_made_is_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(dask_cluster, "RETURN_S", 1.0)
-    path, out = tmp_path / "tiny.toml", tmp_path / "out"
-    path.write_text(text, encoding="utf-8")
+    path, out = suite_file(tmp_path, text), tmp_path / "out"
     words = ["run", str(path), "--out", str(out), "--quiet"]
     with cluster_in(tmp_path) as (address, process), monkeypatch.context() as patch:
         _kill_with_files(process.kill, patch, gone_before=gone_before)
@@ -317,9 +292,7 @@ def test_a_scheduler_that_dies_as_files_are_made_is_one_line(
     assert (out / ("design.json" if text == DESIGN else "capability.parquet")).is_file()
 
 
-def test_a_scheduler_that_does_not_answer_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_silent_scheduler_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     words = ["run", "smoke", "--out", str(out), "--engine", "dask", "--scheduler"]
     for address in ("tcp://127.0.0.1:1", "nowhere://x"):

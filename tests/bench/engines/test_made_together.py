@@ -9,29 +9,25 @@ from typing import Any
 
 import pytest
 
-from dpbench import load_results, run_campaign
+from dpbench import load_results
 from dpbench.bench.engines.on_worker import make_files
-from tests.bench.deterministic import head
+from tests.bench.deterministic import run_suite, suite_toml
 
 WHY = "engine dask needs the extra `cluster`"
 distributed = pytest.importorskip("distributed", reason=WHY)
 dask_engine = pytest.importorskip("dpbench.bench.engines.dask_engine", reason=WHY)
 
-STUDY = (
-    head()
-    + """
-[[study]]
-base = "weather"
-steps = 3
-settings = ["default", "high"]
-replicates = { key = "environment.seed", count = 8 }
-"""
+STUDY = suite_toml(
+    study=[
+        {
+            **{"base": "weather", "steps": 3, "settings": ["default", "high"]},
+            "replicates": {"key": "environment.seed", "count": 8},
+        }
+    ]
 )
 
 
 class Done:
-    """A future whose task has ended."""
-
     def __init__(self, key: str, task: Callable[[], object]) -> None:
         self.key, self.status = key, "finished"
         try:
@@ -86,9 +82,7 @@ def _known(arg: object) -> object:
 
 
 @pytest.mark.slow
-def test_sources_of_a_task_whose_worker_died_are_made_apart(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_failed_sources_are_made_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     client = Client()
 
     @contextmanager
@@ -96,8 +90,7 @@ def test_sources_of_a_task_whose_worker_died_are_made_apart(
         yield client
 
     monkeypatch.setattr(dask_engine, "start_own_cluster", cluster)
-    (tmp_path / "seas.toml").write_text(STUDY, encoding="utf-8")
-    out = run_campaign(tmp_path / "seas.toml", tmp_path / "out", engine="dask", jobs=1)
+    out = run_suite(tmp_path, STUDY, engine="dask", jobs=1)
     assert set(load_results(out).runs["outcome"]) == {"finished"}
     several, apart = client.together[0], client.together[1:]
     assert several > 1 and 1 in apart

@@ -81,9 +81,7 @@ def test_a_worker_with_another_solver_does_not_run_it(jobs: list[CellJob]) -> No
     assert {"0.0.1 where the campaign was started" in r.outcome.detail for r in results} == {True}
 
 
-def test_a_task_that_is_ended_leaves_nothing(
-    jobs: list[CellJob], place: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_ended_task(jobs: list[CellJob], place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # The socket of the fork server stays as long as this process.
     start_forkserver([])
     monkeypatch.setattr(tempfile, "tempdir", str(place))

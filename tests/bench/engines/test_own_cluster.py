@@ -74,9 +74,7 @@ class Visited(Silent):
         self.answers = json.loads(done.stdout)
 
 
-def test_nobody_else_reaches_a_cluster_of_this_machine(
-    suite: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_only_we_reach_it(suite: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     visited, path = Visited(), tmp_path / "loops.toml"
     path.write_text(suite.read_text(encoding="utf-8").split("[[replay]]")[0], encoding="utf-8")
     given = {"engine": "dask", "jobs": 2, "solvers": ["daqp"], "progress": visited}
@@ -114,9 +112,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.parametrize("when", ["starting", "running"])
-def test_ctrl_c_twice_is_one_line_and_leaves_nothing(
-    suite: Path, tmp_path: Path, when: str
-) -> None:
+def test_ctrl_c_twice_leaves_nothing(suite: Path, tmp_path: Path, when: str) -> None:
     script, place = tmp_path / "pressed.py", tmp_path / "t"
     script.write_text(PRESSED_TWICE, encoding="utf-8")
     place.mkdir()

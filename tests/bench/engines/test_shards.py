@@ -16,7 +16,7 @@ from dpbench.bench.record.step_table import runs_from_frame, runs_to_frame, writ
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.solvers import plugins
-from tests.bench.deterministic import assert_same
+from tests.bench.deterministic import assert_same, suite_file, suite_toml
 
 pytestmark = pytest.mark.slow
 PLUGIN = Path(__file__).parents[2] / "solvers" / "example_plugin.py"
@@ -48,9 +48,7 @@ def test_gathered_shards_are_one_run(
     assert (out / "report.html").is_file()
 
 
-def test_what_is_missing_or_damaged_is_lost_and_can_be_run(
-    copies: list[Path], suite: Path, undisturbed: Path, tmp_path: Path
-) -> None:
+def test_missing_shards(copies: list[Path], suite: Path, undisturbed: Path, tmp_path: Path) -> None:
     damaged = CellStore(copies[0]).public.steps
     data = bytearray(damaged.read_bytes())
     data[: len(data) // 2] = bytes(len(data) // 2)
@@ -65,9 +63,7 @@ def test_what_is_missing_or_damaged_is_lost_and_can_be_run(
     assert_same(out, undisturbed)
 
 
-def test_a_shard_that_was_killed_gives_what_it_finished(
-    copies: list[Path], undisturbed: Path, tmp_path: Path
-) -> None:
+def test_a_killed_shard_is_gathered(copies: list[Path], undisturbed: Path, tmp_path: Path) -> None:
     killed = CellStore(copies[2])
     CellStore(tmp_path / "parts").copy_cells(killed)
     killed.public.remove()
@@ -85,9 +81,7 @@ def changed(folder: Path, **entries: object) -> None:
     path.write_text(json.dumps(document | entries), encoding="utf-8")
 
 
-def test_what_does_not_belong_together_is_refused(
-    copies: list[Path], suite: Path, tmp_path: Path
-) -> None:
+def test_foreign_shards_are_refused(copies: list[Path], suite: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     changed(copies[0], harness_version="0.0.9")
     with pytest.raises(InputError, match=r"shard1 of dpbench 0\.0\.9"):
@@ -109,9 +103,7 @@ def test_what_does_not_belong_together_is_refused(
     assert not out.exists()
 
 
-def test_where_each_host_had_the_suite_does_not_matter(
-    copies: list[Path], suite: Path, undisturbed: Path, tmp_path: Path
-) -> None:
+def test_moved_suites(copies: list[Path], suite: Path, undisturbed: Path, tmp_path: Path) -> None:
     asked = json.loads((copies[0] / SHARD_FILE).read_text())["asked"]
     for i, folder in enumerate(copies[:2]):
         changed(folder, asked=asked | {"suite": f"/on/host{i}/tiny.toml"})
@@ -125,10 +117,8 @@ def test_where_each_host_had_the_suite_does_not_matter(
 def test_a_plug_in_is_not_run_because_a_shard_names_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(plugins, "_LOADED", {})
-    suite, module, marker = (tmp_path / name for name in ("one.toml", "admm.py", "was run"))
-    head = 'title = "x"\ncell_limit_s = 60.0\n[[closed_loop]]\n'
-    suite.write_text(f'{head}scenarios = ["calm"]\nsteps = 5\n', encoding="utf-8")
+    module, marker = tmp_path / "admm.py", tmp_path / "was run"
+    suite = suite_file(tmp_path, suite_toml(closed_loop=[{"scenarios": ["calm"], "steps": 5}]))
     text = f"open({str(marker)!r}, 'w').close()\n{PLUGIN.read_text(encoding='utf-8')}"
     module.write_text(text, encoding="utf-8")
     shard, out = tmp_path / "shard", tmp_path / "out"
@@ -137,7 +127,7 @@ def test_a_plug_in_is_not_run_because_a_shard_names_it(
     assert main(words) == 0
     marker.unlink()
     capsys.readouterr()
-    monkeypatch.setattr(plugins, "_LOADED", {})
+    monkeypatch.setattr(plugins, "_LOADED", {})  # as in another process
     command = ["gather", str(shard), "--out", str(out), "--quiet"]
     assert main(command) == 2
     (line,) = capsys.readouterr().err.splitlines()
@@ -151,9 +141,7 @@ def test_a_plug_in_is_not_run_because_a_shard_names_it(
     assert load_results(out).runs["outcome"].tolist() == ["finished"]
 
 
-def test_links_and_copies_in_a_shard_are_not_gathered(
-    copies: list[Path], undisturbed: Path, tmp_path: Path
-) -> None:
+def test_links_are_not_gathered(copies: list[Path], undisturbed: Path, tmp_path: Path) -> None:
     (tmp_path / "secret").write_text("{}", encoding="utf-8")
     (copies[0] / "cells" / f"design-{16 * 'a'}.json").symlink_to(tmp_path / "secret")
     (copies[1] / "cells" / "part-00001 (copy).parquet").touch()

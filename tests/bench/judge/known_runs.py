@@ -52,7 +52,6 @@ def round_ship(sample_s: float = SAMPLE_S, **changes: Any) -> Scenario:
 
 
 def with_controller(kind: type[Controller], problem: ControlProblem, **fields: Any) -> Scenario:
-    """Return the ship of round numbers with a controller of another kind and problem."""
     ship = round_ship()
     own = {f.name: getattr(ship.controller, f.name) for f in dataclass_fields(Controller)}
     return replace(ship, controller=kind(**(own | {"problem": problem} | fields)))
@@ -75,7 +74,6 @@ def thruster_ship(control: ThrusterControl, R: np.ndarray | None = None) -> Scen
 
 
 def exact_loop(pose: Rows, tau: Rows, thrust: Rows | None = None) -> ExactLoop:
-    """Return an exactly solved loop of these poses [m, m, rad] and forces, at rest."""
     state = np.zeros((len(pose), 6))
     state[:, 3:] = pose
     forces = np.array(tau, dtype=float)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench import load_results, load_scenario, record_sequence, run_campaign
+from dpbench import load_results, load_scenario, record_sequence
 from dpbench.bench.judge.answer_caching import caching_metrics, is_remembered
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.run.formulation import replay_formulation
@@ -19,16 +19,15 @@ from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
-from dpbench.solvers import plugins
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
+from tests.bench.deterministic import run_suite, suite_toml
 
 WORK_NS, LOOK_UP_NS, SETUP_NS = 2_000_000, 14_000, 50_000_000
 STEPS, WARM_UP, ROUNDS = 80, 20, 4
 
 
 def remembers(row: Mapping[str, Any]) -> bool:
-    """Whether a row of `runs.parquet` is of remembered answers."""
     return bool(is_remembered(row["first_visit_ratio"], row["loop_ratio"]))
 
 
@@ -100,8 +99,6 @@ class ByBytes(Honest):
 
 
 class ByIndex(ByBytes):
-    """Counts the steps since the last reset."""
-
     def look_up(self) -> Solution | None:
         return self.known.get(self.index)
 
@@ -143,8 +140,6 @@ class HardQuarter(ByBytes):
 
 
 class HardQuarterSolved(HardQuarter):
-    """An honest one whose every fourth step is hard."""
-
     def keep(self, solution: Solution) -> None:
         pass
 
@@ -219,9 +214,7 @@ def test_whoever_remembers_is_marked(make: type[Honest], again: int, sequence: Q
 
 
 @pytest.mark.parametrize(("make", "marked"), [(HardQuarter, True), (HardQuarterSolved, False)])
-def test_a_memory_of_hard_steps_is_marked(
-    make: type[Honest], marked: bool, sequence: QPSequence
-) -> None:
+def test_memory_of_hard_steps(make: type[Honest], marked: bool, sequence: QPSequence) -> None:
     """The median of first visits over later ones is 1 for both."""
     log = replayed(make, sequence)
     log.counters[:] = 0.0
@@ -282,37 +275,18 @@ def solve(qp):
 RECORD = solver_record("table", method="none", module="quadprog", distribution="quadprog")
 open = opener("table", solve)
 """
-SUITE = """
-title = "Memory"
-solvers = ["table", "quadprog"]
-baseline_law = false
-cell_limit_s = 60.0  # what a loaded machine keeps
-rounds = 3
-warmup_steps = 10
-
-[[closed_loop]]
-scenarios = ["paper"]
-steps = 60
-routes = ["native"]
-policies = ["fresh"]
-
-[[replay]]
-scenario = "paper"
-steps = 60
-routes = ["native"]
-policies = ["fresh"]
-"""
+CALLS = {"steps": 60, "routes": ["native"], "policies": ["fresh"]}
+SUITE = suite_toml(
+    **{"solvers": ["table", "quadprog"], "rounds": 3, "warmup_steps": 10},
+    closed_loop=[{"scenarios": ["paper"], **CALLS}],
+    replay=[{"scenario": "paper", **CALLS}],
+)
 
 
 @pytest.mark.alone  # Real times are compared.
-def test_a_campaign_marks_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both witnesses reach `runs.parquet`."""
-    monkeypatch.setattr(plugins, "_LOADED", {})
+def test_a_campaign_marks_it(tmp_path: Path) -> None:
     (tmp_path / "table.py").write_text(PLUGIN, encoding="utf-8")
-    (tmp_path / "memory.toml").write_text(SUITE, encoding="utf-8")
-    out = run_campaign(
-        tmp_path / "memory.toml", tmp_path / "out", solver_module=tmp_path / "table.py"
-    )
+    out = run_suite(tmp_path, SUITE, solver_module=tmp_path / "table.py")
     runs = load_results(out).runs.set_index(["solver", "mode"])
     assert (runs["outcome"] == "finished").all()
     table = runs.loc[("table", "replay")]

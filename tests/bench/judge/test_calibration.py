@@ -65,9 +65,7 @@ def test_a_quick_calibration_times_the_rounds_after_the_warm_up(clock: list[RawL
     assert READING_NS <= found.p50_ns[NO_OP] <= 5 * READING_NS
 
 
-def test_the_median_of_a_calibration_is_that_of_its_counted_rounds(
-    clock: list[RawLog], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_median_of_counted_rounds(clock: list[RawLog], monkeypatch: pytest.MonkeyPatch) -> None:
     """A warm-up of 1 s a step and rounds of 1, 2, 4, 8 and 16 ns a step have a median of 4.
 
     Kernels of 9 (the warm-up), 4, 4, 6, 6 and 4: beyond 1.25 times the best are two rounds.
@@ -93,9 +91,7 @@ def test_the_median_of_a_calibration_is_that_of_its_counted_rounds(
 
 @pytest.mark.parametrize("collecting", [True, False])
 @pytest.mark.parametrize("breaks", [True, False])
-def test_a_calibration_leaves_the_process_as_it_was(
-    collecting: bool, breaks: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_process_restored(collecting: bool, breaks: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     cores, seen = os.sched_getaffinity(0), []
 
     def replayed(name: str) -> object:

@@ -147,7 +147,6 @@ def evaluations(cases: list[Case], own: QuadraticProgram | None = None) -> list[
 
 
 def evaluation(qp: QuadraticProgram, z: Any, y_box: Any, status: Status = Status.SOLVED) -> Any:
-    """Return the figures of one answer, whose rows have no multipliers."""
     y = np.full(2, np.nan) if np.isnan(y_box).any() else np.zeros(2)
     (found,) = evaluations([(qp, Solution(status, np.array(z), y, np.array(y_box)))])
     return found
@@ -157,9 +156,7 @@ def evaluation(qp: QuadraticProgram, z: Any, y_box: Any, status: Status = Status
     ("q", "active"), [([0.5, -0.5], 0), ([3.0, -0.5], 1), ([-3.0, 2.0], 2), ([0.5, 1.0001], 1)]
 )
 @pytest.mark.parametrize("status", [Status.SOLVED, Status.MAX_ITERATIONS, Status.UNKNOWN])
-def test_the_optimum_is_true_under_any_usable_status(
-    q: list[float], active: int, status: Status
-) -> None:
+def test_the_optimum_is_true_under_any_status(q: list[float], active: int, status: Status) -> None:
     found = evaluation(problem(q), -np.clip(q, -1.0, 1.0), np.clip(q, -1.0, 1.0) - q, status)
     assert found["n_active"] == active
     assert found["error_plan"] == 0.0 and found["true_1e6"] == 1.0 and found["dual"] == 0.0
@@ -217,9 +214,7 @@ def test_an_answer_is_true_at_the_tolerances_it_satisfies(off: float, true: list
 
 
 @pytest.mark.parametrize(("short", "dual"), [(1e-6, 0.0), (3e-6, 1.000003)])
-def test_an_answer_without_multipliers_gets_those_of_the_limits_it_meets(
-    short: float, dual: float
-) -> None:
+def test_missing_multipliers_are_those_of_the_limits_met(short: float, dual: float) -> None:
     """A limit of 1 is met to within 1e-6·(1 + 1); its multiplier then balances z - 2."""
     found = evaluation(problem([-2.0, 0.0]), [1.0 - short, 0.0], [np.nan, np.nan])
     assert found["dual"] == pytest.approx(dual, rel=1e-9, abs=1e-12)

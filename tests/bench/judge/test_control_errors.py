@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from tests.bench.judge.known_runs import metrics_of, round_ship
 
@@ -87,9 +85,7 @@ def test_the_tail_is_the_second_half_with_the_middle_sample() -> None:
         ([1.0, -0.25, -0.75], 0.75),
     ],
 )
-def test_overshoot_is_the_excursion_to_the_other_side(
-    errors: list[float], overshoot: float
-) -> None:
+def test_overshoot_is_the_excursion_beyond(errors: list[float], overshoot: float) -> None:
     found = metrics_of([[e, e, e] for e in (*errors, 0.0)])
     for axis in ("n", "e", "psi"):
         assert found[f"overshoot_{axis}"] == pytest.approx(overshoot)
@@ -195,34 +191,3 @@ def test_pose_error_weighs_the_heading_less_the_further_away() -> None:
     """The mean of 0 + 0.4, 1 + 0.75·0.4 and 2 + 0.5625·0.8 is 4.15/3, headings in radians."""
     found = metrics_of([[0, 0, 0.4], [0, 1, -0.4], [-2, 0, -0.8], [0, 0, 0]])
     assert found["pose_error"] == pytest.approx(4.15 / 3)
-
-
-errors = st.lists(
-    st.tuples(*[st.floats(-8.0, 8.0, allow_subnormal=False)] * 2, st.floats(-0.2, 0.2)),
-    min_size=2,
-    max_size=9,
-)
-SIZES = ("r_rms_m", "r_95_m", "r_max_m", "r_tail_max_m", "heading_rms_deg", "heading_max_deg")
-OF_AXES = ("iae", "ise", "itae", "overshoot")
-
-
-@settings(derandomize=True, max_examples=25)
-@given(errors)
-def test_the_mirrored_run_has_the_same_figures(run: list[tuple[float, float, float]]) -> None:
-    mirrored = [[n, -e, -psi] for n, e, psi in run]
-    np.testing.assert_equal(metrics_of(mirrored), metrics_of(run))
-
-
-@settings(derandomize=True, max_examples=25)
-@given(errors, st.sampled_from([0.5, 4.0]))
-def test_figures_grow_with_the_error_as_their_units_say(
-    run: list[tuple[float, float, float]], factor: float
-) -> None:
-    one, scaled = metrics_of(run), metrics_of([[factor * part for part in pose] for pose in run])
-    for name in SIZES:
-        assert scaled[name] == pytest.approx(factor * one[name], rel=1e-12, abs=1e-100)
-    for axis in ("n", "e", "psi"):
-        for name in OF_AXES:
-            power = 2 if name == "ise" else 1
-            expected = factor**power * one[f"{name}_{axis}"]
-            assert scaled[f"{name}_{axis}"] == pytest.approx(expected, abs=1e-100, nan_ok=True)

@@ -25,9 +25,7 @@ NAN = math.nan
         ((NAN, NAN, NAN, NAN), False),
     ],
 )
-def test_each_figure_beyond_its_limit_shows_a_memory(
-    figures: tuple[float, float, float, float], remembered: bool
-) -> None:
+def test_limits_of_figures(figures: tuple[float, float, float, float], remembered: bool) -> None:
     assert is_remembered(*figures) is remembered
 
 
@@ -185,9 +183,7 @@ REPLAY = {"mode": "replay", "raw_p50_ns": 2.0, "raw_p90_ns": 8.0}
         ({"steps_done": 101, "raw_p50_ns": 6.0, "scenario": "calm"}, (5.0, 2.5)),
     ],
 )
-def test_the_longest_sound_loop_of_a_configuration_over_its_replay(
-    loop: dict[str, Any], ratios: tuple[float, float]
-) -> None:
+def test_the_longest_loop_is_compared(loop: dict[str, Any], ratios: tuple[float, float]) -> None:
     found = with_loop_ratio(_rows({}, REPLAY, loop))
     assert found.loc[1, ["loop_ratio", "loop_tail_ratio"]].to_list() == list(ratios)
     assert found.loc[[0, 2], ["loop_ratio", "loop_tail_ratio"]].isna().all().all()

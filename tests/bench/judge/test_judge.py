@@ -161,9 +161,7 @@ def test_a_malformed_answer_is_one_failed_step_of_a_round(name: str, recorded: Q
 
 @pytest.mark.parametrize("formulation", ["condensed_stacked", "sparse"])
 @pytest.mark.parametrize("name", ["list", "too short", "no y"])
-def test_an_answer_is_looked_at_before_it_is_mapped_back(
-    name: str, formulation: Formulation, recorded: QPSequence
-) -> None:
+def test_answers_before_mapping(name: str, formulation: Formulation, recorded: QPSequence) -> None:
     solver = Planted(MALFORMED[name][0], open_workspace("piqp", route="native", policy="reuse"))
     steps = _replayed(recorded, solver, formulation)
     assert (steps[steps["repeat"] == 1]["status"] == "ERROR").sum() == 1

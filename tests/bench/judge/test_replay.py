@@ -175,7 +175,7 @@ def test_only_what_was_recorded_is_compared() -> None:
 
 
 @pytest.mark.parametrize("counts", [(-1, -1, -1), (-1, 4, 4)])
-def test_a_solver_that_does_not_count_is_not_said_to_repeat_its_count(
+def test_a_solver_that_does_not_count_has_no_repeatability(
     counts: tuple[int, ...],
 ) -> None:
     """−1 is no number of iterations."""

@@ -247,8 +247,6 @@ def test_each_kind_of_step_is_charged_as_the_method_states(as_table: bool) -> No
         (7.0, float("nan"), 7),
     ],
 )
-def test_switches_explain_late_timings_in_proportion_to_timed_calls(
-    switches: float, timed_share: float, explained: int
-) -> None:
+def test_switches_explain_late_timings(switches: float, timed_share: float, explained: int) -> None:
     """A share of 1 % is hit by 4 % of the switches, plus three standard deviations."""
     assert rules.explained_late_timings(switches, timed_share) == explained

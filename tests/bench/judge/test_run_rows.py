@@ -272,7 +272,5 @@ def test_steps_to_the_next_good_one(bad: str, good: str, steps: int | None) -> N
     ("concurrency", "machine", "ranked"),
     [(1.0, "a", True), (2.0, "a", False), (1.0, "b", False), (NAN, "b", True), (1.5, "a", False)],
 )
-def test_times_are_ranked_where_they_were_taken_alone(
-    concurrency: float, machine: str, ranked: bool
-) -> None:
+def test_times_taken_alone_are_ranked(concurrency: float, machine: str, ranked: bool) -> None:
     assert is_ranked(concurrency, machine, "a") is ranked

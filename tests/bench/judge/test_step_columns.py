@@ -120,9 +120,7 @@ def test_a_step_without_a_computation_claims_nothing() -> None:
         ([9.0, 9.0, 4.0], [True, True, False], [False, False, True]),
     ],
 )
-def test_rounds_of_a_replay(
-    kernels: list[float], disturbed: list[bool], counts: list[bool]
-) -> None:
+def test_replay_rounds(kernels: list[float], disturbed: list[bool], counts: list[bool]) -> None:
     columns = of_qps(STEP_TIMES) | {
         "repeat": np.array([0, 1, 2], dtype=np.int32),
         "t_s": np.zeros(3),

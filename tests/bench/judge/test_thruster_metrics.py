@@ -173,9 +173,7 @@ def ramped(to: float, increment: float) -> list[list[float]]:
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize(("last", "violations"), [(25.0, 0), (25.0 + 1e-6, 1), (25.5, 1)])
-def test_a_force_beyond_its_own_limit_is_a_violation(
-    side: float, last: float, violations: int
-) -> None:
+def test_a_force_beyond_its_limit_is_a_violation(side: float, last: float, violations: int) -> None:
     """The tunnel thruster gives at most 25 N."""
     run = [*ramped(side * 25.0, 1.25), [0, 0, side * last, 0]]
     assert metrics_of(run)["limit_violations"] == violations
@@ -198,9 +196,7 @@ def test_a_force_beyond_its_own_limit_is_a_violation(
         (0.0, 8.8751, 1),
     ],
 )
-def test_a_limit_that_drops_leaves_the_way_back(
-    side: float, limit: float, last: float, violations: int
-) -> None:
+def test_the_way_back_from_a_limit(side: float, limit: float, last: float, violations: int) -> None:
     """A force beyond a limit that has just dropped may return at 0.9 of its rate."""
     run = [*ramped(side * 10.0, 1.25), [0, 0, side * last, 0]]
     low, high = (np.tile(of_rows, (len(run), 1)) for of_rows in (ROWS.low, ROWS.high))
@@ -211,9 +207,7 @@ def test_a_limit_that_drops_leaves_the_way_back(
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize(("beyond", "violations"), [(1.9e-8, 0), (2.1e-8, 1)])
-def test_rounding_of_the_way_back_is_a_share_of_the_increment(
-    side: float, beyond: float, violations: int
-) -> None:
+def test_rounding_is_a_share_of_the_increment(side: float, beyond: float, violations: int) -> None:
     """From 100 N the main thruster returns to 100 - 0.9·20 = 82 N; 1e-9 of 20 N are rounding."""
     run = [[0, 0, 0, side * 20.0 * i] for i in range(1, 6)]
     run.append([0, 0, 0, side * (82.0 + beyond)])

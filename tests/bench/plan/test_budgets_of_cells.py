@@ -19,13 +19,11 @@ from dpbench.solvers.table import Availability
 
 
 def cells_of(**tables: Any) -> list[Cell]:
-    """Return the cells that a suite of one solver plans."""
     suite = SuiteFile(title="x", solvers=["daqp"], baseline_law=False, **tables)
     return [planned.cell for planned in plan(suite)]
 
 
 def loop(scenario: str = "calm", **fields: Any) -> Cell:
-    """Return a cell of a closed loop of three steps."""
     files = load_scenario(scenario).files
     return Cell("closed_loop", files, "daqp", "native", "warm", "high", 3, **fields)
 
@@ -72,7 +70,6 @@ def test_a_cell_that_names_no_budget_has_the_fallback_values() -> None:
 
 
 def worker(spent_s: float, clean_rounds: int, budget_s: float) -> ReplayWorker:
-    """Return a worker with this run time and number of undisturbed rounds."""
     cell = Cell("replay", {}, "daqp", "native", "warm", "high", 4, budget_s=budget_s)
     found = ReplayWorker("run", cell, cast(Any, None))
     found.spent_s, found.clean_rounds = spent_s, clean_rounds
@@ -98,9 +95,7 @@ def test_a_spent_budget_ends_a_replay_after_three_rounds(
 
 
 @pytest.mark.parametrize(("clean_rounds", "is_budget_exhausted"), [(1, False), (2, True)])
-def test_a_spent_budget_ends_a_window_after_two_rounds(
-    clean_rounds: int, is_budget_exhausted: bool
-) -> None:
+def test_a_spent_budget_ends_a_window(clean_rounds: int, is_budget_exhausted: bool) -> None:
     found = worker(9.0, clean_rounds, 2.0)
     found.cell = replace(found.cell, source=HardestSource("x", 450))
     assert found.is_budget_exhausted is is_budget_exhausted
@@ -109,9 +104,7 @@ def test_a_spent_budget_ends_a_window_after_two_rounds(
 @pytest.mark.parametrize(
     ("deadline_s", "budget_ns"), [(0.0, 300_000_000), (0.1, 100_000_000), (0.3, 300_000_000)]
 )
-def test_without_a_deadline_a_step_may_take_its_whole_sample(
-    deadline_s: float, budget_ns: int
-) -> None:
+def test_without_a_deadline_a_step_has_its_sample(deadline_s: float, budget_ns: int) -> None:
     cell = loop(slowdown=2.0, deadline_s=deadline_s)
     delay = find_delay(cell, 0.3)
     assert (delay.budget_ns, delay.sample_ns, delay.slowdown) == (budget_ns, 300_000_000, 2.0)
@@ -119,7 +112,6 @@ def test_without_a_deadline_a_step_may_take_its_whole_sample(
 
 
 def recorded_deadline_s(cell: Cell) -> float:
-    """Return the deadline in the row of a cell that was refused."""
     row = run_row("run", cell, Outcome("refused", ""), Availability(True), "", None, None)
     return float(row["deadline_s"])
 

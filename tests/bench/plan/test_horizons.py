@@ -1,6 +1,5 @@
 """Horizon sweeps: planned once per pair of horizons, refused in one line, recorded with sizes."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -17,34 +16,20 @@ from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.qp.referee.referee import certify
 from dpbench.scenario.scenario import build_scenario
-from tests.bench.deterministic import head
+from tests.bench.deterministic import suite_file, suite_toml
 
-SUITE = (
-    head(rounds=1, warmup_steps=2)
-    + """
-[[replay]]
-scenario = "paper"
-steps = 12
-horizons = {horizons}
-routes = ["native"]
-policies = ["reuse"]
 
-[[random]]
-families = ["degenerate"]
-sizes = [[5, 8]]
-"""
-)
+def _written(folder: Path, *horizons: str) -> Path:
+    replay = {"scenario": "paper", "steps": 12, "horizons": horizons}
+    calls = {"routes": ["native"], "policies": ["reuse"]}
+    random = {"families": ["degenerate"], "sizes": [[5, 8]]}
+    tables = {"replay": [replay | calls], "random": [random]}
+    return suite_file(folder, suite_toml(rounds=1, warmup_steps=2, **tables))
 
 
 def _suite(*horizons: str, scenario: str = "paper") -> SuiteFile:
     table = ReplayTable(scenario=scenario, steps=12, horizons=list(horizons))
     return SuiteFile(title="x", solvers=["daqp"], baseline_law=False, replay=[table])
-
-
-def _written(folder: Path, horizons: str) -> Path:
-    path = folder / "two.toml"
-    path.write_text(SUITE.replace("{horizons}", horizons), encoding="utf-8")
-    return path
 
 
 def test_each_pair_of_horizons_is_a_problem_of_its_own() -> None:
@@ -69,10 +54,8 @@ def test_without_horizons_those_of_the_tuning_hold_under_the_plain_name() -> Non
 @pytest.mark.parametrize(
     "text", ["30", "30/", "/5", "5/30", "30/0", "0/0", "30/5/2", "-30/5", "3 0/5"]
 )
-def test_bad_horizons_are_refused_in_one_line(
-    tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = _written(tmp_path, json.dumps(["30/5", text]))
+def test_bad_horizons(tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    path = _written(tmp_path, "30/5", text)
     assert main(["run", str(path), "--out", str(tmp_path / "out")]) == 2
     found = capsys.readouterr()
     (line,) = found.err.strip().splitlines()
@@ -82,7 +65,7 @@ def test_bad_horizons_are_refused_in_one_line(
 
 def test_the_same_horizons_twice_and_too_long_ones_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="twice"):
-        load_suite(_written(tmp_path, '["30/5", "030/05"]'))
+        load_suite(_written(tmp_path, "30/5", "030/05"))
     with pytest.raises(InputError, match=r"paper with horizons 2000/5.*prediction_horizon"):
         plan(_suite("2000/5"))
 
@@ -99,7 +82,7 @@ def test_names_of_sweeps_must_differ_from_those_of_scenarios(tmp_path: Path) -> 
 
 @pytest.mark.slow
 def test_the_rows_say_how_large_their_problems_are(tmp_path: Path) -> None:
-    out = run(_written(tmp_path, '["20/4", "6/2"]'), tmp_path / "out")
+    out = run(_written(tmp_path, "20/4", "6/2"), tmp_path / "out")
     runs = load_results(out).runs.set_index("sequence")
     for name, sizes in {"paper-20-4": (20, 4, 12, 12), "paper-6-2": (6, 2, 6, 6)}.items():
         assert tuple(runs.loc[name, ["N_p", "N_c", "n", "m"]]) == sizes
@@ -121,9 +104,7 @@ def test_stacked_form_is_counted_as_the_solver_gets_it() -> None:
 @pytest.mark.parametrize(
     ("name", "pair"), [("paper", (30, 5)), ("paper", (80, 20)), ("turn", (20, 4))]
 )
-def test_a_loop_keeps_the_optimum_of_every_step(
-    tmp_path: Path, name: str, pair: tuple[int, int]
-) -> None:
+def test_loops_keep_their_optima(tmp_path: Path, name: str, pair: tuple[int, int]) -> None:
     scenario = with_horizons(load_scenario(name), *pair).first(6)
     exact = solve_exactly(scenario)
     exact.save(tmp_path / "exact.npz")

@@ -35,9 +35,7 @@ def _suite(study: dict[str, Any], **of_suite: Any) -> SuiteFile:
     drawn=st.sampled_from([1, 2, 4]),
     replicates=st.integers(1, 3),
 )
-def test_points_are_every_combination_once(
-    sizes: list[int], zipped: int, drawn: int, replicates: int
-) -> None:
+def test_points_of_a_product(sizes: list[int], zipped: int, drawn: int, replicates: int) -> None:
     table = StudyTable(
         base="x",
         product={f"p{i}": list(range(size)) for i, size in enumerate(sizes)},
@@ -115,9 +113,7 @@ def test_columns_of_a_study_in_the_table_of_runs() -> None:
         ({"base": "weathr"}, "weathr.*weather"),
     ],
 )
-def test_a_study_that_cannot_be_is_refused_with_the_reason(
-    study: dict[str, Any], said: str
-) -> None:
+def test_an_impossible_study_is_refused(study: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=said):
         plan(_suite(study))
 

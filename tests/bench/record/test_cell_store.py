@@ -67,7 +67,6 @@ def row_of(name: str, **changes: Any) -> dict[str, Any]:
 
 
 def part(*names: str, seed: int = 0, **changes: Any) -> BatchPart:
-    """A batch of those cells, each of other steps."""
     return batch_part(
         {
             name: (row_of(name, **changes), step_batch(steps_of(seed + i)))
@@ -85,7 +84,6 @@ def filled(out: Path, *names: str) -> CellStore:
 
 
 def write_public(out: Path, *names: str) -> None:
-    """Write the public tables of those cells."""
     store = CellStore(out)
     steps = StepFile(out / "steps.part")
     for seed, name in enumerate(names):
@@ -94,7 +92,6 @@ def write_public(out: Path, *names: str) -> None:
 
 
 def tables_of(store: CellStore) -> list[pa.Table]:
-    """The steps that the store gives, run by run."""
     _, sources = store.collect_rows()
     tables = [group.read_table() for group in store.find_groups(sources)]
     names = [name for table in tables for name in table["run_id"].unique().to_pylist()]
@@ -103,7 +100,6 @@ def tables_of(store: CellStore) -> list[pa.Table]:
 
 
 def names_in(store: CellStore) -> list[str]:
-    """The runs whose steps the store gives, in order."""
     return [table["run_id"][0].as_py() for table in tables_of(store)]
 
 
@@ -212,9 +208,7 @@ def test_cells_without_steps_are_finished(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("copied_rows", [1, 10**6])
-def test_tables_of_parts_are_joined(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, copied_rows: int
-) -> None:
+def test_joining_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, copied_rows: int) -> None:
     monkeypatch.setattr(cell_store, "COPIED_ROWS", copied_rows)
     store = filled(tmp_path, "a", "b", "c")
     rows, sources = store.collect_rows()
@@ -257,9 +251,7 @@ def test_what_is_forgotten_is_there_only_if_it_comes_again(tmp_path: Path) -> No
     assert sorted(names_in(store)) == ["b", "c"]
 
 
-def test_of_a_damaged_file_the_groups_that_can_be_read_count(
-    tmp_path: Path, monkeypatch: Any
-) -> None:
+def test_readable_groups_of_a_damaged_file_count(tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setattr(cell_store, "GROUP_ROWS", 1)
     write_public(tmp_path, *"abc")
     public = CellStore(tmp_path).public
@@ -313,9 +305,7 @@ def test_own_files_are_not_remarked_on(tmp_path: Path) -> None:
     assert not list(tmp_path.rglob("*.part"))
 
 
-def test_tables_are_on_the_disk_before_the_parts_go(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_tables_are_synced_before_parts_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     events: list[tuple[str, str]] = []
     store, fsync, replace, unlink = filled(tmp_path, "a"), os.fsync, Path.replace, Path.unlink
 

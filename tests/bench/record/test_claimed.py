@@ -28,9 +28,7 @@ class _Said:
 
 
 @pytest.mark.parametrize("first", ["campaign", "report"])
-def test_a_report_and_a_campaign_wait_for_each_other(
-    tmp_path: Path, first: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_writers_take_turns(tmp_path: Path, first: str, monkeypatch: pytest.MonkeyPatch) -> None:
     said, order = _Said(), list[str]()
     monkeypatch.setattr(sys, "stderr", said)
     folder = tmp_path / "out"

@@ -25,9 +25,7 @@ KINDS: list[tuple[dict[str, Any], bool, bool]] = [
 
 
 @pytest.mark.parametrize(("described", "timed", "judged"), KINDS)
-def test_a_source_is_described_as_ever(
-    described: dict[str, Any], timed: bool, judged: bool
-) -> None:
+def test_descriptions_of_sources(described: dict[str, Any], timed: bool, judged: bool) -> None:
     source = parse_source(described)
     assert source.to_dict() == described
     assert (source.is_timed, source.is_judged) == (timed, judged)

@@ -42,9 +42,7 @@ def copy(made: Path, tmp_path: Path) -> Path:
         ("schema", 1, "schema: found schema [1]"),
     ],
 )
-def test_a_row_that_no_campaign_writes_is_refused(
-    copy: Path, column: str, value: object, found: str
-) -> None:
+def test_impossible_rows_are_refused(copy: Path, column: str, value: object, found: str) -> None:
     path = copy / "runs.parquet"
     runs = pd.read_parquet(path).assign(**{"N_p": 30, "N_c": 5, column: value})
     runs.to_parquet(path, index=False)

@@ -70,7 +70,6 @@ def run_loop(
     backup: Workspace | None = None,
     **given: Any,
 ) -> tuple[RawLog, bool]:
-    """Return the log of a closed loop, and whether all steps were done."""
     builder = QPBuilder(scenario, sparse=formulation == "sparse")
     log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes, backup=backup is not None))
     formulated = loop_formulation(formulation, builder, base_problem(builder.condensed))

@@ -93,9 +93,7 @@ def test_when_both_fail_the_fallback_acts(scenario: Scenario) -> None:
     assert np.flatnonzero(log.flags[:, 0]).tolist() == [4, 5, 6]
 
 
-def test_without_a_backup_there_is_none(
-    scenario: Scenario, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_backup_by_default(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Backup, "__init__", None)
     run = run_closed_loop(scenario, FailingAt({3}))
     assert not run.steps["backup"].any() and run.summary["backup_asked"] is pd.NA

@@ -286,9 +286,7 @@ def test_the_time_of_both_solvers_is_no_overhead(case: Scenario) -> None:
     assert counts[0] == [count + 2 for count in counts[1]]
 
 
-def test_a_stored_loop_knows_its_allocations_and_the_size_of_a_log(
-    case: Scenario, exact: ExactLoop, tmp_path: Path
-) -> None:
+def test_stored_loops_have_allocations(case: Scenario, exact: ExactLoop, tmp_path: Path) -> None:
     path = tmp_path / "loop.npz"
     for loop in (exact, solve_exactly(scenario(3, allocation="pseudo_inverse"))):
         loop.save(path)

@@ -32,8 +32,6 @@ Answer = Callable[[int, QPStep], Solution]
 
 
 class Scripted(Workspace):
-    """Answers step k with what a script says."""
-
     def __init__(self, answer: Answer) -> None:
         super().__init__("scripted", "native", "reuse")
         self.answer, self.k, self.resets = answer, -1, 0
@@ -159,9 +157,7 @@ def test_shifted_plan_follows_the_last_plan_then_holds(scenario: Scenario) -> No
     assert workspace.resets == 37, "the workspace is reset after every unusable answer"
 
 
-def test_the_exact_loop_follows_its_last_plan_where_nothing_is_proven(
-    scenario: Scenario, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_step_without_certificate(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
     """A loop has its table although a step has no certificate; its QPs are not published."""
     certify, count = Referee.certify, itertools.count()
 
@@ -184,7 +180,6 @@ def test_the_exact_loop_follows_its_last_plan_where_nothing_is_proven(
 
 
 def test_hold_keeps_the_force(scenario: Scenario) -> None:
-    """Fallback `hold` applies the last force unchanged."""
     log, _, _ = run(scenario, failing_from(3), "hold")
     np.testing.assert_array_equal(log.tau[3:], np.tile(log.tau[2], (37, 1)))
 
@@ -210,9 +205,7 @@ def test_clip_is_the_unconstrained_law(scenario: Scenario) -> None:
         *((status, False) for status in (Status.ERROR, Status.TIME_LIMIT)),
     ],
 )
-def test_an_unfinished_iterate_is_applied_and_one_under_a_failed_status_is_not(
-    scenario: Scenario, status: Status, is_applied: bool
-) -> None:
+def test_which_answers_are_applied(scenario: Scenario, status: Status, is_applied: bool) -> None:
     """The first moves the ship and is `unconverged`; instead of the second the fallback acts."""
     answer = Solution(status, np.full(15, 0.25), np.zeros(15), np.zeros(15))
     log, _, _ = run(scenario, lambda k, step: answer)
@@ -256,9 +249,7 @@ axis = st.floats(-1.0, 1.0)
     low=st.floats(-0.8, -0.05),
     high=st.floats(0.05, 0.8),
 )
-def test_limit_move_keeps_rate_and_reachable_amplitude(
-    u: float, du: float, step: float, low: float, high: float
-) -> None:
+def test_limits_of_random_moves(u: float, du: float, step: float, low: float, high: float) -> None:
     applied = np.empty(1)
     arrays = (np.array([v]) for v in (step, u, du, low, high))
     limit_move(*arrays, applied)

@@ -13,7 +13,6 @@ from dpbench import (
     open_workspace,
     record_sequence,
     replay,
-    run_campaign,
     run_closed_loop,
     write_report,
 )
@@ -31,6 +30,7 @@ from dpbench.qp.solution import Solution
 from dpbench.scenario.scenario import Scenario, build_scenario
 from dpbench.solvers.contract import Policy, Workspace
 from dpbench.solvers.table import check_availability
+from tests.bench.deterministic import run_suite, suite_toml
 
 SOLVER = "piqp_multistage"
 HIGH = dict.fromkeys(("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"), 1e-12)
@@ -204,30 +204,15 @@ def test_the_old_key_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 @pytest.mark.slow
 def test_a_campaign_shows_formulations_side_by_side(tmp_path: Path) -> None:
-    path = tmp_path / "three.toml"
-    path.write_text(
-        """
-title = "Three formulations"
-solvers = ["clarabel", "quadprog"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 2
-warmup_steps = 5
-
-[[replay]]
-scenario = "paper"
-steps = 20
-formulations = ["condensed_box", "condensed_stacked", "sparse"]
-routes = ["qpsolvers", "native"]
-
-[[closed_loop]]
-scenarios = ["paper"]
-steps = 20
-formulations = ["condensed_box", "sparse"]
-""",
-        encoding="utf-8",
+    calls = {"formulations": ["condensed_box", "condensed_stacked", "sparse"], "steps": 20}
+    text = suite_toml(
+        **{"solvers": ["clarabel", "quadprog"], "rounds": 2, "warmup_steps": 5},
+        replay=[{"scenario": "paper", "routes": ["qpsolvers", "native"], **calls}],
+        closed_loop=[
+            {"scenarios": ["paper"], "steps": 20, "formulations": ["condensed_box", "sparse"]}
+        ],
     )
-    out = run_campaign(path, tmp_path / "out")
+    out = run_suite(tmp_path, text)
     runs = load_results(out).runs
     clarabel = runs[runs["solver"] == "clarabel"]
     assert (clarabel["outcome"] == "finished").all() and len(clarabel) == 8
@@ -273,9 +258,7 @@ STEPS = {"hpipm": 5}
     ("scenario", "horizons", "steps"),
     [("paper", (30, 5), 40), ("paper_tight", (30, 5), 40), ("rough", (60, 10), 15)],
 )
-def test_exact_solvers_meet_the_bar(
-    solver: str, scenario: str, horizons: tuple[int, int], steps: int
-) -> None:
+def test_exact_solvers(solver: str, scenario: str, horizons: tuple[int, int], steps: int) -> None:
     case = with_horizons(load_scenario(scenario), *horizons).first(STEPS.get(solver, steps))
     condensed = record_sequence(case)
     sequence, form = replay_formulation("sparse", condensed)

@@ -51,9 +51,7 @@ def limited(
 
 
 @pytest.mark.parametrize(("u", "du", "low", "high", "applied"), LIMITED)
-def test_rate_first_then_amplitude_on_both_sides(
-    u: float, du: float, low: float, high: float, applied: float
-) -> None:
+def test_rate_then_amplitude(u: float, du: float, low: float, high: float, applied: float) -> None:
     assert limited([u], [du], [low], [high]) == ([applied], applied != u + du)
 
 

@@ -120,9 +120,7 @@ def test_an_answer_in_time_supersedes_the_late_one_that_arrives_with_it(scenario
     ("samples", "budget", "second"),
     [(1.0, 1.0, 1), (1.0, 0.5, 1), (1.01, 1.0, 2), (2.0, 1.0, 2), (0.5, 0.4, 1), (0.4, 0.4, 1)],
 )
-def test_the_instant_of_arrival(
-    scenario: Scenario, samples: float, budget: float, second: int
-) -> None:
+def test_arrival_instants(scenario: Scenario, samples: float, budget: float, second: int) -> None:
     log = run(scenario, Planned(lambda i: (samples, 1e6)[i]), budget=budget)
     assert asked(log) == [0, second]
     assert (surge_steps(log, scenario)[0] == 0.5) == (samples <= budget)
@@ -226,9 +224,7 @@ def test_slowdowns_are_an_axis_of_a_suite_and_leave_other_cells_alone() -> None:
         plan(SuiteFile(title="x", solvers=["daqp"], baseline_law=False, closed_loop=[late]))
 
 
-def test_the_slow_computer_is_out_of_the_way_of_ordinary_loops(
-    scenario: Scenario, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ordinary_loops_do_without_it(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SlowComputer, "__init__", None)
     assert not run_closed_loop(scenario, open_workspace("quadprog")).steps["late"].any()
 

@@ -208,9 +208,7 @@ LIMIT = scenario().controller.move_limit()
     st.lists(st.floats(-5.0, 5.0), min_size=7, max_size=7),
     st.sets(st.integers(0, 3)),
 )
-def test_what_is_applied_keeps_to_the_rate_and_never_leaves_the_rows_further(
-    share: list[float], moves: list[float], lost: set[int]
-) -> None:
+def test_applied_forces_keep_limits(share: list[float], moves: list[float], lost: set[int]) -> None:
     f = np.array(share) * SHIP.per_entry(SHIP.thrust_N)
     f /= max(1.0, float((np.abs(ROWS.G @ f) / ROWS.high).max()))
     limits = low, high, _ = ROWS.limits_after_loss(lost)

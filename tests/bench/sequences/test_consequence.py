@@ -47,7 +47,6 @@ def qp_of(thrusters: ThrusterSet, force: np.ndarray, group: str) -> QuadraticPro
 
 
 def corners(thruster: Thruster) -> np.ndarray:
-    """Corners of what a thruster may give (components, c) [N]."""
     if thruster.kind != "azimuth":
         return thruster.thrust_N * np.array([[-1.0, 1.0]])
     angle = 2.0 * math.pi * np.arange(SIDES) / SIDES
@@ -78,9 +77,7 @@ def largest_share(thrusters: ThrusterSet, force: np.ndarray, group: str) -> floa
 @given(
     st.tuples(*(st.floats(-1.0, 1.0) for _ in range(3))).filter(lambda f: max(map(abs, f)) > 0.1)
 )
-def test_a_loss_is_held_as_far_as_the_corners_reach(
-    group: str, direction: tuple[float, float, float]
-) -> None:
+def test_held_losses_reach_the_corners(group: str, direction: tuple[float, float, float]) -> None:
     assert RATOWNIK is not None
     force = np.array(direction) * [3e5, 3e5, 6e6]
     edge = largest_share(RATOWNIK, force, group)
@@ -109,7 +106,6 @@ def test_port_and_starboard_are_alike() -> None:
 
 
 def regrouped(groups: dict[str, str]) -> Scenario:
-    """`thrusters` with other failure groups."""
     files = copy.deepcopy(load_scenario("thrusters").files)
     for table in files["vessel"]["thrusters"]:
         table["group"] = groups.get(table["name"], "")

@@ -68,9 +68,7 @@ def test_before_the_first_step_no_limit_is_active() -> None:
         ([1, 2, 3], 3, 0),
     ],
 )
-def test_the_window_holds_the_hardest_step_and_most_hardness(
-    hard: list[int], steps: int, first: int
-) -> None:
+def test_the_window_holds_the_hardest_step(hard: list[int], steps: int, first: int) -> None:
     assert find_window_start(np.array(hard, dtype=float), steps) == first
 
 

@@ -119,9 +119,7 @@ def put(name: str, value: object) -> Callable[[Arrays], Arrays]:
         ),
     ],
 )
-def test_a_bad_problem_is_one_line(
-    change: Callable[[Arrays], Arrays], parts: list[str], folder: Path
-) -> None:
+def test_bad_problems(change: Callable[[Arrays], Arrays], parts: list[str], folder: Path) -> None:
     with np.load(folder / "step_10.npz", allow_pickle=False) as data:
         arrays = {name: data[name] for name in data.files}
     np.savez(folder / "step_10.npz", **change(arrays))

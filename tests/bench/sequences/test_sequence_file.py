@@ -82,9 +82,7 @@ def test_another_solver_finds_the_same_optima(file: Path) -> None:
     assert (a["bound"] < 1e-9).all()
 
 
-def test_the_same_sequence_makes_the_same_bytes(
-    file: Path, tight: QPSequence, tmp_path: Path
-) -> None:
+def test_a_sequence_has_the_same_bytes(file: Path, tight: QPSequence, tmp_path: Path) -> None:
     save_sequence(tmp_path / "again.npz", tight)
     assert (tmp_path / "again.npz").read_bytes() == file.read_bytes()
     assert [path.name for path in tmp_path.iterdir()] == ["again.npz"]

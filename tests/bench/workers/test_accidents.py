@@ -29,44 +29,26 @@ from dpbench.bench.workers import interleaved as interleave
 from dpbench.bench.workers import scratch
 from dpbench.bench.workers.jobs import Result
 from dpbench.cli.main import main
-from dpbench.solvers import plugins
-from tests.bench.deterministic import head
+from tests.bench.deterministic import run_suite, suite_file, suite_toml
 
 pytestmark = pytest.mark.slow
 
 STEPS = 8
-SUITE = (
-    head(solvers=["quadprog"], rounds=1, warmup_steps=0)
-    + f"""
-[[closed_loop]]
-scenarios = ["paper"]
-steps = {STEPS}
-
-[[replay]]
-scenario = "paper"
-steps = {STEPS}
-routes = ["qpsolvers", "native"]
-"""
-)
-RANDOM = f"""
-[[random]]
-families = ["no_rows"]
-sizes = [[3, 0], [4, 0]]
-steps = {STEPS}
-"""
+HEAD: dict[str, Any] = {"solvers": ["quadprog"], "rounds": 1, "warmup_steps": 0}
+LOOP = [{"scenarios": ["paper"], "steps": STEPS}]
+REPLAY = [{"scenario": "paper", "steps": STEPS, "routes": ["qpsolvers", "native"]}]
+RANDOM = [{"families": ["no_rows"], "sizes": [[3, 0], [4, 0]], "steps": STEPS}]
+SUITE = suite_toml(**HEAD, closed_loop=LOOP, replay=REPLAY)
 LEAVING = Path(__file__).with_name("leaving_plugin.py")
 ENOUGH, SHORT = 10**9, 10**3
 
 
 @pytest.fixture
 def suite(tmp_path: Path) -> Path:
-    path = tmp_path / "tiny.toml"
-    path.write_text(SUITE, encoding="utf-8")
-    return path
+    return suite_file(tmp_path, SUITE)
 
 
 def run(suite: Path, out: Path) -> int:
-    """Cells that the benchmark lost."""
     return read_accidents(run_campaign(suite, out))[0]
 
 
@@ -77,15 +59,16 @@ def outcomes(out: Path) -> list[str]:
     return list(runs["outcome"])
 
 
-def leave(way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit_s: float = 60.0) -> Path:
+def leave(way: str, tmp_path: Path, limit_s: float = 60.0) -> Path:
     """The folder of a run of a solver that leaves at its sixth call in a process."""
-    monkeypatch.setattr(plugins, "_LOADED", {})
-    text = (SUITE + RANDOM).replace('["quadprog"]', '["leaving"]').replace("60.0", f"{limit_s}")
-    (tmp_path / "tiny.toml").write_text(text.replace('"qpsolvers", ', ""), encoding="utf-8")
+    replay = [{"scenario": "paper", "steps": STEPS, "routes": ["native"]}]
+    tables = {"closed_loop": LOOP, "replay": replay, "random": RANDOM}
+    head = HEAD | {"solvers": ["leaving"], "cell_limit_s": limit_s}
+    suite = suite_file(tmp_path, suite_toml(**head, **tables))
     module = tmp_path / "leaving_plugin.py"
     module.write_text(LEAVING.read_text(encoding="utf-8").replace('"system_exit"]', f'"{way}"]'))
     out = tmp_path / "out"
-    arguments = ["run", str(tmp_path / "tiny.toml"), "--out", str(out)]
+    arguments = ["run", str(suite), "--out", str(out)]
     assert main([*arguments, "--solver-module", str(module), "--solver", "leaving"]) == 0
     return out
 
@@ -98,7 +81,7 @@ def test_a_hang_costs_its_step(
     way: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(supervise, "GRACE_S", 0.5)
-    results = load_results(leave(way, tmp_path, monkeypatch, limit_s=2.0))
+    results = load_results(leave(way, tmp_path, limit_s=2.0))
     runs = results.runs
     assert set(runs["outcome"]) == {"finished"}, runs["outcome_detail"].tolist()
     assert runs["outcome_detail"].str.contains(words, regex=False).any()
@@ -116,10 +99,8 @@ def test_a_hang_costs_its_step(
         ("abort", "crashed", "killed by SIGABRT"),
     ],
 )
-def test_a_solver_that_leaves_is_charged_with_it(
-    way: str, outcome: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    runs = load_results(leave(way, tmp_path, monkeypatch)).runs
+def test_a_leaving_solver_is_charged(way: str, outcome: str, words: str, tmp_path: Path) -> None:
+    runs = load_results(leave(way, tmp_path)).runs
     assert len(runs) == 4 and runs["run_id"].is_unique
     assert set(runs["outcome"]) == {outcome}, runs["outcome_detail"].tolist()
     assert runs["outcome_detail"].str.contains(words, regex=False).all()
@@ -129,9 +110,7 @@ def test_a_solver_that_leaves_is_charged_with_it(
     assert set(runs.loc[~replayed, "steps_done"]) == {5}
 
 
-def test_logs_lie_elsewhere_where_memory_is_short(
-    suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_logs_lie_elsewhere(suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     free = {scratch.MEMORY: SHORT}
     monkeypatch.setattr(scratch, "count_free_bytes", lambda place: free.get(place, ENOUGH))
     assert run(suite, tmp_path / "out") == 0
@@ -157,20 +136,16 @@ def test_without_room_anywhere_cells_are_lost_until_there_is(
     assert outcomes(out) == ["finished"] * 3
 
 
-def test_columns_of_an_earlier_time_do_not_stay_with_a_crash(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(plugins, "_LOADED", {})
-    path, module = tmp_path / "tiny.toml", tmp_path / "dying.py"
-    path.write_text(SUITE.replace("quadprog", "leaving").split("[[replay]]")[0], encoding="utf-8")
-    marker = tmp_path / "marker"
+def test_columns_of_an_earlier_time_do_not_stay_with_a_crash(tmp_path: Path) -> None:
+    text = suite_toml(**HEAD | {"solvers": ["leaving"]}, closed_loop=LOOP)
+    module, marker = tmp_path / "dying.py", tmp_path / "marker"
     dying = DYING.replace("MARKER", repr(str(marker)))
     module.write_text(LEAVING.read_text(encoding="utf-8") + dying, encoding="utf-8")
     arguments = {"solver_module": module, "solvers": ["leaving"]}
-    out = run_campaign(path, tmp_path / "out", **arguments)
+    out = run_suite(tmp_path, text, **arguments)
     assert list(load_results(out).runs["steps_done"]) == [5]
     marker.touch()
-    run_campaign(path, out, fresh=True, **arguments)
+    run_suite(tmp_path, text, fresh=True, **arguments)
     runs = load_results(out).runs
     assert (list(runs["outcome"]), list(runs["steps_done"])) == (["crashed"], [0])
     assert "while it was opened" in runs["outcome_detail"].iloc[0]
@@ -195,15 +170,10 @@ def open(policy, options):
 """
 
 
-def test_a_library_that_dies_when_it_is_let_go_costs_no_cell(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(plugins, "_LOADED", {})
-    path, module = tmp_path / "tiny.toml", tmp_path / "parting.py"
-    head = SUITE.split("[[closed_loop]]")[0].replace("quadprog", "leaving")
-    path.write_text(head + RANDOM, encoding="utf-8")
+def test_a_library_that_dies_when_it_is_let_go_costs_no_cell(tmp_path: Path) -> None:
+    module, text = tmp_path / "parting.py", suite_toml(**HEAD, random=RANDOM)
     module.write_text(LEAVING.read_text(encoding="utf-8").replace("== 6", "== 0") + PARTING)
-    out = run_campaign(path, tmp_path / "out", solver_module=module, solvers=["leaving"])
+    out = run_suite(tmp_path, text, solver_module=module, solvers=["leaving"])
     runs = load_results(out).runs
     assert list(runs["outcome"]) == ["finished"] * 2, list(runs["outcome_detail"])
 
@@ -253,9 +223,7 @@ raise SystemExit(main(sys.argv[1:]))
 """
 
 
-def test_a_disk_that_fills_meanwhile_loses_cells_and_blames_nobody(
-    suite: Path, tmp_path: Path
-) -> None:
+def test_a_disk_that_fills_meanwhile_loses_cells(suite: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = [sys.executable, "-c", FILLED, "run", str(suite), "--out", str(out)]
     done = subprocess.run([*mounted("1m"), *command], capture_output=True, text=True, check=False)
@@ -279,13 +247,12 @@ class _Remover(Silent):
                 shutil.rmtree(folder)
 
 
-def test_a_scratch_folder_that_is_removed_costs_only_what_was_in_it(
-    suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_removed_scratch(suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     memory, out = tmp_path / "memory", tmp_path / "out"
     memory.mkdir()
     monkeypatch.setattr(scratch, "MEMORY", memory)
-    suite.write_text(SUITE + RANDOM.replace("steps", 'routes = ["qpsolvers"]\nsteps'))
+    random = [RANDOM[0] | {"routes": ["qpsolvers"]}]
+    suite_file(tmp_path, suite_toml(**HEAD, closed_loop=LOOP, replay=REPLAY, random=random))
     run_campaign(suite, out, progress=_Remover(memory))
     runs = load_results(out).runs
     lost = (runs["mode"] == "replay") & (runs["scenario"] != "")
@@ -321,8 +288,7 @@ def forget_cells(out: Path) -> None:
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A result folder whose copies are damaged, beside its suite."""
     base = tmp_path_factory.mktemp("accidents")
-    (base / "tiny.toml").write_text(SUITE, encoding="utf-8")
-    run_campaign(base / "tiny.toml", base / "out")
+    run_suite(base, SUITE)
     return base
 
 
@@ -359,9 +325,7 @@ def test_a_damaged_source_is_made_anew(copied: Path) -> None:
 
 
 @pytest.mark.parametrize("times", [1, 2])
-def test_a_source_damaged_after_it_was_looked_at(
-    times: int, copied: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_source_damaged_later(times: int, copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out, left, take = copied / "out", [times], Dispatcher._record_sources
     forget_cells(out)
 
@@ -412,9 +376,7 @@ def test_damaged_cells_run_again(table: str, copied: Path) -> None:
     assert not (before["raw_max_ns"] == after["raw_max_ns"]).any()
 
 
-def test_parts_damaged_while_the_campaign_runs_are_lost(
-    copied: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_parts_damaged_meanwhile_are_lost(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out, write = copied / "out", Campaign.write_results
     forget_cells(out)
 
@@ -430,9 +392,7 @@ def test_parts_damaged_while_the_campaign_runs_are_lost(
     assert outcomes(out) == ["finished"] * 3
 
 
-def test_a_finished_campaign_removes_folders_of_killed_ones(
-    copied: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stale_folders_go(copied: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Killed behind its last cell, a run leaves a folder to the next, which has nothing to run."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     left = tmp_path / "dpbench-scratch-killed"
@@ -461,9 +421,7 @@ def test_a_referee_that_fails_loses_the_cell(copied: Path, monkeypatch: pytest.M
     assert outcomes(out) == ["finished"] * 3
 
 
-def test_without_room_for_its_part_a_cell_is_lost(
-    suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_part_without_room(suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out, add = tmp_path / "out", CellStore.add_part
 
     def full(self: CellStore, part: BatchPart) -> None:

@@ -12,20 +12,16 @@ from dpbench.bench.record.result_folder import Results
 from dpbench.bench.workers.jobs import CellJob, split_into_batches
 from dpbench.solvers import plugins
 from dpbench.solvers.table import Availability
-from tests.bench.deterministic import deterministic, head
+from tests.bench.deterministic import deterministic, suite_file, suite_toml
 
 pytestmark = pytest.mark.slow
 
 STEPS, CELLS, PER_PROCESS = 6, 24, 6
 """A single slot shares cells out to four processes at least."""
-SUITE = (
-    head(solvers=["clipping"])
-    + f"""
-[[study]]
-base = "paper"
-steps = {STEPS}
-product = {{ "start.east_m" = {[0.5 * (i + 1) for i in range(CELLS)]} }}
-"""
+EAST_M = [0.5 * (i + 1) for i in range(CELLS)]
+SUITE = suite_toml(
+    solvers=["clipping"],
+    study=[{"base": "paper", "steps": STEPS, "product": {"start.east_m": EAST_M}}],
 )
 CLIPPING = """
 import os
@@ -56,9 +52,7 @@ open = opener("clipping", solve)
 
 @pytest.fixture(scope="module")
 def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A suite beside the module that brings its solver."""
-    path = tmp_path_factory.mktemp("batch") / "tiny.toml"
-    path.write_text(SUITE, encoding="utf-8")
+    path = suite_file(tmp_path_factory.mktemp("batch"), SUITE)
     (path.parent / "clipping.py").write_text(CLIPPING, encoding="utf-8")
     return path
 

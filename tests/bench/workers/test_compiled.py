@@ -14,9 +14,7 @@ def test_kernels_of_own_solvers_are_needed_only_where_one_of_them_runs() -> None
     assert list_kernel_modules(["paper_active_set"]) == [OWN, LOOP]
 
 
-def test_an_empty_cache_is_told_from_one_with_kernels(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_empty_cache_is_recognised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     assert list_uncompiled_modules([OWN, LOOP]) == [OWN, LOOP]
     (tmp_path / "kernel").mkdir()

@@ -6,30 +6,22 @@ import sys
 from dataclasses import replace
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
 
-from dpbench import load_results, run_campaign
+from dpbench import load_results
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.workers.child import KILLED_FORKSERVER, Child, start_forkserver
 from dpbench.bench.workers.orphans import list_children
 from dpbench.bench.workers.shared_status import CUT, OUTPUT_BYTES
-from dpbench.solvers import plugins
-from tests.bench.deterministic import head, wait_until
+from tests.bench.deterministic import run_suite, suite_toml, wait_until
 from tests.processes import is_running
 
 HOSTILE = Path(__file__).parents[1] / "hostile_plugin.py"
-SUITE = (
-    head(solvers=["hostile", "quadprog"], cell_memory_gb=0.3, rounds=1, warmup_steps=0)
-    + """
-[[random]]
-families = ["no_rows"]
-sizes = [{sizes}]
-steps = 3
-"""
-)
+USUAL: dict[str, Any] = {"cell_memory_gb": 0.3, "rounds": 1, "warmup_steps": 0}
 SOLVER = """
 import os, signal, subprocess, time
 from dpbench.bench.workers.shared_status import Phase, set_phase
@@ -57,13 +49,9 @@ def context() -> ForkServerContext:
 
 def run(tmp_path: Path, *sizes: int) -> dict[tuple[str, int], Outcome]:
     """What became of random problems of so many variables, by solver and variables."""
-    path = tmp_path / "tiny.toml"
-    text = ", ".join(f"[{n}, 0]" for n in sizes)
-    path.write_text(SUITE.replace("{sizes}", text), encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plugins, "_LOADED", {})
-        out = run_campaign(path, tmp_path / "out", solver_module=HOSTILE)
-    rows = load_results(out).runs
+    random = {"families": ["no_rows"], "sizes": [[n, 0] for n in sizes], "steps": 3}
+    text = suite_toml(solvers=["hostile", "quadprog"], random=[random], **USUAL)
+    rows = load_results(run_suite(tmp_path, text, solver_module=HOSTILE)).runs
     assert rows["run_id"].is_unique and len(rows) == 2 * len(sizes)
     assert set(rows.loc[rows["solver"] == "quadprog", "outcome"]) == {"finished"}
     keep = rows[["solver", "sequence", "outcome", "outcome_detail", "process_peak_bytes"]]
@@ -108,9 +96,7 @@ def test_stopping_the_template_costs_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("end", ["", "os._exit(0)", "os.abort()", "os.kill(os.getppid(), 9)"])
-def test_a_daemon_ends_with_its_worker(
-    end: str, context: ForkServerContext, tmp_path: Path
-) -> None:
+def test_daemons_end_with_workers(end: str, context: ForkServerContext, tmp_path: Path) -> None:
     number = tmp_path / "number"
     code = SOLVER + f"NUMBER = {str(number)!r}\n" + DAEMON + end
     child = Child(context, exec, (code,), tmp_path, "cell", limit_s=5.0)
@@ -164,9 +150,7 @@ def test_output_of_children_counts(context: ForkServerContext, tmp_path: Path) -
     assert child.notice.output.is_full and OUTPUT_BYTES == 2**20
 
 
-def test_the_keeper_has_no_children_but_the_template(
-    context: ForkServerContext, tmp_path: Path
-) -> None:
+def test_the_keeper_has_one_child(context: ForkServerContext, tmp_path: Path) -> None:
     child = Child(context, exec, (SOLVER + "time.sleep(600.0)",), tmp_path, "cell", limit_s=5.0)
     wait_until(lambda: child.notice.forkserver, "it does not begin")
     notice = child.notice
@@ -194,17 +178,12 @@ open = opener("hostile", solve)
 
 @pytest.mark.slow
 def test_an_exit_in_an_untimed_step_is_a_crash(tmp_path: Path) -> None:
-    path, module = tmp_path / "tiny.toml", tmp_path / "mine.py"
-    steps = 6
-    head = SUITE.split("[[random]]")[0].replace(', "quadprog"', "")
-    replay = f'[[replay]]\nscenario = "paper"\nsteps = {steps}\n'
-    path.write_text(head + replay, encoding="utf-8")
+    module, steps = tmp_path / "mine.py", 6
+    replay = {"scenario": "paper", "steps": steps}
+    suite = suite_toml(solvers=["hostile"], replay=[replay], **USUAL)
     text = HOSTILE.read_text(encoding="utf-8") + MEASURED.replace("STEPS", str(steps))
     module.write_text(text, encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plugins, "_LOADED", {})
-        out = run_campaign(path, tmp_path / "out", solver_module=module)
-    (row,) = load_results(out).runs.itertuples()
+    (row,) = load_results(run_suite(tmp_path, suite, solver_module=module)).runs.itertuples()
     assert (row.outcome, row.steps_done) == ("crashed", steps), row.outcome_detail
     assert "exit code 0" in row.outcome_detail
 

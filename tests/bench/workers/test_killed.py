@@ -8,23 +8,14 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.record.cell_store import CellStore
-from tests.bench.deterministic import assert_same, head
+from tests.bench.deterministic import assert_same, suite_file, suite_toml
 
 pytestmark = pytest.mark.slow
 
-SUITE = (
-    head(solvers=["quadprog", "daqp"], rounds=1, warmup_steps=0)
-    + """
-[[closed_loop]]
-scenarios = ["paper", "rough"]
-settings = ["default", "high"]
-steps = 6
-
-[[random]]
-families = ["no_rows"]
-sizes = [[3, 0], [4, 0]]
-steps = 5
-"""
+SUITE = suite_toml(
+    **{"solvers": ["quadprog", "daqp"], "rounds": 1, "warmup_steps": 0},
+    closed_loop=[{"scenarios": ["paper", "rough"], "settings": ["default", "high"], "steps": 6}],
+    random=[{"families": ["no_rows"], "sizes": [[3, 0], [4, 0]], "steps": 5}],
 )
 CELLS, ROWS = 10, 12
 """quadprog has no settings: its two loops and two random problems are cells, and its loops rows
@@ -53,9 +44,7 @@ raise SystemExit(main(sys.argv[2:]))
 
 @pytest.fixture(scope="module")
 def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("killed") / "tiny.toml"
-    path.write_text(SUITE, encoding="utf-8")
-    return path
+    return suite_file(tmp_path_factory.mktemp("killed"), SUITE)
 
 
 @pytest.fixture(scope="module")

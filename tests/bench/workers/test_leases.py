@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -20,14 +21,13 @@ from dpbench.locks import BusyError
 from dpbench.notebook.runs import run_closed_loop
 from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.open import open_workspace
-from tests.bench.deterministic import head
+from tests.bench.deterministic import suite_toml
 
 pytestmark = pytest.mark.slow
 
-HEAD = head(rounds=1, warmup_steps=0)
-
-LOOPS = HEAD + '[[closed_loop]]\nscenarios = ["paper"]\nsteps = 5\n'
-REPLAYS = HEAD + '[[replay]]\nscenario = "paper"\nsteps = 5\n'
+HEAD: dict[str, Any] = {"rounds": 1, "warmup_steps": 0}
+LOOPS = suite_toml(**HEAD, closed_loop=[{"scenarios": ["paper"], "steps": 5}])
+REPLAYS = suite_toml(**HEAD, replay=[{"scenario": "paper", "steps": 5}])
 OTHERS = "lease_machine({}, Holder('results/other'))"
 HOLDING = """
 from dpbench.bench.workers.leases import lease_core, lease_machine
@@ -90,9 +90,7 @@ class Remarks(Silent):
         ("SHARED", LOOPS, False),
     ],
 )
-def test_replays_are_timed_while_no_other_campaign_runs_cells(
-    lease: str, suite: str, waits: bool, tmp_path: Path
-) -> None:
+def test_replays_are_timed_alone(lease: str, suite: str, waits: bool, tmp_path: Path) -> None:
     (tmp_path / "tiny.toml").write_text(suite, encoding="utf-8")
     with holding(OTHERS.format(lease)) as (other, held):
         assert held == "True"
@@ -105,9 +103,7 @@ def test_replays_are_timed_while_no_other_campaign_runs_cells(
     assert runs["concurrency"].dropna().eq(1).all()
 
 
-def test_where_there_are_no_locks_replays_are_not_ranked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_locks_nothing_is_ranked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     nowhere = SimpleNamespace(gettempdir=lambda: str(tmp_path / "nowhere"))
     monkeypatch.setattr(leases, "tempfile", nowhere)
     (tmp_path / "tiny.toml").write_text(REPLAYS, encoding="utf-8")
@@ -130,9 +126,7 @@ def test_a_wait_ends_where_it_was_asked_to(
     assert "this machine: found in use by" in lines[-1]
 
 
-def test_nobody_is_waited_for_without_measurements_that_are_kept(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_nobody_waits_without_timing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "tiny.toml").write_text(REPLAYS, encoding="utf-8")
     with holding(OTHERS.format("EXCLUSIVE")):
         assert main(["run", str(tmp_path / "tiny.toml"), "--dry-run", "--quiet"]) == 0
@@ -181,9 +175,7 @@ def _of_another(folder: Path) -> None:
         ),
     ],
 )
-def test_a_folder_of_leases_that_others_can_write_is_refused(
-    make: Callable[[Path], object], fault: str, tmp_path: Path
-) -> None:
+def test_writable_lease_folders(make: Callable[[Path], object], fault: str, tmp_path: Path) -> None:
     folder = tmp_path / f"dpbench-leases-{os.getuid()}"
     make(folder)
     with pytest.raises(InputError) as refused:

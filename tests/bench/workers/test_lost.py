@@ -13,26 +13,15 @@ from dpbench.bench.record.result_folder import read_accidents
 from dpbench.bench.workers import batch, scratch
 from dpbench.bench.workers.child import KILLED_FORKSERVER
 from dpbench.cli.main import main
-from dpbench.solvers import plugins
-from tests.bench.deterministic import head
+from tests.bench.deterministic import run_suite, suite_file, suite_toml
 from tests.processes import is_running
 
 pytestmark = pytest.mark.slow
 
 STEPS = 8
-HEAD = head(solvers=["quadprog"], rounds=1, warmup_steps=0)
-
-LOOPS = f"""
-[[closed_loop]]
-scenarios = ["paper"]
-settings = ["default", "high"]
-steps = {STEPS}
-"""
-REPLAYS = f"""
-[[replay]]
-scenario = "paper"
-steps = {STEPS}
-"""
+HEAD: dict[str, Any] = {"solvers": ["quadprog"], "rounds": 1, "warmup_steps": 0}
+LOOPS = [{"scenarios": ["paper"], "settings": ["default", "high"], "steps": STEPS}]
+REPLAYS = [{"scenario": "paper", "steps": STEPS}]
 PLUGIN = Path(__file__).parents[2] / "solvers" / "example_plugin.py"
 KILLER = """
 import os
@@ -58,9 +47,7 @@ if nobody did yet."""
 
 @pytest.fixture
 def suite(tmp_path: Path) -> Path:
-    path = tmp_path / "tiny.toml"
-    path.write_text(HEAD + LOOPS + REPLAYS, encoding="utf-8")
-    return path
+    return suite_file(tmp_path, suite_toml(**HEAD, closed_loop=LOOPS, replay=REPLAYS))
 
 
 @pytest.mark.parametrize("suffixes", [("judged",), ("judged", "evaluated.json")])
@@ -86,9 +73,7 @@ def test_what_goes_away_between_judging_and_keeping_is_lost(
     assert set(load_results(out).runs["steps_done"]) == {STEPS}
 
 
-def test_rows_of_further_names_are_lost_with_their_cell(
-    suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_aliases_are_lost_too(suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = run_campaign(suite, tmp_path / "out")
     runs = load_results(out).runs
     assert len(runs) == 3 and set(runs["outcome"]) == {"finished"}
@@ -98,22 +83,17 @@ def test_rows_of_further_names_are_lost_with_their_cell(
     assert results.runs["outcome"].tolist() == ["lost"] * 3 and results.steps.empty
 
 
-def with_killer(folder: Path, text: str, wait_s: float) -> tuple[Path, dict[str, Any]]:
-    """A suite, and the arguments that run it with the solver that kills."""
-    path, module = folder / "tiny.toml", folder / "killing.py"
-    path.write_text(HEAD + text, encoding="utf-8")
+def run_with_killer(folder: Path, wait_s: float, *, jobs: int | None = None, **tables: Any) -> Path:
+    module = folder / "killing.py"
     killer = KILLER.replace("MARKER", repr(str(folder / "marker")))
     killer = killer.replace("WAIT_S", str(wait_s))
     module.write_text(PLUGIN.read_text(encoding="utf-8") + killer, encoding="utf-8")
-    return path, {"solver_module": module, "solvers": ["admm", "quadprog"]}
+    text, solvers = suite_toml(**HEAD, **tables), ["admm", "quadprog"]
+    return run_suite(folder, text, solver_module=module, solvers=solvers, jobs=jobs)
 
 
-def test_cells_whose_template_is_killed_run_once_more(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(plugins, "_LOADED", {})
-    path, arguments = with_killer(tmp_path, LOOPS, 600.0)
-    out = run_campaign(path, tmp_path / "out", jobs=1, **arguments)
+def test_cells_whose_template_is_killed_run_once_more(tmp_path: Path) -> None:
+    out = run_with_killer(tmp_path, 600.0, jobs=1, closed_loop=LOOPS)
     runs = load_results(out).runs.set_index(["solver", "settings"])
     lost = runs.loc[runs["outcome"] != "finished", ["outcome", "outcome_detail"]]
     died = [KILLED_FORKSERVER.outcome, KILLED_FORKSERVER.detail]
@@ -122,13 +102,8 @@ def test_cells_whose_template_is_killed_run_once_more(
 
 
 @pytest.mark.alone  # the one template dies while it starts the workers of a group, in real time
-def test_replays_whose_template_is_killed_run_once_more(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(plugins, "_LOADED", {})
-    path, arguments = with_killer(tmp_path, REPLAYS, 0.0)
-    out = run_campaign(path, tmp_path / "out", **arguments)
-    runs = load_results(out).runs
+def test_replays_whose_template_is_killed_run_once_more(tmp_path: Path) -> None:
+    runs = load_results(run_with_killer(tmp_path, 0.0, replay=REPLAYS)).runs
     assert (tmp_path / "marker").exists()
     assert runs["outcome"].tolist() == ["finished"] * 2, runs["outcome_detail"].tolist()
     assert set(runs["steps_done"]) == {STEPS}

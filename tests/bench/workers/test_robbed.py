@@ -31,7 +31,6 @@ class Replayed:
 
 
 def configuration(name: str, budget_s: float) -> Replayed:
-    """A configuration with a budget for repetitions."""
     return Replayed(
         name, Cell("replay", {}, name, "native", "fresh", "default", 2, repeat_budget_s=budget_s)
     )

@@ -23,9 +23,7 @@ with temporary_folder(Path(sys.argv[1])) as folder:
 
 
 @pytest.mark.slow
-def test_places_are_cleared_before_room_is_looked_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_places_are_cleared_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     command = [sys.executable, "-c", HOLD, str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
         assert holder.stdout is not None

@@ -13,18 +13,16 @@ from dpbench import load_results, run_campaign
 from dpbench.bench.progress import Silent
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.workers import child as supervise
-from dpbench.solvers import plugins
-from tests.bench.deterministic import deterministic, head
+from tests.bench.deterministic import deterministic, suite_file, suite_toml
 from tests.processes import is_running
 
 pytestmark = pytest.mark.slow
 
 STEPS = 6
-HEAD = head(solvers=["serving"], rounds=2, warmup_steps=0)
-
 SEQUENCES = ("paper", "calm", "rough")
-SUITE = HEAD + "".join(
-    f'\n[[replay]]\nscenario = "{name}"\nsteps = {STEPS}\n' for name in SEQUENCES
+SUITE = suite_toml(
+    **{"solvers": ["serving"], "rounds": 2, "warmup_steps": 0},
+    replay=[{"scenario": name, "steps": STEPS} for name in SEQUENCES],
 )
 SERVING = """
 import os
@@ -90,13 +88,10 @@ RECORD = solver_record("serving", method="none", module="quadprog", distribution
 
 
 @pytest.fixture
-def suite(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def suite(tmp_path: Path) -> Path:
     """A suite of three sequences beside the module that brings its solver."""
-    monkeypatch.setattr(plugins, "_LOADED", {})
-    path = tmp_path / "tiny.toml"
-    path.write_text(SUITE, encoding="utf-8")
     (tmp_path / "serving.py").write_text(SERVING, encoding="utf-8")
-    return path
+    return suite_file(tmp_path, SUITE)
 
 
 def run(suite: Path, fate: str = "") -> Results:
@@ -109,7 +104,6 @@ def run(suite: Path, fate: str = "") -> Results:
 
 
 def pids(suite: Path) -> list[int]:
-    """The processes that opened a workspace, in order."""
     return [int(line) for line in suite.with_name("pids").read_text().splitlines()]
 
 
@@ -142,9 +136,7 @@ def test_an_end_in_one_sequence_costs_no_other(place: int, way: str, suite: Path
 
 @pytest.mark.alone  # What else runs could use up a limit of one second.
 @pytest.mark.parametrize("place", [1, 3])
-def test_a_hang_is_followed_by_a_process_that_goes_on(
-    place: int, suite: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_hang_has_a_successor(place: int, suite: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(supervise, "GRACE_S", 0.5)
     suite.write_text(SUITE.replace("60.0", "1.0"), encoding="utf-8")
     results = run(suite, f"{place} stay")
@@ -171,7 +163,6 @@ def test_a_round_beyond_the_limit_ends_its_sequence_alone(place: int, suite: Pat
 
 @contextmanager
 def ended_after(seconds: int) -> Iterator[None]:
-    """Raise TimeoutError in a block that waits for ever."""
 
     def end(number: int, frame: FrameType | None) -> None:
         raise TimeoutError(f"a campaign of some seconds took {seconds} s")

@@ -40,7 +40,6 @@ HARNESS = "import os, signal, time\n"
 
 
 def ended(context: ForkServerContext, folder: Path, code: str) -> tuple[str, str]:
-    """Outcome and detail of a process that runs `code`."""
     child = Child(context, exec, (code,), folder, "cell", limit_s=5.0)
     wait(child)
     found = child.determine_outcome()
@@ -57,16 +56,12 @@ def ended(context: ForkServerContext, folder: Path, code: str) -> tuple[str, str
         ("raise KeyboardInterrupt", "KeyboardInterrupt:"),
     ],
 )
-def test_who_is_at_work_when_a_process_ends_has_ended_it(
-    act: str, words: str, context: ForkServerContext, tmp_path: Path
-) -> None:
+def test_who_ended_it(act: str, words: str, context: ForkServerContext, tmp_path: Path) -> None:
     assert ended(context, tmp_path, SOLVER + act) == ("crashed", words)
     assert ended(context, tmp_path, HARNESS + act) == ("lost", words)
 
 
-def test_what_the_harness_raises_is_not_charged_to_the_solver(
-    context: ForkServerContext, tmp_path: Path
-) -> None:
+def test_errors_of_the_harness_are_lost(context: ForkServerContext, tmp_path: Path) -> None:
     raises = "raise OSError(28, 'No space left on device')"
     said = "OSError: [Errno 28] No space left on device"
     assert ended(context, tmp_path, SOLVER + raises) == ("lost", said)
@@ -95,9 +90,7 @@ def test_a_log_that_lost_its_room_is_no_crash_of_the_solver(
     assert ended(context, tmp_path, SOLVER + "signal.raise_signal(signal.SIGBUS)")[0] == outcome
 
 
-def test_a_scratch_folder_that_went_away_is_lost(
-    context: ForkServerContext, tmp_path: Path
-) -> None:
+def test_a_removed_scratch_folder_is_lost(context: ForkServerContext, tmp_path: Path) -> None:
     folder = tmp_path / "scratch"
     outcome, detail = ended(
         context, folder, f"import shutil; shutil.rmtree({str(folder)!r}); raise SystemExit"
@@ -136,9 +129,7 @@ def test_a_process_that_never_starts_its_loop_is_killed(
     assert "did not start" in child.determine_outcome().detail
 
 
-def test_a_process_killed_behind_its_verdict_keeps_it(
-    context: ForkServerContext, tmp_path: Path
-) -> None:
+def test_a_killed_process_keeps_its_verdict(context: ForkServerContext, tmp_path: Path) -> None:
     child = Child(context, time.sleep, (600.0,), tmp_path, "cell", limit_s=5.0)
     assert not child.has_verdict
     write_outcome(tmp_path / "cell.json", Outcome("finished", ""))
@@ -146,9 +137,7 @@ def test_a_process_killed_behind_its_verdict_keeps_it(
     assert child.determine_outcome().outcome == "finished"
 
 
-def test_the_template_pins_threads_and_leaves_the_caller_alone(
-    context: ForkServerContext, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_template_pins_threads(context: ForkServerContext, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     start_forkserver([])
     assert os.environ["OMP_NUM_THREADS"] == "7"

@@ -21,7 +21,6 @@ from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.cli.main import main
 from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import build_scenario
-from dpbench.solvers import plugins
 
 pytestmark = pytest.mark.slow
 
@@ -30,18 +29,11 @@ BIG = 1e9
 """A claimed error beyond anything a limited plan can have."""
 
 
-@pytest.fixture
-def no_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plugins, "_LOADED", {})
-
-
 @pytest.mark.parametrize(
     ("solver", "route", "policy", "goal"),
     [("daqp", "native", "warm", "iterations"), ("piqp", "qpsolvers", "fresh", "error")],
 )
-def test_what_is_found_replays_to_the_same_figures(
-    solver: str, route: Any, policy: Any, goal: Any, tmp_path: Path
-) -> None:
+def test_replay_of_a_case(solver: str, route: Any, policy: Any, goal: Any, tmp_path: Path) -> None:
     path = tmp_path / "found.npz"
     found = find_worst_case(solver, goal=goal, route=route, policy=policy, budget=16, out=path)
     assert found.worst is not None and found.search.evaluations == 16
@@ -122,7 +114,7 @@ def backs_off(path: Path) -> bool:
 @pytest.mark.alone  # What else runs could use up limits of 0.3 s.
 @pytest.mark.parametrize(("mode", "outcome"), [("crash", "crashed"), ("hang", "hung")])
 def test_a_solver_that_dies_or_hangs_does_not_end_the_search(
-    mode: str, outcome: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_plugins: None
+    mode: str, outcome: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(case_search, "CASE_LIMIT_S", 0.3)
     monkeypatch.setattr(case_search, "BASELINE_LIMIT_S", 0.3)
@@ -309,18 +301,14 @@ def test_where_nothing_can_be_written_nothing_is_searched(
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_iterations_of_a_solver_that_counts_none_are_refused(
-    tmp_path: Path, no_plugins: None
-) -> None:
+def test_iterations_of_a_solver_that_counts_none_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--goal error"):
         find_worst_case(
             "searched", budget=2, steps=4, out=tmp_path / "found.npz", solver_module=FAULTY
         )
 
 
-def test_the_command_says_what_was_found_and_what_it_beats(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_prints_findings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "deep" / "found.npz"
     arguments = ["worst-case", "daqp", "--route", "native", "--budget", "8", "--out", str(out)]
     assert main(arguments) == 0
