@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import LinearConstraint, linprog, milp
 
-from dpbench.bench.capability.frontier import CapabilityPlot, Case
-from dpbench.bench.capability.study import is_beyond_standard
+from dpbench.bench.capability.frontier import CapabilityPlot, Case, is_beyond_standard
 from dpbench.errors import InputError
 from dpbench.scenario.tables.vessel_file import VesselFile
 from dpbench.ship.capability.shapes import Piece

@@ -185,7 +185,6 @@ class Campaign:
         self._write_capability()
 
     def _write_capability(self) -> None:
-        """Write `capability.parquet` from the files of capability plots; remove a stale one."""
         tables = [read_capability_plot(self.sources.path(key)) for key in self._at_boundary]
         made = [table for table in tables if table is not None]
         if made:

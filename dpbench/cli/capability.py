@@ -12,10 +12,12 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.capability import Answers, count_answers
 from dpbench.bench.campaign import run_campaign
-from dpbench.bench.capability.frontier import INTACT, CapabilityPlot, WindLimit
-from dpbench.bench.capability.study import (
+from dpbench.bench.capability.frontier import (
     FROM_DEG,
+    INTACT,
     Capability,
+    CapabilityPlot,
+    WindLimit,
     compute_capability,
     is_beyond_standard,
 )

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from dpbench.bench.capability import study
-from dpbench.bench.capability.frontier import WindLimit
-from dpbench.bench.capability.study import FROM_DEG, Capability
+from dpbench.bench.capability import frontier
+from dpbench.bench.capability.frontier import FROM_DEG, Capability, WindLimit
 from dpbench.bench.sequences.sequence_file import load_sequence
 from dpbench.cli.capability import table_lines
 from dpbench.scenario.problem_files import problem_path
@@ -76,8 +75,8 @@ def test_the_notation_is_that_of_the_standard() -> None:
 def test_solvers_are_asked_at_the_edge_and_judged(
     say: Say, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(study, "DIRECTIONS", 4)
-    for module in ("bench.capability.study", "bench.capability.batch", "cli.capability"):
+    monkeypatch.setattr(frontier, "DIRECTIONS", 4)
+    for module in ("bench.capability.frontier", "bench.capability.batch", "cli.capability"):
         monkeypatch.setattr(f"dpbench.{module}.FROM_DEG", (20.0, 110.0, 200.0, 290.0))
     words = "capability osv --sides 12 --solver quadprog --out edge"
     table = say(*words.split()).split("static allocations")[1]

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.bench.capability.frontier import CapabilityPlot, Case, WindLimit
-from dpbench.bench.capability.study import FROM_DEG, Capability
+from dpbench.bench.capability.frontier import FROM_DEG, Capability, CapabilityPlot, Case, WindLimit
 from dpbench.mpc.thrusters.static_allocation import StaticAllocation
 from dpbench.qp.program import QPSequence
 from dpbench.ship.capability.conditions import DP_CONDITIONS

@@ -13,8 +13,7 @@ import pandas as pd
 import pyarrow as pa
 
 from dpbench.bench.capability.batch import Point
-from dpbench.bench.capability.frontier import INTACT
-from dpbench.bench.capability.study import FROM_DEG, Capability
+from dpbench.bench.capability.frontier import FROM_DEG, INTACT, Capability
 from dpbench.errors import ResultsError
 from dpbench.files.tables import decode_words, open_table
 from dpbench.files.writing import replace_file

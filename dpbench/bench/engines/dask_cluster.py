@@ -77,7 +77,10 @@ def connect_client(address: str, tls: TlsFiles | None = None) -> Iterator[Client
     with _silence_dask():
         security = Security() if tls is None else _build_security(address, tls)
         try:
-            _check_reachable(address)
+            scheme, place = parse_address(address)
+            get_backend(scheme)
+            with socket.create_connection(parse_host_port(place), timeout=ANSWER_S):
+                pass
         except (OSError, ValueError) as error:
             found = f"{address}, where nobody answers ({type(error).__name__})"
             allowed = "the address of a Dask scheduler that runs, as tcp://HOST:8786"
@@ -94,14 +97,6 @@ def connect_client(address: str, tls: TlsFiles | None = None) -> Iterator[Client
             raise InputError(WHERE, "", found, allowed) from error
         with client:
             yield client
-
-
-def _check_reachable(address: str) -> None:
-    """Raise OSError or ValueError where nobody listens at a scheduler's address."""
-    scheme, place = parse_address(address)
-    get_backend(scheme)
-    with socket.create_connection(parse_host_port(place), timeout=ANSWER_S):
-        pass
 
 
 async def _connect_once(address: str, security: Security) -> None:

@@ -232,7 +232,6 @@ class DaskEngine(ExitStack):
         return self._submit(on_worker.list_outcomes, made, name="made")
 
     def _submit_files(self, batch: FileBatch, texts: Mapping[Path, str]) -> Future:
-        """Submit a Dask task that makes files from the descriptions `texts`."""
         named = {str(path): text for path, text in texts.items()}
         args = on_worker.make_files, self._context, batch.target, named, batch.limit_s
         name = batch.target.__name__

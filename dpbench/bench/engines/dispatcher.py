@@ -162,7 +162,6 @@ class Dispatcher:
         return room and batch.is_timed == other.is_timed and not (batch.isolated or other.isolated)
 
     def _record_sources(self, results: Sequence[Result]) -> None:
-        """Record which files of QPs were made and which failed."""
         keys = {str(self._sources.path(key)): key for key in self._being_made}
         for result in results:
             key = keys[result.run_id]

@@ -153,7 +153,6 @@ def run_cells(
 def _run_batch(
     executor: CellExecutor, batch: Batch, sources: Mapping[str, Path]
 ) -> Sequence[Result]:
-    """Do one batch of runs on an executor and return their results."""
     executor.submit(batch, sources)
     ((_, results),) = executor.wait_for_batches()
     return results

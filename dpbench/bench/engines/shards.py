@@ -92,7 +92,6 @@ WHOLE = Shard(1, 1)
 
 
 def _total_steps(jobs: list[CellJob]) -> int:
-    """Return the number of solver steps that some runs take together."""
     return sum(count_steps(job.cell) for job in jobs)
 
 

@@ -167,7 +167,6 @@ class StepEvaluator:
 
 
 def _stack_attribute(parts: Sequence[object], name: str) -> Matrix:
-    """Stack one array attribute of several objects as the rows of a matrix."""
     return np.array([getattr(part, name) for part in parts])
 
 

@@ -147,7 +147,6 @@ def _worst_error_columns(steps: StepColumns) -> dict[str, Any]:
 
 
 def _share_of_true(flags: Flags) -> float:
-    """Return the share of true flags; NaN without any flag."""
     return float(flags.mean()) if len(flags) else float("nan")
 
 

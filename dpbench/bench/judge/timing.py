@@ -156,5 +156,4 @@ def deadline_metrics(steps: Mapping[str, NDArray[Any]], slowdown: float) -> dict
 
 
 def _drop_missing(times_ns: Ints) -> Floats:
-    """Return the times that are not missing, as floats [ns]."""
     return times_ns[times_ns > MISSING_INT].astype(np.float64)

@@ -152,7 +152,6 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def _copy_with(model: Model, **update: object) -> Model:
-    """Return a copy of a pydantic model with some fields replaced."""
     return model.model_copy(update=update)
 
 

@@ -256,7 +256,6 @@ def _parse_runs(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
 
 
 def _is_json_object(text: str | None) -> bool:
-    """Return whether a text is a JSON object."""
     try:
         return isinstance(json.loads(text or ""), dict)
     except (ValueError, RecursionError):
@@ -355,15 +354,10 @@ class CellStore:
         self._before: set[Source] = {self.public, *self.parts}
         self._latest = b""
         self.finished: dict[str, str] = {}
-        for source in self._list_sources():
+        for source in (self.public, *self.parts):
             self.finished |= source.outcomes()
 
-    def _list_sources(self) -> list[Source]:
-        """Return the result tables and all batch files of finished runs, oldest first."""
-        return [self.public, *self.parts]
-
     def _remove_leftovers(self) -> None:
-        """Delete the unfinished files of a killed campaign."""
         for path in (self.public.runs, self.public.steps):
             path.with_name(f"{path.name}.part").unlink(missing_ok=True)
         for path in self.folder.iterdir():
@@ -419,7 +413,7 @@ class CellStore:
     def collect_rows(self) -> tuple[pa.Table, dict[str, Source]]:
         """Return the rows of all finished runs, and the files that hold the latest copy of each."""
         tables, sources = [NO_RUNS], dict[str, Source]()
-        for source in self._list_sources():
+        for source in (self.public, *self.parts):
             table = source.read_rows()
             if self._stale and source in self._before:
                 stale = pc.is_in(table["run_id"], pa.array(sorted(self._stale)))

@@ -102,7 +102,6 @@ def _list_blas() -> list[str]:
 
 
 def _read_cpu_model() -> str:
-    """Return the processor's model name."""
     try:
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):

@@ -79,7 +79,9 @@ class StepsOnDisk:
             schema, self.rows = file.schema_arrow, file.metadata.num_rows
         self._stored = set(schema.names)
         self._check_schema(schema)
-        self._read = lru_cache(maxsize=CACHED_GROUPS)(self._read_group_frame)
+        self._read = lru_cache(maxsize=CACHED_GROUPS)(
+            lambda group, columns: _to_frame(self._read_group(group, columns), columns)
+        )
 
     def scan_tables(
         self, columns: Sequence[str], run_ids: Container[str] | None = None
@@ -139,10 +141,6 @@ class StepsOnDisk:
     def _groups_by_run(self) -> dict[str, int]:
         """Index of the Parquet row group that holds each run's steps, by run_id."""
         return {name: group for group, places in enumerate(self._run_rows) for name in places}
-
-    def _read_group_frame(self, group: int, columns: tuple[str, ...]) -> pd.DataFrame:
-        """Return columns of one row group of `steps.parquet` as a data frame."""
-        return _to_frame(self._read_group(group, columns), columns)
 
     def _read_group(self, group: int, columns: Sequence[str]) -> pa.Table:
         """Return columns of a row group of `steps.parquet` as an Arrow table, absent ones empty."""

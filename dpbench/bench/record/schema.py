@@ -54,17 +54,12 @@ RUN_COLUMNS = (
 _PANDAS = {dtype: pd.api.types.pandas_dtype(dtype) for dtype in get_args(DType)}
 
 
-def _missing_column(dtype: DType, rows: int) -> Any:
-    """Return a column of a type without a value in any row."""
-    fillers: dict[str, object] = {"str": "", "bool": False, "int32": 0, "int64": 0, "Int64": pd.NA}
-    return pd.Series(fillers.get(dtype, np.nan), index=range(rows), dtype=dtype).array
-
-
 def as_columns(frame: pd.DataFrame, columns: Columns) -> pd.DataFrame:
     """Give a data frame exactly these columns and types; absent ones have no values."""
     # Most runs lack most columns: what is absent is made once for each type, not for each column.
+    fillers: dict[str, object] = {"str": "", "bool": False, "int32": 0, "int64": 0, "Int64": pd.NA}
     absent = {
-        dtype: _missing_column(dtype, len(frame))
+        dtype: pd.Series(fillers.get(dtype, np.nan), range(len(frame)), dtype).array
         for dtype in {dtype for dtype, _ in columns.values()}
     }
     out = {

@@ -166,7 +166,6 @@ class TimedSolver:
             self._count_detail(f"setup: {type(error).__name__}: {error}")
 
     def _count_detail(self, detail: str) -> None:
-        """Count a failure message of the solver, for the outcome of the run."""
         self.details[detail] = self.details.get(detail, 0) + 1
 
     def answer_hung_step(self, limit_ns: int) -> Solution:

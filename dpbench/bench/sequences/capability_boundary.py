@@ -4,8 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from dpbench.bench.capability.batch import all_points, allocation_sequence
-from dpbench.bench.capability.frontier import CapabilityPlot
-from dpbench.bench.capability.study import Capability, compute_capability
+from dpbench.bench.capability.frontier import Capability, CapabilityPlot, compute_capability
 from dpbench.bench.capability.table import capability_columns
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.errors import InputError

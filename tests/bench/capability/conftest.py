@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from dpbench.bench.capability.frontier import CapabilityPlot, Case, WindLimit
-from dpbench.bench.capability.study import FROM_DEG
+from dpbench.bench.capability.frontier import FROM_DEG, CapabilityPlot, Case, WindLimit
 from dpbench.scenario.scenario import load_vessel
 
 INTACT = Case("intact", frozenset())

@@ -10,8 +10,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.capability import capability_plots
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.capability import batch, table
-from dpbench.bench.capability.frontier import CapabilityPlot, Case, WindLimit
-from dpbench.bench.capability.study import FROM_DEG, Capability
+from dpbench.bench.capability.frontier import FROM_DEG, Capability, CapabilityPlot, Case, WindLimit
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import CapabilityTable, SuiteFile, load_suite
 from dpbench.bench.record.cell import CapabilitySource

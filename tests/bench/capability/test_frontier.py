@@ -10,8 +10,7 @@ import pandas as pd
 import pytest
 from scipy.optimize import linprog
 
-from dpbench.bench.capability.frontier import CapabilityPlot, Case, WindLimit
-from dpbench.bench.capability.study import FROM_DEG
+from dpbench.bench.capability.frontier import FROM_DEG, CapabilityPlot, Case, WindLimit
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.capability.conditions import DP_CONDITIONS
