@@ -22,14 +22,7 @@ class Progress(Protocol):
 class Silent:
     """A progress receiver that shows nothing."""
 
-    def start(self, work: int) -> None:
-        """Ignore the total work."""
+    def _ignore(self, *_: object, **__: object) -> None:
+        """Show nothing."""
 
-    def advance(self, work: int, what: str) -> None:
-        """Ignore finished work."""
-
-    def remark(self, text: str) -> None:
-        """Ignore a remark."""
-
-    def waiting(self, text: str) -> None:
-        """Ignore the reason of a wait."""
+    start = advance = remark = waiting = _ignore

@@ -10,10 +10,13 @@ from dpbench.bench.judge import rules, timing
 from dpbench.bench.judge.closed_loop import EvaluatedCell
 from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.record.cell import Cell, Outcome
+from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
 from dpbench.bench.record.schema import MISSING_INT, SCHEMA_VERSION, STEP_COLUMNS, as_steps
 from dpbench.scenario.scenario import cached_scenario
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.table import Availability
+
+_OF_CELL = ("mode", *CONFIGURATION_COLUMNS, "slowdown", "seed")
 
 
 def step_rows(run_id: str, steps: StepColumns) -> pd.DataFrame:
@@ -39,24 +42,15 @@ def run_row(
     """Return the row of one run in `runs.parquet`; without steps only what identifies the run."""
     row: dict[str, Any] = {
         "run_id": run_id,
-        "mode": cell.mode,
+        **{name: getattr(cell, name) for name in _OF_CELL},
         "scenario": cell.scenario_name,
         "sequence": cell.sequence,
-        "solver": cell.solver,
         "solver_version": library.version,
         "build": library.build.text,
         "generic_build": library.build.generic,
-        "route": cell.route,
-        "policy": cell.policy,
-        "settings": cell.settings,
-        "options": cell.options,
-        "formulation": cell.formulation,
         "form": outcome.form,
         **_size_columns(cell, outcome),
-        "units": cell.units,
-        "slowdown": cell.slowdown,
         "deadline_s": _deadline_s(cell),
-        "seed": cell.seed,
         "outcome": outcome.outcome,
         "outcome_detail": outcome.detail,
         "process_peak_bytes": np.nan if outcome.peak_bytes is None else outcome.peak_bytes,

@@ -16,10 +16,10 @@ from dpbench.bench.plan.configurations import (
 )
 from dpbench.bench.plan.suite import (
     CapabilityTable,
-    ClosedLoopTable,
     RandomTable,
     RecordedTable,
     ReplayTable,
+    ScenarioRunsTable,
     SuiteFile,
 )
 from dpbench.bench.record.cell import (
@@ -71,7 +71,7 @@ def plan_cell(
     `why_no_sparse_form` is empty where the QPs have one; `fields` are those of the cell's mode.
     """
     baseline_law = configuration.solver == BASELINE_LAW
-    own_limit_s = table.limit_s if isinstance(table, ClosedLoopTable | ReplayTable) else None
+    own_limit_s = table.limit_s if isinstance(table, ScenarioRunsTable) else None
     cell = Cell(
         solver=configuration.solver,
         route=configuration.route,

@@ -15,6 +15,7 @@ from dpbench.bench.plan.suite import (
     RandomTable,
     RecordedTable,
     ReplayTable,
+    ScenarioRunsTable,
     SuiteFile,
 )
 from dpbench.bench.record.cell import Cell
@@ -154,7 +155,7 @@ def list_configurations(
 
 def _select_solvers(solvers: Sequence[str], table: Table) -> list[str]:
     """Return the suite's solvers that take part in a table, by its `solvers` and `without`."""
-    if not isinstance(table, ClosedLoopTable | ReplayTable):
+    if not isinstance(table, ScenarioRunsTable):
         return list(solvers)
     named = _expand_names(table.solvers) if table.solvers else solvers
     without = _expand_names(table.without)

@@ -63,21 +63,28 @@ class RequirementsTable(FileModel):
     """The deadline of a step, for the slow-downs a solver survives [ms]."""
 
 
-class ClosedLoopTable(RunsTable):
-    """Closed loops of a suite: every solver controls the ship of each scenario by itself."""
+class ScenarioRunsTable(RunsTable):
+    """Call options of closed loops and replays: solvers, units, form of the QP, time limit."""
 
-    scenarios: list[str]
-    """Scenarios by name, scenario@vessel, or TOML files beside the suite."""
     solvers: list[str] = []
     """Only these of the suite's solvers; all where it is empty."""
     without: list[str] = []
     """All but these of the suite's solvers."""
-    vessels: list[str] = []
-    """Run every scenario with each of these vessels instead of its own."""
     units: list[Units] = ["scaled"]
     """Units of the QP a solver is given."""
     formulations: list[FormulationName] = ["condensed_box"]
     """Forms of the QP a solver is given."""
+    limit_s: Positive | None = None
+    """Run time after which a cell stops here [s]; by default cell_limit_s of the suite."""
+
+
+class ClosedLoopTable(ScenarioRunsTable):
+    """Closed loops of a suite: every solver controls the ship of each scenario by itself."""
+
+    scenarios: list[str]
+    """Scenarios by name, scenario@vessel, or TOML files beside the suite."""
+    vessels: list[str] = []
+    """Run every scenario with each of these vessels instead of its own."""
     fallback: Fallback = DEFAULT_FALLBACK
     """What acts where there is no usable answer."""
     backup: str = ""
@@ -86,8 +93,6 @@ class ClosedLoopTable(RunsTable):
     """How much slower the ship's computer is, 1 to 1e9; 0: the ship waits for every answer."""
     deadline_s: NotNegative = 0.0
     """What a step may take of that computer's time [s]; 0: the whole sample."""
-    limit_s: Positive | None = None
-    """Run time after which a cell stops here [s]; by default cell_limit_s of the suite."""
     steps: Count = 0
     """Only the first steps; 0: all."""
 
@@ -99,7 +104,7 @@ class ClosedLoopTable(RunsTable):
         return [f"{scenario}@{vessel}" for scenario in self.scenarios for vessel in self.vessels]
 
 
-class ReplayTable(RunsTable):
+class ReplayTable(ScenarioRunsTable):
     """Replays of a suite: the QPs along one exactly solved loop, through every solver.
 
     Consequence analysis has a sequence for each failure group of the ship, which tells whether the
@@ -113,10 +118,6 @@ class ReplayTable(RunsTable):
     """Consequence analysis along the loop, in place of the controller's own QPs."""
     margin: Annotated[float, Field(ge=1, le=10)] = DYNAMIC_FACTOR
     """Dynamic margin of a consequence analysis: the force to hold is multiplied by it."""
-    solvers: list[str] = []
-    """Only these of the suite's solvers; all where it is empty."""
-    without: list[str] = []
-    """All but these of the suite's solvers."""
     horizons: Annotated[list[str], AfterValidator(check_distinct_horizons)] = []
     """Pairs such as 30/5, instead of the scenario's own."""
     first: Count = 0
@@ -125,12 +126,6 @@ class ReplayTable(RunsTable):
     """How many steps are replayed; 0: all."""
     hardest: Count = 0
     """Replay only so many steps in a row around the hardest step of these; 0: all."""
-    limit_s: Positive | None = None
-    """Run time after which a cell stops here [s]; by default cell_limit_s of the suite."""
-    units: list[Units] = ["scaled"]
-    """Units of the QP a solver is given."""
-    formulations: list[FormulationName] = ["condensed_box"]
-    """Forms of the QP a solver is given."""
 
     @property
     def horizon_pairs(self) -> list[Horizons | None]:
