@@ -23,53 +23,15 @@ from pathlib import Path
 import pandas as pd
 
 from dpbench import load_results
-from tests.bench.deterministic import deterministic
+from tests.bench.deterministic import deterministic, suite_toml
 
 HOSTILE = Path(__file__).parent / "bench" / "hostile_plugin.py"
-SUITE = """
-title = "Accidents"
-solvers = ["quadprog", "daqp"]
-baseline_law = false
-cell_limit_s = 60.0
-rounds = 2
-warmup_steps = 0
-
-[[closed_loop]]
-scenarios = ["paper", "rough"]
-settings = ["default", "high"]
-steps = 40
-
-[[replay]]
-scenario = "paper"
-steps = 20
-
-[[random]]
-families = ["no_rows"]
-sizes = [[3, 0], [4, 0]]
-steps = 5
-"""
-HOSTILE_SUITE = """
-title = "A hostile plug-in beside an honest solver"
-solvers = ["quadprog", "hostile"]
-baseline_law = false
-cell_limit_s = 4.0
-cell_memory_gb = 0.3
-rounds = 1
-warmup_steps = 0
-
-[[closed_loop]]
-scenarios = ["paper", "rough"]
-steps = 20
-
-[[random]]
-families = ["no_rows"]
-sizes = [{sizes}]
-steps = 5
-
-[[replay]]
-scenario = "paper"
-steps = 10
-"""
+SUITE = suite_toml(
+    **{"solvers": ["quadprog", "daqp"], "rounds": 2, "warmup_steps": 0},
+    closed_loop=[{"scenarios": ["paper", "rough"], "settings": ["default", "high"], "steps": 40}],
+    replay=[{"scenario": "paper", "steps": 20}],
+    random=[{"families": ["no_rows"], "sizes": [[3, 0], [4, 0]], "steps": 5}],
+)
 FOUND = {
     2: ("segfault", "crashed", "SIGSEGV"),
     3: ("abort", "crashed", "SIGABRT"),
@@ -89,6 +51,13 @@ FOUND = {
 }
 """By variables of the random problem: what `hostile_plugin.py` does, the outcome of that cell, and
 words of its detail."""
+HOSTILE_SUITE = suite_toml(
+    **{"solvers": ["quadprog", "hostile"], "cell_limit_s": 4.0, "cell_memory_gb": 0.3},
+    **{"rounds": 1, "warmup_steps": 0},
+    closed_loop=[{"scenarios": ["paper", "rough"], "steps": 20}],
+    random=[{"families": ["no_rows"], "sizes": [[n, 0] for n in FOUND], "steps": 5}],
+    replay=[{"scenario": "paper", "steps": 10}],
+)
 MARK = "DPBENCH_CHAOS"
 SCRATCH = "*dpbench-scratch-*"
 SKIPPED = "skipped: mounting is not permitted"
@@ -134,17 +103,8 @@ class Place:
     def command(self) -> list[str]:
         """The command of every run, the same each time."""
         suite, out = str(self.folder / "suite.toml"), str(self.out)
-        return [
-            sys.executable,
-            "-m",
-            "dpbench",
-            "run",
-            suite,
-            "--out",
-            out,
-            "--quiet",
-            *self.options,
-        ]
+        words = ["-m", "dpbench", "run", suite, "--out", out, "--quiet"]
+        return [sys.executable, *words, *self.options]
 
     def start(self, *head: str) -> subprocess.Popen[str]:
         """Begin a run; `head` are words before its command."""
@@ -435,9 +395,8 @@ SCENARIOS = [
 def _place(folder: Path, of_plugin: bool) -> Place:
     if not of_plugin:
         return Place(folder)
-    text = HOSTILE_SUITE.replace("{sizes}", ", ".join(f"[{n}, 0]" for n in FOUND))
     options = ["--solver-module", str(HOSTILE), "--solver", "quadprog", "--solver", "hostile"]
-    return Place(folder, text=text, options=options)
+    return Place(folder, text=HOSTILE_SUITE, options=options)
 
 
 def run_scenarios(scenarios: list[Scenario], folder: Path) -> int:

@@ -133,13 +133,6 @@ def test_a_cell_runs_again_from_its_json(results: Results) -> None:
         assert json.loads(text)["scenario"]["scenario"]["sample_s"] == 0.3
 
 
-def test_finished_cells_are_not_run_again(folder: Path) -> None:
-    before = load_results(folder).steps["total_ns"].to_numpy()
-    run_campaign(folder.parent / "tiny.toml", folder)
-    after = load_results(folder).steps["total_ns"].to_numpy()
-    np.testing.assert_array_equal(before, after)
-
-
 def test_unknown_names_are_refused_before_anything_runs(tmp_path: Path) -> None:
     out = tmp_path / "out"
     with pytest.raises(UnknownNameError, match=r"allowed: standard, .*dpbench list suites"):

@@ -8,13 +8,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.optimize import linprog
 
 from dpbench.bench.capability.frontier import FROM_DEG, CapabilityPlot, Case, WindLimit
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.capability.conditions import DP_CONDITIONS
-from dpbench.ship.thrusters import ThrusterSet
 
 pytestmark = pytest.mark.slow
 INTACT = Case("intact", frozenset())
@@ -51,26 +49,6 @@ def test_port_and_starboard_hold_the_same(held_intact: list[WindLimit]) -> None:
     np.testing.assert_allclose(winds[1:], winds[:0:-1], atol=3e-4)
 
 
-def test_failures_on_either_side_are_mirror_images(circles: CapabilityPlot) -> None:
-    for from_deg in (20.0, 90.0, 170.0, 200.0):
-        port, starboard = (
-            circles.find_wind_limit(
-                Case("", frozenset({lost})), math.radians(side * from_deg)
-            ).wind_mps
-            for lost, side in ((0, 1.0), (1, -1.0))
-        )
-        assert port == pytest.approx(starboard, abs=3e-4)
-
-
-def test_a_stronger_wind_asks_for_more(circles: CapabilityPlot) -> None:
-    for from_deg in (0.0, 45.0, 100.0, 160.0):
-        uses = [
-            circles.best_choice(INTACT, math.radians(from_deg), w)[0]
-            for w in np.arange(2.0, 30.0, 4.0)
-        ]
-        assert (np.diff(uses) > 0.0).all()
-
-
 @pytest.mark.parametrize("case", ["board A", "board B"])
 def test_without_interaction_a_thruster_never_helps_less_than_its_loss(case: str) -> None:
     frontier = CapabilityPlot(load_vessel("osv"))
@@ -99,52 +77,6 @@ def test_polygons_become_the_circle_with_order_two() -> None:
         assert (use <= circle / math.cos(math.pi / sides) * (1.0 + 1e-8)).all()
         gaps.append((use / circle).max() - 1.0)
     assert [math.log2(a / b) for a, b in pairwise(gaps)] == pytest.approx([2.0] * 3, abs=0.4)
-
-
-def balanced(thrusters: ThrusterSet, load: np.ndarray, shares: np.ndarray, sides: int) -> bool:
-    """Whether a load is balanced, by a linear program over forces in N and polygons inside."""
-    rows, limits = [], []
-    for thruster, at, share in zip(thrusters.thrusters, thrusters.slices, shares, strict=True):
-        most = share * thruster.thrust_N
-        angles = (2 * np.arange(sides) + 1) * np.pi / sides
-        normals = np.column_stack((np.cos(angles), np.sin(angles)))
-        if thruster.kind != "azimuth":
-            normals, sides_of = np.array([[1.0], [-1.0]]), 1.0
-        else:
-            sides_of = math.cos(np.pi / sides)
-        block = np.zeros((len(normals), thrusters.n_f))
-        block[:, at] = normals
-        rows.append(block)
-        limits.append(np.full(len(normals), most * sides_of))
-    found = linprog(
-        np.zeros(thrusters.n_f),
-        A_ub=np.vstack(rows) / 1e3,
-        b_ub=np.concatenate(limits) / 1e3,
-        A_eq=thrusters.T_e / [[1e3], [1e3], [4e4]],
-        b_eq=-load / [1e3, 1e3, 4e4],
-        bounds=(None, None),
-        method="highs",
-    )
-    assert found.status in (0, 2), found.message
-    return bool(found.status == 0)
-
-
-@pytest.mark.parametrize("from_deg", [25.0, 75.0, 110.0, 150.0, 250.0, 330.0])
-def test_the_edge_is_where_linear_programs_see_it(from_deg: float) -> None:
-    """osv, 720 sides: balanced 0.1 % of the wind before the edge, and not 0.1 % beyond."""
-    frontier = CapabilityPlot(load_vessel("osv"))
-    case = frontier.cases[1]
-    edge = frontier.find_wind_limit(case, math.radians(from_deg)).wind_mps
-    assert edge < 32.6
-    left = ThrusterSet(
-        tuple(
-            replace(thruster, thrust_N=1e-3) if i in case.lost else thruster
-            for i, thruster in enumerate(frontier.thrusters.thrusters)
-        )
-    )
-    for wind_mps, wanted in ((0.999 * edge, True), (1.001 * edge, False)):
-        weather = frontier.weather(math.radians(from_deg), wind_mps)
-        assert balanced(left, weather.load, weather.shares, 720) is wanted
 
 
 def test_a_ship_that_can_push_sideways_only_holds_nothing() -> None:

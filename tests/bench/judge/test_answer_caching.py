@@ -52,10 +52,9 @@ class Honest(Workspace):
     def __init__(self, clock: Clock) -> None:
         super().__init__("planted", "native", "reuse")
         self._clock, self._inner = clock, open_workspace("quadprog", route="native", policy="reuse")
-        self._key, self._answer = b"", None
-        self.known: dict[object, Solution] = {}
+        self._key = b""
+        self.known: dict[bytes, Solution] = {}
         self.asked: dict[bytes, int] = {}
-        self.index = -1
 
     def setup(self, qp: QuadraticProgram) -> None:
         self._clock.work(SETUP_NS)
@@ -63,11 +62,7 @@ class Honest(Workspace):
 
     def update(self, step: QPStep) -> None:
         self._key = step.q.tobytes() + step.l.tobytes() + step.u.tobytes()
-        self.index += 1
         self._inner.update(step)
-
-    def reset(self) -> None:
-        self.index = -1
 
     def look_up(self) -> Solution | None:
         return None
@@ -98,50 +93,12 @@ class ByBytes(Honest):
         self.known[self._key] = solution
 
 
-class ByIndex(ByBytes):
-    def look_up(self) -> Solution | None:
-        return self.known.get(self.index)
-
-    def keep(self, solution: Solution) -> None:
-        self.known[self.index] = solution
-
-
 class Patient(ByBytes):
     """Looks nothing up before it has been asked the same for the third time."""
 
     def look_up(self) -> Solution | None:
         self.asked[self._key] = self.asked.get(self._key, 0) + 1
         return super().look_up() if self.asked[self._key] > 2 else None
-
-
-class AcrossTheWarmUp(ByBytes):
-    """Remembers what it saw in the warm-up and, of the rest, what it saw in round 1."""
-
-    def keep(self, solution: Solution) -> None:
-        if self.index < WARM_UP or len(self.known) >= WARM_UP:
-            super().keep(solution)
-
-
-class HardQuarter(ByBytes):
-    """Every fourth step is hard; it remembers those alone, and solves the others at once."""
-
-    hard = 4
-
-    def solve(self) -> None:
-        found = self.look_up()
-        is_hard = self.index % self.hard == 0
-        self._clock.work(WORK_NS if is_hard and found is None else LOOK_UP_NS)
-        if found is None:
-            self._inner.solve()
-            found = self._inner.read()
-            if is_hard:
-                self.keep(found)
-        self._solution = found
-
-
-class HardQuarterSolved(HardQuarter):
-    def keep(self, solution: Solution) -> None:
-        pass
 
 
 class AtSetup(Honest):
@@ -203,26 +160,14 @@ def row(first: float = np.nan, loop: float = np.nan) -> dict[str, float]:
     return {"first_visit_ratio": first, "loop_ratio": loop}
 
 
-@pytest.mark.parametrize("make", [ByBytes, ByIndex, Patient, AcrossTheWarmUp])
+@pytest.mark.parametrize("make", [ByBytes, Patient])
 @pytest.mark.parametrize("again", [1, 2], ids=["once", "round 1 run again"])
 def test_whoever_remembers_is_marked(make: type[Honest], again: int, sequence: QPSequence) -> None:
-    """By bytes, by the number of the step, from round 2 on, across the warm-up: always seen."""
+    """By bytes, at once or from round 2 on."""
     attempts = (1, again, *(1,) * (ROUNDS - 1))
     found = ratio(replayed(make, sequence, attempts=attempts))
     assert found == pytest.approx(WORK_NS / LOOK_UP_NS, rel=0.05)
     assert remembers(row(found))
-
-
-@pytest.mark.parametrize(("make", "marked"), [(HardQuarter, True), (HardQuarterSolved, False)])
-def test_memory_of_hard_steps(make: type[Honest], marked: bool, sequence: QPSequence) -> None:
-    """The median of first visits over later ones is 1 for both."""
-    log = replayed(make, sequence)
-    log.counters[:] = 0.0
-    found = caching_metrics(log)
-    assert found["first_visit_ratio"] == pytest.approx(1.0, rel=0.01)
-    assert found["first_visit_excess"] == pytest.approx(0.25 if marked else 0.0)
-    excess = found["first_visit_excess"]
-    assert is_remembered(found["first_visit_ratio"], np.nan, excess) is marked
 
 
 @pytest.mark.parametrize("make", [Honest, AtSetup, Warming])

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from dpbench import load_scenario
 from dpbench.bench.record.cell import DEFAULT_FALLBACK
@@ -19,7 +17,6 @@ from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.errors import CertificateError
 from dpbench.mpc.law import UnconstrainedLaw, gains
-from dpbench.mpc.move_limits import limit_move
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.referee import Referee
@@ -237,42 +234,6 @@ def test_the_time_limit_keeps_the_steps(scenario: Scenario) -> None:
     assert 1 <= int(log.done[0]) < 40
 
 
-axis = st.floats(-1.0, 1.0)
-
-
-@pytest.mark.slow
-@settings(derandomize=True, max_examples=300)
-@given(
-    u=axis,
-    du=st.floats(-4.0, 4.0),
-    step=st.floats(0.01, 0.5),
-    low=st.floats(-0.8, -0.05),
-    high=st.floats(0.05, 0.8),
-)
-def test_limits_of_random_moves(u: float, du: float, step: float, low: float, high: float) -> None:
-    applied = np.empty(1)
-    arrays = (np.array([v]) for v in (step, u, du, low, high))
-    limit_move(*arrays, applied)
-    rounding = 4e-16
-    assert abs(applied[0] - u) <= step + rounding
-    assert applied[0] <= max(high, u - step) and applied[0] >= min(low, u + step)
-    inside = low <= u + du <= high and abs(du) <= step
-    assert not inside or applied[0] == u + du
-
-
 def test_fallback_without_a_plan_holds(scenario: Scenario) -> None:
     law = FALLBACKS[DEFAULT_FALLBACK](15, 3, UnconstrainedLaw(condense(scenario)))
     np.testing.assert_array_equal(law.move(np.zeros(9), np.zeros(3), np.zeros(3)), np.zeros(3))
-
-
-@pytest.mark.parametrize("name", ["weather", "waves"])
-def test_the_weather_of_a_shorter_run_is_the_beginning_of_a_longer_one(name: str) -> None:
-    scenario = load_scenario(name)
-    sea, sample_s = scenario.environment, scenario.sample_s
-    for steps, more in ((1, 2), (100, 101), (1021, 1400)):
-        for table, *rest in (
-            (sea.stage_table, sample_s, 2),
-            (sea.measured_motion, sample_s),
-            (sea.noise_table,),
-        ):
-            np.testing.assert_array_equal(table(steps, *rest), table(more, *rest)[:steps])

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import quadprog
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -69,17 +68,6 @@ def test_the_file_alone_proves_its_optima(file: Path) -> None:
         np.testing.assert_allclose(y[~upper & ~lower], 0.0, atol=1e-8)
     # Both kinds of limit are at work in this run, or the above says nothing of them.
     assert (a["active"][:, n:] != 0).any() and {-1, 0, 1} == set(np.unique(a["active"]).tolist())
-
-
-def test_another_solver_finds_the_same_optima(file: Path) -> None:
-    a = arrays_of(file)
-    n = a["P"].shape[0]
-    C = np.vstack((a["A"], -a["A"], np.eye(n), -np.eye(n)))
-    for k in range(0, STEPS, 7):
-        b = np.concatenate((a["l"][k], -a["u"][k], a["lb"], -a["ub"]))
-        found = quadprog.solve_qp(a["P"], -a["q"][k], C.T.copy(), b)[0]
-        np.testing.assert_allclose(found, a["z"][k], atol=1e-9)
-    assert (a["bound"] < 1e-9).all()
 
 
 def test_a_sequence_has_the_same_bytes(file: Path, tight: QPSequence, tmp_path: Path) -> None:

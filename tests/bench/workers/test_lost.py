@@ -2,6 +2,9 @@
 
 import errno
 import os
+import signal
+import subprocess
+import sys
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any
@@ -12,6 +15,7 @@ from dpbench import load_results, run_campaign
 from dpbench.bench.record.result_folder import read_accidents
 from dpbench.bench.workers import batch, scratch
 from dpbench.bench.workers.child import KILLED_FORKSERVER
+from dpbench.bench.workers.scratch import Scratch
 from dpbench.cli.main import main
 from tests.bench.deterministic import run_suite, suite_file, suite_toml
 from tests.processes import is_running
@@ -122,3 +126,25 @@ def test_without_any_process_the_command_ends_in_one_line(
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("dpbench: no process can be started any more") and "kept" in line
     assert main(command) == 0
+
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from dpbench.temporary_folders import temporary_folder
+with temporary_folder(Path(sys.argv[1])) as folder:
+    (folder / "log").write_bytes(b"a log")
+    print(folder, flush=True)
+    time.sleep(600)
+"""
+
+
+def test_places_are_cleared_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    command = [sys.executable, "-c", HOLD, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout is not None
+        left = Path(holder.stdout.readline().strip())
+        os.kill(holder.pid, signal.SIGKILL)
+    monkeypatch.setattr(scratch, "MEMORY", tmp_path)
+    with Scratch(tmp_path):
+        assert not left.exists()

@@ -6,13 +6,22 @@ from multiprocessing.context import ForkServerContext
 from multiprocessing.popen_forkserver import Popen
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.workers import child as supervise
-from dpbench.bench.workers.child import FORKSERVER_DIED, Child, start_forkserver
+from dpbench.bench.workers.child import (
+    FORKSERVER_DIED,
+    LOOP,
+    OWN,
+    Child,
+    list_kernel_modules,
+    list_uncompiled_modules,
+    start_forkserver,
+)
 from dpbench.bench.workers.worker import write_outcome
 from tests.bench.deterministic import wait_until
 from tests.processes import is_running
@@ -185,3 +194,21 @@ def test_of_two_processes_of_one_start_one_lives(
     # At once it may be on either side of its beginning.
     assert came[:-1] in ([[begun[0]]] if wait_s else [[], [begun[0]]])
     child.kill("seen")
+
+
+def test_kernels_of_own_solvers_are_needed_only_where_one_of_them_runs() -> None:
+    assert list_kernel_modules(["daqp", "unconstrained_clipped"]) == [LOOP]
+    assert list_kernel_modules(["daqp", "hildreth"]) == [OWN, LOOP]
+    assert list_kernel_modules(["paper_active_set"]) == [OWN, LOOP]
+
+
+def test_an_empty_cache_is_recognised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    assert list_uncompiled_modules([OWN, LOOP]) == [OWN, LOOP]
+    (tmp_path / "kernel").mkdir()
+    (tmp_path / "kernel" / "replay._reference_kernel-26.py311.nbi").touch()
+    assert list_uncompiled_modules([OWN, LOOP]) == [OWN]
+    (
+        tmp_path / "kernel" / "hildreth._compile_entry_point.locals.hildreth_step-177.py311.nbi"
+    ).touch()
+    assert list_uncompiled_modules([OWN, LOOP]) == []
