@@ -61,25 +61,13 @@ CERTIFICATES = ("linear", "gap", "rational", "infeasible", "none", "undecided")
 _SOLVE = PHASES.index("solve")
 
 
-@dataclass(frozen=True, eq=False)
-class AppliedForces:
-    """Scenario, QPs, step columns and thruster forces (K, n_f), for control metrics of a run."""
-
-    scenario: Scenario
-    builder: QPBuilder
-    columns: Columns
-    thrust: Matrix
-
-
-METRICS: dict[MetricGroup, Callable[[AppliedForces], dict[str, float]]] = {
-    "axis_limits": lambda of: axis_limit_metrics(of.scenario, of.columns["tau"], of.builder.limits),
-    "joint_limits": lambda of: joint_limit_metrics(
-        of.scenario, of.columns["tau"], of.builder.limits
-    ),
-    "thrusters": lambda of: thruster_metrics(of.scenario, of.thrust, of.builder.thruster_limits),
-    "delivery": lambda of: {"undelivered_share": float(of.columns["undelivered_share"].max())},
+METRICS: dict[MetricGroup, Callable[[Scenario, QPBuilder, Columns, Matrix], dict[str, float]]] = {
+    "axis_limits": lambda case, qps, steps, _: axis_limit_metrics(case, steps["tau"], qps.limits),
+    "joint_limits": lambda case, qps, steps, _: joint_limit_metrics(case, steps["tau"], qps.limits),
+    "thrusters": lambda case, qps, _, f: thruster_metrics(case, f, qps.thruster_limits),
+    "delivery": lambda *of: {"undelivered_share": float(of[2]["undelivered_share"].max())},
 }
-"""Metrics of each group that a controller may name."""
+"""Metrics of each group that a controller may name, of its steps and thruster forces (K, n_f)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +207,7 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCell:
     applied = scenario.controller.select_applied(columns["tau"], thrust)
     metrics = control_metrics(scenario, columns["state"], applied, scaled.reference, exact)
     for group in scenario.controller.metric_groups:
-        metrics |= METRICS[group](AppliedForces(scenario, scaled, columns, thrust))
+        metrics |= METRICS[group](scenario, scaled, columns, thrust)
     metrics |= station_metrics(scenario, exact, cell.steps)
     metrics |= {"sample_s": scenario.sample_s, "first_sample": 0.0, "every_sample": 1.0}
     metrics["matrix_steps"] = float(matrix_steps)
