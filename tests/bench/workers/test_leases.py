@@ -21,7 +21,7 @@ from dpbench.locks import BusyError
 from dpbench.notebook.runs import run_closed_loop
 from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.open import open_workspace
-from tests.bench.deterministic import suite_toml
+from tests.bench.deterministic import run_suite, suite_file, suite_toml
 
 pytestmark = pytest.mark.slow
 
@@ -91,11 +91,10 @@ class Remarks(Silent):
     ],
 )
 def test_replays_are_timed_alone(lease: str, suite: str, waits: bool, tmp_path: Path) -> None:
-    (tmp_path / "tiny.toml").write_text(suite, encoding="utf-8")
     with holding(OTHERS.format(lease)) as (other, held):
         assert held == "True"
         progress = Remarks(other)
-        out = run_campaign(tmp_path / "tiny.toml", tmp_path / "out", progress=progress)
+        out = run_suite(tmp_path, suite, progress=progress)
         named = f"process {other.pid} (results/other, since 20"
     assert [named in text for text in progress.waits] == [True] * waits
     runs = load_results(out).runs
@@ -106,8 +105,7 @@ def test_replays_are_timed_alone(lease: str, suite: str, waits: bool, tmp_path: 
 def test_without_locks_nothing_is_ranked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     nowhere = SimpleNamespace(gettempdir=lambda: str(tmp_path / "nowhere"))
     monkeypatch.setattr(leases, "tempfile", nowhere)
-    (tmp_path / "tiny.toml").write_text(REPLAYS, encoding="utf-8")
-    runs = load_results(run_campaign(tmp_path / "tiny.toml", tmp_path / "out")).runs
+    runs = load_results(run_suite(tmp_path, REPLAYS)).runs
     assert runs["outcome"].tolist() == ["finished"] and runs["concurrency"].tolist() == [2]
 
 
@@ -115,8 +113,7 @@ def test_without_locks_nothing_is_ranked(tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_wait_ends_where_it_was_asked_to(
     option: str, seconds: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "tiny.toml").write_text(REPLAYS, encoding="utf-8")
-    words = ["run", str(tmp_path / "tiny.toml"), "--out", str(tmp_path / "out"), "--quiet"]
+    words = ["run", str(suite_file(tmp_path, REPLAYS)), "--out", str(tmp_path / "out"), "--quiet"]
     with holding(OTHERS.format("SHARED")) as (other, _):
         assert main([*words, option, *seconds]) == 2
     out, err = capfd.readouterr()
@@ -127,15 +124,13 @@ def test_a_wait_ends_where_it_was_asked_to(
 
 
 def test_nobody_waits_without_timing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "tiny.toml").write_text(REPLAYS, encoding="utf-8")
     with holding(OTHERS.format("EXCLUSIVE")):
-        assert main(["run", str(tmp_path / "tiny.toml"), "--dry-run", "--quiet"]) == 0
+        assert main(["run", str(suite_file(tmp_path, REPLAYS)), "--dry-run", "--quiet"]) == 0
         assert run_closed_loop(load_scenario("paper").first(3), open_workspace("daqp"))
     assert "1 cells to run" in capsys.readouterr().out
 
 
 def test_a_campaign_that_was_killed_is_not_named(tmp_path: Path) -> None:
-    (tmp_path / "tiny.toml").write_text(REPLAYS, encoding="utf-8")
     with holding(OTHERS.format("SHARED")) as (killed, _):
         named = (open_lease_folder() / "machine").read_text(encoding="utf-8")
     assert f'"pid": {killed.pid}' in named
@@ -143,7 +138,7 @@ def test_a_campaign_that_was_killed_is_not_named(tmp_path: Path) -> None:
         with (open_lease_folder() / "machine").open("a", encoding="utf-8") as file:
             file.write('null\n{"pid": 1, "since": 1e99, "work": ""}\n\x00[[[\n')
         with pytest.raises(BusyError) as busy:
-            run_campaign(tmp_path / "tiny.toml", tmp_path / "out", wait_s=0.0)
+            run_suite(tmp_path, REPLAYS, wait_s=0.0)
     assert f"process {other.pid} " in str(busy.value) and str(killed.pid) not in str(busy.value)
 
 
