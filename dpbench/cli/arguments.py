@@ -199,11 +199,6 @@ def _add_worst_case_arguments(worst_case: Command) -> None:
     option("--solver-module", "FILE.py", "a plug-in that brings the solver")
 
 
-def _pluralise(word: str) -> str:
-    """Return a kind for `dpbench list` in plural, `solvers` for `solver`; other words unchanged."""
-    return f"{word}s" if f"{word}s" in _LISTED else word
-
-
 def _add_check_arguments(check: Command) -> None:
     file = (
         "a name, scenario@vessel, a TOML file, or a .npz or folder of problems, whose every "
@@ -321,7 +316,9 @@ _COMMANDS: dict[str, tuple[Callable[[Command], None], str, str | None]] = {
         "benchmark itself, give the same command again; 2 bad input.",
     ),
     "list": (
-        lambda listing: listing.add_argument("what", choices=_LISTED, type=_pluralise),
+        lambda listing: listing.add_argument(
+            "what", choices=_LISTED, type=lambda word: f"{word}s" if f"{word}s" in _LISTED else word
+        ),
         "what there is",
         None,
     ),

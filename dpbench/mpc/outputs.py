@@ -41,11 +41,6 @@ class OutputBounds:
         angle = 2.0 * np.pi * np.arange(self.sides) / self.sides
         return np.column_stack((np.cos(angle), np.sin(angle)))
 
-    @property
-    def inradius(self) -> float:
-        """Distance of the polygon's sides from its centre, as a share of the circle's radius."""
-        return float(np.cos(np.pi / self.sides))
-
 
 def bounded_steps(N_p: int, N_c: int) -> Indices:
     """Return the N_c prediction steps at which outputs are bounded, spread evenly up to N_p."""
@@ -96,7 +91,7 @@ def _polygon_block(
     d = bounds.directions / unit
     high = np.zeros((len(free), K, theta.size))
     high[:, :, theta.x] = -(d @ free)
-    high[:, :, theta.one] = bounds.inradius * radius / unit
+    high[:, :, theta.one] = np.cos(np.pi / K) * radius / unit
     units = np.full(K, unit)
     rows = d @ moved
     low, rhos = infinite_limits(high, -1.0), np.full(K, rho)

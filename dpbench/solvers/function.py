@@ -76,8 +76,4 @@ class FunctionWorkspace(Workspace):
 
 def opener(name: str, solve: Solve) -> Callable[[Policy, Options], Workspace]:
     """Make a plug-in solver's `open(policy, options)` from a Python function that solves one QP."""
-
-    def open_function(policy: Policy, options: Options) -> Workspace:
-        return FunctionWorkspace(name, policy, solve, options)
-
-    return open_function
+    return lambda policy, options: FunctionWorkspace(name, policy, solve, options)

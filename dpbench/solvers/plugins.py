@@ -183,11 +183,6 @@ def _describe_raised(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
-def entry_point_names() -> tuple[str, ...]:
-    """List the names of plug-in solvers in installed packages, without loading them."""
-    return tuple(sorted(_entry_points()))
-
-
 @cache
 def _entry_points() -> dict[str, metadata.EntryPoint]:
     return {point.name: point for point in metadata.entry_points(group=GROUP)}
@@ -214,9 +209,9 @@ def find_plugin(name: str) -> Plugin | None:
     return plugin
 
 
-def loaded_names() -> tuple[str, ...]:
-    """List the names of plug-in solvers loaded in this process."""
-    return tuple(sorted(_LOADED))
+def plugin_names() -> set[str]:
+    """Return the names of plug-in solvers, loaded or in an installed package."""
+    return {*_LOADED, *_entry_points()}
 
 
 def _register_plugin(

@@ -59,7 +59,7 @@ class Availability:
 
 def solver_names() -> tuple[str, ...]:
     """List the names of all known solvers, installed or not, plug-ins included, alphabetically."""
-    return tuple(sorted({*TABLE, *plugins.loaded_names(), *plugins.entry_point_names()}))
+    return tuple(sorted({*TABLE, *plugins.plugin_names()}))
 
 
 def find_record(name: str) -> SolverRecord:

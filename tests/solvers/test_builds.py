@@ -44,7 +44,7 @@ def test_a_blasfeo_is_generic_where_it_needs_no_vector_instruction(
 
 @pytest.mark.skipif(not check_availability("hpipm").ok, reason="casadi is not installed")
 @pytest.mark.parametrize("solver", ["hpipm", "hpipm_ocp"])
-def test_the_read_blasfeo_build_hpipm_is_that_of_the_headers_beside_it(solver: str) -> None:
+def test_the_build_of_hpipm_is_that_of_the_headers_beside_it(solver: str) -> None:
     header = Path(str(import_module("casadi").__file__)).parent / "include" / "blasfeo_target.h"
     target = "#define TARGET_GENERIC" in header.read_text(encoding="utf-8")
     assert check_availability(solver).build.generic is target

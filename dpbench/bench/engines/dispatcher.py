@@ -174,7 +174,7 @@ class Dispatcher:
     def _filter_results(self, batch: CellBatch, results: Sequence[Result]) -> Iterator[Result]:
         """Yield a batch's results; runs lost with a damaged file of QPs are queued again."""
         jobs = {job.run_id: job for job in batch.jobs}
-        lost = [jobs[result.run_id] for result in results if result.is_lost]
+        lost = [jobs[one.run_id] for one in results if one.outcome.outcome == "lost"]
         again = {job.run_id: job for job in lost if self._has_damaged_source(job)}
         if again:
             self._retried |= again.keys()

@@ -58,11 +58,6 @@ class Result:
     outcome: Outcome
     part: BatchPart | None = None
 
-    @property
-    def is_lost(self) -> bool:
-        """Return whether an accident of the benchmark, not of the solver, ended the run."""
-        return self.outcome.outcome == "lost"
-
 
 @dataclass(eq=False)
 class CellBatch:

@@ -140,10 +140,6 @@ class NoiseTable(FileModel):
     heading_deg: keys.NotNegative
     """Of the heading [°]."""
 
-    def build_noise(self, scale: Froude) -> SensorNoise:
-        """Return the sensor noise in SI units."""
-        return SensorNoise(self.std(scale))
-
     def std(self, scale: Froude) -> Vector:
         """Return the standard deviations (3,) [m, m, rad] of the sensor noise."""
         metres = self.position_m * scale.length
@@ -197,6 +193,6 @@ class EnvironmentTable(FileModel):
             current=self.current.build_current(scale) if self.current else None,
             drift=WaveDrift(sea) if sea and self.waves and self.waves.drift else None,
             motion=self.waves.build_motion(scale) if self.waves else None,
-            noise=self.noise.build_noise(scale) if self.noise else None,
+            noise=SensorNoise(self.noise.std(scale)) if self.noise else None,
             seed=self.seed,
         )

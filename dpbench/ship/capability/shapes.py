@@ -82,7 +82,8 @@ class _ThrustEdge:
         cuts, first = [], 0
         for i in range(1, len(tangents)):
             wide = corners[i + 1] - corners[first] > math.pi + _ROUNDING
-            if wide or _cross_product(tangents[i - 1][1], tangents[i][0]) < -_ROUNDING:
+            (x, y), (to_x, to_y) = tangents[i - 1][1], tangents[i][0]
+            if wide or x * to_y - y * to_x < -_ROUNDING:
                 cuts.append((first, i))
                 first = i
         cuts.append((first, len(tangents)))
@@ -130,10 +131,6 @@ def _outer_row(
     """Return the row n·f ≤ h of points, n in a direction [rad]."""
     normal = math.cos(direction), math.sin(direction)
     return (*normal, max(normal[0] * x + normal[1] * y for x, y in points))
-
-
-def _cross_product(a: tuple[float, float], b: tuple[float, float]) -> float:
-    return a[0] * b[1] - a[1] * b[0]
 
 
 def _allowed_arcs(

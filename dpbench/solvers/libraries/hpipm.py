@@ -41,11 +41,6 @@ def _load_casadi_library(name: str) -> ctypes.CDLL:
     return ctypes.CDLL(str(Path(str(import_module("casadi").__file__)).parent / name))
 
 
-def blasfeo_build() -> Build:
-    """Return the instruction set that casadi's BLASFEO, used by HPIPM, was compiled for."""
-    return read_blasfeo_build(_load_casadi_library("libblasfeo.so"))
-
-
 def read_blasfeo_build(library: Any) -> Build:
     """Return the instruction set of a loaded BLASFEO; an empty build if it states none."""
     if not hasattr(library, "blasfeo_processor_library_features"):
@@ -88,7 +83,7 @@ RECORD = SolverRecord(
         ),
         single_precision=("yes, routines s_*", "HPIPM source, s_dense_qp_ipm"),
     ),
-    build=blasfeo_build,
+    build=lambda: read_blasfeo_build(_load_casadi_library("libblasfeo.so")),
 )
 
 

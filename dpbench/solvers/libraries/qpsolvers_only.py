@@ -134,11 +134,6 @@ ECOS = QpsolversAdapter(
 )
 
 
-def read_qpmad_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Read qpmad's iterations from a qpsolvers solution, which only solved ones have."""
-    return ClaimedStatus(Status.SOLVED, int(answer.extras["num_iterations"]))
-
-
 PYQPMAD = QpsolversAdapter(
     SolverRecord(
         name="pyqpmad",
@@ -160,7 +155,7 @@ PYQPMAD = QpsolversAdapter(
         needs_strict_convexity=True,
     ),
     "rows",
-    read_qpmad_status,
+    lambda answer, _: ClaimedStatus(Status.SOLVED, int(answer.extras["num_iterations"])),
     make_settings=lambda: import_module("pyqpmad").SolverParameters(),
 )
 
@@ -288,11 +283,6 @@ def read_qpax_status(answer: Any, options: Options) -> ClaimedStatus:
     return ClaimedStatus(Status.MAX_ITERATIONS if ended else Status.UNKNOWN, iterations)
 
 
-def use_double_precision() -> None:
-    """Switch JAX to double precision; its default is single precision."""
-    import_module("jax").config.update("jax_enable_x64", True)
-
-
 QPAX = QpsolversAdapter(
     SolverRecord(
         name="qpax",
@@ -313,7 +303,8 @@ QPAX = QpsolversAdapter(
     "rows",
     read_qpax_status,
     lambda: QPAX_KEYS,
-    prepare=use_double_precision,
+    # JAX has single precision by default.
+    prepare=lambda: import_module("jax").config.update("jax_enable_x64", True),
 )
 
 

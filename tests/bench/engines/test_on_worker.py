@@ -77,7 +77,7 @@ def test_a_worker_with_another_solver_does_not_run_it(jobs: list[CellJob]) -> No
     for job in jobs:
         job.library = replace(job.library, version="0.0.1")
     results = results_of(jobs)
-    assert all(result.is_lost for result in results) and len(results) == len(jobs)
+    assert all(result.outcome.outcome == "lost" for result in results) and len(results) == len(jobs)
     assert {"0.0.1 where the campaign was started" in r.outcome.detail for r in results} == {True}
 
 
