@@ -1,8 +1,6 @@
 """The figures of the page for runs in memory; Altair is imported with the first."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
@@ -10,8 +8,21 @@ import pandas as pd
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import Scenario
 
-if TYPE_CHECKING:
-    from dpbench.notebook.runs import Run
+
+class JudgedRun(Protocol):
+    """Interface of a solver's run that can be plotted: label, table of steps, scenario."""
+
+    @property
+    def label(self) -> str:
+        """Solver and way of starting each solve, as a plot's label."""
+
+    @property
+    def steps(self) -> pd.DataFrame:
+        """Table with one row per step of the run."""
+
+    @property
+    def scenario(self) -> Scenario | None:
+        """Scenario of a closed loop; None where recorded QPs were solved instead."""
 
 
 class RunPlots:
@@ -20,7 +31,7 @@ class RunPlots:
     A chart has `save` for PNG, SVG, PDF and HTML.
     """
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: JudgedRun) -> None:
         self._run = run
 
     def __repr__(self) -> str:
@@ -36,7 +47,7 @@ class RunPlots:
             _make_step_rows(run.steps), _compute_force_shares(run), Requirements().error_move
         )
 
-    def ship(self, *others: Run) -> Any:
+    def ship(self, *others: JudgedRun) -> Any:
         """Plot the ship's path in the north-east plane with the 1 m circle (Fig. 4 of the paper).
 
         Raises InputError for a replay, which has no ship, or runs of two scenarios.
@@ -45,7 +56,7 @@ class RunPlots:
 
         return draw_path(_convert_to_laws((self._run, *others)), self._common_scenario(others))
 
-    def errors(self, *others: Run) -> Any:
+    def errors(self, *others: JudgedRun) -> Any:
         """Plot north, east, heading and radial error of closed loops (Fig. 5 of the paper)."""
         from dpbench.report.charts.ship import draw_pose_errors
 
@@ -53,7 +64,7 @@ class RunPlots:
             _convert_to_laws((self._run, *others)), self._common_scenario(others)
         )
 
-    def _common_scenario(self, others: tuple[Run, ...]) -> Scenario:
+    def _common_scenario(self, others: tuple[JudgedRun, ...]) -> Scenario:
         """Return the scenario that all runs share; InputError if they differ or one has no ship."""
         scenario = self._run.scenario
         for run in (self._run, *others):
@@ -66,7 +77,7 @@ class RunPlots:
         return scenario
 
 
-def _convert_to_laws(runs: tuple[Run, ...]) -> list[Any]:
+def _convert_to_laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
     """Convert solvers' runs to labelled curves of a plot; number those of equal label."""
     from dpbench.analysis.suites.paper import Law
 
@@ -97,7 +108,7 @@ def _make_step_rows(steps: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def _compute_force_shares(run: Run) -> pd.DataFrame:
+def _compute_force_shares(run: JudgedRun) -> pd.DataFrame:
     """Return a closed loop's forces divided by their limits, by step; empty for a replay."""
     from dpbench.analysis.records.thinned_runs import FORCES as COLUMNS
     from dpbench.bench.record.schema import FORCES
