@@ -18,6 +18,7 @@ from dpbench.solvers.contract import Options
 
 MOST_POINTS = 1000
 """A grid of more points is a slip of the keyboard."""
+LONGEST_TEXT, LARGEST_INTEGER = 200, 2**63
 
 
 def split_choice(choice: str) -> tuple[str, str]:
@@ -96,8 +97,12 @@ def decode_options(text: str) -> Options:
 
 
 def _is_value(value: object) -> bool:
-    """Return whether an option may have this value: a finite number, text, true or false."""
-    return isinstance(value, (bool, int, str)) or (isinstance(value, float) and isfinite(value))
+    """Return whether an option may have this value: true, false, a short text, a finite number."""
+    if isinstance(value, str):
+        return len(value) <= LONGEST_TEXT
+    if isinstance(value, int):
+        return abs(value) < LARGEST_INTEGER
+    return isinstance(value, float) and isfinite(value)
 
 
 def _flatten(options: Options, prefix: str = "") -> Iterator[tuple[str, object]]:

@@ -108,6 +108,8 @@ def _check_values(solver: str, settings: Mapping[str, object], target: Any) -> N
     for key, value in settings.items():
         try:
             setattr(target, key, value)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             kind = type(getattr(target, key)).__name__
-            raise SettingsError(f"settings of {solver}", key, repr(value), f"a {kind}") from error
+            raise SettingsError(
+                f"settings of {solver}", key, repr(value)[:80], f"a {kind}"
+            ) from error

@@ -55,8 +55,11 @@ def test_what_is_no_choice_is_refused_in_one_line(choice: str) -> None:
     assert "\n" not in str(e.value)
 
 
-@pytest.mark.parametrize("value", ["nan", "inf", "[]", "[[1]]", "1979-05-27", "[1,nan]"])
-def test_an_option_is_a_finite_number_or_text(value: str) -> None:
+@pytest.mark.parametrize(
+    "value",
+    ["nan", "inf", "[]", "[[1]]", "1979-05-27", "[1,nan]", f"{2**63}", '"' + 201 * "x" + '"'],
+)
+def test_an_option_is_a_finite_number_or_a_short_text(value: str) -> None:
     with pytest.raises(InputError, match=r"solver osqp: rho: found .*a number, text"):
         expand_choice(f"osqp[rho={value}]")
 

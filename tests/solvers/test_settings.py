@@ -166,3 +166,10 @@ def test_names_written_down_are_the_librarys(solver, sequence):
 def test_a_setting_reaches_the_library(solver, loose, sequence):
     counts = [solve(solver, settings, sequence.base).iterations for settings in (loose, "default")]
     assert counts[0] < counts[1]
+
+
+@pytest.mark.parametrize("value", [2**40, -1, 1.5, "many"])
+def test_a_number_that_does_not_fit_is_refused(value):
+    """Clarabel's limit of iterations is an unsigned integer of 32 bits."""
+    with pytest.raises(SettingsError, match=r"settings of clarabel: max_iter: found .*: a int"):
+        resolve_options({"max_iter": value}, NATIVE["clarabel"])
