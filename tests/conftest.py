@@ -157,6 +157,7 @@ class MadeRecords:
             "route": "qpsolvers",
             "policy": "fresh",
             "settings": "default",
+            "options": "",
             "formulation": "condensed_box",
             "form": "dense",
             "units": "scaled",

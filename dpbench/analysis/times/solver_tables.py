@@ -25,15 +25,17 @@ from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.judge.rules import percentile, supports_percentile
 from dpbench.bench.record.configuration import Configuration, settings_level
+from dpbench.solvers.own_settings import decode_options, describe_options
 
 LARGEST_ERROR = 1e3
 """Answers that are farther off are none, and have no point beside others."""
 
 
 def configuration_columns(configuration: Configuration) -> dict[str, str]:
-    """Return a configuration's solver, interface, warm start and settings by column name."""
+    """Return a configuration's solver, interface, warm start, settings and options by column."""
     names = ("solver", "route", "policy", "settings")
-    return {name: getattr(configuration, name) for name in names}
+    options = describe_options(decode_options(configuration.options))
+    return {name: getattr(configuration, name) for name in names} | {"options": options}
 
 
 def verdict_table(matrix: RunMatrix) -> pd.DataFrame:

@@ -6,7 +6,12 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.times.contrasts import PairedComparison, paired_comparison
-from dpbench.analysis.times.solver_tables import experiment_table, level_points, time_table
+from dpbench.analysis.times.solver_tables import (
+    experiment_table,
+    level_points,
+    time_table,
+    verdict_table,
+)
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import judge_solvers
@@ -49,6 +54,15 @@ def test_a_level_that_was_not_run_somewhere_is_hatched_there(records: Any) -> No
         ("high", "paper"): "pass",
         ("high", "calm"): "not run",
     }
+
+
+def test_settings_of_ones_own_are_judged_apart_and_have_their_options_beside(records: Any) -> None:
+    """A preset has none."""
+    records.loop("osqp", error=0.4)
+    records.loop("osqp", settings="mine", options='{"eps_abs": 1e-05, "rho": 2}')
+    table = verdict_table(_matrix(records)).set_index("settings")
+    assert table["options"].to_dict() == {"default": "", "mine": "eps_abs=1e-5,rho=2"}
+    assert table["verdict"].to_dict() == {"default": "fail", "mine": "inconclusive"}
 
 
 EXACT = {"spread": 0.0, "rounds": 1}
