@@ -100,7 +100,7 @@ def check_option_names(solver: str, settings: Mapping[str, object], allowed: Ite
         for key in keys:
             if key not in known:
                 allowed = list_allowed(key, known) if known else "no settings"
-                raise SettingsError(f"settings of {solver}", key, "an unknown key", allowed)
+                raise SettingsError(f"settings of {solver}", key[:80], "an unknown key", allowed)
 
 
 def _check_values(solver: str, settings: Mapping[str, object], target: Any) -> None:

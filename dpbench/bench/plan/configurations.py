@@ -20,7 +20,7 @@ from dpbench.bench.plan.suite import (
 )
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.configuration import Configuration
-from dpbench.errors import InputError, UnknownNameError, list_allowed
+from dpbench.errors import InputError, list_allowed
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Route
 from dpbench.solvers.own.adapters import UNCONSTRAINED_CLIPPED
@@ -59,7 +59,7 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
         chosen.append(BASELINE_LAW)
     if not only and suite.calibration:
         chosen += CALIBRATION
-    check_own_settings(suite, chosen)
+    check_own_settings(suite, chosen, "--solver" if only else "suite: solvers")
     return list(dict.fromkeys(chosen))
 
 
@@ -69,11 +69,12 @@ def _is_among(choice: str, names: Sequence[str]) -> bool:
 
 
 def _resolve_solvers(key: str, names: Sequence[str]) -> list[str]:
-    """Return the solvers that an entry of the suite names; UnknownNameError, naming the entry."""
+    """Return the solvers that an entry of the suite names; an InputError names the entry."""
     try:
         return _expand_names(names)
-    except UnknownNameError as error:
-        raise UnknownNameError("suite", key, error.found, error.allowed) from error
+    except InputError as error:
+        place = f"{key}: {error.key}" if error.key else key
+        raise type(error)("suite", place, error.found, error.allowed) from error
 
 
 def _expand_names(names: Sequence[str]) -> list[str]:

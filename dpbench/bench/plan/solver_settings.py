@@ -83,8 +83,10 @@ def check_settings_names(suite: SuiteFile, table: RunsTable, choices: Sequence[s
             raise SettingsError("settings", "", repr(name), allowed)
 
 
-def check_own_settings(suite: SuiteFile, choices: Iterable[str]) -> None:
+def check_own_settings(suite: SuiteFile, choices: Iterable[str], where: str) -> None:
     """Check settings of one's own against the options of the solvers that are installed.
+
+    where : the place of the choices of solvers.
 
     Raises
     ------
@@ -93,7 +95,12 @@ def check_own_settings(suite: SuiteFile, choices: Iterable[str]) -> None:
     UnknownNameError : for an unknown solver.
     """
     for choice in choices:
-        _check_options(split_choice(choice)[0], parse_choice(choice))
+        solver, _ = split_choice(choice)
+        try:
+            _check_options(solver, parse_choice(choice))
+        except SettingsError as error:
+            key = f"{solver}[{error.key}]"
+            raise SettingsError(where, key, error.found, error.allowed) from error
     for name, solvers in suite.settings.items():
         for solver, options in solvers.items():
             where = f"suite: settings.{name}.{solver}"

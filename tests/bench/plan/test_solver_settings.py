@@ -101,6 +101,8 @@ def test_the_tables_of_a_suite_may_name_a_choice_or_its_solver(suite: str) -> No
         ("settings.mine", 'settings."1e-4"', InputError, r"settings\.1e-4: found the name of a p"),
         ("osqp = { rho = 1.6", "osqq = { rho = 1.6", UnknownNameError, r"mine\.osqq: .*osqp"),
         ("osqp = { rho = 1.6, eps_abs = 1e-5 }", "osqp = {}", InputError, r"mine\.osqp"),
+        ('"osqp",', '"osqp[rhoo=1]",', SettingsError, r"solvers: osqp\[rhoo\]: .*: rho, "),
+        ('"osqp",', '"osqp[rho=[]]",', InputError, r"solvers: rho: found \[\]"),
         ('"mine"', '"mien"', SettingsError, r"settings: found 'mien'; allowed: .*mine"),
     ],
 )
@@ -115,8 +117,8 @@ def test_a_mistake_in_a_suite_is_named(
 @pytest.mark.parametrize(
     ("choice", "message"),
     [
-        ("osqp[rhoo=1.6]", r"settings of osqp: rhoo: found an unknown key; allowed: rho, "),
-        ("quadprog[tol=1e-6]", r"settings of quadprog: tol: .*: no settings"),
+        ("osqp[rhoo=1.6]", r"--solver: osqp\[rhoo\]: found an unknown key; allowed: rho, "),
+        ("quadprog[tol=1e-6]", r"--solver: quadprog\[tol\]: .*: no settings"),
         ("all[rho=1]", "found 'all'"),
     ],
 )
