@@ -617,3 +617,20 @@ def test_the_largest_sample_stays_where_it_was_measured(opened: Any) -> None:
     page = opened("#slow=10000")
     assert page.locator(whiskers).count() < before
     assert page.locator("#figure-ladder text", has_text="jitter of this machine").count() == 1
+
+
+def test_settings_of_ones_own_are_offered_with_their_options(chromium: Any, tmp_path: Path) -> None:
+    """A name that is the options themselves is not repeated."""
+    records = MadeRecords()
+    own = '{"rho": 2, "eps_abs": 1e-05}'
+    for settings, options in (("default", ""), ("mine", own), ("rho=2", '{"rho": 2}')):
+        records.loop("osqp", settings=settings, options=options)
+        records.replay("osqp", settings=settings, options=options, steps=200)
+    with opening(chromium, write_report(records.write(tmp_path / "own"))) as opened:
+        page = opened("#s=osqp&set=mine")
+        offered = page.locator("#choose-settings option").all_inner_texts()
+        assert offered == ["default", "mine (eps_abs=1e-5,rho=2)", "rho=2"]
+        assert "settings={'rho': 2, 'eps_abs': 1e-05})" in page.text_content("#one-call")
+        page.select_option("#choose-settings", "rho=2")
+        page.wait_for_function("$('one-call').textContent.includes(\"{'rho': 2})\")")
+        assert selection(page)["set"] == "rho=2"

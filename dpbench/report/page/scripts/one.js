@@ -7,13 +7,18 @@ function options(id, values, chosen) {
     String(value) === String(chosen))));
 }
 
+function settingsText(c) {
+  const { settings, options: own } = C();
+  return own[c] && own[c] !== settings[c] ? `${settings[c]} (${own[c]})` : settings[c];
+}
+
 function drawChoice() {
   const c = state.c, solver = C().solver[c];
   const own = all().filter((i) => C().solver[i] === solver);
   options("choose-solver", unique(C().solver).map((s) => [s, s]), solver);
   options("choose-mode", unique(own.map(callMode)).map((w) => [w, w.replace("-", " ")]), callMode(c));
-  options("choose-settings", unique(own.filter((i) => callMode(i) === callMode(c)).map((i) => C().settings[i]))
-    .map((s) => [s, s]), C().settings[c]);
+  options("choose-settings", [...new Map(own.filter((i) => callMode(i) === callMode(c))
+    .map((i) => [C().settings[i], settingsText(i)]))], C().settings[c]);
   // Of a study only the seas of one point, or they were hundreds.
   const { study, point } = facts.experiments[state.p];
   const near = (experiment) => !experiment.study || (experiment.study === study && experiment.point === point);
