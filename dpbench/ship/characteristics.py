@@ -44,10 +44,7 @@ def steady_speed(vessel: Vessel) -> Matrix:
 
 
 def slow_speed(vessel: Vessel) -> Vector:
-    """Return the largest speeds (3,) [m/s, m/s, rad/s] at which linear damping is valid.
-
-    Fr √(gL) along both axes, and that of bow and stern in a turn.
-    """
+    """Return the largest speeds (3,) of linear damping: Fr √(gL), of bow and stern in a turn."""
     speed_mps = SLOW_FROUDE_NUMBER * np.sqrt(GRAVITY * vessel.length_m)
     return np.array([speed_mps, speed_mps, speed_mps / (0.5 * vessel.length_m)])
 

@@ -95,16 +95,6 @@ BAD_SCENARIOS = [
 ]
 
 
-@pytest.mark.parametrize(("old", "new", "key", "found", "allowed"), BAD_SCENARIOS)
-def test_a_mistake_in_a_scenario_file_is_one_line(
-    old: str, new: str, key: str, found: str, allowed: str, write: Callable[..., Path]
-) -> None:
-    path = write("scenarios", "calm", old, new)
-    with pytest.raises(InputError) as caught:
-        load_scenario(path)
-    check_one_line(caught.value, path, key, found, allowed)
-
-
 BAD_VESSELS = [
     ("3.7454e9]]", "3.7454e9], [1.0, 1.0, 1.0]]", "inertia", "[1.0, 1.0, 1.0]", "3 items"),
     ("[[5.3122e6", "[[-5.3122e6", ": inertia:", "-5.31e+06", "positive definite"),
@@ -117,27 +107,26 @@ BAD_VESSELS = [
 ]
 
 
-@pytest.mark.parametrize(("old", "new", "key", "found", "allowed"), BAD_VESSELS)
-def test_a_mistake_in_a_vessel_file_is_one_line(
-    old: str, new: str, key: str, found: str, allowed: str, write: Callable[..., Path]
+@pytest.mark.parametrize(
+    ("kind", "old", "new", "key", "found", "allowed"),
+    [*(("scenarios", *bad) for bad in BAD_SCENARIOS), *(("vessels", *bad) for bad in BAD_VESSELS)],
+)
+def test_a_mistake_in_a_file_is_one_line(
+    kind: str, old: str, new: str, key: str, found: str, allowed: str, write: Callable[..., Path]
 ) -> None:
-    path = write("vessels", "supply_fs99", old, new)
-    scenario = write("scenarios", "calm", '"supply_fs99"', '"my_vessel.toml"')
-    for load, file in ((load_vessel, path), (load_scenario, scenario)):
+    calls: list[tuple[Callable[[Path], object], Path]] = []
+    if kind == "vessels":
+        calls = [(load_scenario, write("scenarios", "calm", '"supply_fs99"', '"my_vessel.toml"'))]
+    path = write(kind, {"scenarios": "calm", "vessels": "supply_fs99"}[kind], old, new)
+    calls += [(load_scenario if kind == "scenarios" else load_vessel, path)]
+    for load, file in calls:
         with pytest.raises(InputError) as caught:
             load(file)
-        check_one_line(caught.value, path, key, found, allowed)
-
-
-def check_one_line(error: InputError, path: Path, key: str, found: str, allowed: str) -> None:
-    """Assert that one line holds all four parts of an error."""
-    text = str(error)
-    assert "\n" not in text
-    assert text.startswith(str(path))
-    assert key in text.removeprefix(str(path))
-    assert found in str(error.found)
-    assert allowed in error.allowed
-    assert f"found {' '.join(str(error.found).split())}; allowed: " in text
+        text, error = str(caught.value), caught.value
+        assert "\n" not in text
+        assert text.startswith(str(path)) and key in text.removeprefix(str(path))
+        assert found in str(error.found) and allowed in error.allowed
+        assert f"found {' '.join(str(error.found).split())}; allowed: " in text
 
 
 @pytest.mark.parametrize(

@@ -215,10 +215,7 @@ class ReplayGroup:
 
 
 def measure_load(log: RawLog) -> NDArray[np.float64]:
-    """Return the machine-load test's time around each round [ns] (rounds,), on its quieter side.
-
-    NaN for an unfinished round, and for the warm-up.
-    """
+    """Return the load test's time around each round [ns], on its quieter side, or NaN."""
     levels: NDArray[np.float64] = np.median(log.load_kernel_ns, axis=2).min(axis=1)
     levels[(levels <= 0.0) | (log.done == 0)] = np.nan
     levels[0] = np.nan

@@ -117,10 +117,7 @@ def _round_to_fractions(vector: Vector) -> Iterator[Vector]:
 
 
 def to_integers(vector: Vector, denominator: int) -> Vector | None:
-    """Round a vector to fractions and return integers in the same proportions.
-
-    None where float64 cannot hold them.
-    """
+    """Return integers near the proportions of a vector; None where float64 has none."""
     parts = [Fraction(value).limit_denominator(denominator) for value in vector.tolist()]
     common = lcm(*(part.denominator for part in parts))
     numbers = [part * common for part in parts]
