@@ -168,15 +168,3 @@ CASES: dict[str, Callable[[], Case]] = {
 @pytest.fixture(params=list(CASES))
 def case(request: pytest.FixtureRequest) -> Case:
     return CASES[request.param]()
-
-
-def _fixture(name: str, function: Callable[..., Any]) -> Any:
-    return pytest.fixture(lambda: function, scope="session", name=name)
-
-
-naive_fixture = _fixture("naive", naive_build)
-rollout_fixture = _fixture("rollout", rolled_out_cost)
-quadprog_fixture = _fixture("by_quadprog", solve_by_quadprog)
-ship_fixture = _fixture("ship", ship_problem)
-random_plant_fixture = _fixture("random_plant", random_problem)
-point_fixture = _fixture("point", at_sea)

@@ -15,6 +15,7 @@ from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.referee import certify
+from tests.mpc.conftest import at_sea, random_problem, ship_problem
 
 LOST = np.array([1.0, 0.45, 0.6])
 """What is left of the limits in `thruster_loss`."""
@@ -36,9 +37,9 @@ def blocks(builder: CondensedQP, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return rows[:, :n_u], rows[:, n_u:]
 
 
-def lost_thruster(ship: Any) -> tuple[Any, np.ndarray, Limits]:
+def lost_thruster() -> tuple[Any, np.ndarray, Limits]:
     """A robust controller, full sway force applied, and the limits that are left."""
-    problem = ship("supply_fs99", N_p=60, N_c=10, robust=True)
+    problem = ship_problem("supply_fs99", N_p=60, N_c=10, robust=True)
     u_prev = np.array([0.0, problem.u_max[1], 0.2 * problem.u_max[2]])
     return problem, u_prev, Limits(problem.u_min * LOST, problem.u_max * LOST)
 
@@ -64,10 +65,10 @@ def test_where_hard_limits_are_feasible_the_soft_plan_is_the_hard_one(case: Any)
 @settings(max_examples=40, derandomize=True, deadline=None)
 @given(seed=st.integers(0, 10_000), size=st.floats(0.1, 4.0), n_u=st.integers(1, 3))
 def test_a_penalty_is_exact_from_the_largest_multiplier_on(
-    seed: int, size: float, n_u: int, random_plant: Any, point: Any
+    seed: int, size: float, n_u: int
 ) -> None:
     """1 % above the largest multiplier of the hard problem, not 1 % below it where it is unique."""
-    here = point(random_plant(seed, n_u, n_u, 8, 4), seed)
+    here = at_sea(random_problem(seed, n_u, n_u, 8, 4), seed)
     hard = CondensedQP(here.problem)
     theta = (size * here.x, size * here.y_ref, here.u_prev)
     qp = hard.problem(hard.emit(*theta))
@@ -86,8 +87,8 @@ def test_a_penalty_is_exact_from_the_largest_multiplier_on(
         assert bool(slacks.max() < EQUAL) is same
 
 
-def test_where_hard_limits_are_infeasible_the_soft_plan_violates_them_least(ship: Any) -> None:
-    problem, u_prev, limits = lost_thruster(ship)
+def test_where_hard_limits_are_infeasible_the_soft_plan_violates_them_least() -> None:
+    problem, u_prev, limits = lost_thruster()
     x = np.array([0.0, 0.0, 0.0, 0.0, 0.02, 0.0, 0.5, -1.0, 0.02])
     hard = CondensedQP(problem, amplitude="hard")
     empty = hard.problem(hard.emit(x, np.zeros(3), u_prev, limits=limits))
@@ -110,10 +111,8 @@ def test_where_hard_limits_are_infeasible_the_soft_plan_violates_them_least(ship
 
 @pytest.mark.parametrize("amplitude", ["hard", "soft"])
 @pytest.mark.parametrize("units", ["scaled", "si"])
-def test_hard_and_soft_rows_have_exactly_the_new_limits(
-    ship: Any, amplitude: Any, units: Any
-) -> None:
-    problem, u_prev, limits = lost_thruster(ship)
+def test_hard_and_soft_rows_have_exactly_the_new_limits(amplitude: Any, units: Any) -> None:
+    problem, u_prev, limits = lost_thruster()
     builder = CondensedQP(problem, amplitude=amplitude, units=units)
     theta = (np.full(9, 0.01), np.zeros(3), u_prev)
     step = builder.emit(*theta, limits=limits)
@@ -130,8 +129,8 @@ def test_hard_and_soft_rows_have_exactly_the_new_limits(
         np.testing.assert_allclose(*pair, rtol=1e-11, atol=1e-12)
 
 
-def test_soft_variables_and_rows_shift_by_one_number(ship: Any) -> None:
-    problem = ship("supply_fs99")
+def test_soft_variables_and_rows_shift_by_one_number() -> None:
+    problem = ship_problem("supply_fs99")
     builder = CondensedQP(problem, amplitude="soft")
     qp = builder.problem(builder.emit(np.zeros(9), np.zeros(3), np.zeros(3)))
     assert (qp.n, qp.m, qp.block, qp.moves) == (30, 30, 6, 3)
@@ -144,8 +143,8 @@ def test_soft_variables_and_rows_shift_by_one_number(ship: Any) -> None:
     assert not blocks(builder, builder.plan(moves))[1].any()
 
 
-def test_slacks_leave_the_cost_of_the_moves_and_the_condition_of_it_alone(ship: Any) -> None:
-    problem = ship("supply_fs99", N_p=60, N_c=10, robust=True)
+def test_slacks_leave_the_cost_of_the_moves_and_the_condition_of_it_alone() -> None:
+    problem = ship_problem("supply_fs99", N_p=60, N_c=10, robust=True)
     plain, soft = CondensedQP(problem), CondensedQP(problem, amplitude="soft")
     place = np.arange(soft.n).reshape(10, 6)
     moves, slacks = place[:, :3].reshape(-1), place[:, 3:].reshape(-1)
@@ -161,8 +160,8 @@ def test_slacks_leave_the_cost_of_the_moves_and_the_condition_of_it_alone(ship: 
     np.testing.assert_array_equal(q[slacks].reshape(10, 3)[4], soft.penalty.amplitude)
 
 
-def test_soft_problems_in_scaled_and_si_units_have_one_answer(ship: Any) -> None:
-    problem, u_prev, limits = lost_thruster(ship)
+def test_soft_problems_in_scaled_and_si_units_have_one_answer() -> None:
+    problem, u_prev, limits = lost_thruster()
     scaled, si = (CondensedQP(problem, amplitude="soft", units=u) for u in ("scaled", "si"))  # type: ignore[arg-type] # names from a loop
     theta = (np.full(9, 0.02), np.zeros(3), u_prev)
     qp, raw = (b.problem(b.emit(*theta, limits=limits)) for b in (scaled, si))
@@ -176,8 +175,8 @@ def test_soft_problems_in_scaled_and_si_units_have_one_answer(ship: Any) -> None
         np.testing.assert_allclose(in_si, in_steps * row, rtol=1e-9, atol=1e-6)
 
 
-def test_soft_rows_are_the_forces_within_their_limits_and_slacks(ship: Any) -> None:
-    problem, u_prev, limits = lost_thruster(ship)
+def test_soft_rows_are_the_forces_within_their_limits_and_slacks() -> None:
+    problem, u_prev, limits = lost_thruster()
     builder = CondensedQP(problem, amplitude="soft")
     step = builder.emit(np.zeros(9), np.zeros(3), u_prev, limits=limits)
     rng, seen = np.random.default_rng(3), []

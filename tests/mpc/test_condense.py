@@ -17,7 +17,7 @@ from dpbench.mpc.condense import (
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.model import StateSpace
 from dpbench.mpc.thruster_rows import ThrusterRows
-from tests.mpc.conftest import assert_close
+from tests.mpc.conftest import assert_close, naive_build, rolled_out_cost, ship_problem
 
 
 def test_predicted_outputs_are_those_of_the_stepped_model(case: Any) -> None:
@@ -31,9 +31,9 @@ def test_predicted_outputs_are_those_of_the_stepped_model(case: Any) -> None:
     assert_close(matrices.F @ case.x + matrices.Phi @ moves.reshape(-1), np.concatenate(outputs))
 
 
-def test_matrices_agree_with_the_naive_construction(case: Any, naive: Any) -> None:
+def test_matrices_agree_with_the_naive_construction(case: Any) -> None:
     """F, Φ, E and the linear cost of eq. 15-24 agree with the ones written out block by block."""
-    expected = naive(case.problem, case.x, case.held, case.u_prev)
+    expected = naive_build(case.problem, case.x, case.held, case.u_prev)
     eye, N_p = np.eye(case.problem.model.n_y), case.problem.N_p
     found = condense_matrices(case.problem)
     for name in ("F", "Phi", "E"):
@@ -45,11 +45,9 @@ def test_matrices_agree_with_the_naive_construction(case: Any, naive: Any) -> No
 
 @pytest.mark.parametrize("preview", [False, True], ids=["held", "preview"])
 @pytest.mark.parametrize("units", ["scaled", "si"])
-def test_problem_agrees_with_the_naive_construction(
-    case: Any, naive: Any, units: Any, preview: bool
-) -> None:
+def test_problem_agrees_with_the_naive_construction(case: Any, units: Any, preview: bool) -> None:
     Y_d = case.preview() if preview else case.held
-    expected = naive(case.problem, case.x, Y_d, case.u_prev)
+    expected = naive_build(case.problem, case.x, Y_d, case.u_prev)
     T = expected.move if units == "scaled" else np.ones_like(expected.move)
     builder = CondensedQP(case.problem, units=units)
     step = builder.emit(case.x, Y_d if preview else case.y_ref, case.u_prev)
@@ -65,7 +63,7 @@ def test_problem_agrees_with_the_naive_construction(
 
 
 @pytest.mark.parametrize("units", ["scaled", "si"])
-def test_objective_and_constant_are_the_predicted_cost(case: Any, rollout: Any, units: Any) -> None:
+def test_objective_and_constant_are_the_predicted_cost(case: Any, units: Any) -> None:
     """½zᵀPz + qᵀz + J0 is the cost of Algorithm 1 by stepping the model, held or previewed."""
     problem = case.problem
     builder = CondensedQP(problem, units=units)
@@ -75,15 +73,17 @@ def test_objective_and_constant_are_the_predicted_cost(case: Any, rollout: Any, 
         cost = builder.problem(step).objective(builder.plan(moves))
         cost += builder.constant_cost(case.x, y_ref)
         # All three terms are below the cost at ΔU = 0, which sizes the rounding.
-        size = rollout(problem, case.x, Y_d, 0 * moves) + rollout(problem, case.x, Y_d, moves)
-        assert cost == pytest.approx(rollout(problem, case.x, Y_d, moves), abs=1e-12 * size)
+        size = rolled_out_cost(problem, case.x, Y_d, 0 * moves) + rolled_out_cost(
+            problem, case.x, Y_d, moves
+        )
+        assert cost == pytest.approx(rolled_out_cost(problem, case.x, Y_d, moves), abs=1e-12 * size)
 
 
 @pytest.mark.parametrize("N_c", [11, 22, 35])
-def test_many_moves_condense_like_the_naive_construction(ship: Any, naive: Any, N_c: int) -> None:
+def test_many_moves_condense_like_the_naive_construction(N_c: int) -> None:
     """n = 33, 66, 105: just above one and two tiles of the kernel, and not a multiple of them."""
-    problem = ship("supply_fs99", N_p=40, N_c=N_c)
-    expected = naive(problem, np.zeros(9), np.zeros((40, 3)), np.zeros(3))
+    problem = ship_problem("supply_fs99", N_p=40, N_c=N_c)
+    expected = naive_build(problem, np.zeros(9), np.zeros((40, 3)), np.zeros(3))
     found = condense_matrices(problem)
     assert_close(found.E, expected.E)
     np.testing.assert_array_equal(found.E, found.E.T)
@@ -114,18 +114,18 @@ def test_cost_matrix_is_symmetric_and_positive_definite(case: Any) -> None:
     ],
 )
 def test_a_control_problem_names_what_does_not_fit(
-    ship: Any, change: dict[str, Any], error: type[InputError], message: str
+    change: dict[str, Any], error: type[InputError], message: str
 ) -> None:
     with pytest.raises(error, match=message) as caught:
-        replace(ship("supply_fs99"), **change)
+        replace(ship_problem("supply_fs99"), **change)
     assert caught.value.key == next(iter(reversed(change)))
 
 
-def test_other_forms_are_refused(ship: Any) -> None:
+def test_other_forms_are_refused() -> None:
     with pytest.raises(InputError, match='\'SI\'; allowed: "scaled" or "si"'):
-        CondensedQP(ship("supply_fs99"), units="SI")  # type: ignore[arg-type] # bad on purpose
+        CondensedQP(ship_problem("supply_fs99"), units="SI")  # type: ignore[arg-type] # bad on purpose
     with pytest.raises(InputError, match='\'firm\'; allowed: "reachable", "hard" or "soft"'):
-        CondensedQP(ship("supply_fs99"), amplitude="firm")  # type: ignore[arg-type] # the same
+        CondensedQP(ship_problem("supply_fs99"), amplitude="firm")  # type: ignore[arg-type] # the same
 
 
 def test_any_number_of_moves_up_to_the_horizon_is_allowed() -> None:
@@ -157,8 +157,8 @@ def test_rows_of_thrusters_by_hand() -> None:
     np.testing.assert_array_equal(summed_rows(2, problem.G), both)
 
 
-def test_without_thrusters_the_rows_are_the_forces(ship: Any) -> None:
-    problem = ship("supply_fs99")
+def test_without_thrusters_the_rows_are_the_forces() -> None:
+    problem = ship_problem("supply_fs99")
     for units in ("scaled", "si"):
         np.testing.assert_array_equal(scaled_rows(problem, units), np.eye(3))
     assert problem.row_max is problem.du_max

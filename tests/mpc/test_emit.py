@@ -15,7 +15,14 @@ from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.relinearised import RelinearisedQP
 from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
-from tests.mpc.conftest import assert_close
+from tests.mpc.conftest import (
+    assert_close,
+    at_sea,
+    naive_build,
+    rolled_out_cost,
+    ship_problem,
+    solve_by_quadprog,
+)
 
 
 def pieces(step: QPStep) -> np.ndarray:
@@ -27,9 +34,9 @@ def pieces(step: QPStep) -> np.ndarray:
 @pytest.mark.parametrize("bounded", [False, True])
 @pytest.mark.parametrize("turning", [False, True])
 def test_every_condensed_formulation_is_one_affine_map(
-    ship: Any, units: Any, amplitude: Any, bounded: bool, turning: bool
+    units: Any, amplitude: Any, bounded: bool, turning: bool
 ) -> None:
-    problem = ship("supply_fs99", N_p=20, N_c=4)
+    problem = ship_problem("supply_fs99", N_p=20, N_c=4)
     outputs = OutputBounds(0.3, 5.0, 0.15) if bounded else None
     form: dict[str, Any] = {"units": units, "amplitude": amplitude, "outputs": outputs}
     heading = {"psi0_rad": 0.0} if turning else {}
@@ -76,8 +83,8 @@ def test_a_previewed_constant_reference_is_the_held_one(case: Any) -> None:
     assert builder.constant_cost(case.x, case.held) == builder.constant_cost(case.x, case.y_ref)
 
 
-def test_a_preview_of_another_length_is_refused(ship: Any) -> None:
-    builder = CondensedQP(ship("supply_fs99"))
+def test_a_preview_of_another_length_is_refused() -> None:
+    builder = CondensedQP(ship_problem("supply_fs99"))
     with pytest.raises(ValueError, match=r"mismatch|shapes|align"):
         builder.emit(np.zeros(9), np.zeros((29, 3)), np.zeros(3))
 
@@ -129,11 +136,11 @@ def test_reachable_limits_always_leave_a_feasible_plan(case: Any) -> None:
     assert (rows <= step.u + 1e-9).all() and (rows >= step.l - 1e-9).all()
 
 
-def test_scaled_and_si_problems_have_one_answer(case: Any, by_quadprog: Any) -> None:
+def test_scaled_and_si_problems_have_one_answer(case: Any) -> None:
     scaled, si = CondensedQP(case.problem), CondensedQP(case.problem, units="si")
     theta = (case.x, case.y_ref, case.u_prev)
     problem, raw = scaled.problem(scaled.emit(*theta)), si.problem(si.emit(*theta))
-    z, y, y_box = by_quadprog(problem)
+    z, y, y_box = solve_by_quadprog(problem)
     unit, own = si.scale.z, z * si.scale.z
     # Stationarity of the mapped answer in the SI problem, each row in its own unit.
     slope = raw.P @ own + raw.q + raw.A.T @ (y / si.scale.row) + y_box / unit
@@ -142,25 +149,23 @@ def test_scaled_and_si_problems_have_one_answer(case: Any, by_quadprog: Any) -> 
     assert raw.objective(own) == pytest.approx(problem.objective(z), rel=1e-9)
     np.testing.assert_allclose(si.moves(own), scaled.moves(z), rtol=1e-14)
     # Solved on its own in N and N·m, where P has a condition of up to 1e5, the plan is the same.
-    alone = si.moves(by_quadprog(raw)[0]) / case.problem.du_max
+    alone = si.moves(solve_by_quadprog(raw)[0]) / case.problem.du_max
     np.testing.assert_allclose(alone, scaled.moves(z) / case.problem.du_max, rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize("name", ["supply_fs99", "supply_tmr"])
-def test_amplitude_rows_beyond_the_control_horizon_change_nothing(
-    ship: Any, point: Any, by_quadprog: Any, name: str
-) -> None:
+def test_amplitude_rows_beyond_the_control_horizon_change_nothing(name: str) -> None:
     """Rows for u(k+N_c) … u(k+N_p−1) are redundant, because the plan stands still there."""
-    here = point(ship(name, psi0_rad=0.4, N_p=30, N_c=5))
+    here = at_sea(ship_problem(name, psi0_rad=0.4, N_p=30, N_c=5))
     builder = CondensedQP(here.problem)
     qp = builder.problem(builder.emit(here.x, here.y_ref, here.u_prev))
     # One row per axis and instant up to N_p, each the sum of all moves made so far.
     sums = np.array([[float(j <= i) for j in range(5)] for i in range(30)])
     limits = [np.tile(side[:3], 30) for side in (qp.l, qp.u)]
     longer = QuadraticProgram(qp.P, qp.q, np.kron(sums, np.eye(3)), *limits, qp.lb, qp.ub)
-    z, y, _ = by_quadprog(qp)
+    z, y, _ = solve_by_quadprog(qp)
     assert np.abs(y).max() > 0.0
-    np.testing.assert_allclose(by_quadprog(longer)[0], z, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(solve_by_quadprog(longer)[0], z, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(longer.A[:15], summed_rows(5, np.eye(3)))
 
 
@@ -192,10 +197,12 @@ def state_at(psi_rad: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.
     unlike=st.booleans(),
 )
 def test_a_relinearised_step_is_the_step_condensed_anew_at_its_heading(
-    psi0_rad: float, psi_rad: float, options: Any, units: Any, unlike: bool, ship: Any
+    psi0_rad: float, psi_rad: float, options: Any, units: Any, unlike: bool
 ) -> None:
     change = {"Q": UNLIKE} if unlike else {}
-    here, there = (replace(ship("supply_mss", psi0_rad=a), **change) for a in (psi0_rad, psi_rad))
+    here, there = (
+        replace(ship_problem("supply_mss", psi0_rad=a), **change) for a in (psi0_rad, psi_rad)
+    )
     builder = RelinearisedQP(here, psi0_rad=psi0_rad, units=units, **options)
     fresh = CondensedQP(there, units=units, penalty=builder.penalty, **options)
     x, preview, u_prev = state_at(psi_rad)
@@ -210,25 +217,21 @@ def test_a_relinearised_step_is_the_step_condensed_anew_at_its_heading(
 
 
 @pytest.mark.parametrize("psi_rad", [0.0, np.pi / 2, -2.9, 9.0])
-def test_a_relinearised_step_agrees_with_the_naive_construction(
-    ship: Any, naive: Any, psi_rad: float
-) -> None:
-    builder = RelinearisedQP(replace(ship("supply_fs99"), Q=UNLIKE), psi0_rad=0.0)
+def test_a_relinearised_step_agrees_with_the_naive_construction(psi_rad: float) -> None:
+    builder = RelinearisedQP(replace(ship_problem("supply_fs99"), Q=UNLIKE), psi0_rad=0.0)
     x, preview, u_prev = state_at(psi_rad)
     step = builder.emit(x, preview, u_prev)
-    there = replace(ship("supply_fs99", psi0_rad=psi_rad), Q=UNLIKE)
-    expected = naive(there, x, preview, u_prev)
+    there = replace(ship_problem("supply_fs99", psi0_rad=psi_rad), Q=UNLIKE)
+    expected = naive_build(there, x, preview, u_prev)
     assert step.P is not None
     assert_close(step.P, expected.move[:, None] * expected.E * expected.move)
     assert_close(step.q, expected.move * expected.F_k)
 
 
 @pytest.mark.parametrize("unlike", [False, True], ids=["round Q", "Q unlike"])
-def test_the_cost_matrix_turns_only_with_a_weight_that_tells_north_from_east(
-    ship: Any, unlike: bool
-) -> None:
+def test_the_cost_matrix_turns_only_with_a_weight_that_tells_north_from_east(unlike: bool) -> None:
     """RᵀQR = Q keeps P to the last bit at all headings."""
-    problem = ship("supply_fs99", N_p=60, N_c=10, robust=True)
+    problem = ship_problem("supply_fs99", N_p=60, N_c=10, robust=True)
     problem = replace(problem, Q=UNLIKE) if unlike else problem
     for always in (True, False):
         builder = RelinearisedQP(problem, psi0_rad=0.0, always=always)
@@ -241,8 +244,8 @@ def test_the_cost_matrix_turns_only_with_a_weight_that_tells_north_from_east(
         assert same is not unlike
 
 
-def test_steps_stay_valid_after_the_ship_has_turned(ship: Any) -> None:
-    problem = replace(ship("supply_fs99"), Q=UNLIKE)
+def test_steps_stay_valid_after_the_ship_has_turned() -> None:
+    problem = replace(ship_problem("supply_fs99"), Q=UNLIKE)
     builder = RelinearisedQP(problem, psi0_rad=0.0, outputs=OutputBounds(0.3, 5.0))
     x, preview, u_prev = state_at(0.4)
     step = builder.emit(x, preview, u_prev)
@@ -259,38 +262,41 @@ def test_steps_stay_valid_after_the_ship_has_turned(ship: Any) -> None:
     [(0.0, [1, 2, 3, 4, 5, 6, 7, 8]), (4.0, [0, 0, 0, 1, 2, 2, 3, 4])],
 )
 def test_the_model_follows_the_heading_beyond_a_threshold(
-    ship: Any, threshold_deg: float, expected: list[int]
+    threshold_deg: float, expected: list[int]
 ) -> None:
     """Threshold 0 re-linearises each step."""
     threshold = np.radians(threshold_deg)
-    builder, before = RelinearisedQP(ship("supply_fs99"), psi0_rad=0.0, threshold_rad=threshold), 0
+    builder, before = (
+        RelinearisedQP(ship_problem("supply_fs99"), psi0_rad=0.0, threshold_rad=threshold),
+        0,
+    )
     for heading_deg, count in zip([0, 0, 3, 5, 9, 9, 3.5, 400], expected, strict=True):
         x, preview, u_prev = state_at(np.radians(heading_deg))
         step = builder.emit(x, preview[0], u_prev)
         assert (Refresh.MATRICES in step.refresh) is (count > before)
-        fresh = CondensedQP(ship("supply_fs99", psi0_rad=builder.heading_rad))
+        fresh = CondensedQP(ship_problem("supply_fs99", psi0_rad=builder.heading_rad))
         assert_close(step.q, fresh.emit(x, preview[0], u_prev).q)
         before = count
 
 
-def test_constant_cost_and_matrices_are_those_of_the_heading(ship: Any, rollout: Any) -> None:
+def test_constant_cost_and_matrices_are_those_of_the_heading() -> None:
     """½zᵀPz + qᵀz + J0 is the cost by stepping the model of the step's heading."""
-    here = replace(ship("supply_fs99", psi0_rad=0.2), Q=UNLIKE)
+    here = replace(ship_problem("supply_fs99", psi0_rad=0.2), Q=UNLIKE)
     builder = RelinearisedQP(here, psi0_rad=0.2)
     x, preview, u_prev = state_at(1.9)
     step = builder.emit(x, preview, u_prev)
-    there = replace(ship("supply_fs99", psi0_rad=1.9), Q=UNLIKE)
+    there = replace(ship_problem("supply_fs99", psi0_rad=1.9), Q=UNLIKE)
     moves = np.random.default_rng(1).uniform(-1, 1, (5, 3)) * there.du_max
     cost = builder.problem(step).objective(builder.plan(moves)) + builder.constant_cost(x, preview)
-    assert cost == pytest.approx(rollout(there, x, preview, moves), rel=1e-11)
+    assert cost == pytest.approx(rolled_out_cost(there, x, preview, moves), rel=1e-11)
 
 
-def test_a_round_terminal_cost_turns_with_the_ship_and_no_other_is_taken(ship: Any) -> None:
-    here = replace(ship("supply_tmr", psi0_rad=0.3), terminal="riccati")
+def test_a_round_terminal_cost_turns_with_the_ship_and_no_other_is_taken() -> None:
+    here = replace(ship_problem("supply_tmr", psi0_rad=0.3), terminal="riccati")
     builder = RelinearisedQP(here, psi0_rad=0.3)
     x, preview, u_prev = state_at(-2.0)
     found = builder.problem(builder.emit(x, preview, u_prev))
-    fresh = CondensedQP(replace(ship("supply_tmr", psi0_rad=-2.0), terminal="riccati"))
+    fresh = CondensedQP(replace(ship_problem("supply_tmr", psi0_rad=-2.0), terminal="riccati"))
     expected = fresh.problem(fresh.emit(x, preview, u_prev))
     for name in ("P", "q"):
         assert_close(getattr(found, name), getattr(expected, name))

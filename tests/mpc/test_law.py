@@ -18,14 +18,14 @@ from dpbench.mpc.law import (
 from dpbench.mpc.model import StateSpace, augment, build_prediction_model
 from dpbench.qp.stacked import stack
 from dpbench.scenario.scenario import load_vessel
-from tests.mpc.conftest import VESSELS, sample_of
+from tests.mpc.conftest import VESSELS, naive_build, sample_of, ship_problem, solve_by_quadprog
 
 HORIZONS = {False: {"N_p": 30, "N_c": 5}, True: {"N_p": 60, "N_c": 10}}
 
 
-def least_squares_plan(problem: Any, naive: Any, x: np.ndarray, Y_d: np.ndarray) -> np.ndarray:
+def least_squares_plan(problem: Any, x: np.ndarray, Y_d: np.ndarray) -> np.ndarray:
     """The minimiser of eq. 17 as a least-squares problem with Q^½ and R^½, never forming E."""
-    parts = naive(problem, x, Y_d, np.zeros(problem.model.n_u))
+    parts = naive_build(problem, x, Y_d, np.zeros(problem.model.n_u))
     root_Q, root_R = np.linalg.cholesky(parts.Q_bar).T, np.linalg.cholesky(parts.R_bar).T
     du = parts.move
     rows = np.vstack([root_Q @ parts.Phi, root_R]) * du
@@ -33,12 +33,12 @@ def least_squares_plan(problem: Any, naive: Any, x: np.ndarray, Y_d: np.ndarray)
     return du * np.linalg.lstsq(rows, right, rcond=None)[0]
 
 
-def test_unconstrained_plan_is_the_least_squares_plan(case: Any, naive: Any) -> None:
+def test_unconstrained_plan_is_the_least_squares_plan(case: Any) -> None:
     """Eq. 27 minimises the cost, held or previewed, as a least-squares solver finds it."""
     matrices = condense_matrices(case.problem)
     du = np.tile(case.problem.du_max, case.problem.N_c)
     for Y_d in (case.held, case.preview()):
-        expected = least_squares_plan(case.problem, naive, case.x, Y_d) / du
+        expected = least_squares_plan(case.problem, case.x, Y_d) / du
         found = unconstrained_plan(matrices, case.x, Y_d.reshape(-1)) / du
         # Normal equations square the condition number, up to about 1e4 here in scaled units.
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
@@ -70,16 +70,14 @@ def test_the_output_part_of_the_state_gain_is_the_reference_gain(case: Any) -> N
     [(False, 0.94949), (True, 0.96726)],
     ids=["paper", "robust"],
 )
-def test_the_unconstrained_loop_is_stable(
-    ship: Any, naive: Any, robust: bool, radius: float
-) -> None:
-    problem = ship("supply_fs99", robust=robust, **HORIZONS[robust])
+def test_the_unconstrained_loop_is_stable(robust: bool, radius: float) -> None:
+    problem = ship_problem("supply_fs99", robust=robust, **HORIZONS[robust])
     model, law = problem.model, gains(problem)
     roots = compute_closed_loop_eigenvalues(model, law)
     target = np.zeros((problem.N_p, 3))
     columns = []
     for unit in np.eye(9):
-        du = least_squares_plan(problem, naive, unit, target)[:3]
+        du = least_squares_plan(problem, unit, target)[:3]
         columns.append(model.A @ unit + model.B @ du)
     expected = np.linalg.eigvals(np.column_stack(columns))
     assert np.abs(roots[0]) == pytest.approx(radius, abs=5e-6)
@@ -97,9 +95,7 @@ def test_closed_loop_matrix_is_one_step_of_the_loop(case: Any) -> None:
     np.testing.assert_allclose(after, model.A @ case.x + model.B @ du, rtol=1e-9, atol=1e-9)
 
 
-def test_constrained_plan_is_the_unconstrained_one_less_the_correction(
-    case: Any, by_quadprog: Any
-) -> None:
+def test_constrained_plan_is_the_unconstrained_one_less_the_correction(case: Any) -> None:
     """Eq. 31, 32 and 36."""
     builder = CondensedQP(case.problem)
     x, y_ref, n_u = case.x, case.y_ref, case.problem.model.n_u
@@ -107,7 +103,7 @@ def test_constrained_plan_is_the_unconstrained_one_less_the_correction(
     while not active.any():
         x, y_ref = 4.0 * x, 4.0 * y_ref
         qp = builder.problem(builder.emit(x, y_ref, case.u_prev))
-        z, y, y_box = by_quadprog(qp)
+        z, y, y_box = solve_by_quadprog(qp)
         lam = np.concatenate([-y, y, -y_box, y_box])
         active = lam > 1e-9 * np.abs(qp.q).max()
     stacked = stack(qp)
@@ -154,11 +150,9 @@ def regulator(problem: ControlProblem) -> np.ndarray:
 
 @pytest.mark.parametrize("N", [1, 2, 12, 30])
 @pytest.mark.parametrize("name", VESSELS)
-def test_with_a_terminal_cost_the_law_is_the_regulator_at_any_horizon(
-    ship: Any, name: str, N: int
-) -> None:
+def test_with_a_terminal_cost_the_law_is_the_regulator_at_any_horizon(name: str, N: int) -> None:
     """With N_c = N_p moves the gain of eq. 33 is the LQR gain, whatever the horizon."""
-    problem = replace(ship(name, psi0_rad=0.5, N_p=N, N_c=N), terminal="riccati")
+    problem = replace(ship_problem(name, psi0_rad=0.5, N_p=N, N_c=N), terminal="riccati")
     expected = regulator(problem)
     found = gains(problem).K_mpc / problem.du_max[:, np.newaxis]
     # Each column is a gain per unit of one state; the equation and E are solved to about 1e-10.
@@ -172,11 +166,9 @@ def test_with_a_terminal_cost_the_law_is_the_regulator_at_any_horizon(
 
 
 @pytest.mark.parametrize(("N_p", "N_c"), [(30, 5), (60, 10), (7, 7)])
-def test_the_terminal_cost_is_what_the_regulator_still_has_to_pay(
-    ship: Any, N_p: int, N_c: int
-) -> None:
+def test_the_terminal_cost_is_what_the_regulator_still_has_to_pay(N_p: int, N_c: int) -> None:
     """½zᵀPz + qᵀz + J0 is the cost of the horizon and of all steps after it under the regulator."""
-    problem = replace(ship("supply_fs99", N_p=N_p, N_c=N_c), terminal="riccati")
+    problem = replace(ship_problem("supply_fs99", N_p=N_p, N_c=N_c), terminal="riccati")
     rng = np.random.default_rng(4)
     x = np.concatenate([0.02 * rng.normal(size=6), rng.normal(size=3)])
     moves = rng.uniform(-1, 1, (N_c, 3)) * problem.du_max
@@ -202,9 +194,9 @@ def test_the_terminal_cost_is_what_the_regulator_still_has_to_pay(
         assert cost + builder.constant_cost(x, given) == pytest.approx(J, rel=1e-8)
 
 
-def test_the_plan_under_a_terminal_cost_has_no_gradient(ship: Any) -> None:
+def test_the_plan_under_a_terminal_cost_has_no_gradient() -> None:
     """Eq. 26 holds with the terminal cost in E, F_x and F_y alike, held or previewed."""
-    problem = replace(ship("supply_tmr", psi0_rad=0.7), terminal="riccati")
+    problem = replace(ship_problem("supply_tmr", psi0_rad=0.7), terminal="riccati")
     builder, matrices = CondensedQP(problem), condense_matrices(problem)
     rng = np.random.default_rng(9)
     x, preview = rng.normal(size=9), rng.normal(size=(30, 3))

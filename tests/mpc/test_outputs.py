@@ -18,6 +18,7 @@ from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import Referee, certify
 from dpbench.scenario.scenario import load_vessel
+from tests.mpc.conftest import random_problem, ship_problem, solve_by_quadprog
 
 SAMPLE_S = 0.3
 
@@ -67,11 +68,10 @@ def test_output_rows_are_the_sides_of_the_polygons_of_the_stepped_model(
     speed_mps: float | None,
     soft: bool,
     N_c: int,
-    ship: Any,
 ) -> None:
     if radius_m is None and speed_mps is None:
         speed_mps = 0.1
-    problem = ship("supply_mss", psi0_rad=0.6, N_c=N_c)
+    problem = ship_problem("supply_mss", psi0_rad=0.6, N_c=N_c)
     bounds = OutputBounds(SAMPLE_S, radius_m, speed_mps, sides)
     amplitude: Any = "soft" if soft else "reachable"
     builder = CondensedQP(problem, units="si", outputs=bounds, amplitude=amplitude)
@@ -97,8 +97,8 @@ def test_output_rows_are_the_sides_of_the_polygons_of_the_stepped_model(
 
 @pytest.mark.parametrize("amplitude", ["reachable", "soft"])
 @pytest.mark.parametrize("units", ["scaled", "si"])
-def test_the_circle_moves_with_a_previewed_reference(ship: Any, amplitude: Any, units: Any) -> None:
-    problem = ship("supply_fs99", psi0_rad=0.2)
+def test_the_circle_moves_with_a_previewed_reference(amplitude: Any, units: Any) -> None:
+    problem = ship_problem("supply_fs99", psi0_rad=0.2)
     rng = np.random.default_rng(2)
     x, u_prev = under_way(5)
     preview = np.cumsum(0.1 * rng.normal(size=(30, 3)), axis=0)
@@ -116,17 +116,15 @@ def test_the_circle_moves_with_a_previewed_reference(ship: Any, amplitude: Any, 
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_where_the_bounds_can_be_kept_the_soft_plan_is_that_of_hard_rows(
-    ship: Any, by_quadprog: Any, seed: int
-) -> None:
-    problem = ship("supply_fs99", psi0_rad=0.4)
+def test_where_the_bounds_can_be_kept_the_soft_plan_is_that_of_hard_rows(seed: int) -> None:
+    problem = ship_problem("supply_fs99", psi0_rad=0.4)
     x, u_prev = under_way(seed)
     soft = CondensedQP(problem, outputs=OutputBounds(SAMPLE_S, 8.0, 0.12))
     qp = soft.problem(soft.emit(x, np.zeros(3), u_prev))
     moves = np.arange(soft.n).reshape(5, -1)[:, :3].reshape(-1)
     limits = np.maximum(qp.l, -1e3), qp.u, qp.lb[moves], qp.ub[moves]
     hard = QuadraticProgram(qp.P[np.ix_(moves, moves)], qp.q[moves], qp.A[:, moves], *limits)
-    z, y, _ = by_quadprog(hard)
+    z, y, _ = solve_by_quadprog(hard)
     assert np.abs(y.reshape(5, -1)[:, 3:]).max() > 1e-3
     found = certify(qp)
     assert found.bound < 1e-10
@@ -136,8 +134,8 @@ def test_where_the_bounds_can_be_kept_the_soft_plan_is_that_of_hard_rows(
     np.testing.assert_allclose(slacks, 0.0, atol=1e-9)
 
 
-def test_where_the_bounds_cannot_be_kept_their_excess_is_paid(ship: Any) -> None:
-    problem = ship("supply_fs99")
+def test_where_the_bounds_cannot_be_kept_their_excess_is_paid() -> None:
+    problem = ship_problem("supply_fs99")
     x = np.zeros(9)
     x[6:8] = [6.0, 1.0]
     totals = []
@@ -162,9 +160,9 @@ def test_where_the_bounds_cannot_be_kept_their_excess_is_paid(ship: Any) -> None
 @pytest.mark.parametrize("amplitude", ["reachable", "hard"])
 @pytest.mark.parametrize("units", ["scaled", "si"])
 def test_output_bounds_leave_cost_and_amplitude_rows_of_the_moves_alone(
-    ship: Any, amplitude: Any, units: Any
+    amplitude: Any, units: Any
 ) -> None:
-    problem = ship("supply_fs99", psi0_rad=0.3)
+    problem = ship_problem("supply_fs99", psi0_rad=0.3)
     bounds = OutputBounds(SAMPLE_S, 5.0, 0.2)
     plain = CondensedQP(problem, units=units, amplitude=amplitude)
     builder = CondensedQP(problem, units=units, amplitude=amplitude, outputs=bounds)
@@ -188,9 +186,9 @@ def test_output_bounds_leave_cost_and_amplitude_rows_of_the_moves_alone(
         assert np.isneginf(found.l[sides]).all()
 
 
-def test_bounds_are_for_ships(random_plant: Any) -> None:
+def test_bounds_are_for_ships() -> None:
     with pytest.raises(ShapeError, match="3 outputs"):
-        CondensedQP(random_plant(1, 2, 2, 9, 3), outputs=OutputBounds(SAMPLE_S, 5.0))
+        CondensedQP(random_problem(1, 2, 2, 9, 3), outputs=OutputBounds(SAMPLE_S, 5.0))
 
 
 PSI0 = 0.4
@@ -218,9 +216,9 @@ def builder_of(problem: Any, options: dict[str, Any]) -> CondensedQP:
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_a_constant_disturbance_leaves_no_steady_error(ship: Any, variant: str) -> None:
+def test_a_constant_disturbance_leaves_no_steady_error(variant: str) -> None:
     vessel = load_vessel("supply_fs99")
-    problem = ship("supply_fs99", psi0_rad=PSI0)
+    problem = ship_problem("supply_fs99", psi0_rad=PSI0)
     builder = builder_of(problem, VARIANTS[variant])
     referee = Referee(builder.P, builder.A, builder.lb, builder.ub)
     plant = discretise(linearise(vessel.M, vessel.D, PSI0), 0.3)

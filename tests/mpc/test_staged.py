@@ -20,7 +20,7 @@ from dpbench.qp.referee.feasibility.farkas import farkas_valid
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Solution, Status
-from tests.mpc.conftest import VESSELS
+from tests.mpc.conftest import VESSELS, at_sea, ship_problem
 
 ROUNDING = 1e-9
 """Of the sum of the sizes of all terms of an equation; optima are certified to 1e-10."""
@@ -84,8 +84,6 @@ def assert_optimal(qp: QuadraticProgram, answer: Solution) -> None:
     seed=st.integers(0, 2**32 - 1),
 )
 def test_the_condensed_optimum_rolled_out_is_optimal_in_stages(
-    ship: Any,
-    point: Any,
     name: str,
     psi0_rad: float,
     sizes: tuple[int, int],
@@ -93,8 +91,8 @@ def test_the_condensed_optimum_rolled_out_is_optimal_in_stages(
     units: UnitSystem,
     seed: int,
 ) -> None:
-    problem = ship(name, psi0_rad=psi0_rad, N_p=sizes[0], N_c=sizes[1], robust=robust)
-    case = point(problem, seed)
+    problem = ship_problem(name, psi0_rad=psi0_rad, N_p=sizes[0], N_c=sizes[1], robust=robust)
+    case = at_sea(problem, seed)
     scaled, builder = CondensedQP(problem), StagedQP(problem, units=units)
     optimum = certify(scaled.problem(scaled.emit(case.x, case.y_ref, case.u_prev)))
     assert optimum.bound < 1e-10
@@ -143,10 +141,10 @@ def lost(problem: Any) -> tuple[np.ndarray, Limits]:
 
 
 @pytest.mark.parametrize("what", ["held", "preview", "limits", "terminal", "everything"])
-def test_the_referee_certifies_the_same_moves(ship: Any, point: Any, what: str) -> None:
-    problem = ship("supply_fs99", N_p=6, N_c=3, robust=True)
+def test_the_referee_certifies_the_same_moves(what: str) -> None:
+    problem = ship_problem("supply_fs99", N_p=6, N_c=3, robust=True)
     problem = replace(problem, terminal="riccati" if what in ("terminal", "everything") else "none")
-    case = point(problem)
+    case = at_sea(problem)
     y_ref = case.preview() if what in ("preview", "everything") else case.y_ref
     u_prev, limits = case.u_prev, None
     if what in ("limits", "everything"):
@@ -169,10 +167,10 @@ def test_the_referee_certifies_the_same_moves(ship: Any, point: Any, what: str) 
 @pytest.mark.parametrize("units", ["scaled", "si"])
 @pytest.mark.parametrize("name", VESSELS)
 def test_limits_that_fall_leave_a_feasible_step_and_the_same_plan(
-    ship: Any, point: Any, name: str, units: UnitSystem
+    name: str, units: UnitSystem
 ) -> None:
-    problem = ship(name, N_p=30, N_c=5, robust=True)
-    case, (u_prev, limits) = point(problem), lost(problem)
+    problem = ship_problem(name, N_p=30, N_c=5, robust=True)
+    case, (u_prev, limits) = at_sea(problem), lost(problem)
     condensed, staged = both(problem)
     assert distance(condensed, staged, case.x, case.y_ref, u_prev, limits=limits) <= SAME
     own = StagedQP(problem, units=units)
@@ -185,9 +183,9 @@ def test_limits_that_fall_leave_a_feasible_step_and_the_same_plan(
         assert float(high) - float(reached) <= 1e-14 * abs(float(qp.l[1]))
 
 
-def test_a_proof_of_infeasibility_is_one_of_the_condensed_problem(ship: Any, point: Any) -> None:
-    problem = ship("supply_fs99", N_p=6, N_c=3)
-    case, (u_prev, limits) = point(problem), lost(problem)
+def test_a_proof_of_infeasibility_is_one_of_the_condensed_problem() -> None:
+    problem = ship_problem("supply_fs99", N_p=6, N_c=3)
+    case, (u_prev, limits) = at_sea(problem), lost(problem)
     condensed, staged = both(problem, amplitude="hard")
     found = certify(staged.problem(staged.emit(case.x, case.y_ref, u_prev, limits=limits)))
     assert found.kind == "infeasible"
@@ -198,10 +196,10 @@ def test_a_proof_of_infeasibility_is_one_of_the_condensed_problem(ship: Any, poi
     assert back.status is Status.PRIMAL_INFEASIBLE and np.isnan(back.z).all()
 
 
-def test_a_step_changes_vectors_only_and_keeps_them(ship: Any, point: Any) -> None:
+def test_a_step_changes_vectors_only_and_keeps_them() -> None:
     """Stages in order, 15 rows and variables with a move and 9 without."""
-    problem = ship("supply_fs99")
-    case, builder = point(problem), StagedQP(problem)
+    problem = ship_problem("supply_fs99")
+    case, builder = at_sea(problem), StagedQP(problem)
     assert builder.n == builder.m == 5 * 15 + 25 * 9
     rows, columns = np.nonzero(builder.A)
     # A row reaches back to the start of the stage before its own, and no further.
@@ -219,6 +217,6 @@ def test_a_step_changes_vectors_only_and_keeps_them(ship: Any, point: Any) -> No
 
 
 @pytest.mark.parametrize(("key", "value"), [("units", "kN"), ("amplitude", "soft")])
-def test_what_it_cannot_do_is_refused(ship: Any, key: str, value: str) -> None:
+def test_what_it_cannot_do_is_refused(key: str, value: str) -> None:
     with pytest.raises(InputError, match=f"{key}.*{value}"):
-        StagedQP(ship("supply_fs99"), **{key: value})
+        StagedQP(ship_problem("supply_fs99"), **{key: value})
