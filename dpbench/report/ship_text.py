@@ -7,6 +7,7 @@ from dpbench.analysis.records.run_record import group_by
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.run.station import HEADING_DEG
 from dpbench.report.formats import and_list, plural, share_text, significant
+from dpbench.scenario.scenario import Scenario
 
 BANNER = "The controller does not hold this ship in this weather, whatever the solver"
 NOT_RUN = "Ship: not run. No exactly solved loop shows whether the controller holds it."
@@ -73,6 +74,42 @@ def _describe_departure(ship: ShipResult) -> str:
         f"m at {significant(run.exact_offset_max_s)} s, last offset "
         f"{significant(run.exact_offset_end_m)} m{back}{turned}"
     )
+
+
+def describe_ship(ship: ShipResult) -> str:
+    """State in one line what the controller does to the ship of a scenario."""
+    run = ship.run
+    if ship.state == "not run":
+        return f"`{ship.name}`: not run"
+    left = f" at {significant(run.exact_left_s)} s" if ship.state == "leaves" else ""
+    return (
+        f"`{ship.name}`: {ship.state}{left}; largest offset "
+        f"{significant(run.exact_offset_max_m)} m at {significant(run.exact_offset_max_s)} s, last "
+        f"{significant(run.exact_offset_end_m)} m; limits active in "
+        f"{share_text(run.exact_active_share)} of {plural(run.exact_steps, 'step')}"
+    )
+
+
+def describe_unmet(ships: Sequence[ShipResult], scenarios: Sequence[Scenario]) -> list[str]:
+    """Name what no QP of these ships and scenarios met: active limits, losses, waves and others."""
+    known = [ship.run for ship in ships if ship.state != "not run"]
+    documents = [scenario.files["scenario"] for scenario in scenarios]
+    environments = [document.get("environment") or {} for document in documents]
+    unmet = {
+        "an active limit": not any(run.exact_active_share > 0.0 for run in known),
+        "a problem without a feasible point": not any(run.infeasible_steps > 0 for run in known),
+        "a loss of thrusters or limits": not any(document.get("faults") for document in documents),
+        **{
+            words: not any(environment.get(key) for environment in environments)
+            for key, words in (
+                ("waves", "waves"),
+                ("wind", "gusts"),
+                ("squalls", "squalls"),
+                ("noise", "measurement noise"),
+            )
+        },
+    }
+    return [what for what, is_unmet in unmet.items() if is_unmet]
 
 
 def _limits_text(ship: ShipResult) -> str:

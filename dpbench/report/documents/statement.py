@@ -13,20 +13,26 @@ from typing import Any
 
 import vl_convert as vlc
 
-from dpbench.analysis.verdict.fastest import choose_solver
+from dpbench.analysis.times.machine import timed_runs, total_disturbance
+from dpbench.analysis.verdict.fastest import best_verdict_by_solver, choose_solver
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.errors import InputError
 from dpbench.files.writing import write_named_file
-from dpbench.report.charts.style import INK, LINE, SOFT
+from dpbench.report.charts.style import FAIL, INK, LINE, SOFT
+from dpbench.report.documents.offset_picture import OffsetPicture, find_offset_picture
+from dpbench.report.formats import strip_markdown, time_text
+from dpbench.report.machine_verdict import disturbance_text
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import speed_margin_text
 from dpbench.report.page.terms import DRAG_MISMATCH
+from dpbench.report.ship_text import describe_ship, describe_unmet, summarise_ships
 from dpbench.report.verdict_text import deployment_facts, judged_runs_text, requirements_text
 from dpbench.report.words import render_document
 from dpbench.solvers.settings import all_options
 
+MOST_SHIPS = 8
 WIDTH, HEIGHT, MARGIN = 595, 842, 48
 """A4 in points."""
 HASHED = ("runs.parquet", "steps.parquet", "machine.json", "suite.json")
@@ -34,13 +40,17 @@ HASHED = ("runs.parquet", "steps.parquet", "machine.json", "suite.json")
 
 @dataclass(frozen=True)
 class TextLine:
-    """Line of text on the one-page statement: size, weight, gap above it, colour."""
+    """Line of text on the one-page statement: size, weight, gap above it, colour.
+
+    is_caption : whether the picture precedes it.
+    """
 
     text: str
-    size: float = 9.5
+    size: float = 8.0
     bold: bool = False
-    gap: float = 3.0
+    gap: float = 1.5
     colour: str = INK
+    is_caption: bool = False
 
 
 def statement_svg(folder: Path, results: Results, data: PageData) -> str:
@@ -52,7 +62,8 @@ def statement_svg(folder: Path, results: Results, data: PageData) -> str:
     if chosen is None or chosen.state != "pass":
         found = "no configuration that passes everywhere and can go aboard"
         raise InputError(str(folder), "--statement", found, "results with a recommendation")
-    return _render_svg(_format_lines(folder, results, data, chosen))
+    picture = find_offset_picture(data, chosen.configuration.solver)
+    return _render_svg(_format_lines(folder, results, data, chosen, picture), picture)
 
 
 def write_statement(path: Path, folder: Path, results: Results, data: PageData) -> Path:
@@ -69,35 +80,61 @@ def write_statement(path: Path, folder: Path, results: Results, data: PageData) 
 
 _LOOKS: dict[str, dict[str, Any]] = {
     "#": {"size": 14, "bold": True},
-    ">": {"size": 10, "colour": SOFT},
-    "##": {"size": 11, "bold": True, "gap": 12.0},
-    "`": {"size": 7.5},
-    "~": {"size": 8.5},
+    ">": {"size": 9, "colour": SOFT},
+    "##": {"size": 9.5, "bold": True, "gap": 7.0},
+    "!": {"size": 9, "bold": True, "colour": FAIL},
+    "%": {"size": 7, "colour": SOFT, "is_caption": True},
+    "`": {"size": 7},
+    "~": {"size": 7.5},
+    "_": {"size": 9, "gap": 14.0},
 }
+WRAPPED = {"!": 100, "": 120}  # Letters of a line, by mark
+PICTURE_HEIGHT = 84.0  # [points]
 """Look of a line by the mark it begins with; a line without one is wrapped."""
 
 
 def _format_lines(
-    folder: Path, results: Results, data: PageData, chosen: Verdict
+    folder: Path,
+    results: Results,
+    data: PageData,
+    chosen: Verdict,
+    picture: OffsetPicture | None,
 ) -> Iterator[TextLine]:
     """Yield the text lines of the statement on the recommended solver, styled and wrapped."""
-    for line in _fill_statement(folder, results, data, chosen).splitlines():
+    caption = "" if picture is None else picture.caption
+    for line in _fill_statement(folder, results, data, chosen, caption).splitlines():
         mark, _, text = line.partition(" ")
-        if mark in _LOOKS:
-            yield TextLine(text, **_LOOKS[mark])
-        else:
-            yield from map(TextLine, textwrap.wrap(" ".join(line.split()), 104))
+        if mark not in _LOOKS:
+            mark, text = "", line
+        look, wide = _LOOKS.get(mark, {}), WRAPPED.get(mark)
+        lines = [text] if wide is None else textwrap.wrap(" ".join(text.split()), wide)
+        yield from (TextLine(part, **look) for part in lines)
 
 
-def _fill_statement(folder: Path, results: Results, data: PageData, chosen: Verdict) -> str:
-    """Return the text of the one-page statement: solver, settings, ship, machine, file hashes."""
-    c, scenarios = chosen.configuration, map(data.records.scenario, data.records.scenarios)
+def _fill_statement(
+    folder: Path, results: Results, data: PageData, chosen: Verdict, caption: str
+) -> str:
+    """Return the text of the one-page statement: ship, solver, machine, limits, file hashes."""
+    c, records = chosen.configuration, data.records
+    known = [s for s in map(records.scenario, records.scenarios) if s is not None]
+    ships = [ship for ship in data.ships if not ship.run.study]
     options = all_options(c.solver_settings, c.solver)
     versions = results.runs.loc[results.runs["solver"] == c.solver, "solver_version"]
-    vessels = {s.vessel.id: s.vessel for s in scenarios if s is not None}
+    vessels = {s.vessel.id: s.vessel for s in known}
     return render_document(
         "statement",
         made_by=describe_version(results.suite),
+        ship={
+            name: strip_markdown(text) for name, text in vars(summarise_ships(data.ships)).items()
+        },
+        ship_lines=[strip_markdown(describe_ship(ship)) for ship in ships[:MOST_SHIPS]],
+        caption=caption,
+        unmet=describe_unmet(ships, known),
+        compared=[
+            f"{v.configuration.solver} {v.state}, p99 {time_text(v.p99_ns)}"
+            for v in best_verdict_by_solver(data.verdicts)
+        ],
+        machine_state=disturbance_text(total_disturbance(timed_runs(records))),
         c=c,
         v=chosen,
         judged_runs_text=judged_runs_text(chosen),
@@ -120,10 +157,14 @@ def _fill_statement(folder: Path, results: Results, data: PageData, chosen: Verd
     )
 
 
-def _render_svg(lines: Iterable[TextLine]) -> str:
-    """Render lines of text as one SVG page."""
-    parts, y = [], float(MARGIN)
+def _render_svg(lines: Iterable[TextLine], picture: OffsetPicture | None) -> str:
+    """Render lines of text and the picture as one SVG page."""
+    parts: list[str] = []
+    y = float(MARGIN)
     for line in lines:
+        if line.is_caption and picture is not None:
+            parts += picture.svg(MARGIN, y + 5.0, WIDTH - 2 * MARGIN, PICTURE_HEIGHT)
+            y += PICTURE_HEIGHT + 5.0
         y += line.size * 1.22 + line.gap
         weight = "600" if line.bold else "400"
         parts.append(

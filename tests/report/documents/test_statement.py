@@ -14,6 +14,7 @@ from dpbench.cli.main import main
 from dpbench.report.documents.statement import HEIGHT, MARGIN, WIDTH, statement_svg
 from dpbench.report.formats import error_text, time_text
 from dpbench.report.page.recommendation import speed_margin_text
+from dpbench.report.ship_text import BANNER
 from dpbench.ship.drag import HullDrag
 
 
@@ -71,13 +72,16 @@ def test_it_has_the_verdict_where_it_is_valid_and_what_is_not(drawn: str, writte
     text = " ".join("".join(element.itertext()) for element in _texts(drawn))
     facts, first = written.report.data, written.report.recommendation.first
     (verdict,) = (v for v in facts.verdicts.all if v.configuration == first)
-    assert "Solver daqp 1.0, route qpsolvers, policy fresh, settings default." in text
+    assert "Solver daqp 1.0, route qpsolvers, policy fresh, settings default" in text
     for figure in (
         error_text(verdict.error_move),
         time_text(verdict.p99_ns),
         time_text(verdict.algo_max_ns),
         speed_margin_text(facts, verdict).split(":")[0],
-        *("Synthetic CPU", "0123456789ab", "Not covered", "Other vessels"),
+        *("Synthetic CPU", "0123456789ab", "Its state: quiet", "does not cover other vessels"),
+        *("DNV-ST-0111", "IMCA M 220", "This statement is none of these"),
+        *("Compared: daqp pass", "ecos fail", "Author ___", "Date ___", "Signature ___"),
+        "The QPs never met: a problem without a feasible point, a loss of thrusters",
     ):
         assert figure in text, figure
     for name in ("runs.parquet", "steps.parquet", "machine.json", "suite.json"):
@@ -121,3 +125,28 @@ def test_it_says_that_the_model_lacks_the_drag_of_the_ship(written: Any) -> None
         svg = statement_svg(written.folder, written.results, data)
         text = " ".join("".join(element.itertext()) for element in _texts(svg))
         assert text.count("The ship meets cross-flow drag") == count
+
+
+def test_the_ship_comes_first_and_is_drawn(drawn: str) -> None:
+    texts = ["".join(element.itertext()) for element in _texts(drawn)]
+    assert texts[2] == "Ship, whatever the solver"
+    assert texts[3].startswith("Solved exactly, the controller holds the ship on station")
+    assert "paper: on station; largest offset 1.77 m at 0.300 s, last 0.0400 m" in "".join(texts)
+    root = ElementTree.fromstring(drawn)
+    (line,) = (element for element in root.iter() if element.tag.endswith("polyline"))
+    corners = [tuple(map(float, pair.split(","))) for pair in line.get("points", "").split()]
+    assert len(corners) > 100
+    assert all(MARGIN <= x <= WIDTH - MARGIN and 0 < y < HEIGHT for x, y in corners)
+
+
+@pytest.mark.slow
+def test_a_lost_ship_is_the_first_line_of_its_statement(records: Any, tmp_path: Path) -> None:
+    left = {"exact_left_s": 9.0, "exact_offset_max_m": 37.0, "exact_offset_end_m": 36.0}
+    records.loop("daqp", tail_m=40.0, **left)
+    records.replay("daqp", spread=0.1)
+    out = records.write(tmp_path / "out")
+    assert main(["report", str(out), "--statement", str(tmp_path / "a.svg"), "--strict"]) == 1
+    drawn = (tmp_path / "a.svg").read_text("utf-8")
+    texts = ["".join(element.itertext()) for element in _texts(drawn)]
+    assert texts[3].startswith(BANNER) and texts.index("Recommended solver") > 3
+    assert "stroke-dasharray" in drawn
