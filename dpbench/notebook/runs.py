@@ -107,13 +107,11 @@ class Run:
 
     @property
     def _sequence_text(self) -> str:
-        """Closed loop or replay, and name of its scenario or QP sequence, as text."""
         mode = str(self.summary["mode"]).replace("_", " ")
         return f"{mode} {self.summary['scenario'] or self.summary['sequence']}"
 
     @property
     def _steps_text(self) -> str:
-        """Number of control steps done out of those planned, as text."""
         row = self.summary
         return f"{row['steps_done']} of {plural(row['steps_planned'], 'step')}"
 
@@ -252,7 +250,6 @@ def _make_run(
     evaluated: EvaluatedCell,
     scenario: Scenario | None = None,
 ) -> Run:
-    """Make a run's table of steps and summary row from its judged answers."""
     steps = step_columns(cell, evaluated)
     outcome = Outcome("finished", "", workspace.form, *timed_solver.size)
     row = run_row("in-process", cell, outcome, Availability(True), "", evaluated, steps)

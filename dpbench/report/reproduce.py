@@ -98,7 +98,6 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
 def _write_paper_figures(
     folder: Path, topic: Topic, laws: Sequence[Law], scenario: Scenario
 ) -> None:
-    """Write each figure of the paper as PDF and SVG, and its data as CSV."""
     for number, figure in enumerate(topic.figures, 4):
         short = figure.name.removeprefix(f"{topic.id}-")
         name = f"figure{number}_{short}"
@@ -109,7 +108,6 @@ def _write_paper_figures(
 
 
 def _claims_document(topic: Topic, results: Results) -> str:
-    """Return a Markdown document of the paper's claims and the solvers that ran."""
     versions = results.runs.drop_duplicates("solver")[["solver", "solver_version", "build"]]
     ran = [" ".join(filter(None, row)) for row in versions.itertuples(index=False)]
     tables = [(t.title, markdown_table(t.heads, t.rows, len(t.heads))) for t in topic.tables]

@@ -177,7 +177,6 @@ def experiment_text(row: RunRecord) -> str:
 
 
 def _experiments_text(rows: Sequence[RunRecord]) -> str:
-    """Name the scenarios, replays and hardest steps of several runs in one phrase."""
     loops = [f"`{row.scenario}`" for row in rows if row.mode != "replay"]
     windows = [f"`{row.scenario}`" for row in rows if row.window_of]
     replays = [f"`{row.sequence}`" for row in rows if row.mode == "replay" and not row.window_of]

@@ -27,7 +27,6 @@ FILTERS = {
 
 @cache
 def _template_environment() -> Environment:
-    """Return the Jinja environment with the number formats of the report as filters."""
     made = Environment(
         loader=PackageLoader("dpbench.report.documents", "templates"),
         undefined=StrictUndefined,

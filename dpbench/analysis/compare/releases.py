@@ -167,7 +167,6 @@ def _choose_reference_solver(folders: Mapping[str, Records], asked: str | None) 
 
 
 def _timed_replays(records: Records) -> Iterator[RunRecord]:
-    """Yield the replays of a result folder that have a median step time."""
     return (r for r in records.select(mode="replay") if math.isfinite(r.algo_p50_ns))
 
 
@@ -211,7 +210,6 @@ def _relative_time(run: RunRecord, column: str, unit: Mapping[str, float] | None
 
 
 def _count_per_round(run: RunRecord, count: float) -> float:
-    """Divide a count over all repetitions of a run by the number of repetitions."""
     return count / run.rounds if run.rounds > 1.0 else count
 
 
@@ -224,7 +222,6 @@ def _version_key(version: str) -> tuple[Any, ...]:
 
 
 def _geometric_mean(values: Sequence[float]) -> float:
-    """Return the geometric mean of positive values."""
     return float(np.exp(np.mean(np.log(values))))
 
 

@@ -336,7 +336,6 @@ def _read_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
 
 
 def _description_error(key: str, error: ValueError) -> ResultsError:
-    """Return the ResultsError for a ValueError in reading a run's JSON description."""
     if isinstance(error, InputError):
         return ResultsError("runs.parquet", f"cell.{error.key}", error.found, error.allowed)
     first = error.errors()[0] if isinstance(error, ValidationError) else None

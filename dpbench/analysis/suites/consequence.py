@@ -93,7 +93,6 @@ def consequence_analyses(records: Records) -> list[ConsequenceAnalysis]:
 
 
 def _build_analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> ConsequenceAnalysis:
-    """Build the analysis of possible thruster losses from the runs of all lost groups."""
     groups = group_by(runs, lambda run: run.lost_group)
     longest = [max(of_group, key=lambda run: run.steps_done) for of_group in groups.values()]
     files = runs[0].scenario_files

@@ -113,7 +113,6 @@ def is_paper_scenario(view: Records, name: str) -> bool:
 
 @cache
 def _packaged_content(name: str) -> str:
-    """Return the named scenario of this package as JSON, without descriptive text."""
     return _document_content(load_scenario(name))
 
 

@@ -280,7 +280,6 @@ class Study:
         )
 
     def _summarise_configuration(self, name: str) -> StudiedConfiguration:
-        """Summarise one configuration's runs in this study, compared with the reference."""
         runs = self.runs[self.runs["configuration"] == name]
         itself = name == self.reference
         log_cost = [np.log(self.values(c, "cost")) for c in (name, self.reference)]

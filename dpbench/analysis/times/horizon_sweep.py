@@ -185,7 +185,6 @@ def _swept_problem_key(run: RunRecord) -> str:
 
 
 def _build_sweep(records: Records, runs: Sequence[RunRecord], requirements: Requirements) -> Sweep:
-    """Build a comparison over MPC horizons from the replays of one scenario."""
     sequences: dict[Horizons, str] = {}
     points: dict[Configuration, dict[Horizons, SweepPoint]] = {}
     for run in runs:

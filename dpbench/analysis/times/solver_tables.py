@@ -134,7 +134,6 @@ def experiment_table(matrix: RunMatrix) -> pd.DataFrame:
 
 
 def _experiment_row(matrix: RunMatrix, wanted: Configuration, p: int) -> dict[str, Any]:
-    """Return the verdict on a configuration in one scenario or replay as a table row."""
     c = matrix.index(wanted)
     run, verdict = matrix.runs.get((c, p)), matrix.states.get((c, p))
     findings = () if verdict is None else (*verdict.causes, *verdict.doubts, *verdict.near)

@@ -75,7 +75,6 @@ def _prefer_usual_settings(own: Sequence[Verdict]) -> Verdict:
 
 
 def _settings_key(verdict: Verdict) -> tuple[int, str]:
-    """Return a sort key of a configuration's settings, the most usual first."""
     return settings_level(verdict.configuration.settings)
 
 

@@ -86,7 +86,6 @@ def speed_margins(
 def _find_bounding_steps(
     records: Records, runs: Mapping[str, RunRecord]
 ) -> dict[str, tuple[SlowStep, SlowStep]]:
-    """Find each run's step of largest time, and the one whose time is the run's p99."""
     found: dict[str, tuple[SlowStep, SlowStep]] = {}
     for run_id, steps, _ in records.run_steps(list(runs.values())):
         run, largest = runs[run_id], float(np.nanmax(steps.time_ns))

@@ -165,7 +165,6 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float) -> Any:
 
 
 def _draw_opacity_legend() -> Any:
-    """Draw the legend that tells which verdict a point's fill stands for."""
     scale = style.names_scale(_LEGEND, _LEGEND.values())
     looks_of: dict[str, Any] = {"symbolType": "circle", "symbolStrokeColor": style.INK}
     legend = style.legend_below(columns=_LEGEND_COLUMNS, symbolStrokeWidth=1.5, **looks_of)
@@ -280,7 +279,6 @@ def _draw_time_bars(base: alt.Chart, x: alt.X) -> Iterator[Any]:
 
 
 def _draw_limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
-    """Draw the deadline and the p99 limit as vertical lines with their names."""
     words: dict[str, Any] = {"baseline": "top", "fontSize": 12}
     limits = (
         ("p99", p99_ms, f"p99 limit {p99_ms:g} ms", 0.75, style.LATE),

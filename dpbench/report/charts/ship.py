@@ -118,14 +118,12 @@ def _law_time_series(laws: Sequence[Law], value: Any) -> pd.DataFrame:
 
 
 def _points_per_run(laws: Sequence[Law]) -> int:
-    """Return how many points of each run a chart of several runs may draw."""
     return min(MOST, MOST_TOGETHER // len(laws))
 
 
 def _draw_law_lines(
     table: pd.DataFrame, laws: Sequence[Law], title: str, *, last: bool, log: bool = False
 ) -> Any:
-    """Draw one quantity over time, a line per control law."""
     scale, axis = style.log_scale() if log else alt.Scale(), alt.Axis(tickCount=4)
     line = (
         alt.Chart(table)
@@ -141,25 +139,21 @@ def _draw_law_lines(
 
 
 def _draw_limits(values: Sequence[float]) -> Any:
-    """Draw dashed horizontal lines at limits."""
     chart = alt.Chart(pd.DataFrame({"limit": list(values)}))
     return chart.mark_rule(strokeDash=[5, 3], color=style.SOFT).encode(y="limit:Q")
 
 
 def _stack_panels(panels: Sequence[Any]) -> Any:
-    """Stack panels vertically on a common time axis."""
     shared = alt.Resolve(scale=alt.ScaleResolveMap(x="shared"))
     return alt.vconcat(*panels, spacing=4, resolve=shared)
 
 
 def _law_colour(laws: Sequence[Law]) -> alt.Color:
-    """Return the chart's colour encoding by control law."""
     labels = [law.label for law in laws]
     return style.colour("law", labels, style.PALETTE[: len(laws)], labelLimit=260, columns=1)
 
 
 def _law_dash(laws: Sequence[Law]) -> alt.StrokeDash:
-    """Return the chart's line dash encoding by control law."""
     scale = style.names_scale((law.label for law in laws), [[1, 0], [6, 3]][: len(laws)])
     return alt.StrokeDash("law:N", title=None, scale=scale)
 

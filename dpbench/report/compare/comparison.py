@@ -184,7 +184,6 @@ def _range_text(column: str, values: Range) -> str:
 
 
 def _figure_text(column: str, value: float) -> str:
-    """Format an accuracy or control value as its column needs: error, share, count or outcome."""
     if column == "outcome":
         return ORDER[int(value)].replace("_", " ")
     if column.startswith("error"):
@@ -321,7 +320,6 @@ def _compare_times(
 
 
 def _describe_machine(view: Records) -> str:
-    """Describe a result folder's processor, and how other programs disturbed its timing."""
     wording = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
     disturbance = total_disturbance(timed_runs(view))
     return f"{wording}, {disturbance_text(disturbance)}" if disturbance.seconds > 0 else wording
@@ -333,7 +331,6 @@ def _summary_lines(
     figures: list[FigureChange],
     pairs: Pairs,
 ) -> list[str]:
-    """Summarise a comparison in lines of text: runs compared, verdicts, changes, runs left out."""
     lines = [f"{plural(len(pairs.pairs), 'cell')} compared"]
     verdicts = Counter(c.assessment.verdict for c in compared)
     if compared:

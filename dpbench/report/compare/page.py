@@ -70,7 +70,6 @@ def _page_times_table(order: Sequence[ComparedTimes], comparison: Comparison) ->
 
 
 def _pack_data(order: Sequence[ComparedTimes], charts: dict[str, Any], times: Table) -> str:
-    """Pack compared step times and charts as compressed base64 text for the page's script."""
     block, addresses = Block(), _selection_addresses(order)
     cells_of = replace(times, shown=None).page_rows
     rows = [
@@ -150,7 +149,6 @@ def verdict_sentence(one: ComparedTimes) -> str:
 
 
 def _slower_sentence(comparison: Comparison) -> str:
-    """State how many configurations became slower, and which one most."""
     slower = [c for c in comparison.compared if c.assessment.verdict == "slower"]
     count = len(comparison.compared)
     if not count:

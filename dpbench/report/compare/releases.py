@@ -96,13 +96,11 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
 
 
 def _solvers_with_versions(histories: Histories) -> dict[str, list[History]]:
-    """Return the version histories of the solvers run in several versions, by solver."""
     by_solver = group_by(histories.all, lambda history: history.run.solver)
     return {name: own for name, own in by_solver.items() if any(h.changed for h in own)}
 
 
 def _solver_sentence(solver: str, own_histories: Sequence[History]) -> str:
-    """State how a solver's times, errors and failed steps changed over its versions."""
     changed = [history for history in own_histories if history.changed]
     ends = [(history.releases[0], history.releases[-1]) for history in changed]
     sides = list(zip(*ends, strict=True))
@@ -116,7 +114,6 @@ def _solver_sentence(solver: str, own_histories: Sequence[History]) -> str:
 
 
 def _time_change_text(changed: Sequence[History]) -> str:
-    """State how a solver's p50 step time changed from its oldest to newest version."""
     timed = next((h for h in changed if math.isfinite(h.whole_change)), None)
     if timed is None:
         return "not timed"
@@ -157,7 +154,6 @@ def _comparability_notes(histories: Histories, records: Mapping[str, Records]) -
 
 
 def _version_tables(histories: Histories) -> list[Table]:
-    """Tabulate times and errors by version, a table for each solver with several versions."""
     changed = _solvers_with_versions(histories)
     note = (
         "To the one before: its p50 over that of the release above it, below 1 is faster; the load "
@@ -189,7 +185,6 @@ BEFORE = ("to the one before", "load kernel")
 
 
 def _version_rows(history: History, histories: Histories) -> list[dict[str, str]]:
-    """Convert a solver's version history to table rows: times, errors, counts per version."""
     run, unit = history.run, f" [× {histories.reference}]" if histories.reference else ""
     label = run.configuration.label.removeprefix(f"{run.solver} ").strip("()")
     return [
@@ -286,7 +281,6 @@ def draw_release_errors(table: pd.DataFrame, allowed: float) -> Any:
 
 
 def _value_axis(form: str) -> alt.Axis:
-    """Return a chart axis with few ticks, in a number format."""
     return alt.Axis(format=form, tickCount=5, labelOverlap="greedy", labelSeparation=6)
 
 
@@ -301,7 +295,6 @@ def _version_rows_chart(table: pd.DataFrame) -> Any:
 
 
 def _arrange_panels(layers: Sequence[Any], title: str, description: str) -> Any:
-    """Lay charts over each other in one panel per problem, panels below each other."""
     chart = alt.layer(*layers, width=_WIDTH, height=alt.Step(20))
     header = alt.Header(title=None, labelAnchor="start", labelOrient="top", labelFontSize=12)
     row = alt.Row("problem:N", title=None, header=header, sort=None)

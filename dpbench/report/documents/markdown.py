@@ -147,7 +147,6 @@ def compare_solver(
 
 
 def _verdict_sentence(data: PageData, verdict: Verdict) -> str:
-    """State the verdict on a configuration and its reasons in one sentence."""
     label = verdict.configuration.label
     passed = f"`{label}` passes everywhere it was run."
     if verdict.causes:
@@ -158,7 +157,6 @@ def _verdict_sentence(data: PageData, verdict: Verdict) -> str:
 
 
 def _pair_sentence(data: PageData, own: Verdict, other: Verdict) -> str:
-    """State the step time ratio of two configurations in one sentence."""
     faster, slower = fastest_first([own, other])
     wording = paired_text(paired_comparison(data.records, faster, slower))
     names = f"`{slower.configuration.label}` against `{faster.configuration.label}`"
@@ -166,7 +164,6 @@ def _pair_sentence(data: PageData, own: Verdict, other: Verdict) -> str:
 
 
 def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Verdict]) -> str:
-    """Return a Markdown table of a solver's worst steps, and other solvers' values there."""
     if not worst:
         return ""
     names = [verdict.configuration.solver for verdict in others]

@@ -96,7 +96,6 @@ def _find_active_parts(page: str) -> Iterator[tuple[int, str]]:
 
 
 def _is_passive_attribute(attribute: str, value: str) -> bool:
-    """Return whether a browser runs and loads nothing for an HTML attribute of this value."""
     if attribute in _VALUES:
         return _VALUES[attribute].fullmatch(value) is not None
     if _ATTRIBUTES.fullmatch(attribute) is None:
@@ -187,7 +186,6 @@ def check_sent_folder(folder: Path) -> str:
 
 
 def _unknown_files(folder: Path) -> list[str]:
-    """Return the names of files that do not belong in a folder sent by others."""
     allowed = (*SENT, *WHERE_THERE)
     return sorted(path.name for path in folder.iterdir() if path.name not in allowed)
 

@@ -172,7 +172,6 @@ class PageData(RunMatrix):
             yield entry
 
     def _describe_run(self, c: int, p: int, run: RunRecord) -> dict[str, Any]:
-        """Return a run's verdict, outcome and main results, for the page's script."""
         return {
             "c": c,
             "p": p,

@@ -68,7 +68,6 @@ def page_document(
 def _describe_configuration(
     data: PageData, recommendation: Recommendation, c: Configuration, v: Verdict | None
 ) -> dict[str, Any]:
-    """Return a configuration's verdict, times, errors and code, for the page's script."""
     longest = data.longest_timing(c)
     times = {} if v is None else {"p50": v.p50_ns, "p99": v.p99_ns, "max": v.algo_max_ns}
     return {
@@ -111,7 +110,6 @@ def _describe_margin(data: PageData, c: Configuration) -> dict[str, Any]:
 def _opening_selection(
     data: PageData, results: Results, recommendation: Recommendation
 ) -> dict[str, Any]:
-    """Return the configurations, scenario and step that the report page opens with."""
     report = results.suite.get("report", {})
     named = [i for i, c in enumerate(data.configurations) if c.label == report.get("configuration")]
     first, second = (

@@ -228,7 +228,6 @@ def _slow_step_text(step: SlowStep) -> str:
 
 
 def _make_badges(data: PageData, first: Configuration | None) -> list[Badge]:
-    """Build the badges of a configuration: its verdict in each scenario and replay."""
     if first is None:
         return []
     c = data.index(first)

@@ -156,7 +156,6 @@ def software_citation(results: Results) -> str:
 
 
 def _vega_specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return charts as Vega specifications, by name."""
     made = {name: vega_specification(chart) for name, chart in charts.items()}
     for data in made.get("matrix_narrow", {}).get("data", ()):
         if "values" in data:

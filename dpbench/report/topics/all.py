@@ -94,5 +94,4 @@ def _leading_topic(records: Records, topics: Sequence[str]) -> str:
 
 
 def _is_all_in_mode(records: Records, mode: str) -> bool:
-    """Return whether all runs of a result folder are in one mode, replay or closed loop."""
     return all(run.mode == mode for run in records.runs)

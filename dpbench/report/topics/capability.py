@@ -50,7 +50,6 @@ def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | No
 
 
 def _least_wind_sentences(plot: CapabilityResult) -> Iterator[str]:
-    """State the least wind a ship can hold over all directions, intact and after a failure."""
     if plot.edges.empty:
         return
     intact = plot.edges[plot.edges["case"] == INTACT]
@@ -87,7 +86,6 @@ def _name_right_solvers(plot: CapabilityResult) -> Iterator[str]:
 
 
 def _capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
-    """Yield the charts of a capability plot: largest winds held, and solvers' answers there."""
     if len(plot.edges):
         hollow = bool((plot.edges["untrue"] > 0).any())
         note = "; hollow where a solver made an untrue claim" if hollow else ""
@@ -152,7 +150,6 @@ def consequence_topic(records: Records) -> Topic | None:
 
 
 def _consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
-    """Yield the charts of a consequence analysis: losses that can be held, solve times."""
     yield Figure(
         f"consequence-{_analysis_file_name(analysis)}",
         draw_loss_spans(analysis.spans, f"Losses held, {analysis.name}"),
@@ -173,7 +170,6 @@ def _consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
 
 
 def _analysis_file_name(analysis: ConsequenceAnalysis) -> str:
-    """Return the name of a consequence analysis in a form fit for a file name."""
     return analysis.name.rstrip("]").replace("[", "-").replace(":", "-")
 
 

@@ -60,7 +60,6 @@ def routes_topic(records: Records) -> Topic | None:
 
 
 def _ratio_text(ratio: Interval) -> str:
-    """Format a time ratio with its 95 % interval, where it has one."""
     if not (isfinite(ratio.low) and isfinite(ratio.high)):
         return significant(ratio.value)
     return f"{significant(ratio.value)} ({significant(ratio.low)} to {significant(ratio.high)})"
@@ -107,7 +106,6 @@ def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
 
 
 def _right_levels_text(records: Records, requirements: Requirements) -> str:
-    """Name the solvers right on every step with default settings, with others only, or never."""
     good = find_right_levels(records, requirements)
     by_default = [name for name, levels in good.items() if "default" in levels]
     others = [
@@ -171,7 +169,6 @@ def _median_tables(
 
 
 def _median_text(records: Records, run: RunRecord | None, requirements: Requirements) -> str:
-    """Format a replay's median step time, or how the replay ended if it has no step."""
     times = None if run is None else records.times(run)
     if run is None or times is None:
         return MISSING if run is None else run.outcome.replace("_", " ")

@@ -36,7 +36,6 @@ def study_topic(known: Sequence[Study]) -> Topic | None:
 
 
 def _study_lines(study: Study) -> Iterator[str]:
-    """Yield sentences on a study: number of runs, larger errors, seas held, loosest tolerances."""
     runs, points = study.runs, len(study.points)
     seas = plural(study.replicates, "realisation")
     yield (
@@ -65,7 +64,6 @@ def _study_lines(study: Study) -> Iterator[str]:
 
 
 def _larger_errors_text(study: Study) -> str:
-    """Name the solvers with a significantly larger position error than the reference."""
     others = study.configurations[1:]
     excess_m = {c.name: c.error_excess_m.mean.value for c in others if c.error_excess_m}
     worse = sorted((c for c in others if c.has_larger_error), key=lambda c: -excess_m[c.name])
@@ -91,7 +89,6 @@ def _share_with_bound(share: float, study: Study) -> str:
 
 
 def _loosest_text(study: Study) -> str:
-    """State each solver's loosest tolerance that adds next to no position error or cost."""
     cheap = {s: c for s, c in study.loosest.items() if c is not None}
     none = [s for s, c in study.loosest.items() if c is None]
     limits = f"less than {100 * SMALL_M:g} cm and {100 * SMALL_COST:g} % of the cost"
@@ -106,7 +103,6 @@ def _loosest_text(study: Study) -> str:
 
 
 def _study_figures(study: Study) -> Iterator[Figure]:
-    """Yield the charts of a study: share of seas held, position errors over the reference."""
     name = study.name.replace("@", "-").replace("/", "-")
     maps, whole = pictures.held_maps(study), pictures.has_point_per_tile(study)
     keys = [str(key) for key in study.points if is_numeric_dtype(study.points[key])]
@@ -135,7 +131,6 @@ def _study_figures(study: Study) -> Iterator[Figure]:
 
 
 def _study_tables(study: Study) -> Iterator[Table]:
-    """Yield the tables of a study: results of its configurations, and its parameter points."""
     rows = [_configuration_row(configuration, study) for configuration in study.configurations]
     title = f"{study.name}: against {study.reference} in the same realisation"
     note = (
@@ -155,7 +150,6 @@ def _study_tables(study: Study) -> Iterator[Table]:
 
 
 def _configuration_row(configuration: StudiedConfiguration, study: Study) -> dict[str, str]:
-    """Convert a configuration's study results to a table row: runs held, cost, error."""
     behind_it, dearer = configuration.error_excess_m, configuration.log_cost_excess
     cost = configuration.cost
     row = {

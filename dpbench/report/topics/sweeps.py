@@ -62,7 +62,6 @@ def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
 
 
 def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -> list[str]:
-    """State, for each scenario, the longest horizon solved in time, and by which solvers."""
     wording = []
     for sweep in all_sweeps:
         largest = {

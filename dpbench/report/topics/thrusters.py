@@ -75,7 +75,6 @@ def _thruster_load_sentence(
     configurations: dict[str, list[RunRecord]],
     requirements: Requirements,
 ) -> str:
-    """State how long a thruster is at its limit, and how many solvers are right there."""
     hardest = max(best.values(), key=lambda run: run.at_limit_thrusters)
     whole = sum(
         {run.scenario for run in runs if is_right_to_the_end(run, requirements)} == set(best)
@@ -146,7 +145,6 @@ def _solver_to_use_sentence(chosen: Verdict | None, requirements: Requirements) 
 
 
 def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
-    """State which solvers pass if the MPC commands three forces, but not with thrusters."""
     before = commanded.passing_with_forces
     if not before:
         fine, run = len(commanded.names("pass")), len(commanded.with_thrusters)
@@ -168,7 +166,6 @@ def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
 
 
 def _group_by_fault(commanded: ThrusterVerdicts, solvers: Sequence[str]) -> str:
-    """List solvers that fail by fault, as late or wrong answers."""
     of_fault = group_by(solvers, lambda solver: commanded.faults[solver])
     return "; ".join(f"{and_list(names)}, {fault}" for fault, names in of_fault.items())
 

@@ -62,7 +62,6 @@ def _waits_text(measured: Mapping[str, float], shortest_ns: float) -> str:
 
 
 def _machine_load_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
-    """State how far other programs disturbed the machine while replays were timed."""
     if complaints := disturbance.complaints():
         return (
             f"Other work disturbed the machine: {and_list(complaints)}. Times may be too long; "
