@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from dpbench.errors import DpbenchError as DpbenchError
     from dpbench.errors import InputError as InputError
     from dpbench.mpc.condensed_qp import CondensedQP as CondensedQP
+    from dpbench.notebook.names import list_scenarios as list_scenarios
+    from dpbench.notebook.names import list_sequences as list_sequences
+    from dpbench.notebook.names import list_solvers as list_solvers
+    from dpbench.notebook.names import list_suites as list_suites
     from dpbench.notebook.results import Results as Results
     from dpbench.notebook.results import load_results as load_results
     from dpbench.notebook.runs import Run as Run
@@ -47,6 +51,7 @@ _NAMES = {
     "bench.sequences.sequence_file": "load_sequence save_sequence",
     "errors": "DpbenchError InputError",
     "mpc.condensed_qp": "CondensedQP",
+    "notebook.names": "list_scenarios list_sequences list_solvers list_suites",
     "notebook.results": "Results load_results",
     "notebook.runs": "Run replay run_closed_loop",
     "qp.program": "QPSequence QPStep QuadraticProgram Refresh",

@@ -12,7 +12,13 @@ from difflib import get_close_matches
 
 
 class DpbenchError(Exception):
-    """Base class of all errors raised by dpbench."""
+    """Base class of all errors raised by dpbench.
+
+    Examples
+    --------
+    >>> issubclass(InputError, DpbenchError)
+    True
+    """
 
 
 class InputError(DpbenchError, ValueError):
@@ -24,6 +30,12 @@ class InputError(DpbenchError, ValueError):
     key : the key inside it ("" when the whole of it is meant).
     found : what stands there.
     allowed : what could stand there.
+
+    Examples
+    --------
+    >>> raise InputError("my.toml", "steps", -1, "1 or more")
+    Traceback (most recent call last):
+    dpbench.errors.InputError: my.toml: steps: found -1; allowed: 1 or more
     """
 
     def __init__(self, where: str, key: str, found: object, allowed: str) -> None:

@@ -2,12 +2,15 @@
 
 import ast
 import doctest
+import inspect
 import re
 import tomllib
 from importlib import import_module
 from pathlib import Path
 
 import pytest
+
+import dpbench
 
 ROOT = Path(__file__).parents[1]
 ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
@@ -102,12 +105,30 @@ HARD = {
 }
 
 
+@pytest.fixture(scope="module")
+def examples_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A working folder with the results that examples read."""
+    folder = tmp_path_factory.mktemp("examples")
+    dpbench.run_campaign("smoke", folder / "results" / "smoke", steps=5)
+    return folder
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXPLAINED)
-def test_the_examples_of_a_module_are_true(name: str) -> None:
+def test_the_examples_of_a_module_are_true(
+    name: str, examples_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Every line of an example gives what stands below it."""
+    monkeypatch.chdir(examples_folder)
     outcome = doctest.testmod(import_module(name))
     assert outcome.attempted > 0
     assert outcome.failed == 0
+
+
+@pytest.mark.parametrize("name", dpbench.__all__)
+def test_every_public_name_has_an_example(name: str) -> None:
+    """The reference shows how it is used."""
+    assert "\n>>> " in (inspect.getdoc(getattr(dpbench, name)) or "")
 
 
 def test_the_hard_kernels_have_an_example() -> None:

@@ -288,6 +288,11 @@ def run_campaign(
     InputError : for a bad suite, scenario, solver, job count or engine, or a folder with finished
         runs that are not requested, before anything runs.
     BusyError : the machine was busy longer than `wait_s`; finished cells are kept.
+
+    Examples
+    --------
+    >>> run_campaign("smoke", "results/part", solvers=["daqp"], steps=5).name
+    'part'
     """
     asked = RunRequest(
         suite=None if suite is None else str(suite),

@@ -173,9 +173,11 @@ def _add_export_arguments(export: Command) -> None:
     problems = "a scenario, a sequence (by name or .npz) or a folder of problems"
     export.add_argument("what", nargs="?", help=problems)
     export.add_argument("--all", action="store_true", help="instead: all stored sequences anew")
-    export.add_argument("--format", default="npz", help="npz (default) or qpbenchmark")
+    export.add_argument(
+        "--format", default="npz", help="npz (default), qpbenchmark, mat, csv or qps"
+    )
     option = partial(_add_option, export)
-    option("--out", "PATH", "the file to write; of --all a folder (results/sequences)")
+    option("--out", "PATH", "the file or folder to write (--all: results/sequences)")
     option("--horizons", "N_p/N_c", "instead of the tuning's")
     option("--steps", "N", "only the first N steps", type=int)
     option("--every", "K", "each K-th of them", type=int, default=1)

@@ -23,7 +23,7 @@ from dpbench.mpc.model import HORIZONTAL
 from dpbench.mpc.outputs import OutputBounds, bounded_steps, output_blocks
 from dpbench.mpc.soft_limits import ConstraintBlock, Penalty, amplitude_block, assemble_blocks
 from dpbench.mpc.thruster_rows import LimitRampDown, Limits
-from dpbench.qp.program import QPStep, QuadraticProgram, Units
+from dpbench.qp.program import QPStep, QuadraticProgram, Units, describe_size
 
 # Policy of amplitude limits for plan row i: `reachable`, as far as the rate can follow them;
 # `hard`, the limits, though no plan may satisfy them; `soft`, with a slack at an exact penalty.
@@ -57,6 +57,12 @@ class CondensedQP:
     Z (n + 2m, n_θ + 1) : the affine map [q; l; u] = Z [x; y_ref; u_prev; 1].
     matrices : E, F, Φ of the paper in SI units.
     scale : how z and the rows relate to the scaled ones (`Units`).
+
+    Examples
+    --------
+    >>> from dpbench import condense
+    >>> condense("paper")
+    <CondensedQP: 15 variables, 15 rows, scaled>
     """
 
     def __init__(
@@ -82,6 +88,9 @@ class CondensedQP:
         if amplitude == "soft" or outputs is not None or extra:
             self._build_with_blocks(extra)
         self._prepare_emit()
+
+    def __repr__(self) -> str:
+        return f"<CondensedQP: {describe_size(self.n, self.m)}, {self.units}>"
 
     @property
     def matrices(self) -> CondensedMatrices:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,6 +15,9 @@ from dpbench.bench.capability.table import load_capability
 from dpbench.bench.design import load_designs
 from dpbench.bench.record import result_folder
 from dpbench.display import table_html
+from dpbench.errors import InputError, list_allowed
+from dpbench.files.writing import make_folder
+from dpbench.report.csv_tables import write_tables
 from dpbench.report.formats import plural
 
 if TYPE_CHECKING:
@@ -26,6 +29,14 @@ class Results(result_folder.Results):
     """A benchmark's results in memory: runs, steps, machine, suite, and tables of the report.
 
     The report's are made at first use, and are what `dpbench report` writes into `tables/`.
+
+    Examples
+    --------
+    >>> results = load_results("results/smoke")
+    >>> results
+    <Results smoke: 16 runs of 4 solvers>
+    >>> list(results.verdict().columns)[:3]
+    ['solver', 'route', 'policy']
     """
 
     folder: Path
@@ -78,6 +89,26 @@ class Results(result_folder.Results):
         """
         return self.tables["paired_ratios"]
 
+    def to_latex(self, table: str = "verdicts", columns: Sequence[str] | None = None) -> str:
+        """Return a table of the report as a LaTeX `tabular`, numbers to three digits.
+
+        The document needs the package `booktabs`.
+
+        table : a name in `tables`. columns : some of its columns, by default all.
+        InputError for a table or column that is not there.
+        """
+        _check_name("table", table, self.tables)
+        frame = self.tables[table]
+        for name in columns or ():
+            _check_name("column", name, frame.columns)
+        style = frame[list(columns or frame.columns)].style.hide(axis="index")
+        style = style.format(_format_cell, escape="latex", na_rep="")
+        return str(style.format_index(escape="latex", axis=1).to_latex(hrules=True))
+
+    def to_csv(self, folder: str | Path) -> None:
+        """Write all tables of the report that have rows as CSV files into a folder."""
+        write_tables(make_folder(Path(folder)), self.tables)
+
     def __repr__(self) -> str:
         runs = plural(len(self.runs), "run")
         solvers = plural(self.runs["solver"].nunique(), "solver")
@@ -103,6 +134,17 @@ class Results(result_folder.Results):
         return Report.of(self, load_designs(self.folder), capability=capability)
 
 
+def _check_name(key: str, name: str, known: Iterable[str]) -> None:
+    """Raise InputError unless a table or column is known, with the nearest of those that are."""
+    if name not in (names := list(known)):
+        raise InputError("results", key, repr(name), list_allowed(name, names))
+
+
+def _format_cell(value: object) -> str:
+    """Format a number to three digits, and anything else as text."""
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
 def load_results(out: str | Path) -> Results:
     """Read a benchmark's result folder into memory.
 
@@ -113,6 +155,11 @@ def load_results(out: str | Path) -> Results:
     Raises
     ------
     ResultsError : naming the file, when one is missing, damaged or of another schema.
+
+    Examples
+    --------
+    >>> load_results("results/smoke").runs["mode"].unique().tolist()
+    ['closed_loop', 'replay']
     """
     stored = result_folder.load_results(out)
     return Results(stored.runs, stored.recorded, stored.machine, stored.suite, Path(out))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -29,6 +30,7 @@ from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
+from dpbench.bench.sequences.sequence_file import as_sequence
 from dpbench.display import fields_html
 from dpbench.errors import InputError
 from dpbench.mpc.condense import UnitSystem
@@ -43,8 +45,9 @@ from dpbench.report.formats import (
     time_text,
 )
 from dpbench.report.ship_text import ShipSummary, summarise_ships
-from dpbench.scenario.scenario import Scenario
+from dpbench.scenario.scenario import Scenario, as_scenario
 from dpbench.solvers.contract import Workspace
+from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import Availability
 
 REMEMBERED = "times of remembered answers: steps seen before are faster than warming explains"
@@ -59,6 +62,12 @@ class Run:
     steps : a row for each answer, with the columns of steps.parquet.
     summary : its row of runs.parquet.
     scenario : of a closed loop; None of a replay, which has no ship.
+
+    Examples
+    --------
+    >>> run = run_closed_loop("paper", "daqp", steps=20)
+    >>> run.label, len(run.steps), float(run.summary["fallbacks"])
+    ('daqp (native, fresh)', 20, 0.0)
     """
 
     steps: pd.DataFrame
@@ -139,8 +148,8 @@ class Run:
 
 
 def run_closed_loop(
-    scenario: Scenario,
-    workspace: Workspace,
+    scenario: Scenario | str | Path,
+    workspace: Workspace | str,
     *,
     units: UnitSystem = "scaled",
     formulation: Formulation = "condensed_box",
@@ -154,6 +163,8 @@ def run_closed_loop(
 
     Parameters
     ----------
+    scenario : an object, a name or a TOML file.
+    workspace : an object of `open_workspace`, or the name of a solver.
     steps : only the first so many; by default the whole scenario.
     backup : name of a second solver, asked before the fallback acts; "" for none.
     slowdown : how much slower than this machine the ship's computer is (≥ 1), so that answers
@@ -164,9 +175,17 @@ def run_closed_loop(
     ------
     InputError : for an unknown formulation, fallback or backup, "sparse" for a scenario that has
         none, or a slow-down, deadline or number of steps that cannot be.
+    TypeError : for a scenario or workspace of another type.
+
+    Examples
+    --------
+    >>> run = run_closed_loop("paper", "daqp", steps=20)
+    >>> bool(run.summary["error_move_max"] < 1e-9)
+    True
     """
     _check_choice("fallback", fallback, FALLBACKS)
-    _check_workspace(workspace, formulation)
+    _check_choice("formulation", formulation, FORMULATIONS)
+    scenario, workspace = as_scenario(scenario), _as_workspace(workspace)
     if steps is not None:
         scenario = scenario.first(steps)
     cell = _make_cell(
@@ -188,8 +207,8 @@ def run_closed_loop(
 
 
 def replay(
-    sequence: QPSequence,
-    workspace: Workspace,
+    sequence: QPSequence | str | Path,
+    workspace: Workspace | str,
     *,
     repeats: int = 5,
     warmup_steps: int = 50,
@@ -197,11 +216,23 @@ def replay(
 ) -> Run:
     """Solve recorded QPs with a solver: a warm-up, then `repeats` rounds; judge every answer.
 
+    Parameters
+    ----------
+    sequence : an object, a name or a `.npz` file.
+    workspace : an object of `open_workspace`, or the name of a solver.
+
     Raises
     ------
     InputError : for an unknown formulation, or "sparse" for QPs without a scenario behind them.
+    TypeError : for a sequence or workspace of another type.
+
+    Examples
+    --------
+    >>> replay("paper-30-5", "daqp", repeats=2).label
+    'daqp (native, fresh)'
     """
-    _check_workspace(workspace, formulation)
+    _check_choice("formulation", formulation, FORMULATIONS)
+    sequence, workspace = as_sequence(sequence), _as_workspace(workspace)
     if repeats < 1:
         raise InputError("replay", "repeats", repeats, "1 or more")
     warmup_steps = min(warmup_steps, len(sequence))
@@ -230,11 +261,14 @@ def _check_choice(key: str, value: str, allowed: Collection[str]) -> None:
         raise InputError("run", key, repr(value), f"one of {', '.join(allowed)}")
 
 
-def _check_workspace(workspace: object, formulation: str) -> None:
-    """Raise InputError for an unknown QP formulation, or if `workspace` is no solver workspace."""
-    _check_choice("formulation", formulation, FORMULATIONS)
-    if not isinstance(workspace, Workspace):
-        raise InputError("run", "workspace", repr(workspace), "a Workspace; see open_workspace")
+def _as_workspace(given: object) -> Workspace:
+    """Return a workspace that is given as an object or by the name of its solver."""
+    if isinstance(given, str):
+        return open_workspace(given)
+    if isinstance(given, Workspace):
+        return given
+    allowed = "a Workspace of open_workspace, or the name of a solver"
+    raise TypeError(f"workspace: found {given!r}; allowed: {allowed}")
 
 
 def _make_cell(workspace: Workspace, **fields: Any) -> Cell:

@@ -26,7 +26,13 @@ ARRAYS = ("P", "q", "A", "l", "u", "lb", "ub")
 
 
 class Refresh(Flag):
-    """Parts of a QP that a step changes in a solver's workspace: vectors, or also matrices."""
+    """Parts of a QP that a step changes in a solver's workspace: vectors, or also matrices.
+
+    Examples
+    --------
+    >>> QPStep(q=np.array([-1.0]), l=np.zeros(1), u=np.ones(1)).refresh
+    <Refresh.VECTORS: 1>
+    """
 
     VECTORS = auto()
     MATRICES = auto()
@@ -51,7 +57,12 @@ def check_shapes(owner: object, shapes: Mapping[str, tuple[int, ...]]) -> None:
         object.__setattr__(owner, name, array)
 
 
-@dataclass(frozen=True, eq=False)
+def describe_size(n: int, m: int) -> str:
+    """Return the size of a QP as text: its variables and rows."""
+    return f"{n} variable{'s' * (n != 1)}, {m} row{'s' * (m != 1)}"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class QuadraticProgram:
     """Convex quadratic program (QP) with two-sided rows and bounds.
 
@@ -68,6 +79,18 @@ class QuadraticProgram:
         are slacks, which no error of a move or of a plan counts. 0 = all.
     stages : (states, inputs) of each stage of an optimal control problem whose variables are in
         this order, for a solver that factorises stage by stage; () where there are none.
+
+    Raises
+    ------
+    ShapeError : naming the array whose shape does not fit the others.
+
+    Examples
+    --------
+    >>> qp = QuadraticProgram(np.eye(2), np.full(2, -3.0), [[1, 1]], [-np.inf], [2], [0, 0], [9, 9])
+    >>> qp
+    <QuadraticProgram: 2 variables, 1 row>
+    >>> qp.objective(np.ones(2))
+    -5.0
     """
 
     P: Matrix
@@ -96,6 +119,9 @@ class QuadraticProgram:
         most = self.block or n
         if not 0 <= self.moves <= most:
             raise ShapeError.of("QuadraticProgram", "moves", (self.moves,), f"0 to {most}")
+
+    def __repr__(self) -> str:
+        return f"<QuadraticProgram: {describe_size(self.n, self.m)}>"
 
     @property
     def n(self) -> int:
@@ -133,9 +159,16 @@ class QuadraticProgram:
         return replace(self, **{name: part for name, part in parts.items() if part is not None})
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(slots=True, eq=False, repr=False)
 class QPStep:
-    """Data of a QP that change from one step to the next."""
+    """Data of a QP that change from one step to the next.
+
+    Examples
+    --------
+    >>> step = QPStep(q=np.array([-1.0]), l=np.zeros(1), u=np.ones(1))
+    >>> step
+    <QPStep: 1 variable, 1 row, vectors>
+    """
 
     q: Vector
     l: Vector  # noqa: E741 - l ≤ Az ≤ u, the name of the field
@@ -144,6 +177,10 @@ class QPStep:
     A: Matrix | None = None
     lb: Vector | None = None
     ub: Vector | None = None
+
+    def __repr__(self) -> str:
+        parts = "vectors" if self.refresh is Refresh.VECTORS else "vectors and matrices"
+        return f"<QPStep: {describe_size(len(self.q), len(self.l))}, {parts}>"
 
     @property
     def refresh(self) -> Refresh:
@@ -170,7 +207,7 @@ class Units:
     row: Vector
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class QPSequence:
     """Sequence of QPs recorded along one run, with constant or varying matrices.
 
@@ -184,6 +221,15 @@ class QPSequence:
     scaled : the same sequence in scaled units, in which answers are judged; None when this is it.
     meta : origin: scenario, sample time [s], first step, versions.
     sparse_equivalent : makes the sparse form with the states kept; None where there is none.
+
+    Examples
+    --------
+    >>> qp = QuadraticProgram(np.eye(1), [-1.0], np.eye(1), [0.0], [1.0], [-9.0], [9.0])
+    >>> sequence = QPSequence("two", qp, q=[[-1.0], [2.0]], l=[[0.0], [0.0]], u=[[1.0], [1.0]])
+    >>> sequence
+    <QPSequence two: 2 QPs of 1 variable, 1 row, constant matrices>
+    >>> sequence.problem(1).q
+    array([2.])
     """
 
     name: str
@@ -209,6 +255,12 @@ class QPSequence:
 
     def __len__(self) -> int:
         return int(self.q.shape[0])
+
+    def __repr__(self) -> str:
+        varies = any(getattr(self, name) is not None for name in CONSTANT)
+        matrices = "matrices of each step" if varies else "constant matrices"
+        size = describe_size(self.base.n, self.base.m)
+        return f"<QPSequence {self.name}: {len(self)} QPs of {size}, {matrices}>"
 
     def step(self, k: int) -> QPStep:
         """Return a copy of the QP data of step k that change along the sequence."""

@@ -28,7 +28,13 @@ Number = TypeVar("Number", float, Vector)
 
 @dataclass(frozen=True, slots=True)
 class Residuals(Generic[Number]):
-    """Residuals of the optimality (KKT) conditions of one answer, or of K answers (K,)."""
+    """Residuals of the optimality (KKT) conditions of one answer, or of K answers (K,).
+
+    Examples
+    --------
+    >>> Residuals(primal=0.0, dual=1e-12, complementarity=0.0, gap=0.0).dual
+    1e-12
+    """
 
     primal: Number
     dual: Number
@@ -42,6 +48,16 @@ def residuals(qp: QuadraticProgram, solution: Solution) -> Residuals[float]:
     A multiplier whose sign names an infinite limit, or the far side of a row that is nearer its
     other limit, is an error of full size: its slack counts as at least 1. NaN or Inf in z makes
     everything inf; in the multipliers, everything but `primal`.
+
+    Examples
+    --------
+    Minimise ½ z² − 2 z with z ≤ 1: z = 1 with multiplier 1. At z = 0.9 the gradient is off by 0.1.
+
+    >>> from dpbench.qp.solution import Status
+    >>> qp = QuadraticProgram(np.eye(1), [-2.0], np.zeros((0, 1)), [], [], [-9.0], [1.0])
+    >>> answer = Solution(Status.SOLVED, np.array([0.9]), np.zeros(0), np.array([1.0]))
+    >>> round(residuals(qp, answer).dual, 12)
+    0.1
     """
     vectors = qp.q, qp.l, qp.u, solution.z, solution.y, solution.y_box
     of_all = compute_residuals_of_many(qp, *(vector[np.newaxis] for vector in vectors))

@@ -17,7 +17,13 @@ from dpbench.arrays import Vector
 
 
 class Status(IntEnum):
-    """Status that a solver claims for its answer, in terms common to all solvers."""
+    """Status that a solver claims for its answer, in terms common to all solvers.
+
+    Examples
+    --------
+    >>> Status.MAX_ITERATIONS.is_usable, Status.PRIMAL_INFEASIBLE.is_usable
+    (True, False)
+    """
 
     SOLVED = 0
     INACCURATE = 1
@@ -67,7 +73,7 @@ _UNFINISHED = frozenset({Status.INACCURATE, Status.MAX_ITERATIONS})
 _USABLE = _UNFINISHED | {Status.SOLVED, Status.UNKNOWN}
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(slots=True, eq=False, repr=False)
 class Solution:
     """Answer of a solver to one QP: status, primal point, multipliers and counters.
 
@@ -79,6 +85,11 @@ class Solution:
     reported_ns : the solver's self-reported time, -1 when it gives none; never a substitute for
         the clock.
     detail : message of the library, for the record of a failure.
+
+    Examples
+    --------
+    >>> Solution(Status.SOLVED, z=np.ones(2), y=np.zeros(1), y_box=np.zeros(2), iterations=3)
+    <Solution SOLVED: 2 variables, 3 iterations>
     """
 
     status: Status
@@ -88,6 +99,11 @@ class Solution:
     iterations: int = -1
     reported_ns: int = -1
     detail: str = ""
+
+    def __repr__(self) -> str:
+        count = f", {self.iterations} iterations" if self.iterations >= 0 else ""
+        detail = f", {self.detail}" if self.detail else ""
+        return f"<Solution {self.status.name}: {len(self.z)} variables{count}{detail}>"
 
     @classmethod
     def missing(

@@ -34,6 +34,11 @@ def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
     ResultsError : when the folder holds no readable results.
     InputError : for a baseline that was not run, or a link in place of a folder; nothing is
         written.
+
+    Examples
+    --------
+    >>> write_report("results/smoke").name
+    'report.html'
     """
     return write_report_with_summary(out, baseline=baseline)[0]
 

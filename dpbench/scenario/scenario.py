@@ -61,6 +61,14 @@ class Scenario:
     velocity : (3,) of the start, [u, v, r] over ground along the ship's axes in m/s, m/s, rad/s.
     smoothed, preview : reference filter, and whether the controller sees the reference coming.
     files : the documents from which `build_scenario` makes it again.
+
+    Examples
+    --------
+    >>> scenario = load_scenario("paper")
+    >>> scenario
+    <Scenario paper: supply_fs99, tuning paper 30/5, 1000 steps of 0.3 s>
+    >>> scenario.first(10).steps
+    10
     """
 
     name: str
@@ -141,6 +149,11 @@ def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Sc
 
     A relative path is looked for in the folder `beside` first, then in the working folder. Raises
     InputError : one line naming file, key, what was found and what is allowed.
+
+    Examples
+    --------
+    >>> load_scenario("paper").steps
+    1000
     """
     name, at, other = str(name_or_path).partition("@")
     path = problem_path("scenarios", name, beside)
@@ -252,6 +265,26 @@ def _build_actuators(
     return losses if loss.any() or plant.delay_samples else None
 
 
-def condense(scenario: Scenario, *, units: UnitSystem = "scaled") -> CondensedQP:
-    """Return the builder of a scenario's condensed QPs, in scaled or SI units."""
-    return scenario.controller.build_qp(units)
+def as_scenario(given: object) -> Scenario:
+    """Return a scenario that is given as an object, by name or as a TOML file.
+
+    Raises TypeError for anything else, and what `load_scenario` raises.
+    """
+    if isinstance(given, (str, Path)):
+        return load_scenario(given)
+    if isinstance(given, Scenario):
+        return given
+    raise TypeError(f"scenario: found {given!r}; allowed: a Scenario, a name or a TOML file")
+
+
+def condense(scenario: Scenario | str | Path, *, units: UnitSystem = "scaled") -> CondensedQP:
+    """Return the builder of a scenario's condensed QPs, in scaled or SI units.
+
+    scenario : an object, a name or a TOML file.
+
+    Examples
+    --------
+    >>> condense("paper").P.shape
+    (15, 15)
+    """
+    return as_scenario(scenario).controller.build_qp(units)

@@ -40,6 +40,19 @@ class Workspace(ABC):
         `update` (policy fresh on route native).
     matrix_updates : updates so far that brought new P, A, lb or ub.
     reopen : makes another workspace of the same solver, route, policy and settings.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from dpbench import QuadraticProgram, open_workspace
+    >>> workspace = open_workspace("quadprog")
+    >>> workspace
+    <Workspace of quadprog (native, fresh)>
+    >>> none = np.zeros((0, 1)), np.zeros(0), np.zeros(0)
+    >>> workspace.setup(QuadraticProgram(np.eye(1), [-2.0], *none, [-9.0], [1.0]))
+    >>> workspace.solve()
+    >>> workspace.read().z
+    array([1.])
     """
 
     setup_every_step: bool = False
@@ -49,6 +62,9 @@ class Workspace(ABC):
 
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:
         self.solver, self.route, self.policy = solver, route, policy
+
+    def __repr__(self) -> str:
+        return f"<Workspace of {self.solver} ({self.route}, {self.policy})>"
 
     @abstractmethod
     def setup(self, qp: QuadraticProgram) -> None:

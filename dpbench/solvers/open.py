@@ -35,6 +35,11 @@ def open_workspace(
     PolicyError : the solver has no such route, or the route no such policy.
     SettingsError : unknown name, or a key or value that the library does not accept.
     SolverUnavailableError : the library is missing or fails to import.
+
+    Examples
+    --------
+    >>> open_workspace("osqp", policy="warm", settings={"eps_abs": 1e-5})
+    <Workspace of osqp (native, warm)>
     """
     row = find_record(solver)
     route = row.default_route if route is None else route

@@ -1,15 +1,15 @@
 """A result folder in a notebook: the tables of the report as data frames."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench import compare, load_results
+from dpbench import InputError, compare, load_results
 from dpbench.analysis.verdict.findings import MISSED, STATES
 from dpbench.notebook.results import Results
-from dpbench.report.csv_tables import write_tables
 
 
 @pytest.fixture(scope="module")
@@ -27,13 +27,27 @@ def test_the_verdict_has_a_row_for_each_configuration(results: Results) -> None:
 
 
 def test_tables_are_those_beside_the_page(results: Results, tmp_path: Path) -> None:
-    write_tables(tmp_path, results.tables)
+    """One source: what is written by a report is what a notebook gets, table by table."""
+    results.to_csv(tmp_path)
     written = {path.stem for path in tmp_path.glob("*.csv")}
     assert written == {name for name, table in results.tables.items() if len(table)}
     assert {"verdicts", "hard_steps", "ladder", "paired_ratios", "experiments", "runs"} <= written
     for name in ("ladder", "paired_ratios"):
         again = pd.read_csv(tmp_path / f"{name}.csv")
         assert list(again.columns) == list(results.tables[name].columns)
+
+
+def test_a_table_in_latex_has_a_line_for_each_row(results: Results) -> None:
+    """Numbers have three digits, and characters with a meaning in LaTeX are escaped."""
+    lines = results.to_latex("verdicts", columns=["solver", "error_move", "p50_us"]).splitlines()
+    rows = [line for line in lines if line.endswith(r"\\")]
+    assert len(rows) == 1 + len(results.verdict())
+    assert rows[0] == r"solver & error\_move & p50\_us \\"
+    assert all(len(re.findall(r"\d", cell.split("e")[0])) <= 4 for cell in rows[1].split("&")[1:])
+    with pytest.raises(InputError, match="verdicts"):
+        results.to_latex("verdict")
+    with pytest.raises(InputError, match="p50_us"):
+        results.to_latex("verdicts", columns=["p50"])
 
 
 def test_ladder_and_ratios_are_of_the_same_solvers(results: Results) -> None:

@@ -71,6 +71,20 @@ def test_a_run_ends_after_the_steps_asked_for(loop: Run) -> None:
         run_closed_loop(load_scenario("paper"), open_workspace("daqp"), steps=0)
 
 
+def test_names_are_taken_where_objects_are(loop: Run, replayed: Run) -> None:
+    """The same steps; anything else is a TypeError that states what is allowed."""
+    by_name = run_closed_loop("paper", "daqp", steps=STEPS)
+    np.testing.assert_allclose(by_name.steps["e_m"], loop.steps["e_m"], rtol=1e-12)
+    assert condense("paper").n == 15
+    assert len(replay("paper-30-5", "daqp", repeats=1, warmup_steps=0).steps) == 75
+    with pytest.raises(TypeError, match="allowed: a Scenario, a name or a TOML file"):
+        run_closed_loop(3, "daqp")  # type: ignore[arg-type] - the mistake that is tested
+    with pytest.raises(TypeError, match="allowed: a Workspace of open_workspace, or the name"):
+        run_closed_loop("paper", None)  # type: ignore[arg-type] - the mistake that is tested
+    with pytest.raises(TypeError, match=r"allowed: a QPSequence, a name or a \.npz file"):
+        replay(None, "daqp")  # type: ignore[arg-type] - the mistake that is tested
+
+
 def test_objects_say_what_they_are_in_a_line(loop: Run, replayed: Run) -> None:
     scenario = load_scenario("paper")
     qp = condense(scenario).problem(condense(scenario).emit(np.ones(9), np.zeros(3), np.zeros(3)))

@@ -30,7 +30,7 @@ from dpbench.qp.referee.joint import Kind
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
 from dpbench.qp.referee.referee import Referee, get_shared_referee
 from dpbench.qp.solution import Solution, Status
-from dpbench.scenario.scenario import Scenario
+from dpbench.scenario.scenario import Scenario, as_scenario
 from dpbench.ship.environment import WeatherDraw
 from dpbench.ship.plant import SUBSTEPS
 from dpbench.solvers.contract import Workspace
@@ -300,12 +300,19 @@ def _stack_matrices(matrices: list[Matrix | None]) -> Floats | None:
 
 
 def record_sequence(
-    scenario: Scenario, *, units: UnitSystem = "scaled", part: Part = "controller"
+    scenario: Scenario | str | Path, *, units: UnitSystem = "scaled", part: Part = "controller"
 ) -> QPSequence:
     """Solve a scenario's loop exactly and return the QPs of its controller or allocation.
 
-    CertificateError where nothing is proven of a step.
+    scenario : an object, a name or a TOML file. CertificateError where nothing is proven of a step.
+
+    Examples
+    --------
+    >>> from dpbench import load_scenario
+    >>> record_sequence(load_scenario("paper").first(5))
+    <QPSequence paper: 5 QPs of 15 variables, 15 rows, constant matrices>
     """
+    scenario = as_scenario(scenario)
     exact = solve_exactly(scenario)
     exact.require_certificates(scenario.name)
     return rebuild_sequence(scenario, exact, units=units, part=part)

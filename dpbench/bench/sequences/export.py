@@ -9,14 +9,17 @@ from dpbench.bench.run.exact_loop import Part
 from dpbench.bench.sequences import recording
 from dpbench.bench.sequences.qpbenchmark_files import list_steps_with_optimum, save_qpbenchmark
 from dpbench.bench.sequences.sequence_file import Recorded
+from dpbench.bench.sequences.text_files import save_csv, save_mat, save_qps
 from dpbench.errors import InputError, SituationError
 from dpbench.qp.referee.referee import certify_sequence
 from dpbench.scenario.problem_files import is_stored, problem_names, sequence_path
 from dpbench.scenario.scenario import load_scenario
 from dpbench.scenario.tables.key_types import Horizons, parse_horizons
 
-Format = Literal["npz", "qpbenchmark"]
+Format = Literal["npz", "qpbenchmark", "mat", "csv", "qps"]
 FORMATS: tuple[Format, ...] = get_args(Format)
+FILES: dict[Format, str] = {"npz": ".npz", "mat": ".mat"}  # of the formats that are one file
+WRITERS = {"mat": save_mat, "csv": save_csv, "qps": save_qps}
 
 
 def export(
@@ -34,7 +37,8 @@ def export(
 
     what : a scenario by name or TOML path, a sequence by name or `.npz`, or a folder of qpsolvers
         problems.
-    out : the `.npz` file; for "qpbenchmark" the name of the Parquet file and the Python file.
+    out : the `.npz` or `.mat` file; for "qpbenchmark" the name of the Parquet file and the Python
+        file; for "csv" and "qps" a folder.
     horizons : "N_p/N_c" instead of those of the tuning; of a scenario only.
     steps, every : the first so many steps, and of these each `every`-th; at : one step instead.
     part : "allocation" for the second QPs of a cascade; of a scenario only.
@@ -43,8 +47,8 @@ def export(
     target = Path(out)
     if format not in FORMATS:
         raise InputError("--format", "", repr(format), " | ".join(FORMATS))
-    if format == "npz" and target.suffix != ".npz":
-        raise InputError("--out", "", repr(target.name), "a file name that ends in .npz")
+    if (suffix := FILES.get(format)) and target.suffix != suffix:
+        raise InputError("--out", "", repr(target.name), f"a file name that ends in {suffix}")
     if at is not None and (steps is not None or every != 1):
         raise InputError("--at", "", f"{at} beside --steps or --every", "one step, or several")
     if part not in get_args(Part):
@@ -54,10 +58,13 @@ def export(
     if format == "npz":
         recorded.save(target)
         written = str(target)
+    elif write := WRITERS.get(format):
+        written = str(write(target, recorded))
     else:
         written = " and ".join(map(str, save_qpbenchmark(target, recorded)))
     left_out = len(recorded.optima or []) - len(list_steps_with_optimum(recorded))
-    without = f"; {left_out} without an optimum left out" if left_out and format != "npz" else ""
+    some = left_out and format == "qpbenchmark"
+    without = f"; {left_out} without an optimum left out" if some else ""
     about = recording.describe_sequence(recorded.sequence, recorded.optima or [])
     return f"{written}: {about}{without}"
 

@@ -88,6 +88,12 @@ def save_sequence(
     ----------
     sequence : one in SI is written as its scaled form, with its units.
     optima : those of `certify_sequence`, which finds them where they are not given.
+
+    Examples
+    --------
+    >>> save_sequence("two.npz", load_sequence("paper-30-5"))
+    >>> load_sequence("two.npz")
+    <QPSequence paper-30-5[:300:4]: 75 QPs of 15 variables, 15 rows, constant matrices>
     """
     scaled = sequence.scaled or sequence
     units = units or sequence.units
@@ -140,6 +146,11 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
     Raises
     ------
     InputError : for a bad file, or one without units in SI.
+
+    Examples
+    --------
+    >>> load_sequence("paper-30-5")
+    <QPSequence paper-30-5[:300:4]: 75 QPs of 15 variables, 15 rows, constant matrices>
     """
     if units not in ("scaled", "si"):
         raise InputError("load_sequence", "units", repr(units), '"scaled" or "si"')
@@ -151,6 +162,18 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
         found = "1 for all: units of its own"
         raise InputError(str(path), "unit_z, unit_row", found, "units in SI, or units='scaled'")
     return convert_units(recorded.sequence, recorded.units)
+
+
+def as_sequence(given: object) -> QPSequence:
+    """Return a sequence that is given as an object, by name or as a `.npz` file.
+
+    Raises TypeError for anything else, and what `load_sequence` raises.
+    """
+    if isinstance(given, (str, Path)):
+        return load_sequence(given)
+    if isinstance(given, QPSequence):
+        return given
+    raise TypeError(f"sequence: found {given!r}; allowed: a QPSequence, a name or a .npz file")
 
 
 def load_recorded(path: str | Path) -> Recorded:

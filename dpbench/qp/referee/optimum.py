@@ -22,6 +22,11 @@ class Optimum:
     bound : rigorous bound of max_i |z_i − z*_i|; inf unless there is an optimum.
     kind : the certificate; "undecided" for a problem that is infeasible by no more than rounding,
         "none" where nothing is proven.
+
+    Examples
+    --------
+    >>> Optimum(np.array([1.0]), np.zeros(0), np.array([2.0]), bound=0.0, kind="exact")
+    <Optimum of 1 variables: z within 0.0e+00 of the exact one, 1 limits active>
     """
 
     z: Vector

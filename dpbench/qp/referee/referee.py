@@ -352,7 +352,14 @@ def _cached_referee(thread: int, n: int, P: bytes, A: bytes, lb: bytes, ub: byte
 
 
 def certify(qp: QuadraticProgram) -> Optimum:
-    """Certify the optimum of a single QP."""
+    """Certify the optimum of a single QP.
+
+    Examples
+    --------
+    >>> limits = {"l": [-9.0], "u": [2.0], "lb": [-9.0, -9.0], "ub": [1.0, 1.0]}
+    >>> certify(QuadraticProgram(P=np.eye(2), q=[-3.0, -3.0], A=[[1.0, 1.0]], **limits)).z
+    array([1., 1.])
+    """
     return Referee(qp.P, qp.A, qp.lb, qp.ub).certify(qp.q, qp.l, qp.u)
 
 

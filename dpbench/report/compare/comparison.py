@@ -208,6 +208,11 @@ class Comparison:
     figures : every figure of accuracy and control; lines : the verdict in a few lines of text.
     margin : ratio that counts as equal; alpha : family-wise error of the claims.
     reference : solver that step times are divided by, "" for none.
+
+    Examples
+    --------
+    >>> compare("results/smoke", "results/smoke").worse
+    False
     """
 
     compared: list[ComparedTimes]
@@ -275,6 +280,12 @@ def compare(
     ------
     InputError : for a margin or alpha out of range, or a reference that was not timed in both; as
         `ResultsError` for a folder that is missing, damaged, or has no cell in common.
+
+    Examples
+    --------
+    >>> comparison = compare("results/smoke", "results/smoke", margin=0.1)
+    >>> {figure.change for figure in comparison.figures}
+    {'same'}
     """
     if not (margin > 0.0 and math.isfinite(margin)):
         raise InputError("--margin", "", margin, "a finite number above 0, as 0.05 for 5 %")

@@ -1,0 +1,57 @@
+"""Sequences for other tools: what MATLAB, a spreadsheet and another solver's reader find there."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import loadmat
+
+from dpbench.bench.sequences.export import export
+from dpbench.bench.sequences.sequence_file import load_recorded
+from dpbench.bench.sequences.text_files import save_qps
+from dpbench.errors import InputError
+from dpbench.scenario.problem_files import sequence_path
+
+
+@pytest.mark.parametrize("name", ["paper-30-5", "turn-30-5"])
+def test_a_matlab_file_has_the_arrays(name: str, tmp_path: Path) -> None:
+    export(name, tmp_path / "a.mat", format="mat", steps=3)
+    found, stored = loadmat(tmp_path / "a.mat"), load_recorded(sequence_path(name))
+    for k in range(3):
+        problem = stored.sequence.problem(k)
+        P = found["P"] if stored.sequence.P is None else found["P"][k]
+        np.testing.assert_array_equal(P, problem.P)
+        np.testing.assert_array_equal(found["u"][k], problem.u)
+    assert found["bound"].shape == (1, 3)
+
+
+def test_csv_tables_have_the_arrays_to_the_last_digit(tmp_path: Path) -> None:
+    export("turn-30-5", tmp_path / "tables", format="csv", steps=2)
+    problem = load_recorded(sequence_path("turn-30-5")).sequence.problem(1)
+    P = np.loadtxt(tmp_path / "tables" / "P.csv", delimiter=",")[1].reshape(problem.P.shape)
+    np.testing.assert_array_equal(P, problem.P)
+    l = np.loadtxt(tmp_path / "tables" / "l.csv", delimiter=",")[1]  # noqa: E741 - lower limits
+    np.testing.assert_array_equal(l, problem.l)
+
+
+@pytest.mark.parametrize("name", ["paper-30-5", "thruster_loss_soft-30-5", "thrusters_move-30-5"])
+def test_another_solver_reads_a_qps_file_and_finds_the_optimum(name: str, tmp_path: Path) -> None:
+    """HiGHS has a reader of its own. Soft limits have slacks without an upper bound."""
+    highspy = pytest.importorskip("highspy", reason="highspy is not installed")
+    recorded = load_recorded(sequence_path(name))
+    save_qps(tmp_path / "qps", recorded)
+    k = len(recorded.sequence) // 2
+    highs = highspy.Highs()
+    highs.setOptionValue("output_flag", False)
+    # HiGHS reads files of this suffix alone.
+    file = (tmp_path / "qps" / f"{k:06d}.qps").rename(tmp_path / "qp.mps")
+    assert highs.readModel(str(file)) == highspy.HighsStatus.kOk
+    highs.run()
+    problem, optimum = recorded.sequence.problem(k), (recorded.optima or [])[k]
+    expected = problem.objective(optimum.z)
+    assert highs.getInfo().objective_function_value == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+def test_a_matlab_file_needs_its_suffix(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"\.mat"):
+        export("paper-30-5", tmp_path / "a.npz", format="mat", steps=3)
