@@ -212,8 +212,9 @@ def _add_check_arguments(check: Command) -> None:
 def _add_init_arguments(init: Command) -> None:
     init.description = (
         "Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml, with what "
-        "was derived how in their comments. With NAME.toml there and --sea N alone: the same ship "
-        "in another sea."
+        "was derived how in their comments; with --thrusters also NAME_thrusters.toml, whose "
+        "controller steers them, and the capability plot NAME_capability.svg. With NAME.toml there "
+        "and --sea N alone: the same ship in another sea."
     )
     init.add_argument("name", metavar="NAME", help="of the ship: letters, digits, _ and -")
     option = partial(_add_option, init)
@@ -224,6 +225,7 @@ def _add_init_arguments(init: Command) -> None:
     option("--thrust", "KN", "largest force ahead [kN]")
     option("--sway-thrust", "KN", "sideways [kN] (a third of --thrust)")
     option("--yaw-moment", "KNM", "[kN·m] (0.57 sway thrust times length)")
+    option("--thrusters", "FILE.csv", "in place of --thrust: a row each; - asks for them")
     option("--like", "V", "library vessel to scale (the nearest)")
     option("--from-mss", "FILE.mat", "a vessel of the MSS toolbox")
     option("--from-csv", "FILE", "rows coefficient,value (see docs)")

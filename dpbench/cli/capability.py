@@ -52,7 +52,7 @@ def capability_text(arguments: argparse.Namespace) -> str:
     with ProgressBar(transient=True, quiet=quiet) as bar:
         capability = compute_capability(frontier, bar)
     if figure is not None:
-        _save_rose_figure(capability, vessel, figure)
+        save_rose_figure(capability, vessel, figure)
     answers: list[Answers] = []
     out = Path(arguments.out or f"results/capability-{vessel.id}")
     if arguments.solver:
@@ -83,7 +83,8 @@ def _judge_solvers(
     return count_answers(records, [run for run in records.runs if run.default_route])
 
 
-def _save_rose_figure(capability: Capability, vessel: Vessel, path: Path) -> None:
+def save_rose_figure(capability: Capability, vessel: Vessel, path: Path) -> None:
+    """Draw the largest wind held by direction and failure case; the file's ending is its format."""
     from dpbench.report.charts.capability import COLUMNS as DRAWN
     from dpbench.report.charts.capability import draw_capability_rose
     from dpbench.report.charts.render import save_figure

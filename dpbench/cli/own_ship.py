@@ -16,6 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
+from dpbench.cli.own_thrusters import (
+    HeldSea,
+    OwnThrusters,
+    choose_sea,
+    find_held_sea,
+    read_own_thrusters,
+    save_held_sea,
+)
 from dpbench.cli.terminal import WIDTH
 from dpbench.errors import InputError, SituationError, list_allowed
 from dpbench.report.words import render_document
@@ -96,7 +104,8 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
         for option, quantity in QUANTITIES.items()
     }
     sea = _parse_sea_number(options.sea)
-    described = options.from_mss or options.from_csv or options.like or any(numbers.values())
+    given = (options.from_mss, options.from_csv, options.like, options.thrusters)
+    described = any(given) or any(numbers.values())
     texts: dict[str, str] = {}
     remarks: list[str] = []
     if described or not os.path.isfile(vessel_file):
@@ -108,20 +117,26 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
             instead = f"give --sea, 1 to {max(scaling.DP_NUMBERS)}, or describe the ship anew"
             raise SituationError(WHERE, f"{vessel_file} exists; {instead}")
         vessel = load_vessel(vessel_file)
-    number = scaling.largest_sea(vessel) if sea is None else sea
-    texts |= _render_sea_files(name, vessel, number, chosen=sea is None)
+    held = None if vessel.thrusters is None else find_held_sea(vessel)
+    number = choose_sea(vessel, held) if sea is None else sea
+    texts |= _render_sea_files(name, vessel, number, held, chosen=sea is None)
     _write_new_files(folder, texts, force=options.force)
-    return _summary_lines(folder, texts, vessel, number, remarks)
+    lines = _summary_lines(folder, texts, vessel, number, remarks)
+    return lines if held is None else [*save_held_sea(held, vessel, folder, name), *lines]
 
 
-def _render_sea_files(name: str, vessel: Vessel, number: int, *, chosen: bool) -> dict[str, str]:
+def _render_sea_files(
+    name: str, vessel: Vessel, number: int, held: HeldSea | None, *, chosen: bool
+) -> dict[str, str]:
     """Render scenario and suite files for a DP capability number; return texts by file name."""
     stem = name if chosen else f"{name}_sea{number}"
     weather = f"{name}_weather.toml" if chosen else f"{stem}.toml"
-    return {
-        weather: scenario_text(name, vessel, number, chosen=chosen),
-        f"{stem}_suite.toml": suite_text(name, weather, vessel, number),
-    }
+    texts = {weather: scenario_text(name, vessel, number, held, chosen=chosen)}
+    steered = None
+    if held is not None:
+        steered = f"{stem}_thrusters.toml"
+        texts[steered] = scenario_text(name, vessel, number, held, chosen=chosen, steered=True)
+    return texts | {f"{stem}_suite.toml": suite_text(name, weather, vessel, number, steered)}
 
 
 def _parse_sea_number(text: str | None) -> int | None:
@@ -144,7 +159,6 @@ def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None
             else read_coefficient_table(Path(hull_file))
         )
     own = _read_particulars(numbers, hull)
-    thrust = _read_thrust(numbers, own)
     if options.like is not None and options.like not in scaling.LIBRARY:
         raise InputError(
             WHERE,
@@ -153,10 +167,18 @@ def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None
             list_allowed(options.like, list(scaling.LIBRARY)),
         )
     like = options.like or scaling.nearest_ship(own)
+    own_thrusters = None
+    if options.thrusters is None:
+        thrust = _read_thrust(numbers, own)
+    else:
+        own_thrusters = read_own_thrusters(options, numbers, own, like)
+        thrust = own_thrusters.as_limits()
     vessel = scaling.scale_vessel(like, own, thrust, options.name)
+    if own_thrusters is not None:
+        vessel = own_thrusters.fit(vessel)
     if hull is not None:
         vessel = replace(vessel, M=hull.M, D=hull.D, where=hull_file)
-    return OwnShip(options.name, own, vessel, like, hull)
+    return OwnShip(options.name, own, vessel, like, hull, own_thrusters)
 
 
 def _read_particulars(numbers: dict[str, float | None], hull: Hull | None) -> scaling.Particulars:
@@ -206,7 +228,7 @@ def _read_thrust(
 
 def _restate_command(options: argparse.Namespace) -> str:
     words = ["dpbench", "init", options.name]
-    for option in (*QUANTITIES, "like", "from-mss", "from-csv", "sea"):
+    for option in (*QUANTITIES, "thrusters", "like", "from-mss", "from-csv", "sea"):
         value = getattr(options, option.replace("-", "_"))
         if value is not None:
             words += [f"--{option}", str(value)]
@@ -247,6 +269,7 @@ class OwnShip:
     vessel: Vessel
     like: str
     hull: Hull | None
+    thrusters: OwnThrusters | None = None
 
 
 def vessel_text(ship: OwnShip, command: str) -> str:
@@ -305,22 +328,43 @@ def choose_sample_s(vessel: Vessel) -> float:
     return max(0.05, round(round(SAMPLE_S * slower / 0.05) * 0.05, 2))
 
 
-def scenario_text(name: str, vessel: Vessel, number: int, *, chosen: bool) -> str:
-    """Render the scenario file of a new ship; `chosen` if dpbench chose the sea, not the user."""
+def scenario_text(
+    name: str,
+    vessel: Vessel,
+    number: int,
+    held: HeldSea | None = None,
+    *,
+    chosen: bool,
+    steered: bool = False,
+) -> str:
+    """Render the scenario file of a new ship in the sea of a DP number.
+
+    held : what its thrusters hold; chosen : dpbench chose the sea, not the user; steered : the
+    controller steers thrusters, and loses the worst group where the others hold that sea.
+    """
     longer = scaling.froude_time(vessel.length_m) ** 2
     wind_mps, hs_m, *_ = scaling.DP_NUMBERS[number]
+    step_s = choose_sample_s(vessel)
+    fault = None
+    if steered and held is not None and held.lost and number <= held.number:
+        fault = {"at_s": 0.6 * STEPS * step_s, "lost": held.lost}
+    share = scaling.load_share(vessel, number)
     return render_document(
         "own_scenario.toml",
         comment=_wrap_as_comment,
+        quoted=partial(json.dumps, ensure_ascii=False),
         name=name,
         number=number,
         most=max(scaling.DP_NUMBERS),
-        why=_explain_sea_choice(scaling.load_share(vessel, number), chosen=chosen),
-        share=scaling.load_share(vessel, number),
+        why=_explain_sea_choice(share, held, chosen=chosen),
+        share=share,
+        held=held,
+        steered=steered,
+        fault=fault,
         wind_mps=wind_mps,
         hs_m=hs_m,
         from_deg=scaling.FROM_DEG,
-        step_s=choose_sample_s(vessel),
+        step_s=step_s,
         steps=STEPS,
         start=[round(metres * longer, 2) for metres in START_M],
         sea=scaling.sea_state(number),
@@ -329,19 +373,27 @@ def scenario_text(name: str, vessel: Vessel, number: int, *, chosen: bool) -> st
     )
 
 
-def _explain_sea_choice(share: float, *, chosen: bool) -> str:
+def _explain_sea_choice(share: float, held: HeldSea | None, *, chosen: bool) -> str:
     if not chosen:
         return "as asked for"
+    if held is not None:
+        return held.reason
     limit = f"whose mean force takes at most {scaling.SPARE:.0%} of the limits"
     if share <= scaling.SPARE:
         return f"the largest {limit}"
     return f"the smallest, as there is none {limit}"
 
 
-def suite_text(name: str, weather: str, vessel: Vessel, number: int) -> str:
-    """Render the file of a suite that compares solvers in a new ship's scenario."""
+def suite_text(
+    name: str, weather: str, vessel: Vessel, number: int, steered: str | None = None
+) -> str:
+    """Render the file of a suite that compares solvers in a new ship's scenarios.
+
+    steered : file of the scenario whose controller steers thrusters.
+    """
     return render_document(
         "own_suite.toml",
+        steered=steered,
         name=name,
         weather=weather,
         number=number,

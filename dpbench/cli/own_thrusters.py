@@ -1,0 +1,153 @@
+"""`dpbench init --thrusters`: the thrusters of one's own ship, and the sea that they hold."""
+
+import argparse
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from dpbench.bench.capability.frontier import INTACT, CapabilityPlot
+from dpbench.bench.capability.study import FROM_DEG, Capability, compute_capability
+from dpbench.cli.capability import save_rose_figure
+from dpbench.cli.terminal import ProgressBar
+from dpbench.errors import InputError, SituationError
+from dpbench.scenario import own_ship as scaling
+from dpbench.scenario.own_thrusters import (
+    Berth,
+    complete_thrusters,
+    list_assumptions,
+    read_thruster_rows,
+)
+from dpbench.scenario.scenario import load_vessel
+from dpbench.scenario.tables.vessel_file import ThrusterTable
+from dpbench.ship.thrusters import ThrusterSet
+from dpbench.ship.vessel import Vessel
+
+WHERE = "init"
+FORCES = ("thrust", "sway-thrust", "yaw-moment")
+MOST_TO_WEIGHT = 0.5
+"""Thrust of all thrusters over the ship's weight; beyond it a unit is wrong."""
+ASKED = ("kind", "x_m", "y_m", "power_kW", "thrust_kN", "group")
+HINTS = {
+    "kind": "azimuth, tunnel or main; empty: no more",
+    "x_m": "ahead of midships",
+    "y_m": "to starboard; empty: 0",
+    "power_kW": "empty: by thrust",
+    "thrust_kN": "",
+    "group": "switchboard; empty: fails alone",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class OwnThrusters:
+    """Thrusters of the user's ship, as tables of its file and in SI units, and what was assumed."""
+
+    where: str
+    tables: tuple[ThrusterTable, ...]
+    thrusters: ThrusterSet
+    assumed: list[str]
+
+    def as_limits(self) -> scaling.ThrustLimits:
+        """Return their largest forces in each axis by itself."""
+        _, most = self.thrusters.limits()
+        return scaling.ThrustLimits(*most.tolist())
+
+    def fit(self, vessel: Vessel) -> Vessel:
+        """Return a vessel with these thrusters and the limits that they make.
+
+        Raises InputError where they can push to one side of an axis only.
+        """
+        low, high = self.thrusters.limits()
+        if not (low < 0.0).all():
+            found = "thrusters that push to one side of an axis only"
+            raise InputError(
+                self.where, "", found, "forces ahead and astern, to port and starboard"
+            )
+        rate = self.thrusters.rate()
+        return replace(vessel, thrusters=self.thrusters, tau_min=low, tau_max=high, rate_max=rate)
+
+
+def read_own_thrusters(
+    options: argparse.Namespace,
+    numbers: dict[str, float | None],
+    own: scaling.Particulars,
+    like: str,
+) -> OwnThrusters:
+    """Read the thrusters of a new ship from the file of an option, or from answers for `-`."""
+    for option in FORCES:
+        if numbers[option] is not None:
+            both = f"--thrusters and --{option} exclude each other; give one of them"
+            raise SituationError(WHERE, both)
+    library, longer = load_vessel(like), own.length_m / scaling.LIBRARY[like].length_m
+    rise_s = float(f"{library.tau_max[0] / library.rate_max[0] * longer**0.5:.3g}")
+    asked = options.thrusters == "-"
+    where = "thrusters" if asked else options.thrusters
+    rows = _ask_for_rows() if asked else read_thruster_rows(Path(where))
+    berth = Berth(own.length_m, own.breadth_m, rise_s)
+    tables, thrusters = complete_thrusters(rows, berth, where)
+    share = scaling.thrust_to_weight(own, float(thrusters.thrust_N.sum()))
+    if share > MOST_TO_WEIGHT:
+        found = f"{thrusters.thrust_N.sum() / 1e3:.3g} kN in all, {share:.2g} of the ship's weight"
+        raise InputError(where, "power_kW, thrust_kN", found, f"at most {MOST_TO_WEIGHT:g} of it")
+    return OwnThrusters(where, tables, thrusters, list_assumptions(rows, tables))
+
+
+def _ask_for_rows() -> list[dict[str, str]]:
+    """Ask for thrusters on the terminal, or read the answers line by line from a pipe."""
+    rows: list[dict[str, str]] = []
+    while True:
+        row: dict[str, str] = {}
+        for key in ASKED:
+            if key == "thrust_kN" and "power_kW" in row:
+                continue
+            hint = f" ({HINTS[key]})" if HINTS[key] else ""
+            print(f"thruster {len(rows) + 1}, {key}{hint}: ", end="", file=sys.stderr, flush=True)
+            answer = sys.stdin.readline().strip()
+            if not answer and key == "kind":
+                print(file=sys.stderr)
+                return rows
+            if answer:
+                row[key] = answer
+        rows.append(row)
+
+
+@dataclass(frozen=True)
+class HeldSea:
+    """The DP number that thrusters hold from `FROM_DEG`, after the loss of the worst group.
+
+    lost : that group; None where no sea is held without it, and the number is that of the whole
+        ship. reason : why this sea, for the scenario's file.
+    """
+
+    capability: Capability
+    number: int
+    lost: str | None
+    reason: str
+
+
+def find_held_sea(vessel: Vessel) -> HeldSea:
+    """Find the largest sea that a ship's thrusters hold, by level 1 of DNV-ST-0111."""
+    with ProgressBar(transient=True) as bar:
+        capability = compute_capability(CapabilityPlot(vessel), bar)
+    at = FROM_DEG.index(scaling.FROM_DEG)
+    held = {case: limits[at] for case, limits in capability.held.items()}
+    worst = min((case for case in held if case != INTACT), key=lambda case: held[case].wind_mps)
+    most, largest = max(scaling.DP_NUMBERS), "the largest that its thrusters hold by level 1"
+    if held[worst].number:
+        reason = f"{largest}, after the loss of {worst} too"
+        return HeldSea(capability, min(held[worst].number, most), worst, reason)
+    if held[INTACT].number:
+        reason = f"{largest} intact; without {worst} they hold none"
+        return HeldSea(capability, min(held[INTACT].number, most), None, reason)
+    return HeldSea(capability, 1, None, "the smallest, as its thrusters hold none by level 1")
+
+
+def choose_sea(vessel: Vessel, held: HeldSea | None) -> int:
+    """Choose the DP number of a new ship's sea by its thrusters, or by its limits without any."""
+    return scaling.largest_sea(vessel) if held is None else held.number
+
+
+def save_held_sea(held: HeldSea, vessel: Vessel, folder: Path, name: str) -> list[str]:
+    """Draw a ship's capability plot; return lines to print."""
+    path = folder / f"{name}_capability.svg"
+    save_rose_figure(held.capability, vessel, path)
+    return [f"wrote {path}: {held.capability.notation}"]

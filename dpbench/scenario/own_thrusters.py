@@ -1,0 +1,145 @@
+"""Thrusters of one's own from a CSV table: kind, place, and power or thrust; the rest is assumed.
+
+    kind,x_m,y_m,power_kW,group
+    main,-38,-4,2000,board A
+    tunnel,32,,800,board B
+
+The columns are keys of `[[thrusters]]` of a vessel file, a sector as sector_from_deg and
+sector_to_deg; an empty cell is a key that is left out.
+"""
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dpbench.errors import InputError, list_allowed
+from dpbench.files.opening import MOST_TEXT_BYTES, read_bytes
+from dpbench.scenario.problem_files import parse_model
+from dpbench.scenario.tables.vessel_file import ThrusterTable
+from dpbench.ship.thrusters import ThrusterSet
+
+TEXTS = ("name", "kind", "propeller", "group")
+SECTOR = ("sector_from_deg", "sector_to_deg")
+COLUMNS = tuple(key for key in ThrusterTable.model_fields if key != "sector_deg") + SECTOR
+REQUIRED = ("kind", "x_m")
+MOST_ROWS = 100
+LOADING_KW_PER_M2 = {"open": 138.0, "nozzle": 323.0, "tunnel": 297.0}
+"""Power over squared diameter of the thrusters of Ratownik."""
+ASTERN = 0.79
+"""Thrust astern of a main propeller over that ahead: the paper's ship, 980 kN of 1240 kN."""
+MOST_X, MOST_Y = 0.6, 0.6
+"""Largest distance of a thruster from midships over the length, and over the breadth."""
+
+
+@dataclass(frozen=True)
+class Berth:
+    """What a ship says of its thrusters: length, breadth [m], and their rise time [s]."""
+
+    length_m: float
+    breadth_m: float
+    rise_s: float
+
+
+def read_thruster_rows(path: Path) -> list[dict[str, str]]:
+    """Read the rows of a thruster table, by column, without empty cells; InputError if bad."""
+    what = "a readable CSV file in UTF-8"
+    content = read_bytes(path, what, most_bytes=MOST_TEXT_BYTES)
+    try:
+        lines = io.StringIO(content.decode("utf-8-sig"), newline="")
+        rows = [row for row in csv.reader(lines) if row and not row[0].startswith("#")]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(str(path), "", str(error), what) from error
+    names = [cell.strip() for cell in rows[0]] if rows else []
+    for name in names:
+        if name not in COLUMNS or names.count(name) > 1:
+            found = "a second column" if names.count(name) > 1 else "an unknown column"
+            raise InputError(str(path), repr(name)[:80], found, list_allowed(name, COLUMNS))
+    if missing := [name for name in REQUIRED if name not in names]:
+        allowed = "kind, x_m, and power_kW or thrust_kN"
+        raise InputError(str(path), "first row", f"no column {missing[0]}", allowed)
+    if not 2 <= len(rows) <= MOST_ROWS + 1:
+        raise InputError(str(path), "", f"{len(rows) - 1} thrusters", f"1 to {MOST_ROWS}")
+    for number, row in enumerate(rows[1:], start=1):
+        if len(row) > len(names):
+            where = f"{path}, thruster {number}"
+            raise InputError(where, "", f"{len(row)} cells", f"at most {len(names)}")
+    return [
+        {name: cell.strip() for name, cell in zip(names, row, strict=False) if cell.strip()}
+        for row in rows[1:]
+    ]
+
+
+def complete_thrusters(
+    rows: Sequence[Mapping[str, str]], berth: Berth, where: str
+) -> tuple[tuple[ThrusterTable, ...], ThrusterSet]:
+    """Return thrusters with what their rows leave out, as tables and in SI units.
+
+    Raises InputError, by number of the thruster, for a value that is no number or out of range, a
+    place off the ship, and thrusters that leave surge, sway or yaw without force.
+    """
+    tables = []
+    for number, row in enumerate(rows, start=1):
+        at = f"{where}, thruster {number}"
+        keys: dict[str, Any] = {
+            name: text if name in TEXTS else _parse_number(text, at, name)
+            for name, text in row.items()
+        }
+        keys = {"name": f"{keys.get('kind', '')} {number}", "rise_s": berth.rise_s} | keys
+        if any(name in keys for name in SECTOR):
+            keys["sector_deg"] = [keys.pop(name, 0.0) for name in SECTOR]
+        _assume_propeller(keys)
+        tables.append(parse_model(keys, ThrusterTable, at))
+        _check_place(tables[-1], berth, at)
+    return tuple(tables), ThrusterSet(tuple(table.build_thruster() for table in tables), where)
+
+
+def _assume_propeller(keys: dict[str, Any]) -> None:
+    if keys.get("kind") == "main":
+        keys.setdefault("astern", ASTERN)
+    if "power_kW" not in keys:
+        return
+    keys.setdefault("propeller", "tunnel" if keys.get("kind") == "tunnel" else "open")
+    loading = LOADING_KW_PER_M2.get(keys["propeller"])
+    if loading is not None and keys["power_kW"] > 0.0:
+        keys.setdefault("diameter_m", float(f"{math.sqrt(keys['power_kW'] / loading):.3g}"))
+
+
+def _parse_number(text: str, where: str, name: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(where, name, repr(text)[:80], "a number") from None
+
+
+def _check_place(table: ThrusterTable, berth: Berth, where: str) -> None:
+    for name, most in (("x_m", MOST_X * berth.length_m), ("y_m", MOST_Y * berth.breadth_m)):
+        if abs(getattr(table, name)) > most:
+            allowed = f"{-most:g} to {most:g} m from midships on this ship"
+            raise InputError(where, name, f"{getattr(table, name):g}", allowed)
+
+
+def list_assumptions(
+    rows: Sequence[Mapping[str, str]], tables: Sequence[ThrusterTable]
+) -> list[str]:
+    """Return a sentence for each kind of value that the table leaves out."""
+    texts = {
+        "rise_s": "Rise times: that of the ship of Xia, Liu, Pang & Xue, with the root of length.",
+        "diameter_m": "Diameters: from the power, loaded as on the rescue ship Ratownik.",
+        "propeller": "Propellers: open, of tunnel thrusters in a tunnel.",
+        "height_m": "Shaft heights are unknown: no thrust is lost to air in waves.",
+        "astern": f"Main propellers astern: {ASTERN:g} of the thrust ahead.",
+        "group": "A thruster without a group fails alone.",
+    }
+    needed = {key: any(key not in row for row in rows) for key in texts}
+    by_power = any("power_kW" in row for row in rows)
+    for key in ("diameter_m", "propeller", "height_m"):
+        needed[key] = by_power and any(key not in row for row in rows if "power_kW" in row)
+    needed["astern"] = any(
+        table.kind == "main" and "astern" not in row
+        for row, table in zip(rows, tables, strict=True)
+    )
+    return [text for key, text in texts.items() if needed[key]]

@@ -1,0 +1,119 @@
+"""`dpbench init --thrusters`: the files of a ship with its thrusters, and what is refused."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.suite import load_suite
+from dpbench.cli.main import main
+from dpbench.scenario.own_thrusters import LOADING_KW_PER_M2
+from dpbench.scenario.scenario import load_scenario, load_vessel
+
+pytestmark = pytest.mark.slow
+PARTICULARS = ["--length", "80", "--breadth", "18", "--draught", "6", "--displacement", "6000"]
+TABLE = """kind,x_m,y_m,power_kW,group
+main,-38,-4,2000,board A
+main,-38,4,2000,board B
+tunnel,33,,800,board A
+tunnel,30,,800,board B
+azimuth,-30,0,1200,board B
+"""
+FILES = ("my_ship.toml", "my_ship_weather.toml", "my_ship_thrusters.toml", "my_ship_suite.toml")
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def init(table: str, *more: str) -> int:
+    Path("mine.csv").write_text(table, encoding="utf-8")
+    return main(["init", "my_ship", *PARTICULARS, "--thrusters", "mine.csv", *more])
+
+
+def test_two_mains_two_tunnels_and_an_azimuth_on_two_boards(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Files that load; board B leaves a main and a tunnel, which hold no wind."""
+    assert init(TABLE) == 0
+    said = capsys.readouterr().out
+    assert all(name in said for name in (*FILES, "my_ship_capability.svg"))
+    assert "DP capability-L1(8, 5, 0, 0)" in said
+    vessel, scenario = load_vessel(FILES[0]), load_scenario(FILES[2])
+    assert vessel.thrusters is not None
+    low, high = vessel.thrusters.limits()
+    np.testing.assert_allclose(vessel.tau_min, low)
+    np.testing.assert_allclose(vessel.tau_max, high)
+    assert vessel.thrusters.groups == {"board A": (0, 2), "board B": (1, 3, 4)}
+    tunnel = vessel.thrusters.thrusters[2].screw
+    assert tunnel is not None
+    assert 800.0 / tunnel.diameter_m**2 == pytest.approx(LOADING_KW_PER_M2["tunnel"], rel=1e-2)
+    assert scenario.files["scenario"]["controller"]["kind"] == "thrusters"
+    assert "faults" not in scenario.files["scenario"] or not scenario.files["scenario"]["faults"]
+    path, suite = load_suite(FILES[3])
+    cells = plan(suite, solvers=["daqp"], beside=path.parent)
+    assert {cell.cell.mode for cell in cells} == {"closed_loop", "replay"}
+    assert Path("my_ship_capability.svg").read_text(encoding="utf-8").startswith("<svg")
+
+
+def test_the_worst_group_is_lost_where_the_others_hold(capsys: pytest.CaptureFixture[str]) -> None:
+    """A second azimuth on the other board: the sea is one that is held without board B."""
+    assert init(TABLE + "azimuth,-25,0,1200,board A\n") == 0
+    assert "without board" not in Path(FILES[2]).read_text(encoding="utf-8")
+    (fault,) = load_scenario(FILES[2]).files["scenario"]["faults"]
+    assert fault["lost"][0] in ("board A", "board B")
+    capsys.readouterr()
+    assert main(["init", "my_ship", "--sea", "9"]) == 0
+    assert "my_ship_sea9_thrusters.toml" in capsys.readouterr().out
+    assert not load_scenario("my_ship_sea9_thrusters.toml").files["scenario"]["faults"]
+
+
+def test_thrusters_are_asked_for(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By power or, where that is empty, by thrust; an empty kind ends."""
+    answers = ["azimuth", "-30", "-4", "", "200", "A", "azimuth", "-30", "4", "1500", "B", ""]
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join([*answers, ""])))
+    assert main(["init", "my_ship", *PARTICULARS, "--thrusters", "-"]) == 0
+    thrusters = load_vessel(FILES[0]).thrusters
+    assert thrusters is not None
+    assert [t.name for t in thrusters.thrusters] == ["azimuth 1", "azimuth 2"]
+    assert thrusters.thrust_N[0] == 2e5
+    assert "thruster 3, kind" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("table", "more", "said"),
+    [
+        ("kind,place\n", (), "'place': found an unknown column"),
+        ("kind,power_kW\nmain,3\n", (), "no column x_m"),
+        ("kind,x_m\n", (), "found 0 thrusters"),
+        (TABLE.replace("800", "many", 1), (), "mine.csv, thruster 3: power_kW: found 'many'"),
+        (TABLE.replace("800", "", 1), (), "thruster 3"),
+        (TABLE.replace("800", "nan", 1), (), "thruster 3: power_kW: found nan"),
+        (TABLE.replace("800", "-5", 1), (), "thruster 3: power_kW: found -5"),
+        (TABLE.replace("-38", "-380", 1), (), "thruster 1: x_m: found -380; allowed: -48 to 48"),
+        (TABLE.replace("azimuth", "pod"), (), "thruster 5: kind: found 'pod'"),
+        (TABLE.replace("2000", "2000000"), (), "of the ship's weight"),
+        ("kind,x_m,thrust_kN\nmain,-38,100\n", (), "leave an axis without force"),
+        (
+            "kind,x_m,thrust_kN,sector_from_deg,sector_to_deg\n"
+            "azimuth,-30,100,-60,60\nazimuth,30,100,-60,60\n",
+            (),
+            "to one side of an axis only",
+        ),
+        (TABLE, ("--thrust", "300"), "--thrusters and --thrust exclude each other"),
+        (TABLE + "main,1,2,3,board A,more\n", (), "thruster 6: found 6 cells"),
+    ],
+)
+def test_bad_tables_are_one_line(
+    table: str, more: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the thruster's number and what is allowed; nothing is written."""
+    assert init(table, *more) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert said in line
+    assert [path.name for path in Path().iterdir()] == ["mine.csv"]
