@@ -15,7 +15,11 @@ KINDS: list[tuple[dict[str, Any], bool, bool]] = [
     ({"kind": "random", "name": "plain-n4-m6-s1", "recipe": RECIPE}, False, False),
     ({"kind": "recorded", "name": "a", "path": "a.npz", "sha256": "0f"}, True, True),
     ({"kind": "hardest", "name": "turn hardest 20", "of": 450}, True, True),
-    ({"kind": "consequence", "name": "turn, bus lost", "group": "bus"}, True, False),
+    (
+        {"kind": "consequence", "name": "turn, bus lost", "group": "bus", "margin": 1.25},
+        True,
+        False,
+    ),
     (
         {"kind": "capability", "name": "c", "sides": 8, "vessel_name": "osv", "vessel": {"a": 1}},
         False,
