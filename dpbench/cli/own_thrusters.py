@@ -5,8 +5,13 @@ import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from dpbench.bench.capability.frontier import INTACT, CapabilityPlot
-from dpbench.bench.capability.study import FROM_DEG, Capability, compute_capability
+from dpbench.bench.capability.frontier import (
+    FROM_DEG,
+    INTACT,
+    Capability,
+    CapabilityPlot,
+    compute_capability,
+)
 from dpbench.cli.capability import save_rose_figure
 from dpbench.cli.terminal import ProgressBar
 from dpbench.errors import InputError, SituationError
