@@ -4,8 +4,10 @@ The search sees the training sequences alone. In the end the best settings and t
 timed anew side by side, on these and on the test sequences.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 from dpbench.analysis.records.run_record import RunRecord
@@ -132,14 +134,13 @@ class _BatchProgress:
 
     def __init__(self, progress: Progress, batches: int) -> None:
         self._progress, self._batches = progress, batches
-        self._batch, self._work = 0, 0
+        self._batch = 0
         self._remarks: set[str] = set()
 
     def start(self, work: int) -> None:
         """Begin the next campaign; the first one tells how much work all of them are."""
         self._batch += 1
         if self._batch == 1:
-            self._work = work
             self._progress.start(work * self._batches)
 
     def advance(self, work: int, what: str) -> None:
@@ -197,8 +198,9 @@ def tune_solver(
         load_solver_module(solver_module)
     _check_numbers(trials, steps, seed, error_move)
     tuned = _choose_call(solver, route, policy, Requirements(error_move=error_move), solver_module)
-    if has_setting(solver, name):
-        raise InputError("--name", "", repr(name), f"none of the presets of {solver}")
+    if has_setting(solver, name) or not re.fullmatch(r"[\w-]{1,80}", name, re.ASCII):
+        allowed = f"letters, digits, _ and -; no preset of {solver}"
+        raise InputError("--name", "", repr(name)[:90], allowed)
     space = make_space(solver, ranges)
     _check_ends(tuned, space)
     learned = [load_problem(one, steps) for one in training or TRAINING]
@@ -275,9 +277,10 @@ def _search_settings(
     progress: Progress,
 ) -> SettingsSearch:
     """Run the search on the training sequences, one campaign for each batch; return it."""
+    numbers = count(1)
 
     def evaluate(settings: Sequence[Options]) -> list[Score]:
-        place = folder / f"batch-{len(search.trials) // BATCH + 1:02d}"
+        place = folder / f"batch-{next(numbers):02d}"
         runs = measure_settings(tuned, problems, settings, place, progress)
         return score_settings(settings, runs_by_settings(runs, problems), tuned.requirements)
 

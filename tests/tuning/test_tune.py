@@ -19,6 +19,7 @@ from dpbench.tuning.tune import tune_solver
         ("osqp", {"trials": 0}, "--trials: found 0"),
         ("osqp", {"error_move": 0.0}, "--error: found 0"),
         ("osqp", {"name": "high"}, "--name: found 'high'"),
+        ("osqp", {"name": "../x"}, "--name: found '../x'; allowed: letters, digits"),
         ("osqp", {"ranges": ["rhoo=[1,2]"]}, "settings of osqp: rhoo: found an unknown key"),
         ("osqp", {"route": "c"}, "route: found 'c'"),
         ("clarabel", {"policy": "warm"}, "policy: found 'warm'; allowed: .*no interface"),
