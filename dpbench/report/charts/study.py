@@ -8,11 +8,11 @@ import pandas as pd
 from dpbench.analysis.verdict.findings import STATES
 from dpbench.report.charts import style
 
-HELD = ("all held", "some held", "none held")
+HELD = ("all within", "some within", "none within")
 _LOOKS = [STATES.index(state) for state in ("pass", "inconclusive", "fail")]
 """States with the same looks."""
 _SIDE = 110
-_HELD = "share of seas held"
+_HELD = "share of seas within the radius"
 _CHOSEN = "datum.chosen"
 
 
@@ -34,7 +34,7 @@ def draw_held_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bo
         scale=alt.Scale(domain=[0.0, 0.5, 1.0], range=[style.FAIL, style.FILLS[1], style.PASS]),
         legend=style.legend_below(format=".0%", gradientLength=160),
     )
-    held = alt.Tooltip("held:Q", format=".0%")
+    held = alt.Tooltip("held:Q", title="within", format=".0%")
     tips = ["configuration:N", style.tooltip("x:N", x), style.tooltip("y:N", y), held, "runs:Q"]
     base = alt.Chart(table).encode(x=across, y=up, color=shade, tooltip=tips)
     marks = base.mark_point(filled=True, size=60, opacity=1) if drawn else base.mark_rect()
@@ -53,7 +53,7 @@ def draw_held_lines(table: pd.DataFrame, title: str, x: str) -> Any:
         x=alt.X("x:Q", title=x, scale=alt.Scale(zero=False)),
         y=alt.Y("held:Q", title=_HELD, **share),
         color=alt.Color("configuration:N", title=None, legend=style.legend_below()),
-        tooltip=["configuration:N", style.tooltip("x:Q", x), style.tooltip("held:Q")],
+        tooltip=["configuration:N", style.tooltip("x:Q", x), style.tooltip("held:Q", "within")],
     )
     return style.set_style(chart.properties(width=290, height=180), title, title)
 
@@ -116,7 +116,7 @@ def draw_study_points(*, tiles: bool) -> Any:
     y = alt.Y(f"y:{kind}", title="up", sort="descending" if tiles else alt.Undefined)
     if not tiles:
         x, y = x.scale(zero=False), y.scale(zero=False)
-    tips = [style.tooltip("values:N", "point"), style.tooltip("said:N", "seas held")]
+    tips = [style.tooltip("values:N", "point"), style.tooltip("said:N", "seas within")]
     ring: dict[str, Any] = {"stroke": style.value_if(_CHOSEN, style.ACCENT, style.PAPER)}
     ring["strokeWidth"] = style.value_if(_CHOSEN, 3, 1)
     base = style.inline_chart(name="design").encode(x=x, y=y, tooltip=tips)
@@ -134,7 +134,9 @@ def draw_study_points(*, tiles: bool) -> Any:
         marks = base.mark_point(filled=True, size=90, opacity=1)
         parts = [marks.encode(color=look, shape=shapes, **ring)]
     chart = alt.layer(*parts, width=300, height=220)
-    return style.set_style(chart, "Seas held", "Share of seas held at each point of the design.")
+    return style.set_style(
+        chart, "Seas within the radius", "Share of seas at each point of the design."
+    )
 
 
 def draw_point_errors(small_cm: float) -> Any:

@@ -27,10 +27,11 @@ class OffsetPicture:
     def caption(self) -> str:
         """What the picture shows, in one sentence."""
         run = self.run
+        dashed = " (dashed)" if self.offset_m.max() > run.station_radius_m else ""
         return (
             f"Offset from the setpoint in {run.scenario}, with {run.solver}: at most "
             f"{significant(run.dev_position_max_m)} m from the exactly solved loop. Its station "
-            f"ends at {run.station_radius_m:.3g} m (dashed where it is in the picture)."
+            f"ends at {run.station_radius_m:.3g} m{dashed}."
         )
 
     def svg(self, left: float, top: float, width: float, height: float) -> Iterator[str]:

@@ -119,7 +119,8 @@ def _fill_statement(
     known = [s for s in map(records.scenario, records.scenarios) if s is not None]
     ships = [ship for ship in data.ships if not ship.run.study]
     options = all_options(c.solver_settings, c.solver)
-    versions = results.runs.loc[results.runs["solver"] == c.solver, "solver_version"]
+    by_solver = results.runs.groupby("solver")["solver_version"]
+    versions = {name: ", ".join(sorted({str(v) for v in own if v})) for name, own in by_solver}
     vessels = {s.vessel.id: s.vessel for s in known}
     return render_document(
         "statement",
@@ -131,14 +132,15 @@ def _fill_statement(
         caption=caption,
         unmet=describe_unmet(ships, known),
         compared=[
-            f"{v.configuration.solver} {v.state}, p99 {time_text(v.p99_ns)}"
+            f"{solver} {versions[solver]} {v.state}, p99 {time_text(v.p99_ns)}"
             for v in best_verdict_by_solver(data.verdicts)
+            for solver in [v.configuration.solver]
         ],
         machine_state=disturbance_text(total_disturbance(timed_runs(records))),
         c=c,
         v=chosen,
         judged_runs_text=judged_runs_text(chosen),
-        version=", ".join(sorted({str(v) for v in versions if v})),
+        version=versions[c.solver],
         numbers=", ".join(f"{key} = {value!r}" for key, value in options.items())
         or "the library's own",
         aboard=deployment_facts(c.solver),

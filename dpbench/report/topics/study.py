@@ -52,11 +52,12 @@ def _study_lines(study: Study) -> Iterator[str]:
     worst = min(study.configurations, key=lambda c: c.held)
     radius = f"within {study.radius_m:g} m in the second half of a run"
     yield (
-        f"{study.reference} holds the ship {radius} in {_share_with_bound(held, study)} of them"
+        f"With {study.reference} the ship stays {radius} in {_share_with_bound(held, study)} of "
+        "them"
         + (
-            f", {worst.name} in {_share_with_bound(worst.held, study)}."
+            f", with {worst.name} in {_share_with_bound(worst.held, study)}."
             if worst.held < held
-            else ", as all do."
+            else ", as with all."
         )
     )
     if study.loosest:
@@ -106,13 +107,13 @@ def _study_figures(study: Study) -> Iterator[Figure]:
     name = study.name.replace("@", "-").replace("/", "-")
     maps, whole = pictures.held_maps(study), pictures.has_point_per_tile(study)
     keys = [str(key) for key in study.points if is_numeric_dtype(study.points[key])]
-    title = f"Held within {study.radius_m:g} m, {study.name}"
+    title = f"Within {study.radius_m:g} m, {study.name}"
     if len(keys) > 1:
         own = study.points[keys[0]].nunique() > max(8, len(study.points) // 2)
         drawn = bool(own) or not whole
         chart = draw_held_maps(maps, title, keys[0], keys[1], drawn=drawn)
         where = "at each point" if whole else f"in {pictures.FIELDS} × {pictures.FIELDS} fields"
-        caption = f"Share of seas {where}; a run that did not end is not held."
+        caption = f"Share of seas {where}; a run that did not end is not within."
         yield Figure(f"study-held-{name}", chart, caption)
     elif keys:
         chart = draw_held_lines(maps, title, keys[0])
@@ -138,7 +139,7 @@ def _study_tables(study: Study) -> Iterator[Table]:
         "both finished. None is stated where fewer than half of the points have two. Shown: the "
         f"error differs, with a family-wise error of {100 * ALPHA:g} % over all rows (Holm). The "
         "reference is chosen by its settings, not by its results. At least, at most: the 95 % "
-        "bound where all or none of the runs are held, 3 over the number of realisations."
+        "bound where all or none of the runs are within, 3 over the number of realisations."
     )
     yield Table.of(rows, title, note=note)
     axes = tuple(
@@ -155,7 +156,7 @@ def _configuration_row(configuration: StudiedConfiguration, study: Study) -> dic
     row = {
         "configuration": configuration.name,
         "runs": f"{configuration.finished} of {configuration.runs}",
-        "held": _share_with_bound(configuration.held, study),
+        "within": _share_with_bound(configuration.held, study),
         # Rounding alone is 0.
         "cost over exact": f"{0 if abs(cost) < NOTHING else significant(100.0 * cost, 2)} %",
         "behind [cm]": "reference" if behind_it is None else _difference_text(behind_it, 100.0),

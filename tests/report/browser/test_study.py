@@ -70,7 +70,7 @@ def _click_on(page: Any, view: str, wanted: str) -> None:
 def test_it_opens_where_a_ship_is_lost(study_page: Opener) -> None:
     page = study_page()
     assert page.inner_text("#one-title").startswith("osqp (")
-    assert "not held, at most 1.5 m off" in page.inner_text("#study-said")
+    assert "beyond the radius, at most 1.5 m off" in page.inner_text("#study-said")
     assert "in 1 of 4 seas, over all points in 18 of 24" in page.inner_text("#study-said")
     assert page.input_value("#study-sea") == "2"
     assert len(_rows(page, "design", "design")) == 6
@@ -148,7 +148,7 @@ def test_a_design_is_drawn_over_what_tells_points_apart(
         assert len(rows) == 20
         found = {row["y"] for row in rows}
         assert found == heights if heights else len(found) > 10
-        assert [row["point"] for row in rows if row["state"] == "none held"] == [3]
+        assert [row["point"] for row in rows if row["state"] == "none within"] == [3]
 
 
 @SCHEMES

@@ -55,7 +55,7 @@ function asTiles(study) {
     || (across !== up && own.every((values) => values.length <= MOST_TILES));
 }
 
-// A row for each place in the plane of two keys: how many of its seas the chosen one holds.
+// A row for each place in the plane of two keys: in how many of its seas the ship stays within.
 function designRows(study) {
   const [across, up] = axesOf(study), { point } = there(study), who = Math.max(0, whoOf(study));
   const groups = new Map(), tiles = asTiles(study);
@@ -71,10 +71,10 @@ function designRows(study) {
   return [...groups.values()].filter((group) => group.seas > 0).map((group) => {
     const chosen = group.points.find(([id]) => id === point);
     const [id, i] = chosen ?? group.points[0];
-    // Over one key the height is free: it is the share that is held.
+    // Over one key the height is free: it is the share within.
     const y = across === up && !tiles ? (100 * group.held) / group.seas : group.y;
     return { x: group.x, y, point: id, chosen: Boolean(chosen),
-      state: group.held === group.seas ? "all held" : group.held ? "some held" : "none held",
+      state: group.held === group.seas ? "all within" : group.held ? "some within" : "none within",
       said: `${group.held}/${group.seas}`,
       values: `${id}: ${valuesAt(study, i)}${group.points.length > 1 ? `, and ${group.points.length - 1} more` : ""}` };
   });
@@ -113,7 +113,7 @@ function studySaid(study) {
   const run = own.find((j) => study.runs.sea[j] === sea), behind = run === undefined ? null : study.runs.error_excess_cm[run];
   const tail = run === undefined ? null : study.runs.tail_m[run];
   const here = run === undefined ? "was not run" : tail === null ? "did not end"
-    : `${study.runs.held[run] ? "held" : "not held"}, at most ${figure(tail)} m off in the second half`
+    : `${study.runs.held[run] ? "within the radius" : "beyond the radius"}, at most ${figure(tail)} m off in the second half`
       + (behind === null || who === study.reference ? "" : `, ${figure(behind)} cm behind ${study.names[study.reference]}`);
   const share = held(all) / all.length, bound = 100 * Math.abs(share - study.upper_bound_of_none);
   const bounded = share === 1 || share === 0
@@ -149,7 +149,7 @@ async function drawStudy() {
     await view.runAsync();
   };
   const [across, other] = axesOf(study).map((j) => study.keys[j]);
-  const up = across !== other ? other : asTiles(study) ? "" : "seas held [%]";
+  const up = across !== other ? other : asTiles(study) ? "" : "seas within [%]";
   $("figure-design").parentElement.hidden = !study.keys.length;
   if (study.keys.length) await fill("design", { design: designRows(study) }, { across, up });
   await fill("behind", { means: meanRows(study), seas: behindRows(study) });
