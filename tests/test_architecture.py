@@ -99,9 +99,6 @@ HARD = {
     "dpbench.qp.referee.rational",
     "dpbench.qp.referee.referee",
     "dpbench.ship.estimation.kalman",
-    "dpbench.solvers.own.active_set.kernel",
-    "dpbench.solvers.own.hildreth",
-    "dpbench.solvers.own.exact_point",
 }
 
 

@@ -49,7 +49,7 @@ def test_every_pin_is_a_version_that_is_declared() -> None:
 
 @pytest.mark.slow
 def test_names_resolve_from_a_wheel_in_an_empty_folder(tmp_path: Path) -> None:
-    """The wheel carries problems and all parts of the page; the command line works from it."""
+    """The wheel carries problems, the C library and all parts of the page, and works."""
     build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
     subprocess.run([*build, "--wheel-dir", str(tmp_path), str(ROOT)], check=True)
     (wheel,) = tmp_path.glob("dpbench-*.whl")
@@ -74,6 +74,7 @@ def test_names_resolve_from_a_wheel_in_an_empty_folder(tmp_path: Path) -> None:
     assert str(site) in done.stdout.splitlines()[0]
     assert done.stdout.splitlines()[0].endswith(" 2000 30")
     assert "paper_tight" in done.stdout
+    assert [*(site / "dpbench" / "solvers" / "own").glob("_own_*")]
     page = site / "dpbench" / "report" / "page"
     templates = ("templates/page.html.j2", "templates/compare.html.j2", "templates/page.css")
     for part in (*templates, "scripts/page.js", "vendor/vega.min.js"):

@@ -18,7 +18,7 @@ the lowest index.
     active W    positions k → rows i, in the order they came       J_W = Q R,  Q (n, w), R (w, w)
     side, lam   (p,) by row i, zero where it is not active
 
-By hand, one step of the example in `solvers.own.active_set.kernel`: with J = [1 0 s; 0 1 s],
+By hand, one step of the example in `solvers/own/active_set.c`: with J = [1 0 s; 0 1 s],
 s = 1/√2, the limits (1, 1, 2.5 s) and x0 = (3, 3), the rows are violated by 2, 2 and 3.5 s = 2.47,
 so that row 2 comes first and λ₂ = 3.5 s. Three more iterations end at x = (1, 1), λ = (2, 2, 0).
 

@@ -225,8 +225,6 @@ class SolverRecord:
         Compiled code whose language the project documents is deployable.
         """
         language = self.project.language
-        if self.extra == "own":
-            return f"own code of this benchmark ({language.value})"
         if not language.source:
             return "its language is not stated"
         return f"written in {language.value}" if language.value.startswith("Python") else ""

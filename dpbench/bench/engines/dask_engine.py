@@ -33,7 +33,7 @@ from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome, RecordedSource
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.sequences.source import is_readable, source_file
-from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, list_solvers
+from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result
 from dpbench.errors import CertificateError, InputError
 from dpbench.files.writing import write_bytes
 
@@ -93,7 +93,7 @@ class DaskEngine(ExitStack):
         self._files, self._progress = sources, progress
         modules = {job.cell.solver_module for job in jobs} - {""}
         texts = {path: Path(path).read_text(encoding="utf-8") for path in modules}
-        self._context = on_worker.CampaignContext(solvers=tuple(list_solvers(jobs)), modules=texts)
+        self._context = on_worker.CampaignContext(modules=texts)
         if self._cluster is None:
             client = self.enter_context(start_own_cluster(self._workers))
             self._cluster = Cluster(client, is_own=True)

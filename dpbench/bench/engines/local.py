@@ -9,13 +9,9 @@ from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.sequences.source import is_readable
-from dpbench.bench.workers.child import (
-    list_kernel_modules,
-    list_uncompiled_modules,
-    start_forkserver,
-)
+from dpbench.bench.workers.child import has_compiled_kernels, start_forkserver
 from dpbench.bench.workers.executor import CellExecutor
-from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, list_solvers
+from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob
 from dpbench.bench.workers.scratch import Scratch
 from dpbench.locks import WaitLimit
 
@@ -37,13 +33,12 @@ class LocalEngine(ExitStack):
 
     def prepare(self, sources: SourceFiles, jobs: Sequence[CellJob], progress: Progress) -> None:
         """Start the server that forks processes, open temporary folders, check machine load."""
-        solvers = list_solvers(jobs)
-        if list_uncompiled_modules(list_kernel_modules(solvers)):
+        if not has_compiled_kernels():
             progress.remark(COMPILING)
         self._sources = sources
         self._scratch = self.enter_context(Scratch(sources.folder))
         executor = CellExecutor(
-            start_forkserver(solvers),
+            start_forkserver(),
             self._scratch,
             sorted(os.sched_getaffinity(0)),
             self.slots,

@@ -40,9 +40,8 @@ class WorkerInfo:
 
 @dataclass(frozen=True)
 class CampaignContext:
-    """Solver names, and texts of plug-ins by the paths in the cells, of all cluster tasks."""
+    """Texts of plug-ins by the paths in the cells, of all cluster tasks."""
 
-    solvers: tuple[str, ...] = ()
     modules: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -178,7 +177,7 @@ def _find_library_identity(solver: str) -> str:
 
 
 _get_forkserver = cache(start_forkserver)
-"""The starter of this worker's processes, made once for each set of solvers."""
+"""The starter of this worker's processes, made once."""
 
 
 @contextmanager
@@ -194,7 +193,7 @@ def _open_executor(
             Path(modules[path]).parent.mkdir()
             Path(modules[path]).write_text(text, encoding="utf-8")
         executor = CellExecutor(
-            _get_forkserver(context.solvers),
+            _get_forkserver(),
             stack.enter_context(Scratch(place)),
             cores,
             1,

@@ -6,11 +6,10 @@ import multiprocessing.forkserver
 import multiprocessing.resource_tracker
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from multiprocessing.connection import wait
@@ -29,39 +28,17 @@ from dpbench.bench.workers.orphans import END_S, end_orphans, kill_forkserver, s
 from dpbench.bench.workers.shared_status import CUT, Phase, SharedStatus
 from dpbench.errors import DpbenchError
 from dpbench.kernel_cache import cache_folders
-from dpbench.solvers.own.adapters import WITH_KERNELS
 from dpbench.temporary_folders import place_sockets_in_process_folder
 
-LOOP, OWN = "dpbench.bench.workers.template", "dpbench.solvers.own.primed"
-"""Modules that compile as they are imported: what every cell needs, and dpbench's own solvers."""
-_LAST = {LOOP: "replay._reference_kernel-*.nbi", OWN: "hildreth._compile_entry_point.*.nbi"}
-"""The index in the cache of what each of them compiles last."""
+LOOP = "dpbench.bench.workers.template"
+"""The module that compiles, as it is imported, what every cell needs."""
+_LAST_COMPILED = "replay._reference_kernel-*.nbi"
+"""The index in Numba's cache of what it compiles last."""
 
 
-def list_kernel_modules(solvers: Iterable[str]) -> list[str]:
-    """Return the modules with compiled code that runs of these solvers import."""
-    return [OWN, LOOP] if set(solvers) & set(WITH_KERNELS) else [LOOP]
-
-
-def list_uncompiled_modules(modules: Sequence[str]) -> list[str]:
-    """Return those modules whose compiled code is not in Numba's cache on this machine."""
-    folders = cache_folders()
-    return [m for m in modules if not any(any(f.rglob(_LAST[m])) for f in folders)]
-
-
-def compile_in_processes(modules: Sequence[str]) -> None:
-    """Compile each module's Numba code in a process; errors appear where kernels are needed."""
-    processes: list[subprocess.Popen[bytes]] = []
-    try:
-        for module in modules:
-            program = [sys.executable, "-c", f"import {module}"]
-            processes.append(subprocess.Popen(program, stderr=subprocess.DEVNULL))
-        for process in processes:
-            process.wait()
-    finally:
-        for process in processes:
-            process.kill()
-            process.wait()
+def has_compiled_kernels() -> bool:
+    """Return whether the compiled code of every cell is in Numba's cache on this machine."""
+    return any(any(folder.rglob(_LAST_COMPILED)) for folder in cache_folders())
 
 
 START_ALLOWANCE_S = 60.0
@@ -92,15 +69,10 @@ class NoProcessError(DpbenchError):
     """Raised where no worker process can be started any more."""
 
 
-def start_forkserver(solvers: Iterable[str]) -> ForkServerContext:
-    """Start the process that workers are forked from, with its first caller's `solvers` loaded."""
-    modules = list_kernel_modules(solvers)
-    absent = list_uncompiled_modules(modules)
-    # A cell that did would lose its time to start; what is left over the template compiles itself.
-    if OWN in absent:
-        compile_in_processes(absent)
+def start_forkserver() -> ForkServerContext:
+    """Start the process that workers are forked from, code compiled; return its context."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([KEEPER, *modules])
+    context.set_forkserver_preload([KEEPER, LOOP])
     with _running_forkserver():
         return context
 

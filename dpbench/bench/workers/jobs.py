@@ -206,9 +206,3 @@ def count_steps(cell: Cell) -> int:
 def cell_label(cell: Cell) -> str:
     """Return a run's solver and scenario or sequence as text, for the progress bar."""
     return f"{cell.solver} {cell.scenario_name or cell.sequence}"
-
-
-def list_solvers(jobs: Iterable[CellJob]) -> list[str]:
-    """Return the solvers and backup solvers of all runs, each once."""
-    names = (name for job in jobs for name in (job.cell.solver, job.cell.backup) if name)
-    return [*dict.fromkeys(names)]

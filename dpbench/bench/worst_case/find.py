@@ -128,7 +128,7 @@ def find_worst_case(
     _check_writable(path)
     space = SearchSpace(base, steps, f"{base.name}-worst-{solver}-{goal}")
     with first_signal_only():
-        context = start_forkserver([solver])
+        context = start_forkserver()
         with (
             open_scratch_folder() as folder,
             closing(SearchedSolver(context, folder, cell)) as solver_process,

@@ -1,4 +1,4 @@
-"""Records of dpbench's own solvers; compiled code is loaded, or compiled, when it is first used."""
+"""Records of dpbench's own solvers; their library is loaded when one is first opened."""
 
 from dataclasses import replace
 
@@ -6,6 +6,7 @@ from dpbench.solvers.adapter import NativeAdapter
 from dpbench.solvers.contract import Options, Policy, Workspace
 from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, project_facts
 
+LICENCE = "Apache-2.0", "dpbench, pyproject.toml"
 PAPER_ACTIVE_SET = SolverRecord(
     name="paper_active_set",
     family="active set",
@@ -21,8 +22,11 @@ PAPER_ACTIVE_SET = SolverRecord(
     },
     levels={},
     project=project_facts(
-        licence=("Apache-2.0", "dpbench, pyproject.toml"),
-        language=("Python, compiled by Numba", "dpbench, source"),
+        licence=LICENCE,
+        language=("C99, library-free", "dpbench, solvers/own/active_set.h"),
+        c_code=("yes, it is C", "dpbench, solvers/own/active_set.h"),
+        allocation_free=("yes, the caller gives all memory", "dpbench, solvers/own/active_set.h"),
+        single_precision=("yes, ACTIVE_SET_FLOAT", "dpbench, solvers/own/active_set.h"),
     ),
     needs_strict_convexity=True,
 )
@@ -40,6 +44,7 @@ UNCONSTRAINED_CLIPPED = replace(
     name="unconstrained_clipped",
     family="baseline law",
     method="unconstrained law z = −P⁻¹q (paper eq. 27), to be clipped by the loop",
+    project=project_facts(licence=LICENCE, language=("Python", "dpbench, source")),
     routes={
         "native": RouteRecord(
             ("fresh", "reuse"),
@@ -49,9 +54,6 @@ UNCONSTRAINED_CLIPPED = replace(
         )
     },
 )
-
-WITH_KERNELS = (PAPER_ACTIVE_SET.name, HILDRETH.name)
-"""Those that are compiled: `primed`."""
 
 
 def _open_paper_active_set(record: SolverRecord, policy: Policy, options: Options) -> Workspace:

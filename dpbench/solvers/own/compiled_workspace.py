@@ -1,117 +1,151 @@
 """Common base of dpbench's own compiled solvers: all of a step but the solve.
 
-The problem is kept as the array S of `active_set.layout`; `solve` of a subclass is a compiled
+The problem is kept in the memory of the C library (`library.Problem`); `solve` of a subclass is a
 call on it and leaves its ending in `_ending`: the number of iterations, or a negative number.
 """
 
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from dpbench.arrays import Matrix
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Policy, Route, Workspace, check_step, missing_setup_error
-from dpbench.solvers.own.active_set import layout as layout
-from dpbench.solvers.own.active_set.constants import (
-    constraint_views,
-    new_problem_array,
-    result_views,
-    vector_views,
-    write_problem,
+from dpbench.solvers.own.library import (
+    CROSSED,
+    FAILED,
+    INFEASIBLE,
+    NOT_FINITE,
+    REFUSALS,
+    Problem,
+    open_library,
 )
-from dpbench.solvers.own.active_set.kernel import replace_row_matrix, write_vectors
 
 SOLVED = Status.SOLVED
-NOT_SOLVED_YET = -100
+NOT_SOLVED_YET, REFUSED = -100, -101
 
 
 class CompiledWorkspace(Workspace):
-    """Base of dpbench's own compiled QP solvers, which keep QP and answer in one work array."""
+    """Base of dpbench's own compiled QP solvers, which keep QP and answer in the C library."""
 
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:
         super().__init__(solver, route, policy)
         self.setup_every_step = policy == "fresh"
-        self._base: QuadraticProgram | None = None
-        self._S: Matrix | None = None
-        self._others = False
-        self._refusal = ""
-        self._ending = NOT_SOLVED_YET
-        self._unusual: Solution
+        self._library = open_library()
+        self._problem: Problem | None = None
+        self._refusal = 0
+        self._ending = self._ready = NOT_SOLVED_YET
+        self._q_view: Any
+        self._low_view: Any
+        self._high_view: Any
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Write `qp` into the work array; if P is not positive definite, solving ends in ERROR."""
-        self._write_problem(qp.copy())
+        """Write `qp` into the library; if P is not positive definite, solving ends in ERROR."""
+        n, m, problem = qp.n, qp.m, self._problem
+        if problem is None or problem.P.shape != (n, n) or problem.A.shape != (m, n):
+            self._problem = problem = Problem(n, m)
+            self._pointer, self._q, self._z = problem.pointer, problem.q, problem.z
+            self._low, self._high = problem.low[n:], problem.high[n:]
+            self._y, self._y_box = problem.lam[n:], problem.lam[:n]
+            vectors = self._q, self._low, self._high
+            self._q_view, self._low_view, self._high_view = (v.data for v in vectors)
+        problem.head.warm, problem.head.block = self.policy == "warm", qp.block
+        problem.P[:], problem.A[:] = qp.P, qp.A
+        problem.low[:n], problem.high[:n] = qp.lb, qp.ub
+        self._q[:], self._low[:], self._high[:] = qp.q, qp.l, qp.u
+        problem.head.stale = 1
+        self._factorise(problem)
 
-    def _write_problem(self, qp: QuadraticProgram) -> None:
-        """Write `qp` into the work array, allocating a new one if the size differs."""
-        before, n, m = self._base, qp.n, qp.m
-        self._base, self._others, self._ending = qp, False, NOT_SOLVED_YET
-        if self._S is None or before is None or (before.n, before.m) != (n, m):
-            self._S = new_problem_array(n, m)
-            self._z, self._y, self._y_box = result_views(self._S, n, m)
-            self._constraints = constraint_views(self._S, n, m)
-        self._refusal = write_problem(self._S, qp, keep=self.policy == "warm")
+    def _factorise(self, problem: Problem) -> None:
+        """Factorise P and write the rows of A, or store why the library refuses."""
+        arrays = problem.P_pointer, problem.A_pointer
+        self._store_refusal(self._library.active_set_factorise(self._pointer, *arrays))
+
+    def _store_refusal(self, code: int) -> None:
+        """Store why the library refused P or A, or that a solve may come."""
+        self._refusal = code
+        self._ending = self._ready = REFUSED if code else NOT_SOLVED_YET
 
     def update(self, step: QPStep) -> None:
-        """Write a step's vectors and changed rows of A; factorise P again if it is new."""
-        self._ending = NOT_SOLVED_YET
-        if step.P is None and step.lb is None and step.ub is None and not self._refusal:
+        """Write a step's vectors and what else it brings; a new P is factorised."""
+        if step.P is None and step.A is None and step.lb is None and step.ub is None:
             try:
-                A, taken = step.A, write_vectors(self._S, step.q, step.l, step.u)
-                if taken and (A is None or self._try_row_update(A)):
-                    return
-            except TypeError:  # arrays of another kind, or no setup yet
+                # Assigning to a memoryview is faster than NumPy and refuses another shape or type.
+                self._q_view[:], self._low_view[:], self._high_view[:] = step.q, step.l, step.u
+                self._ending = self._ready
+                return
+            except (AttributeError, ValueError, TypeError):
                 pass
         self._update_slowly(step)
 
-    def _try_row_update(self, A: Matrix) -> bool:
-        """Write new rows of A without factorising P; return whether that was possible."""
-        taken: bool = replace_row_matrix(self._S, A)
-        # Only what is unusual asks for the problem as a whole.
-        self._others = self._others or taken
-        self.matrix_updates += taken
-        return taken
-
     def _update_slowly(self, step: QPStep) -> None:
-        """Write a step that changes P or bounds or has other array types; check its shapes."""
-        base = self._base
-        if base is None or self._S is None:
+        """Write a step that brings matrices, bounds or other kinds of arrays; check its shapes."""
+        problem = self._problem
+        if problem is None:
             raise missing_setup_error("update")
-        check_step(step, base.n, base.m)
-        if step.refresh is Refresh.VECTORS:
-            kept = vector_views(self._S, base.n, base.m)
-            for vector, new in zip(kept, (step.q, step.l, step.u), strict=True):
-                vector[:] = new
-        else:
-            self.matrix_updates += 1
-            self._write_problem(self._base_with_current_rows(base).at(step).copy())
+        n = len(self._q)
+        pairs = (self._q, step.q), (self._low, step.l), (self._high, step.u), (problem.P, step.P)
+        others = (problem.A, step.A), (problem.low[:n], step.lb), (problem.high[:n], step.ub)
+        for array, new in (*pairs, *others):
+            if new is not None:
+                if new.shape != array.shape:
+                    check_step(step, n, len(self._low))
+                array[:] = new
+        if step.refresh is not Refresh.VECTORS:
+            self._update_matrices(step, problem)
+        self._ending = self._ready
 
-    def _refuse_to_solve(self) -> None:
-        """Store an ERROR answer with the reason why the problem cannot be solved."""
-        if self._base is None:
-            raise missing_setup_error("solve")
-        self._unusual = self._make_empty_solution(Status.ERROR, self._refusal)
-        self._ending = layout.UNDECIDED
+    def _update_matrices(self, step: QPStep, problem: Problem) -> None:
+        """Have the library take over new matrices; where P is that of before, its factor stays."""
+        self.matrix_updates += 1
+        if step.P is not None or self._refusal:
+            self._factorise(problem)
+        elif step.A is not None:
+            replace_rows = self._library.active_set_replace_rows
+            self._store_refusal(replace_rows(self._pointer, problem.A_pointer))
 
     def read(self) -> Solution:
         """Return a copy of the answer, with a status that says how the solve ended."""
         ending = self._ending
         if ending >= 0:
             return Solution(SOLVED, self._z.copy(), self._y.copy(), self._y_box.copy(), ending)
+        if self._problem is None:
+            raise missing_setup_error("read")
         if ending == NOT_SOLVED_YET:
             return self._make_empty_solution(Status.ERROR, "read before solve")
-        if ending == layout.NOT_FINITE:
+        if ending == REFUSED:
+            return self._make_empty_solution(Status.ERROR, REFUSALS[self._refusal])
+        if ending == NOT_FINITE:
             return self._make_empty_solution(Status.ERROR, "q is not finite")
-        if ending == layout.CROSSED:
+        if ending == CROSSED:
             return self._make_crossed_limits_solution()
-        answer = self._unusual
-        return answer.with_iterate(answer.z.copy(), answer.y.copy(), answer.y_box.copy())
+        if ending == INFEASIBLE:
+            answer = self._make_empty_solution(
+                Status.PRIMAL_INFEASIBLE, "y and y_box are a Farkas ray"
+            )
+            answer.y, answer.y_box = self._y.copy(), self._y_box.copy()
+            return answer
+        if ending == FAILED:
+            sentence = "rounding leaves no point near the optimality conditions"
+            return self._make_empty_solution(Status.NUMERICAL_ERROR, sentence)
+        return self._make_unfinished_solution(
+            self._z.copy(), self._y.copy(), self._y_box.copy(), self._problem.head.iterations
+        )
+
+    def _make_unfinished_solution(
+        self, z: np.ndarray, y: np.ndarray, y_box: np.ndarray, iterations: int
+    ) -> Solution:
+        """Return the answer of a solve that ended near an optimum, as INACCURATE."""
+        detail = "where the optimum is depends on rounding"
+        return Solution(Status.INACCURATE, z, y, y_box, iterations, detail=detail)
 
     def _make_crossed_limits_solution(self) -> Solution:
         """Return PRIMAL_INFEASIBLE with a proof for limits that cross, ERROR for NaN limits."""
-        qp = self._copy_current_problem()
-        low, high = qp.limits()
+        assert self._problem is not None
+        n = len(self._q)
+        low, high = (
+            np.concatenate([a[n:], a[:n]]) for a in (self._problem.low, self._problem.high)
+        )
         if np.isnan(low).any() or np.isnan(high).any():
             return self._make_empty_solution(Status.ERROR, "a limit is NaN")
         row = np.flatnonzero((low > high) | (low == np.inf) | (high == -np.inf))[0]
@@ -120,30 +154,14 @@ class CompiledWorkspace(Workspace):
         )
         proof = np.zeros(low.size)
         proof[row] = 1.0
-        answer.y, answer.y_box = proof[: qp.m], proof[qp.m :]
+        answer.y, answer.y_box = proof[:-n], proof[-n:]
         return answer
-
-    def _copy_current_problem(self) -> QuadraticProgram:
-        """Return a copy of the QP that is to be solved, from the work array."""
-        assert self._base is not None and self._S is not None
-        base = self._base_with_current_rows(self._base)
-        q, low, high = (array.copy() for array in vector_views(self._S, base.n, base.m))
-        return QuadraticProgram(base.P, q, base.A, low, high, base.lb, base.ub, base.block)
-
-    def _base_with_current_rows(self, base: QuadraticProgram) -> QuadraticProgram:
-        """Return the QP given to `setup`, with the rows of A that have changed since."""
-        if self._others and self._S is not None:
-            base = self._base = replace(base, A=self._constraints[0].copy())
-            self._others = False
-        return base
 
     def _make_empty_solution(self, status: Status, detail: str) -> Solution:
         """Return an answer of NaN with a given status and explanation."""
-        if self._base is None:
-            raise missing_setup_error("read")
-        return Solution.missing(self._base.n, self._base.m, status, detail)
+        return Solution.missing(len(self._q), len(self._low), status, detail)
 
     def reset(self) -> None:
         """Make the next solve start without a warm start, from an empty active set."""
-        if self._S is not None:
-            self._S[layout.HEAD, layout.STALE] = 1.0
+        if self._problem is not None:
+            self._problem.head.stale = 1

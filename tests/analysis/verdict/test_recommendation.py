@@ -21,7 +21,7 @@ from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.bench.record.configuration import Configuration
 
-BENCHMARK_CODE = "hildreth"
+PYTHON_CODE = "qtqp"
 """A solver that exists only as code of this project."""
 
 
@@ -139,20 +139,20 @@ def test_without_a_p99_medians_are_compared() -> None:
 
 def test_the_recommendation_is_the_fastest_that_can_be_deployed() -> None:
     fast, second, third = (
-        _verdict(BENCHMARK_CODE, 10.0),
+        _verdict(PYTHON_CODE, 10.0),
         _verdict("daqp", 20.0),
         _verdict("piqp", 30.0),
     )
     found = choose_solver(_verdicts(third, second, fast))
     assert (found.chosen, found.runner_up, found.faster) == (second, third, fast)
-    assert found.because == deployment_blocker(BENCHMARK_CODE) != ""
+    assert found.because == deployment_blocker(PYTHON_CODE) != ""
     alone = choose_solver(_verdicts(second, third))
     assert (alone.chosen, alone.runner_up, alone.faster) == (second, third, None)
     assert alone.because == ""
 
 
 def test_nothing_is_recommended_where_nobody_can_be_deployed() -> None:
-    fast = _verdict(BENCHMARK_CODE, 10.0)
+    fast = _verdict(PYTHON_CODE, 10.0)
     found = choose_solver(_verdicts(fast))
     assert (found.chosen, found.runner_up, found.faster) == (None, None, fast)
     empty = choose_solver(_verdicts())
@@ -188,7 +188,7 @@ def test_a_solver_that_is_not_known_here() -> None:
     assert find_solver_record("daqp") is not None and solver_family("daqp") == "active set"
     assert {deployment_blocker(name) for name in ("daqp", "osqp", "clarabel")} == {""}
     assert deployment_blocker("qtqp") == "written in Python"
-    assert deployment_blocker(BENCHMARK_CODE).startswith("own code of this benchmark")
+    assert deployment_blocker(PYTHON_CODE).startswith("written in Python")
 
 
 LATE, WRONG = (Finding("p99 late"),), (Finding("failed"),)

@@ -83,7 +83,7 @@ def test_a_worker_with_another_solver_does_not_run_it(jobs: list[CellJob]) -> No
 
 def test_an_ended_task(jobs: list[CellJob], place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # The socket of the fork server stays as long as this process.
-    start_forkserver([])
+    start_forkserver()
     monkeypatch.setattr(tempfile, "tempdir", str(place))
     running, ended = threading.Event(), threading.Event()
 

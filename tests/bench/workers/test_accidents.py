@@ -181,7 +181,7 @@ def test_a_library_that_dies_when_it_is_let_go_costs_no_cell(tmp_path: Path) -> 
 def test_a_worker_that_died_between_rounds_ends_no_campaign(tmp_path: Path) -> None:
     cell = cast(Cell, SimpleNamespace(limit_s=1.0))
     child = supervise.ServingChild(
-        supervise.start_forkserver([]), print, ("bye",), tmp_path, "a", limit_s=1.0
+        supervise.start_forkserver(), print, ("bye",), tmp_path, "a", limit_s=1.0
     )
     child.process.join()
     worker = interleave.ReplayWorker("a", cell, child)

@@ -44,7 +44,7 @@ while not os.path.exists(NUMBER) or not open(NUMBER).read():
 
 @pytest.fixture
 def context() -> ForkServerContext:
-    return start_forkserver([])
+    return start_forkserver()
 
 
 def run(tmp_path: Path, *sizes: int) -> dict[tuple[str, int], Outcome]:
@@ -111,7 +111,7 @@ def test_all_end_with_the_main_program(tmp_path: Path) -> None:
         "import sys, time\n"
         "from pathlib import Path\n"
         "from dpbench.bench.workers.child import Child, start_forkserver\n"
-        "child = Child(start_forkserver([]), time.sleep, (600.0,), Path(sys.argv[1]), 'cell',"
+        "child = Child(start_forkserver(), time.sleep, (600.0,), Path(sys.argv[1]), 'cell',"
         " limit_s=None)\n"
         "print('ready', flush=True)\n"
         "time.sleep(600.0)\n"

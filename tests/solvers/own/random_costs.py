@@ -5,6 +5,7 @@ import numpy as np
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Solution
 from dpbench.solvers.open import open_workspace
+from dpbench.solvers.own.library import Problem, open_library
 from tests.solvers.conftest import solve_qp
 
 INF = np.inf
@@ -25,3 +26,14 @@ def cost(rng, n, condition=None):
 def unlimited(P, q, A, low, high) -> QuadraticProgram:
     free = np.full(len(q), INF)
     return QuadraticProgram(P, q, A, low, high, -free, free)
+
+
+def proves_infeasible(qp, y, y_box) -> bool:
+    """Return what the C library says of a ray (y, y_box) as a proof that no z keeps the limits."""
+    problem = Problem(qp.n, qp.m)
+    problem.P[:], problem.A[:] = qp.P, qp.A
+    problem.low[:], problem.high[:] = np.append(qp.lb, qp.l), np.append(qp.ub, qp.u)
+    library = open_library()
+    library.active_set_factorise(problem.pointer, problem.P_pointer, problem.A_pointer)
+    problem.lam[:] = np.append(y_box, y)
+    return bool(library.active_set_is_proof(problem.pointer))

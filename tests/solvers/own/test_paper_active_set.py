@@ -11,9 +11,8 @@ from dpbench.qp.referee.referee import Referee
 from dpbench.qp.residuals import is_true, residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.own.proof import proves_infeasible
 from tests.solvers.conftest import solve_next, solve_qp
-from tests.solvers.own.random_costs import INF, cost, solve
+from tests.solvers.own.random_costs import INF, cost, proves_infeasible, solve
 
 RULES = {"deadline": None, "derandomize": True, "database": None}
 

@@ -1,6 +1,6 @@
 """The paper's method from step to step: starts, rows that change, corners of polygons, slacks."""
 
-from inspect import getclosurevars
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -16,12 +16,7 @@ from dpbench.qp.referee.referee import Referee
 from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.own.active_set import factor, layout
-from dpbench.solvers.own.active_set.constants import new_problem_array, write_problem
-from dpbench.solvers.own.active_set.kernel import _compile_entry_points, mark_spans, solve_step
-from dpbench.solvers.own.hildreth import hildreth_step
-from dpbench.solvers.own.paper_active_set import PaperActiveSetWorkspace
-from tests.solvers.conftest import Sequence, run_program, solve_next, solve_qp
+from tests.solvers.conftest import Sequence, solve_next, solve_qp
 from tests.solvers.own.random_costs import INF, solve, unlimited
 
 POLICIES = ("fresh", "reuse", "warm")
@@ -171,35 +166,6 @@ def test_three_hundred_variables_and_six_hundred_rows():
         solver.update(QPStep(q, -two, two))
 
 
-def test_compiled_code_on_disk_is_not_used_after_a_change(monkeypatch):
-    """The mark of the compiled code changes with a constant that some function of it names."""
-    before = layout.code_checksum(_compile_entry_points)
-    assert layout.code_checksum(_compile_entry_points) == before
-    monkeypatch.setattr(factor, "CLOSE", 1e-7)
-    assert layout.code_checksum(_compile_entry_points) != before
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("first", ["hildreth", "active_set.factor", "active_set.check"])
-def test_compiled_code_on_disk_is_used_whatever_was_imported_before(first):
-    """Its mark tells nothing of the order of imports, nor of kernels that it does not call."""
-    program = f"""
-import dpbench.solvers.own.{first}
-from inspect import getclosurevars
-from dpbench.solvers.own import hildreth
-from dpbench.solvers.own.active_set.kernel import mark_spans
-for function in (mark_spans, hildreth.hildreth_step):
-    print(getclosurevars(function.py_func).nonlocals["version"])
-"""
-    here = (stamp_of(mark_spans), stamp_of(hildreth_step))
-    assert run_program(program).split() == [str(stamp) for stamp in here]
-
-
-def stamp_of(function):
-    """What stands in the closure of a compiled function."""
-    return getclosurevars(function.py_func).nonlocals["version"]
-
-
 def problem(rng, n, m):
     """A feasible problem (z = 0 satisfies it) with rows of two entries each."""
     root = rng.normal(size=(n, n))
@@ -291,13 +257,7 @@ def test_rows_with_equal_limits_are_active_from_the_start(seed, n, equal, at_res
 
 
 @pytest.fixture
-def workspace(monkeypatch):
-    """A warm workspace whose compiled method has to do without the safeguards."""
-
-    def refuse(self, ending):
-        raise AssertionError(f"left to the safeguards: ending {ending}")
-
-    monkeypatch.setattr(PaperActiveSetWorkspace, "_resolve_unclear_ending", refuse)
+def workspace():
     return open_workspace("paper_active_set", policy="warm")
 
 
@@ -360,14 +320,15 @@ def test_a_thruster_that_shrinks_at_its_rate_has_to_make_the_largest_steps(works
     np.testing.assert_allclose(answer.z - 9 + A.T @ answer.y + answer.y_box, 0, atol=1e-13)
 
 
-def test_rows_that_rounding_alone_sets_apart_are_doubtful():
-    """Where a rounded limit may leave no point at all, the compiled method says so."""
+def test_a_point_that_rounding_alone_grants_or_denies_is_decided_exactly():
+    """Three bounds and a row leave (1, 1, 1) or, one unit of rounding higher, no point at all."""
     third, one = np.array([[1.0, 1 / 3, 1 / 7]]), np.ones(3)
     limit = third.sum(axis=1)
-    qp = QuadraticProgram(np.eye(3), -3 * one, third, limit, [9.0], -one, one)
-    S = new_problem_array(3, 1)
-    assert write_problem(S, qp, keep=False) == ""
-    assert solve_step(S) == layout.DOUBTFUL
+    assert sum(map(Fraction, third[0])) >= Fraction(limit[0])
+    for low, status in ((limit, Status.SOLVED), (np.nextafter(limit, 9.0), Status.INACCURATE)):
+        answer = solve(QuadraticProgram(np.eye(3), -3 * one, third, low, [9.0], -one, one))
+        assert answer.status is status
+        np.testing.assert_allclose(answer.z, one, rtol=0, atol=1e-15)
 
 
 def with_slacks(rng, moves, softened):

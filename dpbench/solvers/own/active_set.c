@@ -1,0 +1,1065 @@
+/* The active-set method of the paper; active_set.h says how it is called.
+ *
+ * With the active rows W at their limits g, H = C P⁻¹ Cᵀ and base = −P⁻¹q, the optimum is
+ *
+ *     λ_W = H_WW⁻¹ (C_W base − g)                                                       (eq. 31)
+ *     z   = base − Σ λ_i P⁻¹c_i                                                         (eq. 32)
+ *
+ * and eq. 30 asks for the W whose multipliers have the sign of their limit and whose z keeps all
+ * others. The paper leaves open which W to try next. Here the set of the step before is tried as it
+ * is, else moved on by one control increment; where a multiplier has the wrong sign, λ goes towards
+ * eq. 31 until the first one reaches zero, whose row is dropped. From that set the rule of Goldfarb
+ * and Idnani (Math. Programming 27 (1983) 1-33) goes on: the most violated row is brought in, and
+ * rows whose multiplier reaches zero on the way are dropped. Every row brought in raises the dual
+ * objective, so that no set comes back.
+ *
+ * Arrays, for n variables and m rows of A, i a row of C = [I; A], k a place in W:
+ *
+ *              n                   i: 0 … n−1 bounds, n … n+m−1 rows of A
+ *          ┌───────┐
+ *     P  n │ P     │               L     k = 0 │ 1/L₀₀                 packed; k-th row belongs to
+ *          ├───────┤                         1 │ L₁₀ 1/L₁₁             i = active[k]
+ *     G  n │ P⁻¹   │                         2 │ L₂₀ L₂₁ 1/L₂₂
+ *        m │ A P⁻¹ │
+ *          └───────┘               H_ij = c_iᵀ P⁻¹ c_j is row i of G times c_j: an entry of it where j
+ *     A: column, value of each entry         is a bound, a few products where it is a row of A
+ *
+ * By hand: the point nearest (3, 3) under z₀ ≤ 1, z₁ ≤ 1, z₀ + z₁ ≤ 2.5: P = I, q = (−3, −3), and
+ * row 2 is that of A, with H₂₂ = 2, H₀₂ = H₁₂ = 1.
+ *
+ *     what happens                                          λ₀    λ₁    λ₂    z
+ *     q alone; violated, in lengths of the rows, are the                      (3, 3)
+ *       bounds by 2 each, row 2 by 3.5/√2 = 2.47
+ *     1 row 2 comes in: λ₂ = 3.5/H₂₂                                    1.75  (1.25, 1.25)
+ *     2 row 0, the first of two violated by 0.25: ½ of it
+ *       lies along row 2, so 1 − ½·1 = ½ of its length²
+ *       is its own; λ₀ = 0.25/½, λ₂ −= ½ λ₀                 0.5         1.5   (1, 1.5)
+ *     3 row 1, violated by 0.5, is row 2 less row 0: no
+ *       step along z. As λ₁ grows, λ₂ falls and λ₀ grows
+ *       alike; at 1.5 λ₂ is zero and row 2 is dropped       2.0   (1.5) 0     (1, 1.5)
+ *     4 row 1 is free of row 0 now: λ₁ += 0.5/1             2.0   2.0         (1, 1)
+ *
+ * The slope z − (3, 3) + (λ₀, λ₁) is zero there and both λ ≥ 0: the optimum.
+ *
+ * The answer is then refined in the problem's own data, P δz + C_Wᵀδλ = −(P z + q + Cᵀλ) and
+ * C_W δz = g − C_W z, and checked. Where more rows meet than are active, or rows are nearly
+ * parallel, rounding could decide the set: there the residuals are summed in twice the precision,
+ * and the method goes on until no row is violated by more than that leaves. What it cannot decide
+ * even so is INACCURATE. */
+
+#include "active_set.h"
+
+#include <math.h>
+
+#define REAL(x) ((as_real)(x))
+#ifdef ACTIVE_SET_FLOAT
+#define EPSILON REAL(1.2e-7)
+#define SPLITTER REAL(4097)
+#define ROUNDING_OF(share) REAL(((share) * 5.4e8 < 0.1 ? (share) * 5.4e8 : 0.1))
+#define TINY REAL(1e-35)
+#define ZERO_ROW REAL(1e-18)
+#else
+#define EPSILON REAL(2.3e-16)
+#define SPLITTER REAL(134217729)
+#define ROUNDING_OF(share) REAL(share)
+#define TINY REAL(1e-300)
+#define ZERO_ROW REAL(1e-150) /* a shorter row is zero: its square underflows */
+#endif
+
+/* Shares of the terms that a quantity is computed from. */
+#define VIOLATED ROUNDING_OF(1e-13)      /* a row beyond its limit by more is violated */
+#define DEPENDENT ROUNDING_OF(1e-11)     /* a row no farther from the active ones combines from them */
+#define CLOSE ROUNDING_OF(1e-6)          /* a squared distance below it is computed anew */
+#define NO_PART ROUNDING_OF(1e-11)       /* a smaller share in a combination is rounding */
+#define GROSS REAL(1e-4)                 /* a contradiction by so much needs no refined values */
+#define CONTRADICTION ROUNDING_OF(1e-9)  /* nor is it rounding above this share of refined ones */
+#define NEAR ROUNDING_OF(1e-8)           /* a row so near its limit may be active */
+#define STEEP REAL(1e-4)                 /* an active row nearer to the others leans on them */
+#define SETTLED ROUNDING_OF(1e-12)       /* a smaller correction leaves nothing to correct */
+#define SMALL ROUNDING_OF(1e-9)          /* allowed in a row, and in the gradient of 1 + |q| */
+#define EXACT (EPSILON * REAL(1e-3))     /* a correction that the doubled precision has to reach */
+enum { PASSES = 20, POLISHES = 8, ITERATIONS_PER_ROW = 20, NEITHER = 0, LEFT_OUT = 2 };
+enum { OPTIMAL = 0, DOUBTFUL = -10 };
+
+static as_real root(as_real x) { return (as_real)sqrt((double)x); }
+static as_real size_of(as_real x) { return (as_real)fabs((double)x); }
+static as_real larger(as_real x, as_real y) { return x > y ? x : y; }
+static as_real smaller(as_real x, as_real y) { return x < y ? x : y; }
+static int is_infinite(as_real x) { return x - x != REAL(0); } /* or NaN */
+
+/* ---- vectors ------------------------------------------------------------------------------- */
+
+static as_real dot(const as_real *x, const as_real *y, int n)
+{
+    as_real a = 0, b = 0, c = 0, d = 0;
+    int i = 0;
+    for (; i + 3 < n; i += 4) {
+        a += x[i] * y[i];
+        b += x[i + 1] * y[i + 1];
+        c += x[i + 2] * y[i + 2];
+        d += x[i + 3] * y[i + 3];
+    }
+    for (; i < n; i++) a += x[i] * y[i];
+    return (a + b) + (c + d);
+}
+
+/* out += t x */
+static void add_scaled(as_real *restrict out, as_real t, const as_real *restrict x, int n)
+{
+    for (int i = 0; i < n; i++) out[i] += t * x[i];
+}
+
+static as_real largest_of(const as_real *x, int n)
+{
+    as_real most = 0;
+    for (int i = 0; i < n; i++) most = larger(most, size_of(x[i]));
+    return most;
+}
+
+/* out += Σ t_k x_k over vectors x_k of n: four at a time cost one look at the result. */
+static void add_four(as_real *restrict out, const as_real *const x[4], const as_real t[4], int n)
+{
+    const as_real *restrict x0 = x[0], *restrict x1 = x[1], *restrict x2 = x[2], *restrict x3 = x[3];
+    const as_real a = t[0], b = t[1], c = t[2], d = t[3];
+    for (int i = 0; i < n; i++) out[i] += (a * x0[i] + b * x1[i]) + (c * x2[i] + d * x3[i]);
+}
+
+/* out += M x for M = P or P⁻¹: whole rows for variables that P couples, else the diagonal. */
+static void add_product(const active_set *s, as_real *restrict out, const as_real *M, const as_real *x)
+{
+    const int n = s->n, coupled = s->coupled;
+    const int *order = s->order;
+    const as_real *rows[4];
+    as_real t[4];
+    int k = 0;
+    for (; k + 3 < coupled; k += 4) {
+        for (int l = 0; l < 4; l++) {
+            rows[l] = M + (size_t)order[k + l] * (size_t)n;
+            t[l] = x[order[k + l]];
+        }
+        add_four(out, rows, t, n);
+    }
+    for (; k < coupled; k++) add_scaled(out, x[order[k]], M + (size_t)order[k] * (size_t)n, n);
+    for (; k < n; k++) out[order[k]] += x[order[k]] * M[(size_t)order[k] * (size_t)(n + 1)];
+}
+
+/* ---- rows of C ----------------------------------------------------------------------------- */
+
+static const as_real *inverse_row(const active_set *s, int i)
+{
+    return s->G + (size_t)i * (size_t)s->n;
+}
+
+/* c_iᵀx */
+static as_real row_times(const active_set *s, int i, const as_real *x)
+{
+    if (i < s->n) return x[i];
+    const int end = s->first[i - s->n + 1];
+    as_real a = 0, b = 0;
+    int e = s->first[i - s->n];
+    for (; e + 1 < end; e += 2) {
+        a += s->a[e] * x[s->column[e]];
+        b += s->a[e + 1] * x[s->column[e + 1]];
+    }
+    return e < end ? a + b + s->a[e] * x[s->column[e]] : a + b;
+}
+
+/* x += t c_i */
+static void add_row(const active_set *s, int i, as_real t, as_real *x)
+{
+    if (i < s->n) {
+        x[i] += t;
+        return;
+    }
+    for (int e = s->first[i - s->n]; e < s->first[i - s->n + 1]; e++) x[s->column[e]] += t * s->a[e];
+}
+
+/* H_ij = c_iᵀ P⁻¹ c_j */
+static as_real entry(const active_set *s, int i, int j)
+{
+    return i < s->n ? inverse_row(s, j)[i] : row_times(s, i, inverse_row(s, j));
+}
+
+/* x += sign Σ λ_i P⁻¹c_i over the active rows */
+static void add_active_rows(const active_set *s, as_real *x, as_real sign)
+{
+    const as_real *rows[4];
+    as_real t[4];
+    int k = 0;
+    for (; k + 3 < s->count; k += 4) {
+        for (int l = 0; l < 4; l++) {
+            rows[l] = inverse_row(s, s->active[k + l]);
+            t[l] = sign * s->lam[s->active[k + l]];
+        }
+        add_four(x, rows, t, s->n);
+    }
+    for (; k < s->count; k++)
+        add_scaled(x, sign * s->lam[s->active[k]], inverse_row(s, s->active[k]), s->n);
+}
+
+/* The values of the rows of A at z, behind z. */
+static void write_row_values(active_set *s)
+{
+    for (int i = s->n; i < s->n + s->m; i++) s->z[i] = row_times(s, i, s->z);
+}
+
+static as_real limit_of(const active_set *s, int i)
+{
+    return s->side[i] > 0 ? s->high[i] : s->low[i];
+}
+
+static int has_wrong_sign(const active_set *s, int i, as_real lam)
+{
+    return lam * REAL(s->side[i]) < 0 && s->low[i] < s->high[i];
+}
+
+/* ---- the factor of H_WW -------------------------------------------------------------------- */
+
+static as_real *factor_row(active_set *s, int k) { return s->L + (size_t)k * (size_t)(k + 1) / 2; }
+
+/* b := L⁻¹ b over the first w rows */
+static void substitute_forward(active_set *s, as_real *b, int w)
+{
+    for (int k = 0; k < w; k++) {
+        const as_real *L = factor_row(s, k);
+        b[k] = (b[k] - dot(L, b, k)) * L[k];
+    }
+}
+
+/* b := L⁻ᵀ b */
+static void substitute_backward(active_set *s, as_real *b, int w)
+{
+    for (int k = w - 1; k >= 0; k--) {
+        const as_real *L = factor_row(s, k);
+        b[k] *= L[k];
+        add_scaled(b, -b[k], L, k);
+    }
+}
+
+/* Append row i, whose part of the factor is in T, with a pivot d. */
+static void append_row(active_set *s, int i, int side, as_real d)
+{
+    const int w = s->count++;
+    as_real *L = factor_row(s, w);
+    for (int k = 0; k < w; k++) L[k] = s->T[k];
+    L[w] = 1 / root(d);
+    s->active[w] = i;
+    s->side[i] = side;
+}
+
+/* Drop the k-th active row: plane rotations make the factor triangular again. */
+static void drop_row(active_set *s, int k)
+{
+    const int w = --s->count, i = s->active[k];
+    as_real *cosine = s->r_low, *sine = s->e;
+    s->side[i] = NEITHER;
+    s->lam[i] = 0;
+    for (int r = k; r < w; r++) {
+        as_real *to = factor_row(s, r);
+        const as_real *from = factor_row(s, r + 1);
+        s->active[r] = s->active[r + 1];
+        for (int c = 0; c < k; c++) to[c] = from[c];
+        as_real x = from[k];
+        for (int c = k; c < r; c++) {
+            const as_real y = from[c + 1];
+            to[c] = cosine[c] * x + sine[c] * y;
+            x = cosine[c] * y - sine[c] * x;
+        }
+        const as_real y = 1 / from[r + 1], h = root(x * x + y * y);
+        cosine[r] = x / h;
+        sine[r] = y / h;
+        to[r] = 1 / h;
+    }
+}
+
+/* Row j as a combination R of the first w active ones, and T = L⁻¹ H_Wj; returns the square of its
+ * distance from them in the norm of P⁻¹. Where little is left of it, y = c_j − Σ R_k c_k is formed
+ * and yᵀP⁻¹y taken, after one refinement of R. */
+static as_real combine(active_set *s, int j)
+{
+    const int n = s->n, w = s->count;
+    as_real *y = s->r, *x = s->e, *more = s->r_low;
+    const as_real square = entry(s, j, j);
+    for (int k = 0; k < w; k++) s->T[k] = entry(s, s->active[k], j);
+    substitute_forward(s, s->T, w);
+    for (int k = 0; k < w; k++) s->R[k] = s->T[k];
+    substitute_backward(s, s->R, w);
+    as_real d = square - dot(s->T, s->T, w);
+    for (int again = 0; again < 2 && w > 0 && d < CLOSE * square; again++) {
+        for (int c = 0; c < n; c++) x[c] = y[c] = 0;
+        add_row(s, j, 1, y);
+        for (int k = 0; k < w; k++) add_row(s, s->active[k], -s->R[k], y);
+        add_product(s, x, s->G, y);
+        if (again == 0) {
+            for (int k = 0; k < w; k++) more[k] = row_times(s, s->active[k], x);
+            substitute_forward(s, more, w);
+            add_scaled(s->T, 1, more, w);
+            substitute_backward(s, more, w);
+            add_scaled(s->R, 1, more, w);
+        } else
+            d = larger(dot(x, y, n), 0);
+    }
+    return d;
+}
+
+/* ---- the start ----------------------------------------------------------------------------- */
+
+static void clear_set(active_set *s)
+{
+    for (int i = 0; i < s->n + s->m; i++) {
+        s->side[i] = NEITHER;
+        s->lam[i] = 0;
+    }
+    s->count = 0;
+}
+
+/* Make row i active with a multiplier, unless it is, has no such limit, or leans on the others. */
+static void add_to_start(active_set *s, int i, int side, as_real lam)
+{
+    if (s->side[i] != NEITHER || s->count == s->n || is_infinite(side > 0 ? s->high[i] : s->low[i]))
+        return;
+    for (int k = 0; k < s->count; k++) s->T[k] = entry(s, s->active[k], i);
+    substitute_forward(s, s->T, s->count);
+    const as_real square = entry(s, i, i), d = square - dot(s->T, s->T, s->count);
+    if (d <= CLOSE * square) return;
+    append_row(s, i, side, d);
+    s->lam[i] = lam;
+}
+
+/* Factorise the set anew, each row moved on by `block` variables, the last increment kept too. */
+static void move_set(active_set *s, int block)
+{
+    const int n = s->n, rows = block > 0 ? s->m * block / n : 0, w = s->count;
+    int *list = s->list;
+    as_real *before = s->r;
+    for (int k = 0; k < w; k++) {
+        const int i = s->active[k];
+        list[k] = s->side[i] > 0 ? i : -1 - i;
+        before[k] = s->lam[i];
+        s->side[i] = NEITHER;
+        s->lam[i] = 0;
+    }
+    s->count = 0;
+    for (int k = 0; k < w; k++) {
+        const int side = list[k] >= 0 ? 1 : -1, i = side > 0 ? list[k] : -1 - list[k];
+        const int start = i < n ? 0 : n, end = i < n ? n : n + s->m, by = i < n ? block : rows;
+        if (i - start >= by) add_to_start(s, i - by, side, before[k]);
+        if (i >= end - by) add_to_start(s, i, side, before[k]);
+    }
+}
+
+static void add_equalities(active_set *s)
+{
+    for (int i = 0; i < s->n + s->m; i++)
+        if (s->low[i] == s->high[i]) add_to_start(s, i, 1, 0);
+}
+
+/* R := the multipliers of eq. 31; returns how many have the wrong sign, −1 if a limit is infinite. */
+static int solve_multipliers(active_set *s)
+{
+    const int w = s->count;
+    int wrong = 0;
+    for (int k = 0; k < w; k++) {
+        const as_real g = limit_of(s, s->active[k]);
+        if (is_infinite(g)) return -1;
+        s->R[k] = row_times(s, s->active[k], s->base) - g;
+    }
+    substitute_forward(s, s->R, w);
+    substitute_backward(s, s->R, w);
+    for (int k = 0; k < w; k++) wrong += has_wrong_sign(s, s->active[k], s->R[k]);
+    return wrong;
+}
+
+/* Take λ towards eq. 31, dropping the row whose multiplier is first to reach zero, until all signs
+ * are right. By hand, the point nearest (2, 1) and then (1, −2) under z₀ ≤ 0 and z₁ − z₀ ≤ 0:
+ *
+ *     what happens                                                      λ₀    λ₂    z
+ *     the step before ends at the corner, both rows active              3     1     (0, 0)
+ *     eq. 31 asks for −1 and −2 of them: λ₀ would be zero after ¾ of
+ *       the way, λ₂ after 1/(1 + 2) = ⅓ of it. It is dropped there      5/3   0
+ *     and eq. 31 asks for 1 of row 0 alone: no row has to come in       1     0     (0, −2) */
+static void restore_signs(active_set *s)
+{
+    for (;;) {
+        const int wrong = solve_multipliers(s);
+        int drop = -1;
+        as_real least = 1;
+        for (int k = 0; k < s->count && wrong > 0; k++) {
+            const int i = s->active[k];
+            if (has_wrong_sign(s, i, s->R[k])) {
+                const as_real lam = size_of(s->lam[i]), share = lam / (lam + size_of(s->R[k]));
+                if (drop < 0 || share < least) {
+                    drop = k;
+                    least = share;
+                }
+            }
+        }
+        for (int k = 0; k < s->count && wrong >= 0; k++) {
+            const int i = s->active[k];
+            s->lam[i] = drop < 0 ? s->R[k] : s->lam[i] + least * (s->R[k] - s->lam[i]);
+        }
+        if (drop < 0) return;
+        drop_row(s, drop);
+        s->iterations++;
+    }
+}
+
+/* z = base − Σ λ_i P⁻¹c_i and the values of the rows (eq. 32) */
+static void write_point(active_set *s)
+{
+    for (int c = 0; c < s->n; c++) s->z[c] = s->base[c];
+    add_active_rows(s, s->z, -1);
+    write_row_values(s);
+}
+
+/* ---- violated rows ------------------------------------------------------------------------- */
+
+/* The row not active that is beyond a limit by most, over its length; −1 if none is by more than
+ * noise and the rounding of the limit. */
+static int most_violated(const active_set *s, as_real noise)
+{
+    as_real most = noise;
+    int worst = -1;
+    for (int i = 0; i < s->n + s->m; i++) {
+        const as_real v = s->z[i], high = s->high[i], low = s->low[i];
+        const as_real over = v - high - VIOLATED * size_of(high);
+        const as_real under = low - v - VIOLATED * size_of(low);
+        const as_real e = larger(over, under) * s->unit[i];
+        if (e > most && s->side[i] == NEITHER) {
+            most = e;
+            worst = i;
+        }
+    }
+    return worst;
+}
+
+/* λ := the ray by which row j contradicts the active rows that it combines, if it proves that. */
+static int write_ray(active_set *s, int j, as_real side)
+{
+    const as_real rounding = VIOLATED * larger(1, largest_of(s->R, s->count));
+    for (int k = 0; k < s->count; k++) {
+        as_real *lam = s->lam + s->active[k];
+        s->T[k] = *lam;
+        *lam = size_of(s->R[k]) > rounding ? -side * s->R[k] : 0;
+    }
+    s->lam[j] = side;
+    if (active_set_is_proof(s)) return ACTIVE_SET_INFEASIBLE;
+    s->lam[j] = 0;
+    for (int k = 0; k < s->count; k++) s->lam[s->active[k]] = s->T[k];
+    return DOUBTFUL;
+}
+
+/* The active row whose multiplier is first to reach zero as that of row j rises, and when; −1 if
+ * none does. A share that is rounding counts only where row j has a part of its own: a step that
+ * nothing else ends would have no end. */
+static int find_blocking(const active_set *s, int j, as_real side, int dependent, as_real *when)
+{
+    int blocking = -1;
+    for (int k = 0; k < s->count; k++) {
+        const int i = s->active[k];
+        const as_real a = side * s->R[k];
+        if (!(a * REAL(s->side[i]) > 0) || s->low[i] == s->high[i]) continue;
+        if (dependent && size_of(a) * s->unit[j] < NO_PART * s->unit[i]) continue;
+        const as_real t = larger(s->lam[i] / a, 0);
+        if (blocking < 0 || t < *when) {
+            blocking = k;
+            *when = t;
+        }
+    }
+    return blocking;
+}
+
+/* Raise the multiplier of row j, beyond its limit on side `which` by `gap`, until it is met. A
+ * dependent row that nothing blocks contradicts the active ones if gap is more than `allowed`; if it
+ * is not, rounding decides. */
+static int activate(active_set *s, int j, int which, as_real gap, as_real allowed)
+{
+    const as_real side = REAL(which);
+    as_real lam = 0;
+    while (s->iterations < ITERATIONS_PER_ROW * (s->n + s->m)) {
+        s->iterations++;
+        const as_real d = combine(s, j);
+        const int dependent = s->count == s->n || d <= DEPENDENT * DEPENDENT * entry(s, j, j);
+        as_real t = 0;
+        const int blocking = find_blocking(s, j, side, dependent, &t);
+        if (dependent && blocking < 0)
+            return gap * s->unit[j] > allowed ? write_ray(s, j, side) : DOUBTFUL;
+        const int full = !dependent && (blocking < 0 || gap / d <= t);
+        if (full) t = gap / d;
+        for (int k = 0; k < s->count; k++) s->lam[s->active[k]] -= t * side * s->R[k];
+        lam += t * side;
+        if (full) {
+            s->lam[j] = lam;
+            append_row(s, j, which, d);
+            return OPTIMAL;
+        }
+        if (!dependent) gap -= t * d;
+        drop_row(s, blocking);
+    }
+    return DOUBTFUL;
+}
+
+/* Bring violated rows in until none is left, beginning with row j. */
+static int activate_violated(active_set *s, int j, as_real noise, as_real size, int refined)
+{
+    while (j >= 0) {
+        const int which = s->z[j] > s->high[j] ? 1 : -1;
+        const as_real g = which > 0 ? s->high[j] : s->low[j];
+        const as_real allowed = (refined ? CONTRADICTION : GROSS) * (size_of(g) * s->unit[j] + size);
+        const int ending = activate(s, j, which, REAL(which) * (s->z[j] - g), allowed);
+        if (ending != OPTIMAL) return ending;
+        write_point(s);
+        j = most_violated(s, noise);
+    }
+    return OPTIMAL;
+}
+
+/* ---- refinement and check ------------------------------------------------------------------ */
+
+/* r := P z + q + Cᵀλ; returns zᵀP z */
+static as_real write_gradient(active_set *s)
+{
+    const int n = s->n;
+    for (int c = 0; c < n; c++) s->r[c] = 0;
+    add_product(s, s->r, s->P, s->z);
+    const as_real square = dot(s->r, s->z, n);
+    for (int c = 0; c < n; c++) s->r[c] += s->q[c];
+    for (int k = 0; k < s->count; k++) add_row(s, s->active[k], s->lam[s->active[k]], s->r);
+    return larger(square, 0);
+}
+
+/* Correct z and λ once on the active rows; returns the square of the correction in the norm of P,
+ * r ≈ P e and T = C_W (z + e) − g given: eᵀP e + δλᵀ H_WW δλ. */
+static as_real correct(active_set *s, as_real *restrict z_low, as_real *restrict lam_low)
+{
+    const int w = s->count;
+    as_real square = -dot(s->e, s->r, s->n);
+    for (int k = 0; k < w; k++) s->R[k] = s->T[k];
+    substitute_forward(s, s->R, w);
+    substitute_backward(s, s->R, w);
+    square += dot(s->R, s->T, w);
+    for (int k = 0; k < w; k++) add_scaled(s->e, -s->R[k], inverse_row(s, s->active[k]), s->n);
+    for (int c = 0; c < s->n; c++) {
+        const as_real more = s->e[c] + z_low[c], sum = s->z[c] + more;
+        z_low[c] = more - (sum - s->z[c]);
+        s->z[c] = sum;
+    }
+    for (int k = 0; k < w; k++) {
+        as_real *lam = s->lam + s->active[k];
+        const as_real more = s->R[k] + lam_low[k], sum = *lam + more;
+        lam_low[k] = more - (sum - *lam);
+        *lam = sum;
+    }
+    return larger(square, 0);
+}
+
+static void clear(as_real *x, int n)
+{
+    for (int i = 0; i < n; i++) x[i] = 0;
+}
+
+/* Refine the answer once where its residual asks for it; `size` := ‖z‖ in the norm of P. */
+static as_real refine(active_set *s, as_real *size)
+{
+    const int n = s->n;
+    as_real off = 0;
+    *size = root(write_gradient(s));
+    clear(s->e, n);
+    clear(s->z_low, n);
+    clear(s->lam_low, n);
+    if (largest_of(s->r, n) > REAL(20) * EPSILON * (1 + largest_of(s->q, n))) {
+        off = 1;
+        add_product(s, s->e, s->G, s->r);
+        for (int c = 0; c < n; c++) s->e[c] = -s->e[c];
+    }
+    for (int k = 0; k < s->count; k++) {
+        const int i = s->active[k];
+        s->T[k] = row_times(s, i, s->z) + row_times(s, i, s->e) - limit_of(s, i);
+    }
+    if (off == 0 && s->count == 0) return 0;
+    const as_real square = correct(s, s->z_low, s->lam_low);
+    write_row_values(s);
+    return square;
+}
+
+/* Zero wrong signs within rounding, drop the rows of others; returns how many. */
+static int correct_signs(active_set *s, as_real rounding)
+{
+    int dropped = 0;
+    for (int k = s->count - 1; k >= 0; k--) {
+        const int i = s->active[k];
+        if (!has_wrong_sign(s, i, s->lam[i])) continue;
+        if (size_of(s->lam[i]) <= rounding * s->unit[i])
+            s->lam[i] = 0;
+        else {
+            drop_row(s, k);
+            dropped++;
+        }
+    }
+    return dropped;
+}
+
+/* Σ |a_c x_c| over the entries of row i of C */
+static as_real row_terms(const active_set *s, int i, const as_real *x)
+{
+    if (i < s->n) return size_of(x[i]);
+    as_real sum = 0;
+    for (int e = s->first[i - s->n]; e < s->first[i - s->n + 1]; e++)
+        sum += size_of(s->a[e] * x[s->column[e]]);
+    return sum;
+}
+
+/* The largest of: a row beyond a limit; |λ_i| times the distance from the limit that it names; the
+ * gradient r; and √((P⁻¹)_ii |r|ᵀ|P⁻¹||r|), by which z_i may miss the optimum on the active rows, each
+ * over what is allowed of the terms it is computed from. */
+as_real active_set_excess(active_set *s)
+{
+    const int n = s->n;
+    const as_real cost = largest_of(s->q, n);
+    as_real most = 0, widest = 0, square = 0;
+    write_row_values(s);
+    write_gradient(s);
+    for (int i = 0; i < n; i++) s->e[i] = size_of(s->q[i]) + size_of(s->lam[i]);
+    for (int i = 0; i < n + s->m; i++) {
+        const as_real v = s->z[i], lam = s->lam[i], beyond = larger(v - s->high[i], s->low[i] - v);
+        const as_real terms = VIOLATED * row_terms(s, i, s->z);
+        if (beyond > 0) {
+            const as_real rounding = terms + VIOLATED * size_of(v);
+            most = larger(most, beyond / smaller(2 * rounding + SMALL * REAL(1e-3), ROUNDING_OF(2e-7)));
+        }
+        if (lam == 0) continue;
+        const as_real g = lam > 0 ? s->high[i] : s->low[i], slack = size_of(v - g);
+        if (is_infinite(g)) return 1 / TINY;
+        if (slack > terms + VIOLATED * size_of(g)) most = larger(most, size_of(lam) * slack / ROUNDING_OF(1e-7));
+        for (int e = i < n ? 0 : s->first[i - n]; i >= n && e < s->first[i - n + 1]; e++)
+            s->e[s->column[e]] += size_of(lam * s->a[e]);
+    }
+    for (int i = 0; i < n; i++) {
+        const as_real *P = s->P + (size_t)i * (size_t)n, r = size_of(s->r[i]);
+        for (int c = 0; c < n; c++) s->e[i] += size_of(P[c] * s->z[c]);
+        const as_real rounding = EPSILON * s->e[i], room = (s->high[i] - s->low[i]) / 2;
+        if (is_infinite(r)) return 1 / TINY;
+        most = larger(most, r / larger(ROUNDING_OF(5e-9) * (1 + cost), rounding));
+        most = larger(most, (r + rounding / 2) / (ROUNDING_OF(9e-7) * (1 + cost)));
+        s->e[i] = r + rounding;
+        const as_real unit = room > 1 && !is_infinite(room) ? room : 1;
+        widest = larger(widest, inverse_row(s, i)[i] / (unit * unit));
+    }
+    for (int i = 0; i < n; i++)
+        for (int c = 0; c < n; c++) square += s->e[i] * size_of(inverse_row(s, i)[c]) * s->e[c];
+    return larger(most, root(widest * square) / ROUNDING_OF(5e-7));
+}
+
+/* Whether lam, a ray, proves that no z keeps the limits: Cᵀlam = 0 and the most that the limits let
+ * lamᵀC z reach is negative, each by more than rounding. What does not cancel in a column is left to
+ * the bound of that variable or, where there is none, may not reach 0 within 1e6 of the limits. */
+int active_set_is_proof(active_set *s)
+{
+    const int n = s->n;
+    as_real *box = s->r, *terms = s->e;
+    as_real reach = 0, size = 0, unbounded = 0, most = TINY;
+    for (int c = 0; c < n; c++) {
+        box[c] = 0;
+        terms[c] = size_of(s->lam[c]);
+    }
+    for (int i = n; i < n + s->m; i++)
+        for (int e = s->first[i - n]; e < s->first[i - n + 1] && s->lam[i] != 0; e++) {
+            box[s->column[e]] -= s->lam[i] * s->a[e];
+            terms[s->column[e]] += size_of(s->lam[i] * s->a[e]);
+        }
+    for (int i = 0; i < n + s->m; i++) {
+        as_real by = s->lam[i];
+        if (i < n) {
+            if (!(size_of(box[i] - by) <= ROUNDING_OF(1e-6) * terms[i])) return 0;
+            most = larger(most, terms[i]);
+            by = box[i];
+        }
+        if (by == 0) continue;
+        const as_real g = by > 0 ? s->high[i] : s->low[i];
+        if (is_infinite(g) && i < n)
+            unbounded += size_of(by);
+        else {
+            reach += by * g;
+            size += size_of(by * g);
+        }
+    }
+    return reach < -(ROUNDING_OF(1e-10) + REAL(1e6) * unbounded / most) * size;
+}
+
+/* ---- twice the precision ------------------------------------------------------------------- */
+
+/* high + low += a b, without rounding of the product (Dekker 1971; Ogita, Rump and Oishi 2005) */
+static void add_exactly(as_real *high, as_real *low, as_real a, as_real b)
+{
+    const as_real p = a * b, as = SPLITTER * a, bs = SPLITTER * b;
+    const as_real ah = as - (as - a), al = a - ah, bh = bs - (bs - b), bl = b - bh;
+    const as_real e = al * bl - (((p - ah * bh) - al * bh) - ah * bl);
+    const as_real sum = *high + p, part = sum - *high;
+    *low += e + ((*high - (sum - part)) + (p - part));
+    *high = sum;
+}
+
+/* c_iᵀ(z + z_low) − g */
+static as_real exact_distance(const active_set *s, int i, as_real g)
+{
+    as_real high = -g, low = 0;
+    if (i < s->n) {
+        add_exactly(&high, &low, 1, s->z[i]);
+        return high + (low + s->z_low[i]);
+    }
+    for (int e = s->first[i - s->n]; e < s->first[i - s->n + 1]; e++) {
+        add_exactly(&high, &low, s->a[e], s->z[s->column[e]]);
+        low += s->a[e] * s->z_low[s->column[e]];
+    }
+    return high + low;
+}
+
+/* Refine z + z_low and λ on the active rows by exact residuals, as long as corrections fall; returns
+ * the last one in the norm of P. */
+static as_real polish(active_set *s)
+{
+    const int n = s->n;
+    as_real before = 1 / TINY;
+    clear(s->z_low, n);
+    clear(s->lam_low, n);
+    for (int pass = 0; pass < POLISHES; pass++) {
+        for (int c = 0; c < n; c++) {
+            const as_real *P = s->P + (size_t)c * (size_t)n;
+            as_real high = s->q[c], low = dot(P, s->z_low, n);
+            for (int j = 0; j < n; j++) add_exactly(&high, &low, P[j], s->z[j]);
+            s->r[c] = high;
+            s->r_low[c] = low;
+        }
+        for (int k = 0; k < s->count; k++) {
+            const int i = s->active[k];
+            const as_real lam = s->lam[i];
+            add_row(s, i, s->lam_low[k], s->r_low);
+            if (i < n) add_exactly(s->r + i, s->r_low + i, 1, lam);
+            for (int e = i < n ? 0 : s->first[i - n]; i >= n && e < s->first[i - n + 1]; e++)
+                add_exactly(s->r + s->column[e], s->r_low + s->column[e], s->a[e], lam);
+        }
+        add_scaled(s->r, 1, s->r_low, n);
+        clear(s->e, n);
+        add_product(s, s->e, s->G, s->r);
+        for (int c = 0; c < n; c++) s->e[c] = -s->e[c];
+        for (int k = 0; k < s->count; k++) {
+            const int i = s->active[k];
+            s->T[k] = exact_distance(s, i, limit_of(s, i)) + row_times(s, i, s->e);
+        }
+        const as_real now = root(correct(s, s->z_low, s->lam_low));
+        if (!(now < before / 2)) return now;
+        before = now;
+        if (now == 0) break;
+    }
+    return before;
+}
+
+/* The row most beyond a limit at z + z_low where that is known to `error`; −1 if none is. */
+static int find_exactly(const active_set *s, as_real error, as_real *gap)
+{
+    as_real most = 0;
+    int worst = -1;
+    for (int i = 0; i < s->n + s->m; i++) {
+        if (s->side[i] != NEITHER) continue;
+        const as_real over = is_infinite(s->high[i]) ? -1 : exact_distance(s, i, s->high[i]);
+        const as_real under = is_infinite(s->low[i]) ? -1 : -exact_distance(s, i, s->low[i]);
+        const as_real share = larger(over, under) * s->unit[i];
+        if (share > error && share > most) {
+            most = share;
+            worst = i;
+            *gap = over >= under ? over : -under;
+        }
+    }
+    return worst;
+}
+
+/* Go on from the active set on exact values, where rounding could decide it. A row that leans on the
+ * active ones so much that no residual tells whether it contradicts them is left out: what is found
+ * then is INACCURATE. */
+static int decide_exactly(active_set *s)
+{
+    const int N = s->n + s->m;
+    int ending = OPTIMAL, left_out = 0, iterations = s->iterations;
+    for (int pass = 0; pass < ITERATIONS_PER_ROW * N; pass++, iterations += s->iterations) {
+        const as_real error = polish(s), bare = -dot(s->q, s->base, s->n);
+        const as_real size = root(larger(write_gradient(s), bare));
+        as_real gap = 0;
+        int j = -1;
+        s->iterations = 0;
+        ending = DOUBTFUL;
+        if (error <= EXACT * (size + TINY)) {
+            if (correct_signs(s, larger(error, VIOLATED * EPSILON * size)) > 0) continue;
+            const as_real least = left_out ? EPSILON * 10 : EPSILON * EPSILON;
+            j = find_exactly(s, 4 * error + least * size, &gap);
+            if (j < 0) ending = OPTIMAL;
+            if (j < 0) break;
+            const as_real g = gap > 0 ? s->high[j] : s->low[j];
+            const as_real allowed = CONTRADICTION * (size_of(g) * s->unit[j] + size);
+            ending = activate(s, j, gap > 0 ? 1 : -1, size_of(gap), allowed);
+            if (ending == ACTIVE_SET_INFEASIBLE) return ending;
+        } else if (s->count > 0) {
+            j = s->active[s->count - 1];
+            drop_row(s, s->count - 1);
+        } else
+            break;
+        if (ending == OPTIMAL) continue;
+        s->side[j] = LEFT_OUT;
+        left_out++;
+    }
+    for (int i = 0; i < N; i++)
+        if (s->side[i] == LEFT_OUT) s->side[i] = NEITHER;
+    s->iterations = iterations;
+    const as_real excess = active_set_excess(s);
+    if (!(excess <= REAL(1e4))) return ACTIVE_SET_FAILED;
+    return excess <= 1 && ending == OPTIMAL && left_out == 0 ? iterations : ACTIVE_SET_INACCURATE;
+}
+
+/* ---- a solve ------------------------------------------------------------------------------- */
+
+/* base := −P⁻¹q; `size` := its length in the norm of P */
+static int write_base(active_set *s, as_real *size, int *equal)
+{
+    const int n = s->n, N = n + s->m;
+    int bad = 0;
+    clear(s->base, n);
+    add_product(s, s->base, s->G, s->q);
+    for (int c = 0; c < n; c++) s->base[c] = -s->base[c];
+    const as_real square = -dot(s->q, s->base, n);
+    if (is_infinite(square)) return ACTIVE_SET_NOT_FINITE;
+    *size = root(larger(square, 0));
+    *equal = 0;
+    for (int i = 0; i < N; i++) {
+        bad |= !(s->low[i] <= s->high[i]);
+        *equal |= s->low[i] == s->high[i];
+    }
+    /* Equal limits that are infinite leave no number. */
+    for (int i = 0; i < N && *equal; i++) bad |= s->low[i] == s->high[i] && is_infinite(s->low[i]);
+    return bad ? ACTIVE_SET_CROSSED : OPTIMAL;
+}
+
+/* Whether more rows are at their limits than are active, or these are nearly dependent. */
+static int is_degenerate(active_set *s, as_real size)
+{
+    int near = 0;
+    for (int i = 0; i < s->n + s->m; i++) {
+        const as_real u = s->unit[i], v = s->z[i], little = NEAR * (size_of(v) * u + size);
+        near += (s->high[i] - v) * u <= little || (v - s->low[i]) * u <= little;
+    }
+    for (int k = 0; k < s->count; k++)
+        if (factor_row(s, k)[k] * STEEP > s->unit[s->active[k]]) return 1;
+    return near != s->count;
+}
+
+/* Whether a refined answer is an optimum without a look at all its residuals: by what rounding leaves
+ * in a row of length √H_ii, and in the gradient of the terms it is summed of. */
+static int is_clear(const active_set *s, as_real next, as_real size)
+{
+    const as_real row = larger(next, ROUNDING_OF(1e-14) * size) * s->longest;
+    as_real terms = s->steepest * largest_of(s->z, s->n), cost = largest_of(s->q, s->n);
+    for (int k = 0; k < s->count; k++) terms += s->largest * size_of(s->lam[s->active[k]]);
+    const as_real slope = 4 * EPSILON * (terms + cost);
+    return row <= SMALL && slope <= SMALL * (1 + cost) &&
+           slope * s->widest <= ROUNDING_OF(5e-7);
+}
+
+static int search(active_set *s)
+{
+    as_real size = 0, correction = 0;
+    int equal = 0;
+    if (s->stale || !s->warm) clear_set(s);
+    s->stale = s->iterations = 0;
+    const int refused = write_base(s, &size, &equal);
+    if (refused) return refused;
+    const as_real coarse = VIOLATED * size;
+    as_real before = larger(size * size, TINY);
+    const as_real first = before, reach = size;
+    if (equal) add_equalities(s);
+    if (s->count > 0) {
+        if (solve_multipliers(s) != 0) {
+            move_set(s, s->block);
+            if (equal) add_equalities(s);
+            restore_signs(s);
+        } else
+            for (int k = 0; k < s->count; k++) s->lam[s->active[k]] = s->R[k];
+    }
+    write_point(s);
+    int j = most_violated(s, coarse);
+    for (int pass = 0; pass < PASSES; pass++) {
+        /* Whether rows hardly contradict each other is decided on refined values only. */
+        const int ending = activate_violated(s, j, coarse, pass ? size : reach + size, pass > 0);
+        if (ending != OPTIMAL) return ending;
+        correction = refine(s, &size);
+        const as_real off = root(correction);
+        const int dropped = correct_signs(s, larger(coarse, off));
+        const as_real next = root(correction * smaller(1, correction / before));
+        const int settled = dropped == 0 && next <= SETTLED * size;
+        for (int c = 0; c < s->n; c++) s->base[c] = s->z[c];
+        add_active_rows(s, s->base, 1);
+        if (dropped > 0) {
+            restore_signs(s);
+            write_point(s);
+        }
+        j = most_violated(s, larger(VIOLATED * size, next));
+        if (j < 0 && dropped == 0 && (settled || correction > before / 4)) {
+            const int sure = settled && is_clear(s, next, size);
+            if (is_degenerate(s, size)) return DOUBTFUL;
+            return sure || active_set_excess(s) <= 1 ? s->iterations : DOUBTFUL;
+        }
+        before = j < 0 ? correction : first;
+    }
+    return DOUBTFUL;
+}
+
+int active_set_solve(active_set *s)
+{
+    int ending = search(s);
+    if (ending == DOUBTFUL) {
+        ending = decide_exactly(s);
+    }
+    s->stale = ending < 0 && ending != ACTIVE_SET_INACCURATE;
+    return ending;
+}
+
+/* ---- set-up -------------------------------------------------------------------------------- */
+
+void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers)
+{
+    const size_t square = (size_t)n * (size_t)n, rows = (size_t)m * (size_t)n, N = (size_t)(n + m);
+    as_real **const vectors[] = {&s->q, &s->base, &s->R, &s->T, &s->r, &s->e, &s->z_low, &s->lam_low, &s->r_low};
+    as_real **const long_ones[] = {&s->low, &s->high, &s->z, &s->lam};
+    s->n = n;
+    s->m = m;
+    s->warm = s->block = s->count = s->iterations = 0;
+    s->stale = 1;
+    for (int k = 0; k < 4; k++, reals += N) *long_ones[k] = reals;
+    for (int k = 0; k < 9; k++, reals += n) *vectors[k] = reals;
+    s->L = reals;
+    s->unit = reals += (size_t)n * (size_t)(n + 1) / 2;
+    s->P = reals += N;
+    s->G = reals += square;
+    s->a = reals + square + rows;
+    s->active = integers;
+    s->side = integers += n;
+    s->list = integers += N;
+    s->first = integers += n;
+    s->order = integers += m + 1;
+    s->column = integers + n;
+}
+
+/* row −= Σ t_k X_k over rows k = start … end−1 of X, in columns from … to−1; t_k is X[k, column]. */
+static void subtract_rows(as_real *row, const as_real *X, int n, int column, int start, int end, int from, int to)
+{
+    const as_real *rows[4];
+    as_real t[4];
+    int k = start;
+    for (; k + 3 < end; k += 4) {
+        for (int l = 0; l < 4; l++) {
+            rows[l] = X + (size_t)(k + l) * (size_t)n + from;
+            t[l] = -rows[l][column - from];
+        }
+        add_four(row + from, rows, t, to - from);
+    }
+    for (; k < end; k++) {
+        const as_real *other = X + (size_t)k * (size_t)n;
+        add_scaled(row + from, -other[column], other + from, to - from);
+    }
+}
+
+/* X := P⁻¹ in place: P = UᵀU row by row, then W = U⁻ᵀ into the lower triangle and WᵀW; 0 unless
+ * P is positive definite. */
+static int invert(as_real *X, int n)
+{
+    for (int k = 0; k < n; k++) {
+        as_real *row = X + (size_t)k * (size_t)n;
+        subtract_rows(row, X, n, k, 0, k, k, n);
+        if (!(row[k] > 0)) return 0;
+        row[k] = 1 / root(row[k]);
+        if (is_infinite(row[k])) return 0;
+        for (int c = k + 1; c < n; c++) row[c] *= row[k];
+    }
+    for (int i = 0; i < n; i++) {
+        as_real *row = X + (size_t)i * (size_t)n;
+        clear(row, i);
+        for (int k = 0; k < i; k++) {
+            const as_real *other = X + (size_t)k * (size_t)n;
+            add_scaled(row, -other[i], other, k + 1);
+        }
+        for (int c = 0; c < i; c++) row[c] *= row[i];
+    }
+    for (int i = 0; i < n; i++) {
+        as_real *row = X + (size_t)i * (size_t)n, t = -row[i];
+        for (int c = 0; c <= i; c++) row[c] *= t;
+        subtract_rows(row, X, n, i, i + 1, n, 0, i + 1);
+        for (int c = 0; c <= i; c++) X[(size_t)c * (size_t)n + (size_t)i] = row[c] = -row[c];
+    }
+    return 1;
+}
+
+/* The entries of A, A P⁻¹ and the lengths of all rows. */
+static int write_rows(active_set *s, const as_real *A)
+{
+    const int n = s->n, N = n + s->m;
+    as_real *a = (as_real *)s->a, *unit = (as_real *)s->unit, *G = (as_real *)s->G;
+    int *first = (int *)s->first, *column = (int *)s->column, end = 0;
+    s->longest = 0;
+    s->largest = 1;
+    for (int i = 0; i < N; i++, G += n) {
+        if (i >= n) {
+            first[i - n] = end;
+            clear(G, n);
+            for (int c = 0; c < n; c++) {
+                const as_real x = *A++;
+                if (is_infinite(x)) return ACTIVE_SET_DATA_NOT_FINITE;
+                if (x == 0) continue;
+                a[end] = x;
+                column[end++] = c;
+                s->largest = larger(s->largest, size_of(x));
+                add_scaled(G, x, inverse_row(s, c), n);
+            }
+            first[i - n + 1] = end;
+        }
+        const as_real length = root(larger(entry(s, i, i), 0));
+        unit[i] = length > ZERO_ROW ? 1 / length : 1;
+        s->longest = larger(s->longest, length);
+    }
+    if (s->m == 0) first[0] = 0;
+    return ACTIVE_SET_OK;
+}
+
+int active_set_replace_rows(active_set *s, const as_real *A)
+{
+    const int refused = write_rows(s, A);
+    if (refused == ACTIVE_SET_OK && s->warm && !s->stale) move_set(s, 0);
+    else s->stale = 1;
+    return refused;
+}
+
+int active_set_factorise(active_set *s, const as_real *P, const as_real *A)
+{
+    const int n = s->n;
+    as_real *own = (as_real *)s->P, *G = (as_real *)s->G;
+    int *order = (int *)s->order, single = n;
+    s->steepest = s->widest = 0;
+    s->coupled = 0;
+    for (int i = 0; i < n; i++) {
+        as_real sum = 0;
+        int others = 0;
+        for (int c = 0; c < n; c++) {
+            const as_real p = (P[i * n + c] + P[c * n + i]) / 2;
+            own[i * n + c] = G[i * n + c] = p;
+            sum += size_of(p);
+            others += i != c && p != 0;
+        }
+        if (is_infinite(sum)) return ACTIVE_SET_DATA_NOT_FINITE;
+        s->steepest = larger(s->steepest, sum);
+        if (others) order[s->coupled++] = i;
+        else order[--single] = i;
+    }
+    if (!invert(G, n)) return ACTIVE_SET_NOT_DEFINITE;
+    for (int i = 0; i < n; i++) {
+        as_real sum = 0;
+        for (int c = 0; c < n; c++) sum += size_of(inverse_row(s, i)[c]);
+        s->widest = larger(s->widest, sum);
+    }
+    return active_set_replace_rows(s, A);
+}

@@ -1,0 +1,86 @@
+/* The active-set method of the paper (eq. 30-32) for small dense quadratic programs.
+ *
+ *     minimise ½ zᵀP z + qᵀz   subject to   low ≤ C z ≤ high,   C = [I; A],   P positive definite
+ *
+ * C99, two files, no allocation, no library but sqrt and fabs. The caller gives all memory:
+ *
+ *     active_set s;
+ *     active_set_place(&s, n, m, reals, integers);     lengths: ACTIVE_SET_REALS, ACTIVE_SET_INTEGERS
+ *     active_set_factorise(&s, P, A);                  once, and for every new P
+ *     each step: write s.q, s.low, s.high;  active_set_solve(&s);  read s.z, s.lam
+ *
+ * Rows of C are numbered i = 0 … n+m−1: the bounds of the n variables, then the m rows of A. A
+ * multiplier lam[i] is positive at high[i] and negative at low[i], so that P z + q + Cᵀlam = 0.
+ * Compile with -DACTIVE_SET_FLOAT for single precision, and never with -ffast-math. */
+
+#ifndef ACTIVE_SET_H
+#define ACTIVE_SET_H
+
+#include <stddef.h>
+
+#ifdef ACTIVE_SET_FLOAT
+typedef float as_real;
+#else
+typedef double as_real;
+#endif
+
+/* What a solve returns if it is not the number of iterations, 0 or more. */
+enum {
+    ACTIVE_SET_NOT_FINITE = -1, /* q or P⁻¹q is no number */
+    ACTIVE_SET_CROSSED = -2,    /* low > high, or a limit is NaN */
+    ACTIVE_SET_INFEASIBLE = -3, /* lam is a proof (a Farkas ray), checked by multiplication */
+    ACTIVE_SET_INACCURATE = -4, /* z is near an optimum, or rounding decides where that is */
+    ACTIVE_SET_FAILED = -5      /* no usable z */
+};
+
+/* What active_set_factorise returns. */
+enum { ACTIVE_SET_OK = 0, ACTIVE_SET_DATA_NOT_FINITE = 1, ACTIVE_SET_NOT_DEFINITE = 2 };
+
+typedef struct {
+    int n, m;         /* variables, rows of A */
+    int warm;         /* 1: start from the active set of the step before */
+    int block;        /* variables of a control increment, by which that set moves on; 0: none */
+    int stale;        /* 1: there is no set to start from */
+    int count;        /* active rows */
+    int iterations;   /* of the last solve: rows brought in or dropped */
+    /* The step: written by the caller before a solve. */
+    as_real *q;          /* n */
+    as_real *low, *high; /* n+m; infinite where there is no limit */
+    /* The answer. */
+    as_real *z;   /* n+m: z, then A z */
+    as_real *lam; /* n+m */
+    /* Constants of P and A: may lie in read-only memory. */
+    const as_real *P;    /* n × n */
+    const as_real *G;    /* n+m × n, row i is (P⁻¹ c_i)ᵀ; the first n rows are P⁻¹ */
+    const as_real *unit; /* n+m: 1/√H_ii, the length of a row in the norm of P⁻¹ */
+    const as_real *a;    /* entries of A that are not zero, row after row */
+    const int *column;   /* and their columns */
+    const int *first;    /* m+1: where a row begins in these two */
+    const int *order;    /* n: variables that P couples with others, then the rest */
+    int coupled;         /* how many it couples */
+    as_real longest, steepest, largest, widest; /* max √H_ii, Σ|P| of a row, max |A|, Σ|P⁻¹| of a row */
+    /* Memory from step to step, and scratch. */
+    as_real *base;              /* n: −P⁻¹q, the optimum without limits */
+    as_real *L;                 /* n(n+1)/2: Cholesky factor of H_WW, rows packed, 1/L_kk on it */
+    int *active;                /* n: W, the active rows as they came */
+    int *side;                  /* n+m: +1 active at high, −1 at low, 0 not active */
+    int *list;                  /* n: the set that is moved on */
+    as_real *R, *T;             /* n, indexed as `active` */
+    as_real *r, *e, *z_low, *lam_low, *r_low; /* n */
+} active_set;
+
+/* Lengths of the two arrays that active_set_place divides. */
+#define ACTIVE_SET_REALS(n, m) ((n) * (2 * (n) + 2 * (m)) + 5 * ((n) + (m)) + (n) * ((n) + 1) / 2 + 9 * (n))
+#define ACTIVE_SET_INTEGERS(n, m) ((m) * (n) + (m) + 1 + 3 * (n) + ((n) + (m)))
+
+void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers);
+int active_set_factorise(active_set *s, const as_real *P, const as_real *A);
+/* New rows of A with the P of before; the active set stays. */
+int active_set_replace_rows(active_set *s, const as_real *A);
+int active_set_solve(active_set *s);
+/* Residuals of z and lam over what is allowed: an optimum up to 1. */
+as_real active_set_excess(active_set *s);
+/* Whether lam proves that no z keeps the limits. */
+int active_set_is_proof(active_set *s);
+
+#endif

@@ -1,1 +1,0 @@
-"""The compiled kernel of the paper's active-set method."""

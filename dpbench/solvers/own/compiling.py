@@ -1,0 +1,64 @@
+"""Compile the C library of dpbench's own solvers; needs Python alone, as `hatch_build.py` runs it.
+
+The compiler is `ziglang`, a build requirement; the environment variable DPBENCH_CC names another
+one. Without ziglang the `cc` of the system serves.
+"""
+
+import importlib.util
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
+FOLDER = Path(__file__).parent
+SOURCES = ("active_set.h", "active_set.c", "hildreth.c")
+SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+# Neither the machine's own instructions nor contracted products: the same results everywhere.
+FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-shared", "-fPIC")
+REMEDY = "install ziglang, or name a C compiler by DPBENCH_CC=cc"
+
+
+def library_name() -> str:
+    """Return the library's file name, with a checksum of sources and flags."""
+    checksum = zlib.crc32(" ".join(FLAGS).encode())
+    for name in SOURCES:
+        checksum = zlib.crc32((FOLDER / name).read_bytes(), checksum)
+    return f"_own_{checksum:08x}{SUFFIX}"
+
+
+def compiler_command() -> list[str]:
+    """Return the command of a C compiler; RuntimeError if there is none."""
+    named = os.environ.get("DPBENCH_CC", "")
+    if named:
+        return shlex.split(named)
+    if importlib.util.find_spec("ziglang") is not None:
+        return [sys.executable, "-m", "ziglang", "cc", "-s"]
+    if shutil.which("cc"):
+        return ["cc"]
+    raise RuntimeError(f"no C compiler was found: {REMEDY}")
+
+
+def compile_library(folder: Path = FOLDER) -> Path:
+    """Compile the library into a folder, unless it is there; RuntimeError if that fails.
+
+    Libraries of other sources beside the sources are removed.
+    """
+    target = folder / library_name()
+    if target.exists():
+        return target
+    folder.mkdir(parents=True, exist_ok=True)
+    partial = folder / f"{target.name}.{os.getpid()}"
+    sources = [str(FOLDER / name) for name in SOURCES if name.endswith(".c")]
+    command = [*compiler_command(), *FLAGS, "-o", str(partial), *sources]
+    try:
+        subprocess.run(command, check=True, capture_output=True, text=True)
+    except (OSError, subprocess.CalledProcessError) as error:
+        words = (getattr(error, "stderr", "") or str(error)).strip()
+        raise RuntimeError(f"{shlex.join(command)}: {words}; {REMEDY}") from None
+    for stale in FOLDER.glob(f"_own_*{SUFFIX}"):
+        stale.unlink(missing_ok=True)
+    partial.replace(target)
+    return target

@@ -1,0 +1,98 @@
+"""The C library of dpbench's own solvers: where it is, and how it is called.
+
+An installation has it beside this file; in a checkout `python hatch_build.py` or its first use
+compiles it.
+"""
+
+import ctypes
+import os
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dpbench.arrays import Vector
+from dpbench.errors import SolverUnavailableError
+from dpbench.solvers.own.compiling import FOLDER, compile_library, library_name
+
+REAL, INTEGER, POINTER = ctypes.c_double, ctypes.c_int, ctypes.c_void_p
+NOT_FINITE, CROSSED, INFEASIBLE, INACCURATE, FAILED = -1, -2, -3, -4, -5
+"""What a solve returns if it is not a number of iterations (`active_set.h`)."""
+REFUSALS = ("", "P or A is not finite", "P is not positive definite")
+"""What setting up ends with, by its code."""
+_FUNCTIONS = {
+    "active_set_place": (None, POINTER, INTEGER, INTEGER, POINTER, POINTER),
+    "active_set_factorise": (INTEGER, POINTER, POINTER, POINTER),
+    "active_set_replace_rows": (INTEGER, POINTER, POINTER),
+    "active_set_solve": (INTEGER, POINTER),
+    "active_set_is_proof": (INTEGER, POINTER),
+    "hildreth_solve": (INTEGER, POINTER, INTEGER, REAL, REAL, POINTER),
+}
+
+
+def _name_fields(kind: type, names: str) -> list[tuple[str, type]]:
+    """Return fields of one kind for a structure."""
+    return [(name, kind) for name in names.split()]
+
+
+class ActiveSet(ctypes.Structure):
+    """The structure `active_set` of `active_set.h`."""
+
+    _fields_ = [
+        *_name_fields(INTEGER, "n m warm block stale count iterations"),
+        *_name_fields(POINTER, "q low high z lam P G unit a column first order"),
+        *_name_fields(INTEGER, "coupled"),
+        *_name_fields(REAL, "longest steepest largest widest"),
+        *_name_fields(POINTER, "base L active side list R T r e z_low lam_low r_low"),
+    ]
+
+
+@cache
+def open_library() -> Any:
+    """Load the library, compiled first if missing; SolverUnavailableError where that fails."""
+    own, cached = FOLDER / library_name(), _cache_folder() / library_name()
+    path = own if own.exists() or not cached.exists() else cached
+    try:
+        if not path.exists():
+            path = compile_library(FOLDER if os.access(FOLDER, os.W_OK) else _cache_folder())
+        library = ctypes.PyDLL(str(path))
+    except (OSError, RuntimeError) as error:
+        raise SolverUnavailableError("dpbench's own solvers", str(error)) from None
+    for name, (result, *arguments) in _FUNCTIONS.items():
+        function = getattr(library, name)
+        function.restype, function.argtypes = result, arguments
+    return library
+
+
+def _cache_folder() -> Path:
+    """Return the folder for a library whose sources stand where nothing can be written."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dpbench"
+
+
+class Problem:
+    """A QP of n variables and m rows in the library's memory, its arrays as views.
+
+    P (n, n), A (m, n), q (n,), low, high (n + m,): bounds, then rows; z (n,), lam (n + m,): the
+    answer.
+    """
+
+    def __init__(self, n: int, m: int) -> None:
+        N = n + m
+        reals = n * 2 * N + 5 * N + n * (n + 1) // 2 + 9 * n
+        self._reals = np.zeros(reals)
+        self._integers = np.zeros(m * n + m + 1 + 3 * n + N, dtype=np.intc)
+        self.head = ActiveSet()
+        self.pointer = ctypes.c_void_p(ctypes.addressof(self.head))
+        data = (array.ctypes.data for array in (self._reals, self._integers))
+        open_library().active_set_place(self.pointer, n, m, *data)
+        views = self.view("low", N), self.view("high", N), self.view("z", n), self.view("lam", N)
+        self.low, self.high, self.z, self.lam = views
+        self.q = self.view("q", n)
+        self.P, self.A = np.zeros((n, n)), np.zeros((m, n))
+        self.P_pointer, self.A_pointer = self.P.ctypes.data, self.A.ctypes.data
+
+    def view(self, name: str, length: int) -> Vector:
+        """Return a vector of the structure as a view."""
+        start = (getattr(self.head, name) - self._reals.ctypes.data) // self._reals.itemsize
+        return self._reals[start : start + length]

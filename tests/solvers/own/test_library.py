@@ -1,0 +1,87 @@
+"""The C library: what a controller compiles, and what a user reads where it is missing."""
+
+import re
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dpbench.errors import SolverUnavailableError
+from dpbench.qp.program import QPStep, QuadraticProgram
+from dpbench.solvers.open import open_workspace
+from dpbench.solvers.own import compiling, library
+from tests.solvers.conftest import solve_next, solve_qp
+
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-O2")
+# On the target all memory is static.
+MAIN = """
+#include <stdio.h>
+#include "active_set.h"
+
+static as_real reals[ACTIVE_SET_REALS(2, 1)];
+static int integers[ACTIVE_SET_INTEGERS(2, 1)];
+
+int main(void)
+{
+    static const as_real P[4] = {1, 0, 0, 1}, A[2] = {1, 1};
+    active_set s;
+    active_set_place(&s, 2, 1, reals, integers);
+    if (active_set_factorise(&s, P, A) != ACTIVE_SET_OK) return 1;
+    for (int i = 0; i < 3; i++) {
+        s.low[i] = -10;
+        s.high[i] = i < 2 ? REAL_ONE : (as_real)2.5;
+    }
+    s.q[0] = s.q[1] = -3;
+    printf("%d", active_set_solve(&s));
+    for (int i = 0; i < 2; i++) printf(" %.6f", (double)s.z[i]);
+    for (int i = 0; i < 3; i++) printf(" %.6f", (double)s.lam[i]);
+    return 0;
+}
+""".replace("REAL_ONE", "(as_real)1")
+
+
+@pytest.mark.parametrize("precision", [(), ("-DACTIVE_SET_FLOAT",)])
+def test_it_compiles_without_a_warning_and_solves_the_example_of_its_head(
+    precision: tuple[str, ...], tmp_path: Path
+) -> None:
+    try:
+        compiler = compiling.compiler_command()
+    except RuntimeError as error:
+        pytest.skip(str(error))
+    main, program = tmp_path / "main.c", tmp_path / "main"
+    main.write_text(MAIN, encoding="utf-8")
+    sources = [str(main), str(compiling.FOLDER / "active_set.c")]
+    flags = (*STRICT, *precision, f"-I{compiling.FOLDER}", "-o", str(program))
+    subprocess.run([*compiler, *flags, *sources, "-lm"], check=True)
+    found = subprocess.run([str(program)], check=True, capture_output=True, text=True).stdout
+    numbers = [float(text) for text in found.split()]
+    np.testing.assert_allclose(numbers, [4, 1, 1, 2, 2, 0], rtol=0, atol=1e-5)
+
+
+def test_a_multiplier_that_gets_the_wrong_sign_leaves_the_set_on_the_way() -> None:
+    """The second example that the source works out by hand."""
+    none = np.full(2, np.inf)
+    base = QuadraticProgram(np.eye(2), [-2, -1], [[-1, 1]], [-9], [0], -none, [0, 9])
+    workspace = open_workspace("paper_active_set", policy="warm")
+    first = solve_qp(workspace, base)
+    np.testing.assert_allclose([*first.y_box, *first.y], [3, 0, 1], rtol=0, atol=1e-12)
+    second = solve_next(workspace, QPStep(np.array([-1.0, 2.0]), base.l, base.u))
+    assert second.iterations == 1
+    np.testing.assert_allclose([*second.z, *second.y_box, *second.y], [0, -2, 1, 0, 0], atol=1e-12)
+
+
+def test_a_missing_library_without_a_compiler_is_one_line_with_the_remedy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("DPBENCH_CC", "no-such-compiler")
+    for module in (compiling, library):
+        monkeypatch.setattr(module, "library_name", lambda: "_own_missing.so")
+    with pytest.raises(SolverUnavailableError, match=re.escape(compiling.REMEDY)) as error:
+        library.open_library.__wrapped__()
+    assert "\n" not in str(error.value)
+
+
+def test_a_folder_without_the_library_gets_it(tmp_path: Path) -> None:
+    path = compiling.compile_library(tmp_path / "new")
+    assert [path.name] == [each.name for each in path.parent.iterdir()] == [library.library_name()]
