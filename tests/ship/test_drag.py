@@ -47,6 +47,21 @@ def sum_strips(D: np.ndarray, u: float, v: float, r: float) -> np.ndarray:
     return force
 
 
+@pytest.mark.parametrize(
+    ("u", "v", "r"),
+    [
+        *((0.0, 0.6, 0.0), (0.3, -0.6, 0.0), (0.0, 0.0, 0.02), (-0.5, 0.1, -0.03)),
+        *((0.2, 0.9, 0.005), (0.2, -0.9, 0.005), (0.05, 0.05, 0.001)),
+    ],
+)
+def test_the_force_is_that_of_the_strips(u: float, v: float, r: float) -> None:
+    """Ahead, astern, to either side and in either turn; 0.6637 has four digits of C_d."""
+    ship, velocity = with_drag(), np.array([u, v, r])
+    np.testing.assert_allclose(
+        ship.damping_force(velocity), sum_strips(ship.D, u, v, r), rtol=2e-4, atol=1.0
+    )
+
+
 @pytest.mark.slow
 @given(u=SPEEDS, v=SPEEDS, r=TURNS)
 def test_the_force_is_that_of_many_strips(u: float, v: float, r: float) -> None:
