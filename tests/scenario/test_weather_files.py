@@ -77,24 +77,34 @@ def with_harris_gusts(document: dict[str, Any]) -> None:
     document["environment"]["wind"]["gusts"] = "harris"
 
 
+def with_drag(ship: dict[str, Any]) -> None:
+    hull = {"breadth_m": 18.0, "draught_m": 5.0, "submerged_m2": 370.0, "current_x_m": 2.0}
+    ship |= {"drag": "cross_flow", "capability": hull}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "change"),
+    ("name", "change", "vessel"),
     [
-        ("thruster_loss", lambda s: None),
-        ("squall", lambda s: None),
-        ("weather", lambda s: None),
-        ("weather", with_harris_gusts),
-        ("waves", lambda s: None),
-        ("waves_passive", lambda s: None),
+        ("thruster_loss", lambda s: None, lambda v: None),
+        ("squall", lambda s: None, lambda v: None),
+        ("weather", lambda s: None, lambda v: None),
+        ("weather", with_harris_gusts, lambda v: None),
+        ("weather", lambda s: None, with_drag),
+        ("squall", lambda s: None, with_drag),
+        ("waves", lambda s: None, lambda v: None),
+        ("waves_passive", lambda s: None, lambda v: None),
     ],
 )
-def test_a_model_ship_sails_the_full_size_run_at_its_scale(name: str, change: Change) -> None:
+def test_a_model_ship_sails_the_full_size_run_at_its_scale(
+    name: str, change: Change, vessel: Change
+) -> None:
     """A ship scaled 1 : 70 by hand makes the same run, lengths /70 and times /√70."""
     ratio = 70.0
-    full = changed(name, change)
+    full = changed(name, change, vessel)
 
     def shrink(ship: dict[str, Any]) -> None:
+        vessel(ship)
         m, mx, mxx = ratio**-3, ratio**-4, ratio**-5
         mass = np.array([[m, m, mx], [m, m, mx], [mx, mx, mxx]])
         ship["inertia"] = (np.array(ship["inertia"]) * mass).tolist()
@@ -109,6 +119,8 @@ def test_a_model_ship_sails_the_full_size_run_at_its_scale(name: str, change: Ch
         for area in ("frontal_m2", "lateral_m2"):
             ship["windage"][area] /= ratio**2
         ship["reflection"]["breadth_m"] /= ratio
+        for key, value in ship.get("capability", {}).items():
+            ship["capability"][key] = value / ratio ** (2 if key.endswith("_m2") else 1)
 
     model = changed(name, change, shrink)
     assert model.sample_s == pytest.approx(0.3 / math.sqrt(70.0))
