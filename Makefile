@@ -114,7 +114,7 @@ bench-ci: setup ## pytest-benchmark of the parts; writes results/bench-ci.json
 
 bench-compare: setup ## compare it with this machine's baseline, RENEW=--renew to replace that
 	test -s results/bench-ci.json || $(MAKE) bench-ci
-	$(BIN)/python benchmarks/gate.py results/bench-ci.json results/baseline $(RENEW)
+	$(BIN)/python -m dpbench.ci.gate results/bench-ci.json results/baseline $(RENEW)
 
 vendored: setup ## fetch the scripts of others that the page carries, by vendor/vendored.json (npm)
 	$(BIN)/python -m dpbench.report.page.vendored

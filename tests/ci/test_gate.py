@@ -1,26 +1,15 @@
-"""The gate of `make bench-compare` on JSON files with planted changes."""
+"""The gate on JSON files of pytest-benchmark with planted changes."""
 
-import importlib.util
 import json
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
-GATE = Path(__file__).parents[1] / "benchmarks" / "gate.py"
+from dpbench.ci import gate
+
 Write = Callable[..., Path]
-
-
-@pytest.fixture(scope="module")
-def gate() -> ModuleType:
-    """The script as a module; `benchmarks` is no package."""
-    spec = importlib.util.spec_from_file_location("bench_gate", GATE)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture
@@ -28,10 +17,16 @@ def write(tmp_path: Path) -> Write:
     """Writes a run of ten benchmarks of 1 to 10 ms, some of them changed."""
 
     def run(
-        name: str, *, slow: dict[int, float] | None = None, machine: float = 1.0, **exact: int
+        name: str,
+        *,
+        slow: dict[int, float] | None = None,
+        machine: float = 1.0,
+        kernel: bool = True,
+        count: int = 10,
+        **exact: int,
     ) -> Path:
         benchmarks: list[dict[str, Any]] = []
-        for i in range(10):
+        for i in range(count):
             # Ratios of two runs scatter by some 1 %, in a fixed pattern.
             wobble = 1.0 + 0.01 * ((i * len(name)) % 3 - 1)
             smallest = 1e-3 * (i + 1) * (slow or {}).get(i, 1.0) * machine * wobble
@@ -40,7 +35,8 @@ def write(tmp_path: Path) -> Write:
                 {
                     "fullname": f"test_x.py::test[{i}]",
                     "stats": {"min": smallest, "q1": 1.01 * smallest, "rounds": 50},
-                    "extra_info": {"reference_ns": 4e4 * machine, "exact": measures},
+                    "extra_info": {"exact": measures}
+                    | ({"reference_ns": 4e4 * machine} if kernel else {}),
                 }
             )
         path = tmp_path / f"{name}.json"
@@ -50,21 +46,21 @@ def write(tmp_path: Path) -> Write:
     return run
 
 
-def judged(gate: ModuleType, folder: Path, *runs: Path) -> list[int]:
+def judged(folder: Path, *runs: Path) -> list[int]:
     """Exit codes of one run after the other; nothing is measured again."""
     return [gate.main([str(run), str(folder / "baseline"), "--retries", "0"]) for run in runs]
 
 
 def test_the_first_run_is_stored_and_the_second_compared(
-    gate: ModuleType, write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """No baseline is no failure; it says so and keeps the run, byte for byte."""
     first = write("first")
-    assert judged(gate, tmp_path, first) == [0]
+    assert judged(tmp_path, first) == [0]
     assert "no baseline of this machine yet" in capsys.readouterr().out
     (stored,) = (tmp_path / "baseline").iterdir()
     assert stored.read_bytes() == first.read_bytes()
-    assert judged(gate, tmp_path, write("second")) == [0]
+    assert judged(tmp_path, write("second")) == [0]
     assert "nothing worse" in capsys.readouterr().out
 
 
@@ -83,7 +79,6 @@ def test_the_first_run_is_stored_and_the_second_compared(
     ],
 )
 def test_planted_changes(
-    gate: ModuleType,
     write: Write,
     tmp_path: Path,
     changes: dict[str, Any],
@@ -91,16 +86,16 @@ def test_planted_changes(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """A slower benchmark, one iteration more or 30 % more memory fail; slow machines pass."""
-    assert judged(gate, tmp_path, write("before"), write("later", **changes)) == [0, code]
+    assert judged(tmp_path, write("before"), write("later", **changes)) == [0, code]
     assert ("test_x.py::test[4]" in capsys.readouterr().out) or code == 0
 
 
-def test_renewing_the_baseline(gate: ModuleType, write: Write, tmp_path: Path) -> None:
+def test_renewing_the_baseline(write: Write, tmp_path: Path) -> None:
     """An accepted change becomes the baseline, and then is no change."""
     slow, folder = write("later", slow={4: 2.0}), str(tmp_path / "baseline")
-    assert judged(gate, tmp_path, write("before"), slow) == [0, 1]
+    assert judged(tmp_path, write("before"), slow) == [0, 1]
     assert gate.main([str(slow), folder, "--renew"]) == 0
-    assert judged(gate, tmp_path, slow) == [0]
+    assert judged(tmp_path, slow) == [0]
 
 
 @pytest.mark.parametrize(
@@ -108,19 +103,39 @@ def test_renewing_the_baseline(gate: ModuleType, write: Write, tmp_path: Path) -
     [
         ("{", "no such numbers"),
         ('{"benchmarks": []}', "benchmarks: found none"),
-        ('{"benchmarks": [{"fullname": "a", "stats": {"min": 1}}]}', "extra_info"),
-        ('{"benchmarks": [{"fullname": "a", "stats": {"min": "x"}, "extra_info": '
-         '{"reference_ns": 1}}]}', "no such numbers"),
+        ('{"benchmarks": [{"fullname": "a", "stats": {"min": 1}}]}', "q1: found nothing"),
+        ('{"benchmarks": [{"fullname": "a", "stats": {"min": "x", "q1": 1}}]}', "no such numbers"),
+        ('{"benchmarks": [{"fullname": "a", "stats": {"min": 0, "q1": 1, "rounds": 1}}]}', "times"),
     ],
 )  # fmt: skip
 def test_a_damaged_file_is_one_line(
-    gate: ModuleType, tmp_path: Path, text: str, part: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, text: str, part: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Exit 2 and a line with the file's name, also where there is no file."""
     path = tmp_path / "run.json"
     path.write_text(text, encoding="utf-8")
-    assert judged(gate, tmp_path, path, tmp_path / "none.json") == [2, 2]
+    assert judged(tmp_path, path, tmp_path / "none.json") == [2, 2]
     first, second = capsys.readouterr().err.strip().splitlines()
     assert "run.json" in first and part in first
     assert "none.json" in second
     assert not (tmp_path / "baseline").exists()
+
+
+@pytest.mark.parametrize(
+    ("kernel", "count", "factor", "code"),
+    [(False, 10, 2.0, 1), (False, 1, 2.0, 0), (True, 1, 2.0, 1), (True, 1, 1.2, 0)],
+)
+def test_few_benchmarks_need_the_reference_kernel(
+    write: Write, tmp_path: Path, kernel: bool, count: int, factor: float, code: int
+) -> None:
+    """Ten stand for the machine; one alone has a verdict by the kernel, and only if clear."""
+    at, common = (4 if count > 4 else 0), {"kernel": kernel, "count": count}
+    runs = write("before", **common), write("later", slow={at: factor}, **common)
+    assert judged(tmp_path, *runs) == [0, code]
+
+
+def test_a_baseline_may_be_one_file(write: Write, tmp_path: Path) -> None:
+    """A path that ends in .json is the baseline itself, whatever the machine."""
+    before, slow = write("before"), write("later", slow={4: 2.0})
+    arguments = [str(slow), str(before), "--retries", "0"]
+    assert gate.main(arguments) == 1
