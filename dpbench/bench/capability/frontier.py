@@ -31,8 +31,6 @@ _NOWHERE = Piece()
 """Stands in for the piece of a thruster that may push in no direction, which counts as lost."""
 WIND_TOLERANCE = 1e-7
 """Of a wind held [m/s]."""
-USE_TOLERANCE = 1e-8
-"""Share of full thrust by which another choice of pieces has to be better."""
 
 
 @dataclass(frozen=True)
@@ -177,10 +175,12 @@ class CapabilityPlot:
             if missing(high) <= 0.0:
                 return high
             low = float(brentq(missing, low, high, xtol=WIND_TOLERANCE))
-            use, better = self.best_choice(case, from_rad, low)
-            if use > 1.0 - USE_TOLERANCE or better == chosen:
+            # Not at the edge itself, as all choices hold a calm.
+            above = low + WIND_TOLERANCE
+            use, better = self.best_choice(case, from_rad, above)
+            if use >= 1.0 or above >= high:
                 return low
-            chosen = better
+            low, chosen = above, better
 
 
 @dataclass(frozen=True)

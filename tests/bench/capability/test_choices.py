@@ -72,3 +72,16 @@ def test_eight_azimuths_in_each_others_race_have_an_edge() -> None:
     assert plot.best_choice(plot.cases[0], math.radians(70.0), edge.wind_mps)[0] == pytest.approx(1)
     mirrored = plot.find_wind_limit(plot.cases[0], math.radians(-70.0))
     assert mirrored.wind_mps == pytest.approx(edge.wind_mps, abs=1e-5)
+
+
+@pytest.mark.slow
+def test_a_ship_whose_first_pieces_balance_nothing_has_an_edge() -> None:
+    """In a calm all choices are alike; the edge is that of the choice that holds some wind."""
+    plot = ship_of_azimuths(2)
+    case = plot.cases[0]
+    first = tuple(some[0] for some in plot.pieces_of(case))
+    starboard, port = math.radians(90.0), math.radians(270.0)
+    assert plot.least_use(case, starboard, 1e-3, first) < 1.0
+    assert plot.least_use(case, port, 1e-3, first) == math.inf
+    edge = plot.find_wind_limit(case, starboard).wind_mps
+    assert plot.find_wind_limit(case, port).wind_mps == pytest.approx(edge)
