@@ -36,6 +36,8 @@ Combination = tuple[Piece, ...]
 """A piece for each thruster."""
 Choices = tuple[tuple[Piece, ...], ...]
 """Pieces of each thruster between which there is a choice."""
+MOST_USE = 1e7
+"""Use for a load of all thrust beyond which the solvers' 1e-10 decides, and not the thrusters."""
 SPAN = 1e-9
 """Share of a load that may lie outside the span of the thrusters' forces: rounding."""
 TANGENTS = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
@@ -104,7 +106,7 @@ class Utilisation:
         if size == 0.0:
             return 0.0, unused
         x = self._solve_cones(cones, balance, wanted / size)
-        if x is None:
+        if x is None or x[-1] > MOST_USE:
             return np.inf, unused
         x *= size
         return float(x[-1]), [x[at] for at in cones.sizes]
