@@ -162,6 +162,8 @@ def test_every_surface_says_first_that_the_ship_is_lost(tmp_path: Path, capsys: 
     assert results.answer.startswith(BANNER)
     assert results._repr_html_().index(BANNER) > 0
     assert list(results.ships()["ship"]) == ["leaves"]
+    assert set(results.runs["mode"]) == {"closed_loop", "replay"}
+    assert (results.runs["exact_steps"] == 40).all()
     scenario = load_scenario(tmp_path / "ship.toml")
     run = run_closed_loop(scenario, open_workspace("paper_active_set"))
     assert BANNER in repr(run) and BANNER in run._repr_html_()

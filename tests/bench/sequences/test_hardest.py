@@ -9,7 +9,8 @@ from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.run_request import select_part
 from dpbench.bench.plan.suite import ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell, HardestSource
-from dpbench.bench.run.exact_loop import ExactLoop
+from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
+from dpbench.bench.run.station import station_metrics
 from dpbench.bench.sequences.loop_sequences import (
     find_active_limits,
     find_hardest_window,
@@ -153,6 +154,19 @@ def test_an_infeasible_step_is_in_the_window(tmp_path: Path) -> None:
     kinds = [o.kind for o in read_replay(window, tmp_path / "loop.npz").optima or []]
     assert kinds.count("infeasible") >= 1
     assert read_replay(window, tmp_path / "loop.npz").sequence.meta["first"] >= 400
+
+
+def test_a_replay_carries_the_ship_of_its_loop_up_to_its_end(tmp_path: Path) -> None:
+    scenario = load_scenario("squall")
+    path, exact = tmp_path / "loop.npz", solve_exactly(scenario)
+    exact.save(path)
+    for first, steps, left in ((0, 300, False), (200, 200, True)):
+        replayed = Cell(
+            "replay", scenario.files, "daqp", "native", "fresh", "default", steps, first=first
+        )
+        found = read_replay(replayed, path).station
+        assert found == station_metrics(scenario, exact, first + steps)
+        assert np.isfinite(found["exact_left_s"]) == left
 
 
 def test_a_window_has_its_share_of_the_budgets_and_a_short_warm_up() -> None:
