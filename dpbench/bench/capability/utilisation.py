@@ -36,7 +36,7 @@ Combination = tuple[Piece, ...]
 """A piece for each thruster."""
 Choices = tuple[tuple[Piece, ...], ...]
 """Pieces of each thruster between which there is a choice."""
-MOST_USE = 1e7
+MOST_USE = 1e8
 """Use for a load of all thrust beyond which the solvers' 1e-10 decides, and not the thrusters."""
 SPAN = 1e-9
 """Share of a load that may lie outside the span of the thrusters' forces: rounding."""
