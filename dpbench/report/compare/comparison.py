@@ -23,6 +23,7 @@ from dpbench.analysis.compare.times import (
 )
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.times.machine import timed_runs, total_disturbance
+from dpbench.analysis.verdict.ship_results import ship_results
 from dpbench.bench.record.result_folder import load_results
 from dpbench.display import table_html
 from dpbench.errors import InputError
@@ -38,6 +39,7 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.machine_verdict import disturbance_text
+from dpbench.report.ship_text import summarise_ships
 from dpbench.report.table import Table, html_table, markdown_document
 
 TIMES = ("slower", "faster", "no difference shown", "equivalent")
@@ -299,7 +301,9 @@ def compare(
     solver = reference_solver(timings, reference) if differ or reference else ""
     compared, shared, wording = _compare_times(views, timings, solver, margin, alpha)
     figures = compare_figures(*views, pairs.pairs, margin)
-    lines = [f"A: {a}{_describe_machine(views[0])}", f"B: {b}{_describe_machine(views[1])}"]
+    warnings = [summarise_ships(ship_results(view)).warning for view in views]
+    lines = [f"{name}: {text}" for name, text in zip("AB", warnings, strict=True) if text]
+    lines += [f"A: {a}{_describe_machine(views[0])}", f"B: {b}{_describe_machine(views[1])}"]
     lines += [f"another machine: they differ in {and_list(differ)}"] if differ else []
     lines += [*wording, *_summary_lines(compared, shared, figures, pairs)]
     changed = changes_table(figures, margin)

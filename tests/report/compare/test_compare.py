@@ -19,6 +19,7 @@ from dpbench.bench.record.schema import as_runs, as_steps
 from dpbench.cli.main import main
 from dpbench.report.compare.comparison import _merge_verdicts
 from dpbench.report.compare.page import write_comparison
+from dpbench.report.ship_text import BANNER
 from tests.report.conftest import run_row
 from tests.result_folder import write_results
 
@@ -146,6 +147,15 @@ def test_what_all_configurations_share_is_a_regression_only_beyond_the_kernel(ma
     assert set(code.times["verdict"]) == {"equivalent"}
     (line,) = [line for line in code.lines if line.startswith("`paper`")]
     assert line.endswith("slower in a part that all configurations share")
+
+
+def test_a_lost_ship_comes_before_any_comparison(records: Any, tmp_path: Path) -> None:
+    records.loop("daqp")
+    a = records.write(tmp_path / "a")
+    records.loop("daqp", "rough", exact_left_s=9.0)
+    found = compare(a, records.write(tmp_path / "b"))
+    assert found.lines[0].startswith(f"B: {BANNER}: in `rough`")
+    assert found.lines[1].startswith("A: ") and BANNER not in "".join(found.lines[1:])
 
 
 def test_what_the_harness_lost_is_no_regression(make: Make) -> None:
