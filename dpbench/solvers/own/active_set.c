@@ -67,17 +67,17 @@
 #endif
 
 /* Shares of the terms that a quantity is computed from. */
-#define VIOLATED ROUNDING_OF(1e-13)      /* a row beyond its limit by more is violated */
-#define DEPENDENT ROUNDING_OF(1e-11)     /* a row no farther from the active ones combines from them */
-#define CLOSE ROUNDING_OF(1e-6)          /* a squared distance below it is computed anew */
-#define NO_PART ROUNDING_OF(1e-11)       /* a smaller share in a combination is rounding */
-#define GROSS REAL(1e-4)                 /* a contradiction by so much needs no refined values */
-#define CONTRADICTION ROUNDING_OF(1e-9)  /* nor is it rounding above this share of refined ones */
-#define NEAR ROUNDING_OF(1e-8)           /* a row so near its limit may be active */
-#define STEEP REAL(1e-4)                 /* an active row nearer to the others leans on them */
-#define SETTLED ROUNDING_OF(1e-12)       /* a smaller correction leaves nothing to correct */
-#define SMALL ROUNDING_OF(1e-9)          /* allowed in a row, and in the gradient of 1 + |q| */
-#define EXACT (EPSILON * REAL(1e-3))     /* a correction that the doubled precision has to reach */
+#define VIOLATED ROUNDING_OF(1e-13)  /* a row beyond its limit by more is violated */
+#define DEPENDENT ROUNDING_OF(1e-11) /* a row no farther from the active ones combines from them */
+#define CLOSE ROUNDING_OF(1e-6)      /* a squared distance below it is computed anew */
+#define NO_PART ROUNDING_OF(1e-11)   /* a smaller share in a combination is rounding */
+#define GROSS REAL(1e-4)             /* a contradiction by so much needs no refined values */
+#define CONTRADICTION ROUNDING_OF(1e-9) /* nor is it rounding above this share of refined ones */
+#define NEAR ROUNDING_OF(1e-8)          /* a row so near its limit may be active */
+#define STEEP REAL(1e-4)                /* an active row nearer to the others leans on them */
+#define SETTLED ROUNDING_OF(1e-12)      /* a smaller correction leaves nothing to correct */
+#define SMALL ROUNDING_OF(1e-9)         /* allowed in a row, and in the gradient of 1 + |q| */
+#define EXACT (EPSILON * REAL(1e-3))    /* a correction that the doubled precision has to reach */
 enum { PASSES = 20, POLISHES = 8, ITERATIONS_PER_ROW = 20, NEITHER = 0, LEFT_OUT = 2 };
 enum { OPTIMAL = 0, DOUBTFUL = -10 };
 
@@ -89,8 +89,7 @@ static int is_infinite(as_real x) { return x - x != REAL(0); } /* or NaN */
 
 /* ---- vectors ------------------------------------------------------------------------------- */
 
-static as_real dot(const as_real *x, const as_real *y, int n)
-{
+static as_real dot(const as_real *x, const as_real *y, int n) {
     as_real a = 0, b = 0, c = 0, d = 0;
     int i = 0;
     for (; i + 3 < n; i += 4) {
@@ -104,29 +103,27 @@ static as_real dot(const as_real *x, const as_real *y, int n)
 }
 
 /* out += t x */
-static void add_scaled(as_real *restrict out, as_real t, const as_real *restrict x, int n)
-{
+static void add_scaled(as_real *restrict out, as_real t, const as_real *restrict x, int n) {
     for (int i = 0; i < n; i++) out[i] += t * x[i];
 }
 
-static as_real largest_of(const as_real *x, int n)
-{
+static as_real largest_of(const as_real *x, int n) {
     as_real most = 0;
     for (int i = 0; i < n; i++) most = larger(most, size_of(x[i]));
     return most;
 }
 
 /* out += Σ t_k x_k over vectors x_k of n: four at a time cost one look at the result. */
-static void add_four(as_real *restrict out, const as_real *const x[4], const as_real t[4], int n)
-{
-    const as_real *restrict x0 = x[0], *restrict x1 = x[1], *restrict x2 = x[2], *restrict x3 = x[3];
+static void add_four(as_real *restrict out, const as_real *const x[4], const as_real t[4], int n) {
+    const as_real *restrict x0 = x[0], *restrict x1 = x[1], *restrict x2 = x[2],
+                            *restrict x3 = x[3];
     const as_real a = t[0], b = t[1], c = t[2], d = t[3];
     for (int i = 0; i < n; i++) out[i] += (a * x0[i] + b * x1[i]) + (c * x2[i] + d * x3[i]);
 }
 
 /* out += M x for M = P or P⁻¹: whole rows for variables that P couples, else the diagonal. */
-static void add_product(const active_set *s, as_real *restrict out, const as_real *M, const as_real *x)
-{
+static void add_product(
+    const active_set *s, as_real *restrict out, const as_real *M, const as_real *x) {
     const int n = s->n, coupled = s->coupled;
     const int *order = s->order;
     const as_real *rows[4];
@@ -145,14 +142,12 @@ static void add_product(const active_set *s, as_real *restrict out, const as_rea
 
 /* ---- rows of C ----------------------------------------------------------------------------- */
 
-static const as_real *inverse_row(const active_set *s, int i)
-{
+static const as_real *inverse_row(const active_set *s, int i) {
     return s->G + (size_t)i * (size_t)s->n;
 }
 
 /* c_iᵀx */
-static as_real row_times(const active_set *s, int i, const as_real *x)
-{
+static as_real row_times(const active_set *s, int i, const as_real *x) {
     if (i < s->n) return x[i];
     const int end = s->first[i - s->n + 1];
     as_real a = 0, b = 0;
@@ -165,24 +160,22 @@ static as_real row_times(const active_set *s, int i, const as_real *x)
 }
 
 /* x += t c_i */
-static void add_row(const active_set *s, int i, as_real t, as_real *x)
-{
+static void add_row(const active_set *s, int i, as_real t, as_real *x) {
     if (i < s->n) {
         x[i] += t;
         return;
     }
-    for (int e = s->first[i - s->n]; e < s->first[i - s->n + 1]; e++) x[s->column[e]] += t * s->a[e];
+    for (int e = s->first[i - s->n]; e < s->first[i - s->n + 1]; e++)
+        x[s->column[e]] += t * s->a[e];
 }
 
 /* H_ij = c_iᵀ P⁻¹ c_j */
-static as_real entry(const active_set *s, int i, int j)
-{
+static as_real entry(const active_set *s, int i, int j) {
     return i < s->n ? inverse_row(s, j)[i] : row_times(s, i, inverse_row(s, j));
 }
 
 /* x += sign Σ λ_i P⁻¹c_i over the active rows */
-static void add_active_rows(const active_set *s, as_real *x, as_real sign)
-{
+static void add_active_rows(const active_set *s, as_real *x, as_real sign) {
     const as_real *rows[4];
     as_real t[4];
     int k = 0;
@@ -198,18 +191,15 @@ static void add_active_rows(const active_set *s, as_real *x, as_real sign)
 }
 
 /* The values of the rows of A at z, behind z. */
-static void write_row_values(active_set *s)
-{
+static void write_row_values(active_set *s) {
     for (int i = s->n; i < s->n + s->m; i++) s->z[i] = row_times(s, i, s->z);
 }
 
-static as_real limit_of(const active_set *s, int i)
-{
+static as_real limit_of(const active_set *s, int i) {
     return s->side[i] > 0 ? s->high[i] : s->low[i];
 }
 
-static int has_wrong_sign(const active_set *s, int i, as_real lam)
-{
+static int has_wrong_sign(const active_set *s, int i, as_real lam) {
     return lam * REAL(s->side[i]) < 0 && s->low[i] < s->high[i];
 }
 
@@ -218,8 +208,7 @@ static int has_wrong_sign(const active_set *s, int i, as_real lam)
 static as_real *factor_row(active_set *s, int k) { return s->L + (size_t)k * (size_t)(k + 1) / 2; }
 
 /* b := L⁻¹ b over the first w rows */
-static void substitute_forward(active_set *s, as_real *b, int w)
-{
+static void substitute_forward(active_set *s, as_real *b, int w) {
     for (int k = 0; k < w; k++) {
         const as_real *L = factor_row(s, k);
         b[k] = (b[k] - dot(L, b, k)) * L[k];
@@ -227,8 +216,7 @@ static void substitute_forward(active_set *s, as_real *b, int w)
 }
 
 /* b := L⁻ᵀ b */
-static void substitute_backward(active_set *s, as_real *b, int w)
-{
+static void substitute_backward(active_set *s, as_real *b, int w) {
     for (int k = w - 1; k >= 0; k--) {
         const as_real *L = factor_row(s, k);
         b[k] *= L[k];
@@ -237,8 +225,7 @@ static void substitute_backward(active_set *s, as_real *b, int w)
 }
 
 /* Append row i, whose part of the factor is in T, with a pivot d. */
-static void append_row(active_set *s, int i, int side, as_real d)
-{
+static void append_row(active_set *s, int i, int side, as_real d) {
     const int w = s->count++;
     as_real *L = factor_row(s, w);
     for (int k = 0; k < w; k++) L[k] = s->T[k];
@@ -248,8 +235,7 @@ static void append_row(active_set *s, int i, int side, as_real d)
 }
 
 /* Drop the k-th active row: plane rotations make the factor triangular again. */
-static void drop_row(active_set *s, int k)
-{
+static void drop_row(active_set *s, int k) {
     const int w = --s->count, i = s->active[k];
     as_real *cosine = s->r_low, *sine = s->e;
     s->side[i] = NEITHER;
@@ -275,8 +261,7 @@ static void drop_row(active_set *s, int k)
 /* Row j as a combination R of the first w active ones, and T = L⁻¹ H_Wj; returns the square of its
  * distance from them in the norm of P⁻¹. Where little is left of it, y = c_j − Σ R_k c_k is formed
  * and yᵀP⁻¹y taken, after one refinement of R. */
-static as_real combine(active_set *s, int j)
-{
+static as_real combine(active_set *s, int j) {
     const int n = s->n, w = s->count;
     as_real *y = s->r, *x = s->e, *more = s->r_low;
     const as_real square = entry(s, j, j);
@@ -296,16 +281,14 @@ static as_real combine(active_set *s, int j)
             add_scaled(s->T, 1, more, w);
             substitute_backward(s, more, w);
             add_scaled(s->R, 1, more, w);
-        } else
-            d = larger(dot(x, y, n), 0);
+        } else d = larger(dot(x, y, n), 0);
     }
     return d;
 }
 
 /* ---- the start ----------------------------------------------------------------------------- */
 
-static void clear_set(active_set *s)
-{
+static void clear_set(active_set *s) {
     for (int i = 0; i < s->n + s->m; i++) {
         s->side[i] = NEITHER;
         s->lam[i] = 0;
@@ -314,8 +297,7 @@ static void clear_set(active_set *s)
 }
 
 /* Make row i active with a multiplier, unless it is, has no such limit, or leans on the others. */
-static void add_to_start(active_set *s, int i, int side, as_real lam)
-{
+static void add_to_start(active_set *s, int i, int side, as_real lam) {
     if (s->side[i] != NEITHER || s->count == s->n || is_infinite(side > 0 ? s->high[i] : s->low[i]))
         return;
     for (int k = 0; k < s->count; k++) s->T[k] = entry(s, s->active[k], i);
@@ -327,8 +309,7 @@ static void add_to_start(active_set *s, int i, int side, as_real lam)
 }
 
 /* Factorise the set anew, each row moved on by `block` variables, the last increment kept too. */
-static void move_set(active_set *s, int block)
-{
+static void move_set(active_set *s, int block) {
     const int n = s->n, rows = block > 0 ? s->m * block / n : 0, w = s->count;
     int *list = s->list;
     as_real *before = s->r;
@@ -348,15 +329,13 @@ static void move_set(active_set *s, int block)
     }
 }
 
-static void add_equalities(active_set *s)
-{
+static void add_equalities(active_set *s) {
     for (int i = 0; i < s->n + s->m; i++)
         if (s->low[i] == s->high[i]) add_to_start(s, i, 1, 0);
 }
 
 /* R := the multipliers of eq. 31; returns how many have the wrong sign, −1 if a limit is infinite. */
-static int solve_multipliers(active_set *s)
-{
+static int solve_multipliers(active_set *s) {
     const int w = s->count;
     int wrong = 0;
     for (int k = 0; k < w; k++) {
@@ -378,25 +357,22 @@ static int solve_multipliers(active_set *s)
  *     eq. 31 asks for −1 and −2 of them: λ₀ would be zero after ¾ of
  *       the way, λ₂ after 1/(1 + 2) = ⅓ of it. It is dropped there      5/3   0
  *     and eq. 31 asks for 1 of row 0 alone: no row has to come in       1     0     (0, −2) */
-static void restore_signs(active_set *s)
-{
-    for (;;) {
-        const int wrong = solve_multipliers(s);
+static void restore_signs(active_set *s) {
+    int wrong;
+    while ((wrong = solve_multipliers(s)) >= 0) {
         int drop = -1;
         as_real least = 1;
         for (int k = 0; k < s->count && wrong > 0; k++) {
-            const int i = s->active[k];
-            if (has_wrong_sign(s, i, s->R[k])) {
-                const as_real lam = size_of(s->lam[i]), share = lam / (lam + size_of(s->R[k]));
-                if (drop < 0 || share < least) {
-                    drop = k;
-                    least = share;
-                }
-            }
+            const as_real lam = size_of(s->lam[s->active[k]]),
+                          share = lam / (lam + size_of(s->R[k]));
+            if (!has_wrong_sign(s, s->active[k], s->R[k]) || (drop >= 0 && share >= least))
+                continue;
+            drop = k;
+            least = share;
         }
-        for (int k = 0; k < s->count && wrong >= 0; k++) {
-            const int i = s->active[k];
-            s->lam[i] = drop < 0 ? s->R[k] : s->lam[i] + least * (s->R[k] - s->lam[i]);
+        for (int k = 0; k < s->count; k++) {
+            as_real *lam = s->lam + s->active[k];
+            *lam = drop < 0 ? s->R[k] : *lam + least * (s->R[k] - *lam);
         }
         if (drop < 0) return;
         drop_row(s, drop);
@@ -405,8 +381,7 @@ static void restore_signs(active_set *s)
 }
 
 /* z = base − Σ λ_i P⁻¹c_i and the values of the rows (eq. 32) */
-static void write_point(active_set *s)
-{
+static void write_point(active_set *s) {
     for (int c = 0; c < s->n; c++) s->z[c] = s->base[c];
     add_active_rows(s, s->z, -1);
     write_row_values(s);
@@ -416,8 +391,7 @@ static void write_point(active_set *s)
 
 /* The row not active that is beyond a limit by most, over its length; −1 if none is by more than
  * noise and the rounding of the limit. */
-static int most_violated(const active_set *s, as_real noise)
-{
+static int most_violated(const active_set *s, as_real noise) {
     as_real most = noise;
     int worst = -1;
     for (int i = 0; i < s->n + s->m; i++) {
@@ -434,8 +408,7 @@ static int most_violated(const active_set *s, as_real noise)
 }
 
 /* λ := the ray by which row j contradicts the active rows that it combines, if it proves that. */
-static int write_ray(active_set *s, int j, as_real side)
-{
+static int write_ray(active_set *s, int j, as_real side) {
     const as_real rounding = VIOLATED * larger(1, largest_of(s->R, s->count));
     for (int k = 0; k < s->count; k++) {
         as_real *lam = s->lam + s->active[k];
@@ -452,8 +425,7 @@ static int write_ray(active_set *s, int j, as_real side)
 /* The active row whose multiplier is first to reach zero as that of row j rises, and when; −1 if
  * none does. A share that is rounding counts only where row j has a part of its own: a step that
  * nothing else ends would have no end. */
-static int find_blocking(const active_set *s, int j, as_real side, int dependent, as_real *when)
-{
+static int find_blocking(const active_set *s, int j, as_real side, int dependent, as_real *when) {
     int blocking = -1;
     for (int k = 0; k < s->count; k++) {
         const int i = s->active[k];
@@ -472,8 +444,7 @@ static int find_blocking(const active_set *s, int j, as_real side, int dependent
 /* Raise the multiplier of row j, beyond its limit on side `which` by `gap`, until it is met. A
  * dependent row that nothing blocks contradicts the active ones if gap is more than `allowed`; if it
  * is not, rounding decides. */
-static int activate(active_set *s, int j, int which, as_real gap, as_real allowed)
-{
+static int activate(active_set *s, int j, int which, as_real gap, as_real allowed) {
     const as_real side = REAL(which);
     as_real lam = 0;
     while (s->iterations < ITERATIONS_PER_ROW * (s->n + s->m)) {
@@ -500,12 +471,12 @@ static int activate(active_set *s, int j, int which, as_real gap, as_real allowe
 }
 
 /* Bring violated rows in until none is left, beginning with row j. */
-static int activate_violated(active_set *s, int j, as_real noise, as_real size, int refined)
-{
+static int activate_violated(active_set *s, int j, as_real noise, as_real size, int refined) {
     while (j >= 0) {
         const int which = s->z[j] > s->high[j] ? 1 : -1;
         const as_real g = which > 0 ? s->high[j] : s->low[j];
-        const as_real allowed = (refined ? CONTRADICTION : GROSS) * (size_of(g) * s->unit[j] + size);
+        const as_real allowed = (refined ? CONTRADICTION : GROSS) *
+                                (size_of(g) * s->unit[j] + size);
         const int ending = activate(s, j, which, REAL(which) * (s->z[j] - g), allowed);
         if (ending != OPTIMAL) return ending;
         write_point(s);
@@ -517,8 +488,7 @@ static int activate_violated(active_set *s, int j, as_real noise, as_real size, 
 /* ---- refinement and check ------------------------------------------------------------------ */
 
 /* r := P z + q + Cᵀλ; returns zᵀP z */
-static as_real write_gradient(active_set *s)
-{
+static as_real write_gradient(active_set *s) {
     const int n = s->n;
     for (int c = 0; c < n; c++) s->r[c] = 0;
     add_product(s, s->r, s->P, s->z);
@@ -530,8 +500,7 @@ static as_real write_gradient(active_set *s)
 
 /* Correct z and λ once on the active rows; returns the square of the correction in the norm of P,
  * r ≈ P e and T = C_W (z + e) − g given: eᵀP e + δλᵀ H_WW δλ. */
-static as_real correct(active_set *s, as_real *restrict z_low, as_real *restrict lam_low)
-{
+static as_real correct(active_set *s, as_real *restrict z_low, as_real *restrict lam_low) {
     const int w = s->count;
     as_real square = -dot(s->e, s->r, s->n);
     for (int k = 0; k < w; k++) s->R[k] = s->T[k];
@@ -553,21 +522,19 @@ static as_real correct(active_set *s, as_real *restrict z_low, as_real *restrict
     return larger(square, 0);
 }
 
-static void clear(as_real *x, int n)
-{
+static void clear(as_real *x, int n) {
     for (int i = 0; i < n; i++) x[i] = 0;
 }
 
 /* Refine the answer once where its residual asks for it; `size` := ‖z‖ in the norm of P. */
-static as_real refine(active_set *s, as_real *size)
-{
+static as_real refine(active_set *s, as_real *size) {
     const int n = s->n;
     as_real off = 0;
     *size = root(write_gradient(s));
     clear(s->e, n);
     clear(s->z_low, n);
     clear(s->lam_low, n);
-    if (largest_of(s->r, n) > REAL(20) * EPSILON * (1 + largest_of(s->q, n))) {
+    if (largest_of(s->r, n) > REAL(64) * EPSILON * (1 + largest_of(s->q, n))) {
         off = 1;
         add_product(s, s->e, s->G, s->r);
         for (int c = 0; c < n; c++) s->e[c] = -s->e[c];
@@ -583,14 +550,12 @@ static as_real refine(active_set *s, as_real *size)
 }
 
 /* Zero wrong signs within rounding, drop the rows of others; returns how many. */
-static int correct_signs(active_set *s, as_real rounding)
-{
+static int correct_signs(active_set *s, as_real rounding) {
     int dropped = 0;
     for (int k = s->count - 1; k >= 0; k--) {
         const int i = s->active[k];
         if (!has_wrong_sign(s, i, s->lam[i])) continue;
-        if (size_of(s->lam[i]) <= rounding * s->unit[i])
-            s->lam[i] = 0;
+        if (size_of(s->lam[i]) <= rounding * s->unit[i]) s->lam[i] = 0;
         else {
             drop_row(s, k);
             dropped++;
@@ -600,8 +565,7 @@ static int correct_signs(active_set *s, as_real rounding)
 }
 
 /* Σ |a_c x_c| over the entries of row i of C */
-static as_real row_terms(const active_set *s, int i, const as_real *x)
-{
+static as_real row_terms(const active_set *s, int i, const as_real *x) {
     if (i < s->n) return size_of(x[i]);
     as_real sum = 0;
     for (int e = s->first[i - s->n]; e < s->first[i - s->n + 1]; e++)
@@ -612,8 +576,7 @@ static as_real row_terms(const active_set *s, int i, const as_real *x)
 /* The largest of: a row beyond a limit; |λ_i| times the distance from the limit that it names; the
  * gradient r; and √((P⁻¹)_ii |r|ᵀ|P⁻¹||r|), by which z_i may miss the optimum on the active rows, each
  * over what is allowed of the terms it is computed from. */
-as_real active_set_excess(active_set *s)
-{
+as_real active_set_excess(active_set *s) {
     const int n = s->n;
     const as_real cost = largest_of(s->q, n);
     as_real most = 0, widest = 0, square = 0;
@@ -625,12 +588,14 @@ as_real active_set_excess(active_set *s)
         const as_real terms = VIOLATED * row_terms(s, i, s->z);
         if (beyond > 0) {
             const as_real rounding = terms + VIOLATED * size_of(v);
-            most = larger(most, beyond / smaller(2 * rounding + SMALL * REAL(1e-3), ROUNDING_OF(2e-7)));
+            most = larger(
+                most, beyond / smaller(2 * rounding + SMALL * REAL(1e-3), ROUNDING_OF(2e-7)));
         }
         if (lam == 0) continue;
         const as_real g = lam > 0 ? s->high[i] : s->low[i], slack = size_of(v - g);
         if (is_infinite(g)) return 1 / TINY;
-        if (slack > terms + VIOLATED * size_of(g)) most = larger(most, size_of(lam) * slack / ROUNDING_OF(1e-7));
+        if (slack > terms + VIOLATED * size_of(g))
+            most = larger(most, size_of(lam) * slack / ROUNDING_OF(1e-7));
         for (int e = i < n ? 0 : s->first[i - n]; i >= n && e < s->first[i - n + 1]; e++)
             s->e[s->column[e]] += size_of(lam * s->a[e]);
     }
@@ -653,8 +618,7 @@ as_real active_set_excess(active_set *s)
 /* Whether lam, a ray, proves that no z keeps the limits: Cᵀlam = 0 and the most that the limits let
  * lamᵀC z reach is negative, each by more than rounding. What does not cancel in a column is left to
  * the bound of that variable or, where there is none, may not reach 0 within 1e6 of the limits. */
-int active_set_is_proof(active_set *s)
-{
+int active_set_is_proof(active_set *s) {
     const int n = s->n;
     as_real *box = s->r, *terms = s->e;
     as_real reach = 0, size = 0, unbounded = 0, most = TINY;
@@ -676,8 +640,7 @@ int active_set_is_proof(active_set *s)
         }
         if (by == 0) continue;
         const as_real g = by > 0 ? s->high[i] : s->low[i];
-        if (is_infinite(g) && i < n)
-            unbounded += size_of(by);
+        if (is_infinite(g) && i < n) unbounded += size_of(by);
         else {
             reach += by * g;
             size += size_of(by * g);
@@ -689,8 +652,7 @@ int active_set_is_proof(active_set *s)
 /* ---- twice the precision ------------------------------------------------------------------- */
 
 /* high + low += a b, without rounding of the product (Dekker 1971; Ogita, Rump and Oishi 2005) */
-static void add_exactly(as_real *high, as_real *low, as_real a, as_real b)
-{
+static void add_exactly(as_real *high, as_real *low, as_real a, as_real b) {
     const as_real p = a * b, as = SPLITTER * a, bs = SPLITTER * b;
     const as_real ah = as - (as - a), al = a - ah, bh = bs - (bs - b), bl = b - bh;
     const as_real e = al * bl - (((p - ah * bh) - al * bh) - ah * bl);
@@ -700,8 +662,7 @@ static void add_exactly(as_real *high, as_real *low, as_real a, as_real b)
 }
 
 /* c_iᵀ(z + z_low) − g */
-static as_real exact_distance(const active_set *s, int i, as_real g)
-{
+static as_real exact_distance(const active_set *s, int i, as_real g) {
     as_real high = -g, low = 0;
     if (i < s->n) {
         add_exactly(&high, &low, 1, s->z[i]);
@@ -716,8 +677,7 @@ static as_real exact_distance(const active_set *s, int i, as_real g)
 
 /* Refine z + z_low and λ on the active rows by exact residuals, as long as corrections fall; returns
  * the last one in the norm of P. */
-static as_real polish(active_set *s)
-{
+static as_real polish(active_set *s) {
     const int n = s->n;
     as_real before = 1 / TINY;
     clear(s->z_low, n);
@@ -755,8 +715,7 @@ static as_real polish(active_set *s)
 }
 
 /* The row most beyond a limit at z + z_low where that is known to `error`; −1 if none is. */
-static int find_exactly(const active_set *s, as_real error, as_real *gap)
-{
+static int find_exactly(const active_set *s, as_real error, as_real *gap) {
     as_real most = 0;
     int worst = -1;
     for (int i = 0; i < s->n + s->m; i++) {
@@ -773,14 +732,24 @@ static int find_exactly(const active_set *s, as_real error, as_real *gap)
     return worst;
 }
 
+/* Forget which rows were left out; returns how many were. */
+static int readmit(active_set *s) {
+    int count = 0;
+    for (int i = 0; i < s->n + s->m; i++)
+        if (s->side[i] == LEFT_OUT) {
+            s->side[i] = NEITHER;
+            count++;
+        }
+    return count;
+}
+
 /* Go on from the active set on exact values, where rounding could decide it. A row that leans on the
- * active ones so much that no residual tells whether it contradicts them is left out: what is found
- * then is INACCURATE. */
-static int decide_exactly(active_set *s)
-{
+ * active ones so much that no residual tells whether it contradicts them is left out, until it is
+ * violated by more than rounding: what is found then is INACCURATE. */
+static int decide_exactly(active_set *s) {
     const int N = s->n + s->m;
     int ending = OPTIMAL, left_out = 0, iterations = s->iterations;
-    for (int pass = 0; pass < ITERATIONS_PER_ROW * N; pass++, iterations += s->iterations) {
+    for (int pass = 0; pass < 4 * N; pass++, iterations += s->iterations) {
         const as_real error = polish(s), bare = -dot(s->q, s->base, s->n);
         const as_real size = root(larger(write_gradient(s), bare));
         as_real gap = 0;
@@ -791,6 +760,7 @@ static int decide_exactly(active_set *s)
             if (correct_signs(s, larger(error, VIOLATED * EPSILON * size)) > 0) continue;
             const as_real least = left_out ? EPSILON * 10 : EPSILON * EPSILON;
             j = find_exactly(s, 4 * error + least * size, &gap);
+            if (j < 0 && readmit(s)) j = find_exactly(s, SMALL * size, &gap);
             if (j < 0) ending = OPTIMAL;
             if (j < 0) break;
             const as_real g = gap > 0 ? s->high[j] : s->low[j];
@@ -800,14 +770,12 @@ static int decide_exactly(active_set *s)
         } else if (s->count > 0) {
             j = s->active[s->count - 1];
             drop_row(s, s->count - 1);
-        } else
-            break;
+        } else break;
         if (ending == OPTIMAL) continue;
         s->side[j] = LEFT_OUT;
         left_out++;
     }
-    for (int i = 0; i < N; i++)
-        if (s->side[i] == LEFT_OUT) s->side[i] = NEITHER;
+    readmit(s);
     s->iterations = iterations;
     const as_real excess = active_set_excess(s);
     if (!(excess <= REAL(1e4))) return ACTIVE_SET_FAILED;
@@ -817,8 +785,7 @@ static int decide_exactly(active_set *s)
 /* ---- a solve ------------------------------------------------------------------------------- */
 
 /* base := −P⁻¹q; `size` := its length in the norm of P */
-static int write_base(active_set *s, as_real *size, int *equal)
-{
+static int write_base(active_set *s, as_real *size, int *equal) {
     const int n = s->n, N = n + s->m;
     int bad = 0;
     clear(s->base, n);
@@ -838,8 +805,7 @@ static int write_base(active_set *s, as_real *size, int *equal)
 }
 
 /* Whether more rows are at their limits than are active, or these are nearly dependent. */
-static int is_degenerate(active_set *s, as_real size)
-{
+static int is_degenerate(active_set *s, as_real size) {
     int near = 0;
     for (int i = 0; i < s->n + s->m; i++) {
         const as_real u = s->unit[i], v = s->z[i], little = NEAR * (size_of(v) * u + size);
@@ -852,18 +818,15 @@ static int is_degenerate(active_set *s, as_real size)
 
 /* Whether a refined answer is an optimum without a look at all its residuals: by what rounding leaves
  * in a row of length √H_ii, and in the gradient of the terms it is summed of. */
-static int is_clear(const active_set *s, as_real next, as_real size)
-{
+static int is_clear(const active_set *s, as_real next, as_real size) {
     const as_real row = larger(next, ROUNDING_OF(1e-14) * size) * s->longest;
     as_real terms = s->steepest * largest_of(s->z, s->n), cost = largest_of(s->q, s->n);
     for (int k = 0; k < s->count; k++) terms += s->largest * size_of(s->lam[s->active[k]]);
     const as_real slope = 4 * EPSILON * (terms + cost);
-    return row <= SMALL && slope <= SMALL * (1 + cost) &&
-           slope * s->widest <= ROUNDING_OF(5e-7);
+    return row <= SMALL && slope <= SMALL * (1 + cost) && slope * s->widest <= ROUNDING_OF(5e-7);
 }
 
-static int search(active_set *s)
-{
+static int search(active_set *s) {
     as_real size = 0, correction = 0;
     int equal = 0;
     if (s->stale || !s->warm) clear_set(s);
@@ -910,22 +873,19 @@ static int search(active_set *s)
     return DOUBTFUL;
 }
 
-int active_set_solve(active_set *s)
-{
+int active_set_solve(active_set *s) {
     int ending = search(s);
-    if (ending == DOUBTFUL) {
-        ending = decide_exactly(s);
-    }
+    if (ending == DOUBTFUL) { ending = decide_exactly(s); }
     s->stale = ending < 0 && ending != ACTIVE_SET_INACCURATE;
     return ending;
 }
 
 /* ---- set-up -------------------------------------------------------------------------------- */
 
-void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers)
-{
+void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers) {
     const size_t square = (size_t)n * (size_t)n, rows = (size_t)m * (size_t)n, N = (size_t)(n + m);
-    as_real **const vectors[] = {&s->q, &s->base, &s->R, &s->T, &s->r, &s->e, &s->z_low, &s->lam_low, &s->r_low};
+    as_real **const vectors[] = {
+        &s->q, &s->base, &s->R, &s->T, &s->r, &s->e, &s->z_low, &s->lam_low, &s->r_low};
     as_real **const long_ones[] = {&s->low, &s->high, &s->z, &s->lam};
     s->n = n;
     s->m = m;
@@ -946,58 +906,34 @@ void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers
     s->column = integers + n;
 }
 
-/* row −= Σ t_k X_k over rows k = start … end−1 of X, in columns from … to−1; t_k is X[k, column]. */
-static void subtract_rows(as_real *row, const as_real *X, int n, int column, int start, int end, int from, int to)
-{
-    const as_real *rows[4];
-    as_real t[4];
-    int k = start;
-    for (; k + 3 < end; k += 4) {
-        for (int l = 0; l < 4; l++) {
-            rows[l] = X + (size_t)(k + l) * (size_t)n + from;
-            t[l] = -rows[l][column - from];
-        }
-        add_four(row + from, rows, t, to - from);
-    }
-    for (; k < end; k++) {
-        const as_real *other = X + (size_t)k * (size_t)n;
-        add_scaled(row + from, -other[column], other + from, to - from);
-    }
-}
-
 /* X := P⁻¹ in place: P = UᵀU row by row, then W = U⁻ᵀ into the lower triangle and WᵀW; 0 unless
  * P is positive definite. */
-static int invert(as_real *X, int n)
-{
+static int invert(as_real *X, int n) {
     for (int k = 0; k < n; k++) {
         as_real *row = X + (size_t)k * (size_t)n;
-        subtract_rows(row, X, n, k, 0, k, k, n);
         if (!(row[k] > 0)) return 0;
         row[k] = 1 / root(row[k]);
         if (is_infinite(row[k])) return 0;
         for (int c = k + 1; c < n; c++) row[c] *= row[k];
+        for (int i = k + 1; i < n; i++) add_scaled(X + i * n + i, -row[i], row + i, n - i);
     }
     for (int i = 0; i < n; i++) {
         as_real *row = X + (size_t)i * (size_t)n;
         clear(row, i);
-        for (int k = 0; k < i; k++) {
-            const as_real *other = X + (size_t)k * (size_t)n;
-            add_scaled(row, -other[i], other, k + 1);
-        }
+        for (int k = 0; k < i; k++) add_scaled(row, -X[k * n + i], X + k * n, k + 1);
         for (int c = 0; c < i; c++) row[c] *= row[i];
     }
     for (int i = 0; i < n; i++) {
-        as_real *row = X + (size_t)i * (size_t)n, t = -row[i];
+        as_real *row = X + (size_t)i * (size_t)n, t = row[i];
         for (int c = 0; c <= i; c++) row[c] *= t;
-        subtract_rows(row, X, n, i, i + 1, n, 0, i + 1);
-        for (int c = 0; c <= i; c++) X[(size_t)c * (size_t)n + (size_t)i] = row[c] = -row[c];
+        for (int k = i + 1; k < n; k++) add_scaled(row, X[k * n + i], X + k * n, i + 1);
+        for (int c = 0; c < i; c++) X[c * n + i] = row[c];
     }
     return 1;
 }
 
 /* The entries of A, A P⁻¹ and the lengths of all rows. */
-static int write_rows(active_set *s, const as_real *A)
-{
+static int write_rows(active_set *s, const as_real *A) {
     const int n = s->n, N = n + s->m;
     as_real *a = (as_real *)s->a, *unit = (as_real *)s->unit, *G = (as_real *)s->G;
     int *first = (int *)s->first, *column = (int *)s->column, end = 0;
@@ -1026,16 +962,14 @@ static int write_rows(active_set *s, const as_real *A)
     return ACTIVE_SET_OK;
 }
 
-int active_set_replace_rows(active_set *s, const as_real *A)
-{
+int active_set_replace_rows(active_set *s, const as_real *A) {
     const int refused = write_rows(s, A);
     if (refused == ACTIVE_SET_OK && s->warm && !s->stale) move_set(s, 0);
     else s->stale = 1;
     return refused;
 }
 
-int active_set_factorise(active_set *s, const as_real *P, const as_real *A)
-{
+int active_set_factorise(active_set *s, const as_real *P, const as_real *A) {
     const int n = s->n;
     as_real *own = (as_real *)s->P, *G = (as_real *)s->G;
     int *order = (int *)s->order, single = n;

@@ -51,8 +51,9 @@ def compile_library(folder: Path = FOLDER) -> Path:
         return target
     folder.mkdir(parents=True, exist_ok=True)
     partial = folder / f"{target.name}.{os.getpid()}"
-    sources = [str(FOLDER / name) for name in SOURCES if name.endswith(".c")]
-    command = [*compiler_command(), *FLAGS, "-o", str(partial), *sources]
+    # It includes the other one.
+    source = str(FOLDER / "hildreth.c")
+    command = [*compiler_command(), *FLAGS, "-o", str(partial), source]
     try:
         subprocess.run(command, check=True, capture_output=True, text=True)
     except (OSError, subprocess.CalledProcessError) as error:

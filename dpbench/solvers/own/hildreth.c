@@ -17,64 +17,44 @@
  *     k        1 + 2^−k                      ½ − 2^−(k+1)                       → (½, 1.5)
  */
 
-#include "active_set.h"
+/* One unit of compilation: the functions of active_set.c serve here too. */
+#include "active_set.c"
 
-static as_real row_value(const active_set *s, int i, const as_real *x)
-{
-    as_real sum = i < s->n ? x[i] : 0;
-    for (int e = i < s->n ? 0 : s->first[i - s->n]; i >= s->n && e < s->first[i - s->n + 1]; e++)
-        sum += s->a[e] * x[s->column[e]];
-    return sum;
-}
-
-/* z := −P⁻¹(q + Cᵀλ), and the values of the rows behind it */
-static void write_z(active_set *s)
-{
-    for (int c = 0; c < s->n; c++) {
-        s->z[c] = 0;
-        for (int j = 0; j < s->n; j++) s->z[c] -= s->G[c * s->n + j] * s->q[j];
-    }
+/* z := base − Σ λ_i P⁻¹c_i over all rows, and their values behind it */
+static void write_all(active_set *s) {
+    for (int c = 0; c < s->n; c++) s->z[c] = s->base[c];
     for (int i = 0; i < s->n + s->m; i++)
-        for (int c = 0; c < s->n && s->lam[i] != 0; c++) s->z[c] -= s->lam[i] * s->G[i * s->n + c];
-    for (int i = s->n; i < s->n + s->m; i++) s->z[i] = row_value(s, i, s->z);
-}
-
-/* Move the multipliers of rows start … end−1 on by one control increment, the last kept. */
-static void shift(as_real *lam, int start, int end, int by)
-{
-    for (int i = start; i < end - by; i++) lam[i] = lam[i + by];
+        if (s->lam[i] != 0) add_scaled(s->z, -s->lam[i], inverse_row(s, i), s->n);
+    write_row_values(s);
 }
 
 /* Visit each row once; returns ‖Δλ‖² and the most that a row was moved by. */
-static as_real sweep(active_set *s, as_real *change, as_real *moved)
-{
+static as_real sweep(active_set *s, as_real *change, as_real *moved) {
     as_real square = 0;
     *moved = 0;
     for (int i = 0; i < s->n + s->m; i++) {
-        const as_real *G = s->G + (size_t)i * (size_t)s->n;
-        const as_real h = row_value(s, i, G);
+        const as_real h = entry(s, i, i);
         change[i] = 0;
         if (!(h > 0)) continue;
-        const as_real own = row_value(s, i, s->z) + h * s->lam[i];
+        const as_real own = row_times(s, i, s->z) + h * s->lam[i];
         const as_real g = own > s->high[i] ? s->high[i] : own < s->low[i] ? s->low[i] : own;
         const as_real d = (own - g) / h - s->lam[i];
         if (d == 0) continue;
         s->lam[i] += d;
         change[i] = d;
-        for (int c = 0; c < s->n; c++) s->z[c] -= d * G[c];
+        add_scaled(s->z, -d, inverse_row(s, i), s->n);
         square += d * d;
-        if (d * h > *moved) *moved = d * h;
-        if (-d * h > *moved) *moved = -d * h;
+        *moved = larger(*moved, size_of(d) * h);
     }
     return square;
 }
 
 /* A row of zeros whose limits exclude 0 is its own proof. */
-static int find_impossible(active_set *s)
-{
+static int find_impossible(active_set *s) {
     for (int i = s->n; i < s->n + s->m; i++) {
-        if (s->first[i - s->n] < s->first[i - s->n + 1] || !(s->low[i] > 0 || s->high[i] < 0)) continue;
-        for (int k = 0; k < s->n + s->m; k++) s->lam[k] = 0;
+        if (s->first[i - s->n] < s->first[i - s->n + 1] || !(s->low[i] > 0 || s->high[i] < 0))
+            continue;
+        clear(s->lam, s->n + s->m);
         s->lam[i] = s->high[i] < 0 ? 1 : -1;
         return 1;
     }
@@ -82,8 +62,7 @@ static int find_impossible(active_set *s)
 }
 
 /* Exchange λ and its change, which is a proof where λ grows along a ray. */
-static void exchange(active_set *s, as_real *change)
-{
+static void exchange(active_set *s, as_real *change) {
     for (int i = 0; i < s->n + s->m; i++) {
         const as_real lam = s->lam[i];
         s->lam[i] = change[i];
@@ -93,26 +72,20 @@ static void exchange(active_set *s, as_real *change)
 
 /* Sweep until ‖Δλ‖² < eps_change and no row moves by more than eps_row. Returns the sweeps, or what
  * active_set_solve does; INACCURATE after max_iter sweeps. `change`: n+m, scratch. */
-int hildreth_solve(active_set *s, int max_iter, as_real eps_change, as_real eps_row, as_real *change)
-{
+int hildreth_solve(
+    active_set *s, int max_iter, as_real eps_change, as_real eps_row, as_real *change) {
     const int n = s->n, N = n + s->m;
-    for (int i = 0; i < N; i++)
-        if (!(s->low[i] <= s->high[i]) || (s->low[i] == s->high[i] && s->low[i] - s->low[i] != 0))
-            return ACTIVE_SET_CROSSED;
-    if (s->stale || !s->warm)
-        for (int i = 0; i < N; i++) s->lam[i] = 0;
-    else {
-        shift(s->lam, 0, n, s->block);
-        shift(s->lam, n, N, s->m * s->block / n);
-    }
+    int equal = 0, converged = 0;
+    as_real moved = 0;
+    const int refused = write_base(s, &moved, &equal);
+    if (refused) return refused;
+    if (s->stale || !s->warm) clear(s->lam, N);
+    for (int i = 0; i < n - s->block; i++) s->lam[i] = s->lam[i + s->block];
+    for (int i = n; i < N - s->m * s->block / n; i++) s->lam[i] = s->lam[i + s->m * s->block / n];
     s->iterations = 0;
     s->stale = 1;
-    write_z(s);
-    for (int c = 0; c < n; c++)
-        if (s->z[c] - s->z[c] != 0) return ACTIVE_SET_NOT_FINITE;
     if (find_impossible(s)) return ACTIVE_SET_INFEASIBLE;
-    as_real moved = 0;
-    int converged = 0;
+    write_all(s);
     while (!converged && s->iterations < max_iter) {
         converged = sweep(s, change, &moved) < eps_change && moved <= eps_row;
         s->iterations++;
@@ -122,7 +95,7 @@ int hildreth_solve(active_set *s, int max_iter, as_real eps_change, as_real eps_
         if (active_set_is_proof(s)) return ACTIVE_SET_INFEASIBLE;
         exchange(s, change);
     }
-    write_z(s);
+    write_all(s);
     s->stale = 0;
     return converged ? s->iterations : ACTIVE_SET_INACCURATE;
 }
