@@ -1,7 +1,6 @@
 """Shared problems of the benchmarks: the paper's scenario, scaled."""
 
 import gc
-import time
 import tracemalloc
 from collections.abc import Callable, Iterator
 
@@ -10,7 +9,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import load_scenario
 from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
-from dpbench.bench.run.replay import time_kernels
+from dpbench.ci.replays import time_reference_kernel
 from dpbench.mpc.condense import ControlProblem
 from dpbench.scenario.scenario import Scenario
 
@@ -45,11 +44,8 @@ def no_garbage_collection() -> Iterator[None]:
 @pytest.fixture(autouse=True)
 def reference_kernel(benchmark: BenchmarkFixture) -> Iterator[None]:
     """The reference kernel before and after each benchmark."""
-    time_kernels(time.perf_counter_ns)
-    before = time_kernels(time.perf_counter_ns)
-    yield
-    after = time_kernels(time.perf_counter_ns)
-    benchmark.extra_info["reference_ns"] = min(before, after)
+    with time_reference_kernel(benchmark):
+        yield
 
 
 Exactly = Callable[..., None]

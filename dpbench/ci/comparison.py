@@ -23,9 +23,10 @@ from dpbench.analysis.compare.evidence import (
     assess_ratios,
     remove_machine_factor,
 )
+from dpbench.ci import MARGIN
 from dpbench.errors import InputError
 
-MARGIN, ALPHA = 0.15, 0.05
+ALPHA = 0.05
 NOISE = Prior(sd=0.05, df=6.0)
 """Noise of one benchmark in its few rounds, between two runs of the same code."""
 SLACK = {"peak_bytes": (1.1, 128.0)}

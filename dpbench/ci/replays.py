@@ -1,0 +1,156 @@
+"""One benchmark of pytest-benchmark: a pass over a sequence of QPs, its answers checked."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dpbench.analysis.records.run_record import build_records
+from dpbench.analysis.verdict.requirements import Requirements, is_right
+from dpbench.bench.run.replay import time_kernels
+from dpbench.bench.sequences.sequence_file import as_sequence
+from dpbench.errors import SituationError
+from dpbench.notebook.runs import REMEMBERED, Run, replay
+from dpbench.qp.program import ARRAYS, QPSequence, QPStep, QuadraticProgram
+from dpbench.solvers.contract import Workspace
+from dpbench.solvers.open import open_workspace
+from dpbench.solvers.table import load_solver_module
+
+
+class BenchmarkFixture(Protocol):
+    """What is used of the fixture `benchmark` of pytest-benchmark, which is an extra."""
+
+    extra_info: dict[str, Any]
+
+    def __call__(self, function: Callable[[], object]) -> object:
+        """Time a function in rounds."""
+
+
+@contextmanager
+def time_reference_kernel(benchmark: BenchmarkFixture) -> Iterator[None]:
+    """Note the reference kernel's shorter time of before and after the block [ns]."""
+    time_kernels(time.perf_counter_ns)
+    before = time_kernels(time.perf_counter_ns)
+    yield
+    after = time_kernels(time.perf_counter_ns)
+    benchmark.extra_info["reference_ns"] = min(before, after)
+
+
+class ReplayBenchmark:
+    """Benchmark of one solver's replay of one sequence; the fixture `dpbench_replay`."""
+
+    def __init__(self, benchmark: BenchmarkFixture) -> None:
+        self._benchmark = benchmark
+
+    def __call__(
+        self,
+        sequence: QPSequence | str | Path,
+        solver: Workspace | str | Path,
+        *,
+        error_move: float = Requirements.error_move,
+        failed_steps: int = Requirements.failed_steps,
+        **options: Any,
+    ) -> Run:
+        """Check the answers of a replay, then time passes over its steps.
+
+        Parameters
+        ----------
+        sequence : an object, a name or a `.npz` file.
+        solver : a name, the `.py` file of a plug-in, or a workspace.
+        error_move : largest error of the first move allowed, in rate-limit steps.
+        failed_steps : number of failed steps allowed.
+        options : of `open_workspace` (policy, settings, route), not for a workspace.
+
+        Raises
+        ------
+        pytest.fail.Exception : an answer is beyond these requirements, or answers are remembered.
+        InputError : for an unknown name or option, or a file that cannot be read.
+        """
+        qps, workspace = as_sequence(sequence), _open_solver(solver, options)
+        run = replay(qps, workspace, repeats=2)
+        self._note(run)
+        requirements = Requirements(error_move=error_move, failed_steps=failed_steps)
+        _check_answers(run, requirements)
+        base, steps = qps.base.copy(), [qps.step(k) for k in range(len(qps))]
+        self._benchmark(_build_pass(base, steps, workspace))
+        if not _are_unchanged(qps, base, steps):
+            pytest.fail(
+                f"{run.label} overwrites the problem: its time is of another", pytrace=False
+            )
+        return run
+
+    def _note(self, run: Run) -> None:
+        """Store what identifies a replay and what it reached in the JSON of pytest-benchmark."""
+        row, info = run.summary, self._benchmark.extra_info
+        info["dpbench"] = version("dpbench")
+        info["solver"], info["sequence"] = run.label, str(row["sequence"] or row["scenario"])
+        for name in ("steps_done", "failed_steps", "claimed_not_true"):
+            info[name] = int(row[name])
+        info["error_move_max"] = float(row["error_move_max"])
+        iterations = run.steps.loc[run.steps["repeat"] == 1, "iterations"]
+        # Where rounds differ, the clock has a part in them.
+        if iterations.notna().all() and row["iterations_identical_share"] == 1.0:
+            info["exact"] = {"iterations": int(iterations.sum())}
+
+
+def _open_solver(solver: Workspace | str | Path, options: dict[str, Any]) -> Workspace:
+    """Open a solver by name or file; a workspace is returned as it is."""
+    if isinstance(solver, Workspace):
+        if options:
+            raise SituationError("dpbench_replay", "give the options to open_workspace instead")
+        return solver
+    if isinstance(solver, Path) or solver.endswith(".py"):
+        solver = load_solver_module(solver).name
+    return open_workspace(solver, **options)
+
+
+def _check_answers(run: Run, requirements: Requirements) -> None:
+    """Fail the test where a replay does not meet the requirements, with what was found."""
+    (record,) = build_records(pd.DataFrame([run.summary]))
+    if is_right(record, requirements):
+        return
+    found = (
+        f"largest error of the first move {record.error_move_max:.2g} "
+        f"(allowed {requirements.error_move:g}), "
+        f"failed steps {record.failed_steps:g} (allowed {requirements.failed_steps})"
+    )
+    remembered = f"; {REMEMBERED}" if run.remembers else ""
+    pytest.fail(f"{run!r}: {found}{remembered}", pytrace=False)
+
+
+def _build_pass(
+    base: QuadraticProgram, steps: list[QPStep], workspace: Workspace
+) -> Callable[[], None]:
+    """Return a function that solves all steps once, without the harness's clocks and records."""
+    if workspace.setup_every_step:
+        starts = [partial(workspace.setup, base.at(step)) for step in steps]
+    else:
+        workspace.setup(base)
+        starts = [partial(workspace.update, step) for step in steps]
+
+    def solve_all() -> None:
+        workspace.reset()
+        for start in starts:
+            start()
+            workspace.solve()
+            if not workspace.read().status.is_usable:
+                workspace.reset()
+
+    return solve_all
+
+
+def _are_unchanged(sequence: QPSequence, base: QuadraticProgram, steps: list[QPStep]) -> bool:
+    """Return whether a solver has left the arrays as they were that it was given."""
+    fresh = [sequence.base, *(sequence.step(k) for k in range(len(sequence)))]
+    pairs = zip(fresh, [base, *steps], strict=True)
+    arrays = ((getattr(a, name), getattr(b, name)) for a, b in pairs for name in ARRAYS)
+    return all(a is b or np.array_equal(a, b) for a, b in arrays)

@@ -1,0 +1,82 @@
+"""The plug-in of pytest in sessions of its own."""
+
+import json
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from dpbench.ci import plugin
+
+pytest.importorskip("pytest_benchmark", reason="is of the extra ci")
+pytest_plugins = ["pytester"]
+ROOT = Path(__file__).parents[2]
+TEST = """
+from dpbench import load_scenario, record_sequence
+
+def test_replay(dpbench_replay):
+    dpbench_replay(record_sequence(load_scenario("paper").first(5)), "quadprog")
+"""
+
+
+def run(pytester: pytest.Pytester, *arguments: str) -> pytest.RunResult:
+    """A session in a process, with the plug-in whether or not its entry point is installed."""
+    quick = ("--benchmark-min-rounds=2", "--benchmark-max-time=0.01", "--benchmark-warmup=off")
+    loaded = ("-p", "no:dpbench", "-p", plugin.__name__, "-p", "no:xdist")
+    return pytester.runpytest_subprocess(*loaded, *quick, *arguments)
+
+
+def write_baseline(folder: Path, name: str, seconds: float) -> str:
+    """A stored run of one benchmark, on a machine as fast as most."""
+    stats = {"min": seconds, "q1": seconds, "rounds": 5}
+    entry = {"fullname": name, "stats": stats, "extra_info": {"reference_ns": 4e4}}
+    path = folder / "base.json"
+    path.write_text(json.dumps({"benchmarks": [entry]}), encoding="utf-8")
+    return str(path)
+
+
+def test_the_plug_in_is_an_entry_point_and_imports_nothing_heavy() -> None:
+    """Every pytest run of an environment loads it."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert project["entry-points"]["pytest11"] == {"dpbench": plugin.__name__}
+    script = (
+        f"import sys, {plugin.__name__};"
+        "print(*sorted({'numpy', 'pandas', 'numba', 'scipy', 'rich'} & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seconds", "code", "text"), [(1e-7, 1, "*a regression*"), (1e3, 0, "*no regression*")]
+)
+def test_a_session_compared_with_a_stored_one(
+    pytester: pytest.Pytester, seconds: float, code: int, text: str
+) -> None:
+    """A replay that is much slower fails the session, a faster one does not; both are stored."""
+    pytester.makepyfile(test_it=TEST)
+    base = write_baseline(pytester.path, "test_it.py::test_replay", seconds)
+    result = run(pytester, f"--dpbench-compare={base}", "--benchmark-json=now.json")
+    result.assert_outcomes(passed=1)
+    assert result.ret == code
+    result.stdout.fnmatch_lines(["*dpbench comparison*", "*test_it.py::test_replay*", text])
+    (entry,) = json.loads((pytester.path / "now.json").read_text(encoding="utf-8"))["benchmarks"]
+    assert entry["extra_info"]["reference_ns"] > 0
+
+
+@pytest.mark.slow
+def test_a_comparison_of_nothing_fails(pytester: pytest.Pytester) -> None:
+    """What is not measured is not called unchanged, and a bad file ends before any test."""
+    pytester.makepyfile("def test_nothing(): pass")
+    base = write_baseline(pytester.path, "gone", 1.0)
+    result = run(pytester, f"--dpbench-compare={base}")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["*nothing measured*"])
+    result = run(pytester, "--dpbench-compare=none.json")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["*none.json*No such file*"])

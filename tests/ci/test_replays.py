@@ -1,0 +1,92 @@
+"""The benchmark of a replay: facts it stores, answers it refuses."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dpbench import QPSequence, QPStep, load_scenario, open_workspace, record_sequence
+from dpbench.ci.replays import ReplayBenchmark
+from dpbench.errors import InputError
+
+LAZY = """
+import numpy as np
+from dpbench.qp.solution import Solution, Status
+from dpbench.solvers.function import opener
+from dpbench.solvers.plugins import solver_record
+
+def solve(qp):
+    return Solution(Status.SOLVED, np.zeros(qp.n), np.zeros(qp.m), np.zeros(qp.n), 1)
+
+RECORD = solver_record("lazy", method="none")
+open = opener("lazy", solve)
+"""
+
+
+class CallsTwice:
+    """Stands for the fixture of pytest-benchmark."""
+
+    def __init__(self) -> None:
+        self.extra_info: dict[str, Any] = {}
+
+    def __call__(self, function: Callable[[], object]) -> object:
+        function()
+        return function()
+
+
+@pytest.fixture(scope="module")
+def few() -> QPSequence:
+    """A few QPs of the paper's transfer."""
+    return record_sequence(load_scenario("paper").first(12))
+
+
+@pytest.mark.parametrize(("solver", "policy"), [("daqp", "fresh"), ("osqp", "warm")])
+def test_a_replay_stores_its_facts(few: QPSequence, solver: str, policy: str) -> None:
+    """Who solved what, how well, and the iterations, which do not depend on the clock."""
+    benchmark = CallsTwice()
+    ReplayBenchmark(benchmark)(few, solver, policy=policy, settings="high")
+    info = benchmark.extra_info
+    assert info["solver"] == f"{solver} (qpsolvers, {policy})"
+    assert (info["steps_done"], info["failed_steps"], info["claimed_not_true"]) == (12, 0, 0)
+    assert 0.0 <= info["error_move_max"] < 1e-3
+    # DAQP counts none here.
+    assert ("exact" in info) == (solver != "daqp")
+
+
+def test_a_false_answer_fails_the_test(few: QPSequence, tmp_path: Path) -> None:
+    """A plug-in's file is loaded; what it claims is checked, and a test may allow more."""
+    file, benchmark = tmp_path / "lazy.py", CallsTwice()
+    file.write_text(LAZY, encoding="utf-8")
+    with pytest.raises(pytest.fail.Exception, match=r"first move .* \(allowed 0.01\)"):
+        ReplayBenchmark(benchmark)(few, file)
+    assert benchmark.extra_info["claimed_not_true"] > 0
+    ReplayBenchmark(CallsTwice())(few, "lazy", error_move=1e9)
+
+
+def test_a_solver_that_overwrites_its_problem_fails_the_test(
+    few: QPSequence, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its second pass would be of other problems than those that were checked."""
+    workspace = open_workspace("quadprog")
+    solve, given = workspace.solve, []
+
+    def keep(step: QPStep) -> None:
+        given.append(step)
+
+    def spoil() -> None:
+        update(given[-1])
+        solve()
+        given[-1].q[:] *= 1.001
+
+    update = workspace.update
+    monkeypatch.setattr(workspace, "update", keep)
+    monkeypatch.setattr(workspace, "solve", spoil)
+    with pytest.raises(pytest.fail.Exception, match="overwrites the problem"):
+        ReplayBenchmark(CallsTwice())(few, workspace)
+
+
+def test_options_are_not_for_a_workspace(few: QPSequence) -> None:
+    """They would be ignored."""
+    with pytest.raises(InputError, match="give the options to open_workspace"):
+        ReplayBenchmark(CallsTwice())(few, open_workspace("quadprog"), policy="fresh")
