@@ -817,13 +817,21 @@ static int is_degenerate(active_set *s, as_real size) {
 }
 
 /* Whether a refined answer is an optimum without a look at all its residuals: by what rounding leaves
- * in a row of length √H_ii, and in the gradient of the terms it is summed of. */
+ * in a row of length √H_ii, in the gradient, and of that in the variables that are at no bound. */
 static int is_clear(const active_set *s, as_real next, as_real size) {
     const as_real row = larger(next, ROUNDING_OF(1e-14) * size) * s->longest;
-    as_real terms = s->steepest * largest_of(s->z, s->n), cost = largest_of(s->q, s->n);
-    for (int k = 0; k < s->count; k++) terms += s->largest * size_of(s->lam[s->active[k]]);
-    const as_real slope = 4 * EPSILON * (terms + cost);
-    return row <= SMALL && slope <= SMALL * (1 + cost) && slope * s->widest <= ROUNDING_OF(5e-7);
+    as_real terms = s->steepest * largest_of(s->z, s->n), bounds = 0, cost = 0, free = 0;
+    for (int k = 0; k < s->count; k++) {
+        const as_real lam = size_of(s->lam[s->active[k]]);
+        if (s->active[k] < s->n) bounds = larger(bounds, lam);
+        else terms += s->largest * lam;
+    }
+    for (int c = 0; c < s->n; c++) {
+        cost = larger(cost, size_of(s->q[c]));
+        if (s->side[c] == NEITHER) free = larger(free, size_of(s->q[c]));
+    }
+    return row <= SMALL && 4 * EPSILON * (terms + bounds + cost) <= SMALL * (1 + cost) &&
+        4 * EPSILON * (terms + free) * s->widest <= ROUNDING_OF(5e-7);
 }
 
 static int search(active_set *s) {

@@ -57,12 +57,10 @@ class CompiledWorkspace(Workspace):
         self._factorise(problem)
 
     def _factorise(self, problem: Problem) -> None:
-        """Factorise P and write the rows of A, or store why the library refuses."""
         arrays = problem.P_pointer, problem.A_pointer
         self._store_refusal(self._library.active_set_factorise(self._pointer, *arrays))
 
     def _store_refusal(self, code: int) -> None:
-        """Store why the library refused P or A, or that a solve may come."""
         self._refusal = code
         self._ending = self._ready = REFUSED if code else NOT_SOLVED_YET
 
@@ -158,7 +156,6 @@ class CompiledWorkspace(Workspace):
         return answer
 
     def _make_empty_solution(self, status: Status, detail: str) -> Solution:
-        """Return an answer of NaN with a given status and explanation."""
         return Solution.missing(len(self._q), len(self._low), status, detail)
 
     def reset(self) -> None:

@@ -44,7 +44,7 @@ def compiler_command() -> list[str]:
 def compile_library(folder: Path = FOLDER) -> Path:
     """Compile the library into a folder, unless it is there; RuntimeError if that fails.
 
-    Libraries of other sources beside the sources are removed.
+    Libraries of other sources in that folder are removed.
     """
     target = folder / library_name()
     if target.exists():
@@ -59,7 +59,7 @@ def compile_library(folder: Path = FOLDER) -> Path:
     except (OSError, subprocess.CalledProcessError) as error:
         words = (getattr(error, "stderr", "") or str(error)).strip()
         raise RuntimeError(f"{shlex.join(command)}: {words}; {REMEDY}") from None
-    for stale in FOLDER.glob(f"_own_*{SUFFIX}"):
+    for stale in folder.glob(f"_own_*{SUFFIX}"):
         stale.unlink(missing_ok=True)
     partial.replace(target)
     return target
