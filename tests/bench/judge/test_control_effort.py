@@ -126,7 +126,7 @@ def test_the_force_of_steered_thrusters_is_what_they_make_together() -> None:
 def test_distance_from_the_exactly_solved_loop() -> None:
     """Deviations are sizes at equal samples, without the moment and the last state.
 
-    Distances (3, -4): 5 m, (0, 0): 0 m; 2° and -4°; forces -30 N in surge and 20 N in sway: 30 N,
+    Distances (3, -4): 5 m, (0, 0): 0 m; 2° and -4°; forces -30 N in surge and 50 N in sway: 50 N,
     then 0 and -10 N: 10 N.
     """
     deg = math.pi / 180.0
@@ -135,7 +135,7 @@ def test_distance_from_the_exactly_solved_loop() -> None:
     )
     found = metrics_of(
         [[4, -3, 0.5 + 2 * deg], [2, 2, 0.25 - 4 * deg], [70, 70, 0]],
-        [[10, 30, 15], [5, -5, -20]],
+        [[10, 60, 15], [5, -5, -20]],
         exact=exact,
     )
     assert found["dev_position_max_m"] == pytest.approx(5.0)
@@ -144,9 +144,9 @@ def test_distance_from_the_exactly_solved_loop() -> None:
     assert found["dev_heading_max_deg"] == pytest.approx(4.0)
     # √((4 + 16)/2)
     assert found["dev_heading_rms_deg"] == pytest.approx(3.1622776601683795)
-    assert found["dev_force_max_N"] == pytest.approx(30.0)
-    # √((900 + 100)/2)
-    assert found["dev_force_rms_N"] == pytest.approx(22.360679774997898)
+    assert found["dev_force_max_N"] == pytest.approx(50.0)
+    # √((2500 + 100)/2)
+    assert found["dev_force_rms_N"] == pytest.approx(36.05551275463989)
 
 
 def test_shares_of_steps_at_a_rate_limit() -> None:
