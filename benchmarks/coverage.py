@@ -258,7 +258,8 @@ def _simulated_run(number: int, kernel_ns: float) -> Any:
     words |= {"mode": "replay", "solver": f"{number}", "route": "native", "policy": "fresh"}
     words |= {"settings": "default", "units": "scaled", "formulation": "condensed_box"}
     kernels = dict.fromkeys(("reference_kernel_ns", "load_kernel_ns"), kernel_ns)
-    return SimpleNamespace(**words, **kernels, steps_planned=STEPS_OF_TABLE, window_of=0)
+    numbers = {"steps_planned": STEPS_OF_TABLE, "window_of": 0}
+    return SimpleNamespace(**words, **kernels, **numbers, options="")
 
 
 def compare_once(rng: Random, planted: float, *, disturbed: bool) -> tuple[bool, bool, bool]:
