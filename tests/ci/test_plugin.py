@@ -1,6 +1,7 @@
 """The plug-in of pytest in sessions of its own."""
 
 import json
+import os
 import subprocess
 import sys
 import tomllib
@@ -19,6 +20,13 @@ from dpbench import load_scenario, record_sequence
 def test_replay(dpbench_replay):
     dpbench_replay(record_sequence(load_scenario("paper").first(5)), "quadprog")
 """
+
+
+@pytest.fixture(autouse=True)
+def alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a worker of pytest-xdist pytest-benchmark would measure nothing."""
+    for name in [name for name in os.environ if name.startswith("PYTEST_XDIST")]:
+        monkeypatch.delenv(name)
 
 
 def run(pytester: pytest.Pytester, *arguments: str) -> pytest.RunResult:
