@@ -1,8 +1,9 @@
-"""Search for the settings of a solver: a Sobol sample of all ranges, then batches near the best."""
+"""Search by trials: a Sobol sample of all ranges, then batches near the best of them."""
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Generic, TypeVar
 
 import numpy as np
 from scipy.stats import qmc
@@ -13,9 +14,11 @@ from dpbench.solvers.own_settings import describe_options
 from dpbench.tuning.space import SearchSpace
 
 BATCH = 8
-"""Trials that are timed by turns, beside the default settings; a power of two for Sobol."""
+"""Trials of one batch, those of a solver timed by turns; a power of two for Sobol."""
 FIRST_RADIUS = 0.25
 """Of the first batch near the best, as a share of each range; halved where nothing is gained."""
+
+_Score = TypeVar("_Score")
 
 
 @dataclass(frozen=True)
@@ -44,12 +47,12 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Trial:
-    """Settings that were tried, their point in the unit cube and their score."""
+class Trial(Generic[_Score]):
+    """Options that were tried, their point in the unit cube and their score."""
 
     options: Options
-    point: Vector = field(repr=False)
-    score: Score
+    point: Vector = field(repr=False, compare=False)
+    score: _Score
 
     @property
     def name(self) -> str:
@@ -57,28 +60,27 @@ class Trial:
         return describe_options(self.options)
 
 
-Evaluate = Callable[[Sequence[Options]], Sequence[Score]]
-"""Scores of several settings, measured side by side."""
+Evaluate = Callable[[Sequence[Options]], Sequence[_Score]]
+"""Scores of several options, measured side by side."""
+Choose = Callable[[Sequence[Trial[_Score]]], Sequence[Trial[_Score]]]
+"""The best of the trials so far, near which the next ones are drawn."""
 
 
-class SettingsSearch:
+class TrialSearch(Generic[_Score]):
     """A search with a budget of trials; the first half of them spread over all ranges.
 
-    `trials` are in the order of trial; equal settings are tried once.
+    `trials` are in the order of trial; equal options are tried once.
     """
 
-    def __init__(self, space: SearchSpace, evaluate: Evaluate, seed: int) -> None:
-        self._space, self._evaluate = space, evaluate
+    def __init__(
+        self, space: SearchSpace, evaluate: Evaluate[_Score], choose: Choose[_Score], seed: int
+    ) -> None:
+        self._space, self._evaluate, self._choose = space, evaluate, choose
         self._rng = np.random.default_rng(seed)
-        self.trials: list[Trial] = []
-
-    @property
-    def best(self) -> Trial | None:
-        """The best trial so far; None before the first."""
-        return min(self.trials, key=lambda trial: trial.score.key, default=None)
+        self.trials: list[Trial[_Score]] = []
 
     def run(self, batches: int) -> None:
-        """Try so many batches of settings: a half of them spread, the others near the best."""
+        """Try so many batches of options: a half of them spread, the others near the best."""
         spread = math.ceil(batches / 2)
         dimensions = len(self._space.ranges)
         sample = qmc.Sobol(dimensions, seed=self._rng)
@@ -86,15 +88,15 @@ class SettingsSearch:
             self._try_points(sample.random(BATCH))
         radius = FIRST_RADIUS
         for _ in range(batches - spread):
-            before = self.best
-            assert before is not None
+            before = self._choose(self.trials)
+            centres = np.array([before[i % len(before)].point for i in range(BATCH)])
             near = qmc.Sobol(dimensions, seed=self._rng).random(BATCH)
-            self._try_points(np.clip(before.point + radius * (2.0 * near - 1.0), 0.0, 1.0))
-            if self.best is before:
+            self._try_points(np.clip(centres + radius * (2.0 * near - 1.0), 0.0, 1.0))
+            if self._choose(self.trials) == before:
                 radius /= 2.0
 
     def _try_points(self, points: Matrix) -> None:
-        """Evaluate the settings at some points, except those that were tried."""
+        """Evaluate the options at some points, except those that were tried."""
         known = {trial.name for trial in self.trials}
         new: dict[str, tuple[Options, Vector]] = {}
         for point in points:
@@ -109,3 +111,20 @@ class SettingsSearch:
             Trial(options, point, score)
             for (options, point), score in zip(new.values(), scores, strict=True)
         ]
+
+
+class SettingsSearch(TrialSearch[Score]):
+    """A search for the settings of a solver, near the one best of them."""
+
+    def __init__(self, space: SearchSpace, evaluate: Evaluate[Score], seed: int) -> None:
+        super().__init__(space, evaluate, lambda trials: [find_best(trials)], seed)
+
+    @property
+    def best(self) -> Trial[Score]:
+        """The best trial so far; ValueError before the first."""
+        return find_best(self.trials)
+
+
+def find_best(trials: Sequence[Trial[Score]]) -> Trial[Score]:
+    """Return the trial with the best score, the first of equal ones."""
+    return min(trials, key=lambda trial: trial.score.key)

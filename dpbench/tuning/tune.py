@@ -85,7 +85,7 @@ class Tuning:
     """
 
     solver: TunedSolver
-    best: Trial
+    best: Trial[Score]
     trials: int
     roles: tuple[TunedRole, ...]
     folder: Path
@@ -211,7 +211,6 @@ def tune_solver(
     bar = _BatchProgress(progress or Silent(), batches + 1)
     search = _search_settings(tuned, learned, space, folder, batches, seed, bar)
     best = search.best
-    assert best is not None
     if not best.score.is_right:
         return Tuning(tuned, best, len(search.trials), (), folder, None)
     presets = [DEFAULT, HIGH] if has_tolerance_levels(solver) else [DEFAULT]

@@ -29,7 +29,7 @@ def test_the_batches_near_the_best_improve_it() -> None:
     search = SettingsSearch(SPACE, _evaluate, seed=1)
     search.run(8)
     spread = search.trials[: 4 * BATCH]
-    assert search.best is not None and search.best.score.is_right
+    assert search.best.score.is_right
     assert search.best not in spread
     assert search.best.score.ratio < 1.02
     assert len({trial.name for trial in search.trials}) == len(search.trials) <= 8 * BATCH
