@@ -252,7 +252,7 @@ def _add_capability_arguments(capability: Command) -> None:
     capability.add_argument("--json", action="store_true", help="say it as JSON")
 
 
-def _add_tune_arguments(tune: Command) -> None:
+def _add_tune_solver_arguments(tune: Command) -> None:
     """Add the options and arguments of `dpbench tune-solver` to its parser."""
     tune.description = (
         "Find the fastest settings of a solver that are accurate on the training sequences, and "
@@ -277,6 +277,25 @@ def _add_tune_arguments(tune: Command) -> None:
     option("--name", "NAME", "of the settings found (tuned)", default="tuned")
     option("--out", "DIR", "folder (results/tune-SOLVER)")
     option("--solver-module", "FILE.py", "a plug-in that brings the solver")
+
+
+def _add_tune_arguments(tune: Command) -> None:
+    """Add the options and arguments of `dpbench tune` to its parser."""
+    tune.description = (
+        "Find weights and horizons that hold the ship with margin at little wear, try them in "
+        "realisations of the sea that the search never met, and write the scenario with them. Give "
+        "the same command again after an interruption."
+    )
+    add, option = tune.add_argument, partial(_add_option, tune)
+    add("scenario", help="a scenario by name, or a TOML file")
+    option("--seas", "N,N", "DP numbers, as 4,5 (the scenario's own weather)", default="")
+    option("--trials", "N", "controllers to try (48)", type=int, default=48)
+    option("--realisations", "R", "of each sea, and as many fresh ones (2)", type=int, default=2)
+    margin = "largest offset, as a share of the station of 5 m and 5° (0.7)"
+    option("--margin", "SHARE", margin, type=float, default=0.7)
+    option("--steps", "N", "at most N steps of each loop (all)", type=int, default=0)
+    add("--seed", type=int, default=1, help="of the search (1)")
+    option("--out", "DIR", "folder (results/tune-SCENARIO)")
 
 
 _COMMANDS: dict[str, tuple[Callable[[Command], None], str, str | None]] = {
@@ -308,8 +327,14 @@ _COMMANDS: dict[str, tuple[Callable[[Command], None], str, str | None]] = {
         "search for a solver's slowest or least accurate step",
         None,
     ),
-    "tune-solver": (
+    "tune": (
         _add_tune_arguments,
+        "search for weights and horizons that hold a ship with margin",
+        "Exit code: 0 found; 1 none keeps the margin in the search and in fresh realisations; "
+        "2 bad input.",
+    ),
+    "tune-solver": (
+        _add_tune_solver_arguments,
         "search for a solver's fastest accurate settings",
         "Exit code: 0 settings found; 1 none is accurate on every training sequence; 2 bad input.",
     ),

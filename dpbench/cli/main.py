@@ -129,7 +129,7 @@ def _call_and_report_errors(arguments: argparse.Namespace, interruption: Interru
 
 def _print_interrupted(arguments: argparse.Namespace) -> int:
     """Print that a command was stopped by a signal; return its exit code."""
-    resumes = arguments.call in (_run_suite, _run_shard, _tune_solver)
+    resumes = arguments.call in (_run_suite, _run_shard, _tune, _tune_solver)
     kept = "; finished cells are kept, run again to go on" if resumes else ""
     print(f"dpbench: interrupted{kept}", file=sys.stderr)
     return INTERRUPTED
@@ -288,6 +288,17 @@ def _find_worst_case(arguments: argparse.Namespace) -> int:
     return INTERRUPTED if worst_case.search.stopped == "interrupted" else 0
 
 
+def _tune(arguments: argparse.Namespace) -> int:
+    """Search weights and horizons of a scenario's controller (`dpbench tune`)."""
+    from dpbench.cli.terminal import ProgressBar, print_wrapped
+    from dpbench.tuning.tune_controller import tune_controller
+
+    with ProgressBar() as bar:
+        tuning = tune_controller(**_named_parameters(arguments), progress=bar)
+    print_wrapped(tuning.lines)
+    return 0 if tuning.holds else 1
+
+
 def _tune_solver(arguments: argparse.Namespace) -> int:
     """Search a solver's settings on some sequences, test them on others (`dpbench tune-solver`)."""
     from dpbench.cli.terminal import ProgressBar, make_console, make_report_table, print_wrapped
@@ -358,6 +369,7 @@ _CALLS = {
     "compare": _compare_folders,
     "export": _export_qps,
     "worst-case": _find_worst_case,
+    "tune": _tune,
     "tune-solver": _tune_solver,
     "paper": _reproduce_paper,
     "list": _print_listing,

@@ -120,14 +120,19 @@ def _quadratic_cost(scenario: Scenario, state: Matrix, u: Matrix, reference: Mat
 
 def _effort_metrics(scenario: Scenario, nu: Matrix, tau: Matrix) -> dict[str, float]:
     """Return thrust effort [s], total variation and work [J] of the applied forces."""
-    change = tau - previous_forces(tau)
     largest = np.maximum(scenario.vessel.tau_max, -scenario.vessel.tau_min)
     power = np.abs(np.einsum("ki,ki->k", tau, nu))
     return {
         "effort_s": float(((tau / largest) ** 2).sum() * scenario.sample_s),
-        "total_variation": float(np.abs(change / largest).sum()),
+        "total_variation": force_travel(scenario, tau),
         "work_J": float(power.sum() * scenario.sample_s),
     }
+
+
+def force_travel(scenario: Scenario, tau: Matrix) -> float:
+    """Return the total variation of applied forces (K, 3), in multiples of the largest forces."""
+    largest = np.maximum(scenario.vessel.tau_max, -scenario.vessel.tau_min)
+    return float(np.abs((tau - previous_forces(tau)) / largest).sum())
 
 
 def _deviation_metrics(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str, float]:

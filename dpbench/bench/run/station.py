@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dpbench.arrays import Flags, Vector
+from dpbench.arrays import Flags, Matrix, Vector
 from dpbench.bench.run.exact_loop import ExactLoop
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.froude import Froude
@@ -23,14 +23,7 @@ def station_metrics(scenario: Scenario, exact: ExactLoop, steps: int) -> dict[st
     scaled for a model ship. Offsets count from its arrival on, or all if it never arrives.
     """
     K = min(steps, len(exact.tau))
-    scale = Froude(float(scenario.files["vessel"]["model_scale"]))
-    wanted = scenario.build_reference_table(K + 1)
-    north, east, turn = (exact.state[: K + 1, POSE] - wanted).T
-    offset, heading = np.hypot(north, east), np.degrees(np.abs(turn))
-    radius_m = RADIUS_M * scale.length
-    distance = np.maximum(offset / radius_m, heading / HEADING_DEG)
-    moved = (np.diff(wanted, axis=0, prepend=wanted[:1]) != 0.0).any(axis=1)
-    arrived = find_arrivals(distance, moved, round(ARRIVAL_S * scale.time / scenario.sample_s))
+    offset, heading, distance, arrived, radius_m = _measure_offsets(scenario, exact.state[: K + 1])
     left = arrived & ~(distance <= 1.0)
     counted = arrived if arrived.any() else ~arrived
     largest = int(np.argmax(np.where(counted, offset, -1.0)))
@@ -45,6 +38,30 @@ def station_metrics(scenario: Scenario, exact: ExactLoop, steps: int) -> dict[st
         "exact_left_s": float(np.argmax(left)) * scenario.sample_s if left.any() else np.nan,
         "exact_active_share": float(exact.active[:K].mean()),
     }
+
+
+def station_share(scenario: Scenario, state: Matrix) -> float:
+    """Return the largest offset of a ship on station, in multiples of the station's limits.
+
+    state : (K + 1, 6) at the samples. Offsets count as in `station_metrics`; NaN where one is.
+    """
+    _, _, distance, arrived, _ = _measure_offsets(scenario, state)
+    return float(distance[arrived if arrived.any() else ~arrived].max())
+
+
+def _measure_offsets(
+    scenario: Scenario, state: Matrix
+) -> tuple[Vector, Vector, Vector, Flags, float]:
+    """Return offset [m], heading error [°], distance [limits], arrivals (K,) and radius [m]."""
+    scale = Froude(float(scenario.files["vessel"]["model_scale"]))
+    wanted = scenario.build_reference_table(len(state))
+    north, east, turn = (state[:, POSE] - wanted).T
+    offset, heading = np.hypot(north, east), np.degrees(np.abs(turn))
+    radius_m = RADIUS_M * scale.length
+    distance = np.maximum(offset / radius_m, heading / HEADING_DEG)
+    moved = (np.diff(wanted, axis=0, prepend=wanted[:1]) != 0.0).any(axis=1)
+    hold = round(ARRIVAL_S * scale.time / scenario.sample_s)
+    return offset, heading, distance, find_arrivals(distance, moved, hold), radius_m
 
 
 def find_arrivals(distance: Vector, moved: Flags, hold: int) -> Flags:

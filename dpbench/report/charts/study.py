@@ -9,6 +9,8 @@ from dpbench.analysis.verdict.findings import STATES
 from dpbench.report.charts import style
 
 HELD = ("all within", "some within", "none within")
+TRIED = ("tried", "front", "own", "chosen")
+"""Kinds of tried controllers."""
 _LOOKS = [STATES.index(state) for state in ("pass", "inconclusive", "fail")]
 """States with the same looks."""
 _SIDE = 110
@@ -201,3 +203,23 @@ def draw_point_seas() -> Any:
     about = "Largest radial error in the second half of each run at the chosen point."
     chart = alt.layer(radius, dots, width=430, height=190)
     return style.set_style(chart, "The seas of one point", about)
+
+
+def draw_tuning_front(table: pd.DataFrame, title: str, margin: float) -> Any:
+    """Draw the offset of tried controllers against their wear, with the front and the margin.
+
+    table : columns share, wear_per_h, kind (of `TRIED`) and options; margin : largest share.
+    """
+    x = alt.X("share:Q", title="largest offset [share of the station]", scale=style.log_scale())
+    y = alt.Y("wear_per_h:Q", title="wear [largest forces per hour]", scale=style.log_scale())
+    looks = (style.NOT_RUN, style.ACCENT, style.INCONCLUSIVE, style.PASS)
+    shapes = alt.Shape(
+        "kind:N", scale=style.names_scale(TRIED, ("circle", "circle", "square", "diamond"))
+    )
+    tips = ["options:N", style.tooltip("share:Q", "offset"), style.tooltip("wear_per_h:Q", "wear")]
+    points = alt.Chart(table).mark_point(filled=True, size=70, opacity=1)
+    points = points.encode(
+        x=x, y=y, color=style.colour("kind", TRIED, looks), shape=shapes, tooltip=tips
+    )
+    limit = style.draw_limit_rule(margin, "x")
+    return style.set_style(alt.layer(limit, points, width=420, height=260), title, title)

@@ -1,0 +1,143 @@
+"""`dpbench tune` from its arguments to the scenario it writes."""
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dpbench.bench.run.exact_loop import solve_exactly
+from dpbench.bench.run.station import station_metrics
+from dpbench.cli.main import main
+from dpbench.errors import InputError
+from dpbench.scenario.scenario import load_scenario
+from dpbench.tuning.controllers import (
+    LoopScore,
+    change_controller,
+    choose_controller,
+    draw_realisations,
+    find_front,
+    own_options,
+    rate_controller,
+)
+from dpbench.tuning.search import Trial
+from dpbench.tuning.tune_controller import NO_PROMISE, tune_controller
+
+SMALL = ["--trials", "6", "--steps", "60", "--realisations", "1"]
+
+
+def _trial(share: float, wear_per_h: float) -> Trial[LoopScore]:
+    return Trial({"share": share}, np.zeros(1), LoopScore(share, wear_per_h))
+
+
+def _read_rows(folder: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader((folder / "tune.csv").read_text().splitlines()))
+
+
+def test_the_front_has_what_nothing_beats_in_both() -> None:
+    trials = [_trial(*score) for score in [(0.5, 9), (0.9, 2), (0.6, 9), (0.3, 12), (0.7, 5)]]
+    assert [trial.score.share for trial in find_front(trials)] == [0.3, 0.5, 0.7, 0.9]
+
+
+@pytest.mark.parametrize(("margin", "share"), [(0.8, 0.7), (0.4, 0.3), (0.1, 0.3)])
+def test_least_wear_within_the_margin_is_chosen_else_the_least_offset(
+    margin: float, share: float
+) -> None:
+    trials = [_trial(*score) for score in [(0.5, 9), (0.9, 2), (0.3, 12), (0.7, 5)]]
+    assert choose_controller(trials, margin).score.share == share
+
+
+@pytest.mark.parametrize("name", ["weather", "thrusters", "thrusters_cascade", "paper_tight"])
+def test_factors_of_one_leave_the_controller_as_it_is(name: str) -> None:
+    scenario = load_scenario(name)
+    assert change_controller(scenario, own_options(scenario)).files == scenario.files
+
+
+def test_a_larger_increment_weight_wears_less_in_the_same_sea() -> None:
+    """The offset is that of the exactly solved loop; a slower controller lets the ship off more."""
+    scenario = load_scenario("weather")
+    seas = draw_realisations(scenario, [], 0, 1, 200)
+    own = own_options(scenario)
+    first = rate_controller(scenario, own, seas, 200)
+    exact = station_metrics(scenario, solve_exactly(scenario.first(200)), 200)
+    assert first.share == pytest.approx(
+        max(exact["exact_offset_max_m"] / 5.0, exact["exact_heading_max_deg"] / 5.0), rel=1e-4
+    )
+    slow = rate_controller(scenario, {**own, "increment_weight": 1000.0}, seas, 200)
+    assert slow.wear_per_h < first.wear_per_h and slow.share > first.share
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"seas": "4,x"}, "--seas: found '4,x'; allowed: DP numbers from 1 to 9"),
+        ({"seas": "4,4"}, "--seas: found '4,4'"),
+        ({"trials": 0}, "--trials: found 0"),
+        ({"realisations": 0}, "--realisations: found 0"),
+        ({"margin": 1.5}, "--margin: found 1.5"),
+        ({"margin": float("nan")}, "--margin: found nan"),
+        ({"steps": -1}, "--steps: found -1"),
+    ],
+)
+def test_a_mistake_is_found_before_anything_runs(
+    arguments: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=message):
+        tune_controller("weather", out=tmp_path / "out", **arguments)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_controller_is_found_tried_anew_and_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An interrupted search goes on from its file, also behind half a line."""
+    command = ["tune", "weather", "--seas", "3", *SMALL, "--out", str(tmp_path)]
+    assert main(command) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "fresh realisations, within 70% of the station: " in said
+    assert all(line in said for line in NO_PROMISE)
+    rows = _read_rows(tmp_path)
+    (chosen,) = [row for row in rows if row["kind"] == "chosen"]
+    own, found = load_scenario("weather"), load_scenario(tmp_path / "weather_tuned.toml")
+    table = found.files["scenario"].pop("controller")
+    assert table["prediction_horizon"] == int(chosen["prediction_horizon"])
+    assert table["output_weight"][2] == pytest.approx(3000.0 * float(chosen["heading_weight"]))
+    own.files["scenario"].pop("controller")
+    assert found.files["scenario"] == own.files["scenario"]
+    assert "<svg" in (tmp_path / "front.svg").read_text()
+    kept = tmp_path / "trials.jsonl"
+    lines = kept.read_text().splitlines(keepends=True)
+    kept.write_text("".join(lines[:5]) + lines[5][:9])
+    assert main(command) == 0
+    assert kept.read_text().splitlines(keepends=True) == lines
+    assert _read_rows(tmp_path) == rows
+
+
+def test_the_trials_of_another_search_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "trials.jsonl").write_text('{"search": "another"}\n')
+    assert main(["tune", "weather", *SMALL, "--out", str(tmp_path)]) == 2
+    assert "is of another search; name another folder (--out)" in capsys.readouterr().err
+
+
+def test_a_damaged_trial_is_named(tmp_path: Path) -> None:
+    tune = {"trials": 6, "steps": 20, "realisations": 1, "out": tmp_path}
+    tune_controller("weather", **tune)  # type: ignore[arg-type] # of mixed types
+    kept = tmp_path / "trials.jsonl"
+    first = kept.read_text().splitlines()[0]
+    kept.write_text(f"{first}\n[1, 2]\n")
+    with pytest.raises(InputError, match=r"trials.jsonl: line 2: found '\[1, 2\]'"):
+        tune_controller("weather", **tune)  # type: ignore[arg-type] # of mixed types
+
+
+def test_a_ship_that_nothing_holds_is_said_to_be_lost(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 1; the scenario of least offset is written all the same."""
+    command = ["tune", "weather", "--seas", "9", "--margin", "0.001", *SMALL]
+    assert main([*command, "--out", str(tmp_path)]) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "none of 17 controllers stays within 0% of the station; the nearest" in said
+    assert (tmp_path / "weather_tuned.toml").exists()
