@@ -7,6 +7,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -76,7 +77,10 @@ def _is_replaying(tmp_path: Path) -> bool:
 
 def _folders(process: subprocess.Popen[str]) -> list[Path]:
     """The folders that a run holds by a lock, in memory and elsewhere."""
-    places = [Path(os.readlink(link)) for link in Path(f"/proc/{process.pid}/fd").iterdir()]
+    places = []
+    for link in Path(f"/proc/{process.pid}/fd").iterdir():
+        with suppress(FileNotFoundError):  # closed since it was listed
+            places.append(Path(os.readlink(link)))
     return [place for place in places if place.name.startswith(PREFIX)]
 
 
