@@ -185,7 +185,7 @@ def examine_layout(seed: int) -> tuple[int, str]:
     """Return a seed and what became of its layout: an edge, refused, or what is wrong."""
     try:
         return seed, _compare_edge(seed)
-    except Exception as error:
+    except Exception as error:  # reported as a wrong layout; the others go on
         return seed, f"WRONG: {type(error).__name__}: {error}"
 
 

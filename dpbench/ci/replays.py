@@ -27,7 +27,7 @@ from dpbench.solvers.table import load_solver_module
 
 
 class BenchmarkFixture(Protocol):
-    """What is used of the fixture `benchmark` of pytest-benchmark, which is an extra."""
+    """Part of the fixture `benchmark` of pytest-benchmark, an extra, that is used here."""
 
     extra_info: dict[str, Any]
 

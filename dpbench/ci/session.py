@@ -30,7 +30,7 @@ class SessionComparison:
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Compare what the session measured; a regression is exit code 1."""
         # No public hook has the benchmarks of a session that writes no JSON file.
-        measured = self._config._benchmarksession.benchmarks  # type: ignore[attr-defined] # as said
+        measured = self._config._benchmarksession.benchmarks  # type: ignore[attr-defined] # a private attribute
         entries = (one.as_dict(include_data=False) for one in measured if one and not one.has_error)
         now = index_benchmarks(entries)
         console = Console(file=self._text, width=120)

@@ -1,11 +1,13 @@
-"""JSON and nesting: the bounds within which a document that others wrote is parsed."""
+"""JSON, CSV and nesting: the bounds within which a document that others wrote is parsed."""
 
+import csv
+import io
 import json
 from pathlib import Path
 from typing import Any
 
 from dpbench.errors import InputError
-from dpbench.files.opening import read_bytes
+from dpbench.files.opening import MOST_TEXT_BYTES, read_bytes
 
 MOST_JSON_BYTES = 2**22  # Of a JSON document; empty objects take 24 times as much memory
 MOST_DEPTH = 32
@@ -26,6 +28,18 @@ def read_json_object(
     if not isinstance(document, dict):
         raise error(str(path), "", type(document).__name__, "a JSON object")
     return document
+
+
+def read_csv_rows(path: Path) -> list[list[str]]:
+    """Read the rows of an untrusted CSV file but empty ones and comments; InputError if bad."""
+    what = "a readable CSV file in UTF-8"
+    content = read_bytes(path, what, most_bytes=MOST_TEXT_BYTES)
+    try:
+        lines = io.StringIO(content.decode("utf-8-sig"), newline="")
+        rows = [row for row in csv.reader(lines) if row and not row[0].startswith("#")]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(str(path), "", str(error), what) from error
+    return rows
 
 
 def parse_json(text: str) -> Any:

@@ -126,7 +126,7 @@ class Run:
 
     @property
     def _ship(self) -> ShipSummary:
-        """What the controller itself does to the ship of a closed loop."""
+        """Results of the controller itself: the ship of the exactly solved closed loop."""
         if self.scenario is None:
             return ShipSummary()
         (run,) = build_records(pd.DataFrame([self.summary]))

@@ -1,4 +1,4 @@
-"""What the controller does to the ship, in words: the first lines of every report."""
+"""Text of the controller's own result: the first lines of every report."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

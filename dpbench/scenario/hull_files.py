@@ -17,8 +17,6 @@ D11 D22 D26 D62 D66 are entries in SI units, numbered as the six degrees of free
 be left out and are zero then, D62 is then D26.
 """
 
-import csv
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,8 +27,8 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix
 from dpbench.errors import InputError, list_allowed
+from dpbench.files.documents import read_csv_rows
 from dpbench.files.mat import read_structure
-from dpbench.files.opening import MOST_TEXT_BYTES, read_bytes
 
 _Fields = Mapping[str, NDArray[Any]]
 _NOTHING = np.zeros(0)
@@ -147,13 +145,7 @@ def read_coefficient_table(path: Path) -> Hull:
 
 def _read_coefficients(path: Path) -> dict[str, float]:
     """Read the hull coefficients of a CSV table by name; InputError for a bad row."""
-    what = "a readable CSV file in UTF-8"
-    content = read_bytes(path, what, most_bytes=MOST_TEXT_BYTES)
-    try:
-        lines = io.StringIO(content.decode("utf-8-sig"), newline="")
-        rows = [row for row in csv.reader(lines) if row and not row[0].startswith("#")]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(str(path), "", str(error), what) from error
+    rows = read_csv_rows(path)
     if not rows or [cell.strip() for cell in rows[0][:2]] != ["coefficient", "value"]:
         first = ",".join(rows[0]) if rows else "an empty file"
         raise InputError(str(path), "first row", repr(first)[:80], "coefficient,value")

@@ -80,7 +80,7 @@ DP_NUMBERS = {number: DP_CONDITIONS[number] for number in range(1, 10)}
 FROM_DEG = 30.0  # Wind and waves come from the bow, not quite ahead: a heading a ship may choose
 
 FITTED_FROUDE_NUMBER = 0.018
-"""v₁ over √(gL), at which linear damping and cross-flow drag abeam are equal."""
+"""Speed v₁ over √(gL) at which linear damping and cross-flow drag abeam are equal."""
 
 RAMP_S = 60.0
 SPARE = MISCELLANEOUS / DYNAMIC_FACTOR

@@ -8,8 +8,6 @@ The columns are keys of `[[thrusters]]` of a vessel file, a sector as sector_fro
 sector_to_deg; an empty cell is a key that is left out.
 """
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from dpbench.errors import InputError, list_allowed
-from dpbench.files.opening import MOST_TEXT_BYTES, read_bytes
+from dpbench.files.documents import read_csv_rows
 from dpbench.scenario.problem_files import parse_model
 from dpbench.scenario.tables.vessel_file import ThrusterTable
 from dpbench.ship.thrusters import ThrusterSet
@@ -37,7 +35,7 @@ MOST_X, MOST_Y = 0.6, 0.6
 
 @dataclass(frozen=True)
 class Berth:
-    """What a ship says of its thrusters: length, breadth [m], and their rise time [s]."""
+    """Dimensions of the ship [m] that thrusters have to fit, and their rise time [s]."""
 
     length_m: float
     breadth_m: float
@@ -46,13 +44,7 @@ class Berth:
 
 def read_thruster_rows(path: Path) -> list[dict[str, str]]:
     """Read the rows of a thruster table, by column, without empty cells; InputError if bad."""
-    what = "a readable CSV file in UTF-8"
-    content = read_bytes(path, what, most_bytes=MOST_TEXT_BYTES)
-    try:
-        lines = io.StringIO(content.decode("utf-8-sig"), newline="")
-        rows = [row for row in csv.reader(lines) if row and not row[0].startswith("#")]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(str(path), "", str(error), what) from error
+    rows = read_csv_rows(path)
     names = [cell.strip() for cell in rows[0]] if rows else []
     for name in names:
         if name not in COLUMNS or names.count(name) > 1:

@@ -9,7 +9,7 @@ _FADING, _ALONG, _ACROSS, _CENTRE, _HALF_LENGTH = range(5)  # Entries of `HullDr
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def write_drag(u, v, r, D, hull, out):  # type: ignore[no-untyped-def] # compiled by numba
+def write_drag(u, v, r, D, hull, out):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Write the drag F (3,) at a velocity through the water to out."""
     speed = np.sqrt(u * u + v * v)
     root = np.exp(-0.5 * speed * hull[_FADING])
@@ -26,7 +26,7 @@ def write_drag(u, v, r, D, hull, out):  # type: ignore[no-untyped-def] # compile
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _mean_cross_flow(middle, edge):  # type: ignore[no-untyped-def] # compiled by numba
+def _mean_cross_flow(middle, edge):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Return the means of w|w| and t w|w| over −1 ≤ t ≤ 1, of w = middle + edge t."""
     aft, fore = middle - edge, middle + edge
     if aft * fore >= 0.0:

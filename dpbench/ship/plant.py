@@ -71,21 +71,21 @@ SUBSTEPS = 10
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _write_midpoint(s, k, h, mid):  # type: ignore[no-untyped-def] # compiled by numba
+def _write_midpoint(s, k, h, mid):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Write the intermediate state s + h k (6,) of a Runge-Kutta step to mid."""
     for j in range(STATE):
         mid[j] = s[j] + h * k[j]
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _combine_slopes(s, k, h):  # type: ignore[no-untyped-def] # compiled by numba
+def _combine_slopes(s, k, h):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Advance s (6,) in place by the weighted mean of four Runge-Kutta slopes k."""
     for j in range(STATE):
         s[j] += h / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _write_derivative(s, c, sn, f0, f1, f2, u, v, Minv, MinvD, out):  # type: ignore[no-untyped-def] # compiled by numba
+def _write_derivative(s, c, sn, f0, f1, f2, u, v, Minv, MinvD, out):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Write the state derivative (6,) for a body force and a velocity through the water to out."""
     for i in range(AXES):
         acceleration = Minv[i, 0] * f0 + Minv[i, 1] * f1 + Minv[i, 2] * f2
@@ -99,7 +99,7 @@ def _write_derivative(s, c, sn, f0, f1, f2, u, v, Minv, MinvD, out):  # type: ig
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _derivative_in_calm(s, tau, b, Minv, MinvD, out):  # type: ignore[no-untyped-def] # compiled by numba
+def _derivative_in_calm(s, tau, b, Minv, MinvD, out):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Write the state derivative (6,) under thrust tau and slow forces b alone to out."""
     c, sn = np.cos(s[HEADING]), np.sin(s[HEADING])
     f0 = tau[0] + c * b[FORCE_NORTH] + sn * b[FORCE_EAST]
@@ -109,7 +109,7 @@ def _derivative_in_calm(s, tau, b, Minv, MinvD, out):  # type: ignore[no-untyped
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _derivative_in_weather(s, tau, b, Minv, MinvD, loads, out):  # type: ignore[no-untyped-def] # compiled by numba
+def _derivative_in_weather(s, tau, b, Minv, MinvD, loads, out):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Write the state derivative (6,) under thrust, wind, current and wave drift to out."""
     c, sn = np.cos(s[HEADING]), np.sin(s[HEADING])
     air_u = c * b[AIR_NORTH] + sn * b[AIR_EAST] - s[U]
@@ -130,7 +130,7 @@ def _derivative_in_weather(s, tau, b, Minv, MinvD, loads, out):  # type: ignore[
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _derivative_with_drag(s, tau, b, Minv, undamped, loads, D, hull, out):  # type: ignore[no-untyped-def] # compiled by numba
+def _derivative_with_drag(s, tau, b, Minv, undamped, loads, D, hull, out):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Write the state derivative (6,) in all weather to out, with drag in place of damping."""
     c, sn = np.cos(s[HEADING]), np.sin(s[HEADING])
     u = s[U] - (c * b[WATER_NORTH] + sn * b[WATER_EAST])
@@ -145,7 +145,7 @@ def _derivative_with_drag(s, tau, b, Minv, undamped, loads, D, hull, out):  # ty
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def advance(s, tau, b, Minv, MinvD, h, work):  # type: ignore[no-untyped-def] # compiled by numba
+def advance(s, tau, b, Minv, MinvD, h, work):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Advance the ship state s (6,) in place by one sample under thrust and slow forces b."""
     if b.shape[1] != PLAIN:
         raise ValueError("a stage table of 3 columns is for weather that ignores the ship")
@@ -162,7 +162,7 @@ def advance(s, tau, b, Minv, MinvD, h, work):  # type: ignore[no-untyped-def] # 
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def advance_in_weather(s, tau, b, Minv, MinvD, loads, h, work):  # type: ignore[no-untyped-def] # compiled by numba
+def advance_in_weather(s, tau, b, Minv, MinvD, loads, h, work):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Advance the ship state s (6,) in place by one sample under thrust, wind, current, waves."""
     if b.shape[1] != LOADED:
         raise ValueError("a stage table of 9 columns is for weather that moves with the ship")
@@ -179,7 +179,7 @@ def advance_in_weather(s, tau, b, Minv, MinvD, loads, h, work):  # type: ignore[
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def advance_with_drag(s, tau, b, Minv, undamped, loads, D, hull, h, work):  # type: ignore[no-untyped-def] # compiled by numba
+def advance_with_drag(s, tau, b, Minv, undamped, loads, D, hull, h, work):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Advance the ship state s (6,) in place by one sample in all weather, with nonlinear drag."""
     if b.shape[1] != LOADED:
         raise ValueError("a stage table of 9 columns is for a ship with drag")
@@ -245,7 +245,7 @@ class Plant:
 
 
 @njit(cache=True)
-def _write_measurement(state, motion, noise, measured):  # type: ignore[no-untyped-def] # compiled by numba
+def _write_measurement(state, motion, noise, measured):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Write the measured state (6,): the true one plus wave motion (6,) and noise (3,)."""
     c, s = np.cos(state[HEADING]), np.sin(state[HEADING])
     measured[U] = state[U] + c * motion[RATE_NORTH] + s * motion[RATE_EAST]

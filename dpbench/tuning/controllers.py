@@ -34,7 +34,7 @@ HEADING_WEIGHTS, INCREMENT_WEIGHTS = (0.01, 100.0), (0.01, 10_000.0)
 
 @dataclass(frozen=True)
 class LoopScore:
-    """What a controller does in some seas.
+    """Result of a controller in some seas.
 
     share : largest offset, in multiples of the station's limits.
     wear_per_h : mean travel of the forces in an hour, in multiples of the largest forces.

@@ -102,7 +102,7 @@ class ControllerTuning:
             f"fresh realisations, {held} {limit}: {_describe(self.fresh)}; own controller "
             f"{_describe(self.own_fresh)}",
             *(f"wrote {path}" for path in self.paths),
-            "What this result does not promise:",
+            "Limits of this result:",
             *NO_PROMISE,
         ]
 

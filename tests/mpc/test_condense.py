@@ -123,9 +123,9 @@ def test_a_control_problem_names_what_does_not_fit(
 
 def test_other_forms_are_refused() -> None:
     with pytest.raises(InputError, match='\'SI\'; allowed: "scaled" or "si"'):
-        CondensedQP(ship_problem("supply_fs99"), units="SI")  # type: ignore[arg-type] # bad on purpose
+        CondensedQP(ship_problem("supply_fs99"), units="SI")  # type: ignore[arg-type] # the mistake that is tested
     with pytest.raises(InputError, match='\'firm\'; allowed: "reachable", "hard" or "soft"'):
-        CondensedQP(ship_problem("supply_fs99"), amplitude="firm")  # type: ignore[arg-type] # the same
+        CondensedQP(ship_problem("supply_fs99"), amplitude="firm")  # type: ignore[arg-type] # the mistake that is tested
 
 
 def test_any_number_of_moves_up_to_the_horizon_is_allowed() -> None:

@@ -78,11 +78,11 @@ def test_names_are_taken_where_objects_are(loop: Run, replayed: Run) -> None:
     assert condense("paper").n == 15
     assert len(replay("paper-30-5", "daqp", repeats=1, warmup_steps=0).steps) == 75
     with pytest.raises(TypeError, match="allowed: a Scenario, a name or a TOML file"):
-        run_closed_loop(3, "daqp")  # type: ignore[arg-type] - the mistake that is tested
+        run_closed_loop(3, "daqp")  # type: ignore[arg-type] # the mistake that is tested
     with pytest.raises(TypeError, match="allowed: a Workspace of open_workspace, or the name"):
-        run_closed_loop("paper", None)  # type: ignore[arg-type] - the mistake that is tested
+        run_closed_loop("paper", None)  # type: ignore[arg-type] # the mistake that is tested
     with pytest.raises(TypeError, match=r"allowed: a QPSequence, a name or a \.npz file"):
-        replay(None, "daqp")  # type: ignore[arg-type] - the mistake that is tested
+        replay(None, "daqp")  # type: ignore[arg-type] # the mistake that is tested
 
 
 def test_objects_say_what_they_are_in_a_line(loop: Run, replayed: Run) -> None:

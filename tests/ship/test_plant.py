@@ -192,7 +192,7 @@ def test_the_heading_is_never_wrapped() -> None:
 
 
 def measured_weather(**more: object) -> Environment:
-    return replace(CALM, seed=3, **more)  # type: ignore[arg-type] # what the test asks for
+    return replace(CALM, seed=3, **more)  # type: ignore[arg-type] # fields of several types
 
 
 def test_ideal_sensors_show_the_state() -> None:

@@ -124,12 +124,12 @@ def test_the_trials_of_another_search_are_refused(
 
 def test_a_damaged_trial_is_named(tmp_path: Path) -> None:
     tune = {"trials": 6, "steps": 20, "realisations": 1, "out": tmp_path}
-    tune_controller("weather", **tune)  # type: ignore[arg-type] # of mixed types
+    tune_controller("weather", **tune)  # type: ignore[arg-type] # keyword values of mixed types
     kept = tmp_path / "trials.jsonl"
     first = kept.read_text().splitlines()[0]
     kept.write_text(f"{first}\n[1, 2]\n")
     with pytest.raises(InputError, match=r"trials.jsonl: line 2: found '\[1, 2\]'"):
-        tune_controller("weather", **tune)  # type: ignore[arg-type] # of mixed types
+        tune_controller("weather", **tune)  # type: ignore[arg-type] # keyword values of mixed types
 
 
 def test_a_ship_that_nothing_holds_is_said_to_be_lost(

@@ -1,4 +1,4 @@
-"""What the controller itself does to the ship of each scenario, from the exactly solved loop.
+"""Results of the controller itself: the ship of each scenario in the exactly solved loop.
 
 A ship that leaves its station there is lost with every solver: none does better than right answers
 in every step.
@@ -34,7 +34,7 @@ class ShipResult:
 
     @property
     def state(self) -> ShipState:
-        """Whether the controller keeps the ship on station."""
+        """State of the ship: on station, leaving it, not there yet, or not run."""
         if not self.run.exact_steps > 0.0:
             return "not run"
         if not math.isnan(self.run.exact_left_s):

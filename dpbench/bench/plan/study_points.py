@@ -35,7 +35,7 @@ class RunsTable(FileModel):
     """Call options of a suite table: settings, library interface, what steps hand on."""
 
     settings: list[str] = ["default"]
-    """default, low, mid, high, a tolerance as "1e-4", another preset of a solver, or [settings]."""
+    """Name of the settings: a preset, a tolerance as "1e-4", or an entry of [settings]."""
     routes: list[RouteName] = ["default"]
     """How a solver is called; default: each solver's own."""
     policies: list[Policy] = ["fresh"]

@@ -37,7 +37,7 @@ class Configuration:
 
     @property
     def solver_settings(self) -> Settings:
-        """What the solver is opened with: options of one's own, or the name of a preset."""
+        """Settings to open the solver with: options of one's own, or the name of a preset."""
         return decode_options(self.options) or self.settings
 
     @property

@@ -69,7 +69,7 @@ def build_consequence_sequence(
     low, high = np.maximum(low, least), np.minimum(high, most)
     allocation = AllocationAfterLoss(thrusters, rows)
     required = margin * filter_force(tau, scenario.sample_s)
-    l, u = allocation.limits(required, low, high)  # noqa: E741 - of l ≤ Az ≤ u
+    l, u = allocation.limits(required, low, high)  # noqa: E741 - lower row limits, as in l ≤ Az ≤ u
     base = allocation.problem(l[0], u[0])
     meta: dict[str, str | float | int]
     meta = {"scenario": scenario.name, "group": group, "sample_s": scenario.sample_s}

@@ -25,7 +25,7 @@ class OffsetPicture:
 
     @property
     def caption(self) -> str:
-        """What the picture shows, in one sentence."""
+        """Caption of the picture, one sentence."""
         run = self.run
         dashed = " (dashed)" if self.offset_m.max() > run.station_radius_m else ""
         return (

@@ -98,7 +98,7 @@ class PageData(RunMatrix):
 
     @cached_property
     def ships(self) -> list[ShipResult]:
-        """What the controller itself does to the ship of each scenario and sea."""
+        """Results of the controller itself: the ship of each scenario and sea."""
         return ship_results(self.records)
 
     @cached_property

@@ -30,7 +30,7 @@ def test_csv_tables_have_the_arrays_to_the_last_digit(tmp_path: Path) -> None:
     problem = load_recorded(sequence_path("turn-30-5")).sequence.problem(1)
     P = np.loadtxt(tmp_path / "tables" / "P.csv", delimiter=",")[1].reshape(problem.P.shape)
     np.testing.assert_array_equal(P, problem.P)
-    l = np.loadtxt(tmp_path / "tables" / "l.csv", delimiter=",")[1]  # noqa: E741 - lower limits
+    l = np.loadtxt(tmp_path / "tables" / "l.csv", delimiter=",")[1]  # noqa: E741 - lower row limits, as in l ≤ Az ≤ u
     np.testing.assert_array_equal(l, problem.l)
 
 
