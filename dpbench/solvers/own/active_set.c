@@ -890,26 +890,31 @@ int active_set_solve(active_set *s) {
 
 /* ---- set-up -------------------------------------------------------------------------------- */
 
-void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers) {
-    const size_t square = (size_t)n * (size_t)n, rows = (size_t)m * (size_t)n, N = (size_t)(n + m);
+void active_set_place_step(active_set *s, as_real *reals, int *integers) {
+    const int n = s->n, N = n + s->m;
     as_real **const vectors[] = {
         &s->q, &s->base, &s->R, &s->T, &s->r, &s->e, &s->z_low, &s->lam_low, &s->r_low};
     as_real **const long_ones[] = {&s->low, &s->high, &s->z, &s->lam};
-    s->n = n;
-    s->m = m;
     s->warm = s->block = s->count = s->iterations = 0;
     s->stale = 1;
     for (int k = 0; k < 4; k++, reals += N) *long_ones[k] = reals;
     for (int k = 0; k < 9; k++, reals += n) *vectors[k] = reals;
     s->L = reals;
-    s->unit = reals += (size_t)n * (size_t)(n + 1) / 2;
-    s->P = reals += N;
+    s->active = integers;
+    s->side = integers + n;
+    s->list = integers + n + N;
+}
+
+void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers) {
+    const size_t square = (size_t)n * (size_t)n, rows = (size_t)m * (size_t)n;
+    s->n = n;
+    s->m = m;
+    active_set_place_step(s, reals, integers);
+    s->unit = reals += ACTIVE_SET_STEP_REALS(n, m);
+    s->P = reals += n + m;
     s->G = reals += square;
     s->a = reals + square + rows;
-    s->active = integers;
-    s->side = integers += n;
-    s->list = integers += N;
-    s->first = integers += n;
+    s->first = integers += ACTIVE_SET_STEP_INTEGERS(n, m);
     s->order = integers += m + 1;
     s->column = integers + n;
 }

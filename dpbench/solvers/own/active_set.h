@@ -69,11 +69,18 @@ typedef struct {
     as_real *r, *e, *z_low, *lam_low, *r_low; /* n */
 } active_set;
 
-/* Lengths of the two arrays that active_set_place divides. */
-#define ACTIVE_SET_REALS(n, m) ((n) * (2 * (n) + 2 * (m)) + 5 * ((n) + (m)) + (n) * ((n) + 1) / 2 + 9 * (n))
-#define ACTIVE_SET_INTEGERS(n, m) ((m) * (n) + (m) + 1 + 3 * (n) + ((n) + (m)))
+/* Lengths of the two arrays that active_set_place divides, and of those of active_set_place_step. */
+#define ACTIVE_SET_STEP_REALS(n, m) (4 * ((n) + (m)) + (n) * ((n) + 1) / 2 + 9 * (n))
+#define ACTIVE_SET_STEP_INTEGERS(n, m) (3 * (n) + (m))
+#define ACTIVE_SET_REALS(n, m) \
+    (ACTIVE_SET_STEP_REALS(n, m) + ((n) + (m)) + 2 * (n) * ((n) + (m)))
+#define ACTIVE_SET_INTEGERS(n, m) \
+    (ACTIVE_SET_STEP_INTEGERS(n, m) + (m) + 1 + (n) + (m) * (n))
 
 void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers);
+/* Where P stays, its constants can be computed elsewhere and lie in read-only memory: give n, m and
+ * all of them, place the memory of a step alone, and solve without active_set_factorise. */
+void active_set_place_step(active_set *s, as_real *reals, int *integers);
 int active_set_factorise(active_set *s, const as_real *P, const as_real *A);
 /* New rows of A with the P of before; the active set stays. */
 int active_set_replace_rows(active_set *s, const as_real *A);

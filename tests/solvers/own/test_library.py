@@ -14,31 +14,33 @@ from dpbench.solvers.own import compiling, library
 from tests.solvers.conftest import solve_next, solve_qp
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-O2")
-# On the target all memory is static.
+# On the target all memory is static; with an argument the memory of the step is apart.
 MAIN = """
 #include <stdio.h>
 #include "active_set.h"
 
 static as_real reals[ACTIVE_SET_REALS(2, 1)];
 static int integers[ACTIVE_SET_INTEGERS(2, 1)];
+static as_real step_reals[ACTIVE_SET_STEP_REALS(2, 1)];
+static int step_integers[ACTIVE_SET_STEP_INTEGERS(2, 1)];
 
-int main(void)
+int main(int argc, char **names)
 {
     static const as_real P[4] = {1, 0, 0, 1}, A[2] = {1, 1};
     active_set s;
     active_set_place(&s, 2, 1, reals, integers);
-    if (active_set_factorise(&s, P, A) != ACTIVE_SET_OK) return 1;
-    for (int i = 0; i < 3; i++) {
-        s.low[i] = -10;
-        s.high[i] = i < 2 ? REAL_ONE : (as_real)2.5;
-    }
+    if (active_set_factorise(&s, P, A)) return 1;
+    if (argc > 1 && names) active_set_place_step(&s, step_reals, step_integers);
+    s.low[0] = s.low[1] = s.low[2] = -10;
+    s.high[0] = s.high[1] = 1;
+    s.high[2] = (as_real)2.5;
     s.q[0] = s.q[1] = -3;
     printf("%d", active_set_solve(&s));
     for (int i = 0; i < 2; i++) printf(" %.6f", (double)s.z[i]);
     for (int i = 0; i < 3; i++) printf(" %.6f", (double)s.lam[i]);
     return 0;
 }
-""".replace("REAL_ONE", "(as_real)1")
+"""
 
 
 @pytest.mark.parametrize("precision", [(), ("-DACTIVE_SET_FLOAT",)])
@@ -54,9 +56,11 @@ def test_it_compiles_without_a_warning_and_solves_the_example_of_its_head(
     sources = [str(main), str(compiling.FOLDER / "active_set.c")]
     flags = (*STRICT, *precision, f"-I{compiling.FOLDER}", "-o", str(program))
     subprocess.run([*compiler, *flags, *sources, "-lm"], check=True)
-    found = subprocess.run([str(program)], check=True, capture_output=True, text=True).stdout
-    numbers = [float(text) for text in found.split()]
-    np.testing.assert_allclose(numbers, [4, 1, 1, 2, 2, 0], rtol=0, atol=1e-5)
+    for arguments in ([], ["step"]):
+        command = [str(program), *arguments]
+        found = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+        numbers = [float(text) for text in found.split()]
+        np.testing.assert_allclose(numbers, [4, 1, 1, 2, 2, 0], rtol=0, atol=1e-5)
 
 
 def test_a_multiplier_that_gets_the_wrong_sign_leaves_the_set_on_the_way() -> None:
