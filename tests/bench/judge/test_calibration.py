@@ -3,6 +3,7 @@
 import gc
 import os
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from dpbench.bench.judge import calibration
 from dpbench.bench.judge.calibration import calibrate, excess_over_wait_ns, is_within_tolerance
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.replay import ReplayRun
+from dpbench.qp.program import QPSequence
 from dpbench.solvers.calibration import CALIBRATION, NO_OP
+from dpbench.solvers.open import open_workspace
 
 READING_NS = 3
 """What each reading of the simulated clock takes."""
@@ -63,6 +66,28 @@ def test_a_quick_calibration_times_the_rounds_after_the_warm_up(clock: list[RawL
     assert log.done.tolist() == [200] * 6 and log.z.shape == (6, 200, 15)
     assert found.p50_ns[NO_OP] % READING_NS == 0
     assert READING_NS <= found.p50_ns[NO_OP] <= 5 * READING_NS
+
+
+def test_made_up_qps_have_a_solution(clock: list[RawLog], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dummy solvers do not solve them, but any solver could: ½‖z‖² in all limits is least at 0."""
+    seen: list[QPSequence] = []
+    assemble = calibration.replay_parts
+
+    def parts(sequence: QPSequence, *others: Any) -> Any:
+        seen.append(sequence)
+        return assemble(sequence, *others)
+
+    monkeypatch.setattr(calibration, "replay_parts", parts)
+    calibrate()
+    (sequence,) = seen
+    base = sequence.base
+    assert (base.n, base.m, len(sequence)) == (15, 15, 200)
+    for qp in (base, base.at(sequence.step(0)), base.at(sequence.step(199))):
+        workspace = open_workspace("quadprog", route="native", policy="fresh")
+        workspace.setup(qp)
+        workspace.solve()
+        assert not workspace.read().z.any()
+        assert (qp.lb < 0).all() and (qp.l < 0).all() and (qp.u > 0).all() and (qp.ub > 0).all()
 
 
 def test_median_of_counted_rounds(clock: list[RawLog], monkeypatch: pytest.MonkeyPatch) -> None:

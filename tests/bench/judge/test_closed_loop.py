@@ -70,6 +70,29 @@ def test_a_step_that_was_not_asked_has_no_answer_to_judge() -> None:
     assert [kind != "none" for kind in kinds] == asked
 
 
+@pytest.mark.parametrize("units", ["scaled", "si"])
+def test_answers_of_a_backup_are_judged_where_it_was_asked(units: str) -> None:
+    """The backup repeats the right answers of the solver; a solve of 0 ns is an answer too.
+
+    It is given the condensed QP in the units of the solver, whose residuals are then small.
+    """
+
+    def change(log: RawLog) -> None:
+        backup = log.backup
+        assert backup is not None
+        for name in ("status", "z", "y", "y_box"):
+            getattr(backup, name)[:] = getattr(log, name)
+        backup.times[0, :, SOLVE] = [0, 7, -1, 7, -2]
+        backup.done[0] = STEPS
+
+    found, _, _ = judged_loop(change, "paper", units, STEPS, backup="quadprog")
+    asked = [True, True, False, True, False]
+    assert found.columns["backup_asked"].tolist() == asked
+    error = found.columns["backup_evaluations"][:, EVALUATION.index("error_plan")]
+    assert np.isfinite(error).tolist() == asked
+    assert error[asked].max() < (1e-6 if units == "scaled" else 0.05)
+
+
 @pytest.mark.parametrize("scenario", ["paper", "thrusters_cascade"])
 @pytest.mark.parametrize("units", ["scaled", "si"])
 def test_answers_are_right_in_any_units_until_they_are_changed(scenario: str, units: str) -> None:

@@ -278,6 +278,13 @@ def test_share_of_steps_at_the_set(side: float) -> None:
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_margin_of_the_set_belongs_to_it(side: float) -> None:
+    """A force exactly 1e-6 increments, of 2 in yaw, from the set is at its limit."""
+    ramped = [[0, 0, side * moment] for moment in (2, 4, 6, 8, 10 - 1e-6 * 2)]
+    assert set_metrics(ramped, [1.0] * 5)["at_limit_thrusters"] == pytest.approx(1 / 5)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize(
     ("shares", "last", "violations"),
     [

@@ -42,7 +42,7 @@ def of_qps(times: list[list[int]], **figures: list[float]) -> dict[str, Any]:
 STEP_TIMES = [[1, 10, -1, 100, 5, 50], [2, -1, 20, 200, 6, 60], [3, -1, -1, -1, -1, 70]]
 
 
-def loop(slowdown: float = 0.0, **columns: Any) -> dict[str, Any]:
+def loop(slowdown: float = 0.0, deadline_s: float = 0.0, **columns: Any) -> dict[str, Any]:
     """The columns of a loop of three steps; the state holds a fourth, after the last."""
     of_ship = {
         "t_s": np.array([0.0, 0.3, 0.6]),
@@ -62,7 +62,8 @@ def loop(slowdown: float = 0.0, **columns: Any) -> dict[str, Any]:
         "n_active": [3.0, 0.0, np.nan],
     }
     evaluated = EvaluatedCell(of_qps(STEP_TIMES, **figures) | of_ship | columns, {})
-    cell = Cell("closed_loop", PAPER, steps=3, slowdown=slowdown, **CONFIGURATION)
+    delay = {"slowdown": slowdown, "deadline_s": deadline_s}
+    cell = Cell("closed_loop", PAPER, steps=3, **delay, **CONFIGURATION)
     return step_columns(cell, evaluated)
 
 
@@ -111,6 +112,41 @@ def test_a_step_without_a_computation_claims_nothing() -> None:
     assert steps["overhead_ns"].tolist() == [50, 60, 70]
     assert steps["late"].tolist() == [False, True, True]
     assert steps["latency_ns"].tolist() == [345, 10**9, MISSING_INT]
+
+
+def with_backup(ready_ns: list[int], solve_ns: list[int], **given: Any) -> dict[str, Any]:
+    """The columns of a loop whose backup is usable in all steps."""
+    own = of_qps([[-1, -1, -1, ns, 1, -1] for ns in solve_ns]) | {
+        "status": np.array([Status.SOLVED] * 3),
+        "asked": np.ones(3, dtype=np.bool_),
+        "acted": np.array([True, True, False]),
+        "ready_ns": np.array(ready_ns),
+    }
+    return loop(**given, **{f"backup_{name}": own[name] for name in own})
+
+
+@pytest.mark.parametrize(
+    ("ready_ms", "late", "failed"),
+    [
+        ([100, 200, 201], [False, False, True], [False] * 3),
+        ([299, 300, 301], [True] * 3, [False, False, True]),
+    ],
+)
+def test_a_backup_that_is_ready_too_late(
+    ready_ms: list[int], late: list[bool], failed: list[bool]
+) -> None:
+    """On a slow computer, with 0.2 s of the sample of 0.3 s as the budget."""
+    ready_ns = [10**6 * ms for ms in ready_ms]
+    steps = with_backup(ready_ns, [7] * 3, slowdown=3.0, deadline_s=0.2, latency_ns=np.zeros(3))
+    assert steps["backup_failed"].tolist() == failed and steps["late"].tolist() == late
+    assert steps["backup"].tolist() == [True, True, False]
+
+
+def test_a_loop_that_waits_for_its_backup_is_late_by_both_times() -> None:
+    """Solver and backup take 115 + 299999885 ns, the sample, then a nanosecond more."""
+    steps = with_backup([-1] * 3, [299_999_884, 299_999_774, 7])
+    assert steps["late"].tolist() == [False, True, False]
+    assert steps["backup_ns"].tolist() == [299_999_885, 299_999_775, 8]
 
 
 @pytest.mark.parametrize(
