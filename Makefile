@@ -28,7 +28,7 @@ export MKL_NUM_THREADS := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: setup environments bench full test test-fast test-core test-lowest test-casadi mutants chaos soak lint docs bench-ci bench-compare vendored report clean clean-results help
+.PHONY: setup environments bench full test test-fast test-core test-lowest test-casadi mutants chaos soak lint docs tutorial bench-ci bench-compare vendored report clean clean-results help
 
 setup: $(STAMP) ## make .venv with all solvers and the development tools
 
@@ -105,6 +105,9 @@ lint: setup ## ruff, mypy --strict, import layers
 # What the theme says of its own future is no warning of ours.
 docs: setup ## the documentation in build/site; a warning or a dead link is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+tutorial: setup ## run docs/tutorial.ipynb and store it with its outputs
+	PYTHONPATH=docs $(BIN)/python -m sitegen.notebook
 
 bench-ci: setup ## pytest-benchmark of the parts; writes results/bench-ci.json
 	mkdir -p results

@@ -5,7 +5,7 @@ from pathlib import Path
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
-from sitegen import columns, command_line, library, python_names, solvers, toml_keys
+from sitegen import columns, command_line, library, notebook, python_names, solvers, toml_keys
 
 ROOT = Path(__file__).parents[1]
 MAKERS = (
@@ -13,6 +13,7 @@ MAKERS = (
     library.pages,
     columns.pages,
     command_line.pages,
+    notebook.pages,
     python_names.pages,
     solvers.pages,
 )
@@ -37,4 +38,6 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """The generated pages stand beside the written ones."""
     for name, text in pages().items():
         files.append(File.generated(config, name, content=text))
+    for name, picture in notebook.pictures().items():
+        files.append(File.generated(config, name, content=picture))
     return files

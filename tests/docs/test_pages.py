@@ -14,7 +14,7 @@ import dpbench
 from dpbench.bench.record import schema
 from dpbench.cli.arguments import parser
 from dpbench.solvers.table import TABLE
-from sitegen import columns, command_line, library, python_names, solvers, toml_keys
+from sitegen import columns, command_line, library, notebook, python_names, solvers, toml_keys
 from tests.docs.markdown_blocks import DOCS, PAGES, blocks_of
 
 ROOT = DOCS.parent
@@ -24,7 +24,7 @@ PLACES = [
     for page, text in TEXT.items()
     for file, name in re.findall(r"\| `((?:dpbench|tests)/[\w/]+\.py)` \| `(\w+)` \|", text)
 ]
-MAKERS = (toml_keys, library, columns, command_line, python_names, solvers)
+MAKERS = (toml_keys, library, columns, command_line, notebook, python_names, solvers)
 
 
 @cache
