@@ -16,13 +16,12 @@ import pytest
 
 from dpbench import open_workspace, run_closed_loop
 from dpbench.analysis.records.records import Records
-from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
 from dpbench.errors import SolverUnavailableError
 from dpbench.report.report import Report
 from dpbench.scenario.scenario import Scenario, load_scenario
-from tests.result_folder import write_results
+from tests.result_folder import StepsInMemory, write_results
 
 # No test asserts how long something takes: beside others an example may be drawn slowly.
 hypothesis.settings.register_profile(

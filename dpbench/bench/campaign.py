@@ -27,9 +27,10 @@ from dpbench.bench.plan.suite import name_file_in_errors
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, CapabilitySource, Outcome
 from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.machine import Revision, append_revision, current_revision
+from dpbench.bench.record.machine import append_revision, current_revision
 from dpbench.bench.record.result_folder import (
     MachineDescription,
+    Revision,
     load_descriptions,
     lock_result_folder,
     read_suite,
@@ -160,7 +161,7 @@ class Campaign:
         previous = self._out / "suite.json"
         if self._fresh or not previous.is_file():
             return []
-        return [dict(one) for one in read_suite(self._out).get("revisions", [])]
+        return list(read_suite(self._out).get("revisions", []))
 
     def write_results(
         self,

@@ -12,9 +12,10 @@ from pydantic import BaseModel, ConfigDict
 
 from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell import HARNESS_VERSION
-from dpbench.bench.record.machine import Revision, current_revision
+from dpbench.bench.record.machine import current_revision
 from dpbench.bench.record.result_folder import (
     MachineDescription,
+    Revision,
     parse_document,
     read_json,
     write_json,
@@ -116,7 +117,7 @@ class ShardRecord:
     digest: str
     machine: MachineDescription
     harness_version: str = HARNESS_VERSION
-    revision: Revision = field(default_factory=current_revision)
+    revision: Revision | None = field(default_factory=current_revision)
 
     def write(self, folder: Path) -> None:
         """Write `shard.json` into a result folder."""
@@ -143,4 +144,4 @@ class _ShardFile(BaseModel):
     digest: str
     machine: MachineDescription
     harness_version: str
-    revision: Revision
+    revision: Revision | None

@@ -10,12 +10,16 @@ import time
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import psutil
 from threadpoolctl import threadpool_info
 
-from dpbench.bench.record.result_folder import ComparedMachine, MachineDescription, SuiteDescription
+from dpbench.bench.record.result_folder import (
+    ComparedMachine,
+    MachineDescription,
+    Revision,
+    SuiteDescription,
+)
 
 _CPU = Path("/sys/devices/system/cpu/cpu0")
 LIBRARIES = ("dpbench", "numpy", "scipy", "numba", "pandas", "qpsolvers")
@@ -111,40 +115,37 @@ def _read_cpu_model() -> str:
     return platform.processor() or platform.machine()
 
 
-Revision = dict[str, Any]
-"""`commit`, the full hash, and `clean`: whether the files of the package were those of the commit;
-empty where neither a checkout nor an installer tells."""
 WAIT_S = 10.0
 
 
 @cache
-def current_revision() -> Revision:
-    """Return the git revision of the running dpbench package; empty where unknown."""
+def current_revision() -> Revision | None:
+    """Return the git revision of the running dpbench package; None where unknown."""
     return checkout_revision(Path(__file__).parents[2]) or installed_revision()
 
 
-def checkout_revision(package: Path) -> Revision:
-    """Return a package's git commit and whether its files are unchanged; empty if unknown."""
+def checkout_revision(package: Path) -> Revision | None:
+    """Return a package's git commit and whether its files are unchanged; None if unknown."""
     commit = _run_git(package, "rev-parse", "HEAD")
     # An environment may lie in the checkout of another project, which ignores it.
     part = _run_git(package, "ls-files", "--error-unmatch", "__init__.py")
     changes = _run_git(package, "status", "--porcelain", "--", ".")
     if commit is None or part is None or changes is None:
-        return {}
-    return {"commit": commit, "clean": changes == ""}
+        return None
+    return Revision(commit=commit, clean=changes == "")
 
 
-def installed_revision() -> Revision:
+def installed_revision() -> Revision | None:
     """Return the commit that dpbench was installed from, by its installer's note (PEP 610)."""
     try:
         noted = importlib.metadata.distribution("dpbench").read_text("direct_url.json")
     except importlib.metadata.PackageNotFoundError:
-        return {}
+        return None
     commit = json.loads(noted or "{}").get("vcs_info", {}).get("commit_id")
-    return {} if commit is None else {"commit": str(commit), "clean": True}
+    return None if commit is None else Revision(commit=str(commit), clean=True)
 
 
-def append_revision(earlier: list[Revision], now: Revision) -> list[Revision]:
+def append_revision(earlier: list[Revision], now: Revision | None) -> list[Revision]:
     """Return the dpbench revisions of earlier runs, followed by the current one."""
     return [*(one for one in earlier if one != now), *([now] if now else [])]
 

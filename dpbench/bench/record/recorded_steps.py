@@ -35,46 +35,17 @@ CACHED_GROUPS = 2
 """So many row groups, each with the columns that were asked for, are kept for the next question."""
 
 
-class StepsInMemory:
-    """The rows of `steps.parquet` as a data frame in memory."""
-
-    def __init__(self, frame: pd.DataFrame) -> None:
-        self._frame, self.rows = frame, len(frame)
-
-    def scan(
-        self, columns: Sequence[str], run_ids: Container[str] | None = None
-    ) -> Iterator[pd.DataFrame]:
-        """Yield the wanted columns of some runs (None: all) as one data frame."""
-        some = self._frame[list(columns)]
-        if run_ids is not None:
-            wanted = [
-                np.full(end - first, name in run_ids)
-                for name, (first, end) in self._run_rows.items()
-            ]
-            some = some[np.concatenate([np.zeros(0, dtype=np.bool_), *wanted])]
-        if len(some):
-            yield some
-
-    def read_run(self, run_id: str, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
-        """Return the steps of one run as a data frame."""
-        first, end = self._run_rows.get(run_id, (0, 0))
-        return self._frame.iloc[first:end][list(columns)]
-
-    def read_all(self) -> pd.DataFrame:
-        """Return the steps of all runs as a data frame."""
-        return self._frame
-
-    @cached_property
-    def _run_rows(self) -> dict[str, tuple[int, int]]:
-        """First row of each run in the table of steps, and the row after its last, by run_id."""
-        return row_ranges_by_run(self._frame["run_id"])
-
-
 class StepsOnDisk:
-    """The rows of a result folder's `steps.parquet`, read on demand; ResultsError if damaged."""
+    """The rows of a result folder's `steps.parquet`, read on demand; ResultsError if damaged.
 
-    def __init__(self, folder: Path) -> None:
+    A file that `is_optional` and missing has no rows.
+    """
+
+    def __init__(self, folder: Path, *, is_optional: bool = False) -> None:
         self._path = folder / "steps.parquet"
+        if is_optional and not self._path.exists():
+            self.rows, self._run_rows = 0, []
+            return
         with table_errors(self._path), open_table(self._path, error=ResultsError) as file:
             schema, self.rows = file.schema_arrow, file.metadata.num_rows
         self._stored = set(schema.names)
@@ -152,10 +123,6 @@ class StepsOnDisk:
         for name in [name for name in asked if name not in self._stored]:
             table = table.append_column(name, absent_column(STEP_COLUMNS[name][0], len(table)))
         return table.select(asked)
-
-
-StepTable = StepsInMemory | StepsOnDisk
-"""The rows of `steps.parquet`, those of a run behind each other."""
 
 
 def scan_steps(

@@ -25,14 +25,12 @@ from typing_extensions import TypedDict
 
 from dpbench.bench.record.cell import FORMULATIONS, OUTCOMES, Units
 from dpbench.bench.record.recorded_steps import (
-    StepsInMemory,
     StepsOnDisk,
-    StepTable,
     missing_columns_error,
     table_errors,
     wrong_type_error,
 )
-from dpbench.bench.record.schema import SCHEMA_VERSION, STUDY_PREFIX, as_steps
+from dpbench.bench.record.schema import SCHEMA_VERSION, STUDY_PREFIX
 from dpbench.bench.record.step_table import complete_runs, runs_to_frame
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.documents import read_json_object
@@ -101,8 +99,8 @@ class StudyDescription(TypedDict, total=False):
     radius_m: float
 
 
-class RevisionDescription(TypedDict):
-    """Git commit of dpbench in `suite.json`, and whether its files were unchanged."""
+class Revision(TypedDict):
+    """Git commit of dpbench, in full, and whether the files of the package were those of it."""
 
     commit: str
     clean: bool
@@ -121,7 +119,7 @@ class SuiteDescription(TypedDict, total=False):
     lost_cells: int
     lost_designs: int
     remarks: list[str]
-    revisions: list[RevisionDescription]
+    revisions: list[Revision]
     requirements: _Requirements
     demand: _Requirements  # key of earlier releases
     report: _Report
@@ -184,7 +182,7 @@ class Results:
     """A result folder: rows of `runs.parquet` and `steps.parquet`, `machine.json`, `suite.json`."""
 
     runs: pd.DataFrame
-    recorded: StepTable
+    recorded: StepsOnDisk
     machine: MachineDescription
     suite: SuiteDescription
 
@@ -279,8 +277,7 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
     if not folder.is_dir():
         raise ResultsError(str(folder), "", "no such folder", "a folder written by `dpbench run`")
     no_steps = without_steps and not (folder / "steps.parquet").exists()
-    runs = _read_runs(folder)
-    steps = StepsInMemory(as_steps(pd.DataFrame())) if no_steps else StepsOnDisk(folder)
+    runs, steps = _read_runs(folder), StepsOnDisk(folder, is_optional=without_steps)
     results = Results(runs, steps, *load_descriptions(folder))
     for name, rows in {"run_rows": len(runs), "step_rows": steps.rows}.items():
         promised = results.suite.get(name)

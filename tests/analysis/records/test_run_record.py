@@ -13,9 +13,9 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import Count, RunRecord, build_records
 from dpbench.bench.judge.rules import counting_rows
 from dpbench.bench.record.configuration import Configuration
-from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import RUN_COLUMNS, as_runs
+from tests.result_folder import StepsInMemory
 
 TYPES = {"str": str, "bool": bool, "int64": int, "Int64": Count, "float64": float}
 DERIVED = [

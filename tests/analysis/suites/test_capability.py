@@ -8,10 +8,10 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.capability import Answers, capability_plots, count_answers
-from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_runs, as_steps
 from dpbench.report.topics.capability import capability_topic
+from tests.result_folder import StepsInMemory
 
 TRUE = {"true": True, "true_1e4": True, "true_1e6": True}
 REFUSED = {"status": "PRIMAL_INFEASIBLE", "claimed": False}

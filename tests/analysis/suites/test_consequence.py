@@ -8,10 +8,10 @@ import pytest
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.consequence import HELD, LOST, UNKNOWN, consequence_analyses
-from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_steps
 from dpbench.report.topics.capability import consequence_topic
+from tests.result_folder import StepsInMemory
 
 TRUE = {"true": True, "true_1e4": True, "true_1e6": True}
 REFUSED = TRUE | {"status": "PRIMAL_INFEASIBLE", "claimed": False}

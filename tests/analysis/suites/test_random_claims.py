@@ -8,11 +8,11 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.random_claims import RandomClaims
-from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_steps
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.report.topics.random import random_topic
+from tests.result_folder import StepsInMemory
 
 INF, NAN = float("inf"), float("nan")
 RECIPE = RandomRecipe("plain", 4, 6, 1)

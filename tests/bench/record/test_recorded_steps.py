@@ -12,11 +12,12 @@ import pytest
 
 from dpbench.bench.record import cell_store
 from dpbench.bench.record.cell_store import StepFile
-from dpbench.bench.record.recorded_steps import StepsInMemory, StepsOnDisk, StepTable
+from dpbench.bench.record.recorded_steps import StepsOnDisk
 from dpbench.bench.record.schema import MISSING_INT, STEP_COLUMNS
 from dpbench.bench.record.step_table import concat_steps, step_batch
 from dpbench.errors import ResultsError
 from tests.bench.record.test_cell_store import steps_of
+from tests.result_folder import StepsInMemory
 
 NAMES = ("a", "b", "c", "d", "e")
 ASKED = ("run_id", "k", "t_s", "total_ns", "status", "dtau_x_N", "cmd_y_N", "true")
@@ -45,7 +46,7 @@ def test_a_file_answers_as_a_table_in_memory_does(folder: Path) -> None:
     memory = StepsInMemory(file.read_all())
     assert file.rows == memory.rows == 7 * len(NAMES)
 
-    def together(table: StepTable, wanted: set[str] | None) -> pd.DataFrame:
+    def together(table: StepsOnDisk, wanted: set[str] | None) -> pd.DataFrame:
         return pd.concat(list(table.scan(ASKED, wanted)), ignore_index=True)
 
     for wanted in (None, {"b"}, {"d", "a", "nobody"}):

@@ -45,7 +45,7 @@ def test_a_package_inside_the_checkout_of_another_is_not_of_its_commit(package: 
     other = package.parent / "environment"
     other.mkdir()
     (other / "__init__.py").write_text("", encoding="utf-8")
-    assert checkout_revision(other) == {}
+    assert checkout_revision(other) is None
 
 
 def test_an_installer_tells_the_commit_it_installed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,12 +54,12 @@ def test_an_installer_tells_the_commit_it_installed(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(importlib.metadata, "distribution", lambda name: there)
     assert installed_revision() == {"commit": "ab" * 20, "clean": True}
     noted["text"] = None
-    assert installed_revision() == {}
+    assert installed_revision() is None
 
 
 def test_a_folder_that_was_taken_up_again_names_all_commits() -> None:
     old, new = {"commit": "a" * 40, "clean": True}, {"commit": "b" * 40, "clean": False}
     both = append_revision([new, old], new)
-    assert both == [old, new] and append_revision([], {}) == []
+    assert both == [old, new] and append_revision([], None) == []
     assert describe_revisions({"revisions": both}) == f"commit {'a' * 12}, {'b' * 12} with changes"
     assert describe_revisions({}) == ""

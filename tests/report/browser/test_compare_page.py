@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.report.compare.comparison import compare
 from dpbench.report.compare.page import write_comparison
@@ -19,7 +18,7 @@ from tests.report.browser.conftest import (
     opening,
     wait_until_ready,
 )
-from tests.result_folder import write_results
+from tests.result_folder import StepsInMemory, write_results
 
 SLOWER, FACTOR = "piqp", 1.5
 

@@ -13,7 +13,6 @@ import pytest
 from dpbench import InputError, compare
 from dpbench.analysis.compare.pairs import Pair
 from dpbench.analysis.records.run_record import build_records
-from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_runs, as_steps
 from dpbench.cli.main import main
@@ -21,7 +20,7 @@ from dpbench.report.compare.comparison import _merge_verdicts
 from dpbench.report.compare.page import write_comparison
 from dpbench.report.ship_text import BANNER
 from tests.report.conftest import run_row
-from tests.result_folder import write_results
+from tests.result_folder import StepsInMemory, write_results
 
 STEPS, ROUNDS = 100, 8
 ARMS = ("daqp", "quadprog", "piqp", "proxqp", "osqp", "qpalm", "scs", "clarabel")

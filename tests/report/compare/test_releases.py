@@ -8,14 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_runs, as_steps
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.report.compare.releases import releases, write_releases
 from tests.report.conftest import run_row
-from tests.result_folder import write_results
+from tests.result_folder import StepsInMemory, write_results
 
 Make = Callable[..., Path]
 OLD, NEW = {"piqp": "0.6.4"}, {"piqp": "0.10.0"}

@@ -10,9 +10,9 @@ import pytest
 
 from dpbench.analysis.records.records import Records
 from dpbench.bench.design import Bracket, DesignRecord, Designs, UnanalysedStability
-from dpbench.bench.record.recorded_steps import StepsInMemory
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.topics.paper import judge_claims, list_choices, paper_topic
+from tests.result_folder import StepsInMemory
 
 WHOLE = 1000
 """Steps of the paper's case: 300 s in samples of 0.3 s."""
