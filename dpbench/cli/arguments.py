@@ -252,6 +252,20 @@ def _add_capability_arguments(capability: Command) -> None:
     capability.add_argument("--json", action="store_true", help="say it as JSON")
 
 
+def _add_codegen_arguments(codegen: Command) -> None:
+    """Add the options and arguments of `dpbench codegen` to its parser."""
+    codegen.description = (
+        "Write the complete control step of a scenario as C99: measurement, QP, solver, limits and "
+        "fallback, with an example that replays a recorded trajectory."
+    )
+    codegen.add_argument("scenario", help="a scenario by name, or a TOML file")
+    option = partial(_add_option, codegen)
+    solver = "the solver in it (paper_active_set)"
+    option("--solver", "S", solver, default="paper_active_set")
+    option("--out", "DIR", "folder to write to", required=True)
+    option("--steps", "N", "length of the trajectory (1000)", type=int, default=1000)
+
+
 def _add_tune_solver_arguments(tune: Command) -> None:
     """Add the options and arguments of `dpbench tune-solver` to its parser."""
     tune.description = (
@@ -338,6 +352,7 @@ _COMMANDS: dict[str, tuple[Callable[[Command], None], str, str | None]] = {
         "search for a solver's fastest accurate settings",
         "Exit code: 0 settings found; 1 none is accurate on every training sequence; 2 bad input.",
     ),
+    "codegen": (_add_codegen_arguments, "write a scenario's controller as C code", None),
     "paper": (
         lambda paper: _add_option(paper, "--out", "DIR", "folder (default: results/paper)"),
         "reproduce the paper: Figures 4-7, the data behind them, its claims",

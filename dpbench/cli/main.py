@@ -314,6 +314,14 @@ def _tune_solver(arguments: argparse.Namespace) -> int:
     return 0 if tuning.path is not None else 1
 
 
+def _generate_controller(arguments: argparse.Namespace) -> None:
+    """Write a scenario's controller as C code (`dpbench codegen`)."""
+    from dpbench.cli.terminal import print_wrapped
+    from dpbench.codegen.generate import generate_controller
+
+    print_wrapped(generate_controller(**_named_parameters(arguments)))
+
+
 def _reproduce_paper(arguments: argparse.Namespace) -> int:
     from dpbench.cli.terminal import ProgressBar, print_wrapped
     from dpbench.report.reproduce import reproduce_paper
@@ -371,6 +379,7 @@ _CALLS = {
     "worst-case": _find_worst_case,
     "tune": _tune,
     "tune-solver": _tune_solver,
+    "codegen": _generate_controller,
     "paper": _reproduce_paper,
     "list": _print_listing,
     "check": _check_named_file,

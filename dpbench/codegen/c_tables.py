@@ -1,0 +1,56 @@
+"""Arrays and numbers as C text that reads back to the same bits."""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import dataclass
+
+import numpy as np
+
+from dpbench.arrays import Vector
+
+_WIDTH = 96
+
+
+@dataclass(frozen=True)
+class Table:
+    """A constant array of C: name, meaning, shape as text, type and bytes of an entry."""
+
+    name: str
+    meaning: str
+    kind: str
+    shape: str
+    body: str
+    bytes: int
+
+
+def number_text(x: float) -> str:
+    """Return a floating-point number as C text, exact.
+
+    Examples
+    --------
+    >>> number_text(0.1), number_text(3.0), number_text(1e300)
+    ('0.1', '3.0', '1e+300')
+    """
+    return repr(float(x))
+
+
+def make_table(name: str, values: object, meaning: str) -> Table:
+    """Return an array of numbers, of one dimension or two, as a C table; whole numbers as int."""
+    array = np.asarray(values)
+    whole = array.dtype.kind in "iu"
+    if not whole and not np.isfinite(array).all():
+        raise ValueError(f"{name}: an entry of a table is not finite")
+    shape = "".join(f"[{size}]" for size in array.shape)
+    body = _row_text(array, whole) if array.ndim == 1 else _matrix_text(array, whole)
+    size = array.size * (4 if whole else 8)
+    return Table(name, meaning, "int" if whole else "double", shape, body, size)
+
+
+def _matrix_text(rows: np.ndarray, whole: bool) -> str:
+    return ",\n".join(f"    {{\n{_row_text(row, whole)}}}" for row in rows)
+
+
+def _row_text(row: Vector, whole: bool) -> str:
+    text = ", ".join(str(int(x)) if whole else number_text(x) for x in row)
+    return textwrap.fill(text, _WIDTH, initial_indent="    ", subsequent_indent="    ")

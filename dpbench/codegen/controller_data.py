@@ -1,0 +1,220 @@
+"""Numbers of a controller for its C code: maps, limits, thrusters, inputs and outputs."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from dpbench.arrays import Matrix, Vector
+from dpbench.errors import InputError
+from dpbench.mpc.condensed_qp import CondensedQP
+from dpbench.mpc.thruster_rows import ThrusterRows
+from dpbench.scenario.controllers.controller import Controller
+from dpbench.scenario.controllers.forces import ForceController
+from dpbench.scenario.controllers.specification import FIXED_MODEL
+from dpbench.scenario.controllers.thrusters import ThrusterController
+from dpbench.scenario.scenario import Scenario
+from dpbench.ship.thrusters import Thruster
+
+AXIS_NAMES = ("surge", "sway", "yaw")
+_MEASURED = (
+    ("surge_speed", "velocity[0]", "m/s", "speed ahead over ground"),
+    ("sway_speed", "velocity[1]", "m/s", "speed to starboard over ground"),
+    ("yaw_rate", "velocity[2]", "rad/s", "turning rate, clockwise seen from above"),
+    ("north", "pose[0]", "m", "position north of the origin"),
+    ("east", "pose[1]", "m", "position east of the origin"),
+    ("heading", "pose[2]", "rad", "heading, clockwise from north; whole turns do not matter"),
+    ("reference_north", "reference[0]", "m", "wanted position north"),
+    ("reference_east", "reference[1]", "m", "wanted position east"),
+    ("reference_heading", "reference[2]", "rad", "wanted heading"),
+)
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Input or output of the generated controller: name, field in C, unit, meaning, start value."""
+
+    name: str
+    field: str
+    unit: str
+    meaning: str
+    start: float = 0.0
+    is_integer: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class ThrusterTables:
+    """Limits of the thrusters as rows: normals on the own entries, intact and after a loss.
+
+    normal (r, w) : of each row on its thruster's w ≤ 2 entries, zero behind the last;
+    low, high, lost_low, lost_high (r,) [N]; first_row, first_entry (p + 1,) : where the rows and
+    entries of a thruster begin; row_max (r,) : change of a row by a full rate-limit step.
+    """
+
+    names: tuple[str, ...]
+    normal: Matrix
+    low: Vector
+    high: Vector
+    lost_low: Vector
+    lost_high: Vector
+    first_row: list[int]
+    first_entry: list[int]
+    row_max: Vector
+
+
+@dataclass(frozen=True, eq=False)
+class ControllerData:
+    """Numbers of the control step of one scenario, in SI units and scaled QP variables.
+
+    gradient (n, 12 or 12 + n_u) : q = gradient [x; y_ref; u_prev]; du_max (n_u,) : rate limits;
+    low, high (3,) : limits of the force, those of the ship while nothing has failed.
+    thrusters : None where a force is commanded; reachable : whether limits wait for the rate.
+    """
+
+    scenario: Scenario
+    qp: CondensedQP
+    gradient: Matrix
+    du_max: Vector
+    low: Vector
+    high: Vector
+    reachable: bool
+    thrusters: ThrusterTables | None
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+
+
+def read_controller(scenario: Scenario) -> ControllerData:
+    """Return the numbers of a scenario's controller; InputError for one without C code."""
+    controller = scenario.controller
+    _check_supported(scenario, controller)
+    qp, problem = controller.build_qp(), controller.problem
+    tables = None
+    if isinstance(controller, ThrusterController):
+        rows = controller.control.rows
+        tables = _read_thrusters(rows, controller.control.thrusters.thrusters, problem.row_max)
+        outputs = _list_thruster_outputs(controller.control.thrusters.thrusters)
+        inputs = _list_losses(tables.names)
+    else:
+        outputs, inputs = _list_force_outputs(), _list_limits(problem.u_min, problem.u_max)
+    theta = problem.model.theta
+    last = theta.one if problem.W is not None else theta.u_prev.start
+    return ControllerData(
+        scenario=scenario,
+        qp=qp,
+        gradient=np.ascontiguousarray(qp.Z[: qp.n, :last]),
+        du_max=problem.du_max,
+        low=problem.u_min,
+        high=problem.u_max,
+        reachable=controller.amplitude == "reachable",
+        thrusters=tables,
+        inputs=(*(Signal(*measured) for measured in _MEASURED), *inputs),
+        outputs=outputs,
+    )
+
+
+def _check_supported(scenario: Scenario, controller: Controller) -> None:
+    """Raise InputError for a controller whose QP matrices change, or that needs more than a QP."""
+    where = f"scenario {scenario.name}"
+    is_force = type(controller) is ForceController
+    if not is_force and not isinstance(controller, ThrusterController):
+        found, allowed = controller.description, "a force with limits axis by axis, or thrusters"
+        raise InputError(where, "controller", found, f"{allowed}, without a cascade")
+    if controller.linearisation is not FIXED_MODEL:
+        found, allowed = (
+            "matrices that change at each step",
+            "one linearisation, fixed azimuth rows",
+        )
+        raise InputError(where, "controller", found, allowed)
+    if controller.amplitude == "soft" or controller.outputs is not None:
+        found = "soft limits" if controller.amplitude == "soft" else "output bounds"
+        raise InputError(where, "controller", found, "hard or reachable limits of the command")
+    if scenario.preview:
+        raise InputError(where, "reference.preview", "true", "false")
+    if scenario.estimation.kind != "measured":
+        allowed = '"measured"; the code takes a filtered state as its measurement'
+        raise InputError(where, "estimator.kind", f'"{scenario.estimation.kind}"', allowed)
+    if not is_force and controller.amplitude == "hard":
+        raise InputError(where, "controller.amplitude", '"hard"', '"reachable" for thrusters')
+
+
+def _read_thrusters(
+    rows: ThrusterRows, thrusters: tuple[Thruster, ...], row_max: Vector
+) -> ThrusterTables:
+    """Return the limits of a ship's thrusters, intact and with each one lost, as tables."""
+    p = len(thrusters)
+    first_entry = np.searchsorted(rows.entry, np.arange(p + 1))
+    width = int(np.diff(first_entry).max())
+    normal = np.zeros((len(rows.G), width))
+    for k, t in enumerate(rows.thruster):
+        own = slice(int(first_entry[t]), int(first_entry[t + 1]))
+        normal[k, : own.stop - own.start] = rows.G[k, own]
+    lost = rows.limits_after_loss(range(p))
+    names = make_names([thruster.name for thruster in thrusters])
+    first_row = np.searchsorted(rows.thruster, np.arange(p + 1)).tolist()
+    limits = rows.low, rows.high, lost.low, lost.high
+    return ThrusterTables(names, normal, *limits, first_row, first_entry.tolist(), row_max)
+
+
+def make_names(names: list[str]) -> tuple[str, ...]:
+    """Return names as C identifiers, numbered where two would be the same."""
+    plain = [re.sub(r"\W+", "_", name.lower(), flags=re.ASCII).strip("_") or "t" for name in names]
+    return tuple(f"{x}_{i + 1}" if plain.count(x) > 1 else x for i, x in enumerate(plain))
+
+
+def _list_limits(low: Vector, high: Vector) -> tuple[Signal, ...]:
+    """Return the inputs that limit each axis of the force."""
+    sides = ("least", "low", low), ("most", "high", high)
+    return tuple(
+        Signal(
+            f"{word}_{axis}", f"{field}[{i}]", unit, f"{word} allowed {axis} now", float(side[i])
+        )
+        for word, field, side in sides
+        for i, (axis, unit) in enumerate(zip(AXIS_NAMES, ("N", "N", "N.m"), strict=True))
+    )
+
+
+def _list_losses(names: tuple[str, ...]) -> tuple[Signal, ...]:
+    """Return the inputs that take thrusters out of service."""
+    meaning = "0 in service, 1 lost: ramps down, 2 tripped: gives nothing at once"
+    return tuple(
+        Signal(f"lost_{name}", f"lost[{i}]", "", f"{name}: {meaning}", is_integer=True)
+        for i, name in enumerate(names)
+    )
+
+
+def _list_force_outputs() -> tuple[Signal, ...]:
+    """Return the commanded force as outputs."""
+    units = ("N", "N", "N.m")
+    words = ("ahead", "to starboard", "clockwise")
+    return tuple(
+        Signal(f"command_{axis}", f"command[{i}]", unit, f"commanded {axis}, positive {word}")
+        for i, (axis, unit, word) in enumerate(zip(AXIS_NAMES, units, words, strict=True))
+    )
+
+
+def _list_thruster_outputs(thrusters: tuple[Thruster, ...]) -> tuple[Signal, ...]:
+    """Return the commanded forces of thrusters as outputs, in the order of the vessel's file."""
+    names = make_names([thruster.name for thruster in thrusters])
+    outputs: list[Signal] = []
+    parts = {
+        "azimuth": (("x", "ahead"), ("y", "to starboard")),
+        "tunnel": (("y", "to starboard"),),
+        "main": (("x", "ahead"),),
+    }
+    for name, thruster in zip(names, thrusters, strict=True):
+        for letter, word in parts[thruster.kind]:
+            field, meaning = f"command[{len(outputs)}]", f"force of {name}, positive {word}"
+            outputs.append(Signal(f"command_{name}_{letter}", field, "N", meaning))
+    return tuple(outputs)
+
+
+def lost_at_samples(controller: Controller, samples: int) -> Matrix:
+    """Return the state of each thruster (samples, p): 0 in service, 1 lost, 2 tripped."""
+    state = np.array([limits.lost for limits in controller.thruster_limits(samples)], dtype=float)
+    control = controller.commanded
+    for k, entries in () if control is None else control.trips:
+        assert control is not None
+        state[k:, np.unique(control.rows.entry[entries])] = 2.0
+    return state

@@ -1,0 +1,158 @@
+"""`dpbench codegen`: write the complete control step of a scenario as C99."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from dpbench.codegen.c_tables import Table, make_table, number_text
+from dpbench.codegen.controller_data import ControllerData, read_controller
+from dpbench.codegen.solver_sources import SOLVERS, SolverSources, round_up
+from dpbench.codegen.trajectory import record_trajectory
+from dpbench.errors import InputError
+from dpbench.files.writing import write_together
+from dpbench.scenario.scenario import Scenario, as_scenario
+
+MOST_REPLAYED = 1000
+"""Steps of the recorded trajectory."""
+
+
+@cache
+def _templates() -> Environment:
+    return Environment(
+        loader=PackageLoader("dpbench.codegen"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+
+
+def render(template: str, **values: Any) -> str:
+    """Return a file of the generated controller from its template."""
+    return _templates().get_template(f"{template}.j2").render(values)
+
+
+def generate_controller(
+    scenario: Scenario | str | Path,
+    solver: str = "paper_active_set",
+    *,
+    out: str | Path,
+    steps: int = MOST_REPLAYED,
+) -> list[str]:
+    """Write a scenario's controller as C99 into a folder; return what was written, as lines.
+
+    Parameters
+    ----------
+    scenario : an object, a name or a TOML file; its controller has one model and no cascade.
+    solver : the name of a solver with C sources.
+    out : the folder, made unless it exists.
+    steps : length of the recorded trajectory that comes with it.
+
+    Raises
+    ------
+    InputError : for a controller or solver without C code.
+    """
+    if solver not in SOLVERS:
+        raise InputError("codegen", "solver", repr(solver), ", ".join(SOLVERS))
+    data = read_controller(as_scenario(scenario))
+    sources = SOLVERS[solver](data.qp)
+    tables = list_tables(data)
+    sizes = {
+        "constants": sum(table.bytes for table in (*tables, *sources.tables)),
+        "memory": _count_memory(data, sources),
+    }
+    files = write_sources(data, sources, tables, solver=solver, **sizes)
+    trajectory = record_trajectory(data, solver, steps)
+    names = [signal.name for signal in (*data.inputs, *data.outputs)]
+    files["trajectory.csv"] = trajectory.write_csv(names).encode()
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_together(folder, {name: (lambda text=text: text) for name, text in files.items()})  # type: ignore[misc] # mypy sees no type of a lambda's default
+    return [
+        f"{len(files)} files in {folder}: the step in controller.c, an example in main.c.",
+        f"The QP has {data.qp.n} variables and {data.qp.m} rows; constants take "
+        f"{sizes['constants']} bytes, memory takes {sizes['memory']}.",
+    ]
+
+
+def _count_memory(data: ControllerData, sources: SolverSources) -> int:
+    """Return the bytes of the structure `controller`, with pointers of 8 bytes."""
+    whole = sum(signal.is_integer for signal in data.inputs)
+    n_u, moves = len(data.du_max), data.qp.control.N_c
+    own = 8 * (len(data.inputs) - whole) + round_up(4 * whole) + 8 * n_u * (1 + moves) + 8
+    return sources.memory + own
+
+
+def list_tables(data: ControllerData) -> tuple[Table, ...]:
+    """Return the constant tables of the control step."""
+    gradient = make_table("gradient", data.gradient, "q of the QP = gradient θ")
+    du_max = make_table("du_max", data.du_max, "rate limits: the largest change in one step")
+    thrusters = data.thrusters
+    if thrusters is None:
+        limits = (
+            make_table("intact_low", data.low, "limits of surge, sway [N] and yaw [N·m]"),
+            make_table("intact_high", data.high, "and their other side"),
+        )
+        return gradient, du_max, *limits
+    of_rows = (
+        ("normal", thrusters.normal, "rows of limits, on the entries of their thruster"),
+        ("intact_low", thrusters.low, "limits [N] of these rows"),
+        ("intact_high", thrusters.high, "and their other side"),
+        ("lost_low", thrusters.lost_low, "limits after the loss of the row's thruster"),
+        ("lost_high", thrusters.lost_high, "and their other side"),
+        ("row_max", thrusters.row_max, "change of a row by a full rate-limit step"),
+        ("first_row", np.array(thrusters.first_row), "where the rows of each thruster begin"),
+        ("first_entry", np.array(thrusters.first_entry), "where the forces of each thruster begin"),
+    )
+    return gradient, du_max, *(make_table(*table) for table in of_rows)
+
+
+def write_sources(
+    data: ControllerData, sources: SolverSources, tables: Iterable[Table], **facts: Any
+) -> dict[str, bytes]:
+    """Return the sources of a controller by file name; `facts` are more values of templates."""
+    scenario, thrusters = data.scenario, data.thrusters
+    theta = data.gradient.shape[1]
+    common = {
+        "scenario": scenario.name,
+        "vessel": scenario.vessel.title,
+        "description": scenario.controller.description,
+        "version": version("dpbench"),
+        "sample_s": number_text(scenario.sample_s),
+        "n_u": len(data.du_max),
+        "moves": data.qp.control.N_c,
+        "theta": theta,
+        "reachable": data.reachable,
+        "thrusters": thrusters,
+        "inputs": data.inputs,
+        "outputs": data.outputs,
+        "du_max": [number_text(x) for x in data.du_max],
+        "sources": ["controller.c", "solver.c", *sources.compiled],
+        "origin": sources.origin,
+        "heap": sources.heap,
+        **facts,
+    }
+    defines = [f"THETA {theta}"]
+    if thrusters is not None:
+        defines += [f"ROWS {len(thrusters.low)}"]
+    of_step = {"title": "Constants of the control step", "defines": defines, "tables": tables}
+    of_solver = {"title": "Constants of the solver", "defines": [], "tables": sources.tables}
+    texts = {
+        "README.md": render("README.md", n=data.qp.n, m=data.qp.m, **common),
+        "controller.h": render("controller.h", **common),
+        "controller.c": render("controller.c", **common),
+        "controller_tables.h": render("tables.h", **of_step, **common),
+        "solver.h": render(f"solver_{sources.template}.h", **common, **sources.values),
+        "solver.c": render(f"solver_{sources.template}.c", **common, **sources.values),
+        "solver_tables.h": render("tables.h", **of_solver, **common),
+        "main.c": render("main.c", **common),
+        "CMakeLists.txt": render("CMakeLists.txt", **common),
+    }
+    return {name: text.encode() for name, text in texts.items()} | sources.files

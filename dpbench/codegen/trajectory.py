@@ -1,0 +1,54 @@
+"""A recorded closed loop as inputs and commands of the controller, to replay in C."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dpbench.arrays import Matrix
+from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
+from dpbench.bench.run.closed_loop import closed_loop
+from dpbench.codegen.controller_data import ControllerData, lost_at_samples
+from dpbench.scenario.controllers.controller import stack_limits
+from dpbench.ship.plant import Sensors
+from dpbench.solvers.open import open_workspace
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Inputs (K, n_in) and commands (K, n_u) of a controller at K samples; sample time [s]."""
+
+    inputs: Matrix
+    commands: Matrix
+    sample_s: float
+
+    def write_csv(self, names: list[str]) -> str:
+        """Return the trajectory as CSV text; `names` are those of inputs and commands."""
+        lines = [",".join(["time_s", *names])]
+        numbers = np.hstack([self.inputs, self.commands])
+        for k, row in enumerate(numbers.tolist()):
+            lines.append(",".join(repr(x) for x in (k * self.sample_s, *row)))
+        return "\n".join(lines) + "\n"
+
+
+def record_trajectory(data: ControllerData, solver: str, steps: int) -> Trajectory:
+    """Run a scenario's closed loop with a solver, warm started; return what went in and out."""
+    scenario = data.scenario.first(steps)
+    K, controller = scenario.steps, scenario.controller
+    workspace = open_workspace(solver, policy="warm")
+    cell = Cell("closed_loop", scenario.files, solver, "native", "warm", "default", K)
+    setup = closed_loop_setup(cell, scenario, workspace, RawLog.in_memory, NO_LIMIT_NS)
+    closed_loop(setup)
+    log = setup.log
+    sensors = Sensors(scenario.environment, K, scenario.sample_s)
+    measured = np.array([sensors.sense(log.state[k], k).copy() for k in range(K)])
+    reference = scenario.build_reference_table(K)
+    if data.thrusters is not None:
+        state = lost_at_samples(controller, K)
+    else:
+        state = np.hstack(stack_limits(controller.limits(K)))
+    commands = controller.select_applied(log.tau, log.thrust).copy()
+    return Trajectory(np.hstack([measured, reference, state]), commands, scenario.sample_s)

@@ -1,0 +1,66 @@
+"""A generated controller, compiled and called: it steers the simulated ship."""
+
+import ctypes
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dpbench.arrays import Matrix, Vector
+from dpbench.codegen.controller_data import ControllerData, lost_at_samples
+from dpbench.scenario.controllers.controller import stack_limits
+from dpbench.ship.plant import SUBSTEPS, Plant, Sensors
+
+needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="there is no gcc here")
+WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-pedantic", "-Werror")
+MOST_BYTES = 2**20
+
+
+def compile_c(folder: Path, out: Path, *options: str) -> Path:
+    """Compile all C sources of a folder with gcc, warnings being errors."""
+    sources = sorted(str(path) for path in folder.glob("*.c"))
+    common = ["gcc", "-std=c99", "-O2", "-ffp-contract=off", *WARNINGS]
+    subprocess.run([*common, *options, "-o", str(out), *sources, "-lm"], check=True)
+    return out
+
+
+class CController:
+    """The compiled controller by its C interface."""
+
+    def __init__(self, folder: Path, data: ControllerData, applied: Vector) -> None:
+        self._library = ctypes.CDLL(str(compile_c(folder, folder / "step.so", "-shared", "-fPIC")))
+        self._memory = ctypes.create_string_buffer(MOST_BYTES)
+        self._data, self._n_u = data, len(data.du_max)
+        self._library.controller_start(self._memory, applied.ctypes.data_as(ctypes.c_void_p))
+
+    def step(self, numbers: Vector) -> tuple[Vector, int]:
+        """Return command and status for the inputs of a sample, in the order of the header."""
+        count = sum(not signal.is_integer for signal in self._data.inputs)
+        given = numbers[:count].tobytes() + numbers[count:].astype(np.intc).tobytes()
+        answer = ctypes.create_string_buffer(8 * self._n_u + 16)
+        self._library.controller_step(self._memory, given, answer)
+        status = int(np.frombuffer(answer, dtype=np.intc, offset=8 * self._n_u)[0])
+        return np.frombuffer(answer, count=self._n_u).copy(), status
+
+
+def steer(data: ControllerData, controller: CController, steps: int) -> Matrix:
+    """Return the commands (K, n_u) of a compiled controller that steers the simulated ship."""
+    scenario = data.scenario.first(steps)
+    weather, sample_s = scenario.environment, scenario.sample_s
+    loads, actuators = weather.load_coefficients(scenario.vessel), scenario.actuators
+    ship = scenario.true_ship
+    plant = Plant(ship, scenario.first_state, sample_s, loads=loads, actuators=actuators)
+    sea, sensors = weather.stage_table(steps, sample_s, SUBSTEPS), Sensors(weather, steps, sample_s)
+    reference = scenario.build_reference_table(steps)
+    limits = stack_limits(scenario.controller.limits(steps))
+    lost = lost_at_samples(scenario.controller, steps)
+    state = np.hstack(limits) if data.thrusters is None else lost
+    commands = np.zeros((steps, len(data.du_max)))
+    for k in range(steps):
+        measured = sensors.sense(plant.state, k)
+        numbers = np.concatenate([measured, reference[k], state[k]])
+        commands[k], _ = controller.step(numbers)
+        plant.advance(commands[k], sea[k])
+    return commands

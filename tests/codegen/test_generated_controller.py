@@ -1,0 +1,141 @@
+"""The generated C controller steers the ship as the Python loop does, or is refused."""
+
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dpbench.cli.main import main
+from dpbench.codegen.controller_data import ControllerData, make_names, read_controller
+from dpbench.codegen.generate import generate_controller
+from dpbench.codegen.trajectory import record_trajectory
+from dpbench.errors import InputError
+from dpbench.scenario.scenario import load_scenario
+from tests.codegen.c_controller import CController, compile_c, needs_gcc, steer
+
+STEPS = 1000
+
+
+def _generate(name: str, folder: Path, steps: int = 3) -> ControllerData:
+    generate_controller(name, out=folder, steps=steps)
+    return read_controller(load_scenario(name))
+
+
+@needs_gcc
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name",
+    ["paper", "rough", "thruster_loss", "thruster_loss_hard", "thrusters", "thrusters_loss"],
+)
+def test_the_c_controller_steers_as_the_python_loop(name: str, tmp_path: Path) -> None:
+    """1000 steps in closed loop with the simulated ship, faults included."""
+    data = _generate(name, tmp_path)
+    expected = record_trajectory(data, "paper_active_set", STEPS).commands
+    controller = CController(tmp_path, data, np.zeros(len(data.du_max)))
+    commands = steer(data, controller, len(expected))
+    assert np.abs((commands - expected) / data.du_max).max() < 1e-9
+    assert np.abs(np.diff(expected, axis=0) / data.du_max).max() > 0.1
+
+
+@needs_gcc
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["paper", "thruster_loss_hard", "thrusters_loss"])
+def test_a_sanitizer_finds_nothing_in_a_replay(name: str, tmp_path: Path) -> None:
+    """The example replays its trajectory under the address and undefined-behaviour sanitizers."""
+    _generate(name, tmp_path, steps=STEPS)
+    options = "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"
+    replay = compile_c(tmp_path, tmp_path / "replay", *options)
+    command = [str(replay), str(tmp_path / "trajectory.csv")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert len(lines) == len((tmp_path / "trajectory.csv").read_text("utf-8").splitlines())
+    assert {line.split(",")[-3] for line in lines[1:]} <= {"0", "1", "2"}
+
+
+@pytest.fixture(scope="module")
+def paper(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ControllerData]:
+    """The controller of the paper's scenario, written into a folder."""
+    folder = tmp_path_factory.mktemp("controller")
+    return folder, _generate("paper", folder)
+
+
+@needs_gcc
+@pytest.mark.parametrize("name", ["paper", "thrusters"])
+def test_the_stated_memory_is_that_of_the_structure(name: str, tmp_path: Path) -> None:
+    """`sizeof(controller)` is as in the README."""
+    _generate(name, tmp_path)
+    main_file = '#include <stdio.h>\n#include "controller.h"\n'
+    main_file += 'int main(void) { printf("%zu", sizeof(controller)); return 0; }\n'
+    (tmp_path / "main.c").write_text(main_file, encoding="ascii")
+    size = subprocess.run([compile_c(tmp_path, tmp_path / "size")], capture_output=True, check=True)
+    assert f"| {int(size.stdout)} bytes" in (tmp_path / "README.md").read_text("utf-8")
+
+
+@needs_gcc
+def test_an_input_that_is_no_number_holds_the_plan(paper: tuple[Path, ControllerData]) -> None:
+    """The rest of the last plan is followed, then the command is held; measuring goes on after."""
+    folder, data = paper
+    controller = CController(folder, data, np.zeros(3))
+    limits = np.concatenate([data.low, data.high])
+    numbers = np.concatenate([np.zeros(6), [10.0, 10.0, 0.0], limits])
+    first, status = controller.step(numbers)
+    assert status == 0
+    assert np.abs(first).max() > 0.0
+    numbers[3] = np.nan
+    answers = [controller.step(numbers) for _ in range(8)]
+    assert {status for _, status in answers} == {3}
+    assert not np.array_equal(answers[0][0], first)
+    assert np.array_equal(answers[-1][0], answers[-3][0])
+    numbers[3] = 0.0
+    assert controller.step(numbers)[1] == 0
+
+
+@needs_gcc
+def test_whole_turns_of_the_heading_do_not_matter(paper: tuple[Path, ControllerData]) -> None:
+    """A compass that goes from 359 degrees to 1 turns the ship by 2 degrees."""
+    folder, data = paper
+    rest = np.concatenate([np.zeros(3), data.low, data.high])
+    commands = []
+    for headings in ((-0.01, 0.01), (2.0 * np.pi - 0.01, 0.01)):
+        controller = CController(folder, data, np.zeros(3))
+        for heading in headings:
+            command, _ = controller.step(np.concatenate([np.zeros(5), [heading], rest]))
+        commands.append(command)
+    assert np.allclose(commands[0], commands[1], rtol=1e-9, atol=1e-6)
+    assert np.abs(commands[0]).max() > 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("turn", "matrices that change at each step"),
+        ("thrusters_turning", "matrices that change at each step"),
+        ("thrusters_cascade", "without a cascade"),
+        ("thruster_loss_soft", "soft limits"),
+        ("watch_circle", "output bounds"),
+        ("move_filtered", "reference.preview"),
+        ("waves", "estimator.kind"),
+    ],
+)
+def test_a_controller_without_c_code_is_refused(
+    name: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In one line, and nothing is written."""
+    assert main(["codegen", name, "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unknown_solver_is_refused(tmp_path: Path) -> None:
+    """The error names those with C sources."""
+    with pytest.raises(InputError, match="paper_active_set"):
+        generate_controller("paper", "clarabel", out=tmp_path)
+
+
+def test_names_of_thrusters_become_identifiers() -> None:
+    """Two that would be the same are numbered."""
+    assert make_names(["Bow 1", "stern-port", "Bow 1"]) == ("bow_1_1", "stern_port", "bow_1_3")
