@@ -1,0 +1,151 @@
+"""Cross-compile C with `ziglang`: programs of bare cores, and shared libraries of other systems.
+
+A program is kept in the user's cache folder under a hash of compiler, flags and sources, so that
+the same build is compiled once.
+"""
+
+import hashlib
+import importlib.metadata
+import importlib.util
+import os
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from dpbench.embedded.targets import Target
+from dpbench.errors import SituationError
+from dpbench.temporary_folders import process_folder
+
+FOLDER = Path(__file__).parent
+RUNTIME = FOLDER / "runtime"
+REMEDY = "pip install 'dpbench[embedded]'"
+FLAGS = (
+    "-std=c99 -O2 -fhosted -fno-math-errno -ffp-contract=off -fno-sanitize=all -fno-exceptions "
+    "-fno-unwind-tables -fno-asynchronous-unwind-tables -ffunction-sections -fdata-sections"
+)
+"""Of every program: hosted, so that `sqrt` is an instruction; the same products on every core."""
+LINK = "-nostdlib -Wl,--gc-sections -Wl,--entry=embedded_set_up"
+"""Without the compiler's own library, which takes a minute to build and is hardly needed."""
+EXTRAS = ("ziglang", "unicorn", "elftools")
+
+
+def require_extra() -> None:
+    """Raise SituationError if a package of the extra `embedded` is missing."""
+    missing = [name for name in EXTRAS if importlib.util.find_spec(name) is None]
+    if missing:
+        names = " and ".join("pyelftools" if name == "elftools" else name for name in missing)
+        raise SituationError("embedded", f"{names} not installed: {REMEDY}")
+
+
+def has_extra() -> bool:
+    """Return whether every package of the extra `embedded` is installed."""
+    return all(importlib.util.find_spec(name) is not None for name in EXTRAS)
+
+
+def compiler_version() -> str:
+    """Return the version of ziglang; SituationError where it is not installed."""
+    try:
+        return importlib.metadata.version("ziglang")
+    except importlib.metadata.PackageNotFoundError:
+        raise SituationError("embedded", f"ziglang not installed: {REMEDY}") from None
+
+
+def cache_folder(name: str) -> Path:
+    """Return a folder for `name` in the user's cache, made if missing; else one of this process."""
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    folder = home / "dpbench" / "embedded" / name
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if os.access(folder, os.W_OK):
+            return folder
+    except OSError:
+        pass
+    folder = process_folder() / name
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+def compile_library(
+    sources: Iterable[Path],
+    triple: str,
+    out: Path,
+    *,
+    include: Iterable[Path] = (),
+    flags: Sequence[str] = ("-std=c99", "-O2", "-ffp-contract=off"),
+) -> Path:
+    """Compile C sources to a shared library of another system at `out`; return its path.
+
+    `triple` is zig's name of the system, such as x86_64-linux-gnu, x86_64-windows-gnu or
+    aarch64-macos. SituationError with the compiler's words if that fails.
+    """
+    position = [] if "windows" in triple else ["-fPIC"]
+    words = ["-target", triple, *flags, *position, "-shared", "-s", *_include_flags(include)]
+    return _compile(words, sources, out)
+
+
+def compile_program(
+    sources: Sequence[Path],
+    target: Target,
+    *,
+    include: Sequence[Path] = (),
+    defines: Sequence[str] = (),
+) -> Path:
+    """Compile C sources to a program of a bare core; return the ELF file, kept in the cache.
+
+    SituationError with the compiler's words if that fails.
+    """
+    script = RUNTIME / "program.ld"
+    everything = [*sources, RUNTIME / "runtime.c"]
+    words = [*target.compiler_flags, *FLAGS.split(), *defines]
+    files = [*everything, *(h for folder in (RUNTIME, *include) for h in folder.rglob("*.h"))]
+    key = _hash([compiler_version(), LINK, *words], [*files, script])
+    out = cache_folder("programs") / f"{key}.elf"
+    if not out.exists():
+        headers = [f"-isystem{folder}" for folder in _header_folders(target)]
+        linker = [*LINK.split(), "-T", str(script)]
+        _compile([*words, *headers, *_include_flags([RUNTIME, *include]), *linker], everything, out)
+    return out
+
+
+def _include_flags(folders: Iterable[Path]) -> list[str]:
+    return [f"-I{folder}" for folder in folders]
+
+
+def _header_folders(target: Target) -> list[Path]:
+    """Return the folders of the C library's headers that ziglang brings for a target."""
+    found = importlib.util.find_spec("ziglang")
+    assert found is not None and found.origin is not None
+    library = Path(found.origin).parent / "lib" / "libc" / "include"
+    return [library / target.headers, library / "generic-musl"]
+
+
+def _hash(words: Sequence[str], files: Sequence[Path]) -> str:
+    """Return a hash of words and of the contents of files."""
+    digest = hashlib.sha256("\n".join(words).encode())
+    for path in sorted(files):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:24]
+
+
+def _compile(words: Sequence[str], sources: Iterable[Path], out: Path) -> Path:
+    """Run the compiler into `out`, which is written whole or not at all."""
+    compiler_version()
+    partial = out.with_name(f".{os.getpid()}.{out.name}")
+    command = [sys.executable, "-m", "ziglang", "cc", *words, *map(str, sources)]
+    try:
+        done = subprocess.run(
+            [*command, "-o", str(partial)], check=False, capture_output=True, text=True
+        )
+        if done.returncode:
+            shown = shlex.join(["cc", *words[:2]])
+            first = [line for line in done.stderr.splitlines() if "error:" in line]
+            words_of = " ".join((first or done.stderr.splitlines() or ["no message"])[:2])
+            raise SituationError(f"{shown} {out.name}", f"the compiler refused: {words_of}")
+        partial.replace(out)
+    finally:
+        # What the linker puts beside a library of Windows.
+        for rest in out.parent.glob(f".{os.getpid()}.*"):
+            rest.unlink(missing_ok=True)
+    return out
