@@ -17,7 +17,7 @@ from dpbench.scenario.scenario import Scenario
 @pytest.fixture(scope="session")
 def scenario() -> Scenario:
     """The paper's scenario, its first 120 steps: transfer and first steps at rest."""
-    return load_scenario("paper").first(120)
+    return load_scenario("paper").truncate(120)
 
 
 @pytest.fixture(scope="session")

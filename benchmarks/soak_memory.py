@@ -91,7 +91,7 @@ def loops(solver: str, policy: Policy, steps: int) -> list[int]:
     """Resident memory after each of many loops of a solver, of so many steps together [B]."""
     each = max(1, min(steps // LOOPS, LONGEST))
     scenario = load_scenario("paper")
-    scenario = scenario.first(min(each, scenario.steps))
+    scenario = scenario.truncate(min(each, scenario.steps))
     route = "native" if "native" in TABLE[solver].routes else "qpsolvers"
     cell = Cell("closed_loop", scenario.files, solver, route, policy, "default", scenario.steps)
     log: list[RawLog] = []

@@ -15,7 +15,7 @@ from dpbench.qp.program import QPSequence
 @pytest.fixture(scope="module", params=["paper", "rough"])
 def sequence(request: pytest.FixtureRequest) -> QPSequence:
     """The first 200 QPs of a scenario."""
-    scenario = load_scenario(request.param).first(200)
+    scenario = load_scenario(request.param).truncate(200)
     return rebuild_sequence(scenario, solve_exactly(scenario))
 
 

@@ -119,7 +119,7 @@ def pytest_configure(config: pytest.Config) -> None:
         place.mkdir(exist_ok=True)
         tempfile.tempdir = os.environ["TMPDIR"] = str(place)
     elif config.getoption("numprocesses", None):
-        run_closed_loop(load_scenario("paper").first(3), open_workspace("paper_active_set"))
+        run_closed_loop(load_scenario("paper").truncate(3), open_workspace("paper_active_set"))
 
 
 class MadeRecords:

@@ -20,7 +20,7 @@ def compile_all_kernels() -> None:
     subprocess.run([sys.executable, "-c", f"import {LOOP}"], check=False)
     # Observers, thrusters and the like compile when a scenario's first step asks for them.
     for name in problem_names("scenarios"):
-        run_closed_loop(load_scenario(name).first(2), open_workspace("paper_active_set"))
+        run_closed_loop(load_scenario(name).truncate(2), open_workspace("paper_active_set"))
     print(f"compiled in {time.monotonic() - started:.0f} s")
 
 

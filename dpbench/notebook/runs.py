@@ -187,7 +187,7 @@ def run_closed_loop(
     _check_choice("formulation", formulation, FORMULATIONS)
     scenario, workspace = as_scenario(scenario), _as_workspace(workspace)
     if steps is not None:
-        scenario = scenario.first(steps)
+        scenario = scenario.truncate(steps)
     cell = _make_cell(
         workspace,
         mode="closed_loop",

@@ -67,7 +67,7 @@ class Scenario:
     >>> scenario = load_scenario("paper")
     >>> scenario
     <Scenario paper: supply_fs99, tuning paper 30/5, 1000 steps of 0.3 s>
-    >>> scenario.first(10).steps
+    >>> scenario.truncate(10).steps
     10
     """
 
@@ -137,7 +137,7 @@ class Scenario:
         estimator.start(self.first_state)
         return estimator
 
-    def first(self, steps: int) -> Scenario:
+    def truncate(self, steps: int) -> Scenario:
         """Return the scenario cut to its first `steps` samples."""
         if steps < 1:
             raise InputError(f"scenario {self.name}", "steps", steps, "1 or more")

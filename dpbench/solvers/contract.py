@@ -82,7 +82,7 @@ class Workspace(ABC):
     def read(self) -> Solution:
         """Return a copy of the answer: status, solution z and multipliers."""
 
-    def another(self) -> Workspace:
+    def open_again(self) -> Workspace:
         """Open the same solver again with equal settings; SituationError unless opened by name."""
         if self.reopen is None:
             sentence = "a cascade needs two workspaces; open this one by open_workspace"

@@ -133,7 +133,7 @@ def rate_controller(
     changed = change_controller(scenario, options)
     shares, wear = [], []
     for sea in seas:
-        loop = put_in_sea(changed, sea).first(steps)
+        loop = put_in_sea(changed, sea).truncate(steps)
         share, travel = _run_loop(loop, sea.drawn)
         shares.append(share)
         wear.append(travel * 3600.0 / (loop.steps * loop.sample_s))

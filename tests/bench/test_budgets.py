@@ -44,7 +44,7 @@ def test_a_slow_configuration_has_fewer_rounds_and_is_finished(results: Results)
 
 
 def test_both_kernels_are_timed_around_every_round() -> None:
-    sequence = record_sequence(load_scenario("paper").first(3))
+    sequence = record_sequence(load_scenario("paper").truncate(3))
     now = iter(range(10**9))
     log = RawLog.in_memory(replay_layout(3, 3, sequence.base.n, sequence.base.m))
     made, formulated = replay_formulation("condensed_box", sequence)
@@ -58,7 +58,7 @@ def test_both_kernels_are_timed_around_every_round() -> None:
 
 
 def test_a_round_that_is_run_again_costs_a_configuration_nothing() -> None:
-    sequence = record_sequence(load_scenario("paper").first(3))
+    sequence = record_sequence(load_scenario("paper").truncate(3))
     ticks = iter(range(0, 10**9, 1000))
 
     def clock() -> int:

@@ -39,7 +39,7 @@ SUITE = suite_toml(
 
 @pytest.fixture(scope="module")
 def sequence() -> QPSequence:
-    return record_sequence(load_scenario("paper").first(STEPS))
+    return record_sequence(load_scenario("paper").truncate(STEPS))
 
 
 @pytest.fixture(scope="module")

@@ -41,7 +41,7 @@ WAYS: list[tuple[str, Policy, Formulation, UnitSystem, str]] = [
 
 
 def _scenario(name: str) -> Scenario:
-    return load_scenario(name).first(12)
+    return load_scenario(name).truncate(12)
 
 
 def _spoiling(solver: str, policy: Policy, *, spoil: bool) -> Any:

@@ -18,7 +18,7 @@ TEST = """
 from dpbench import load_scenario, record_sequence
 
 def test_replay(dpbench_replay):
-    dpbench_replay(record_sequence(load_scenario("paper").first(5)), "quadprog")
+    dpbench_replay(record_sequence(load_scenario("paper").truncate(5)), "quadprog")
 """
 
 

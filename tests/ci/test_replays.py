@@ -38,7 +38,7 @@ class CallsTwice:
 @pytest.fixture(scope="module")
 def few() -> QPSequence:
     """A few QPs of the paper's transfer."""
-    return record_sequence(load_scenario("paper").first(12))
+    return record_sequence(load_scenario("paper").truncate(12))
 
 
 @pytest.mark.parametrize(("solver", "policy"), [("daqp", "fresh"), ("osqp", "warm")])

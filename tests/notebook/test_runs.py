@@ -39,7 +39,7 @@ def clipped() -> Run:
 
 @pytest.fixture(scope="module")
 def replayed() -> Run:
-    sequence = record_sequence(load_scenario("paper").first(STEPS))
+    sequence = record_sequence(load_scenario("paper").truncate(STEPS))
     return replay(sequence, open_workspace("daqp", route="native"), repeats=3, warmup_steps=2)
 
 
@@ -199,7 +199,7 @@ def test_a_run_does_not_load_what_draws() -> None:
     ],
 )
 def test_a_replay_from_memory_is_named_as_such(figures: dict[str, float], remembers: bool) -> None:
-    sequence = record_sequence(load_scenario("paper").first(8))
+    sequence = record_sequence(load_scenario("paper").truncate(8))
     run = replay(sequence, open_workspace("daqp"), repeats=1, warmup_steps=2)
     summary = run.summary.copy()
     for name, value in figures.items():

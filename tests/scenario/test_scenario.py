@@ -187,5 +187,5 @@ def test_a_scenario_comes_back_from_its_documents(name: str) -> None:
 
 def test_a_scenario_can_be_cut_to_its_first_steps() -> None:
     scenario = load_scenario("paper")
-    assert scenario.first(120).steps == 120
-    assert scenario.first(5000).steps == 1000
+    assert scenario.truncate(120).steps == 120
+    assert scenario.truncate(5000).steps == 1000

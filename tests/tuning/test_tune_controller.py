@@ -60,7 +60,7 @@ def test_a_larger_increment_weight_wears_less_in_the_same_sea() -> None:
     seas = draw_realisations(scenario, [], 0, 1, 200)
     own = own_options(scenario)
     first = rate_controller(scenario, own, seas, 200)
-    exact = station_metrics(scenario, solve_exactly(scenario.first(200)), 200)
+    exact = station_metrics(scenario, solve_exactly(scenario.truncate(200)), 200)
     assert first.share == pytest.approx(
         max(exact["exact_offset_max_m"] / 5.0, exact["exact_heading_max_deg"] / 5.0), rel=1e-4
     )

@@ -179,7 +179,7 @@ def recorded_answer(log: AnswerLog, r: int, k: int) -> Solution:
 
 def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCell:
     """Evaluate a closed loop's raw log; return its step columns and control metrics."""
-    scenario = with_cell_formulation(cell, cached_scenario(cell.scenario).first(cell.steps))
+    scenario = with_cell_formulation(cell, cached_scenario(cell.scenario).truncate(cell.steps))
     scaled = QPBuilder(scenario)
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
     done = int(log.done[0])

@@ -80,7 +80,7 @@ def closed_loop_setup(
         # form.
         second = BoxFormulation(builder.allocation.base())
         setup.allocating = build_solver(
-            workspace.another(), second, log.allocation, skips=last in twice
+            workspace.open_again(), second, log.allocation, skips=last in twice
         )
         # Failures are counted together, whichever of the two QPs they occur in.
         setup.allocating.details = solver.details

@@ -309,7 +309,7 @@ def record_sequence(
     Examples
     --------
     >>> from dpbench import load_scenario
-    >>> record_sequence(load_scenario("paper").first(5))
+    >>> record_sequence(load_scenario("paper").truncate(5))
     <QPSequence paper: 5 QPs of 15 variables, 15 rows, constant matrices>
     """
     scenario = as_scenario(scenario)

@@ -46,7 +46,7 @@ def record_scenario(
     if steps is not None:
         if not 1 <= steps <= scenario.steps:
             raise InputError("--steps", "", steps, f"1 to {scenario.steps} of {scenario.name}")
-        scenario = scenario.first(steps)
+        scenario = scenario.truncate(steps)
     exact = solve_exactly(scenario)
     exact.require_certificates(scenario.name)
     sequence = rebuild_sequence(scenario, exact, part=part)

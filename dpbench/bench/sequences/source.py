@@ -101,7 +101,7 @@ class _LoopFile:
 
     def make(self, path: Path) -> None:
         """Solve the run's scenario exactly and write the closed loop to `path`."""
-        solve_exactly(cached_scenario(self.cell.scenario).first(self.cell.last_step)).save(path)
+        solve_exactly(cached_scenario(self.cell.scenario).truncate(self.cell.last_step)).save(path)
 
     def load(self, path: Path) -> ReplayInput:
         """Return the QPs of the replay along the loop in the file, with their optima."""

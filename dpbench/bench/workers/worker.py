@@ -199,7 +199,7 @@ def _log_factory(raw: Path, hung: Sequence[Hang]) -> Callable[[Layout], RawLog]:
 def _run_closed_loop(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
-    scenario = cached_scenario(cell.scenario).first(cell.steps)
+    scenario = cached_scenario(cell.scenario).truncate(cell.steps)
     limit_ns, new_log = round(cell.limit_s * 1e9), _log_factory(raw, hung)
     try:
         setup = closed_loop_setup(

@@ -131,7 +131,7 @@ def judged_loop(
     change: Callable[[RawLog], Any] | None, name: str, units: str, steps: int, backup: str = ""
 ) -> tuple[EvaluatedCell, RawLog, Cell]:
     """Return a short loop by daqp, its log changed before it is judged."""
-    case = load_scenario(name).first(steps)
+    case = load_scenario(name).truncate(steps)
     given: dict[str, Any] = {"units": units, "backup": backup}
     cell = Cell("closed_loop", case.files, "daqp", "native", "reuse", "high", steps, **given)
     workspace = open_workspace("daqp", route="native", policy="reuse", settings="high")

@@ -125,7 +125,7 @@ class Warming(Honest):
 
 @pytest.fixture(scope="module")
 def sequence() -> QPSequence:
-    return record_sequence(load_scenario("paper").first(STEPS))
+    return record_sequence(load_scenario("paper").truncate(STEPS))
 
 
 def replayed(

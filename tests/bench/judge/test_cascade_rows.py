@@ -66,7 +66,7 @@ def test_a_wrong_allocation_makes_its_step_wrong() -> None:
 
 
 def test_the_baseline_law_allocates_by_the_pseudo_inverse() -> None:
-    case = load_scenario("thrusters_cascade").first(STEPS)
+    case = load_scenario("thrusters_cascade").truncate(STEPS)
     steps = run_closed_loop(case, open_workspace("unconstrained_clipped"), formulation="none").steps
     assert steps["allocation_ns"].isna().all()
     assert steps["allocation_error"].isna().all()

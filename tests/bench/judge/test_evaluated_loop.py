@@ -71,7 +71,7 @@ def test_figures_of_a_written_log(
 
 
 def test_a_ship_that_follows_a_filtered_reference_has_no_error() -> None:
-    case = load_scenario("move_filtered").first(STEPS)
+    case = load_scenario("move_filtered").truncate(STEPS)
     log = RawLog.in_memory(loop_layout(STEPS, *QPBuilder(case).sizes))
     log.done[0] = STEPS
     log.state[:, 3:] = case.build_reference_table(STEPS + 1)

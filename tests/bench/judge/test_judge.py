@@ -124,7 +124,7 @@ MALFORMED: dict[str, tuple[Callable[[Solution], Any], str]] = {
 
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
-    return load_scenario("paper").first(STEPS)
+    return load_scenario("paper").truncate(STEPS)
 
 
 @pytest.fixture(scope="module")

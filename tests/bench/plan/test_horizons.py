@@ -94,7 +94,7 @@ def test_the_rows_say_how_large_their_problems_are(tmp_path: Path) -> None:
 
 
 def test_stacked_form_is_counted_as_the_solver_gets_it() -> None:
-    sequence = record_sequence(load_scenario("paper").first(3))
+    sequence = record_sequence(load_scenario("paper").truncate(3))
     workspace = open_workspace("quadprog")
     row = replay(sequence, workspace, repeats=1, formulation="condensed_stacked").summary
     assert (row["n"], row["m"]) == (15, 60)
@@ -105,7 +105,7 @@ def test_stacked_form_is_counted_as_the_solver_gets_it() -> None:
     ("name", "pair"), [("paper", (30, 5)), ("paper", (80, 20)), ("turn", (20, 4))]
 )
 def test_loops_keep_their_optima(tmp_path: Path, name: str, pair: tuple[int, int]) -> None:
-    scenario = with_horizons(load_scenario(name), *pair).first(6)
+    scenario = with_horizons(load_scenario(name), *pair).truncate(6)
     exact = solve_exactly(scenario)
     exact.save(tmp_path / "exact.npz")
     kept = ExactLoop.load(tmp_path / "exact.npz").optima

@@ -49,7 +49,7 @@ class FailingAt(Workspace):
 
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
-    return load_scenario("paper").first(12)
+    return load_scenario("paper").truncate(12)
 
 
 def of_backup(log: RawLog) -> BackupLog:
@@ -69,7 +69,7 @@ def steps_of(log: RawLog) -> tuple[list[int], list[int]]:
     ("name", "steps", "backup"), [("paper", 40, "daqp"), ("turn", 60, "paper_active_set")]
 )
 def test_a_right_backup_makes_failures_harmless(name: str, steps: int, backup: str) -> None:
-    scenario = load_scenario(name).first(steps)
+    scenario = load_scenario(name).truncate(steps)
     failing = {0, 3, 4, *range(20, steps, 2)}
     run = run_closed_loop(scenario, FailingAt(failing), backup=backup)
     undisturbed = run_closed_loop(scenario, open_workspace("paper_active_set"))

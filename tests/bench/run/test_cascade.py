@@ -319,7 +319,7 @@ def test_the_allocations_are_a_sequence(case: Scenario, exact: ExactLoop, units:
 
 
 def test_other_scenarios_have_no_allocations(case: Scenario) -> None:
-    for other in (load_scenario("calm").first(2), scenario(2, allocation="pseudo_inverse")):
+    for other in (load_scenario("calm").truncate(2), scenario(2, allocation="pseudo_inverse")):
         with pytest.raises(InputError, match="a cascade with allocation"):
             rebuild_sequence(other, solve_exactly(other), part="allocation")
 

@@ -65,7 +65,7 @@ def constant(value: float) -> Answer:
 
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
-    return load_scenario("paper").first(40)
+    return load_scenario("paper").truncate(40)
 
 
 def test_first_step_sees_no_motion_and_no_force(scenario: Scenario) -> None:
@@ -166,7 +166,7 @@ def test_a_step_without_certificate(scenario: Scenario, monkeypatch: pytest.Monk
         return Optimum(*(np.full(size, np.nan) for size in (n, m, n)), np.inf, "none")
 
     monkeypatch.setattr(Referee, "certify", fail_at_five)
-    exact = solve_exactly(scenario.first(8))
+    exact = solve_exactly(scenario.truncate(8))
     assert [optimum.kind == "none" for optimum in exact.optima] == [k == 5 for k in range(8)]
     du_max = scenario.problem.du_max
     np.testing.assert_allclose(

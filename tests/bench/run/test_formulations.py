@@ -50,9 +50,9 @@ def early_loss() -> Scenario:
 
 # Steps of the last with a limit that hardly acts leave an interior point 3e-7 from the optimum.
 LOOPS = {
-    "paper": lambda: load_scenario("paper").first(60),
-    "limits fall": lambda: early_loss().first(60),
-    "preview": lambda: load_scenario("move_filtered").first(25),
+    "paper": lambda: load_scenario("paper").truncate(60),
+    "limits fall": lambda: early_loss().truncate(60),
+    "preview": lambda: load_scenario("move_filtered").truncate(25),
 }
 
 
@@ -71,7 +71,7 @@ def test_a_sparse_closed_loop_is_judged_true(name: str) -> None:
 
 @pytest.mark.parametrize("policy", ["fresh", "reuse"])
 def test_a_sparse_replay_is_judged_true(policy: Policy) -> None:
-    sequence = record_sequence(load_scenario("paper").first(25))
+    sequence = record_sequence(load_scenario("paper").truncate(25))
     run = replay(sequence, workspace(policy), repeats=2, formulation="sparse")
     assert run.steps["true_1e6"].all() and len(run.steps) == 3 * 25
     assert run.steps["error_plan"].max() <= 1e-7
@@ -79,7 +79,7 @@ def test_a_sparse_replay_is_judged_true(policy: Policy) -> None:
 
 
 def test_the_twin_in_newtons_is_the_scaled_one_in_other_units() -> None:
-    scenario = load_scenario("paper").first(4)
+    scenario = load_scenario("paper").truncate(4)
     scaled, own = (
         record_sequence(scenario, units=units).sparse_equivalent for units in ("scaled", "si")
     )
@@ -104,7 +104,7 @@ def test_the_twin_in_newtons_is_the_scaled_one_in_other_units() -> None:
 
 
 def test_the_steps_of_a_sparse_replay_are_those_of_its_closed_loop() -> None:
-    scenario = with_horizons(early_loss(), 6, 3).first(24)
+    scenario = with_horizons(early_loss(), 6, 3).truncate(24)
     assert scenario.controller.changes[0][0] == 20
     exact, sequence = solve_exactly(scenario), record_sequence(scenario)
     assert sequence.sparse_equivalent is not None
@@ -259,7 +259,7 @@ STEPS = {"hpipm": 5}
     [("paper", (30, 5), 40), ("paper_tight", (30, 5), 40), ("rough", (60, 10), 15)],
 )
 def test_exact_solvers(solver: str, scenario: str, horizons: tuple[int, int], steps: int) -> None:
-    case = with_horizons(load_scenario(scenario), *horizons).first(STEPS.get(solver, steps))
+    case = with_horizons(load_scenario(scenario), *horizons).truncate(STEPS.get(solver, steps))
     condensed = record_sequence(case)
     sequence, form = replay_formulation("sparse", condensed)
     workspace = open_workspace(solver, route="native", policy="reuse", settings=SETTINGS[solver])

@@ -133,7 +133,7 @@ def test_the_cost_matrix_turns_with_the_ship_where_its_weights_are_unequal() -> 
 @pytest.mark.parametrize(("policy", "taken_over"), [("fresh", 0), ("warm", 20)])
 def test_matrix_updates_are_counted_by_who_takes_them_over(policy: Policy, taken_over: int) -> None:
     """Of 20 steps with new matrices a kept workspace takes over all, one set up anew none."""
-    scenario = load_scenario("turn").first(20)
+    scenario = load_scenario("turn").truncate(20)
     workspace = open_workspace("daqp", route="native", policy=policy)
     found = run_closed_loop(scenario, workspace).summary
     assert found["matrix_steps"] == 20
@@ -229,7 +229,7 @@ def top_speed(scenario: Scenario, loop: ExactLoop) -> float:
 
 
 def test_no_answer_to_a_problem_that_has_none_is_no_failure() -> None:
-    scenario = load_scenario("thruster_loss_hard").first(420)
+    scenario = load_scenario("thruster_loss_hard").truncate(420)
     summary = run_closed_loop(scenario, open_workspace("daqp")).summary
     assert summary["infeasible_steps"] == summary["fallbacks"] == 3
     assert summary["failed_steps"] == 0
@@ -307,7 +307,7 @@ def assert_same(one: Optimum, other: Optimum) -> None:
 @pytest.mark.parametrize("name", KINDS)
 def test_a_shorter_exact_loop_is_the_beginning_of_a_longer_one(name: str) -> None:
     scenario = load_scenario(name)
-    short, long = (solve_exactly(scenario.first(steps)) for steps in (SHORT, LONG))
+    short, long = (solve_exactly(scenario.truncate(steps)) for steps in (SHORT, LONG))
     states = len(short.state)
     assert (len(long.theta), len(short.theta), states) == (LONG, SHORT, SHORT + 1)
     np.testing.assert_array_equal(short.state, long.state[:states])

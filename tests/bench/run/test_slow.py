@@ -27,7 +27,7 @@ from tests.bench.run.loops import SAMPLE_NS, Planned, run_loop, surge_steps
 
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
-    return load_scenario("paper").first(24)
+    return load_scenario("paper").truncate(24)
 
 
 def run(
@@ -162,7 +162,7 @@ def test_one_processor_and_no_limit_violated(
 
 @pytest.mark.slow
 def test_fast_enough_is_the_ordinary_loop_bit_for_bit() -> None:
-    scenario = load_scenario("thruster_loss_hard").first(450)
+    scenario = load_scenario("thruster_loss_hard").truncate(450)
     plain = run_closed_loop(scenario, open_workspace("quadprog"))
     timed = {name for name in plain.steps if name.endswith("_ns")} | {"late"}
     # A budget of 0.3 s at a slow-down of 1: some 10 000 times what a step takes.
@@ -177,7 +177,7 @@ def test_fast_enough_is_the_ordinary_loop_bit_for_bit() -> None:
 
 
 def test_the_records_of_a_loop_on_a_hopeless_computer() -> None:
-    scenario = load_scenario("paper").first(30)
+    scenario = load_scenario("paper").truncate(30)
     run = run_closed_loop(scenario, open_workspace("quadprog"), slowdown=SLOWEST)
     steps, summary = run.steps, run.summary
     assert steps["late"].all() and steps["fallback"].all()
@@ -196,7 +196,7 @@ def test_the_records_of_a_loop_on_a_hopeless_computer() -> None:
 
 def test_the_exact_loop_costs_what_the_exact_solver_pays() -> None:
     """`exact_cost` is the cost of a loop steered by answers that are right to 1e-12."""
-    run = run_closed_loop(load_scenario("paper").first(60), open_workspace("quadprog"))
+    run = run_closed_loop(load_scenario("paper").truncate(60), open_workspace("quadprog"))
     assert run.summary["exact_cost"] == pytest.approx(run.summary["closed_loop_cost"], rel=1e-9)
 
 
@@ -207,7 +207,7 @@ def test_the_exact_loop_costs_what_the_exact_solver_pays() -> None:
 def test_a_pace_that_cannot_be_is_refused_in_one_line(key: str, value: float) -> None:
     delay = {key: value}
     with pytest.raises(InputError, match=key):
-        run_closed_loop(load_scenario("paper").first(3), open_workspace("quadprog"), **delay)
+        run_closed_loop(load_scenario("paper").truncate(3), open_workspace("quadprog"), **delay)
 
 
 def test_slowdowns_are_an_axis_of_a_suite_and_leave_other_cells_alone() -> None:
@@ -242,7 +242,7 @@ def test_time_that_others_took_is_no_latency(scenario: Scenario) -> None:
         switches, used = next(looks)
         return switches, round(used * SAMPLE_NS)
 
-    log = run(scenario.first(12), workspace, usage=usage)
+    log = run(scenario.truncate(12), workspace, usage=usage)
     assert asked(log) == [0, 1, 6, 11]
     assert log.latency_ns[[0, 1, 6]].tolist() == [SAMPLE_NS // 2, 5 * SAMPLE_NS, 5 * SAMPLE_NS]
     assert (np.delete(log.latency_ns, [0, 1, 6, 11]) == -1).all()
@@ -253,7 +253,7 @@ def test_a_model_that_turns_is_judged_on_the_steps_that_were_computed() -> None:
 
     The answers are right, so an optimum of any other QP would show as an error.
     """
-    scenario = load_scenario("turn").first(150)
+    scenario = load_scenario("turn").truncate(150)
     # Set-up, solve and read take half a sample each: an answer takes one and a half.
     ticks = iter(range(0, 10**12, SAMPLE_NS // 2))
     delay = ComputationalDelay(1.0, SAMPLE_NS, SAMPLE_NS)

@@ -144,7 +144,7 @@ def goes_on(
 ) -> tuple[RawLog, RawLog]:
     """Return the log of a loop that goes on after it hung, and of one that failed in that step."""
     steps = at + 9
-    scenario = load_scenario(name).first(steps)
+    scenario = load_scenario(name).truncate(steps)
     cell = Cell(
         "closed_loop", scenario.files, "daqp", "native", "reuse", "default", steps, **fields
     )

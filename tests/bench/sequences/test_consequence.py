@@ -219,7 +219,7 @@ def test_what_has_no_consequence_analysis_is_refused_in_one_line() -> None:
 
 def test_the_window_of_a_cell_is_that_of_the_run(tmp_path: Path) -> None:
     """A replay from step 3 on sees the QPs that the whole run has there, its mean included."""
-    case = load_scenario("thrusters").first(9)
+    case = load_scenario("thrusters").truncate(9)
     exact = solve_exactly(case)
     exact.save(tmp_path / "loop.npz")
     cells = [planned.cell for planned in plan(suite_of("thrusters", first=3, steps=5))]

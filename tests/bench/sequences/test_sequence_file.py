@@ -35,7 +35,7 @@ STEPS = 30
 
 @pytest.fixture(scope="module")
 def tight() -> QPSequence:
-    return record_sequence(load_scenario("paper_tight").first(STEPS))
+    return record_sequence(load_scenario("paper_tight").truncate(STEPS))
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +120,7 @@ def test_bounds_of_each_step_survive_and_are_certified(tmp_path: Path) -> None:
 
 
 def test_an_si_sequence_is_written_scaled_with_its_units(tmp_path: Path) -> None:
-    scenario = load_scenario("paper").first(3)
+    scenario = load_scenario("paper").truncate(3)
     si = record_sequence(scenario, units="si")
     save_sequence(tmp_path / "si.npz", si)
     a, largest = arrays_of(tmp_path / "si.npz"), scenario.problem.du_max
@@ -231,7 +231,7 @@ def saved(scenario: str, path: Path) -> Path:
 @pytest.mark.parametrize("scenario", ["paper", "turn", "thruster_loss_soft", "watch_circle"])
 def test_what_is_read_is_what_the_builder_makes_in_si(scenario: str, tmp_path: Path) -> None:
     path = saved(scenario, tmp_path / "one.npz")
-    built = record_sequence(load_scenario(scenario).first(5), units="si")
+    built = record_sequence(load_scenario(scenario).truncate(5), units="si")
     found = load_sequence(path, units="si")
     same(found, built, 1e-12)
     assert found.scaled is not None and built.scaled is not None

@@ -126,7 +126,7 @@ def test_a_wait_ends_where_it_was_asked_to(
 def test_nobody_waits_without_timing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with holding(OTHERS.format("EXCLUSIVE")):
         assert main(["run", str(suite_file(tmp_path, REPLAYS)), "--dry-run", "--quiet"]) == 0
-        assert run_closed_loop(load_scenario("paper").first(3), open_workspace("daqp"))
+        assert run_closed_loop(load_scenario("paper").truncate(3), open_workspace("daqp"))
     assert "1 cells to run" in capsys.readouterr().out
 
 

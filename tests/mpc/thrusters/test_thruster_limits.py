@@ -29,7 +29,7 @@ part = st.floats(-1.0, 1.0)
 
 @pytest.fixture(scope="module")
 def case() -> Scenario:
-    return load_scenario("thrusters_turning").first(60)
+    return load_scenario("thrusters_turning").truncate(60)
 
 
 def arcs(case: Scenario, f: np.ndarray, move: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -114,7 +114,7 @@ def test_every_step_around_the_loss_of_an_azimuth_with_a_sector_is_certified(
     files = copy.deepcopy(load_scenario("thrusters_loss").files)
     files["vessel"]["thrusters"][0]["sector_deg"] = sector_deg
     files["scenario"]["faults"] = [{"at_s": 6.0, "lost": lost}]
-    exact = solve_exactly(build_scenario(files).first(50))
+    exact = solve_exactly(build_scenario(files).truncate(50))
     assert {optimum.kind for optimum in exact.optima} <= {"linear", "gap"}
     np.testing.assert_allclose(exact.thrust[-1, :2], 0.0, atol=1e-9)
 

@@ -53,9 +53,9 @@ def test_a_class_of_its_own_steers_a_run(monkeypatch: pytest.MonkeyPatch) -> Non
     def gentle(spec: object) -> ForceController:
         return Gentle(**vars(ForceController.of(spec)))  # type: ignore[arg-type] # a specification
 
-    usual = load_scenario("paper").first(8)
+    usual = load_scenario("paper").truncate(8)
     monkeypatch.setitem(CONTROLLERS, "forces", gentle)
-    made = build_scenario(usual.files).first(8)
+    made = build_scenario(usual.files).truncate(8)
     assert type(made.controller) is Gentle
     for scenario, share in ((usual, 1.0), (made, 1.0 / 3.0)):
         change = np.diff(solve_exactly(scenario).tau, axis=0, prepend=np.zeros((1, 3)))

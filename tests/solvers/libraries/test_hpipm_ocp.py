@@ -122,7 +122,7 @@ def test_it_leaves_the_factorisation_of_piqp_alone() -> None:
     program = """
 import numpy as np
 from dpbench import load_scenario, open_workspace, record_sequence
-sequence = record_sequence(load_scenario("paper").first(5)).sparse_equivalent().sequence
+sequence = record_sequence(load_scenario("paper").truncate(5)).sparse_equivalent().sequence
 answers = []
 for solver in ("hpipm_ocp", "hpipm", "piqp_multistage", "hpipm_ocp"):
     workspace = open_workspace(solver, route="native", policy="reuse", settings="high")

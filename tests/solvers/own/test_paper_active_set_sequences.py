@@ -34,7 +34,7 @@ def answers(workspace, sequence):
 @pytest.mark.slow
 def test_in_newtons_every_step_is_claimed_too():
     """In SI units, where a plan is 1e5 and its rounding 1e-11 of that, no claim is lost."""
-    scenario = load_scenario("paper").first(100)
+    scenario = load_scenario("paper").truncate(100)
     for policy in ("fresh", "warm"):
         steps = run_closed_loop(scenario, opened(policy), units="si").steps
         assert (steps["status"] == "SOLVED").all()
