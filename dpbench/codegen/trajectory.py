@@ -36,7 +36,7 @@ class Trajectory:
 
 def record_trajectory(data: ControllerData, solver: str, steps: int) -> Trajectory:
     """Run a scenario's closed loop with a solver, warm started; return what went in and out."""
-    scenario = data.scenario.first(steps)
+    scenario = data.scenario.truncate(steps)
     K, controller = scenario.steps, scenario.controller
     workspace = open_workspace(solver, policy="warm")
     cell = Cell("closed_loop", scenario.files, solver, "native", "warm", "default", K)

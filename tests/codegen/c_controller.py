@@ -47,7 +47,7 @@ class CController:
 
 def steer(data: ControllerData, controller: CController, steps: int) -> Matrix:
     """Return the commands (K, n_u) of a compiled controller that steers the simulated ship."""
-    scenario = data.scenario.first(steps)
+    scenario = data.scenario.truncate(steps)
     weather, sample_s = scenario.environment, scenario.sample_s
     loads, actuators = weather.load_coefficients(scenario.vessel), scenario.actuators
     ship = scenario.true_ship
