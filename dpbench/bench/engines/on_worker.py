@@ -22,9 +22,9 @@ from dpbench.bench.record.result_folder import MachineDescription
 from dpbench.bench.workers.child import start_forkserver
 from dpbench.bench.workers.executor import CellExecutor
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, Target
-from dpbench.bench.workers.leases import lease_core
 from dpbench.bench.workers.scratch import Scratch
 from dpbench.errors import DpbenchError
+from dpbench.locks import lease_core
 from dpbench.solvers.table import check_availability
 from dpbench.temporary_folders import temporary_folder
 

@@ -5,9 +5,8 @@ from contextlib import AbstractContextManager
 
 from dpbench.bench.engines.engine import Engine, TlsFiles
 from dpbench.bench.engines.local import LocalEngine
-from dpbench.bench.workers.leases import open_lease_folder
 from dpbench.errors import InputError
-from dpbench.locks import WaitLimit
+from dpbench.locks import WaitLimit, open_lease_folder
 
 ENGINES = ("local", "dask")
 

@@ -25,11 +25,10 @@ from dpbench.bench.workers.batch import CellRun, FileRun
 from dpbench.bench.workers.child import FORKSERVER_DIED, KILLED_FORKSERVER, Child
 from dpbench.bench.workers.interleaved import IdleWorkers, ReplayGroup
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, count_steps
-from dpbench.bench.workers.leases import lease_machine
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
 from dpbench.bench.workers.worker import BatchCell
 from dpbench.errors import InputError
-from dpbench.locks import EXCLUSIVE, SHARED, Holder, WaitLimit
+from dpbench.locks import EXCLUSIVE, SHARED, Holder, WaitLimit, lease_machine
 
 POLL_S = 0.1  # The end of a process is noticed at once; this is for what takes too long
 

@@ -11,13 +11,11 @@ from typing import Any
 
 import pytest
 
-from dpbench import load_results, run_campaign
+from dpbench import load_results, locks, run_campaign
 from dpbench.bench.progress import Silent
-from dpbench.bench.workers import leases
-from dpbench.bench.workers.leases import lease_core, open_lease_folder
 from dpbench.cli.main import main
 from dpbench.errors import InputError
-from dpbench.locks import BusyError
+from dpbench.locks import BusyError, lease_core, open_lease_folder
 from dpbench.notebook.runs import run_closed_loop
 from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.open import open_workspace
@@ -30,8 +28,7 @@ LOOPS = suite_toml(**HEAD, closed_loop=[{"scenarios": ["paper"], "steps": 5}])
 REPLAYS = suite_toml(**HEAD, replay=[{"scenario": "paper", "steps": 5}])
 OTHERS = "lease_machine({}, Holder('results/other'))"
 HOLDING = """
-from dpbench.bench.workers.leases import lease_core, lease_machine
-from dpbench.locks import EXCLUSIVE, SHARED, Holder
+from dpbench.locks import EXCLUSIVE, SHARED, Holder, lease_core, lease_machine
 with {lease} as held:
     print(held, flush=True)
     input()
@@ -53,7 +50,7 @@ def holding(lease: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
 def temporary_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Leases of this test alone, also for the processes that it starts."""
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr(leases, "tempfile", SimpleNamespace(gettempdir=lambda: str(tmp_path)))
+    monkeypatch.setattr(locks, "tempfile", SimpleNamespace(gettempdir=lambda: str(tmp_path)))
 
 
 @pytest.mark.alone  # What runs side by side has one core each.
@@ -104,7 +101,7 @@ def test_replays_are_timed_alone(lease: str, suite: str, waits: bool, tmp_path: 
 
 def test_without_locks_nothing_is_ranked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     nowhere = SimpleNamespace(gettempdir=lambda: str(tmp_path / "nowhere"))
-    monkeypatch.setattr(leases, "tempfile", nowhere)
+    monkeypatch.setattr(locks, "tempfile", nowhere)
     runs = load_results(run_suite(tmp_path, REPLAYS)).runs
     assert runs["outcome"].tolist() == ["finished"] and runs["concurrency"].tolist() == [2]
 
