@@ -35,7 +35,8 @@ def compiler_command() -> list[str]:
     if named:
         return shlex.split(named)
     if importlib.util.find_spec("ziglang") is not None:
-        return [sys.executable, "-m", "ziglang", "cc", "-s"]
+        # Without a processor named, zig takes the one of this machine.
+        return [sys.executable, "-m", "ziglang", "cc", "-s", "-mcpu=baseline"]
     if shutil.which("cc"):
         return ["cc"]
     raise RuntimeError(f"no C compiler was found: {REMEDY}")
