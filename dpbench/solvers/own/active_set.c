@@ -41,7 +41,8 @@
  *
  * The slope z − (3, 3) + (λ₀, λ₁) is zero there and both λ ≥ 0: the optimum.
  *
- * The answer is then refined in the problem's own data, P δz + C_Wᵀδλ = −(P z + q + Cᵀλ) and
+ * Where rounding in P⁻¹ could have moved the gradient (`loss`) or an active row from its limit, the
+ * answer is refined in the problem's own data, P δz + C_Wᵀδλ = −(P z + q + Cᵀλ) and
  * C_W δz = g − C_W z, and checked. Where more rows meet than are active, or rows are nearly
  * parallel, rounding could decide the set: there the residuals are summed in twice the precision,
  * and the method goes on until no row is violated by more than that leaves. What it cannot decide
@@ -76,6 +77,8 @@
 #define NEAR ROUNDING_OF(1e-8)          /* a row so near its limit may be active */
 #define STEEP REAL(1e-4)                /* an active row nearer to the others leans on them */
 #define SETTLED ROUNDING_OF(1e-12)      /* a smaller correction leaves nothing to correct */
+#define ON_LIMIT ROUNDING_OF(1e-14) /* an active row so near its limit needs no refinement */
+#define LOST ROUNDING_OF(3e-8)       /* nor does a gradient that rounding may have changed by less */
 #define SMALL ROUNDING_OF(1e-9)         /* allowed in a row, and in the gradient of 1 + |q| */
 #define EXACT (EPSILON * REAL(1e-3))    /* a correction that the doubled precision has to reach */
 enum { PASSES = 20, POLISHES = 8, ITERATIONS_PER_ROW = 20, NEITHER = 0, LEFT_OUT = 2 };
@@ -100,6 +103,10 @@ static as_real dot(const as_real *x, const as_real *y, int n) {
     }
     for (; i < n; i++) a += x[i] * y[i];
     return (a + b) + (c + d);
+}
+
+static void clear(as_real *x, int n) {
+    for (int i = 0; i < n; i++) x[i] = 0;
 }
 
 /* out += t x */
@@ -197,6 +204,11 @@ static void write_row_values(active_set *s) {
 
 static as_real limit_of(const active_set *s, int i) {
     return s->side[i] > 0 ? s->high[i] : s->low[i];
+}
+
+/* Or NaN, or equal and infinite, which leave no number. */
+static int has_crossed_limits(const active_set *s, int i) {
+    return !(s->low[i] <= s->high[i]) || (s->low[i] == s->high[i] && is_infinite(s->low[i]));
 }
 
 static int has_wrong_sign(const active_set *s, int i, as_real lam) {
@@ -389,22 +401,32 @@ static void write_point(active_set *s) {
 
 /* ---- violated rows ------------------------------------------------------------------------- */
 
-/* The row not active that is beyond a limit by most, over its length; −1 if none is by more than
- * noise and the rounding of the limit. */
-static int most_violated(const active_set *s, as_real noise) {
-    as_real most = noise;
-    int worst = -1;
-    for (int i = 0; i < s->n + s->m; i++) {
-        const as_real v = s->z[i], high = s->high[i], low = s->low[i];
-        const as_real over = v - high - VIOLATED * size_of(high);
-        const as_real under = low - v - VIOLATED * size_of(low);
-        const as_real e = larger(over, under) * s->unit[i];
-        if (e > most && s->side[i] == NEITHER) {
-            most = e;
-            worst = i;
+/* What a look at all rows finds: the row not active that is beyond a limit by most over its length, −1
+ * if none is by more than `noise` and the rounding of the limit; whether others are nearer to a limit
+ * than `close`; whether one has two equal limits; whether limits cross. */
+typedef struct {
+    int worst, near, equal, crossed;
+} view;
+
+static view look(const active_set *s, as_real noise, as_real close) {
+    const int N = s->n + s->m;
+    view found = {-1, 0, 0, 0};
+    for (int i = 0; i < N; i++) {
+        const as_real v = s->z[i], high = s->high[i], low = s->low[i], u = s->unit[i];
+        const as_real over = v - high, under = low - v;
+        if (over * u < -close && under * u < -close) continue; /* neither NaN nor crossed */
+        found.crossed |= has_crossed_limits(s, i);
+        if (s->side[i] != NEITHER) continue;
+        found.near = 1;
+        found.equal |= low == high;
+        const as_real e = u * (over > under ? over - VIOLATED * size_of(high)
+                                            : under - VIOLATED * size_of(low));
+        if (e > noise) {
+            noise = e;
+            found.worst = i;
         }
     }
-    return worst;
+    return found;
 }
 
 /* λ := the ray by which row j contradicts the active rows that it combines, if it proves that. */
@@ -470,17 +492,18 @@ static int activate(active_set *s, int j, int which, as_real gap, as_real allowe
     return DOUBTFUL;
 }
 
-/* Bring violated rows in until none is left, beginning with row j. */
-static int activate_violated(active_set *s, int j, as_real noise, as_real size, int refined) {
-    while (j >= 0) {
-        const int which = s->z[j] > s->high[j] ? 1 : -1;
+/* Bring violated rows in until none is left, beginning with those `found`, which is renewed. */
+static int activate_violated(
+    active_set *s, view *found, as_real noise, as_real close, as_real size, int refined) {
+    while (found->worst >= 0) {
+        const int j = found->worst, which = s->z[j] > s->high[j] ? 1 : -1;
         const as_real g = which > 0 ? s->high[j] : s->low[j];
         const as_real allowed = (refined ? CONTRADICTION : GROSS) *
                                 (size_of(g) * s->unit[j] + size);
         const int ending = activate(s, j, which, REAL(which) * (s->z[j] - g), allowed);
         if (ending != OPTIMAL) return ending;
         write_point(s);
-        j = most_violated(s, noise);
+        *found = look(s, noise, close);
     }
     return OPTIMAL;
 }
@@ -520,10 +543,6 @@ static as_real correct(active_set *s, as_real *restrict z_low, as_real *restrict
         *lam = sum;
     }
     return larger(square, 0);
-}
-
-static void clear(as_real *x, int n) {
-    for (int i = 0; i < n; i++) x[i] = 0;
 }
 
 /* Refine the answer once where its residual asks for it; `size` := ‖z‖ in the norm of P. */
@@ -784,36 +803,39 @@ static int decide_exactly(active_set *s) {
 
 /* ---- a solve ------------------------------------------------------------------------------- */
 
-/* base := −P⁻¹q; `size` := its length in the norm of P */
-static int write_base(active_set *s, as_real *size, int *equal) {
-    const int n = s->n, N = n + s->m;
-    int bad = 0;
-    clear(s->base, n);
+/* base := −P⁻¹q; returns the square of its length in the norm of P, infinite or NaN if q is. */
+static as_real write_base(active_set *s) {
+    clear(s->base, s->n);
     add_product(s, s->base, s->G, s->q);
-    for (int c = 0; c < n; c++) s->base[c] = -s->base[c];
-    const as_real square = -dot(s->q, s->base, n);
-    if (is_infinite(square)) return ACTIVE_SET_NOT_FINITE;
-    *size = root(larger(square, 0));
-    *equal = 0;
-    for (int i = 0; i < N; i++) {
-        bad |= !(s->low[i] <= s->high[i]);
-        *equal |= s->low[i] == s->high[i];
-    }
-    /* Equal limits that are infinite leave no number. */
-    for (int i = 0; i < N && *equal; i++) bad |= s->low[i] == s->high[i] && is_infinite(s->low[i]);
-    return bad ? ACTIVE_SET_CROSSED : OPTIMAL;
+    for (int c = 0; c < s->n; c++) s->base[c] = -s->base[c];
+    return -dot(s->q, s->base, s->n);
 }
 
-/* Whether more rows are at their limits than are active, or these are nearly dependent. */
-static int is_degenerate(active_set *s, as_real size) {
-    int near = 0;
-    for (int i = 0; i < s->n + s->m; i++) {
-        const as_real u = s->unit[i], v = s->z[i], little = NEAR * (size_of(v) * u + size);
-        near += (s->high[i] - v) * u <= little || (v - s->low[i]) * u <= little;
-    }
+/* ‖z‖ in the norm of P by zᵀ(P z + q + Cᵀλ) = 0 */
+static as_real length_of_point(const active_set *s) {
+    as_real square = -dot(s->q, s->z, s->n);
+    for (int k = 0; k < s->count; k++)
+        square -= s->lam[s->active[k]] * s->z[s->active[k]];
+    return root(larger(square, 0));
+}
+
+/* Whether active rows are nearly dependent. */
+static int is_steep(active_set *s) {
     for (int k = 0; k < s->count; k++)
         if (factor_row(s, k)[k] * STEEP > s->unit[s->active[k]]) return 1;
-    return near != s->count;
+    return 0;
+}
+
+/* Whether the active rows are at their limits, their multipliers have the right signs, and z is no
+ * longer than `size`. */
+static int is_settled(const active_set *s, as_real size) {
+    const as_real length = s->count > 0 ? length_of_point(s) : 0;
+    for (int k = 0; k < s->count; k++) {
+        const int i = s->active[k];
+        const as_real off = size_of(s->z[i] - limit_of(s, i)) * s->unit[i];
+        if (!(off <= ON_LIMIT * length + TINY) || has_wrong_sign(s, i, s->lam[i])) return 0;
+    }
+    return length <= size;
 }
 
 /* Whether a refined answer is an optimum without a look at all its residuals: by what rounding leaves
@@ -834,51 +856,67 @@ static int is_clear(const active_set *s, as_real next, as_real size) {
         4 * EPSILON * (terms + free) * s->widest <= ROUNDING_OF(5e-7);
 }
 
-static int search(active_set *s) {
-    as_real size = 0, correction = 0;
-    int equal = 0;
-    if (s->stale || !s->warm) clear_set(s);
-    s->stale = s->iterations = 0;
-    const int refused = write_base(s, &size, &equal);
-    if (refused) return refused;
-    const as_real coarse = VIOLATED * size;
-    as_real before = larger(size * size, TINY);
-    const as_real first = before, reach = size;
-    if (equal) add_equalities(s);
-    if (s->count > 0) {
-        if (solve_multipliers(s) != 0) {
-            move_set(s, s->block);
-            if (equal) add_equalities(s);
-            restore_signs(s);
-        } else
-            for (int k = 0; k < s->count; k++) s->lam[s->active[k]] = s->R[k];
-    }
-    write_point(s);
-    int j = most_violated(s, coarse);
+/* Refine the answer of a search, and go on where that shows other rows to be violated. */
+static int refine_search(active_set *s, as_real reach) {
+    const as_real coarse = VIOLATED * reach, first = larger(reach * reach, TINY);
+    as_real size = reach, before = first;
     for (int pass = 0; pass < PASSES; pass++) {
-        /* Whether rows hardly contradict each other is decided on refined values only. */
-        const int ending = activate_violated(s, j, coarse, pass ? size : reach + size, pass > 0);
-        if (ending != OPTIMAL) return ending;
-        correction = refine(s, &size);
-        const as_real off = root(correction);
+        const as_real correction = refine(s, &size), off = root(correction);
         const int dropped = correct_signs(s, larger(coarse, off));
         const as_real next = root(correction * smaller(1, correction / before));
         const int settled = dropped == 0 && next <= SETTLED * size;
+        const as_real noise = larger(VIOLATED * size, next), close = 2 * NEAR * size;
         for (int c = 0; c < s->n; c++) s->base[c] = s->z[c];
         add_active_rows(s, s->base, 1);
         if (dropped > 0) {
             restore_signs(s);
             write_point(s);
         }
-        j = most_violated(s, larger(VIOLATED * size, next));
-        if (j < 0 && dropped == 0 && (settled || correction > before / 4)) {
+        view found = look(s, noise, close);
+        if (found.worst < 0 && dropped == 0 && (settled || correction > before / 4)) {
+            if (found.near || is_steep(s)) return DOUBTFUL;
             const int sure = settled && is_clear(s, next, size);
-            if (is_degenerate(s, size)) return DOUBTFUL;
             return sure || active_set_excess(s) <= 1 ? s->iterations : DOUBTFUL;
         }
-        before = j < 0 ? correction : first;
+        before = found.worst < 0 ? correction : first;
+        /* Whether rows hardly contradict each other is decided on refined values only. */
+        const int ending = activate_violated(s, &found, coarse, close, size, 1);
+        if (ending != OPTIMAL) return ending;
     }
     return DOUBTFUL;
+}
+
+/* The multipliers of the set of the step before, as it is or moved on; and the point. */
+static void start(active_set *s) {
+    if (solve_multipliers(s) != 0) {
+        move_set(s, s->block);
+        restore_signs(s);
+    } else
+        for (int k = 0; k < s->count; k++) s->lam[s->active[k]] = s->R[k];
+}
+
+static int search(active_set *s) {
+    if (s->stale || !s->warm) clear_set(s);
+    s->stale = s->iterations = 0;
+    const as_real square = write_base(s);
+    if (is_infinite(square)) return ACTIVE_SET_NOT_FINITE;
+    const as_real size = root(larger(square, 0)), coarse = VIOLATED * size, close = 4 * NEAR * size;
+    if (s->count > 0) start(s);
+    write_point(s);
+    view found = look(s, coarse, close);
+    if (found.crossed) return ACTIVE_SET_CROSSED;
+    if (found.equal) {
+        add_equalities(s);
+        restore_signs(s);
+        write_point(s);
+        found = look(s, coarse, close);
+    }
+    const int ending = activate_violated(s, &found, coarse, close, 2 * size, 0);
+    if (ending != OPTIMAL) return ending;
+    if (s->loss * largest_of(s->q, s->n) <= LOST && !found.near && !is_steep(s) &&
+        is_settled(s, 2 * size))
+        return s->iterations;
+    return refine_search(s, size);
 }
 
 int active_set_solve(active_set *s) {
@@ -982,6 +1020,17 @@ int active_set_replace_rows(active_set *s, const as_real *A) {
     return refused;
 }
 
+/* loss := the largest entry of P P⁻¹x − x for an x of ±1: what rounding leaves of a gradient of 1. */
+static void measure_loss(active_set *s) {
+    const int n = s->n;
+    for (int c = 0; c < n; c++) s->e[c] = REAL(c % 3 ? 1 : -1);
+    clear(s->r, n);
+    add_product(s, s->r, s->G, s->e);
+    for (int c = 0; c < n; c++) s->e[c] = -s->e[c];
+    add_product(s, s->e, s->P, s->r);
+    s->loss = largest_of(s->e, n);
+}
+
 int active_set_factorise(active_set *s, const as_real *P, const as_real *A) {
     const int n = s->n;
     as_real *own = (as_real *)s->P, *G = (as_real *)s->G;
@@ -1008,5 +1057,6 @@ int active_set_factorise(active_set *s, const as_real *P, const as_real *A) {
         for (int c = 0; c < n; c++) sum += size_of(inverse_row(s, i)[c]);
         s->widest = larger(s->widest, sum);
     }
+    measure_loss(s);
     return active_set_replace_rows(s, A);
 }

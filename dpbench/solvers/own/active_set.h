@@ -59,6 +59,7 @@ typedef struct {
     const int *order;    /* n: variables that P couples with others, then the rest */
     int coupled;         /* how many it couples */
     as_real longest, steepest, largest, widest; /* max √H_ii, Σ|P| of a row, max |A|, Σ|P⁻¹| of a row */
+    as_real loss;     /* of a gradient of size 1, by rounding in P⁻¹ */
     /* Memory from step to step, and scratch. */
     as_real *base;              /* n: −P⁻¹q, the optimum without limits */
     as_real *L;                 /* n(n+1)/2: Cholesky factor of H_WW, rows packed, 1/L_kk on it */

@@ -75,10 +75,11 @@ static void exchange(active_set *s, as_real *change) {
 int hildreth_solve(
     active_set *s, int max_iter, as_real eps_change, as_real eps_row, as_real *change) {
     const int n = s->n, N = n + s->m;
-    int equal = 0, converged = 0;
+    int converged = 0;
     as_real moved = 0;
-    const int refused = write_base(s, &moved, &equal);
-    if (refused) return refused;
+    if (is_infinite(write_base(s))) return ACTIVE_SET_NOT_FINITE;
+    for (int i = 0; i < N; i++)
+        if (has_crossed_limits(s, i)) return ACTIVE_SET_CROSSED;
     if (s->stale || !s->warm) clear(s->lam, N);
     for (int i = 0; i < n - s->block; i++) s->lam[i] = s->lam[i + s->block];
     for (int i = n; i < N - s->m * s->block / n; i++) s->lam[i] = s->lam[i + s->m * s->block / n];

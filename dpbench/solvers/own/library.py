@@ -43,7 +43,7 @@ class ActiveSet(ctypes.Structure):
         *_name_fields(INTEGER, "n m warm block stale count iterations"),
         *_name_fields(POINTER, "q low high z lam P G unit a column first order"),
         *_name_fields(INTEGER, "coupled"),
-        *_name_fields(REAL, "longest steepest largest widest"),
+        *_name_fields(REAL, "longest steepest largest widest loss"),
         *_name_fields(POINTER, "base L active side list R T r e z_low lam_low r_low"),
     ]
 
