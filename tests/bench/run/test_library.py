@@ -9,12 +9,14 @@ import pandas as pd
 import pytest
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
+from dpbench.bench.capability.frontier import CapabilityPlot
 from dpbench.bench.judge.control_metrics import axis_limit_metrics, control_metrics
 from dpbench.bench.judge.thruster_metrics import thruster_metrics
 from dpbench.bench.run.exact_loop import ExactLoop, rebuild_sequence, solve_exactly
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.scenario.controllers.specification import FIXED_MODEL
+from dpbench.scenario.own_ship import DP_NUMBERS
 from dpbench.scenario.problem_files import problem_names
 from dpbench.scenario.scenario import Scenario, build_scenario
 from dpbench.solvers.contract import Policy
@@ -199,7 +201,7 @@ def test_a_ship_that_is_not_the_model_is_still_held() -> None:
 
 
 def test_three_forces_are_the_easier_problem_in_the_same_weather() -> None:
-    """Ship, weather and horizons of `thrusters`; at most 10 active limits where that has 70."""
+    """Ship, weather and horizons of `thrusters`; at most 13 active limits where that has 70."""
     forces, thrusters = (load_scenario(name) for name in ("three_forces", "thrusters"))
     assert forces.files["vessel"] == thrusters.files["vessel"]
     environments = [s.files["scenario"]["environment"] for s in (forces, thrusters)]
@@ -209,8 +211,28 @@ def test_three_forces_are_the_easier_problem_in_the_same_weather() -> None:
         max(int((np.abs(np.r_[o.y, o.y_box]) > 1e-9).sum()) for o in exact(s.name).optima)
         for s in (forces, thrusters)
     ]
-    assert most[0] <= 12 and most[1] >= 60
-    assert 1.0 < metrics("three_forces")["r_max_m"] < 1.5
+    assert most[0] <= 13 and most[1] >= 60
+    assert 1.5 < metrics("three_forces")["r_max_m"] < 2.5
+
+
+@pytest.mark.parametrize(("name", "number"), [("thrusters", 7), ("thrusters_loss", 6)])
+def test_the_weather_on_thrusters_is_the_largest_that_level_1_holds(name: str, number: int) -> None:
+    """After the loss of the scenario, if it has one; and the ship stays on station, within 5 m."""
+    scenario = load_scenario(name)
+    plot = CapabilityPlot(scenario.vessel)
+    lost = [group for fault in scenario.files["scenario"]["faults"] for group in fault["lost"]]
+    (case,) = (case for case in plot.cases if [case.name] == (lost or ["intact"]))
+    tables = scenario.files["scenario"]["environment"]
+    assert plot.find_wind_limit(case, np.radians(tables["wind"]["from_deg"])).number == number
+    waves = tables["waves"]
+    sea = (
+        tables["wind"]["speed_mps"],
+        waves["hs_m"],
+        waves["tp_s"],
+        tables["current"]["speed_mps"],
+    )
+    assert sea == DP_NUMBERS[number]
+    assert metrics(name)["r_max_m"] < 5.0
 
 
 def test_watch_circle_limits_the_speed_of_a_transfer() -> None:

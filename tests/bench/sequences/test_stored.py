@@ -87,9 +87,13 @@ def test_sampled_optima_are_found_again(name: str) -> None:
         np.testing.assert_allclose(again.z, stored.z, atol=CLOSE)
         C = np.vstack((np.eye(qp.n), qp.A))
         low, high = np.append(qp.lb, qp.l), np.append(qp.ub, qp.u)
-        C, b = np.vstack((C, -C)), np.append(low, -high)
+        # Equations first, as quadprog wants them: two rows for each may seem inconsistent to it.
+        equal = low == high
+        C, b = np.vstack((C[equal], C[~equal], -C[~equal])), np.append(low[equal], low[~equal])
+        b = np.append(b, -high[~equal])
         finite = np.isfinite(b)
-        found = quadprog.solve_qp(qp.P, -qp.q, C[finite].T.copy(), b[finite])[0]
+        rows = C[finite].T.copy(), b[finite]
+        found = quadprog.solve_qp(qp.P, -qp.q, *rows, meq=int(equal.sum()))[0]
         np.testing.assert_allclose(found, stored.z, atol=1e-7)
 
 
