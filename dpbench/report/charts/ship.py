@@ -4,53 +4,39 @@ from collections.abc import Sequence
 from typing import Any
 
 import altair as alt
-import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records.thinned_runs import MOST, extreme_indices
-from dpbench.analysis.suites.paper import CIRCLE_M, Law, pose_errors
-from dpbench.arrays import Vector
+from dpbench.analysis.suites.paper import Law
 from dpbench.report.charts import style
+from dpbench.report.charts.ship_tables import (
+    Panel,
+    error_panels,
+    force_panels,
+    increment_panels,
+    path_tables,
+)
 from dpbench.scenario.scenario import Scenario
 
-CORNERS = 73
-"""Corners of the polygon of a circle: every 5°, the first again at the end."""
-DRAWN_FORCES = (
-    ("surge", "x", "N", 1e3, "kN"),
-    ("sway", "y", "N", 1e3, "kN"),
-    ("yaw", "n", "Nm", 1e6, "MN·m"),
-)
 _WIDTH = 285
-MOST_TOGETHER = 4800
-"""Points of all runs in a figure: a notebook refuses tables of more than 5000 rows."""
 
 
 def draw_path(laws: Sequence[Law], scenario: Scenario) -> Any:
     """Draw the ship's north-east path under each control law, with the 1 m circle (Figure 4)."""
-    tables = []
-    for law in laws:
-        thin = law.steps.iloc[:: len(law.steps) // _points_per_run(laws) + 1]
-        places = {"i": range(len(thin)), "n": thin["n_m"], "e": thin["e_m"]}
-        tables.append(pd.DataFrame({"law": law.label, **places}))
-    table = pd.concat(tables)
-    north, east = (float(x) for x in scenario.reference[:2])
-    angle = np.linspace(0.0, 2.0 * np.pi, CORNERS)
-    n, e = north + CIRCLE_M * np.cos(angle), east + CIRCLE_M * np.sin(angle)
-    circle = pd.DataFrame({"i": range(CORNERS), "n": n, "e": e})
-    starts = [*map(float, scenario.start[:2])]
-    kinds = ["start", "reference"]
-    points = pd.DataFrame([starts, [north, east]], columns=["n", "e"]).assign(what=kinds)
-    x, y = _equal_axes(pd.concat([table, circle, points]))
-    lines = alt.Chart(table).mark_line(strokeWidth=1.8)
+    tables = path_tables(laws, scenario)
+    x, y = (
+        alt.X("e:Q", title="east [m]", scale=alt.Scale(domain=tables.ranges["e"], nice=False)),
+        alt.Y("n:Q", title="north [m]", scale=alt.Scale(domain=tables.ranges["n"], nice=False)),
+    )
+    lines = alt.Chart(tables.lines).mark_line(strokeWidth=1.8)
     lines = lines.encode(x=x, y=y, order="i:Q", color=_law_colour(laws), strokeDash=_law_dash(laws))
     ring = (
-        alt.Chart(circle)
+        alt.Chart(tables.circle)
         .mark_line(strokeDash=[3, 3], color=style.SOFT)
         .encode(x=x, y=y, order="i:Q")
     )
-    look = style.names_scale(kinds, ("circle", "cross"))
+    look = style.names_scale(tables.marks["what"], ("circle", "cross"))
     shape = alt.Shape("what:N", title=None, scale=look, legend=style.legend_below(columns=1))
-    marks = alt.Chart(points).mark_point(filled=True, size=70, color=style.INK)
+    marks = alt.Chart(tables.marks).mark_point(filled=True, size=70, color=style.INK)
     marks = marks.encode(x=x, y=y, shape=shape)
     chart = alt.layer(ring, lines, marks, width=285, height=285)
     return style.set_style(chart, "Path of the ship", "Path of the ship under each control law.")
@@ -58,79 +44,51 @@ def draw_path(laws: Sequence[Law], scenario: Scenario) -> Any:
 
 def draw_pose_errors(laws: Sequence[Law], scenario: Scenario) -> Any:
     """Draw north, east, heading and radial error over time under each control law (Figure 5)."""
-    panels = []
-    for name, unit in (("north", "m"), ("east", "m"), ("heading", "°"), ("radial", "m")):
-        table = _law_time_series(
-            laws, lambda law, name=name: pose_errors(law.steps, scenario.reference)[name]
-        )
-        log = name == "radial"
-        if log:
-            # A zero has no place on a log axis; a micrometre is below anything of interest.
-            table["value"] = table["value"].clip(lower=1e-6)
-        panel = _draw_law_lines(table, laws, f"{name} [{unit}]", last=log, log=log)
-        if log:
-            panel = alt.layer(panel, _draw_limits((CIRCLE_M,)))
-        panels.append(panel)
+    chart = _stack_panels(error_panels(laws, scenario), laws)
     wording = "North, east, heading and radial error against time."
-    return style.set_style(_stack_panels(panels), "Errors of position and heading", wording)
+    return style.set_style(chart, "Errors of position and heading", wording)
 
 
 def draw_forces(laws: Sequence[Law], scenario: Scenario) -> Any:
     """Draw the applied force in each axis over time, with its limits (Figure 6)."""
-    panels = _draw_axes(laws, "tau", "", scenario.vessel.tau_min, scenario.vessel.tau_max)
-    return style.set_style(panels, "Forces", "Force applied in each axis, with its limits.")
+    chart = _stack_panels(force_panels(laws, scenario), laws)
+    return style.set_style(chart, "Forces", "Force applied in each axis, with its limits.")
 
 
 def draw_increments(laws: Sequence[Law], scenario: Scenario) -> Any:
     """Draw the change of force in each step over time, with the rate limits (Figure 7)."""
-    most = scenario.force_step_max
-    panels = _draw_axes(laws, "dtau", "Δ", -most, most)
+    chart = _stack_panels(increment_panels(laws, scenario), laws)
     about = "Change of the force in each step, with its limits."
-    return style.set_style(panels, "Increments", about)
+    return style.set_style(chart, "Increments", about)
 
 
-def _draw_axes(laws: Sequence[Law], column: str, sign: str, low: Vector, high: Vector) -> Any:
-    """Draw force or force change over time for each axis, with limits (3,) or a note on them."""
-    panels = []
-    for (name, key, unit, scale, shown), *limits in zip(DRAWN_FORCES, low, high, strict=True):
-        title, field = f"{sign}{name} [{shown}]", f"{column}_{key}_{unit}"
-        table = _law_time_series(laws, lambda law, f=field, s=scale: law.steps[f].to_numpy() / s)
-        reach = float(np.abs(table["value"]).max())
-        near = [limit / scale for limit in limits if abs(limit / scale) <= 2.5 * max(reach, 1e-12)]
-        # Limits far off are said, as a figure without them looks as if there were none.
-        far = f"limits ±{max(map(abs, limits)) / scale:.4g}"
-        corner = {"x": alt.value("width"), "y": alt.value(0), "text": alt.value(far)}
-        note = alt.MarkDef("text", align="right", baseline="top", color=style.SOFT, fontSize=12)
-        words = style.inline_chart({}).properties(mark=note).encode(**corner)
-        lines = _draw_law_lines(table, laws, title, last=name == "yaw")
-        panels.append(alt.layer(lines, _draw_limits(near) if near else words))
-    return _stack_panels(panels)
+def _stack_panels(panels: Sequence[Panel], laws: Sequence[Law]) -> Any:
+    """Draw panels one below the other, over the same time."""
+    drawn = [_draw_panel(panel, laws, last=panel is panels[-1]) for panel in panels]
+    shared = alt.Resolve(scale=alt.ScaleResolveMap(x="shared"))
+    return alt.vconcat(*drawn, spacing=4, resolve=shared)
 
 
-def _law_time_series(laws: Sequence[Law], value: Any) -> pd.DataFrame:
-    """Tabulate a quantity over time for each control law, thinned for drawing."""
-    tables = []
-    for law in laws:
-        values, t = np.asarray(value(law), dtype=np.float64), law.steps["t_s"].to_numpy()
-        shown = extreme_indices(values, _points_per_run(laws))
-        tables.append(pd.DataFrame({"law": law.label, "t": t[shown], "value": values[shown]}))
-    return pd.concat(tables)
+def _draw_panel(panel: Panel, laws: Sequence[Law], *, last: bool) -> Any:
+    """Draw the lines of a panel, with its limits or the note on them."""
+    lines = _draw_law_lines(panel, laws, last=last)
+    if panel.limits:
+        return alt.layer(lines, _draw_limits(panel.limits))
+    if not panel.note:
+        return lines
+    corner = {"x": alt.value("width"), "y": alt.value(0), "text": alt.value(panel.note)}
+    note = alt.MarkDef("text", align="right", baseline="top", color=style.SOFT, fontSize=12)
+    return alt.layer(lines, style.inline_chart({}).properties(mark=note).encode(**corner))
 
 
-def _points_per_run(laws: Sequence[Law]) -> int:
-    return min(MOST, MOST_TOGETHER // len(laws))
-
-
-def _draw_law_lines(
-    table: pd.DataFrame, laws: Sequence[Law], title: str, *, last: bool, log: bool = False
-) -> Any:
-    scale, axis = style.log_scale() if log else alt.Scale(), alt.Axis(tickCount=4)
+def _draw_law_lines(panel: Panel, laws: Sequence[Law], *, last: bool) -> Any:
+    scale, axis = style.log_scale() if panel.is_log else alt.Scale(), alt.Axis(tickCount=4)
     line = (
-        alt.Chart(table)
+        alt.Chart(panel.table)
         .mark_line(strokeWidth=1.3, interpolate="step-after")
         .encode(
             x=alt.X("t:Q", title="t [s]" if last else None, scale=alt.Scale(nice=False)),
-            y=alt.Y("value:Q", title=title, scale=scale, axis=axis),
+            y=alt.Y("value:Q", title=panel.title, scale=scale, axis=axis),
             color=_law_colour(laws),
             strokeDash=_law_dash(laws),
         )
@@ -143,11 +101,6 @@ def _draw_limits(values: Sequence[float]) -> Any:
     return chart.mark_rule(strokeDash=[5, 3], color=style.SOFT).encode(y="limit:Q")
 
 
-def _stack_panels(panels: Sequence[Any]) -> Any:
-    shared = alt.Resolve(scale=alt.ScaleResolveMap(x="shared"))
-    return alt.vconcat(*panels, spacing=4, resolve=shared)
-
-
 def _law_colour(laws: Sequence[Law]) -> alt.Color:
     labels = [law.label for law in laws]
     return style.colour("law", labels, style.PALETTE[: len(laws)], labelLimit=260, columns=1)
@@ -156,17 +109,3 @@ def _law_colour(laws: Sequence[Law]) -> alt.Color:
 def _law_dash(laws: Sequence[Law]) -> alt.StrokeDash:
     scale = style.names_scale((law.label for law in laws), [[1, 0], [6, 3]][: len(laws)])
     return alt.StrokeDash("law:N", title=None, scale=scale)
-
-
-def _equal_axes(table: pd.DataFrame) -> tuple[alt.X, alt.Y]:
-    """Return the chart's east and north axes with equal scales, around all points."""
-    middle = {a: 0.5 * (table[a].min() + table[a].max()) for a in ("n", "e")}
-    half = 0.54 * max(table[a].max() - table[a].min() for a in ("n", "e"))
-
-    def scale(name: str) -> alt.Scale:
-        return alt.Scale(domain=[middle[name] - half, middle[name] + half], nice=False)
-
-    return (
-        alt.X("e:Q", title="east [m]", scale=scale("e")),
-        alt.Y("n:Q", title="north [m]", scale=scale("n")),
-    )

@@ -1,0 +1,132 @@
+"""Tables of the figures of a ship under several control laws, as either backend draws them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from dpbench.analysis.records.thinned_runs import MOST, extreme_indices
+from dpbench.analysis.suites.paper import CIRCLE_M, Law, pose_errors
+from dpbench.arrays import Vector
+from dpbench.scenario.scenario import Scenario
+
+CORNERS = 73
+"""Corners of the polygon of a circle: every 5°, the first again at the end."""
+DRAWN_FORCES = (
+    ("surge", "x", "N", 1e3, "kN"),
+    ("sway", "y", "N", 1e3, "kN"),
+    ("yaw", "n", "Nm", 1e6, "MN·m"),
+)
+MOST_TOGETHER = 4800
+"""Points of all runs in a figure: a notebook refuses tables of more than 5000 rows."""
+LEAST_M = 1e-6
+"""Smallest radial error drawn [m]: a logarithmic axis has no zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class PathTables:
+    """North-east paths of the ship with the 1 m circle, start and reference.
+
+    lines : columns law, i, n and e [m]. circle : columns i, n and e. marks : n, e and what.
+    """
+
+    lines: pd.DataFrame
+    circle: pd.DataFrame
+    marks: pd.DataFrame
+
+    @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """Limits of the axes `n` and `e` [m], equally long and around all points."""
+        table = pd.concat([self.lines, self.circle, self.marks])
+        half = 0.54 * max(table[a].max() - table[a].min() for a in ("n", "e"))
+        middle = {a: 0.5 * (table[a].min() + table[a].max()) for a in ("n", "e")}
+        return {a: (middle[a] - half, middle[a] + half) for a in middle}
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One quantity over time under each control law.
+
+    table : columns law, t [s] and value. limits : drawn across. note : words in the corner.
+    """
+
+    title: str
+    table: pd.DataFrame
+    limits: tuple[float, ...] = ()
+    note: str = ""
+    is_log: bool = False
+
+
+def path_tables(laws: Sequence[Law], scenario: Scenario) -> PathTables:
+    """Tabulate the ship's path under each control law, thinned for drawing."""
+    tables = []
+    for law in laws:
+        thin = law.steps.iloc[:: len(law.steps) // _points_per_run(laws) + 1]
+        places = {"i": range(len(thin)), "n": thin["n_m"], "e": thin["e_m"]}
+        tables.append(pd.DataFrame({"law": law.label, **places}))
+    north, east = (float(x) for x in scenario.reference[:2])
+    angle = np.linspace(0.0, 2.0 * np.pi, CORNERS)
+    n, e = north + CIRCLE_M * np.cos(angle), east + CIRCLE_M * np.sin(angle)
+    circle = pd.DataFrame({"i": range(CORNERS), "n": n, "e": e})
+    marks = pd.DataFrame([[*map(float, scenario.start[:2])], [north, east]], columns=["n", "e"])
+    return PathTables(pd.concat(tables), circle, marks.assign(what=["start", "reference"]))
+
+
+def error_panels(laws: Sequence[Law], scenario: Scenario) -> list[Panel]:
+    """Tabulate north, east, heading and radial error over time under each control law."""
+    panels = []
+    for name, unit in (("north", "m"), ("east", "m"), ("heading", "°"), ("radial", "m")):
+        table = _law_time_series(
+            laws, lambda law, name=name: pose_errors(law.steps, scenario.reference)[name]
+        )
+        is_log = name == "radial"
+        if is_log:
+            table["value"] = table["value"].clip(lower=LEAST_M)
+        limits = (CIRCLE_M,) if is_log else ()
+        panels.append(Panel(f"{name} [{unit}]", table, limits, is_log=is_log))
+    return panels
+
+
+def force_panels(laws: Sequence[Law], scenario: Scenario) -> list[Panel]:
+    """Tabulate the applied force in each axis over time, with its limits."""
+    return _axis_panels(laws, "tau", "", scenario.vessel.tau_min, scenario.vessel.tau_max)
+
+
+def increment_panels(laws: Sequence[Law], scenario: Scenario) -> list[Panel]:
+    """Tabulate the change of force in each step over time, with the rate limits."""
+    most = scenario.force_step_max
+    return _axis_panels(laws, "dtau", "Δ", -most, most)
+
+
+def _axis_panels(
+    laws: Sequence[Law], column: str, sign: str, low: Vector, high: Vector
+) -> list[Panel]:
+    """Tabulate force or force change over time for each axis, with limits (3,) or a note on them."""
+    panels = []
+    for (name, key, unit, scale, shown), *limits in zip(DRAWN_FORCES, low, high, strict=True):
+        field = f"{column}_{key}_{unit}"
+        table = _law_time_series(laws, lambda law, f=field, s=scale: law.steps[f].to_numpy() / s)
+        reach = float(np.abs(table["value"]).max())
+        near = [limit / scale for limit in limits if abs(limit / scale) <= 2.5 * max(reach, 1e-12)]
+        # Limits far off are named, as a figure without them looks as if there were none.
+        far = "" if near else f"limits ±{max(map(abs, limits)) / scale:.4g}"
+        panels.append(Panel(f"{sign}{name} [{shown}]", table, tuple(near), far))
+    return panels
+
+
+def _law_time_series(
+    laws: Sequence[Law], value: Callable[..., npt.ArrayLike | pd.Series]
+) -> pd.DataFrame:
+    """Tabulate a quantity over time for each control law, thinned for drawing."""
+    tables = []
+    for law in laws:
+        values, t = np.asarray(value(law), dtype=np.float64), law.steps["t_s"].to_numpy()
+        shown = extreme_indices(values, _points_per_run(laws))
+        tables.append(pd.DataFrame({"law": law.label, "t": t[shown], "value": values[shown]}))
+    return pd.concat(tables)
+
+
+def _points_per_run(laws: Sequence[Law]) -> int:
+    return min(MOST, MOST_TOGETHER // len(laws))
