@@ -40,7 +40,8 @@ def test_every_pin_is_a_version_that_is_declared() -> None:
     assert all(re.fullmatch(r"[\w.-]+", part) for pin in pins.items() for part in pin)
     versions = {name.lower().replace("_", "-"): version for name, version in pins.items()}
     installed = (
-        EXTRAS[extra] for extra in ("solvers", "cluster", "peers", "dev", "mutants", "docs")
+        EXTRAS[extra]
+        for extra in ("solvers", "cluster", "matplotlib", "peers", "dev", "mutants", "docs")
     )
     for text in chain(PROJECT["dependencies"], *installed):
         requirement = Requirement(text)

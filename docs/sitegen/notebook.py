@@ -84,9 +84,11 @@ def run(folder: Path) -> Any:
 
 def main() -> None:
     """Run the notebook and store it with its outputs."""
+    import nbformat
+
     with tempfile.TemporaryDirectory() as folder:
         notebook = run(Path(folder))
-    NOTEBOOK.write_text(json.dumps(notebook, indent=1, ensure_ascii=False) + "\n", "utf-8")
+    nbformat.write(notebook, NOTEBOOK)  # type: ignore[no-untyped-call] # of nbformat
 
 
 if __name__ == "__main__":

@@ -1,12 +1,21 @@
-"""The figures of the page for runs in memory; Altair is imported with the first."""
+"""Figures of runs and results in memory; Altair or Matplotlib is imported with the first."""
 
-from typing import Any, Protocol
+from __future__ import annotations
+
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 
 import numpy as np
 import pandas as pd
 
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from dpbench.report.page.data import PageData
+
+Backend = Literal["altair", "matplotlib"]
+"""What draws: Altair as on the page, or Matplotlib (extra `matplotlib`) for print."""
 
 
 class JudgedRun(Protocol):
@@ -26,43 +35,73 @@ class JudgedRun(Protocol):
 
 
 class RunPlots:
-    """Plots of one solver's run as Altair charts; `run.plot.ship(other)` draws several together.
+    """Plots of one solver's run; `run.plot.ship(other)` draws several together.
 
-    A chart has `save` for PNG, SVG, PDF and HTML.
+    With `backend="altair"` a chart, whose `save` writes PNG, SVG, PDF and HTML; with "matplotlib" a
+    `matplotlib.figure.Figure`, 3.5 inches wide, whose `savefig` writes what Matplotlib can.
+    InputError where Matplotlib is asked for and not installed.
     """
 
     def __init__(self, run: JudgedRun) -> None:
         self._run = run
 
     def __repr__(self) -> str:
-        return "<figures: steps()" + (", ship(), errors()>" if self._run.scenario else ">")
-
-    def steps(self) -> Any:
-        """Plot step time, error of the first move, iterations and forces over the steps."""
-        from dpbench.analysis.verdict.requirements import Requirements
-        from dpbench.report.charts.steps import draw_step_strips
-
-        run = self._run
-        return draw_step_strips(
-            _make_step_rows(run.steps), _compute_force_shares(run), Requirements().error_move
+        return "<figures: steps()" + (
+            ", ship(), errors(), forces()>" if self._run.scenario else ">"
         )
 
-    def ship(self, *others: JudgedRun) -> Any:
+    def steps(self, *, backend: Backend = "altair") -> Any:
+        """Plot step time, error of the first move, iterations and forces over the steps."""
+        from dpbench.analysis.verdict.requirements import Requirements
+
+        run, limit = self._run, Requirements().error_move
+        tables = _make_step_rows(run.steps), _compute_force_shares(run)
+        if _is_printed(backend):
+            return _import_printed().draw_step_strips(*tables, limit)
+        from dpbench.report.charts.steps import draw_step_strips
+
+        return draw_step_strips(*tables, limit)
+
+    def ship(self, *others: JudgedRun, backend: Backend = "altair") -> Any:
         """Plot the ship's path in the north-east plane with the 1 m circle (Fig. 4 of the paper).
 
         Raises InputError for a replay, which has no ship, or runs of two scenarios.
         """
+        laws, scenario = self._collect_laws(others)
+        if _is_printed(backend):
+            from dpbench.report.charts.ship_tables import path_tables
+
+            return _import_printed().draw_path(path_tables(laws, scenario))
         from dpbench.report.charts.ship import draw_path
 
-        return draw_path(_convert_to_laws((self._run, *others)), self._common_scenario(others))
+        return draw_path(laws, scenario)
 
-    def errors(self, *others: JudgedRun) -> Any:
+    def errors(self, *others: JudgedRun, backend: Backend = "altair") -> Any:
         """Plot north, east, heading and radial error of closed loops (Fig. 5 of the paper)."""
+        laws, scenario = self._collect_laws(others)
+        if _is_printed(backend):
+            from dpbench.report.charts.ship_tables import error_panels
+
+            return _import_printed().draw_panels(error_panels(laws, scenario))
         from dpbench.report.charts.ship import draw_pose_errors
 
-        return draw_pose_errors(
-            _convert_to_laws((self._run, *others)), self._common_scenario(others)
-        )
+        return draw_pose_errors(laws, scenario)
+
+    def forces(self, *others: JudgedRun, backend: Backend = "altair") -> Any:
+        """Plot the applied forces of closed loops with their limits (Fig. 6 of the paper)."""
+        laws, scenario = self._collect_laws(others)
+        if _is_printed(backend):
+            from dpbench.report.charts.ship_tables import force_panels
+
+            return _import_printed().draw_panels(force_panels(laws, scenario))
+        from dpbench.report.charts.ship import draw_forces
+
+        return draw_forces(laws, scenario)
+
+    def _collect_laws(self, others: tuple[JudgedRun, ...]) -> tuple[list[Any], Scenario]:
+        """Return the labelled curves of these runs, and their common scenario."""
+        scenario = self._common_scenario(others)
+        return _convert_to_laws((self._run, *others)), scenario
 
     def _common_scenario(self, others: tuple[JudgedRun, ...]) -> Scenario:
         """Return the scenario that all runs share; InputError if they differ or one has no ship."""
@@ -75,6 +114,70 @@ class RunPlots:
                 raise InputError("plot", "run", found, "closed loops of one scenario")
         assert scenario is not None, "of a closed loop"
         return scenario
+
+
+class ResultPlots:
+    """Plots of a benchmark's results, by Altair or Matplotlib as those of `RunPlots`."""
+
+    def __init__(self, data: PageData) -> None:
+        self._data = data
+
+    def __repr__(self) -> str:
+        return "<figures: times(), accuracy()>"
+
+    def times(self, *, backend: Backend = "altair") -> Any:
+        """Plot each solver's p50, p99, hardest step and largest timing against the deadline.
+
+        Raises InputError where no replay was timed.
+        """
+        from dpbench.analysis.times.solver_tables import time_table
+
+        table, limits = _filled(time_table(self._data)), self._data.requirements
+        if _is_printed(backend):
+            draw = _import_printed().draw_deadline_chart
+        else:
+            from dpbench.report.charts.overview import draw_deadline_chart as draw
+        return draw(table, limits.deadline_ms, limits.p99_ms)
+
+    def accuracy(self, *, backend: Backend = "altair") -> Any:
+        """Plot the largest error of each solver over its step time, by tolerance settings.
+
+        Raises InputError where no replay was timed.
+        """
+        from dpbench.analysis.times.solver_tables import level_table
+
+        table, limits = _filled(level_table(self._data)), self._data.requirements
+        if _is_printed(backend):
+            draw = _import_printed().draw_accuracy
+        else:
+            from dpbench.report.charts.overview import draw_accuracy as draw
+        return draw(table, limits.error_move)
+
+
+def _filled(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table of timed solvers, InputError where it has no row."""
+    if table.empty:
+        raise InputError("plot", "results", "no timed replay", "results of a suite with replays")
+    return table
+
+
+def _is_printed(backend: str) -> bool:
+    """Return whether Matplotlib is to draw; InputError for a backend that is not known."""
+    if backend not in (known := get_args(Backend)):
+        raise InputError("plot", "backend", repr(backend), f"one of {', '.join(known)}")
+    return backend == "matplotlib"
+
+
+def _import_printed() -> ModuleType:
+    """Import what draws by Matplotlib; InputError that names the extra where it is missing."""
+    try:
+        # What an extra installs is imported only where it is asked for.
+        from dpbench.report.charts import printed
+    except ModuleNotFoundError as error:
+        found = f"matplotlib, without {error.name}"
+        allowed = "pip install 'dpbench[matplotlib]', or altair"
+        raise InputError("plot", "backend", found, allowed) from error
+    return printed
 
 
 def _convert_to_laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
@@ -108,13 +211,13 @@ def _make_step_rows(steps: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def _compute_force_shares(run: JudgedRun) -> pd.DataFrame:
-    """Return a closed loop's forces divided by their limits, by step; empty for a replay."""
+def _compute_force_shares(run: JudgedRun) -> pd.DataFrame | None:
+    """Return a closed loop's forces divided by their limits, by step; None for a replay."""
     from dpbench.analysis.records.thinned_runs import FORCES as COLUMNS
     from dpbench.bench.record.schema import FORCES
 
     if run.scenario is None:
-        return pd.DataFrame(columns=["k", "force", "share"])
+        return None
     vessel = run.scenario.vessel
     limits = np.maximum(vessel.tau_max, -vessel.tau_min)
     tables = [

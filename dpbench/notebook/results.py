@@ -17,6 +17,7 @@ from dpbench.bench.record import result_folder
 from dpbench.display import table_html
 from dpbench.errors import InputError, list_allowed
 from dpbench.files.writing import make_folder
+from dpbench.notebook.plots import ResultPlots
 from dpbench.report.csv_tables import write_tables
 from dpbench.report.formats import plural
 
@@ -57,6 +58,11 @@ class Results(result_folder.Results):
         limits; `ship` is "on station", "leaves", "not there" (at its setpoint) or "not run".
         """
         return self.tables["ships"]
+
+    @property
+    def plot(self) -> ResultPlots:
+        """Plots of the results: `times()` against the deadline, and `accuracy()` over time."""
+        return ResultPlots(self._full_report.data)
 
     @property
     def tables(self) -> Mapping[str, pd.DataFrame]:

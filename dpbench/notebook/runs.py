@@ -88,7 +88,7 @@ class Run:
 
     @property
     def plot(self) -> RunPlots:
-        """Plots of the run: `steps()`, and of a closed loop `ship()` and `errors()`."""
+        """Plots of the run: `steps()`, and of a closed loop `ship()`, `errors()` and `forces()`."""
         return RunPlots(self)
 
     def __repr__(self) -> str:

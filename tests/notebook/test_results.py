@@ -26,6 +26,21 @@ def test_the_verdict_has_a_row_for_each_configuration(results: Results) -> None:
     assert (verdict[verdict["verdict"] == "pass"]["why"] == "").all()
 
 
+@pytest.mark.parametrize("figure", ["times", "accuracy"])
+def test_figures_have_each_timed_solver_by_either_backend(results: Results, figure: str) -> None:
+    pytest.importorskip("matplotlib", reason="an extra")
+    draw = getattr(results.plot, figure)
+    assert "$schema" in draw().to_dict()
+    (axes,) = draw(backend="matplotlib").axes
+    texts = axes.get_yticklabels() if figure == "times" else axes.texts
+    named = {text.get_text().split(" ")[0] for text in texts}
+    timed = set(results.ladder()["solver"])
+    # Without any answer a solver has a time and no error.
+    assert named == timed if figure == "times" else {"daqp", "osqp"} <= named <= timed
+    with pytest.raises(InputError, match="one of altair, matplotlib"):
+        draw(backend="pdf")
+
+
 def test_tables_are_those_beside_the_page(results: Results, tmp_path: Path) -> None:
     """One source: what is written by a report is what a notebook gets, table by table."""
     results.to_csv(tmp_path)

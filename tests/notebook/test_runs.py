@@ -170,6 +170,28 @@ def test_an_answer_that_is_none_can_be_drawn(loop: Run) -> None:
     assert np.isfinite(shown["error"]).all() and shown["error"][3] > 1.0
 
 
+@pytest.mark.parametrize("figure", ["steps", "ship", "errors", "forces"])
+def test_every_figure_is_drawn_by_either_backend(loop: Run, figure: str) -> None:
+    printed = pytest.importorskip("matplotlib.figure", reason="an extra")
+    draw = getattr(loop.plot, figure)
+    assert "$schema" in draw().to_dict()
+    assert isinstance(draw(backend="matplotlib"), printed.Figure)
+    with pytest.raises(InputError, match="one of altair, matplotlib"):
+        draw(backend="bokeh")
+
+
+def test_matplotlib_is_named_where_it_is_missing(
+    loop: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delitem(sys.modules, "dpbench.report.charts.printed", raising=False)
+    monkeypatch.delattr("dpbench.report.charts.printed", raising=False)
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(InputError) as refused:
+        loop.plot.errors(backend="matplotlib")
+    assert "pip install 'dpbench[matplotlib]'" in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
 def test_what_has_no_ship_draws_none(loop: Run, replayed: Run) -> None:
     with pytest.raises(InputError, match="replay"):
         replayed.plot.ship()
@@ -184,7 +206,7 @@ def test_what_has_no_ship_draws_none(loop: Run, replayed: Run) -> None:
 def test_a_run_does_not_load_what_draws() -> None:
     script = (
         "import sys, dpbench; dpbench.load_results, dpbench.run_closed_loop, dpbench.Run.plot;"
-        "raise SystemExit('altair' in sys.modules)"
+        "raise SystemExit(bool({'altair', 'matplotlib'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
 

@@ -70,7 +70,7 @@ def test_every_cell_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     outputs = [o for cell in cells if cell.cell_type == "code" for o in cell.outputs]
     text = " ".join(text for output in outputs for text in _texts(output))
     assert all(word in text for word in ("<Scenario paper", "<Optimum of 15", "<Results smoke"))
-    assert sum("image/png" in output.get("data", {}) for output in outputs) == 3
+    assert sum("image/png" in output.get("data", {}) for output in outputs) == 4
     stored = [[output["output_type"] for output in cell["outputs"]] for cell in CODE]
     again = [[o.output_type for o in c.outputs] for c in cells if c.cell_type == "code"]
     assert stored == again

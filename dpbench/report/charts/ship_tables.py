@@ -103,7 +103,7 @@ def increment_panels(laws: Sequence[Law], scenario: Scenario) -> list[Panel]:
 def _axis_panels(
     laws: Sequence[Law], column: str, sign: str, low: Vector, high: Vector
 ) -> list[Panel]:
-    """Tabulate force or force change over time for each axis, with limits (3,) or a note on them."""
+    """Tabulate force or its change over time for each axis, with limits (3,) or a note on them."""
     panels = []
     for (name, key, unit, scale, shown), *limits in zip(DRAWN_FORCES, low, high, strict=True):
         field = f"{column}_{key}_{unit}"

@@ -1,0 +1,176 @@
+"""Figures for print by Matplotlib, of the tables that the page's figures are drawn from."""
+
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from dpbench.analysis.verdict.findings import STATES
+from dpbench.bench.record.schema import FORCES
+from dpbench.report.charts import style
+from dpbench.report.charts.ship_tables import Panel, PathTables
+
+COLUMN_IN = 3.5
+"""Width of a figure in one column of a two-column paper [inch]."""
+_DASHES = ("-", "--", "-.", ":")
+_SMALL = {"fontsize": 7}
+_LIMIT: dict[str, Any] = {"color": style.FAIL, "linestyle": "--", "linewidth": 0.8}
+_MARKERS = dict(zip(STATES, ("o", "^", "D", ">", "X", "s"), strict=True))
+"""The shapes of `STATE_SHAPES`."""
+_COLOURS = dict(zip(STATES, style.STATE_COLOURS, strict=True))
+
+
+class PrintedFigure(Figure):
+    """A figure that a notebook shows without pyplot, which would show it twice."""
+
+    def _repr_png_(self) -> bytes:
+        """Return the figure as PNG."""
+        buffer = io.BytesIO()
+        self.savefig(buffer, format="png", dpi=120)
+        return buffer.getvalue()
+
+
+def draw_path(tables: PathTables) -> Figure:
+    """Draw the ship's north-east path under each control law, with the 1 m circle (Figure 4)."""
+    figure, (axes,) = _make_axes([COLUMN_IN])
+    axes.plot(tables.circle["e"], tables.circle["n"], ":", color=style.SOFT, linewidth=0.8)
+    _draw_laws(axes, tables.lines, "e", "n")
+    for marker, mark in zip("ox", tables.marks.itertuples(), strict=True):
+        axes.plot(mark.e, mark.n, marker, color=style.INK, markersize=4, label=mark.what)
+    limits = tables.ranges
+    axes.set(xlabel="east [m]", ylabel="north [m]", xlim=limits["e"], ylim=limits["n"])
+    axes.set_aspect("equal")
+    return _add_legend(figure, axes)
+
+
+def draw_panels(panels: Sequence[Panel]) -> Figure:
+    """Draw panels one below the other, over the same time (Figures 5 to 7)."""
+    figure, rows = _make_axes([1.1] * len(panels), sharex=True)
+    for axes, panel in zip(rows, panels, strict=True):
+        _draw_laws(axes, panel.table, "t", "value", drawstyle="steps-post")
+        for limit in panel.limits:
+            axes.axhline(limit, color=style.SOFT, linestyle="--", linewidth=0.8)
+        axes.set(ylabel=panel.title, yscale="log" if panel.is_log else "linear")
+        axes.annotate(
+            panel.note, (0.98, 0.95), xycoords="axes fraction", ha="right", va="top", **_SMALL
+        )
+    rows[-1].set(xlabel="t [s]")
+    return _add_legend(figure, rows[0])
+
+
+def draw_step_strips(
+    table: pd.DataFrame, forces: pd.DataFrame | None, error_limit: float
+) -> Figure:
+    """Draw one run's solve time, error, iterations and forces, over its steps.
+
+    table, forces, error_limit : as of `charts.steps.draw_step_strips`.
+    """
+    figure, rows = _make_axes([1.2, 1.2, 1.0] + ([] if forces is None else [1.0]), sharex=True)
+    times, errors, iterations = rows[:3]
+    dots: dict[str, Any] = {"linestyle": "", "marker": ".", "markersize": 3}
+    times.vlines(table["k"], table["time_us"], table["raw_us"], color=style.LINE, linewidth=0.8)
+    times.plot(table["k"], table["time_us"], color=style.ACCENT, **dots)
+    times.set(ylabel="time [µs]", yscale="log")
+    for failed, colour in ((False, style.SOFT), (True, style.FAIL)):
+        some = table[table["failed"].astype(bool) == failed]
+        errors.plot(some["k"], some["error"].clip(lower=style.FLOOR), color=colour, **dots)
+    errors.axhline(error_limit, **_LIMIT)
+    errors.set(ylabel="error_move", yscale="log")
+    iterations.fill_between(table["k"], table["active"], step="post", color=style.LINE)
+    iterations.plot(table["k"], table["iterations"], color=style.INK, **dots)
+    iterations.set(ylabel="iterations, active")
+    if forces is not None:
+        for force, colour in zip(FORCES, style.PALETTE, strict=False):
+            own = forces[forces["force"] == force]
+            line: dict[str, Any] = {"color": colour, "drawstyle": "steps-post", "linewidth": 1.0}
+            rows[3].plot(own["k"], own["share"], label=force, **line)
+        rows[3].set(ylabel="force / limit", ylim=(-1.05, 1.05))
+        _add_legend(figure, rows[3])
+    rows[-1].set(xlabel="step k")
+    return figure
+
+
+def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Figure:
+    """Draw all solvers' p50, p99, hardest step and largest timing against the deadline.
+
+    table, p99_ms : as of `charts.overview.draw_deadline_chart`.
+    """
+    figure, (axes,) = _make_axes([0.8 + 0.22 * len(table)], width=2 * COLUMN_IN)
+    for place, row in enumerate(table.to_dict("records")):
+        colour, p99_end = _COLOURS[row["verdict"]], np.fmax(row["p50_ms"], row["p99_ms"])
+        axes.hlines(place, row["max_ms"], row["longest_ms"], color=style.SOFT, linestyle=":")
+        axes.hlines(place, row["p50_ms"], row["max_ms"], color=colour, linewidth=1.5)
+        axes.hlines(place, row["p50_ms"], p99_end, color=colour, linewidth=6)
+        axes.plot(row["p50_ms"], place, _MARKERS[row["verdict"]], color=colour, markersize=6)
+    for at_ms, name, line in ((p99_ms, "p99 limit", "--"), (deadline_ms, "deadline", "-")):
+        axes.axvline(at_ms, color=style.INK, linestyle=line, linewidth=0.8, label=name)
+    for state in (state for state in STATES if state in set(table["verdict"])):
+        axes.plot([], [], _MARKERS[state], color=_COLOURS[state], label=state)
+    axes.set(xscale="log", xlabel="step time [ms]")
+    axes.set_yticks(range(len(table)), table["label"], **_SMALL)
+    axes.set_ylim(len(table) - 0.5, -0.5)
+    return _add_legend(figure, axes)
+
+
+def draw_accuracy(table: pd.DataFrame, error_limit: float) -> Figure:
+    """Draw largest error over median step time, a line through the points of a solver's settings.
+
+    table, error_limit : as of `charts.overview.draw_accuracy`; hollow points do not pass.
+    """
+    figure, (axes,) = _make_axes([3.6], width=2 * COLUMN_IN)
+    families = [f for f in style.FAMILY_COLOURS if f in set(table["family"])]
+    for solver, own in table.groupby("solver", sort=False):
+        colour = style.FAMILY_COLOURS[own["family"].iloc[0]]
+        errors = own["error"].clip(lower=style.FLOOR)
+        axes.plot(own["p50_us"], errors, color=colour, linewidth=0.8, alpha=0.5)
+        fills = [colour if state == "pass" else "white" for state in own["verdict"]]
+        axes.scatter(own["p50_us"], errors, s=22, c=fills, edgecolors=colour, zorder=3)
+        best = errors.argmin()
+        corner = (own["p50_us"].iloc[best], errors.iloc[best])
+        axes.annotate(str(solver), corner, (3, 3), textcoords="offset points", **_SMALL)
+    for family in families:
+        axes.plot([], [], "o", color=style.FAMILY_COLOURS[family], label=family)
+    axes.axhline(error_limit, **_LIMIT)
+    axes.set(xscale="log", yscale="log", xlabel="p50 [µs]", ylabel="largest error_move")
+    return _add_legend(figure, axes)
+
+
+def _make_axes(
+    heights: Sequence[float], *, width: float = COLUMN_IN, sharex: bool = False
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure of axes one below the other, of these heights and this width [inch]."""
+    figure = PrintedFigure(figsize=(width, 0.5 + sum(heights)), layout="constrained")
+    axes = figure.subplots(
+        len(heights), sharex=sharex, squeeze=False, gridspec_kw={"height_ratios": heights}
+    )
+    rows: list[Axes] = list(axes[:, 0])
+    for one in rows:
+        one.grid(color=style.GRID, linewidth=0.6)
+        one.set_axisbelow(True)
+        one.tick_params(labelsize=7)
+        one.xaxis.label.set_fontsize(8)
+        one.yaxis.label.set_fontsize(8)
+        one.spines[["top", "right"]].set_visible(False)
+    figure.align_ylabels(rows)
+    return figure, rows
+
+
+def _draw_laws(axes: Axes, table: pd.DataFrame, x: str, y: str, **look: Any) -> None:
+    """Draw y over x, a line for each control law."""
+    for i, (law, own) in enumerate(table.groupby("law", sort=False)):
+        colour, dash = style.PALETTE[i % len(style.PALETTE)], _DASHES[i % len(_DASHES)]
+        axes.plot(own[x], own[y], dash, color=colour, linewidth=1.0, label=str(law), **look)
+
+
+def _add_legend(figure: Figure, axes: Axes) -> Figure:
+    """Add a legend below a figure, of what has a label in these axes."""
+    handles, labels = axes.get_legend_handles_labels()
+    room = 18.0 * figure.get_figwidth()  # letters in a row
+    columns = max(1, min(len(labels), int(room / (8 + max(map(len, labels))))))
+    options: dict[str, Any] = {"loc": "outside lower center", "frameon": False}
+    figure.legend(handles, labels, ncols=columns, **options, **_SMALL)
+    return figure
