@@ -17,7 +17,7 @@ from dpbench.report.charts.ship_tables import Panel, PathTables
 COLUMN_IN = 3.5
 """Width of a figure in one column of a two-column paper [inch]."""
 _DASHES = ("-", "--", "-.", ":")
-_SMALL = {"fontsize": 7}
+_SMALL: dict[str, Any] = {"fontsize": 7}
 _LIMIT: dict[str, Any] = {"color": style.FAIL, "linestyle": "--", "linewidth": 0.8}
 _MARKERS = dict(zip(STATES, ("o", "^", "D", ">", "X", "s"), strict=True))
 """The shapes of `STATE_SHAPES`."""
@@ -39,8 +39,8 @@ def draw_path(tables: PathTables) -> Figure:
     figure, (axes,) = _make_axes([COLUMN_IN])
     axes.plot(tables.circle["e"], tables.circle["n"], ":", color=style.SOFT, linewidth=0.8)
     _draw_laws(axes, tables.lines, "e", "n")
-    for marker, mark in zip("ox", tables.marks.itertuples(), strict=True):
-        axes.plot(mark.e, mark.n, marker, color=style.INK, markersize=4, label=mark.what)
+    for marker, mark in zip("ox", tables.marks.to_dict("records"), strict=True):
+        axes.plot(mark["e"], mark["n"], marker, color=style.INK, markersize=4, label=mark["what"])
     limits = tables.ranges
     axes.set(xlabel="east [m]", ylabel="north [m]", xlim=limits["e"], ylim=limits["n"])
     axes.set_aspect("equal")
