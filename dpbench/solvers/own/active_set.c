@@ -246,12 +246,14 @@ static void append_row(active_set *s, int i, int side, as_real d) {
     s->side[i] = side;
 }
 
-/* Drop the k-th active row: plane rotations make the factor triangular again. */
+/* Drop the k-th active row: plane rotations make the factor triangular again. T, L⁻¹ of something,
+ * becomes that of the same without this row. */
 static void drop_row(active_set *s, int k) {
     const int w = --s->count, i = s->active[k];
     as_real *cosine = s->r_low, *sine = s->e;
     s->side[i] = NEITHER;
     s->lam[i] = 0;
+    as_real last = s->T[k];
     for (int r = k; r < w; r++) {
         as_real *to = factor_row(s, r);
         const as_real *from = factor_row(s, r + 1);
@@ -267,18 +269,24 @@ static void drop_row(active_set *s, int k) {
         cosine[r] = x / h;
         sine[r] = y / h;
         to[r] = 1 / h;
+        s->T[r] = cosine[r] * last + sine[r] * s->T[r + 1];
+        last = cosine[r] * s->T[r + 1] - sine[r] * last;
     }
 }
 
-/* Row j as a combination R of the first w active ones, and T = L⁻¹ H_Wj; returns the square of its
+/* T := L⁻¹ H_Wj */
+static void project(active_set *s, int j) {
+    for (int k = 0; k < s->count; k++) s->T[k] = entry(s, s->active[k], j);
+    substitute_forward(s, s->T, s->count);
+}
+
+/* Row j as a combination R of the active ones, T = L⁻¹ H_Wj given; returns the square of its
  * distance from them in the norm of P⁻¹. Where little is left of it, y = c_j − Σ R_k c_k is formed
  * and yᵀP⁻¹y taken, after one refinement of R. */
 static as_real combine(active_set *s, int j) {
     const int n = s->n, w = s->count;
     as_real *y = s->r, *x = s->e, *more = s->r_low;
     const as_real square = entry(s, j, j);
-    for (int k = 0; k < w; k++) s->T[k] = entry(s, s->active[k], j);
-    substitute_forward(s, s->T, w);
     for (int k = 0; k < w; k++) s->R[k] = s->T[k];
     substitute_backward(s, s->R, w);
     as_real d = square - dot(s->T, s->T, w);
@@ -312,8 +320,7 @@ static void clear_set(active_set *s) {
 static void add_to_start(active_set *s, int i, int side, as_real lam) {
     if (s->side[i] != NEITHER || s->count == s->n || is_infinite(side > 0 ? s->high[i] : s->low[i]))
         return;
-    for (int k = 0; k < s->count; k++) s->T[k] = entry(s, s->active[k], i);
-    substitute_forward(s, s->T, s->count);
+    project(s, i);
     const as_real square = entry(s, i, i), d = square - dot(s->T, s->T, s->count);
     if (d <= CLOSE * square) return;
     append_row(s, i, side, d);
@@ -346,19 +353,24 @@ static void add_equalities(active_set *s) {
         if (s->low[i] == s->high[i]) add_to_start(s, i, 1, 0);
 }
 
-/* R := the multipliers of eq. 31; returns how many have the wrong sign, −1 if a limit is infinite. */
+/* R := the multipliers of eq. 31, L⁻ᵀT; returns how many have the wrong sign. */
 static int solve_multipliers(active_set *s) {
-    const int w = s->count;
     int wrong = 0;
-    for (int k = 0; k < w; k++) {
+    for (int k = 0; k < s->count; k++) s->R[k] = s->T[k];
+    substitute_backward(s, s->R, s->count);
+    for (int k = 0; k < s->count; k++) wrong += has_wrong_sign(s, s->active[k], s->R[k]);
+    return wrong;
+}
+
+/* The same, with T := L⁻¹(C_W base − g) first; −1 if a limit is infinite. */
+static int start_multipliers(active_set *s) {
+    for (int k = 0; k < s->count; k++) {
         const as_real g = limit_of(s, s->active[k]);
         if (is_infinite(g)) return -1;
-        s->R[k] = row_times(s, s->active[k], s->base) - g;
+        s->T[k] = row_times(s, s->active[k], s->base) - g;
     }
-    substitute_forward(s, s->R, w);
-    substitute_backward(s, s->R, w);
-    for (int k = 0; k < w; k++) wrong += has_wrong_sign(s, s->active[k], s->R[k]);
-    return wrong;
+    substitute_forward(s, s->T, s->count);
+    return solve_multipliers(s);
 }
 
 /* Take λ towards eq. 31, dropping the row whose multiplier is first to reach zero, until all signs
@@ -370,8 +382,7 @@ static int solve_multipliers(active_set *s) {
  *       the way, λ₂ after 1/(1 + 2) = ⅓ of it. It is dropped there      5/3   0
  *     and eq. 31 asks for 1 of row 0 alone: no row has to come in       1     0     (0, −2) */
 static void restore_signs(active_set *s) {
-    int wrong;
-    while ((wrong = solve_multipliers(s)) >= 0) {
+    for (int wrong = start_multipliers(s); wrong >= 0; wrong = solve_multipliers(s)) {
         int drop = -1;
         as_real least = 1;
         for (int k = 0; k < s->count && wrong > 0; k++) {
@@ -469,6 +480,7 @@ static int find_blocking(const active_set *s, int j, as_real side, int dependent
 static int activate(active_set *s, int j, int which, as_real gap, as_real allowed) {
     const as_real side = REAL(which);
     as_real lam = 0;
+    project(s, j);
     while (s->iterations < ITERATIONS_PER_ROW * (s->n + s->m)) {
         s->iterations++;
         const as_real d = combine(s, j);
@@ -888,7 +900,7 @@ static int refine_search(active_set *s, as_real reach) {
 
 /* The multipliers of the set of the step before, as it is or moved on; and the point. */
 static void start(active_set *s) {
-    if (solve_multipliers(s) != 0) {
+    if (start_multipliers(s) != 0) {
         move_set(s, s->block);
         restore_signs(s);
     } else
