@@ -77,11 +77,12 @@
 #define NEAR ROUNDING_OF(1e-8)          /* a row so near its limit may be active */
 #define STEEP REAL(1e-4)                /* an active row nearer to the others leans on them */
 #define SETTLED ROUNDING_OF(1e-12)      /* a smaller correction leaves nothing to correct */
+#define SHARE REAL(0.1)           /* of the worst violation, by which others are still brought in */
 #define ON_LIMIT ROUNDING_OF(1e-14) /* an active row so near its limit needs no refinement */
 #define LOST ROUNDING_OF(3e-8)       /* nor does a gradient that rounding may have changed by less */
 #define SMALL ROUNDING_OF(1e-9)         /* allowed in a row, and in the gradient of 1 + |q| */
 #define EXACT (EPSILON * REAL(1e-3))    /* a correction that the doubled precision has to reach */
-enum { PASSES = 20, POLISHES = 8, ITERATIONS_PER_ROW = 20, NEITHER = 0, LEFT_OUT = 2 };
+enum { PASSES = 20, POLISHES = 8, ITERATIONS_PER_ROW = 20, CANDIDATES = 8, NEITHER = 0, LEFT_OUT = 2 };
 enum { OPTIMAL = 0, DOUBTFUL = -10 };
 
 static as_real root(as_real x) { return (as_real)sqrt((double)x); }
@@ -274,10 +275,9 @@ static void drop_row(active_set *s, int k) {
     }
 }
 
-/* T := L⁻¹ H_Wj */
-static void project(active_set *s, int j) {
+/* T := H_Wj */
+static void write_entries(active_set *s, int j) {
     for (int k = 0; k < s->count; k++) s->T[k] = entry(s, s->active[k], j);
-    substitute_forward(s, s->T, s->count);
 }
 
 /* Row j as a combination R of the active ones, T = L⁻¹ H_Wj given; returns the square of its
@@ -320,7 +320,8 @@ static void clear_set(active_set *s) {
 static void add_to_start(active_set *s, int i, int side, as_real lam) {
     if (s->side[i] != NEITHER || s->count == s->n || is_infinite(side > 0 ? s->high[i] : s->low[i]))
         return;
-    project(s, i);
+    write_entries(s, i);
+    substitute_forward(s, s->T, s->count);
     const as_real square = entry(s, i, i), d = square - dot(s->T, s->T, s->count);
     if (d <= CLOSE * square) return;
     append_row(s, i, side, d);
@@ -412,32 +413,45 @@ static void write_point(active_set *s) {
 
 /* ---- violated rows ------------------------------------------------------------------------- */
 
-/* What a look at all rows finds: the row not active that is beyond a limit by most over its length, −1
- * if none is by more than `noise` and the rounding of the limit; whether others are nearer to a limit
- * than `close`; whether one has two equal limits; whether limits cross. */
+/* What a look at all rows finds: the rows not active that are beyond a limit by most over their
+ * length, worst first, of those that are by more than `noise` and the rounding of the limit; whether
+ * others are nearer to a limit than `close`; whether one has two equal limits; whether limits cross. */
 typedef struct {
-    int worst, near, equal, crossed;
+    int count, near, equal, crossed, rows[CANDIDATES];
+    as_real by[CANDIDATES];
 } view;
 
-static view look(const active_set *s, as_real noise, as_real close) {
-    const int N = s->n + s->m;
-    view found = {-1, 0, 0, 0};
-    for (int i = 0; i < N; i++) {
-        const as_real v = s->z[i], high = s->high[i], low = s->low[i], u = s->unit[i];
-        const as_real over = v - high, under = low - v;
-        if (over * u < -close && under * u < -close) continue; /* neither NaN nor crossed */
-        found.crossed |= has_crossed_limits(s, i);
-        if (s->side[i] != NEITHER) continue;
-        found.near = 1;
-        found.equal |= low == high;
-        const as_real e = u * (over > under ? over - VIOLATED * size_of(high)
-                                            : under - VIOLATED * size_of(low));
-        if (e > noise) {
-            noise = e;
-            found.worst = i;
-        }
+/* How far row i, at v, is beyond a limit, over its length and less the rounding of the limit. */
+static as_real violation(const active_set *s, int i, as_real v) {
+    const as_real over = v - s->high[i], under = s->low[i] - v;
+    return s->unit[i] * (over > under ? over - VIOLATED * size_of(s->high[i])
+                                      : under - VIOLATED * size_of(s->low[i]));
+}
+
+static void insert(view *found, int i, as_real by) {
+    int k = found->count < CANDIDATES ? found->count++ : CANDIDATES - 1;
+    for (; k > 0 && found->by[k - 1] < by; k--) {
+        found->by[k] = found->by[k - 1];
+        found->rows[k] = found->rows[k - 1];
     }
-    return found;
+    found->by[k] = by;
+    found->rows[k] = i;
+}
+
+static void look(const active_set *s, view *found, as_real noise, as_real close) {
+    found->count = found->near = found->equal = found->crossed = 0;
+    for (int i = 0; i < s->n + s->m; i++) {
+        const as_real v = s->z[i], u = s->unit[i];
+        /* Neither NaN nor crossed. */
+        if ((v - s->high[i]) * u < -close && (s->low[i] - v) * u < -close) continue;
+        found->crossed |= has_crossed_limits(s, i);
+        if (s->side[i] != NEITHER) continue;
+        found->near = 1;
+        found->equal |= s->low[i] == s->high[i];
+        const as_real by = violation(s, i, v);
+        if (by > noise && (found->count < CANDIDATES || by > found->by[CANDIDATES - 1]))
+            insert(found, i, by);
+    }
 }
 
 /* λ := the ray by which row j contradicts the active rows that it combines, if it proves that. */
@@ -474,13 +488,13 @@ static int find_blocking(const active_set *s, int j, as_real side, int dependent
     return blocking;
 }
 
-/* Raise the multiplier of row j, beyond its limit on side `which` by `gap`, until it is met. A
+/* Raise the multiplier of row j, T = H_Wj given, beyond its limit on side `which` by `gap`, until it is met. A
  * dependent row that nothing blocks contradicts the active ones if gap is more than `allowed`; if it
  * is not, rounding decides. */
 static int activate(active_set *s, int j, int which, as_real gap, as_real allowed) {
     const as_real side = REAL(which);
     as_real lam = 0;
-    project(s, j);
+    substitute_forward(s, s->T, s->count);
     while (s->iterations < ITERATIONS_PER_ROW * (s->n + s->m)) {
         s->iterations++;
         const as_real d = combine(s, j);
@@ -504,18 +518,30 @@ static int activate(active_set *s, int j, int which, as_real gap, as_real allowe
     return DOUBTFUL;
 }
 
-/* Bring violated rows in until none is left, beginning with those `found`, which is renewed. */
+/* Bring violated rows in until none is left, beginning with those `found`, which is renewed. Of those
+ * of one look all are brought in that are still violated: a look costs as much as several rows. */
 static int activate_violated(
     active_set *s, view *found, as_real noise, as_real close, as_real size, int refined) {
-    while (found->worst >= 0) {
-        const int j = found->worst, which = s->z[j] > s->high[j] ? 1 : -1;
-        const as_real g = which > 0 ? s->high[j] : s->low[j];
-        const as_real allowed = (refined ? CONTRADICTION : GROSS) *
-                                (size_of(g) * s->unit[j] + size);
-        const int ending = activate(s, j, which, REAL(which) * (s->z[j] - g), allowed);
-        if (ending != OPTIMAL) return ending;
+    while (found->count > 0) {
+        const as_real least = larger(noise, found->by[0] * SHARE);
+        for (int c = 0; c < found->count; c++) {
+            const int j = found->rows[c];
+            as_real v = s->z[j];
+            write_entries(s, j);
+            if (c > 0) { /* z is that of before */
+                v = row_times(s, j, s->base);
+                for (int k = 0; k < s->count; k++) v -= s->lam[s->active[k]] * s->T[k];
+                if (violation(s, j, v) <= least) continue;
+            }
+            const int which = v > s->high[j] ? 1 : -1;
+            const as_real g = which > 0 ? s->high[j] : s->low[j];
+            const as_real allowed = (refined ? CONTRADICTION : GROSS) *
+                                    (size_of(g) * s->unit[j] + size);
+            const int ending = activate(s, j, which, REAL(which) * (v - g), allowed);
+            if (ending != OPTIMAL) return ending;
+        }
         write_point(s);
-        *found = look(s, noise, close);
+        look(s, found, noise, close);
     }
     return OPTIMAL;
 }
@@ -796,6 +822,7 @@ static int decide_exactly(active_set *s) {
             if (j < 0) break;
             const as_real g = gap > 0 ? s->high[j] : s->low[j];
             const as_real allowed = CONTRADICTION * (size_of(g) * s->unit[j] + size);
+            write_entries(s, j);
             ending = activate(s, j, gap > 0 ? 1 : -1, size_of(gap), allowed);
             if (ending == ACTIVE_SET_INFEASIBLE) return ending;
         } else if (s->count > 0) {
@@ -872,6 +899,7 @@ static int is_clear(const active_set *s, as_real next, as_real size) {
 static int refine_search(active_set *s, as_real reach) {
     const as_real coarse = VIOLATED * reach, first = larger(reach * reach, TINY);
     as_real size = reach, before = first;
+    view found;
     for (int pass = 0; pass < PASSES; pass++) {
         const as_real correction = refine(s, &size), off = root(correction);
         const int dropped = correct_signs(s, larger(coarse, off));
@@ -884,13 +912,13 @@ static int refine_search(active_set *s, as_real reach) {
             restore_signs(s);
             write_point(s);
         }
-        view found = look(s, noise, close);
-        if (found.worst < 0 && dropped == 0 && (settled || correction > before / 4)) {
+        look(s, &found, noise, close);
+        if (found.count == 0 && dropped == 0 && (settled || correction > before / 4)) {
             if (found.near || is_steep(s)) return DOUBTFUL;
             const int sure = settled && is_clear(s, next, size);
             return sure || active_set_excess(s) <= 1 ? s->iterations : DOUBTFUL;
         }
-        before = found.worst < 0 ? correction : first;
+        before = found.count == 0 ? correction : first;
         /* Whether rows hardly contradict each other is decided on refined values only. */
         const int ending = activate_violated(s, &found, coarse, close, size, 1);
         if (ending != OPTIMAL) return ending;
@@ -915,13 +943,14 @@ static int search(active_set *s) {
     const as_real size = root(larger(square, 0)), coarse = VIOLATED * size, close = 4 * NEAR * size;
     if (s->count > 0) start(s);
     write_point(s);
-    view found = look(s, coarse, close);
+    view found;
+    look(s, &found, coarse, close);
     if (found.crossed) return ACTIVE_SET_CROSSED;
     if (found.equal) {
         add_equalities(s);
         restore_signs(s);
         write_point(s);
-        found = look(s, coarse, close);
+        look(s, &found, coarse, close);
     }
     const int ending = activate_violated(s, &found, coarse, close, 2 * size, 0);
     if (ending != OPTIMAL) return ending;
