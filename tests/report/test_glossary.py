@@ -24,7 +24,7 @@ from dpbench.cli.check_ship import ship_lines
 from dpbench.cli.doctor import doctor_lines
 from dpbench.cli.listing import list_table
 from dpbench.qp.random_recipe import FAMILIES
-from dpbench.qp.referee.joint import Kind
+from dpbench.qp.referee.optimum import Kind
 from dpbench.qp.solution import Status
 from dpbench.report.compare.comparison import changes_table, solvers_table, times_table
 from dpbench.report.glossary import glossary_markdown, term_meanings, topics

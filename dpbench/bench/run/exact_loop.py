@@ -26,8 +26,7 @@ from dpbench.errors import CertificateError, InputError, ResultsError
 from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, SparseEquivalent, Units
-from dpbench.qp.referee.joint import Kind
-from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
+from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Kind, Optimum
 from dpbench.qp.referee.referee import Referee, get_shared_referee
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario, as_scenario

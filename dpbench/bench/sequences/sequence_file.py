@@ -41,8 +41,7 @@ from dpbench.bench.record.npz import (
 from dpbench.errors import InputError
 from dpbench.files.documents import parse_json
 from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, Units, convert_units
-from dpbench.qp.referee.joint import Kind
-from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
+from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Kind, Optimum
 from dpbench.scenario.problem_files import sequence_path
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.qp.referee.joint import JointQP
+from dpbench.qp.referee.optimum import JointQP
 
 SWEEPS = 10
 RANGE = 1e250  # Numbers beyond it, or below its inverse, could leave float64 where they are scaled

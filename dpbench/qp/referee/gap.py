@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic
-from dpbench.qp.referee.joint import ExactMatrices, JointQP, Proof, Signs
 from dpbench.qp.referee.kernels import OUTWARD
 from dpbench.qp.referee.kkt import KKTSystem
+from dpbench.qp.referee.optimum import ExactMatrices, JointQP, Proof, Signs
 
 TAU_EXPONENT = -120
 """τ = 2^−120: √(2·τ·‖y‖₁·(P⁻¹)_ii) stays below 1e-12 for ‖y‖₁·(P⁻¹)_ii up to 1e12."""

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.qp.referee.joint import JointQP, Proof
 from dpbench.qp.referee.kernels import OUTWARD, UNDERFLOW, UNIT, prove_active_set_optimal
+from dpbench.qp.referee.optimum import JointQP, Proof
 
 
 def gamma(k: int) -> float:

@@ -49,7 +49,6 @@ from dpbench.qp.referee.gap import (
     refine_exactly,
     select_independent,
 )
-from dpbench.qp.referee.joint import ExactMatrices, JointQP, Kind, Proof, Signs
 from dpbench.qp.referee.kernels import OUTWARD, UNIT
 from dpbench.qp.referee.kkt import (
     Geometry,
@@ -58,6 +57,7 @@ from dpbench.qp.referee.kkt import (
     is_positive_definite,
     linear_certificate,
 )
+from dpbench.qp.referee.optimum import ExactMatrices, JointQP, Kind, Proof, Signs
 from dpbench.qp.referee.oracle import guess_active_sets
 
 NO_MULTIPLIER = 1e-12  # A multiplier of less than this share of the largest one is no support for M

@@ -39,9 +39,9 @@ and at that set z = (1, ½), λ₀ = μ₀ = 3 − 1 = 2, and nothing changes an
 
 import numpy as np
 
-from dpbench.qp.referee.joint import JointQP, Signs
 from dpbench.qp.referee.kernels import add_columns, cached_njit, inlined_njit
 from dpbench.qp.referee.kkt import Geometry, KKTSystem
+from dpbench.qp.referee.optimum import JointQP, Signs
 
 # Most exchanges, and rows other than those of W: a library finds distant sets sooner.
 STEPS, MOST = 8, 12

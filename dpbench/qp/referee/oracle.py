@@ -10,7 +10,7 @@ import numpy as np
 
 from dpbench.arrays import Vector
 from dpbench.qp.dual_active_set import Ending, Projection
-from dpbench.qp.referee.joint import JointQP, Signs
+from dpbench.qp.referee.optimum import JointQP, Signs
 
 FREE = 1e30  # Stands for an infinite limit in DAQP, which documents this value
 _EQUALITY = 5  # DAQP's mark of a row that is always active

@@ -50,7 +50,7 @@ import numpy as np
 
 from dpbench.arrays import Vector
 from dpbench.qp.referee.dyadic import Dyadic, Whole, solve_integer
-from dpbench.qp.referee.joint import ExactMatrices, JointQP, Proof, Signs
+from dpbench.qp.referee.optimum import ExactMatrices, JointQP, Proof, Signs
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -64,12 +64,11 @@ from dpbench.qp.referee.feasibility.farkas import (
 from dpbench.qp.referee.feasibility.implied import fix_forced_variables
 from dpbench.qp.referee.feasibility.rounding import bound_least_violation, find_magnified_farkas
 from dpbench.qp.referee.gap import find_met_limits, gap_certificate, select_independent
-from dpbench.qp.referee.joint import ExactMatrices, JointQP, Kind, Proof, Signs
 from dpbench.qp.referee.kernels import CROSSED_LIMITS, INVALID_DATA, classify_limits
 from dpbench.qp.referee.kkt import Geometry, KKTSystem, is_positive_definite, linear_certificate
 from dpbench.qp.referee.last_resort import LastResort
 from dpbench.qp.referee.nearby import guess_nearby
-from dpbench.qp.referee.optimum import Optimum
+from dpbench.qp.referee.optimum import ExactMatrices, JointQP, Kind, Optimum, Proof, Signs
 from dpbench.qp.referee.oracle import guess_active_sets
 from dpbench.qp.referee.rational import rational_certificate
 from dpbench.qp.residuals import fit_multipliers

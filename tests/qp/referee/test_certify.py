@@ -14,9 +14,8 @@ from dpbench.qp.program import ARRAYS, QPStep, QuadraticProgram
 from dpbench.qp.referee import oracle
 from dpbench.qp.referee.dyadic import Dyadic, is_semidefinite
 from dpbench.qp.referee.gap import gap_certificate
-from dpbench.qp.referee.joint import ExactMatrices, JointQP
 from dpbench.qp.referee.kkt import Geometry, KKTSystem, is_positive_definite, linear_certificate
-from dpbench.qp.referee.optimum import Optimum
+from dpbench.qp.referee.optimum import ExactMatrices, JointQP, Optimum
 from dpbench.qp.referee.rational import rational_certificate
 from dpbench.qp.referee.referee import Referee, certify, get_shared_referee, measure_error
 from dpbench.qp.residuals import is_true, residuals

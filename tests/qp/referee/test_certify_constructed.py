@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.feasibility.implied import fix_forced_variables
-from dpbench.qp.referee.joint import ExactMatrices, JointQP
+from dpbench.qp.referee.optimum import ExactMatrices, JointQP
 from dpbench.qp.referee.rational import rational_certificate
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.residuals import fit_multipliers, is_true, residuals

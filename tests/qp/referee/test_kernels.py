@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from dpbench.qp.referee import kernels, referee
 from dpbench.qp.referee.dyadic import Dyadic, is_semidefinite, solve_integer
-from dpbench.qp.referee.joint import JointQP
 from dpbench.qp.referee.kernels import (
     CROSSED_LIMITS,
     INVALID_DATA,
@@ -23,6 +22,7 @@ from dpbench.qp.referee.kernels import (
 )
 from dpbench.qp.referee.kkt import Geometry, KKTSystem, linear_certificate
 from dpbench.qp.referee.nearby import guess_nearby
+from dpbench.qp.referee.optimum import JointQP
 from dpbench.qp.referee.referee import Referee
 
 INF = math.inf

@@ -14,10 +14,9 @@ from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee import oracle
 from dpbench.qp.referee.equilibrated import Scales, is_scalable
 from dpbench.qp.referee.feasibility.implied import drop_empty_rows, make_equalities
-from dpbench.qp.referee.joint import ExactMatrices, JointQP, Proof
 from dpbench.qp.referee.kkt import KKTSystem
 from dpbench.qp.referee.last_resort import LastResort, enclosure_certificate
-from dpbench.qp.referee.optimum import Optimum
+from dpbench.qp.referee.optimum import ExactMatrices, JointQP, Optimum, Proof
 from dpbench.qp.referee.rational import rational_certificate
 from dpbench.qp.referee.referee import Referee, certify
 from dpbench.qp.residuals import is_true, residuals

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.feasibility.farkas import farkas_valid
 from dpbench.qp.referee.feasibility.rounding import bound_least_violation, limit_sizes
-from dpbench.qp.referee.joint import JointQP
+from dpbench.qp.referee.optimum import JointQP
 from dpbench.qp.referee.referee import certify
 
 INF = np.inf

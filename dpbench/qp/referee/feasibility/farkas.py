@@ -20,7 +20,7 @@ from scipy.optimize import linprog
 from dpbench.arrays import Vector
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.dyadic import Dyadic
-from dpbench.qp.referee.joint import JointQP
+from dpbench.qp.referee.optimum import JointQP
 
 CONSISTENT = 1e-6  # relative error of Aᵀy + y_box = 0 in a claimed vector
 DENOMINATORS = (1, 12, 60, 1000)  # of fractions near a vector, tried in turn

@@ -22,7 +22,7 @@ from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic
 from dpbench.qp.referee.feasibility.farkas import to_integers
 from dpbench.qp.referee.gap import select_independent
-from dpbench.qp.referee.joint import JointQP, Signs
+from dpbench.qp.referee.optimum import JointQP, Signs
 
 NEAR = 1e-9  # Relative distance within which a row is worth the exact comparison
 

@@ -32,8 +32,8 @@ from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.dyadic import Dyadic
 from dpbench.qp.referee.feasibility.farkas import find_farkas_near
-from dpbench.qp.referee.joint import JointQP
 from dpbench.qp.referee.kernels import OUTWARD, UNDERFLOW
+from dpbench.qp.referee.optimum import JointQP
 
 UNIT_ROUNDOFF = 2.0**-53
 ENDLESS = 1e20  # A limit this large stands for none, whatever its writer used for infinity
