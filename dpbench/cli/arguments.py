@@ -264,6 +264,8 @@ def _add_codegen_arguments(codegen: Command) -> None:
     option("--solver", "S", solver, default="paper_active_set")
     option("--out", "DIR", "folder to write to", required=True)
     option("--steps", "N", "length of the trajectory (1000)", type=int, default=1000)
+    option("--fmu", "FILE.fmu", "write it as a functional mock-up unit too (extra: embedded)")
+    option("--fmi", "V", "version of that: 2 (default) or 3", type=int, default=2)
 
 
 def _add_tune_solver_arguments(tune: Command) -> None:

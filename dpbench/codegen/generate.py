@@ -3,40 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from dpbench.codegen.c_tables import Table, make_table, number_text
 from dpbench.codegen.controller_data import ControllerData, read_controller
+from dpbench.codegen.fmu import SYSTEMS, build_fmu
+from dpbench.codegen.rendering import render
 from dpbench.codegen.solver_sources import SOLVERS, SolverSources, round_up
 from dpbench.codegen.trajectory import record_trajectory
 from dpbench.errors import InputError
-from dpbench.files.writing import write_together
+from dpbench.files.writing import write_named_file, write_together
 from dpbench.scenario.scenario import Scenario, as_scenario
 
 MOST_REPLAYED = 1000
 """Steps of the recorded trajectory."""
-
-
-@cache
-def _templates() -> Environment:
-    return Environment(
-        loader=PackageLoader("dpbench.codegen"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-
-
-def render(template: str, **values: Any) -> str:
-    """Return a file of the generated controller from its template."""
-    return _templates().get_template(f"{template}.j2").render(values)
 
 
 def generate_controller(
@@ -45,6 +28,8 @@ def generate_controller(
     *,
     out: str | Path,
     steps: int = MOST_REPLAYED,
+    fmu: str | Path | None = None,
+    fmi: int = 2,
 ) -> list[str]:
     """Write a scenario's controller as C99 into a folder; return what was written, as lines.
 
@@ -54,13 +39,17 @@ def generate_controller(
     solver : the name of a solver with C sources.
     out : the folder, made unless it exists.
     steps : length of the recorded trajectory that comes with it.
+    fmu : file of a functional mock-up unit to write too; fmi : its version, 2 or 3.
 
     Raises
     ------
-    InputError : for a controller or solver without C code.
+    InputError : for a controller or solver without C code, or without the extra `embedded`, whose
+        compiler an FMU needs.
     """
     if solver not in SOLVERS:
         raise InputError("codegen", "solver", repr(solver), ", ".join(SOLVERS))
+    if fmi not in SYSTEMS:
+        raise InputError("codegen", "fmi", fmi, "2 or 3")
     data = read_controller(as_scenario(scenario))
     sources = SOLVERS[solver](data.qp)
     tables = list_tables(data)
@@ -75,11 +64,19 @@ def generate_controller(
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     write_together(folder, {name: (lambda text=text: text) for name, text in files.items()})  # type: ignore[misc] # mypy sees no type of a lambda's default
-    return [
+    lines = [
         f"{len(files)} files in {folder}: the step in controller.c, an example in main.c.",
         f"The QP has {data.qp.n} variables and {data.qp.m} rows; constants take "
         f"{sizes['constants']} bytes, memory takes {sizes['memory']}.",
     ]
+    if fmu is not None:
+        whole = build_fmu(data, files, fmi)
+        write_named_file(Path(fmu), whole)
+        systems = ", ".join(place for place, _, _ in SYSTEMS[fmi])
+        lines.append(
+            f"FMI {fmi}.0 in {fmu}, {len(whole) / 1000:.0f} kB, with libraries for {systems}."
+        )
+    return lines
 
 
 def _count_memory(data: ControllerData, sources: SolverSources) -> int:
@@ -124,7 +121,6 @@ def write_sources(
         "scenario": scenario.name,
         "vessel": scenario.vessel.title,
         "description": scenario.controller.description,
-        "version": version("dpbench"),
         "sample_s": number_text(scenario.sample_s),
         "n_u": len(data.du_max),
         "moves": data.qp.control.N_c,
@@ -135,6 +131,8 @@ def write_sources(
         "outputs": data.outputs,
         "du_max": [number_text(x) for x in data.du_max],
         "sources": ["controller.c", "solver.c", *sources.compiled],
+        "n": data.qp.n,
+        "m": data.qp.m,
         "origin": sources.origin,
         "heap": sources.heap,
         **facts,
@@ -145,7 +143,7 @@ def write_sources(
     of_step = {"title": "Constants of the control step", "defines": defines, "tables": tables}
     of_solver = {"title": "Constants of the solver", "defines": [], "tables": sources.tables}
     texts = {
-        "README.md": render("README.md", n=data.qp.n, m=data.qp.m, **common),
+        "README.md": render("README.md", **common),
         "controller.h": render("controller.h", **common),
         "controller.c": render("controller.c", **common),
         "controller_tables.h": render("tables.h", **of_step, **common),
@@ -155,4 +153,4 @@ def write_sources(
         "main.c": render("main.c", **common),
         "CMakeLists.txt": render("CMakeLists.txt", **common),
     }
-    return {name: text.encode() for name, text in texts.items()} | sources.files
+    return texts | sources.files

@@ -16,8 +16,6 @@ from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.solvers.own import compiling
 from dpbench.solvers.own.library import ActiveSet, Problem, open_library
 
-_SCALARS = ("longest", "steepest", "largest", "widest")
-
 
 @dataclass(frozen=True)
 class SolverSources:
@@ -60,13 +58,14 @@ def write_active_set(qp: CondensedQP) -> SolverSources:
         make_table("first", first, "where each row of A begins in these two"),
         make_table("order", _view_integers(problem, "order", n), "coupled variables, then others"),
     )
-    values: dict[str, Any] = {name: number_text(getattr(problem.head, name)) for name in _SCALARS}
-    values |= {"n": n, "m": m, "block": qp.block, "coupled": problem.head.coupled}
+    reals = (field[0] for field in ActiveSet._fields_ if field[1] is ctypes.c_double)
+    scalars = {name: number_text(getattr(problem.head, name)) for name in reals}
+    values = {"scalars": scalars, "block": qp.block, "coupled": problem.head.coupled}
     names = ("active_set.h", "active_set.c")
     files = {name: Path(compiling.FOLDER, name).read_bytes() for name in names}
     origin = "active_set.c and active_set.h are part of dpbench, Apache-2.0"
-    reals = 9 * n + 4 * (n + m) + n * (n + 1) // 2
-    memory = 8 * reals + round_up(4 * (3 * n + m + 1)) + ctypes.sizeof(ActiveSet)
+    numbers = 9 * n + 4 * (n + m) + n * (n + 1) // 2
+    memory = 4 * 8 + 8 + ctypes.sizeof(ActiveSet) + 8 * numbers + round_up(4 * (3 * n + m))
     return SolverSources("active_set", values, tables, files, ("active_set.c",), memory, origin)
 
 

@@ -4,6 +4,7 @@ import ctypes
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import pytest
@@ -26,6 +27,13 @@ def compile_c(folder: Path, out: Path, *options: str) -> Path:
     return out
 
 
+class SteppedController(Protocol):
+    """A controller that is stepped with the inputs of a sample."""
+
+    def step(self, numbers: Vector) -> tuple[Vector, int]:
+        """Return command and status."""
+
+
 class CController:
     """The compiled controller by its C interface."""
 
@@ -45,7 +53,7 @@ class CController:
         return np.frombuffer(answer, count=self._n_u).copy(), status
 
 
-def steer(data: ControllerData, controller: CController, steps: int) -> Matrix:
+def steer(data: ControllerData, controller: SteppedController, steps: int) -> Matrix:
     """Return the commands (K, n_u) of a compiled controller that steers the simulated ship."""
     scenario = data.scenario.truncate(steps)
     weather, sample_s = scenario.environment, scenario.sample_s

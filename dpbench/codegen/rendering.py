@@ -1,0 +1,25 @@
+"""Files of a generated controller from their templates."""
+
+from functools import cache
+from importlib.metadata import version
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+
+@cache
+def _environment() -> Environment:
+    made = Environment(
+        loader=PackageLoader("dpbench.codegen"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    made.globals["version"] = version("dpbench")
+    return made
+
+
+def render(template: str, **values: Any) -> bytes:
+    """Return a file of the generated controller in UTF-8, from its template."""
+    return _environment().get_template(f"{template}.j2").render(values).encode()
