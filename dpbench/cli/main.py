@@ -241,7 +241,8 @@ def _compare_releases(arguments: argparse.Namespace) -> None:
     over = releases(arguments.folders, reference=arguments.reference)
     if arguments.html is not None:
         write_releases(Path(arguments.html), over)
-    _print_comparison(over.markdown(), over.tables, [*over.lines, *over.lead], arguments.markdown)
+    lines = [*over.warnings, *over.ships, *over.lines, *over.lead]
+    _print_comparison(over.markdown(), over.tables, lines, arguments.markdown)
 
 
 def _print_comparison(

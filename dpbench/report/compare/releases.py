@@ -20,6 +20,7 @@ from dpbench.analysis.compare.releases import (
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import group_by
 from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.ship_results import ship_results
 from dpbench.bench.judge.rules import largest_known
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError
@@ -32,9 +33,11 @@ from dpbench.report.formats import (
     error_text,
     plural,
     significant,
+    strip_markdown,
     time_text,
 )
 from dpbench.report.page.write import figure_markup, render_page
+from dpbench.report.ship_text import summarise_ships
 from dpbench.report.table import Table, markdown_document
 
 BUSY = 0.05
@@ -45,11 +48,14 @@ BUSY = 0.05
 class Releases:
     """Comparison of solver versions over several result folders, in text and tables.
 
+    warnings, ships : what the controller does to the ship whatever the solver, first everywhere.
     lines : what was compared; tables : one a solver of several versions, and one of all the others.
     requirements : of the first folder.
     """
 
     histories: Histories
+    warnings: Sequence[str]
+    ships: Sequence[str]
     lead: Sequence[str]
     lines: Sequence[str]
     tables: Sequence[Table]
@@ -57,9 +63,8 @@ class Releases:
 
     def markdown(self) -> str:
         """Return the comparison of solver versions as a Markdown document."""
-        return markdown_document(
-            "Solvers over their releases", [*self.lead, *self.lines], self.tables
-        )
+        lines = [*self.warnings, *self.ships, *self.lead, *self.lines]
+        return markdown_document("Solvers over their releases", lines, self.tables)
 
 
 def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> Releases:
@@ -90,9 +95,25 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
     changed = _solvers_with_versions(over)
     lead = [_solver_sentence(solver, own_histories) for solver, own_histories in changed.items()]
     lead = lead or ["No solver has two versions in these folders."]
+    ships = {name: summarise_ships(ship_results(view)) for name, view in records.items()}
     return Releases(
-        over, lead, _comparability_notes(over, records), _version_tables(over), requirements
+        over,
+        _merge_folders({name: ship.warning for name, ship in ships.items()}),
+        _merge_folders({name: ship.text for name, ship in ships.items()}),
+        lead,
+        _comparability_notes(over, records),
+        _version_tables(over),
+        requirements,
     )
+
+
+def _merge_folders(texts: Mapping[str, str]) -> list[str]:
+    """List the texts of folders, each with the names of its folders where not all have it."""
+    by_text = group_by((name for name, text in texts.items() if text), texts.__getitem__)
+    return [
+        text if len(names) == len(texts) else f"{and_list(names)}: {text}"
+        for text, names in by_text.items()
+    ]
 
 
 def _solvers_with_versions(histories: Histories) -> dict[str, list[History]]:
@@ -242,6 +263,8 @@ def write_releases(path: Path, releases: Releases) -> Path:
     figures = [(caption, figure_markup(chart)) for caption, chart in charts.items() if len(table)]
     text = render_page(
         "releases",
+        warnings=[strip_markdown(line) for line in releases.warnings],
+        ships=[strip_markdown(line) for line in releases.ships],
         lead=releases.lead,
         lines=releases.lines,
         figures=figures,

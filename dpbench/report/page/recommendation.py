@@ -111,9 +111,10 @@ def build_recommendation(
             raise InputError("--baseline", "", repr(baseline), f"a solver that was run, {solvers}")
         fastest = fastest_configuration(data.verdicts, baseline)
         second = fastest.configuration if fastest else own[0]
+    ship = summarise_ships(data.ships)
     return Recommendation(
-        ship=summarise_ships(data.ships),
-        sentence=_recommendation_sentence(data, found),
+        ship=ship,
+        sentence=_recommendation_sentence(data, found, is_lost=bool(ship.warning)),
         notes=tuple(_make_notes(data, found)),
         chips=tuple(_make_badges(data, first)),
         snippets=tuple(_make_snippets(chosen.configuration)) if chosen else (),
@@ -125,17 +126,26 @@ def build_recommendation(
     )
 
 
-def _recommendation_sentence(data: PageData, found: SolverChoice) -> str:
-    """State the solver to use with its p99 and error, or why there is none."""
+def _recommendation_sentence(data: PageData, found: SolverChoice, *, is_lost: bool) -> str:
+    """State the solver to use with its p99 and error, or why there is none.
+
+    is_lost : the controller does not hold a ship, so that the sentence speaks of the QPs alone.
+    """
     chosen = found.chosen
     if chosen is None:
         return _explain_no_choice(data, found)
     c = chosen.configuration
-    heads = {"pass": "Use", "borderline": "Borderline:"}
-    head = heads.get(chosen.state, "Nothing contradicts")
+    call = f"{c.solver} ({c.route}, {c.policy}, {c.settings})"
+    if is_lost:
+        verdicts = {"pass": f"{call} passes", "borderline": f"{call} is borderline"}
+        verdict = verdicts.get(chosen.state, f"nothing contradicts {call}")
+        opening = f"As a solver of these QPs alone, {verdict}"
+    else:
+        heads = {"pass": "Use", "borderline": "Borderline:"}
+        opening = f"{heads.get(chosen.state, 'Nothing contradicts')} {call}"
     lacks = "" if chosen.state == "pass" else f"; {Recommendation.why(chosen)}"
     return (
-        f"{head} {c.solver} ({c.route}, {c.policy}, {c.settings}): right on every step of "
+        f"{opening}: right on every step of "
         f"{judged_runs_text(chosen)}{_infeasible_steps_text(data, c)}, {usual_time_text(chosen)}, "
         f"largest error of the first move {error_text(chosen.error_move)}{lacks}."
     )

@@ -13,6 +13,7 @@ from dpbench.bench.record.schema import as_runs, as_steps
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.report.compare.releases import releases, write_releases
+from dpbench.report.ship_text import BANNER
 from tests.report.conftest import run_row
 from tests.result_folder import StepsInMemory, write_results
 
@@ -115,6 +116,30 @@ def test_folders_of_other_problems_have_no_releases(make: Make) -> None:
     folders = [make("a", OLD, {"piqp": 1.0}), make("b", NEW, {"piqp": 1.0}, scenario="rough")]
     with pytest.raises(InputError, match="no cell that two of the folders have"):
         releases(folders)
+
+
+@pytest.mark.slow
+def test_the_ship_comes_before_any_release(make: Make, tmp_path: Path, capsys: Any) -> None:
+    """A warning of one folder names it; what all folders show is said once, on every surface."""
+    loop = {"exact_steps": 1000.0, "exact_offset_max_m": 37.0, "exact_offset_end_m": 36.0}
+    times, lost = {"daqp": 10.0, "piqp": 80.0}, {"exact_left_s": 9.0}
+    old, new = (
+        make("old", OLD, times, **loop, **lost),
+        make("new", NEW, times, **loop, **lost),
+    )
+    found = releases([old, new])
+    (warning,) = found.warnings
+    assert warning.startswith(f"{BANNER}: in `paper` it leaves its station")
+    page, text = tmp_path / "page.html", tmp_path / "page.md"
+    words = ["--releases", "--html", str(page), "--markdown", str(text)]
+    assert main(["compare", str(old), str(new), *words]) == 0
+    written = page.read_text(encoding="utf-8").partition("<main>")[2]
+    for surface in (written, text.read_text("utf-8"), " ".join(capsys.readouterr().out.split())):
+        assert 0 <= surface.index(BANNER) < surface.index("0.6.4 → 0.10.0")
+        assert surface.count(BANNER) == 1
+    assert 'class="lead warning"' in written
+    kept = make("kept", {}, times, **loop)
+    assert releases([kept, new]).warnings == [f"new: {warning}"]
 
 
 @pytest.mark.slow

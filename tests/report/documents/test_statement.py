@@ -148,5 +148,6 @@ def test_a_lost_ship_is_the_first_line_of_its_statement(records: Any, tmp_path: 
     assert main(["report", str(out), "--statement", str(tmp_path / "a.svg"), "--strict"]) == 1
     drawn = (tmp_path / "a.svg").read_text("utf-8")
     texts = ["".join(element.itertext()) for element in _texts(drawn)]
-    assert texts[3].startswith(BANNER) and texts.index("Recommended solver") > 3
+    assert texts[3].startswith(BANNER) and texts.index("Solver of these QPs alone") > 3
+    assert not any("ecommend" in text for text in texts)
     assert "stroke-dasharray" in drawn
