@@ -154,8 +154,8 @@ def test_a_scenario_takes_another_vessel_by_name(write: Callable[..., Path]) -> 
 
 def test_a_vessel_with_drag_has_it_in_every_scenario(write: Callable[..., Path]) -> None:
     """The true ship has it, in water at rest too; the model of the controller is the same."""
-    path = write("vessels", "osv", "length_m =", 'drag = "cross_flow"\nlength_m =')
-    plain, scenario = load_scenario("calm@osv"), load_scenario(f"calm@{path}")
+    path = write("vessels", "osv", 'drag = "cross_flow"\n', "")
+    plain, scenario = load_scenario(f"calm@{path}"), load_scenario("calm@osv")
     assert scenario.true_ship.drag is not None and plain.true_ship.drag is None
     still = np.zeros(6)
     table = scenario.environment.stage_table(2, 0.3, 10)

@@ -16,6 +16,11 @@ from dpbench.ship.weather.wind import Windage
 CALM = Environment(np.zeros(3), np.zeros(3), np.ones(3), np.zeros(3))
 
 
+def linear_vessel(name: str) -> Vessel:
+    """A ship of the library that meets its linear damping alone, as in the paper."""
+    return replace(load_vessel(name), drag=None)
+
+
 def flowing(speed_mps: float, to_rad: float) -> Environment:
     """A current and nothing else."""
     return replace(CALM, current=Current(speed_mps, to_rad))

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from dpbench.scenario.scenario import load_vessel
+from dpbench.scenario.scenario import load_scenario, load_vessel
 from dpbench.ship.capability.conditions import Condition
 from dpbench.ship.capability.loads import mean_loads
 from dpbench.ship.characteristics import mean_load
@@ -61,6 +61,35 @@ def test_the_force_is_that_of_the_strips(u: float, v: float, r: float) -> None:
     np.testing.assert_allclose(
         ship.damping_force(velocity), sum_strips(ship.D, u, v, r), rtol=2e-4, atol=1.0
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "length_m", "area_m2", "coefficient", "scale"),
+    [
+        ("supply_mss", 76.2, 76.2 * 6.25, 0.733, 1.0),
+        ("supply_tmr", 82.8, 82.8 * 6.0, 0.700, 1.0),
+        ("osv", 83.0, 83.0 * 5.0, 0.666, 1.0),
+        ("ratownik", 95.85, 440.9, 0.656, 1.0),
+        ("cybership2", 1.255, 1.255 * 0.1, 0.731, 70.0),
+    ],
+)
+def test_a_library_ship_meets_the_drag_of_its_strips_in_a_current_abeam(
+    name: str, length_m: float, area_m2: float, coefficient: float, scale: float
+) -> None:
+    """At 0.5 m/s of the full-size ship within 30 %; C_d by the curve as MSS has it digitised."""
+    sway_mps = 0.5 / math.sqrt(scale)
+    strips = np.full(200, 0.5 * 1026.0 * coefficient * area_m2 / length_m * sway_mps**2)
+    expected = strips.sum() * length_m / len(strips)
+    force = load_vessel(name).damping_force(np.array([0.0, sway_mps, 0.0]))[1]
+    assert force == pytest.approx(expected, rel=0.3)
+
+
+def test_the_ship_of_the_paper_meets_its_published_damping() -> None:
+    """Fossen & Strand 1999: 2.7229e5 N s/m in sway at any speed, in its scenarios."""
+    for name in ("paper", "paper_tight"):
+        ship = load_scenario(name).true_ship
+        assert ship.drag is None
+        assert ship.damping_force(np.array([0.0, 0.5, 0.0]))[1] == pytest.approx(0.5 * 2.7229e5)
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from dpbench.ship.environment import Environment, SensorNoise
 from dpbench.ship.plant import SUBSTEPS, Plant, Sensors
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather.waves import FirstOrderMotion, Sea
-from tests.ship.conftest import CALM, rotation
+from tests.ship.conftest import CALM, linear_vessel, rotation
 
 FULL_SCALE = ("supply_fs99", "supply_mss", "supply_tmr", "osv")
 SAMPLE_S = 0.3
@@ -97,7 +97,7 @@ def test_a_constant_force_is_balanced_by_damping_in_the_end() -> None:
 @pytest.mark.parametrize("name", FULL_SCALE)
 def test_kinetic_energy_changes_by_work_less_dissipation(name: str) -> None:
     """½νᵀMν grows by exactly the work of τ and Rᵀb less what damping takes."""
-    ship = load_vessel(name)
+    ship = linear_vessel(name)
     tau = 0.3 * ship.tau_max
     sea = weather(ship)
     fine_s, steps = 0.01, 1000
@@ -119,7 +119,7 @@ def test_kinetic_energy_changes_by_work_less_dissipation(name: str) -> None:
 
 @pytest.mark.parametrize("angle_rad", [0.4, np.pi / 2, -2.0])
 def test_the_plant_has_no_preferred_compass_direction(angle_rad: float) -> None:
-    ship = load_vessel("supply_mss")
+    ship = linear_vessel("supply_mss")
     R, start, tau = rotation(angle_rad), turning(ship), 0.2 * ship.tau_max
     straight = Plant(ship, start, SAMPLE_S)
     turned_start = start.copy()
@@ -137,7 +137,7 @@ def test_the_plant_has_no_preferred_compass_direction(angle_rad: float) -> None:
 
 @pytest.mark.parametrize("name", [*FULL_SCALE, "cybership2"])
 def test_the_plant_agrees_with_an_adaptive_integrator(name: str) -> None:
-    ship = load_vessel(name)
+    ship = linear_vessel(name)
     scale = 1.0 if name != "cybership2" else 1.0 / np.sqrt(70.0)
     sample_s, steps = SAMPLE_S * scale, 100
     sea = weather(ship, 20.0 * scale, 6.0 * scale)
@@ -156,7 +156,7 @@ def test_the_plant_agrees_with_an_adaptive_integrator(name: str) -> None:
 
 @pytest.mark.parametrize("name", FULL_SCALE)
 def test_ten_sub_steps_leave_less_than_a_nanometre_per_sample(name: str) -> None:
-    ship = load_vessel(name)
+    ship = linear_vessel(name)
     sea, tau, start = weather(ship), 0.3 * ship.tau_max, turning(ship)
     coarse = simulate(ship, start, tau, sea, 1)[-1]
     fine = simulate(ship, start, tau, sea, 1, substeps=80)[-1]
@@ -165,7 +165,7 @@ def test_ten_sub_steps_leave_less_than_a_nanometre_per_sample(name: str) -> None
 
 def test_a_sample_has_ten_sub_steps_unless_stated() -> None:
     """A plant that states none takes 21 rows of weather a sample, as one with ten does."""
-    ship = load_vessel("osv")
+    ship = linear_vessel("osv")
     default, ten = Plant(ship, turning(ship), SAMPLE_S), Plant(ship, turning(ship), SAMPLE_S, 10)
     stages = weather(ship).stage_table(1, SAMPLE_S, 10)[0]
     for plant in (default, ten):

@@ -13,6 +13,7 @@ from dpbench.ship.estimation.kalman import SENSOR_STD, KalmanFilter, KalmanTunin
 from dpbench.ship.estimation.observer import WaveModel, change_matrix, model_change
 from dpbench.ship.estimation.passive_observer import PassiveObserver, PassiveTuning
 from dpbench.ship.plant import SUBSTEPS, Plant
+from tests.ship.conftest import linear_vessel
 
 SAMPLE_S = 0.3
 SHIP = load_vessel("supply_fs99")
@@ -118,7 +119,7 @@ def test_a_ship_that_turns_by_ninety_degrees_is_followed(
 def test_the_change_by_the_model_is_that_of_the_ship() -> None:
     heading, tau = 0.7, np.array([300e3, -200e3, 0.0])
     # Without coupling to yaw the heading stays, so that the nonlinear ship is exactly linear.
-    ship = load_vessel("supply_tmr")
+    ship = linear_vessel("supply_tmr")
     ship.M[1, 2] = ship.M[2, 1] = 0.0
     b = np.array([50e3, 80e3, 0.0])
     table = Environment(b, NOTHING, np.ones(3), NOTHING).stage_table(1, SAMPLE_S, SUBSTEPS)[0]
