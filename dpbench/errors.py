@@ -47,6 +47,12 @@ class InputError(DpbenchError, ValueError):
         return type(self), (self.where, self.key, self.found, self.allowed)
 
 
+def require_at_least(option: str, value: int, least: int) -> None:
+    """Raise InputError unless the whole number of an option is `least` or more."""
+    if value < least:
+        raise InputError(option, "", value, f"a whole number, {least} or more")
+
+
 class SituationError(InputError):
     """Bad user input that is no single wrong value: one sentence with what to do."""
 

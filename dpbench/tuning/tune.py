@@ -13,7 +13,7 @@ from pathlib import Path
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.bench.progress import Progress, Silent
-from dpbench.errors import InputError, PolicyError
+from dpbench.errors import InputError, PolicyError, require_at_least
 from dpbench.files.writing import write_text
 from dpbench.report.formats import error_text, significant, time_text
 from dpbench.report.table import Table
@@ -227,13 +227,9 @@ def tune_solver(
 
 
 def _check_numbers(trials: int, steps: int, seed: int, error_move: float) -> None:
-    for option, value, least in (
-        ("--trials", trials, 1),
-        ("--steps", steps, 0),
-        ("--seed", seed, 0),
-    ):
-        if value < least:
-            raise InputError(option, "", value, f"a whole number, {least} or more")
+    require_at_least("--trials", trials, 1)
+    require_at_least("--steps", steps, 0)
+    require_at_least("--seed", seed, 0)
     if not 0.0 < error_move < float("inf"):
         raise InputError("--error", "", error_move, "a number above 0")
 

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from dpbench.bench.progress import Progress, Silent
-from dpbench.errors import InputError, SituationError
+from dpbench.errors import InputError, SituationError, require_at_least
 from dpbench.files.opening import read_bytes
 from dpbench.files.writing import write_text
 from dpbench.report.charts.render import save_figure
@@ -248,14 +248,10 @@ def _parse_seas(text: str) -> list[int]:
 
 
 def _check_numbers(trials: int, realisations: int, margin: float, steps: int, seed: int) -> None:
-    for option, value, least in (
-        ("--trials", trials, 1),
-        ("--realisations", realisations, 1),
-        ("--steps", steps, 0),
-        ("--seed", seed, 0),
-    ):
-        if value < least:
-            raise InputError(option, "", value, f"a whole number, {least} or more")
+    require_at_least("--trials", trials, 1)
+    require_at_least("--realisations", realisations, 1)
+    require_at_least("--steps", steps, 0)
+    require_at_least("--seed", seed, 0)
     if not 0.0 < margin <= 1.0:
         raise InputError("--margin", "", margin, "a number above 0, at most 1")
 

@@ -21,7 +21,7 @@ from dpbench.bench.plan.suite import (
     name_file_in_errors,
 )
 from dpbench.bench.sequences.recording import read_sequence
-from dpbench.errors import InputError
+from dpbench.errors import InputError, require_at_least
 from dpbench.scenario.problem_files import sequence_path
 from dpbench.solvers.table import load_solver_module
 
@@ -118,8 +118,8 @@ def select_part(
     Unless the suite names all `scenarios`, they replace its own, by name or TOML file: each closed
     loop and replay runs with them, from the first step on. InputError for less than one step.
     """
-    if steps is not None and steps < 1:
-        raise InputError("--steps", "", steps, "a whole number, 1 or more")
+    if steps is not None:
+        require_at_least("--steps", steps, 1)
     asked = list(scenarios or ())
     tables: dict[str, list[Any]] = {
         key: list(getattr(suite, key)) for key in SuiteFile.list_cell_tables()
