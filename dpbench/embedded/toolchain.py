@@ -22,10 +22,11 @@ FOLDER = Path(__file__).parent
 RUNTIME = FOLDER / "runtime"
 REMEDY = "pip install 'dpbench[embedded]'"
 FLAGS = (
-    "-std=c99 -O2 -fhosted -fno-math-errno -ffp-contract=off -fno-sanitize=all -fno-exceptions "
-    "-fno-unwind-tables -fno-asynchronous-unwind-tables -ffunction-sections -fdata-sections"
+    "-std=c99 -g0 -O2 -fomit-frame-pointer -fhosted -fno-math-errno -fno-sanitize=all "
+    "-fno-exceptions -fno-unwind-tables -fno-asynchronous-unwind-tables -ffunction-sections "
+    "-fdata-sections"
 )
-"""Of every program: hosted, so that `sqrt` is an instruction; the same products on every core."""
+"""Of every program: hosted, so that `sqrt` is an instruction."""
 LINK = "-nostdlib -Wl,--gc-sections -Wl,--entry=embedded_set_up"
 """Without the compiler's own library, which takes a minute to build and is hardly needed."""
 EXTRAS = ("ziglang", "unicorn", "elftools")

@@ -6,6 +6,10 @@
 #include <stdlib.h>
 #include <string.h>
 
+/* Clang would make of these functions' loops calls of the same functions. */
+#pragma clang attribute push( \
+    __attribute__((no_builtin("memcpy", "memmove", "memset"))), apply_to = function)
+
 extern char heap_start[];
 char *embedded_heap_end = heap_start; /* how much was ever taken; nothing is given back */
 
@@ -19,19 +23,27 @@ void *calloc(size_t count, size_t size) { return memset(malloc(count * size), 0,
 
 void free(void *memory) { (void)memory; }
 
-void *memcpy(void *restrict to, const void *restrict from, size_t size) {
+typedef long __attribute__((may_alias)) word;
+
+/* Forwards, word by word where both are aligned; right also for overlaps with `to` below `from`. */
+__attribute__((noinline)) static void *copy_up(void *to, const void *from, size_t size) {
     char *t = to;
     const char *f = from;
-    for (; size >= sizeof(long); size -= sizeof(long), t += sizeof(long), f += sizeof(long))
-        __builtin_memcpy(t, f, sizeof(long));
+    if (((size_t)t | (size_t)f) % sizeof(word) == 0)
+        for (; size >= sizeof(word); size -= sizeof(word), t += sizeof(word), f += sizeof(word))
+            *(word *)t = *(const word *)f;
     while (size--) *t++ = *f++;
     return to;
+}
+
+void *memcpy(void *restrict to, const void *restrict from, size_t size) {
+    return copy_up(to, from, size);
 }
 
 void *memmove(void *to, const void *from, size_t size) {
     char *t = to;
     const char *f = from;
-    if (t <= f) return memcpy(to, from, size);
+    if (t <= f) return copy_up(to, from, size);
     while (size--) t[size] = f[size];
     return to;
 }
@@ -55,6 +67,11 @@ float sqrtf(float x) { return __builtin_sqrtf(x); }
 double fabs(double x) { return __builtin_fabs(x); }
 float fabsf(float x) { return __builtin_fabsf(x); }
 
+double hypot(double x, double y) {
+    const double a = fabs(x), b = fabs(y), large = a > b ? a : b, small = a > b ? b : a;
+    return large == 0 ? 0 : large * sqrt(1 + (small / large) * (small / large));
+}
+
 int printf(const char *restrict format, ...) { return (void)format, 0; }
 int puts(const char *text) { return (void)text, 0; }
 int putchar(int letter) { return letter; }
@@ -74,3 +91,5 @@ void __aeabi_memclr(void *to, size_t size) { memset(to, 0, size); }
 void __aeabi_memclr4(void *to, size_t size) { memset(to, 0, size); }
 void __aeabi_memclr8(void *to, size_t size) { memset(to, 0, size); }
 #endif
+
+#pragma clang attribute pop

@@ -1,0 +1,161 @@
+"""Count what a solver's C executes at each step of a QP sequence, and have its answers judged.
+
+A count compares solvers under one compiler and its flags. It is no time: there are no caches, no
+pipeline and no bus in it, and the worst step is the worst of this sequence.
+"""
+
+import struct
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpbench.arrays import Floats, Ints, Matrix, Vector
+from dpbench.embedded.calibration import calibrate
+from dpbench.embedded.emulator import DATA, Core
+from dpbench.embedded.program import read_program
+from dpbench.embedded.recipe import Recipe, Settings
+from dpbench.embedded.targets import Target
+from dpbench.errors import SituationError
+from dpbench.qp.program import CONSTANT, QPSequence, QPStep
+from dpbench.qp.referee.optimum import Optimum
+from dpbench.qp.referee.referee import certify_sequence, measure_errors
+from dpbench.temporary_folders import process_folder
+
+_ARRAYS = ("P", "q", "A", "l", "u", "lb", "ub", "z")
+"""Pointers of `embedded_qp`, in their order."""
+_INTEGERS = struct.Struct("<8i")
+COUNTED = ("instructions", "loads", "stores", "stack", "iterations", "active", "status")
+"""Columns of each step: executed, bytes of stack, then what the solver reports."""
+
+
+@dataclass(frozen=True, eq=False)
+class StepCounts:
+    """What a solver's C executed along a sequence of K QPs.
+
+    Parameters
+    ----------
+    solver, target, sequence : names.
+    single : whether in single precision.
+    settings : of the solver.
+    steps : (K,) of each of `COUNTED`; −1 where not counted or reported.
+    z : (K, n) answers, in the units of the sequence.
+    error_move, error_plan : (K,) distance to the certified optimum, of first move and whole plan.
+    sizes : bytes of code, constants, static data and heap.
+    """
+
+    solver: str
+    target: str
+    sequence: str
+    single: bool
+    settings: Settings
+    steps: dict[str, Ints]
+    z: Matrix
+    error_move: Vector
+    error_plan: Vector
+    sizes: dict[str, int]
+
+    @property
+    def worst(self) -> int:
+        """Step with the most instructions."""
+        return int(self.steps["instructions"].argmax())
+
+    def percentile(self, share: float) -> int:
+        """Return the instructions that this share of the steps stays at or below."""
+        return round(float(np.quantile(self.steps["instructions"], share)))
+
+
+class _Mailbox:
+    """The QP in the core's memory: the structure `embedded_qp` and its arrays."""
+
+    def __init__(self, core: Core, sequence: QPSequence, target: Target, *, single: bool) -> None:
+        n, m = sequence.base.n, sequence.base.m
+        self._core, self._type = core, np.dtype("<f4" if single else "<f8")
+        self._integers = [n, m, sequence.base.block, 0, 0, -1, -1, 0]
+        sizes = dict(zip(_ARRAYS, (n * n, n, m * n, m, m, n, n, n), strict=True))
+        word = "Q" if target.bits == 64 else "I"
+        self._places, address = {}, DATA + 256
+        for name, size in sizes.items():
+            self._places[name] = address
+            address += size * self._type.itemsize + 64 & ~63
+        self._pointers = struct.pack(f"<{len(_ARRAYS)}{word}", *self._places.values())
+        self._z_bytes = n * self._type.itemsize
+        for name in _ARRAYS[:-1]:
+            self.write(name, getattr(sequence.base, name))
+
+    def write(self, name: str, values: Floats) -> None:
+        """Write an array; in single precision what is beyond it becomes infinite."""
+        with np.errstate(over="ignore"):
+            self._core.write(self._places[name], values.astype(self._type).tobytes())
+
+    def write_step(self, step: QPStep) -> None:
+        """Write a step's vectors and matrices, and the structure."""
+        changed = [name for name in CONSTANT if getattr(step, name) is not None]
+        for name in ("q", "l", "u", *changed):
+            self.write(name, getattr(step, name))
+        self._integers[3] = int(bool(changed))
+        self.write_head()
+
+    def write_head(self) -> None:
+        """Write the structure, with no answer in it."""
+        self._core.write(DATA, _INTEGERS.pack(*self._integers) + self._pointers)
+        self.write("z", np.full(self._z_bytes // self._type.itemsize, np.nan))
+
+    def read(self) -> tuple[int, int, int, Vector]:
+        """Return status, iterations, active rows and answer."""
+        numbers = _INTEGERS.unpack(self._core.read(DATA, _INTEGERS.size))
+        z = np.frombuffer(self._core.read(self._places["z"], self._z_bytes), self._type)
+        return numbers[4], numbers[5], numbers[6], z.astype(np.float64)
+
+
+def count_sequence(
+    recipe: Recipe,
+    sequence: QPSequence,
+    target: Target,
+    *,
+    single: bool = False,
+    settings: Settings | None = None,
+    optima: Sequence[Optimum] | None = None,
+) -> StepCounts:
+    """Count what a solver's C executes along a sequence; `optima` are certified if not given.
+
+    Raises
+    ------
+    InputError : the solver's C cannot take these QPs, or a setting is none of its own.
+    SituationError : its source cannot be fetched or compiled, or it refuses the first QP.
+    EmulationError : the core cannot execute it, or the counters are wrong.
+    """
+    calibrate(target)
+    used = recipe.with_settings(settings or {})
+    with tempfile.TemporaryDirectory(dir=process_folder()) as folder:
+        program = read_program(
+            recipe.compile(sequence, target, Path(folder), single=single, settings=settings or {})
+        )
+    core = Core(program, target)
+    mailbox = _Mailbox(core, sequence, target, single=single)
+    mailbox.write_head()
+    refused, _ = core.call("embedded_set_up", DATA)
+    if refused:
+        raise SituationError(recipe.solver, f"it refuses {sequence.name} at set-up ({refused})")
+    columns = np.zeros((len(COUNTED), len(sequence)), dtype=np.int64)
+    answers = np.empty((len(sequence), sequence.base.n))
+    for k in range(len(sequence)):
+        columns[:, k], answers[k] = _run_step(core, mailbox, sequence.step(k))
+    certified = certify_sequence(sequence) if optima is None else optima
+    errors = measure_errors(answers, certified, sequence.base.block, sequence.base.moves)
+    steps = dict(zip(COUNTED, columns, strict=True))
+    sizes = {**program.sizes, "heap": core.heap_bytes()}
+    names = recipe.solver, target.name, sequence.name
+    return StepCounts(*names, single, used, steps, answers, *errors, sizes)
+
+
+def _run_step(core: Core, mailbox: _Mailbox, step: QPStep) -> tuple[NDArray[np.int64], Vector]:
+    """Run one step; return its column of `COUNTED` and its answer."""
+    mailbox.write_step(step)
+    _, counts = core.call("embedded_step", DATA)
+    status, iterations, active, z = mailbox.read()
+    executed = counts.instructions, counts.loads, counts.stores, counts.stack
+    return np.array([*executed, iterations, active, status]), z

@@ -1,0 +1,209 @@
+"""Recipes: where a solver's C comes from, and what of it is compiled.
+
+A recipe is a folder with `recipe.toml` and `shim.c`, which implements `runtime/embedded.h`. With a
+`generate.py` its function `write_sources` writes C for the QPs that are counted. A folder of a
+user's own is the same.
+"""
+
+import importlib.util
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from dpbench.embedded.fetch import fetch_sources
+from dpbench.embedded.targets import Target
+from dpbench.embedded.toolchain import FOLDER, compile_program
+from dpbench.errors import InputError, UnknownNameError, list_allowed
+from dpbench.qp.program import QPSequence
+
+RECIPES = FOLDER / "recipes"
+Setting = bool | int | float
+Settings = Mapping[str, Setting]
+Writer = Callable[[QPSequence, Path, bool, Settings], None]
+_Text = Annotated[str, Field(min_length=1)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class PackageTable(_Table):
+    """A source distribution: its name, its version, and its hash."""
+
+    name: _Text
+    version: _Text
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+
+
+class RecipeFile(_Table):
+    """What `recipe.toml` states."""
+
+    solver: _Text
+    """Name in tables; that of the desk's solver where there is one."""
+    licence: _Text
+    """Of the solver's C."""
+    origin: _Text
+    """Where the C comes from, in words."""
+    start: _Text
+    """What a step starts from."""
+    tuned: _Text
+    """Which settings were tuned, and on which sequences."""
+    package: PackageTable | None = None
+    sources: list[str] = []
+    """Files of the package, or of the recipe's folder without one; with `*` and `?`."""
+    include: list[str] = []
+    """Folders of headers there."""
+    defines: list[str] = []
+    """Flags of the compiler."""
+    float_defines: list[str] | None = None
+    """Further flags in single precision; none given: the solver has no single precision."""
+    matrices: bool = True
+    """Whether the matrices may change from step to step."""
+    largest: int = 0
+    """The most variables that are compiled; 0: any number."""
+    generator: str = ""
+    """`generate.py`, as a path from the recipe's folder."""
+    settings: dict[str, Setting] = {}
+    """Settings and their values, which `problem.h` defines as SETTING_NAME."""
+
+
+class Recipe:
+    """A recipe read from its folder; InputError with file and key where that is not one."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, where = folder, folder / "recipe.toml"
+        try:
+            text = where.read_text(encoding="utf-8")
+            self.file = RecipeFile.model_validate(tomllib.loads(text))
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(str(where), "", error, "a readable file") from None
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(str(where), "", error, "valid TOML") from None
+        except ValidationError as error:
+            first = error.errors()[0]
+            key = ".".join(map(str, first["loc"]))
+            raise InputError(str(where), key, repr(first["input"]), first["msg"]) from None
+        if not (folder / "shim.c").is_file():
+            raise InputError(str(folder), "shim.c", "no such file", "a shim by embedded.h")
+
+    @property
+    def solver(self) -> str:
+        """Name of the solver."""
+        return self.file.solver
+
+    def with_settings(self, given: Settings) -> Settings:
+        """Return the recipe's settings with those given; InputError for one that it has not."""
+        for key, value in given.items():
+            own = self.file.settings.get(key)
+            if own is None:
+                allowed = ", ".join(self.file.settings) or "none"
+                raise InputError(f"settings of {self.solver}", key, value, allowed)
+        return {**self.file.settings, **given}
+
+    def check(self, sequence: QPSequence, *, single: bool) -> None:
+        """Raise InputError if this solver's C cannot take the QPs, or single precision."""
+        file, n = self.file, sequence.base.n
+        changes = [name for name in ("P", "A", "lb", "ub") if getattr(sequence, name) is not None]
+        if single and file.float_defines is None:
+            raise InputError(self.solver, "--float", "single precision", "double precision only")
+        if changes and not file.matrices:
+            found = f"{' and '.join(changes)} that change in {sequence.name}"
+            raise InputError(self.solver, "", found, "constant matrices and bounds")
+        if file.largest and n > file.largest:
+            allowed = f"at most {file.largest}, as its C grows with the QP"
+            raise InputError(self.solver, "variables", n, allowed)
+
+    def compile(
+        self,
+        sequence: QPSequence,
+        target: Target,
+        folder: Path,
+        *,
+        single: bool,
+        settings: Settings,
+    ) -> Path:
+        """Compile the program that solves the QPs of a sequence; `folder` is for what is written.
+
+        InputError and SituationError as `check`, `fetch_sources` and `compile_program` raise them.
+        """
+        self.check(sequence, single=single)
+        file, origin = self.file, self.folder
+        (folder / "problem.h").write_text(_problem_header(sequence, self.with_settings(settings)))
+        if file.package is not None:
+            origin = fetch_sources(
+                *(getattr(file.package, key) for key in PackageTable.model_fields)
+            )
+        if file.generator:
+            writer = _load_writer(self.folder / file.generator)
+            writer(sequence, folder, single, self.with_settings(settings))
+        sources = [
+            self.folder / "shim.c",
+            *_find(origin, file.sources),
+            *sorted(folder.rglob("*.c")),
+        ]
+        include = [folder, *(origin / name for name in file.include)]
+        defines = [*file.defines]
+        if single:
+            defines += ["-DEMBEDDED_FLOAT", *(file.float_defines or [])]
+        return compile_program(sources, target, include=include, defines=defines)
+
+
+def _find(origin: Path, patterns: Iterable[str]) -> list[Path]:
+    """Return the files of an origin by patterns, sorted; InputError for one without a file."""
+    found: list[Path] = []
+    for pattern in patterns:
+        files = sorted(origin.glob(pattern))
+        if not files:
+            raise InputError(str(origin), "sources", repr(pattern), "a pattern of files there")
+        found += files
+    return found
+
+
+def _load_writer(path: Path) -> Writer:
+    """Return the function `write_sources` of a recipe's generator."""
+    spec = importlib.util.spec_from_file_location(f"dpbench_recipe_{path.parent.name}", path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise InputError(str(path), "", "no such file", "a Python file with write_sources")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    writer: Writer = module.write_sources
+    return writer
+
+
+def _problem_header(sequence: QPSequence, settings: Settings) -> str:
+    """Return `problem.h`: size of the QPs, finite limits, whether matrices change; settings."""
+    qp = sequence.base
+    limits = [
+        sequence.l,
+        sequence.u,
+        qp.lb[np.newaxis] if sequence.lb is None else sequence.lb,
+        qp.ub[np.newaxis] if sequence.ub is None else sequence.ub,
+    ]
+    sides = sum(int(np.isfinite(limit).any(axis=0).sum()) for limit in limits)
+    changes = any(getattr(sequence, name) is not None for name in ("P", "A", "lb", "ub"))
+    numbers: dict[str, object] = {"N": qp.n, "M": qp.m, "BLOCK": qp.block, "CHANGES": int(changes)}
+    numbers["SIDES"] = max(sides, 1)
+    numbers |= {
+        f"SETTING_{key.upper()}": int(value) if isinstance(value, bool) else repr(value)
+        for key, value in settings.items()
+    }
+    return "".join(f"#define {key} {value}\n" for key, value in numbers.items())
+
+
+def find_recipes(folders: Iterable[Path] = ()) -> dict[str, Recipe]:
+    """Return dpbench's recipes, and those of further folders, by the names of their solvers."""
+    own = (path.parent for path in sorted(RECIPES.glob("*/recipe.toml")))
+    return {recipe.solver: recipe for recipe in map(Recipe, (*own, *folders))}
+
+
+def select_recipes(names: Iterable[str], folders: Iterable[Path] = ()) -> list[Recipe]:
+    """Return the recipes of named solvers, all without names; UnknownNameError for another."""
+    known = find_recipes(folders)
+    for name in names:
+        if name not in known:
+            raise UnknownNameError("--solver", "", repr(name), list_allowed(name, list(known)))
+    return [known[name] for name in (dict.fromkeys(names) or known)]

@@ -1,0 +1,1 @@
+"""A folder for each solver: where its C comes from, and its shim."""

@@ -1,0 +1,1 @@
+"""What the recipes of dpbench's own solvers generate."""

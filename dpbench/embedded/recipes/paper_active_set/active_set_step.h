@@ -1,0 +1,59 @@
+/* What a step of both solvers of dpbench/solvers/own does beside the solve. */
+
+#ifndef ACTIVE_SET_STEP_H
+#define ACTIVE_SET_STEP_H
+
+#include "active_set.h"
+#include "constants.h"
+#include "embedded.h"
+#include "problem.h"
+
+static active_set s;
+#ifdef SCALARS
+static as_real reals[ACTIVE_SET_STEP_REALS(N, M)];
+static int integers[ACTIVE_SET_STEP_INTEGERS(N, M)];
+#else
+static as_real reals[ACTIVE_SET_REALS(N, M)];
+static int integers[ACTIVE_SET_INTEGERS(N, M)];
+#endif
+
+static void copy(real *to, const real *from, int n) {
+    for (int i = 0; i < n; i++) to[i] = from[i];
+}
+
+static void take_bounds(const embedded_qp *qp) {
+    copy(s.low, qp->lb, N);
+    copy(s.high, qp->ub, N);
+}
+
+int embedded_set_up(embedded_qp *qp) {
+#ifdef SCALARS
+    const active_set constant = {.n = N, .m = M, .P = P_, .G = G_, .unit = unit_, .a = a_,
+        .column = column_, .first = first_, .order = order_, SCALARS};
+    s = constant;
+    active_set_place_step(&s, reals, integers);
+    const int refused = 0;
+#else
+    active_set_place(&s, N, M, reals, integers);
+    const int refused = active_set_factorise(&s, qp->P, qp->A);
+#endif
+    s.warm = 1;
+    s.block = BLOCK;
+    take_bounds(qp);
+    return refused;
+}
+
+static void take(embedded_qp *qp) {
+    copy(s.q, qp->q, N);
+    copy(s.low + N, qp->l, M);
+    copy(s.high + N, qp->u, M);
+    if (!qp->changed) return;
+    take_bounds(qp);
+#ifndef SCALARS
+    active_set_factorise(&s, qp->P, qp->A);
+#endif
+}
+
+static void give(embedded_qp *qp) { copy(qp->z, s.z, N); }
+
+#endif
