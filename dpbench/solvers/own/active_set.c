@@ -78,7 +78,7 @@
 #define STEEP REAL(1e-4)                /* an active row nearer to the others leans on them */
 #define SETTLED ROUNDING_OF(1e-12)      /* a smaller correction leaves nothing to correct */
 #define SHARE REAL(0.1)           /* of the worst violation, by which others are still brought in */
-#define ON_LIMIT ROUNDING_OF(1e-14) /* an active row so near its limit needs no refinement */
+#define ON_LIMIT ROUNDING_OF(1e-13) /* an active row so near its limit needs no refinement */
 #define LOST ROUNDING_OF(3e-8)       /* nor does a gradient that rounding may have changed by less */
 #define SMALL ROUNDING_OF(1e-9)         /* allowed in a row, and in the gradient of 1 + |q| */
 #define EXACT (EPSILON * REAL(1e-3))    /* a correction that the doubled precision has to reach */
@@ -877,6 +877,19 @@ static int is_settled(const active_set *s, as_real size) {
     return length <= size;
 }
 
+/* Move z and λ so that what the active rows miss by rounding is corrected. */
+static void settle(active_set *s) {
+    for (int k = 0; k < s->count; k++)
+        s->R[k] = s->z[s->active[k]] - limit_of(s, s->active[k]);
+    substitute_forward(s, s->R, s->count);
+    substitute_backward(s, s->R, s->count);
+    for (int k = 0; k < s->count; k++) {
+        s->lam[s->active[k]] += s->R[k];
+        add_scaled(s->z, -s->R[k], inverse_row(s, s->active[k]), s->n);
+    }
+    write_row_values(s);
+}
+
 /* Whether a refined answer is an optimum without a look at all its residuals: by what rounding leaves
  * in a row of length √H_ii, in the gradient, and of that in the variables that are at no bound. */
 static int is_clear(const active_set *s, as_real next, as_real size) {
@@ -954,9 +967,11 @@ static int search(active_set *s) {
     }
     const int ending = activate_violated(s, &found, coarse, close, 2 * size, 0);
     if (ending != OPTIMAL) return ending;
-    if (s->loss * largest_of(s->q, s->n) <= LOST && !found.near && !is_steep(s) &&
-        is_settled(s, 2 * size))
-        return s->iterations;
+    if (!found.near && !is_steep(s) && s->loss * largest_of(s->q, s->n) <= LOST) {
+        if (is_settled(s, 2 * size)) return s->iterations;
+        settle(s);
+        if (is_settled(s, 2 * size)) return s->iterations;
+    }
     return refine_search(s, size);
 }
 
