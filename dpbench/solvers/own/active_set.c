@@ -6,9 +6,9 @@
  *     z   = base − Σ λ_i P⁻¹c_i                                                         (eq. 32)
  *
  * and eq. 30 asks for the W whose multipliers have the sign of their limit and whose z keeps all
- * others. The paper leaves open which W to try next. Here the set of the step before is tried as it
- * is, else moved on by one control increment; where a multiplier has the wrong sign, λ goes towards
- * eq. 31 until the first one reaches zero, whose row is dropped. From that set the rule of Goldfarb
+ * others. The paper leaves open which W to try next. Here the set of the step before is the start.
+ * Where a multiplier has the wrong sign, λ goes towards eq. 31 until the first one reaches zero,
+ * whose row is dropped. From that set the rule of Goldfarb
  * and Idnani (Math. Programming 27 (1983) 1-33) goes on: the most violated row is brought in, and
  * rows whose multiplier reaches zero on the way are dropped. Every row brought in raises the dual
  * objective, so that no set comes back.
@@ -328,24 +328,16 @@ static void add_to_start(active_set *s, int i, int side, as_real lam) {
     s->lam[i] = lam;
 }
 
-/* Factorise the set anew, each row moved on by `block` variables, the last increment kept too. */
-static void move_set(active_set *s, int block) {
-    const int n = s->n, rows = block > 0 ? s->m * block / n : 0, w = s->count;
-    int *list = s->list;
-    as_real *before = s->r;
-    for (int k = 0; k < w; k++) {
-        const int i = s->active[k];
-        list[k] = s->side[i] > 0 ? i : -1 - i;
-        before[k] = s->lam[i];
-        s->side[i] = NEITHER;
-        s->lam[i] = 0;
-    }
+/* Factorise the set anew, without rows that lost their limit or lean on the others now. */
+static void renew_set(active_set *s) {
+    const int w = s->count;
     s->count = 0;
     for (int k = 0; k < w; k++) {
-        const int side = list[k] >= 0 ? 1 : -1, i = side > 0 ? list[k] : -1 - list[k];
-        const int start = i < n ? 0 : n, end = i < n ? n : n + s->m, by = i < n ? block : rows;
-        if (i - start >= by) add_to_start(s, i - by, side, before[k]);
-        if (i >= end - by) add_to_start(s, i, side, before[k]);
+        const int i = s->active[k], side = s->side[i];
+        const as_real lam = s->lam[i];
+        s->side[i] = NEITHER;
+        s->lam[i] = 0;
+        add_to_start(s, i, side, lam);
     }
 }
 
@@ -383,7 +375,12 @@ static int start_multipliers(active_set *s) {
  *       the way, λ₂ after 1/(1 + 2) = ⅓ of it. It is dropped there      5/3   0
  *     and eq. 31 asks for 1 of row 0 alone: no row has to come in       1     0     (0, −2) */
 static void restore_signs(active_set *s) {
-    for (int wrong = start_multipliers(s); wrong >= 0; wrong = solve_multipliers(s)) {
+    int wrong = start_multipliers(s);
+    if (wrong < 0) {
+        renew_set(s);
+        wrong = start_multipliers(s);
+    }
+    for (;; wrong = solve_multipliers(s)) {
         int drop = -1;
         as_real least = 1;
         for (int k = 0; k < s->count && wrong > 0; k++) {
@@ -939,22 +936,13 @@ static int refine_search(active_set *s, as_real reach) {
     return DOUBTFUL;
 }
 
-/* The multipliers of the set of the step before, as it is or moved on; and the point. */
-static void start(active_set *s) {
-    if (start_multipliers(s) != 0) {
-        move_set(s, s->block);
-        restore_signs(s);
-    } else
-        for (int k = 0; k < s->count; k++) s->lam[s->active[k]] = s->R[k];
-}
-
 static int search(active_set *s) {
     if (s->stale || !s->warm) clear_set(s);
     s->stale = s->iterations = 0;
     const as_real square = write_base(s);
     if (is_infinite(square)) return ACTIVE_SET_NOT_FINITE;
     const as_real size = root(larger(square, 0)), coarse = VIOLATED * size, close = 4 * NEAR * size;
-    if (s->count > 0) start(s);
+    if (s->count > 0) restore_signs(s);
     write_point(s);
     view found;
     look(s, &found, coarse, close);
@@ -996,7 +984,6 @@ void active_set_place_step(active_set *s, as_real *reals, int *integers) {
     s->L = reals;
     s->active = integers;
     s->side = integers + n;
-    s->list = integers + n + N;
 }
 
 void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers) {
@@ -1071,7 +1058,7 @@ static int write_rows(active_set *s, const as_real *A) {
 
 int active_set_replace_rows(active_set *s, const as_real *A) {
     const int refused = write_rows(s, A);
-    if (refused == ACTIVE_SET_OK && s->warm && !s->stale) move_set(s, 0);
+    if (refused == ACTIVE_SET_OK && s->warm && !s->stale) renew_set(s);
     else s->stale = 1;
     return refused;
 }

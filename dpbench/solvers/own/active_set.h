@@ -39,7 +39,7 @@ enum { ACTIVE_SET_OK = 0, ACTIVE_SET_DATA_NOT_FINITE = 1, ACTIVE_SET_NOT_DEFINIT
 typedef struct {
     int n, m;         /* variables, rows of A */
     int warm;         /* 1: start from the active set of the step before */
-    int block;        /* variables of a control increment, by which that set moves on; 0: none */
+    int block;        /* variables of a control increment, by which hildreth.c moves its start */
     int stale;        /* 1: there is no set to start from */
     int count;        /* active rows */
     int iterations;   /* of the last solve: rows brought in or dropped */
@@ -65,14 +65,13 @@ typedef struct {
     as_real *L;                 /* n(n+1)/2: Cholesky factor of H_WW, rows packed, 1/L_kk on it */
     int *active;                /* n: W, the active rows as they came */
     int *side;                  /* n+m: +1 active at high, −1 at low, 0 not active */
-    int *list;                  /* n: the set that is moved on */
     as_real *R, *T;             /* n, indexed as `active` */
     as_real *r, *e, *z_low, *lam_low, *r_low; /* n */
 } active_set;
 
 /* Lengths of the two arrays that active_set_place divides, and of those of active_set_place_step. */
 #define ACTIVE_SET_STEP_REALS(n, m) (4 * ((n) + (m)) + (n) * ((n) + 1) / 2 + 9 * (n))
-#define ACTIVE_SET_STEP_INTEGERS(n, m) (3 * (n) + (m))
+#define ACTIVE_SET_STEP_INTEGERS(n, m) (2 * (n) + (m))
 #define ACTIVE_SET_REALS(n, m) \
     (ACTIVE_SET_STEP_REALS(n, m) + ((n) + (m)) + 2 * (n) * ((n) + (m)))
 #define ACTIVE_SET_INTEGERS(n, m) \

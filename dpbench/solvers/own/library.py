@@ -44,7 +44,7 @@ class ActiveSet(ctypes.Structure):
         *_name_fields(POINTER, "q low high z lam P G unit a column first order"),
         *_name_fields(INTEGER, "coupled"),
         *_name_fields(REAL, "longest steepest largest widest loss"),
-        *_name_fields(POINTER, "base L active side list R T r e z_low lam_low r_low"),
+        *_name_fields(POINTER, "base L active side R T r e z_low lam_low r_low"),
     ]
 
 
@@ -81,7 +81,7 @@ class Problem:
         N = n + m
         reals = n * 2 * N + 5 * N + n * (n + 1) // 2 + 9 * n
         self._reals = np.zeros(reals)
-        self._integers = np.zeros(m * n + m + 1 + 3 * n + N, dtype=np.intc)
+        self._integers = np.zeros(m * n + m + 1 + 2 * n + N, dtype=np.intc)
         self.head = ActiveSet()
         self.pointer = ctypes.c_void_p(ctypes.addressof(self.head))
         data = (array.ctypes.data for array in (self._reals, self._integers))
