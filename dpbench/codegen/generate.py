@@ -52,13 +52,16 @@ def generate_controller(
         raise InputError("codegen", "fmi", fmi, "2 or 3")
     data = read_controller(as_scenario(scenario))
     sources = SOLVERS[solver](data.qp)
+    if fmu is not None and not sources.copies:
+        allowed = "a solver whose memory is the caller's: paper_active_set"
+        raise InputError("codegen --fmu", "solver", solver, allowed)
     tables = list_tables(data)
     sizes = {
         "constants": sum(table.bytes for table in (*tables, *sources.tables)),
         "memory": _count_memory(data, sources),
     }
     files = write_sources(data, sources, tables, solver=solver, **sizes)
-    trajectory = record_trajectory(data, solver, steps)
+    trajectory = record_trajectory(data, solver, steps, sources.settings)
     names = [signal.name for signal in (*data.inputs, *data.outputs)]
     files["trajectory.csv"] = trajectory.write_csv(names).encode()
     folder = Path(out)
@@ -135,6 +138,7 @@ def write_sources(
         "m": data.qp.m,
         "origin": sources.origin,
         "heap": sources.heap,
+        "tolerance": number_text(sources.tolerance),
         **facts,
     }
     defines = [f"THETA {theta}"]
@@ -147,8 +151,8 @@ def write_sources(
         "controller.h": render("controller.h", **common),
         "controller.c": render("controller.c", **common),
         "controller_tables.h": render("tables.h", **of_step, **common),
-        "solver.h": render(f"solver_{sources.template}.h", **common, **sources.values),
-        "solver.c": render(f"solver_{sources.template}.c", **common, **sources.values),
+        "solver.h": render(sources.header, **common, **sources.values),
+        "solver.c": render(sources.source, **common, **sources.values),
         "solver_tables.h": render("tables.h", **of_solver, **common),
         "main.c": render("main.c", **common),
         "CMakeLists.txt": render("CMakeLists.txt", **common),

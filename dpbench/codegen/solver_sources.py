@@ -5,35 +5,51 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 
 from dpbench.arrays import Indices
 from dpbench.codegen.c_tables import Table, make_table, number_text
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.solvers.own import compiling
 from dpbench.solvers.own.library import ActiveSet, Problem, open_library
+from dpbench.temporary_folders import process_folder, temporary_folder
+
+OSQP_SETTINGS = {"eps_abs": 1e-6, "eps_rel": 0.0, "rho": 0.03, "max_iter": 20_000}
+OSQP_TOLERANCE = 0.01
+"""In rate-limit steps: the generated code keeps ρ, while OSQP in the loop adapts it."""
 
 
 @dataclass(frozen=True)
 class SolverSources:
     """C sources of one solver for one controller.
 
-    values : of the templates `solver_NAME.h.j2` and `.c.j2`; files : sources beside them, by name;
-    compiled : the C files among them; memory : bytes of `solver_memory`; heap : its use of it;
-    origin : where the files are from, with their licence.
+    header, source : templates of `solver.h` and `solver.c`, with their values; files : sources
+    beside them, by name; memory : bytes of `solver_memory`; origin : where the files are from, with
+    their licence; heap : use of it; tolerance : difference allowed in a replay from dpbench's
+    solver at `settings`, in rate-limit steps; copies : whether a process may have several.
     """
 
-    template: str
+    header: str
+    source: str
     values: dict[str, Any]
     tables: tuple[Table, ...]
     files: dict[str, bytes]
-    compiled: tuple[str, ...]
     memory: int
     origin: str
     heap: str = "none"
+    tolerance: float = 1e-6
+    settings: str = "default"
+    copies: bool = True
+
+    @property
+    def compiled(self) -> list[str]:
+        """Names of the C files to compile besides those of the controller."""
+        return sorted(name for name in self.files if name.endswith(".c"))
 
 
 def write_active_set(qp: CondensedQP) -> SolverSources:
@@ -66,7 +82,9 @@ def write_active_set(qp: CondensedQP) -> SolverSources:
     origin = "active_set.c and active_set.h are part of dpbench, Apache-2.0"
     numbers = 9 * n + 4 * (n + m) + n * (n + 1) // 2
     memory = 4 * 8 + 8 + ctypes.sizeof(ActiveSet) + 8 * numbers + round_up(4 * (3 * n + m))
-    return SolverSources("active_set", values, tables, files, ("active_set.c",), memory, origin)
+    return SolverSources(
+        "solver_active_set.h", "solver_active_set.c", values, tables, files, memory, origin
+    )
 
 
 def round_up(count: int) -> int:
@@ -80,5 +98,45 @@ def _view_integers(problem: Problem, name: str, length: int) -> Indices:
     return np.ctypeslib.as_array((ctypes.c_int * length).from_address(address))
 
 
-SOLVERS: dict[str, Callable[[CondensedQP], SolverSources]] = {"paper_active_set": write_active_set}
+def write_osqp(qp: CondensedQP) -> SolverSources:
+    """Return the C that OSQP's own generator writes, with ρ frozen at a value tuned elsewhere."""
+    options = {"verbose": False, "adaptive_rho": False, **OSQP_SETTINGS}
+    rows = scipy.sparse.csc_matrix(np.vstack([np.eye(qp.n), qp.A]))
+    one = np.ones(qp.n + qp.m)
+    solver = import_module("osqp").OSQP()
+    P = scipy.sparse.csc_matrix(qp.P)
+    solver.setup(P, np.zeros(qp.n), rows, -one, one, **options)
+    with temporary_folder(process_folder()) as folder:
+        solver.codegen(str(folder / "c"), parameters="vectors", extension_name=None)
+        files = {
+            path.name: path.read_bytes()
+            for path in (folder / "c").rglob("*.[ch]")
+            if path.name != "emosqp.c"  # an example with a `main` of its own
+        }
+    settings = ", ".join(f"{name} {value:g}" for name, value in OSQP_SETTINGS.items())
+    origin = f"OSQP's sources are those of its code generator, Apache-2.0, with {settings}"
+    return SolverSources(
+        "solver_fixed.h",
+        "solver_osqp.c",
+        {"library": "OSQP, generated"},
+        (),
+        files,
+        _count_fixed(qp),
+        origin,
+        heap="none; OSQP's workspace is static memory besides",
+        tolerance=OSQP_TOLERANCE,
+        settings="high",
+        copies=False,
+    )
+
+
+def _count_fixed(qp: CondensedQP) -> int:
+    """Return the bytes of `solver_memory` of a solver whose workspace is elsewhere."""
+    return 8 * (2 * qp.n + 2 * (qp.n + qp.m)) + 8
+
+
+SOLVERS: dict[str, Callable[[CondensedQP], SolverSources]] = {
+    "paper_active_set": write_active_set,
+    "osqp": write_osqp,
+}
 """By the name of the solver."""

@@ -34,12 +34,14 @@ class Trajectory:
         return "\n".join(lines) + "\n"
 
 
-def record_trajectory(data: ControllerData, solver: str, steps: int) -> Trajectory:
+def record_trajectory(
+    data: ControllerData, solver: str, steps: int, settings: str = "default"
+) -> Trajectory:
     """Run a scenario's closed loop with a solver, warm started; return what went in and out."""
     scenario = data.scenario.truncate(steps)
     K, controller = scenario.steps, scenario.controller
-    workspace = open_workspace(solver, policy="warm")
-    cell = Cell("closed_loop", scenario.files, solver, "native", "warm", "default", K)
+    workspace = open_workspace(solver, policy="warm", settings=settings)
+    cell = Cell("closed_loop", scenario.files, solver, "native", "warm", settings, K)
     setup = closed_loop_setup(cell, scenario, workspace, RawLog.in_memory, NO_LIMIT_NS)
     closed_loop(setup)
     log = setup.log

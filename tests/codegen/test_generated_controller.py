@@ -12,7 +12,7 @@ from dpbench.codegen.generate import generate_controller
 from dpbench.codegen.trajectory import record_trajectory
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_scenario
-from tests.codegen.c_controller import CController, compile_c, needs_gcc, steer
+from tests.codegen.c_controller import WARNINGS, CController, compile_c, needs_gcc, steer
 
 STEPS = 1000
 
@@ -40,12 +40,23 @@ def test_the_c_controller_steers_as_the_python_loop(name: str, tmp_path: Path) -
 
 @needs_gcc
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["paper", "thruster_loss_hard", "thrusters_loss"])
-def test_a_sanitizer_finds_nothing_in_a_replay(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "solver"),
+    [
+        ("paper", "paper_active_set"),
+        ("thruster_loss_hard", "paper_active_set"),
+        ("thrusters_loss", "paper_active_set"),
+        ("paper", "osqp"),
+        ("thruster_loss", "osqp"),
+    ],
+)
+def test_a_sanitizer_finds_nothing_in_a_replay(name: str, solver: str, tmp_path: Path) -> None:
     """The example replays its trajectory under the address and undefined-behaviour sanitizers."""
-    _generate(name, tmp_path, steps=STEPS)
+    generate_controller(name, solver, out=tmp_path, steps=STEPS)
     options = "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"
-    replay = compile_c(tmp_path, tmp_path / "replay", *options)
+    # Sources of others are compiled as they are.
+    warnings = WARNINGS if solver == "paper_active_set" else ()
+    replay = compile_c(tmp_path, tmp_path / "replay", *options, warnings=warnings)
     command = [str(replay), str(tmp_path / "trajectory.csv")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -134,6 +145,13 @@ def test_an_unknown_solver_is_refused(tmp_path: Path) -> None:
     """The error names those with C sources."""
     with pytest.raises(InputError, match="paper_active_set"):
         generate_controller("paper", "clarabel", out=tmp_path)
+
+
+def test_an_fmu_of_a_solver_with_one_workspace_is_refused(tmp_path: Path) -> None:
+    """A simulator may make several instances."""
+    with pytest.raises(InputError, match="paper_active_set"):
+        generate_controller("paper", "osqp", out=tmp_path / "c", fmu=tmp_path / "x.fmu")
+    assert not (tmp_path / "c").exists()
 
 
 def test_names_of_thrusters_become_identifiers() -> None:
