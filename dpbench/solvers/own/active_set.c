@@ -868,8 +868,9 @@ static int is_settled(const active_set *s, as_real size) {
     const as_real length = s->count > 0 ? length_of_point(s) : 0;
     for (int k = 0; k < s->count; k++) {
         const int i = s->active[k];
-        const as_real off = size_of(s->z[i] - limit_of(s, i)) * s->unit[i];
-        if (!(off <= ON_LIMIT * length + TINY) || has_wrong_sign(s, i, s->lam[i])) return 0;
+        const as_real g = limit_of(s, i), off = size_of(s->z[i] - g);
+        if (!(off * s->unit[i] <= ON_LIMIT * length + TINY)) return 0;
+        if (off > SMALL * REAL(1e-3) * (1 + size_of(g)) || has_wrong_sign(s, i, s->lam[i])) return 0;
     }
     return length <= size;
 }

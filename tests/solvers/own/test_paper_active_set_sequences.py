@@ -83,7 +83,7 @@ def chain(block, rows=((),)):
     ],
 )
 def test_the_start_of_the_step_after(solver, qp, first, then):
-    """Where all moves on by one move, the set costs a drop and an add; Hildreth's start moves on."""
+    """A set one move nearer costs a drop and an add; the multipliers of Hildreth move on."""
     workspace = opened(solver=solver)
     assert solve_qp(workspace, qp).iterations == first
     answer = solve_next(workspace, QPStep(np.roll(qp.q, -1), qp.l, qp.u))
