@@ -87,6 +87,9 @@ def test_mean_by_hand(values: list[list[float]], mean: float, error2: float, df:
         ([[1.0], [2.0], [3.0], [4.0], [5.0]], False),
         ([[1.0, 2.0, 4.0, 3.0, 5.0, LOST], [1.0, LOST, LOST, LOST, LOST, LOST]], True),
         ([[1.0, 2.0, 4.0, 3.0, LOST], [1.0, LOST, LOST, LOST, LOST]], False),
+        ([[1.0, 2.0], [3.0, 4.0], [5.0, 7.0], *[[1.0, LOST]] * 3], True),
+        ([[1.0, 2.0], [3.0, 4.0], *[[1.0, LOST]] * 4], False),
+        ([[1.0, 2.0, 4.0, 3.0], [1.0, *[LOST] * 3], [2.0, *[LOST] * 3]], False),
     ],
 )
 def test_six_values_are_enough(values: list[list[float]], supported: bool) -> None:
