@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from scipy.optimize import LinearConstraint, linprog, milp
 
 from dpbench.bench.capability.frontier import CapabilityPlot, Case, is_beyond_standard
+from dpbench.bench.capability.utilisation import MOST_USE
 from dpbench.errors import InputError
 from dpbench.scenario.tables.vessel_file import VesselFile
 from dpbench.ship.capability.shapes import Piece
@@ -117,7 +118,8 @@ def independent_use(
 ) -> float:
     """Return the least use of thrust over all choices of pieces, by linear programs over corners.
 
-    The largest multiple s of the load that is balanced gives u = 1/s.
+    The largest multiple s of the load that is balanced gives u = 1/s. It is infinite beyond
+    `MOST_USE` for a load of all thrust, as what is left of a thruster is then rounding.
     """
     weather, sides = plot.weather(from_rad, wind_mps), plot.sides or FINE
     if not weather.load.any():
@@ -138,7 +140,9 @@ def independent_use(
     if largest == 0.0:
         return math.inf
     lengths = [len(force) for force in forces]
-    return size / largest * _solve(columns.T / largest, load / size, lengths, owner)
+    use = size / largest * _solve(columns.T / largest, load / size, lengths, owner)
+    most = MOST_USE * size / float(plot.thrusters.thrust_N.sum())
+    return use if use <= most else math.inf
 
 
 def _solve(balance: Vector, load: Vector, lengths: list[int], owner: list[int]) -> float:
