@@ -268,6 +268,30 @@ def _add_codegen_arguments(codegen: Command) -> None:
     option("--fmi", "V", "version of that: 2 (default) or 3", type=int, default=2)
 
 
+def _add_embedded_arguments(embedded: Command) -> None:
+    """Add the options and arguments of `dpbench embedded` to its parser."""
+    embedded.description = (
+        "Compile solvers' C for an embedded core, run it on an emulated one along a sequence of "
+        "QPs, and count instructions, memory and errors of each step (extra: embedded)."
+    )
+    embedded.add_argument(
+        "sequences", metavar="SEQUENCE", nargs="*", help="a stored sequence or a .npz (paper-30-5)"
+    )
+    option = partial(_add_option, embedded)
+    repeated = partial(option, action="append", default=[])
+    repeated("--target", "T", "m7 (default), a53, riscv or x86; repeatable")
+    repeated("--solver", "S", "only this solver; repeatable (all with a recipe)")
+    repeated("--recipe", "DIR", "a recipe of your own: recipe.toml and shim.c; repeatable")
+    repeated("--settings", "S.KEY=N", "a setting of a solver, as osqp.rho=0.1; repeatable")
+    single = "compile in single precision"
+    embedded.add_argument("--float", action="store_true", dest="single", help=single)
+    option("--steps", "N", "at most N steps of each sequence (all)", type=int, default=0)
+    option(
+        "--out", "DIR", "folder of embedded.parquet (results/embedded)", default="results/embedded"
+    )
+    embedded.add_argument("--json", action="store_true", help="print a summary as JSON")
+
+
 def _add_tune_solver_arguments(tune: Command) -> None:
     """Add the options and arguments of `dpbench tune-solver` to its parser."""
     tune.description = (
@@ -353,6 +377,11 @@ _COMMANDS: dict[str, tuple[Callable[[Command], None], str, str | None]] = {
         _add_tune_solver_arguments,
         "search for a solver's fastest accurate settings",
         "Exit code: 0 settings found; 1 none is accurate on every training sequence; 2 bad input.",
+    ),
+    "embedded": (
+        _add_embedded_arguments,
+        "count what solvers cost as C on an embedded core",
+        "Exit code: 0 done; 1 a solver could not be counted; 2 bad input, or none could be.",
     ),
     "codegen": (_add_codegen_arguments, "write a scenario's controller as C code", None),
     "paper": (

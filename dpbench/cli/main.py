@@ -349,6 +349,13 @@ def _write_own_ship(arguments: argparse.Namespace) -> None:
     print_wrapped(write_own_ship(arguments))
 
 
+def _print_embedded_counts(arguments: argparse.Namespace) -> int:
+    """Count what solvers' C executes on an embedded core (`dpbench embedded`)."""
+    from dpbench.cli.embedded import print_counts
+
+    return print_counts(arguments)
+
+
 def _print_capability(arguments: argparse.Namespace) -> None:
     from dpbench.cli.capability import capability_text
 
@@ -381,6 +388,7 @@ _CALLS = {
     "tune": _tune,
     "tune-solver": _tune_solver,
     "codegen": _generate_controller,
+    "embedded": _print_embedded_counts,
     "paper": _reproduce_paper,
     "list": _print_listing,
     "check": _check_named_file,

@@ -75,7 +75,7 @@ class Recipe:
     """A recipe read from its folder; InputError with file and key where that is not one."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, where = folder, folder / "recipe.toml"
+        self.folder, where = folder.absolute(), folder / "recipe.toml"
         try:
             text = where.read_text(encoding="utf-8")
             self.file = RecipeFile.model_validate(tomllib.loads(text))
@@ -145,11 +145,11 @@ class Recipe:
             *_find(origin, file.sources),
             *sorted(folder.rglob("*.c")),
         ]
-        include = [folder, *(origin / name for name in file.include)]
+        include = [origin / name for name in file.include]
         defines = [*file.defines]
         if single:
             defines += ["-DEMBEDDED_FLOAT", *(file.float_defines or [])]
-        return compile_program(sources, target, include=include, defines=defines)
+        return compile_program(sources, target, written=folder, include=include, defines=defines)
 
 
 def _find(origin: Path, patterns: Iterable[str]) -> list[Path]:

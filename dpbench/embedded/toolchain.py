@@ -55,7 +55,7 @@ def compiler_version() -> str:
 
 def cache_folder(name: str) -> Path:
     """Return a folder for `name` in the user's cache, made if missing; else one of this process."""
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache").absolute()
     folder = home / "dpbench" / "embedded" / name
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -90,23 +90,29 @@ def compile_program(
     sources: Sequence[Path],
     target: Target,
     *,
+    written: Path | None = None,
     include: Sequence[Path] = (),
     defines: Sequence[str] = (),
 ) -> Path:
     """Compile C sources to a program of a bare core; return the ELF file, kept in the cache.
+
+    `written` is a folder of headers for this program alone. The compiler runs in it, so that its
+    path is not in the command, and what includes nothing of it is compiled once for all programs.
 
     SituationError with the compiler's words if that fails.
     """
     script = RUNTIME / "program.ld"
     everything = [*sources, RUNTIME / "runtime.c"]
     words = [*target.compiler_flags, *FLAGS.split(), *defines]
-    files = [*everything, *(h for folder in (RUNTIME, *include) for h in folder.rglob("*.h"))]
+    own = [written] if written else []
+    files = [*everything, *(h for folder in (RUNTIME, *own, *include) for h in folder.rglob("*.h"))]
     key = _hash([compiler_version(), LINK, *words], [*files, script])
     out = cache_folder("programs") / f"{key}.elf"
     if not out.exists():
         headers = [f"-isystem{folder}" for folder in _header_folders(target)]
         linker = [*LINK.split(), "-T", str(script)]
-        _compile([*words, *headers, *_include_flags([RUNTIME, *include]), *linker], everything, out)
+        folders = _include_flags([RUNTIME, *([Path()] if written else []), *include])
+        _compile([*words, *headers, *folders, *linker], everything, out, cwd=written)
     return out
 
 
@@ -130,14 +136,17 @@ def _hash(words: Sequence[str], files: Sequence[Path]) -> str:
     return digest.hexdigest()[:24]
 
 
-def _compile(words: Sequence[str], sources: Iterable[Path], out: Path) -> Path:
+def _compile(
+    words: Sequence[str], sources: Iterable[Path], out: Path, *, cwd: Path | None = None
+) -> Path:
     """Run the compiler into `out`, which is written whole or not at all."""
     compiler_version()
     partial = out.with_name(f".{os.getpid()}.{out.name}")
-    command = [sys.executable, "-m", "ziglang", "cc", *words, *map(str, sources)]
+    named = (path.relative_to(cwd) if cwd and cwd in path.parents else path for path in sources)
+    command = [sys.executable, "-m", "ziglang", "cc", *words, *map(str, named)]
     try:
         done = subprocess.run(
-            [*command, "-o", str(partial)], check=False, capture_output=True, text=True
+            [*command, "-o", str(partial)], check=False, capture_output=True, text=True, cwd=cwd
         )
         if done.returncode:
             shown = shlex.join(["cc", *words[:2]])

@@ -1,0 +1,129 @@
+"""`dpbench embedded`: count what solvers' C executes on an emulated core, and show it."""
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from dpbench.bench.sequences.recording import read_sequence, thin_sequence
+from dpbench.bench.sequences.sequence_file import Recorded
+from dpbench.cli.terminal import make_console, make_report_table, print_wrapped
+from dpbench.embedded.count import StepCounts, count_sequence
+from dpbench.embedded.recipe import Recipe, Setting, select_recipes
+from dpbench.embedded.table import SIZES, save_steps, summarise
+from dpbench.embedded.targets import TARGETS, Target, find_target
+from dpbench.embedded.toolchain import compiler_version, require_extra
+from dpbench.errors import DpbenchError, InputError
+from dpbench.report.formats import count_text, error_text
+from dpbench.report.table import Table
+from dpbench.scenario.problem_files import sequence_path
+
+REMARK = (
+    "Instructions compare solvers under one compiler and its flags. They are no times: they hold "
+    "no caches, no pipeline and no bus. The worst step is the worst of this sequence."
+)
+
+
+def print_counts(arguments: argparse.Namespace) -> int:
+    """Count, print tables or JSON, write the steps; return 1 if a solver could not be counted."""
+    require_extra()
+    targets = [find_target(name) for name in arguments.target or ["m7"]]
+    recipes = select_recipes(arguments.solver, map(Path, arguments.recipe))
+    settings = _read_settings(arguments.settings, recipes)
+    counts: list[StepCounts] = []
+    refused: list[DpbenchError] = []
+    for name in arguments.sequences or ["paper-30-5"]:
+        recorded = _read(name, arguments.steps)
+        for recipe, target in ((r, t) for t in targets for r in recipes):
+            single, own = arguments.single, settings.get(recipe.solver, {})
+            try:
+                counts.append(_count(recipe, recorded, target, single=single, settings=own))
+            except DpbenchError as error:
+                refused.append(error)
+    for text in dict.fromkeys(map(str, refused)):
+        print(f"dpbench: {text}", file=sys.stderr)
+    if not counts:
+        return 2
+    path = save_steps(counts, Path(arguments.out))
+    if arguments.json:
+        print(
+            json.dumps({"steps": str(path), "runs": [summarise(run) for run in counts]}, indent=2)
+        )
+    else:
+        _print_tables(counts, path)
+    return int(bool(refused))
+
+
+def _count(recipe: Recipe, recorded: Recorded, target: Target, **options: Any) -> StepCounts:
+    return count_sequence(recipe, recorded.sequence, target, optima=recorded.optima, **options)
+
+
+def _read(name: str, steps: int) -> Recorded:
+    """Return a sequence by name or file, its first `steps` QPs with certified optima."""
+    recorded = read_sequence(sequence_path(name))
+    if not steps or steps >= len(recorded.sequence):
+        return recorded
+    optima = None if recorded.optima is None else recorded.optima[:steps]
+    return Recorded(thin_sequence(recorded.sequence, steps), optima, recorded.units)
+
+
+def _read_settings(texts: list[str], recipes: list[Recipe]) -> dict[str, dict[str, Setting]]:
+    """Parse SOLVER.KEY=VALUE; InputError for a solver that is not counted or no number."""
+    solvers = [recipe.solver for recipe in recipes]
+    settings: dict[str, dict[str, Setting]] = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        solver, _, key = name.partition(".")
+        if solver not in solvers or not key:
+            raise InputError("--settings", "", repr(text), f"SOLVER.KEY=N of {', '.join(solvers)}")
+        try:
+            number = float(value)
+        except ValueError:
+            raise InputError("--settings", name, repr(value), "a number") from None
+        settings.setdefault(solver, {})[key] = int(number) if number.is_integer() else number
+    return settings
+
+
+def _print_tables(counts: list[StepCounts], path: Path) -> None:
+    """Print a table of counts and one of sizes for each sequence and target."""
+    screen = make_console()
+    for table in _make_tables([summarise(run) for run in counts]):
+        screen.print(make_report_table(table, screen))
+        screen.print()
+    compiler = f"Compiled by ziglang {compiler_version()} with -O2. Steps: {path}"
+    print_wrapped([REMARK, compiler])
+
+
+def _make_tables(runs: list[dict[str, Any]]) -> Iterator[Table]:
+    for name, target in dict.fromkeys((run["sequence"], run["target"]) for run in runs):
+        group = [run for run in runs if (run["sequence"], run["target"]) == (name, target)]
+        kind = "float" if group[0]["single"] else "double"
+        title = f"{name} on {TARGETS[target].title}, {kind}: "
+        rows = [
+            {
+                "solver": run["solver"],
+                "median": count_text(run["instructions_p50"]),
+                "p99": count_text(run["instructions_p99"]),
+                "worst": count_text(run["instructions_max"]),
+                "k": str(run["worst_step"]),
+                "iterations": _known(run["worst_iterations"]),
+                "active": _known(run["worst_active"]),
+            }
+            for run in group
+        ]
+        note = "Of the worst step: its number k, iterations and active rows."
+        yield Table.of(rows, f"{title}instructions a step", note=note)
+        sizes = [
+            {"solver": run["solver"]}
+            | {size: count_text(run[f"{size}_bytes"]) for size in (*SIZES, "stack")}
+            | {"error": error_text(run["error_move"])}
+            for run in group
+        ]
+        note = "Error: largest of the first move against the optimum, in rate-limit steps."
+        yield Table.of(sizes, f"{title}bytes of memory, error", note=note)
+
+
+def _known(number: int) -> str:
+    return str(number) if number >= 0 else "–"

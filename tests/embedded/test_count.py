@@ -1,0 +1,134 @@
+"""Counts of solvers' C along a short sequence: stored ones, repeated ones, and their answers."""
+
+from pathlib import Path
+
+import numpy as np
+import osqp
+import pytest
+import scipy
+
+from dpbench import open_workspace
+from dpbench.bench.sequences.recording import thin_sequence
+from dpbench.bench.sequences.sequence_file import load_sequence
+from dpbench.embedded.count import StepCounts, count_sequence
+from dpbench.embedded.recipe import select_recipes
+from dpbench.embedded.table import save_steps, summarise, tabulate_steps
+from dpbench.embedded.targets import TARGETS
+from dpbench.embedded.toolchain import compiler_version, has_extra
+from dpbench.errors import InputError, SituationError
+from dpbench.qp.program import QPSequence
+from dpbench.solvers.contract import Settings
+from dpbench.solvers.record import HIGH
+
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("embedded_extra")]
+STORED = {
+    ("daqp", "m7"): [88279, 27875, 20246, 48214, 15483],
+    ("daqp", "a53"): [74525, 24473, 17624, 40905, 13349],
+    ("osqp", "m7"): [2062811, 1688747, 2060293, 2441546, 2248174],
+    ("osqp", "a53"): [1602520, 1311931, 1601333, 1898038, 1747722],
+    ("paper_active_set", "m7"): [35721, 18875, 13480, 23048, 9413],
+    ("paper_active_set", "a53"): [26875, 13912, 10015, 17565, 7005],
+}
+"""Instructions of the first five steps of paper-30-5, by ziglang as pinned in constraints.txt."""
+PINNED = "0.17.1"
+
+
+def load(name: str, steps: int) -> QPSequence:
+    """The first QPs of a stored sequence."""
+    return thin_sequence(load_sequence(name), steps)
+
+
+def count(solver: str, target: str, sequence: QPSequence, **options: bool) -> StepCounts:
+    """Count a solver; a test is skipped where its source cannot be fetched."""
+    (recipe,) = select_recipes([solver])
+    try:
+        return count_sequence(recipe, sequence, TARGETS[target], **options)
+    except SituationError as error:
+        if "cannot fetch" in str(error):
+            pytest.skip(str(error))
+        raise
+
+
+@pytest.mark.skipif(
+    not has_extra() or compiler_version() != PINNED, reason="counts are of the pinned compiler"
+)
+@pytest.mark.parametrize(("solver", "target"), STORED)
+def test_counts_equal_stored_ones(solver: str, target: str) -> None:
+    counts = count(solver, target, load("paper-30-5", 5))
+    assert counts.steps["instructions"].tolist() == STORED[solver, target]
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_a_repetition_is_identical_to_the_bit(target: str) -> None:
+    first, second = (
+        tabulate_steps([count("hildreth", target, load("move-30-5", 4))]) for _ in "12"
+    )
+    assert first.equals(second)
+    assert (first["instructions"] > 1000).all()
+
+
+@pytest.mark.parametrize("solver", ["daqp", "quadprog", "hildreth", "paper_active_set"])
+@pytest.mark.parametrize("name", ["paper-30-5", "thruster_loss_soft-30-5"])
+def test_answers_equal_those_of_the_desk(solver: str, name: str) -> None:
+    sequence = load(name, 6)
+    counts = count(solver, "a53", sequence)
+    policy = "reuse" if solver == "quadprog" else "warm"
+    settings: Settings = HIGH if solver == "hildreth" else "default"
+    desk = open_workspace(solver, route="native", policy=policy, settings=settings)
+    desk.setup(sequence.base)
+    for k in range(len(sequence)):
+        desk.update(sequence.step(k))
+        desk.solve()
+        answer = desk.read()
+        np.testing.assert_allclose(counts.z[k], answer.z, rtol=0, atol=1e-12)
+        assert counts.steps["iterations"][k] == answer.iterations
+    assert (counts.steps["status"] == 0).all()
+    assert counts.error_move.max() < 1e-2
+
+
+def test_answers_of_osqp_equal_those_of_its_wheel() -> None:
+    sequence = load("move-30-5", 6)
+    counts, qp = count("osqp", "a53", sequence), sequence.base
+    library = osqp.OSQP()
+    rows = scipy.sparse.csc_matrix(np.vstack([qp.A, np.eye(qp.n)]))
+    options = {"rho": 0.03, "eps_abs": 1e-6, "eps_rel": 0.0, "max_iter": 200000}
+    limits = np.append(qp.l, qp.lb), np.append(qp.u, qp.ub)
+    library.setup(
+        scipy.sparse.csc_matrix(qp.P),
+        qp.q,
+        rows,
+        *limits,
+        verbose=False,
+        **options,
+        adaptive_rho=False,
+    )
+    for k in range(len(sequence)):
+        low, high = np.append(sequence.l[k], qp.lb), np.append(sequence.u[k], qp.ub)
+        library.update(q=sequence.q[k], l=low, u=high)
+        answer = library.solve(raise_error=True)
+        np.testing.assert_allclose(counts.z[k], answer.x, rtol=0, atol=1e-9)
+        assert counts.steps["iterations"][k] == answer.info.iter
+
+
+def test_matrices_of_each_step_and_single_precision() -> None:
+    changing = load("turn-30-5", 5)
+    for solver in ("daqp", "paper_active_set", "quadprog"):
+        assert count(solver, "a53", changing).error_plan.max() < 1e-11
+    single = count("paper_active_set", "m7", load("move-30-5", 5), single=True)
+    assert 1e-9 < single.error_plan.max() < 1e-3
+    with pytest.raises(InputError, match=r"osqp: found P that change in turn-30-5"):
+        count("osqp", "a53", changing)
+    with pytest.raises(InputError, match=r"quadprog: --float: found single precision"):
+        count("quadprog", "m7", load("move-30-5", 5), single=True)
+
+
+def test_table_and_summary(tmp_path: Path) -> None:
+    counts = count("paper_active_set", "m7", load("paper-30-5", 5))
+    table = tabulate_steps([counts])
+    assert save_steps([counts], tmp_path / "out") == tmp_path / "out" / "embedded.parquet"
+    assert table["k"].tolist() == [0, 1, 2, 3, 4]
+    assert set(table["heap_bytes"]) == {0}
+    summary = summarise(counts)
+    assert summary["instructions_max"] == table["instructions"].max()
+    assert summary["instructions_p50"] == table["instructions"].median()
+    assert 0 < summary["stack_bytes"] < 1000

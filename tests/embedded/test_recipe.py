@@ -1,0 +1,56 @@
+"""What is wrong with a recipe, a setting or a source, in one line."""
+
+from pathlib import Path
+
+import pytest
+
+from dpbench.embedded import fetch
+from dpbench.embedded.fetch import fetch_sources
+from dpbench.embedded.recipe import Recipe, find_recipes, select_recipes
+from dpbench.errors import InputError, SituationError, UnknownNameError
+
+TEXT = 'solver = "mine"\nlicence = "MIT"\norigin = "here"\nstart = "none"\ntuned = "nothing"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("solver = ", r"recipe.toml: found Invalid value"),
+        ('solver = "mine"', r"recipe.toml: licence: found .* allowed: Field required"),
+        (f"{TEXT}other = 1\n", r"recipe.toml: other: found 1; allowed: Extra inputs"),
+        (
+            f'{TEXT}[package]\nname = "x"\nversion = "1"\nsha256 = "0"\n',
+            r"recipe.toml: package.sha256: found '0'; allowed: String should match",
+        ),
+        (TEXT, r"shim.c: found no such file"),
+    ],
+)
+def test_a_bad_recipe(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "recipe.toml").write_text(text)
+    with pytest.raises(InputError, match=message):
+        Recipe(tmp_path)
+
+
+def test_a_recipe_of_a_users_own(tmp_path: Path) -> None:
+    (tmp_path / "recipe.toml").write_text(TEXT)
+    (tmp_path / "shim.c").write_text("")
+    assert {"mine", "daqp"} <= set(find_recipes([tmp_path]))
+    with pytest.raises(UnknownNameError, match=r"--solver: found 'mine'; allowed: "):
+        select_recipes(["mine"])
+    with pytest.raises(
+        InputError, match=r"settings of osqp: sigma: found 1; allowed: eps_abs, rho"
+    ):
+        select_recipes(["osqp"])[0].with_settings({"sigma": 1})
+
+
+def test_a_source_that_cannot_be_fetched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fetch, "cache_folder", lambda name: tmp_path)
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
+    with pytest.raises(SituationError) as error:
+        fetch_sources("no-such-solver", "1.0", 64 * "0")
+    assert str(error.value).startswith("no-such-solver: pip cannot fetch its source (")
+    assert "\n" not in str(error.value)
+    (tmp_path / "solver-1.0.tar.gz").write_bytes(b"other")
+    with pytest.raises(SituationError, match=r"solver-1.0.tar.gz: its hash is .*, not 0000"):
+        fetch_sources("solver", "1.0", 64 * "0")
