@@ -81,7 +81,7 @@ def write_active_set(qp: CondensedQP) -> SolverSources:
     files = {name: Path(compiling.FOLDER, name).read_bytes() for name in names}
     origin = "active_set.c and active_set.h are part of dpbench, Apache-2.0"
     numbers = 9 * n + 4 * (n + m) + n * (n + 1) // 2
-    memory = 4 * 8 + 8 + ctypes.sizeof(ActiveSet) + 8 * numbers + round_up(4 * (3 * n + m))
+    memory = 4 * 8 + 8 + ctypes.sizeof(ActiveSet) + 8 * numbers + round_up(4 * (2 * n + m))
     return SolverSources(
         "solver_active_set.h", "solver_active_set.c", values, tables, files, memory, origin
     )

@@ -83,7 +83,7 @@
 #define SMALL ROUNDING_OF(1e-9)         /* allowed in a row, and in the gradient of 1 + |q| */
 #define EXACT (EPSILON * REAL(1e-3))    /* a correction that the doubled precision has to reach */
 enum { PASSES = 20, POLISHES = 8, ITERATIONS_PER_ROW = 20, CANDIDATES = 8, NEITHER = 0, LEFT_OUT = 2 };
-enum { OPTIMAL = 0, DOUBTFUL = -10 };
+enum { OPTIMAL = 0, DOUBTFUL = -10, UNREFINED = -11 };
 
 static as_real root(as_real x) { return (as_real)sqrt((double)x); }
 static as_real size_of(as_real x) { return (as_real)fabs((double)x); }
@@ -862,17 +862,15 @@ static int is_steep(active_set *s) {
     return 0;
 }
 
-/* Whether the active rows are at their limits, their multipliers have the right signs, and z is no
- * longer than `size`. */
-static int is_settled(const active_set *s, as_real size) {
-    const as_real length = s->count > 0 ? length_of_point(s) : 0;
+/* Whether the active rows are at their limits, z of a given length, and multipliers have their signs. */
+static int is_settled(const active_set *s, as_real length) {
     for (int k = 0; k < s->count; k++) {
         const int i = s->active[k];
         const as_real g = limit_of(s, i), off = size_of(s->z[i] - g);
         if (!(off * s->unit[i] <= ON_LIMIT * length + TINY)) return 0;
         if (off > SMALL * REAL(1e-3) * (1 + size_of(g)) || has_wrong_sign(s, i, s->lam[i])) return 0;
     }
-    return length <= size;
+    return 1;
 }
 
 /* Move z and λ so that what the active rows miss by rounding is corrected. */
@@ -956,17 +954,26 @@ static int search(active_set *s) {
     }
     const int ending = activate_violated(s, &found, coarse, close, 2 * size, 0);
     if (ending != OPTIMAL) return ending;
-    if (!found.near && !is_steep(s) && s->loss * largest_of(s->q, s->n) <= LOST) {
-        if (is_settled(s, 2 * size)) return s->iterations;
-        settle(s);
-        if (is_settled(s, 2 * size)) return s->iterations;
+    const as_real length = s->count > 0 ? length_of_point(s) : 0;
+    const int sure = !found.near && length <= 2 * size && !is_steep(s) &&
+                     s->loss * largest_of(s->q, s->n) <= LOST;
+    for (int again = 0; again < 2 && (sure || !s->refine); again++) {
+        if (is_settled(s, length)) return s->iterations;
+        if (again == 0) settle(s);
     }
-    return refine_search(s, size);
+    return UNREFINED;
+}
+
+/* Refine the answer of a search that ended so, and decide on exact values what is doubtful still. */
+static int refine_answer(active_set *s, int ending) {
+    const as_real reach = root(larger(-dot(s->q, s->base, s->n), 0));
+    if (ending == UNREFINED) ending = refine_search(s, reach);
+    return ending == DOUBTFUL ? decide_exactly(s) : ending;
 }
 
 int active_set_solve(active_set *s) {
     int ending = search(s);
-    if (ending == DOUBTFUL) { ending = decide_exactly(s); }
+    if (ending <= DOUBTFUL) ending = s->refine ? s->refine(s, ending) : ACTIVE_SET_INACCURATE;
     s->stale = ending < 0 && ending != ACTIVE_SET_INACCURATE;
     return ending;
 }
@@ -992,6 +999,7 @@ void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers
     s->n = n;
     s->m = m;
     active_set_place_step(s, reals, integers);
+    s->refine = refine_answer;
     s->unit = reals += ACTIVE_SET_STEP_REALS(n, m);
     s->P = reals += n + m;
     s->G = reals += square;

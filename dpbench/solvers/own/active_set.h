@@ -36,7 +36,8 @@ enum {
 /* What active_set_factorise returns. */
 enum { ACTIVE_SET_OK = 0, ACTIVE_SET_DATA_NOT_FINITE = 1, ACTIVE_SET_NOT_DEFINITE = 2 };
 
-typedef struct {
+typedef struct active_set active_set;
+struct active_set {
     int n, m;         /* variables, rows of A */
     int warm;         /* 1: start from the active set of the step before */
     int block;        /* variables of a control increment, by which hildreth.c moves its start */
@@ -67,7 +68,8 @@ typedef struct {
     int *side;                  /* n+m: +1 active at high, −1 at low, 0 not active */
     as_real *R, *T;             /* n, indexed as `active` */
     as_real *r, *e, *z_low, *lam_low, *r_low; /* n */
-} active_set;
+    int (*refine)(active_set *, int); /* set by active_set_place; 0: no answer is refined */
+};
 
 /* Lengths of the two arrays that active_set_place divides, and of those of active_set_place_step. */
 #define ACTIVE_SET_STEP_REALS(n, m) (4 * ((n) + (m)) + (n) * ((n) + 1) / 2 + 9 * (n))
@@ -79,7 +81,9 @@ typedef struct {
 
 void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers);
 /* Where P stays, its constants can be computed elsewhere and lie in read-only memory: give n, m and
- * all of them, place the memory of a step alone, and solve without active_set_factorise. */
+ * all of them, place the memory of a step alone, and solve without active_set_factorise. Without
+ * `refine` the linker can leave out a third of the code and P is not read: z is then as good as P⁻¹
+ * is, and an answer whose active rows are off their limits is INACCURATE. */
 void active_set_place_step(active_set *s, as_real *reals, int *integers);
 int active_set_factorise(active_set *s, const as_real *P, const as_real *A);
 /* New rows of A with the P of before; the active set stays. */

@@ -44,7 +44,7 @@ class ActiveSet(ctypes.Structure):
         *_name_fields(POINTER, "q low high z lam P G unit a column first order"),
         *_name_fields(INTEGER, "coupled"),
         *_name_fields(REAL, "longest steepest largest widest loss"),
-        *_name_fields(POINTER, "base L active side R T r e z_low lam_low r_low"),
+        *_name_fields(POINTER, "base L active side R T r e z_low lam_low r_low refine"),
     ]
 
 

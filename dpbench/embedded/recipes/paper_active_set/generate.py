@@ -12,7 +12,7 @@ from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.solvers.own.library import Problem, open_library
 
 FOLDER = Path(__file__).parent
-SCALARS = ("coupled", "longest", "steepest", "largest", "widest")
+SCALARS = ("coupled", "longest", "steepest", "largest", "widest", "loss")
 
 
 def write_sources(
