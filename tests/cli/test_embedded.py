@@ -1,0 +1,85 @@
+"""`dpbench embedded`: its tables, its JSON, a recipe of a user's own, and what it refuses."""
+
+import json
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from dpbench.cli.main import main
+from dpbench.embedded.toolchain import has_extra
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not has_extra(), reason="the extra `embedded` is not installed"),
+]
+RECIPE = """
+solver = "zero"
+licence = "none"
+origin = "this test"
+start = "nothing"
+tuned = "nothing"
+[settings]
+answer = 0.0
+"""
+SHIM = """
+#include "embedded.h"
+#include "problem.h"
+int embedded_set_up(embedded_qp *qp) { return qp->n != N; }
+int embedded_step(embedded_qp *qp) {
+    for (int i = 0; i < N; i++) qp->z[i] = SETTING_ANSWER;
+    qp->status = 0;
+    return 0;
+}
+"""
+
+
+@pytest.fixture
+def recipe(tmp_path: Path) -> Path:
+    """A folder with a solver that answers the same number to every QP."""
+    folder = tmp_path / "zero"
+    folder.mkdir()
+    (folder / "recipe.toml").write_text(RECIPE)
+    (folder / "shim.c").write_text(SHIM)
+    return folder
+
+
+def test_json_and_steps_of_a_users_own_solver(
+    recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = ["--recipe", str(recipe), "--solver", "zero", "--settings", "zero.answer=0.5"]
+    out = ["--steps", "3", "--out", str(tmp_path / "out"), "--json"]
+    assert main(["embedded", "paper-30-5", *own, *out]) == 0
+    (run,) = json.loads(capsys.readouterr().out)["runs"]
+    assert (run["solver"], run["steps"], run["settings"]) == ("zero", 3, {"answer": 0.5})
+    assert run["error_move"] > 0.1
+    steps = pd.read_parquet(tmp_path / "out" / "embedded.parquet")
+    assert steps["k"].tolist() == [0, 1, 2]
+    assert steps["instructions"].nunique() == 1
+
+
+def test_tables(recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    own = ["--recipe", str(recipe), "--solver", "zero", "--steps", "2", "--float"]
+    (recipe / "recipe.toml").write_text("float_defines = []\n" + RECIPE)
+    assert main(["embedded", "--target", "a53", *own, "--out", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr().out
+    assert "on Cortex-A53, float: instructions a step" in " ".join(printed.split())
+    assert max(map(len, printed.splitlines())) <= 80
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--target", "m8"], "--target: found 'm8'; allowed: one of m7, a53, riscv, x86"),
+        (["--solver", "zero", "--float"], "zero: --float: found single precision; allowed: double"),
+        (["--solver", "zero", "--settings", "zero=1"], "--settings: found 'zero=1'; allowed: "),
+        (["--solver", "zero", "--settings", "zero.answer=x"], "found 'x'; allowed: a number"),
+        (["no-such-sequence"], "no-such-sequence"),
+    ],
+)
+def test_bad_input(
+    recipe: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
+) -> None:
+    assert main(["embedded", "--recipe", str(recipe), *words]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line
