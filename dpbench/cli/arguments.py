@@ -260,7 +260,7 @@ def _add_codegen_arguments(codegen: Command) -> None:
     )
     codegen.add_argument("scenario", help="a scenario by name, or a TOML file")
     option = partial(_add_option, codegen)
-    solver = "the solver in it: paper_active_set (default) or osqp"
+    solver = "the solver in it: paper_active_set (default), daqp or osqp"
     option("--solver", "S", solver, default="paper_active_set")
     option("--out", "DIR", "folder to write to", required=True)
     option("--steps", "N", "length of the trajectory (1000)", type=int, default=1000)

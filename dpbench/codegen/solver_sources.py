@@ -14,6 +14,8 @@ import scipy
 
 from dpbench.arrays import Indices
 from dpbench.codegen.c_tables import Table, make_table, number_text
+from dpbench.embedded.fetch import fetch_sources
+from dpbench.embedded.recipe import RECIPES, Recipe
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.solvers.own import compiling
 from dpbench.solvers.own.library import ActiveSet, Problem, open_library
@@ -80,8 +82,10 @@ def write_active_set(qp: CondensedQP) -> SolverSources:
     names = ("active_set.h", "active_set.c")
     files = {name: Path(compiling.FOLDER, name).read_bytes() for name in names}
     origin = "active_set.c and active_set.h are part of dpbench, Apache-2.0"
-    numbers = 9 * n + 4 * (n + m) + n * (n + 1) // 2
-    memory = 4 * 8 + 8 + ctypes.sizeof(ActiveSet) + 8 * numbers + round_up(4 * (2 * n + m))
+    # The library places the memory of a step first: low … unit, active … first.
+    head = problem.head
+    step = head.unit - head.low + round_up(head.first - head.active)
+    memory = 4 * 8 + 8 + ctypes.sizeof(ActiveSet) + step
     return SolverSources(
         "solver_active_set.h", "solver_active_set.c", values, tables, files, memory, origin
     )
@@ -130,6 +134,30 @@ def write_osqp(qp: CondensedQP) -> SolverSources:
     )
 
 
+def write_daqp(qp: CondensedQP) -> SolverSources:
+    """Return DAQP's C of its source distribution, fetched once; SituationError where it cannot."""
+    package = Recipe(RECIPES / "daqp").file.package
+    assert package is not None, "its C is fetched"
+    root = fetch_sources(package.name, package.version, package.sha256)
+    tables = (
+        make_table("P", qp.P.reshape(-1), "the Hessian, row after row"),
+        make_table("A", qp.A.reshape(-1), "the rows of amplitude limits, row after row"),
+    )
+    files = {path.name: path.read_bytes() for path in (root / "csrc").rglob("*.[ch]")}
+    files["LICENSE.daqp"] = (root / "LICENSE").read_bytes()
+    return SolverSources(
+        "solver_fixed.h",
+        "solver_daqp.c",
+        {"library": f"DAQP {package.version}"},
+        tables,
+        files,
+        _count_fixed(qp),
+        f"DAQP's sources are those of its distribution {package.version}, MIT",
+        heap="taken once by DAQP, in controller_start",
+        copies=False,
+    )
+
+
 def _count_fixed(qp: CondensedQP) -> int:
     """Return the bytes of `solver_memory` of a solver whose workspace is elsewhere."""
     return 8 * (2 * qp.n + 2 * (qp.n + qp.m)) + 8
@@ -138,5 +166,6 @@ def _count_fixed(qp: CondensedQP) -> int:
 SOLVERS: dict[str, Callable[[CondensedQP], SolverSources]] = {
     "paper_active_set": write_active_set,
     "osqp": write_osqp,
+    "daqp": write_daqp,
 }
 """By the name of the solver."""

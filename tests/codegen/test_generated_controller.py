@@ -10,7 +10,7 @@ from dpbench.cli.main import main
 from dpbench.codegen.controller_data import ControllerData, make_names, read_controller
 from dpbench.codegen.generate import generate_controller
 from dpbench.codegen.trajectory import record_trajectory
-from dpbench.errors import InputError
+from dpbench.errors import InputError, SituationError
 from dpbench.scenario.scenario import load_scenario
 from tests.codegen.c_controller import WARNINGS, CController, compile_c, needs_gcc, steer
 
@@ -48,11 +48,15 @@ def test_the_c_controller_steers_as_the_python_loop(name: str, tmp_path: Path) -
         ("thrusters_loss", "paper_active_set"),
         ("paper", "osqp"),
         ("thruster_loss", "osqp"),
+        ("rough", "daqp"),
     ],
 )
 def test_a_sanitizer_finds_nothing_in_a_replay(name: str, solver: str, tmp_path: Path) -> None:
     """The example replays its trajectory under the address and undefined-behaviour sanitizers."""
-    generate_controller(name, solver, out=tmp_path, steps=STEPS)
+    try:
+        generate_controller(name, solver, out=tmp_path, steps=STEPS)
+    except SituationError as error:
+        pytest.skip(str(error))  # without a package index DAQP's source cannot be fetched
     options = "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"
     # Sources of others are compiled as they are.
     warnings = WARNINGS if solver == "paper_active_set" else ()
