@@ -20,11 +20,13 @@ class StepTimes:
     """Step times of one replay: the fastest repetition of each step, and the largest timing.
 
     k : (K,) steps, rising; algo_ns : (K,) least over the rounds, the algorithmic time.
+    timings : (K,) timings of each step that count.
     rounds_ns : (R,) median of the samples of each round: how far they differ is the machine's part.
     """
 
     k: Ints
     algo_ns: Floats
+    timings: Ints
     raw_max_ns: float
     rounds_ns: Floats
 
@@ -36,7 +38,8 @@ def times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
         np.minimum.at(best, k, total_ns)
         done = np.flatnonzero(np.isfinite(best))
         rounds = [float(np.median(total_ns[repeat == r])) for r in np.unique(repeat)]
-        yield run_id, StepTimes(done, best[done], float(total_ns.max()), np.array(rounds))
+        timings = np.bincount(k)[done].astype(np.int64)
+        yield run_id, StepTimes(done, best[done], timings, float(total_ns.max()), np.array(rounds))
 
 
 def _counting_rows(

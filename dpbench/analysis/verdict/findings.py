@@ -33,6 +33,7 @@ Doubt = Literal[
     "not alone",
     "no step",
     "no p99",
+    "few timings",
     "short slow loop",
     "late at random",
     "perhaps late timings",
