@@ -994,12 +994,14 @@ void active_set_place_step(active_set *s, as_real *reals, int *integers) {
     s->side = integers + n;
 }
 
+void active_set_let_refine(active_set *s) { s->refine = refine_answer; }
+
 void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers) {
     const size_t square = (size_t)n * (size_t)n, rows = (size_t)m * (size_t)n;
     s->n = n;
     s->m = m;
     active_set_place_step(s, reals, integers);
-    s->refine = refine_answer;
+    active_set_let_refine(s);
     s->unit = reals += ACTIVE_SET_STEP_REALS(n, m);
     s->P = reals += n + m;
     s->G = reals += square;

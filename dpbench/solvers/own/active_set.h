@@ -85,6 +85,8 @@ void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers
  * `refine` the linker can leave out a third of the code and P is not read: z is then as good as P⁻¹
  * is, and an answer whose active rows are off their limits is INACCURATE. */
 void active_set_place_step(active_set *s, as_real *reals, int *integers);
+/* Have answers refined after that, as active_set_place does. */
+void active_set_let_refine(active_set *s);
 int active_set_factorise(active_set *s, const as_real *P, const as_real *A);
 /* New rows of A with the P of before; the active set stays. */
 int active_set_replace_rows(active_set *s, const as_real *A);
