@@ -121,10 +121,13 @@ def test_uncertified_steps_are_not_held(still: Scenario, monkeypatch: pytest.Mon
 
 
 def test_a_model_ship_is_tried_on_its_own_scale() -> None:
+    """With the damping of the model alone, and less far off with the drag of the ship."""
     files = plan_designs(DesignTable(controllers=["paper"], vessels=["cybership2"]))[0].files
-    scenario = build_scenario(files)
-    assert scenario.steps == 2000
-    assert is_held(scenario, 1.0) and not is_held(scenario, 1.25)
+    linear = {key: value for key, value in files["vessel"].items() if key != "drag"}
+    scenario, without_drag = build_scenario(files), build_scenario(files | {"vessel": linear})
+    assert scenario.steps == without_drag.steps == 2000
+    assert is_held(without_drag, 1.0) and not is_held(without_drag, 1.25)
+    assert is_held(scenario, 0.5) and not is_held(scenario, 1.0)
 
 
 @given(st.floats(min_value=OFFSETS_M[0], max_value=OFFSETS_M[-1], exclude_max=True))
