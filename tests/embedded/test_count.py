@@ -1,6 +1,7 @@
 """Counts of solvers' C along a short sequence: stored ones, repeated ones, and their answers."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import osqp
@@ -39,7 +40,7 @@ def load(name: str, steps: int) -> QPSequence:
     return thin_sequence(load_sequence(name), steps)
 
 
-def count(solver: str, target: str, sequence: QPSequence, **options: bool) -> StepCounts:
+def count(solver: str, target: str, sequence: QPSequence, **options: Any) -> StepCounts:
     """Count a solver; a test is skipped where its source cannot be fetched."""
     (recipe,) = select_recipes([solver])
     try:
@@ -123,6 +124,14 @@ def test_matrices_of_each_step_and_single_precision() -> None:
         count("osqp", "a53", changing)
     with pytest.raises(InputError, match=r"quadprog: --float: found single precision"):
         count("quadprog", "m7", load("move-30-5", 5), single=True)
+
+
+def test_the_papers_method_claims_its_optima_if_refined() -> None:
+    settings = {"refine": 1}
+    refined = count("paper_active_set", "a53", load(SOFT, 6), settings=settings)
+    assert refined.settings == settings
+    assert (refined.steps["status"] == 0).all()
+    assert refined.error_plan.max() < 1e-12
 
 
 def test_table_and_summary(tmp_path: Path) -> None:

@@ -32,6 +32,9 @@ int embedded_set_up(embedded_qp *qp) {
         .column = column_, .first = first_, .order = order_, SCALARS};
     s = constant;
     active_set_place_step(&s, reals, integers);
+#if SETTING_REFINE /* hildreth has no such setting: 0 */
+    active_set_let_refine(&s);
+#endif
     const int refused = 0;
 #else
     active_set_place(&s, N, M, reals, integers);
