@@ -31,7 +31,7 @@ from dpbench.report.page.section import Topic
 from dpbench.report.topics.all import build_topics
 from dpbench.report.verdict_text import count_solvers
 
-TERMINAL_NOTES = ("slower", "faster", "inconclusive", "next")
+TERMINAL_NOTES = ("slower", "faster", "inconclusive", "next", "stopped")
 """Notes of the recommendation on a terminal."""
 BESIDE = ("slowdown", "random", "consequence")
 """Topics with a line of their own on a terminal where they are not the answer."""

@@ -9,7 +9,7 @@ from dpbench.bench.run.station import HEADING_DEG
 from dpbench.report.formats import and_list, plural, share_text, significant
 from dpbench.scenario.scenario import Scenario
 
-BANNER = "The controller does not hold this ship in this weather, whatever the solver"
+BANNER = "The controller does not hold this ship in this weather"
 NOT_RUN = "Ship: not run. No exactly solved loop shows whether the controller holds it."
 MOST_NAMED = 3
 """Scenarios that a sentence describes or names."""
@@ -39,9 +39,27 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
     if not known:
         return ShipSummary(text=NOT_RUN)
     lost = [ship for ship in known if ship.state == "leaves"]
-    warning = f"{BANNER}: {_describe_lost(lost)}." if lost else ""
+    opening = f"{BANNER}{_name_failures(lost)}, whatever the solver"
+    warning = f"{opening}: {_describe_lost(lost)}." if lost else ""
     sentences = [_describe_kept(known), *_describe_rest(ships), *_describe_limits(known)]
     return ShipSummary(warning, " ".join(sentence for sentence in sentences if sentence))
+
+
+def _name_failures(lost: Sequence[ShipResult]) -> str:
+    """Name what was lost before each of these ships left; "" where one left without a failure."""
+    before = [
+        [
+            name
+            for fault in (ship.run.scenario_files or {}).get("scenario", {}).get("faults") or ()
+            if fault["at_s"] <= ship.run.exact_left_s
+            for name in fault.get("lost") or ()
+        ]
+        for ship in lost
+    ]
+    if not all(before):
+        return ""
+    losses = dict.fromkeys(and_list([str(name) for name in names]) for names in before)
+    return f" after the loss of {' or of '.join(losses)}"
 
 
 def _describe_lost(lost: Sequence[ShipResult]) -> str:

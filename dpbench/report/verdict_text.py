@@ -13,7 +13,7 @@ from dpbench.analysis.verdict.fastest import (
     best_verdict_by_solver,
     find_solver_record,
 )
-from dpbench.analysis.verdict.findings import Finding
+from dpbench.analysis.verdict.findings import Finding, State
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, outcome_cause
 from dpbench.report.formats import (
@@ -47,9 +47,7 @@ def requirements_text(requirements: Requirements) -> str:
     )
 
 
-_GROUPS = {"pass": "only otherwise"} | {
-    state: state for state in ("borderline", "late", "fail", "inconclusive", "not run")
-}
+_OTHERS: tuple[State, ...] = ("borderline", "late", "fail", "inconclusive", "not run")
 
 
 def count_solvers(verdicts: Verdicts) -> str:
@@ -57,19 +55,28 @@ def count_solvers(verdicts: Verdicts) -> str:
     if not verdicts.references:
         return NOBODY
     best = {verdict.configuration.solver: verdict for verdict in best_verdict_by_solver(verdicts)}
-    groups: dict[str, list[str]] = {name: [] for name in ("default", *_GROUPS)}
+    groups: dict[State, list[str]] = {name: [] for name in ("pass", *_OTHERS)}
+    otherwise = []
     for reference in verdicts.references:
         solver = reference.configuration.solver
-        if best[solver].state != "pass":
-            groups[best[solver].state].append(solver)
-        elif reference.state == "pass":
-            groups["default"].append(solver)
-        else:
-            groups["pass"].append(best[solver].configuration.label)
-    run, good = len(best) - len(groups["not run"]), len(groups["default"])
+        groups[best[solver].state].append(solver)
+        if best[solver].state == "pass" and reference.state != "pass":
+            otherwise.append(best[solver].configuration.label)
+    run, good = len(best) - len(groups["not run"]), len(groups["pass"])
     wording = [f"{good} of {run} pass"] if good or not groups["inconclusive"] else []
-    wording += [f"{_GROUPS[name]}: {', '.join(groups[name])}" for name in _GROUPS if groups[name]]
+    if otherwise:
+        wording[0] += f", {len(otherwise)} of them not by default: {', '.join(otherwise)}"
+    wording += [f"{name}: {', '.join(groups[name])}" for name in _OTHERS if groups[name]]
     return "; ".join(wording)
+
+
+def stopped_runs_text(runs: Sequence[RunRecord]) -> str:
+    """State how many runs their time limit stopped; "" for none."""
+    ran = [run for run in runs if run.outcome != "refused"]
+    stopped = sum(run.outcome == "timed_out" for run in ran)
+    if not stopped:
+        return ""
+    return f"{stopped} of {plural(len(ran), 'run')} stopped at the time limit (cell_limit_s)."
 
 
 def deployment_facts(solver: str) -> str:

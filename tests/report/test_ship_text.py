@@ -64,10 +64,30 @@ def test_a_lost_ship_is_a_banner_with_when_and_how_far(records: Any) -> None:
     records.loop("daqp", "extreme", steps=200, **LOST)
     told = _summary(records)
     assert told.warning == (
-        f"{BANNER}: in `extreme` it leaves its station (5 m, 5°) at 9.00 s; largest offset 37.0 m "
-        "at 30.0 s, last offset 36.0 m."
+        f"{BANNER}, whatever the solver: in `extreme` it leaves its station (5 m, 5°) at 9.00 s; "
+        "largest offset 37.0 m at 30.0 s, last offset 36.0 m."
     )
     assert "in 1 of 2 scenarios; largest offset 1.77 m in `rough` at 0.300 s" in told.text
+
+
+@pytest.mark.parametrize(
+    ("at_s", "other", "clause"),
+    [
+        (8.0, {}, " after the loss of board A"),
+        (9.5, {}, ""),
+        (8.0, LOST, ""),
+    ],
+)
+def test_a_failure_is_named_where_every_lost_ship_left_after_one(
+    records: Any, at_s: float, other: dict[str, float], clause: str
+) -> None:
+    """The ship leaves at 9 s: after a loss at 8 s, before one at 9.5 s."""
+    faults = [{"at_s": at_s, "lost": ["board A"]}]
+    cell = json.dumps({"scenario": {"scenario": {"controller": {}, "faults": faults}}})
+    records.loop("daqp", "thruster_loss", cell=cell, **LOST)
+    records.loop("daqp", "paper", **other)
+    warning = _summary(records).warning
+    assert warning.startswith(f"{BANNER}{clause}, whatever the solver: in `")
 
 
 def test_a_ship_that_turns_away_or_comes_back_is_lost_too(records: Any) -> None:
@@ -115,7 +135,10 @@ def test_seas_of_a_study_are_counted(records: Any) -> None:
     for sea in (1, 2, 3):
         records.sea("daqp", 0, sea, {"waves.hs_m": 4.0}, **(LOST if sea > 1 else {}))
     told = _summary(records)
-    assert told.warning == f"{BANNER}: in 2 seas of `seas` it leaves, by up to 37.0 m."
+    assert (
+        told.warning
+        == f"{BANNER}, whatever the solver: in 2 seas of `seas` it leaves, by up to 37.0 m."
+    )
     assert "in 1 of 3 scenarios and seas" in told.text
 
 

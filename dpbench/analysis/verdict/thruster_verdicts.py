@@ -110,8 +110,8 @@ def _best_state(own: Sequence[Verdict]) -> State:
 
 
 def _common_fault(own: Sequence[Verdict]) -> Fault:
-    """Return why a solver fails in every configuration: answers late, wrong, or either."""
+    """Return why a solver fails in every configuration: answers wrong, late, or either."""
     causes = [{finding.kind for finding in v.causes} for v in own if v.state != "not run"]
-    if all(kinds & {*LATE} for kinds in causes):
-        return "too late"
-    return "wrong" if all(kinds - {*LATE} for kinds in causes) else "too late or wrong"
+    if all(kinds - {*LATE} for kinds in causes):
+        return "wrong"
+    return "too late" if all(kinds & {*LATE} for kinds in causes) else "too late or wrong"

@@ -23,6 +23,7 @@ from dpbench.report.ship_text import ShipSummary
 from dpbench.report.table import markdown_line, markdown_table, markdown_text, one_line
 from dpbench.report.verdict_text import (
     answer_text,
+    count_solvers,
     describe_findings,
     paired_text,
     requirements_text,
@@ -52,6 +53,7 @@ def report_markdown(report: Report) -> str:
         *ship_lines(recommendation.ship),
         *map(markdown_line, [*lead, *wording]),
         solver_table(data, best_verdict_by_solver(data.verdicts)),
+        markdown_line(f"Solvers: {count_solvers(data.verdicts)}." if data.verdicts.of else ""),
         *map(markdown_line, after),
         "Everything else: `report.html` (figures, every step), `tables/*.csv`, `figures/*.svg`, "
         "`runs.parquet`, `steps.parquet`.",

@@ -28,7 +28,12 @@ from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import speed_margin_text
 from dpbench.report.page.terms import DRAG_MISMATCH
 from dpbench.report.ship_text import describe_ship, describe_unmet, summarise_ships
-from dpbench.report.verdict_text import deployment_facts, judged_runs_text, requirements_text
+from dpbench.report.verdict_text import (
+    deployment_facts,
+    judged_runs_text,
+    requirements_text,
+    stopped_runs_text,
+)
 from dpbench.report.words import render_document
 from dpbench.solvers.settings import all_options
 
@@ -145,6 +150,7 @@ def _fill_statement(
         or "the library's own",
         aboard=deployment_facts(c.solver),
         requirements=requirements_text(data.requirements),
+        stopped=stopped_runs_text(records.runs),
         slower=speed_margin_text(data, chosen),
         ships=[f"{vessel.title} ({vessel.id})" for vessel in vessels.values()],
         mismatch=DRAG_MISMATCH if any(vessel.drag for vessel in vessels.values()) else "",

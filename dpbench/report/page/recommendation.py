@@ -36,6 +36,7 @@ from dpbench.report.verdict_text import (
     judged_runs_text,
     paired_text,
     requirements_text,
+    stopped_runs_text,
     usual_time_text,
 )
 from dpbench.solvers.settings import all_options, has_setting
@@ -115,7 +116,7 @@ def build_recommendation(
     return Recommendation(
         ship=ship,
         sentence=_recommendation_sentence(data, found, is_lost=bool(ship.warning)),
-        notes=tuple(_make_notes(data, found)),
+        notes=(*_make_notes(data, found), *_stopped_notes(data)),
         chips=tuple(_make_badges(data, first)),
         snippets=tuple(_make_snippets(chosen.configuration)) if chosen else (),
         requirements=requirements_text(data.requirements) if data.verdicts.of else "",
@@ -190,6 +191,12 @@ def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]
         yield "next", f"Next: {label}, {time}, {beside}."
 
 
+def _stopped_notes(data: PageData) -> Iterator[tuple[str, str]]:
+    """Yield a note on the runs that their time limit stopped, if any."""
+    if stopped := stopped_runs_text(data.records.runs):
+        yield "stopped", stopped
+
+
 def _inconclusive_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
     """Yield notes on faster configurations whose verdict is inconclusive."""
     if found.chosen is None or found.chosen.state != "pass":
@@ -226,7 +233,17 @@ def speed_margin_text(data: PageData, chosen: Verdict) -> str:
         arms = f", the largest stall of a calibration run {time_text(arms_ns)}" * (arms_ns > 0.0)
         largest = f"{time_text(run.raw_max_ns)} in {experiment.label}{arms}"
         parts.append(f"Stalls do not scale with the computer: the largest timing is {largest}.")
+    parts += _untimed_loops_sentences(data)
     return " ".join(parts)
+
+
+def _untimed_loops_sentences(data: PageData) -> Iterator[str]:
+    """Name the judged closed loops whose QPs no replay timed, if any."""
+    judged = [run for run in data.records.runs if run.units == "scaled" and run.scenario]
+    replayed = {run.scenario for run in judged if run.mode == "replay"}
+    loops = dict.fromkeys(run.scenario for run in judged if run.mode == "closed_loop")
+    if untimed := [name for name in loops if name not in replayed]:
+        yield f"Not timed, as no replay has their QPs: {and_list(untimed)}."
 
 
 def _slow_step_text(step: SlowStep) -> str:

@@ -81,8 +81,7 @@ def _name_right_solvers(plot: CapabilityResult) -> Iterator[str]:
         yield "None makes an untrue claim."
     silent = sum(1 for a in plot.answers if a.unanswered)
     if silent:
-        leave = "leaves" if silent == 1 else "leave"
-        yield f"{silent} {leave} some without an answer, or did not get so far in time."
+        yield f"{plural(silent, 'solver')} did not answer all of them: gave up, or ran out of time."
 
 
 def _capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
@@ -204,8 +203,7 @@ def _consequence_text(analysis: ConsequenceAnalysis) -> str:
         share, batch = sample_share_text(best.largest), plural(len(analysis.groups), "QP")
         head += f", the fastest {best.name} with at most {share} of the sample for its {batch}"
     silent = sum(1 for a in answers if a.unanswered)
-    leave = "leaves" if silent == 1 else "leave"
-    unanswered = f"; {silent} {leave} some without an answer" if silent else ""
+    unanswered = f"; {silent} did not answer all of them" if silent else ""
     missed = counted_list((a.name, a.missed) for a in answers if a.missed)
     alarms = f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"
     return f"In {analysis.name} {'; '.join(held)}. {head}; {alarms}{unanswered}."

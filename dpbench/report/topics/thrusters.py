@@ -19,6 +19,7 @@ from dpbench.analysis.suites.consequence import (
 from dpbench.analysis.verdict.fastest import choose_solver
 from dpbench.analysis.verdict.findings import MISSED
 from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
+from dpbench.analysis.verdict.speed_margin import SpeedMargin, speed_margins
 from dpbench.analysis.verdict.thruster_verdicts import (
     ThrusterVerdicts,
     compare_thrusters_with_forces,
@@ -122,7 +123,9 @@ def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     commanded = compare_thrusters_with_forces(records, requirements)
     if not commanded.with_thrusters:
         return None
-    first = [_solver_to_use_sentence(chosen, requirements), _compare_with_forces(commanded)]
+    margins = speed_margins(records, requirements)
+    margin = None if chosen is None else margins.get(chosen.configuration)
+    first = [_solver_to_use_sentence(chosen, margin), _compare_with_forces(commanded)]
     second = [
         *_offset_after_loss_sentences(records, chosen, requirements),
         *_consequence_sentences(records, chosen),
@@ -131,30 +134,26 @@ def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     return Topic("conclusion", "What to conclude", tuple(line for line in lines if line))
 
 
-def _solver_to_use_sentence(chosen: Verdict | None, requirements: Requirements) -> str:
+def _solver_to_use_sentence(chosen: Verdict | None, margin: SpeedMargin | None) -> str:
     """State which solver to use if the MPC commands thrusters, and its share of the deadline."""
     if chosen is None:
         return "No solver can be recommended for a controller that steers thrusters."
-    share = sample_share_text(chosen.algo_max_ns / requirements.deadline_ns)
-    if chosen.state != "pass":
-        label = chosen.configuration.label
-        return f"Nothing contradicts {label}; its largest step takes {share} of the sample."
     c = chosen.configuration
-    label = f"{c.solver} ({c.route}, {c.policy}, {c.settings})"
-    return f"To steer thrusters take {label}: its largest step takes {share} of the sample."
+    label = f"To steer thrusters take {c.solver} ({c.route}, {c.policy}, {c.settings})"
+    if chosen.state != "pass":
+        label = f"Nothing contradicts {c.label}"
+    if margin is None:
+        return f"{label}."
+    step, share = margin.hardest, sample_share_text(1.0 / margin.deadline)
+    where = f"k {step.k} of the replay of {step.run.sequence}"
+    return f"{label}: its hardest step, {where}, takes {share} of the sample."
 
 
 def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
+    """State which solvers of three forces fail with thrusters; "" without such a suite."""
     before = commanded.passing_with_forces
     if not before:
-        fine, run = len(commanded.names("pass")), len(commanded.with_thrusters)
-        wording = [f"{fine} of {plural(run, 'solver')} {'passes' if fine == 1 else 'pass'}"]
-        wording = wording if fine else ["no solver that was run is known to pass"]
-        missing = commanded.names(*MISSED)
-        unknown = commanded.names("borderline", "inconclusive")
-        wording += [f"not so: {_group_by_fault(commanded, missing)}"] if missing else []
-        wording += [f"inconclusive: {and_list(unknown)}"] if unknown else []
-        return f"{wording[0].capitalize()}{'; '.join(['', *wording[1:]])}."
+        return ""
     missed, where = commanded.names(*MISSED), and_list(list(commanded.forces))
     lost = [solver for solver in before if solver in missed]
     verb = "passes" if len(before) == 1 else "pass"
@@ -182,10 +181,19 @@ def _offset_after_loss_sentences(
             run.configuration.in_common_formulation == chosen.configuration,
         )
         if own and lost and isfinite(run.r_tail_max_m) and is_right_to_the_end(run, requirements):
-            yield (
-                f"After the loss of {and_list(lost)} ({run.scenario}) the ship it steers stays "
-                f"within {rounded_up(run.r_tail_max_m, 2)} m."
-            )
+            opening = f"After the loss of {and_list(lost)} ({run.scenario}) the ship"
+            if run.r_tail_max_m > run.station_radius_m:
+                far, after = significant(run.r_tail_max_m), f"{_seconds_after_loss(run):.0f} s"
+                yield f"{opening} drifts away: up to {far} m off within {after} of the loss."
+            else:
+                yield f"{opening} it steers stays within {rounded_up(run.r_tail_max_m, 2)} m."
+
+
+def _seconds_after_loss(run: RunRecord) -> float:
+    """Return how long a closed loop runs after its first loss of thrusters [s]."""
+    scenario = (run.scenario_files or {})["scenario"]
+    at_s = min(fault["at_s"] for fault in scenario["faults"] if fault.get("lost"))
+    return float(scenario["sample_s"] * run.steps_done - at_s)
 
 
 def _consequence_sentences(records: Records, chosen: Verdict | None) -> Iterator[str]:

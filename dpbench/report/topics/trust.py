@@ -27,7 +27,7 @@ from dpbench.solvers.calibration import WAITS_NS
 UNSEEN = "not visible"
 COVERED = (
     "Not covered at all: other ships, weather and tunings than these; times on an embedded target; "
-    "the worst step that was never met.",
+    "steps harder than those that were run.",
 )
 
 
@@ -37,10 +37,10 @@ def _round_spread_sentences(records: Records) -> list[str]:
     if math.isnan(high):
         return []
     return [
-        "Within this run two solvers differ where the 95 % interval of their pair leaves out 1; "
-        f"against another run or day only beyond × {significant(high)}. The rounds of 95 % of the "
-        f"configurations differ by less (median {significant(usual)}); for another machine compare "
-        "two runs."
+        "Two solvers of this run differ in step time where the 95 % interval of their ratio "
+        "excludes 1. Between runs or days, only a ratio beyond × "
+        f"{significant(high)} counts: so far do the rounds of a configuration differ (95 % of "
+        f"them; median {significant(usual)}). For another machine compare two runs."
     ]
 
 

@@ -135,7 +135,7 @@ def test_the_topic_says_when_a_loss_can_be_held(
 def test_the_topic_names_who_misses_alarms(storm: Records) -> None:
     topic = consequence_topic(storm)
     assert "1 of 3 configurations answer all QPs rightly, the fastest quadprog" in topic.lines[0]
-    said = "alarms are missed by osqp (1); 2 leave some without an answer."
+    said = "alarms are missed by osqp (1); 2 did not answer all of them."
     assert topic.lines[0].endswith(said)
     assert [figure.name for figure in topic.figures] == [
         "consequence-thrusters_loss-2-6",

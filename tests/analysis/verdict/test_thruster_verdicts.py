@@ -110,6 +110,7 @@ def test_the_best_outcome_of_a_solver_counts(records: Any) -> None:
         ({"error": 0.5}, {"outcome": "refused", "done": 0}, "wrong"),
         ({"outcome": "hung", "done": 0}, {"outcome": "hung", "error": 0.5}, "too late"),
         ({"error": 0.5}, {"outcome": "hung", "error": 0.5}, "wrong"),
+        ({"outcome": "hung", "error": 0.5}, {"outcome": "hung", "error": 0.5}, "wrong"),
     ],
 )
 def test_the_fault_of_a_solver_is_that_of_all_its_configurations(

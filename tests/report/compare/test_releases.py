@@ -129,7 +129,7 @@ def test_the_ship_comes_before_any_release(make: Make, tmp_path: Path, capsys: A
     )
     found = releases([old, new])
     (warning,) = found.warnings
-    assert warning.startswith(f"{BANNER}: in `paper` it leaves its station")
+    assert warning.startswith(f"{BANNER}, whatever the solver: in `paper` it leaves its station")
     page, text = tmp_path / "page.html", tmp_path / "page.md"
     words = ["--releases", "--html", str(page), "--markdown", str(text)]
     assert main(["compare", str(old), str(new), *words]) == 0

@@ -137,13 +137,22 @@ NOBODY = [
 ]
 
 
+def test_loops_without_times_and_stopped_runs_are_named(records: Any) -> None:
+    for scenario in ("paper", "calm", "rough"):
+        records.loop("osqp", scenario)
+    records.replay("osqp", stopped=True)
+    notes = dict(_answer(records).notes)
+    assert notes["slower"].endswith("Not timed, as no replay has their QPs: calm and rough.")
+    assert notes["stopped"] == "1 of 4 runs stopped at the time limit (cell_limit_s)."
+
+
 @pytest.mark.parametrize(("loop", "says"), NOBODY)
 def test_nothing_qualifies_is_said_with_why(records: Any, loop: dict[str, Any], says: str) -> None:
     records.loop("osqp", **loop)
     records.replay("osqp")
     answer = _answer(records)
     assert answer.sentence.startswith(says) and "`" not in answer.sentence
-    assert answer.snippets == () and answer.notes == ()
+    assert answer.snippets == () and not {*dict(answer.notes)} - {"stopped"}
 
 
 def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> None:

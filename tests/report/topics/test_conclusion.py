@@ -34,7 +34,7 @@ def test_solvers_that_do_for_three_forces_only_are_named_with_their_fault(record
     solvers = {"daqp": (40.0, 1e-9), "piqp": (4000.0, 1e-9), "osqp": (60.0, 0.3)}
     first, second = output(campaign(records, solvers))
     assert first.startswith(
-        "To steer thrusters take daqp (native, warm, default): its largest step"
+        "To steer thrusters take daqp (native, warm, default): its hardest step, k "
     )
     assert first.endswith(
         "Of 3 solvers that pass with three forces (three_forces), 2 fail with "
@@ -49,7 +49,19 @@ def test_without_runs_of_three_forces_nothing_is_said_of_them(records: Any) -> N
     solvers = {"daqp": (40.0, 1e-9), "piqp": (4000.0, 1e-9)}
     first, _ = output(campaign(records, solvers, forces=False))
     assert "three forces" not in first
-    assert first.endswith("1 of 2 solvers passes; not so: piqp, too late.")
+    assert first.endswith(" % of the sample.") and "piqp" not in first
+
+
+def test_a_ship_that_drifts_off_after_a_loss_is_said_to(records: Any) -> None:
+    """Switchboard A is lost at 90 s; 500 samples of 0.3 s end 60 s later."""
+    for name in ("thrusters", "thrusters_loss"):
+        records.loop("daqp", name, steps=500, tail_m=28.4, station_radius_m=5.0, **WARM)
+    records.replay("daqp", "thrusters", **WARM)
+    _, second = output(records)
+    assert second == (
+        "After the loss of board A (thrusters_loss) the ship drifts away: up to 28.4 m off within "
+        "60 s of the loss."
+    )
 
 
 def test_where_nobody_qualifies_nobody_is_named(records: Any) -> None:

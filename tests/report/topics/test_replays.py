@@ -99,9 +99,9 @@ def test_one_sentence_says_which_figure_applies_to_what(records: Any) -> None:
     topic = trust_topic(view)
     usual, high = round_spread(view)
     rule = topic.lines[0]
-    assert "95 % interval of their pair" in rule
-    assert f"another run or day only beyond × {significant(high)}." in rule
-    assert f"(median {significant(usual)})" in rule
+    assert "95 % interval of their ratio" in rule
+    assert f"runs or days, only a ratio beyond × {significant(high)} counts" in rule
+    assert f"median {significant(usual)})" in rule
 
 
 def test_what_the_machine_hides_is_said(records: Any) -> None:
