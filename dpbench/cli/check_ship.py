@@ -2,11 +2,13 @@
 
 import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from dpbench.arrays import Vector
+from dpbench.bench.capability.reach import ThrusterReach
 from dpbench.bench.design import OFFSETS_M, Bracket, find_still_water_bracket, is_held
 from dpbench.bench.progress import Progress, Silent
 from dpbench.cli.terminal import WIDTH
@@ -21,6 +23,8 @@ CONTROLLERS = ("paper", "rough")
 _SPEEDS = ("m/s", "m/s", "°/s")
 _DEGREES = np.array([1.0, 1.0, np.degrees(1.0)])
 _KILO = np.array([1e3, 1e3, 1e3])
+_SAME = 1e-3
+"""Relative difference of forces that counts as none: azimuths are polygons in a sector."""
 _TRIALS = 2 * len(OFFSETS_M)
 
 
@@ -45,26 +49,48 @@ def _join_lines(first: str, others: Sequence[str]) -> str:
 
 
 def ship_lines(vessel: Vessel) -> list[str]:
-    """Format a ship's force limits, rise times and accelerations by axis, as a table."""
+    """Format a ship's force limits, rise times and accelerations by axis, as a table.
+
+    Of a ship with thrusters the largest force in an axis is that without any in the others.
+    """
     kilo, per = ("k", 1e3) if vessel.tau_max[0] >= 1e3 else ("", 1.0)
-    limits = zip(vessel.tau_min / per, vessel.tau_max / per, strict=True)
-    units = (f"{kilo}N", f"{kilo}N", f"{kilo}N·m")
-    force = [f"{_format_range(*pair)} {unit}" for pair, unit in zip(limits, units, strict=True)]
+    unit = f"{kilo}N"
+    reach = None if vessel.thrusters is None else ThrusterReach(vessel.thrusters)
+    pure = vessel if reach is None else _limit_to_pure_forces(vessel, reach)
+    forces = [("largest force", *_format_forces(pure, unit, per))]
+    if (np.abs(vessel.tau_max - pure.tau_max) > _SAME * vessel.tau_max).any():
+        forces.append(("with other forces", *_format_forces(vessel, unit, per)))
     rise = vessel.tau_max / vessel.rate_max
-    reach = vessel.reachable_acceleration()[1] * _KILO
-    speeds = ships.steady_speed(vessel)[1], ships.slow_speed(vessel)
+    acceleration = pure.reachable_acceleration()[1] * _KILO
+    speeds = ships.steady_speed(pure)[1], ships.slow_speed(vessel)
     drift = _format_with_units(speeds[0] * _DEGREES, _SPEEDS, speeds[1] * _DEGREES)
     rows = [
         ("", "surge", "sway", "yaw"),
-        ("largest force", *force),
+        *forces,
         ("zero to full in", *(f"{_format_number(t)} s" for t in rise)),
         ("time constant", *(f"{_format_number(t)} s" for t in ships.axis_time_constants_s(vessel))),
-        ("acceleration at full", *_format_with_units(reach, ("mm/s²", "mm/s²", "mrad/s²"))),
+        ("acceleration at full", *_format_with_units(acceleration, ("mm/s²", "mm/s²", "mrad/s²"))),
         ("drift at full" if vessel.drag else "linear drift at full", *drift),
     ]
     table = [f"{row[0]:<22}" + "".join(f"{cell:<19}" for cell in row[1:]) for row in rows]
-    lines = [*(line.rstrip() for line in table), _sideways_line(vessel, f"{kilo}N", per)]
-    return [*lines, *_drag_lines(vessel, f"{kilo}N", per)]
+    find_share = None if reach is None else reach.find_share
+    current_mps = ships.largest_current_abeam_mps(vessel, find_share)
+    lines = [line.rstrip() for line in table]
+    return [*lines, _sideways_line(pure, current_mps, unit, per), *_drag_lines(vessel, unit, per)]
+
+
+def _limit_to_pure_forces(vessel: Vessel, reach: ThrusterReach) -> Vessel:
+    """Return a vessel whose limits its thrusters make without a force in another axis."""
+    low, high = reach.find_pure_forces()
+    tau_min, tau_max = np.maximum(vessel.tau_min, low), np.minimum(vessel.tau_max, high)
+    return replace(vessel, tau_min=tau_min, tau_max=tau_max)
+
+
+def _format_forces(vessel: Vessel, unit: str, per: float) -> list[str]:
+    """Format the limits of force and moment, divided by `per`, with their units."""
+    limits = zip(vessel.tau_min / per, vessel.tau_max / per, strict=True)
+    units = (unit, unit, f"{unit}·m")
+    return [f"{_format_range(*pair)} {unit}" for pair, unit in zip(limits, units, strict=True)]
 
 
 def _drag_lines(vessel: Vessel, unit: str, per: float) -> list[str]:
@@ -78,7 +104,7 @@ def _drag_lines(vessel: Vessel, unit: str, per: float) -> list[str]:
 def _format_range(low: float, high: float) -> str:
     """Format a range of numbers as ±high, or low..high if it is not symmetric."""
     least, most = _format_number(low), _format_number(high)
-    return f"±{most}" if low == -high else f"{least}..{most}"
+    return f"±{most}" if abs(low + high) <= _SAME * high else f"{least}..{most}"
 
 
 def _format_with_units(
@@ -96,13 +122,12 @@ def _format_number(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 99.5 else significant(value)
 
 
-def _sideways_line(vessel: Vessel, unit: str, per: float) -> str:
+def _sideways_line(vessel: Vessel, current_mps: float, unit: str, per: float) -> str:
     """State a ship's force at 1 m/s sideways, its sway force limit, and the current it holds."""
     needs = ships.sideways_force(vessel)[ships.SWAY] / per
     has = min(-vessel.tau_min[ships.SWAY], vessel.tau_max[ships.SWAY]) / per
     most = ships.slow_speed(vessel)[ships.SWAY]
-    current = ships.largest_current_abeam_mps(vessel)
-    largest = rounded_down(current, 2) if current <= most else f"> {significant(most, 2)}"
+    largest = rounded_down(current_mps, 2) if current_mps <= most else f"> {significant(most, 2)}"
     needed = f"1 m/s sideways needs {_format_number(needs)} {unit} of {_format_number(has)}"
     return f"{needed}; holds {largest} m/s of current abeam"
 
@@ -112,8 +137,14 @@ def _weather_line(scenario: Scenario) -> str:
     load = ships.mean_load(vessel, scenario.environment, float(scenario.reference[2]))
     against = np.where(load < 0.0, vessel.tau_max, -vessel.tau_min)
     shares = ", ".join(f"{share:.0%}" for share in np.abs(load) / against)
-    over = " - it cannot hold" if (np.abs(load) > against).any() else ""
-    return f"mean force of its weather: {shares} of the limits{over}"
+    most = float((np.abs(load) / against).max())
+    together = ""
+    if vessel.thrusters is not None:
+        share = ThrusterReach(vessel.thrusters).find_share(-load)
+        together = f", {share:.0%} of the thrust"
+        most = max(most, share)
+    over = " - it cannot hold" if most > 1.0 else ""
+    return f"mean force of its weather: {shares} of the limits{together}{over}"
 
 
 def _try_offsets(tuned: Sequence[Scenario], progress: Progress | None) -> list[str]:

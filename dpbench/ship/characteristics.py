@@ -35,6 +35,8 @@ def steady_speed(vessel: Vessel) -> Matrix:
     axes = np.eye(len(vessel.D))
 
     def speed(axis: int, force: float) -> float:
+        if force == 0.0:
+            return 0.0
         along = np.sign(force) * axes[axis]
         excess = partial(_excess, vessel, along, np.where(axes[axis] > 0.0, abs(force), np.inf))
         return float(np.sign(force)) * _find_root(excess)
@@ -54,10 +56,24 @@ def sideways_force(vessel: Vessel) -> Vector:
     return vessel.damping_force(np.eye(len(vessel.D))[SWAY])
 
 
-def largest_current_abeam_mps(vessel: Vessel) -> float:
-    """Return the largest current abeam [m/s] that the ship can hold against."""
-    reach = np.minimum(-vessel.tau_min, vessel.tau_max)
-    return _find_root(partial(_excess, vessel, np.eye(len(vessel.D))[SWAY], reach))
+def largest_current_abeam_mps(
+    vessel: Vessel, find_share: Callable[[Vector], float] | None = None
+) -> float:
+    """Return the largest current abeam [m/s] that the ship can hold against.
+
+    find_share : the share of full thrust that a force (3,) takes; by default only the limits of
+        each axis by itself count.
+    """
+    reach, along = np.minimum(-vessel.tau_min, vessel.tau_max), np.eye(len(vessel.D))[SWAY]
+
+    def excess(speed: float) -> float:
+        beyond = _excess(vessel, along, reach, speed)
+        if find_share is None or beyond >= 0.0 or speed == 0.0:
+            return beyond
+        force = vessel.damping_force(speed * along)
+        return max(beyond, find_share(force) - 1.0, find_share(-force) - 1.0)
+
+    return _find_root(excess)
 
 
 def _excess(vessel: Vessel, along: Vector, reach: Vector, speed: float) -> float:

@@ -10,6 +10,7 @@ from dpbench.bench.design import find_bracket, find_still_water_bracket, is_held
 from dpbench.cli import check_ship
 from dpbench.scenario.problem_files import problem_names, problem_path
 from dpbench.scenario.scenario import Scenario, load_scenario, load_vessel
+from dpbench.ship.thrusters import Thruster, ThrusterSet
 
 
 def up_to(monkeypatch: pytest.MonkeyPatch, offset_m: float) -> None:
@@ -93,6 +94,19 @@ def test_a_weather_that_is_too_much_is_named(
     assert "120%, 14% of the limits - it cannot hold" in check_ship.scenario_text(
         path, load_scenario(path)
     )
+
+
+def test_thrusters_show_what_they_make_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tunnels in the bow alone: 200 kN sideways, of which mains 4 m off hold 44 kN straight."""
+    up_to(monkeypatch, 1.0)
+    mains = [Thruster(f"main {y}", "main", -30.0, y, 200e3, 10.0, astern=0.5) for y in (-4.0, 4.0)]
+    thrusters = ThrusterSet((*mains, Thruster("bow", "tunnel", 18.0, 0.0, 200e3, 10.0)))
+    low, high = thrusters.limits()
+    ship = replace(load_vessel("osv"), thrusters=thrusters, tau_min=low, tau_max=high)
+    text = check_ship.vessel_text(problem_path("vessels", "osv"), ship)
+    assert "\nlargest force         -200..400 kN       ±44.4 kN           ±800 kN·m\n" in text
+    assert "\nwith other forces     -200..400 kN       ±200 kN            ±" in text
+    assert "1 m/s sideways needs 143 kN of 44.4; holds 0.5" in text
 
 
 @pytest.mark.slow
