@@ -35,7 +35,7 @@ setup: $(STAMP) ## make .venv with all solvers and the development tools
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[solvers,cluster,embedded,matplotlib,peers,dev,docs]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[solvers,cluster,embedded,fmi,matplotlib,peers,dev,docs]'
 	$(BIN)/python hatch_build.py
 	$(BIN)/python -m dpbench.cli.compiling
 	touch $(STAMP)

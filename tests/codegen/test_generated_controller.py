@@ -1,6 +1,8 @@
 """The generated C controller steers the ship as the Python loop does, or is refused."""
 
+import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +88,24 @@ def test_the_stated_memory_is_that_of_the_structure(name: str, tmp_path: Path) -
     (tmp_path / "main.c").write_text(main_file, encoding="ascii")
     size = subprocess.run([compile_c(tmp_path, tmp_path / "size")], capture_output=True, check=True)
     assert f"| {int(size.stdout)} bytes" in (tmp_path / "README.md").read_text("utf-8")
+
+
+@needs_gcc
+@pytest.mark.slow
+def test_cmake_builds_the_example_and_its_test_passes(
+    paper: tuple[Path, ControllerData], tmp_path: Path
+) -> None:
+    """By the generated CMakeLists.txt, as the generated README says."""
+    here = Path(sys.executable).parent
+    cmake, ctest = (shutil.which(name, path=str(here)) for name in ("cmake", "ctest"))
+    if cmake is None or ctest is None or shutil.which("make") is None:
+        pytest.skip("there is no cmake here")
+    build = str(tmp_path / "build")
+    subprocess.run([cmake, "-S", str(paper[0]), "-B", build], check=True, capture_output=True)
+    subprocess.run([cmake, "--build", build], check=True, capture_output=True)
+    done = subprocess.run([ctest, "--test-dir", build], check=True, capture_output=True, text=True)
+    assert "100% tests passed" in done.stdout
+    assert "out of 1" in done.stdout
 
 
 @needs_gcc
