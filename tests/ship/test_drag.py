@@ -157,13 +157,19 @@ def test_the_force_of_a_current_is_near_that_of_the_standard() -> None:
 
 @pytest.mark.slow
 def test_the_plant_agrees_with_an_adaptive_integrator() -> None:
-    """Under thrust in a current the ship follows an eighth-order integrator of the strips."""
-    ship, sea = with_drag(), flowing(0.6, 2.0)
+    """Under thrust in a current and gusts it follows an eighth-order integrator of the strips.
+
+    The gusts change by a tenth between the stages of a sub-step.
+    """
+    ship = with_drag()
+    gust_N, period_s = np.array([4e5, 0.0, 0.0]), 1.1
+    sea = replace(flowing(0.6, 2.0), amplitude=gust_N, period_s=np.full(3, period_s))
 
     def derivative(t: float, s: np.ndarray) -> np.ndarray:
         R = rotation(s[5])
         water = R.T @ [0.6 * np.cos(2.0), 0.6 * np.sin(2.0), 0.0]
         force = 0.2 * ship.tau_max - sum_strips(ship.D, *(s[:3] - water))
+        force += R.T @ gust_N * np.sin(2.0 * np.pi * t / period_s)
         return np.concatenate([np.linalg.solve(ship.M, force), R @ s[:3]])
 
     plant = Plant(ship, START, 0.3, loads=sea.load_coefficients(ship))
