@@ -56,8 +56,12 @@ def ship_results(records: Records) -> list[ShipResult]:
     """
     with_ship = [run for run in records.all_runs if run.scenario or run.exact_steps > 0.0]
     by_ship = group_by(with_ship, _ship_key)
+    tuned = {key[:-1] for key in by_ship if key[-1] is not None}
     longest = [
-        max(own, key=lambda run: _count_or_none(run.exact_steps)) for own in by_ship.values()
+        max(own, key=lambda run: _count_or_none(run.exact_steps))
+        for key, own in by_ship.items()
+        # QPs without horizons, as of a consequence analysis, have the ship of the scenario's loop.
+        if key[-1] is not None or key[:-1] not in tuned
     ]
     tunings = group_by(longest, lambda run: (run.study, run.scenario))
     return [

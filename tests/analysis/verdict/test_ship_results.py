@@ -36,3 +36,11 @@ def test_a_scenario_names_its_horizons_where_it_has_several(records: Any) -> Non
     records.loop("daqp", "calm", N_p=60.0, N_c=10.0)
     names = [ship.name for ship in ship_results(records.view())]
     assert sorted(names) == ["calm", "rough 30/5", "rough 60/10"]
+
+
+def test_qps_without_horizons_are_no_second_ship(records: Any) -> None:
+    """A consequence analysis of a scenario beside its loop; alone it names its scenario."""
+    records.replay("daqp", "calm", N_p=math.nan, N_c=math.nan)
+    records.replay("daqp", "rough", N_p=math.nan, N_c=math.nan, exact_steps=90.0, **EDGE)
+    records.loop("daqp", "rough", N_p=60.0, N_c=10.0)
+    assert sorted(ship.name for ship in ship_results(records.view())) == ["calm", "rough"]
