@@ -19,8 +19,12 @@ import numpy as np
 from dpbench.cli.own_thrusters import (
     HeldSea,
     OwnThrusters,
+    choose_limits,
+    choose_loss,
     choose_sea,
+    describe_losses,
     find_held_sea,
+    find_mean_share,
     read_own_thrusters,
     save_held_sea,
 )
@@ -121,8 +125,12 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
     number = choose_sea(vessel, held) if sea is None else sea
     texts |= _render_sea_files(name, vessel, number, held, chosen=sea is None)
     _write_new_files(folder, texts, force=options.force)
-    lines = _summary_lines(folder, texts, vessel, number, remarks)
-    return lines if held is None else [*save_held_sea(held, vessel, folder, name), *lines]
+    drawn: list[str] = []
+    if held is not None:
+        drawn = save_held_sea(held, vessel, folder, name)
+        steered = next(file for file in texts if file.endswith("_thrusters.toml"))
+        remarks += describe_losses(held, number, _loss_s(vessel), folder / steered)
+    return [*drawn, *_summary_lines(folder, texts, vessel, number, remarks)]
 
 
 def _render_sea_files(
@@ -251,12 +259,13 @@ def _summary_lines(
 ) -> list[str]:
     """List the files written for a new ship, its load from weather, and the next commands."""
     paths = [str(folder / name) for name in texts]
-    share = scaling.load_share(vessel, number)
+    share, whole = find_mean_share(vessel, number)
     lines = [f"wrote {path}" for path in paths]
     lines += [line for remark in remarks for line in textwrap.wrap(remark, WIDTH)]
-    lines.append(f"sea: DP number {number}; its mean force takes {share:.0%} of the limits")
+    lines.append(f"sea: DP number {number}; its mean force takes {share:.0%} of {whole}")
     if share > 1.0:
-        lines.append("This ship cannot hold there: see --sea, --sway-thrust and --yaw-moment.")
+        forces = "--sway-thrust and --yaw-moment" if vessel.thrusters is None else "--thrusters"
+        lines.append(f"This ship cannot hold there: see --sea, {forces}.")
     return [*lines, f"next: dpbench check {paths[0]}", f"      dpbench run {paths[-1]}"]
 
 
@@ -340,15 +349,13 @@ def scenario_text(
     """Render the scenario file of a new ship in the sea of a DP number.
 
     held : what its thrusters hold; chosen : dpbench chose the sea, not the user; steered : the
-    controller steers thrusters, and loses the worst group where the others hold that sea.
+    controller steers thrusters, and loses the worst group without which they hold that sea.
     """
     longer = scaling.froude_time(vessel.length_m) ** 2
     wind_mps, hs_m, *_ = scaling.DP_NUMBERS[number]
     step_s = choose_sample_s(vessel)
-    fault = None
-    if steered and held is not None and held.lost and number <= held.number:
-        fault = {"at_s": 0.6 * STEPS * step_s, "lost": held.lost}
-    share = scaling.load_share(vessel, number)
+    lost = choose_loss(held, number) if steered else None
+    share, _ = find_mean_share(vessel, number)
     return render_document(
         "own_scenario.toml",
         comment=_wrap_as_comment,
@@ -360,7 +367,8 @@ def scenario_text(
         share=share,
         held=held,
         steered=steered,
-        fault=fault,
+        fault=lost and {"at_s": _loss_s(vessel), "lost": lost},
+        limits=choose_limits(vessel),
         wind_mps=wind_mps,
         hs_m=hs_m,
         from_deg=scaling.FROM_DEG,
@@ -371,6 +379,11 @@ def scenario_text(
         # A lever that grows with the ship.
         yaw_weight=float(f"{YAW_WEIGHT * longer**2:.3g}"),
     )
+
+
+def _loss_s(vessel: Vessel) -> float:
+    """Return the time [s] at which a new ship's scenario loses thrusters."""
+    return 0.6 * STEPS * choose_sample_s(vessel)
 
 
 def _explain_sea_choice(share: float, held: HeldSea | None, *, chosen: bool) -> str:

@@ -1,6 +1,7 @@
 """`dpbench init --thrusters`: the thrusters of one's own ship, and the sea that they hold."""
 
 import argparse
+import json
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,9 +13,12 @@ from dpbench.bench.capability.frontier import (
     CapabilityPlot,
     compute_capability,
 )
+from dpbench.bench.capability.reach import ThrusterReach
 from dpbench.cli.capability import save_rose_figure
 from dpbench.cli.terminal import ProgressBar
 from dpbench.errors import InputError, SituationError
+from dpbench.mpc.thrusters.attainable_set import attainable_set
+from dpbench.report.formats import rounded_down
 from dpbench.scenario import own_ship as scaling
 from dpbench.scenario.own_thrusters import (
     Berth,
@@ -23,6 +27,7 @@ from dpbench.scenario.own_thrusters import (
     read_thruster_rows,
 )
 from dpbench.scenario.scenario import load_vessel
+from dpbench.scenario.tables.scenario_file import ControllerTable
 from dpbench.scenario.tables.vessel_file import ThrusterTable
 from dpbench.ship.thrusters import ThrusterSet
 from dpbench.ship.vessel import Vessel
@@ -31,6 +36,8 @@ WHERE = "init"
 FORCES = ("thrust", "sway-thrust", "yaw-moment")
 MOST_TO_WEIGHT = 0.5
 """Thrust of all thrusters over the ship's weight; beyond it a unit is wrong."""
+MOST_FACETS = 150
+"""Facets of an attainable set, each a row of the QP at every sample of the control horizon."""
 ASKED = ("kind", "x_m", "y_m", "power_kW", "thrust_kN", "group")
 HINTS = {
     "kind": "azimuth, tunnel or main; empty: no more",
@@ -117,38 +124,108 @@ def _ask_for_rows() -> list[dict[str, str]]:
 
 @dataclass(frozen=True)
 class HeldSea:
-    """The DP number that thrusters hold from `FROM_DEG`, after the loss of the worst group.
+    """The DP number that thrusters hold from `FROM_DEG`, after the loss of a group where they can.
 
-    lost : that group; None where no sea is held without it, and the number is that of the whole
-        ship. reason : why this sea, for the scenario's file.
+    lost : the worst group without which a sea is held; None where there is none, and the number is
+        that of the whole ship. worst : the group whose loss leaves the least wind. intact_mps :
+        largest wind [m/s] held without a loss. reason : why this sea, for the scenario's file.
     """
 
     capability: Capability
     number: int
     lost: str | None
+    worst: str
+    intact_mps: float
     reason: str
 
 
 def find_held_sea(vessel: Vessel) -> HeldSea:
     """Find the largest sea that a ship's thrusters hold, by level 1 of DNV-ST-0111."""
     with ProgressBar(transient=True) as bar:
+        bar.remark("computing the wind that the thrusters hold")
         capability = compute_capability(CapabilityPlot(vessel), bar)
     at = FROM_DEG.index(scaling.FROM_DEG)
     held = {case: limits[at] for case, limits in capability.held.items()}
-    worst = min((case for case in held if case != INTACT), key=lambda case: held[case].wind_mps)
+    losses = sorted((case for case in held if case != INTACT), key=lambda c: held[c].wind_mps)
+    worst, intact = losses[0], held[INTACT]
+    lost = next((case for case in losses if held[case].number), None)
     most, largest = max(scaling.DP_NUMBERS), "the largest that its thrusters hold by level 1"
-    if held[worst].number:
-        reason = f"{largest}, after the loss of {worst} too"
-        return HeldSea(capability, min(held[worst].number, most), worst, reason)
-    if held[INTACT].number:
-        reason = f"{largest} intact; without {worst} they hold none"
-        return HeldSea(capability, min(held[INTACT].number, most), None, reason)
-    return HeldSea(capability, 1, None, "the smallest, as its thrusters hold none by level 1")
+    if lost is not None:
+        number, reason = held[lost].number, f"{largest}, after the loss of {lost} too"
+        if lost != worst:
+            reason += f"; without {worst} they hold none"
+    elif intact.number:
+        number, reason = intact.number, f"{largest} intact; without {worst} they hold none"
+    else:
+        number, reason = 1, "the smallest, as its thrusters hold none by level 1"
+    return HeldSea(capability, min(number, most), lost, worst, intact.wind_mps, reason)
 
 
 def choose_sea(vessel: Vessel, held: HeldSea | None) -> int:
     """Choose the DP number of a new ship's sea by its thrusters, or by its limits without any."""
     return scaling.largest_sea(vessel) if held is None else held.number
+
+
+def choose_loss(held: HeldSea | None, number: int) -> str | None:
+    """Choose the group that is lost in a sea: the worst without which it is held, or None."""
+    return None if held is None or number > held.number else held.lost
+
+
+def describe_losses(held: HeldSea, number: int, at_s: float, file: Path) -> list[str]:
+    """Explain a sea that the thrusters do not hold, and a loss that the files do not simulate."""
+    lines = []
+    wind_mps = scaling.DP_NUMBERS[number][0]
+    if wind_mps > held.intact_mps:
+        lines.append(
+            f"CAUTION: the wind of {wind_mps:g} m/s is beyond the "
+            f"{rounded_down(held.intact_mps)} m/s that the thrusters hold from "
+            f"{scaling.FROM_DEG:g}° by level 1."
+        )
+    lost = choose_loss(held, number)
+    if lost == held.worst:
+        return lines
+    if lost is not None:
+        missing = held.worst
+        lines.append(
+            f"lost after {at_s:g} s: {lost}; not {missing}, without which the thrusters hold no sea"
+        )
+    elif held.lost is not None:
+        missing = held.lost
+        lines.append(
+            f"no loss is simulated: without {missing} the thrusters hold DP number {held.number} "
+            "at most"
+        )
+    else:
+        missing = held.worst
+        lines.append("no loss is simulated: after each of them the thrusters hold no sea")
+    return [
+        *lines,
+        f"To simulate the loss of {missing}, add to {file}:",
+        *("  [[faults]]", f"  at_s = {at_s:g}", f"  lost = [{json.dumps(missing)}]"),
+    ]
+
+
+def find_mean_share(vessel: Vessel, number: int) -> tuple[float, str]:
+    """Return the share that the mean force of a DP number takes, and of what: limits or thrust."""
+    if vessel.thrusters is None:
+        return scaling.load_share(vessel, number), "the limits"
+    share = ThrusterReach(vessel.thrusters).find_share(-scaling.sea_load(vessel, number))
+    return share, "the thrust"
+
+
+def choose_limits(vessel: Vessel) -> str:
+    """Choose the limits of a controller of three forces: what the thrusters make together.
+
+    Box limits where there are no thrusters, where one has a sector, or where the attainable set
+    has more than `MOST_FACETS` facets.
+    """
+    every = vessel.thrusters
+    if every is None or any(thruster.sector_rad is not None for thruster in every.thrusters):
+        return "box"
+    facets = len(
+        attainable_set(every, ControllerTable.model_fields["attainable_sides"].default).normals
+    )
+    return "attainable" if facets <= MOST_FACETS else "box"
 
 
 def save_held_sea(held: HeldSea, vessel: Vessel, folder: Path, name: str) -> list[str]:

@@ -227,18 +227,27 @@ def sea_state(number: int) -> EnvironmentTable:
     )
 
 
-def load_share(vessel: Vessel, number: int) -> float:
-    """Return the share of the limits that the mean force of a DP number's weather takes.
+def sea_load(vessel: Vessel, number: int) -> Vector:
+    """Return the mean force (3,) [N, N, N·m] of a DP number's weather from `FROM_DEG`.
 
-    The force is that of `dpbench capability`, level 1 of DNV-ST-0111, from `FROM_DEG`. The share is
-    that of surge, or of sway and yaw together: the same thrusters at bow and stern make both.
-    Raises InputError where the vessel has no hull for it.
+    It is that of `dpbench capability`, level 1 of DNV-ST-0111. Raises InputError where the vessel
+    has no hull for it.
     """
     if vessel.capability is None:
         allowed = "this table, with at least breadth_m and draught_m, and [windage]"
         raise InputError(vessel.where, "capability", "nothing", allowed)
     condition = Condition(*DP_NUMBERS[number])
-    load = mean_loads(vessel.capability, condition, math.radians(FROM_DEG)).sum(axis=0)
+    load: Vector = mean_loads(vessel.capability, condition, math.radians(FROM_DEG)).sum(axis=0)
+    return load
+
+
+def load_share(vessel: Vessel, number: int) -> float:
+    """Return the share of the limits that the mean force of a DP number's weather takes.
+
+    The share is that of surge, or of sway and yaw together: the same thrusters at bow and stern
+    make both.
+    """
+    load = sea_load(vessel, number)
     # What pushes astern is met with force ahead.
     limit = np.where(load < 0.0, vessel.tau_max, -vessel.tau_min)
     surge, sway, yaw = np.abs(load) / limit

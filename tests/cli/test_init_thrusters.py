@@ -1,6 +1,7 @@
 """`dpbench init --thrusters`: the files of a ship with its thrusters, and what is refused."""
 
 import io
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import load_suite
 from dpbench.cli.main import main
+from dpbench.scenario.controllers.forces import JointForceController
+from dpbench.scenario.own_ship import load_share
 from dpbench.scenario.own_thrusters import LOADING_KW_PER_M2
 from dpbench.scenario.scenario import load_scenario, load_vessel
 
@@ -37,11 +40,12 @@ def init(table: str, *more: str) -> int:
 def test_two_mains_two_tunnels_and_an_azimuth_on_two_boards(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Files that load; board B leaves a main and a tunnel, which hold no wind."""
+    """Board B leaves a main and a tunnel, which hold no wind; so board A is lost."""
     assert init(TABLE) == 0
     said = capsys.readouterr().out
     assert all(name in said for name in (*FILES, "my_ship_capability.svg"))
     assert "DP capability-L1(8, 5, 0, 0)" in said
+    assert "lost after 180 s: board A; not board B, without which" in said
     vessel, scenario = load_vessel(FILES[0]), load_scenario(FILES[2])
     assert vessel.thrusters is not None
     low, high = vessel.thrusters.limits()
@@ -52,10 +56,15 @@ def test_two_mains_two_tunnels_and_an_azimuth_on_two_boards(
     assert tunnel is not None
     assert 800.0 / tunnel.diameter_m**2 == pytest.approx(LOADING_KW_PER_M2["tunnel"], rel=1e-2)
     assert scenario.files["scenario"]["controller"]["kind"] == "thrusters"
-    assert "faults" not in scenario.files["scenario"] or not scenario.files["scenario"]["faults"]
+    (fault,) = scenario.files["scenario"]["faults"]
+    assert fault["lost"] == ["board A"]
+    forces = load_scenario(FILES[1]).controller
+    assert isinstance(forces, JointForceController)
     path, suite = load_suite(FILES[3])
     cells = plan(suite, solvers=["daqp"], beside=path.parent)
     assert {cell.cell.mode for cell in cells} == {"closed_loop", "replay"}
+    assert {"reuse", "warm"} <= {cell.cell.policy for cell in cells}
+    assert any(table.consequence for table in suite.replay)
     assert Path("my_ship_capability.svg").read_text(encoding="utf-8").startswith("<svg")
 
 
@@ -69,6 +78,45 @@ def test_the_worst_group_is_lost_where_the_others_hold(capsys: pytest.CaptureFix
     assert main(["init", "my_ship", "--sea", "9"]) == 0
     assert "my_ship_sea9_thrusters.toml" in capsys.readouterr().out
     assert not load_scenario("my_ship_sea9_thrusters.toml").files["scenario"]["faults"]
+
+
+def test_a_sea_beyond_the_thrusters_is_named_and_so_is_the_loss_that_is_left_out(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The wind of number 9 is 24.4 m/s; the lines to paste make a scenario with that loss."""
+    assert init(TABLE, "--sea", "9") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    held_mps = re.search(r"the wind of 24.4 m/s is beyond the (\S+) m/s that the thrusters", said)
+    assert held_mps is not None and float(held_mps[1]) < 24.4
+    assert "no loss is simulated: without board A the thrusters hold DP number" in said
+    pasted = re.search(
+        r"add to my_ship_sea9_thrusters.toml: (\[\[faults\]\]) (at_s = \S+) (lost = .*?\])", said
+    )
+    assert pasted is not None
+    with Path("my_ship_sea9_thrusters.toml").open("a", encoding="utf-8") as file:
+        file.write("\n".join(pasted.groups()) + "\n")
+    (fault,) = load_scenario("my_ship_sea9_thrusters.toml").files["scenario"]["faults"]
+    assert fault["lost"] == ["board A"]
+
+
+def test_a_force_that_the_thrusters_cannot_make_is_no_share_of_the_limits(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Without an azimuth only the bow pushes sideways, by less than the limits of that axis."""
+    bow_alone = "".join(TABLE.splitlines(keepends=True)[:-1])
+    assert init(bow_alone, "--sea", "5") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    share = re.search(r"mean force takes (\d+)% of the thrust", said)
+    assert share is not None
+    assert int(share[1]) > 100 * load_share(load_vessel(FILES[0]), 5)
+    assert ("cannot hold there: see --sea, --thrusters" in said) == (int(share[1]) > 100)
+
+
+def test_thrusters_with_a_sector_are_limited_axis_by_axis() -> None:
+    """The attainable set of forces knows no sector."""
+    rows = TABLE.replace("power_kW,group", "power_kW,group,sector_from_deg,sector_to_deg")
+    assert init(rows.rstrip("\n") + ",-90,90\n") == 0
+    assert not isinstance(load_scenario(FILES[1]).controller, JointForceController)
 
 
 def test_thrusters_are_asked_for(
