@@ -21,6 +21,7 @@ from dpbench.analysis.records.thinned_runs import ThinnedRun
 from dpbench.analysis.times.contrasts import log_half_width, paired_comparison
 from dpbench.analysis.times.machine import library_call_ns
 from dpbench.analysis.verdict.fastest import best_verdict_by_solver, fastest_first, solver_family
+from dpbench.analysis.verdict.findings import STATES
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.judge.rules import percentile, supports_percentile
@@ -118,22 +119,42 @@ def time_table(matrix: RunMatrix) -> pd.DataFrame:
 
 
 def experiment_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Tabulate the verdict on each solver by scenario or replay, and tolerance settings."""
+    """Tabulate the verdict on each solver by scenario or replay, and settings.
+
+    In the call mode of its best configuration where it ran so, else in that of the best verdict.
+    """
     best = {
         v.configuration.solver: v.configuration for v in best_verdict_by_solver(matrix.verdicts)
     }
-    modes = [best.get(reference.solver, reference) for reference in matrix.references]
-    return pd.DataFrame(
-        [
-            _experiment_row(matrix, replace(mode, settings=level), p)
-            for mode in modes
-            for level in matrix.levels
-            for p in matrix.judged_experiments
-        ]
+    rows = []
+    for reference in matrix.references:
+        usual = best.get(reference.solver, reference)
+        for level in matrix.levels:
+            known = _order_call_modes(matrix, usual, level)
+            rows += [_experiment_row(matrix, known, p) for p in matrix.judged_experiments]
+    return pd.DataFrame(rows)
+
+
+def _order_call_modes(matrix: RunMatrix, usual: Configuration, level: str) -> list[Configuration]:
+    """Order a solver's configurations of one settings level, those in the usual call mode first.
+
+    The others follow from pass to fail, then by time. Only the usual one if none was run.
+    """
+    ran = [c for c in matrix.configurations if (c.solver, c.settings) == (usual.solver, level)]
+    judged = sorted(
+        fastest_first(list(matrix.verdicts.of.get(usual.solver, ()))),
+        key=lambda verdict: STATES.index(verdict.state),
     )
+    order = {verdict.configuration: i for i, verdict in enumerate(judged)}
+    mode = usual.route, usual.policy
+    ran.sort(key=lambda c: ((c.route, c.policy) != mode, order.get(c, len(order))))
+    return ran or [replace(usual, settings=level, options="")]
 
 
-def _experiment_row(matrix: RunMatrix, wanted: Configuration, p: int) -> dict[str, Any]:
+def _experiment_row(matrix: RunMatrix, known: Sequence[Configuration], p: int) -> dict[str, Any]:
+    """Describe the first of some configurations that has a verdict in an experiment."""
+    judged = (c for c in known if matrix.state(matrix.index(c), p) != "not run")
+    wanted = next(judged, known[0])
     c = matrix.index(wanted)
     run, verdict = matrix.runs.get((c, p)), matrix.states.get((c, p))
     findings = () if verdict is None else (*verdict.causes, *verdict.doubts, *verdict.near)

@@ -56,6 +56,36 @@ def test_a_level_that_was_not_run_somewhere_is_hatched_there(records: Any) -> No
     }
 
 
+def test_settings_that_ran_in_another_call_mode_show_their_verdict_there(records: Any) -> None:
+    """The best configuration has options of its own; the others were run, and failed."""
+    tuned = {"settings": "tuned", "options": '{"rho": 0.005}', "route": "native", "policy": "warm"}
+    mine = {"settings": "mine", "options": '{"rho": 1.6}', "error": 0.5}
+    records.loop("osqp", **tuned)
+    records.loop("osqp", route="native", policy="warm", error=0.4)
+    records.loop("osqp", route="native", policy="reuse", **mine)
+    records.loop("osqp", route="qpsolvers", policy="fresh", **(mine | {"failed": 3}))
+    records.loop("osqp", "calm", route="qpsolvers", policy="fresh", **mine)
+    for settings in ("tuned", "default", "mine"):
+        columns = {"tuned": tuned, "mine": mine}.get(settings, {"error": 0.4})
+        call = {"route": "native", "policy": "reuse" if settings == "mine" else "warm"}
+        records.replay("osqp", **(columns | call | {"settings": settings}))
+    table = experiment_table(_matrix(records)).set_index(["settings", "experiment"])
+    assert table["verdict"].to_dict() == {
+        ("default", "paper"): "fail",
+        ("default", "calm"): "not run",
+        ("default", "paper (replay)"): "fail",
+        ("mine", "paper"): "fail",
+        ("mine", "calm"): "fail",
+        ("mine", "paper (replay)"): "fail",
+        ("tuned", "paper"): "pass",
+        ("tuned", "calm"): "not run",
+        ("tuned", "paper (replay)"): "pass",
+    }
+    modes = table["call_mode"].to_dict()
+    assert modes[("default", "paper")] == "native warm"
+    assert modes[("mine", "calm")] == "qpsolvers fresh"
+
+
 def test_settings_of_ones_own_are_judged_apart_and_have_their_options_beside(records: Any) -> None:
     """A preset has none."""
     records.loop("osqp", error=0.4)
