@@ -97,7 +97,7 @@ def compile_program(
     """Compile C sources to a program of a bare core; return the ELF file, kept in the cache.
 
     `written` is a folder of headers for this program alone. The compiler runs in it, so that its
-    path is not in the command, and what includes nothing of it is compiled once for all programs.
+    path is not in the command; a hash of its files is.
 
     SituationError with the compiler's words if that fails.
     """
@@ -105,14 +105,18 @@ def compile_program(
     everything = [*sources, RUNTIME / "runtime.c"]
     words = [*target.compiler_flags, *FLAGS.split(), *defines]
     own = [written] if written else []
-    files = [*everything, *(h for folder in (RUNTIME, *own, *include) for h in folder.rglob("*.h"))]
+    # For zig's own cache, a header of the same name in another working folder is the same header.
+    words += [f"-DWRITTEN_{_hash([], list(folder.rglob('*.[ch]')))}" for folder in own]
+    folders = [RUNTIME, *own, *include]
+    # A source may include another one.
+    files = [*everything, *(file for folder in folders for file in folder.rglob("*.[ch]"))]
     key = _hash([compiler_version(), LINK, *words], [*files, script])
     out = cache_folder("programs") / f"{key}.elf"
     if not out.exists():
         headers = [f"-isystem{folder}" for folder in _header_folders(target)]
         linker = [*LINK.split(), "-T", str(script)]
-        folders = _include_flags([RUNTIME, *([Path()] if written else []), *include])
-        _compile([*words, *headers, *folders, *linker], everything, out, cwd=written)
+        searched = _include_flags([RUNTIME, *([Path()] if written else []), *include])
+        _compile([*words, *headers, *searched, *linker], everything, out, cwd=written)
     return out
 
 
