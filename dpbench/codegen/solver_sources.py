@@ -79,8 +79,11 @@ def write_active_set(qp: CondensedQP) -> SolverSources:
     reals = (field[0] for field in ActiveSet._fields_ if field[1] is ctypes.c_double)
     scalars = {name: number_text(getattr(problem.head, name)) for name in reals}
     values = {"scalars": scalars, "block": qp.block, "coupled": problem.head.coupled}
-    names = ("active_set.h", "active_set.c")
-    files = {name: Path(compiling.FOLDER, name).read_bytes() for name in names}
+    names = ("active_set.h", "active_set.c", "active_set_care.c")
+    header, core, care = (Path(compiling.FOLDER, name).read_bytes() for name in names)
+    # One file: the refinement includes the core, and all files of a folder are compiled.
+    own = care.partition(b'#include "active_set.c"\n')[2]
+    files = {"active_set.h": header, "active_set.c": core + own}
     origin = "active_set.c and active_set.h are part of dpbench, Apache-2.0"
     # The library places the memory of a step first: low … unit, active … first.
     head = problem.head

@@ -41,12 +41,7 @@
  *
  * The slope z − (3, 3) + (λ₀, λ₁) is zero there and both λ ≥ 0: the optimum.
  *
- * Where rounding in P⁻¹ could have moved the gradient (`loss`) or an active row from its limit, the
- * answer is refined in the problem's own data, P δz + C_Wᵀδλ = −(P z + q + Cᵀλ) and
- * C_W δz = g − C_W z, and checked. Where more rows meet than are active, or rows are nearly
- * parallel, rounding could decide the set: there the residuals are summed in twice the precision,
- * and the method goes on until no row is violated by more than that leaves. What it cannot decide
- * even so is INACCURATE. */
+ * A controller whose P stays needs this file alone: active_set_place_step and active_set_solve. */
 
 #include "active_set.h"
 
@@ -83,12 +78,11 @@
 #define SMALL ROUNDING_OF(1e-9)         /* allowed in a row, and in the gradient of 1 + |q| */
 #define EXACT (EPSILON * REAL(1e-3))    /* a correction that the doubled precision has to reach */
 enum { PASSES = 20, POLISHES = 8, ITERATIONS_PER_ROW = 20, CANDIDATES = 8, NEITHER = 0, LEFT_OUT = 2 };
-enum { OPTIMAL = 0, DOUBTFUL = -10, UNREFINED = -11 };
+enum { OPTIMAL = 0, DOUBTFUL = -10, UNREFINED = -11, CONTRADICTED = -12 };
 
 static as_real root(as_real x) { return (as_real)sqrt((double)x); }
 static as_real size_of(as_real x) { return (as_real)fabs((double)x); }
 static as_real larger(as_real x, as_real y) { return x > y ? x : y; }
-static as_real smaller(as_real x, as_real y) { return x < y ? x : y; }
 static int is_infinite(as_real x) { return x - x != REAL(0); } /* or NaN */
 
 /* ---- vectors ------------------------------------------------------------------------------- */
@@ -437,10 +431,13 @@ static void insert(view *found, int i, as_real by) {
 
 static void look(const active_set *s, view *found, as_real noise, as_real close) {
     found->count = found->near = found->equal = found->crossed = 0;
-    for (int i = 0; i < s->n + s->m; i++) {
-        const as_real v = s->z[i], u = s->unit[i];
+    const as_real *z = s->z, *low = s->low, *high = s->high, far = close * larger(s->longest, 1);
+    for (int i = 0, N = s->n + s->m; i < N; i++) {
+        const as_real v = z[i];
         /* Neither NaN nor crossed. */
-        if ((v - s->high[i]) * u < -close && (s->low[i] - v) * u < -close) continue;
+        if (high[i] - v > far && v - low[i] > far) continue;
+        const as_real u = s->unit[i];
+        if ((v - high[i]) * u < -close && (low[i] - v) * u < -close) continue;
         found->crossed |= has_crossed_limits(s, i);
         if (s->side[i] != NEITHER) continue;
         found->near = 1;
@@ -451,7 +448,7 @@ static void look(const active_set *s, view *found, as_real noise, as_real close)
     }
 }
 
-/* λ := the ray by which row j contradicts the active rows that it combines, if it proves that. */
+/* λ := the ray by which row j contradicts the active rows that it combines; T keeps that of before. */
 static int write_ray(active_set *s, int j, as_real side) {
     const as_real rounding = VIOLATED * larger(1, largest_of(s->R, s->count));
     for (int k = 0; k < s->count; k++) {
@@ -460,10 +457,7 @@ static int write_ray(active_set *s, int j, as_real side) {
         *lam = size_of(s->R[k]) > rounding ? -side * s->R[k] : 0;
     }
     s->lam[j] = side;
-    if (active_set_is_proof(s)) return ACTIVE_SET_INFEASIBLE;
-    s->lam[j] = 0;
-    for (int k = 0; k < s->count; k++) s->lam[s->active[k]] = s->T[k];
-    return DOUBTFUL;
+    return CONTRADICTED;
 }
 
 /* The active row whose multiplier is first to reach zero as that of row j rises, and when; −1 if
@@ -543,300 +537,6 @@ static int activate_violated(
     return OPTIMAL;
 }
 
-/* ---- refinement and check ------------------------------------------------------------------ */
-
-/* r := P z + q + Cᵀλ; returns zᵀP z */
-static as_real write_gradient(active_set *s) {
-    const int n = s->n;
-    for (int c = 0; c < n; c++) s->r[c] = 0;
-    add_product(s, s->r, s->P, s->z);
-    const as_real square = dot(s->r, s->z, n);
-    for (int c = 0; c < n; c++) s->r[c] += s->q[c];
-    for (int k = 0; k < s->count; k++) add_row(s, s->active[k], s->lam[s->active[k]], s->r);
-    return larger(square, 0);
-}
-
-/* Correct z and λ once on the active rows; returns the square of the correction in the norm of P,
- * r ≈ P e and T = C_W (z + e) − g given: eᵀP e + δλᵀ H_WW δλ. */
-static as_real correct(active_set *s, as_real *restrict z_low, as_real *restrict lam_low) {
-    const int w = s->count;
-    as_real square = -dot(s->e, s->r, s->n);
-    for (int k = 0; k < w; k++) s->R[k] = s->T[k];
-    substitute_forward(s, s->R, w);
-    substitute_backward(s, s->R, w);
-    square += dot(s->R, s->T, w);
-    for (int k = 0; k < w; k++) add_scaled(s->e, -s->R[k], inverse_row(s, s->active[k]), s->n);
-    for (int c = 0; c < s->n; c++) {
-        const as_real more = s->e[c] + z_low[c], sum = s->z[c] + more;
-        z_low[c] = more - (sum - s->z[c]);
-        s->z[c] = sum;
-    }
-    for (int k = 0; k < w; k++) {
-        as_real *lam = s->lam + s->active[k];
-        const as_real more = s->R[k] + lam_low[k], sum = *lam + more;
-        lam_low[k] = more - (sum - *lam);
-        *lam = sum;
-    }
-    return larger(square, 0);
-}
-
-/* Refine the answer once where its residual asks for it; `size` := ‖z‖ in the norm of P. */
-static as_real refine(active_set *s, as_real *size) {
-    const int n = s->n;
-    as_real off = 0;
-    *size = root(write_gradient(s));
-    clear(s->e, n);
-    clear(s->z_low, n);
-    clear(s->lam_low, n);
-    if (largest_of(s->r, n) > REAL(64) * EPSILON * (1 + largest_of(s->q, n))) {
-        off = 1;
-        add_product(s, s->e, s->G, s->r);
-        for (int c = 0; c < n; c++) s->e[c] = -s->e[c];
-    }
-    for (int k = 0; k < s->count; k++) {
-        const int i = s->active[k];
-        s->T[k] = row_times(s, i, s->z) + row_times(s, i, s->e) - limit_of(s, i);
-    }
-    if (off == 0 && s->count == 0) return 0;
-    const as_real square = correct(s, s->z_low, s->lam_low);
-    write_row_values(s);
-    return square;
-}
-
-/* Zero wrong signs within rounding, drop the rows of others; returns how many. */
-static int correct_signs(active_set *s, as_real rounding) {
-    int dropped = 0;
-    for (int k = s->count - 1; k >= 0; k--) {
-        const int i = s->active[k];
-        if (!has_wrong_sign(s, i, s->lam[i])) continue;
-        if (size_of(s->lam[i]) <= rounding * s->unit[i]) s->lam[i] = 0;
-        else {
-            drop_row(s, k);
-            dropped++;
-        }
-    }
-    return dropped;
-}
-
-/* Σ |a_c x_c| over the entries of row i of C */
-static as_real row_terms(const active_set *s, int i, const as_real *x) {
-    if (i < s->n) return size_of(x[i]);
-    as_real sum = 0;
-    for (int e = s->first[i - s->n]; e < s->first[i - s->n + 1]; e++)
-        sum += size_of(s->a[e] * x[s->column[e]]);
-    return sum;
-}
-
-/* The largest of: a row beyond a limit; |λ_i| times the distance from the limit that it names; the
- * gradient r; and √((P⁻¹)_ii |r|ᵀ|P⁻¹||r|), by which z_i may miss the optimum on the active rows, each
- * over what is allowed of the terms it is computed from. */
-as_real active_set_excess(active_set *s) {
-    const int n = s->n;
-    const as_real cost = largest_of(s->q, n);
-    as_real most = 0, widest = 0, square = 0;
-    write_row_values(s);
-    write_gradient(s);
-    for (int i = 0; i < n; i++) s->e[i] = size_of(s->q[i]) + size_of(s->lam[i]);
-    for (int i = 0; i < n + s->m; i++) {
-        const as_real v = s->z[i], lam = s->lam[i], beyond = larger(v - s->high[i], s->low[i] - v);
-        const as_real terms = VIOLATED * row_terms(s, i, s->z);
-        if (beyond > 0) {
-            const as_real rounding = terms + VIOLATED * size_of(v);
-            most = larger(
-                most, beyond / smaller(2 * rounding + SMALL * REAL(1e-3), ROUNDING_OF(2e-7)));
-        }
-        if (lam == 0) continue;
-        const as_real g = lam > 0 ? s->high[i] : s->low[i], slack = size_of(v - g);
-        if (is_infinite(g)) return 1 / TINY;
-        if (slack > terms + VIOLATED * size_of(g))
-            most = larger(most, size_of(lam) * slack / ROUNDING_OF(1e-7));
-        for (int e = i < n ? 0 : s->first[i - n]; i >= n && e < s->first[i - n + 1]; e++)
-            s->e[s->column[e]] += size_of(lam * s->a[e]);
-    }
-    for (int i = 0; i < n; i++) {
-        const as_real *P = s->P + (size_t)i * (size_t)n, r = size_of(s->r[i]);
-        for (int c = 0; c < n; c++) s->e[i] += size_of(P[c] * s->z[c]);
-        const as_real rounding = EPSILON * s->e[i], room = (s->high[i] - s->low[i]) / 2;
-        if (is_infinite(r)) return 1 / TINY;
-        most = larger(most, r / larger(ROUNDING_OF(5e-9) * (1 + cost), rounding));
-        most = larger(most, (r + rounding / 2) / (ROUNDING_OF(9e-7) * (1 + cost)));
-        s->e[i] = r + rounding;
-        const as_real unit = room > 1 && !is_infinite(room) ? room : 1;
-        widest = larger(widest, inverse_row(s, i)[i] / (unit * unit));
-    }
-    for (int i = 0; i < n; i++)
-        for (int c = 0; c < n; c++) square += s->e[i] * size_of(inverse_row(s, i)[c]) * s->e[c];
-    return larger(most, root(widest * square) / ROUNDING_OF(5e-7));
-}
-
-/* Whether lam, a ray, proves that no z keeps the limits: Cᵀlam = 0 and the most that the limits let
- * lamᵀC z reach is negative, each by more than rounding. What does not cancel in a column is left to
- * the bound of that variable or, where there is none, may not reach 0 within 1e6 of the limits. */
-int active_set_is_proof(active_set *s) {
-    const int n = s->n;
-    as_real *box = s->r, *terms = s->e;
-    as_real reach = 0, size = 0, unbounded = 0, most = TINY;
-    for (int c = 0; c < n; c++) {
-        box[c] = 0;
-        terms[c] = size_of(s->lam[c]);
-    }
-    for (int i = n; i < n + s->m; i++)
-        for (int e = s->first[i - n]; e < s->first[i - n + 1] && s->lam[i] != 0; e++) {
-            box[s->column[e]] -= s->lam[i] * s->a[e];
-            terms[s->column[e]] += size_of(s->lam[i] * s->a[e]);
-        }
-    for (int i = 0; i < n + s->m; i++) {
-        as_real by = s->lam[i];
-        if (i < n) {
-            if (!(size_of(box[i] - by) <= ROUNDING_OF(1e-6) * terms[i])) return 0;
-            most = larger(most, terms[i]);
-            by = box[i];
-        }
-        if (by == 0) continue;
-        const as_real g = by > 0 ? s->high[i] : s->low[i];
-        if (is_infinite(g) && i < n) unbounded += size_of(by);
-        else {
-            reach += by * g;
-            size += size_of(by * g);
-        }
-    }
-    return reach < -(ROUNDING_OF(1e-10) + REAL(1e6) * unbounded / most) * size;
-}
-
-/* ---- twice the precision ------------------------------------------------------------------- */
-
-/* high + low += a b, without rounding of the product (Dekker 1971; Ogita, Rump and Oishi 2005) */
-static void add_exactly(as_real *high, as_real *low, as_real a, as_real b) {
-    const as_real p = a * b, as = SPLITTER * a, bs = SPLITTER * b;
-    const as_real ah = as - (as - a), al = a - ah, bh = bs - (bs - b), bl = b - bh;
-    const as_real e = al * bl - (((p - ah * bh) - al * bh) - ah * bl);
-    const as_real sum = *high + p, part = sum - *high;
-    *low += e + ((*high - (sum - part)) + (p - part));
-    *high = sum;
-}
-
-/* c_iᵀ(z + z_low) − g */
-static as_real exact_distance(const active_set *s, int i, as_real g) {
-    as_real high = -g, low = 0;
-    if (i < s->n) {
-        add_exactly(&high, &low, 1, s->z[i]);
-        return high + (low + s->z_low[i]);
-    }
-    for (int e = s->first[i - s->n]; e < s->first[i - s->n + 1]; e++) {
-        add_exactly(&high, &low, s->a[e], s->z[s->column[e]]);
-        low += s->a[e] * s->z_low[s->column[e]];
-    }
-    return high + low;
-}
-
-/* Refine z + z_low and λ on the active rows by exact residuals, as long as corrections fall; returns
- * the last one in the norm of P. */
-static as_real polish(active_set *s) {
-    const int n = s->n;
-    as_real before = 1 / TINY;
-    clear(s->z_low, n);
-    clear(s->lam_low, n);
-    for (int pass = 0; pass < POLISHES; pass++) {
-        for (int c = 0; c < n; c++) {
-            const as_real *P = s->P + (size_t)c * (size_t)n;
-            as_real high = s->q[c], low = dot(P, s->z_low, n);
-            for (int j = 0; j < n; j++) add_exactly(&high, &low, P[j], s->z[j]);
-            s->r[c] = high;
-            s->r_low[c] = low;
-        }
-        for (int k = 0; k < s->count; k++) {
-            const int i = s->active[k];
-            const as_real lam = s->lam[i];
-            add_row(s, i, s->lam_low[k], s->r_low);
-            if (i < n) add_exactly(s->r + i, s->r_low + i, 1, lam);
-            for (int e = i < n ? 0 : s->first[i - n]; i >= n && e < s->first[i - n + 1]; e++)
-                add_exactly(s->r + s->column[e], s->r_low + s->column[e], s->a[e], lam);
-        }
-        add_scaled(s->r, 1, s->r_low, n);
-        clear(s->e, n);
-        add_product(s, s->e, s->G, s->r);
-        for (int c = 0; c < n; c++) s->e[c] = -s->e[c];
-        for (int k = 0; k < s->count; k++) {
-            const int i = s->active[k];
-            s->T[k] = exact_distance(s, i, limit_of(s, i)) + row_times(s, i, s->e);
-        }
-        const as_real now = root(correct(s, s->z_low, s->lam_low));
-        if (!(now < before / 2)) return now;
-        before = now;
-        if (now == 0) break;
-    }
-    return before;
-}
-
-/* The row most beyond a limit at z + z_low where that is known to `error`; −1 if none is. */
-static int find_exactly(const active_set *s, as_real error, as_real *gap) {
-    as_real most = 0;
-    int worst = -1;
-    for (int i = 0; i < s->n + s->m; i++) {
-        if (s->side[i] != NEITHER) continue;
-        const as_real over = is_infinite(s->high[i]) ? -1 : exact_distance(s, i, s->high[i]);
-        const as_real under = is_infinite(s->low[i]) ? -1 : -exact_distance(s, i, s->low[i]);
-        const as_real share = larger(over, under) * s->unit[i];
-        if (share > error && share > most) {
-            most = share;
-            worst = i;
-            *gap = over >= under ? over : -under;
-        }
-    }
-    return worst;
-}
-
-/* Forget which rows were left out; returns how many were. */
-static int readmit(active_set *s) {
-    int count = 0;
-    for (int i = 0; i < s->n + s->m; i++)
-        if (s->side[i] == LEFT_OUT) {
-            s->side[i] = NEITHER;
-            count++;
-        }
-    return count;
-}
-
-/* Go on from the active set on exact values, where rounding could decide it. A row that leans on the
- * active ones so much that no residual tells whether it contradicts them is left out, until it is
- * violated by more than rounding: what is found then is INACCURATE. */
-static int decide_exactly(active_set *s) {
-    const int N = s->n + s->m;
-    int ending = OPTIMAL, left_out = 0, iterations = s->iterations;
-    for (int pass = 0; pass < 4 * N; pass++, iterations += s->iterations) {
-        const as_real error = polish(s), bare = -dot(s->q, s->base, s->n);
-        const as_real size = root(larger(write_gradient(s), bare));
-        as_real gap = 0;
-        int j = -1;
-        s->iterations = 0;
-        ending = DOUBTFUL;
-        if (error <= EXACT * (size + TINY)) {
-            if (correct_signs(s, larger(error, VIOLATED * EPSILON * size)) > 0) continue;
-            const as_real least = left_out ? EPSILON * 10 : EPSILON * EPSILON;
-            j = find_exactly(s, 4 * error + least * size, &gap);
-            if (j < 0 && readmit(s)) j = find_exactly(s, SMALL * size, &gap);
-            if (j < 0) ending = OPTIMAL;
-            if (j < 0) break;
-            const as_real g = gap > 0 ? s->high[j] : s->low[j];
-            const as_real allowed = CONTRADICTION * (size_of(g) * s->unit[j] + size);
-            write_entries(s, j);
-            ending = activate(s, j, gap > 0 ? 1 : -1, size_of(gap), allowed);
-            if (ending == ACTIVE_SET_INFEASIBLE) return ending;
-        } else if (s->count > 0) {
-            j = s->active[s->count - 1];
-            drop_row(s, s->count - 1);
-        } else break;
-        if (ending == OPTIMAL) continue;
-        s->side[j] = LEFT_OUT;
-        left_out++;
-    }
-    readmit(s);
-    s->iterations = iterations;
-    const as_real excess = active_set_excess(s);
-    if (!(excess <= REAL(1e4))) return ACTIVE_SET_FAILED;
-    return excess <= 1 && ending == OPTIMAL && left_out == 0 ? iterations : ACTIVE_SET_INACCURATE;
-}
-
 /* ---- a solve ------------------------------------------------------------------------------- */
 
 /* base := −P⁻¹q; returns the square of its length in the norm of P, infinite or NaN if q is. */
@@ -886,55 +586,6 @@ static void settle(active_set *s) {
     write_row_values(s);
 }
 
-/* Whether a refined answer is an optimum without a look at all its residuals: by what rounding leaves
- * in a row of length √H_ii, in the gradient, and of that in the variables that are at no bound. */
-static int is_clear(const active_set *s, as_real next, as_real size) {
-    const as_real row = larger(next, ROUNDING_OF(1e-14) * size) * s->longest;
-    as_real terms = s->steepest * largest_of(s->z, s->n), bounds = 0, cost = 0, free = 0;
-    for (int k = 0; k < s->count; k++) {
-        const as_real lam = size_of(s->lam[s->active[k]]);
-        if (s->active[k] < s->n) bounds = larger(bounds, lam);
-        else terms += s->largest * lam;
-    }
-    for (int c = 0; c < s->n; c++) {
-        cost = larger(cost, size_of(s->q[c]));
-        if (s->side[c] == NEITHER) free = larger(free, size_of(s->q[c]));
-    }
-    return row <= SMALL && 4 * EPSILON * (terms + bounds + cost) <= SMALL * (1 + cost) &&
-        4 * EPSILON * (terms + free) * s->widest <= ROUNDING_OF(5e-7);
-}
-
-/* Refine the answer of a search, and go on where that shows other rows to be violated. */
-static int refine_search(active_set *s, as_real reach) {
-    const as_real coarse = VIOLATED * reach, first = larger(reach * reach, TINY);
-    as_real size = reach, before = first;
-    view found;
-    for (int pass = 0; pass < PASSES; pass++) {
-        const as_real correction = refine(s, &size), off = root(correction);
-        const int dropped = correct_signs(s, larger(coarse, off));
-        const as_real next = root(correction * smaller(1, correction / before));
-        const int settled = dropped == 0 && next <= SETTLED * size;
-        const as_real noise = larger(VIOLATED * size, next), close = 2 * NEAR * size;
-        for (int c = 0; c < s->n; c++) s->base[c] = s->z[c];
-        add_active_rows(s, s->base, 1);
-        if (dropped > 0) {
-            restore_signs(s);
-            write_point(s);
-        }
-        look(s, &found, noise, close);
-        if (found.count == 0 && dropped == 0 && (settled || correction > before / 4)) {
-            if (found.near || is_steep(s)) return DOUBTFUL;
-            const int sure = settled && is_clear(s, next, size);
-            return sure || active_set_excess(s) <= 1 ? s->iterations : DOUBTFUL;
-        }
-        before = found.count == 0 ? correction : first;
-        /* Whether rows hardly contradict each other is decided on refined values only. */
-        const int ending = activate_violated(s, &found, coarse, close, size, 1);
-        if (ending != OPTIMAL) return ending;
-    }
-    return DOUBTFUL;
-}
-
 static int search(active_set *s) {
     if (s->stale || !s->warm) clear_set(s);
     s->stale = s->iterations = 0;
@@ -955,30 +606,23 @@ static int search(active_set *s) {
     const int ending = activate_violated(s, &found, coarse, close, 2 * size, 0);
     if (ending != OPTIMAL) return ending;
     const as_real length = s->count > 0 ? length_of_point(s) : 0;
-    const int sure = !found.near && length <= 2 * size && !is_steep(s) &&
-                     s->loss * largest_of(s->q, s->n) <= LOST;
-    for (int again = 0; again < 2 && (sure || !s->refine); again++) {
+    const int sure = !s->refine || (!found.near && length <= 2 * size && !is_steep(s) &&
+                                       s->loss * largest_of(s->q, s->n) <= LOST);
+    for (int again = 0; again < 2 && sure; again++) {
         if (is_settled(s, length)) return s->iterations;
         if (again == 0) settle(s);
     }
     return UNREFINED;
 }
 
-/* Refine the answer of a search that ended so, and decide on exact values what is doubtful still. */
-static int refine_answer(active_set *s, int ending) {
-    const as_real reach = root(larger(-dot(s->q, s->base, s->n), 0));
-    if (ending == UNREFINED) ending = refine_search(s, reach);
-    return ending == DOUBTFUL ? decide_exactly(s) : ending;
-}
-
 int active_set_solve(active_set *s) {
     int ending = search(s);
-    if (ending <= DOUBTFUL) ending = s->refine ? s->refine(s, ending) : ACTIVE_SET_INACCURATE;
+    if (ending <= DOUBTFUL && s->refine) ending = s->refine(s, ending);
+    else if (ending <= DOUBTFUL)
+        ending = ending == CONTRADICTED ? ACTIVE_SET_INFEASIBLE : ACTIVE_SET_INACCURATE;
     s->stale = ending < 0 && ending != ACTIVE_SET_INACCURATE;
     return ending;
 }
-
-/* ---- set-up -------------------------------------------------------------------------------- */
 
 void active_set_place_step(active_set *s, as_real *reals, int *integers) {
     const int n = s->n, N = n + s->m;
@@ -992,125 +636,4 @@ void active_set_place_step(active_set *s, as_real *reals, int *integers) {
     s->L = reals;
     s->active = integers;
     s->side = integers + n;
-}
-
-void active_set_let_refine(active_set *s) { s->refine = refine_answer; }
-
-void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers) {
-    const size_t square = (size_t)n * (size_t)n, rows = (size_t)m * (size_t)n;
-    s->n = n;
-    s->m = m;
-    active_set_place_step(s, reals, integers);
-    active_set_let_refine(s);
-    s->unit = reals += ACTIVE_SET_STEP_REALS(n, m);
-    s->P = reals += n + m;
-    s->G = reals += square;
-    s->a = reals + square + rows;
-    s->first = integers += ACTIVE_SET_STEP_INTEGERS(n, m);
-    s->order = integers += m + 1;
-    s->column = integers + n;
-}
-
-/* X := P⁻¹ in place: P = UᵀU row by row, then W = U⁻ᵀ into the lower triangle and WᵀW; 0 unless
- * P is positive definite. */
-static int invert(as_real *X, int n) {
-    for (int k = 0; k < n; k++) {
-        as_real *row = X + (size_t)k * (size_t)n;
-        if (!(row[k] > 0)) return 0;
-        row[k] = 1 / root(row[k]);
-        if (is_infinite(row[k])) return 0;
-        for (int c = k + 1; c < n; c++) row[c] *= row[k];
-        for (int i = k + 1; i < n; i++) add_scaled(X + i * n + i, -row[i], row + i, n - i);
-    }
-    for (int i = 0; i < n; i++) {
-        as_real *row = X + (size_t)i * (size_t)n;
-        clear(row, i);
-        for (int k = 0; k < i; k++) add_scaled(row, -X[k * n + i], X + k * n, k + 1);
-        for (int c = 0; c < i; c++) row[c] *= row[i];
-    }
-    for (int i = 0; i < n; i++) {
-        as_real *row = X + (size_t)i * (size_t)n, t = row[i];
-        for (int c = 0; c <= i; c++) row[c] *= t;
-        for (int k = i + 1; k < n; k++) add_scaled(row, X[k * n + i], X + k * n, i + 1);
-        for (int c = 0; c < i; c++) X[c * n + i] = row[c];
-    }
-    return 1;
-}
-
-/* The entries of A, A P⁻¹ and the lengths of all rows. */
-static int write_rows(active_set *s, const as_real *A) {
-    const int n = s->n, N = n + s->m;
-    as_real *a = (as_real *)s->a, *unit = (as_real *)s->unit, *G = (as_real *)s->G;
-    int *first = (int *)s->first, *column = (int *)s->column, end = 0;
-    s->longest = 0;
-    s->largest = 1;
-    for (int i = 0; i < N; i++, G += n) {
-        if (i >= n) {
-            first[i - n] = end;
-            clear(G, n);
-            for (int c = 0; c < n; c++) {
-                const as_real x = *A++;
-                if (is_infinite(x)) return ACTIVE_SET_DATA_NOT_FINITE;
-                if (x == 0) continue;
-                a[end] = x;
-                column[end++] = c;
-                s->largest = larger(s->largest, size_of(x));
-                add_scaled(G, x, inverse_row(s, c), n);
-            }
-            first[i - n + 1] = end;
-        }
-        const as_real length = root(larger(entry(s, i, i), 0));
-        unit[i] = length > ZERO_ROW ? 1 / length : 1;
-        s->longest = larger(s->longest, length);
-    }
-    if (s->m == 0) first[0] = 0;
-    return ACTIVE_SET_OK;
-}
-
-int active_set_replace_rows(active_set *s, const as_real *A) {
-    const int refused = write_rows(s, A);
-    if (refused == ACTIVE_SET_OK && s->warm && !s->stale) renew_set(s);
-    else s->stale = 1;
-    return refused;
-}
-
-/* loss := the largest entry of P P⁻¹x − x for an x of ±1: what rounding leaves of a gradient of 1. */
-static void measure_loss(active_set *s) {
-    const int n = s->n;
-    for (int c = 0; c < n; c++) s->e[c] = REAL(c % 3 ? 1 : -1);
-    clear(s->r, n);
-    add_product(s, s->r, s->G, s->e);
-    for (int c = 0; c < n; c++) s->e[c] = -s->e[c];
-    add_product(s, s->e, s->P, s->r);
-    s->loss = largest_of(s->e, n);
-}
-
-int active_set_factorise(active_set *s, const as_real *P, const as_real *A) {
-    const int n = s->n;
-    as_real *own = (as_real *)s->P, *G = (as_real *)s->G;
-    int *order = (int *)s->order, single = n;
-    s->steepest = s->widest = 0;
-    s->coupled = 0;
-    for (int i = 0; i < n; i++) {
-        as_real sum = 0;
-        int others = 0;
-        for (int c = 0; c < n; c++) {
-            const as_real p = (P[i * n + c] + P[c * n + i]) / 2;
-            own[i * n + c] = G[i * n + c] = p;
-            sum += size_of(p);
-            others += i != c && p != 0;
-        }
-        if (is_infinite(sum)) return ACTIVE_SET_DATA_NOT_FINITE;
-        s->steepest = larger(s->steepest, sum);
-        if (others) order[s->coupled++] = i;
-        else order[--single] = i;
-    }
-    if (!invert(G, n)) return ACTIVE_SET_NOT_DEFINITE;
-    for (int i = 0; i < n; i++) {
-        as_real sum = 0;
-        for (int c = 0; c < n; c++) sum += size_of(inverse_row(s, i)[c]);
-        s->widest = larger(s->widest, sum);
-    }
-    measure_loss(s);
-    return active_set_replace_rows(s, A);
 }

@@ -2,7 +2,8 @@
  *
  *     minimise ½ zᵀP z + qᵀz   subject to   low ≤ C z ≤ high,   C = [I; A],   P positive definite
  *
- * C99, two files, no allocation, no library but sqrt and fabs. The caller gives all memory:
+ * C99, no allocation, no library but sqrt and fabs. Compile active_set_setup.c, which includes the
+ * other files; active_set.c alone where P and A stay (active_set_place_step). The caller gives all memory:
  *
  *     active_set s;
  *     active_set_place(&s, n, m, reals, integers);     lengths: ACTIVE_SET_REALS, ACTIVE_SET_INTEGERS
@@ -28,7 +29,7 @@ typedef double as_real;
 enum {
     ACTIVE_SET_NOT_FINITE = -1, /* q or P⁻¹q is no number */
     ACTIVE_SET_CROSSED = -2,    /* low > high, or a limit is NaN */
-    ACTIVE_SET_INFEASIBLE = -3, /* lam is a proof (a Farkas ray), checked by multiplication */
+    ACTIVE_SET_INFEASIBLE = -3, /* lam is a Farkas ray: by `refine` a proof, checked by multiplication */
     ACTIVE_SET_INACCURATE = -4, /* z is near an optimum, or rounding decides where that is */
     ACTIVE_SET_FAILED = -5      /* no usable z */
 };
@@ -81,11 +82,11 @@ struct active_set {
 
 void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers);
 /* Where P stays, its constants can be computed elsewhere and lie in read-only memory: give n, m and
- * all of them, place the memory of a step alone, and solve without active_set_factorise. Without
- * `refine` the linker can leave out a third of the code and P is not read: z is then as good as P⁻¹
- * is, and an answer whose active rows are off their limits is INACCURATE. */
+ * all of them, place the memory of a step alone, and solve without active_set_factorise. active_set.c
+ * is enough then, without `refine`, and P is not read: z is as good as P⁻¹ is, an answer whose active
+ * rows are off their limits is INACCURATE, and a contradiction is found but not proved. */
 void active_set_place_step(active_set *s, as_real *reals, int *integers);
-/* Have answers refined after that, as active_set_place does. */
+/* Have answers refined after that, as active_set_place does: compile active_set_care.c instead. */
 void active_set_let_refine(active_set *s);
 int active_set_factorise(active_set *s, const as_real *P, const as_real *A);
 /* New rows of A with the P of before; the active set stays. */

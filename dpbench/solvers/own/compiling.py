@@ -14,7 +14,13 @@ import zlib
 from pathlib import Path
 
 FOLDER = Path(__file__).parent
-SOURCES = ("active_set.h", "active_set.c", "hildreth.c")
+SOURCES = (
+    "active_set.h",
+    "active_set.c",
+    "active_set_care.c",
+    "active_set_setup.c",
+    "hildreth.c",
+)
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 # Neither the machine's own instructions nor contracted products: the same results everywhere.
 FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-shared", "-fPIC")
@@ -52,7 +58,7 @@ def compile_library(folder: Path = FOLDER) -> Path:
         return target
     folder.mkdir(parents=True, exist_ok=True)
     partial = folder / f"{target.name}.{os.getpid()}"
-    # It includes the other one.
+    # It includes the others.
     source = str(FOLDER / "hildreth.c")
     command = [*compiler_command(), *FLAGS, "-o", str(partial), source]
     try:

@@ -17,8 +17,8 @@
  *     k        1 + 2^−k                      ½ − 2^−(k+1)                       → (½, 1.5)
  */
 
-/* One unit of compilation: the functions of active_set.c serve here too. */
-#include "active_set.c"
+/* One unit of compilation: the functions of the active-set method serve here too. */
+#include "active_set_setup.c"
 
 /* z := base − Σ λ_i P⁻¹c_i over all rows, and their values behind it */
 static void write_all(active_set *s) {

@@ -53,7 +53,7 @@ def test_it_compiles_without_a_warning_and_solves_the_example_of_its_head(
         pytest.skip(str(error))
     main, program = tmp_path / "main.c", tmp_path / "main"
     main.write_text(MAIN, encoding="utf-8")
-    sources = [str(main), str(compiling.FOLDER / "active_set.c")]
+    sources = [str(main), str(compiling.FOLDER / "active_set_setup.c")]
     flags = (*STRICT, *precision, f"-I{compiling.FOLDER}", "-o", str(program))
     subprocess.run([*compiler, *flags, *sources, "-lm"], check=True)
     for arguments in ([], ["step"]):

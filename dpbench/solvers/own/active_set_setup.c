@@ -1,0 +1,122 @@
+/* Set-up of the active-set method from P and A. This file includes the method and its refinement. */
+
+#include "active_set_care.c"
+
+void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers) {
+    const size_t square = (size_t)n * (size_t)n, rows = (size_t)m * (size_t)n;
+    s->n = n;
+    s->m = m;
+    active_set_place_step(s, reals, integers);
+    active_set_let_refine(s);
+    s->unit = reals += ACTIVE_SET_STEP_REALS(n, m);
+    s->P = reals += n + m;
+    s->G = reals += square;
+    s->a = reals + square + rows;
+    s->first = integers += ACTIVE_SET_STEP_INTEGERS(n, m);
+    s->order = integers += m + 1;
+    s->column = integers + n;
+}
+
+/* X := P⁻¹ in place: P = UᵀU row by row, then W = U⁻ᵀ into the lower triangle and WᵀW; 0 unless
+ * P is positive definite. */
+static int invert(as_real *X, int n) {
+    for (int k = 0; k < n; k++) {
+        as_real *row = X + (size_t)k * (size_t)n;
+        if (!(row[k] > 0)) return 0;
+        row[k] = 1 / root(row[k]);
+        if (is_infinite(row[k])) return 0;
+        for (int c = k + 1; c < n; c++) row[c] *= row[k];
+        for (int i = k + 1; i < n; i++) add_scaled(X + i * n + i, -row[i], row + i, n - i);
+    }
+    for (int i = 0; i < n; i++) {
+        as_real *row = X + (size_t)i * (size_t)n;
+        clear(row, i);
+        for (int k = 0; k < i; k++) add_scaled(row, -X[k * n + i], X + k * n, k + 1);
+        for (int c = 0; c < i; c++) row[c] *= row[i];
+    }
+    for (int i = 0; i < n; i++) {
+        as_real *row = X + (size_t)i * (size_t)n, t = row[i];
+        for (int c = 0; c <= i; c++) row[c] *= t;
+        for (int k = i + 1; k < n; k++) add_scaled(row, X[k * n + i], X + k * n, i + 1);
+        for (int c = 0; c < i; c++) X[c * n + i] = row[c];
+    }
+    return 1;
+}
+
+/* The entries of A, A P⁻¹ and the lengths of all rows. */
+static int write_rows(active_set *s, const as_real *A) {
+    const int n = s->n, N = n + s->m;
+    as_real *a = (as_real *)s->a, *unit = (as_real *)s->unit, *G = (as_real *)s->G;
+    int *first = (int *)s->first, *column = (int *)s->column, end = 0;
+    s->longest = 0;
+    s->largest = 1;
+    for (int i = 0; i < N; i++, G += n) {
+        if (i >= n) {
+            first[i - n] = end;
+            clear(G, n);
+            for (int c = 0; c < n; c++) {
+                const as_real x = *A++;
+                if (is_infinite(x)) return ACTIVE_SET_DATA_NOT_FINITE;
+                if (x == 0) continue;
+                a[end] = x;
+                column[end++] = c;
+                s->largest = larger(s->largest, size_of(x));
+                add_scaled(G, x, inverse_row(s, c), n);
+            }
+            first[i - n + 1] = end;
+        }
+        const as_real length = root(larger(entry(s, i, i), 0));
+        unit[i] = length > ZERO_ROW ? 1 / length : 1;
+        s->longest = larger(s->longest, length);
+    }
+    if (s->m == 0) first[0] = 0;
+    return ACTIVE_SET_OK;
+}
+
+int active_set_replace_rows(active_set *s, const as_real *A) {
+    const int refused = write_rows(s, A);
+    if (refused == ACTIVE_SET_OK && s->warm && !s->stale) renew_set(s);
+    else s->stale = 1;
+    return refused;
+}
+
+/* loss := the largest entry of P P⁻¹x − x for an x of ±1: what rounding leaves of a gradient of 1. */
+static void measure_loss(active_set *s) {
+    const int n = s->n;
+    for (int c = 0; c < n; c++) s->e[c] = REAL(c % 3 ? 1 : -1);
+    clear(s->r, n);
+    add_product(s, s->r, s->G, s->e);
+    for (int c = 0; c < n; c++) s->e[c] = -s->e[c];
+    add_product(s, s->e, s->P, s->r);
+    s->loss = largest_of(s->e, n);
+}
+
+int active_set_factorise(active_set *s, const as_real *P, const as_real *A) {
+    const int n = s->n;
+    as_real *own = (as_real *)s->P, *G = (as_real *)s->G;
+    int *order = (int *)s->order, single = n;
+    s->steepest = s->widest = 0;
+    s->coupled = 0;
+    for (int i = 0; i < n; i++) {
+        as_real sum = 0;
+        int others = 0;
+        for (int c = 0; c < n; c++) {
+            const as_real p = (P[i * n + c] + P[c * n + i]) / 2;
+            own[i * n + c] = G[i * n + c] = p;
+            sum += size_of(p);
+            others += i != c && p != 0;
+        }
+        if (is_infinite(sum)) return ACTIVE_SET_DATA_NOT_FINITE;
+        s->steepest = larger(s->steepest, sum);
+        if (others) order[s->coupled++] = i;
+        else order[--single] = i;
+    }
+    if (!invert(G, n)) return ACTIVE_SET_NOT_DEFINITE;
+    for (int i = 0; i < n; i++) {
+        as_real sum = 0;
+        for (int c = 0; c < n; c++) sum += size_of(inverse_row(s, i)[c]);
+        s->widest = larger(s->widest, sum);
+    }
+    measure_loss(s);
+    return active_set_replace_rows(s, A);
+}
