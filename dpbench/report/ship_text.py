@@ -180,11 +180,22 @@ def _describe_limits(known: Sequence[ShipResult]) -> list[str]:
         return ["No limit is ever active: the QPs were never hard."]
     if low == high:
         return [f"Limits are active in {low} of the steps."]
-    never = [ship for ship in known if ship.run.exact_active_share == 0.0]
+    by_name = group_by(known, lambda ship: ship.run.study or ship.name)
+    shares = {name: max(s.run.exact_active_share for s in own) for name, own in by_name.items()}
+    never = [ship for name, own in by_name.items() if shares[name] == 0.0 for ship in own]
     return [
-        f"Limits are active in {low} (`{least.name}`) to {high} (`{most.name}`) of the steps.",
+        f"Limits are active in {low} ({_locate_ship(least)}) to {high} ({_locate_ship(most)}) of "
+        "the steps.",
         *([f"In {_name_ships(never)} none ever is: these QPs were never hard."] if never else []),
     ]
+
+
+def _locate_ship(ship: ShipResult) -> str:
+    """Name a scenario, or the point and realisation of a study."""
+    run = ship.run
+    if not run.study:
+        return f"`{ship.name}`"
+    return f"point {run.study_point:.0f}, sea {run.replicate:.0f} of `{run.study}`"
 
 
 def _name_ships(ships: Sequence[ShipResult]) -> str:

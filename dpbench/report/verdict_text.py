@@ -146,16 +146,16 @@ def describe_finding(finding: Finding) -> str:
         return _WORDS[finding.kind].format(**words)
     first, *others = finding.runs
     also = _experiments_text(others)
-    rounds = first.rounds
-    done = first.steps_done * (rounds if rounds > 1.0 else 1.0)
-    return _WORDS[finding.kind].format(
+    # Failures in replays are counted in the warm-up, too: their number may exceed that of steps.
+    in_rounds = finding.kind == "failed" and first.mode == "replay"
+    return _WORDS["failed answers" if in_rounds else finding.kind].format(
         **words,
         where=experiment_text(first),
         experiments=_experiments_text(finding.runs),
         detail=outcome_cause(first),
         outcome=first.outcome,
         planned=count_text(first.steps_planned),
-        of=plural(done, "step"),
+        done=plural(first.steps_done, "step"),
         counted=plural(finding.value, "step"),
         error=error_text(finding.value),
         time=time_text(finding.value),

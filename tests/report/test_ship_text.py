@@ -214,3 +214,14 @@ def test_a_ship_on_station_has_no_banner_anywhere(tmp_path: Path, capsys: Any) -
     scenario = load_scenario(tmp_path / "ship.toml")
     run = run_closed_loop(scenario, open_workspace("paper_active_set"))
     assert BANNER not in repr(run) and "on station" in run._repr_html_()
+
+
+def test_a_study_with_one_point_of_active_limits_was_hard(records: Any) -> None:
+    """The realisations have one scenario: named by point and realisation, not by it."""
+    for point, share in enumerate((0.0, 0.245)):
+        records.sea("daqp", point, 1, {"waves.hs_m": 2.0 + point}, exact_active_share=share)
+    text = _summary(records).text
+    limits = (
+        "Limits are active in 0 % (point 0, sea 1 of `seas`) to 24.5 % (point 1, sea 1 of `seas`)"
+    )
+    assert text.endswith(f"{limits} of the steps.")

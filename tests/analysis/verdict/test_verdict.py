@@ -50,7 +50,11 @@ CAUSES = [
     ({"failed": 3}, {}, "3 of 120 steps fail in `paper`"),
     ({}, {"median_us": 4000.0}, "its p99 is"),
     ({}, {"median_us": 4000.0, "steps": 300}, "its p95 is already"),
-    ({}, {"failed": 2}, "2 of 3\u202f000 steps fail in the replay of `paper`"),
+    (
+        {},
+        {"failed": 2},
+        "2 answers fail in the replay of `paper` over all rounds with warm-up (1\u202f000 steps)",
+    ),
     ({}, {"error": 0.2}, "off the optimum in the replay of `paper`"),
 ]
 
