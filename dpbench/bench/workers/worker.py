@@ -7,7 +7,8 @@ small JSON verdict, and never prints.
 import gc
 import os
 import warnings
-from collections.abc import Callable, Sequence, Set
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from multiprocessing.connection import Connection
@@ -54,6 +55,8 @@ from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import Availability, isolate, load_solver_module
 
 Hang = tuple[int, int]  # Round, 0 in a closed loop, and step in which a process hung
+MOST_FAILURES = 3
+"""Different reasons of failures that the outcome of a run names."""
 
 
 def disable_gc_and_warnings() -> None:
@@ -244,14 +247,19 @@ def _make_outcome(
     cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stopped: str
 ) -> Outcome:
     """Return the outcome of a run that ended by itself; `stopped` tells of its time limit."""
-    details = [f"stopped after {cell.limit_s:g} s {stopped}"] if stopped else []
-    if timed_solver.details:
-        # The library's most frequent words on its failures.
-        words, count = max(timed_solver.details.items(), key=lambda item: item[1])
-        details.append(f"{count} × {words}")
+    details = [f"stopped after {cell.limit_s:g} s (cell_limit_s) {stopped}"] if stopped else []
+    details += describe_failures(timed_solver.details)
     detail = "; ".join(filter(None, [*details, truncation_note()]))
     outcome = "timed_out" if stopped else "finished"
     return Outcome(outcome, detail, workspace.form, *timed_solver.size, process_peak_bytes())
+
+
+def describe_failures(counts: Mapping[str, int]) -> list[str]:
+    """Describe a solver's failures by count and the library's words, the most frequent first."""
+    named = Counter(counts).most_common(MOST_FAILURES)
+    others = sum(counts.values()) - sum(count for _, count in named)
+    words = [f"{count} × {text}" for text, count in named]
+    return [*words, f"{others} × other words"] if others else words
 
 
 @dataclass(frozen=True)

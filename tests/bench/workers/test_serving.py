@@ -157,7 +157,10 @@ def test_a_round_beyond_the_limit_ends_its_sequence_alone(place: int, suite: Pat
     wanted = ["finished"] * len(SEQUENCES)
     wanted[place - 1] = "timed_out"
     assert list(results.runs["outcome"]) == wanted, list(results.runs["outcome_detail"])
-    assert "stopped after 1 s in round 1" in results.runs["outcome_detail"].iloc[place - 1]
+    assert (
+        "stopped after 1 s (cell_limit_s) in round 1"
+        in results.runs["outcome_detail"].iloc[place - 1]
+    )
     assert len(set(pids(suite))) == 1 and not is_running(pids(suite)[0])
 
 

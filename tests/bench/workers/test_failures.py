@@ -1,0 +1,20 @@
+"""What a run says of its solver's failures."""
+
+import pytest
+
+from dpbench.bench.workers.worker import describe_failures
+
+
+@pytest.mark.parametrize(
+    ("counts", "output"),
+    [
+        ({}, []),
+        ({"inaccurate": 10, "maximum": 16}, ["16 × maximum", "10 × inaccurate"]),
+        (
+            {"a": 1, "b": 5, "c": 2, "d": 4, "e": 1},
+            ["5 × b", "4 × d", "2 × c", "2 × other words"],
+        ),
+    ],
+)
+def test_failures_are_counted_by_their_words(counts: dict[str, int], output: list[str]) -> None:
+    assert describe_failures(counts) == output
