@@ -1,13 +1,13 @@
-"""Every command of the guides, the tutorials and the README shows what it prints."""
+"""Every command of the guides and the tutorials shows what it prints."""
 
 import re
 from pathlib import Path
 
 import pytest
 
-from tests.docs.markdown_blocks import DOCS, README
+from tests.docs.markdown_blocks import DOCS
 
-SHOWN = [README, *sorted((DOCS / "guide").glob("*.md")), *sorted((DOCS / "tutorials").glob("*.md"))]
+SHOWN = [*sorted((DOCS / "guide").glob("*.md")), *sorted((DOCS / "tutorials").glob("*.md"))]
 FOLLOWED_BY = re.compile(
     r"^```sh\n(?P<commands>.*?)\n```\n(?P<between>.*?)"
     r"(?:^```(?P<next>\w*)[^\n]*\n(?P<shown>.*?)^```$|\Z)",
