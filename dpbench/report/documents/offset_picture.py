@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 
@@ -9,7 +10,8 @@ from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.thinned_runs import extreme_indices
 from dpbench.arrays import Vector
 from dpbench.report.charts.style import ACCENT, FAIL, INK, SOFT
-from dpbench.report.formats import significant
+from dpbench.report.documents.scenario_words import losses
+from dpbench.report.formats import and_list, significant
 from dpbench.report.page.data import PageData
 
 POINTS = 300  # Corners of the line, at most: one every 1.7 points of a page
@@ -51,6 +53,11 @@ class OffsetPicture:
             f'<path d="M{left} {top}v{height}h{width}" fill="none" stroke="{SOFT}"/>'
             f'<polyline points="{line}" fill="none" stroke="{ACCENT}" stroke-width="1.2"/>'
         )
+        for at_s, lost in losses((self.run.scenario_files or {}).get("scenario", {})):
+            at = left + width * at_s / max(float(self.t_s[-1]), 1e-9)
+            if at <= left + width:
+                yield f'<path d="M{at:.1f} {top}v{height}" stroke="{FAIL}" stroke-width="0.8"/>'
+                yield _label(at, top + 7.0, f"loss of {escape(and_list(lost))}")
         yield _label(left + width - 40.0, top + height - 3.0, f"{significant(self.t_s[-1])} s")
 
 

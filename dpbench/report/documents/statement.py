@@ -22,12 +22,13 @@ from dpbench.errors import InputError
 from dpbench.files.writing import write_named_file
 from dpbench.report.charts.style import FAIL, INK, LINE, SOFT
 from dpbench.report.documents.offset_picture import OffsetPicture, find_offset_picture
+from dpbench.report.documents.scenario_words import describe_scenario, describe_thrusters
 from dpbench.report.formats import strip_markdown, time_text
 from dpbench.report.machine_verdict import disturbance_text
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import speed_margin_text
 from dpbench.report.page.terms import DRAG_MISMATCH
-from dpbench.report.ship_text import describe_ship, describe_unmet, summarise_ships
+from dpbench.report.ship_text import describe_unmet, summarise_ships
 from dpbench.report.verdict_text import (
     deployment_facts,
     judged_runs_text,
@@ -37,7 +38,7 @@ from dpbench.report.verdict_text import (
 from dpbench.report.words import render_document
 from dpbench.solvers.settings import all_options
 
-MOST_SHIPS = 8
+MOST_SHIPS = 5
 WIDTH, HEIGHT, MARGIN = 595, 842, 48
 """A4 in points."""
 HASHED = ("runs.parquet", "steps.parquet", "machine.json", "suite.json")
@@ -91,10 +92,11 @@ _LOOKS: dict[str, dict[str, Any]] = {
     "%": {"size": 7, "colour": SOFT, "is_caption": True},
     "`": {"size": 7},
     "~": {"size": 7.5},
-    "_": {"size": 9, "gap": 14.0},
+    "-": {"size": 6.5},
+    "_": {"size": 9, "gap": 8.0},
 }
-WRAPPED = {"!": 100, "": 120}  # Letters of a line, by mark
-PICTURE_HEIGHT = 84.0  # [points]
+WRAPPED = {"!": 100, "": 120, "%": 130, "-": 148, "~": 125}  # Letters of a line, by mark
+PICTURE_HEIGHT = 60.0  # [points]
 """Look of a line by the mark it begins with; a line without one is wrapped."""
 
 
@@ -113,7 +115,8 @@ def _format_lines(
             mark, text = "", line
         look, wide = _LOOKS.get(mark, {}), WRAPPED.get(mark)
         lines = [text] if wide is None else textwrap.wrap(" ".join(text.split()), wide)
-        yield from (TextLine(part, **look) for part in lines)
+        for number, part in enumerate(lines):
+            yield TextLine(part, **look | ({"is_caption": False} if number else {}))
 
 
 def _fill_statement(
@@ -123,17 +126,27 @@ def _fill_statement(
     c, records = chosen.configuration, data.records
     known = [s for s in map(records.scenario, records.scenarios) if s is not None]
     ships = [ship for ship in data.ships if not ship.run.study]
+    ships.sort(key=lambda ship: ship.state != "leaves")
     options = all_options(c.solver_settings, c.solver)
     by_solver = results.runs.groupby("solver")["solver_version"]
     versions = {name: ", ".join(sorted({str(v) for v in own if v})) for name, own in by_solver}
     vessels = {s.vessel.id: s.vessel for s in known}
+    files = list({s.vessel.id: s.files["vessel"] for s in known}.values())
     return render_document(
         "statement",
         made_by=describe_version(results.suite),
         ship={
             name: strip_markdown(text) for name, text in vars(summarise_ships(data.ships)).items()
         },
-        ship_lines=[strip_markdown(describe_ship(ship)) for ship in ships[:MOST_SHIPS]],
+        ship_lines=[
+            [strip_markdown(line) for line in describe_scenario(ship)]
+            for ship in ships[:MOST_SHIPS]
+        ],
+        more_ships=max(0, len(ships) - MOST_SHIPS),
+        thrusters=[
+            text for file in files if (text := describe_thrusters(file.get("thrusters") or ()))
+        ],
+        sources=[file["source"] for file in files if file.get("source")],
         caption=caption,
         unmet=describe_unmet(ships, known),
         compared=[

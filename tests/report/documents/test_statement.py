@@ -14,6 +14,7 @@ from dpbench.cli.main import main
 from dpbench.report.documents.statement import HEIGHT, MARGIN, WIDTH, statement_svg
 from dpbench.report.formats import error_text, time_text
 from dpbench.report.page.recommendation import speed_margin_text
+from dpbench.report.report import Report
 from dpbench.report.ship_text import BANNER
 from dpbench.ship.drag import HullDrag
 
@@ -151,3 +152,18 @@ def test_a_lost_ship_is_the_first_line_of_its_statement(records: Any, tmp_path: 
     assert texts[3].startswith(BANNER) and texts.index("Solver of these QPs alone") > 3
     assert not any("ecommend" in text for text in texts)
     assert "stroke-dasharray" in drawn
+
+
+def test_it_states_weather_losses_thrusters_and_source(records: Any, tmp_path: Path) -> None:
+    """Those of the scenario file and of the vessel file; the figure marks the loss."""
+    records.loop("daqp", "thrusters_loss", steps=500)
+    records.replay("daqp", "thrusters_loss", spread=0.1)
+    results = records.results()
+    report = Report.of(results)
+    svg = statement_svg(records.write(tmp_path / "out"), results, report.data)
+    lines = ["".join(element.itertext()) for element in _texts(svg)]
+    text = " ".join(lines)
+    assert "loss of board A at 90 s" in text and "loss of board A" in lines
+    assert "Thrusters by switchboard: board A: " in text
+    assert "wind " in text and " m/s from " in text and "current " in text
+    assert max(len(line) * 3.5 for line in lines) <= WIDTH
