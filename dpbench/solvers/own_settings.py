@@ -77,7 +77,12 @@ def expand_grid(options: Options, where: str) -> list[Options]:
 
 def describe_options(options: Options) -> str:
     """Return options as text in TOML, sorted by name, such as `eps_abs=1e-5,rho=1.6`."""
-    return ",".join(f"{key}={_describe_value(value)}" for key, value in sorted(_flatten(options)))
+    return ",".join(f"{key}={value}" for key, value in list_options(options).items())
+
+
+def list_options(options: Options) -> dict[str, str]:
+    """Return the value of each option as text in TOML, sorted by name."""
+    return {key: _describe_value(value) for key, value in sorted(_flatten(options))}
 
 
 def encode_options(options: Options) -> str:

@@ -8,9 +8,11 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
 from dpbench.errors import ResultsError
+from dpbench.solvers.own_settings import decode_options, list_options
 
 KEY = ("mode", "scenario", "sequence", *CONFIGURATION_COLUMNS, "steps_planned")
 """Columns that two cells share when they ask the same question of the same configuration."""
+Key = tuple[Any, ...]
 LASTING = ("cpu_model", "cores", "memory_GiB", "kernel", "python", "versions")
 
 
@@ -26,7 +28,18 @@ class Pair:
         """Name of the paired runs' solver configuration, with both versions where they differ."""
         old, new = (f"{run.solver_version} {run.build}".strip() for run in (self.a, self.b))
         versions = "" if old == new else f" {old} → {new}"
-        return self.a.configuration.label_of(f"{self.a.solver}{versions}")
+        label = self.a.configuration.label_of(f"{self.a.solver}{versions}")
+        return f"{label} with {change}" if (change := self.options_change) else label
+
+    @property
+    def options_change(self) -> str:
+        """Options of settings of one's own that differ, such as `rho 1.6 → 0.01`; "" for none."""
+        old, new = (list_options(decode_options(run.options)) for run in (self.a, self.b))
+        return ", ".join(
+            f"{name} {old.get(name, 'not set')} → {new.get(name, 'not set')}"
+            for name in sorted({*old, *new})
+            if old.get(name) != new.get(name)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +64,8 @@ def machine_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]
 def pair_cells(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
     """Pair the runs of two result folders by configuration and problem.
 
-    A cell refused in both is left out; one whose problem changed under its name has no partner.
+    Settings of one's own whose options changed are paired by their name. A cell refused in both is
+    left out; one whose problem changed under its name has no partner.
 
     Raises
     ------
@@ -59,8 +73,9 @@ def pair_cells(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
     """
     cells_a, cells_b = _runs_by_key(a), _runs_by_key(b)
     pairs, changed, lost = [], [], []
-    for key in (key for key in cells_a if key in cells_b):
-        pair = Pair(cells_a[key], cells_b[key])
+    partners = {key: key for key in cells_a if key in cells_b} | _changed_options(cells_a, cells_b)
+    for key in (key for key in cells_a if key in partners):
+        pair = Pair(cells_a[key], cells_b[partners[key]])
         outcomes = pair.a.outcome, pair.b.outcome
         if problem_key(pair.a) != problem_key(pair.b):
             changed.append(_describe_cell(pair.a))
@@ -71,9 +86,31 @@ def pair_cells(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
     if not pairs and not lost:
         missing = "no cell that the first folder has too, of the same problem"
         raise ResultsError(names[1], "", missing, f"results of the suite of {names[0]}")
-    only_a = [_describe_cell(run) for key, run in cells_a.items() if key not in cells_b]
-    only_b = [_describe_cell(run) for key, run in cells_b.items() if key not in cells_a]
+    only_a = [_describe_cell(run) for key, run in cells_a.items() if key not in partners]
+    found = set(partners.values())
+    only_b = [_describe_cell(run) for key, run in cells_b.items() if key not in found]
     return Pairs(pairs, only_a, only_b, changed, lost)
+
+
+def _changed_options(
+    cells_a: Mapping[Key, RunRecord], cells_b: Mapping[Key, RunRecord]
+) -> dict[Key, Key]:
+    """Map keys of A to those of B that differ in the options of settings of one name alone."""
+    named_a, named_b = _keys_by_name(cells_a, cells_b), _keys_by_name(cells_b, cells_a)
+    both = ((named_a[name], named_b[name]) for name in named_a if name in named_b)
+    return {a[0]: b[0] for a, b in both if len(a) == len(b) == 1}
+
+
+def _keys_by_name(
+    cells: Mapping[Key, RunRecord], others: Mapping[Key, RunRecord]
+) -> dict[Key, list[Key]]:
+    """Group the keys that only one folder has by what names them without their options."""
+    groups: dict[Key, list[Key]] = {}
+    for key, run in cells.items():
+        if run.options and key not in others:
+            name = tuple((cell_key(run) | {"options": ""}).values())
+            groups.setdefault(name, []).append(key)
+    return groups
 
 
 def cell_key(run: RunRecord) -> dict[str, Any]:
@@ -81,7 +118,7 @@ def cell_key(run: RunRecord) -> dict[str, Any]:
     return {column: getattr(run, column) for column in KEY}
 
 
-def _runs_by_key(records: Records) -> dict[tuple[Any, ...], RunRecord]:
+def _runs_by_key(records: Records) -> dict[Key, RunRecord]:
     """Map each run's identifying column values to the run, simulated slow computers left out."""
     # A loop on a slow computer takes another course each time: its answers' delays are measured.
     lasting = (run for run in records.all_runs if not run.slowdown > 0.0)

@@ -340,13 +340,24 @@ def _describe_machine(view: Records) -> str:
     return f"{wording}, {disturbance_text(disturbance)}" if disturbance.seconds > 0 else wording
 
 
+def options_lines(pairs: Pairs) -> list[str]:
+    """State which options of settings of one's own changed under the same name."""
+    changed = [pair for pair in pairs.pairs if pair.options_change]
+    return list(
+        dict.fromkeys(
+            f"options changed: {pair.a.solver} {pair.a.settings}: {pair.options_change}"
+            for pair in changed
+        )
+    )
+
+
 def _summary_lines(
     compared: list[ComparedTimes],
     shared: list[SharedFactor],
     figures: list[FigureChange],
     pairs: Pairs,
 ) -> list[str]:
-    lines = [f"{plural(len(pairs.pairs), 'cell')} compared"]
+    lines = [f"{plural(len(pairs.pairs), 'cell')} compared", *options_lines(pairs)]
     verdicts = Counter(c.assessment.verdict for c in compared)
     if compared:
         lines.append("step times: " + ", ".join(f"{n} {v}" for v, n in verdicts.most_common()))

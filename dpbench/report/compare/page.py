@@ -15,7 +15,13 @@ from dpbench.files.writing import write_named_file
 from dpbench.report.charts import style
 from dpbench.report.charts.steps import draw_step_pairs
 from dpbench.report.charts.style import ROW_STEP
-from dpbench.report.compare.comparison import Comparison, change_line, shared_line, times_table
+from dpbench.report.compare.comparison import (
+    Comparison,
+    change_line,
+    options_lines,
+    shared_line,
+    times_table,
+)
 from dpbench.report.formats import interval_text, plural, strip_markdown
 from dpbench.report.page.data import columns_by_name
 from dpbench.report.page.pack import Block
@@ -134,7 +140,8 @@ def lead_sentences(comparison: Comparison) -> list[str]:
         figures = (
             f"Worse: {len(worse)} of {plural(count, 'figure')}, first {change_line(worse[0])}."
         )
-    return [strip_markdown(f"{_slower_sentence(comparison)} {figures}"), *together]
+    changed = [f"{line[0].upper()}{line[1:]}." for line in options_lines(comparison.pairs)]
+    return [*changed, strip_markdown(f"{_slower_sentence(comparison)} {figures}"), *together]
 
 
 def verdict_sentence(one: ComparedTimes) -> str:

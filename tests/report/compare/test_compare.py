@@ -17,7 +17,7 @@ from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import as_runs, as_steps
 from dpbench.cli.main import main
 from dpbench.report.compare.comparison import _merge_verdicts
-from dpbench.report.compare.page import write_comparison
+from dpbench.report.compare.page import lead_sentences, write_comparison
 from dpbench.report.ship_text import BANNER
 from tests.report.conftest import run_row
 from tests.result_folder import StepsInMemory, write_results
@@ -487,15 +487,29 @@ def test_another_build_of_the_same_version_is_said() -> None:
     assert Pair(generic, fast).label.startswith(output)
 
 
-def test_other_options_under_one_name_are_not_compared(make: Make) -> None:
-    """The name of settings of one's own does not make two runs comparable; their options do."""
-    loop = {"outcome": "finished"}
-    mine = {"settings": "mine", "configurations": ("daqp",), "loop": loop}
-    a = make("a", seed=1, options='{"primal_tol": 1e-05}', **mine)
-    b = make("b", seed=2, options='{"primal_tol": 1e-06}', **mine)
+def test_settings_whose_options_changed_are_compared_by_their_name(make: Make) -> None:
+    """Fewer errors with the new options are an improvement, more a regression."""
+    mine: dict[str, Any] = {"settings": "mine", "configurations": ("daqp",)}
+    a = make("a", seed=1, options='{"primal_tol": 1e-05}', errors={"daqp": 0.5}, **mine)
+    b = make("b", seed=1, options='{"dual_tol": 0.1, "primal_tol": 1e-06}', **mine)
+    change = "dual_tol not set → 0.1, primal_tol 1e-5 → 1e-6"
     compared = compare(a, b)
+    assert not compared.pairs.only_a and not compared.pairs.only_b
+    (pair,) = compared.pairs.pairs
+    assert pair.label == f"daqp (native fresh, mine) with {change}"
+    assert f"options changed: daqp mine: {change}" in compared.lines
+    assert lead_sentences(compared)[0] == f"Options changed: daqp mine: {change}."
+    assert not compared.worse and "better" in set(compared.answers["change"])
+    assert compare(b, a).worse
+    assert not any("options changed" in line for line in compare(a, a).lines)
+
+
+def test_settings_of_another_name_are_not_compared(make: Make) -> None:
+    loop = {"outcome": "finished", "settings": "default", "options": ""}
+    mine: dict[str, Any] = {"configurations": ("daqp",), "loop": loop, "options": '{"rho": 0.1}'}
+    compared = compare(
+        make("a", seed=1, settings="mine", **mine), make("b", seed=2, settings="yours", **mine)
+    )
     assert [pair.a.mode for pair in compared.pairs.pairs] == ["closed_loop"]
     (only_a,), (only_b,) = compared.pairs.only_a, compared.pairs.only_b
-    assert "mine) with primal_tol=1e-5, replay" in only_a
-    assert "mine) with primal_tol=1e-6, replay" in only_b
-    assert len(compare(a, a).pairs.pairs) == 2
+    assert "mine) with rho=0.1, replay" in only_a and "yours) with rho=0.1, replay" in only_b
