@@ -29,7 +29,7 @@ from dpbench.report.page.live import draw_section_charts, select_static_charts
 from dpbench.report.page.recommendation import Recommendation, build_recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.topics.all import build_topics
-from dpbench.report.verdict_text import count_solvers
+from dpbench.report.verdict_text import count_solvers, own_settings_lines
 
 TERMINAL_NOTES = ("slower", "faster", "inconclusive", "next", "stopped")
 """Notes of the recommendation on a terminal."""
@@ -100,6 +100,7 @@ class Report:
         rows += [(topic.id, topic.lines[0]) for topic in beside]
         if verdicts.of:
             rows.append(("solvers", f"{count_solvers(verdicts)}."))
+            rows += [("options", line) for line in own_settings_lines(verdicts)]
         records = self.data.records
         disturbance = total_disturbance(timed_runs(records) or delayed_runs(records))
         if disturbance.seconds > 0:

@@ -4,20 +4,22 @@ import math
 from collections.abc import Sequence
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.statistics import LEAST_STEPS
 from dpbench.analysis.times.contrasts import PairedComparison
 from dpbench.analysis.verdict.fastest import (
     SolverChoice,
     best_verdict_by_solver,
+    fastest_first,
     find_solver_record,
 )
-from dpbench.analysis.verdict.findings import Finding, State
+from dpbench.analysis.verdict.findings import STATES, Finding, State
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, outcome_cause
 from dpbench.report.formats import (
     and_list,
+    as_float,
     count_text,
     error_text,
     plural,
@@ -27,7 +29,12 @@ from dpbench.report.formats import (
     time_text,
 )
 from dpbench.report.words import read_words
+from dpbench.solvers.own_settings import decode_options, list_options
 
+MOST_OWN = 12
+"""Settings of one's own that are listed."""
+LEAST_POINTS = 3
+"""Settings with the same options that count as a grid."""
 NOBODY = "No solver was run, so there is nothing to judge."
 
 
@@ -68,6 +75,75 @@ def count_solvers(verdicts: Verdicts) -> str:
         wording[0] += f", {len(otherwise)} of them not by default: {', '.join(otherwise)}"
     wording += [f"{name}: {', '.join(groups[name])}" for name in _OTHERS if groups[name]]
     return "; ".join(wording)
+
+
+def select_own_settings(verdicts: Verdicts) -> list[Verdict]:
+    """Select the best verdict over the call modes of each solver's settings of one's own."""
+    own = [verdict for verdict in verdicts.all if verdict.configuration.options]
+    alike = group_by(own, lambda v: (v.configuration.solver, v.configuration.options))
+    return [min(fastest_first(of), key=lambda v: STATES.index(v.state)) for of in alike.values()]
+
+
+def own_settings_lines(verdicts: Verdicts) -> list[str]:
+    """State the verdict on each settings of one's own, and the best of each grid."""
+    own = select_own_settings(verdicts)
+    lines = [_own_settings_line(verdict) for verdict in own[:MOST_OWN]]
+    others = len(own) - MOST_OWN
+    more = [f"{others} more settings: tables/verdicts.csv."] if others > 0 else []
+    return [*lines, *more, *best_of_grids(own)]
+
+
+def _own_settings_name(verdict: Verdict) -> str:
+    """Name a solver with settings of one's own, such as `osqp[rho=1.6]` or `osqp mine`."""
+    c = verdict.configuration
+    return f"{c.solver} {c.settings}" if c.options_text else f"{c.solver}[{c.settings}]"
+
+
+def _own_settings_line(verdict: Verdict) -> str:
+    c = verdict.configuration
+    name = f"{_own_settings_name(verdict)} ({c.route} {c.policy})"
+    if verdict.refusal:
+        return f"{name}: {verdict.state}: {verdict.refusal}."
+    findings = verdict.causes or verdict.missing
+    why = f": {strip_markdown(describe_finding(findings[0]))}" if findings else ""
+    return (
+        f"{name}: {verdict.state}, largest error {error_text(verdict.error_move)}, "
+        f"{verdict.failed_steps} failed, p99 {time_text(verdict.p99_ns)}{why}."
+    )
+
+
+def best_of_grids(own: Sequence[Verdict]) -> list[str]:
+    """Name the best of three or more settings of a solver that set the same options.
+
+    Also the options of which it has the least or largest value that was tried.
+    """
+    grids = group_by(own, lambda v: (v.configuration.solver, tuple(_option_values(v))))
+    return [_best_of_grid(points) for points in grids.values() if len(points) >= LEAST_POINTS]
+
+
+def _option_values(verdict: Verdict) -> dict[str, str]:
+    return list_options(decode_options(verdict.configuration.options))
+
+
+def _best_of_grid(points: Sequence[Verdict]) -> str:
+    best = min(points, key=_grid_rank)
+    edges = []
+    for option, value in _option_values(best).items():
+        numbers = (as_float(_option_values(verdict)[option]) for verdict in points)
+        tried = {number for number in numbers if math.isfinite(number)}
+        at = as_float(value)
+        if len(tried) >= LEAST_POINTS and at in (min(tried), max(tried)):
+            edges.append(option)
+    edge = f", at the edge of the grid in {and_list(edges)}: widen it" if edges else ""
+    solver = best.configuration.solver
+    return f"Best of {len(points)} settings of {solver}: {best.configuration.settings}{edge}."
+
+
+def _grid_rank(verdict: Verdict) -> tuple[int, float]:
+    """Return a sort key: from pass to fail, then by time where it passes, else by error."""
+    in_time = verdict.state in ("pass", "borderline", "late")
+    figure = verdict.p99_ns if in_time else verdict.error_move
+    return STATES.index(verdict.state), figure if math.isfinite(figure) else math.inf
 
 
 def stopped_runs_text(runs: Sequence[RunRecord]) -> str:

@@ -7,7 +7,7 @@ from dpbench.analysis.records.run_steps import Measure
 from dpbench.analysis.records.worst_steps import WorstStep, find_step_value, worst_steps
 from dpbench.analysis.times.contrasts import paired_comparison
 from dpbench.analysis.verdict.fastest import best_verdict_by_solver, fastest_first
-from dpbench.analysis.verdict.verdict import Verdict
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.errors import UnknownNameError, list_allowed
 from dpbench.report.formats import (
     MISSING,
@@ -22,11 +22,14 @@ from dpbench.report.report import Report
 from dpbench.report.ship_text import ShipSummary
 from dpbench.report.table import markdown_line, markdown_table, markdown_text, one_line
 from dpbench.report.verdict_text import (
+    MOST_OWN,
     answer_text,
+    best_of_grids,
     count_solvers,
     describe_findings,
     paired_text,
     requirements_text,
+    select_own_settings,
 )
 
 MOST_BYTES = 8000
@@ -45,21 +48,28 @@ def report_markdown(report: Report) -> str:
     if data.verdicts.of or not lead:
         wording = [recommendation.sentence, *(note for _, note in recommendation.notes)]
     valid = ", ".join(chip.text for chip in recommendation.chips)
-    after = [f"Valid for: {valid}."] if valid else []
+    after = [f"Verdicts by scenario: {valid}."] if valid else []
     after += [recommendation.requirements, recommendation.machine]
     after += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
     parts = [
         f"# dpbench: {markdown_text(str(report.results.suite.get('name', 'results')))}",
         *ship_lines(recommendation.ship),
         *map(markdown_line, [*lead, *wording]),
-        solver_table(data, best_verdict_by_solver(data.verdicts)),
+        solver_table(data, _listed_verdicts(data.verdicts)),
         markdown_line(f"Solvers: {count_solvers(data.verdicts)}." if data.verdicts.of else ""),
-        *map(markdown_line, after),
+        *map(markdown_line, [*best_of_grids(select_own_settings(data.verdicts)), *after]),
         "Everything else: `report.html` (figures, every step), `tables/*.csv`, `figures/*.svg`, "
         "`runs.parquet`, `steps.parquet`.",
     ]
     text = "\n\n".join(part for part in parts if part) + "\n"
     return truncate_text(text, MOST_BYTES, "tables/verdicts.csv")
+
+
+def _listed_verdicts(verdicts: Verdicts) -> list[Verdict]:
+    """Return each solver's best verdict, then those on settings of one's own."""
+    best = best_verdict_by_solver(verdicts)
+    own = select_own_settings(verdicts)[:MOST_OWN]
+    return [*best, *(verdict for verdict in own if verdict not in best)]
 
 
 def ship_lines(ship: ShipSummary) -> list[str]:

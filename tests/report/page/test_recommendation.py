@@ -1,5 +1,6 @@
 """The answer in page, Markdown and terminal: its numbers are those of the verdicts."""
 
+import json
 import re
 from typing import Any
 
@@ -90,6 +91,38 @@ def test_a_markdown_of_very_many_solvers_is_cut_at_a_line(records: Any) -> None:
     assert len(text.encode()) <= MOST_BYTES
     assert text.endswith("More rows: `tables/verdicts.csv`.\n")
     assert all(line.endswith("|") for line in text.splitlines() if line.startswith("|"))
+
+
+def test_settings_of_ones_own_have_a_verdict_on_screen_and_in_markdown(records: Any) -> None:
+    """The best of a grid is that of the smallest error while none passes, here at its edge."""
+    records.loop("osqp")
+    records.replay("osqp")
+    for rho, error in ((0.16, 0.55), (1.6, 0.33), (16.0, 0.22)):
+        options = {"settings": f"rho={rho}", "options": json.dumps({"rho": rho})}
+        columns = options | {"route": "native", "policy": "warm"}
+        records.loop("osqp", error=error, failed=2, **columns)
+        records.replay("osqp", **columns)
+    report = Report.of(records.results())
+    lines = [text for about, text in report.summary_rows() if about == "options"]
+    assert lines[0].startswith("osqp[rho=0.16] (native warm): fail, largest error 0.55, 2 failed, ")
+    assert "its first move is up to 0.55 of a rate-limit step off the optimum in paper" in lines[0]
+    best = "Best of 3 settings of osqp: rho=16.0, at the edge of the grid in rho: widen it."
+    assert lines[3:] == [best]
+    text = report_markdown(report)
+    assert best in text and "| osqp | native warm, rho=1.6 | fail |" in text
+
+
+def test_a_grid_whose_best_is_inside_needs_no_wider_one(records: Any) -> None:
+    """Two settings are no grid."""
+    for rho, us in ((0.1, 60.0), (1.0, 20.0)):
+        options = {"settings": f"rho={rho}", "options": json.dumps({"rho": rho})}
+        records.loop("osqp", **options)
+        records.replay("osqp", median_us=us, **options)
+    assert "Best of" not in report_markdown(Report.of(records.results()))
+    options = {"settings": "rho=10.0", "options": json.dumps({"rho": 10.0})}
+    records.loop("osqp", **options)
+    records.replay("osqp", median_us=90.0, **options)
+    assert "Best of 3 settings of osqp: rho=1.0.\n" in report_markdown(Report.of(records.results()))
 
 
 def test_chips_say_of_each_experiment_what_the_first_did_there(records: Any) -> None:
