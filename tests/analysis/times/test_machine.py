@@ -150,4 +150,4 @@ def test_how_far_rounds_lie_apart_is_said(records: Any) -> None:
         steps.loc[steps["repeat"] == repeat, "total_ns"] = total_ns
     assert round_spread(records.view()) == (2.0, 2.0)
     topic = trust_topic(records.view())
-    assert "another run or day only beyond × 2.00" in topic.lines[0]
+    assert "only a ratio beyond × 2.00 counts" in topic.lines[0]
