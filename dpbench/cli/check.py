@@ -3,10 +3,13 @@
 Each kind imports its own work, so that an error appears before anything heavy is loaded.
 """
 
+from __future__ import annotations
+
 import difflib
 import os
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dpbench.bench.progress import Progress
 from dpbench.errors import InputError
@@ -14,11 +17,18 @@ from dpbench.scenario import problem_files as problems
 from dpbench.scenario.tables.scenario_file import ScenarioFile
 from dpbench.scenario.tables.vessel_file import VesselFile
 
+if TYPE_CHECKING:
+    from dpbench.bench.plan.cells import PlannedCell
+
 CHECKED = (
     "a vessel, scenario, scenario@vessel, suite or sequence by name, a TOML file, "
     "a .npz or a folder of problems by qpsolvers, a folder of results/community"
 )
 """Arguments of `dpbench check`, for errors."""
+NONE_PASSES = (
+    "no configuration (solver, route, policy, settings) has both a closed loop and a replay, so "
+    "none can pass"
+)
 
 
 def check_file(name: str, progress: Progress | None = None) -> str:
@@ -110,4 +120,16 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
     from dpbench.bench.plan.plan import plan
 
     with name_file_in_errors(suite_path):
-        return f"{file}: a suite of {len(plan(suite, beside=suite_path.parent))} cells"
+        planned = plan(suite, beside=suite_path.parent)
+    missing = [] if _can_pass(planned) else [f"{file}: {NONE_PASSES}"]
+    return "\n".join([*missing, f"{file}: a suite of {len(planned)} cells"])
+
+
+def _can_pass(planned: Sequence[PlannedCell]) -> bool:
+    """Return whether some configuration has both modes, or no run is meant for a verdict."""
+    modes: dict[tuple[str, ...], set[str]] = {}
+    for cell in (one.cell for one in planned if not one.refused):
+        if cell.units == "scaled" and cell.source.is_judged and not cell.study:
+            key = cell.solver, cell.route, cell.policy, cell.settings, cell.options
+            modes.setdefault(key, set()).add(cell.mode)
+    return not modes or any(len(own) > 1 for own in modes.values())

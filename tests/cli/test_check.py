@@ -65,6 +65,22 @@ def test_check_takes_every_suite(suite: str, say: Say) -> None:
     assert about.endswith(f"{suite}.toml") and int(cells) > 0
 
 
+@pytest.mark.parametrize(("policy", "warned"), [("warm", False), ("reuse", True)])
+def test_a_suite_in_which_nothing_can_pass_is_said_to_be(
+    policy: str, warned: bool, place: Path, say: Say
+) -> None:
+    """A verdict needs a closed loop and a replay of one configuration."""
+    (place / "suite.toml").write_text(
+        'title = "x"\nsolvers = ["daqp"]\n'
+        '[[closed_loop]]\nscenarios = ["paper"]\nroutes = ["native"]\npolicies = ["warm"]\n'
+        f'[[replay]]\nscenario = "paper"\nroutes = ["native"]\npolicies = ["{policy}"]\n',
+        encoding="utf-8",
+    )
+    text = " ".join(say("check", "suite.toml").split())
+    assert text.endswith("suite.toml: a suite of 2 cells")
+    assert ("both a closed loop and a replay, so none can pass" in text) is warned
+
+
 def test_the_tables_of_a_suite_are_named(place: Path, refuse: Say) -> None:
     (place / "else.toml").write_text('title = "x"', encoding="utf-8")
     tables = "[[study]], [[replay]], [[recorded]], [[random]], [[capability]]"
