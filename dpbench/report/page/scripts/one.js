@@ -86,8 +86,8 @@ async function drawOne() {
   const verdict = { pass: "Passes", borderline: "Borderline", late: "Late", fail: "Fails" }[run.verdict] ?? "Inconclusive";
   text.textContent = [
     `${experiment.study ? "In" : `${verdict} in`} ${experiment.label}: ran ${run.steps} of ${run.planned} steps; `
-    + `first move beyond the requirements on ${over(run)}, at most ${figure(run.error)}; said “solved” `
-    + `though residuals or plan say no on ${figure(run.untrue)}${run.answers === run.steps ? "" : ` of ${run.answers} answers`}; failed on ${figure(run.failed)}.`,
+    + `first move beyond the requirements on ${over(run)}, at most ${figure(run.error)}; reported `
+    + `as solved but wrong on ${figure(run.untrue)}${run.answers === run.steps ? "" : ` of ${run.answers} answers`}; failed on ${figure(run.failed)}.`,
     run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the exactly solved loop`
       + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
     run.infeasible > 0 ? `${run.infeasible} of the steps had no solution${run.all_true ? ", and it said so" : ""}.` : "",
