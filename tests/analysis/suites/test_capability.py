@@ -114,7 +114,7 @@ def test_the_topic_says_what_is_held_and_who_knows(records: Any) -> None:
     assert topic.lines == (
         "Intact, osv holds at least 12.0 m/s, from 90° (DNV-ST-0111, level 1; azimuths as polygons "
         "of 8 sides). 1 of 2 solvers answers all 4 QPs at that edge rightly: quadprog. Untrue "
-        "claims: osqp (1). 1 leaves some without an answer, or did not get so far in time.",
+        "claims: osqp (1). 1 solver did not answer all of them: gave up, or ran out of time.",
     )
     assert len(topic.figures) == 2
     without_plot = capability_topic(runs, None)
