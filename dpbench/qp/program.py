@@ -2,13 +2,14 @@
 
     minimise ½ zᵀP z + qᵀz   subject to   l ≤ A z ≤ u,   lb ≤ z ≤ ub
 
-Arrays are float64 and C-contiguous. Only shape and type are checked: solvers and the referee have
-to face NaN.
+Arrays are float64 and C-contiguous. Shape, type and the symmetry of P are checked, values are not:
+solvers and the referee have to face NaN.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 from enum import Flag, auto
 from typing import TYPE_CHECKING, Any
@@ -16,13 +17,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dpbench.arrays import Floats, Matrix, Vector
-from dpbench.errors import ShapeError
+from dpbench.errors import InputError, ShapeError
 
 if TYPE_CHECKING:
     from dpbench.qp.solution import Solution
 
 CONSTANT = ("P", "A", "lb", "ub")  # along most sequences
 ARRAYS = ("P", "q", "A", "l", "u", "lb", "ub")
+SYMMETRIC = 1e-10
+"""Asymmetry of P, relative to its largest entry, that counts as rounding; more is refused, as some
+solvers read one triangle and some the whole."""
 
 
 class Refresh(Flag):
@@ -57,6 +61,25 @@ def check_shapes(owner: object, shapes: Mapping[str, tuple[int, ...]]) -> None:
         object.__setattr__(owner, name, array)
 
 
+def symmetric_part(P: Floats, where: str) -> Floats:
+    """Return P (…, n, n) if it is symmetric, else its symmetric part.
+
+    Matrices that are not finite are returned as they are. InputError, naming the entry, where the
+    asymmetry exceeds `SYMMETRIC`.
+    """
+    mirrored = P.swapaxes(-1, -2)
+    if (mirrored == P).all() or not np.isfinite(P).all():
+        return P
+    with np.errstate(over="ignore"):
+        gap = np.abs(P - mirrored)
+    if gap.max() > SYMMETRIC * np.abs(P).max():
+        at = tuple(int(x) for x in np.unravel_index(int(gap.argmax()), gap.shape))
+        mirror = [*at[:-2], at[-1], at[-2]]
+        found = f"{P[at]:g}, and {mirrored[at]:g} at P{mirror}"
+        raise InputError(where, f"P{list(at)}", found, "a symmetric matrix, such as (P + P.T) / 2")
+    return 0.5 * P + 0.5 * mirrored
+
+
 def describe_size(n: int, m: int) -> str:
     """Return the size of a QP as text: its variables and rows."""
     return f"{n} variable{'s' * (n != 1)}, {m} row{'s' * (m != 1)}"
@@ -83,6 +106,7 @@ class QuadraticProgram:
     Raises
     ------
     ShapeError : naming the array whose shape does not fit the others.
+    InputError : P is not symmetric; a difference by rounding is averaged.
 
     Examples
     --------
@@ -113,6 +137,7 @@ class QuadraticProgram:
             raise ShapeError.of("QuadraticProgram", "A", np.shape(self.A), f"shape (m, {n})")
         shapes = {"P": (n, n), "q": (n,), "A": (m, n), "l": (m,), "u": (m,), "lb": (n,), "ub": (n,)}
         check_shapes(self, shapes)
+        object.__setattr__(self, "P", symmetric_part(self.P, "QuadraticProgram"))
         if not has_equal_blocks(n, m, self.block):
             allowed = f"0, or a divisor of n={n} into moves that share m={m} rows alike"
             raise ShapeError.of("QuadraticProgram", "block", (self.block,), allowed)
@@ -143,7 +168,7 @@ class QuadraticProgram:
 
     def copy(self) -> QuadraticProgram:
         """Copy the problem with all its arrays."""
-        return replace(self, **{name: getattr(self, name).copy() for name in ARRAYS})
+        return self._replace_arrays({name: getattr(self, name).copy() for name in ARRAYS})
 
     def changed_by(self, step: QPStep) -> bool:
         """Return whether a step brings matrices or bounds that differ from this problem's."""
@@ -155,8 +180,18 @@ class QuadraticProgram:
 
     def at(self, step: QPStep) -> QuadraticProgram:
         """Return this QP with a step's vectors q, l and u, and its matrices if the step has any."""
-        parts = {name: getattr(step, name) for name in ARRAYS}
-        return replace(self, **{name: part for name, part in parts.items() if part is not None})
+        given = {name: getattr(step, name) for name in ARRAYS}
+        parts = {name: part for name, part in given.items() if part is not None}
+        changed = self._replace_arrays(parts)
+        check_shapes(changed, {name: getattr(self, name).shape for name in parts})
+        return changed
+
+    def _replace_arrays(self, parts: Mapping[str, Floats]) -> QuadraticProgram:
+        """Return this QP with other arrays, unchecked, as that would count as a solver's time."""
+        changed = copy(self)
+        for name, part in parts.items():
+            object.__setattr__(changed, name, part)
+        return changed
 
 
 @dataclass(slots=True, eq=False, repr=False)
@@ -252,6 +287,8 @@ class QPSequence:
         shapes |= {"P": (K, n, n), "A": (K, m, n), "lb": (K, n), "ub": (K, n)}
         given = {name: shape for name, shape in shapes.items() if getattr(self, name) is not None}
         check_shapes(self, given)
+        if self.P is not None:
+            object.__setattr__(self, "P", symmetric_part(self.P, "QPSequence"))
 
     def __len__(self) -> int:
         return int(self.q.shape[0])

@@ -1,5 +1,6 @@
 """Steps and sequences of QPs, moves of their variables, and the paper's stacked form."""
 
+from dataclasses import replace
 from typing import Any
 
 import daqp
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 import quadprog
 
-from dpbench.errors import ShapeError
+from dpbench.errors import InputError, ShapeError
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
@@ -51,6 +52,31 @@ def test_a_sequence_names_the_matrices_that_do_not_fit(name: str, shape: tuple[i
     with pytest.raises(ShapeError) as caught:
         QPSequence(name="bad", base=base, **vectors, **{name: np.zeros(shape)})
     assert caught.value.key == name
+
+
+def test_an_asymmetric_cost_is_refused_and_rounding_averaged() -> None:
+    """Solvers that read one triangle would else solve another problem."""
+    qp = program(0)
+    apart = qp.P.copy()
+    apart[1, 4] += 0.5
+    with pytest.raises(InputError) as caught:
+        replace(qp, P=apart)
+    assert str(caught.value).startswith("QuadraticProgram: P[1, 4]: found ")
+    steps = {"P": np.array([qp.P, apart])}
+    with pytest.raises(InputError, match=r"QPSequence: P\[1, 1, 4\]: found "):
+        QPSequence("two", qp, np.zeros((2, N)), np.zeros((2, M)), np.ones((2, M)), **steps)
+    rounded = qp.P.copy()
+    rounded[1, 4] *= 1.0 + 1e-14
+    P = replace(qp, P=rounded).P
+    np.testing.assert_array_equal(P, P.T)
+    np.testing.assert_allclose(P, qp.P, rtol=1e-14)
+
+
+def test_a_cost_matrix_with_nan_is_kept() -> None:
+    qp = program(0)
+    broken = qp.P.copy()
+    broken[1, 4] = np.nan
+    np.testing.assert_array_equal(replace(qp, P=broken).P, broken)
 
 
 def test_the_number_of_moves_survives_steps_and_stacking() -> None:

@@ -17,13 +17,10 @@ from dpbench.arrays import Vector
 from dpbench.bench.record.npz import DAMAGE, Arrays, read_float_array, read_npz
 from dpbench.errors import InputError
 from dpbench.files.opening import open_regular_file
-from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram
+from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, symmetric_part
 
 WHAT = "a problem written by `qpsolvers.Problem.save` (.npz)"
 KEYS = ("P", "q", "G", "h", "A", "b", "lb", "ub")
-SYMMETRIC = 1e-10
-"""Asymmetry of P, relative to its largest entry, that counts as rounding; more is refused, as some
-solvers read one triangle and some the whole."""
 
 
 def list_problem_files(folder: Path) -> list[Path]:
@@ -88,12 +85,7 @@ def read_problem(path: Path) -> QuadraticProgram:
     if len(shape) != 1 or shape[0] < 1:
         raise InputError(where, "q", f"shape {shape}" if shape else "nothing", "shape (n,), n ≥ 1")
     n = shape[0]
-    P = read_float_array(arrays, where, "P", (n, n))
-    gap = np.abs(P - P.T)
-    if gap.max() > SYMMETRIC * np.abs(P).max():
-        i, j = (int(x) for x in np.unravel_index(int(gap.argmax()), gap.shape))
-        found = f"{P[i, j]:g} beside {P[j, i]:g} at its mirror place"
-        raise InputError(where, f"P[{i}, {j}]", found, "a symmetric matrix")
+    P = symmetric_part(read_float_array(arrays, where, "P", (n, n)), where)
     G, h = _read_rows(arrays, where, ("G", "h"), n, "+")
     A, b = _read_rows(arrays, where, ("A", "b"), n, "")
     free = np.full(n, np.inf)
@@ -103,9 +95,7 @@ def read_problem(path: Path) -> QuadraticProgram:
     )
     q = read_float_array(arrays, where, "q", (n,))
     below = np.concatenate((np.full(len(h), -np.inf), b))
-    return QuadraticProgram(
-        0.5 * (P + P.T), q, np.vstack((G, A)), below, np.concatenate((h, b)), lb, ub
-    )
+    return QuadraticProgram(P, q, np.vstack((G, A)), below, np.concatenate((h, b)), lb, ub)
 
 
 def _read_rows(

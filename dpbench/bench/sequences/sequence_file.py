@@ -218,9 +218,9 @@ def _read_sequence(
     try:
         first = {key: vector[0] for key, vector in vectors.items()}
         base = QuadraticProgram(**matrices, **first, block=block, moves=moves)
+        return QPSequence(name, base, **vectors, meta=meta, **steps)
     except InputError as error:
         raise InputError(where, error.key, error.found, error.allowed) from error
-    return QPSequence(name, base, **vectors, meta=meta, **steps)
 
 
 def _read_optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> list[Optimum]:
