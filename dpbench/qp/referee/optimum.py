@@ -35,11 +35,12 @@ class Optimum:
     bound : rigorous bound of max_i |z_i − z*_i|; inf unless there is an optimum.
     kind : the certificate; "undecided" for a problem that is infeasible by no more than rounding,
         "none" where nothing is proven.
+    reason : why nothing could be certified, where the data are the reason; "" otherwise.
 
     Examples
     --------
-    >>> Optimum(np.array([1.0]), np.zeros(0), np.array([2.0]), bound=0.0, kind="exact")
-    <Optimum of 1 variables: z within 0.0e+00 of the exact one, 1 limits active>
+    >>> Optimum(np.array([1.0]), np.zeros(0), np.array([2.0]), bound=0.0, kind="linear")
+    <Optimum of 1 variable: z within 0.0e+00 of the exact one, 1 limit active>
     """
 
     z: Vector
@@ -47,14 +48,20 @@ class Optimum:
     y_box: Vector
     bound: float
     kind: Kind
+    reason: str = ""
 
     def __repr__(self) -> str:
-        return f"<Optimum of {len(self.z)} variables: {self._proven_statement}>"
+        return f"<{self._title}: {self._proven_statement}>"
 
     def _repr_html_(self) -> str:
         fields = {"certificate": f"{self.kind}: {self._proven_statement}"}
         fields |= {name: numbers_text(getattr(self, name)) for name in ("z", "y", "y_box")}
-        return fields_html(f"Optimum of {len(self.z)} variables", fields)
+        return fields_html(self._title, fields)
+
+    @property
+    def _title(self) -> str:
+        """Size of the problem, in words."""
+        return f"Optimum of {len(self.z)} variable{'s' * (len(self.z) != 1)}"
 
     @property
     def _proven_statement(self) -> str:
@@ -64,9 +71,11 @@ class Optimum:
                 "infeasible": "no point is feasible",
                 "undecided": "feasible or infeasible by rounding alone",
             }
-            return proofs.get(self.kind, "nothing certified")
-        active = np.count_nonzero(self.y) + np.count_nonzero(self.y_box)
-        return f"z within {self.bound:.1e} of the exact one, {active} limits active"
+            why = f": {self.reason}" if self.reason else ""
+            return proofs.get(self.kind, f"nothing certified{why}")
+        active = int(np.count_nonzero(self.y) + np.count_nonzero(self.y_box))
+        limits = f"{active} limit{'s' * (active != 1)} active"
+        return f"z within {self.bound:.1e} of the exact one, {limits}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

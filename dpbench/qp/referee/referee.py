@@ -77,6 +77,8 @@ from dpbench.qp.solution import Solution, Status
 WANTED = 1e-10  # A bound above it sends the problem to the next, costlier certificate
 REMEMBERED = 128  # Active sets whose KKT inverse is kept
 EXACT_SIZE = 40  # Largest n for the rational certificate, whose cost grows like n⁴: 0.3 s at n = 30
+INVALID = "P, q or A is not finite, or limits are NaN or infinite on the wrong side"
+INDEFINITE = "P is not proven positive semidefinite"
 SEMIDEFINITE_SIZE = 100
 """Largest block of P for the exact test of semidefiniteness, done once per referee."""
 
@@ -153,7 +155,7 @@ class Referee:
         q, L, U = q.copy(), np.concatenate((l, self._lb)), np.concatenate((u, self._ub))
         limits = classify_limits(q, L, U)
         if limits == INVALID_DATA or not self._finite:
-            return self._no_certificate()
+            return replace(self._no_certificate(), reason=INVALID)
         problem = JointQP(self._P, q, self._C, L, U)
         if limits == CROSSED_LIMITS:
             return self._find_farkas(problem) or self._no_certificate()
@@ -328,8 +330,9 @@ class Referee:
 
     def _no_certificate(self) -> Optimum:
         """Return the result for a QP with nothing proven: NaN arrays, infinite error bound."""
-        n, nan = len(self._lb), np.nan
-        return Optimum(np.full(n, nan), np.full(self._m, nan), np.full(n, nan), np.inf, "none")
+        n, nan, reason = len(self._lb), np.nan, "" if self._convex else INDEFINITE
+        nothing = np.full(n, nan), np.full(self._m, nan), np.full(n, nan)
+        return Optimum(*nothing, np.inf, "none", reason)
 
     def _as_qp(self, problem: JointQP) -> QuadraticProgram:
         m = self._m

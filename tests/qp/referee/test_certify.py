@@ -128,6 +128,25 @@ def test_nothing_is_claimed_without_a_unique_optimum(last: float, q: list[float]
     assert np.isnan(measure_error(np.zeros(2), optimum, 0)).all()
 
 
+@pytest.mark.parametrize(
+    ("P", "q", "upper", "reason"),
+    [
+        (-1.0, 0.0, 1.0, "P is not proven positive semidefinite"),
+        (1.0, np.nan, 1.0, "q"),
+        (np.nan, 0.0, 1.0, "P"),
+        (1.0, 0.0, np.nan, "limits are NaN"),
+    ],
+)
+def test_data_that_forbid_a_certificate_are_named(
+    P: float, q: float, upper: float, reason: str
+) -> None:
+    rows = np.zeros((0, 2)), [], []
+    qp = QuadraticProgram(P * np.eye(2), np.full(2, q), *rows, -np.ones(2), np.full(2, upper))
+    optimum = certify(qp)
+    assert optimum.kind == "none" and reason in optimum.reason
+    assert optimum.reason in repr(optimum)
+
+
 def test_inputs_are_copied_and_left_alone() -> None:
     qp = _random(6, 5, 3)
     given = qp.copy()
