@@ -48,8 +48,10 @@ from dpbench.report.ship_text import ShipSummary, summarise_ships
 from dpbench.scenario.scenario import Scenario, as_scenario
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
+from dpbench.solvers.own_settings import describe_options, encode_options
 from dpbench.solvers.table import Availability
 
+UNNAMED = ("", "default")  # Settings that a label leaves out
 REMEMBERED = "times of remembered answers: steps seen before are faster than warming explains"
 
 
@@ -76,8 +78,10 @@ class Run:
 
     @property
     def label(self) -> str:
-        """Solver, interface to its library and way of starting each solve, as text."""
-        return "{solver} ({route}, {policy})".format(**self.summary)
+        """Solver, interface to its library, start of each solve, and settings but "default"."""
+        row = self.summary
+        words = [row["route"], row["policy"], row["settings"]]
+        return f"{row['solver']} ({', '.join(word for word in words if word not in UNNAMED)})"
 
     @property
     def remembers(self) -> bool:
@@ -272,9 +276,14 @@ def _as_workspace(given: object) -> Workspace:
 
 
 def _make_cell(workspace: Workspace, **fields: Any) -> Cell:
-    """Describe a solver's run in this process: its scenario or QPs, policy, unnamed settings."""
+    """Describe a solver's run in this process: its scenario or QPs, policy and settings."""
+    settings, options = workspace.requested_settings, ""
+    if not isinstance(settings, str):
+        options = encode_options(settings)
+        settings = describe_options(settings) or "default"
+    fields |= {"settings": settings, "options": options}
     route, policy = workspace.route, workspace.policy
-    return Cell(solver=workspace.solver, route=route, policy=policy, settings="", **fields)
+    return Cell(solver=workspace.solver, route=route, policy=policy, **fields)
 
 
 def _make_run(

@@ -40,6 +40,7 @@ class Workspace(ABC):
         `update` (policy fresh on route native).
     matrix_updates : updates so far that brought new P, A, lb or ub.
     reopen : makes another workspace of the same solver, route, policy and settings.
+    requested_settings : those it was opened with by name; "" where it was not.
 
     Examples
     --------
@@ -59,6 +60,7 @@ class Workspace(ABC):
     matrix_updates: int = 0
     form: Form = "dense"
     reopen: Callable[[], Workspace] | None = None
+    requested_settings: Settings = ""
 
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:
         self.solver, self.route, self.policy = solver, route, policy

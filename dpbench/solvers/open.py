@@ -46,7 +46,7 @@ def open_workspace(
     _check_policy(row, route, policy)
     make = partial(_make_workspace, row, route, policy, settings, step_limit_s)
     workspace = make()
-    workspace.reopen = make
+    workspace.reopen, workspace.requested_settings = make, settings
     return workspace
 
 

@@ -87,7 +87,8 @@ def list_options(options: Options) -> dict[str, str]:
 
 def encode_options(options: Options) -> str:
     """Return options as JSON, equal for equal options; "" for none."""
-    return json.dumps(options, sort_keys=True, ensure_ascii=False) if options else ""
+    # In a notebook a value may be of a library's own type.
+    return json.dumps(options, sort_keys=True, ensure_ascii=False, default=str) if options else ""
 
 
 def decode_options(text: str) -> Options:
@@ -134,5 +135,5 @@ def _nest(options: Options) -> Options:
 
 def _describe_value(value: object) -> str:
     """Return the value of an option as TOML, exponents without a leading zero."""
-    text = json.dumps(value, ensure_ascii=False)
+    text = json.dumps(value, ensure_ascii=False, default=str)
     return text.replace("e-0", "e-").replace("e+0", "e+") if isinstance(value, float) else text

@@ -1,5 +1,6 @@
 """A run in this process: its length, its text, and the figures of the page."""
 
+import json
 import subprocess
 import sys
 from dataclasses import replace
@@ -83,6 +84,23 @@ def test_names_are_taken_where_objects_are(loop: Run, replayed: Run) -> None:
         run_closed_loop("paper", None)  # type: ignore[arg-type] # the mistake that is tested
     with pytest.raises(TypeError, match=r"allowed: a QPSequence, a name or a \.npz file"):
         replay(None, "daqp")  # type: ignore[arg-type] # the mistake that is tested
+
+
+def test_a_run_carries_the_settings_of_its_solver() -> None:
+    own = {"eps_abs": 1e-5, "max_iter": 400}
+    runs = [
+        replay("paper-30-5", open_workspace("osqp", route="native", settings=settings), repeats=1)
+        for settings in ("default", "high", own)
+    ]
+    names = ["default", "high", "eps_abs=1e-5,max_iter=400"]
+    assert [run.summary["settings"] for run in runs] == names
+    assert [run.summary["options"] for run in runs[:2]] == ["", ""]
+    assert json.loads(runs[2].summary["options"]) == own
+    assert [run.label for run in runs] == [
+        "osqp (native, fresh)",
+        "osqp (native, fresh, high)",
+        "osqp (native, fresh, eps_abs=1e-5,max_iter=400)",
+    ]
 
 
 def test_objects_say_what_they_are_in_a_line(loop: Run, replayed: Run) -> None:
