@@ -69,7 +69,7 @@ class Run:
     --------
     >>> run = run_closed_loop("paper", "daqp", steps=20)
     >>> run.label, len(run.steps), float(run.summary["fallbacks"])
-    ('daqp (native, fresh)', 20, 0.0)
+    ('daqp (qpsolvers, fresh)', 20, 0.0)
     """
 
     steps: pd.DataFrame
@@ -223,7 +223,7 @@ def replay(
     Parameters
     ----------
     sequence : an object, a name or a `.npz` file.
-    workspace : an object of `open_workspace`, or the name of a solver.
+    workspace : an object of `open_workspace`, or the name of a solver, on its default route.
 
     Raises
     ------
@@ -232,8 +232,12 @@ def replay(
 
     Examples
     --------
-    >>> replay("paper-30-5", "daqp", repeats=2).label
-    'daqp (native, fresh)'
+    >>> workspace = open_workspace("daqp", route="native", policy="warm")
+    >>> run = replay("paper-30-5", workspace, repeats=2)
+    >>> run.label
+    'daqp (native, warm)'
+    >>> len(run.steps.query("counts"))  # the warm-up does not count
+    150
     """
     _check_choice("formulation", formulation, FORMULATIONS)
     sequence, workspace = as_sequence(sequence), _as_workspace(workspace)

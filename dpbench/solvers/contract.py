@@ -46,7 +46,7 @@ class Workspace(ABC):
     --------
     >>> import numpy as np
     >>> from dpbench import QuadraticProgram, open_workspace
-    >>> workspace = open_workspace("quadprog")
+    >>> workspace = open_workspace("quadprog", route="native")
     >>> workspace
     <Workspace of quadprog (native, fresh)>
     >>> none = np.zeros((0, 1)), np.zeros(0), np.zeros(0)

@@ -23,8 +23,10 @@ def open_workspace(
     Parameters
     ----------
     solver : a name of the table, of a plug-in, or one that qpsolvers serves.
-    route : "qpsolvers" or "native"; None for the solver's default.
-    policy : "fresh", "reuse" or "warm", where the route has it.
+    route : "qpsolvers" or "native"; None for the solver's default, which is "qpsolvers" where it
+        has both.
+    policy : "fresh", "reuse" or "warm", where the route has it. Compare times on route "native"
+        with "warm" where there is one: every other call includes set-up.
     settings : a name of its settings, or a mapping of the solver's own keys.
     step_limit_s : time limit of a solve [s] for a library with an option for it, unless `settings`
         has this option.
@@ -38,7 +40,7 @@ def open_workspace(
 
     Examples
     --------
-    >>> open_workspace("osqp", policy="warm", settings={"eps_abs": 1e-5})
+    >>> open_workspace("osqp", route="native", policy="warm", settings={"eps_abs": 1e-5})
     <Workspace of osqp (native, warm)>
     """
     row = find_record(solver)
