@@ -85,6 +85,7 @@ def save_sequence(
 
     Parameters
     ----------
+    path : a name that ends in .npz; InputError for another.
     sequence : one in SI is written as its scaled form, with its units.
     optima : those of `certify_sequence`, which finds them where they are not given.
 
@@ -94,6 +95,9 @@ def save_sequence(
     >>> load_sequence("two.npz")
     <QPSequence paper-30-5[:300:4]: 75 QPs of 15 variables, 15 rows, constant matrices>
     """
+    if (path := Path(path)).suffix != ".npz":
+        allowed = "a name that ends in .npz; of it `dpbench export --format` makes other formats"
+        raise InputError("save_sequence", "path", repr(path.name), allowed)
     scaled = sequence.scaled or sequence
     units = units or sequence.units
     if optima is None:
@@ -123,7 +127,7 @@ def save_sequence(
     arrays["active"] = np.array([active_set(optimum) for optimum in optima])
     arrays["bound"] = np.array([optimum.bound for optimum in optima])
     arrays["certificate"] = np.array([optimum.kind for optimum in optima])
-    write_npz(Path(path), {name: np.asarray(array) for name, array in arrays.items()})
+    write_npz(path, {name: np.asarray(array) for name, array in arrays.items()})
 
 
 def active_set(optimum: Optimum) -> NDArray[np.int8]:

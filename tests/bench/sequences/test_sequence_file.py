@@ -275,3 +275,9 @@ def test_a_sequence_without_si_units_is_refused(tmp_path: Path) -> None:
         load_sequence(path, units="imperial")
     with pytest.raises(ShapeError, match="row"):
         convert_units(sequence, Units(np.ones(3), np.ones(3)))
+
+
+def test_no_other_format_is_written_under_a_foreign_suffix(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"path: found 'x\.mat'; allowed: .*dpbench export"):
+        save_sequence(tmp_path / "x.mat", load_sequence("paper-30-5"))
+    assert not list(tmp_path.iterdir())
