@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from difflib import get_close_matches
+from numbers import Integral
 
 
 class DpbenchError(Exception):
@@ -48,7 +49,9 @@ class InputError(DpbenchError, ValueError):
 
 
 def require_at_least(option: str, value: int, least: int) -> None:
-    """Raise InputError unless the whole number of an option is `least` or more."""
+    """Raise InputError for a number below `least`, TypeError for one that is not whole."""
+    if not isinstance(value, Integral):
+        raise TypeError(f"{option}: found {value!r}; allowed: a whole number, {least} or more")
     if value < least:
         raise InputError(option, "", value, f"a whole number, {least} or more")
 

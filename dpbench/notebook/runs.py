@@ -32,7 +32,7 @@ from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.bench.sequences.sequence_file import as_sequence
 from dpbench.display import fields_html
-from dpbench.errors import InputError
+from dpbench.errors import InputError, require_at_least
 from dpbench.mpc.condense import UnitSystem
 from dpbench.notebook.plots import RunPlots
 from dpbench.qp.program import QPSequence
@@ -179,7 +179,7 @@ def run_closed_loop(
     ------
     InputError : for an unknown formulation, fallback or backup, "sparse" for a scenario that has
         none, or a slow-down, deadline or number of steps that cannot be.
-    TypeError : for a scenario or workspace of another type.
+    TypeError : for a scenario, workspace or number of steps of another type.
 
     Examples
     --------
@@ -228,7 +228,7 @@ def replay(
     Raises
     ------
     InputError : for an unknown formulation, or "sparse" for QPs without a scenario behind them.
-    TypeError : for a sequence or workspace of another type.
+    TypeError : for a sequence, workspace or number of another type.
 
     Examples
     --------
@@ -241,8 +241,8 @@ def replay(
     """
     _check_choice("formulation", formulation, FORMULATIONS)
     sequence, workspace = as_sequence(sequence), _as_workspace(workspace)
-    if repeats < 1:
-        raise InputError("replay", "repeats", repeats, "1 or more")
+    require_at_least("repeats", repeats, 1)
+    require_at_least("warmup_steps", warmup_steps, 0)
     warmup_steps = min(warmup_steps, len(sequence))
     steps, solver, log = replay_parts(sequence, workspace, formulation, repeats, RawLog.in_memory)
     replaying = ReplayRun(

@@ -53,9 +53,18 @@ def rows_per_block(n: int, m: int, block: int) -> int:
 
 
 def check_shapes(owner: object, shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Make fields of a frozen dataclass contiguous float64 arrays; ShapeError for other shapes."""
+    """Make fields of a frozen dataclass contiguous float64 arrays.
+
+    ShapeError for other shapes; TypeError for what is no dense array of numbers.
+    """
     for name, shape in shapes.items():
-        array = np.ascontiguousarray(getattr(owner, name), dtype=np.float64)
+        given = getattr(owner, name)
+        try:
+            array = np.ascontiguousarray(given, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            where, found = f"{type(owner).__name__}: {name}", f"a {type(given).__name__}"
+            allowed = f"a dense array of numbers, shape {shape}"
+            raise TypeError(f"{where}: found {found}; allowed: {allowed}") from error
         if array.shape != shape:
             raise ShapeError.of(type(owner).__name__, name, array.shape, f"shape {shape}")
         object.__setattr__(owner, name, array)

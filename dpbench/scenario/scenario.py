@@ -12,7 +12,7 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.display import fields_html, numbers_text
-from dpbench.errors import InputError, UnknownNameError
+from dpbench.errors import InputError, UnknownNameError, require_at_least
 from dpbench.mpc.condense import ControlProblem, UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.reference import ReferenceFilter, build_reference_table
@@ -139,8 +139,7 @@ class Scenario:
 
     def truncate(self, steps: int) -> Scenario:
         """Return the scenario cut to its first `steps` samples."""
-        if steps < 1:
-            raise InputError(f"scenario {self.name}", "steps", steps, "1 or more")
+        require_at_least(f"scenario {self.name}: steps", steps, 1)
         return replace(self, steps=min(steps, self.steps))
 
 

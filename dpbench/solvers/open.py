@@ -43,6 +43,8 @@ def open_workspace(
     >>> open_workspace("osqp", route="native", policy="warm", settings={"eps_abs": 1e-5})
     <Workspace of osqp (native, warm)>
     """
+    if not isinstance(solver, str):
+        raise TypeError(f"solver: found {solver!r}; allowed: the name of a solver")
     row = find_record(solver)
     route = row.default_route if route is None else route
     _check_policy(row, route, policy)

@@ -84,6 +84,12 @@ def test_names_are_taken_where_objects_are(loop: Run, replayed: Run) -> None:
         run_closed_loop("paper", None)  # type: ignore[arg-type] # the mistake that is tested
     with pytest.raises(TypeError, match=r"allowed: a QPSequence, a name or a \.npz file"):
         replay(None, "daqp")  # type: ignore[arg-type] # the mistake that is tested
+    with pytest.raises(TypeError, match=r"repeats: found 2\.5; allowed: a whole number, 1 or more"):
+        replay("paper-30-5", "daqp", repeats=2.5)  # type: ignore[arg-type] # what is tested
+    with pytest.raises(TypeError, match="steps: found '9'; allowed: a whole number, 1 or more"):
+        run_closed_loop("paper", "daqp", steps="9")  # type: ignore[arg-type] # what is tested
+    with pytest.raises(TypeError, match="solver: found 3; allowed: the name of a solver"):
+        open_workspace(3)  # type: ignore[arg-type] # the mistake that is tested
 
 
 def test_a_run_carries_the_settings_of_its_solver() -> None:

@@ -7,10 +7,12 @@ import daqp
 import numpy as np
 import pytest
 import quadprog
+import scipy
 
 from dpbench.errors import InputError, ShapeError
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Refresh
+from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution, Status
 from dpbench.qp.stacked import stack, stack_step, unstack
 from dpbench.scenario.scenario import condense, load_scenario
@@ -70,6 +72,14 @@ def test_an_asymmetric_cost_is_refused_and_rounding_averaged() -> None:
     P = replace(qp, P=rounded).P
     np.testing.assert_array_equal(P, P.T)
     np.testing.assert_allclose(P, qp.P, rtol=1e-14)
+
+
+@pytest.mark.parametrize("P", [scipy.sparse.eye_array(N), "P", [[1.0], [1.0, 2.0]]])
+def test_what_is_no_dense_array_is_a_type_error(P: Any) -> None:
+    with pytest.raises(TypeError, match=r"^QuadraticProgram: P: found a \w+; allowed: a dense"):
+        replace(program(0), P=P)
+    with pytest.raises(TypeError, match=r"^qp: found a tuple; allowed: a QuadraticProgram"):
+        certify((P,))  # type: ignore[arg-type] # the mistake that is tested
 
 
 def test_a_cost_matrix_with_nan_is_kept() -> None:

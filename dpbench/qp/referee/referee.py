@@ -362,6 +362,8 @@ def certify(qp: QuadraticProgram) -> Optimum:
     >>> certify(QuadraticProgram(P=np.eye(2), q=[-3.0, -3.0], A=[[1.0, 1.0]], **limits)).z
     array([1., 1.])
     """
+    if not isinstance(qp, QuadraticProgram):
+        raise TypeError(f"qp: found a {type(qp).__name__}; allowed: a QuadraticProgram")
     return Referee(qp.P, qp.A, qp.lb, qp.ub).certify(qp.q, qp.l, qp.u)
 
 
