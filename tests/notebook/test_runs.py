@@ -1,5 +1,6 @@
 """A run in this process: its length, its text, and the figures of the page."""
 
+import io
 import json
 import subprocess
 import sys
@@ -192,6 +193,13 @@ def test_an_answer_that_is_none_can_be_drawn(loop: Run) -> None:
     chart = Run(steps, loop.summary, loop.scenario).plot.steps()
     shown = pd.DataFrame(chart.vconcat[1].layer[0].data.values)
     assert np.isfinite(shown["error"]).all() and shown["error"][3] > 1.0
+
+
+def test_a_printed_figure_has_no_type_3_fonts(loop: Run) -> None:
+    pytest.importorskip("matplotlib", reason="an extra")
+    file = io.BytesIO()
+    loop.plot.ship(backend="matplotlib").savefig(file, format="pdf")
+    assert b"/Type3" not in file.getvalue() and b"/CIDFontType2" in file.getvalue()
 
 
 @pytest.mark.parametrize("figure", ["steps", "ship", "errors", "forces"])

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -26,6 +27,11 @@ _COLOURS = dict(zip(STATES, style.STATE_COLOURS, strict=True))
 
 class PrintedFigure(Figure):
     """A figure that a notebook shows without pyplot, which would show it twice."""
+
+    def savefig(self, fname: Any, **options: Any) -> None:
+        """Save the figure; in PDF with TrueType fonts, as many publishers refuse Type 3."""
+        with rc_context({"pdf.fonttype": 42, "ps.fonttype": 42}):
+            super().savefig(fname, **options)
 
     def _repr_png_(self) -> bytes:
         """Return the figure as PNG."""
