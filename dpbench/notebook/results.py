@@ -24,6 +24,12 @@ from dpbench.report.formats import plural
 if TYPE_CHECKING:
     from dpbench.report.report import Report
 
+VERDICT_COLUMNS = (
+    *("solver", "route", "policy", "settings", "verdict"),
+    *("error_move", "p50_us", "p99_us"),
+)
+"""The columns of the verdicts in LaTeX."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Results(result_folder.Results):
@@ -100,19 +106,24 @@ class Results(result_folder.Results):
 
         The document needs the package `booktabs`.
 
-        table : a name in `tables`. columns : some of its columns, by default all.
+        table : a name in `tables`. columns : some of its columns, by default all; of "verdicts"
+        those that identify a configuration, its verdict, error and times.
         InputError for a table or column that is not there.
         """
         _check_name("table", table, self.tables)
         frame = self.tables[table]
         for name in columns or ():
             _check_name("column", name, frame.columns)
-        style = frame[list(columns or frame.columns)].style.hide(axis="index")
+        usual = [name for name in frame if table != "verdicts" or name in VERDICT_COLUMNS]
+        style = frame[list(columns or usual)].style.hide(axis="index")
         style = style.format(_format_cell, escape="latex", na_rep="")
         return str(style.format_index(escape="latex", axis=1).to_latex(hrules=True))
 
     def to_csv(self, folder: str | Path) -> None:
-        """Write all tables of the report that have rows as CSV files into a folder."""
+        """Write all tables of the report that have rows as CSV files into a folder.
+
+        The file `.<folder>.json` beside it lists them, so that the next call removes old ones.
+        """
         write_tables(make_folder(Path(folder)), self.tables)
 
     def __repr__(self) -> str:

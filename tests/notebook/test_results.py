@@ -59,6 +59,8 @@ def test_a_table_in_latex_has_a_line_for_each_row(results: Results) -> None:
     assert len(rows) == 1 + len(results.verdict())
     assert rows[0] == r"solver & error\_move & p50\_us \\"
     assert all(len(re.findall(r"\d", cell.split("e")[0])) <= 4 for cell in rows[1].split("&")[1:])
+    (head,) = (line for line in results.to_latex().splitlines() if line.startswith("solver &"))
+    assert head.count("&") < 8 and r"error\_move" in head
     with pytest.raises(InputError, match="verdicts"):
         results.to_latex("verdict")
     with pytest.raises(InputError, match="p50_us"):
