@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 CONSTANT = ("P", "A", "lb", "ub")  # along most sequences
 ARRAYS = ("P", "q", "A", "l", "u", "lb", "ub")
+ABSENT: Any = None  # The default of an array that may be left out
 SYMMETRIC = 1e-10
 """Asymmetry of P, relative to its largest entry, that counts as rounding; more is refused, as some
 solvers read one triangle and some the whole."""
@@ -102,9 +103,9 @@ class QuadraticProgram:
     ----------
     P : (n, n) symmetric positive semidefinite cost matrix.
     q : (n,) linear cost.
-    A : (m, n) rows; m may be 0.
-    l, u : (m,) row limits, ±inf allowed.
-    lb, ub : (n,) bounds, ±inf allowed.
+    A : (m, n) rows; m may be 0. No rows by default.
+    l, u : (m,) row limits, ±inf allowed. By default there is no limit.
+    lb, ub : (n,) bounds, ±inf allowed. By default there is no bound.
     block : variables per move, by which a warm start is shifted; every move has equally many rows.
         0 = a start is not shifted.
     moves : number of variables at the start of a block that are moves of an actuator; the others
@@ -124,15 +125,17 @@ class QuadraticProgram:
     <QuadraticProgram: 2 variables, 1 row>
     >>> qp.objective(np.ones(2))
     -5.0
+    >>> QuadraticProgram(np.eye(2), [-3.0, -3.0], lb=[0.0, 0.0], ub=[9.0, 9.0])
+    <QuadraticProgram: 2 variables, 0 rows>
     """
 
     P: Matrix
     q: Vector
-    A: Matrix
-    l: Vector  # noqa: E741 - OSQP's and the paper's name of the lower row limit
-    u: Vector
-    lb: Vector
-    ub: Vector
+    A: Matrix = ABSENT
+    l: Vector = ABSENT  # noqa: E741 - OSQP's and the paper's name of the lower row limit
+    u: Vector = ABSENT
+    lb: Vector = ABSENT
+    ub: Vector = ABSENT
     block: int = 0
     moves: int = 0
     stages: tuple[tuple[int, int], ...] = ()
@@ -141,9 +144,13 @@ class QuadraticProgram:
         n = np.shape(self.q)[0] if np.ndim(self.q) == 1 else -1
         if n < 1:
             raise ShapeError.of("QuadraticProgram", "q", np.shape(self.q), "shape (n,) with n ≥ 1")
+        self._fill_absent("A", (0, n), 0.0)
         m = np.shape(self.A)[0] if np.ndim(self.A) == 2 else -1
         if m < 0:
             raise ShapeError.of("QuadraticProgram", "A", np.shape(self.A), f"shape (m, {n})")
+        for name, size, limit in (("l", m, -np.inf), ("u", m, np.inf), ("lb", n, -np.inf)):
+            self._fill_absent(name, (size,), limit)
+        self._fill_absent("ub", (n,), np.inf)
         shapes = {"P": (n, n), "q": (n,), "A": (m, n), "l": (m,), "u": (m,), "lb": (n,), "ub": (n,)}
         check_shapes(self, shapes)
         object.__setattr__(self, "P", symmetric_part(self.P, "QuadraticProgram"))
@@ -153,6 +160,11 @@ class QuadraticProgram:
         most = self.block or n
         if not 0 <= self.moves <= most:
             raise ShapeError.of("QuadraticProgram", "moves", (self.moves,), f"0 to {most}")
+
+    def _fill_absent(self, name: str, shape: tuple[int, ...], value: float) -> None:
+        """Give an array that was left out one value."""
+        if getattr(self, name) is ABSENT:
+            object.__setattr__(self, name, np.full(shape, value))
 
     def __repr__(self) -> str:
         return f"<QuadraticProgram: {describe_size(self.n, self.m)}>"

@@ -74,6 +74,17 @@ def test_an_asymmetric_cost_is_refused_and_rounding_averaged() -> None:
     np.testing.assert_allclose(P, qp.P, rtol=1e-14)
 
 
+def test_rows_and_limits_may_be_left_out() -> None:
+    qp = program(0)
+    boxed = QuadraticProgram(qp.P, qp.q, lb=qp.lb, ub=qp.ub)
+    assert (boxed.n, boxed.m) == (N, 0)
+    np.testing.assert_array_equal(boxed.ub, qp.ub)
+    above = QuadraticProgram(qp.P, qp.q, qp.A, u=qp.u)
+    low, high = above.limits()
+    assert (low == -np.inf).all() and (high[M:] == np.inf).all()
+    np.testing.assert_array_equal(high[:M], qp.u)
+
+
 @pytest.mark.parametrize("P", [scipy.sparse.eye_array(N), "P", [[1.0], [1.0, 2.0]]])
 def test_what_is_no_dense_array_is_a_type_error(P: Any) -> None:
     with pytest.raises(TypeError, match=r"^QuadraticProgram: P: found a \w+; allowed: a dense"):
