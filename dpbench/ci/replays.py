@@ -92,7 +92,9 @@ class ReplayBenchmark:
         """Store what identifies a replay and what it reached in the JSON of pytest-benchmark."""
         row, info = run.summary, self._benchmark.extra_info
         info["dpbench"] = version("dpbench")
-        info["solver"], info["sequence"] = run.label, str(row["sequence"] or row["scenario"])
+        # Without the settings, as in baselines that are stored.
+        info["solver"] = "{solver} ({route}, {policy})".format(**row)
+        info["sequence"] = str(row["sequence"] or row["scenario"])
         for name in ("steps_done", "failed_steps", "claimed_not_true"):
             info[name] = int(row[name])
         info["error_move_max"] = float(row["error_move_max"])
