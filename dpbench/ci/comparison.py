@@ -2,8 +2,9 @@
 
 A time is the benchmark's minimum, in units of the reference kernel where both runs have timed that
 beside the benchmark (`extra_info["reference_ns"]`). It is worse where the ratio of the two runs,
-without the factor that all benchmarks share, is beyond the margin by more than the ratios scatter.
-Exact measures (`extra_info["exact"]`: iterations, rows, peak bytes) are worse where they grow.
+without the factor that the benchmarks of other solvers share, is beyond the margin by more than the
+ratios scatter. Exact measures (`extra_info["exact"]`: iterations, error, rows, peak bytes) are
+worse where they grow.
 """
 
 import json
@@ -29,14 +30,18 @@ from dpbench.errors import InputError
 ALPHA = 0.05
 NOISE = Prior(sd=0.05, df=6.0)
 """Noise of one benchmark in its few rounds, between two runs of the same code."""
-SLACK = {"peak_bytes": (1.1, 128.0)}
-"""Factor and number by which an exact measure may grow: when SciPy frees memory is not exact."""
+SLACK = {"peak_bytes": (1.1, 128.0), "error_move_max": (1.1, 1e-9)}
+"""Factor and number by which an exact measure may grow: when SciPy frees memory is not exact, and
+an error below 1e-9 of a rate-limit step is rounding."""
 ALLOWED = "a JSON file of pytest-benchmark, written by --benchmark-json"
 
 
 @dataclass(frozen=True)
 class Benchmark:
-    """One benchmark of a run: minimum and lower quartile [s], rounds, what was noted beside it."""
+    """One benchmark of a run: minimum and lower quartile [s], rounds, what was noted beside it.
+
+    `solver` is the benchmark's own name where no solver was noted.
+    """
 
     name: str
     minimum_s: float
@@ -44,6 +49,7 @@ class Benchmark:
     rounds: int
     reference_ns: float | None
     exact: Mapping[str, float]
+    solver: str
 
     @classmethod
     def read(cls, entry: Mapping[str, Any]) -> "Benchmark":
@@ -53,8 +59,10 @@ class Benchmark:
         times = float(stats["min"]), float(stats["q1"])
         if not (0.0 < times[0] <= times[1] < np.inf and (reference is None or reference > 0)):
             raise ValueError(f"times {times}, reference_ns {reference}")
-        exact = dict(extra.get("exact", {}))
-        return cls(str(entry["fullname"]), *times, int(stats["rounds"]), reference, exact)
+        exact, name = dict(extra.get("exact", {})), str(entry["fullname"])
+        # Without the route: a change of a solver slows it on each.
+        solver = str(extra.get("solver", name)).partition(" (")[0]
+        return cls(name, *times, int(stats["rounds"]), reference, exact, solver)
 
     @property
     def error(self) -> float:
@@ -92,7 +100,7 @@ def find_exact_changes(was: Benchmark, now: Benchmark) -> list[str]:
     for name in sorted(was.exact.keys() & now.exact.keys()):
         factor, more = SLACK.get(name, (1.0, 0.0))
         if now.exact[name] > factor * was.exact[name] + more:
-            changes.append(f"{name} {was.exact[name]} → {now.exact[name]}")
+            changes.append(f"{name} {was.exact[name]:.6g} → {now.exact[name]:.6g}")
     missing = sorted(was.exact.keys() - now.exact.keys())
     return changes + [f"{name} is no longer measured" for name in missing]
 
@@ -100,8 +108,8 @@ def find_exact_changes(was: Benchmark, now: Benchmark) -> list[str]:
 def assess_times(was: Benchmarks, now: Benchmarks, margin: float = MARGIN) -> dict[str, Assessment]:
     """Assess the time of each benchmark that both runs have.
 
-    Below four benchmarks the reference kernel stands for the machine; without it there is no
-    verdict.
+    Below three benchmarks of other solvers the reference kernel stands for the machine; without it
+    there is no verdict.
     """
     pairs = [(was[name], now[name]) for name in now if name in was]
     kernels = np.array([_kernel_factor(*pair) for pair in pairs])
@@ -109,7 +117,8 @@ def assess_times(was: Benchmarks, now: Benchmarks, margin: float = MARGIN) -> di
     logs -= np.nan_to_num(kernels)
     own = np.array([before.error + after.error for before, after in pairs])
     groups = ["plain" if np.isnan(kernel) else "kernel" for kernel in kernels]
-    evidence = remove_machine_factor(logs, own, groups, NOISE, 0.0 * kernels)
+    solvers = [after.solver for _, after in pairs]
+    evidence = remove_machine_factor(logs, own, groups, NOISE, 0.0 * kernels, subjects=solvers)
     found = assess_ratios(evidence, margin, ALPHA)
     return {after.name: one for (_, after), one in zip(pairs, found, strict=True)}
 

@@ -4,7 +4,7 @@
 
 BASELINE is a JSON file, or a folder that keeps one for each machine. What looks worse is measured
 again: noise only ever makes a minimum larger. Exit 0: nothing worse, or no baseline yet, which is
-stored; 1: a regression; 2: bad input.
+stored; 1: a regression, or no benchmark that both have; 2: bad input.
 """
 
 import argparse
@@ -76,13 +76,19 @@ def main(argv: list[str] | None = None) -> int:
             console.print(f"{why}: stored {baseline}, nothing compared", soft_wrap=True)
             return 0
         was = load_benchmarks(baseline)
+        if not was.keys() & now.keys():
+            console.print(f"no benchmark that {baseline} has too, nothing compared", soft_wrap=True)
+            return 1
         measure_again(was, now, arguments.retries, console)
         worse = print_comparison(was, now, console, only_changes=True)
     except InputError as error:
         print(f"gate: {error}", file=sys.stderr)
         return 2
     result = "a regression" if worse else "nothing worse"
-    console.print(f"{result} against {baseline}, {len(now)} benchmarks", soft_wrap=True)
+    console.print(
+        f"{result} against {baseline}, {len(was.keys() & now.keys())} benchmarks compared",
+        soft_wrap=True,
+    )
     return int(worse)
 
 

@@ -102,6 +102,7 @@ class ReplayBenchmark:
         # Where rounds differ, the clock has a part in them.
         if iterations.notna().all() and row["iterations_identical_share"] == 1.0:
             info["exact"] = {"iterations": int(iterations.sum())}
+            info["exact"]["error_move_max"] = info["error_move_max"]
 
 
 def _open_solver(solver: Workspace | str | Path, options: dict[str, Any]) -> Workspace:

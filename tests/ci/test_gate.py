@@ -14,7 +14,7 @@ Write = Callable[..., Path]
 
 @pytest.fixture
 def write(tmp_path: Path) -> Write:
-    """Writes a run of ten benchmarks of 1 to 10 ms, some of them changed."""
+    """Writes a run of ten benchmarks of 1 to 10 ms, some changed, the first `own` of one solver."""
 
     def run(
         name: str,
@@ -23,20 +23,23 @@ def write(tmp_path: Path) -> Write:
         machine: float = 1.0,
         kernel: bool = True,
         count: int = 10,
-        **exact: int,
+        own: int = 0,
+        **exact: float,
     ) -> Path:
         benchmarks: list[dict[str, Any]] = []
         for i in range(count):
             # Ratios of two runs scatter by some 1 %, in a fixed pattern.
             wobble = 1.0 + 0.01 * ((i * len(name)) % 3 - 1)
             smallest = 1e-3 * (i + 1) * (slow or {}).get(i, 1.0) * machine * wobble
-            measures = {"iterations": 100, "peak_bytes": 1000} | (exact if i == 4 else {})
+            measures = {"iterations": 100, "peak_bytes": 1000, "error_move_max": 1e-9}
+            measures |= exact if i == 4 else {}
             benchmarks.append(
                 {
                     "fullname": f"test_x.py::test[{i}]",
                     "stats": {"min": smallest, "q1": 1.01 * smallest, "rounds": 50},
                     "extra_info": {"exact": measures}
-                    | ({"reference_ns": 4e4 * machine} if kernel else {}),
+                    | ({"reference_ns": 4e4 * machine} if kernel else {})
+                    | ({"solver": f"mine (native, {i})"} if i < own else {}),
                 }
             )
         path = tmp_path / f"{name}.json"
@@ -76,6 +79,8 @@ def test_the_first_run_is_stored_and_the_second_compared(
         ({"iterations": 99}, 0),
         ({"peak_bytes": 1300}, 1),
         ({"peak_bytes": 1100}, 0),
+        ({"error_move_max": 1e-7}, 1),
+        ({"error_move_max": 1.9e-9}, 0),
     ],
 )
 def test_planted_changes(
@@ -88,6 +93,27 @@ def test_planted_changes(
     """A slower benchmark, one iteration more or 30 % more memory fail; slow machines pass."""
     assert judged(tmp_path, write("before"), write("later", **changes)) == [0, code]
     assert ("test_x.py::test[4]" in capsys.readouterr().out) or code == 0
+
+
+@pytest.mark.parametrize(("count", "machine"), [(4, 1.0), (4, 2.0), (10, 1.0), (10, 2.0)])
+def test_a_solver_that_became_slower_as_a_whole_fails(
+    write: Write, tmp_path: Path, count: int, machine: float
+) -> None:
+    """Its own benchmarks do not stand for the machine: others' do, or the reference kernel."""
+    before = write("before", count=count, own=4)
+    slow = write("later", count=count, own=4, slow=dict.fromkeys(range(4), 3.0), machine=machine)
+    same = write("again", count=count, own=4, machine=machine)
+    assert judged(tmp_path, before, slow, same) == [0, 1, 0]
+
+
+def test_a_run_without_a_benchmark_of_the_baseline_fails(
+    write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing was compared, which is no pass."""
+    renamed = write("later")
+    renamed.write_text(renamed.read_text("utf-8").replace("test_x", "test_y"), encoding="utf-8")
+    assert judged(tmp_path, write("before"), renamed) == [0, 1]
+    assert "nothing compared" in capsys.readouterr().out
 
 
 def test_renewing_the_baseline(write: Write, tmp_path: Path) -> None:

@@ -85,6 +85,7 @@ def remove_machine_factor(
     prior: Prior = CONFIGURATION_NOISE,
     kernel: Floats | None = None,
     own_share: float = 1.0,
+    subjects: Sequence[str] | None = None,
 ) -> Evidence:
     """Subtract from log step time ratios what all of a group share; estimate their errors.
 
@@ -93,16 +94,19 @@ def remove_machine_factor(
     kernel : (N,) log ratios of a reference kernel, used where a group has too few configurations;
         NaN leaves nothing known of the configuration. None for a machine without such a factor.
     own_share : of the variance from inside the runs, what the scatter of configurations shows.
+    subjects : (N,) what a change slows as a whole, such as a solver; each ratio its own if None.
     """
     labels = np.asarray(groups)
+    subject = np.arange(len(logs)) if subjects is None else np.asarray(subjects)
     centre, error, df = np.zeros(len(logs)), np.empty(len(logs)), np.empty(len(logs))
     for i in range(len(logs)):
-        # What a configuration is judged by must not come from that configuration: its own slow-down
+        # What a configuration is judged by must not come from its own subject: that one's slow-down
         # would count.
-        keep = np.arange(len(logs)) != i
+        keep, same = np.arange(len(logs)) != i, subject == subject[i]
         typical2 = float(np.median(own[keep] ** 2)) if keep.any() else 0.0
-        spread2, df[i] = _estimate_spread(logs[keep], labels[keep], prior, own_share * typical2)
-        others = logs[keep & (labels == labels[i])]
+        places = np.where(same, np.char.add(labels.astype(str), " of the subject"), labels)
+        spread2, df[i] = _estimate_spread(logs[keep], places[keep], prior, own_share * typical2)
+        others = logs[~same & (labels == labels[i])]
         if len(others) >= MIN_OTHERS:
             centre[i] = np.median(others)
             unknown = spread2 * _MEDIAN_VARIANCE / len(others)
