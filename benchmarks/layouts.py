@@ -32,7 +32,7 @@ from dpbench.ship.thrusters import Thruster
 Vector = NDArray[np.float64]
 SEEDS = 10_000
 TOLERANCE = 1e-6
-"""Of a wind [m/s, or of it above 1 m/s] and of a use."""
+"""Tolerance of a wind [m/s, relative above 1 m/s] and of a use."""
 SIDES = 24
 FINE = 4096
 """Sides that stand for a circle: they give away 3e-7 of the thrust."""

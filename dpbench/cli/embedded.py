@@ -113,7 +113,7 @@ def _make_tables(runs: list[dict[str, Any]]) -> Iterator[Table]:
             }
             for run in group
         ]
-        note = "Of the worst step: its number k, iterations and active rows."
+        note = "k, iterations and active rows are those of the worst step."
         yield Table.of(rows, f"{title}instructions a step", note=note)
         sizes = [
             {"solver": run["solver"]}

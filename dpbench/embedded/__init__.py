@@ -1,1 +1,1 @@
-"""What a solver costs as C on an embedded core: cross-compile, emulate, count instructions."""
+"""Cost of a solver's C on an embedded core: cross-compile, emulate, count instructions."""

@@ -34,7 +34,7 @@ COUNTED = ("instructions", "loads", "stores", "stack", "iterations", "active", "
 
 @dataclass(frozen=True, eq=False)
 class StepCounts:
-    """What a solver's C executed along a sequence of K QPs.
+    """Counts of a solver's C along a sequence of K QPs.
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ class EmulationError(DpbenchError):
 
 @dataclass(frozen=True)
 class Counts:
-    """What one call executed: instructions, loads and stores (−1: not counted), bytes of stack."""
+    """Counts of one call: instructions, loads and stores (−1: not counted), bytes of stack."""
 
     instructions: int
     loads: int
@@ -49,17 +49,17 @@ class Counts:
 
 
 @_cfunc(_CODE, cache=True)
-def _count_instruction(engine, address, size, counts):  # type: ignore[no-untyped-def] # Numba's
+def _count_instruction(engine, address, size, counts):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     _carray(counts, 3, np.uint64)[_INSTRUCTIONS] += np.uint64(1)
 
 
 @_cfunc(_MEMORY, cache=True)
-def _count_load(engine, kind, address, size, value, counts):  # type: ignore[no-untyped-def] # Numba's
+def _count_load(engine, kind, address, size, value, counts):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     _carray(counts, 3, np.uint64)[_LOADS] += np.uint64(1)
 
 
 @_cfunc(_MEMORY, cache=True)
-def _count_store(engine, kind, address, size, value, counts):  # type: ignore[no-untyped-def] # Numba's
+def _count_store(engine, kind, address, size, value, counts):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     _carray(counts, 3, np.uint64)[_STORES] += np.uint64(1)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 SIZES = {".text": "code", ".rodata": "constants", ".data": "static", ".bss": "static"}
-"""What each section of a program counts as."""
+"""Kind of memory that each section of a program counts as."""
 
 
 @dataclass(frozen=True)

@@ -40,16 +40,16 @@ class PackageTable(_Table):
 
 
 class RecipeFile(_Table):
-    """What `recipe.toml` states."""
+    """Contents of a `recipe.toml`."""
 
     solver: _Text
     """Name in tables; that of the desk's solver where there is one."""
     licence: _Text
-    """Of the solver's C."""
+    """Version of the solver's C."""
     origin: _Text
-    """Where the C comes from, in words."""
+    """Origin of the C, in words."""
     start: _Text
-    """What a step starts from."""
+    """State that a step starts from."""
     tuned: _Text
     """Which settings were tuned, and on which sequences."""
     package: PackageTable | None = None
@@ -62,7 +62,7 @@ class RecipeFile(_Table):
     float_defines: list[str] | None = None
     """Further flags in single precision; none given: the solver has no single precision."""
     matrices: bool = True
-    """Whether the matrices may change from step to step."""
+    """True if the matrices may change from step to step."""
     largest: int = 0
     """The most variables that are compiled; 0: any number."""
     generator: str = ""

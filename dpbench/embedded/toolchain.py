@@ -26,7 +26,7 @@ FLAGS = (
     "-fno-exceptions -fno-unwind-tables -fno-asynchronous-unwind-tables -ffunction-sections "
     "-fdata-sections"
 )
-"""Of every program: hosted, so that `sqrt` is an instruction."""
+"""Compiler flags of every program: hosted, so that `sqrt` is an instruction."""
 LINK = "-nostdlib -Wl,--gc-sections -Wl,--entry=embedded_set_up"
 """Without the compiler's own library, which takes a minute to build and is hardly needed."""
 EXTRAS = ("ziglang", "unicorn", "elftools")

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from dpbench.report.page.data import PageData
 
 Backend = Literal["altair", "matplotlib"]
-"""What draws: Altair as on the page, or Matplotlib (extra `matplotlib`) for print."""
+"""Library that draws: Altair as on the page, or Matplotlib (extra `matplotlib`) for print."""
 
 
 class JudgedRun(Protocol):

@@ -1,4 +1,4 @@
-"""What tests that compile and emulate need."""
+"""Fixtures of the tests that compile and emulate."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What is wrong with a recipe, a setting or a source, in one line."""
+"""Faults of a recipe, a setting or a source, each in one line."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What a scenario asks of a ship, in words for its statement: weather, losses, thrusters."""
+"""A scenario in words for the statement: weather, losses, thrusters."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any

@@ -18,9 +18,9 @@ from dpbench.solvers.own.compiling import FOLDER, compile_library, library_name
 
 REAL, INTEGER, POINTER = ctypes.c_double, ctypes.c_int, ctypes.c_void_p
 NOT_FINITE, CROSSED, INFEASIBLE, INACCURATE, FAILED = -1, -2, -3, -4, -5
-"""What a solve returns if it is not a number of iterations (`active_set.h`)."""
+"""Status of a solve that returns no number of iterations (`active_set.h`)."""
 REFUSALS = ("", "P or A is not finite", "P is not positive definite")
-"""What setting up ends with, by its code."""
+"""Meaning of the codes that setting up returns."""
 _FUNCTIONS = {
     "active_set_place": (None, POINTER, INTEGER, INTEGER, POINTER, POINTER),
     "active_set_factorise": (INTEGER, POINTER, POINTER, POINTER),

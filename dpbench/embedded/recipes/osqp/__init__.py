@@ -1,1 +1,1 @@
-"""What the recipe of OSQP generates."""
+"""Generator of the C that the recipe of OSQP compiles."""

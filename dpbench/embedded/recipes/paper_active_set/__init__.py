@@ -1,1 +1,1 @@
-"""What the recipes of dpbench's own solvers generate."""
+"""Generator of the headers that the recipes of dpbench's own solvers compile."""
