@@ -7,7 +7,7 @@ from typing import Literal, TypedDict
 
 import numpy as np
 
-from dpbench.arrays import Matrix, Vector
+from dpbench.arrays import Flags, Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.condense import (
     CondensedMatrices,
@@ -219,6 +219,13 @@ class CondensedQP:
             low, high = ((side - before) / problem.row_max for side in (limits.low, limits.high))
             step.l.reshape(self._row_shape)[self._lower] = low * unit
             step.u.reshape(self._row_shape)[self._upper] = high * unit
+
+    def spread_over_moves(self, of_row: Flags) -> Flags:
+        """Return flags (m,) of all rows: those (r,) of force limits at each move, else False."""
+        spread = np.zeros(self.m, dtype=np.bool_)
+        for side in (self._upper, self._lower):
+            spread.reshape(self._row_shape)[side] = of_row
+        return spread
 
     def problem(self, step: QPStep) -> QuadraticProgram:
         """Return the complete QP of one step, constant matrices included."""

@@ -93,7 +93,8 @@ class ExactLoop:
     Attributes
     ----------
     theta (K, 16) : [x; y_ref; u_prev; 1]; state (K + 1, 6); tau (K, 3); thrust (K, n_f); z (K, n).
-    active : (K,) whether the controller's QP has an active limit, or no feasible point.
+    active : (K,) whether the controller's QP has an active limit, or no feasible point; limits that
+        keep a lost thruster at zero do not count.
     optima : certified, of each step in scaled units.
     demand (K, 3), allocated : of a cascade, the demanded force and the optima of its second QPs.
     drawn : what all runs in the same weather share, see `Environment.precompute_weather`.
@@ -191,24 +192,39 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
     if builder.allocation is not None:
         setup.allocating = TimedSolver(second, BoxFormulation(builder.allocation.base()), clock)
     closed_loop(setup)
-    active = _has_active_limits(base, workspace.optima)
+    active = _has_active_limits(base, workspace.optima, _rows_without_force(builder))
     loop = log.theta, log.state, log.tau, log.thrust, log.z[0], active, workspace.optima
     demand = log.demand if scenario.controller.allocates else None
     return ExactLoop(*loop, demand, second.optima, drawn)
 
 
-def _has_active_limits(qp: QuadraticProgram, optima: Sequence[Optimum]) -> Flags:
+def _rows_without_force(builder: QPBuilder) -> list[Flags]:
+    """Return at each step the rows (m,) of lost thrusters and of axes without any force."""
+    condensed, rows = builder.condensed, []
+    thrusters = condensed.control.thrusters
+    for limits in builder.limits:
+        fixed = limits.low == limits.high
+        if thrusters is not None:
+            fixed |= limits.lost[thrusters.thruster]
+        rows.append(condensed.spread_over_moves(fixed))
+    return rows
+
+
+def _has_active_limits(
+    qp: QuadraticProgram, optima: Sequence[Optimum], without_force: Sequence[Flags]
+) -> Flags:
     """Return in which steps (K,) a limit is active, or no feasible point exists.
 
-    The lower bounds of slacks do not count: they are active where a soft limit is not.
+    The lower bounds of slacks do not count: they are active where a soft limit is not. Nor do rows
+    that keep a lost thruster at zero.
     """
     is_move = np.arange(qp.n) % (qp.block or qp.n) < (qp.moves or qp.n)
     return np.array(
         [
             optimum.kind == "infeasible"
-            or bool((np.abs(optimum.y) > ACTIVE_MULTIPLIER).any())
+            or bool((np.abs(optimum.y[~without]) > ACTIVE_MULTIPLIER).any())
             or bool((np.abs(optimum.y_box[is_move]) > ACTIVE_MULTIPLIER).any())
-            for optimum in optima
+            for optimum, without in zip(optima, without_force, strict=True)
         ],
         dtype=np.bool_,
     )

@@ -8,6 +8,7 @@ import pytest
 from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
 from dpbench.bench.run.station import find_arrivals, station_metrics
 from dpbench.scenario.scenario import Scenario, load_scenario
+from dpbench.scenario.variation import replace_values
 
 
 def loop_along(scenario: Scenario, east_m: Any, active: Any = False) -> ExactLoop:
@@ -64,6 +65,16 @@ def test_slacks_at_rest_are_no_active_limits() -> None:
     circle = load_scenario("watch_circle")
     active = solve_exactly(circle).active
     assert active[0] and not active[circle.steps // 2 :].any()
+
+
+def test_a_lost_thruster_is_no_active_limit() -> None:
+    """In a weak current the other thrusters never reach a limit, before the loss and after it."""
+    values = {"environment": {"current": {"speed_mps": 0.2, "towards_deg": 220.0}, "ramp_s": 60.0}}
+    weak = replace_values(load_scenario("thrusters_loss").truncate(400), values, "weak current")
+    exact = solve_exactly(weak)
+    assert np.abs(exact.thrust[-1]).max() > 1e3
+    assert not exact.active.any()
+    assert any(np.abs(optimum.y).max() > 1e-9 for optimum in exact.optima[301:])
 
 
 @pytest.mark.parametrize(
