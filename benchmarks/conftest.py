@@ -34,7 +34,7 @@ def exact(scenario: Scenario) -> ExactLoop:
 
 @pytest.fixture(autouse=True)
 def no_garbage_collection() -> Iterator[None]:
-    """Nothing collects garbage between two clock reads."""
+    """Keep the garbage collector off between two clock reads."""
     gc.collect()
     gc.disable()
     yield

@@ -1,4 +1,4 @@
-"""How often stated intervals hold a known truth, and how often `dpbench compare` is right.
+"""Measure how often stated intervals hold a known truth, and how often `dpbench compare` is right.
 
     python benchmarks/coverage.py [--quick]
 
@@ -38,7 +38,7 @@ from dpbench.analysis.suites.study import paired_difference
 METHOD = Path(__file__).parents[1] / "docs" / "method.md"
 MARKERS = ("<!-- coverage -->", "<!-- /coverage -->")
 ALLOWED = (0.93, 0.99)
-"""What the share of intervals that hold the truth must lie between."""
+"""Bounds of the share of intervals that hold the truth."""
 DRAWS, TABLES = 2000, 300
 """Draws of each interval, and tables of each comparison."""
 QUICK_DRAWS, QUICK_TABLES = 40, 3
@@ -69,7 +69,7 @@ class Row:
 
     @property
     def is_allowed(self) -> bool:
-        """Whether the share lies within `ALLOWED`, as far as the draws can tell."""
+        """True where the share lies within `ALLOWED`, as far as the draws can tell."""
         reach, rare = 2.0 * self.error, self.stated < 0.1 * self.draws
         low, high = ALLOWED
         return not self.is_coverage or rare or low - reach <= self.held <= high + reach
@@ -263,7 +263,7 @@ def _simulated_run(number: int, kernel_ns: float) -> Any:
 
 
 def compare_once(rng: Random, planted: float, *, disturbed: bool) -> tuple[bool, bool, bool]:
-    """Whether all intervals of a table hold their truth, and its false and true claims."""
+    """Compare simulated runs: do all intervals hold their truth, is a claim false, is one true?"""
     truth = np.ones(CONFIGURATIONS)
     truth[0] += planted
     one = SimulatedRecords(rng, np.ones(CONFIGURATIONS), disturbed=disturbed)
@@ -279,7 +279,7 @@ def compare_once(rng: Random, planted: float, *, disturbed: bool) -> tuple[bool,
 
 
 def comparison_rows(rng: Random, tables: int) -> Iterator[Row]:
-    """What `compare` does on a quiet and a disturbed machine, without a change and with one."""
+    """Yield the rows of `compare`: machine quiet or disturbed, with and without a change."""
     for planted, disturbed in ((0.0, False), (0.0, True), (0.05, True), (0.15, True), (0.5, True)):
         found = np.array([compare_once(rng, planted, disturbed=disturbed) for _ in range(tables)])
         held, false, slower = found.mean(axis=0).tolist()

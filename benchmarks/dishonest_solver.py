@@ -36,7 +36,7 @@ NAME = Path(__file__).stem
 RECORD = solver_record(NAME, method="active set", policies=("warm",), module="daqp")
 WORDS = NAME.split("-")
 SHARES = {"all": 1, "hard": 4, "slow": 12}
-"""One in so many QPs, whichever its vectors choose, is one of the steps that are remembered."""
+"""Divisor of the steps that are remembered: one in so many QPs, chosen by its vectors."""
 
 
 def _busy(ms):

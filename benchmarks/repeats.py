@@ -1,5 +1,4 @@
-"""How often `dpbench compare` is wrong: runs of one suite against each other, without a change and
-with a planted one.
+"""Count how often `dpbench compare` is wrong on repeated runs, with and without a change.
 
     python benchmarks/repeats.py OUT [--runs 10] [--slowed-by 0.15]
 

@@ -1,4 +1,4 @@
-"""What a campaign costs a cell, and what its report takes: the tables of docs/guide/scale.md.
+"""Measure the cost of a cell in a campaign and of its report: the tables of docs/guide/scale.md.
 
     python benchmarks/scale.py OUT [--cells 10000] [--steps 1000] [--only cells,campaign,report]
 
@@ -40,11 +40,11 @@ from dpbench.solvers.table import check_availability
 
 EMPTY = Path(__file__).parent / "empty_solver.py"
 CONFIGURATIONS = 12
-"""Of the empty solver: its settings times its policies."""
+"""Configurations of the empty solver: its settings times its policies."""
 TOLERANCES = ("default", "1e-3", "1e-5", "1e-7", "1e-9")
 LEVELS = ("default", *(f"1e-{i}" for i in range(1, 10)))
 POINTS = {"environment.wind.speed_mps": [6.0, 10.7], "start.east_m": [0.0, 3.0]}
-"""Of the folder that is made up: so many configurations at four points."""
+"""Points of the made-up folder, each with as many configurations."""
 RUN = "import sys; from dpbench import run_campaign; run_campaign(*sys.argv[1:3], {module})"
 REPORT = "import sys; from dpbench import write_report; write_report(sys.argv[1])"
 SUBREAPER = 36
@@ -61,8 +61,8 @@ class Cost:
     peak_mb: float
 
 
-def measured(code: str, *arguments: object) -> Cost:
-    """What Python code takes in a process of its own."""
+def run_measured(code: str, *arguments: object) -> Cost:
+    """Run Python code in a process of its own and return its cost."""
     began = time.monotonic()
     command = [sys.executable, "-c", code, *map(str, arguments)]
     main = subprocess.Popen(command)
@@ -81,9 +81,9 @@ def measured(code: str, *arguments: object) -> Cost:
 
 
 def campaign(suite: Path, out: Path, module: Path | None = None) -> Cost:
-    """What running a suite takes."""
+    """Run a suite and return its cost."""
     chosen = "" if module is None else f"solver_module={str(module)!r}"
-    return measured(RUN.format(module=chosen), suite, out)
+    return run_measured(RUN.format(module=chosen), suite, out)
 
 
 def suite_of(path: Path, solver: str, seas: int, steps: int, **study: object) -> Path:
@@ -158,7 +158,7 @@ def empty_campaign(out: Path, cells: int) -> Iterator[tuple[str, ...]]:
     yield "largest process", f"{whole.peak_mb:.0f} MB"
     yield "on disk a cell", f"{size / count / 1e3:.2f} kB, {files / count:.4f} files"
     yield "the same command again", f"{again.cpu_s:.1f} s, {again.peak_mb:.0f} MB"
-    report = measured(REPORT, folder)
+    report = run_measured(REPORT, folder)
     yield "its report", f"{report.cpu_s:.1f} s, {report.peak_mb:.0f} MB"
 
 
@@ -171,7 +171,7 @@ def big_report(out: Path, cells: int, steps: int) -> Iterator[tuple[str, ...]]:
     assembled = campaign(suite, folder)
     results = load_results(folder)
     runs, rows = len(results.runs), results.recorded.rows
-    report = measured(REPORT, folder)
+    report = run_measured(REPORT, folder)
     size = (folder / "steps.parquet").stat().st_size
     yield "runs, steps", f"{runs}, {rows}"
     yield "kept in parts", f"{1e3 * kept_s / runs:.2f} ms a cell"

@@ -1,4 +1,4 @@
-"""Whether memory stays flat: 200 000 steps in one process a solver, 5000 cells in one campaign.
+"""Check that memory stays flat: 200 000 steps in one process a solver, 5000 cells in one campaign.
 
     python benchmarks/soak_memory.py [--share 0.01] [--solver NAME]... [--skip-campaign]
 
@@ -64,7 +64,7 @@ class Growth:
 
     @property
     def is_flat(self) -> bool:
-        """Whether it grew by no more than is allowed."""
+        """True where memory grew by no more than is allowed."""
         return self.after <= (1.0 + ALLOWED) * self.before
 
     def __str__(self) -> str:

@@ -72,7 +72,7 @@ DAMAGE: dict[str, Callable[[bytes], bytes]] = {
 
 
 class ChaosError(Exception):
-    """What was found is not what should be."""
+    """Failed check of a chaos run."""
 
 
 def _check(right: bool, words: str) -> None:
@@ -180,7 +180,7 @@ def _ancestors(pid: int) -> Iterator[int]:
 
 
 def _open_paths() -> list[Path]:
-    """What some process has open: scratch folders of other runs on this machine among it."""
+    """Return the paths that any process has open, among them scratch folders of other runs."""
     found = []
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         with suppress(OSError):

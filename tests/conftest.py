@@ -374,7 +374,7 @@ class MadeRecords:
         return Records(self.results())
 
     def ending(self) -> dict[str, str]:
-        """What a run that left these records ends with, by what each line is about."""
+        """The last lines of a run that left these records, by the subject of each."""
         report = Report.of(self.results())
         return dict(report.summary_rows())
 

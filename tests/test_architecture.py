@@ -41,7 +41,8 @@ def test_the_walk_goes_from_the_ship_to_the_page() -> None:
 
 
 def test_the_layers_are_those_that_lint_checks() -> None:
-    """Of package, analysis, bench and solvers: the same packages in the same order."""
+    """The page shows the layers of package, analysis, bench and solvers with the same packages in
+    the same order."""
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     checked = [
         [set(re.findall(r"\w+", layer)) for layer in contract["layers"]]
@@ -64,7 +65,7 @@ def test_every_place_a_document_names_exists(document: str) -> None:
 
 @pytest.mark.parametrize("script", ["Makefile", ".ci/run"])
 def test_every_test_a_script_names_exists(script: str) -> None:
-    """What `make` and CI run of the tests is there, in whatever form it is given to pytest."""
+    """Every test that `make` and CI run exists, in whatever form it is given to pytest."""
     named = re.findall(r"(?:tests|benchmarks)/[\w./]+", (ROOT / script).read_text(encoding="utf-8"))
     assert named
     for name in named:

@@ -46,7 +46,7 @@ ls -A /dev/shm /tmp
 
 
 def _namespaces() -> bool:
-    """Whether this user may make them."""
+    """True where this user may make namespaces."""
     tools = all(map(shutil.which, ("unshare", "setpriv", "taskset", "mount")))
     command = ["unshare", "--mount", "mount", "-t", "tmpfs", "tmpfs", "/mnt"]
     return tools and subprocess.run(command, capture_output=True, check=False).returncode == 0

@@ -66,7 +66,7 @@ def test_a_made_up_folder_is_one_of_a_campaign(tmp_path: Path) -> None:
 def test_what_a_cell_costs_is_told_from_what_a_sea_costs(
     scale: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of campaigns that take 3 s, 20 µs a step of each cell and 50 µs a step of each sea."""
+    """The campaigns take 3 s, 20 µs a step of each cell and 50 µs a step of each sea."""
 
     def campaign(suite: Path, out: Path) -> object:
         text = suite.read_text(encoding="utf-8")

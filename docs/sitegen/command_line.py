@@ -54,7 +54,7 @@ def _arguments(command: argparse.ArgumentParser) -> str:
 
 
 def _called(action: argparse.Action) -> str:
-    """How an argument is written, with what follows it."""
+    """Format an argument as it is written, with what follows it."""
     value = action.metavar or (action.dest.upper() if action.option_strings else action.dest)
     shown = " ".join(value) if isinstance(value, tuple) else value
     if not action.option_strings:

@@ -1,4 +1,4 @@
-"""What comes with the package: its vessels, scenarios and suites, from their files."""
+"""Reference of the vessels, scenarios and suites of the package, from their files."""
 
 from dpbench.bench.plan.suite import load_suite
 from dpbench.scenario.problem_files import problem_names

@@ -12,7 +12,7 @@ from sitegen.markup import code, prose, table
 PITFALLS: dict[str, list[str]] = tomllib.loads(
     Path(__file__).with_name("pitfalls.toml").read_text(encoding="utf-8")
 )
-"""What one should know before one uses a solver, by its name."""
+"""Warnings about the use of a solver, by its name."""
 ROUTES: dict[Route, str] = {
     "native": "through its own interface",
     "qpsolvers": "through the package qpsolvers",

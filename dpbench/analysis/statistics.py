@@ -20,18 +20,18 @@ from dpbench.bench.judge.rules import supports_percentile
 PARTS = 5
 """Consecutive parts of a sequence whose means give the error of its mean."""
 LEAST_STEPS = 500
-"""With fewer steps no interval is stated: parts of fewer than 100 steps resemble their
-neighbours."""
+"""Least number of steps for which an interval is stated: parts of fewer than 100 steps resemble
+their neighbours."""
 LARGEST_CORRELATION = 0.9
 """Largest correlation of neighbouring parts that an interval is widened for."""
 LEAST_VARIANCE = 0.25
 """Least variance of a share over parts, in variances of independent steps: less is chance."""
 SKEW_SHARE = 1.5
-"""By what the skewness found is multiplied: few values show too little of it."""
+"""Factor on the skewness found: few values show too little of it."""
 LEAST_SKEW_DF = 2.5
-"""With fewer degrees of freedom no skewness is estimated."""
+"""Least degrees of freedom with which skewness is estimated."""
 TAILS = (0.025, 0.975)
-"""Of an interval at 95 % confidence."""
+"""Tail probabilities of an interval at 95 % confidence."""
 
 
 @dataclass(frozen=True)

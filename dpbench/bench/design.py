@@ -42,16 +42,17 @@ STILL = "still water"
 OFFSETS_M = tuple(0.25 * 2.0**i for i in range(9))
 """Offsets that are tried, 0.25 m to 64 m, up to the first that is not held."""
 WIDTH = 0.05
-"""Of the bracket, relative to its upper end."""
+"""Width of the bracket around the largest offset held, relative to its upper end."""
 DURATION_S = 600.0
-"""Of a trial. The slowest return seen, from 64 m, takes more than four minutes."""
+"""Length of a trial [s]. The slowest return seen, from 64 m, takes more than four minutes."""
 TAIL_S = 60.0
 """The end of a trial over which the ship has to stay where it belongs."""
 TOLERANCE_M = 0.1
-"""How close it has to stay: more than five times what the weather of `calm` moves it about."""
+"""Largest distance from the setpoint in the tail of a trial [m]: more than five times what the
+weather of `calm` moves the ship about."""
 
 LIMIT_S = 600.0
-"""Of a design; it takes some six seconds on a machine of today."""
+"""Time limit of a design [s]; it takes some six seconds on a machine of today."""
 WORK = 20_000
 """A design for the progress bar, in steps: about as long as so many steps of a solver."""
 

@@ -24,9 +24,10 @@ from dpbench.bench.workers.jobs import CELL_S, STEP_S
 from dpbench.errors import InputError, ResultsError
 
 JUDGE_STEP_S = 0.00015
-"""What of `STEP_S` is the referee's and the tables'."""
+"""Part of `STEP_S` for the referee and the tables [s]."""
 STEP_BYTES, RUN_BYTES = 90.0, 500.0
-"""In the tables, of runs that have nothing in common (`docs/guide/scale.md`)."""
+"""Size of a step and of a run in the tables, for runs that have nothing in common
+(`docs/guide/scale.md`)."""
 _KIND = ["mode", *CONFIGURATION_COLUMNS]
 Kind = tuple[str, ...]
 

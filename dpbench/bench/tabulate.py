@@ -37,7 +37,7 @@ class RequestedRuns:
 
     def __init__(self, work: Sequence[CellJob]) -> None:
         self.jobs: dict[str, tuple[CellJob, str]] = {}
-        """By run_id: the job, and its settings' name."""
+        """Jobs by run_id, each with the name of its settings."""
         for job in work:
             self.jobs[job.run_id] = job, job.cell.settings
             for settings in job.planned.alias_settings:

@@ -415,4 +415,4 @@ _COMMANDS: dict[str, tuple[Callable[[Command], None], str, str | None]] = {
         None,
     ),
 }
-"""By name: the function that adds its arguments, its summary and its epilog."""
+"""Commands by name: the function that adds the arguments, the summary and the epilog."""

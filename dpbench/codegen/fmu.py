@@ -33,7 +33,8 @@ SYSTEMS = {
         ("aarch64-darwin", "aarch64-macos", ".dylib"),
     ),
 }
-"""By version: folder in the FMU, system for the compiler, ending of a shared library."""
+"""Platforms of an FMU by version: folder in the FMU, system for the compiler, ending of a shared
+library."""
 UNITS = (
     ("m", 'm="1"'),
     ("rad", 'rad="1"'),

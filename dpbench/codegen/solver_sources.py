@@ -23,7 +23,8 @@ from dpbench.temporary_folders import process_folder, temporary_folder
 
 OSQP_SETTINGS = {"eps_abs": 1e-6, "eps_rel": 0.0, "rho": 0.03, "max_iter": 20_000}
 OSQP_TOLERANCE = 0.01
-"""In rate-limit steps: the generated code keeps ρ, while OSQP in the loop adapts it."""
+"""Largest accepted difference between generated code and loop for OSQP, in rate-limit steps: the
+code keeps ρ, while OSQP in the loop adapts it."""
 
 
 @dataclass(frozen=True)
@@ -171,4 +172,4 @@ SOLVERS: dict[str, Callable[[CondensedQP], SolverSources]] = {
     "osqp": write_osqp,
     "daqp": write_daqp,
 }
-"""By the name of the solver."""
+"""Makers of the C sources by the name of the solver."""

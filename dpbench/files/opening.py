@@ -14,10 +14,11 @@ from typing import BinaryIO
 from dpbench.errors import InputError
 
 MOST_TEXT_BYTES = 2**20
-"""Of a TOML or CSV file. The largest that ships has 6 kB; tomllib reads a megabyte in a second."""
+"""Largest TOML or CSV file that is read [B]. The largest that ships has 6 kB; tomllib reads a
+megabyte in a second."""
 FREE_BYTES, MOST_RATIO = 2**26, 100
-"""What a compressed file may unpack to: so many bytes, and so many times its size. Of the sequences
-that ship the most is 53 times, of a million runs of a single step some 60 times."""
+"""Limits of unpacking a compressed file: bytes that are always allowed, and beyond them multiples
+of its size. Sequences that ship need at most 53 times, a million runs of a single step some 60."""
 # Without a writer at its other end, a FIFO would keep a blocking open for ever.
 _FLAGS = os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
 _KINDS = {

@@ -20,7 +20,8 @@ from dpbench.files.opening import check_unpacked, open_regular_file
 
 WHAT = "a table written by `dpbench run`"
 MOST_ENTRIES = 100_000
-"""Of a list in the footer, as that of columns or of row groups: 10¹⁰ steps have as many."""
+"""Longest list that a Parquet footer may have, of columns or of row groups: 10¹⁰ steps have as
+many."""
 _CODE, _NUMBER = 4, 8  # Bytes of a value in memory: of the code of a word, and of any number
 _IS_TEXT = (pa.types.is_string, pa.types.is_large_string)
 _IS_NUMBER = (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean, pa.types.is_null)

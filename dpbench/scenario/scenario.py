@@ -44,7 +44,8 @@ CONTROLLERS: dict[str, Callable[[ControllerSpec], Controller]] = {
     "thrusters": ThrusterController.of,
     "cascade": CascadeController.of,
 }
-"""By `controller.kind`; each raises InputError for a vessel or faults that do not fit it."""
+"""Makers of controllers by `controller.kind`; each raises InputError for a vessel or faults that do
+not fit it."""
 
 
 @dataclass(frozen=True, eq=False)

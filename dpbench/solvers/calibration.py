@@ -58,7 +58,8 @@ CALIBRATION: dict[str, SolverRecord] = {
     COPY_ONLY: _make_record(COPY_ONLY, "none: copies q, l, u in and an answer out"),
     **{n: _make_record(n, f"none: waits {ns // 1000} µs in solve") for n, ns in WAITS_NS.items()},
 }
-"""By name, in the order of display; none is a solver of the table."""
+"""Records of the calibration solvers by name, in the order of display; none is a solver of the
+table."""
 
 
 class NoOpWorkspace(Workspace):

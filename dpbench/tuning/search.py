@@ -16,7 +16,8 @@ from dpbench.tuning.space import SearchSpace
 BATCH = 8
 """Trials of one batch, those of a solver timed by turns; a power of two for Sobol."""
 FIRST_RADIUS = 0.25
-"""Of the first batch near the best, as a share of each range; halved where nothing is gained."""
+"""First distance of new points from the best, as a share of each range; halved where nothing is
+gained."""
 
 _Score = TypeVar("_Score")
 

@@ -49,7 +49,7 @@ def _autoregression(correlation: float, steps: int, rng: np.random.Generator) ->
 
 @pytest.mark.parametrize("correlation", [0.0, 0.97])
 def test_intervals_of_correlated_steps_hold_the_truth(correlation: float) -> None:
-    """Of 200 draws at least 90 % of the intervals of a mean and of a median hold it.
+    """At least 90 % of the intervals of a mean and of a median hold the truth, in 200 draws.
 
     A coverage of 95 % has a standard deviation of 1.5 % over 200 draws. Blocks of 20 steps gave
     65 % at a correlation of 0.97, which two solvers show from step to step.
@@ -119,7 +119,7 @@ def test_short_sequences_do_not_cost_a_long_one_its_interval() -> None:
 
 @pytest.mark.parametrize("steps", [80, 97, 1000])
 def test_the_error_of_a_mean_over_blocks_is_that_of_its_resamples(steps: int) -> None:
-    """Of correlated values; 20000 resamples tell their own spread to half a percent."""
+    """The values are correlated; 20000 resamples tell their own spread to half a percent."""
     rng = np.random.default_rng(5)
     values = np.cumsum(rng.standard_normal(steps)) / 10.0
     starts = rng.integers(0, steps, size=(20_000, -(-steps // 20)))

@@ -1,4 +1,4 @@
-"""How long a slow configuration goes on: rounds within a budget, limits, known waits."""
+"""Length of the run of a slow configuration: rounds within a budget, limits, known waits."""
 
 from collections.abc import Iterator
 

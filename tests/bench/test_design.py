@@ -49,7 +49,7 @@ def study(designs: list[Design], out: Path, machine: str = "machine") -> DesignS
 
 
 def run(designs: list[Design], out: Path) -> Designs:
-    """What `design.json` says after a run of such designs into a folder."""
+    """Run such designs into a folder and return the contents of `design.json`."""
     with LocalEngine(len(os.sched_getaffinity(0))) as engine:
         looked_into = study(designs, out)
         sources = SourceFiles(out / "cells")

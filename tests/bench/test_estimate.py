@@ -1,4 +1,4 @@
-"""What a campaign will take is what its last runs took, or what stated rates say."""
+"""The estimate of a campaign equals the times of its last runs, or what stated rates give."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What starting a campaign brings along, and what it does not."""
+"""Imports at the start of a campaign, and those that do not happen."""
 
 import os
 import subprocess

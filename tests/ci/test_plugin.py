@@ -79,7 +79,7 @@ def test_a_session_compared_with_a_stored_one(
 
 @pytest.mark.slow
 def test_a_comparison_of_nothing_fails(pytester: pytest.Pytester) -> None:
-    """What is not measured is not called unchanged, and a bad file ends before any test."""
+    """An unmeasured benchmark is not called unchanged, and a bad file ends before any test."""
     pytester.makepyfile("def test_nothing(): pass")
     base = write_baseline(pytester.path, "gone", 1.0)
     result = run(pytester, f"--dpbench-compare={base}")

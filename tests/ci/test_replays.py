@@ -43,7 +43,7 @@ def few() -> QPSequence:
 
 @pytest.mark.parametrize(("solver", "policy"), [("daqp", "fresh"), ("osqp", "warm")])
 def test_a_replay_stores_its_facts(few: QPSequence, solver: str, policy: str) -> None:
-    """Who solved what, how well, and the iterations, which do not depend on the clock."""
+    """The facts are solver, accuracy and iterations, which do not depend on the clock."""
     benchmark = CallsTwice()
     ReplayBenchmark(benchmark)(few, solver, policy=policy, settings="high")
     info = benchmark.extra_info

@@ -35,7 +35,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture(autouse=True)
 def _quick_trials(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a tuning holds is asked of the loop in `test_check_ship`; here it is 1 m."""
+    """Let a tuning hold 1 m; `test_check_ship` tries real loops."""
     monkeypatch.setattr(check_ship, "is_held", lambda trial, offset_m, sides: offset_m <= 1.0)
 
 

@@ -1,4 +1,4 @@
-"""What `dpbench check` says of a ship: short, aligned, and what the loop itself says."""
+"""Output of `dpbench check` for a ship: short, aligned, and equal to that of the loop itself."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,7 +19,7 @@ def up_to(monkeypatch: pytest.MonkeyPatch, offset_m: float) -> None:
 
 
 def read_stored_text(name: str) -> str:
-    """What is said of a library vessel."""
+    """Return the text for a library vessel."""
     return check_ship.vessel_text(problem_path("vessels", name), load_vessel(name))
 
 

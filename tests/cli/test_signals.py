@@ -70,7 +70,7 @@ def started(tmp_path: Path, place: Path) -> subprocess.Popen[str]:
 
 
 def _is_replaying(tmp_path: Path) -> bool:
-    """Whether closed loops are finished, and the sequence of the replays is made."""
+    """True once closed loops are finished and the sequence of the replays is made."""
     cells = tmp_path / "out" / "cells"
     return any(cells.glob("part-*.parquet")) and any(cells.glob("exact-*.npz"))
 

@@ -10,7 +10,7 @@ import pytest
 from dpbench.scenario.problem_files import problem_path
 
 HEAVY = {"pandas", "numba", "scipy.optimize", "scipy.sparse", "osqp"}
-"""What takes a quarter of a second or more to import."""
+"""Packages that take a quarter of a second or more to import."""
 _CALLED = """
 import contextlib, io, json, sys
 from dpbench.cli.main import main

@@ -1,4 +1,4 @@
-"""What is printed where it cannot be shown: closed streams and pipes, ASCII, a full disk."""
+"""Printing where nothing can be shown: closed streams and pipes, ASCII, a full disk."""
 
 import os
 import subprocess
@@ -15,7 +15,7 @@ ASCII = {"LC_ALL": "C", "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0", "PYTHONC
 
 
 def _shell(script: str, **variables: str) -> subprocess.CompletedProcess[str]:
-    """What became of a line of shell, in which `dpbench` is the command line of this tree."""
+    """Run a line of shell in which `dpbench` is the command line of this tree."""
     environment = {"PYTHONPATH": str(Path(dpbench.__file__).parents[1]), **variables}
     script = f'dpbench() {{ "{sys.executable}" -m dpbench "$@"; }}\n{script}'
     command = ["bash", "-c", script]

@@ -1,4 +1,4 @@
-"""What people read fits 80 columns and a dumb terminal, and has no codes in it."""
+"""Texts for people fit 80 columns and a dumb terminal, and have no codes in them."""
 
 import os
 import pty
@@ -108,7 +108,7 @@ def test_a_terminal_of_80_columns(words: list[str], setting: dict[str, str]) -> 
 
 
 def _read(terminal: int) -> bytes:
-    """What a terminal has; nothing once nobody writes to it, which Linux says by an error."""
+    """Read from a terminal; nothing once nobody writes to it, which Linux reports as an error."""
     try:
         return os.read(terminal, 1 << 16)
     except OSError:

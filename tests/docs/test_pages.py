@@ -1,4 +1,4 @@
-"""What the documentation names is there, and what the code has is in the documentation."""
+"""Names in the documentation exist, and what the code has is in the documentation."""
 
 import ast
 import fnmatch

@@ -1,4 +1,4 @@
-"""What stands in the place of a file: whoever reads it says so in one line, and never waits."""
+"""Other things in the place of a file: every reader refuses them in one line, and never waits."""
 
 import os
 import signal
@@ -45,7 +45,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "runs.parquet": lambda path: load_results(path.parent),
     "steps.parquet": lambda path: StepsOnDisk(path.parent),
 }
-"""Who reads which file of others."""
+"""Readers of foreign files, by the name of the file."""
 
 
 @pytest.fixture

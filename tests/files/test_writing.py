@@ -1,4 +1,4 @@
-"""What is written into a folder of others stays in it, and what was not written stays there."""
+"""Writing into a folder of others stays in it, and leaves there what was not written."""
 
 import json
 import os

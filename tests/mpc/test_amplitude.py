@@ -18,7 +18,7 @@ from dpbench.qp.referee.referee import certify
 from tests.mpc.conftest import at_sea, random_problem, ship_problem
 
 LOST = np.array([1.0, 0.45, 0.6])
-"""What is left of the limits in `thruster_loss`."""
+"""Remaining shares of the limits in `thruster_loss`."""
 EQUAL = 1e-9
 """The largest difference of two plans called equal, in rate-limit steps; both are certified to
 1e-10 or better."""

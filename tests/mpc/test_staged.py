@@ -23,7 +23,8 @@ from dpbench.qp.solution import Solution, Status
 from tests.mpc.conftest import VESSELS, at_sea, ship_problem
 
 ROUNDING = 1e-9
-"""Of the sum of the sizes of all terms of an equation; optima are certified to 1e-10."""
+"""Rounding error, relative to the sum of the sizes of all terms of an equation; optima are
+certified to 1e-10."""
 SAME = 1e-8
 """The largest difference of plans called equal, in rate-limit steps."""
 
@@ -113,7 +114,8 @@ SOLVERS: dict[str, Any] = {"piqp_multistage": dict.fromkeys(TOLERANCES, 1e-12), 
 
 
 def distance(condensed: CondensedQP, staged: StagedQP, *theta: Any, **limits: Any) -> float:
-    """How far the staged answer is from the certified condensed plan, in rate-limit steps."""
+    """Return the distance of the staged answer from the certified condensed plan, in rate-limit
+    steps."""
     optimum = certify(condensed.problem(condensed.emit(*theta, **limits)))
     assert optimum.bound < 1e-10
     qp = staged.problem(staged.emit(*theta, **limits))

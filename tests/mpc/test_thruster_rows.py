@@ -22,7 +22,7 @@ def one_azimuth(**other: object) -> ThrusterSet:
 
 
 def inside(rows: ThrusterRows, f: np.ndarray) -> np.ndarray:
-    """Whether each of the forces f (..., n_f) satisfies all rows."""
+    """True for each of the forces f (..., n_f) that satisfies all rows."""
     along = f @ rows.G.T
     return np.asarray(((along <= rows.high + 1e-6) & (along >= rows.low - 1e-6)).all(-1))
 

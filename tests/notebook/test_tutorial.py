@@ -18,7 +18,7 @@ OF_MACHINE = re.compile(r"/(tmp|home|root|work|usr|Users|var)/|[A-Z]:\\|hostname
 
 
 def _texts(output: dict[str, Any]) -> list[str]:
-    """What an output shows as text."""
+    """Return the text that an output shows."""
     data = {kind: text for kind, text in output.get("data", {}).items() if "image" not in kind}
     return ["".join(text) for text in (*data.values(), output.get("text", []))]
 

@@ -97,7 +97,7 @@ def test_infeasible_steps_have_no_feasible_point_by_a_margin() -> None:
 
 
 def _met(found: PlantedSequence, k: int) -> np.ndarray:
-    """Which limits the planted optimum of step k meets."""
+    """Return the limits that the planted optimum of step k meets."""
     C, L, U, _ = joint(found, k)
     value = C @ found.z[k]
     return (value == L) | (value == U)

@@ -1,4 +1,4 @@
-"""What the controller does to the ship comes first, on every surface, before any solver."""
+"""The effect of the controller on the ship comes first, on every surface, before any solver."""
 
 import json
 import math

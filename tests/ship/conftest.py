@@ -1,4 +1,5 @@
-"""What the tests share: weather of one kind, a ship with hull data, the force that it feels."""
+"""Fixtures of the ship's tests: weather of one kind, a ship with hull data, the force that it
+feels."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What a ship is, in numbers: against its equations solved in other ways, and the plant itself."""
+"""Characteristics of a ship: against its equations solved in other ways, and the plant itself."""
 
 from dataclasses import replace
 

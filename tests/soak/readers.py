@@ -1,4 +1,4 @@
-"""What is soaked: real files of each kind, how they are mutated, and who reads them."""
+"""Subjects of the soak test: real files of each kind, their mutation, and their readers."""
 
 import json
 import random
@@ -54,7 +54,7 @@ class Soaked(ABC):
         return rng.choice(sorted(self.files))
 
     whole = False
-    """Whether the reader needs the other files too."""
+    """True where the reader needs the other files too."""
 
 
 def _contents(root: Path, pattern: str) -> dict[str, bytes]:

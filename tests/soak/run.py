@@ -35,7 +35,7 @@ from dpbench.errors import InputError
 from tests.soak.readers import KINDS, ROOT, Soaked
 
 MUTANTS = 100_000
-"""Of each kind, in full."""
+"""Mutants of each kind in a full run."""
 BATCH = 200
 """Mutants of a process."""
 LIMIT_S, LIMIT_BYTES = 10.0, 10**9
@@ -47,7 +47,7 @@ FINE = ("read", "refused")
 
 @dataclass
 class Count:
-    """What became of the mutants of one kind."""
+    """Outcomes of the mutants of one kind."""
 
     kind: str
     outcomes: Counter[str] = field(default_factory=Counter)
@@ -92,7 +92,7 @@ def _lay_out(soaked: Soaked, seed: str, folder: Path) -> tuple[str, random.Rando
 
 
 def _read(soaked: Soaked, seed: str, folder: Path) -> tuple[str, str]:
-    """What becomes of a mutant, and what is to be said of it."""
+    """Read a mutant; return its outcome and the message to show for a bad one."""
     name, rng = _lay_out(soaked, seed, folder)
     try:
         soaked.read(folder, name, rng)

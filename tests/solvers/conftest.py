@@ -67,7 +67,8 @@ class Configuration(NamedTuple):
 
     @property
     def exact_again(self) -> bool:
-        """Whether nothing of an earlier solve is left that could change a later one's rounding."""
+        """True where nothing of an earlier solve is left that could change a later one's
+        rounding."""
         return self.policy == "fresh" or (self.route == "qpsolvers" and self.policy != "warm")
 
     def open(self, settings: object = None, **further: object) -> Workspace:

@@ -1,4 +1,4 @@
-"""How a library was built is read from the library, not asserted."""
+"""The build of a library is read from the library, not asserted."""
 
 import ctypes
 import sys

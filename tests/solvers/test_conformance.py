@@ -1,4 +1,4 @@
-"""What every solver of the table has to keep, whatever its library does."""
+"""Conformance of every solver of the table to the contract, whatever its library does."""
 
 import gc
 import time

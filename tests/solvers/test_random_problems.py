@@ -69,7 +69,7 @@ def test_the_same_at_the_largest_size(family: str, policy: Policy) -> None:
 
 @pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
 def test_high_settings_tighten_the_proximal_steps_of_daqp(policy: Policy) -> None:
-    """Where P is semidefinite its answers at `high` are right to 1e-5, those at `default` not."""
+    """Answers for a semidefinite P are right to 1e-5 at `high`, and not at `default`."""
     problem = plant_sequence(RandomRecipe("semidefinite", 12, 30, 2, block=2))
 
     def worst(settings: str) -> float:

@@ -39,7 +39,7 @@ def _score(*runs: RunRecord) -> Any:
 
 
 def test_the_time_is_the_geometric_mean_of_ratios_to_the_default() -> None:
-    """Of the p99 where there is one, and else of the largest step."""
+    """The times are p99s where there are any, and else the largest steps."""
     score = _score(_run("rho=2", "a", 200.0), _run("rho=2", "b", 1e9, algo_p99_ns=50.0))
     assert score.is_right
     assert score.ratio == pytest.approx(math.sqrt(2.0 * 0.125))

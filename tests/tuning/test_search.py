@@ -46,7 +46,8 @@ def test_the_same_seed_tries_the_same_settings() -> None:
 
 
 def test_accuracy_comes_before_time() -> None:
-    """Of inaccurate settings the nearest to the requirement; a run without a time comes last."""
+    """Inaccurate settings rank by their distance from the requirement; a run without a time comes
+    last."""
     first_to_last = [
         Score(0, 0.0, 0.5),
         Score(0, 0.0, 2.0),

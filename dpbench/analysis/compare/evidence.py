@@ -22,13 +22,14 @@ from dpbench.arrays import Floats, Ints
 Verdict = Literal["slower", "faster", "equivalent", "no difference shown"]
 
 MIN_OTHERS = 3
-"""With fewer other configurations there is no median to speak of: the reference kernel stands for
-it."""
+"""Least number of other configurations whose median is used: with fewer the reference kernel takes
+its place."""
 MAD_EFFICIENCY = 0.37
-"""Of the median absolute deviation under normal noise (Rousseeuw & Croux 1993): n values are
-worth so many times n degrees of freedom."""
+"""Efficiency of the median absolute deviation under normal noise (Rousseeuw & Croux 1993): n values
+are worth so many times n degrees of freedom."""
 _MAD_SMALL = (1.196, 1.495, 1.363, 1.206, 1.200, 1.140, 1.129, 1.107)
-"""Its correction for 2..9 values (Croux & Rousseeuw 1992); n/(n − 0.8) from there on."""
+"""Corrections of the median absolute deviation for 2..9 values (Croux & Rousseeuw 1992); n/(n −
+0.8) from there on."""
 _MEDIAN_VARIANCE = np.pi / 2
 """Variance of a median times n, in variances of the normal noise."""
 

@@ -226,7 +226,8 @@ def _geometric_mean(values: Sequence[float]) -> float:
 
 
 FIGURES = ("p50", "p99", "largest", "error")
-"""Of a release in a `release_table`: times in µs or multiples of the reference's, and the error."""
+"""Columns of a release in a `release_table`: times in µs or multiples of the reference's, and the
+error."""
 
 
 def release_table(histories: Histories, most: int) -> pd.DataFrame:

@@ -34,14 +34,13 @@ out what two runs share, which is why blocks may be shorter than weather."""
 PARTS = 4
 """A run's rounds are cut into so many consecutive parts, each left out in turn."""
 JACKKNIFE_SHARE = 0.25
-"""Of the jackknife's variance of a minimum, which it overstates: what the scatter of 14
-configurations shows between 40 runs of unchanged code, 0.18 to 0.4 with 5 to 36 rounds. Where a
-configuration's own is beyond the usual one it counts in full: such a configuration may have met a
-neighbour in every round."""
+"""Share of the jackknife's variance of a minimum that counts, because the jackknife overstates it:
+what the scatter of 14 configurations shows between 40 runs of unchanged code, 0.18 to 0.4 with 5 to
+36 rounds. Where a configuration's own is beyond the usual one it counts in full: such a
+configuration may have met a neighbour in every round."""
 LOAD_SHARE, LOAD_ERROR = 0.5, 0.3
-"""Of what the load kernel of a configuration differs from that of the others, the part its step
-times feel, measured in the same runs (0.5 to 0.6), and how far that differs from configuration to
-configuration."""
+"""Part of the load kernel's excess over other configurations that the step times feel, measured in
+the same runs (0.5 to 0.6), and how far it differs from configuration to configuration."""
 LOAD_WEIGHT, LOAD_WEIGHT_ERROR = 0.8, 0.3
 """Share that all configurations together feel of a change of the load kernel beyond the reference
 kernel (0.76 to 0.82 in those runs, with a correlation of 0.98), and its error."""

@@ -356,7 +356,7 @@ _READ: Mapping[str, Callable[[pd.Series[Any]], list[Any]]] = {
     "Int64": _column_to_floats,
     "float64": _column_to_floats,
 }
-"""How a column of each type is read; a null of a nullable integer becomes NaN."""
+"""Readers of a column by its type; a null of a nullable integer becomes NaN."""
 
 Item = TypeVar("Item")
 Key = TypeVar("Key")

@@ -86,9 +86,9 @@ def thin_track(steps: pd.DataFrame, limits: Floats, most: int) -> Track:
 
 
 WORST = 200
-"""So many hard steps of a thinned run are kept, at most a third of what is kept of it."""
+"""Number of hard steps that a thinned run keeps, at most a third of what is kept of it."""
 MOST = 2000
-"""So many points of a run a figure draws: four and more a pixel."""
+"""Largest number of points of a run in a figure: four and more a pixel."""
 
 
 def common_length_limit(lengths: Sequence[int], most: int) -> int:

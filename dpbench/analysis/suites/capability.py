@@ -94,8 +94,9 @@ class CapabilityResult:
 
 
 EDGES = ("case", "lost", "from_deg", "wind_mps", "number", "untrue")
-"""Of a direction: what has failed, the thrusters lost, where the weather comes from, the largest
-wind held, the DP capability number, and how many solvers made an untrue claim of a QP there."""
+"""Columns of a direction: what has failed, the thrusters lost, the direction of the weather, the
+largest wind held, the DP capability number, and how many solvers made an untrue claim of a QP
+there."""
 
 
 def capability_plots(records: Records, table: pd.DataFrame | None) -> list[CapabilityResult]:

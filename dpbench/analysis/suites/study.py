@@ -34,9 +34,9 @@ from dpbench.solvers.record import TOLERANCES
 from dpbench.solvers.settings import has_tolerance_levels, parse_tolerance
 
 SMALL_M = 0.01
-"""A difference of 1 cm in the 95 % radial error is what a tolerance may cost."""
+"""Difference in the 95 % radial error that a tolerance may cost [m]."""
 SMALL_COST = 0.01
-"""So is 1 % of the closed-loop cost."""
+"""Relative difference in the closed-loop cost that a tolerance may cost."""
 NOTHING = 1e-6
 """A difference in the same realisation below a thousandth of a millimetre, or a millionth of the
 cost, is none to a ship. No standard error is smaller: runs without any spread give no interval
@@ -44,7 +44,7 @@ without width."""
 SINGLE_VARIANCE = 2.0
 """Variance of the single run of a point, over that of a run of the repeated points."""
 LEAST_PAIRS = 6
-"""With fewer pairs no interval is stated."""
+"""Least number of pairs for which an interval is stated."""
 ALPHA = 0.05
 """Family-wise error of the claims of a study, each kind of claim a family (Holm 1979)."""
 EXACT_FIRST = ("paper_active_set", "daqp")

@@ -51,8 +51,8 @@ PROVEN, DOUBTFUL = 0.001, 0.05
 ALLOWED = 0.01
 """Share of the timings that may be late: the limit is one of a p99."""
 MULTIPLES = (1.0, 3.0)
-"""Of the limit, at which delays at random are looked for: the machine has many short stalls, in
-which some short ones of a solver are lost, and few long ones."""
+"""Multiples of the limit at which delays at random are looked for: the machine has many short
+stalls, in which some short ones of a solver are lost, and few long ones."""
 DISPERSION = (0.5, 50.0)
 """Bounds of the shape of the negative binomial: the lower, the more uneven the machine."""
 DEADLINE_SHAPE = 0.5

@@ -18,7 +18,8 @@ from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.bench.run.station import HEADING_DEG
 
 ShipState = Literal["on station", "leaves", "not there", "not run"]
-"""It stays on its station or leaves it; it has not reached its setpoint; there is no such loop."""
+"""Result for the ship: it stays on its station, leaves it, has not reached its setpoint, or there
+is no such loop."""
 
 
 @dataclass(frozen=True)

@@ -28,9 +28,9 @@ INTACT = "intact"
 CHORD_RAD = math.radians(1.0)
 """Angle between corners on the edge of a notch, where circles are circles."""
 _NOWHERE = Piece()
-"""Stands in for the piece of a thruster that may push in no direction, which counts as lost."""
+"""Stand-in for the piece of a thruster that may push in no direction, which counts as lost."""
 WIND_TOLERANCE = 1e-7
-"""Of a wind held [m/s]."""
+"""Accuracy of the largest wind held [m/s]."""
 
 
 @dataclass(frozen=True)

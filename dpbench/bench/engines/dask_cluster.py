@@ -32,9 +32,9 @@ from dpbench.temporary_folders import temporary_folder
 EXCLUSIVE = "exclusive"
 """The resource of which a machine's workers offer one together, if replays may be timed there."""
 ANSWER_S = 5.0
-"""How long a scheduler may take to answer."""
+"""Longest time that a scheduler may take to answer [s]."""
 RETURN_S = 30.0
-"""How long a campaign waits for a scheduler that went away."""
+"""Longest time that a campaign waits for a scheduler that went away [s]."""
 WHERE, TLS = "--scheduler", "--tls"
 _OWN = {
     # A worker that is a daemon could start no processes.
@@ -48,7 +48,7 @@ _OWN = {
 
 
 LOOPBACK = "127.0.0.1"
-"""Where all of a cluster of this machine listens."""
+"""Address that all processes of a cluster of this machine listen at."""
 
 
 class _WithoutHttp:

@@ -38,9 +38,9 @@ from dpbench.errors import CertificateError, InputError
 from dpbench.files.writing import write_bytes
 
 RETRIES = 2
-"""How often a task is run again that failed by an error of the harness."""
+"""Number of times that a task is run again after an error of the harness."""
 REFRESH_S = 5.0
-"""How often the workers are looked at: they come and go."""
+"""Interval between looks at the workers, which come and go [s]."""
 NOT_ALONE = (
     f"no worker offers the resource {EXCLUSIVE!r}: replays run beside others, and their times "
     "enter no ranking"

@@ -40,7 +40,7 @@ SOURCE_STEPS = 25_000
 SOURCE_S, SOURCE_STEP_S = 0.005, 0.0001
 """Rates measured for `docs/guide/scale.md`: a source, and a step of it."""
 MOST_ATTEMPTS = 3
-"""How often a batch is handed over, until it is suspected of what ends its workers."""
+"""Number of times that a batch is handed over before it is suspected of ending its workers."""
 DIED = "every worker that it was given to died"
 
 

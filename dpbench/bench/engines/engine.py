@@ -15,8 +15,8 @@ from dpbench.errors import DpbenchError
 BATCHES_AHEAD = 2
 """Batches handed over at a time for each slot, so that no slot waits for the campaign."""
 TlsFiles = Sequence[str | Path]
-"""Of a cluster with TLS, in PEM format: its certificate authority, a client's certificate, its
-key."""
+"""Files of a cluster with TLS, in PEM format: its certificate authority, a client's certificate,
+its key."""
 Completed = tuple[Batch, Sequence[Result]]
 """A batch and the results of its cells or files. One without a result took its process along."""
 

@@ -31,7 +31,7 @@ from dpbench.bench.workers.jobs import (
 from dpbench.errors import InputError
 
 SHARD_FILE = "shard.json"
-"""What a folder of a shard says of it, from its beginning on."""
+"""File that identifies the folder of a shard, there from its beginning on."""
 
 
 MOST_SHARDS = 10_000

@@ -42,7 +42,8 @@ from dpbench.solvers.table import find_record
 
 SEMIDEFINITE_REFUSAL = "P is only semidefinite, and the solver needs P > 0"
 WINDOW_WARMUP_STEPS = 5
-"""Of a window of the hardest steps: its configuration mostly has replayed another sequence."""
+"""Warm-up steps of a window of the hardest steps: its configuration mostly has replayed another
+sequence."""
 NO_MODEL = "sparse: there is no model whose states to keep"
 
 

@@ -19,7 +19,7 @@ from dpbench.scenario.problem_files import FileModel
 from dpbench.solvers.contract import Policy
 
 Value = bool | int | float | str | list[float]
-"""What a key of a scenario, vessel or tuning may be given."""
+"""Value that a key of a scenario, vessel or tuning may be given."""
 Values = Annotated[list[Value], Field(min_length=1)]
 Range = Annotated[list[float], Field(min_length=2, max_length=2)]
 Point = dict[str, Any]
@@ -37,9 +37,9 @@ class RunsTable(FileModel):
     settings: list[str] = ["default"]
     """Name of the settings: a preset, a tolerance as "1e-4", or an entry of [settings]."""
     routes: list[RouteName] = ["default"]
-    """How a solver is called; default: each solver's own."""
+    """Routes to the solver, through its own interface or qpsolvers; default: each solver's own."""
     policies: list[Policy] = ["fresh"]
-    """What is kept between two steps."""
+    """Policies: what is kept between two steps."""
 
 
 class ReplicatesTable(FileModel):
@@ -48,9 +48,9 @@ class ReplicatesTable(FileModel):
     key: str = "environment.seed"
     """Dotted name of the key that tells replicates apart."""
     count: Annotated[int, Field(ge=1, le=MOST_CELLS)] = 1
-    """How many there are of each point."""
+    """Number of realisations of each point."""
     first: Annotated[int, Field(ge=0, le=MOST_CELLS)] = 1
-    """Its value in the first of them; the others follow by one."""
+    """Value in the first realisation; the others follow by one."""
 
 
 class DesignOfPointsTable(FileModel):
@@ -59,9 +59,9 @@ class DesignOfPointsTable(FileModel):
     kind: Literal["sobol", "latin_hypercube"]
     """sobol: a scrambled Sobol sequence; latin_hypercube: a Latin hypercube sample."""
     points: Annotated[int, Field(ge=1, le=MOST_CELLS)]
-    """How many; a power of two for sobol."""
+    """Number of points; a power of two for sobol."""
     seed: Annotated[int, Field(ge=0)] = 1
-    """Of the draw: the same seed is the same points."""
+    """Seed of the draw: the same seed gives the same points."""
     ranges: Annotated[dict[str, Range], Field(min_length=1)]
     """Least and largest value of each key, by its dotted name."""
 
@@ -101,13 +101,13 @@ class StudyTable(RunsTable):
     base: str
     """The scenario by name, scenario@vessel, or a TOML file beside the suite."""
     name: str = ""
-    """What it is called, one word for each study of a suite; by default as its scenario."""
+    """Name, one word for each study of a suite; by default that of its scenario."""
     radius_m: Annotated[float, Field(gt=0)] = 1.0
     """A run is held where its radial error stays within this in its second half [m]."""
     solvers: list[str] = []
-    """Only these of the suite's solvers; all where it is empty."""
+    """Solvers of the suite that take part; all where it is empty."""
     steps: Annotated[int, Field(ge=0)] = 0
-    """Only the first steps; 0: all."""
+    """Number of steps from the first on; 0: all."""
     product: dict[str, Values] = {}
     """Every value of each key with every value of the others."""
     zip: dict[str, Values] = {}

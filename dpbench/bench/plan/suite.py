@@ -67,9 +67,9 @@ class ScenarioRunsTable(RunsTable):
     """Call options of closed loops and replays: solvers, units, form of the QP, time limit."""
 
     solvers: list[str] = []
-    """Only these of the suite's solvers; all where it is empty."""
+    """Solvers of the suite that take part; all where it is empty."""
     without: list[str] = []
-    """All but these of the suite's solvers."""
+    """Solvers of the suite that do not take part."""
     units: list[Units] = ["scaled"]
     """Units of the QP a solver is given."""
     formulations: list[FormulationName] = ["condensed_box"]
@@ -86,15 +86,15 @@ class ClosedLoopTable(ScenarioRunsTable):
     vessels: list[str] = []
     """Run every scenario with each of these vessels instead of its own."""
     fallback: Fallback = DEFAULT_FALLBACK
-    """What acts where there is no usable answer."""
+    """Fallback policy: what acts where there is no usable answer."""
     backup: str = ""
-    """Second solver that is asked first where there is no usable answer in time; "" for none."""
+    """Second solver that is called first where there is no usable answer in time; "" for none."""
     slowdowns: Annotated[list[Slowdown], Field(min_length=1)] = [0.0]
-    """How much slower the ship's computer is, 1 to 1e9; 0: the ship waits for every answer."""
+    """Slow-down factors of the ship's computer, 1 to 1e9; 0: the ship waits for every answer."""
     deadline_s: NotNegative = 0.0
-    """What a step may take of that computer's time [s]; 0: the whole sample."""
+    """Longest time that a step may take on that computer [s]; 0: the whole sample."""
     steps: Count = 0
-    """Only the first steps; 0: all."""
+    """Number of steps from the first on; 0: all."""
 
     @property
     def scenario_list(self) -> list[str]:
@@ -123,9 +123,9 @@ class ReplayTable(ScenarioRunsTable):
     first: Count = 0
     """The first step that is replayed."""
     steps: Count = 0
-    """How many steps are replayed; 0: all."""
+    """Number of steps that are replayed; 0: all."""
     hardest: Count = 0
-    """Replay only so many steps in a row around the hardest step of these; 0: all."""
+    """Length of the window around the hardest step that alone is replayed, in steps; 0: all."""
 
     @property
     def horizon_pairs(self) -> list[Horizons | None]:
@@ -146,7 +146,7 @@ class RandomTable(RunsTable):
     sizes: Annotated[list[Size], Field(min_length=1)]
     """Pairs of variables and rows."""
     seeds: list[Count] = [1]
-    """One sequence for each."""
+    """Seeds; each gives one sequence."""
     steps: Annotated[int, Field(ge=1)] = 24
     """Length of each sequence."""
     block: Count = 0
@@ -207,9 +207,9 @@ class ReportTable(FileModel):
     baseline: str | None = None
     """The solver set beside the answer; by default the next best."""
     step: Count | None = None
-    """The step the report shows first."""
+    """Step that the report shows first."""
     configuration: str | None = None
-    """For whom that step was found, as the report names it."""
+    """Configuration for which that step was found, as the report names it."""
 
 
 class SuiteFile(FileModel):
@@ -224,11 +224,11 @@ class SuiteFile(FileModel):
     title: str
     """The suite in words."""
     solvers: Annotated[list[str], Field(min_length=1)] = ["all"]
-    """Which solvers run; all: every one that is installed."""
+    """Solvers that run; all: every one that is installed."""
     baseline_law: bool = True
-    """Whether the clipped unconstrained law steers too."""
+    """Closed loops with the clipped unconstrained law as a baseline."""
     calibration: bool = False
-    """Whether the harness's own configurations, whose cost is known, take part in replays."""
+    """Replays with the harness's own configurations, whose cost is known."""
     cell_limit_s: Positive = 5.0
     """Run time of its own after which a cell stops [s]."""
     cell_memory_gb: NotNegative = 0.0
@@ -242,9 +242,9 @@ class SuiteFile(FileModel):
     warmup_steps: Count = 50
     """Steps of the round before them, which does not count."""
     requirements: RequirementsTable = RequirementsTable()
-    """What is required of a solver."""
+    """Requirements of a solver."""
     report: ReportTable = ReportTable()
-    """What the report shows first."""
+    """First view of the report."""
     settings: dict[str, dict[str, OptionsTable]] = {}
     """Settings of one's own by name: each solver's options by its own keys; a list is a grid."""
     design: DesignTable | None = None
@@ -252,7 +252,7 @@ class SuiteFile(FileModel):
     closed_loop: list[ClosedLoopTable] = []
     """Every solver steers the ship itself."""
     study: list[StudyTable] = []
-    """One scenario at many points of its keys, in many seas."""
+    """Studies: one scenario at many points of its keys, in many realisations."""
     replay: list[ReplayTable] = []
     """Identical QPs through every solver: the source of timing."""
     recorded: list[RecordedTable] = []

@@ -309,7 +309,7 @@ def _hash_json(value: object) -> str:
 
 
 OUTCOMES = ("finished", "crashed", "hung", "timed_out", "refused", "invalid", "lost")
-"""What may become of a cell; `lost` is an accident of the harness, and never the last word."""
+"""Possible outcomes of a cell; `lost` is an accident of the harness, and never the last word."""
 
 
 @dataclass(frozen=True)

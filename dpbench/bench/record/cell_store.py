@@ -58,12 +58,12 @@ CHECKED_ROWS = 512
 """Rows of runs that are looked through at a time."""
 _FINISHED = sorted(set(OUTCOMES) - {"lost", "invalid"})
 _CHECKSUM_KEY = "steps_crc32"
-"""What the metadata of `runs.parquet` say of the file of its steps."""
+"""Key in the metadata of `runs.parquet` that holds the checksum of the file of its steps."""
 _PART = re.compile(r"part-(?P<number>\d{5}|[1-9]\d{5,8})-(?P<crc32>[0-9a-f]{8})\.parquet")
 _UNFINISHED_FILE = re.compile(
     r"(?:part-|exact-|design-)[\w-]+(?:\.\w+)*\.part|exact-\w+(?:\.part)+\.npz"
 )
-"""What a file is called before it is whole."""
+"""Names of files that are still being written."""
 _OWN_FILE = re.compile(
     rf"{_PART.pattern}|{_UNFINISHED_FILE.pattern}|exact-\w+\.npz|design-\w+\.json|\.\w+"
 )

@@ -23,12 +23,12 @@ _STEAL = 8
 _THROTTLE = ("core_throttle_count", "package_throttle_count")
 
 MAX_DISTURBED_SHARE = 0.05
-"""Of the rounds, those still disturbed after they were run again."""
+"""Largest share of the rounds that may still be disturbed after they were run again."""
 MAX_STEAL_SHARE = 0.01
-"""Of the time of the replays."""
+"""Largest share of the time of the replays that may be stolen."""
 MAX_SWITCHES_PER_S = 10.0
-"""At ten a second fewer than one in a hundred samples of 1 ms is hit, so a p99 is still a solver's;
-of shorter samples fewer are."""
+"""Largest rate of switches [1/s]: at it fewer than one in a hundred samples of 1 ms is hit, so a
+p99 is still a solver's; of shorter samples fewer are."""
 QUIET_RULE = (
     f"at most {100 * MAX_DISTURBED_SHARE:g} % of the rounds still disturbed after a second "
     "attempt, "

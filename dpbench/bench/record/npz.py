@@ -36,7 +36,7 @@ _HEAD = struct.Struct("<8sQI")
 _MARK, _ALIGN = b"dpbench\1", 64
 _SURROGATES = 0xD800 >> 11
 LEVEL = 9
-"""Of the deflate compression. The same zlib makes the same bytes of the same array at it."""
+"""Level of the deflate compression. The same zlib makes the same bytes of the same array at it."""
 DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
@@ -51,7 +51,7 @@ DAMAGE = (
     RuntimeError,
     MemoryError,
 )
-"""What reading a damaged file raises, be it a zip file inside or not."""
+"""Exceptions that reading a damaged file raises, be it a zip file inside or not."""
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -45,8 +45,8 @@ COUNTERS = (
     "throttle_events",
     "thread_s",
 )
-"""What `RawLog.counters` holds of a round, or of a closed loop (`disturbance.py`); NaN where the
-kernel hides it."""
+"""Counters of a round, or of a closed loop, in `RawLog.counters` (`disturbance.py`); NaN where the
+kernel hides them."""
 FOOTPRINT = (
     "peak_rss_bytes",
     "os_threads",
@@ -55,7 +55,8 @@ FOOTPRINT = (
     "python_peak_bytes_per_step",
     "heap_growth_bytes_per_step",
 )
-"""What `RawLog.footprint` holds of a worker (`footprint.py`); NaN where it was not measured."""
+"""Figures of a worker's memory and threads in `RawLog.footprint` (`footprint.py`); NaN where not
+measured."""
 
 
 def loop_layout(

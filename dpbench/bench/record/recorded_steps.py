@@ -32,7 +32,7 @@ ALL_COLUMNS = tuple(STEP_COLUMNS)
 KEY_COLUMNS = {"run_id", "repeat", "k"}
 """The columns that name a step, without which a table is none of steps."""
 CACHED_GROUPS = 2
-"""So many row groups, each with the columns that were asked for, are kept for the next question."""
+"""Number of row groups, with the columns requested, that are kept for the next request."""
 
 
 class StepsOnDisk:

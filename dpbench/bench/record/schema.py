@@ -20,7 +20,7 @@ Columns = dict[str, tuple[DType, str]]
 """Type and meaning by name."""
 
 STUDY_PREFIX = "x_"
-"""Of the columns that hold the values of a study's keys, before the key's dotted name."""
+"""Prefix of the columns that hold the values of a study's keys, before the key's dotted name."""
 
 POSE_AXES = ("n", "e", "psi")
 FORCES = ("surge", "sway", "yaw")

@@ -237,9 +237,9 @@ def rename_steps(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
 Row = dict[str, Any]
 """A row of `runs.parquet`, by column."""
 RUNS = "runs"
-"""Where the metadata of a part have the columns of its runs."""
+"""Key in the metadata of a part that holds the columns of its runs."""
 DAMAGE = (OSError, ValueError, KeyError, TypeError, IndexError, pa.ArrowException)
-"""What reading a damaged record or table raises."""
+"""Exceptions that reading a damaged record or table raises."""
 
 
 def _json_value(value: object) -> object:

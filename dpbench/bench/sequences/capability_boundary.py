@@ -51,4 +51,5 @@ cell_limit_s = 20.0
 sequence = "capability.npz"
 settings = ["default"]
 """
-"""One round is enough: claims do not change, and a batch has no deadline."""
+"""Suite that replays the sequence. One round is enough: claims do not change, and a batch has no
+deadline."""

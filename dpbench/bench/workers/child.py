@@ -42,10 +42,10 @@ def has_compiled_kernels() -> bool:
 
 
 START_ALLOWANCE_S = 60.0
-"""For importing a library; after it a cell that has not started its loop is killed."""
+"""Time allowed to import a library [s]; after it a cell that has not started its loop is killed."""
 GRACE_S = 3.0
-"""Beyond a cell's own limit, for one call that does not return; for a round of a replay no longer
-than the limit."""
+"""Time beyond a cell's own limit for one call that does not return [s]; for a round of a replay no
+longer than the limit."""
 STOPPED_S = 10.0  # A process that somebody stopped (SIGSTOP) is killed after this time
 _BY_MEMORY = "killed by SIGKILL, as by the out-of-memory killer"
 FORKSERVER_DIED = Outcome(

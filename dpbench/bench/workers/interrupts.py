@@ -13,8 +13,8 @@ from types import FrameType
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that end a program: a person's, a scheduler's, a closed terminal's."""
 QUIET_S = 5.0
-"""How long signals are not heard after the first: for what it saves and removes. Later ones are
-heard again, in case the first came to nothing."""
+"""Time after the first signal in which further ones are ignored [s], for what it saves and removes.
+Later ones are heard again, in case the first came to nothing."""
 
 
 class Interruption:

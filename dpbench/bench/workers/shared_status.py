@@ -27,12 +27,13 @@ from dpbench.bench.workers import orphans
 OUTPUT_BYTES = 2**20  # What is kept of the output of one cell; the rest is dropped
 CUT = f"its output was cut at {OUTPUT_BYTES // 2**20} MiB"
 _HEAD = struct.Struct("iiI")
-"""Who is at work, on which of its cells, and the bytes of the words behind it."""
+"""Layout of the head: the process at work, the cell it is at, and the bytes of the words that
+follow."""
 _TEMPLATE = struct.Struct("ii")
-"""What the process was forked from, and the keeper of that; behind the head."""
+"""Layout of the process it was forked from and that one's supervisor; behind the head."""
 _PEAK = struct.Struct("d")
 _PEAK_AT = _HEAD.size + _TEMPLATE.size
-"""Where the peak of its memory [B] stands, of a process that ended by an exception."""
+"""Offset of the peak of memory [B] of a process that ended by an exception."""
 _WORDS = _PEAK_AT + _PEAK.size
 _PACKAGE = Path(__file__).parents[2]
 _BY_SOLVERS = (

@@ -29,9 +29,9 @@ from dpbench.solvers.table import check_availability, find_record, load_solver_m
 
 BUDGET = 300
 STEPS = 60
-"""Of a case: 18 s of the paper's ship, in which its slowest thruster reaches its limit."""
+"""Steps of a case: 18 s of the paper's ship, in which its slowest thruster reaches its limit."""
 WARMUP_STEPS = 50
-"""As in `notebook.runs.replay` and a suite."""
+"""Warm-up steps, as many as in `notebook.runs.replay` and a suite."""
 _WORDS = {"timed_out": "slow"}
 
 

@@ -11,7 +11,7 @@ PAPER = "#ffffff"
 PASS, FAIL, INCONCLUSIVE, NOT_RUN = "#1b7f5c", "#c2410c", "#b7791f", "#9aa5b1"
 LATE, BORDERLINE = "#6b4fa3", "#4d7c0f"
 STATE_COLOURS = (PASS, BORDERLINE, INCONCLUSIVE, LATE, FAIL, NOT_RUN)
-"""In the order of `analysis.verdict.findings.STATES`."""
+"""Colours of the verdicts, in the order of `analysis.verdict.findings.STATES`."""
 FILLS = ("#d7efe6", "#e9f2cf", "#faeccc", "#e6dff5", "#f9d8c4", "#eef1f4")
 STATE_SHAPES = ("circle", "triangle-up", "diamond", "triangle-right", "cross", "square")
 """Shapes repeat the colours, so that either suffices to read a figure."""

@@ -33,7 +33,7 @@ from dpbench.report.verdict_text import (
 )
 
 MOST_BYTES = 8000
-"""One or two screens."""
+"""Largest size of the report [B]: one or two screens."""
 HEAD = (
     *("solver", "call mode", "verdict", "p50", "p99", "p99 of timings", "worst p99"),
     *("hardest step", "speed margin", "largest error", "failed"),
@@ -117,7 +117,7 @@ def truncate_text(text: str, most_bytes: int, elsewhere: str) -> str:
 USUAL = ("osqp", "daqp")
 """Solvers to compare with by default."""
 COMMENT_BYTES = 3000
-"""One screen."""
+"""Largest size of a comment [B]: one screen."""
 MOST_CONFIGURATIONS = 3
 """Rows of the solver itself."""
 

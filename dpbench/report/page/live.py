@@ -138,7 +138,7 @@ SECTIONS = (
         "data", "Data", data=lambda data, all: {"table": runs_table(data, all.runs)}, always=True
     ),
 )
-"""In the order of the page; topics precede the last one."""
+"""Sections of the page in its order; topics precede the last one."""
 
 
 def draw_section_charts(data: PageData) -> dict[str, Charts]:

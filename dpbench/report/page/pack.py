@@ -40,7 +40,7 @@ MISSING, ZERO, INFINITE = 0, 1, 65535
 """Codes of a `log` array; of a `count` array the last is missing."""
 GAP = -32768
 LEVEL = 6
-"""Of zlib; the highest saves 1.5 % more in three times the time."""
+"""Compression level of zlib; the highest saves 1.5 % more in three times the time."""
 
 
 class Block:
@@ -131,10 +131,10 @@ FORCE_SHARE = 1e-3
 FLAGS = ("claimed", "true", "failed", "late", "fallback", "clipped")
 """Bits of a step's flag, the lowest first; the next bit marks a hard step that enters no mean."""
 MOST_STEPS, MOST_POINTS = 480_000, 240_000
-"""So many steps and points of tracks the page has room for, all runs together."""
+"""Steps, and points of tracks, that the page has room for, all runs together."""
 MOST_POINTS_EACH = 400
 MANY_RUNS, STEPS_A_RUN, POINTS_A_RUN = 1000, 25, 12
-"""Each run beyond so many takes the room of so many steps and points by being there."""
+"""Number of runs beyond which each further run takes the room of so many steps and points."""
 MOST_HARD = 15_000
 """Hard steps on the page, of all runs by all measures."""
 

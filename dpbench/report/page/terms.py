@@ -42,7 +42,8 @@ _HEAD_TOPICS = (
     "The paper reproduced",
 )
 _OF_HEADS = {term for title in _HEAD_TOPICS for term in topics()[title]}
-"""In other topics a head may stand for another thing: *error* for a status."""
+"""Glossary terms that may be column heads; in other topics a head may mean another thing: *error*
+for a status."""
 
 
 @dataclass(frozen=True)

@@ -119,7 +119,7 @@ def page_html(
 
 
 SCRIPTS = ("common", "selection", "figures", *(section.id for section in SECTIONS), "page")
-"""In the order of loading; the last one starts the page."""
+"""Scripts of the page in the order of loading; the last one starts the page."""
 WORDS = (
     *("requirements", "closed loop", "replay", "sample", "step", "round", "p50, p95, p99", "move"),
     *("rate limit", "rate-limit step", "certified optimum", "fallback", "failed step", "interval"),

@@ -55,14 +55,14 @@ class FaultTable(FileModel):
     later_keys: ClassVar[frozenset[str]] = frozenset({"lost", "loss"})
 
     at_s: keys.NotNegative
-    """When [s]."""
+    """Time of the fault [s]."""
     limit_share: keys.ThreeShares | None = None
     """Share of the vessel's limits in surge, sway, yaw from then on; where forces are planned."""
     lost: list[str] | None = None
     """Thrusters, or failure groups, lost from then on; where thrusters limit the force or are
     commanded. Of a cascade it changes the allocation and not the plan."""
     loss: Literal["ramp_down", "trip"] = "ramp_down"
-    """How a lost thruster loses its force: "ramp_down", as fast as its rate allows, as when it is
+    """Loss of force of a lost thruster: "ramp_down", as fast as its rate allows, as when it is
     taken out of service; "trip", at once, as when its breaker opens. With "trip" thrusters must be
     commanded."""
 
@@ -106,12 +106,12 @@ class ThrusterControlTable(FileModel):
     move_weight_relative: keys.Positive
     """R in multiples of 1/Δf_max², Δf_max the rate limit of a sample of each thruster."""
     slack_weight_relative: keys.Positive | None = None
-    """Of a cascade: Ω, the weight of force demanded and not delivered, in multiples of 1/Δτ_max²
-    of a sample. Large against the other weights, so that thrusters deliver whatever they can."""
+    """Weight Ω of force demanded and not delivered, in multiples of 1/Δτ_max² of a sample; for a
+    cascade. Large against the other weights, so that thrusters deliver whatever they can."""
     allocation: Literal["qp", "pseudo_inverse"] | None = None
-    """Of a cascade: how forces are allocated. qp: a second QP at each sample, by the same solver;
-    pseudo_inverse: W⁻¹T_eᵀ(T_e W⁻¹T_eᵀ)⁻¹ with the result clipped, what acts besides wherever the
-    second QP has no answer. By default qp."""
+    """Allocation of forces in a cascade. qp (default): a second QP at each sample, by the same
+    solver; pseudo_inverse: W⁻¹T_eᵀ(T_e W⁻¹T_eᵀ)⁻¹ with the result clipped, which also acts wherever
+    the second QP has no answer."""
 
 
 class ControllerTable(FileModel):
@@ -278,9 +278,9 @@ class ScenarioFile(FileModel):
     start: StartTable = StartTable()
     """Pose and speed at the first sample; at rest in the origin by default."""
     reference: ReferenceTable = ReferenceTable()
-    """Where the ship is to be; the origin by default."""
+    """Setpoint of the ship over time; the origin by default."""
     estimator: EstimatorTable = EstimatorTable()
-    """Between sensors and controller; nothing by default."""
+    """Estimator between sensors and controller; none by default."""
     plant: PlantTable = PlantTable()
     """Differences of the true ship from the model; none by default."""
     faults: list[FaultTable] = []

@@ -65,7 +65,7 @@ class ThrusterTable(FileModel):
     """One thruster: its position, and its thrust or the data to compute it by DNV-ST-0111."""
 
     name: str
-    """For tables, and for faults that name it."""
+    """Name in tables, and in the faults of a scenario."""
     kind: Literal["azimuth", "tunnel", "main"]
     """azimuth: turns; tunnel: pushes across the ship; main: along it, without a rudder."""
     x_m: keys.Number
@@ -189,7 +189,7 @@ class VesselFile(FileModel):
     title: str
     """The ship in words."""
     source: str
-    """Where the numbers come from."""
+    """Source of the numbers."""
     length_m: keys.Length
     """Length the numbers belong to [m]; Bis scaling and the moments of wind and drift use it."""
     limits: LimitsTable | None = None
@@ -205,8 +205,8 @@ class VesselFile(FileModel):
     capability: CapabilityTable | None = None
     """Needed by `dpbench capability`, with windage and thrusters, and for drag = "cross_flow"."""
     drag: Literal["linear", "cross_flow"] = "linear"
-    """What the true ship meets in the water. linear: D at any speed; cross_flow: D that fades with
-    speed, and the cross-flow drag of the hull in `[capability]`. The controller's model has D."""
+    """Drag of the simulated ship. linear: D at any speed; cross_flow: D that fades with speed, and
+    the cross-flow drag of the hull in `[capability]`. The controller's model has D."""
     inertia: keys.ThreeByThree | None = None
     """M (3, 3) with added mass [kg, kg·m, kg·m²]; symmetric, positive definite."""
     damping: keys.ThreeByThree | None = None

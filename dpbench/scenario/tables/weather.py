@@ -25,7 +25,7 @@ class SquallTable(FileModel):
     """A force that rises, holds and decays along straight lines, on top of the slow forces."""
 
     start_s: keys.NotNegative
-    """When it begins to rise [s]."""
+    """Time at which it begins to rise [s]."""
     rise_s: keys.Positive
     """Time of rising [s]."""
     hold_until_s: keys.NotNegative
@@ -136,9 +136,9 @@ class NoiseTable(FileModel):
     """Standard deviations of the white noise of the sensors."""
 
     position_m: keys.NotNegative
-    """Of north and east [m]."""
+    """Standard deviation of the noise of north and east [m]."""
     heading_deg: keys.NotNegative
-    """Of the heading [°]."""
+    """Standard deviation of the noise of the heading [°]."""
 
     def std(self, scale: Froude) -> Vector:
         """Return the standard deviations (3,) [m, m, rad] of the sensor noise."""
@@ -167,7 +167,7 @@ class EnvironmentTable(FileModel):
     forces of wind and drift grow with g², that of the current with g. Squalls, wave motion and
     noise are not ramped."""
     seed: keys.Count = 0
-    """Of gusts, waves and noise: the same seed is the same weather."""
+    """Seed of gusts, waves and noise: the same seed gives the same weather."""
     squalls: list[SquallTable] = []
     """Squalls, one table each."""
     wind: WindTable | None = None

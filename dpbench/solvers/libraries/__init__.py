@@ -5,4 +5,4 @@ from dpbench.solvers.adapter import find_adapters
 NATIVE, THROUGH_QPSOLVERS = find_adapters(
     __name__, besides=("native_workspace", "qpsolvers_workspace")
 )
-"""By the name of the solver."""
+"""Adapters by the name of the solver."""

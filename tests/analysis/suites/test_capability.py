@@ -1,4 +1,4 @@
-"""What solvers said of a batch: right, wrong or nothing, and who comes first."""
+"""Claims of solvers on a batch: right, wrong or none, and their order."""
 
 import json
 from dataclasses import replace

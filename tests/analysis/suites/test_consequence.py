@@ -18,7 +18,7 @@ REFUSED = TRUE | {"status": "PRIMAL_INFEASIBLE", "claimed": False}
 SILENT = {"status": "MAX_ITERATIONS", "claimed": False}
 DENIED = {"status": "PRIMAL_INFEASIBLE", "claimed": False}
 CERTIFICATES = {"board A": ["linear"] * 4, "board B": ["gap", "gap", "infeasible", "infeasible"]}
-"""Of four samples the loss of board B can be held at two."""
+"""Claims at four samples; the loss of board B can be held at two."""
 
 
 def view(records: Any, said: dict[str, dict[str, list[list[dict[str, Any]]]]]) -> Records:

@@ -1,4 +1,4 @@
-"""What is said of machine and harness, on made-up records."""
+"""Statements on machine and harness, on made-up records."""
 
 from typing import Any
 

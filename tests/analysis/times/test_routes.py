@@ -28,7 +28,7 @@ def _routes(records: Any, solver: str, *medians_us: float | None, **warm: Any) -
 
 
 def _gains(records: Any) -> dict[RoutePolicy, RouteGain]:
-    """Of the only solver, by route and policy."""
+    """Return the gains of the only solver, by route and policy."""
     return {gain.route: gain for gain in compare_routes(records.view(), "paper")}
 
 

@@ -133,7 +133,7 @@ def test_the_half_of_the_solvers_with_fewer_stalls_is_trusted(solvers: str, expe
 
 
 def test_a_loop_against_one_late_timing_in_a_hundred(records: Any) -> None:
-    """Of 14 late timings 3 are explained: at least 11 of 450 have a share of 0.6 %."""
+    """Three of 14 late timings are explained: at least 11 of 450 have a share of 0.6 %."""
     slow = dict.fromkeys(range(14), 6_000_001.0) | {100 + k: 6_000_000.0 for k in range(30)}
     _loop(records, 450, slow, involuntary_switches=3)
     (found,) = _found(records)["daqp"]
@@ -192,7 +192,7 @@ def test_runs_that_are_not_tested(records: Any) -> None:
 
 
 def test_a_replay_of_one_round_is_tested_like_a_loop(records: Any) -> None:
-    """Of 1000 timings 40 exceed 6 ms, where ten are allowed."""
+    """40 of 1000 timings exceed 6 ms, where ten are allowed."""
     records.replay("daqp", rounds=1, median_us=20.0, spread=0.0, involuntary_switches=0)
     frame = records._steps[-1]
     frame.loc[frame["counts"] & (frame["k"] < 40), "total_ns"] = 6_000_001
@@ -224,7 +224,7 @@ def test_a_replay_alone_is_doubtful(records: Any, late: dict[int, int], found: b
     [(3, 1, False), (3, 2, True), (5, 2, False), (5, 3, True), (6, 3, False), (6, 4, True)],
 )
 def test_the_middle_is_the_lower_median(records: Any, rounds: int, late: int, found: bool) -> None:
-    """Of three rounds the second smallest count decides, of five and six the third."""
+    """The second smallest count of three rounds decides, the third of five and six."""
     _replay(records, "daqp", {rounds - i: 11 for i in range(late)}, rounds=rounds)
     assert bool(_found(records)) is found
 

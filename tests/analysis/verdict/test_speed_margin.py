@@ -1,4 +1,4 @@
-"""How much slower a computer may be, by steps that are timed several times."""
+"""Speed margin of a solver, from steps that are timed several times."""
 
 import json
 import math
@@ -59,13 +59,13 @@ def test_a_stall_changes_no_margin(records: Any) -> None:
 
 
 def test_without_a_p99_the_hardest_step_has_to_keep_its_limit(records: Any) -> None:
-    """Of 300 steps none is known to be allowed beyond it: 3 ms / 60 µs."""
+    """No step of 300 is known to be allowed beyond the limit: 3 ms / 60 µs."""
     records.replay("daqp", steps=300, median_us=20.0, spread=0.0, slow={50: 3.0})
     assert _margin(records).p99_limit == pytest.approx(50.0, rel=1e-4)
 
 
 def test_a_window_has_the_p99_of_its_stretch(records: Any) -> None:
-    """Of 450 steps four may be slower: of 200, 160, 120, 80 and 60 µs it is the fifth."""
+    """Four steps of 450 may be slower: of 200, 160, 120, 80 and 60 µs it is the fifth."""
     records.replay("daqp", median_us=20.0, spread=0.0)
     _window(records, 450, {3: 10.0, 4: 8.0, 10: 6.0, 11: 4.0, 12: 3.0})
     margin = _margin(records)

@@ -176,7 +176,7 @@ def test_the_times_of_a_replay_at_limits(
 def test_few_timings_of_a_cut_replay_prove_no_late_p99(
     records: Any, slow: int, rounds: int, stopped: bool, expected: list[tuple[str, int]]
 ) -> None:
-    """Of 1000 steps of 0.3 ms some take 3 ms: once or twice timed, by the machine perhaps.
+    """Some of 1000 steps of 0.3 ms take 3 ms: once or twice timed, by the machine perhaps.
 
     Half of the steps beyond the limit of 1 ms by more than twice are the solver's own.
     """
@@ -189,7 +189,7 @@ def test_few_timings_of_a_cut_replay_prove_no_late_p99(
 
 @pytest.mark.parametrize(("slow", "kinds"), [(20, []), (21, ["p95 borderline"])])
 def test_a_p95_is_judged_where_no_step_is_over(records: Any, slow: int, kinds: list[str]) -> None:
-    """Of 400 steps the p95 is at index 0.95 * 399 = 379.05.
+    """The p95 of 400 steps is at index 0.95 * 399 = 379.05.
 
     With 20 steps of 0.8 ms it is 0.4 + 0.05 * 0.4 = 0.42 ms, with 21 it is 0.8 ms.
     """
@@ -221,7 +221,7 @@ def test_a_slow_window_has_its_own_cause(records: Any, ns: int, kinds: list[str]
     [(99, 50.0), (100, 40.0), (199, 40.0), (200, 30.0), (400, 10.0), (500, 10.0), (9000, 10.0)],
 )
 def test_the_p99_of_a_stretch_by_hand(of: int, expected: float) -> None:
-    """Of 100 steps one may be slower than the p99, of 200 two; a window ends at its fastest."""
+    """One step in 100 may be slower than the p99, two in 200; a window ends at its fastest."""
     run: Any = SimpleNamespace(window_of=of)
     assert p99_ns(run, np.array([20.0, 50.0, 10.0, 40.0, 30.0])) == expected
 
@@ -282,7 +282,7 @@ def test_the_figures_are_of_the_replay_with_the_worst_p99(records: Any) -> None:
 
 
 def test_without_a_p99_the_figures_are_of_the_largest_median(records: Any) -> None:
-    """Of short replays the one of the larger p50 is named, without a p99."""
+    """The short replay of the larger p50 is named, without a p99."""
     for name, ns in (("paper", 10_000), ("calm", 30_000), ("rough", 20_000)):
         _even_replay(records, ns, 300, sequence=name, slow={0: 50.0 if name == "rough" else 1.0})
     _, figures = _judged(records)

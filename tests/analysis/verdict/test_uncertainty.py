@@ -90,5 +90,5 @@ def test_the_factor_of_a_run(records: Any) -> None:
 
 
 def test_the_usual_factor_is_a_quantile_of_95_percent() -> None:
-    """Of 1.00, 1.01, ..., 2.00 it is 1.95."""
+    """The factor of 1.00, 1.01, ..., 2.00 is 1.95."""
     assert factor_quantile(1.0 + np.arange(101) / 100.0) == pytest.approx(1.95)

@@ -30,7 +30,8 @@ def _verdict(records: Any, solver: str, settings: str = "default") -> Any:
 
 
 def _why(verdict: Any) -> str:
-    """What is said against a verdict, or left open, in the words of terminal and tables."""
+    """Return the reasons against a verdict, or those it lacks, in the words of terminal and
+    tables."""
     return verdict.refusal or describe_findings(verdict.causes or verdict.missing)
 
 

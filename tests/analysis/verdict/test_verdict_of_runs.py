@@ -65,7 +65,7 @@ def test_a_refusal_without_a_reason(records: Any) -> None:
     ],
 )
 def test_the_steps_with_a_judged_answer(records: Any, columns: dict[str, Any], steps: int) -> None:
-    """Of 100 steps those without a certified optimum are left out; a replay has them in rounds."""
+    """Steps without a certified optimum are left out of the 100; a replay has them in rounds."""
     records.loop("daqp", steps=100, **columns)
     assert _only(records).steps == steps
 

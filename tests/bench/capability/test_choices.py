@@ -47,7 +47,7 @@ def test_the_best_choice_is_the_best_of_all(sides: int | None) -> None:
 
 
 def test_few_bounds_are_enough_for_many_choices() -> None:
-    """Where uses are sums, the bound of each thruster's best piece is the best choice at once."""
+    """The bound of each thruster's best piece is the best choice at once, if uses are sums."""
     pieces: Choices = tuple(tuple(Piece() for _ in range(4)) for _ in range(12))
     costs = {id(piece): 1.0 + k for some in pieces for k, piece in enumerate(some)}
     asked: list[Choices] = []

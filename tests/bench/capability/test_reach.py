@@ -22,7 +22,8 @@ def test_a_tunnel_in_the_bow_alone_is_held_straight_by_the_mains() -> None:
 
 
 def test_the_share_is_that_of_the_attainable_polytope() -> None:
-    """Of 48 sides an azimuth, which lose 0.2 % of the thrust, for forces in any direction."""
+    """The polytope has 48 sides an azimuth, which lose 0.2 % of the thrust, for forces in any
+    direction."""
     thrusters = load_vessel("ratownik").thrusters
     assert thrusters is not None
     rows = attainable_set(thrusters, 48).rows()

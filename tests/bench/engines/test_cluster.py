@@ -1,4 +1,4 @@
-"""What is counted of a cluster's workers, and which of them are refused."""
+"""Count of a cluster's workers, and refusal of some of them."""
 
 import re
 from dataclasses import replace

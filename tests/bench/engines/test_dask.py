@@ -200,7 +200,7 @@ def test_workers_that_join_late_are_given_tasks(
 
 
 def _break_connection() -> None:
-    """What a network does to a client: the scheduler forgets what that asked for."""
+    """Break a client's connection as a network does: the scheduler forgets what it asked for."""
     for client in list(distributed.Client._instances):
         client.loop.add_callback(client.scheduler_comm.comm.abort)
 

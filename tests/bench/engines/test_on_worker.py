@@ -1,4 +1,4 @@
-"""What a worker of a cluster does by itself: it looks at versions, and leaves nothing behind."""
+"""A worker of a cluster by itself: it looks at versions, and leaves nothing behind."""
 
 import os
 import signal

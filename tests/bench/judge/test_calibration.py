@@ -17,7 +17,7 @@ from dpbench.solvers.calibration import CALIBRATION, NO_OP
 from dpbench.solvers.open import open_workspace
 
 READING_NS = 3
-"""What each reading of the simulated clock takes."""
+"""Time of each reading of the simulated clock."""
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""What is said of a step that solves two QPs."""
+"""Rows of a step that solves two QPs."""
 
 from typing import Any
 

@@ -14,7 +14,8 @@ from tests.bench.judge.known_runs import exact_loop
 
 STEPS, DONE = 4, 3
 NORTH = [0.0, 1.0, 2.0, 4.0, 99.0]
-"""Of a reference 2 m ahead: errors -2, -1, 0 at the samples of the three steps, 2 after them."""
+"""Positions against a reference 2 m ahead: errors -2, -1, 0 at the samples of the three steps, 2
+after them."""
 SURGE = [16e3, 16e3, 15e3]
 """From the third sample on the most is 12.4 kN."""
 

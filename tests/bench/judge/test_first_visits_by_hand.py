@@ -135,7 +135,7 @@ def test_a_warm_up_alone_is_compared_with_its_last_attempt(attempts: int, ratio:
 
 
 def test_the_warm_up_is_asked_where_too_few_steps_follow_it() -> None:
-    """Of 30 steps 20 were visited in the warm-up: all rounds that follow are later visits."""
+    """The warm-up visits 20 of 30 steps: all rounds that follow are later visits."""
     log = _log([40] * 20 + [90] * 10, [10] * 30, [20] * 30, warm_up=20)
     assert _metrics(log) == (4.0, 0.0)
 

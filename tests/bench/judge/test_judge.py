@@ -1,4 +1,4 @@
-"""What is judged is what was asked and what was answered, whatever a solver does with either."""
+"""Judgement is of the QP given and the answer returned, whatever a solver does with either."""
 
 import time
 from collections.abc import Callable

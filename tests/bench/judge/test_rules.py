@@ -1,4 +1,4 @@
-"""Which rounds and steps count, and whom a step is charged to: one rule for every table."""
+"""Rounds and steps that count, and the charge of a step: one rule for every table."""
 
 from dataclasses import replace
 from typing import Any

@@ -48,7 +48,8 @@ def replayed(slowed: tuple[int, ...] = (0, 2), **columns: Any) -> dict[str, Any]
 
 
 def test_the_algorithmic_time_is_the_minimum_over_the_rounds_that_count() -> None:
-    """Of step k the smaller of 100 + k and 300 − k: 100 to 119, of which the median is 109.5."""
+    """The time of step k is the smaller of 100 + k and 300 − k: 100 to 119, with the median
+    109.5."""
     timing = replayed()
     assert (timing["algo_p50_ns"], timing["algo_max_ns"]) == (109.5, 119.0)
     # Means of both rounds are 200 at each step, and so is the median of two.
@@ -122,7 +123,8 @@ def test_the_times_of_a_loop_are_those_of_its_steps() -> None:
 
 
 def test_a_thousand_steps_carry_a_p99_and_ten_thousand_a_p999() -> None:
-    """Of 0 to 10 000 ns the percentiles are themselves; of both QPs of a cascade apart."""
+    """The percentiles of 0 to 10 000 ns are themselves; those of both QPs of a cascade are
+    apart."""
     total = np.arange(10_001)
     timing = looped(total_ns=total, waited_ns=0 * total, allocation_ns=total // 10)
     for name, expected in (("p50", 5000.0), ("p99", 9900.0), ("p999", 9990.0)):

@@ -1,4 +1,4 @@
-"""What the kernel counts around a round, and the rule that calls a machine quiet."""
+"""Counts of the kernel around a round, and the rule that calls a machine quiet."""
 
 import hashlib
 import math

@@ -1,4 +1,4 @@
-"""Which commit made a run: of a checkout, of an installation, of neither."""
+"""Commit of a run: of a checkout, of an installation, of neither."""
 
 import importlib.metadata
 import json

@@ -134,7 +134,7 @@ def test_the_cost_matrix_turns_with_the_ship_where_its_weights_are_unequal() -> 
 
 @pytest.mark.parametrize(("policy", "taken_over"), [("fresh", 0), ("warm", 20)])
 def test_matrix_updates_are_counted_by_who_takes_them_over(policy: Policy, taken_over: int) -> None:
-    """Of 20 steps with new matrices a kept workspace takes over all, one set up anew none."""
+    """A kept workspace takes over all 20 steps with new matrices, one set up anew none."""
     scenario = load_scenario("turn").truncate(20)
     workspace = open_workspace("daqp", route="native", policy=policy)
     found = run_closed_loop(scenario, workspace).summary

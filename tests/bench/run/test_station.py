@@ -1,4 +1,4 @@
-"""Whether the exactly solved loop keeps its ship on station."""
+"""The exactly solved loop keeps its ship on station."""
 
 from typing import Any
 

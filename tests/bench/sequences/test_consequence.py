@@ -54,7 +54,8 @@ def corners(thruster: Thruster) -> np.ndarray:
 
 
 def largest_share(thrusters: ThrusterSet, force: np.ndarray, group: str) -> float:
-    """How many times a force can be had from the rest: a linear program in shares of corners."""
+    """Return the largest multiple of a force that the rest can give: a linear program in shares of
+    corners."""
     lost = thrusters.groups[group]
     kept = [t for i, t in enumerate(thrusters.thrusters) if i not in lost]
     forces = np.hstack([t.columns @ corners(t) for t in kept])

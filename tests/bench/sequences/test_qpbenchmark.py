@@ -22,7 +22,7 @@ from dpbench.qp.referee.referee import certify_sequence
 SOLVERS = ("daqp", "osqp")
 RTOL = 1e-9
 ROUNDING = 1e-13
-"""Of sums of some 30 terms of size 10, which the two add in another order."""
+"""Rounding error of sums of some 30 terms of size 10, which the two add in another order."""
 
 
 def mixed() -> Recorded:

@@ -1,4 +1,4 @@
-"""What others recorded: a folder of problems by qpsolvers, or our own file, through the solvers."""
+"""Recordings of others: a folder of problems by qpsolvers, or our own file, through the solvers."""
 
 import json
 from collections.abc import Callable

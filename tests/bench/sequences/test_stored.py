@@ -26,7 +26,7 @@ RULES = {rule.name: rule for rule in load_rules()}
 NAMES = problem_names("sequences")
 SMALL = ("paper-30-5", "wrap-30-5")
 CLOSE = 1e-9
-"""What values may differ by between machines."""
+"""Largest difference of values between machines."""
 
 
 def arrays_of(path: Path) -> Arrays:

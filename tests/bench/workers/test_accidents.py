@@ -1,4 +1,4 @@
-"""What a solver does to its process is charged to it; what befalls the harness is `lost`."""
+"""Harm by a solver to its process is charged to it; accidents of the harness are `lost`."""
 
 import errno
 import os
@@ -53,7 +53,7 @@ def run(suite: Path, out: Path) -> int:
 
 
 def outcomes(out: Path) -> list[str]:
-    """Of all rows, each of which stands for another cell."""
+    """Return the outcomes of all rows, each of which stands for another cell."""
     runs = load_results(out).runs
     assert runs["run_id"].is_unique
     return list(runs["outcome"])

@@ -1,4 +1,4 @@
-"""What a run says of its solver's failures."""
+"""Reports of a solver's failures in a run."""
 
 import pytest
 

@@ -48,7 +48,7 @@ def context() -> ForkServerContext:
 
 
 def run(tmp_path: Path, *sizes: int) -> dict[tuple[str, int], Outcome]:
-    """What became of random problems of so many variables, by solver and variables."""
+    """Run random problems of so many variables; return outcomes by solver and variables."""
     random = {"families": ["no_rows"], "sizes": [[n, 0] for n in sizes], "steps": 3}
     text = suite_toml(solvers=["hostile", "quadprog"], random=[random], **USUAL)
     rows = load_results(run_suite(tmp_path, text, solver_module=HOSTILE)).runs

@@ -1,4 +1,4 @@
-"""What campaigns that know nothing of each other share on a machine: its cores, and its quiet."""
+"""Campaigns that know nothing of each other share a machine: its cores, and its quiet."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""What befalls the harness beside its cells: they are lost or run once more, and blame nobody."""
+"""Accidents of the harness beside its cells: they are lost or run once more, and blame nobody."""
 
 import errno
 import os

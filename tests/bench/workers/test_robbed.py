@@ -49,7 +49,8 @@ def recorded(*busy: int) -> RawLog:
 def served(
     configurations: list[Replayed], logs: dict[str, RawLog], level_ns: float
 ) -> list[tuple[str, int]]:
-    """What `rerun_loaded_rounds` serves again, in rounds whose load kernel takes `level_ns`."""
+    """Return the rounds that `rerun_loaded_rounds` serves again, where the load kernel takes
+    `level_ns`."""
     again = []
 
     def serve(one: Replayed, r: int) -> None:

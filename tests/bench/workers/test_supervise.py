@@ -164,7 +164,7 @@ def test_a_template_that_is_killed_is_no_solver(
 
 
 def has_come(file: Path, child: Child) -> bool:
-    """Whether a process has left its number in a file."""
+    """True once a process has left its number in a file."""
     return file.exists() and str(child.process.pid) in file.read_text().split()
 
 

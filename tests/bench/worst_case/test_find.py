@@ -105,7 +105,8 @@ def test_the_seed_decides(tmp_path: Path) -> None:
 
 
 def backs_off(path: Path) -> bool:
-    """Whether a certified optimum of a saved case changes the surge force astern at full rate."""
+    """True where a certified optimum of a saved case changes the surge force astern at full
+    rate."""
     optima = load_recorded(path).optima
     assert optima is not None
     return any(optimum.z[0] < -0.99 for optimum in optima)

@@ -113,7 +113,7 @@ def slack_of(case: AllocationProblem, tau: np.ndarray, f_prev: np.ndarray) -> fl
 
 
 def test_the_slack_is_next_to_nothing_where_the_demand_is_attainable_and_only_there() -> None:
-    """What is attainable is told by a linear program; there the slack falls as 1/Ω."""
+    """A linear program tells what is attainable; there the slack falls as 1/Ω."""
     attained = 0
     for seed in range(40):
         tau, f_prev = situation(seed, reach=1.6)

@@ -33,7 +33,8 @@ def case() -> Scenario:
 
 
 def arcs(case: Scenario, f: np.ndarray, move: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What each azimuth moves along and across its direction, in what it may (a,)."""
+    """Return the change of each azimuth along and across its direction, in shares of its limits
+    (a,)."""
     assert case.controller.commanded is not None
     thrusters = case.controller.commanded.thrusters
     along, across = [], []

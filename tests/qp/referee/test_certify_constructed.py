@@ -17,7 +17,7 @@ from dpbench.qp.residuals import fit_multipliers, is_true, residuals
 from dpbench.qp.solution import Solution, Status
 
 BOUND = 1e-9
-"""What the assessment of errors of 1e-6 and more needs, with room to spare."""
+"""Bound of the error that the assessment of errors of 1e-6 and more needs, with room to spare."""
 ROLES = ("strict", "weak", "equal", "inactive", "one_sided", "free", "copy_strict", "copy_weak")
 
 

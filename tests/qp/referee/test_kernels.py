@@ -53,7 +53,7 @@ def _exactly(K: Array, x: Array, b: Array) -> tuple[list[Fraction], list[Fractio
 @given(seed=st.integers(0, 2**32 - 1), N=st.integers(1, 37), spread=st.sampled_from([0, 3, 60]))
 @example(seed=0, N=37, spread=60)
 def test_residual_is_that_of_twice_the_precision(seed: int, N: int, spread: int) -> None:
-    """Of numbers that cancel, compiled and not: the same to the last bit, within Dot2's bound."""
+    """Sums of numbers that cancel agree to the last bit, compiled or not, within Dot2's bound."""
     rng = np.random.default_rng(seed)
     # Numbers of all signs, over `spread` powers of two up and down.
     numbers = np.ldexp(rng.normal(size=(N + 1, N)), rng.integers(-spread, spread + 1, (N + 1, N)))

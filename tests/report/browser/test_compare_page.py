@@ -1,4 +1,4 @@
-"""What the page of a comparison does in a browser: its selection, its figures, its table."""
+"""The page of a comparison in a browser: its selection, its figures, its table."""
 
 import shutil
 from collections.abc import Iterator

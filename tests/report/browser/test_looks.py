@@ -1,4 +1,4 @@
-"""How the page looks: to a screen reader, on a phone, in the dark, and where texts stand."""
+"""Appearance of the page: for a screen reader, on a phone, in the dark, and positions of texts."""
 
 import hashlib
 import json
@@ -157,8 +157,8 @@ def test_no_two_texts_of_a_figure_overlap(opened: Any, size: tuple[int, int]) ->
 
 
 def test_many_experiments_and_levels_stand_below_each_other(chromium: Any, tmp_path: Path) -> None:
-    """Of few solvers the tiles of all levels are too many for a row: no two names overlap, and the
-    arrow keys go as the eye does."""
+    """The cells of all levels of a few solvers are too many for a row: no two names overlap, and
+    the arrow keys go as the eye does."""
     records = MadeRecords()
     experiments = [f"paper_of_some_length_{i}" for i in range(20)]
     for name in experiments:

@@ -1,4 +1,4 @@
-"""What the page does in a browser: its selection, its figures, its files, and nothing else."""
+"""The page in a browser: its selection, its figures, its files, and nothing else."""
 
 import io
 import re
@@ -266,7 +266,7 @@ def test_the_slider_moves_the_ladder(opened: Any) -> None:
 
 
 def test_replays_alone_are_counted_as_uncontradicted(chromium: Any, tmp_path: Path) -> None:
-    """Of replays alone nobody passes: not "0 of the 0" who do."""
+    """No solver passes by replays alone: the page does not say "0 of the 0"."""
     records = MadeRecords()
     for solver in ("daqp", "osqp"):
         records.replay(solver, steps=200)

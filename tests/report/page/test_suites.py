@@ -132,11 +132,11 @@ KINDS: dict[str, tuple[Callable[[Any], None], str, set[str]]] = {
     "settings": (_levels, "levels", set()),
     "worst case": (_searched, "worst-case", set()),
 }
-"""Of each kind of suite the topic that is its question, and the others."""
+"""Topics by kind of suite: the one that is its question, and the others."""
 
 
 def _words(html: str) -> str:
-    """What stands on the page before a script runs."""
+    """Return the words on the page before a script runs."""
     body = re.sub(r"<(script|style|svg|details)\b.*?</\1>", " ", html, flags=re.S)
     body = re.sub(r'<a class="term"[^>]*>(.*?)</a>', r"\1", body)
     return " ".join(re.sub(r"<[^>]+>", " ", body).split())

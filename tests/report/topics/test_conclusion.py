@@ -1,4 +1,5 @@
-"""What an operator is told whose controller steers thrusters: no more than the runs carry."""
+"""The conclusion for an operator whose controller commands thrusters: no more than the runs
+support."""
 
 from typing import Any
 

@@ -63,7 +63,7 @@ def test_of_a_large_study_some_seas_are_drawn(records: Any, monkeypatch: Any) ->
 
 
 def test_a_share_of_all_or_none_has_a_bound(records: Any) -> None:
-    """Of 12 realisations all are held: at least 1 - 3/12 of all are, as sure as any interval."""
+    """All of 12 realisations are held: at least 1 - 3/12 of all are, as sure as any interval."""
     found = _fill(records, points=5, seas=12)
     assert "in 100 % (at least 75 %) of them" in found.lines[1]
     assert {row[2] for row in found.tables[0].rows} == {"100 % (at least 75 %)"}

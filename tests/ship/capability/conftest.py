@@ -1,4 +1,4 @@
-"""What was published of the rescue ship Ratownik, and the ship itself."""
+"""Published data of the rescue ship Ratownik, and the ship itself."""
 
 from pathlib import Path
 

@@ -1,4 +1,5 @@
-"""What an azimuth may give: the pieces are convex, and together what zones and losses leave."""
+"""Attainable forces of an azimuth: the pieces are convex, and together what zones and losses
+leave."""
 
 import math
 from itertools import pairwise
@@ -21,7 +22,7 @@ STEP = math.radians(1.0)
 
 
 def within(piece: Piece, f: np.ndarray) -> bool:
-    """Whether a force (2,) lies in a piece, by its rows alone."""
+    """True where a force (2,) lies in a piece, by its rows alone."""
     inside = math.hypot(*f) <= 1.0 + 1e-9
     if piece.sector is not None:
         start, end = piece.sector

@@ -1,4 +1,4 @@
-"""What the tests of both filters share: ship, sea, the model, the response to waves."""
+"""Fixtures of the tests of both filters: ship, sea, the model, the response to waves."""
 
 import math
 

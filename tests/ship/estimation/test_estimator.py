@@ -1,4 +1,4 @@
-"""What every estimator promises, on the nonlinear ship."""
+"""Promises of every estimator, on the nonlinear ship."""
 
 from collections.abc import Callable
 

@@ -125,7 +125,7 @@ def test_the_filter_forgets_its_start_for_every_vessel(name: str, wave_filter: b
 
 @pytest.mark.slow
 def test_innovations_are_white_on_matched_noise() -> None:
-    """Of 3 x 40 autocorrelations no more than chance leave their 95 % bounds."""
+    """Out of 3 x 40 autocorrelations no more than chance leave their 95 % bounds."""
     # Chance leaves 6 of 120 outside, and more than 13 once in 300 seeds.
     lags, limit = 41, int(binom.ppf(0.997, 120, 0.05))
     _, found = innovations(TUNING, 20_500, seed=20)

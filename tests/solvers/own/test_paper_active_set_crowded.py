@@ -100,13 +100,13 @@ def test_what_was_once_wrongly_called_solved_is_no_more(seed):
 
 
 LONG = {0, 2, 7, 8, 13, 15, 18, 39, 45}
-"""Of these the referee's exact search takes a second or two, and ends with no answer of the kind
-that has to be claimed."""
+"""Seeds that take the referee's exact search a second or two, and get no answer of the kind that
+has to be claimed."""
 
 
 @pytest.mark.slow
 def test_crowded_vertices_are_solved_where_the_referee_finds_them_solved():
-    """Of random crowded vertices every claim is true, and every clear one is claimed."""
+    """Every claim on random crowded vertices is true, and every clear one is claimed."""
     kinds = []
     for seed in sorted({*range(50)} - LONG):
         qp = crowded(seed)
@@ -213,7 +213,8 @@ def test_copies_of_rows_with_equal_limits_change_nothing(combine):
 
 
 def test_rows_with_equal_limits_that_rounding_sets_apart_are_not_called_solved():
-    """Where rounding alone decides in which point rows with equal limits meet, none is claimed."""
+    """No answer is claimed where rounding alone decides at which point rows with equal limits
+    meet."""
     for seed in range(20):
         qp = pinned(seed, lambda a: 0.3 * a[0] + 0.7 * a[1])
         answer = solve(qp)
