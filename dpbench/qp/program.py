@@ -9,7 +9,6 @@ solvers and the referee have to face NaN.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from copy import copy
 from dataclasses import dataclass, field, replace
 from enum import Flag, auto
 from typing import TYPE_CHECKING, Any
@@ -207,11 +206,11 @@ class QuadraticProgram:
         check_shapes(changed, {name: getattr(self, name).shape for name in parts})
         return changed
 
-    def _replace_arrays(self, parts: Mapping[str, Floats]) -> QuadraticProgram:
+    def _replace_arrays(self, parts: dict[str, Floats]) -> QuadraticProgram:
         """Return this QP with other arrays, unchecked, as that would count as a solver's time."""
-        changed = copy(self)
-        for name, part in parts.items():
-            object.__setattr__(changed, name, part)
+        # A fifth of the time of `copy.copy`, in every step that brings matrices.
+        changed = object.__new__(type(self))
+        changed.__dict__.update(self.__dict__ | parts)
         return changed
 
 
