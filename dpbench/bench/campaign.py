@@ -16,6 +16,7 @@ import pandas as pd
 
 from dpbench.bench.capability.table import CAPABILITY_FILE, write_capability
 from dpbench.bench.design import Design, DesignStudy, plan_designs
+from dpbench.bench.embedded_counts import EmbeddedCounts, PlannedCount, plan_counts
 from dpbench.bench.engines.dispatcher import Dispatcher, longest_cell
 from dpbench.bench.engines.engine import Engine, SourceFiles, TlsFiles
 from dpbench.bench.engines.open_engine import open_engine
@@ -57,12 +58,14 @@ class Campaign:
         out: Path,
         machine: MachineDescription,
         *,
+        counts: Sequence[PlannedCount] = (),
         fresh: bool = False,
         shard: Shard = WHOLE,
     ) -> None:
         self.machine, self._plan, self._out, self._shard = machine, plan, out, shard
         self.store = CellStore(out)
         self.attach_designs(designs, machine["id"], fresh=fresh)
+        self._counts = EmbeddedCounts(counts, self.store.folder, fresh=fresh)
         solvers = {p.cell.solver for p in plan.cells}
         self._libraries = {solver: check_availability(solver) for solver in solvers}
         self.work = shard.select_jobs([self._make_job(p) for p in plan.cells])
@@ -94,6 +97,7 @@ class Campaign:
         started_utc, started_s = datetime.now(UTC), time.monotonic()
         pending = self.find_pending()
         work = sum(count_steps(job.cell) for job in pending) + self.designs.work
+        work += self._counts.work
         progress.start(work)
         if not work and self._has_written_results():
             clear_places(self.store.folder)
@@ -106,6 +110,7 @@ class Campaign:
             self._store_result(by_id[result.run_id], result)
         self.sources.clear()
         self.designs.run(dispatcher, progress)
+        self._counts.run(dispatcher, progress)
         self.write_results(started_utc, time.monotonic() - started_s, engine.remarks)
 
     def find_pending(self) -> list[CellJob]:
@@ -148,7 +153,7 @@ class Campaign:
         same = all(found.get(key) == value for key, value in asked.items())
         if self._at_boundary and not (self._out / CAPABILITY_FILE).is_file():
             return False
-        return same and is_tabulated(self.work, self.store)
+        return same and self._counts.is_written(self._out) and is_tabulated(self.work, self.store)
 
     def _request_document(self) -> dict[str, Any]:
         """Return the entries of `suite.json` that describe the requested suite."""
@@ -172,6 +177,7 @@ class Campaign:
     ) -> None:
         """Write all result files; `made_by` are the revisions that ran the cells, if not this."""
         self.designs.write(self._out)
+        not_counted = self._counts.write(self._out)
         runs, step_rows = tabulate(self.work, self.store)
         suite: dict[str, Any] = {
             **self._request_document(),
@@ -179,6 +185,7 @@ class Campaign:
             "started_utc": started.isoformat(timespec="seconds"),
             "wall_s": round(wall_s, 1),
             **_count_lost(runs, self.designs, remarks),
+            **({"not_counted": not_counted} if not_counted else {}),
         }
         rows = {"run_rows": len(runs), "step_rows": step_rows}
         write_json(self._out / "machine.json", self.machine)
@@ -225,6 +232,13 @@ def plan_suite_designs(plan: Plan) -> list[Design]:
     table = None if plan.part else plan.document.design
     with name_file_in_errors(plan.path):
         return plan_designs(table, plan.path.parent) if table else []
+
+
+def plan_suite_counts(plan: Plan) -> list[PlannedCount]:
+    """Return what a suite counts on embedded cores; nothing if it is run in part."""
+    table = None if plan.part else plan.document.embedded
+    with name_file_in_errors(plan.path):
+        return plan_counts(table, plan.path.parent) if table else []
 
 
 def default_folder(plan: Plan, out: str | Path | None) -> Path:
@@ -308,6 +322,7 @@ def run_campaign(
         raise InputError("--wait", "", wait_s, "a number of seconds, 0 or more")
     plan, some = asked.plan(), Shard.from_text(shard)
     designs = plan_suite_designs(plan) if some.index == 1 else []
+    counts = plan_suite_counts(plan) if some.index == 1 else []
     folder = default_folder(plan, out)
     progress = progress or Silent()
     with (
@@ -316,7 +331,9 @@ def run_campaign(
     ):
         for remark in list_plan_limits(plan.cells):
             progress.remark(remark)
-        campaign = Campaign(plan, designs, folder, opened.machine, fresh=fresh, shard=some)
+        campaign = Campaign(
+            plan, designs, folder, opened.machine, counts=counts, fresh=fresh, shard=some
+        )
         if not (fresh or may_leave_out):
             work = [job.planned for job in campaign.work]
             refuse_other_selection(work, folder, "--fresh to replace them, or another --out")

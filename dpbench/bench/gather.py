@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from dpbench.bench.campaign import Campaign, plan_suite_designs
+from dpbench.bench.campaign import Campaign, plan_suite_counts, plan_suite_designs
 from dpbench.bench.engines.shards import ShardRecord
 from dpbench.bench.plan.run_request import Plan
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
@@ -32,8 +32,8 @@ from dpbench.solvers.record import Build
 from dpbench.solvers.table import Availability
 
 _WHERE = "gather"
-_EXTRA_FILE = re.compile(r"design-\w+\.json|exact-\w+\.npz")
-"""Files of a folder of cells that are shown too: designs, and capability plots with their QPs."""
+_EXTRA_FILE = re.compile(r"design-\w+\.json|embedded-\w+\.parquet|exact-\w+\.npz")
+"""Files of a folder of cells that are shown too: designs, counts, capability plots with QPs."""
 
 
 def gather(
@@ -75,7 +75,7 @@ def gather(
                 f"on {machine.get('cpu_model', 'an unnamed CPU')} ({machine['id']}) alone"
             )
             machine = {**machine, "others": others}
-        campaign = Campaign(plan, designs, Path(out), machine)
+        campaign = Campaign(plan, designs, Path(out), machine, counts=plan_suite_counts(plan))
         for record in records:
             if record.shard.index == 1:
                 campaign.attach_designs(designs, record.machine["id"])

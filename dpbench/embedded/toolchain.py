@@ -53,6 +53,11 @@ def compiler_version() -> str:
         raise SituationError("embedded", f"ziglang not installed: {REMEDY}") from None
 
 
+def installed_compiler() -> str:
+    """Return the version of ziglang; "" where it is not installed."""
+    return compiler_version() if importlib.util.find_spec("ziglang") else ""
+
+
 def cache_folder(name: str) -> Path:
     """Return a folder for `name` in the user's cache, made if missing; else one of this process."""
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache").absolute()

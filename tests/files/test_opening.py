@@ -18,6 +18,7 @@ from dpbench.bench.record.result_folder import load_descriptions, load_results, 
 from dpbench.bench.sequences.qpsolvers_files import read_problem
 from dpbench.bench.sequences.recording import hash_sequence_files
 from dpbench.bench.sequences.sequence_file import load_recorded
+from dpbench.embedded.table import EMBEDDED_FILE, load_counts
 from dpbench.errors import InputError
 from dpbench.files.opening import open_regular_file, read_bytes
 from dpbench.scenario.hull_files import read_coefficient_table, read_mss
@@ -42,6 +43,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "shard.json": lambda path: ShardRecord.read(path.parent),
     "design.json": lambda path: load_designs(path.parent),
     CAPABILITY_FILE: lambda path: load_capability(path.parent),
+    EMBEDDED_FILE: lambda path: load_counts(path.parent),
     "runs.parquet": lambda path: load_results(path.parent),
     "steps.parquet": lambda path: StepsOnDisk(path.parent),
 }
@@ -80,7 +82,7 @@ def test_what_is_no_file_is_one_line(name: str, kind: str, tmp_path: Path) -> No
             # The path of a socket may have a hundred characters.
             bound.bind(f"/proc/self/fd/{here}/{name}")
         os.close(here)
-    if (name, kind) == ("design.json", "nothing") or (name, kind) == (CAPABILITY_FILE, "nothing"):
+    if kind == "nothing" and name in ("design.json", CAPABILITY_FILE, EMBEDDED_FILE):
         assert READERS[name](path) is None
         return
     with pytest.raises(InputError) as caught:

@@ -10,6 +10,7 @@ from pydantic import AfterValidator, Field, WithJsonSchema
 from dpbench.bench.plan.study_points import RouteName, RunsTable, StudyTable
 from dpbench.bench.record.cell import DEFAULT_FALLBACK, SLOWEST, Units
 from dpbench.bench.run.fallback_policies import FALLBACKS
+from dpbench.embedded.targets import TARGETS
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.scenario.problem_files import FileModel, parse_model, problem_path, read_toml
@@ -44,6 +45,14 @@ def _check_fallback(name: str) -> str:
     return name
 
 
+def _check_target(name: str) -> str:
+    """Check the name of an embedded core; ValueError for an unknown one."""
+    if name not in TARGETS:
+        raise ValueError(" | ".join(map(repr, TARGETS)))
+    return name
+
+
+TargetName = Annotated[str, AfterValidator(_check_target), WithJsonSchema({"enum": list(TARGETS)})]
 Fallback = Annotated[
     str, AfterValidator(_check_fallback), WithJsonSchema({"enum": list(FALLBACKS)})
 ]
@@ -201,6 +210,23 @@ class DesignTable(FileModel):
     """Vessels they are studied with."""
 
 
+class EmbeddedTable(FileModel):
+    """Counts of what solvers cost as C on embedded cores, by emulation (extra `embedded`).
+
+    Instructions, memory and error of each step. What cannot be counted is named in the report and
+    does not end the run.
+    """
+
+    sequences: Annotated[list[str], Field(min_length=1)]
+    """Parts of exactly solved loops, SCENARIO:FIRST:STEPS, such as paper:0:200."""
+    targets: Annotated[list[TargetName], Field(min_length=1)] = ["m7"]
+    """Cores: m7, a53, riscv, x86."""
+    solvers: list[str] = []
+    """Only these of the solvers with a recipe; all where it is empty."""
+    precision: Literal["double", "float"] = "double"
+    """Precision of the C code."""
+
+
 class ReportTable(FileModel):
     """Settings of a suite's report: the solver to compare with, and the step it shows first."""
 
@@ -249,6 +275,8 @@ class SuiteFile(FileModel):
     """Settings of one's own by name: each solver's options by its own keys; a list is a grid."""
     design: DesignTable | None = None
     """Stability and region of attraction of the controllers; not studied without this table."""
+    embedded: EmbeddedTable | None = None
+    """Cost of solvers' C on embedded cores; not counted without this table."""
     closed_loop: list[ClosedLoopTable] = []
     """Every solver steers the ship itself."""
     study: list[StudyTable] = []

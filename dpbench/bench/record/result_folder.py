@@ -99,6 +99,15 @@ class StudyDescription(TypedDict, total=False):
     radius_m: float
 
 
+class UncountedSolver(TypedDict):
+    """Solver whose C could not be counted on an embedded core along a sequence, and the reason."""
+
+    solver: str
+    target: str
+    sequence: str
+    reason: str
+
+
 class Revision(TypedDict):
     """Git commit of dpbench, in full, and whether the files of the package were those of it."""
 
@@ -119,6 +128,7 @@ class SuiteDescription(TypedDict, total=False):
     lost_cells: int
     lost_designs: int
     remarks: list[str]
+    not_counted: list[UncountedSolver]
     revisions: list[Revision]
     requirements: _Requirements
     demand: _Requirements  # key of earlier releases
