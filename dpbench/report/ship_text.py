@@ -38,7 +38,7 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
     known = [ship for ship in ships if ship.state != "not run"]
     if not known:
         return ShipSummary(text=NOT_RUN)
-    lost = [ship for ship in known if ship.state == "leaves"]
+    lost = [ship for ship in known if ship.has_left]
     opening = f"{BANNER}{_name_failures(lost)}, whatever the solver"
     warning = f"{opening}: {_describe_lost(lost)}." if lost else ""
     sentences = [_describe_kept(known), *_describe_rest(ships), *_describe_limits(known)]
@@ -85,12 +85,12 @@ def _describe_departure(ship: ShipResult) -> str:
     run = ship.run
     heading = f"; largest heading error {significant(run.exact_heading_max_deg)}°"
     turned = heading if run.exact_heading_max_deg > HEADING_DEG else ""
-    back = ", back on station" if ship.is_inside_at_end else ""
+    back = " and returns" if ship.is_inside_at_end else ""
     return (
         f"in `{ship.name}` it leaves its station ({_limits_text(ship)}) at "
-        f"{significant(run.exact_left_s)} s; largest offset {significant(run.exact_offset_max_m)} "
-        f"m at {significant(run.exact_offset_max_s)} s, last offset "
-        f"{significant(run.exact_offset_end_m)} m{back}{turned}"
+        f"{significant(run.exact_left_s)} s{back}; largest offset "
+        f"{significant(run.exact_offset_max_m)} m at {significant(run.exact_offset_max_s)} s, last "
+        f"offset {significant(run.exact_offset_end_m)} m{turned}"
     )
 
 
@@ -99,7 +99,7 @@ def describe_ship(ship: ShipResult) -> str:
     run = ship.run
     if ship.state == "not run":
         return f"`{ship.name}`: not run"
-    left = f" at {significant(run.exact_left_s)} s" if ship.state == "leaves" else ""
+    left = f" (at {significant(run.exact_left_s)} s)" if ship.has_left else ""
     return (
         f"`{ship.name}`: {ship.state}{left}; largest offset "
         f"{significant(run.exact_offset_max_m)} m at {significant(run.exact_offset_max_s)} s, last "

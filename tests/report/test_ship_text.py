@@ -93,9 +93,10 @@ def test_a_failure_is_named_where_every_lost_ship_left_after_one(
 def test_a_ship_that_turns_away_or_comes_back_is_lost_too(records: Any) -> None:
     records.loop("daqp", "turn", exact_left_s=3.0, exact_heading_max_deg=40.0)
     (ship,) = ship_results(records.view())
-    assert ship.state == "leaves"
+    assert ship.state == "leaves and returns"
     told = _summary(records).warning
-    assert told.endswith("m, back on station; largest heading error 40.0°.")
+    assert "in `turn` it leaves its station (5 m, 5°) at 3.00 s and returns; largest offset" in told
+    assert told.endswith("m; largest heading error 40.0°.")
 
 
 def test_the_longest_loop_of_a_scenario_counts_whichever_solver_ran_it(records: Any) -> None:

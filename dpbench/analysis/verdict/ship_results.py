@@ -17,9 +17,9 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.bench.run.station import HEADING_DEG
 
-ShipState = Literal["on station", "leaves", "not there", "not run"]
-"""Result for the ship: it stays on its station, leaves it, has not reached its setpoint, or there
-is no such loop."""
+ShipState = Literal["on station", "leaves", "leaves and returns", "not there", "not run"]
+"""Result for the ship: it stays on its station, leaves it, leaves it and is within its limits at
+the end, has not reached its setpoint, or there is no such loop."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,14 @@ class ShipResult:
         """State of the ship: on station, leaving it, not there yet, or not run."""
         if not self.run.exact_steps > 0.0:
             return "not run"
-        if not math.isnan(self.run.exact_left_s):
-            return "leaves"
+        if self.has_left:
+            return "leaves and returns" if self.is_inside_at_end else "leaves"
         return "on station" if self.is_inside_at_end else "not there"
+
+    @property
+    def has_left(self) -> bool:
+        """True if the ship leaves its station, be it back at the end or not."""
+        return self.run.exact_steps > 0.0 and not math.isnan(self.run.exact_left_s)
 
     @property
     def is_inside_at_end(self) -> bool:

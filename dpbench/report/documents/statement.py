@@ -126,7 +126,7 @@ def _fill_statement(
     c, records = chosen.configuration, data.records
     known = [s for s in map(records.scenario, records.scenarios) if s is not None]
     ships = [ship for ship in data.ships if not ship.run.study]
-    ships.sort(key=lambda ship: ship.state != "leaves")
+    ships.sort(key=lambda ship: not ship.has_left)
     options = all_options(c.solver_settings, c.solver)
     by_solver = results.runs.groupby("solver")["solver_version"]
     versions = {name: ", ".join(sorted({str(v) for v in own if v})) for name, own in by_solver}
