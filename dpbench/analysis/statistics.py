@@ -101,10 +101,12 @@ class MeanEstimate:
         return min(1.0, 2.0 * min(self.p_above(bound), self.p_below(-bound)))
 
     def _transform_skew(self, statistic: float) -> float:
+        """Correct a t statistic for skewness, by Hall's cubic transformation."""
         skew = SKEW_SHARE * self.skew
         return statistic + skew * statistic**2 / 3 + skew**2 * statistic**3 / 27 + skew / 6
 
     def _invert_skew(self, quantile: float) -> float:
+        """Return the t statistic whose correction for skewness is this quantile."""
         skew = SKEW_SHARE * self.skew
         if abs(skew) < 1e-9:
             return quantile

@@ -193,6 +193,7 @@ class Campaign:
         self._write_capability()
 
     def _write_capability(self) -> None:
+        """Write the capability plots of the vessels whose edges were replayed."""
         tables = [read_capability_plot(self.sources.path(key)) for key in self._at_boundary]
         made = [table for table in tables if table is not None]
         if made:

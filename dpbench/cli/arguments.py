@@ -64,22 +64,26 @@ def offer_completions(whole: argparse.ArgumentParser) -> None:
 
 
 def _list_stored_files(kind: str, **_: object) -> list[str]:
+    """List the stored files of a kind by name, to complete words in a shell."""
     from dpbench.scenario.problem_files import problem_names
 
     return problem_names(kind)
 
 
 def _list_solvers(**_: object) -> list[str]:
+    """List the names of all solvers, to complete words in a shell."""
     from dpbench.solvers.table import solver_names
 
     return list(solver_names())
 
 
 def _add_option(command: Command, name: str, value: str, meaning: str, **keywords: Any) -> None:
+    """Add an option with the name of its value and its help."""
     command.add_argument(name, metavar=value, help=meaning, **keywords)
 
 
 def _add_run_arguments(run: Command) -> None:
+    """Add the arguments of `dpbench run`."""
     option = partial(_add_option, run)
     run.add_argument("--out", help="result folder (default: results/<suite>)")
     _add_suite_arguments(run)
@@ -93,6 +97,7 @@ def _add_run_arguments(run: Command) -> None:
 
 
 def _add_suite_arguments(run: Command) -> None:
+    """Add the arguments that choose and vary a suite."""
     option = partial(_add_option, run)
     repeated = partial(option, action="append")
     sequence = "instead: a stored sequence, a .npz, or a folder of them by qpsolvers"
@@ -116,6 +121,7 @@ def _add_suite_arguments(run: Command) -> None:
 
 
 def _add_cells_arguments(cells: Command) -> None:
+    """Add the arguments of `dpbench cells`, which runs one shard."""
     cells.description = (
         "For schedulers that know only commands: the cells of one of N shards, which "
         "several machines may run at a time. Give the same command again after an interruption."
@@ -126,6 +132,7 @@ def _add_cells_arguments(cells: Command) -> None:
 
 
 def _add_gather_arguments(gather: Command) -> None:
+    """Add the arguments of `dpbench gather`, which joins shards."""
     gather.add_argument("folders", metavar="DIR", nargs="+", help="a folder of each shard")
     option = partial(_add_option, gather)
     option("--out", "DIR", "result folder", required=True)
@@ -135,6 +142,7 @@ def _add_gather_arguments(gather: Command) -> None:
 
 
 def _add_ending_arguments(command: Command) -> None:
+    """Add the options on what a command prints at its end, and its exit code."""
     command.add_argument("--open", action="store_true", help="open the page in a browser")
     command.add_argument("--json", action="store_true", help="say how it ended as JSON")
     command.add_argument("--quiet", action="store_true", help="say nothing but where the page is")
@@ -143,6 +151,7 @@ def _add_ending_arguments(command: Command) -> None:
 
 
 def _add_report_arguments(report: Command) -> None:
+    """Add the arguments of `dpbench report`."""
     report.add_argument("dir", help="a folder written by `dpbench run`")
     option = partial(_add_option, report)
     repeated = partial(option, action="append", default=[])
@@ -157,6 +166,7 @@ def _add_report_arguments(report: Command) -> None:
 
 
 def _add_compare_arguments(compare: Command) -> None:
+    """Add the arguments of `dpbench compare`."""
     compare.add_argument("folders", metavar="DIR", nargs="+", help="two result folders, A and B")
     releases = "instead: each solver over its versions, in two folders or more"
     compare.add_argument("--releases", action="store_true", help=releases)
@@ -170,6 +180,7 @@ def _add_compare_arguments(compare: Command) -> None:
 
 
 def _add_export_arguments(export: Command) -> None:
+    """Add the arguments of `dpbench export`."""
     problems = "a scenario, a sequence (by name or .npz) or a folder of problems"
     export.add_argument("what", nargs="?", help=problems)
     export.add_argument("--all", action="store_true", help="instead: all stored sequences anew")
@@ -187,6 +198,7 @@ def _add_export_arguments(export: Command) -> None:
 
 
 def _add_worst_case_arguments(worst_case: Command) -> None:
+    """Add the arguments of `dpbench worst-case`."""
     add, option = worst_case.add_argument, partial(_add_option, worst_case)
     add("solver", help="the solver to search")
     add("--goal", default="iterations", help="iterations (default) or error")
@@ -202,6 +214,7 @@ def _add_worst_case_arguments(worst_case: Command) -> None:
 
 
 def _add_check_arguments(check: Command) -> None:
+    """Add the arguments of `dpbench check`."""
     file = (
         "a name, scenario@vessel, a TOML file, or a .npz or folder of problems, whose every "
         "step is certified anew; or a folder of results/community"
@@ -210,6 +223,7 @@ def _add_check_arguments(check: Command) -> None:
 
 
 def _add_init_arguments(init: Command) -> None:
+    """Add the arguments of `dpbench init`."""
     init.description = (
         "Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml, with what "
         "was derived how in their comments; with --thrusters also NAME_thrusters.toml, whose "
@@ -235,6 +249,7 @@ def _add_init_arguments(init: Command) -> None:
 
 
 def _add_capability_arguments(capability: Command) -> None:
+    """Add the arguments of `dpbench capability`."""
     capability.description = (
         "For 36 directions, intact and after the loss of each failure group; with "
         "--solver, which solvers tell the loads at that edge apart."

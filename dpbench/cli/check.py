@@ -55,6 +55,7 @@ def check_file(name: str, progress: Progress | None = None) -> str:
 
 
 def _unknown_name_error(name: str) -> InputError:
+    """Make the error for a name that `dpbench check` does not find, with the nearest ones."""
     kinds = (*problems.KINDS, problems.SEQUENCES)
     names = [known for kind in kinds for known in problems.problem_names(kind)]
     near = difflib.get_close_matches(name, names, n=3)
@@ -73,6 +74,7 @@ def _check_folder(folder: Path, progress: Progress | None) -> str:
 
 
 def _check_sequence(path: Path, progress: Progress | None) -> str:
+    """Certify every step of a sequence file anew; return the result as text."""
     from dpbench.bench.sequences.verify import verify_sequence
 
     return verify_sequence(path, progress)

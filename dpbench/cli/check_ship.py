@@ -133,6 +133,7 @@ def _sideways_line(vessel: Vessel, current_mps: float, unit: str, per: float) ->
 
 
 def _weather_line(scenario: Scenario) -> str:
+    """State the mean force of a scenario's weather as shares of the ship's limits and thrust."""
     vessel = scenario.vessel
     load = ships.mean_load(vessel, scenario.environment, float(scenario.reference[2]))
     against = np.where(load < 0.0, vessel.tau_max, -vessel.tau_min)

@@ -57,6 +57,7 @@ def print_counts(arguments: argparse.Namespace) -> int:
 
 
 def _count(recipe: Recipe, recorded: Recorded, target: Target, **options: Any) -> StepCounts:
+    """Count the instructions of a solver's C on a recorded sequence, step by step."""
     return count_sequence(recipe, recorded.sequence, target, optima=recorded.optima, **options)
 
 
@@ -97,6 +98,7 @@ def _print_tables(counts: list[StepCounts], path: Path) -> None:
 
 
 def _make_tables(runs: list[dict[str, Any]]) -> Iterator[Table]:
+    """Yield a table of counts and one of sizes for each sequence and target."""
     for name, target in dict.fromkeys((run["sequence"], run["target"]) for run in runs):
         group = [run for run in runs if (run["sequence"], run["target"]) == (name, target)]
         kind = "float" if group[0]["single"] else "double"
@@ -126,4 +128,5 @@ def _make_tables(runs: list[dict[str, Any]]) -> Iterator[Table]:
 
 
 def _known(number: int) -> str:
+    """Format a count; a dash for a negative one, which is unknown."""
     return str(number) if number >= 0 else "–"

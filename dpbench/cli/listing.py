@@ -40,6 +40,7 @@ def _list_vessels() -> RenderableType:
 
 
 def _list_scenarios() -> RenderableType:
+    """List all stored scenarios: vessel, tuning, steps and what they show."""
     from dpbench.scenario import problem_files as problems
     from dpbench.scenario.tables.scenario_file import ScenarioFile
 
@@ -55,6 +56,7 @@ def _list_scenarios() -> RenderableType:
 
 
 def _list_suites() -> RenderableType:
+    """Make a table of all stored suites: number of cells and question."""
     from dpbench.bench.plan.plan import plan
     from dpbench.bench.plan.suite import load_suite
     from dpbench.scenario import problem_files as problems
@@ -67,6 +69,7 @@ def _list_suites() -> RenderableType:
 
 
 def _list_sequences() -> RenderableType:
+    """Make a table of all stored QP sequences: sizes, active limits and sample time."""
     import numpy as np
 
     from dpbench.bench.sequences.sequence_file import active_set, load_recorded
@@ -89,12 +92,14 @@ def _list_sequences() -> RenderableType:
 
 
 def _list_solvers() -> RenderableType:
+    """List all solvers with their descriptions."""
     from dpbench.solvers.table import solver_names
 
     return unstyled_text("\n".join(map(_describe_solver, solver_names())))
 
 
 def _describe_solver(name: str) -> str:
+    """Describe a solver: version, method, form, policies and tolerance levels."""
     from dpbench.solvers.settings import describe_levels
     from dpbench.solvers.table import check_availability, find_record
 

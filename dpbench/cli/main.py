@@ -142,6 +142,7 @@ def _named_parameters(arguments: argparse.Namespace, *without: str) -> dict[str,
 
 
 def _print_estimate(arguments: argparse.Namespace) -> int:
+    """Print cells, time and size of a campaign without running it (`dpbench run --dry-run`)."""
     from dpbench.bench.estimate import estimate_campaign
 
     unused = ("dry_run", "fresh", "scheduler", "tls", "wait_s")
@@ -151,6 +152,7 @@ def _print_estimate(arguments: argparse.Namespace) -> int:
 
 
 def _run_suite(arguments: argparse.Namespace) -> int:
+    """Run a suite and write its report (`dpbench run`); return the exit code."""
     if arguments.dry_run:
         return _print_estimate(arguments)
     from dpbench.bench.campaign import run_campaign
@@ -176,6 +178,7 @@ def _print_accidents(out: Path) -> int:
 
 
 def _run_shard(arguments: argparse.Namespace) -> int:
+    """Run one shard of a suite (`dpbench cells`); return the exit code."""
     from dpbench.bench.campaign import run_campaign
     from dpbench.cli.terminal import ProgressBar
 
@@ -186,6 +189,7 @@ def _run_shard(arguments: argparse.Namespace) -> int:
 
 
 def _gather_shards(arguments: argparse.Namespace) -> int:
+    """Join the folders of shards and write the report (`dpbench gather`)."""
     from dpbench.bench.gather import gather
     from dpbench.cli.terminal import print_ending
     from dpbench.report.write import write_report_with_summary
@@ -196,6 +200,7 @@ def _gather_shards(arguments: argparse.Namespace) -> int:
 
 
 def _rewrite_report(arguments: argparse.Namespace) -> int:
+    """Write the report of a result folder anew (`dpbench report`); return the exit code."""
     from dpbench.cli.terminal import print_ending
     from dpbench.report.write import write_report_with_summary
 
@@ -208,6 +213,7 @@ def _rewrite_report(arguments: argparse.Namespace) -> int:
 
 
 def _print_completion(arguments: argparse.Namespace) -> None:
+    """Print the shell code that completes words (`dpbench completion`)."""
     from argcomplete.shell_integration import shellcode
 
     code = shellcode(["dpbench"], shell=arguments.shell)  # type: ignore[no-untyped-call] # argcomplete types nothing
@@ -215,6 +221,7 @@ def _print_completion(arguments: argparse.Namespace) -> None:
 
 
 def _compare_folders(arguments: argparse.Namespace) -> int:
+    """Compare two result folders or releases (`dpbench compare`); return the exit code."""
     from dpbench.report.compare.comparison import compare
 
     if arguments.any_machine:
@@ -236,6 +243,7 @@ def _compare_folders(arguments: argparse.Namespace) -> int:
 
 
 def _compare_releases(arguments: argparse.Namespace) -> None:
+    """Compare the versions of each solver over result folders (`dpbench compare --releases`)."""
     from dpbench.report.compare.releases import releases, write_releases
 
     over = releases(arguments.folders, reference=arguments.reference)
@@ -264,6 +272,7 @@ def _print_comparison(
 
 
 def _export_qps(arguments: argparse.Namespace) -> None:
+    """Write QPs in one of several file formats (`dpbench export`)."""
     from dpbench.bench.sequences.export import check_export_options, export
     from dpbench.cli.terminal import print_wrapped
 
@@ -280,6 +289,7 @@ def _export_qps(arguments: argparse.Namespace) -> None:
 
 
 def _find_worst_case(arguments: argparse.Namespace) -> int:
+    """Search a solver's worst step and print it (`dpbench worst-case`)."""
     from dpbench.bench.worst_case.find import find_worst_case
     from dpbench.cli.terminal import ProgressBar, print_wrapped
 
@@ -324,6 +334,7 @@ def _generate_controller(arguments: argparse.Namespace) -> None:
 
 
 def _reproduce_paper(arguments: argparse.Namespace) -> int:
+    """Reproduce the figures and claims of the paper (`dpbench paper`)."""
     from dpbench.cli.terminal import ProgressBar, print_wrapped
     from dpbench.report.reproduce import reproduce_paper
 
@@ -336,6 +347,7 @@ def _reproduce_paper(arguments: argparse.Namespace) -> int:
 
 
 def _print_listing(arguments: argparse.Namespace) -> None:
+    """Print a table of solvers or stored files (`dpbench list`)."""
     from dpbench.cli.listing import list_table
     from dpbench.cli.terminal import make_console
 
@@ -343,6 +355,7 @@ def _print_listing(arguments: argparse.Namespace) -> None:
 
 
 def _write_own_ship(arguments: argparse.Namespace) -> None:
+    """Write the files of the user's ship (`dpbench init`)."""
     from dpbench.cli.own_ship import write_own_ship
     from dpbench.cli.terminal import print_wrapped
 
@@ -357,18 +370,21 @@ def _print_embedded_counts(arguments: argparse.Namespace) -> int:
 
 
 def _print_capability(arguments: argparse.Namespace) -> None:
+    """Print the wind that a ship holds from each direction (`dpbench capability`)."""
     from dpbench.cli.capability import capability_text
 
     print(capability_text(arguments))
 
 
 def _print_machine_check(arguments: argparse.Namespace) -> None:
+    """Print facts about this machine (`dpbench doctor`)."""
     from dpbench.cli.doctor import doctor_lines
 
     print("\n".join(doctor_lines()))
 
 
 def _check_named_file(arguments: argparse.Namespace) -> None:
+    """Check a file of the user, or a stored one by name, and print the result (`dpbench check`)."""
     from dpbench.cli.check import check_file
     from dpbench.cli.terminal import ProgressBar, print_wrapped
 

@@ -156,6 +156,7 @@ def _parse_sea_number(text: str | None) -> int | None:
 
 
 def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None]) -> OwnShip:
+    """Scale the user's ship from a library vessel, its numbers and a hull file."""
     if options.from_mss and options.from_csv:
         both = "--from-csv and --from-mss exclude each other; give one of them"
         raise SituationError(WHERE, both)
@@ -190,6 +191,7 @@ def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None
 
 
 def _read_particulars(numbers: dict[str, float | None], hull: Hull | None) -> scaling.Particulars:
+    """Return length, breadth, draught and displacement; InputError if implausible."""
     values = {}
     for option in PARTICULARS:
         quantity = QUANTITIES[option]
@@ -235,6 +237,7 @@ def _read_thrust(
 
 
 def _restate_command(options: argparse.Namespace) -> str:
+    """Return the `dpbench init` command line that gives these options."""
     words = ["dpbench", "init", options.name]
     for option in (*QUANTITIES, "thrusters", "like", "from-mss", "from-csv", "sea"):
         value = getattr(options, option.replace("-", "_"))
@@ -304,6 +307,7 @@ def vessel_text(ship: OwnShip, command: str) -> str:
 
 
 def _wrap_as_comment(caller: Callable[[], str]) -> str:
+    """Wrap the text that a template block encloses into lines of TOML comments."""
     text = " ".join(caller().split())
     lines = textwrap.wrap(text, COMMENT_WIDTH, break_long_words=False, break_on_hyphens=False)
     return "".join(f"# {line}\n" for line in lines)
@@ -387,6 +391,7 @@ def _loss_s(vessel: Vessel) -> float:
 
 
 def _explain_sea_choice(share: float, held: HeldSea | None, *, chosen: bool) -> str:
+    """State why a new ship's scenario has the sea it has."""
     if not chosen:
         return "as asked for"
     if held is not None:

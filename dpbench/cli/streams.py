@@ -46,6 +46,7 @@ def _is_open(number: int) -> bool:
 
 
 def _replace_unencodable(error: UnicodeError) -> tuple[str, int]:
+    """Replace characters that a stream cannot encode by plain ones: an error handler of codecs."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     found = error.object[error.start : error.end]

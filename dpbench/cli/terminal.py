@@ -97,6 +97,7 @@ def make_report_table(table: ReportTable, screen: Console) -> RenderableType:
 
 
 def _format_rows_as_text(table: ReportTable) -> Text:
+    """Format the rows of a report's table as paragraphs of text."""
     named = table.text_columns
     rows = [
         format_entry(

@@ -48,9 +48,11 @@ def make_table(name: str, values: object, meaning: str) -> Table:
 
 
 def _matrix_text(rows: np.ndarray, whole: bool) -> str:
+    """Format a matrix as the rows of a C array."""
     return ",\n".join(f"    {{\n{_row_text(row, whole)}}}" for row in rows)
 
 
 def _row_text(row: Vector, whole: bool) -> str:
+    """Format a vector as wrapped lines of a C array."""
     text = ", ".join(str(int(x)) if whole else number_text(x) for x in row)
     return textwrap.fill(text, _WIDTH, initial_indent="    ", subsequent_indent="    ")

@@ -9,6 +9,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 @cache
 def _environment() -> Environment:
+    """Return the Jinja environment of the templates of generated C."""
     made = Environment(
         loader=PackageLoader("dpbench.codegen"),
         undefined=StrictUndefined,

@@ -180,6 +180,7 @@ def _encode_signed(number: int) -> bytes:
 
 
 def _shift_offsets(data: bytes, group: tuple[int, Struct, int], by: int) -> bytes:
+    """Return the footer bytes of a Parquet row group with its file offsets shifted."""
     begin, fields, end = group
     changed = [fields[_GROUP_OFFSET]] if _GROUP_OFFSET in fields else []
     for _, chunk, _ in fields[_COLUMNS].value:
@@ -199,6 +200,7 @@ def _shift_offsets(data: bytes, group: tuple[int, Struct, int], by: int) -> byte
 
 
 def _byte_range(group: Struct) -> tuple[int, int]:
+    """Return the first byte of a row group in its Parquet file, and the one after its last."""
     first, end = 2**63, 0
     for _, chunk, _ in group[_COLUMNS].value:
         if _ELSEWHERE & chunk.keys():

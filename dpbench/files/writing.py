@@ -111,6 +111,7 @@ def file_list_path(folder: Path) -> Path:
 
 
 def _read_file_list(folder: Path) -> set[str]:
+    """Read the names of files that dpbench wrote into a folder, as far as they exist."""
     path = file_list_path(folder)
     try:
         state = path.lstat()
@@ -125,4 +126,5 @@ def _read_file_list(folder: Path) -> set[str]:
 
 
 def _write_file_list(folder: Path, names: set[str]) -> None:
+    """Write the names of files that dpbench wrote into a folder."""
     write_text(file_list_path(folder), json.dumps(sorted(names), indent=1) + "\n")

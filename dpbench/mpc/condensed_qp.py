@@ -98,6 +98,7 @@ class CondensedQP:
         return self._matrices
 
     def _build_hard_qp(self) -> None:
+        """Build P, A and bounds of the QP whose limits are all hard, over the plan of moves."""
         problem, N_c = self.control, self.control.N_c
         self.block = problem.model.n_u
         self.n, self.m = N_c * self.block, N_c * len(problem.G)
@@ -121,6 +122,7 @@ class CondensedQP:
         return []
 
     def _build_with_blocks(self, extra: list[ConstraintBlock]) -> None:
+        """Build P, A and bounds of the QP with blocks of further or soft limits."""
         problem, matrices = self.control, self._matrices
         du = np.tile(problem.du_max, problem.N_c)
         P, Z = matrices.E * np.outer(du, du), build_affine_map(problem, matrices, "scaled")
@@ -208,6 +210,7 @@ class CondensedQP:
         return self._matrices.F_y
 
     def _write_amplitude_limits(self, step: QPStep, u_prev: Vector, limits: Limits) -> None:
+        """Write the limits of forces at this step into its vectors l and u."""
         problem, unit = self.control, self._row_unit
         if self._ramp_down is not None:
             self._ramp_down.write_limits(u_prev, limits, step.l, step.u)

@@ -119,6 +119,7 @@ def build_prediction_model(M: Matrix, D: Matrix, psi0_rad: float, sample_s: floa
 
 @lru_cache(maxsize=64)
 def _cached_model(M: bytes, D: bytes, psi0_rad: float, sample_s: float) -> StateSpace:
+    """Make the discrete augmented model of a ship; cached, with its matrices as bytes."""
     inertia, damping = (np.frombuffer(part).reshape(AXES, AXES) for part in (M, D))
     return augment(discretise(linearise(inertia, damping, psi0_rad), sample_s))
 

@@ -115,6 +115,7 @@ class RelinearisedQP(CondensedQP):
         self._brings_A = len(self._series["A"].varying) > 0
 
     def _condense_at(self, turn_rad: float) -> CondensedQP:
+        """Condense the problem of a ship turned by an angle [rad]."""
         form = CondensedOptions(units=self.units, amplitude=self.amplitude, outputs=self.outputs)
         return CondensedQP(self.control.rotate(turn_rad), **(form | {"penalty": self.penalty}))
 
@@ -145,6 +146,7 @@ class RelinearisedQP(CondensedQP):
         return HeadingSeries.of([matrices.F_y for matrices in self._sampled])
 
     def _reference_map(self) -> Matrix:
+        """Return the map from the reference to q at the present heading."""
         F_y = self._sampled[0].F_y.copy()
         self._reference_series.write(self.heading_rad - self.psi0_rad, F_y)
         return F_y

@@ -95,6 +95,7 @@ class StagedQP:
         return slice(first, first + model.n_x)
 
     def _build_cost(self) -> None:
+        """Build the cost P of moves, forces and states, and its map from the reference."""
         problem, model, unit = self.control, self.control.model, self._unit
         weight = model.C.T @ problem.Q @ model.C
         move = problem.R * np.outer(unit, unit)
@@ -122,6 +123,7 @@ class StagedQP:
         self._held[-model.n_x :] += self._end
 
     def _build_rows(self) -> None:
+        """Build the rows A: dynamics, sums of moves and limits, stage by stage."""
         problem, model, unit = self.control, self.control.model, self._unit
         n_u, n_x = model.n_u, model.n_x
         one, B = np.eye(n_u), model.B * unit

@@ -120,11 +120,13 @@ class Run:
 
     @property
     def _sequence_text(self) -> str:
+        """Mode and name of the scenario or sequence of a run."""
         mode = str(self.summary["mode"]).replace("_", " ")
         return f"{mode} {self.summary['scenario'] or self.summary['sequence']}"
 
     @property
     def _steps_text(self) -> str:
+        """Number of steps done and planned."""
         row = self.summary
         return f"{row['steps_done']} of {plural(row['steps_planned'], 'step')}"
 
@@ -297,6 +299,7 @@ def _make_run(
     evaluated: EvaluatedCell,
     scenario: Scenario | None = None,
 ) -> Run:
+    """Make a run with its table of steps and its summary row from judged answers."""
     steps = step_columns(cell, evaluated)
     outcome = Outcome("finished", "", workspace.form, *timed_solver.size)
     row = run_row("in-process", cell, outcome, Availability(True), "", evaluated, steps)

@@ -145,6 +145,7 @@ class DualActiveSet:
         self._x = self._base
 
     def _build_outcome(self, ending: Ending) -> Outcome:
+        """Return the active set, multipliers and iterations with the way it ended."""
         active = np.array(self._active, dtype=np.intp)
         return Outcome(ending, active, self._side, self._lam, self.iterations)
 
@@ -204,6 +205,7 @@ class DualActiveSet:
         return Ending.ITERATION_LIMIT
 
     def _factor_active_rows(self) -> None:
+        """Compute the QR factors of the active rows."""
         self._Q, self._R = np.linalg.qr(self._J[:, self._active])
 
     def _project(self, a: Vector) -> tuple[Vector, Vector]:
@@ -261,6 +263,7 @@ class DualActiveSet:
 
 
 def _solve_triangular(R: Matrix, b: Vector, *, lower: bool = False) -> Vector:
+    """Solve R x = b with R upper or lower triangular."""
     x = scipy.linalg.solve_triangular(R, b, lower=lower, check_finite=False)
     return np.asarray(x, dtype=np.float64)
 

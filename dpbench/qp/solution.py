@@ -206,4 +206,5 @@ def _read_integer(name: str, value: Any) -> int:
 
 
 def _describe_type(value: Any) -> str:
+    """Name the type of a value for an error message."""
     return "None" if value is None else f"of type {type(value).__name__}"

@@ -98,6 +98,7 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
 def _write_paper_figures(
     folder: Path, topic: Topic, laws: Sequence[Law], scenario: Scenario
 ) -> None:
+    """Write the figures of the paper in all formats, with their data as CSV."""
     for number, figure in enumerate(topic.figures, 4):
         short = figure.name.removeprefix(f"{topic.id}-")
         name = f"figure{number}_{short}"
@@ -108,6 +109,7 @@ def _write_paper_figures(
 
 
 def _claims_document(topic: Topic, results: Results) -> str:
+    """Return the text on the paper's claims and how far the runs confirm them."""
     versions = results.runs.drop_duplicates("solver")[["solver", "solver_version", "build"]]
     ran = [" ".join(filter(None, row)) for row in versions.itertuples(index=False)]
     tables = [(t.title, markdown_table(t.heads, t.rows, len(t.heads))) for t in topic.tables]

@@ -100,6 +100,7 @@ def _own_settings_name(verdict: Verdict) -> str:
 
 
 def _own_settings_line(verdict: Verdict) -> str:
+    """State verdict, error, failed steps and p99 of a solver at settings of one's own."""
     c = verdict.configuration
     name = f"{_own_settings_name(verdict)} ({c.route} {c.policy})"
     if verdict.refusal:
@@ -122,10 +123,12 @@ def best_of_grids(own: Sequence[Verdict]) -> list[str]:
 
 
 def _option_values(verdict: Verdict) -> dict[str, str]:
+    """Return the options of a verdict's configuration as text, by name."""
     return list_options(decode_options(verdict.configuration.options))
 
 
 def _best_of_grid(points: Sequence[Verdict]) -> str:
+    """State the best of several settings of a solver, and whether it is at the grid's edge."""
     best = min(points, key=_grid_rank)
     edges = []
     for option, value in _option_values(best).items():
@@ -260,6 +263,7 @@ def experiment_text(row: RunRecord) -> str:
 
 
 def _experiments_text(rows: Sequence[RunRecord]) -> str:
+    """List scenarios and replays of some runs as text."""
     loops = [f"`{row.scenario}`" for row in rows if row.mode != "replay"]
     windows = [f"`{row.scenario}`" for row in rows if row.window_of]
     replays = [f"`{row.sequence}`" for row in rows if row.mode == "replay" and not row.window_of]

@@ -27,6 +27,7 @@ FILTERS = {
 
 @cache
 def _template_environment() -> Environment:
+    """Return the Jinja environment of the report's documents."""
     made = Environment(
         loader=PackageLoader("dpbench.report.documents", "templates"),
         undefined=StrictUndefined,

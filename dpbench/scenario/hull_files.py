@@ -117,6 +117,7 @@ def _read_viscous_damping(vessel: _Fields, path: Path, omega: Matrix) -> Matrix:
 
 
 def _read_dimensions(vessel: _Fields) -> dict[str, float]:
+    """Return the dimensions and displacement that an MSS vessel file states."""
     keys = {"length_m": "Lpp", "breadth_m": "B", "draught_m": "T", "displacement_t": "m"}
     per = {"displacement_t": 1000.0}
     numbers = {name: vessel.get(f"vessel.main.{key}", _NOTHING) for name, key in keys.items()}

@@ -90,6 +90,7 @@ def complete_thrusters(
 
 
 def _assume_propeller(keys: dict[str, Any]) -> None:
+    """Add a thruster's propeller, diameter and astern share where its row states none."""
     if keys.get("kind") == "main":
         keys.setdefault("astern", ASTERN)
     if "power_kW" not in keys:
@@ -101,6 +102,7 @@ def _assume_propeller(keys: dict[str, Any]) -> None:
 
 
 def _parse_number(text: str, where: str, name: str) -> float:
+    """Parse a number of a table; InputError for other text."""
     try:
         return float(text)
     except ValueError:
@@ -108,6 +110,7 @@ def _parse_number(text: str, where: str, name: str) -> float:
 
 
 def _check_place(table: ThrusterTable, berth: Berth, where: str) -> None:
+    """Raise InputError for a thruster that lies outside the ship."""
     for name, most in (("x_m", MOST_X * berth.length_m), ("y_m", MOST_Y * berth.breadth_m)):
         if abs(getattr(table, name)) > most:
             allowed = f"{-most:g} to {most:g} m from midships on this ship"

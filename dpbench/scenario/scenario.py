@@ -97,6 +97,7 @@ class Scenario:
         )
 
     def _repr_html_(self) -> str:
+        """Show the scenario as a table in a notebook."""
         units = ("m", "m", "rad")
         fields = {
             "shows": self.shows,
@@ -248,6 +249,7 @@ def cached_scenario(files: ScenarioDocuments) -> Scenario:
 
 @lru_cache(maxsize=64)
 def _build_from_json(files: str) -> Scenario:
+    """Build a scenario from its documents as JSON; cached."""
     return build_scenario(json.loads(files))
 
 

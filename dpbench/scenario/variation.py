@@ -66,6 +66,7 @@ def read_value(scenario: Scenario, key: str, where: str) -> object:
 
 
 def _replace_value(table: Any, parts: list[str], value: object, where: str) -> Any:
+    """Return a copy of a TOML table with one value replaced, found by the parts of its key."""
     place = _find_index(table, parts[0], where)
     changed = table.copy()
     changed[place] = _replace_value(table[place], parts[1:], value, where) if parts[1:] else value

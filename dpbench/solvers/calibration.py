@@ -32,6 +32,7 @@ _steady_ns: Callable[[], int] = (
 
 
 def _make_record(name: str, method: str) -> SolverRecord:
+    """Make the record of a calibration solver, which has no library."""
     return SolverRecord(
         name=name,
         family="harness",

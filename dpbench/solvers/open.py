@@ -61,6 +61,7 @@ def _make_workspace(
     settings: Settings,
     step_limit_s: float | None,
 ) -> Workspace:
+    """Make the workspace of a solver by route, policy, settings and time limit per step [s]."""
     solver = row.name
     check_available(solver)
     limited = row.time_limit and step_limit_s is not None

@@ -185,6 +185,7 @@ def _describe_raised(error: BaseException) -> str:
 
 @cache
 def _entry_points() -> dict[str, metadata.EntryPoint]:
+    """Return the entry points of installed packages that bring a solver, by name."""
     return {point.name: point for point in metadata.entry_points(group=GROUP)}
 
 
@@ -240,6 +241,7 @@ def _register_plugin(
 
 
 def _read_levels(where: str, module: Any, record: SolverRecord) -> Levels:
+    """Return the tolerance levels that a plug-in states, or those of its record."""
     if not hasattr(module, "LEVELS") and hasattr(module, "LADDER"):
         warn_renamed(where, "LADDER", "LEVELS")
     return dict(getattr(module, "LEVELS", getattr(module, "LADDER", record.levels)))

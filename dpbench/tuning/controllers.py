@@ -94,11 +94,13 @@ def change_controller(scenario: Scenario, options: Options) -> Scenario:
 
 
 def _number(value: object) -> float:
+    """Return a value as the number it has to be."""
     assert isinstance(value, int | float), "of a range"
     return value
 
 
 def _scale(weight: float, factor: float) -> float:
+    """Multiply a weight by a factor, to four digits."""
     return float(f"{weight * factor:.4g}")
 
 

@@ -87,4 +87,5 @@ def _check_range(name: str, ends: object) -> OptionRange:
 
 @cache
 def _stated_ranges() -> dict[str, dict[str, list[float]]]:
+    """Read the ranges of all solvers' settings that a search tries."""
     return tomllib.loads(Path(__file__).with_name("ranges.toml").read_text(encoding="utf-8"))

@@ -227,6 +227,7 @@ def tune_solver(
 
 
 def _check_numbers(trials: int, steps: int, seed: int, error_move: float) -> None:
+    """Raise InputError for an impossible number of trials, steps, seed or error limit."""
     require_at_least("--trials", trials, 1)
     require_at_least("--steps", steps, 0)
     require_at_least("--seed", seed, 0)

@@ -108,6 +108,7 @@ class ControllerTuning:
 
 
 def _describe(score: LoopScore) -> str:
+    """Format the score of a controller: offset and wear of the thrusters."""
     return f"offset {score.share:.0%}, wear {significant(score.wear_per_h)} per hour"
 
 
@@ -248,6 +249,7 @@ def _parse_seas(text: str) -> list[int]:
 
 
 def _check_numbers(trials: int, realisations: int, margin: float, steps: int, seed: int) -> None:
+    """Raise InputError for an impossible number of trials or realisations, margin or seed."""
     require_at_least("--trials", trials, 1)
     require_at_least("--realisations", realisations, 1)
     require_at_least("--steps", steps, 0)

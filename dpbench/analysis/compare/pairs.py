@@ -126,6 +126,7 @@ def _runs_by_key(records: Records) -> dict[Key, RunRecord]:
 
 
 def _describe_cell(run: RunRecord) -> str:
+    """Describe a run by configuration, options, mode, steps and problem."""
     mode, options = run.mode.replace("_", " "), run.configuration.options_text
     label = run.configuration.label + (f" with {options}" if options else "")
     return f"{label}, {mode} of {run.steps_planned} steps of {run.problem}"

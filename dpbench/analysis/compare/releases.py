@@ -167,6 +167,7 @@ def _choose_reference_solver(folders: Mapping[str, Records], asked: str | None) 
 
 
 def _timed_replays(records: Records) -> Iterator[RunRecord]:
+    """Yield the replays of a folder that have a median step time."""
     return (r for r in records.select(mode="replay") if math.isfinite(r.algo_p50_ns))
 
 
@@ -210,6 +211,7 @@ def _relative_time(run: RunRecord, column: str, unit: Mapping[str, float] | None
 
 
 def _count_per_round(run: RunRecord, count: float) -> float:
+    """Divide a count of a replay by its rounds, if there are several."""
     return count / run.rounds if run.rounds > 1.0 else count
 
 
@@ -222,6 +224,7 @@ def _version_key(version: str) -> tuple[Any, ...]:
 
 
 def _geometric_mean(values: Sequence[float]) -> float:
+    """Return the geometric mean of positive values."""
     return float(np.exp(np.mean(np.log(values))))
 
 

@@ -336,6 +336,7 @@ def _read_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
 
 
 def _description_error(key: str, error: ValueError) -> ResultsError:
+    """Turn the error of a cell's stored description into one that names file, key and value."""
     if isinstance(error, InputError):
         return ResultsError("runs.parquet", f"cell.{error.key}", error.found, error.allowed)
     first = error.errors()[0] if isinstance(error, ValidationError) else None

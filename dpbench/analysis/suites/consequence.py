@@ -93,6 +93,7 @@ def consequence_analyses(records: Records) -> list[ConsequenceAnalysis]:
 
 
 def _build_analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> ConsequenceAnalysis:
+    """Build a consequence analysis from its runs: answers, losses held, time of each solver."""
     groups = group_by(runs, lambda run: run.lost_group)
     longest = [max(of_group, key=lambda run: run.steps_done) for of_group in groups.values()]
     files = runs[0].scenario_files

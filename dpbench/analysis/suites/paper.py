@@ -113,6 +113,7 @@ def is_paper_scenario(view: Records, name: str) -> bool:
 
 @cache
 def _packaged_content(name: str) -> str:
+    """Return the content of a scenario of the package, to compare a recorded one with."""
     return _document_content(load_scenario(name))
 
 

@@ -280,6 +280,7 @@ class Study:
         )
 
     def _summarise_configuration(self, name: str) -> StudiedConfiguration:
+        """Summarise a configuration's runs, and its differences to the reference's."""
         runs = self.runs[self.runs["configuration"] == name]
         itself = name == self.reference
         log_cost = [np.log(self.values(c, "cost")) for c in (name, self.reference)]

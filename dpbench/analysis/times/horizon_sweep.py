@@ -185,6 +185,7 @@ def _swept_problem_key(run: RunRecord) -> str:
 
 
 def _build_sweep(records: Records, runs: Sequence[RunRecord], requirements: Requirements) -> Sweep:
+    """Group the replays of one problem at several horizons by configuration."""
     sequences: dict[Horizons, str] = {}
     points: dict[Configuration, dict[Horizons, SweepPoint]] = {}
     for run in runs:

@@ -75,6 +75,7 @@ def _prefer_usual_settings(own: Sequence[Verdict]) -> Verdict:
 
 
 def _settings_key(verdict: Verdict) -> tuple[int, str]:
+    """Return a sort key of a verdict: the tolerance level of its settings."""
     return settings_level(verdict.configuration.settings)
 
 

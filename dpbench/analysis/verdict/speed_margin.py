@@ -86,6 +86,7 @@ def speed_margins(
 def _find_bounding_steps(
     records: Records, runs: Mapping[str, RunRecord]
 ) -> dict[str, tuple[SlowStep, SlowStep]]:
+    """Return by run the step with the largest time, and the one nearest to the p99."""
     found: dict[str, tuple[SlowStep, SlowStep]] = {}
     for run_id, steps, _ in records.run_steps(list(runs.values())):
         run, largest = runs[run_id], float(np.nanmax(steps.time_ns))

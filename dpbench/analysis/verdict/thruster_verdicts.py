@@ -101,11 +101,13 @@ def late_losses(run: RunRecord) -> list[str]:
 
 
 def _best_state_by_solver(verdicts: Verdicts) -> dict[str, State]:
+    """Return the best verdict of each solver that was run."""
     states = {solver: _best_state(own) for solver, own in verdicts.of.items()}
     return {solver: state for solver, state in states.items() if state != "not run"}
 
 
 def _best_state(own: Sequence[Verdict]) -> State:
+    """Return the best of several verdicts as a word."""
     return min((verdict.state for verdict in own), key=STATES.index)
 
 

@@ -133,6 +133,7 @@ def judge_solvers(
 
 
 def _select_longest(runs: Iterable[RunRecord]) -> list[RunRecord]:
+    """Select the longest of the runs that share mode and problem."""
     alike = group_by(runs, lambda run: (run.mode, run.problem))
     return [max(own, key=lambda run: run.steps_planned) for own in alike.values()]
 
@@ -236,6 +237,7 @@ def _find_gaps(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Fi
 
 
 def _find_wrong_answers(runs: Sequence[RunRecord], requirements: Requirements) -> list[Finding]:
+    """List findings on missing, inaccurate and failed answers, beyond the requirements."""
     off = [run for run in runs if run.error_move_max > requirements.error_move]
     silent = tuple(run for run in off if math.isinf(run.error_move_max))
     wrong = [run for run in off if math.isfinite(run.error_move_max)]

@@ -232,6 +232,7 @@ class DaskEngine(ExitStack):
         return self._submit(on_worker.list_outcomes, made, name="made")
 
     def _submit_files(self, batch: FileBatch, texts: Mapping[Path, str]) -> Future:
+        """Send the task of making a batch of files, with the texts it reads, to a Dask worker."""
         named = {str(path): text for path, text in texts.items()}
         args = on_worker.make_files, self._context, batch.target, named, batch.limit_s
         name = batch.target.__name__

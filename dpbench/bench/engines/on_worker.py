@@ -152,6 +152,7 @@ def run_cells(
 def _run_batch(
     executor: CellExecutor, batch: Batch, sources: Mapping[str, Path]
 ) -> Sequence[Result]:
+    """Run one batch of cells or files on this machine and return its results."""
     executor.submit(batch, sources)
     ((_, results),) = executor.wait_for_batches()
     return results

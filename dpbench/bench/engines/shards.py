@@ -93,6 +93,7 @@ WHOLE = Shard(1, 1)
 
 
 def _total_steps(jobs: list[CellJob]) -> int:
+    """Sum the planned steps of all jobs."""
     return sum(count_steps(job.cell) for job in jobs)
 
 

@@ -155,6 +155,7 @@ class StepEvaluator:
 
 
 def _stack_attribute(parts: Sequence[object], name: str) -> Matrix:
+    """Stack one named attribute of every part as the rows of a matrix."""
     return np.array([getattr(part, name) for part in parts])
 
 

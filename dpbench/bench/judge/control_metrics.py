@@ -62,6 +62,7 @@ def previous_forces(forces: Matrix) -> Matrix:
 
 
 def _watch_shares(radius: Vector, heading: Vector) -> dict[str, float]:
+    """Return the shares of time in the green, yellow and red zone of position and heading."""
     green = (radius <= 3.0) & (heading <= 3.0)
     red = (radius > 5.0) | (heading > 5.0)
     return {
@@ -72,6 +73,7 @@ def _watch_shares(radius: Vector, heading: Vector) -> dict[str, float]:
 
 
 def _axis_metrics(t: Vector, error: Matrix, dt: float) -> dict[str, float]:
+    """Return IAE, ISE, ITAE and overshoot of each axis by column, from its errors (steps, 3)."""
     metrics = {}
     for i, axis in enumerate(POSE_AXES):
         size = np.abs(error[:, i])
@@ -83,6 +85,7 @@ def _axis_metrics(t: Vector, error: Matrix, dt: float) -> dict[str, float]:
 
 
 def _rms(values: Floats) -> float:
+    """Return the root mean square of some values."""
     return float(np.sqrt(np.mean(values**2)))
 
 
@@ -195,6 +198,7 @@ def joint_limit_metrics(
 
 
 def _rate_shares(scenario: Scenario, tau: Matrix) -> dict[str, float]:
+    """Return by column the share of steps at which each force changes at its rate limit."""
     du_max = scenario.problem.du_max
     at_rate = np.abs(tau - previous_forces(tau)) >= du_max - AT_LIMIT * du_max
     return {f"at_rate_{force}": float(at_rate[:, i].mean()) for i, force in enumerate(FORCES)}

@@ -141,6 +141,7 @@ def _worst_error_columns(steps: StepColumns) -> dict[str, Any]:
 
 
 def _share_of_true(flags: Flags) -> float:
+    """Return the share of flags that are true; NaN without any."""
     return float(flags.mean()) if len(flags) else float("nan")
 
 

@@ -107,6 +107,7 @@ def largest_known(values: Floats | Sequence[float]) -> float:
 
 
 def _drop_nan(values: Floats | Sequence[float]) -> Floats:
+    """Return the values that are not NaN."""
     array = np.asarray(values, dtype=np.float64)
     return array[~np.isnan(array)]
 
@@ -180,6 +181,7 @@ def first_move_errors(steps: Steps) -> Floats:
 
 
 def _flag_column(steps: Steps, name: str) -> Flags:
+    """Return a column of a table of steps as an array of booleans."""
     return np.asarray(steps[name], dtype=np.bool_)
 
 

@@ -156,4 +156,5 @@ def deadline_metrics(steps: Mapping[str, NDArray[Any]], slowdown: float) -> dict
 
 
 def _drop_missing(times_ns: Ints) -> Floats:
+    """Return the times [ns] that were measured, as floats."""
     return times_ns[times_ns > MISSING_INT].astype(np.float64)

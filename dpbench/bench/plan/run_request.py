@@ -152,6 +152,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def _copy_with(model: Model, **update: object) -> Model:
+    """Return a copy of a table of a suite with some of its keys changed."""
     return model.model_copy(update=update)
 
 

@@ -256,6 +256,7 @@ def _parse_runs(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
 
 
 def _is_json_object(text: str | None) -> bool:
+    """Return whether a text is a JSON object."""
     try:
         return isinstance(json.loads(text or ""), dict)
     except (ValueError, RecursionError):
@@ -358,6 +359,7 @@ class CellStore:
             self.finished |= source.outcomes()
 
     def _remove_leftovers(self) -> None:
+        """Remove the unfinished files of an earlier run from the result folder."""
         for path in (self.public.runs, self.public.steps):
             path.with_name(f"{path.name}.part").unlink(missing_ok=True)
         for path in self.folder.iterdir():

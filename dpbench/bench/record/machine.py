@@ -106,6 +106,7 @@ def _list_blas() -> list[str]:
 
 
 def _read_cpu_model() -> str:
+    """Return the name of the processor, from Linux or else from Python."""
     try:
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):

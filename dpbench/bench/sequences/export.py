@@ -90,6 +90,7 @@ def _record_requested(
     at: int | None,
     part: Part,
 ) -> Recorded:
+    """Load a stored sequence or record one from a scenario, cut to the steps asked for."""
     path = Path(what)
     is_file = path.suffix == ".npz" or path.is_dir() or is_stored(what)
     if str(what) in problem_names("scenarios") or not is_file:
@@ -115,6 +116,7 @@ def _record_requested(
 
 
 def _record_step(recorded: Recorded, k: int) -> Recorded:
+    """Cut a recording to its step k, with the optimum of that step certified."""
     sequence = recording.select_step(recorded.sequence, k)
     return replace(recorded, sequence=sequence, optima=certify_sequence(sequence))
 

@@ -90,6 +90,7 @@ def select_step(sequence: QPSequence, k: int) -> QPSequence:
 
 
 def _select_steps(sequence: QPSequence, kept: slice, name: str, meta: dict[str, Any]) -> QPSequence:
+    """Cut a sequence, and its scaled equivalent, to a slice of its steps under a new name."""
     arrays = {part: getattr(sequence, part) for part in ("q", "l", "u", *CONSTANT)}
     cut: dict[str, Any] = {part: array[kept] for part, array in arrays.items() if array is not None}
     if sequence.scaled is not None:

@@ -271,6 +271,7 @@ def _read_document(where: str, name: str, texts: dict[str, str]) -> dict[str, An
 
 
 def _read_meta(where: str, texts: dict[str, str]) -> dict[str, Any]:
+    """Read the facts about a sequence from its file; InputError for an impossible number."""
     meta = _read_document(where, "meta", texts)
     for key, least in (("first", 0), ("every", 1), ("sample_s", 0)):
         value = meta.get(key, least)

@@ -92,6 +92,7 @@ def load_rules(path: Path | None = None) -> list[RecordingRule]:
 
 
 def _expand_rules(manifest: ManifestFile) -> Iterator[RecordingRule]:
+    """Yield one rule for each sequence that ships with the package, from the manifest."""
     for scenario, steps in manifest.steps.items():
         for table in manifest.horizons:
             yield RecordingRule(scenario, table.prediction, table.control, steps, table.every)

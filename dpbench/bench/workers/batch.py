@@ -176,6 +176,7 @@ class CellRun:
         return (self.folder / f"{cell.name}.raw").exists()
 
     def _start_process(self, cells: Sequence[BatchCell], core: int) -> Child:
+        """Start a process on one core that runs cells, or judges those already run."""
         target, verdict = run_batch, "json"
         if not self._to_run:
             target, verdict = evaluate_batch, "evaluated.json"
@@ -232,6 +233,7 @@ class FileRun:
         return self._start_process(rest, core) if rest and not child.is_suspect else None
 
     def _start_process(self, tasks: Sequence[FileTask], core: int) -> Child:
+        """Start a process on one core that makes files."""
         target, alone = partial(make_files_in_turn, self.batch.target), self.batch.isolated
         return _ItemProcess(
             self._context, target, tasks, self.folder, core, logs=False, alone=alone

@@ -79,6 +79,7 @@ def start_forkserver() -> ForkServerContext:
 
 @contextmanager
 def _running_forkserver() -> Iterator[None]:
+    """Start Python's fork server with one thread per library, and restore the environment after."""
     with _STARTING:
         before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
         pin_threads()
@@ -140,6 +141,7 @@ class Child:
         self.notice.close_descriptor()
 
     def _name_files(self, folder: Path, name: str, verdict: str) -> None:
+        """Choose the folder and the names of a process's files, and remove an old verdict."""
         self.folder, self.name = folder, name
         # Somebody else may have removed the folder, which costs those that had files in it.
         folder.mkdir(0o700, parents=True, exist_ok=True)
@@ -384,6 +386,7 @@ def is_stopped(pid: int) -> bool:
 
 
 def _kill_and_wait(pid: int) -> None:
+    """Kill a process and wait for its end."""
     with suppress(ProcessLookupError):
         os.kill(pid, signal.SIGKILL)
     _wait_for_end(pid)
@@ -413,6 +416,7 @@ def hide_main_module() -> Iterator[None]:
 
 
 def _signal_name(number: int) -> str:
+    """Return the name of a signal by its number."""
     try:
         return signal.Signals(number).name
     except ValueError:

@@ -163,6 +163,7 @@ class CellExecutor(ExitStack):
             yield run.batch, results
 
     def _start_run(self, run: CellRun | FileRun) -> None:
+        """Start a batch in the pool; lock the machine before the first one."""
         self._idle.close()
         if not len(self._pool):
             self._sharing.enter_context(self._lock_machine(SHARED))
@@ -187,6 +188,7 @@ class CellExecutor(ExitStack):
         self._start_run(run)
 
     def _collect_results(self, run: CellRun) -> list[Result]:
+        """Return the results of a batch that has ended, with the cells it lost."""
         self._log_bytes.pop(run)
         ended = (job for job in run.batch.jobs if job.run_id in run.outcomes)
         outcomes = {job: run.outcomes[job.run_id] for job in ended}
@@ -290,6 +292,7 @@ class CellExecutor(ExitStack):
                 pass
 
     def _lock_machine(self, how: int) -> AbstractContextManager[bool]:
+        """Lock this machine, shared or alone, and report whom it waits for."""
         return lease_machine(
             how, self._holder, patience=self._patience, say_waiting=self._report_wait
         )
@@ -307,6 +310,7 @@ class CellExecutor(ExitStack):
     def _make_batch_cell(
         self, job: CellJob, sources: Sources, outcome: Outcome | None = None
     ) -> BatchCell:
+        """Make the description of a cell that a worker process gets, with its source file."""
         cell, source = job.cell, sources[job.source_key]
         about = outcome, job.library, self._machine_id, self._plugin_path(job)
         concurrency = self._concurrency if cell.is_timed else None
@@ -315,6 +319,7 @@ class CellExecutor(ExitStack):
     def _build_results(
         self, outcomes: Mapping[CellJob, Outcome], parts: Sequence[BatchPart], folder: Path
     ) -> list[Result]:
+        """Build a result for every outcome: its part of the tables, or a row without steps."""
         kept = {name: part for part in parts for name in part.outcomes}
         became, without_steps = dict(outcomes), {}
         for job, outcome in outcomes.items():
@@ -341,4 +346,5 @@ class CellExecutor(ExitStack):
 
 
 def _lost_result(job: CellJob, cause: str) -> Result:
+    """Return the result of a cell that an accident of the harness ended."""
     return Result(job.run_id, Outcome("lost", cause))

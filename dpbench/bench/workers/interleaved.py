@@ -156,6 +156,7 @@ class ReplayGroup:
                 self.outcomes[worker.run_id] = outcome
 
     def _rerun_loaded_rounds(self, workers: list[ReplayWorker], order: Random) -> None:
+        """Repeat the rounds that other load disturbed, in the workers that are still serving."""
         logs: dict[str, RawLog] = {}
         for worker in workers:
             if worker.serving:
@@ -211,6 +212,7 @@ class ReplayGroup:
             return False
 
     def _open_log(self, worker: ReplayWorker) -> RawLog:
+        """Open the raw log of a worker's replay."""
         return RawLog.open(self._folder / f"{worker.run_id}.raw")
 
 

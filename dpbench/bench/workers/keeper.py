@@ -22,6 +22,7 @@ _IGNORED = (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP, signal
 
 
 def _split_keeper() -> None:
+    """Fork the fork server from its supervisor, which ends with its children."""
     main, keeper = os.getppid(), os.getpid()
     adopt_orphans()
     template = os.fork()

@@ -95,4 +95,5 @@ class Scratch(ExitStack):
 
 
 def _format_megabytes(size: int) -> str:
+    """Format a size [B] in megabytes."""
     return f"{size / 1e6:.1f} MB"

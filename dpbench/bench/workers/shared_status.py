@@ -117,6 +117,7 @@ class _Sink(io.FileIO):
 
 
 def _receive_output(descriptor: Any) -> Output:
+    """Rebuild shared captured output from a descriptor, in the process that receives it."""
     return Output(descriptor.detach())
 
 
@@ -191,6 +192,7 @@ class SharedStatus:
 
 
 def _receive_status(descriptor: Any, output: Output) -> SharedStatus:
+    """Rebuild a shared status from a descriptor, in the process that receives it."""
     notice = SharedStatus(descriptor.detach(), output)
     notice.close_descriptor()
     return notice

@@ -202,6 +202,7 @@ def _log_factory(raw: Path, hung: Sequence[Hang]) -> Callable[[Layout], RawLog]:
 def _run_closed_loop(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
+    """Run a cell's closed loop to its end or a limit; return its outcome."""
     scenario = cached_scenario(cell.scenario).truncate(cell.steps)
     limit_ns, new_log = round(cell.limit_s * 1e9), _log_factory(raw, hung)
     try:
@@ -225,6 +226,7 @@ def _run_closed_loop(
 def _replay_untimed(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
+    """Replay a sequence to check answers alone, without timing; return the outcome."""
     sequence = source_file(cell).load(source).sequence
     # Without a time to take, cold caches do no harm, and a step that hangs should be recorded.
     configuration, timed_solver, log = _prepare_replay(
@@ -240,6 +242,7 @@ def _replay_untimed(
 
 
 def _describe_last_round(log: RawLog) -> str:
+    """Name the last round of a replay that has an answer."""
     return f"in round {int(np.flatnonzero(log.done)[-1])}"
 
 

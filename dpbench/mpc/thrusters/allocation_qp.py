@@ -92,6 +92,7 @@ class AllocationQP:
         self._ramp_down = LimitRampDown(problem.rows, *rates, 1, factor=of_limits)
 
     def _build_matrices(self) -> None:
+        """Build matrices, bounds and affine maps of the QP that allocates a force to thrusters."""
         problem, n_f, n, m = self.allocation, self.n_f, self.n, self.m
         unit, row_unit = self._unit, self._row_unit[:, np.newaxis]
         P, A = np.zeros((n, n)), np.zeros((m, n))

@@ -81,4 +81,5 @@ def _positive_root(size: Vector) -> Vector:
 
 
 def _power_of_two(size: Vector) -> Vector:
+    """Return the nearest power of two of each positive number."""
     return np.asarray(np.exp2(np.round(np.log2(size))), dtype=np.float64)

@@ -144,6 +144,7 @@ def _bound_by_gap(
     z: Dyadic,
     lam: Dyadic,
 ) -> Proof:
+    """Bound the distance of z from the optimum by the duality gap, in exact arithmetic."""
     rows = system.rows
     limits = np.concatenate((problem.U, problem.L))[system.limits]
     # A multiplier of the wrong sign is set to zero: its row becomes part of r.

@@ -332,6 +332,7 @@ class LastResort:
         return None, None
 
     def _unscale_proof(self, z: Vector, y: Vector, bound: Vector, kind: Kind) -> Proof:
+        """Return a proof for the QP as given from that of its scaled form."""
         D = self._scales.D
         worst = float((D * bound).max()) * OUTWARD
         return Proof(D * z, self._scales.multipliers(y), worst, kind)

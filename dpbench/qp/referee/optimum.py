@@ -54,6 +54,7 @@ class Optimum:
         return f"<{self._title}: {self._proven_statement}>"
 
     def _repr_html_(self) -> str:
+        """Show the optimum as a table in a notebook."""
         fields = {"certificate": f"{self.kind}: {self._proven_statement}"}
         fields |= {name: numbers_text(getattr(self, name)) for name in ("z", "y", "y_box")}
         return fields_html(self._title, fields)

@@ -311,6 +311,7 @@ class Referee:
         return verdict if verdict.kind == "infeasible" else None
 
     def _refutation(self, problem: JointQP, y: Vector, y_box: Vector) -> Optimum:
+        """Return a certificate of infeasibility, from multipliers that prove it, or undecided."""
         least = bound_least_violation(self._as_qp(problem), np.concatenate((y, y_box)))
         kind: Kind = "undecided" if least.undecided else "infeasible"
         return Optimum(np.full(len(problem.q), np.nan), y, y_box, np.inf, kind)
@@ -335,6 +336,7 @@ class Referee:
         return Optimum(*nothing, np.inf, "none", reason)
 
     def _as_qp(self, problem: JointQP) -> QuadraticProgram:
+        """Return a problem of this referee's matrices as a QP with rows and bounds."""
         m = self._m
         return QuadraticProgram(
             self._P, problem.q, self._A, problem.L[:m], problem.U[:m], self._lb, self._ub
@@ -349,6 +351,7 @@ def get_shared_referee(P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
 
 @lru_cache(maxsize=8)
 def _cached_referee(thread: int, n: int, P: bytes, A: bytes, lb: bytes, ub: bytes) -> Referee:
+    """Make the referee of some matrices, given as bytes; cached by thread."""
     square, rows, *bounds = (np.array(memoryview(part).cast("d")) for part in (P, A, lb, ub))
     return Referee(square.reshape(n, n), rows.reshape(-1, n), *bounds)
 

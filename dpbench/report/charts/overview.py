@@ -165,6 +165,7 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float) -> Any:
 
 
 def _draw_opacity_legend() -> Any:
+    """Draw a legend of the fill of marks, by verdict."""
     scale = style.names_scale(_LEGEND, _LEGEND.values())
     looks_of: dict[str, Any] = {"symbolType": "circle", "symbolStrokeColor": style.INK}
     legend = style.legend_below(columns=_LEGEND_COLUMNS, symbolStrokeWidth=1.5, **looks_of)
@@ -279,6 +280,7 @@ def _draw_time_bars(base: alt.Chart, x: alt.X) -> Iterator[Any]:
 
 
 def _draw_limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
+    """Yield rules and labels at the limits of p99 and deadline [ms]."""
     words: dict[str, Any] = {"baseline": "top", "fontSize": 12}
     limits = (
         ("p99", p99_ms, f"p99 limit {p99_ms:g} ms", 0.75, style.LATE),

@@ -82,6 +82,7 @@ def _draw_panel(panel: Panel, laws: Sequence[Law], *, last: bool) -> Any:
 
 
 def _draw_law_lines(panel: Panel, laws: Sequence[Law], *, last: bool) -> Any:
+    """Draw one quantity of a panel over time, a line for each control law."""
     scale, axis = style.log_scale() if panel.is_log else alt.Scale(), alt.Axis(tickCount=4)
     line = (
         alt.Chart(panel.table)
@@ -97,15 +98,18 @@ def _draw_law_lines(panel: Panel, laws: Sequence[Law], *, last: bool) -> Any:
 
 
 def _draw_limits(values: Sequence[float]) -> Any:
+    """Draw horizontal dashed rules at limits."""
     chart = alt.Chart(pd.DataFrame({"limit": list(values)}))
     return chart.mark_rule(strokeDash=[5, 3], color=style.SOFT).encode(y="limit:Q")
 
 
 def _law_colour(laws: Sequence[Law]) -> alt.Color:
+    """Return the colour encoding of control laws."""
     labels = [law.label for law in laws]
     return style.colour("law", labels, style.PALETTE[: len(laws)], labelLimit=260, columns=1)
 
 
 def _law_dash(laws: Sequence[Law]) -> alt.StrokeDash:
+    """Return the dash encoding of control laws."""
     scale = style.names_scale((law.label for law in laws), [[1, 0], [6, 3]][: len(laws)])
     return alt.StrokeDash("law:N", title=None, scale=scale)

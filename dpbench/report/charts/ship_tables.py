@@ -129,4 +129,5 @@ def _law_time_series(
 
 
 def _points_per_run(laws: Sequence[Law]) -> int:
+    """Return the largest number of points drawn of each of several runs."""
     return min(MOST, MOST_TOGETHER // len(laws))

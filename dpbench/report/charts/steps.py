@@ -50,6 +50,7 @@ def _named_chart(name: str, table: pd.DataFrame) -> alt.Chart:
 
 
 def _step_axis(*, last: bool = False) -> alt.X:
+    """Return the x axis of step numbers, labelled below the last chart alone."""
     axis = alt.Axis(title="step k" if last else None, labels=last, ticks=last, format="d")
     return alt.X("k:Q", axis=axis, scale=alt.Scale(nice=False, zero=False))
 
@@ -68,6 +69,7 @@ def _draw_step_times(steps: alt.Chart) -> list[Any]:
 
 
 def _draw_step_errors(steps: alt.Chart, error_limit: float) -> list[Any]:
+    """Draw the error of each step's first move, with the limit."""
     scale = style.log_scale(domainMax=10.0, clamp=True, nice=False)
     axis = alt.Axis(format=".0e", tickCount=5)
     shown = f"datum.error === null ? null : max(datum.error, {style.FLOOR})"
@@ -82,6 +84,7 @@ def _draw_step_errors(steps: alt.Chart, error_limit: float) -> list[Any]:
 
 
 def _draw_iterations(steps: alt.Chart) -> list[Any]:
+    """Draw each step's iterations over the number of active limits."""
     base = steps.encode(tooltip=["k:Q", "iterations:Q", "active:Q"])
     area = base.mark_area(color=style.LINE, opacity=0.8, interpolate="step")
     area = area.encode(y=alt.Y("active:Q", title="iterations, active"))
@@ -89,6 +92,7 @@ def _draw_iterations(steps: alt.Chart) -> list[Any]:
 
 
 def _draw_force_shares(forces: alt.Chart) -> Any:
+    """Draw the forces of a loop over time, as shares of their limits."""
     scale, axis = alt.Scale(domain=[-1.05, 1.05], clamp=True), alt.Axis(values=[-1, 0, 1])
     return forces.mark_line(strokeWidth=1.3, interpolate="step-after").encode(
         y=alt.Y("share:Q", title="force / limit", scale=scale, axis=axis),

@@ -186,6 +186,7 @@ def _range_text(column: str, values: Range) -> str:
 
 
 def _figure_text(column: str, value: float) -> str:
+    """Format a compared quantity by its column: outcome, error, share or count."""
     if column == "outcome":
         return ORDER[int(value)].replace("_", " ")
     if column.startswith("error"):
@@ -335,6 +336,7 @@ def _compare_times(
 
 
 def _describe_machine(view: Records) -> str:
+    """Describe a folder's processor and how far other load disturbed its runs."""
     wording = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
     disturbance = total_disturbance(timed_runs(view))
     return f"{wording}, {disturbance_text(disturbance)}" if disturbance.seconds > 0 else wording
@@ -357,6 +359,7 @@ def _summary_lines(
     figures: list[FigureChange],
     pairs: Pairs,
 ) -> list[str]:
+    """Summarise a comparison in lines: cells, step times, answers and unpaired runs."""
     lines = [f"{plural(len(pairs.pairs), 'cell')} compared", *options_lines(pairs)]
     verdicts = Counter(c.assessment.verdict for c in compared)
     if compared:

@@ -76,6 +76,7 @@ def _page_times_table(order: Sequence[ComparedTimes], comparison: Comparison) ->
 
 
 def _pack_data(order: Sequence[ComparedTimes], charts: dict[str, Any], times: Table) -> str:
+    """Pack the compared step times for the script of a comparison's page."""
     block, addresses = Block(), _selection_addresses(order)
     cells_of = replace(times, shown=None).page_rows
     rows = [
@@ -156,6 +157,7 @@ def verdict_sentence(one: ComparedTimes) -> str:
 
 
 def _slower_sentence(comparison: Comparison) -> str:
+    """State how many configurations are slower in B, and which one most."""
     slower = [c for c in comparison.compared if c.assessment.verdict == "slower"]
     count = len(comparison.compared)
     if not count:

@@ -117,11 +117,13 @@ def _merge_folders(texts: Mapping[str, str]) -> list[str]:
 
 
 def _solvers_with_versions(histories: Histories) -> dict[str, list[History]]:
+    """Return the histories of each solver that was run in more than one version."""
     by_solver = group_by(histories.all, lambda history: history.run.solver)
     return {name: own for name, own in by_solver.items() if any(h.changed for h in own)}
 
 
 def _solver_sentence(solver: str, own_histories: Sequence[History]) -> str:
+    """State how step time, error and failed steps of a solver changed over its versions."""
     changed = [history for history in own_histories if history.changed]
     ends = [(history.releases[0], history.releases[-1]) for history in changed]
     sides = list(zip(*ends, strict=True))
@@ -135,6 +137,7 @@ def _solver_sentence(solver: str, own_histories: Sequence[History]) -> str:
 
 
 def _time_change_text(changed: Sequence[History]) -> str:
+    """State the change of a solver's p50 over its versions, on its first timed problem."""
     timed = next((h for h in changed if math.isfinite(h.whole_change)), None)
     if timed is None:
         return "not timed"
@@ -175,6 +178,7 @@ def _comparability_notes(histories: Histories, records: Mapping[str, Records]) -
 
 
 def _version_tables(histories: Histories) -> list[Table]:
+    """Make a table of versions for each solver, and one of solvers with one version."""
     changed = _solvers_with_versions(histories)
     note = (
         "To the one before: its p50 over that of the release above it, below 1 is faster; the load "
@@ -206,6 +210,7 @@ BEFORE = ("to the one before", "load kernel")
 
 
 def _version_rows(history: History, histories: Histories) -> list[dict[str, str]]:
+    """Return a table row for each version of a solver on one problem."""
     run, unit = history.run, f" [× {histories.reference}]" if histories.reference else ""
     label = run.configuration.label.removeprefix(f"{run.solver} ").strip("()")
     return [
@@ -304,6 +309,7 @@ def draw_release_errors(table: pd.DataFrame, allowed: float) -> Any:
 
 
 def _value_axis(form: str) -> alt.Axis:
+    """Return an axis of values in a given number format."""
     return alt.Axis(format=form, tickCount=5, labelOverlap="greedy", labelSeparation=6)
 
 
@@ -318,6 +324,7 @@ def _version_rows_chart(table: pd.DataFrame) -> Any:
 
 
 def _arrange_panels(layers: Sequence[Any], title: str, description: str) -> Any:
+    """Arrange layers into a chart with one panel for each problem."""
     chart = alt.layer(*layers, width=_WIDTH, height=alt.Step(20))
     header = alt.Header(title=None, labelAnchor="start", labelOrient="top", labelFontSize=12)
     row = alt.Row("problem:N", title=None, header=header, sort=None)

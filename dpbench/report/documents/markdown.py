@@ -159,6 +159,7 @@ def compare_solver(
 
 
 def _verdict_sentence(data: PageData, verdict: Verdict) -> str:
+    """State whether a configuration passes, and why not."""
     label = verdict.configuration.label
     passed = f"`{label}` passes everywhere it was run."
     if verdict.causes:
@@ -169,6 +170,7 @@ def _verdict_sentence(data: PageData, verdict: Verdict) -> str:
 
 
 def _pair_sentence(data: PageData, own: Verdict, other: Verdict) -> str:
+    """Compare the step times of two verdicts' configurations in a sentence."""
     faster, slower = fastest_first([own, other])
     wording = paired_text(paired_comparison(data.records, faster, slower))
     names = f"`{slower.configuration.label}` against `{faster.configuration.label}`"
@@ -176,6 +178,7 @@ def _pair_sentence(data: PageData, own: Verdict, other: Verdict) -> str:
 
 
 def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Verdict]) -> str:
+    """Make a Markdown table of a solver's worst steps, beside other solvers' values there."""
     if not worst:
         return ""
     names = [verdict.configuration.solver for verdict in others]

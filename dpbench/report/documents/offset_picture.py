@@ -62,6 +62,7 @@ class OffsetPicture:
 
 
 def _label(x: float, y: float, text: str) -> str:
+    """Return a small SVG text at a point."""
     return f'<text x="{x + 3.0:.1f}" y="{y:.1f}" font-size="7" fill="{INK}">{text}</text>'
 
 

@@ -96,6 +96,7 @@ def _find_active_parts(page: str) -> Iterator[tuple[int, str]]:
 
 
 def _is_passive_attribute(attribute: str, value: str) -> bool:
+    """Return whether an attribute of a sent SVG can neither load nor run anything."""
     if attribute in _VALUES:
         return _VALUES[attribute].fullmatch(value) is not None
     if _ATTRIBUTES.fullmatch(attribute) is None:
@@ -186,6 +187,7 @@ def check_sent_folder(folder: Path) -> str:
 
 
 def _unknown_files(folder: Path) -> list[str]:
+    """List files of a sent folder that do not belong there."""
     allowed = (*SENT, *WHERE_THERE)
     return sorted(path.name for path in folder.iterdir() if path.name not in allowed)
 

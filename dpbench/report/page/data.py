@@ -172,6 +172,7 @@ class PageData(RunMatrix):
             yield entry
 
     def _describe_run(self, c: int, p: int, run: RunRecord) -> dict[str, Any]:
+        """Return the facts of a run that the page's script needs: verdict, outcome, errors."""
         return {
             "c": c,
             "p": p,

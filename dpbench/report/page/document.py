@@ -68,6 +68,7 @@ def page_document(
 def _describe_configuration(
     data: PageData, recommendation: Recommendation, c: Configuration, v: Verdict | None
 ) -> dict[str, Any]:
+    """Return the facts of a configuration that the page's script needs."""
     longest = data.longest_timing(c)
     times = {} if v is None else {"p50": v.p50_ns, "p99": v.p99_ns, "max": v.algo_max_ns}
     return {
@@ -110,6 +111,7 @@ def _describe_margin(data: PageData, c: Configuration) -> dict[str, Any]:
 def _opening_selection(
     data: PageData, results: Results, recommendation: Recommendation
 ) -> dict[str, Any]:
+    """Return the configurations and the scenario or replay that the page selects as it opens."""
     report = results.suite.get("report", {})
     named = [i for i, c in enumerate(data.configurations) if c.label == report.get("configuration")]
     first, second = (

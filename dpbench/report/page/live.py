@@ -38,6 +38,7 @@ def _draw_ladder(data: PageData) -> Charts:
 
 
 def _draw_matrix(data: PageData) -> Charts:
+    """Draw the grid of verdicts, wide and for narrow screens."""
     tiles = select_tiles(experiment_table(data)).replace(inf, "inf")  # JSON has no infinity
     if tiles.empty:
         return {}
@@ -94,6 +95,7 @@ def _draw_pairs(data: PageData) -> Charts:
 
 
 def _replayed_configurations(data: PageData) -> set[int]:
+    """Return the indices of configurations that have a replay."""
     return {c for c, p in data.runs if data.experiments[p].mode == "replay"}
 
 
@@ -104,6 +106,7 @@ def _pack_half_widths(data: PageData, _: Results) -> dict[str, Any]:
 
 
 def _draw_accuracy(data: PageData) -> Charts:
+    """Draw error against tolerance level, if several levels were run."""
     points = level_table(data)
     return {} if points.empty else {"accuracy": draw_accuracy(points, data.requirements.error_move)}
 

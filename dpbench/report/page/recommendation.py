@@ -255,6 +255,7 @@ def _slow_step_text(step: SlowStep) -> str:
 
 
 def _make_badges(data: PageData, first: Configuration | None) -> list[Badge]:
+    """Make the badges of a solver's verdicts, one per scenario or replay, or counted."""
     if first is None:
         return []
     c = data.index(first)

@@ -156,6 +156,7 @@ def software_citation(results: Results) -> str:
 
 
 def _vega_specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the Vega specifications of charts by name; shared data once."""
     made = {name: vega_specification(chart) for name, chart in charts.items()}
     for data in made.get("matrix_narrow", {}).get("data", ()):
         if "values" in data:

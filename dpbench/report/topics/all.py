@@ -94,4 +94,5 @@ def _leading_topic(records: Records, topics: Sequence[str]) -> str:
 
 
 def _is_all_in_mode(records: Records, mode: str) -> bool:
+    """Return whether all runs have one mode."""
     return all(run.mode == mode for run in records.runs)

@@ -50,6 +50,7 @@ def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | No
 
 
 def _least_wind_sentences(plot: CapabilityResult) -> Iterator[str]:
+    """State the least wind that a ship holds, intact and after its worst loss."""
     if plot.edges.empty:
         return
     intact = plot.edges[plot.edges["case"] == INTACT]
@@ -85,6 +86,7 @@ def _name_right_solvers(plot: CapabilityResult) -> Iterator[str]:
 
 
 def _capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
+    """Yield the capability rose, and a chart of right and wrong claims."""
     if len(plot.edges):
         hollow = bool((plot.edges["untrue"] > 0).any())
         note = "; hollow where a solver made an untrue claim" if hollow else ""
@@ -149,6 +151,7 @@ def consequence_topic(records: Records) -> Topic | None:
 
 
 def _consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
+    """Yield charts of the losses held over time and of the time that takes."""
     yield Figure(
         f"consequence-{_analysis_file_name(analysis)}",
         draw_loss_spans(analysis.spans, f"Losses held, {analysis.name}"),
@@ -169,6 +172,7 @@ def _consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
 
 
 def _analysis_file_name(analysis: ConsequenceAnalysis) -> str:
+    """Return the name of an analysis as part of a file name."""
     return analysis.name.rstrip("]").replace("[", "-").replace(":", "-")
 
 

@@ -60,6 +60,7 @@ def routes_topic(records: Records) -> Topic | None:
 
 
 def _ratio_text(ratio: Interval) -> str:
+    """Format a ratio with its interval, where that is finite."""
     if not (isfinite(ratio.low) and isfinite(ratio.high)):
         return significant(ratio.value)
     return f"{significant(ratio.value)} ({significant(ratio.low)} to {significant(ratio.high)})"
@@ -106,6 +107,7 @@ def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
 
 
 def _right_levels_text(records: Records, requirements: Requirements) -> str:
+    """State with which tolerance levels each solver is right on every step."""
     good = find_right_levels(records, requirements)
     by_default = [name for name, levels in good.items() if "default" in levels]
     others = [
@@ -169,6 +171,7 @@ def _median_tables(
 
 
 def _median_text(records: Records, run: RunRecord | None, requirements: Requirements) -> str:
+    """Format the median step time of a run, or why there is none."""
     times = None if run is None else records.times(run)
     if run is None or times is None:
         return MISSING if run is None else run.outcome.replace("_", " ")

@@ -36,6 +36,7 @@ def study_topic(known: Sequence[Study]) -> Topic | None:
 
 
 def _study_lines(study: Study) -> Iterator[str]:
+    """Yield sentences on a study: larger errors, unfinished runs, share of runs held."""
     runs, points = study.runs, len(study.points)
     seas = plural(study.replicates, "realisation")
     yield (
@@ -65,6 +66,7 @@ def _study_lines(study: Study) -> Iterator[str]:
 
 
 def _larger_errors_text(study: Study) -> str:
+    """State which configurations have significantly larger errors than the reference."""
     others = study.configurations[1:]
     excess_m = {c.name: c.error_excess_m.mean.value for c in others if c.error_excess_m}
     worse = sorted((c for c in others if c.has_larger_error), key=lambda c: -excess_m[c.name])
@@ -90,6 +92,7 @@ def _share_with_bound(share: float, study: Study) -> str:
 
 
 def _loosest_text(study: Study) -> str:
+    """State the loosest tolerance of each solver that costs no more than a small limit."""
     cheap = {s: c for s, c in study.loosest.items() if c is not None}
     none = [s for s, c in study.loosest.items() if c is None]
     limits = f"less than {100 * SMALL_M:g} cm and {100 * SMALL_COST:g} % of the cost"
@@ -104,6 +107,7 @@ def _loosest_text(study: Study) -> str:
 
 
 def _study_figures(study: Study) -> Iterator[Figure]:
+    """Yield charts of a study: share held over its points, errors by realisation."""
     name = study.name.replace("@", "-").replace("/", "-")
     maps, whole = pictures.held_maps(study), pictures.has_point_per_tile(study)
     keys = [str(key) for key in study.points if is_numeric_dtype(study.points[key])]
@@ -132,6 +136,7 @@ def _study_figures(study: Study) -> Iterator[Figure]:
 
 
 def _study_tables(study: Study) -> Iterator[Table]:
+    """Yield the tables of a study: its configurations, and its points."""
     rows = [_configuration_row(configuration, study) for configuration in study.configurations]
     title = f"{study.name}: against {study.reference} in the same realisation"
     note = (
@@ -151,6 +156,7 @@ def _study_tables(study: Study) -> Iterator[Table]:
 
 
 def _configuration_row(configuration: StudiedConfiguration, study: Study) -> dict[str, str]:
+    """Return the table row of a configuration in a study."""
     behind_it, dearer = configuration.error_excess_m, configuration.log_cost_excess
     cost = configuration.cost
     row = {

@@ -62,6 +62,7 @@ def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
 
 
 def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -> list[str]:
+    """State for each sweep the longest horizons that a solver manages within the limit."""
     wording = []
     for sweep in all_sweeps:
         largest = {

@@ -76,6 +76,7 @@ def _thruster_load_sentence(
     configurations: dict[str, list[RunRecord]],
     requirements: Requirements,
 ) -> str:
+    """State how often thrusters are at their limits, and how many configurations stay right."""
     hardest = max(best.values(), key=lambda run: run.at_limit_thrusters)
     whole = sum(
         {run.scenario for run in runs if is_right_to_the_end(run, requirements)} == set(best)
@@ -165,6 +166,7 @@ def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
 
 
 def _group_by_fault(commanded: ThrusterVerdicts, solvers: Sequence[str]) -> str:
+    """Group solvers by what is wrong with them, as text."""
     of_fault = group_by(solvers, lambda solver: commanded.faults[solver])
     return "; ".join(f"{and_list(names)}, {fault}" for fault, names in of_fault.items())
 

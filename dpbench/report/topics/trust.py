@@ -62,6 +62,7 @@ def _waits_text(measured: Mapping[str, float], shortest_ns: float) -> str:
 
 
 def _machine_load_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
+    """State whether other work disturbed the machine while it timed solvers."""
     if complaints := disturbance.complaints():
         return (
             f"Other work disturbed the machine: {and_list(complaints)}. Times may be too long; "

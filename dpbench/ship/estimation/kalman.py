@@ -216,6 +216,7 @@ def _solve_riccati(Phi: Matrix, C: Matrix, Q: Matrix, where: str) -> tuple[Matri
 
 
 def _continuous_model(ship: Vessel, tuning: KalmanTuning) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+    """Return matrices A, B, C, E of the filter's linear model in continuous time."""
     n = WITHOUT_WAVES if tuning.waves is None else WITH_WAVES
     Minv = np.linalg.inv(ship.M)
     A, B, C = np.zeros((n, n)), np.zeros((n, AXES)), np.zeros((AXES, n))
@@ -256,6 +257,7 @@ def _state_units(ship: Vessel, tuning: KalmanTuning, n: int) -> Vector:
 
 @njit(cache=True)
 def _rotate_state(x, c, s):  # type: ignore[no-untyped-def] # compiled by numba
+    """Rotate the north-east parts of a state in place, by cosine c and sine s."""
     for first in (ETA, BIAS, XI1, XI2):
         if first < len(x):
             turned = c * x[first] - s * x[first + 1]

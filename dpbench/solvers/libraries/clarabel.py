@@ -97,13 +97,16 @@ class ClarabelWorkspace(OneSidedWorkspace):
         )
 
     def _send_form_vectors(self) -> None:
+        """Pass the linear cost and right-hand sides to Clarabel."""
         self._solver.update(q=self._form.q, b=self._form.bh)
 
     def _read_reported_status(self) -> Claim:
+        """Read Clarabel's status, iterations and solve time."""
         result = self._result
         return make_claim(result.status, int(result.iterations), result.solve_time)
 
     def _read_solution_vectors(self) -> Point:
+        """Return copies of Clarabel's solution and multipliers."""
         dual, count = np.array(self._result.z), self._equalities
         return np.array(self._result.x), *self._form.two_sided(dual[count:], dual[:count])
 

@@ -97,6 +97,7 @@ class DaqpWorkspace(NativeWorkspace):
         self._result = (None, 0.0, 0, {})
 
     def _convert_matrices(self) -> None:
+        """Allocate DAQP's buffers of bounds, rows and the kinds of constraints."""
         n, m = self._n, self._m
         # DAQP looks at these buffers, so they live as long as the model does.
         self._f = np.empty(n)
@@ -112,6 +113,7 @@ class DaqpWorkspace(NativeWorkspace):
         self._high_view: Any = self._high_rows.data
 
     def _build_solver(self) -> None:
+        """Make a new DAQP model and pass it all data."""
         self._f[:], self._low_rows[:], self._high_rows[:] = self._q, self._l, self._u
         self._model = self._library.Model()
         if self._options:
@@ -140,6 +142,7 @@ class DaqpWorkspace(NativeWorkspace):
         self._refused = self._update(*self._vectors)
 
     def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Write a step's cost and row limits into the buffers and have DAQP update them."""
         self._f[:], self._low_rows[:], self._high_rows[:] = q, low, high
         self._refused = self._update(*self._vectors)
 
@@ -169,6 +172,7 @@ class DaqpWorkspace(NativeWorkspace):
         return Solution(SOLVED, z.copy(), dual[n:], dual[:n], info["iterations"], reported_ns)
 
     def _read_reported_status(self) -> Claim:
+        """Read DAQP's exit flag, iterations and solve time."""
         _, _, flag, info = self._result
         status, reported_ns = STATUS.get(flag, Status.UNKNOWN), int(info["solve_time"] * 1e9)
         return status, info["iterations"], reported_ns, f"exit flag {flag}"

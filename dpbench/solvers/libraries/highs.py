@@ -80,6 +80,7 @@ class HighsWorkspace(NativeWorkspace):
     """HiGHS as QP solver, with two-sided rows, bounds and a sparse Hessian."""
 
     def _convert_matrices(self) -> None:
+        """Build a HiGHS model with Hessian, rows and bounds."""
         n, m, library = self._n, self._m, self._library
         lower, rows = scipy.sparse.tril(self._P, format="csc"), scipy.sparse.csc_matrix(self._A)
         model = library.HighsModel()
@@ -96,6 +97,7 @@ class HighsWorkspace(NativeWorkspace):
         self._columns, self._row_numbers = (np.arange(k, dtype=np.int32) for k in (n, m))
 
     def _build_solver(self) -> None:
+        """Make a new HiGHS solver with the model and all options."""
         lp = self._model.lp_
         lp.col_cost_, lp.row_lower_, lp.row_upper_ = self._q, self._l, self._u
         solver = self._library.Highs()
@@ -111,6 +113,7 @@ class HighsWorkspace(NativeWorkspace):
             raise DpbenchError("HiGHS refuses the model")
 
     def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Pass a step's costs and row limits to HiGHS."""
         solver = self._solver
         self._raise_on_error(solver.changeColsCost(self._n, self._columns, q))
         if self._m:
@@ -125,6 +128,7 @@ class HighsWorkspace(NativeWorkspace):
         self._solver.run()
 
     def _read_reported_status(self) -> Claim:
+        """Read the model status and iterations of HiGHS, which reports no time."""
         name = str(self._solver.getModelStatus().name)
         iterations = int(self._solver.getInfo().qp_iteration_count)
         return STATUS.get(name, Status.UNKNOWN), iterations, -1, name

@@ -38,6 +38,7 @@ TEXT_BYTES = 256
 
 
 def _load_casadi_library(name: str) -> ctypes.CDLL:
+    """Load a shared library that comes with CasADi."""
     return ctypes.CDLL(str(Path(str(import_module("casadi").__file__)).parent / name))
 
 
@@ -149,6 +150,7 @@ class HpipmStructures:
         return STATUS.get(flag, Status.UNKNOWN), self._count.value, -1, f"status {flag}"
 
     def _write_arguments(self, options: dict[str, Any]) -> None:
+        """Write HPIPM's mode and options into its argument structure."""
         mode = MODES.index(str(options.pop("mode", "SPEED")))
         self.look_up_function("ipm_arg_set_default")(mode, self.arg)
         for name, value in options.items():
@@ -156,6 +158,7 @@ class HpipmStructures:
             self.look_up_function(f"ipm_arg_set_{name}")(ctypes.byref(number(value)), self.arg)
 
     def _create_structure(self, kind: str, *parts: Any) -> Any:
+        """Allocate and create one HPIPM structure of a kind."""
         library, prefix = self._library, f"{self._kind}{kind}"
         sizes = [getattr(library, f"{prefix}_{name}") for name in ("strsize", "memsize")]
         for function in sizes:
@@ -213,9 +216,11 @@ class HpipmWorkspace(NativeWorkspace):
             self._parts.start_warm(given)
 
     def _run_solver(self) -> None:
+        """Call HPIPM's solve function."""
         self._parts.solve()
 
     def _read_reported_status(self) -> Claim:
+        """Read HPIPM's status and iterations."""
         return self._parts.read_reported_status()
 
 
@@ -265,6 +270,7 @@ class DenseWorkspace(HpipmWorkspace):
         self._rows = stack_bound_rows(self._A, self._n)
 
     def _build_solver(self) -> None:
+        """Make new structures of HPIPM's dense solver and write all data into them."""
         n, m, library = self._n, self._m, self._library
         self._low[:m], self._high[:m] = self._l, self._u
         self._pattern = LimitSides.encode_pattern(self._l, self._u)
@@ -286,6 +292,7 @@ class DenseWorkspace(HpipmWorkspace):
         self._send_vectors(self._q)
 
     def _allocate_buffers(self, limits: DenseLimits) -> None:
+        """Allocate arrays for vectors, limits and answers, and look up HPIPM's access functions."""
         n_bounds = limits.bounds.size
         self._g, self._z = np.empty(self._n), np.empty(self._n)
         self._pi = np.empty(limits.equal.size)
@@ -301,6 +308,7 @@ class DenseWorkspace(HpipmWorkspace):
         self._getters = self._parts.list_array_calls("sol_get", outputs)
 
     def _send_vectors(self, q: Vector) -> None:
+        """Pass the linear cost and limits to HPIPM's dense QP."""
         self._g[:] = q
         self._limits.fill(self._low, self._high)
         qp = self._parts.qp
@@ -308,9 +316,11 @@ class DenseWorkspace(HpipmWorkspace):
             function(address, qp)
 
     def _write_start(self) -> None:
+        """Pass the previous solution to HPIPM as the start."""
         self._library.d_dense_qp_sol_set_v(array_pointer(self._start.z), self._parts.sol)
 
     def _read_solution_vectors(self) -> Point:
+        """Return solution and multipliers of HPIPM's dense QP."""
         m, sol = self._m, self._parts.sol
         for function, address in self._getters:
             function(sol, address)

@@ -172,6 +172,7 @@ class StageData:
         self.matrices = [self._stage_matrices(k, P, A) for k in range(len(stages))]
 
     def _stage_matrices(self, k: int, P: Matrix, A: Matrix) -> dict[str, NDArray[Any]]:
+        """Return the cost and constraint matrices of stage k by HPIPM's names."""
         stage, limits = self.stages[k], self.limits[k]
         u, x, general = stage.inputs, stage.states, select_limit_rows(A, limits.rows)
         matrices: dict[str, NDArray[Any]] = {
@@ -261,6 +262,7 @@ class OcpWorkspace(HpipmWorkspace):
         self._pattern = None
 
     def _build_solver(self) -> None:
+        """Make new structures of HPIPM's OCP solver and write the data of all stages into them."""
         m = self._m
         self._low[:m], self._high[:m] = self._l, self._u
         pattern = LimitSides.encode_pattern(self._l, self._u)
@@ -288,6 +290,7 @@ class OcpWorkspace(HpipmWorkspace):
                 parts.look_up_function(f"set_{name}")(k, array_pointer(mask), parts.qp)
 
     def _allocate_buffers(self) -> None:
+        """Allocate arrays for vectors, limits and answers of all stages."""
         nx, nu, nbx, nbu, ng, _ = self._data.sizes
         nb, parts = nbx + nbu, self._parts
         by_stage = list(zip(nu.tolist(), nx.tolist(), nb.tolist(), ng.tolist(), strict=True))
@@ -317,6 +320,7 @@ class OcpWorkspace(HpipmWorkspace):
         )
 
     def _send_vectors(self, q: Vector, everything: bool = False) -> None:
+        """Pass cost, dynamics and limits to HPIPM; only what changed, unless all is asked for."""
         data = self._data
         self._cost.gather(q, data.order)
         b = self._b.gather(self._high, data.dynamics)
@@ -335,6 +339,7 @@ class OcpWorkspace(HpipmWorkspace):
         self._set(*self._pieces, self._parts.sol)
 
     def _read_solution_vectors(self) -> Point:
+        """Return solution and multipliers of all stages in the order of the QP."""
         data, m = self._data, self._m
         self._get(self._parts.sol, *self._pieces)
         z, y = np.empty(self._n), np.zeros(m + self._n)

@@ -92,6 +92,7 @@ class NativeWorkspace(Workspace):
         """Return copies of solution z and multipliers y, y_box; None if there are none."""
 
     def _apply_options(self, settings: Any) -> None:
+        """Set each option as an attribute of the library's settings."""
         for name, value in self._options.items():
             setattr(settings, name, value)
 
@@ -101,10 +102,12 @@ class NativeWorkspace(Workspace):
         return np.concatenate([rows, self._lb]), np.concatenate([rows, self._ub])
 
     def _build_solver_for_step(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Store a step's vectors and make a new library object from them."""
         self._q[:], self._l[:], self._u[:] = q, low, high
         self._build_with_empty_start()
 
     def _build_with_empty_start(self) -> None:
+        """Discard the warm start and make a new library object."""
         if self._given_start:
             self._start = WarmStart(self._n, self._m, self._block)
         self._build_solver()
@@ -230,6 +233,7 @@ class NativeWorkspace(Workspace):
             self._rebuild_solver()
 
     def _clear_answer_state(self) -> None:
+        """Discard the state of the latest answer and its failure."""
         self._done = self._unread = self._unusable = False
         self._failure = ""
 

@@ -126,6 +126,7 @@ class OsqpWorkspace(NativeWorkspace):
         np.minimum(high, INFINITY, out=self._high_rows)
 
     def _build_solver(self) -> None:
+        """Make a new OSQP solver from all data and options."""
         settings = make_settings()
         settings.verbose, settings.warm_starting = False, self._warm
         self._apply_options(settings)
@@ -139,6 +140,7 @@ class OsqpWorkspace(NativeWorkspace):
         self._solution = self._solver.solution
 
     def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Pass a step's cost, limits and shifted warm start to OSQP."""
         self._clip_row_limits(low, high)
         if self._solver.update_data_vec(q=q, l=self._low, u=self._high):
             raise DpbenchError("OSQP refuses the vectors: a lower limit lies above the upper one")
@@ -146,10 +148,12 @@ class OsqpWorkspace(NativeWorkspace):
             self._solver.warm_start(self._start.z, self._start.dual)
 
     def _read_reported_status(self) -> Claim:
+        """Read OSQP's status, iterations and solve time."""
         info = self._solver.info
         return read_info(info, info.solve_time, self._options)
 
     def _read_solution_vectors(self) -> Point:
+        """Return copies of OSQP's solution and multipliers."""
         solution, m = self._solution, self._m
         z, y = solution.x, solution.y  # copies, made by the library's interface
         return z, y[:m], y[m:]

@@ -86,6 +86,7 @@ class PiqpWorkspace(NativeWorkspace):
     """PIQP with two-sided rows; those with l = u are equalities, and others make it anew."""
 
     def _convert_matrices(self) -> None:
+        """Split rows into equal and unequal ones, dense or as sparse matrices."""
         as_form = scipy.sparse.csc_matrix if self.form == "csc" else np.asfortranarray
         equal = self._l == self._u
         self._pattern = equal.tobytes()
@@ -96,6 +97,7 @@ class PiqpWorkspace(NativeWorkspace):
         )
 
     def _make_piqp_solver(self) -> Any:
+        """Return a new PIQP solver, dense or sparse."""
         kind = "SparseSolver" if self.form == "csc" else "DenseSolver"
         return getattr(self._library, kind)()
 
@@ -130,11 +132,13 @@ class PiqpWorkspace(NativeWorkspace):
         self._build_solver_for_step(q, low, high)
 
     def _read_reported_status(self) -> Claim:
+        """Read PIQP's status, iterations and solve time."""
         self._result = self._solver.result
         info = self._result.info
         return read_info(info, info.solve_time, self._options)
 
     def _read_solution_vectors(self) -> Point:
+        """Return copies of PIQP's solution and multipliers."""
         result = self._result
         # x is a view of the library's memory.
         z, y, y_box = result.x.copy(), result.z_u - result.z_l, result.z_bu - result.z_bl
@@ -148,6 +152,7 @@ class MultistageWorkspace(PiqpWorkspace):
     """PIQP as QP solver, with its stage-wise factorisation for optimal control problems."""
 
     def _make_piqp_solver(self) -> Any:
+        """Return a new sparse PIQP solver that factors stage by stage."""
         solver = super()._make_piqp_solver()
         solver.settings.kkt_solver = self._library.sparse_multistage
         return solver

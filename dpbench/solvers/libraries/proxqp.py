@@ -121,6 +121,7 @@ class ProxqpWorkspace(NativeWorkspace):
             self._C = scipy.sparse.csc_matrix(stack_bound_rows(self._A, n))
 
     def _build_solver(self) -> None:
+        """Make a new ProxQP solver, dense or sparse, from all data and options."""
         n, m, library = self._n, self._m, self._library
         self._low[:m], self._high[:m] = self._l, self._u
         sparse, dense = library.sparse.QP, library.dense.QP
@@ -160,6 +161,7 @@ class ProxqpWorkspace(NativeWorkspace):
         return claimed
 
     def _read_solution_vectors(self) -> Point:
+        """Return copies of ProxQP's solution and multipliers."""
         # Both are views of the library's memory.
         results, m = self._result, self._m
         z, y = results.x.copy(), results.z.copy()

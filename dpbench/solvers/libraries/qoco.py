@@ -48,10 +48,12 @@ class QocoWorkspace(OneSidedWorkspace):
     """QOCO as QP solver, on A z = b and G z ≤ h."""
 
     def _prepare_form_matrices(self) -> None:
+        """Convert P, A and G into sparse matrices."""
         form, csc = self._form, scipy.sparse.csc_matrix
         self._matrices = tuple(None if M is None else csc(M) for M in (self._P, form.A, form.G))
 
     def _create_solver_from_form(self) -> None:
+        """Make a new QOCO solver from the QP with A z = b, G z ≤ h."""
         P, A, G = self._matrices
         form = self._form
         inequalities = 0 if form.h is None else form.h.size
@@ -65,19 +67,23 @@ class QocoWorkspace(OneSidedWorkspace):
         self._result = self._solver._solver.solution
 
     def _send_form_vectors(self) -> None:
+        """Pass the linear cost and right-hand sides to QOCO."""
         form = self._form
         self._solver.update_vector_data(c=form.q, b=form.b, h=form.h)
 
     def _run_solver(self) -> None:
+        """Call QOCO's solve function."""
         self._solver._solver.solve()
 
     def _read_reported_status(self) -> Claim:
+        """Read QOCO's status, iterations and solve time."""
         result = self._result
         name = self._solver.solvecodes[result.status]
         took_ns = round(result.solve_time_sec * 1e9)
         return STATUS.get(name, Status.UNKNOWN), int(result.iters), took_ns, name
 
     def _read_solution_vectors(self) -> Point:
+        """Return copies of QOCO's solution and multipliers."""
         result = self._result
         duals = np.array(result.z), np.array(result.y)
         return np.array(result.x), *self._form.two_sided(*duals)

@@ -81,6 +81,7 @@ class QpalmWorkspace(NativeWorkspace):
         self._low, self._high = self._allocate_joint_limits()
 
     def _build_solver(self) -> None:
+        """Make a new QPALM solver from all data and options."""
         m, data = self._m, self._data
         self._low[:m], self._high[:m] = self._l, self._u
         data.q, data.bmin, data.bmax = self._q, self._low, self._high
@@ -90,6 +91,7 @@ class QpalmWorkspace(NativeWorkspace):
         self._solver = self._library.Solver(data, settings)
 
     def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Pass a step's cost, limits and shifted warm start to QPALM."""
         m, solver = self._m, self._solver
         self._low[:m], self._high[:m] = low, high
         solver.update_q(q)
@@ -98,13 +100,16 @@ class QpalmWorkspace(NativeWorkspace):
             solver.warm_start(self._start.z, self._start.dual)
 
     def _run_solver(self) -> None:
+        """Call QPALM's solve function in this thread."""
         self._solver.solve(asynchronous=False)
 
     def _read_reported_status(self) -> Claim:
+        """Read QPALM's status, iterations and solve time."""
         info = self._solver.info
         return read_info(info, info.solve_time, self._options)
 
     def _read_solution_vectors(self) -> Point:
+        """Return copies of QPALM's solution and multipliers."""
         # Both are views of the library's memory.
         solution, m = self._solver.solution, self._m
         z, y = solution.x.copy(), solution.y.copy()

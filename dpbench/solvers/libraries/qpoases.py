@@ -76,6 +76,7 @@ class QpoasesWorkspace(NativeWorkspace):
         self._outputs = {name: np.empty(size) for name, size in outputs}
 
     def _build_solver(self) -> None:
+        """Make a new CasADi function of qpOASES and give it the addresses of all arrays."""
         dense, n, m = self._library.Sparsity.dense, self._n, self._m
         shapes = {"h": dense(n, n), "a": dense(m, n)}
         options = {**FIXED, **self._options}
@@ -91,10 +92,12 @@ class QpoasesWorkspace(NativeWorkspace):
         self._update_vectors(self._q, self._l, self._u)
 
     def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+        """Write a step's cost and row limits into the arrays that qpOASES reads."""
         inputs = self._inputs
         inputs["g"][:], inputs["lba"][:], inputs["uba"][:] = q, low, high
 
     def _run_solver(self) -> None:
+        """Call qpOASES on its arrays."""
         self._trigger()
 
     def _read_reported_status(self) -> Claim:

@@ -54,6 +54,7 @@ class QpsolversWorkspace(Workspace):
         self._build_qpsolvers_problem(qp.q, qp.l, qp.u)
 
     def _build_qpsolvers_problem(self, q: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+        """Make a new problem of qpsolvers from a step's vectors."""
         form = self._form
         form.fill(q, low, high)
         self._problem = Problem(form.P, form.q, form.G, form.h, form.A, form.b, form.lb, form.ub)
@@ -98,6 +99,7 @@ class QpsolversWorkspace(Workspace):
             self._failure = describe_exception(error)
 
     def _run_solver(self) -> Any:
+        """Call `solve_problem` of qpsolvers with the start and all options."""
         return solve_problem(self._problem, self._name, initvals=self._start, **self._options)
 
     def read(self) -> Solution:

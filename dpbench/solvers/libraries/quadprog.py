@@ -87,6 +87,7 @@ class QuadprogWorkspace(OneSidedWorkspace):
         self._send_form_vectors()
 
     def _send_form_vectors(self) -> None:
+        """Write the linear cost and right-hand sides with quadprog's signs."""
         form, count = self._form, self._equalities
         np.negative(form.q, out=self._a)
         if self._b is not None:
@@ -105,6 +106,7 @@ class QuadprogWorkspace(OneSidedWorkspace):
             self._status = STATUS.get(self._words, Status.UNKNOWN)
 
     def _read_reported_status(self) -> Claim:
+        """Read quadprog's status and iterations; it reports no time."""
         if self._result is None:
             return self._status, -1, -1, self._words
         return Status.SOLVED, int(self._result[3][0]), -1, ""

@@ -107,6 +107,7 @@ class ScsWorkspace(OneSidedWorkspace):
         self._y, self._s = np.zeros(rows.shape[0]), np.zeros(rows.shape[0])
 
     def _create_solver_from_form(self) -> None:
+        """Make a new SCS solver from the QP with A z = b, G z ≤ h."""
         data = {"P": self._P_upper, "A": self._matrix, "b": self._b, "c": self._form.q}
         self._solver = self._library.SCS(data, self._cone, verbose=False, **self._options)
         self._given = False
@@ -124,6 +125,7 @@ class ScsWorkspace(OneSidedWorkspace):
             self._s[: self._equalities] = 0.0
 
     def _send_form_vectors(self) -> None:
+        """Pass the linear cost and right-hand sides to SCS."""
         self._solver.update(b=self._b, c=self._form.q)
 
     def _run_solver(self) -> None:
@@ -134,10 +136,12 @@ class ScsWorkspace(OneSidedWorkspace):
             self._result = self._solver.solve(False)
 
     def _read_reported_status(self) -> Claim:
+        """Read SCS's status, iterations and solve time."""
         info = self._result["info"]
         return make_claim(info, info["solve_time"])
 
     def _read_solution_vectors(self) -> Point:
+        """Return copies of SCS's solution and multipliers."""
         z, y, count = self._result["x"].copy(), self._result["y"], self._equalities
         if self._empty:
             return z, np.zeros(self._m), np.zeros(self._n)

@@ -54,6 +54,7 @@ def fix_forced_variables(problem: JointQP) -> JointQP | None:
 
 
 def _find_forcing_rows(A: Matrix, lb: Vector, ub: Vector, u: Vector) -> Indices:
+    """Find rows whose smallest value within the bounds equals their limit exactly."""
     positive, negative = np.maximum(A, 0.0), np.minimum(A, 0.0)
     low, high = (np.isfinite(bound) for bound in (lb, ub))
     lb, ub = np.where(low, lb, 0.0), np.where(high, ub, 0.0)
