@@ -298,6 +298,8 @@ def _add_embedded_arguments(embedded: Command) -> None:
     repeated("--solver", "S", "only this solver; repeatable (all with a recipe)")
     repeated("--recipe", "DIR", "a recipe of your own: recipe.toml and shim.c; repeatable")
     repeated("--settings", "S.KEY=N", "a setting of a solver, as osqp.rho=0.1; repeatable")
+    fit = "find the largest control horizon of a scenario (paper) that fits in this; repeatable"
+    repeated("--fit", "KB", fit)
     single = "compile in single precision"
     embedded.add_argument("--float", action="store_true", dest="single", help=single)
     option("--steps", "N", "at most N steps of each sequence (all)", type=int, default=0)

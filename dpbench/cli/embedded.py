@@ -9,6 +9,7 @@ from typing import Any
 
 from dpbench.bench.sequences.recording import read_sequence, thin_sequence
 from dpbench.bench.sequences.sequence_file import Recorded
+from dpbench.cli.embedded_fit import print_fits, read_kilobytes
 from dpbench.cli.terminal import make_console, make_report_table, print_wrapped
 from dpbench.embedded.count import StepCounts, count_sequence
 from dpbench.embedded.recipe import Recipe, Setting, select_recipes
@@ -32,6 +33,18 @@ def print_counts(arguments: argparse.Namespace) -> int:
     targets = [find_target(name) for name in arguments.target or ["m7"]]
     recipes = select_recipes(arguments.solver, map(Path, arguments.recipe))
     settings = _read_settings(arguments.settings, recipes)
+    if arguments.fit:
+        return print_fits(
+            arguments.sequences,
+            targets,
+            recipes,
+            settings,
+            kilobytes=read_kilobytes(arguments.fit),
+            steps=arguments.steps,
+            single=arguments.single,
+            out=Path(arguments.out),
+            as_json=arguments.json,
+        )
     counts: list[StepCounts] = []
     refused: list[DpbenchError] = []
     for name in arguments.sequences or ["paper-30-5"]:

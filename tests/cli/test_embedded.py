@@ -67,9 +67,32 @@ def test_tables(recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert max(map(len, printed.splitlines())) <= 80
 
 
+def test_the_largest_horizon_that_fits(
+    recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A static array of N·1000 bytes: 16 kB hold 5 control increments of three variables."""
+    array = "\nstatic volatile char array[N * 1000];\n"
+    shim = SHIM.replace("int embedded_set_up", f"{array}int embedded_set_up")
+    (recipe / "shim.c").write_text(shim.replace("qp->status = 0;", "qp->status = array[0];"))
+    words = ["embedded", "paper", "--recipe", str(recipe), "--solver", "zero", "--fit", "16"]
+    out = ["--fit", "1", "--steps", "2", "--out", str(tmp_path / "out")]
+    assert main([*words, *out, "--json"]) == 0
+    first, second = json.loads(capsys.readouterr().out)["fits"]
+    assert (first["control_horizon"], first["variables"]) == (5, 15)
+    assert 15_000 < first["memory_bytes"] <= 16_384 < first["next_memory_bytes"]
+    assert (second["control_horizon"], second["next_control_horizon"]) == (None, 1)
+    steps = pd.read_parquet(tmp_path / "out" / "embedded.parquet")
+    assert set(steps["sequence"]) >= {"paper-30-5", "paper-36-6", "paper-6-1"}
+    assert main([*words, *out]) == 0
+    printed = capsys.readouterr().out
+    assert "largest control horizon" in printed
+    assert max(map(len, printed.split("Compiled")[0].splitlines())) <= 80
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        (["--fit", "small"], "--fit: found 'small'; allowed: kB of memory, as 128"),
         (["--target", "m8"], "--target: found 'm8'; allowed: one of m7, a53, riscv, x86"),
         (["--solver", "zero", "--float"], "zero: --float: found single precision; allowed: double"),
         (["--solver", "zero", "--settings", "zero=1"], "--settings: found 'zero=1'; allowed: "),
