@@ -162,6 +162,7 @@ class MadeRecords:
             "outcome_detail": "",
             "machine_id": MACHINE["id"],
             "seed": 0,
+            "sample_s": self.scenario(scenario).sample_s,
             "steps_planned": 0,
             "steps_done": 0,
             "schema": SCHEMA_VERSION,

@@ -26,6 +26,7 @@ STYLES = {"slower": "bold red", "worse": "bold red", "faster": "green", "better"
 ENDING_STYLES = {
     "warning": "bold red",
     "ship": "bold",
+    "caution": "bold yellow",
     "answer": "bold green",
     "solver": "bold green",
     "next": "cyan",

@@ -89,7 +89,7 @@ class Report:
         """List the summary that a run prints last on the terminal, as keyword and text."""
         lead = next((topic for topic in self.topics if topic.leads), None)
         ship = self.recommendation.ship
-        rows = [("warning", ship.warning), ("ship", ship.text)]
+        rows = [("warning", ship.warning), ("ship", ship.text), ("caution", ship.caution)]
         rows = [(about, strip_markdown(text)) for about, text in rows if text]
         rows += [("answer", lead.lines[0])] if lead else []
         headline, verdicts = self.recommendation, self.data.verdicts

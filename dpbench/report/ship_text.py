@@ -11,6 +11,8 @@ from dpbench.scenario.scenario import Scenario
 
 BANNER = "The controller does not hold this ship in this weather"
 NOT_RUN = "Ship: not run. No exactly solved loop shows whether the controller holds it."
+NEAR_SHARE = 0.8
+"""Share of its station from which on a ship that stays is said to come near the limits."""
 MOST_NAMED = 3
 """Scenarios that a sentence describes or names."""
 
@@ -20,15 +22,17 @@ class ShipSummary:
     """First lines of a report: a warning where the controller does not hold a ship, and results.
 
     warning : begins with `BANNER`; "" where no ship is lost. text : "" without any ship.
+    caution : of ships on station with little margin, or still moving away; "" without any.
     """
 
     warning: str = ""
     text: str = ""
+    caution: str = ""
 
     @property
     def lines(self) -> list[str]:
         """The lines that are not empty, the warning first."""
-        return [line for line in (self.warning, self.text) if line]
+        return [line for line in (self.warning, self.text, self.caution) if line]
 
 
 def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
@@ -42,7 +46,8 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
     opening = f"{BANNER}{_name_failures(lost)}, whatever the solver"
     warning = f"{opening}: {_describe_lost(lost)}." if lost else ""
     sentences = [_describe_kept(known), *_describe_rest(ships), *_describe_limits(known)]
-    return ShipSummary(warning, " ".join(sentence for sentence in sentences if sentence))
+    text = " ".join(sentence for sentence in sentences if sentence)
+    return ShipSummary(warning, text, " ".join(_describe_small_margins(known)))
 
 
 def _name_failures(lost: Sequence[ShipResult]) -> str:
@@ -86,11 +91,12 @@ def _describe_departure(ship: ShipResult) -> str:
     heading = f"; largest heading error {significant(run.exact_heading_max_deg)}°"
     turned = heading if run.exact_heading_max_deg > HEADING_DEG else ""
     back = " and returns" if ship.is_inside_at_end else ""
+    moving = ", still moving away when the run ends" if ship.is_moving_away else ""
     return (
         f"in `{ship.name}` it leaves its station ({_limits_text(ship)}) at "
         f"{significant(run.exact_left_s)} s{back}; largest offset "
         f"{significant(run.exact_offset_max_m)} m at {significant(run.exact_offset_max_s)} s, last "
-        f"offset {significant(run.exact_offset_end_m)} m{turned}"
+        f"offset {significant(run.exact_offset_end_m)} m{moving}{turned}"
     )
 
 
@@ -153,6 +159,28 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
         f"{significant(run.exact_offset_max_s)} s, {significant(run.exact_offset_end_m)} m at the "
         "end."
     )
+
+
+def _describe_small_margins(known: Sequence[ShipResult]) -> list[str]:
+    """Name the ships on station that are still moving away at the end, or come near its limits."""
+    kept = sorted(
+        (ship for ship in known if ship.state == "on station"), key=lambda ship: -ship.used_share
+    )
+    moving = [ship for ship in kept if ship.is_moving_away]
+    near = [ship for ship in kept if ship.used_share >= NEAR_SHARE]
+    sentences = []
+    if moving:
+        sentences.append(
+            f"The ship is still moving away when the run ends in {_name_ships(moving)}: only a "
+            "longer run shows whether it stays on station."
+        )
+    if near:
+        up_to = "up to " if len(near) > 1 else ""
+        sentences.append(
+            f"The margin is small: the ship reaches {up_to}{share_text(near[0].used_share)} of the "
+            f"limits of its station in {_name_ships(near)}."
+        )
+    return sentences
 
 
 def _describe_rest(ships: Sequence[ShipResult]) -> list[str]:

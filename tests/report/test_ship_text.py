@@ -99,6 +99,58 @@ def test_a_ship_that_turns_away_or_comes_back_is_lost_too(records: Any) -> None:
     assert told.endswith("m; largest heading error 40.0°.")
 
 
+MOVING = {"exact_offset_max_m": 1.0, "exact_offset_max_s": 35.9, "exact_offset_end_m": 0.95}
+
+
+@pytest.mark.parametrize(
+    ("columns", "is_moving"),
+    [
+        ({}, True),
+        ({"exact_offset_max_s": 32.0}, False),
+        ({"exact_offset_end_m": 0.8}, False),
+        ({"exact_offset_max_m": 0.4, "exact_offset_end_m": 0.4}, False),
+        ({"exact_steps": 140}, False),
+    ],
+)
+def test_a_run_that_ends_at_the_largest_offset_is_said_to(
+    records: Any, columns: dict[str, float], is_moving: bool
+) -> None:
+    """The run of 120 steps ends after 36 s; below 0.5 m nothing is said of a station of 5 m."""
+    records.loop("daqp", "rough", **MOVING | columns)
+    sentence = (
+        "The ship is still moving away when the run ends in `rough`: only a longer run shows "
+        "whether it stays on station."
+    )
+    assert _summary(records).caution == (sentence if is_moving else "")
+
+
+def test_a_lost_ship_that_is_still_moving_away_is_said_to(records: Any) -> None:
+    records.loop("daqp", "rough", **MOVING | {"exact_left_s": 30.0, "exact_heading_end_deg": 9.0})
+    told = _summary(records)
+    assert told.warning.endswith("last offset 0.950 m, still moving away when the run ends.")
+    assert told.caution == ""
+
+
+@pytest.mark.parametrize(
+    ("columns", "share"),
+    [
+        ({"exact_offset_max_m": 3.99}, ""),
+        ({"exact_offset_max_m": 4.0}, "80.0 %"),
+        ({"exact_heading_max_deg": 4.8}, "96.0 %"),
+        ({"exact_offset_max_m": 4.0, "exact_left_s": 9.0}, ""),
+    ],
+)
+def test_a_ship_near_the_limits_of_its_station_is_named(
+    records: Any, columns: dict[str, float], share: str
+) -> None:
+    records.loop("daqp", "paper")
+    records.loop("daqp", "rough", **columns)
+    expected = (
+        f"The margin is small: the ship reaches {share} of the limits of its station in `rough`."
+    )
+    assert _summary(records).caution == (expected if share else "")
+
+
 def test_the_longest_loop_of_a_scenario_counts_whichever_solver_ran_it(records: Any) -> None:
     records.loop("osqp", "rough", steps=60)
     records.loop("daqp", "rough", steps=90, done=3, outcome="crashed", **LOST)
@@ -149,6 +201,7 @@ def test_no_solver_is_recommended_before_the_ship(records: Any) -> None:
     records.loop("daqp", **LOST)
     records.replay("daqp")
     report = Report.of(records.results())
+    assert "caution" not in dict(report.summary_rows())
     alone = (
         "As a solver of these QPs alone, daqp (qpsolvers, fresh, default) passes: right on every"
     )
@@ -215,6 +268,23 @@ def test_a_ship_on_station_has_no_banner_anywhere(tmp_path: Path, capsys: Any) -
     scenario = load_scenario(tmp_path / "ship.toml")
     run = run_closed_loop(scenario, open_workspace("paper_active_set"))
     assert BANNER not in repr(run) and "on station" in run._repr_html_()
+
+
+@pytest.mark.slow
+def test_every_surface_says_that_the_margin_is_small(tmp_path: Path, capsys: Any) -> None:
+    """In a force that the thrusters do not hold the run ends before the ship has left."""
+    near = Written(tmp_path, 700.0, capsys)
+    assert (near.code, near.code_without) == (0, 0) and "warning" not in near.json
+    moving = "The ship is still moving away when the run ends in ship: only a longer run shows"
+    small = "The margin is small: the ship reaches 83.0 % of the limits of its station in ship."
+    statement = tmp_path / "a.svg"
+    assert main(["report", str(near.out), "--statement", str(statement)]) == 0
+    drawn = " ".join(re.sub(r"<[^>]*>", " ", statement.read_text("utf-8")).split())
+    markdown = near.markdown.replace("`", "")
+    for surface in (near.terminal, near.page, markdown, near.json["caution"], drawn):
+        assert moving in surface and small in surface
+    run = run_closed_loop(load_scenario(tmp_path / "ship.toml"), open_workspace("paper_active_set"))
+    assert moving in run._repr_html_().replace("`", "")
 
 
 def test_a_study_with_one_point_of_active_limits_was_hard(records: Any) -> None:

@@ -65,6 +65,7 @@ class RunRecord:
     units: Units
     slowdown: float
     deadline_s: float
+    sample_s: float
     first_sample: Count
     study: str
     study_point: Count

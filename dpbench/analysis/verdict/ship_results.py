@@ -21,6 +21,12 @@ ShipState = Literal["on station", "leaves", "leaves and returns", "not there", "
 """Result for the ship: it stays on its station, leaves it, leaves it and is within its limits at
 the end, has not reached its setpoint, or there is no such loop."""
 
+END_SHARE = 0.9
+"""A ship is moving away if its largest offset lies in the rest of the run behind this share of it,
+and it ends at least at this share of it."""
+NOTICED_SHARE = 0.1
+"""Share of the station below which an offset is no sign of moving away."""
+
 
 @dataclass(frozen=True)
 class ShipResult:
@@ -46,6 +52,22 @@ class ShipResult:
     def has_left(self) -> bool:
         """True if the ship leaves its station, be it back at the end or not."""
         return self.run.exact_steps > 0.0 and not math.isnan(self.run.exact_left_s)
+
+    @property
+    def used_share(self) -> float:
+        """Largest offset or heading error in multiples of the limits of the station."""
+        offset = self.run.exact_offset_max_m / self.run.station_radius_m
+        return max(offset, self.run.exact_heading_max_deg / HEADING_DEG)
+
+    @property
+    def is_moving_away(self) -> bool:
+        """True if the run ends at or near the ship's largest offset."""
+        run = self.run
+        end_s = run.exact_steps * run.sample_s
+        is_late = run.exact_offset_max_s >= END_SHARE * end_s
+        has_stayed = run.exact_offset_end_m >= END_SHARE * run.exact_offset_max_m
+        is_noticed = run.exact_offset_max_m >= NOTICED_SHARE * run.station_radius_m
+        return is_late and has_stayed and is_noticed
 
     @property
     def is_inside_at_end(self) -> bool:

@@ -99,7 +99,12 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
     return Releases(
         over,
         _merge_folders({name: ship.warning for name, ship in ships.items()}),
-        _merge_folders({name: ship.text for name, ship in ships.items()}),
+        _merge_folders(
+            {
+                name: " ".join(filter(None, (ship.text, ship.caution)))
+                for name, ship in ships.items()
+            }
+        ),
         lead,
         _comparability_notes(over, records),
         _version_tables(over),

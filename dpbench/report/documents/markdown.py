@@ -74,8 +74,11 @@ def _listed_verdicts(verdicts: Verdicts) -> list[Verdict]:
 
 def ship_lines(ship: ShipSummary) -> list[str]:
     """Return the first lines of a Markdown document: what the controller does to the ship."""
-    warning = [f"**{markdown_line(ship.warning)}**"] if ship.warning else []
-    return [*warning, *([markdown_line(ship.text)] if ship.text else [])]
+    bold = (
+        f"**{text}**" if text else "" for text in map(markdown_line, (ship.warning, ship.caution))
+    )
+    warning, caution = bold
+    return [line for line in (warning, markdown_line(ship.text), caution) if line]
 
 
 def solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
