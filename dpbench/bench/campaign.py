@@ -41,7 +41,7 @@ from dpbench.bench.sequences.capability_boundary import read_capability_plot
 from dpbench.bench.sequences.source import is_readable
 from dpbench.bench.tabulate import RequestedRuns, is_tabulated, refuse_other_selection, tabulate
 from dpbench.bench.workers.jobs import CellJob, Result, count_steps, group_by_source
-from dpbench.bench.workers.scratch import clear_places
+from dpbench.bench.workers.scratch import clear_scratch_folders
 from dpbench.bench.workers.worker import make_source
 from dpbench.errors import InputError, ResultsError
 from dpbench.locks import WaitLimit
@@ -100,7 +100,7 @@ class Campaign:
         work += self._counts.work
         progress.start(work)
         if not work and self._has_written_results():
-            clear_places(self.store.folder)
+            clear_scratch_folders(self.store.folder)
             return
         engine.prepare(self.sources, pending, progress)
         dispatcher = Dispatcher(engine, self.sources, progress)

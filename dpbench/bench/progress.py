@@ -13,7 +13,7 @@ class Progress(Protocol):
         """Add finished work [steps]; `what` names the latest part of it."""
 
     def remark(self, text: str) -> None:
-        """Show a remark to the user."""
+        """Show a remark of a campaign to the user."""
 
     def waiting(self, text: str) -> None:
         """Show why the campaign waits, even where the progress is silent otherwise."""
@@ -23,6 +23,6 @@ class Silent:
     """A progress receiver that shows nothing."""
 
     def _ignore(self, *_: object, **__: object) -> None:
-        """Show nothing."""
+        """Show nothing, whatever progress or remark a campaign reports."""
 
     start = advance = remark = waiting = _ignore

@@ -75,7 +75,7 @@ Benchmarks = dict[str, Benchmark]
 
 
 def index_benchmarks(entries: Iterable[Mapping[str, Any]]) -> Benchmarks:
-    """Return the benchmarks of a run by name."""
+    """Return the benchmarks of a pytest run by name, from the entries of its JSON file."""
     return {one.name: one for one in map(Benchmark.read, entries)}
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the options of the comparison."""
+    """Add the options that compare benchmarks with a stored run to pytest."""
     group = parser.getgroup("dpbench", "benchmarks of QP solvers")
     group.addoption(
         "--dpbench-compare",

@@ -44,6 +44,6 @@ class SessionComparison:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        """Print the table below the benchmarks."""
+        """Print the comparison with the stored run below pytest's table of benchmarks."""
         terminalreporter.section("dpbench comparison")
         terminalreporter.write_line(self._text.getvalue().rstrip())

@@ -307,7 +307,7 @@ def _tune(arguments: argparse.Namespace) -> int:
     with ProgressBar() as bar:
         tuning = tune_controller(**_named_parameters(arguments), progress=bar)
     print_wrapped(tuning.lines)
-    return 0 if tuning.holds else 1
+    return 0 if tuning.keeps_margin else 1
 
 
 def _tune_solver(arguments: argparse.Namespace) -> int:

@@ -391,7 +391,7 @@ def _loss_s(vessel: Vessel) -> float:
 
 
 def _explain_sea_choice(share: float, held: HeldSea | None, *, chosen: bool) -> str:
-    """State why a new ship's scenario has the sea it has."""
+    """State why this sea was chosen for a new ship's scenario."""
     if not chosen:
         return "as asked for"
     if held is not None:

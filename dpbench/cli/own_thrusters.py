@@ -59,7 +59,7 @@ class OwnThrusters:
     assumed: list[str]
 
     def as_limits(self) -> scaling.ThrustLimits:
-        """Return their largest forces in each axis by itself."""
+        """Return the thrusters' largest forces, each axis by itself."""
         _, most = self.thrusters.limits()
         return scaling.ThrustLimits(*most.tolist())
 

@@ -37,7 +37,7 @@ def open_streams() -> None:
 
 
 def _is_open(number: int) -> bool:
-    """Return whether a file descriptor is open."""
+    """Return whether a file descriptor, given by number, is open."""
     try:
         os.fstat(number)
     except OSError:

@@ -164,7 +164,7 @@ def make_names(names: list[str]) -> tuple[str, ...]:
 
 
 def _list_limits(low: Vector, high: Vector) -> tuple[Signal, ...]:
-    """Return the inputs that limit each axis of the force."""
+    """Return the inputs of the generated controller that limit each axis of the force."""
     sides = ("least", "low", low), ("most", "high", high)
     return tuple(
         Signal(
@@ -176,7 +176,7 @@ def _list_limits(low: Vector, high: Vector) -> tuple[Signal, ...]:
 
 
 def _list_losses(names: tuple[str, ...]) -> tuple[Signal, ...]:
-    """Return the inputs that take thrusters out of service."""
+    """Return the inputs of the generated controller that take thrusters out of service."""
     meaning = "0 in service, 1 lost: ramps down, 2 tripped: gives nothing at once"
     return tuple(
         Signal(f"lost_{name}", f"lost[{i}]", "", f"{name}: {meaning}", is_integer=True)
@@ -185,7 +185,7 @@ def _list_losses(names: tuple[str, ...]) -> tuple[Signal, ...]:
 
 
 def _list_force_outputs() -> tuple[Signal, ...]:
-    """Return the commanded force as outputs."""
+    """Return the commanded force as outputs of the generated controller."""
     units = ("N", "N", "N.m")
     words = ("ahead", "to starboard", "clockwise")
     return tuple(
@@ -195,7 +195,7 @@ def _list_force_outputs() -> tuple[Signal, ...]:
 
 
 def _list_thruster_outputs(thrusters: tuple[Thruster, ...]) -> tuple[Signal, ...]:
-    """Return the commanded forces of thrusters as outputs, in the order of the vessel's file."""
+    """Return the commanded thruster forces as outputs of the generated controller."""
     names = make_names([thruster.name for thruster in thrusters])
     outputs: list[Signal] = []
     parts = {

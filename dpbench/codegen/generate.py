@@ -60,10 +60,10 @@ def generate_controller(
         "constants": sum(table.bytes for table in (*tables, *sources.tables)),
         "memory": _count_memory(data, sources),
     }
-    files = write_sources(data, sources, tables, solver=solver, **sizes)
+    files = render_sources(data, sources, tables, solver=solver, **sizes)
     trajectory = record_trajectory(data, solver, steps, sources.settings)
     names = [signal.name for signal in (*data.inputs, *data.outputs)]
-    files["trajectory.csv"] = trajectory.write_csv(names).encode()
+    files["trajectory.csv"] = trajectory.format_csv(names).encode()
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     write_together(folder, {name: (lambda text=text: text) for name, text in files.items()})  # type: ignore[misc] # mypy sees no type of a lambda's default
@@ -91,7 +91,7 @@ def _count_memory(data: ControllerData, sources: SolverSources) -> int:
 
 
 def list_tables(data: ControllerData) -> tuple[Table, ...]:
-    """Return the constant tables of the control step."""
+    """Return the constant tables of the generated control step, from the controller's data."""
     gradient = make_table("gradient", data.gradient, "q of the QP = gradient θ")
     du_max = make_table("du_max", data.du_max, "rate limits: the largest change in one step")
     thrusters = data.thrusters
@@ -114,10 +114,10 @@ def list_tables(data: ControllerData) -> tuple[Table, ...]:
     return gradient, du_max, *(make_table(*table) for table in of_rows)
 
 
-def write_sources(
+def render_sources(
     data: ControllerData, sources: SolverSources, tables: Iterable[Table], **facts: Any
 ) -> dict[str, bytes]:
-    """Return the sources of a controller by file name; `facts` are more values of templates."""
+    """Return the C sources of the controller by file name; `facts` are more values of templates."""
     scenario, thrusters = data.scenario, data.thrusters
     theta = data.gradient.shape[1]
     common = {

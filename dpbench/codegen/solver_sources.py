@@ -51,12 +51,12 @@ class SolverSources:
 
     @property
     def compiled(self) -> list[str]:
-        """Names of the C files to compile besides those of the controller."""
+        """Names of the solver's C files to compile besides those of the controller."""
         return sorted(name for name in self.files if name.endswith(".c"))
 
 
-def write_active_set(qp: CondensedQP) -> SolverSources:
-    """Return the paper's method with all constants of P and A: no factorising on the target."""
+def make_active_set_sources(qp: CondensedQP) -> SolverSources:
+    """Return the C sources of the paper's method with all constants of a QP's P and A."""
     n, m = qp.n, qp.m
     problem = Problem(n, m)
     problem.P[:], problem.A[:] = qp.P, qp.A
@@ -106,8 +106,8 @@ def _view_integers(problem: Problem, name: str, length: int) -> Indices:
     return np.ctypeslib.as_array((ctypes.c_int * length).from_address(address))
 
 
-def write_osqp(qp: CondensedQP) -> SolverSources:
-    """Return the C that OSQP's own generator writes, with ρ frozen at a value tuned elsewhere."""
+def generate_osqp_sources(qp: CondensedQP) -> SolverSources:
+    """Return the C sources that OSQP's own generator writes for a QP, with ρ frozen."""
     options = {"verbose": False, "adaptive_rho": False, **OSQP_SETTINGS}
     rows = scipy.sparse.csc_matrix(np.vstack([np.eye(qp.n), qp.A]))
     one = np.ones(qp.n + qp.m)
@@ -138,8 +138,8 @@ def write_osqp(qp: CondensedQP) -> SolverSources:
     )
 
 
-def write_daqp(qp: CondensedQP) -> SolverSources:
-    """Return DAQP's C of its source distribution, fetched once; SituationError where it cannot."""
+def fetch_daqp_sources(qp: CondensedQP) -> SolverSources:
+    """Return DAQP's C sources, downloaded once; SituationError where that is impossible."""
     package = Recipe(RECIPES / "daqp").file.package
     assert package is not None, "its C is fetched"
     root = fetch_sources(package.name, package.version, package.sha256)
@@ -168,8 +168,8 @@ def _count_fixed(qp: CondensedQP) -> int:
 
 
 SOLVERS: dict[str, Callable[[CondensedQP], SolverSources]] = {
-    "paper_active_set": write_active_set,
-    "osqp": write_osqp,
-    "daqp": write_daqp,
+    "paper_active_set": make_active_set_sources,
+    "osqp": generate_osqp_sources,
+    "daqp": fetch_daqp_sources,
 }
 """Makers of the C sources by the name of the solver."""

@@ -25,8 +25,8 @@ class Trajectory:
     commands: Matrix
     sample_s: float
 
-    def write_csv(self, names: list[str]) -> str:
-        """Return the trajectory as CSV text; `names` are those of inputs and commands."""
+    def format_csv(self, names: list[str]) -> str:
+        """Format the trajectory as CSV text; `names` are those of inputs and commands."""
         lines = [",".join(["time_s", *names])]
         numbers = np.hstack([self.inputs, self.commands])
         for k, row in enumerate(numbers.tolist()):
@@ -37,7 +37,7 @@ class Trajectory:
 def record_trajectory(
     data: ControllerData, solver: str, steps: int, settings: str = "default"
 ) -> Trajectory:
-    """Run a scenario's closed loop with a solver, warm started; return what went in and out."""
+    """Run a scenario's closed loop with a solver, warm started; return its inputs and outputs."""
     scenario = data.scenario.truncate(steps)
     K, controller = scenario.steps, scenario.controller
     workspace = open_workspace(solver, policy="warm", settings=settings)

@@ -57,7 +57,7 @@ class StateSpace:
 
     @property
     def n_x(self) -> int:
-        """Number of states."""
+        """Number n_x of the model's states x."""
         return int(self.A.shape[0])
 
     @property
@@ -67,7 +67,7 @@ class StateSpace:
 
     @property
     def n_y(self) -> int:
-        """Number of outputs."""
+        """Number n_y of the model's outputs y, the rows of C."""
         return int(self.C.shape[0])
 
     @property

@@ -60,7 +60,7 @@ class ThrusterRows:
         return largest
 
     def thruster_maxima(self, of_row: Vector, of_entry: Vector) -> tuple[Vector, Vector]:
-        """Return each thruster's largest `of_row`, and its largest `of_entry`, as two vectors."""
+        """Return for each thruster the largest value of its rows and of its force components."""
         numbers = range(int(self.entry[-1]) + 1)
         rows = np.array([of_row[self.thruster == i].max() for i in numbers])
         return rows, np.array([of_entry[self.entry == i].max() for i in numbers])

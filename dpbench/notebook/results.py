@@ -144,7 +144,7 @@ class Results(result_folder.Results):
 
     @cached_property
     def _full_report(self) -> Report:
-        """Report of these results, built at first use."""
+        """Report of these results, the same as `dpbench report` writes, built at first use."""
         # The report draws, and Altair takes its time.
         from dpbench.report.report import Report
 

@@ -120,13 +120,13 @@ class Run:
 
     @property
     def _sequence_text(self) -> str:
-        """Mode and name of the scenario or sequence of a run."""
+        """Mode and name of the scenario or sequence of a run, as text."""
         mode = str(self.summary["mode"]).replace("_", " ")
         return f"{mode} {self.summary['scenario'] or self.summary['sequence']}"
 
     @property
     def _steps_text(self) -> str:
-        """Number of steps done and planned."""
+        """Number of steps done and planned in the run, as text."""
         row = self.summary
         return f"{row['steps_done']} of {plural(row['steps_planned'], 'step')}"
 

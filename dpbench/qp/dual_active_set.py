@@ -205,7 +205,7 @@ class DualActiveSet:
         return Ending.ITERATION_LIMIT
 
     def _factor_active_rows(self) -> None:
-        """Compute the QR factors of the active rows."""
+        """Compute the QR factors of the active rows' normals."""
         self._Q, self._R = np.linalg.qr(self._J[:, self._active])
 
     def _project(self, a: Vector) -> tuple[Vector, Vector]:

@@ -53,7 +53,7 @@ def rows_per_block(n: int, m: int, block: int) -> int:
 
 
 def check_shapes(owner: object, shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Make fields of a frozen dataclass contiguous float64 arrays.
+    """Check the shapes of a frozen dataclass's arrays and make them contiguous float64.
 
     ShapeError for other shapes; TypeError for what is no dense array of numbers.
     """
@@ -161,7 +161,7 @@ class QuadraticProgram:
             raise ShapeError.of("QuadraticProgram", "moves", (self.moves,), f"0 to {most}")
 
     def _fill_absent(self, name: str, shape: tuple[int, ...], value: float) -> None:
-        """Give an array that was left out one value."""
+        """Set an array that was left out, such as a bound, to one value throughout."""
         if getattr(self, name) is ABSENT:
             object.__setattr__(self, name, np.full(shape, value))
 
@@ -170,12 +170,12 @@ class QuadraticProgram:
 
     @property
     def n(self) -> int:
-        """Number of variables."""
+        """Number n of the QP's variables."""
         return int(self.q.shape[0])
 
     @property
     def m(self) -> int:
-        """Number of constraint rows, without bounds."""
+        """Number m of the QP's constraint rows, without bounds."""
         return int(self.A.shape[0])
 
     def limits(self) -> tuple[Vector, Vector]:
@@ -187,7 +187,7 @@ class QuadraticProgram:
         return float(0.5 * z @ self.P @ z + self.q @ z)
 
     def copy(self) -> QuadraticProgram:
-        """Copy the problem with all its arrays."""
+        """Copy the QP with all its arrays."""
         return self._replace_arrays({name: getattr(self, name).copy() for name in ARRAYS})
 
     def changed_by(self, step: QPStep) -> bool:
@@ -239,13 +239,13 @@ class QPStep:
 
     @property
     def refresh(self) -> Refresh:
-        """Parts that this step changes: vectors alone, or matrices and bounds too."""
+        """Parts of the QP that this step changes: vectors alone, or matrices and bounds too."""
         if self.P is self.A is self.lb is self.ub is None:
             return Refresh.VECTORS
         return Refresh.VECTORS | Refresh.MATRICES
 
     def copy(self) -> QPStep:
-        """Copy the step with all its arrays."""
+        """Copy a step's QP data with all its arrays."""
         P, A, lb, ub = (a if a is None else a.copy() for a in (self.P, self.A, self.lb, self.ub))
         return QPStep(self.q.copy(), self.l.copy(), self.u.copy(), P, A, lb, ub)
 

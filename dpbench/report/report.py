@@ -76,7 +76,7 @@ class Report:
 
     @cached_property
     def tables(self) -> Mapping[str, pd.DataFrame]:
-        """All tables of the report, by name."""
+        """All tables of the report as data frames, by name."""
         return build_tables(self.results, self.data, self.recommendation, self.topics)
 
     @property

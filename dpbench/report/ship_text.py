@@ -31,7 +31,7 @@ class ShipSummary:
 
     @property
     def lines(self) -> list[str]:
-        """The lines that are not empty, the warning first."""
+        """Lines of the ship's summary that are not empty, the warning first."""
         return [line for line in (self.warning, self.text, self.caution) if line]
 
 
@@ -137,7 +137,7 @@ def describe_unmet(ships: Sequence[ShipResult], scenarios: Sequence[Scenario]) -
 
 
 def _limits_text(ship: ShipResult) -> str:
-    """State the limits of a station."""
+    """State the limits of a ship's station: radius and heading."""
     return f"{ship.run.station_radius_m:.3g} m, {HEADING_DEG:g}°"
 
 

@@ -37,7 +37,7 @@ def markdown_line(text: str) -> str:
 
 
 def markdown_cell(text: str) -> str:
-    """Escape a cell of a Markdown table."""
+    """Escape a text for a cell of a Markdown table."""
     return _PIPE.sub(r"\1\1\\|", markdown_text(text))
 
 

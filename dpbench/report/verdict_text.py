@@ -205,9 +205,11 @@ def paired_text(compared: PairedComparison) -> str:
     else:
         interval = f"{significant(compared.ratio.low)} to {significant(compared.ratio.high)}"
         wording += f" (geometric mean, {interval})"
-        if compared.tied:
+        if compared.is_tied:
             return f"{wording}: the two cannot be told apart"
-    return f"{wording}; which is faster depends on the yardstick" if compared.unstable else wording
+    return (
+        f"{wording}; which is faster depends on the yardstick" if compared.is_unstable else wording
+    )
 
 
 def describe_findings(findings: Sequence[Finding]) -> str:

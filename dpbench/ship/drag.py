@@ -77,7 +77,7 @@ class HullDrag:
         return replace(self, along=factor * self.along, across=factor * self.across)
 
     def to_array(self) -> Vector:
-        """Return the numbers (5,) that the kernels read."""
+        """Return the hull's numbers (5,) that the drag kernels read."""
         half_m = 0.5 * self.length_m
         return np.array([1.0 / self.fading_mps, self.along, self.across, self.centre_m, half_m])
 

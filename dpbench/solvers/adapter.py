@@ -55,7 +55,7 @@ ReadStatus = Callable[[Any, Options], Claim]
 NO_REASON = ClaimedStatus(Status.UNKNOWN, detail="not found; qpsolvers does not pass the reason on")
 
 
-def read_found(answer: Any, options: Options) -> Claim:
+def read_solved_flag(answer: Any, options: Options) -> Claim:
     """Read from a qpsolvers solution only whether it is solved; the status is else unknown."""
     return ClaimedStatus(Status.SOLVED) if answer.found else NO_REASON
 
@@ -131,7 +131,7 @@ class QpsolversAdapter:
         return self.qpsolvers_name or self.record.name
 
     def make_native(self, workspace: OpenWorkspace) -> NativeAdapter:
-        """Return how to call this solver by its own interface, with the same facts and options."""
+        """Return the adapter of this solver's own interface, with the same facts and options."""
         return NativeAdapter(self.record, workspace, self.list_options, self.make_settings)
 
     def read_claimed_status(self, answer: Any, options: Options) -> Claim:

@@ -75,10 +75,10 @@ class NoOpWorkspace(Workspace):
         self._answer = Solution.missing(qp.n, qp.m, Status.UNKNOWN)
 
     def update(self, step: QPStep) -> None:
-        """Do nothing with the new vectors."""
+        """Do nothing with the vectors of the next QP."""
 
     def solve(self) -> None:
-        """Return at once, without solving."""
+        """Return at once, without solving: a dummy solver that takes no time."""
 
     def read(self) -> Solution:
         """Return the stored answer without numbers."""
@@ -125,7 +125,7 @@ class CopyOnlyWorkspace(Workspace):
         self.u[:] = step.u
 
     def solve(self) -> None:
-        """Return at once, without solving."""
+        """Return at once, without solving, as a solver that only copies data."""
 
     def read(self) -> Solution:
         """Return a copy of an answer without numbers."""

@@ -28,7 +28,7 @@ class FunctionWorkspace(Workspace):
         self._solution: Solution | None = None
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Store a copy of the QP."""
+        """Store a copy of the QP for the user's function."""
         self._qp, self._solution = qp.copy(), None
 
     def update(self, step: QPStep) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from dpbench.errors import DpbenchError, SolverUnavailableError, UnknownNameError, list_allowed
 from dpbench.solvers import plugins
-from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, read_found
+from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, read_solved_flag
 from dpbench.solvers.calibration import CALIBRATION, open_calibration
 from dpbench.solvers.contract import Policy, describe_exception
 from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
@@ -123,7 +123,7 @@ def _make_generic_adapter(name: str) -> QpsolversAdapter:
         levels={},
         project=NO_PROJECT_FACTS,
     )
-    return QpsolversAdapter(record, "native", read_found)
+    return QpsolversAdapter(record, "native", read_solved_flag)
 
 
 def load_solver_module(path: str | Path, *, tried: bool = False) -> SolverRecord:

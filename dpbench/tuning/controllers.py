@@ -76,31 +76,33 @@ def own_options(scenario: Scenario) -> Options:
 
 def change_controller(scenario: Scenario, options: Options) -> Scenario:
     """Return the scenario with other weights and horizons of its controller."""
-    heading, increment, N_p, N_c = (_number(options[key]) for key in own_options(scenario))
+    heading, increment, N_p, N_c = (_as_number(options[key]) for key in own_options(scenario))
     table = scenario.files["scenario"]["controller"]
     *position, turn = table["output_weight"]
     values: dict[str, Any] = {
-        "controller.output_weight": [*position, _scale(turn, heading)],
+        "controller.output_weight": [*position, _scale_weight(turn, heading)],
         "controller.prediction_horizon": int(N_p),
         "controller.control_horizon": int(min(N_c, N_p)),
     }
     for key in ("move_weight", "move_weight_relative"):
         if table[key] is not None:
-            values[f"controller.{key}"] = [_scale(weight, increment) for weight in table[key]]
+            values[f"controller.{key}"] = [
+                _scale_weight(weight, increment) for weight in table[key]
+            ]
     if table.get("kind") == "thrusters":
         key, own = "move_weight_relative", table["thrusters"]["move_weight_relative"]
-        values[f"controller.thrusters.{key}"] = _scale(own, increment)
+        values[f"controller.thrusters.{key}"] = _scale_weight(own, increment)
     return replace_values(scenario, values, f"scenario {scenario.name}")
 
 
-def _number(value: object) -> float:
-    """Return a value as the number it has to be."""
+def _as_number(value: object) -> float:
+    """Return a value as a number; it is one by its range."""
     assert isinstance(value, int | float), "of a range"
     return value
 
 
-def _scale(weight: float, factor: float) -> float:
-    """Multiply a weight by a factor, to four digits."""
+def _scale_weight(weight: float, factor: float) -> float:
+    """Multiply a controller's weight by a factor, to four digits."""
     return float(f"{weight * factor:.4g}")
 
 

@@ -57,7 +57,7 @@ class Trial(Generic[_Score]):
 
     @property
     def name(self) -> str:
-        """The options as text."""
+        """Name of the trial: its options as text."""
         return describe_options(self.options)
 
 
@@ -122,7 +122,7 @@ class SettingsSearch(TrialSearch[Score]):
 
     @property
     def best(self) -> Trial[Score]:
-        """The best trial so far; ValueError before the first."""
+        """The best trial of the search so far; ValueError before the first."""
         return find_best(self.trials)
 
 

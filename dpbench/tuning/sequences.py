@@ -45,7 +45,9 @@ def load_problem(name: str, steps: int = 0) -> TunedProblem:
         origin = name if is_stored(name) else str(path.resolve())
         sequence = recorded.sequence
         table: dict[str, Any] = {"kind": "recorded", "sequence": origin}
-        return TunedProblem(sequence.name, table, _loop(recorded.documents), _hash_steps(sequence))
+        return TunedProblem(
+            sequence.name, table, _loop_key(recorded.documents), _hash_steps(sequence)
+        )
     try:
         scenario = load_scenario(name)
     except UnknownNameError as error:
@@ -58,7 +60,7 @@ def load_problem(name: str, steps: int = 0) -> TunedProblem:
         "scenario": origin,
         "steps": min(steps or scenario.steps, scenario.steps),
     }
-    return TunedProblem(scenario.name, table, _loop(dict(scenario.files)))
+    return TunedProblem(scenario.name, table, _loop_key(dict(scenario.files)))
 
 
 def refuse_overlap(training: Sequence[TunedProblem], test: Sequence[TunedProblem]) -> None:
@@ -78,8 +80,8 @@ def refuse_overlap(training: Sequence[TunedProblem], test: Sequence[TunedProblem
                 )
 
 
-def _loop(documents: dict[str, Any]) -> str:
-    """Return scenario and ship of documents as JSON, without names and horizons; "" for none."""
+def _loop_key(documents: dict[str, Any]) -> str:
+    """Return a text equal for loops of one scenario and ship at any horizons; "" without them."""
     scenario, vessel = documents.get("scenario"), documents.get("vessel")
     if not isinstance(scenario, dict) or not isinstance(vessel, dict):
         return ""

@@ -45,7 +45,7 @@ class SearchSpace:
     ranges: tuple[OptionRange, ...]
 
     def options_at(self, point: Vector) -> Options:
-        """Return the options at a point of the unit cube."""
+        """Return the solver options at a point of the unit cube."""
         return {
             own.name: own.value_at(share)
             for own, share in zip(self.ranges, point.tolist(), strict=True)
@@ -53,7 +53,7 @@ class SearchSpace:
 
 
 def make_space(solver: str, ranges: Sequence[str] = ()) -> SearchSpace:
-    """Return what is searched of a solver: the stated ranges, or those given in their place.
+    """Return the option ranges to search for a solver: the stated ones, or those given instead.
 
     ranges : texts such as `rho=[1e-3,10]`.
 

@@ -148,13 +148,13 @@ class _BatchProgress:
         self._progress.advance(work, f"batch {self._batch}/{self._batches}: {what}")
 
     def remark(self, text: str) -> None:
-        """Show a remark once."""
+        """Show a remark of the campaigns once, even if several make it."""
         if text not in self._remarks:
             self._remarks.add(text)
             self._progress.remark(text)
 
     def waiting(self, text: str) -> None:
-        """Show why a campaign waits."""
+        """Show why a campaign of the search waits."""
         self._progress.waiting(text)
 
 

@@ -69,11 +69,11 @@ class ControllerTuning:
 
     @property
     def own(self) -> Trial[LoopScore]:
-        """The scenario's own controller."""
+        """The trial of the scenario's own controller."""
         return self.trials[0]
 
     @property
-    def holds(self) -> bool:
+    def keeps_margin(self) -> bool:
         """Return whether the controller keeps the margin, in the search and in fresh seas."""
         return max(self.chosen.score.share, self.fresh.share) <= self.margin
 
@@ -88,7 +88,7 @@ class ControllerTuning:
 
     @property
     def lines(self) -> list[str]:
-        """The result in words, with what it does not promise."""
+        """The result of a search for controller weights in words, with what it does not promise."""
         limit = f"{self.margin:.0%} of the station"
         if self.chosen.score.share > self.margin:
             verdict = f"none of {len(self.trials)} controllers stays within {limit}; the nearest"
@@ -97,17 +97,17 @@ class ControllerTuning:
         held = "within" if self.fresh.share <= self.margin else "NOT within"
         return [
             f"{verdict}: {self.chosen.name}",
-            f"search, {self.seas}: {_describe(self.chosen.score)}; own controller "
-            f"{_describe(self.own.score)}",
-            f"fresh realisations, {held} {limit}: {_describe(self.fresh)}; own controller "
-            f"{_describe(self.own_fresh)}",
+            f"search, {self.seas}: {_describe_score(self.chosen.score)}; own controller "
+            f"{_describe_score(self.own.score)}",
+            f"fresh realisations, {held} {limit}: {_describe_score(self.fresh)}; own controller "
+            f"{_describe_score(self.own_fresh)}",
             *(f"wrote {path}" for path in self.paths),
             "Limits of this result:",
             *NO_PROMISE,
         ]
 
 
-def _describe(score: LoopScore) -> str:
+def _describe_score(score: LoopScore) -> str:
     """Format the score of a controller: offset and wear of the thrusters."""
     return f"offset {score.share:.0%}, wear {significant(score.wear_per_h)} per hour"
 
@@ -140,11 +140,11 @@ class _KeptTrials:
             write_text(path, whole)
 
     def find(self, name: str) -> LoopScore | None:
-        """Return the score of a finished trial; None where it is not finished."""
+        """Return the stored score of a trial by its name; None where it is not finished."""
         return self._scores.get(name)
 
     def add(self, name: str, score: LoopScore) -> None:
-        """Keep the score of a trial."""
+        """Store the score of a finished trial on disk, by the trial's name."""
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps([name, score.share, score.wear_per_h]) + "\n")
 
@@ -199,7 +199,7 @@ def tune_controller(
         if score is None:
             score = rate_controller(base, options, at, steps)
             kept.add(name, score)
-        bar.advance(len(at) * steps, f"{role}{_describe(score)}")
+        bar.advance(len(at) * steps, f"{role}{_describe_score(score)}")
         return score
 
     own = own_options(base)

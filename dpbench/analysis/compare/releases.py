@@ -76,7 +76,7 @@ class History:
         return next(iter(self.releases[0].runs.values()))
 
     @property
-    def changed(self) -> bool:
+    def has_changed(self) -> bool:
         """True if more than one version of the solver was run."""
         return len(self.releases) > 1
 
@@ -240,7 +240,7 @@ def release_table(histories: Histories, most: int) -> pd.DataFrame:
     and `FIGURES`.
     """
     chosen: dict[tuple[str, str], History] = {}
-    for history in sorted(histories.all, key=lambda history: not history.changed):
+    for history in sorted(histories.all, key=lambda history: not history.has_changed):
         if history.run.mode == "replay" and math.isfinite(history.releases[0].p50):
             chosen.setdefault((history.run.problem, history.run.solver), history)
     problems = list(dict.fromkeys(problem for problem, _ in chosen))[:most]

@@ -240,7 +240,7 @@ class RunRecord:
 
     @property
     def has_steps(self) -> bool:
-        """True if the run completed a step."""
+        """True if the run completed at least one step."""
         return self.steps_done > 0
 
     @property

@@ -43,12 +43,12 @@ class PairedComparison:
     leaders: dict[str, str]
 
     @property
-    def tied(self) -> bool:
+    def is_tied(self) -> bool:
         """True if the time ratio's interval contains 1, so that neither solver is faster."""
         return self.ratio.spans(1.0)
 
     @property
-    def unstable(self) -> bool:
+    def is_unstable(self) -> bool:
         """True if it depends on p99 or median which of two configurations is faster."""
         return len(set(self.leaders.values())) > 1 or self.ratio.high < 1.0
 
@@ -57,7 +57,11 @@ class PairedComparison:
         """Table row: names of both configurations, time ratio with interval, tied, unstable."""
         ratio = {"ratio": self.ratio.value, "low": self.ratio.low, "high": self.ratio.high}
         names = {"first": self.first, "second": self.second}
-        return names | ratio | {"steps": self.steps, "tied": self.tied, "unstable": self.unstable}
+        return (
+            names
+            | ratio
+            | {"steps": self.steps, "tied": self.is_tied, "unstable": self.is_unstable}
+        )
 
 
 def match_steps(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:

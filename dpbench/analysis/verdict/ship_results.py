@@ -86,7 +86,7 @@ def ship_results(records: Records) -> list[ShipResult]:
     by_ship = group_by(with_ship, _ship_key)
     tuned = {key[:-1] for key in by_ship if key[-1] is not None}
     longest = [
-        max(own, key=lambda run: _count_or_none(run.exact_steps))
+        max(own, key=lambda run: _count_or_minus_one(run.exact_steps))
         for key, own in by_ship.items()
         # QPs without horizons, as of a consequence analysis, have the ship of the scenario's loop.
         if key[-1] is not None or key[:-1] not in tuned
@@ -99,12 +99,12 @@ def ship_results(records: Records) -> list[ShipResult]:
 
 
 def _ship_key(run: RunRecord) -> tuple[object, ...]:
-    """Return what tells a run's ship, weather and controller from those of other runs."""
-    sea = run.study, _count_or_none(run.study_point), _count_or_none(run.replicate)
+    """Return a key that is equal for runs of the same ship, weather and controller."""
+    sea = run.study, _count_or_minus_one(run.study_point), _count_or_minus_one(run.replicate)
     return *sea, run.scenario, run.horizons
 
 
-def _count_or_none(count: float) -> float:
+def _count_or_minus_one(count: float) -> float:
     """Return a count; -1 where it is missing (NaN), so that it equals and orders."""
     return -1.0 if math.isnan(count) else count
 

@@ -50,17 +50,17 @@ def find_best_choice(relax: Relax, choices: Choices) -> tuple[float, Combination
 
 
 def _is_no_better(bound: float, best: float) -> bool:
-    """Return whether a lower bound leaves no use that is less than the best one by `GAP`."""
+    """Return whether a lower bound on the use of thrust rules out a better one than `best`."""
     return bound * (1.0 + GAP) + GAP >= best
 
 
 def _use_of(relax: Relax, chosen: Combination) -> float:
-    """Return the least use of thrust of one choice."""
+    """Return the least share of full thrust with one convex piece chosen for each thruster."""
     return relax(tuple((piece,) for piece in chosen))[0]
 
 
 def _split(choices: Choices, uses: Sequence[Vector]) -> list[Choices]:
-    """Split choices by the pieces of the thruster that is most between pieces."""
+    """Branch on the thruster that is most between two pieces: one set of choices for each piece."""
     between = [float(np.sort(use)[-2]) if len(use) > 1 else -1.0 for use in uses]
     at = int(np.argmax(between))
     return [(*choices[:at], (piece,), *choices[at + 1 :]) for piece in choices[at]]

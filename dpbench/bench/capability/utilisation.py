@@ -243,7 +243,7 @@ class _ConeRows:
         self._append(row, [_import_clarabel().NonnegativeConeT(1)])
 
     def _append(self, rows: Matrix, cones: list[Any]) -> None:
-        """Append rows and their cones."""
+        """Append constraint rows and the cones that they belong to."""
         self._blocks.append(rows)
         self.kinds += cones
         self._height += len(rows)

@@ -55,7 +55,7 @@ class _WithoutHttp:
     """A Dask node without HTTP pages, which have no TLS and no option to turn them off."""
 
     def start_http_server(self, *_: object, **__: object) -> None:
-        """Start no HTTP server."""
+        """Start no HTTP server, in place of Dask's method that would start one."""
 
 
 class OwnScheduler(_WithoutHttp, Scheduler):  # type: ignore[misc] # Dask is untyped here

@@ -66,11 +66,11 @@ class Engine(AbstractContextManager["Engine"], Protocol):
 
     @property
     def slots(self) -> int:
-        """Number of batches of runs that are done at a time."""
+        """Number of batches of runs that the engine does at a time."""
 
     @property
     def remarks(self) -> Sequence[str]:
-        """Remarks to show at the end of the campaign."""
+        """Remarks of the engine to show the user at the end of the campaign."""
 
     def prepare(self, sources: SourceFiles, jobs: Sequence[CellJob], progress: Progress) -> None:
         """Start the processes or workers needed for the runs `jobs`."""

@@ -18,7 +18,7 @@ def open_engine(
     tls: TlsFiles | None = None,
     patience: WaitLimit = WaitLimit(),  # noqa: B008 - frozen
 ) -> AbstractContextManager[Engine]:
-    """Open what does a campaign's runs: "local" processes, or the workers of a "dask" cluster.
+    """Open the engine that does a campaign's runs: "local" processes, or "dask" cluster workers.
 
     Without a `scheduler` the cluster is made of `jobs` workers of this machine; `patience` is with
     other campaigns on it. InputError for a bad option, without the extra of dask, and for a

@@ -267,7 +267,7 @@ class Cell:
 
     @cached_property
     def key(self) -> str:
-        """Hash of all fields that describe the run."""
+        """Hash of all fields that describe a planned run."""
         return _hash_json(self._to_dict())
 
     def _to_dict(self) -> dict[str, Any]:
@@ -283,7 +283,7 @@ class Cell:
 
     @classmethod
     def from_json(cls, text: str) -> Cell:
-        """Return the run that a JSON text describes."""
+        """Return the description of a run from JSON text, as `to_json` wrote it."""
         values = json.loads(text)
         values["source"] = parse_source(values.get("source", {}))
         if "study" in values:

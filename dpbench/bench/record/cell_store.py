@@ -292,7 +292,7 @@ class StepFile:
 
     @property
     def rows(self) -> int:
-        """Number of step rows added so far."""
+        """Number of rows added so far to the file of steps."""
         return self._writer.rows + self._count
 
     @property

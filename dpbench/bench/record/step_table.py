@@ -89,7 +89,7 @@ def _complete_columns(arrays: Mapping[str, Any], rows: int, columns: Columns) ->
 
 
 def _check_whole_numbers(runs: pa.Table) -> pa.Table:
-    """Check that a table of runs has every number that all runs have; ValueError otherwise."""
+    """Raise ValueError for a table of runs that lacks a number which every run has."""
     for name in _WHOLE_NUMBERS:
         if runs[name].null_count:
             raise ValueError(f"{name}: no number")

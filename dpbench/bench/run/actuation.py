@@ -30,7 +30,7 @@ class Actuation:
         """Set up the allocation solver, if any, before the first step."""
 
     def trip(self, entries: Indices) -> None:
-        """Set the commands of thrusters that stop at once to zero, and what follows from them."""
+        """Set the commands of thrusters that stop at once to zero, and the force they made."""
 
     def apply_step(self, k: int) -> int:
         """Set command and force from step k's limited u; return the allocation's time [ns]."""
@@ -45,7 +45,7 @@ class ThrusterActuation(Actuation):
         self._T_e, self._log = control.thrusters.T_e, log
 
     def trip(self, entries: Indices) -> None:
-        """Set the forces u of thrusters that stop to zero."""
+        """Set the commanded forces u of thrusters that stop at once to zero."""
         self.command[entries] = 0.0
 
     def apply_step(self, k: int) -> int:

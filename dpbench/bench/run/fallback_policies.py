@@ -52,7 +52,7 @@ class Clip(FallbackPolicy):
     """A fallback that applies the unconstrained control law; the loop clips it to the limits."""
 
     def move(self, x: Vector, y_ref: Vector, u_prev: Vector) -> Vector:
-        """Return Δu (n_u,) of the unconstrained law."""
+        """Return Δu (n_u,) of the unconstrained law, for a step without a usable answer."""
         self.acted = True
         return self._law(x, y_ref, u_prev)
 

@@ -166,7 +166,7 @@ class TimedSolver:
             self._count_detail(f"setup: {type(error).__name__}: {error}")
 
     def _count_detail(self, detail: str) -> None:
-        """Count one more step with this detail of its status."""
+        """Count one more solver answer with this detail of its status."""
         self.details[detail] = self.details.get(detail, 0) + 1
 
     def answer_hung_step(self, limit_ns: int) -> Solution:

@@ -393,7 +393,7 @@ def _kill_and_wait(pid: int) -> None:
 
 
 def _wait_for_end(pid: int, wait_s: float = _DYING_S) -> bool:
-    """Return whether a process ends within `wait_s`."""
+    """Wait up to `wait_s` for a process to end; return whether it did."""
     try:
         process = os.pidfd_open(pid)
     except OSError:

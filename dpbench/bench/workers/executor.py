@@ -48,7 +48,7 @@ class CorePool(Generic[AnyTask]):
         return len(self._waiting) + len(self._running)
 
     def add(self, task: AnyTask) -> None:
-        """Queue a task until a core is free."""
+        """Queue a task, to be started when a processor core is free."""
         self._waiting.append(task)
 
     def wait_for_tasks(self) -> Iterator[AnyTask]:

@@ -37,7 +37,7 @@ def count_free_bytes(place: Path) -> int:
     return min(free, int(psutil.virtual_memory().available)) if place == MEMORY else free
 
 
-def clear_places(beside: Path) -> list[Path]:
+def clear_scratch_folders(beside: Path) -> list[Path]:
     """Remove what killed campaigns left in temporary folders; return where to make new ones."""
     # One place on each file system.
     by_device: dict[int, Path] = {}
@@ -54,7 +54,7 @@ class Scratch(ExitStack):
 
     def __init__(self, beside: Path) -> None:
         super().__init__()
-        self._places = clear_places(beside)
+        self._places = clear_scratch_folders(beside)
         self._made: dict[Path, Path] = {}
         self._elsewhere: dict[Path, list[tuple[int, str]]] = {}
 

@@ -242,7 +242,7 @@ def _replay_untimed(
 
 
 def _describe_last_round(log: RawLog) -> str:
-    """Name the last round of a replay that has an answer."""
+    """Name the last round that a stopped replay reached, from its raw log."""
     return f"in round {int(np.flatnonzero(log.done)[-1])}"
 
 

@@ -37,7 +37,7 @@ class WorstStep:
     score: float
 
     def describe_figure(self, goal: Goal) -> str:
-        """Return the step's solver iterations or error in words, as the goal asks."""
+        """Format the worst step's iterations or error, whichever is searched for, as text."""
         if goal == "iterations":
             return f"{self.iterations} iterations ({self.status.name.lower()})"
         claim = "claimed" if self.status is Status.SOLVED else self.status.name.lower()

@@ -76,7 +76,7 @@ def gap_certificate(
     """
     for _ in range(EXCHANGES):
         system = systems(signs)
-        if not system.proven:
+        if not system.is_proven:
             return None
         limits = np.concatenate((problem.U, problem.L))[system.limits]
         inward = Dyadic(np.array([-int(s) for s in system.signs], dtype=object), TAU_EXPONENT)

@@ -63,7 +63,7 @@ class KKTSystem:
         self.alpha = float(((defect + self.gamma * size) / self.weight).max()) * OUTWARD
 
     @property
-    def proven(self) -> bool:
+    def is_proven(self) -> bool:
         """Return whether the KKT matrix is proven non-singular."""
         return self.alpha < 0.5
 

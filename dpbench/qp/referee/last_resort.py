@@ -202,7 +202,7 @@ def _bound_penalised_inverse(
         return None
     n = len(P)
     system = KKTSystem(M, np.zeros((0, n)), np.zeros(0, dtype=np.int8))
-    return system.inverse_bounds() if system.proven else None
+    return system.inverse_bounds() if system.is_proven else None
 
 
 PROXIMAL = 10.0 ** -np.arange(4.0, 9.0)  # Weights of the proximal term where P is singular
@@ -299,7 +299,7 @@ class LastResort:
         held = select_independent(problem.C, np.where(equal, equal, guess.signs), equal)
         system = KKTSystem(problem.P, problem.C, held)
         z = guess.z
-        if system.proven:
+        if system.is_proven:
             proof = linear_certificate(problem, self._geometry, system)
             if proof is not None and self._convex:
                 bound = np.full(len(proof.z), proof.bound)
@@ -323,7 +323,7 @@ class LastResort:
             inward = _inward_amounts(problem, system, touched)
             if inward is None:
                 return None, touched
-            if not system.proven:
+            if not system.is_proven:
                 break
             found = enclosure_certificate(problem, self._exact, system, inward, convex=self._convex)
             if found is not None:

@@ -61,7 +61,7 @@ class Optimum:
 
     @property
     def _title(self) -> str:
-        """Size of the problem, in words."""
+        """Size of the certified QP, in words."""
         return f"Optimum of {len(self.z)} variable{'s' * (len(self.z) != 1)}"
 
     @property
@@ -91,7 +91,7 @@ class JointQP:
 
     @classmethod
     def of(cls, qp: QuadraticProgram) -> JointQP:
-        """Join the rows and bounds of a QP."""
+        """Join the rows and bounds of a QP into rows C with limits L and U."""
         return cls(qp.P, qp.q, np.vstack((qp.A, np.eye(qp.n))), *qp.limits())
 
 

@@ -100,13 +100,13 @@ class _ActiveSet:
         self.side: list[int] = []
 
     def add(self, row: int, sign: int) -> None:
-        """Add a row at its upper (+1) or lower (−1) limit."""
+        """Add a row at its upper (+1) or lower (−1) limit to the exact active set."""
         self.rows.append(row)
         equal = self.qp.lower[row] == self.qp.upper[row]
         self.side.append(0 if equal else sign)
 
     def drop(self, position: int) -> None:
-        """Remove the row at a position of the active set."""
+        """Remove the row at a position of the exact active set."""
         del self.rows[position], self.side[position]
 
     def solve(self, gradient: Whole) -> _ExactPoint | None:

@@ -167,7 +167,7 @@ class Referee:
     def _try_nearby(self, problem: JointQP) -> Proof | None:
         """Prove the optimum with an active set guessed from the last QP's; None if unproven."""
         system = self._kkt_system(self._last) if self._convex else None
-        if system is None or not system.proven:
+        if system is None or not system.is_proven:
             return None
         signs = guess_nearby(problem, self._geometry, system)
         proof = None if signs is None else self._try_linear(problem, signs)
@@ -227,7 +227,7 @@ class Referee:
     def _try_linear(self, problem: JointQP, signs: Signs) -> Proof | None:
         """Try to prove an active set optimal by error bounds of its KKT solution, else None."""
         system = self._kkt_system(signs) if self._convex else None
-        if system is None or not system.proven:
+        if system is None or not system.is_proven:
             return None
         return linear_certificate(problem, self._geometry, system)
 
@@ -268,12 +268,12 @@ class Referee:
         """Try to prove the optimum by its duality gap from the active set `signs`, else None."""
         if self._data.inverse is None:
             free = self._kkt_system(np.zeros_like(signs))
-            if not free.proven:
+            if not free.is_proven:
                 return None
             self._data.inverse = free.inverse_bounds()
         held = select_independent(self._C, signs, signs)
         system = self._kkt_system(held)
-        if not system.proven:
+        if not system.is_proven:
             return None
         # The point to rounding is enough to see which limits it touches.
         touched = find_met_limits(problem, system.X @ system.rhs(problem.q, problem.L, problem.U))
@@ -313,7 +313,7 @@ class Referee:
     def _refutation(self, problem: JointQP, y: Vector, y_box: Vector) -> Optimum:
         """Return a certificate of infeasibility, from multipliers that prove it, or undecided."""
         least = bound_least_violation(self._as_qp(problem), np.concatenate((y, y_box)))
-        kind: Kind = "undecided" if least.undecided else "infeasible"
+        kind: Kind = "undecided" if least.is_undecided else "infeasible"
         return Optimum(np.full(len(problem.q), np.nan), y, y_box, np.inf, kind)
 
     def _verdict_by_multipliers(self, problem: JointQP, multipliers: Vector) -> Optimum:
@@ -325,7 +325,7 @@ class Referee:
         y_box = -(y @ self._A)
         if farkas_valid(self._as_qp(problem), y, y_box):
             return self._refutation(problem, y, y_box)
-        if bound_least_violation(self._as_qp(problem)).undecided:
+        if bound_least_violation(self._as_qp(problem)).is_undecided:
             return replace(self._no_certificate(), kind="undecided")
         return self._no_certificate()
 
@@ -357,7 +357,7 @@ def _cached_referee(thread: int, n: int, P: bytes, A: bytes, lb: bytes, ub: byte
 
 
 def certify(qp: QuadraticProgram) -> Optimum:
-    """Certify the optimum of a single QP.
+    """Certify the optimum of a single QP: return it with an error bound, or what is proven.
 
     Examples
     --------

@@ -98,18 +98,18 @@ def _draw_law_lines(panel: Panel, laws: Sequence[Law], *, last: bool) -> Any:
 
 
 def _draw_limits(values: Sequence[float]) -> Any:
-    """Draw horizontal dashed rules at limits."""
+    """Draw horizontal dashed rules at the given limits in a chart of forces over time."""
     chart = alt.Chart(pd.DataFrame({"limit": list(values)}))
     return chart.mark_rule(strokeDash=[5, 3], color=style.SOFT).encode(y="limit:Q")
 
 
 def _law_colour(laws: Sequence[Law]) -> alt.Color:
-    """Return the colour encoding of control laws."""
+    """Return the colour encoding of a chart's control laws, with a legend."""
     labels = [law.label for law in laws]
     return style.colour("law", labels, style.PALETTE[: len(laws)], labelLimit=260, columns=1)
 
 
 def _law_dash(laws: Sequence[Law]) -> alt.StrokeDash:
-    """Return the dash encoding of control laws."""
+    """Return the dash encoding of a chart's control laws: solid, then dashed."""
     scale = style.names_scale((law.label for law in laws), [[1, 0], [6, 3]][: len(laws)])
     return alt.StrokeDash("law:N", title=None, scale=scale)

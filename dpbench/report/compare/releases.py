@@ -124,12 +124,12 @@ def _merge_folders(texts: Mapping[str, str]) -> list[str]:
 def _solvers_with_versions(histories: Histories) -> dict[str, list[History]]:
     """Return the histories of each solver that was run in more than one version."""
     by_solver = group_by(histories.all, lambda history: history.run.solver)
-    return {name: own for name, own in by_solver.items() if any(h.changed for h in own)}
+    return {name: own for name, own in by_solver.items() if any(h.has_changed for h in own)}
 
 
 def _solver_sentence(solver: str, own_histories: Sequence[History]) -> str:
     """State how step time, error and failed steps of a solver changed over its versions."""
-    changed = [history for history in own_histories if history.changed]
+    changed = [history for history in own_histories if history.has_changed]
     ends = [(history.releases[0], history.releases[-1]) for history in changed]
     sides = list(zip(*ends, strict=True))
     errors = " → ".join(error_text(largest_known([r.error_move for r in side])) for side in sides)
@@ -314,7 +314,7 @@ def draw_release_errors(table: pd.DataFrame, allowed: float) -> Any:
 
 
 def _value_axis(form: str) -> alt.Axis:
-    """Return an axis of values in a given number format."""
+    """Return a chart axis of values in a given number format."""
     return alt.Axis(format=form, tickCount=5, labelOverlap="greedy", labelSeparation=6)
 
 

@@ -27,7 +27,7 @@ class OffsetPicture:
 
     @property
     def caption(self) -> str:
-        """Caption of the picture, one sentence."""
+        """Caption of the picture of the ship's offset, one sentence."""
         run = self.run
         dashed = " (dashed)" if self.offset_m.max() > run.station_radius_m else ""
         return (
@@ -62,7 +62,7 @@ class OffsetPicture:
 
 
 def _label(x: float, y: float, text: str) -> str:
-    """Return a small SVG text at a point."""
+    """Return a small SVG text at a point (x, y) of the picture."""
     return f'<text x="{x + 3.0:.1f}" y="{y:.1f}" font-size="7" fill="{INK}">{text}</text>'
 
 

@@ -74,7 +74,7 @@ class Block:
         """Add an array of bytes of bit flags; return its index."""
         return self._add_array("flag", np.asarray(values, dtype=np.uint8), 1.0, places)
 
-    def add_place(self, values: ArrayLike, length: int) -> int:
+    def add_indices(self, values: ArrayLike, length: int) -> int:
         """Add rising indices below `length`, return the array's index; ValueError for wide gaps."""
         apart = np.diff(np.asarray(values, dtype=np.int64), prepend=0)
         if apart.size and apart.max() > INFINITE:
@@ -160,7 +160,7 @@ def pack_steps(block: Block, run: ThinnedRun) -> dict[str, int]:
     steps, first = run.steps, int(run.steps.k[0])
     count = run.last - first + 1
     # Of a whole run the places follow from the missing ones, which pack to nothing.
-    at = None if run.is_whole else block.add_place(steps.k - first, count)
+    at = None if run.is_whole else block.add_indices(steps.k - first, count)
 
     def spread(values: Floats, missing: float = np.nan) -> Floats:
         if at is not None:

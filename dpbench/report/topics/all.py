@@ -94,5 +94,5 @@ def _leading_topic(records: Records, topics: Sequence[str]) -> str:
 
 
 def _is_all_in_mode(records: Records, mode: str) -> bool:
-    """Return whether all runs have one mode."""
+    """Return whether all runs of a folder have this mode, closed loop or replay."""
     return all(run.mode == mode for run in records.runs)

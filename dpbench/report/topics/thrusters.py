@@ -166,7 +166,7 @@ def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
 
 
 def _group_by_fault(commanded: ThrusterVerdicts, solvers: Sequence[str]) -> str:
-    """Group solvers by what is wrong with them, as text."""
+    """List solvers as text, grouped by why they fail with thrusters."""
     of_fault = group_by(solvers, lambda solver: commanded.faults[solver])
     return "; ".join(f"{and_list(names)}, {fault}" for fault, names in of_fault.items())
 

@@ -45,7 +45,7 @@ def relinearised_model(psi0_rad: float) -> Linearisation:
 
 
 def turning_rows(turning: AzimuthTurning) -> Linearisation:
-    """Return the maker of MPC QPs with constraints on how fast azimuth thrusters turn."""
+    """Return a maker of MPC QPs that limit how fast azimuth thrusters turn."""
     why = "sparse: the directions of azimuths are other ones at each step, and so are rows"
     return Linearisation(partial(TurningQP, turning=turning), why)
 

@@ -210,7 +210,7 @@ class PoseTable(FileModel):
     """Heading, clockwise from north [°]."""
 
     def pose(self) -> Vector:
-        """Return the pose [n, e, ψ] in m, m, rad."""
+        """Return north, east and heading as the vector [n, e, ψ] in m, m, rad."""
         return np.array([self.north_m, self.east_m, np.radians(self.heading_deg)])
 
 
@@ -288,5 +288,5 @@ class ScenarioFile(FileModel):
 
     @property
     def steps(self) -> int:
-        """Number of samples of the run."""
+        """Number of samples of the run, from its duration and sample time."""
         return round(self.duration_s / self.sample_s)

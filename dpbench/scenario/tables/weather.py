@@ -45,7 +45,7 @@ class SquallTable(FileModel):
         return hold_until_s
 
     def build_squall(self, scale: Froude) -> Squall:
-        """Return the squall in SI units."""
+        """Build the squall of a scenario file's table in SI units, Froude-scaled."""
         return Squall(
             self.start_s * scale.time,
             self.rise_s * scale.time,
@@ -66,7 +66,7 @@ class WindTable(FileModel):
     """Spectrum of the gusts; none: a steady wind."""
 
     def build_wind(self, scale: Froude) -> Wind:
-        """Return the wind in SI units."""
+        """Build the wind of a scenario file's table in SI units, Froude-scaled."""
         return Wind(self.speed_mps * scale.time, towards_rad(self.from_deg), self.gusts, scale)
 
 
@@ -79,7 +79,7 @@ class CurrentTable(FileModel):
     """Compass direction it sets towards [°]."""
 
     def build_current(self, scale: Froude) -> Current:
-        """Return the current in SI units."""
+        """Build the current of a scenario file's table in SI units, Froude-scaled."""
         return Current(self.speed_mps * scale.time, math.radians(self.towards_deg))
 
 
@@ -111,7 +111,7 @@ class WavesTable(FileModel):
     """First-order motion in the measurement; {} takes the defaults, none without the key."""
 
     def build_sea(self, scale: Froude) -> Sea:
-        """Return the sea in SI units."""
+        """Build the sea of a scenario file's table in SI units, Froude-scaled."""
         to_rad = towards_rad(self.from_deg)
         return Sea(self.hs_m * scale.length, self.tp_s * scale.time, to_rad, self.gamma, scale)
 
@@ -180,7 +180,7 @@ class EnvironmentTable(FileModel):
     """Noise of the sensors."""
 
     def build_environment(self, scale: Froude) -> Environment:
-        """Return the weather in SI units."""
+        """Build all weather of a scenario file's table in SI units, Froude-scaled."""
         sea = self.waves.build_sea(scale) if self.waves else None
         return Environment(
             _PER_KN * np.array(self.mean_kN) * scale.force,

@@ -14,7 +14,7 @@ from dpbench.solvers.adapter import (
     NativeAdapter,
     QpsolversAdapter,
     list_keywords,
-    read_found,
+    read_solved_flag,
 )
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.libraries.native_workspace import SOLVED, NativeWorkspace, Point
@@ -73,7 +73,7 @@ RECORD = SolverRecord(
 DATA = ("H", "f", "A", "bupper", "blower", "sense", "break_points", "is_avi")
 STARTS = ("primal_start", "dual_start")
 THROUGH_QPSOLVERS = QpsolversAdapter(
-    RECORD, "native", read_found, lambda: list_keywords("daqp", "solve", *DATA, *STARTS)
+    RECORD, "native", read_solved_flag, lambda: list_keywords("daqp", "solve", *DATA, *STARTS)
 )
 STATUS = {
     1: Status.SOLVED,

@@ -9,7 +9,7 @@ import scipy
 from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Claim, QpsolversAdapter, read_found
+from dpbench.solvers.adapter import Claim, QpsolversAdapter, read_solved_flag
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
 from dpbench.solvers.record import (
     NAN_IGNORED,
@@ -56,7 +56,7 @@ RECORD = SolverRecord(
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "native",
-    read_found,
+    read_solved_flag,
     make_settings=lambda: import_module("highspy").HighsOptions(),
     iterate_when_not_found=False,
 )

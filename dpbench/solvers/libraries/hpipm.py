@@ -158,7 +158,7 @@ class HpipmStructures:
             self.look_up_function(f"ipm_arg_set_{name}")(ctypes.byref(number(value)), self.arg)
 
     def _create_structure(self, kind: str, *parts: Any) -> Any:
-        """Allocate and create one HPIPM structure of a kind."""
+        """Allocate and create one C structure of HPIPM of a kind, such as a solution."""
         library, prefix = self._library, f"{self._kind}{kind}"
         sizes = [getattr(library, f"{prefix}_{name}") for name in ("strsize", "memsize")]
         for function in sizes:

@@ -114,7 +114,7 @@ def test_sequences_weigh_the_same_in_a_ratio(records: Any) -> None:
             records.replay(solver, sequence, steps=steps, median_us=10.0 * factor, **EXACT)
     found = _compared(records)
     assert (found.ratio.value, found.steps) == (pytest.approx(4.0), 1500)
-    assert (found.ratio.low, found.ratio.high, found.unstable) == (0.0, math.inf, False)
+    assert (found.ratio.low, found.ratio.high, found.is_unstable) == (0.0, math.inf, False)
 
 
 def test_a_ratio_that_turns_with_the_sequence_names_both_leaders(records: Any) -> None:
@@ -124,7 +124,7 @@ def test_a_ratio_that_turns_with_the_sequence_names_both_leaders(records: Any) -
     found = _compared(records)
     assert found.leaders["median on `paper`"] == "other (qpsolvers fresh)"
     assert found.leaders["median on `calm`"] == "base (qpsolvers fresh)"
-    assert found.unstable
+    assert found.is_unstable
 
 
 def test_only_common_steps_are_compared(records: Any) -> None:

@@ -279,14 +279,14 @@ def test_a_clear_lead_is_called_so(records: Any) -> None:
     """
     found = _duel(records, 40.0)
     assert found.ratio.value == pytest.approx(2.0, rel=0.02)
-    assert not found.tied
+    assert not found.is_tied
     said = r"[\d.]+ times as long over the same steps \(geometric mean, [\d.]+ to [\d.]+\)"
     assert re.fullmatch(said, paired_text(found))
 
 
 def test_a_tie_is_called_a_tie(records: Any) -> None:
     found = _duel(records, 20.0)
-    assert found.tied
+    assert found.is_tied
     assert "cannot be told apart" in paired_text(found)
 
 

@@ -73,7 +73,7 @@ def test_bounds_of_the_inverse_hold(seed: int) -> None:
     qp = _random(5, 3, seed, condition=1e7)
     signs = np.array([1, -1, 0, 0, 0, 1, 0, 0], dtype=np.int8)
     system = KKTSystem(qp.P, np.vstack((qp.A, np.eye(5))), signs)
-    assert system.proven
+    assert system.is_proven
     inverse = system.inverse_bounds()
     for j in range(8):
         pairs = zip(solve_exactly(system.K, np.eye(8)[j]), inverse[:, j].tolist(), strict=True)
@@ -186,7 +186,7 @@ def test_linear_certificate(q: tuple[float, float]) -> None:
     problem = _problem(q)
     for signs in ACTIVE_SETS:
         system = KKTSystem(problem.P, problem.C, signs)
-        if system.proven:
+        if system.is_proven:
             proof = linear_certificate(problem, Geometry(problem.C), system)
             assert proof is None or np.abs(proof.z - CASES[q]).max() <= proof.bound <= 1e-12
 

@@ -92,7 +92,7 @@ def test_enclosure_holds_the_exact_solution(
     P, C = 0.5 * (P + P.T), np.vstack((rng.normal(size=(m, n)), np.eye(n)))
     signs = rng.integers(-1, 2, n + m).astype(np.int8)
     system = KKTSystem(P, C, signs)
-    if not system.proven:
+    if not system.is_proven:
         return
     q, L, U = rng.normal(size=n), -rng.random(n + m), rng.random(n + m)
     bound, x, error, y = _certified(JointQP(P, q, C, L, U), system)

@@ -206,7 +206,7 @@ def test_every_active_set(q: tuple[float, float], rank: int) -> None:
     bounds = []
     for rest in product((-1, 0, 1), repeat=2):
         system = KKTSystem(P, C, np.array([1, *rest], dtype=np.int8))
-        if not system.proven:
+        if not system.is_proven:
             continue
         inward = np.array([0.0] + [1.0] * (len(system.rows) - 1))
         exact = ExactMatrices.of(P, C)

@@ -92,8 +92,8 @@ def test_bounds_enclose_the_least_violation(violation: float, plant: Any, scale:
     assert found.lower >= 0.999 * float(exact)
     if found.upper < INF:
         assert exact <= Fraction(found.upper)
-    assert found.undecided is (exact <= Fraction(found.rounding))
-    assert optimum.kind == ("undecided" if found.undecided else "infeasible")
+    assert found.is_undecided is (exact <= Fraction(found.rounding))
+    assert optimum.kind == ("undecided" if found.is_undecided else "infeasible")
 
 
 def _cycle(seed: int, n: int, m: int, share: float) -> QuadraticProgram:
@@ -166,7 +166,7 @@ U = 2.0**-53
     ],
 )
 def test_a_violation_is_undecided_up_to_the_bound(n: int, units: int, undecided: bool) -> None:
-    assert bound_least_violation(_opposed(units * U, 1.0, n)).undecided is undecided
+    assert bound_least_violation(_opposed(units * U, 1.0, n)).is_undecided is undecided
 
 
 @pytest.mark.parametrize(("n", "roundings"), [(1, 3), (3, 5)])

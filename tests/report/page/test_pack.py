@@ -131,9 +131,9 @@ def test_some_elements_of_a_long_array_stand_in_their_places(places: set[int]) -
     length = rising[-1] + 3
     if max(np.diff(rising, prepend=0)) > 65535:
         with pytest.raises(ValueError, match="apart"):
-            block.add_place(rising, length)
+            block.add_indices(rising, length)
         return
-    at = block.add_place(rising, length)
+    at = block.add_indices(rising, length)
     numbers = block.add_count(range(len(rising)), at), block.add_flag([7] * len(rising), at)
     counts, flags = (unpacked(block.text({}))[1][number] for number in numbers)
     assert len(counts) == len(flags) == length

@@ -54,7 +54,7 @@ class LeastViolation:
     rounding: float
 
     @property
-    def undecided(self) -> bool:
+    def is_undecided(self) -> bool:
         """Return whether the violation is within rounding, so that feasibility is undecided."""
         return self.upper <= self.rounding
 
