@@ -21,6 +21,7 @@ from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.table import csv_bytes, markdown_text
+from dpbench.report.topics.study import build_effects_table
 from dpbench.report.words import read_words, render_document
 
 LEGEND = "README.md"
@@ -47,6 +48,7 @@ def build_tables(
         "hard_steps": hard_step_table(data, data.thinned_runs),
         "ladder": ladder.rename(columns={n: f"{n.removesuffix('_ms')}_us" for n in times}),
         "paired_ratios": ratio_table(data),
+        "study_effects": build_effects_table(data.studies),
     }
     for topic in topics:
         for i, small in enumerate(topic.tables):

@@ -215,6 +215,9 @@ class Study:
                 "held": run.outcome == "finished" and run.r_tail_max_m <= radius_m,
                 "r_95_m": run.r_95_m,
                 "r_tail_max_m": run.r_tail_max_m,
+                "true_share": run.true_share,
+                "raw_p50_ns": run.raw_p50_ns,
+                "raw_p99_ns": run.raw_p99_ns,
                 "cost": run.closed_loop_cost,
                 "over_exact": run.closed_loop_cost / run.exact_cost - 1.0,
                 "baseline_law": run.is_baseline_law,
@@ -223,7 +226,7 @@ class Study:
         ]
         self.runs = pd.DataFrame(rows)
         """A row a run: run_id, configuration, point, replicate, whether it ended and held, its
-        errors."""
+        errors and step times."""
         points = {int(run.study_point): dict(run.x) for run in runs}
         self.points = pd.DataFrame.from_dict(points, orient="index").sort_index()
         """The values of the keys (columns) at each point (index)."""
@@ -237,6 +240,12 @@ class Study:
     def realisations(self) -> int:
         """Number of independent samples: sea realisations, or points if each is run once."""
         return self.replicates if self.replicates > 1 else len(self.points)
+
+    @property
+    def step_time(self) -> str:
+        """Column of the step time: the p99 where every run that solves QPs to its end has one."""
+        solved = self.runs[self.runs["finished"] & ~self.runs["baseline_law"]]
+        return "raw_p99_ns" if solved["raw_p99_ns"].notna().all() else "raw_p50_ns"
 
     @cached_property
     def reference(self) -> str:

@@ -1,5 +1,6 @@
 """A study: what is held where, and how far configurations are behind in the same seas."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import altair as alt
@@ -82,6 +83,37 @@ def draw_excess_errors(table: pd.DataFrame, seas: pd.DataFrame, title: str, smal
         means.encode(y=rows, tooltip=["name:N", *_MEAN_TIPS]),
     )
     return style.set_style(alt.layer(*parts, width=290, height=alt.Step(20)), title, title)
+
+
+def draw_effects(table: pd.DataFrame, title: str, names: Sequence[str]) -> Any:
+    """Draw the effect of each factor on each measure as points with intervals, about zero.
+
+    table : columns measure, effect, configuration, value, low, high; names : configurations.
+    """
+    rows = alt.Y("effect:N", title=None, sort=None, axis=alt.Axis(labelLimit=260, grid=True))
+    hues = style.PALETTE[: len(names)]
+    base = alt.Chart(table).encode(
+        y=rows,
+        yOffset=alt.YOffset("configuration:N", sort=list(names)),
+        color=style.colour("configuration", names, hues, columns=1, labelLimit=320),
+        tooltip=[
+            *("configuration:N", "effect:N", style.tooltip("value:Q", "change")),
+            *(style.tooltip("low:Q", "from"), style.tooltip("high:Q", "to")),
+        ],
+    )
+    zero = alt.Chart(table).mark_rule(color=style.SOFT, strokeDash=[4, 3])
+    parts = (
+        zero.encode(x=alt.datum(0)),
+        base.mark_rule(strokeWidth=2.5).encode(x=alt.X("low:Q", title="change"), x2="high:Q"),
+        base.mark_point(filled=True, size=45, opacity=1).encode(x="value:Q"),
+    )
+    step: Any = {"step": max(16, 9 * len(names)), "for": "position"}
+    chart = alt.layer(*parts, width=290, height=step)
+    above = alt.Header(labelOrient="top", labelAngle=0, labelAnchor="start", labelFontSize=12)
+    each = alt.Row(
+        "measure:N", title=None, sort=list(dict.fromkeys(table["measure"])), header=above
+    )
+    return style.set_style(chart.facet(row=each).resolve_scale(x="independent"), title, title)
 
 
 _MEAN_TIPS = (

@@ -9,6 +9,7 @@ from dpbench.analysis.suites import study_pictures
 from dpbench.analysis.suites.study import find_studies
 from dpbench.report.charts.render import compile_vega
 from dpbench.report.topics import study as topic
+from dpbench.report.topics.study import build_effects_table
 
 WIND, EAST = "environment.wind.speed_mps", "start.east_m"
 
@@ -43,6 +44,12 @@ def _drawn(figure: Any, column: str) -> list[float]:
     return [row[column] for data in sets for row in data.get("values", []) if column in row]
 
 
+def compile_rows(figure: Any) -> list[dict[str, Any]]:
+    """The rows in the data of a figure that name a configuration."""
+    sets = compile_vega(figure.chart)["data"]
+    return [row for data in sets for row in data.get("values", []) if "configuration" in row]
+
+
 def test_a_small_study_is_drawn_whole(records: Any) -> None:
     found = _fill(records, points=5, seas=4)
     held, behind = found.figures
@@ -55,7 +62,7 @@ def test_of_a_large_study_some_seas_are_drawn(records: Any, monkeypatch: Any) ->
     monkeypatch.setattr(study_pictures, "MOST_POINTS", 20)
     monkeypatch.setattr(study_pictures, "FIELDS", 3)
     found = _fill(records, points=60, seas=2)
-    held, behind = found.figures
+    held, _, behind = found.figures
     assert "in 3 × 3 fields" in held.caption and "9 of 120 at even ranks" in behind.caption
     assert len(_drawn(held, "held")) <= 2 * 9 and sum(_drawn(held, "runs")) == 2 * 120
     dots = _drawn(behind, "error_excess_cm")
@@ -78,5 +85,19 @@ def test_what_was_lost_is_a_condition(records: Any) -> None:
 
 def test_a_mean_without_an_interval_has_no_ends(records: Any) -> None:
     found = _fill(records, points=1, seas=2)
-    assert _drawn(found.figures[1], "low_cm") in ([], [None])
+    assert _drawn(found.figures[-1], "low_cm") in ([], [None])
     assert "(no interval)" in found.tables[0].rows[1][4]
+
+
+def test_each_factor_has_a_slope_in_table_figure_and_file(records: Any) -> None:
+    """Of 20 points drawn from ranges; the error of one solver is the same at all of them."""
+    found = _fill(records, points=20, seas=6)
+    table, figure = found.tables[2], found.figures[1]
+    rows = {(row[0], row[2]): row for row in table.rows}
+    assert set(rows) == {(key, solver) for key in (WIND, EAST) for solver in ("daqp", "osqp")}
+    assert rows[WIND, "daqp"][4] == "0 in every realisation"
+    assert rows[WIND, "osqp"][1].endswith(", slope") and "[" in rows[WIND, "osqp"][4]
+    assert {row["configuration"] for row in compile_rows(figure)} == {"daqp", "osqp"}
+    whole = build_effects_table(find_studies(records.view()))
+    assert len(whole) == 2 * 2 * 4 and (whole["low"] < whole["high"]).all()
+    assert set(whole["measure"]) >= {"median step time", "95 % radial error"}

@@ -1,0 +1,226 @@
+"""Effects of a study's factors: what a horizon, a sea or an offset changes, with an interval.
+
+A factor with a few values is compared level by level: runs that differ in nothing else, in the same
+realisation, are paired, so the interval is that of `paired_difference`. A factor drawn from a range
+(a Sobol sequence has no two points that differ in one key) gets the least-squares slope over all
+points, one of each realisation; of points that are run once, with the error HC3 (MacKinnon & White
+1985, J. Econometrics 29, 305-325).
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import pandas as pd
+from pandas.api.types import is_numeric_dtype
+
+from dpbench.analysis.statistics import MeanEstimate
+from dpbench.analysis.suites.study import (
+    LEAST_PAIRS,
+    NOTHING,
+    PairedDifference,
+    Study,
+    mean_over_points,
+    paired_difference,
+)
+from dpbench.arrays import Floats
+
+MOST_LEVELS = 8
+"""A number with more values counts as drawn from a range."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One result of a run whose change a factor is judged by.
+
+    unit : of the change; convert : from the mean difference to that unit.
+    """
+
+    name: str
+    unit: str
+    convert: Callable[[float], float]
+
+
+STEP_TIME = Measure("step time", "%", lambda change: 100.0 * math.expm1(change))
+ERROR = Measure("95 % radial error", "cm", lambda change: 100.0 * change)
+OUTSIDE = Measure("runs outside the radius", "percentage points", lambda change: 100.0 * change)
+UNTRUE = Measure("inaccurate steps", "percentage points", lambda change: 100.0 * change)
+MEASURES = (STEP_TIME, ERROR, OUTSIDE, UNTRUE)
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Change of one measure of a configuration from one value of a factor to another.
+
+    factor : its keys; those of a `zip` change together. levels : the two values, or the range.
+    """
+
+    configuration: str
+    factor: str
+    levels: str
+    measure: Measure
+    difference: PairedDifference
+
+
+@lru_cache(maxsize=4)
+def study_effects(study: Study) -> tuple[Effect, ...]:
+    """Return the effect of every factor on every measure, configuration by configuration.
+
+    A factor that no two comparable runs vary in has none.
+    """
+    factors = _find_factors(study.points)
+    pairings = {factor: _pair_levels(study.points, factor) for factor in factors}
+    ranged = [factor for factor in factors if not pairings[factor] and _is_number(study, factor)]
+    effects: list[Effect] = []
+    for configuration in study.configurations:
+        for measure, values in _measure_values(study, configuration.name).items():
+            found = {
+                factor: [(change, _level_effect(values, *at)) for change, *at in pairings[factor]]
+                for factor in factors
+            } | _range_effects(study.points, values, ranged)
+            effects += [
+                Effect(configuration.name, ", ".join(factor), change, measure, difference)
+                for factor in factors
+                for change, difference in found[factor]
+                if difference.pairs
+            ]
+    return tuple(effects)
+
+
+def _find_factors(points: pd.DataFrame) -> list[tuple[str, ...]]:
+    """Return the keys that vary, those together that change together."""
+    groups: dict[tuple[object, ...], list[str]] = {}
+    for key, values in points.items():
+        codes, levels = pd.factorize(values)
+        if len(levels) < 2:
+            continue
+        together: tuple[object, ...] = tuple(codes.tolist())
+        distinct = len(levels) == len(values) or len(levels) > MOST_LEVELS
+        if distinct and is_numeric_dtype(values):
+            # All draws differ; keys change together where one orders the points as the other.
+            order = np.argsort(values.to_numpy(), kind="stable").tolist()
+            together = ("range", *min(order, order[::-1]))
+        groups.setdefault(together, []).append(str(key))
+    return [tuple(keys) for keys in groups.values()]
+
+
+def _is_number(study: Study, factor: tuple[str, ...]) -> bool:
+    """Return whether the values of a factor are numbers."""
+    return is_numeric_dtype(study.points[factor[0]])
+
+
+def _pair_levels(
+    points: pd.DataFrame, factor: tuple[str, ...]
+) -> list[tuple[str, pd.Series, pd.Series]]:
+    """Return each change from the first level of a factor, with the points on either side.
+
+    A side maps its points to their groups, of points that differ in nothing else.
+    """
+    first, others = points[factor[0]], points.drop(columns=list(factor))
+    levels = list(first.unique())
+    if is_numeric_dtype(first):
+        levels.sort()
+        if len(levels) > MOST_LEVELS:
+            return []
+    names = [repr(row) for row in others.to_numpy(dtype=object).tolist()]
+    group = pd.Series(names, index=points.index)
+    least = group[first == levels[0]]
+    pairs = [(level, group[first == level]) for level in levels[1:]]
+    return [
+        (f"{_value_text(levels[0])} → {_value_text(level)}", least, other)
+        for level, other in pairs
+        if other.isin(least).any()
+    ]
+
+
+def _value_text(value: object) -> str:
+    """Format a level of a factor."""
+    return f"{value:g}" if isinstance(value, int | float) else str(value)
+
+
+def _measure_values(study: Study, configuration: str) -> Mapping[Measure, pd.Series]:
+    """Return what each measure has of a configuration's runs, by point and realisation."""
+    runs = study.runs[study.runs["configuration"] == configuration]
+    runs = runs.set_index(["point", "replicate"])
+    finished = runs[runs["finished"]]
+    return {
+        STEP_TIME: np.log(finished[study.step_time].where(finished[study.step_time] > 0)).dropna(),
+        ERROR: finished["r_95_m"],
+        OUTSIDE: 1.0 - runs["held"].astype(np.float64),
+        UNTRUE: (1.0 - finished["true_share"]).dropna(),
+    }
+
+
+def _level_effect(values: pd.Series, least: pd.Series, other: pd.Series) -> PairedDifference:
+    """Return the mean change from one level to another over pairs in the same realisation."""
+    return paired_difference(_of_side(values, other), _of_side(values, least))
+
+
+def _of_side(values: pd.Series, side: pd.Series) -> pd.Series:
+    """Return the values of one side by group and realisation; the mean of points drawn twice."""
+    points = values.index.get_level_values("point")
+    chosen = values[points.isin(side.index)]
+    group = chosen.index.get_level_values("point").map(side.to_dict())
+    return chosen.groupby([group, chosen.index.get_level_values("replicate")]).mean()
+
+
+def _range_effects(
+    points: pd.DataFrame, values: pd.Series, ranged: list[tuple[str, ...]]
+) -> dict[tuple[str, ...], list[tuple[str, PairedDifference]]]:
+    """Return the least-squares change over the range of each factor that is drawn from one."""
+    if not ranged or values.empty:
+        return {factor: [] for factor in ranged}
+    keys = points[[factor[0] for factor in ranged]].astype(np.float64)
+    low, high = keys.min(), keys.max()
+    table = values.unstack()
+    shares = ((keys - low) / (high - low)).loc[table.index].to_numpy()
+    across = np.column_stack([np.ones(len(shares)), shares])
+    results = table.to_numpy(dtype=np.float64)
+    fits = list(_fit_slopes(across, results))
+    same = bool(np.nanmax(results) - np.nanmin(results) <= NOTHING)
+    found = {}
+    for i, factor in enumerate(ranged):
+        change = f"{low.iloc[i]:.3g} → {high.iloc[i]:.3g}, slope"
+        slope = _combine_slopes(fits, i + 1)
+        count = sum(fit.points for fit in fits)
+        found[factor] = [
+            (change, PairedDifference(slope, count, len(table), math.nan, is_constant=same))
+        ]
+    return found
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Least-squares fit of one realisation: intercept and slopes, their errors, its points."""
+
+    slopes: Floats
+    errors: Floats
+    points: int
+
+
+def _fit_slopes(across: Floats, results: Floats) -> Iterator[_Fit]:
+    """Fit each realisation (column) that has enough points."""
+    for column in results.T:
+        known = np.isfinite(column)
+        x, y = across[known], column[known]
+        terms = x.shape[1]
+        if len(y) < terms + LEAST_PAIRS or np.linalg.matrix_rank(x) < terms:
+            continue
+        inverse = np.linalg.pinv(x)
+        slopes = inverse @ y
+        leverage = np.einsum("ij,ji->i", x, inverse)
+        away = (y - x @ slopes) / np.maximum(1.0 - leverage, NOTHING)
+        yield _Fit(slopes, np.sqrt(inverse**2 @ away**2), len(y))
+
+
+def _combine_slopes(fits: list[_Fit], term: int) -> MeanEstimate:
+    """Estimate the mean slope from those of realisations, or from the points of a single one."""
+    if not fits:
+        return MeanEstimate(math.nan)
+    if len(fits) > 1:
+        return mean_over_points(np.array([[float(fit.slopes[term]) for fit in fits]]))
+    (fit,) = fits
+    error = max(float(fit.errors[term]), NOTHING)
+    return MeanEstimate(float(fit.slopes[term]), error, float(fit.points - len(fit.slopes)))

@@ -1,0 +1,144 @@
+"""Effects of the factors of a study, against textbook tests and effects that were planted."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from dpbench.analysis.suites.study import Study
+from dpbench.analysis.suites.study_effects import (
+    ERROR,
+    OUTSIDE,
+    STEP_TIME,
+    UNTRUE,
+    Effect,
+    Measure,
+    study_effects,
+)
+
+HORIZON, EAST, WIND = "controller.prediction_horizon", "start.east_m", "environment.wind.speed_mps"
+HEIGHT, PERIOD = "environment.waves.hs_m", "environment.waves.tp_s"
+
+
+def _study(points: list[dict[str, Any]], results: Any, seas: int = 8, **columns: Any) -> Study:
+    """A study of one solver with a given error [m] of each point (row) and sea (column)."""
+    usual = {
+        "name": "daqp",
+        "solver": "daqp",
+        "settings": "default",
+        "outcome": "finished",
+        "r_tail_max_m": 0.5,
+        "true_share": 1.0,
+        "raw_p50_ns": 2e4,
+        "raw_p99_ns": np.nan,
+        "closed_loop_cost": 2.0,
+        "exact_cost": 1.0,
+        "is_baseline_law": False,
+    }
+    runs = [
+        SimpleNamespace(
+            **(usual | columns),
+            run_id=f"{p} {r}",
+            study_point=float(p),
+            replicate=float(r + 1),
+            x=x,
+            r_95_m=float(results[p, r]),
+        )
+        for p, x in enumerate(points)
+        for r in range(seas)
+    ]
+    return Study("sea", cast(Any, runs), 1.0)
+
+
+def _effects(study: Study, measure: Measure = ERROR) -> dict[tuple[str, str], Effect]:
+    return {(e.factor, e.levels): e for e in study_effects(study) if e.measure == measure}
+
+
+def test_the_effect_of_two_levels_is_the_paired_t_test() -> None:
+    """Two horizons at two offsets in eight seas: means over the offsets, paired sea by sea."""
+    points = [{HORIZON: n, EAST: east} for east in (0.0, 3.0) for n in (60, 20)]
+    rng = np.random.default_rng(3)
+    errors = rng.normal(size=(4, 8)) + 10.0 * rng.normal(size=8)
+    effects = _effects(_study(points, errors))
+    assert set(effects) == {(HORIZON, "20 → 60"), (EAST, "0 → 3")}
+    found = effects[HORIZON, "20 → 60"].difference
+    expected = stats.ttest_rel(errors[[0, 2]].mean(axis=0), errors[[1, 3]].mean(axis=0))
+    assert found.estimate.value / found.estimate.error == pytest.approx(expected.statistic)
+    assert (found.pairs, found.points, found.estimate.df) == (16, 2, pytest.approx(7.0))
+
+
+def test_keys_that_change_together_are_one_factor() -> None:
+    seas = [(1.0, 6.0), (2.1, 7.5), (3.5, 9.0)]
+    points = [{HEIGHT: h, PERIOD: t, EAST: e} for e in (0.0, 3.0) for h, t in seas]
+    effects = _effects(_study(points, np.random.default_rng(1).normal(size=(6, 8))))
+    both = f"{HEIGHT}, {PERIOD}"
+    assert set(effects) == {(both, "1 → 2.1"), (both, "1 → 3.5"), (EAST, "0 → 3")}
+
+
+def test_a_design_has_slopes_that_are_found_again() -> None:
+    """Errors of 2 m over the range of the wind and -1 m over that of the offset, and seas."""
+    rng = np.random.default_rng(5)
+    wind, east = rng.uniform(5.0, 18.0, 20), rng.uniform(0.0, 3.0, 20)
+    points = [{WIND: float(w), EAST: float(e)} for w, e in zip(wind, east, strict=True)]
+    share_w, share_e = ((x - x.min()) / np.ptp(x) for x in (wind, east))
+    truth = 2.0 * share_w - share_e
+    noise = 0.1 * rng.normal(size=(20, 8)) + 5.0 * rng.normal(size=8)
+    found = list(_effects(_study(points, truth[:, None] + noise)).values())
+    assert [effect.factor for effect in found] == [WIND, EAST]
+    for effect, expected in zip(found, (2.0, -1.0), strict=True):
+        assert effect.levels.endswith(", slope") and effect.difference.pairs == 160
+        assert effect.difference.mean.spans(expected)
+        assert effect.difference.estimate.value == pytest.approx(expected, abs=0.1)
+
+
+def test_points_that_are_run_once_are_the_sample_of_a_slope() -> None:
+    """Of one key, the interval comes near that of the textbook's regression."""
+    rng = np.random.default_rng(6)
+    x = rng.uniform(size=60)
+    errors = 3.0 * x + 0.2 * rng.normal(size=60)
+    study = _study([{WIND: float(value)} for value in x], errors[:, None], seas=1)
+    (effect,) = _effects(study).values()
+    line = stats.linregress((x - x.min()) / np.ptp(x), errors)
+    estimate = effect.difference.estimate
+    assert estimate.value == pytest.approx(line.slope)
+    assert estimate.error == pytest.approx(line.stderr, rel=0.2)
+    assert estimate.df == 58.0
+
+
+def test_intervals_of_slopes_hold_the_truth() -> None:
+    """Of 200 slopes whose size varies from sea to sea, 90 % or more of the intervals hold."""
+    rng, inside = np.random.default_rng(8), 0
+    x = np.linspace(0.0, 1.0, 12)
+    points = [{WIND: float(value)} for value in x]
+    for _ in range(200):
+        errors = x[:, None] * (1.0 + rng.normal(size=8)) + 0.1 * rng.normal(size=(12, 8))
+        (effect,) = _effects(_study(points, errors)).values()
+        inside += effect.difference.mean.spans(1.0)
+    assert inside >= 180
+
+
+def test_few_realisations_give_no_interval() -> None:
+    points = [{HORIZON: 20}, {HORIZON: 60}]
+    study = _study(points, np.random.default_rng(2).normal(size=(2, 5)), seas=5)
+    assert np.isinf(_effects(study)[HORIZON, "20 → 60"].difference.mean.low)
+
+
+def test_a_design_of_few_points_has_no_slope() -> None:
+    points = [{WIND: float(w), EAST: float((2 * w) % 5)} for w in range(5)]
+    assert _effects(_study(points, np.ones((5, 8)))) == {}
+
+
+def test_other_measures_are_of_all_runs() -> None:
+    """At the long horizon steps take twice the time, a quarter is untrue, and no run is held."""
+    study = _study([{HORIZON: 20}, {HORIZON: 60}], np.ones((2, 8)), raw_p99_ns=3e4)
+    long = study.runs["point"] == 1
+    study.runs.loc[long, "raw_p99_ns"] *= 2.0
+    study.runs.loc[long, "true_share"] = 0.75
+    study.runs.loc[long, "held"] = False
+    expected = {STEP_TIME: 100.0, OUTSIDE: 100.0, UNTRUE: 25.0}
+    for measure, change in expected.items():
+        (effect,) = _effects(study, measure).values()
+        assert measure.convert(effect.difference.mean.value) == pytest.approx(change)
+    assert study.step_time == "raw_p99_ns"
