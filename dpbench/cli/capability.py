@@ -26,6 +26,7 @@ from dpbench.bench.sequences.capability_boundary import write_capability_suite
 from dpbench.cli.terminal import WIDTH, ProgressBar
 from dpbench.errors import InputError
 from dpbench.report.formats import time_text
+from dpbench.scenario.own_ship import DP_NUMBERS
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.vessel import Vessel
 from dpbench.solvers.table import check_available
@@ -60,7 +61,7 @@ def capability_text(arguments: argparse.Namespace) -> str:
     if arguments.json:
         report = make_json_report(capability, vessel, answers)
         return json.dumps(report, ensure_ascii=False, indent=2)
-    lines = table_lines(capability, vessel)
+    lines = [*table_lines(capability, vessel), *_closed_loop_lines(capability, arguments.vessel)]
     if answers:
         lines += ["", *answer_lines(answers), "", f"judged in {out / 'run'}"]
     return "\n".join(lines)
@@ -140,6 +141,26 @@ def _notation_lines(capability: Capability) -> list[str]:
             f"Assumed, as the vessel's file leaves it out: {', '.join(capability.assumed)}."
         )
     return [part for line in lines for part in textwrap.wrap(line, WIDTH)]
+
+
+def _closed_loop_lines(capability: Capability, vessel: str) -> list[str]:
+    """Name what a static balance does not show, and the commands of a closed loop that does."""
+    about = (
+        "This is a static balance of means. A closed loop can still leave its station, in gusts, "
+        "waves or after a loss. To try one:"
+    )
+    path = Path(vessel)
+    if path.suffix != ".toml":
+        commands = [f"dpbench run smoke --scenario thrusters@{vessel}"]
+    else:
+        number = min(max(capability.numbers[0], min(DP_NUMBERS)), max(DP_NUMBERS))
+        folder = "" if path.parent == Path() else f" --out {path.parent}"
+        suite = path.with_name(f"{path.stem}_sea{number}_suite.toml")
+        commands = [
+            f"dpbench init {path.stem} --sea {number}{folder}",
+            f"dpbench run {suite}",
+        ]
+    return ["", *textwrap.wrap(about, WIDTH), *(f"  {command}" for command in commands)]
 
 
 def answer_lines(answers: Sequence[Answers]) -> list[str]:

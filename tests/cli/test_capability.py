@@ -36,6 +36,24 @@ def test_the_table_fits_a_terminal_and_names_what_is_assumed(say: Say) -> None:
     assert "32.6+ 11" in rows[0]
 
 
+def test_it_names_the_closed_loop_that_a_static_balance_does_not_replace(say: Say) -> None:
+    """The sea is the largest that is held near the bow, of those that `init` knows."""
+    assert say("capability", "osv").splitlines()[-2:] == [
+        "gusts, waves or after a loss. To try one:",
+        "  dpbench run smoke --scenario thrusters@osv",
+    ]
+    Path("here").mkdir()
+    Path("here/mine.toml").write_text(problem_path("vessels", "osv").read_text("utf-8"), "utf-8")
+    text = say("capability", "here/mine.toml")
+    number = min(9, int(text.split("capability-L1(")[1].split(",")[0]))
+    assert text.splitlines()[-2:] == [
+        f"  dpbench init mine --sea {number} --out here",
+        f"  dpbench run here/mine_sea{number}_suite.toml",
+    ]
+    say("init", "mine", "--sea", str(number), "--out", "here")
+    assert Path(f"here/mine_sea{number}_suite.toml").is_file()
+
+
 def test_json_and_a_figure_say_the_same_as_the_table(say: Say) -> None:
     document = json.loads(say("capability", "osv", "--json", "--figure", "rose.svg"))
     assert [case["name"] for case in document["cases"]] == ["intact", "board A", "board B"]
