@@ -181,7 +181,7 @@ def _add_compare_arguments(compare: Command) -> None:
 
 def _add_export_arguments(export: Command) -> None:
     """Add the arguments of `dpbench export`."""
-    problems = "a scenario, a sequence (by name or .npz) or a folder of problems"
+    problems = "a scenario, a sequence (name, .npz, random_mpc-NX-NU-N) or a folder of problems"
     export.add_argument("what", nargs="?", help=problems)
     export.add_argument("--all", action="store_true", help="instead: all stored sequences anew")
     export.add_argument(
@@ -290,7 +290,10 @@ def _add_embedded_arguments(embedded: Command) -> None:
         "QPs, and count instructions, memory and errors of each step (extra: embedded)."
     )
     embedded.add_argument(
-        "sequences", metavar="SEQUENCE", nargs="*", help="a stored sequence or a .npz (paper-30-5)"
+        "sequences",
+        metavar="SEQUENCE",
+        nargs="*",
+        help="a stored sequence, a .npz, or random_mpc-NX-NU-N (paper-30-5)",
     )
     option = partial(_add_option, embedded)
     repeated = partial(option, action="append", default=[])

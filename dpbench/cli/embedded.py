@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from dpbench.bench.sequences.recording import read_sequence, thin_sequence
+from dpbench.bench.sequences.recording import load_named_sequence, thin_sequence
 from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.cli.embedded_fit import print_fits, read_kilobytes
 from dpbench.cli.terminal import make_console, make_report_table, print_wrapped
@@ -19,7 +19,6 @@ from dpbench.embedded.toolchain import compiler_version, require_extra
 from dpbench.errors import DpbenchError, InputError
 from dpbench.report.formats import count_text, error_text
 from dpbench.report.table import Table
-from dpbench.scenario.problem_files import sequence_path
 
 REMARK = (
     "Instructions compare solvers under one compiler and its flags. They are no times: they hold "
@@ -76,7 +75,7 @@ def _count(recipe: Recipe, recorded: Recorded, target: Target, **options: Any) -
 
 def _read(name: str, steps: int) -> Recorded:
     """Return a sequence by name or file, its first `steps` QPs with certified optima."""
-    recorded = read_sequence(sequence_path(name))
+    recorded = load_named_sequence(name)
     if not steps or steps >= len(recorded.sequence):
         return recorded
     optima = None if recorded.optima is None else recorded.optima[:steps]

@@ -106,3 +106,16 @@ def test_bad_input(
     assert main(["embedded", "--recipe", str(recipe), *words]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert message in line
+
+
+def test_a_random_mpc_problem_by_its_name(
+    recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = ["--recipe", str(recipe), "--solver", "zero", "--solver", "hildreth", "--steps", "2"]
+    out = ["--out", str(tmp_path / "out"), "--json"]
+    assert main(["embedded", "random_mpc-3-2-4", *own, *out]) == 0
+    zero, hildreth = json.loads(capsys.readouterr().out)["runs"]
+    assert hildreth["sequence"] == "random_mpc-3-2-4-s123[:2:1]"
+    assert hildreth["error_move"] < 1e-6 < zero["error_move"]
+    assert main(["embedded", "random_mpc-3-2", *own]) == 2
+    assert "random_mpc-STATES-INPUTS-HORIZON" in capsys.readouterr().err

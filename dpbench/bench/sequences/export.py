@@ -11,8 +11,9 @@ from dpbench.bench.sequences.qpbenchmark_files import list_steps_with_optimum, s
 from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.bench.sequences.text_files import save_csv, save_mat, save_qps
 from dpbench.errors import InputError, SituationError
+from dpbench.qp.random_mpc import is_random_mpc
 from dpbench.qp.referee.referee import certify_sequence
-from dpbench.scenario.problem_files import is_stored, problem_names, sequence_path
+from dpbench.scenario.problem_files import is_stored, problem_names
 from dpbench.scenario.scenario import load_scenario
 from dpbench.scenario.tables.key_types import Horizons, parse_horizons
 
@@ -35,8 +36,8 @@ def export(
 ) -> str:
     """Write the certified QPs of a scenario or a sequence to a file; return a line on it.
 
-    what : a scenario by name or TOML path, a sequence by name or `.npz`, or a folder of qpsolvers
-        problems.
+    what : a scenario by name or TOML path, a sequence by name or `.npz`, a folder of qpsolvers
+        problems, or a random MPC problem such as random_mpc-10-4-10 (states, inputs, horizon).
     out : the `.npz` or `.mat` file; for "qpbenchmark" the name of the Parquet file and the Python
         file; for "csv" and "qps" a folder.
     horizons : "N_p/N_c" instead of those of the tuning; of a scenario only.
@@ -92,7 +93,7 @@ def _record_requested(
 ) -> Recorded:
     """Load a stored sequence or record one from a scenario, cut to the steps asked for."""
     path = Path(what)
-    is_file = path.suffix == ".npz" or path.is_dir() or is_stored(what)
+    is_file = path.suffix == ".npz" or path.is_dir() or is_stored(what) or is_random_mpc(what)
     if str(what) in problem_names("scenarios") or not is_file:
         scenario = load_scenario(what)
         record = partial(recording.record_scenario, horizons=horizons, part=part)
@@ -107,7 +108,7 @@ def _record_requested(
     if horizons is not None:
         found = f"{horizons[0]}/{horizons[1]} for a recorded sequence"
         raise InputError("--horizons", "", found, "a scenario: a sequence has the horizons it has")
-    stored = recording.read_sequence(sequence_path(what))
+    stored = recording.load_named_sequence(what)
     if at is not None:
         return _record_step(stored, at)
     sequence = recording.thin_sequence(stored.sequence, steps, every)

@@ -18,8 +18,10 @@ from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
 from dpbench.errors import InputError
 from dpbench.files.opening import open_regular_file
 from dpbench.qp.program import CONSTANT, QPSequence
+from dpbench.qp.random_mpc import RandomMPC, generate_random_mpc, is_random_mpc
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.referee import certify_sequence
+from dpbench.scenario.problem_files import sequence_path
 from dpbench.scenario.scenario import Scenario, build_scenario
 
 WHAT = "a sequence by `dpbench export` (.npz), or a problem (.npz) or folder of them by qpsolvers"
@@ -108,6 +110,16 @@ def describe_sequence(sequence: QPSequence, optima: Sequence[Optimum]) -> str:
     worst = f"; largest bound {max(bounds):.1e}" if bounds else ""
     n, m = sequence.base.n, sequence.base.m
     return f"{len(sequence)} QPs, n = {n}, m = {m}; certificates: {proofs}{worst}"
+
+
+def load_named_sequence(name: str | Path) -> Recorded:
+    """Return the QPs of a random MPC problem by its name, or of a stored sequence or a file.
+
+    Only the former are sure to have optima. UnknownNameError or InputError for a name of nothing.
+    """
+    if is_random_mpc(name):
+        return Recorded(*generate_random_mpc(RandomMPC.parse(str(name))))
+    return read_sequence(sequence_path(name))
 
 
 def read_sequence(path: Path) -> Recorded:

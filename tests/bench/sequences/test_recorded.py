@@ -201,3 +201,14 @@ def test_a_suite_names_a_sequence_beside_it(folder: Path) -> None:
     both = [RecordedTable(sequence="robot"), RecordedTable(sequence=str(sparse_equivalent))]
     with pytest.raises(InputError, match="'robot'"):
         plan(SuiteFile(title="x", solvers=["daqp"], recorded=both), beside=folder.parent)
+
+
+@pytest.mark.slow
+def test_an_exported_random_mpc_problem_is_replayed(tmp_path: Path) -> None:
+    """The file holds the certified optima; the solver's answers are judged by them."""
+    path = tmp_path / "random.npz"
+    assert main(["export", "random_mpc-3-2-4-s7", "--steps", "3", "--out", str(path)]) == 0
+    out = run_campaign(None, tmp_path / "out", sequence=path, solvers=["daqp"])
+    runs = load_results(out).runs
+    assert set(runs["steps_done"]) == {3}
+    assert runs["error_plan_max"].max() < 1e-9
