@@ -49,7 +49,7 @@ class Rates:
 
 
 STATED_RATES = Rates(
-    "stated rates of another machine; those of this one need a run in the same --out"
+    "stated rates of another machine; a run in the same folder gives those of this one"
 )
 
 
@@ -86,10 +86,10 @@ class Estimate:
 
 
 def _format_duration(seconds: float) -> str:
-    """Return a duration [s] as text, in the unit that leaves two or three digits."""
+    """Return a duration [s] as text, rounded to two digits."""
     for size, unit in ((86_400.0, "days"), (3600.0, "h"), (60.0, "min")):
         if seconds >= 2 * size:
-            return f"{seconds / size:.3g} {unit}"
+            return f"{float(f'{seconds / size:.2g}'):g} {unit}"
     return f"{seconds:.2g} s"
 
 

@@ -108,7 +108,7 @@ def _check_scenario(name: str | Path, progress: Progress | None) -> str:
 
 
 def _check_suite(file: Path, document: dict[str, Any]) -> str:
-    """Validate a file that describes a suite of solver runs; return the number of runs as text."""
+    """Validate a file that describes a suite of solver runs; return their number, time and size."""
     from dpbench.bench.plan.suite import SuiteFile, load_suite, name_file_in_errors
 
     of_suite = SuiteFile.list_cell_tables()
@@ -119,12 +119,16 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
         )
         raise InputError(str(file), "", f"tables {', '.join(document) or '(none)'}", allowed)
     suite_path, suite = load_suite(file)
+    from dpbench.bench.engines.open_engine import count_slots
+    from dpbench.bench.estimate import estimate_cells, read_rates
     from dpbench.bench.plan.plan import plan
 
     with name_file_in_errors(suite_path):
         planned = plan(suite, beside=suite_path.parent)
     missing = [] if _can_pass(planned) else [f"{file}: {NONE_PASSES}"]
-    return "\n".join([*missing, f"{file}: a suite of {len(planned)} cells"])
+    rates = read_rates(Path("results") / suite_path.stem)
+    _, *expected = estimate_cells(planned, count_slots(None), rates).lines
+    return "\n".join([*missing, f"{file}: a suite of {len(planned)} cells", *expected])
 
 
 def _can_pass(planned: Sequence[PlannedCell]) -> bool:
