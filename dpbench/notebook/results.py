@@ -15,10 +15,10 @@ from dpbench.bench.capability.table import load_capability
 from dpbench.bench.design import load_designs
 from dpbench.bench.record import result_folder
 from dpbench.display import table_html
-from dpbench.errors import InputError, list_allowed
+from dpbench.errors import InputError, ResultsError, list_allowed
 from dpbench.files.writing import make_folder
 from dpbench.notebook.plots import ResultPlots
-from dpbench.report.csv_tables import write_tables
+from dpbench.report.csv_tables import read_table, write_tables
 from dpbench.report.formats import plural
 
 if TYPE_CHECKING:
@@ -35,7 +35,9 @@ VERDICT_COLUMNS = (
 class Results(result_folder.Results):
     """A benchmark's results in memory: runs, steps, machine, suite, and tables of the report.
 
-    The report's are made at first use, and are what `dpbench report` writes into `tables/`.
+    The report's are made at first use, and are what `dpbench report` writes into `tables/`. In a
+    folder without `steps.parquet`, such as `results/reference`, they are read from there; what
+    needs the steps raises ResultsError.
 
     Examples
     --------
@@ -71,10 +73,18 @@ class Results(result_folder.Results):
         """Plots of the results: `times()` against the deadline, and `accuracy()` over time."""
         return ResultPlots(self._full_report.data)
 
-    @property
+    @cached_property
     def tables(self) -> Mapping[str, pd.DataFrame]:
         """All tables of the benchmark's report as data frames, by name."""
+        if self.recorded.is_missing:
+            return _StoredTables(self.folder / "tables")
         return self._full_report.tables
+
+    @cached_property
+    def steps(self) -> pd.DataFrame:
+        """All steps as a data frame, some 500 bytes each; use `recorded` for large folders."""
+        self._require_steps()
+        return self.recorded.read_all()
 
     def verdict(self) -> pd.DataFrame:
         """Return a table of verdicts: a row per solver and settings, with reason and main numbers.
@@ -132,8 +142,10 @@ class Results(result_folder.Results):
         solvers = plural(self.runs["solver"].nunique(), "solver")
         return f"<Results {self.suite.get('name', self.folder.name)}: {runs} of {solvers}>"
 
-    def _repr_html_(self) -> str:
-        """Return the recommendation and each solver's best settings as HTML."""
+    def _repr_html_(self) -> str | None:
+        """Return the recommendation and each solver's best settings as HTML; None without steps."""
+        if self.recorded.is_missing:
+            return None
         from dpbench.report.documents.markdown import HEAD, solver_rows
 
         rows = solver_rows(
@@ -145,11 +157,31 @@ class Results(result_folder.Results):
     @cached_property
     def _full_report(self) -> Report:
         """Report of these results, the same as `dpbench report` writes, built at first use."""
+        self._require_steps()
         # The report draws, and Altair takes its time.
         from dpbench.report.report import Report
 
         capability = load_capability(self.folder)
         return Report.of(self, load_designs(self.folder), capability=capability)
+
+    def _require_steps(self) -> None:
+        """Raise ResultsError in a folder without `steps.parquet`."""
+        if self.recorded.is_missing:
+            allowed = "`runs`, and the tables in its folder tables; or run the suite again"
+            raise ResultsError(str(self.folder / "steps.parquet"), "", "no such file", allowed)
+
+
+class _StoredTables(dict[str, pd.DataFrame]):
+    """Tables that an earlier report wrote into a folder; ResultsError for one that is absent."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        super().__init__((path.stem, read_table(path)) for path in sorted(folder.glob("*.csv")))
+
+    def __missing__(self, name: str) -> pd.DataFrame:
+        """Raise ResultsError that names the table and those that are there."""
+        path, stored = self._folder / f"{name}.csv", ", ".join(self) or "steps.parquet to make it"
+        raise ResultsError(str(path), "", "no such file, and no steps.parquet", stored)
 
 
 def _check_name(key: str, name: str, known: Iterable[str]) -> None:
@@ -168,7 +200,7 @@ def load_results(out: str | Path) -> Results:
 
     Parameters
     ----------
-    out : a folder written by `run_campaign` or `dpbench run`.
+    out : a folder written by `run_campaign` or `dpbench run`, or one without the steps.
 
     Raises
     ------
@@ -179,5 +211,5 @@ def load_results(out: str | Path) -> Results:
     >>> load_results("results/smoke").runs["mode"].unique().tolist()
     ['closed_loop', 'replay']
     """
-    stored = result_folder.load_results(out)
+    stored = result_folder.load_results(out, without_steps=True)
     return Results(stored.runs, stored.recorded, stored.machine, stored.suite, Path(out))

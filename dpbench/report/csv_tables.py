@@ -1,10 +1,11 @@
-"""Tables of the report: `tables/*.csv` with a legend, and the frames of `load_results`."""
+"""Tables of the report: `tables/*.csv` with a legend, written and read, and the frames."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
 import pandas as pd
+from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
 from dpbench.analysis.times.solver_tables import (
     experiment_table,
@@ -16,6 +17,7 @@ from dpbench.analysis.times.solver_tables import (
 from dpbench.analysis.verdict.ship_results import ship_table
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import RUN_COLUMNS
+from dpbench.errors import ResultsError
 from dpbench.files.writing import write_together
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import Recommendation
@@ -27,6 +29,9 @@ from dpbench.report.words import read_words, render_document
 LEGEND = "README.md"
 TABLES: dict[str, str] = read_words(__file__)["tables"]
 COLUMNS: dict[str, str] = read_words(__file__)["columns"]
+_TEXT_COLUMNS = [name for name, (kind, _) in RUN_COLUMNS.items() if kind == "str"]
+_ARMED = r"^'(?=[-=+@])"
+"""The apostrophe that keeps a spreadsheet from reading a text as a formula."""
 RUN_MEANINGS = {name: meaning for name, (_, meaning) in RUN_COLUMNS.items()}
 
 
@@ -75,3 +80,19 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
     }
     legend = render_document("tables.md", tables=wording)
     write_together(folder, {**contents, LEGEND: legend.encode})
+
+
+def read_table(path: Path) -> pd.DataFrame:
+    """Return a table that `write_tables` wrote; an empty text is "", as in the report.
+
+    ResultsError, naming the file, where it is damaged.
+    """
+    try:
+        table = pd.read_csv(path, dtype=dict.fromkeys(_TEXT_COLUMNS, "str"))
+    except (OSError, ValueError) as error:
+        found = f"a damaged file ({str(error)[:80]})"
+        raise ResultsError(str(path), "", found, "a table of a report") from error
+    for name, dtype in table.dtypes.items():
+        if not (is_numeric_dtype(dtype) or is_bool_dtype(dtype)):
+            table[name] = table[name].fillna("").str.replace(_ARMED, "", regex=True)
+    return table

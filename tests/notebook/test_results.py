@@ -1,6 +1,7 @@
 """A result folder in a notebook: the tables of the report as data frames."""
 
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from dpbench import InputError, compare, load_results
 from dpbench.analysis.verdict.findings import MISSED, STATES
+from dpbench.errors import ResultsError
 from dpbench.notebook.results import Results
 
 
@@ -101,3 +103,35 @@ def test_a_comparison_says_what_it_found(campaign: Path) -> None:
     html = found._repr_html_()
     assert "<script" not in html
     assert all(table.title in html for table in found.tables)
+
+
+def test_a_folder_without_steps_has_the_tables_of_its_report(
+    results: Results, campaign: Path, tmp_path: Path
+) -> None:
+    """As `results/reference`: runs and written tables are there, and what needs steps is named."""
+    part = tmp_path / "part"
+    part.mkdir()
+    for name in ("runs.parquet", "suite.json", "machine.json"):
+        shutil.copy(campaign / name, part / name)
+    results.to_csv(part / "tables")
+    stored = load_results(part)
+    assert repr(stored) == repr(results)
+    identity = ["solver", "route", "policy", "settings", "options"]
+    for name in ("verdict", "ladder", "ships"):
+        table, original = getattr(stored, name)(), getattr(results, name)()
+        assert list(table.columns) == list(original.columns) and len(table) == len(original)
+    assert stored.verdict()[identity].equals(results.verdict()[identity].astype("str"))
+    assert len(stored.runs.merge(stored.verdict()[identity])) > 0
+    with pytest.raises(ResultsError, match=r"steps\.parquet"):
+        stored.steps  # noqa: B018 - reading it is the test
+    with pytest.raises(ResultsError, match=r"steps\.parquet"):
+        stored.plot.times()
+    with pytest.raises(ResultsError, match=r"study\.csv.*allowed: .*verdicts"):
+        stored.tables["study"]
+
+
+def test_the_reference_results_can_be_loaded() -> None:
+    reference = load_results(Path(__file__).parents[2] / "results" / "reference")
+    verdict = reference.verdict()
+    assert set(verdict["verdict"]) <= {*STATES}
+    assert set(verdict["solver"]) <= set(reference.runs["solver"])

@@ -42,9 +42,9 @@ class StepsOnDisk:
     """
 
     def __init__(self, folder: Path, *, is_optional: bool = False) -> None:
-        self._path = folder / "steps.parquet"
+        self._path, self.is_missing = folder / "steps.parquet", False
         if is_optional and not self._path.exists():
-            self.rows, self._run_rows = 0, []
+            self.rows, self._run_rows, self.is_missing = 0, [], True
             return
         with table_errors(self._path), open_table(self._path, error=ResultsError) as file:
             schema, self.rows = file.schema_arrow, file.metadata.num_rows
