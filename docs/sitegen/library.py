@@ -20,7 +20,7 @@ def pages() -> dict[str, str]:
 
 def _suites() -> str:
     titles = ((name, load_suite(name)[1].title) for name in problem_names("suites"))
-    return table(("suite", "asks"), ((code(name), prose(title)) for name, title in titles))
+    return table(("suite", "question"), ((code(name), prose(title)) for name, title in titles))
 
 
 def _scenarios() -> str:

@@ -123,7 +123,7 @@ class Design:
 
     @property
     def vessel(self) -> str:
-        """Name of the vessel that the controller steers."""
+        """Name of the vessel that the controller is tried on."""
         return str(self.files["vessel_name"])
 
     @property

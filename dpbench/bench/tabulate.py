@@ -33,7 +33,7 @@ from dpbench.errors import InputError
 
 
 class RequestedRuns:
-    """The runs that a campaign was asked for, each with a row under every name of its settings."""
+    """Runs requested from a campaign, each with a row under every name of its settings."""
 
     def __init__(self, work: Sequence[CellJob]) -> None:
         self.jobs: dict[str, tuple[CellJob, str]] = {}

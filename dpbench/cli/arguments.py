@@ -101,7 +101,7 @@ def _add_suite_arguments(run: Command) -> None:
     option = partial(_add_option, run)
     repeated = partial(option, action="append")
     sequence = "instead: a stored sequence, a .npz, or a folder of them by qpsolvers"
-    scenario = "only this scenario; another one, or a file, takes the place of the suite's"
+    scenario = "only this scenario; another one, or a file, replaces those of the suite"
     run.add_argument("suite", nargs="?", help="a suite by name, or a TOML file")
     option("--sequence", "S", sequence)
     solver = "only this solver, as osqp or with options as 'osqp[rho=[0.1,1]]'; repeatable"
@@ -123,7 +123,7 @@ def _add_suite_arguments(run: Command) -> None:
 def _add_cells_arguments(cells: Command) -> None:
     """Add the arguments of `dpbench cells`, which runs one shard."""
     cells.description = (
-        "For schedulers that know only commands: the cells of one of N shards, which "
+        "For schedulers that only start commands: the cells of one of N shards, which "
         "several machines may run at a time. Give the same command again after an interruption."
     )
     _add_option(cells, "--shard", "I/N", "which one (1/1)", default="1/1")
@@ -136,7 +136,7 @@ def _add_gather_arguments(gather: Command) -> None:
     gather.add_argument("folders", metavar="DIR", nargs="+", help="a folder of each shard")
     option = partial(_add_option, gather)
     option("--out", "DIR", "result folder", required=True)
-    option("--suite", "FILE", "where the suite lies, if it lay elsewhere")
+    option("--suite", "FILE", "path of the suite, if it was moved")
     option("--solver-module", "FILE.py", "the plug-in that the shards were run with")
     _add_ending_arguments(gather)
 
@@ -144,8 +144,8 @@ def _add_gather_arguments(gather: Command) -> None:
 def _add_ending_arguments(command: Command) -> None:
     """Add the options on what a command prints at its end, and its exit code."""
     command.add_argument("--open", action="store_true", help="open the page in a browser")
-    command.add_argument("--json", action="store_true", help="say how it ended as JSON")
-    command.add_argument("--quiet", action="store_true", help="say nothing but where the page is")
+    command.add_argument("--json", action="store_true", help="print the result as JSON")
+    command.add_argument("--quiet", action="store_true", help="print only the path of the page")
     strict = "exit with 1 where the controller does not hold a ship, whatever the solver"
     command.add_argument("--strict", action="store_true", help=strict)
 
@@ -227,7 +227,7 @@ def _add_init_arguments(init: Command) -> None:
     init.description = (
         "Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml, with what "
         "was derived how in their comments; with --thrusters also NAME_thrusters.toml, whose "
-        "controller steers them, and the capability plot NAME_capability.svg. With NAME.toml there "
+        "controller commands them, and the plot NAME_capability.svg. With NAME.toml there "
         "and --sea N alone: the same ship in another sea."
     )
     init.add_argument("name", metavar="NAME", help="of the ship: letters, digits, _ and -")
@@ -239,7 +239,7 @@ def _add_init_arguments(init: Command) -> None:
     option("--thrust", "KN", "largest force ahead [kN]")
     option("--sway-thrust", "KN", "sideways [kN] (a third of --thrust)")
     option("--yaw-moment", "KNM", "[kN·m] (0.57 sway thrust times length)")
-    option("--thrusters", "FILE.csv", "in place of --thrust: a row each; - asks for them")
+    option("--thrusters", "FILE.csv", "instead of --thrust: one row each; - prompts for them")
     option("--like", "V", "library vessel to scale (the nearest)")
     option("--from-mss", "FILE.mat", "a vessel of the MSS toolbox")
     option("--from-csv", "FILE", "rows coefficient,value (see docs)")
@@ -252,11 +252,11 @@ def _add_capability_arguments(capability: Command) -> None:
     """Add the arguments of `dpbench capability`."""
     capability.description = (
         "For 36 directions, intact and after the loss of each failure group; with "
-        "--solver, which solvers tell the loads at that edge apart."
+        "--solver, which solvers answer the loads at that limit correctly."
     )
     capability.add_argument("vessel", help="a vessel with thrusters by name, or a TOML file")
     option = partial(_add_option, capability)
-    option("--sides", "N", "polygons with N sides in place of circles", type=int)
+    option("--sides", "N", "polygons with N sides instead of circles", type=int)
     solver = (
         "judge the answers of this solver to the QPs at the edge; repeatable; all: of every "
         "one that is installed"
@@ -264,7 +264,7 @@ def _add_capability_arguments(capability: Command) -> None:
     option("--solver", "S", solver, action="append")
     option("--out", "DIR", "where these QPs go (results/capability-<vessel>)")
     option("--figure", "FILE", "write the rose: .svg, .html, .png or .pdf")
-    capability.add_argument("--json", action="store_true", help="say it as JSON")
+    capability.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
 def _add_codegen_arguments(codegen: Command) -> None:
@@ -325,8 +325,8 @@ def _add_tune_solver_arguments(tune: Command) -> None:
     training = "search on this sequence or scenario; repeatable (paper, rough, turn)"
     repeated("--train", "S", training, dest="training")
     repeated("--test", "S", "measure on this one; repeatable (move, squall, weather)")
-    stated = "search this option, as 'rho=[1e-3,10]', in place of the stated ones; repeatable"
-    repeated("--range", "RANGE", stated, dest="ranges")
+    ranges = "search this option, as 'rho=[1e-3,10]', instead of its usual range; repeatable"
+    repeated("--range", "RANGE", ranges, dest="ranges")
     add("--route", help="native (default where there is one) or qpsolvers")
     add("--policy", default="fresh", help="fresh (default), reuse or warm")
     error = "largest error of the first move, in rate-limit steps (0.01)"

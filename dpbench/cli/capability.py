@@ -115,7 +115,7 @@ def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
     about = (
         f"{vessel.id}: DP capability level 1 of DNV-ST-0111, azimuths as {shape}. Largest wind "
         "held [m/s] and DP capability number, by where wind, waves and current come from (90° is "
-        "starboard); + where the standard knows no more weather."
+        "starboard); + at the end of the standard's table."
     )
     table = [f" from {head}".rstrip(), *rows]
     return [*textwrap.wrap(about, WIDTH), "", *table, "", *_notation_lines(capability)]

@@ -81,7 +81,7 @@ def _check_sequence(path: Path, progress: Progress | None) -> str:
 
 
 def _check_document(file: Path, progress: Progress | None) -> str:
-    """Check a TOML file of a vessel, scenario or suite, told apart by its tables; describe it."""
+    """Check a TOML file of a vessel, scenario or suite, recognised by its tables; describe it."""
     document = problems.read_toml(file)
     if "limits" in document or "thrusters" in document:
         return _check_vessel(file, progress)

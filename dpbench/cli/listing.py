@@ -61,7 +61,7 @@ def _list_suites() -> RenderableType:
     from dpbench.bench.plan.suite import load_suite
     from dpbench.scenario import problem_files as problems
 
-    table = make_small_table("name", "cells", "asks")
+    table = make_small_table("name", "cells", "question")
     for name in problems.problem_names("suites"):
         path, suite = load_suite(name)
         table.add_row(name, str(len(plan(suite, beside=path.parent))), suite.title)

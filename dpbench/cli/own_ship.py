@@ -393,7 +393,7 @@ def _loss_s(vessel: Vessel) -> float:
 def _explain_sea_choice(share: float, held: HeldSea | None, *, chosen: bool) -> str:
     """State why this sea was chosen for a new ship's scenario."""
     if not chosen:
-        return "as asked for"
+        return "as requested"
     if held is not None:
         return held.reason
     limit = f"whose mean force takes at most {scaling.SPARE:.0%} of the limits"

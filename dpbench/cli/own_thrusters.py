@@ -104,7 +104,7 @@ def read_own_thrusters(
 
 
 def _ask_for_rows() -> list[dict[str, str]]:
-    """Ask for thrusters on the terminal, or read the answers line by line from a pipe."""
+    """Prompt for thrusters on the terminal, or read the answers line by line from a pipe."""
     rows: list[dict[str, str]] = []
     while True:
         row: dict[str, str] = {}

@@ -53,7 +53,7 @@ _NEVER_CHANGED = (1980, 1, 1, 0, 0, 0)
 
 @dataclass(frozen=True)
 class Variable:
-    """Variable of an FMU: that of a signal, with its value reference, direction and C place."""
+    """Variable of an FMU: that of a signal, with value reference, direction and C expression."""
 
     name: str
     reference: int

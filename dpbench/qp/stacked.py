@@ -1,4 +1,4 @@
-"""The paper's stacked one-sided form (eq. 23-25) of a two-sided QP, and the way back.
+"""The paper's stacked one-sided form (eq. 23-25) of a two-sided QP, and the conversion back.
 
     M z ≤ γ   with   M = [−A; A; −I; I],   γ = [−l; u; −lb; ub]
     rows                 0    m  2m  2m+n  2m+2n

@@ -1,4 +1,4 @@
-"""Write numbers the way the report prints them: significant digits, units, no made-up values."""
+"""Formats of numbers in the report: significant digits, units, no made-up values."""
 
 import math
 from collections.abc import Iterable

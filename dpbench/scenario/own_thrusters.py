@@ -1,4 +1,4 @@
-"""Thrusters of one's own from a CSV table: kind, place, and power or thrust; the rest is assumed.
+"""Thrusters of one's own from a CSV table: kind, position, and power or thrust; rest assumed.
 
     kind,x_m,y_m,power_kW,group
     main,-38,-4,2000,board A

@@ -1,4 +1,4 @@
-"""Thrusters: their places, their limits, and the force they make together.
+"""Thrusters: their positions, their limits, and the force they make together.
 
     τ = T_e f,   f = [X_1, Y_1, …]: two components of an azimuth thruster, one of any other
     column of X_i: (1, 0, −y_i)        of Y_i, and of a tunnel: (0, 1, x_i)

@@ -135,7 +135,7 @@ def project_facts(
     single_precision: tuple[str, str] | None = None,
     c_settings: CSettings | None = None,
 ) -> Project:
-    """Make the facts on embedding a solver from pairs (value, source), None where not stated."""
+    """Make the facts on embedding a solver from pairs (value, source), None where unknown."""
     facts = (licence, language, c_code, allocation_free, single_precision)
     return Project(*(Fact(*(fact or UNKNOWN_FACT)) for fact in facts), c_settings=c_settings)
 

@@ -108,7 +108,7 @@ def _is_served_by_qpsolvers(name: str) -> bool:
 
 
 def _make_generic_adapter(name: str) -> QpsolversAdapter:
-    """Describe how to call a solver that only qpsolvers knows; its settings go unchecked."""
+    """Describe how to call a solver that only qpsolvers has; its settings go unchecked."""
     refused: dict[Policy, str] = {"warm": "whether it takes a start is not known"}
     can = RouteRecord(("fresh",), detects_infeasibility=False, refused=refused)
     record = SolverRecord(
@@ -181,7 +181,7 @@ def check_available(name: str) -> None:
 
 
 def _check_qpsolvers_availability(name: str) -> Availability:
-    """Return whether qpsolvers finds a solver's library that dpbench does not know."""
+    """Return whether qpsolvers finds the library of a solver that dpbench does not have."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         served = importlib.import_module("qpsolvers").available_solvers

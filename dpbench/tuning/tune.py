@@ -138,7 +138,7 @@ class _BatchProgress:
         self._remarks: set[str] = set()
 
     def start(self, work: int) -> None:
-        """Begin the next campaign; the first one tells how much work all of them are."""
+        """Begin the next campaign; the first one sets the total work of all of them."""
         self._batch += 1
         if self._batch == 1:
             self._progress.start(work * self._batches)

@@ -129,7 +129,7 @@ def _measurement_key(timing: Timing) -> tuple[object, ...]:
 
 
 def find_unjudged_sequences(a: Records, b: Records, timings: Sequence[Timing]) -> dict[str, str]:
-    """Return, by QP sequence, why its speed test cannot tell how fast the machine was; or "".
+    """Return, by QP sequence, why its speed test cannot measure the machine's speed; or "".
 
     A kernel feels only some of what a solver feels of a busy machine, so both runs must have been
     quiet while they timed the sequence.

@@ -1,1 +1,1 @@
-"""Rows of the tables as typed records, and what is asked of them: runs, steps, step times."""
+"""Rows of the tables as typed records, and queries on them: runs, steps, step times."""

@@ -1,4 +1,4 @@
-"""Capability plots, and which solvers tell what thrusters balance from what they do not."""
+"""Capability plots, and how rightly solvers separate loads that thrusters balance from others."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Consequence analysis: when a loss can be held, which solvers say so rightly, and what it takes.
+"""Consequence analysis: when a loss can be held, which solvers report it rightly, and its cost.
 
 The QPs of all failure groups at one sample are a batch, solved one after another. Each QP counts
 once, by the round in which a solver was worst:

@@ -150,7 +150,7 @@ ABOVE: dict[RoutePolicy, tuple[RoutePolicy, ...]] = {
 
 @dataclass(frozen=True)
 class RouteGain:
-    """Speed-up of one way to call a solver (interface, warm start) over the next simpler one.
+    """Speed-up of one call mode of a solver (interface, warm start) over the next simpler one.
 
     gain : geometric mean of the neighbour's time over this one's, over their common steps.
     median_ns : median of its algorithmic step time.
@@ -217,7 +217,7 @@ def count_fastest_forms(records: Records, requirements: Requirements) -> Counter
 def match_replays(
     records: Records, first: str, second: str
 ) -> Iterator[tuple[RunRecord, StepTimes, StepTimes]]:
-    """Yield timed replays of two solvers called the same way, with both solvers' step times."""
+    """Yield timed replays of two solvers in equal call modes, with both solvers' step times."""
     for sequence in records.sequences:
         for run in records.replays(sequence, solver=first):
             rivals = (

@@ -47,7 +47,7 @@ def delayed_runs(records: Records) -> list[RunRecord]:
 
 
 def _separate_own_switches(runs: Sequence[RunRecord]) -> list[RunRecord]:
-    """Tell context switches that a solver causes itself from those of the machine, per run."""
+    """Separate context switches that a solver causes itself from those of the machine, per run."""
     rates = np.array([run.involuntary_switches / run.replay_s for run in runs])
     known = rates[np.isfinite(rates)]
     allowed = max(float(np.median(known)), MAX_SWITCHES_PER_S) if len(known) else np.inf

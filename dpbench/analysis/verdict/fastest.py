@@ -128,7 +128,7 @@ def solver_family(solver: str) -> str:
 
 
 def deployment_blocker(solver: str) -> str:
-    """Return why a solver cannot be used aboard as it is; "" where it can."""
+    """Return why a solver cannot be deployed on a ship as it is; "" where it can."""
     known = find_solver_record(solver)
     return "not in the table of this installation" if known is None else known.deployment_blocker
 

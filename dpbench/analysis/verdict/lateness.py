@@ -1,4 +1,4 @@
-"""Late timings that the machine does not explain, by one-sided tests with stated error rates.
+"""Late timings that the machine does not explain, by one-sided tests of known error rates.
 
 The fastest round of a step hides a solver that is late at random; its single timings show it, but
 so do interrupts of the machine. Time in which another program had the core is left out where the

@@ -30,7 +30,7 @@ NOTICED_SHARE = 0.1
 
 @dataclass(frozen=True)
 class ShipResult:
-    """Ship of one scenario, or of one sea of a study, steered by certified optima.
+    """Ship of one scenario, or of one sea of a study, controlled by certified optima.
 
     name : the scenario, with the horizons where it has several; run : one that has the columns
     `exact_*` of its exactly solved loop.

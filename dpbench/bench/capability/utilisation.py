@@ -223,7 +223,7 @@ class _ConeRows:
         self.round_rows: list[int] = []
 
     def add_piece(self, rows: Matrix, cones: list[Any], has_size: bool, *, is_round: bool) -> int:
-        """Add the rows of one piece; return the place of its u_k, that of u without one."""
+        """Add the rows of one piece; return the index of its u_k, that of u without one."""
         at, count = self._first, rows.shape[1] - 1
         own = at + count if has_size else self._width - 1
         if is_round:

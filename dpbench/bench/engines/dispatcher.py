@@ -1,4 +1,4 @@
-"""Cells and files on their way through an engine: order, sources, retries and counting.
+"""Dispatch of cells and files to an engine: order, sources, retries and counting.
 
 Closed loops run first, then timed replays, then problems without a deadline. A source, such as a
 reference loop, takes as long as all of its cells together: it is made once, in a batch with others

@@ -111,7 +111,7 @@ def _split_jobs(jobs: list[CellJob]) -> list[list[CellJob]]:
 
 @dataclass(frozen=True, eq=False)
 class ShardRecord:
-    """Content of `shard.json`: what was asked, which part of it ran, machine and version."""
+    """Content of `shard.json`: the request, the part of it that ran, machine and version."""
 
     asked: RunRequest
     shard: Shard

@@ -146,7 +146,7 @@ def _share_of_true(flags: Flags) -> float:
 
 
 def _backup_columns(steps: StepColumns) -> dict[str, Any]:
-    """Return how often the backup solver was asked, acted and failed; none without one."""
+    """Return how often the backup solver was called, acted and failed; none without one."""
     if "backup" not in steps:
         return {}
     asked = steps["backup_ns"] > MISSING_INT

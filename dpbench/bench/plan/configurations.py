@@ -127,7 +127,7 @@ def plugin_file(solver: str) -> str:
 def list_configurations(
     suite: SuiteFile, solvers: Sequence[str], table: Table
 ) -> list[Configuration]:
-    """Return each solver of a suite table in every way to call it: settings, units, QP form.
+    """Return each solver of a suite table in every call mode, settings, units and QP form.
 
     Of solvers named by the table, those of the suite take part. The harness's own configurations
     have one call mode, whatever the table has, and take part in timed replays alone.

@@ -183,7 +183,7 @@ def _replay_cells(
 
 
 def _check_window(table: ReplayTable, scenario: Scenario) -> None:
-    """Raise InputError where a suite table asks for an impossible window of hardest steps."""
+    """Raise InputError where a suite table has an impossible window of hardest steps."""
     allowed = ""
     if table.steps and table.hardest > table.steps:
         allowed = f"at most {table.steps}, the steps it is chosen from"

@@ -52,7 +52,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class RunRequest:
-    """The run that a user asks for: a suite or a sequence, and a choice of its parts."""
+    """Request of a run: a suite or a sequence, and a choice of its parts."""
 
     suite: str | None = None
     sequence: str | None = None

@@ -1,4 +1,4 @@
-"""The points of a study: one scenario under other values of its keys, laid out as a design asks.
+"""Points of a study: one scenario under other values of its keys, by the chosen design.
 
 points = product of { the axes of `product`, `zip` as one axis, the draws of `design` as one }
 runs   = points × replicates × configurations

@@ -73,7 +73,7 @@ class HardestSource(QPSource):
 
 @dataclass(frozen=True)
 class ConsequenceSource(QPSource):
-    """QPs along a loop that ask if thrusters hold the ship without the failure group `group`.
+    """QPs along a loop that test if thrusters hold the ship without the failure group `group`.
 
     margin : by which the force to hold is multiplied; earlier folders have none.
     """

@@ -96,7 +96,7 @@ def open_backup(solver: str, step_limit_s: float | None) -> Workspace:
 
 
 def with_cell_formulation(cell: Cell, scenario: Scenario) -> Scenario:
-    """Return the scenario, with the unconstrained law as controller where the run asks for it."""
+    """Return the scenario, with the unconstrained law as controller where the run requests it."""
     if cell.formulation != "none":
         return scenario
     return replace(scenario, controller=scenario.controller.as_baseline_law())

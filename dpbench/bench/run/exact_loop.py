@@ -1,4 +1,4 @@
-"""The exactly solved loop: the referee's certified optimum steers the ship.
+"""The exactly solved loop: the referee's certified optimum controls the ship.
 
 Every solver's deviation from it is a metric, and the QPs along it are the sequences for replay.
 """

@@ -1,4 +1,4 @@
-"""A solver behind the clock: its phases between two clock reads, its failures as data.
+"""Timed calls of a solver: its phases between two clock reads, its failures as data.
 
 A step that hangs is ended after `step_limit_s`: by an option of the library, else by an alarm,
 which reaches whatever runs Python. A library that holds the interpreter is killed with its process,

@@ -91,7 +91,7 @@ def _record_requested(
     at: int | None,
     part: Part,
 ) -> Recorded:
-    """Load a stored sequence or record one from a scenario, cut to the steps asked for."""
+    """Load a stored sequence or record one from a scenario, cut to the requested steps."""
     path = Path(what)
     is_file = path.suffix == ".npz" or path.is_dir() or is_stored(what) or is_random_mpc(what)
     if str(what) in problem_names("scenarios") or not is_file:

@@ -58,7 +58,7 @@ def filter_force(tau: Matrix, sample_s: float) -> Matrix:
 def build_consequence_sequence(
     scenario: Scenario, tau: Matrix, group: str, margin: float
 ) -> QPSequence:
-    """Return the QPs that ask whether a force tau (K, 3) can be made without a failure group.
+    """Return the QPs that test if a force tau (K, 3) can be made without a failure group.
 
     margin : by which the filtered force is multiplied.
     """

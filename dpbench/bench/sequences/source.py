@@ -1,4 +1,4 @@
-"""The files behind the QPs of cells: made once a source, then read by workers and evaluators.
+"""Files of the QPs of cells: made once a source, then read by workers and evaluators.
 
 A file has the exactly solved loop, or a sequence with its certified optima.
 """

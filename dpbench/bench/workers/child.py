@@ -216,7 +216,7 @@ class Child:
             _kill_and_wait(self.process.pid)
 
     def _has_started(self) -> bool:
-        """Return whether the run's raw log says that it has started."""
+        """Return whether the run has started, by its raw log."""
         try:
             return bool(RawLog.open(self.raw_path).started[0])
         except (OSError, ValueError):

@@ -292,7 +292,7 @@ class CellExecutor(ExitStack):
                 pass
 
     def _lock_machine(self, how: int) -> AbstractContextManager[bool]:
-        """Lock this machine, shared or alone, and report whom it waits for."""
+        """Lock this machine, shared or alone, and report which campaigns it waits for."""
         return lease_machine(
             how, self._holder, patience=self._patience, say_waiting=self._report_wait
         )

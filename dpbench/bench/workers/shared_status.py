@@ -203,7 +203,7 @@ _process_status: list[SharedStatus] = []
 
 
 def set_phase(phase: Phase, cell_index: int | None = None) -> None:
-    """Tell the supervisor the phase that this process is in, and the index of its run."""
+    """Report the phase that this process is in, and the index of its run, to the supervisor."""
     for notice in _process_status:
         notice.set_phase(phase, cell_index)
 

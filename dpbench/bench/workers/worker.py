@@ -249,7 +249,7 @@ def _describe_last_round(log: RawLog) -> str:
 def _make_outcome(
     cell: Cell, workspace: Workspace, timed_solver: TimedSolver, stopped: str
 ) -> Outcome:
-    """Return the outcome of a run that ended by itself; `stopped` tells of its time limit."""
+    """Return the outcome of a run that ended by itself; `stopped` is a note on its time limit."""
     details = [f"stopped after {cell.limit_s:g} s (cell_limit_s) {stopped}"] if stopped else []
     details += describe_failures(timed_solver.details)
     detail = "; ".join(filter(None, [*details, truncation_note()]))

@@ -1,4 +1,4 @@
-"""Thrust allocation at each sample: the second QP of a cascade, behind a controller of forces.
+"""Thrust allocation at each sample: the second QP of a cascade, after a controller of forces.
 
     min ½ fᵀW f + ½ ΔfᵀR Δf + ½ sᵀΩ s,   f = f_prev + Δf
     s.t. T_e f + s = τ_c                 s, the slack, is the missing part of the demanded force

@@ -1,4 +1,4 @@
-"""A study: what is held where, and how far configurations are behind in the same seas."""
+"""Charts of a study: share of seas held, and errors over the reference in the same seas."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -143,7 +143,7 @@ def compare_solver(
     chosen = [best[name] for name in dict.fromkeys(named) if name != solver]
     worst = worst_steps(data.records, solver)
     own = fastest_first([v for v in data.verdicts.of[solver] if v.state != "not run"])
-    names = and_list([v.configuration.solver for v in chosen]) or "nobody"
+    names = and_list([v.configuration.solver for v in chosen]) or "no other solver"
     suite = report.results.suite
     made_by = f"Suite {suite.get('name', '')}, dpbench {suite.get('harness_version', '')}."
     parts = [
@@ -205,7 +205,7 @@ def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Ve
 
 
 def _figure_text(measure: Measure, value: float) -> str:
-    """Format a time [ns], an error or a number of iterations, whichever `measure` says."""
+    """Format a time [ns], an error or a number of iterations, depending on `measure`."""
     if measure == "time":
         return time_text(value)
     return error_text(value) if measure == "error" else count_text(value)

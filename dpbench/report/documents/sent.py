@@ -114,8 +114,8 @@ MOST_BYTES = 1_000_000
 _MADE_BY = "one made by `dpbench report DIR --send FOLDER`"
 _Words = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
 _BLANK = """\
-# Who ran this, when, and how. `dpbench check` says what is missing.
-who = ""      # a name, and where to ask if you like
+# Who ran this, when, and how. `dpbench check` lists what is missing.
+who = ""      # a name, and a contact if you like
 when = {when}
 command = ""  # what was typed: "dpbench run standard"
 remarks = ""  # what a reader should know: power plan, other load, own build of a solver
@@ -123,7 +123,7 @@ remarks = ""  # what a reader should know: power plan, other load, own build of 
 
 
 class Sender(BaseModel):
-    """Form that goes with results sent to others: who ran the benchmark, when, how."""
+    """Form that goes with results sent to others: name, date and method."""
 
     model_config = ConfigDict(extra="forbid")
 

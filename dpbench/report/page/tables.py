@@ -1,4 +1,4 @@
-"""The table of all runs on the page, by groups of columns, and the tiles that it has room for."""
+"""The table of all runs on the page, by groups of columns, and the cells of its grid."""
 
 from collections.abc import Iterable
 from dataclasses import replace

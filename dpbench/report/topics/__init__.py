@@ -1,1 +1,1 @@
-"""Topics of the page below the selection: each asks one question and knows none of the others."""
+"""Topics of the page below the selection: each answers one question, independent of the others."""

@@ -193,7 +193,7 @@ def _time_held_text(of_group: pd.DataFrame) -> str:
 
 
 def _consequence_text(analysis: ConsequenceAnalysis) -> str:
-    """State which losses can be held, who is right on all QPs, the fastest, and missed alarms."""
+    """State which losses can be held, the solvers right on all QPs, the fastest, missed alarms."""
     when: dict[str, list[str]] = {}
     for group, of_group in analysis.spans.groupby("group", sort=False):
         when.setdefault(_time_held_text(of_group), []).append(str(group))

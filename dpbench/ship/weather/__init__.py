@@ -1,1 +1,1 @@
-"""Wind, waves, current, squalls, and the random streams behind them."""
+"""Wind, waves, current, squalls, and their random streams."""

@@ -320,7 +320,7 @@ class OcpWorkspace(HpipmWorkspace):
         )
 
     def _send_vectors(self, q: Vector, everything: bool = False) -> None:
-        """Pass cost, dynamics and limits to HPIPM; only what changed, unless all is asked for."""
+        """Pass cost, dynamics and limits to HPIPM: only what changed, or `everything`."""
         data = self._data
         self._cost.gather(q, data.order)
         b = self._b.gather(self._high, data.dynamics)
