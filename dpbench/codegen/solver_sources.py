@@ -75,6 +75,9 @@ def make_active_set_sources(qp: CondensedQP) -> SolverSources:
         make_table("a", problem.view("a", entries), "entries of A that are not zero"),
         make_table("column", _view_integers(problem, "column", entries), "their columns"),
         make_table("first", first, "where each row of A begins in these two"),
+        make_table(
+            "parent", _view_integers(problem, "parent", m), "rows of A whose entries begin a row's"
+        ),
         make_table("order", _view_integers(problem, "order", n), "coupled variables, then others"),
     )
     reals = (field[0] for field in ActiveSet._fields_ if field[1] is ctypes.c_double)

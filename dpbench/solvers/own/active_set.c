@@ -85,19 +85,36 @@ static as_real size_of(as_real x) { return (as_real)fabs((double)x); }
 static as_real larger(as_real x, as_real y) { return x > y ? x : y; }
 static int is_infinite(as_real x) { return x - x != REAL(0); } /* or NaN */
 
+/* A microcontroller has little room: there Clang compiles all but the innermost loop for size. Other
+ * loops have few rounds, and unrolled they would be larger and hardly faster. */
+#if defined(__clang__) && __SIZEOF_POINTER__ == 4
+#define KERNEL __attribute__((noinline))
+#define FOR_SIZE
+#else
+#define KERNEL
+#endif
+
 /* ---- vectors ------------------------------------------------------------------------------- */
 
+/* out += a x + b y + c u + d v: four vectors at a time cost one look at the result. */
+KERNEL static void add_four(as_real *restrict out, int n, as_real a, const as_real *restrict x,
+                            as_real b, const as_real *restrict y, as_real c,
+                            const as_real *restrict u, as_real d, const as_real *restrict v) {
+    for (int i = 0; i < n; i++) out[i] += (a * x[i] + b * y[i]) + (c * u[i] + d * v[i]);
+}
+
+#ifdef FOR_SIZE
+#pragma clang attribute push(__attribute__((cold)), apply_to = function)
+#endif
+
 static as_real dot(const as_real *x, const as_real *y, int n) {
-    as_real a = 0, b = 0, c = 0, d = 0;
+    as_real a = 0, b = 0;
     int i = 0;
-    for (; i + 3 < n; i += 4) {
+    for (; i + 1 < n; i += 2) {
         a += x[i] * y[i];
         b += x[i + 1] * y[i + 1];
-        c += x[i + 2] * y[i + 2];
-        d += x[i + 3] * y[i + 3];
     }
-    for (; i < n; i++) a += x[i] * y[i];
-    return (a + b) + (c + d);
+    return i < n ? a + b + x[i] * y[i] : a + b;
 }
 
 static void clear(as_real *x, int n) {
@@ -115,31 +132,58 @@ static as_real largest_of(const as_real *x, int n) {
     return most;
 }
 
-/* out += Σ t_k x_k over vectors x_k of n: four at a time cost one look at the result. */
-static void add_four(as_real *restrict out, const as_real *const x[4], const as_real t[4], int n) {
-    const as_real *restrict x0 = x[0], *restrict x1 = x[1], *restrict x2 = x[2],
-                            *restrict x3 = x[3];
-    const as_real a = t[0], b = t[1], c = t[2], d = t[3];
-    for (int i = 0; i < n; i++) out[i] += (a * x0[i] + b * x1[i]) + (c * x2[i] + d * x3[i]);
+/* out += sign Σ x_k M_k over the rows M_k of n numbers that are listed */
+static void add_rows(as_real *restrict out, as_real sign, const as_real *M, const as_real *x,
+                     const int *listed, int count, int n) {
+    for (; count > 2; count -= 4, listed += 4) {
+        const int i = listed[0], j = listed[1], k = listed[2], last = count > 3 ? listed[3] : i;
+        add_four(out, n, sign * x[i], M + i * n, sign * x[j], M + j * n, sign * x[k], M + k * n,
+                 count > 3 ? sign * x[last] : 0, M + last * n);
+    }
+    for (; count > 0; count--, listed++)
+        add_scaled(out, sign * x[*listed], M + *listed * n, n);
 }
 
-/* out += M x for M = P or P⁻¹: whole rows for variables that P couples, else the diagonal. */
-static void add_product(
-    const active_set *s, as_real *restrict out, const as_real *M, const as_real *x) {
-    const int n = s->n, coupled = s->coupled;
-    const int *order = s->order;
-    const as_real *rows[4];
-    as_real t[4];
-    int k = 0;
-    for (; k + 3 < coupled; k += 4) {
-        for (int l = 0; l < 4; l++) {
-            rows[l] = M + (size_t)order[k + l] * (size_t)n;
-            t[l] = x[order[k + l]];
-        }
-        add_four(out, rows, t, n);
+/* out += sign M x for M = P or P⁻¹: whole rows for variables that P couples, else the diagonal */
+static void add_product(const active_set *s, as_real *restrict out, as_real sign, const as_real *M,
+                        const as_real *x) {
+    const int n = s->n;
+    add_rows(out, sign, M, x, s->order, s->coupled, n);
+    for (int k = s->coupled; k < n; k++) {
+        const int i = s->order[k];
+        out[i] += sign * x[i] * M[i * (n + 1)];
     }
-    for (; k < coupled; k++) add_scaled(out, x[order[k]], M + (size_t)order[k] * (size_t)n, n);
-    for (; k < n; k++) out[order[k]] += x[order[k]] * M[(size_t)order[k] * (size_t)(n + 1)];
+}
+
+/* b := L⁻¹ b over the first w rows, two at a time, after row 0 where w is odd */
+static void substitute_forward(const as_real *L, as_real *b, int w) {
+    int k = w & 1;
+    if (k) b[0] *= *L++;
+    for (; k < w; k += 2) {
+        const as_real *next = L + k + 1;
+        as_real x = b[k], y = b[k + 1];
+        for (int c = 0; c < k; c++) {
+            x -= L[c] * b[c];
+            y -= next[c] * b[c];
+        }
+        b[k] = x *= L[k];
+        b[k + 1] = (y - next[k] * x) * next[k + 1];
+        L = next + k + 2;
+    }
+}
+
+/* b := L⁻ᵀ b */
+static void substitute_backward(const as_real *L, as_real *b, int w) {
+    const as_real *row = L + w * (w + 1) / 2;
+    for (int k = w - 2; k >= 0; k -= 2) {
+        const as_real *next = row - k - 2;
+        row = next - k - 1;
+        const as_real y = b[k + 1] * next[k + 1], x = (b[k] - next[k] * y) * row[k];
+        b[k] = x;
+        b[k + 1] = y;
+        for (int c = 0; c < k; c++) b[c] -= x * row[c] + y * next[c];
+    }
+    if (w & 1) b[0] *= L[0];
 }
 
 /* ---- rows of C ----------------------------------------------------------------------------- */
@@ -178,23 +222,24 @@ static as_real entry(const active_set *s, int i, int j) {
 
 /* x += sign Σ λ_i P⁻¹c_i over the active rows */
 static void add_active_rows(const active_set *s, as_real *x, as_real sign) {
-    const as_real *rows[4];
-    as_real t[4];
-    int k = 0;
-    for (; k + 3 < s->count; k += 4) {
-        for (int l = 0; l < 4; l++) {
-            rows[l] = inverse_row(s, s->active[k + l]);
-            t[l] = sign * s->lam[s->active[k + l]];
-        }
-        add_four(x, rows, t, s->n);
-    }
-    for (; k < s->count; k++)
-        add_scaled(x, sign * s->lam[s->active[k]], inverse_row(s, s->active[k]), s->n);
+    add_rows(x, sign, s->G, s->lam, s->active, s->count, s->n);
 }
 
 /* The values of the rows of A at z, behind z. */
 static void write_row_values(active_set *s) {
-    for (int i = s->n; i < s->n + s->m; i++) s->z[i] = row_times(s, i, s->z);
+    const as_real *z = s->z, *a = s->a;
+    const int *column = s->column, *first = s->first, *parents = s->parent;
+    as_real *values = s->z + s->n;
+    for (int i = 0, e = 0; i < s->m; i++) {
+        const int parent = *parents++, end = first[i + 1];
+        as_real v = 0;
+        if (parent >= 0) {
+            v = values[parent];
+            e += first[parent + 1] - first[parent];
+        }
+        for (; e < end; e++) v += a[e] * z[column[e]];
+        values[i] = v;
+    }
 }
 
 static as_real limit_of(const active_set *s, int i) {
@@ -212,24 +257,7 @@ static int has_wrong_sign(const active_set *s, int i, as_real lam) {
 
 /* ---- the factor of H_WW -------------------------------------------------------------------- */
 
-static as_real *factor_row(active_set *s, int k) { return s->L + (size_t)k * (size_t)(k + 1) / 2; }
-
-/* b := L⁻¹ b over the first w rows */
-static void substitute_forward(active_set *s, as_real *b, int w) {
-    for (int k = 0; k < w; k++) {
-        const as_real *L = factor_row(s, k);
-        b[k] = (b[k] - dot(L, b, k)) * L[k];
-    }
-}
-
-/* b := L⁻ᵀ b */
-static void substitute_backward(active_set *s, as_real *b, int w) {
-    for (int k = w - 1; k >= 0; k--) {
-        const as_real *L = factor_row(s, k);
-        b[k] *= L[k];
-        add_scaled(b, -b[k], L, k);
-    }
-}
+static as_real *factor_row(const active_set *s, int k) { return s->L + (size_t)k * (size_t)(k + 1) / 2; }
 
 /* Append row i, whose part of the factor is in T, with a pivot d. */
 static void append_row(active_set *s, int i, int side, as_real d) {
@@ -274,30 +302,29 @@ static void write_entries(active_set *s, int j) {
     for (int k = 0; k < s->count; k++) s->T[k] = entry(s, s->active[k], j);
 }
 
-/* Row j as a combination R of the active ones, T = L⁻¹ H_Wj given; returns the square of its
- * distance from them in the norm of P⁻¹. Where little is left of it, y = c_j − Σ R_k c_k is formed
- * and yᵀP⁻¹y taken, after one refinement of R. */
-static as_real combine(active_set *s, int j) {
+/* R := L⁻ᵀT, where T = L⁻¹H_Wj the combination of active rows that is row j but for a rest */
+static void write_combination(active_set *s) {
+    for (int k = 0; k < s->count; k++) s->R[k] = s->T[k];
+    substitute_backward(s->L, s->R, s->count);
+}
+
+/* Refine the combination R of active rows for row j, and T, once; returns the square of the distance
+ * of row j from them in the norm of P⁻¹: y = c_j − Σ R_k c_k is formed and yᵀP⁻¹y taken. */
+static as_real refine_combination(active_set *s, int j) {
     const int n = s->n, w = s->count;
     as_real *y = s->r, *x = s->e, *more = s->r_low;
-    const as_real square = entry(s, j, j);
-    for (int k = 0; k < w; k++) s->R[k] = s->T[k];
-    substitute_backward(s, s->R, w);
-    as_real d = square - dot(s->T, s->T, w);
-    for (int again = 0; again < 2 && w > 0 && d < CLOSE * square; again++) {
+    for (int again = 0;; again++) {
         for (int c = 0; c < n; c++) x[c] = y[c] = 0;
         add_row(s, j, 1, y);
         for (int k = 0; k < w; k++) add_row(s, s->active[k], -s->R[k], y);
-        add_product(s, x, s->G, y);
-        if (again == 0) {
-            for (int k = 0; k < w; k++) more[k] = row_times(s, s->active[k], x);
-            substitute_forward(s, more, w);
-            add_scaled(s->T, 1, more, w);
-            substitute_backward(s, more, w);
-            add_scaled(s->R, 1, more, w);
-        } else d = larger(dot(x, y, n), 0);
+        add_product(s, x, 1, s->G, y);
+        if (again) return larger(dot(x, y, n), 0);
+        for (int k = 0; k < w; k++) more[k] = row_times(s, s->active[k], x);
+        substitute_forward(s->L, more, w);
+        add_scaled(s->T, 1, more, w);
+        substitute_backward(s->L, more, w);
+        add_scaled(s->R, 1, more, w);
     }
-    return d;
 }
 
 /* ---- the start ----------------------------------------------------------------------------- */
@@ -315,7 +342,7 @@ static void add_to_start(active_set *s, int i, int side, as_real lam) {
     if (s->side[i] != NEITHER || s->count == s->n || is_infinite(side > 0 ? s->high[i] : s->low[i]))
         return;
     write_entries(s, i);
-    substitute_forward(s, s->T, s->count);
+    substitute_forward(s->L, s->T, s->count);
     const as_real square = entry(s, i, i), d = square - dot(s->T, s->T, s->count);
     if (d <= CLOSE * square) return;
     append_row(s, i, side, d);
@@ -343,8 +370,7 @@ static void add_equalities(active_set *s) {
 /* R := the multipliers of eq. 31, L⁻ᵀT; returns how many have the wrong sign. */
 static int solve_multipliers(active_set *s) {
     int wrong = 0;
-    for (int k = 0; k < s->count; k++) s->R[k] = s->T[k];
-    substitute_backward(s, s->R, s->count);
+    write_combination(s);
     for (int k = 0; k < s->count; k++) wrong += has_wrong_sign(s, s->active[k], s->R[k]);
     return wrong;
 }
@@ -356,7 +382,7 @@ static int start_multipliers(active_set *s) {
         if (is_infinite(g)) return -1;
         s->T[k] = row_times(s, s->active[k], s->base) - g;
     }
-    substitute_forward(s, s->T, s->count);
+    substitute_forward(s->L, s->T, s->count);
     return solve_multipliers(s);
 }
 
@@ -431,17 +457,18 @@ static void insert(view *found, int i, as_real by) {
 
 static void look(const active_set *s, view *found, as_real noise, as_real close) {
     found->count = found->near = found->equal = found->crossed = 0;
-    const as_real *z = s->z, *low = s->low, *high = s->high, far = close * larger(s->longest, 1);
+    const as_real *z = s->z, *lows = s->low, *highs = s->high;
+    const as_real far = close * larger(s->longest, 1);
     for (int i = 0, N = s->n + s->m; i < N; i++) {
-        const as_real v = z[i];
+        const as_real v = *z++, low = *lows++, high = *highs++;
         /* Neither NaN nor crossed. */
-        if (high[i] - v > far && v - low[i] > far) continue;
+        if (high - v > far && v - low > far) continue;
         const as_real u = s->unit[i];
-        if ((v - high[i]) * u < -close && (low[i] - v) * u < -close) continue;
+        if ((v - high) * u < -close && (low - v) * u < -close) continue;
         found->crossed |= has_crossed_limits(s, i);
         if (s->side[i] != NEITHER) continue;
         found->near = 1;
-        found->equal |= s->low[i] == s->high[i];
+        found->equal |= low == high;
         const as_real by = violation(s, i, v);
         if (by > noise && (found->count < CANDIDATES || by > found->by[CANDIDATES - 1]))
             insert(found, i, by);
@@ -483,17 +510,23 @@ static int find_blocking(const active_set *s, int j, as_real side, int dependent
  * dependent row that nothing blocks contradicts the active ones if gap is more than `allowed`; if it
  * is not, rounding decides. */
 static int activate(active_set *s, int j, int which, as_real gap, as_real allowed) {
-    const as_real side = REAL(which);
+    const as_real side = REAL(which), square = entry(s, j, j);
     as_real lam = 0;
-    substitute_forward(s, s->T, s->count);
+    substitute_forward(s->L, s->T, s->count);
     while (s->iterations < ITERATIONS_PER_ROW * (s->n + s->m)) {
         s->iterations++;
-        const as_real d = combine(s, j);
-        const int dependent = s->count == s->n || d <= DEPENDENT * DEPENDENT * entry(s, j, j);
-        as_real t = 0;
+        const int whole = s->count == s->n; /* n rows combine every other one: d is rounding */
+        as_real d = square - dot(s->T, s->T, s->count), t = 0;
+        write_combination(s);
+        if (s->count > 0 && (whole ? size_of(d) > DEPENDENT * square : d < CLOSE * square))
+            d = refine_combination(s, j);
+        const int dependent = whole || d <= DEPENDENT * DEPENDENT * square;
         const int blocking = find_blocking(s, j, side, dependent, &t);
-        if (dependent && blocking < 0)
-            return gap * s->unit[j] > allowed ? write_ray(s, j, side) : DOUBTFUL;
+        if (dependent && blocking < 0) {
+            if (!(gap * s->unit[j] > allowed)) return DOUBTFUL;
+            if (whole) refine_combination(s, j);
+            return write_ray(s, j, side);
+        }
         const int full = !dependent && (blocking < 0 || gap / d <= t);
         if (full) t = gap / d;
         for (int k = 0; k < s->count; k++) s->lam[s->active[k]] -= t * side * s->R[k];
@@ -542,8 +575,7 @@ static int activate_violated(
 /* base := −P⁻¹q; returns the square of its length in the norm of P, infinite or NaN if q is. */
 static as_real write_base(active_set *s) {
     clear(s->base, s->n);
-    add_product(s, s->base, s->G, s->q);
-    for (int c = 0; c < s->n; c++) s->base[c] = -s->base[c];
+    add_product(s, s->base, -1, s->G, s->q);
     return -dot(s->q, s->base, s->n);
 }
 
@@ -577,8 +609,8 @@ static int is_settled(const active_set *s, as_real length) {
 static void settle(active_set *s) {
     for (int k = 0; k < s->count; k++)
         s->R[k] = s->z[s->active[k]] - limit_of(s, s->active[k]);
-    substitute_forward(s, s->R, s->count);
-    substitute_backward(s, s->R, s->count);
+    substitute_forward(s->L, s->R, s->count);
+    substitute_backward(s->L, s->R, s->count);
     for (int k = 0; k < s->count; k++) {
         s->lam[s->active[k]] += s->R[k];
         add_scaled(s->z, -s->R[k], inverse_row(s, s->active[k]), s->n);
@@ -637,3 +669,7 @@ void active_set_place_step(active_set *s, as_real *reals, int *integers) {
     s->active = integers;
     s->side = integers + n;
 }
+
+#ifdef FOR_SIZE
+#pragma clang attribute pop
+#endif

@@ -58,6 +58,7 @@ struct active_set {
     const as_real *a;    /* entries of A that are not zero, row after row */
     const int *column;   /* and their columns */
     const int *first;    /* m+1: where a row begins in these two */
+    const int *parent;   /* m: a row before it whose entries begin those of this row; −1: none does */
     const int *order;    /* n: variables that P couples with others, then the rest */
     int coupled;         /* how many it couples */
     as_real longest, steepest, largest, widest; /* max √H_ii, Σ|P| of a row, max |A|, Σ|P⁻¹| of a row */
@@ -78,7 +79,7 @@ struct active_set {
 #define ACTIVE_SET_REALS(n, m) \
     (ACTIVE_SET_STEP_REALS(n, m) + ((n) + (m)) + 2 * (n) * ((n) + (m)))
 #define ACTIVE_SET_INTEGERS(n, m) \
-    (ACTIVE_SET_STEP_INTEGERS(n, m) + (m) + 1 + (n) + (m) * (n))
+    (ACTIVE_SET_STEP_INTEGERS(n, m) + 2 * (m) + 1 + (n) + (m) * (n))
 
 void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers);
 /* Where P stays, its constants can be computed elsewhere and lie in read-only memory: give n, m and

@@ -18,7 +18,7 @@ static as_real smaller(as_real x, as_real y) { return x < y ? x : y; }
 static as_real write_gradient(active_set *s) {
     const int n = s->n;
     for (int c = 0; c < n; c++) s->r[c] = 0;
-    add_product(s, s->r, s->P, s->z);
+    add_product(s, s->r, 1, s->P, s->z);
     const as_real square = dot(s->r, s->z, n);
     for (int c = 0; c < n; c++) s->r[c] += s->q[c];
     for (int k = 0; k < s->count; k++) add_row(s, s->active[k], s->lam[s->active[k]], s->r);
@@ -31,8 +31,8 @@ static as_real correct(active_set *s, as_real *restrict z_low, as_real *restrict
     const int w = s->count;
     as_real square = -dot(s->e, s->r, s->n);
     for (int k = 0; k < w; k++) s->R[k] = s->T[k];
-    substitute_forward(s, s->R, w);
-    substitute_backward(s, s->R, w);
+    substitute_forward(s->L, s->R, w);
+    substitute_backward(s->L, s->R, w);
     square += dot(s->R, s->T, w);
     for (int k = 0; k < w; k++) add_scaled(s->e, -s->R[k], inverse_row(s, s->active[k]), s->n);
     for (int c = 0; c < s->n; c++) {
@@ -59,8 +59,7 @@ static as_real refine(active_set *s, as_real *size) {
     clear(s->lam_low, n);
     if (largest_of(s->r, n) > REAL(64) * EPSILON * (1 + largest_of(s->q, n))) {
         off = 1;
-        add_product(s, s->e, s->G, s->r);
-        for (int c = 0; c < n; c++) s->e[c] = -s->e[c];
+        add_product(s, s->e, -1, s->G, s->r);
     }
     for (int k = 0; k < s->count; k++) {
         const int i = s->active[k];
@@ -232,8 +231,7 @@ static as_real polish(active_set *s) {
         }
         add_scaled(s->r, 1, s->r_low, n);
         clear(s->e, n);
-        add_product(s, s->e, s->G, s->r);
-        for (int c = 0; c < n; c++) s->e[c] = -s->e[c];
+        add_product(s, s->e, -1, s->G, s->r);
         for (int k = 0; k < s->count; k++) {
             const int i = s->active[k];
             s->T[k] = exact_distance(s, i, limit_of(s, i)) + row_times(s, i, s->e);

@@ -13,7 +13,8 @@ void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers
     s->G = reals += square;
     s->a = reals + square + rows;
     s->first = integers += ACTIVE_SET_STEP_INTEGERS(n, m);
-    s->order = integers += m + 1;
+    s->parent = integers += m + 1;
+    s->order = integers += m;
     s->column = integers + n;
 }
 
@@ -43,11 +44,27 @@ static int invert(as_real *X, int n) {
     return 1;
 }
 
+/* The last row of A before row i whose entries begin those of row i; −1 if there is none. Sums over
+ * the horizon are such rows. */
+static int find_parent(const active_set *s, int i) {
+    const int *first = s->first;
+    for (int p = i - 1; p >= 0; p--) {
+        const int count = first[p + 1] - first[p];
+        int same = 0;
+        while (same < count && first[i] + same < first[i + 1] &&
+               s->column[first[p] + same] == s->column[first[i] + same] &&
+               s->a[first[p] + same] == s->a[first[i] + same])
+            same++;
+        if (count > 0 && same == count) return p;
+    }
+    return -1;
+}
+
 /* The entries of A, A P⁻¹ and the lengths of all rows. */
 static int write_rows(active_set *s, const as_real *A) {
     const int n = s->n, N = n + s->m;
     as_real *a = (as_real *)s->a, *unit = (as_real *)s->unit, *G = (as_real *)s->G;
-    int *first = (int *)s->first, *column = (int *)s->column, end = 0;
+    int *first = (int *)s->first, *column = (int *)s->column, *parent = (int *)s->parent, end = 0;
     s->longest = 0;
     s->largest = 1;
     for (int i = 0; i < N; i++, G += n) {
@@ -64,6 +81,7 @@ static int write_rows(active_set *s, const as_real *A) {
                 add_scaled(G, x, inverse_row(s, c), n);
             }
             first[i - n + 1] = end;
+            parent[i - n] = find_parent(s, i - n);
         }
         const as_real length = root(larger(entry(s, i, i), 0));
         unit[i] = length > ZERO_ROW ? 1 / length : 1;
@@ -85,9 +103,9 @@ static void measure_loss(active_set *s) {
     const int n = s->n;
     for (int c = 0; c < n; c++) s->e[c] = REAL(c % 3 ? 1 : -1);
     clear(s->r, n);
-    add_product(s, s->r, s->G, s->e);
+    add_product(s, s->r, 1, s->G, s->e);
     for (int c = 0; c < n; c++) s->e[c] = -s->e[c];
-    add_product(s, s->e, s->P, s->r);
+    add_product(s, s->e, 1, s->P, s->r);
     s->loss = largest_of(s->e, n);
 }
 

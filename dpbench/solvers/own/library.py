@@ -41,7 +41,7 @@ class ActiveSet(ctypes.Structure):
 
     _fields_ = [
         *_name_fields(INTEGER, "n m warm block stale count iterations"),
-        *_name_fields(POINTER, "q low high z lam P G unit a column first order"),
+        *_name_fields(POINTER, "q low high z lam P G unit a column first parent order"),
         *_name_fields(INTEGER, "coupled"),
         *_name_fields(REAL, "longest steepest largest widest loss"),
         *_name_fields(POINTER, "base L active side R T r e z_low lam_low r_low refine"),
@@ -81,7 +81,7 @@ class Problem:
         N = n + m
         reals = n * 2 * N + 5 * N + n * (n + 1) // 2 + 9 * n
         self._reals = np.zeros(reals)
-        self._integers = np.zeros(m * n + m + 1 + 2 * n + N, dtype=np.intc)
+        self._integers = np.zeros(m * n + 2 * m + 1 + 2 * n + N, dtype=np.intc)
         self.head = ActiveSet()
         self.pointer = ctypes.c_void_p(ctypes.addressof(self.head))
         data = (array.ctypes.data for array in (self._reals, self._integers))

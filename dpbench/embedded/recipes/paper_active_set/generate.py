@@ -34,7 +34,7 @@ def _write_constants(qp: QuadraticProgram) -> str:
     open_library().active_set_factorise(problem.pointer, problem.P_pointer, problem.A_pointer)
     entries = int(np.count_nonzero(qp.A))
     reals = {"P": n * n, "G": (n + m) * n, "unit": n + m, "a": entries}
-    integers = {"column": entries, "first": m + 1, "order": n}
+    integers = {"column": entries, "first": m + 1, "parent": m, "order": n}
     lines = [_array("as_real", name, problem.view(name, size)) for name, size in reals.items()]
     for name, size in integers.items():
         pointer = ctypes.cast(getattr(problem.head, name), ctypes.POINTER(ctypes.c_int))
