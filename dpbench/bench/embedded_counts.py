@@ -21,7 +21,7 @@ from dpbench.bench.record.result_folder import UncountedSolver
 from dpbench.bench.run.exact_loop import rebuild_sequence, solve_exactly
 from dpbench.bench.workers.worker import disable_gc_and_warnings, pin_to_core, write_outcome
 from dpbench.embedded.count import StepCounts, count_sequence
-from dpbench.embedded.recipe import find_recipes
+from dpbench.embedded.recipe import find_recipes, select_recipes
 from dpbench.embedded.table import EMBEDDED_FILE, read_steps, tabulate_steps, write_steps
 from dpbench.embedded.targets import find_target
 from dpbench.embedded.toolchain import installed_compiler, require_extra
@@ -84,7 +84,7 @@ def plan_counts(table: EmbeddedTable, beside: Path | None = None) -> list[Planne
         PlannedCount(solver, target, *part, single=table.precision == "float")
         for part in (_parse_sequence(text, beside) for text in dict.fromkeys(table.sequences))
         for target in dict.fromkeys(table.targets)
-        for solver in dict.fromkeys(table.solvers or known)
+        for solver in (recipe.solver for recipe in select_recipes(table.solvers))
     ]
 
 

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from dpbench.embedded.fetch import fetch_sources
 from dpbench.embedded.targets import Target
 from dpbench.embedded.toolchain import FOLDER, compile_program
-from dpbench.errors import InputError, UnknownNameError, list_allowed
+from dpbench.errors import InputError, SituationError, UnknownNameError, list_allowed
 from dpbench.qp.program import QPSequence
 
 RECIPES = FOLDER / "recipes"
@@ -53,6 +53,8 @@ class RecipeFile(_Table):
     tuned: _Text
     """Which settings were tuned, and on which sequences."""
     package: PackageTable | None = None
+    requires: list[str] = []
+    """Python packages of the generator, beside those of the extra."""
     sources: list[str] = []
     """Files of the package, or of the recipe's folder without one; with `*` and `?`."""
     include: list[str] = []
@@ -95,6 +97,12 @@ class Recipe:
         """Name of the solver."""
         return self.file.solver
 
+    @property
+    def missing(self) -> str:
+        """What this recipe requires and is not there; "" if nothing."""
+        missing = [name for name in self.file.requires if importlib.util.find_spec(name) is None]
+        return f"not installed: pip install {' '.join(missing)}" if missing else ""
+
     def with_settings(self, given: Settings) -> Settings:
         """Return the recipe's settings with those given; InputError for one that it has not."""
         for key, value in given.items():
@@ -131,6 +139,8 @@ class Recipe:
         InputError and SituationError as `check`, `fetch_sources` and `compile_program` raise them.
         """
         self.check(sequence, single=single)
+        if self.missing:
+            raise SituationError(self.solver, self.missing)
         file, origin = self.file, self.folder
         (folder / "problem.h").write_text(_problem_header(sequence, self.with_settings(settings)))
         if file.package is not None:
@@ -201,9 +211,13 @@ def find_recipes(folders: Iterable[Path] = ()) -> dict[str, Recipe]:
 
 
 def select_recipes(names: Iterable[str], folders: Iterable[Path] = ()) -> list[Recipe]:
-    """Return the recipes of named solvers, all without names; UnknownNameError for another."""
+    """Return the recipes of named solvers; UnknownNameError for another.
+
+    Without names, all recipes that miss nothing.
+    """
     known = find_recipes(folders)
     for name in names:
         if name not in known:
             raise UnknownNameError("--solver", "", repr(name), list_allowed(name, list(known)))
-    return [known[name] for name in (dict.fromkeys(names) or known)]
+    able = [name for name, recipe in known.items() if not recipe.missing]
+    return [known[name] for name in (dict.fromkeys(names) or able)]

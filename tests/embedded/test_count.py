@@ -1,5 +1,6 @@
 """Counts of solvers' C along a short sequence: stored ones, repeated ones, and their answers."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from dpbench.embedded.targets import TARGETS
 from dpbench.embedded.toolchain import compiler_version, has_extra
 from dpbench.errors import InputError, SituationError
 from dpbench.qp.program import QPSequence
+from dpbench.qp.referee.referee import certify_sequence
 from dpbench.solvers.contract import Settings
 from dpbench.solvers.record import HIGH
 
@@ -112,6 +114,20 @@ def test_answers_of_osqp_equal_those_of_its_wheel() -> None:
         answer = library.solve(raise_error=True)
         np.testing.assert_allclose(counts.z[k], answer.x, rtol=0, atol=1e-9)
         assert counts.steps["iterations"][k] == answer.info.iter
+
+
+def test_qoco_meets_its_tolerance_with_rows_that_are_equalities() -> None:
+    pytest.importorskip("qocogen", reason="the generator of QOCO's C is not installed")
+    sequence = load("paper-30-5", 3)
+    base, l, u = sequence.base, sequence.l.copy(), sequence.u.copy()  # noqa: E741 - as in QuadraticProgram
+    # Half the way to the optimum is feasible.
+    half = [0.5 * base.A[1] @ optimum.z for optimum in certify_sequence(sequence)]
+    l[:, 1] = u[:, 1] = half
+    fixed = replace(sequence, base=replace(base, l=l[0], u=u[0]), l=l, u=u)
+    counts = count("qoco", "a53", fixed)
+    assert set(counts.steps["status"].tolist()) == {0}
+    assert counts.error_plan.max() < 1e-2
+    np.testing.assert_allclose(counts.z @ base.A[1], half, atol=1e-6)
 
 
 def test_matrices_of_each_step_and_single_precision() -> None:

@@ -43,6 +43,14 @@ def test_a_recipe_of_a_users_own(tmp_path: Path) -> None:
         select_recipes(["osqp"])[0].with_settings({"sigma": 1})
 
 
+def test_a_recipe_whose_generator_is_not_installed(tmp_path: Path) -> None:
+    (tmp_path / "recipe.toml").write_text(f'{TEXT}requires = ["no_such_package", "numpy"]\n')
+    (tmp_path / "shim.c").write_text("")
+    (recipe,) = select_recipes(["mine"], [tmp_path])
+    assert recipe.missing == "not installed: pip install no_such_package"
+    assert recipe.solver not in {other.solver for other in select_recipes([], [tmp_path])}
+
+
 def test_a_source_that_cannot_be_fetched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fetch, "cache_folder", lambda name: tmp_path)
     monkeypatch.setenv("PIP_NO_INDEX", "1")

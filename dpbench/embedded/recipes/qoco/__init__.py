@@ -1,0 +1,1 @@
+"""Generator of the C that the recipe of QOCO compiles."""
