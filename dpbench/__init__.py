@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dpbench.bench.campaign import run_campaign as run_campaign
     from dpbench.bench.run.exact_loop import record_sequence as record_sequence
+    from dpbench.bench.sequences.export import export_sequence as export_sequence
     from dpbench.bench.sequences.sequence_file import load_sequence as load_sequence
     from dpbench.bench.sequences.sequence_file import save_sequence as save_sequence
     from dpbench.errors import DpbenchError as DpbenchError
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "bench.campaign": "run_campaign",
     "bench.run.exact_loop": "record_sequence",
+    "bench.sequences.export": "export_sequence",
     "bench.sequences.sequence_file": "load_sequence save_sequence",
     "errors": "DpbenchError InputError",
     "mpc.condensed_qp": "CondensedQP",

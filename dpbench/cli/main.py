@@ -273,7 +273,7 @@ def _print_comparison(
 
 def _export_qps(arguments: argparse.Namespace) -> None:
     """Write QPs in one of several file formats (`dpbench export`)."""
-    from dpbench.bench.sequences.export import check_export_options, export
+    from dpbench.bench.sequences.export import check_export_options, export_sequence
     from dpbench.cli.terminal import print_wrapped
 
     check_export_options(vars(arguments))
@@ -284,7 +284,7 @@ def _export_qps(arguments: argparse.Namespace) -> None:
         with ProgressBar(transient=True) as bar:
             text = record_shipped_sequences(arguments.out or "results/sequences", progress=bar)
     else:
-        text = export(**_named_parameters(arguments, "all"))
+        text = export_sequence(**_named_parameters(arguments, "all"))
     print_wrapped(text.splitlines())
 
 

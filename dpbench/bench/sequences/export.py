@@ -11,10 +11,11 @@ from dpbench.bench.sequences.qpbenchmark_files import list_steps_with_optimum, s
 from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.bench.sequences.text_files import save_csv, save_mat, save_qps
 from dpbench.errors import InputError, SituationError
+from dpbench.qp.program import QPSequence
 from dpbench.qp.random_mpc import is_random_mpc
 from dpbench.qp.referee.referee import certify_sequence
 from dpbench.scenario.problem_files import is_stored, problem_names
-from dpbench.scenario.scenario import load_scenario
+from dpbench.scenario.scenario import Scenario, as_scenario
 from dpbench.scenario.tables.key_types import Horizons, parse_horizons
 
 Format = Literal["npz", "qpbenchmark", "mat", "csv", "qps"]
@@ -23,8 +24,8 @@ FILES: dict[Format, str] = {"npz": ".npz", "mat": ".mat"}  # of the formats that
 WRITERS = {"mat": save_mat, "csv": save_csv, "qps": save_qps}
 
 
-def export(
-    what: str | Path,
+def export_sequence(
+    what: str | Path | Scenario | QPSequence,
     out: str | Path,
     *,
     format: Format = "npz",
@@ -36,14 +37,26 @@ def export(
 ) -> str:
     """Write the certified QPs of a scenario or a sequence to a file; return a line on it.
 
-    what : a scenario by name or TOML path, a sequence by name or `.npz`, a folder of qpsolvers
-        problems, or a random MPC problem such as random_mpc-10-4-10 (states, inputs, horizon).
+    Parameters
+    ----------
+    what : a scenario, a sequence, or the name or path of either; a folder of qpsolvers problems; or
+        a random MPC problem such as random_mpc-10-4-10 (states, inputs, horizon).
     out : the `.npz` or `.mat` file; for "qpbenchmark" the name of the Parquet file and the Python
         file; for "csv" and "qps" a folder.
     horizons : "N_p/N_c" instead of those of the tuning; of a scenario only.
     steps, every : the first so many steps, and of these each `every`-th; at : one step instead.
     part : "allocation" for the second QPs of a cascade; of a scenario only.
+
+    Raises
+    ------
     InputError : for bad input; CertificateError when the loop of a scenario cannot be certified.
+
+    Examples
+    --------
+    >>> export_sequence("paper-30-5", "paper.mat", format="mat", steps=20).split(";")[0]
+    'paper.mat: 20 QPs, n = 15, m = 15'
+    >>> export_sequence("turn", "step-4.npz", at=4).split(";")[0]
+    'step-4.npz: 1 QPs, n = 30, m = 30'
     """
     target = Path(out)
     if format not in FORMATS:
@@ -84,7 +97,7 @@ def check_export_options(options: dict[str, Any]) -> None:
 
 
 def _record_requested(
-    what: str | Path,
+    what: str | Path | Scenario | QPSequence,
     horizons: tuple[int, int] | None,
     steps: int | None,
     every: int,
@@ -92,10 +105,8 @@ def _record_requested(
     part: Part,
 ) -> Recorded:
     """Load a stored sequence or record one from a scenario, cut to the requested steps."""
-    path = Path(what)
-    is_file = path.suffix == ".npz" or path.is_dir() or is_stored(what) or is_random_mpc(what)
-    if str(what) in problem_names("scenarios") or not is_file:
-        scenario = load_scenario(what)
+    if _is_scenario(what):
+        scenario = as_scenario(what)
         record = partial(recording.record_scenario, horizons=horizons, part=part)
         if at is None:
             return record(scenario, steps=steps, every=every)
@@ -108,12 +119,28 @@ def _record_requested(
     if horizons is not None:
         found = f"{horizons[0]}/{horizons[1]} for a recorded sequence"
         raise InputError("--horizons", "", found, "a scenario: a sequence has the horizons it has")
-    stored = recording.load_named_sequence(what)
+    stored = _load_recorded(what)
     if at is not None:
         return _record_step(stored, at)
     sequence = recording.thin_sequence(stored.sequence, steps, every)
     # The optima of a file are certified again.
     return replace(stored, sequence=sequence, optima=certify_sequence(sequence))
+
+
+def _is_scenario(what: object) -> bool:
+    """Return whether something is a scenario or names one, and no sequence of QPs."""
+    if not isinstance(what, str | Path):
+        return not isinstance(what, QPSequence)
+    path = Path(what)
+    is_file = path.suffix == ".npz" or path.is_dir() or is_stored(what) or is_random_mpc(what)
+    return str(what) in problem_names("scenarios") or not is_file
+
+
+def _load_recorded(what: str | Path | Scenario | QPSequence) -> Recorded:
+    """Return a sequence with its units; of a given one, without optima."""
+    if isinstance(what, QPSequence):
+        return Recorded(what.scaled or what, None, what.units)
+    return recording.load_named_sequence(str(what))
 
 
 def _record_step(recorded: Recorded, k: int) -> Recorded:

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from dpbench import InputError, Solution, Status, load_scenario, residuals
-from dpbench.bench.sequences.export import export
+from dpbench.bench.sequences.export import export_sequence
 from dpbench.bench.sequences.qpbenchmark_files import save_qpbenchmark
 from dpbench.bench.sequences.recording import record_scenario
 from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
@@ -107,7 +107,7 @@ def test_residuals_agree_row_by_row(kind: str, qpbenchmark: Any, tmp_path: Path)
 @pytest.mark.slow
 def test_its_command_runs_the_set_as_it_is(qpbenchmark: Any, tmp_path: Path) -> None:
     """`qpbenchmark dp_calm.py run` in the folder of the files solves each and writes its report."""
-    said = export("calm", tmp_path / "dp_calm", format="qpbenchmark", steps=4)
+    said = export_sequence("calm", tmp_path / "dp_calm", format="qpbenchmark", steps=4)
     assert said.startswith(f"{tmp_path / 'dp_calm.parquet'} and {tmp_path / 'dp_calm.py'}: 4 QPs")
     command = [sys.executable, "-m", "qpbenchmark.benchmark", "--results-path", "results.csv"]
     command += ["dp_calm.py", "run", "--solver", "daqp", "--author", "nobody"]
@@ -154,8 +154,8 @@ def test_a_name_that_cannot_be_imported_is_refused(name: str, tmp_path: Path) ->
 
 def test_both_formats_come_from_the_same_record(tmp_path: Path) -> None:
     """The P of the Parquet row is that of the `.npz` it was made from, bit for bit."""
-    export("paper", tmp_path / "a.npz", steps=3)
-    export(tmp_path / "a.npz", tmp_path / "dp_a.py", format="qpbenchmark", every=2)
+    export_sequence("paper", tmp_path / "a.npz", steps=3)
+    export_sequence(tmp_path / "a.npz", tmp_path / "dp_a.py", format="qpbenchmark", every=2)
     sequence = load_recorded(tmp_path / "a.npz").sequence
     frame = pd.read_parquet(tmp_path / "dp_a.parquet")
     assert frame["name"].tolist() == ["paper_0", "paper_2"]
