@@ -77,7 +77,7 @@ class ReplayBenchmark:
         """
         qps, workspace = as_sequence(sequence), _open_solver(solver, options)
         run = replay(qps, workspace, repeats=2)
-        self._note(run)
+        self._store_facts(run)
         requirements = Requirements(error_move=error_move, failed_steps=failed_steps)
         _check_answers(run, requirements)
         base, steps = qps.base.copy(), [qps.step(k) for k in range(len(qps))]
@@ -88,7 +88,7 @@ class ReplayBenchmark:
             )
         return run
 
-    def _note(self, run: Run) -> None:
+    def _store_facts(self, run: Run) -> None:
         """Store what identifies a replay and what it reached in the JSON of pytest-benchmark."""
         row, info = run.summary, self._benchmark.extra_info
         info["dpbench"] = version("dpbench")

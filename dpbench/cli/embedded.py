@@ -47,11 +47,11 @@ def print_counts(arguments: argparse.Namespace) -> int:
     counts: list[StepCounts] = []
     refused: list[DpbenchError] = []
     for name in arguments.sequences or ["paper-30-5"]:
-        recorded = _read(name, arguments.steps)
+        recorded = _read_sequence(name, arguments.steps)
         for recipe, target in ((r, t) for t in targets for r in recipes):
             single, own = arguments.single, settings.get(recipe.solver, {})
             try:
-                counts.append(_count(recipe, recorded, target, single=single, settings=own))
+                counts.append(_count_recipe(recipe, recorded, target, single=single, settings=own))
             except DpbenchError as error:
                 refused.append(error)
     for text in dict.fromkeys(map(str, refused)):
@@ -68,12 +68,12 @@ def print_counts(arguments: argparse.Namespace) -> int:
     return int(bool(refused))
 
 
-def _count(recipe: Recipe, recorded: Recorded, target: Target, **options: Any) -> StepCounts:
+def _count_recipe(recipe: Recipe, recorded: Recorded, target: Target, **options: Any) -> StepCounts:
     """Count the instructions of a solver's C on a recorded sequence, step by step."""
     return count_sequence(recipe, recorded.sequence, target, optima=recorded.optima, **options)
 
 
-def _read(name: str, steps: int) -> Recorded:
+def _read_sequence(name: str, steps: int) -> Recorded:
     """Return a sequence by name or file, its first `steps` QPs with certified optima."""
     recorded = load_named_sequence(name)
     if not steps or steps >= len(recorded.sequence):
@@ -122,8 +122,8 @@ def _make_tables(runs: list[dict[str, Any]]) -> Iterator[Table]:
                 "p99": count_text(run["instructions_p99"]),
                 "worst": count_text(run["instructions_max"]),
                 "k": str(run["worst_step"]),
-                "iterations": _known(run["worst_iterations"]),
-                "active": _known(run["worst_active"]),
+                "iterations": _format_known(run["worst_iterations"]),
+                "active": _format_known(run["worst_active"]),
             }
             for run in group
         ]
@@ -139,6 +139,6 @@ def _make_tables(runs: list[dict[str, Any]]) -> Iterator[Table]:
         yield Table.of(sizes, f"{title}bytes of memory, error", note=note)
 
 
-def _known(number: int) -> str:
+def _format_known(number: int) -> str:
     """Format a count; a dash for a negative one, which is unknown."""
     return str(number) if number >= 0 else "–"

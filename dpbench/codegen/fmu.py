@@ -121,7 +121,7 @@ def build_fmu(data: ControllerData, sources: Mapping[str, bytes], version: int) 
         files["sources/buildDescription.xml"] = render("build.xml", **values)
     files |= {f"sources/{name}": text for name, text in own.items()}
     files |= _compile_libraries(own, identifier, version)
-    return _zip(files)
+    return _zip_files(files)
 
 
 def _compile_libraries(
@@ -140,7 +140,7 @@ def _compile_libraries(
     return libraries
 
 
-def _zip(files: Mapping[str, bytes]) -> bytes:
+def _zip_files(files: Mapping[str, bytes]) -> bytes:
     """Return files as a zip file, the same for the same files."""
     whole = io.BytesIO()
     with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:

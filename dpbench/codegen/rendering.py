@@ -8,7 +8,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 
 @cache
-def _environment() -> Environment:
+def _template_environment() -> Environment:
     """Return the Jinja environment of the templates of generated C."""
     made = Environment(
         loader=PackageLoader("dpbench.codegen"),
@@ -23,4 +23,4 @@ def _environment() -> Environment:
 
 def render(template: str, **values: Any) -> bytes:
     """Return a file of the generated controller in UTF-8, from its template."""
-    return _environment().get_template(f"{template}.j2").render(values).encode()
+    return _template_environment().get_template(f"{template}.j2").render(values).encode()

@@ -58,13 +58,13 @@ class HeadingSeries:
         stack = stack.reshape(len(_TURNS), -1)
         varying = np.flatnonzero(np.ptp(stack, axis=0) > size)
         values, size = stack[:, varying], size[varying]
-        waves = 0.4 * np.array(_harmonics(np.cos(_TURNS), np.sin(_TURNS))) @ values
+        waves = 0.4 * np.array(_heading_harmonics(np.cos(_TURNS), np.sin(_TURNS))) @ values
         terms = [(k, wave) for k, wave in enumerate(waves) if (np.abs(wave) > size).any()]
         return cls(varying, values.mean(axis=0), terms)
 
     def write(self, turn_rad: float, out: Matrix) -> None:
         """Evaluate the polynomial at a heading change [rad]; write varying entries to `out`."""
-        waves = _harmonics(math.cos(turn_rad), math.sin(turn_rad))
+        waves = _heading_harmonics(math.cos(turn_rad), math.sin(turn_rad))
         # Entry by entry alike, so that a symmetric matrix stays so to the last bit.
         values = self.constant.copy()
         for k, coefficients in self.terms:
@@ -72,7 +72,7 @@ class HeadingSeries:
         out.reshape(-1)[self.varying] = values
 
 
-def _harmonics(c: Wave, s: Wave) -> tuple[Wave, Wave, Wave, Wave]:
+def _heading_harmonics(c: Wave, s: Wave) -> tuple[Wave, Wave, Wave, Wave]:
     """Return cos δ, sin δ, cos 2δ, sin 2δ from c = cos δ and s = sin δ."""
     return c, s, c * c - s * s, 2.0 * c * s
 

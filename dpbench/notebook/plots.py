@@ -132,7 +132,7 @@ class ResultPlots:
         """
         from dpbench.analysis.times.solver_tables import time_table
 
-        table, limits = _filled(time_table(self._data)), self._data.requirements
+        table, limits = _require_rows(time_table(self._data)), self._data.requirements
         if _is_printed(backend):
             draw = _import_printed().draw_deadline_chart
         else:
@@ -146,7 +146,7 @@ class ResultPlots:
         """
         from dpbench.analysis.times.solver_tables import level_table
 
-        table, limits = _filled(level_table(self._data)), self._data.requirements
+        table, limits = _require_rows(level_table(self._data)), self._data.requirements
         if _is_printed(backend):
             draw = _import_printed().draw_accuracy
         else:
@@ -154,7 +154,7 @@ class ResultPlots:
         return draw(table, limits.error_move)
 
 
-def _filled(table: pd.DataFrame) -> pd.DataFrame:
+def _require_rows(table: pd.DataFrame) -> pd.DataFrame:
     """Return a table of timed solvers, InputError where it has no row."""
     if table.empty:
         raise InputError("plot", "results", "no timed replay", "results of a suite with replays")

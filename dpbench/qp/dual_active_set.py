@@ -178,7 +178,7 @@ class DualActiveSet:
         while self.iterations < self._limit:
             self.iterations += 1
             a = side * J[:, j]
-            r, d = self._project(a)
+            r, d = self._project_on_active(a)
             gap = float(a @ self._x) - side * limit
             dependent = len(self._active) == a.size or d @ d <= DEPENDENT**2 * (a @ a)
             blocking, t_dual = self._find_blocking_row(r, NO_PART if dependent else 0.0)
@@ -208,7 +208,7 @@ class DualActiveSet:
         """Compute the QR factors of the active rows' normals."""
         self._Q, self._R = np.linalg.qr(self._J[:, self._active])
 
-    def _project(self, a: Vector) -> tuple[Vector, Vector]:
+    def _project_on_active(self, a: Vector) -> tuple[Vector, Vector]:
         """Return a vector's coefficients in the active normals, and the rest orthogonal to them."""
         if not self._active:
             return np.empty(0), a

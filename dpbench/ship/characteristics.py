@@ -38,7 +38,9 @@ def steady_speed(vessel: Vessel) -> Matrix:
         if force == 0.0:
             return 0.0
         along = np.sign(force) * axes[axis]
-        excess = partial(_excess, vessel, along, np.where(axes[axis] > 0.0, abs(force), np.inf))
+        excess = partial(
+            _share_excess, vessel, along, np.where(axes[axis] > 0.0, abs(force), np.inf)
+        )
         return float(np.sign(force)) * _find_root(excess)
 
     limits = (vessel.tau_min, vessel.tau_max)
@@ -67,7 +69,7 @@ def largest_current_abeam_mps(
     reach, along = np.minimum(-vessel.tau_min, vessel.tau_max), np.eye(len(vessel.D))[SWAY]
 
     def excess(speed: float) -> float:
-        beyond = _excess(vessel, along, reach, speed)
+        beyond = _share_excess(vessel, along, reach, speed)
         if find_share is None or beyond >= 0.0 or speed == 0.0:
             return beyond
         force = vessel.damping_force(speed * along)
@@ -76,7 +78,7 @@ def largest_current_abeam_mps(
     return _find_root(excess)
 
 
-def _excess(vessel: Vessel, along: Vector, reach: Vector, speed: float) -> float:
+def _share_excess(vessel: Vessel, along: Vector, reach: Vector, speed: float) -> float:
     """Return the largest share over the axes of a reach (3,) that a speed takes, less 1."""
     return float(np.max(np.abs(vessel.damping_force(speed * along)) / reach)) - 1.0
 

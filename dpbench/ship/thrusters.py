@@ -161,7 +161,10 @@ class ThrusterSet:
         """Return the largest force of all thrusters along a direction (3,): max of direction·τ."""
         slopes = direction @ self.T_e
         return float(
-            sum(_support(t, slopes[at]) for t, at in zip(self.thrusters, self.slices, strict=True))
+            sum(
+                _thrust_support(t, slopes[at])
+                for t, at in zip(self.thrusters, self.slices, strict=True)
+            )
         )
 
     def limits(self) -> tuple[Vector, Vector]:
@@ -192,7 +195,7 @@ class ThrusterSet:
         return {i for name in names for i in known[name]}
 
 
-def _support(thruster: Thruster, slope: Vector) -> float:
+def _thrust_support(thruster: Thruster, slope: Vector) -> float:
     """Return the largest value of slope·f over the forces f that one thruster can give."""
     if thruster.kind != "azimuth":
         low, high = -thruster.astern * thruster.thrust_N, thruster.thrust_N

@@ -60,19 +60,19 @@ def expand_grid(options: Options, where: str) -> list[Options]:
 
     InputError, at `where`, for a list without values or a grid of more than `MOST_POINTS` points.
     """
-    pairs = list(_flatten(options))
+    pairs = list(_flatten_groups(options))
     axes = [value if isinstance(value, list) else [value] for _, value in pairs]
     count = 1
     for (key, _), axis in zip(pairs, axes, strict=True):
         count *= len(axis)
-        bad = [value for value in axis if not _is_value(value)]
+        bad = [value for value in axis if not _is_option_value(value)]
         if bad or not axis:
             found = repr(bad[0])[:80] if bad else "[]"
             raise InputError(where, key, found, "a number, text, true or false, or a list of them")
         if count > MOST_POINTS:
             raise InputError(where, key, f"a grid of {count} points", f"at most {MOST_POINTS}")
     keys = [key for key, _ in pairs]
-    return [_nest(dict(zip(keys, point, strict=True))) for point in product(*axes)]
+    return [_nest_groups(dict(zip(keys, point, strict=True))) for point in product(*axes)]
 
 
 def describe_options(options: Options) -> str:
@@ -82,7 +82,7 @@ def describe_options(options: Options) -> str:
 
 def list_options(options: Options) -> dict[str, str]:
     """Return the value of each option as text in TOML, sorted by name."""
-    return {key: _describe_value(value) for key, value in sorted(_flatten(options))}
+    return {key: _format_option_value(value) for key, value in sorted(_flatten_groups(options))}
 
 
 def encode_options(options: Options) -> str:
@@ -102,7 +102,7 @@ def decode_options(text: str) -> Options:
     return options
 
 
-def _is_value(value: object) -> bool:
+def _is_option_value(value: object) -> bool:
     """Return whether an option may have this value: true, false, a short text, a finite number."""
     if isinstance(value, str):
         return len(value) <= LONGEST_TEXT
@@ -111,16 +111,16 @@ def _is_value(value: object) -> bool:
     return isinstance(value, float) and isfinite(value)
 
 
-def _flatten(options: Options, prefix: str = "") -> Iterator[tuple[str, object]]:
+def _flatten_groups(options: Options, prefix: str = "") -> Iterator[tuple[str, object]]:
     """Yield options by name, those of a group as `group.name`."""
     for key, value in options.items():
         if isinstance(value, Mapping):
-            yield from _flatten(value, f"{prefix}{key}.")
+            yield from _flatten_groups(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
 
 
-def _nest(options: Options) -> Options:
+def _nest_groups(options: Options) -> Options:
     """Return options with those named `group.name` in a mapping of each group."""
     nested: dict[str, object] = {}
     for key, value in options.items():
@@ -133,7 +133,7 @@ def _nest(options: Options) -> Options:
     return nested
 
 
-def _describe_value(value: object) -> str:
+def _format_option_value(value: object) -> str:
     """Return the value of an option as TOML, exponents without a leading zero."""
     text = json.dumps(value, ensure_ascii=False, default=str)
     return text.replace("e-0", "e-").replace("e+0", "e+") if isinstance(value, float) else text

@@ -109,7 +109,7 @@ def score_runs(
     logs = [math.log(step_time_ns(run) / default_ns[run.sequence]) for run in runs if not wrong]
     return Score(
         len(wrong) + missing,
-        sum(_excess(run, requirements) for run in wrong) + FAILED * missing,
+        sum(_error_excess(run, requirements) for run in wrong) + FAILED * missing,
         math.exp(sum(logs) / len(logs)) if logs and not missing else math.nan,
     )
 
@@ -126,7 +126,7 @@ def score_settings(
     ]
 
 
-def _excess(run: RunRecord, requirements: Requirements) -> float:
+def _error_excess(run: RunRecord, requirements: Requirements) -> float:
     """Return by how many decades the error of a run is above the requirement; `FAILED` at most."""
     error = run.error_move_max
     if not math.isfinite(error) or run.steps_done < run.steps_planned:

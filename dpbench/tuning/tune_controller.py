@@ -186,7 +186,7 @@ def tune_controller(
     folder = Path("results") / f"tune-{name}" if out is None else Path(out)
     for number in numbers:
         put_in_sea(base, Realisation(number, 0))
-    kept = _KeptTrials(folder / "trials.jsonl", _identify(base, numbers, realisations, steps))
+    kept = _KeptTrials(folder / "trials.jsonl", _search_digest(base, numbers, realisations, steps))
     batches = max(2, -(-trials // BATCH))
     bar = progress or Silent()
     searched = draw_realisations(base, numbers, 0, realisations, steps)
@@ -258,7 +258,7 @@ def _check_numbers(trials: int, realisations: int, margin: float, steps: int, se
         raise InputError("--margin", "", margin, "a number above 0, at most 1")
 
 
-def _identify(base: Scenario, seas: Sequence[int], realisations: int, steps: int) -> str:
+def _search_digest(base: Scenario, seas: Sequence[int], realisations: int, steps: int) -> str:
     """Return a digest of everything that the score of a trial depends on."""
     content = json.dumps([base.files, list(seas), realisations, steps], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()

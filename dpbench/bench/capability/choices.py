@@ -37,12 +37,12 @@ def find_best_choice(relax: Relax, choices: Choices) -> tuple[float, Combination
         if _is_no_better(bound, best):
             break
         rounded = tuple(pieces[int(np.argmax(use))] for pieces, use in zip(some, uses, strict=True))
-        use = bound if all(len(pieces) == 1 for pieces in some) else _use_of(relax, rounded)
+        use = bound if all(len(pieces) == 1 for pieces in some) else _least_use_of(relax, rounded)
         if use < best:
             best, chosen = use, rounded
         if _is_no_better(bound, best):
             break
-        for part in _split(some, uses):
+        for part in _branch_on_thruster(some, uses):
             bound, uses = relax(part)
             if not _is_no_better(bound, best):
                 heapq.heappush(queue, (bound, next(order), part, uses))
@@ -54,12 +54,12 @@ def _is_no_better(bound: float, best: float) -> bool:
     return bound * (1.0 + GAP) + GAP >= best
 
 
-def _use_of(relax: Relax, chosen: Combination) -> float:
+def _least_use_of(relax: Relax, chosen: Combination) -> float:
     """Return the least share of full thrust with one convex piece chosen for each thruster."""
     return relax(tuple((piece,) for piece in chosen))[0]
 
 
-def _split(choices: Choices, uses: Sequence[Vector]) -> list[Choices]:
+def _branch_on_thruster(choices: Choices, uses: Sequence[Vector]) -> list[Choices]:
     """Branch on the thruster that is most between two pieces: one set of choices for each piece."""
     between = [float(np.sort(use)[-2]) if len(use) > 1 else -1.0 for use in uses]
     at = int(np.argmax(between))

@@ -183,7 +183,7 @@ class _Cones:
         """Return the optimum for a force (3,) by linear programs; None where there is none."""
         A = self._matrix.toarray()
         posed: dict[str, Any] = {"A_eq": A[:AXES], "b_eq": wanted, "bounds": (None, None)}
-        tangents = [self._tangent(*at, angle) for at in self._circles for angle in TANGENTS]
+        tangents = [self._tangent_row(*at, angle) for at in self._circles for angle in TANGENTS]
         for _ in range(ROUNDS):
             rows = np.vstack([A[self._flat], *tangents])
             posed |= {"A_ub": rows, "b_ub": np.zeros(len(rows)), "options": _PRECISE}
@@ -198,10 +198,12 @@ class _Cones:
             ]
             if not beyond:
                 break
-            tangents += [self._tangent(at, own, np.arctan2(x[at + 1], x[at])) for at, own in beyond]
+            tangents += [
+                self._tangent_row(at, own, np.arctan2(x[at + 1], x[at])) for at, own in beyond
+            ]
         return x
 
-    def _tangent(self, at: int, own: int, angle_rad: float) -> Matrix:
+    def _tangent_row(self, at: int, own: int, angle_rad: float) -> Matrix:
         """Return the row (1, width) of a circle's tangent: (cos, sin)·f/T − u_k ≤ 0."""
         row = np.zeros((1, len(self.cost)))
         row[0, at], row[0, at + 1], row[0, own] = np.cos(angle_rad), np.sin(angle_rad), -1.0
@@ -232,7 +234,7 @@ class _ConeRows:
         wide = np.zeros((len(rows), self._width))
         wide[:, at : at + count], wide[:, own] = rows[:, :-1], rows[:, -1]
         self._forces[at : at + count] = 1.0
-        self._append(wide, cones)
+        self._append_rows(wide, cones)
         self._first = at + count + has_size
         return own
 
@@ -240,9 +242,9 @@ class _ConeRows:
         """Add the row Σ u_k ≤ u of a thruster with several pieces."""
         row = np.zeros((1, self._width))
         row[0, sizes], row[0, -1] = -1.0, 1.0
-        self._append(row, [_import_clarabel().NonnegativeConeT(1)])
+        self._append_rows(row, [_import_clarabel().NonnegativeConeT(1)])
 
-    def _append(self, rows: Matrix, cones: list[Any]) -> None:
+    def _append_rows(self, rows: Matrix, cones: list[Any]) -> None:
         """Append constraint rows and the cones that they belong to."""
         self._blocks.append(rows)
         self.kinds += cones

@@ -134,7 +134,7 @@ class DaskEngine(ExitStack):
     def completed(self) -> Iterator[Completed]:
         """Wait some seconds for a completed batch of runs; yield it with its results."""
         if time.monotonic() - self._refreshed_s >= REFRESH_S:
-            self._refresh()
+            self._refresh_workers()
         try:
             future = self._ended.get(timeout=REFRESH_S)
         except Empty:
@@ -152,7 +152,7 @@ class DaskEngine(ExitStack):
         if source := self._sources.pop(str(self._files.path(key)), None):
             self._given_to.pop(source.key, None)
 
-    def _refresh(self) -> None:
+    def _refresh_workers(self) -> None:
         """Update the list of workers; HandOverError if all workers of some task are gone."""
         for remark in self.cluster.refresh():
             self._progress.remark(remark)
@@ -194,13 +194,13 @@ class DaskEngine(ExitStack):
         self._forget_tasks()
         if not self.cluster.wait_for_reconnection():
             return EngineGoneError(f"the scheduler {self._where} went away")
-        self._refresh()
+        self._refresh_workers()
         return HandOverError("the connection was lost for a while")
 
     def _submit_cells(self, batch: CellBatch) -> Future:
         """Submit a batch of runs as a Dask task, with the files of their QPs."""
         alone = batch.is_timed and self.cluster.exclusive
-        return self._submit(
+        return self._send_task(
             on_worker.run_cells,
             self._context,
             batch,
@@ -221,24 +221,24 @@ class DaskEngine(ExitStack):
             cell = Cell.from_json(text)
             if isinstance(cell.source, RecordedSource) or is_readable(cell, path):
                 found = _read_source(cell, path)
-                made[str(path)] = self._submit(on_worker.return_file, found, name="source")
+                made[str(path)] = self._send_task(on_worker.return_file, found, name="source")
                 del texts[path]
         if texts:
             together = self._submit_files(batch, texts)
             for name in map(str, texts):
-                made[name] = self._submit(dict.get, together, name, name="source")
+                made[name] = self._send_task(dict.get, together, name, name="source")
         self._sources |= made
         self._given_to |= {future.key: self.cluster.addresses for future in made.values()}
-        return self._submit(on_worker.list_outcomes, made, name="made")
+        return self._send_task(on_worker.list_outcomes, made, name="made")
 
     def _submit_files(self, batch: FileBatch, texts: Mapping[Path, str]) -> Future:
         """Send the task of making a batch of files, with the texts it reads, to a Dask worker."""
         named = {str(path): text for path, text in texts.items()}
         args = on_worker.make_files, self._context, batch.target, named, batch.limit_s
         name = batch.target.__name__
-        return self._submit(*args, isolated=batch.isolated, name=name, retries=RETRIES)
+        return self._send_task(*args, isolated=batch.isolated, name=name, retries=RETRIES)
 
-    def _submit(self, function: Callable[..., Any], *args: Any, name: str, **how: Any) -> Future:
+    def _send_task(self, function: Callable[..., Any], *args: Any, name: str, **how: Any) -> Future:
         """Submit a function call as a uniquely named Dask task to the accepted workers."""
         self._require_connection()
         key = f"{name}-{next(self._names)}"

@@ -308,9 +308,9 @@ class LastResort:
         if z is None:
             return None, None
         touched = np.where(equal, equal, find_met_limits(problem, z))
-        return self._enclose(problem, held, touched)
+        return self._enclose_optimum(problem, held, touched)
 
-    def _enclose(
+    def _enclose_optimum(
         self, problem: JointQP, held: Signs, touched: Signs
     ) -> tuple[Proof | None, Signs | None]:
         """Enclose the optimum at `touched` rows, `held` first; return a set without interior."""

@@ -211,7 +211,7 @@ class Referee:
         if known is not None:
             return self._build_optimum(problem, posed, known)
         farkas = find_magnified_farkas(self._as_qp(problem))
-        return self._no_certificate() if farkas is None else self._refutation(problem, *farkas)
+        return self._no_certificate() if farkas is None else self._refute(problem, *farkas)
 
     def _build_optimum(self, problem: JointQP, posed: JointQP | None, proof: Proof) -> Optimum:
         """Return a proof as an optimum, with multipliers fitted to the original problem."""
@@ -292,7 +292,7 @@ class Referee:
         if farkas is None:
             return None
         self._farkas = farkas
-        return self._refutation(problem, *farkas)
+        return self._refute(problem, *farkas)
 
     def _reuse_farkas(self, problem: JointQP) -> Optimum | None:
         """Return the verdict "infeasible" by an earlier Farkas vector that is still valid, or None.
@@ -307,10 +307,10 @@ class Referee:
         # Most vectors of another step are seen to prove nothing before they are tried exactly.
         if not both[used] @ limits < 0.0 or not farkas_valid(self._as_qp(problem), *self._farkas):
             return None
-        verdict = self._refutation(problem, *self._farkas)
+        verdict = self._refute(problem, *self._farkas)
         return verdict if verdict.kind == "infeasible" else None
 
-    def _refutation(self, problem: JointQP, y: Vector, y_box: Vector) -> Optimum:
+    def _refute(self, problem: JointQP, y: Vector, y_box: Vector) -> Optimum:
         """Return a certificate of infeasibility, from multipliers that prove it, or undecided."""
         least = bound_least_violation(self._as_qp(problem), np.concatenate((y, y_box)))
         kind: Kind = "undecided" if least.is_undecided else "infeasible"
@@ -324,7 +324,7 @@ class Referee:
         y = multipliers[: self._m]
         y_box = -(y @ self._A)
         if farkas_valid(self._as_qp(problem), y, y_box):
-            return self._refutation(problem, y, y_box)
+            return self._refute(problem, y, y_box)
         if bound_least_violation(self._as_qp(problem)).is_undecided:
             return replace(self._no_certificate(), kind="undecided")
         return self._no_certificate()

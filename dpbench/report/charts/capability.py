@@ -37,7 +37,7 @@ def draw_capability_rose(table: pd.DataFrame, title: str) -> Any:
     for case in cases:
         own = table[table["case"] == case]
         own = pd.concat([own, own.iloc[:1]])  # closed: the first row again at the end
-        places = _coordinates(own["wind_mps"].to_numpy(), own["from_deg"].to_numpy())
+        places = _polar_coordinates(own["wind_mps"].to_numpy(), own["from_deg"].to_numpy())
         rings.append(own.assign(**places, i=range(len(own))))
     closed = pd.concat(rings)
     span = alt.Scale(domain=[-1.12 * _OUTER, 1.12 * _OUTER], nice=False)
@@ -48,10 +48,13 @@ def draw_capability_rose(table: pd.DataFrame, title: str) -> Any:
     points = _draw_points(closed, place)
     turn, ends = np.linspace(0.0, 360.0, _RING_CORNERS), np.array([0.0, _OUTER])
     circles = [
-        {**_coordinates(DP_CONDITIONS[n][0], turn), "i": range(len(turn)), "n": n} for n in _RINGS
+        {**_polar_coordinates(DP_CONDITIONS[n][0], turn), "i": range(len(turn)), "n": n}
+        for n in _RINGS
     ]
-    spokes = [{**_coordinates(ends, bearing), "spoke": bearing} for bearing in _SPOKES_DEG]
-    bearings = [{**_coordinates(1.07 * _OUTER, deg), "name": f"{deg}°"} for deg in _SPOKES_DEG]
+    spokes = [{**_polar_coordinates(ends, bearing), "spoke": bearing} for bearing in _SPOKES_DEG]
+    bearings = [
+        {**_polar_coordinates(1.07 * _OUTER, deg), "name": f"{deg}°"} for deg in _SPOKES_DEG
+    ]
     web = [
         _draw_web_lines(circles, place).encode(detail="n:N", order="i:Q"),
         _draw_web_lines(spokes, place).encode(detail="spoke:N"),
@@ -100,7 +103,7 @@ def _draw_points(closed: pd.DataFrame, place: Place) -> list[Any]:
     ]
 
 
-def _coordinates(radius: Any, from_deg: Any) -> dict[str, Any]:
+def _polar_coordinates(radius: Any, from_deg: Any) -> dict[str, Any]:
     """Return chart x and y of wind speeds by directions off the bow [°]; ahead is up."""
     angle = np.radians(from_deg)
     return {"x": radius * np.sin(angle), "y": radius * np.cos(angle)}
@@ -116,7 +119,7 @@ def _draw_ring_names(place: Place, closed: pd.DataFrame) -> tuple[Any, Any]:
     """Draw the DP capability number at each wind ring of the polar chart, off the curves."""
     winds = [DP_CONDITIONS[n][0] for n in _RINGS]
     places = zip(_RINGS, winds, _find_clear_deg(closed, np.array(winds)), strict=True)
-    names = [{**_coordinates(wind, from_deg), "name": f"{n}"} for n, wind, from_deg in places]
+    names = [{**_polar_coordinates(wind, from_deg), "name": f"{n}"} for n, wind, from_deg in places]
     text = alt.Chart(pd.DataFrame(names)).encode(**place, text="name:N")
     patch = text.mark_text(fontSize=12, stroke=style.PAPER, strokeWidth=4)
     return patch, text.mark_text(fontSize=12, color=style.SOFT)

@@ -10,7 +10,7 @@ from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.thinned_runs import extreme_indices
 from dpbench.arrays import Vector
 from dpbench.report.charts.style import ACCENT, FAIL, INK, SOFT
-from dpbench.report.documents.scenario_words import losses
+from dpbench.report.documents.scenario_words import list_losses
 from dpbench.report.formats import and_list, significant
 from dpbench.report.page.data import PageData
 
@@ -43,7 +43,7 @@ class OffsetPicture:
         y = top + height * (1.0 - self.offset_m / most)
         limit = top + height * (1.0 - self.run.station_radius_m / most)
         line = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
-        yield _label(left, top + 7.0, f"{significant(most)} m")
+        yield _svg_label(left, top + 7.0, f"{significant(most)} m")
         if limit > top:
             yield (
                 f'<line x1="{left}" x2="{left + width}" y1="{limit:.1f}" y2="{limit:.1f}" '
@@ -53,15 +53,15 @@ class OffsetPicture:
             f'<path d="M{left} {top}v{height}h{width}" fill="none" stroke="{SOFT}"/>'
             f'<polyline points="{line}" fill="none" stroke="{ACCENT}" stroke-width="1.2"/>'
         )
-        for at_s, lost in losses((self.run.scenario_files or {}).get("scenario", {})):
+        for at_s, lost in list_losses((self.run.scenario_files or {}).get("scenario", {})):
             at = left + width * at_s / max(float(self.t_s[-1]), 1e-9)
             if at <= left + width:
                 yield f'<path d="M{at:.1f} {top}v{height}" stroke="{FAIL}" stroke-width="0.8"/>'
-                yield _label(at, top + 7.0, f"loss of {escape(and_list(lost))}")
-        yield _label(left + width - 40.0, top + height - 3.0, f"{significant(self.t_s[-1])} s")
+                yield _svg_label(at, top + 7.0, f"loss of {escape(and_list(lost))}")
+        yield _svg_label(left + width - 40.0, top + height - 3.0, f"{significant(self.t_s[-1])} s")
 
 
-def _label(x: float, y: float, text: str) -> str:
+def _svg_label(x: float, y: float, text: str) -> str:
     """Return a small SVG text at a point (x, y) of the picture."""
     return f'<text x="{x + 3.0:.1f}" y="{y:.1f}" font-size="7" fill="{INK}">{text}</text>'
 

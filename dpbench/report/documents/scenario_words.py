@@ -15,11 +15,11 @@ def describe_scenario(ship: ShipResult) -> Iterator[str]:
     scenario = (ship.run.scenario_files or {}).get("scenario")
     if scenario is not None:
         parts = [_weather_text(scenario.get("environment") or {})]
-        parts += [f"loss of {and_list(lost)} at {at_s:g} s" for at_s, lost in losses(scenario)]
+        parts += [f"loss of {and_list(lost)} at {at_s:g} s" for at_s, lost in list_losses(scenario)]
         yield f"{scenario.get('title', ship.name)}: {'; '.join(parts)}"
 
 
-def losses(scenario: Mapping[str, Any]) -> list[tuple[float, list[str]]]:
+def list_losses(scenario: Mapping[str, Any]) -> list[tuple[float, list[str]]]:
     """Return the time [s] and the names of each loss of thrusters of a scenario document."""
     faults = scenario.get("faults") or ()
     return [(fault["at_s"], [*map(str, fault["lost"])]) for fault in faults if fault.get("lost")]
