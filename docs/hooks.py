@@ -4,9 +4,23 @@ from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
 from sitegen import columns, command_line, library, notebook, python_names, solvers, toml_keys
 
+SOURCES = {
+    "CONTRIBUTING.md": "contributing.md",
+    "dpbench/__init__.py": "reference/python.md",
+    "dpbench/bench/plan/suite.py": "reference/suite.md",
+    "dpbench/bench/record/schema.toml": "reference/columns.md",
+    "dpbench/cli/arguments.py": "reference/command-line.md",
+    "dpbench/scenario/tables/scenario_file.py": "reference/scenario.md",
+    "dpbench/scenario/tables/vessel_file.py": "reference/vessel.md",
+    "dpbench/solvers/contract.py": "reference/python.md#workspace",
+    "dpbench/solvers/libraries": "solvers/index.md",
+    "problems": "reference/library.md",
+}
+"""What a page links to in the repository, and the page of the site that is made of it."""
 ROOT = Path(__file__).parents[1]
 MAKERS = (
     toml_keys.pages,
@@ -32,6 +46,14 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     (entry,) = (part for part in config.nav or [] if "Solvers" in part)
     entry["Solvers"] = list(solvers.pages())
     return config
+
+
+def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
+    """Links to the repository lead to the pages made of those files."""
+    up = "../" * (page.file.src_uri.count("/") + 1)
+    for source, made in SOURCES.items():
+        markdown = markdown.replace(f"]({up}{source})", f"]({up[3:]}{made})")
+    return markdown
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

@@ -45,6 +45,13 @@ def test_every_place_that_a_page_names_exists(page: str) -> None:
     assert [name for name in named if not (ROOT / name).exists()] == []
 
 
+@pytest.mark.parametrize("page", TEXT)
+def test_every_link_works_in_the_repository(page: str) -> None:
+    links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", TEXT[page])
+    paths = [link for link in links if "://" not in link]
+    assert [link for link in paths if not ((DOCS / page).parent / link).exists()] == []
+
+
 def test_every_equation_has_its_code() -> None:
     """The paper's equations 1 to 36."""
     rows = re.findall(r"^\| ([\d, -]+) \|.*\| `(?:dpbench|tests)/", TEXT["paper.md"], re.M)
