@@ -13,7 +13,7 @@ from dpbench.cli.embedded_fit import print_fits, read_kilobytes
 from dpbench.cli.terminal import make_console, make_report_table, print_wrapped
 from dpbench.embedded.count import StepCounts, count_sequence
 from dpbench.embedded.recipe import Recipe, Setting, select_recipes
-from dpbench.embedded.table import SIZES, save_steps, summarise
+from dpbench.embedded.table import SIZES, save_steps, summarise, tabulate_steps
 from dpbench.embedded.targets import TARGETS, Target, find_target
 from dpbench.embedded.toolchain import compiler_version, require_extra
 from dpbench.errors import DpbenchError, InputError
@@ -60,9 +60,7 @@ def print_counts(arguments: argparse.Namespace) -> int:
         return 2
     path = save_steps(counts, Path(arguments.out))
     if arguments.json:
-        print(
-            json.dumps({"steps": str(path), "runs": [summarise(run) for run in counts]}, indent=2)
-        )
+        print(json.dumps({"steps": str(path), "runs": summarise(tabulate_steps(counts))}, indent=2))
     else:
         _print_tables(counts, path)
     return int(bool(refused))
@@ -102,7 +100,7 @@ def _read_settings(texts: list[str], recipes: list[Recipe]) -> dict[str, dict[st
 def _print_tables(counts: list[StepCounts], path: Path) -> None:
     """Print a table of counts and one of sizes for each sequence and target."""
     screen = make_console()
-    for table in _make_tables([summarise(run) for run in counts]):
+    for table in _make_tables(summarise(tabulate_steps(counts))):
         screen.print(make_report_table(table, screen))
         screen.print()
     compiler = f"Compiled by ziglang {compiler_version()} with -O2. Steps: {path}"

@@ -58,15 +58,6 @@ class StepCounts:
     error_plan: Vector
     sizes: dict[str, int]
 
-    @property
-    def worst(self) -> int:
-        """Step with the most instructions."""
-        return int(self.steps["instructions"].argmax())
-
-    def percentile(self, share: float) -> int:
-        """Return the instructions that this share of the steps stays at or below."""
-        return round(float(np.quantile(self.steps["instructions"], share)))
-
 
 class _Mailbox:
     """The QP in the core's memory: the structure `embedded_qp` and its arrays."""

@@ -67,6 +67,8 @@ def read_steps(path: Path) -> pd.DataFrame:
             table = decode_words(file.read(columns=list(COLUMNS)), path, error=ResultsError)
         frame: pd.DataFrame = table.to_pandas(ignore_metadata=True)[list(COLUMNS)]
         steps = frame.astype(COLUMNS)
+        for text in steps["settings"].unique():
+            json.loads(text)
     except ResultsError:
         raise
     except (OSError, ValueError, TypeError, KeyError, pa.ArrowException) as error:
@@ -83,25 +85,35 @@ def load_counts(folder: Path) -> pd.DataFrame | None:
     return read_steps(path) if path.exists() else None
 
 
-def summarise(run: StepCounts) -> dict[str, Any]:
-    """Return one run in a few numbers: instructions a step, its worst step, sizes, errors."""
-    worst = run.worst
+def summarise(steps: pd.DataFrame) -> list[dict[str, Any]]:
+    """Return each run of a table in a few numbers: instructions a step, worst step, sizes, errors.
+
+    steps : as of `tabulate_steps`; a run has one solver, core, sequence and precision.
+    """
+    runs = steps.groupby(["solver", "target", "sequence", "single"], sort=False)
+    return [_summarise_run(run) for _, run in runs]
+
+
+def _summarise_run(run: pd.DataFrame) -> dict[str, Any]:
+    """Return the steps of one run in a few numbers."""
+    row = run["instructions"].argmax()
+    worst: dict[Any, Any] = run.iloc[row].to_dict()
     return {
-        "solver": run.solver,
-        "target": run.target,
-        "sequence": run.sequence,
-        "single": run.single,
-        "settings": dict(run.settings),
-        "steps": len(run.z),
-        "instructions_p50": run.percentile(0.5),
-        "instructions_p99": run.percentile(0.99),
-        "instructions_max": int(run.steps["instructions"][worst]),
-        "worst_step": worst,
-        "worst_iterations": int(run.steps["iterations"][worst]),
-        "worst_active": int(run.steps["active"][worst]),
-        "failed_steps": int((run.steps["status"] != 0).sum()),
-        "error_move": float(run.error_move.max()),
-        "error_plan": float(run.error_plan.max()),
-        **{f"{name}_bytes": run.sizes[name] for name in SIZES},
-        "stack_bytes": int(run.steps["stack"].max()),
+        "solver": str(worst["solver"]),
+        "target": str(worst["target"]),
+        "sequence": str(worst["sequence"]),
+        "single": bool(worst["single"]),
+        "settings": json.loads(worst["settings"]),
+        "steps": len(run),
+        "instructions_p50": round(float(run["instructions"].quantile(0.5))),
+        "instructions_p99": round(float(run["instructions"].quantile(0.99))),
+        "instructions_max": int(worst["instructions"]),
+        "worst_step": int(worst["k"]),
+        "worst_iterations": int(worst["iterations"]),
+        "worst_active": int(worst["active"]),
+        "failed_steps": int((run["status"] != 0).sum()),
+        "error_move": float(run["error_move"].max()),
+        "error_plan": float(run["error_plan"].max()),
+        **{f"{name}_bytes": int(worst[f"{name}_bytes"]) for name in SIZES},
+        "stack_bytes": int(run["stack_bytes"].max()),
     }

@@ -15,6 +15,7 @@ from dpbench.bench.capability.table import load_capability
 from dpbench.bench.design import load_designs
 from dpbench.bench.record import result_folder
 from dpbench.display import table_html
+from dpbench.embedded.table import load_counts
 from dpbench.errors import InputError, ResultsError, list_allowed
 from dpbench.files.writing import make_folder
 from dpbench.notebook.plots import ResultPlots
@@ -161,8 +162,8 @@ class Results(result_folder.Results):
         # The report draws, and Altair takes its time.
         from dpbench.report.report import Report
 
-        capability = load_capability(self.folder)
-        return Report.of(self, load_designs(self.folder), capability=capability)
+        capability, counted = load_capability(self.folder), load_counts(self.folder)
+        return Report.of(self, load_designs(self.folder), capability=capability, counted=counted)
 
     def _require_steps(self) -> None:
         """Raise ResultsError in a folder without `steps.parquet`."""

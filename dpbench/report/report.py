@@ -31,9 +31,9 @@ from dpbench.report.page.section import Topic
 from dpbench.report.topics.all import build_topics
 from dpbench.report.verdict_text import count_solvers, own_settings_lines
 
-TERMINAL_NOTES = ("slower", "faster", "inconclusive", "next", "stopped")
+TERMINAL_NOTES = ("counted", "slower", "faster", "inconclusive", "next", "stopped")
 """Notes of the recommendation on a terminal."""
-BESIDE = ("slowdown", "random", "consequence")
+BESIDE = ("embedded", "slowdown", "random", "consequence")
 """Topics with a line of their own on a terminal where they are not the answer."""
 
 
@@ -53,18 +53,22 @@ class Report:
         designs: Designs | None = None,
         baseline: str | None = None,
         capability: pd.DataFrame | None = None,
+        counted: pd.DataFrame | None = None,
     ) -> Report:
         """Build the report on the results of a folder; write no file.
 
-        baseline : solver to compare with; designs, capability : stored tables of the folder.
+        baseline : solver to compare with; designs, capability, counted : stored tables of the
+        folder, see `load_designs`, `load_capability` and `load_counts`.
         """
         records, requirements = Records(results), Requirements.of(results.suite)
-        data = PageData.of(records, judge_solvers(records, requirements))
+        data = PageData.of(records, judge_solvers(records, requirements), counted)
         named = results.suite.get("report", {}).get("baseline")
         if named not in {v.configuration.solver for v in data.verdicts.all if v.steps}:
             named = None  # a part of the suite was run, without it
         recommendation = build_recommendation(data, results.machine, baseline or named)
-        topics = build_topics(records, data.verdicts, designs, capability, data.studies)
+        topics = build_topics(
+            records, data.verdicts, designs, capability, data.studies, data.counts
+        )
         if not can_draw():
             topics = [replace(topic, figures=()) for topic in topics]
         return cls(results, data, recommendation, topics)

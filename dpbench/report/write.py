@@ -7,6 +7,7 @@ from pathlib import Path
 from dpbench.bench.capability.table import load_capability
 from dpbench.bench.design import load_designs
 from dpbench.bench.record.result_folder import load_results, lock_for_writing
+from dpbench.embedded.table import load_counts
 from dpbench.errors import InputError
 from dpbench.files.writing import make_folder, write_text, write_together
 from dpbench.report.charts.render import FORMATS, can_draw, encode_figure
@@ -72,7 +73,7 @@ def write_report_with_summary(
             raise InputError("--figures", "", repr(kind), " | ".join(FORMATS))
     folder = Path(out)
     with lock_for_writing(folder):
-        beside_it = load_designs(folder), baseline, load_capability(folder)
+        beside_it = load_designs(folder), baseline, load_capability(folder), load_counts(folder)
         report = Report.of(load_results(folder), *beside_it)
         comment, worst = ("", []) if solver is None else compare_solver(report, solver, against)
         drawn, tables = make_folder(folder / "figures"), make_folder(folder / "tables")

@@ -156,7 +156,7 @@ def test_table_and_summary(tmp_path: Path) -> None:
     assert save_steps([counts], tmp_path / "out") == tmp_path / "out" / "embedded.parquet"
     assert table["k"].tolist() == [0, 1, 2, 3, 4]
     assert set(table["heap_bytes"]) == {0}
-    summary = summarise(counts)
+    (summary,) = summarise(table)
     assert summary["instructions_max"] == table["instructions"].max()
     assert summary["instructions_p50"] == table["instructions"].median()
     assert 0 < summary["stack_bytes"] < 1000

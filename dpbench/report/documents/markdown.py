@@ -18,6 +18,7 @@ from dpbench.report.formats import (
     time_text,
 )
 from dpbench.report.page.data import PageData
+from dpbench.report.page.section import Topic
 from dpbench.report.report import Report
 from dpbench.report.ship_text import ShipSummary
 from dpbench.report.table import markdown_line, markdown_table, markdown_text, one_line
@@ -56,6 +57,7 @@ def report_markdown(report: Report) -> str:
         *ship_lines(recommendation.ship),
         *map(markdown_line, [*lead, *wording]),
         solver_table(data, _listed_verdicts(data.verdicts)),
+        *_counts_tables(topics),
         markdown_line(f"Solvers: {count_solvers(data.verdicts)}." if data.verdicts.of else ""),
         *map(markdown_line, [*best_of_grids(select_own_settings(data.verdicts)), *after]),
         "Everything else: `report.html` (figures, every step), `tables/*.csv`, `figures/*.svg`, "
@@ -63,6 +65,22 @@ def report_markdown(report: Report) -> str:
     ]
     text = "\n\n".join(part for part in parts if part) + "\n"
     return truncate_text(text, MOST_BYTES, "tables/verdicts.csv")
+
+
+def _counts_tables(topics: Sequence[Topic]) -> list[str]:
+    """Return the table of counts on embedded cores with its title and note, if there is one."""
+    return [
+        "\n\n".join(
+            [
+                f"{topic.title}: instructions a step, memory, error, rank on the desk.",
+                markdown_table(table.heads, table.rows, table.text_columns),
+                table.note,
+            ]
+        )
+        for topic in topics
+        if topic.id == "embedded"
+        for table in topic.tables
+    ]
 
 
 def _listed_verdicts(verdicts: Verdicts) -> list[Verdict]:

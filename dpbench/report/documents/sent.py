@@ -1,7 +1,7 @@
 """Result folder as it is sent to others, `results/community/`.
 
-The page without scripts, runs, machine, suite, capability plots and a form for the sender. The
-steps stay at home: they are a hundred times as large.
+The page without scripts, runs, machine, suite, capability plots, counts and a form for the sender.
+The steps stay at home: they are a hundred times as large.
 """
 
 import datetime
@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, StringConstraints
 
 from dpbench.bench.capability.table import CAPABILITY_FILE, load_capability
 from dpbench.bench.record.result_folder import Results, hash_files, load_results, read_suite
+from dpbench.embedded.table import EMBEDDED_FILE, load_counts
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.opening import read_bytes
 from dpbench.files.writing import replace_file, write_text
@@ -105,7 +106,7 @@ def _is_passive_attribute(attribute: str, value: str) -> bool:
 
 
 COPIED = ("runs.parquet", "machine.json", "suite.json")
-WHERE_THERE = (CAPABILITY_FILE,)
+WHERE_THERE = (CAPABILITY_FILE, EMBEDDED_FILE)
 """Copied if present."""
 PAGE, SENDER = "report.html", "sender.toml"
 SENT = (PAGE, *COPIED, SENDER)
@@ -176,6 +177,7 @@ def check_sent_folder(folder: Path) -> str:
         )
     sender = read_model(folder / SENDER, Sender)
     load_capability(folder)
+    load_counts(folder)
     _check_runs(folder, results)
     _check_page(folder)
     solvers = plural(results.runs["solver"].nunique(), "solver")

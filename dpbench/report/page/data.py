@@ -7,12 +7,14 @@ from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
+import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import MEASURES
 from dpbench.analysis.records.thinned_runs import FORCES, TRACK, ThinnedRun, Track, thin_track
 from dpbench.analysis.statistics import upper_bound_of_none
+from dpbench.analysis.suites.embedded import EmbeddedResults
 from dpbench.analysis.suites.study import Study, find_studies
 from dpbench.analysis.suites.study_pictures import error_excess_cm, mean_cm, worst_run
 from dpbench.analysis.verdict.run_matrix import Experiment, RunMatrix, common_configuration
@@ -90,11 +92,17 @@ class PageData(RunMatrix):
     """Runs and verdicts for the report page, with steps packed into compressed arrays."""
 
     block: Block = field(default_factory=Block)
+    counts: EmbeddedResults = field(default_factory=lambda: EmbeddedResults(()))
 
     @classmethod
-    def of(cls, records: Records, verdicts: Verdicts) -> Self:
-        """Build the report page's data from a folder's runs and the verdicts on solvers."""
-        return cls.from_records(records, verdicts, select_shown_runs(records.study), MOST_LOOPS)
+    def of(cls, records: Records, verdicts: Verdicts, counted: pd.DataFrame | None = None) -> Self:
+        """Build the report page's data from a folder's runs and the verdicts on solvers.
+
+        counted : steps of `embedded.parquet`, if there are any.
+        """
+        data = cls.from_records(records, verdicts, select_shown_runs(records.study), MOST_LOOPS)
+        data.counts = EmbeddedResults.of(records, counted)
+        return data
 
     @cached_property
     def ships(self) -> list[ShipResult]:

@@ -14,10 +14,12 @@ from dpbench.analysis.times.solver_tables import (
     time_table,
 )
 from dpbench.bench.record.result_folder import Results
+from dpbench.report.charts.embedded import draw_instructions
 from dpbench.report.charts.overview import draw_accuracy, draw_deadline_chart, draw_verdict_tiles
 from dpbench.report.charts.steps import COLUMNS as STEP_COLUMNS
 from dpbench.report.charts.steps import draw_step_pairs, draw_step_strips
 from dpbench.report.charts.study import draw_point_errors, draw_point_seas, draw_study_points
+from dpbench.report.embedded_text import calculator_rows, setting_text
 from dpbench.report.page.data import PageData
 from dpbench.report.page.section import Section
 from dpbench.report.page.tables import runs_table, select_tiles
@@ -123,6 +125,26 @@ def _draw_study(data: PageData) -> Charts:
     }
 
 
+def _draw_counts(data: PageData) -> Charts:
+    """Draw the instructions of each solver's C on embedded cores; none if not counted."""
+    cores = {(sequence.target, sequence.single) for sequence in data.counts.sequences}
+    rows, one_core = [], len(cores) == 1
+    for sequence in data.counts.sequences:
+        group = setting_text(sequence)
+        for one in sequence.solvers:
+            name = f"{one.solver}, {sequence.sequence if one_core else group}"
+            row = {"label": name, "group": group, "k": str(one.k)}
+            rows.append(row | {"p50": one.p50, "p99": one.p99, "worst": one.worst})
+    return {"embedded": draw_instructions(pd.DataFrame(rows))} if rows else {}
+
+
+def _pack_counts(data: PageData, _: Results) -> dict[str, Any]:
+    """Pack the instructions of the calculator's rows; nothing if not counted."""
+    rows = calculator_rows(data.counts, data.requirements)
+    counts = [{"solver": row.solver, "p99": row.p99, "worst": row.worst} for row in rows]
+    return {"counts": counts} if counts else {}
+
+
 SECTIONS = (
     Section("answer", "Answer", _draw_ladder, ("ladder",), always=True),
     Section("matrix", "Scenarios", _draw_matrix, ("matrix",), text=_matrix_text),
@@ -135,6 +157,14 @@ SECTIONS = (
         _draw_study,
         data=lambda data, _: {"studies": data.study_documents},
         live=True,
+        in_topic=True,
+    ),
+    Section(
+        "embedded",
+        "On the ship's computer",
+        _draw_counts,
+        ("embedded",),
+        data=_pack_counts,
         in_topic=True,
     ),
     Section(

@@ -18,6 +18,7 @@ from dpbench.analysis.verdict.speed_margin import SlowStep, largest_stall_ns
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
 from dpbench.errors import InputError, list_allowed
+from dpbench.report.embedded_text import counted_text
 from dpbench.report.formats import (
     and_list,
     error_text,
@@ -175,7 +176,9 @@ def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]
     if chosen is None:
         return
     yield "aboard", deployment_facts(chosen.configuration.solver)
-    if slower := speed_margin_text(data, chosen):
+    if counted := counted_text(data.counts, data.requirements, chosen.configuration.solver):
+        yield "counted", counted
+    elif slower := speed_margin_text(data, chosen):
         yield "slower", slower
     shortest_ns = shortest_wait_ns(data.records.calibration)
     if chosen.p50_ns < shortest_ns:

@@ -15,6 +15,7 @@ from dpbench.bench.record.machine import describe_revisions, describe_version
 from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.report.charts import style
 from dpbench.report.charts.render import FORMATS, compile_vega, render_svg
+from dpbench.report.embedded_text import CLOCK_MHZ, CYCLES, NOTE, calculator_rows
 from dpbench.report.glossary import topics as glossary
 from dpbench.report.page.data import PageData
 from dpbench.report.page.document import page_document
@@ -33,6 +34,7 @@ _HUES = [hue for hue in style.FAMILY_COLOURS.values() if hue not in style.STATE_
 FILES = {
     "runs.parquet": "one row a run",
     "steps.parquet": "one row a step",
+    "embedded.parquet": "one row a step of a solver's C on an embedded core",
     "capability.parquet": "one row a QP at the edge of what thrusters hold",
     "machine.json": "the machine and the versions",
     "suite.json": "what was asked",
@@ -99,6 +101,11 @@ def page_html(
             name: figure_markup(chart) for name, chart in select_static_charts(charts).items()
         },
         lead=lead,
+        core_times=calculator_rows(data.counts, data.requirements),
+        counts_note=NOTE,
+        cycles=f"{CYCLES:g}",
+        clock_mhz=f"{CLOCK_MHZ:g}",
+        deadline_ms=f"{data.requirements.deadline_ms:g}",
         picture=_picture_address,
         judged=bool(data.verdicts.of) and not (lead and lead.id == "loops"),
         runs=bool(data.runs),

@@ -6,11 +6,13 @@ from dataclasses import replace
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.embedded import EmbeddedResults
 from dpbench.analysis.suites.study import Study, find_studies
 from dpbench.analysis.verdict.verdict import Verdicts
 from dpbench.bench.design import Designs
 from dpbench.report.page.section import Topic
 from dpbench.report.topics.capability import capability_topic, consequence_topic
+from dpbench.report.topics.embedded import embedded_topic
 from dpbench.report.topics.paper import paper_topic
 from dpbench.report.topics.random import random_topic
 from dpbench.report.topics.replays import (
@@ -33,11 +35,12 @@ def build_topics(
     designs: Designs | None = None,
     capability: pd.DataFrame | None = None,
     known: Sequence[Study] | None = None,
+    counts: EmbeddedResults = EmbeddedResults(()),  # noqa: B008 - frozen
 ) -> list[Topic]:
     """Build the report page's parts, one per question on the results, the suite's question first.
 
     designs, capability : of `load_designs` and `load_capability`.
-    known : the studies of these records, if they are already read.
+    known : the studies of these records, if they are already read; counts : of their folder.
     """
     requirements = verdicts.requirements
     replays, loops = (_is_all_in_mode(records, mode) for mode in ("replay", "closed_loop"))
@@ -56,6 +59,7 @@ def build_topics(
         routes_topic(records) if replays else None,
         levels_topic(records, requirements) if replays else None,
         thrusters_topic(records, requirements),
+        embedded_topic(counts, requirements),
         paper_topic(records, designs),
         trust_topic(records),
     )

@@ -16,10 +16,12 @@ import pytest
 from markupsafe import escape
 
 from dpbench.bench.record.result_folder import hash_files
+from dpbench.embedded.table import EMBEDDED_FILE, write_steps
 from dpbench.report.page.vendored import Vendored, file_digest, read_script, vendored_scripts
 from dpbench.report.page.write import SCRIPTS, read_page_file, software_citation
 from dpbench.report.topics.paper import CITATION as PAPER_CITATION
 from dpbench.report.write import write_report
+from tests.embedded.made_counts import make_counts
 from tests.report.conftest import of_seas
 from tests.report.page.test_pack import unpacked
 
@@ -87,7 +89,9 @@ def test_nothing_is_loaded_from_elsewhere(written: Any) -> None:
 def test_the_script_asks_only_for_what_is_there(written: Any, records: Any, tmp_path: Any) -> None:
     asked = set(re.findall(r'\$\("([\w-]+)"\)', JS))
     assert len(asked) > 20
-    studied = write_report(of_seas(records).write(tmp_path)).read_text("utf-8")
+    folder = of_seas(records).write(tmp_path)
+    write_steps(make_counts("daqp", [1000] * 9), folder / EMBEDDED_FILE)
+    studied = write_report(folder).read_text("utf-8")
     assert asked <= {*checked(written.html).ids, *checked(studied).ids}
 
 

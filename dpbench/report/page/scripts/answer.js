@@ -9,7 +9,8 @@ const listed = (rows, say = (row) => row.solver) => (rows.length && (rows.length
 // slower computer: of those that pass here, or that nothing contradicts where none does.
 function kept() {
   const { deadline_ms, p99_ms } = facts.requirements, margin = C().margin[state.c];
-  const own = margin === null ? "" : `${C().solver[state.c]}: ${
+  const counted = facts.counts?.some((row) => row.solver === C().solver[state.c]);
+  const own = margin === null || counted ? "" : `${C().solver[state.c]}: ${
     margin < state.slow ? "late beyond" : "up to"} × ${roundedDown(margin)}. `;
   const which = (...verdicts) => rowsDrawn("ladder").values.filter((row) => verdicts.includes(row.verdict));
   const passing = which("pass"), right = passing.length ? passing : which("borderline", "inconclusive");

@@ -34,7 +34,7 @@ function glow(node) {
 }
 
 // What follows from a change of some parts of the selection; without them, from all of it.
-async function draw(changed = ["slow", "c", "p", "b", "k"]) {
+async function draw(changed = ["slow", "c", "p", "b", "k", "cpi", "mhz"]) {
   if (!count()) { drawTable(); return; }
   drawChosen();
   const touched = (parts) => parts.some((part) => changed.includes(part));

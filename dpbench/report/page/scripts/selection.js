@@ -55,9 +55,13 @@ function cell(c, p) {
 // A slow-down that the slider can show.
 const atMost = (text) => Math.min(1e4, Math.max(1, Number(text) || 1));
 
+// A positive number; `usual` where there is none.
+const positive = (text, usual) => (Number(text) > 0 && Number.isFinite(Number(text)) ? Number(text) : usual);
+
 function read() {
-  if (!count()) { Object.assign(state, { c: null, p: 0, k: null, slow: 1, b: null }); return; }
   const asked = new URLSearchParams(location.hash.slice(1));
+  Object.assign(state, { cpi: positive(asked.get("cpi"), 1), mhz: positive(asked.get("mhz"), 100) });
+  if (!count()) { Object.assign(state, { c: null, p: 0, k: null, slow: 1, b: null }); return; }
   const first = facts.answer.first;
   const solver = asked.get("s") ?? C().solver[first];
   const c = configuration(solver, asked.get("w") ?? (asked.has("s") ? null : callMode(first)),
@@ -80,6 +84,8 @@ function select(change) {
   });
   if (state.k !== null) hash.set("k", state.k);
   if (state.slow !== 1) hash.set("slow", figure(state.slow));
+  if (state.cpi !== 1) hash.set("cpi", figure(state.cpi));
+  if (state.mhz !== 100) hash.set("mhz", figure(state.mhz));
   if (state.b !== null) hash.set("b", key(state.b));
   const text = `#${hash}`;
   if (text !== location.hash) {

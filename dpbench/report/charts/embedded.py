@@ -1,0 +1,49 @@
+"""Instructions a step of solvers' C on embedded cores."""
+
+from typing import Any
+
+import altair as alt
+import pandas as pd
+
+from dpbench.report.charts import style
+
+COLUMNS = ("label", "group", "p50", "p99", "worst", "k")
+
+
+def draw_instructions(table: pd.DataFrame) -> Any:
+    """Draw the median, p99 and worst step of each solver in instructions, a row for each.
+
+    With `narrow` names stand above their bars.
+
+    table : columns `COLUMNS`, the first row on top; a colour for each group.
+    """
+    groups = list(dict.fromkeys(table["group"]))
+    hues = [style.PALETTE[i % len(style.PALETTE)] for i in range(len(groups))]
+    titles = {"group": "sequence and core", "k": "step of the worst"}
+    numbers = (("p50", "median"), ("p99", "p99"), ("worst", "worst"))
+    base = alt.Chart(table).encode(
+        x=alt.X(
+            "p50:Q",
+            title="instructions a step, log scale",
+            scale=style.log_scale(nice=False, padding=8),
+            axis=alt.Axis(format="~s", labelOverlap="greedy"),
+        ),
+        y=alt.Y("label:N", sort=table["label"].tolist(), title=None, axis=style.row_name_axis()),
+        color=style.colour("group", groups, hues, columns=1, labelLimit=320),
+        tooltip=[
+            style.tooltip("label:N", "solver"),
+            style.tooltip("group:N", titles["group"]),
+            *(style.tooltip(f"{name}:Q", title) for name, title in numbers),
+            style.tooltip("k:N", titles["k"]),
+        ],
+    )
+    parts = (
+        base.mark_rule(strokeWidth=2).encode(x2="worst:Q").add_params(style.narrow_flag()),
+        base.mark_rule(strokeWidth=9, strokeCap="butt").encode(x2="p99:Q"),
+        base.mark_point(filled=True, size=70, opacity=1, stroke=style.PAPER),
+    )
+    return style.set_style(
+        alt.layer(*parts, width=560, height=alt.Step(style.ROW_STEP["wide"])),
+        "Instructions a step",
+        "Instructions of each solver's C in a step: median, p99 and worst.",
+    )

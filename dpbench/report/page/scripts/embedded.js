@@ -1,0 +1,27 @@
+// Solvers on the ship's computer: counted instructions as times, at a clock and cycles per instruction.
+"use strict";
+
+FIGURES.embedded = { picked: () => {} };
+
+async function drawCoreTimes() {
+  $("cpi").value = figure(state.cpi);
+  $("mhz").value = figure(state.mhz);
+  const { deadline_ms } = facts.requirements, cycles = state.cpi === 1 ? "cycle" : "cycles";
+  $("core-said").textContent = `${figure(state.cpi)} ${cycles} per instruction (an assumption) and `
+    + `${figure(state.mhz)} MHz; deadline ${deadline_ms} ms.`;
+  const ns = (instructions) => 1e3 * instructions * state.cpi / state.mhz;
+  facts.counts.forEach(({ p99, worst }, i) => {
+    const texts = [time(ns(p99)), time(ns(worst)), `${figure(ns(worst) / deadline_ms / 1e4, 2)} %`];
+    const { cells } = $("core-times").tBodies[0].rows[i];
+    texts.forEach((text, j) => { cells[2 + j].textContent = text; });
+  });
+  await figureOf("embedded");
+}
+
+SECTIONS.push({
+  id: "core-times", after: ["cpi", "mhz"], draw: drawCoreTimes,
+  listen: () => {
+    on("cpi", "change", (value) => select({ cpi: positive(value, 1) }));
+    on("mhz", "change", (value) => select({ mhz: positive(value, 100) }));
+  },
+});

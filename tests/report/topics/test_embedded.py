@@ -1,0 +1,92 @@
+"""The part of the report on the ship's computer."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from dpbench.embedded.table import EMBEDDED_FILE, write_steps
+from dpbench.report.report import Report
+from dpbench.report.write import write_report_with_summary
+from tests.conftest import MadeRecords
+from tests.embedded.made_counts import make_counts
+
+NATIVE = {"route": "native", "policy": "warm"}
+
+
+def counts() -> pd.DataFrame:
+    return pd.concat(
+        [make_counts("daqp", [2_000_000] * 200), make_counts("quadprog", [4_500_000] * 200)]
+    )
+
+
+@pytest.fixture
+def judged(records: MadeRecords) -> MadeRecords:
+    """Two solvers that pass; the one with fewer instructions is the slower one on the desk."""
+    for solver, median_us in (("daqp", 40.0), ("quadprog", 20.0)):
+        records.loop(solver, steps=1000, **NATIVE)
+        records.replay(solver, median_us=median_us, **NATIVE)
+    return records
+
+
+def notes(report: Report) -> dict[str, str]:
+    return dict(report.recommendation.notes)
+
+
+def test_counts_replace_the_speed_margin(judged: MadeRecords) -> None:
+    assert "up to ×" in notes(Report.of(judged.results()))["slower"]
+    found = notes(Report.of(judged.results(), counted=counts()))
+    assert "slower" not in found
+    # 4.5 million instructions at one cycle each and 100 MHz: 45 ms of 300 ms.
+    assert "at most 4\u202f500\u202f000 in paper[0:200]" in found["counted"]
+    assert "(an assumption) and 100 MHz the worst takes 45.0 ms, 15 %" in found["counted"]
+    assert "no bound of the worst-case execution time" in found["counted"]
+
+
+def test_counts_beyond_the_required_error_replace_nothing(judged: MadeRecords) -> None:
+    loose = make_counts("quadprog", [1000] * 200, error=0.5)
+    assert "slower" in notes(Report.of(judged.results(), counted=loose))
+
+
+def test_the_topic_names_the_disagreement(judged: MadeRecords) -> None:
+    report = Report.of(judged.results(), counted=counts())
+    (topic,) = (topic for topic in report.topics if topic.id == "embedded")
+    assert topic.lines[0].startswith("Along paper[0:200] on Cortex-M7 daqp executes the fewest")
+    (line,) = (line for line in topic.lines if "disagree" in line)
+    assert "daqp executes fewer instructions than quadprog" in line
+    assert "slower on the desk" in line
+    (table,) = topic.tables
+    first = dict(zip(table.heads, table.rows[0], strict=True))
+    assert (first["solver"], first["desk rank"]) == ("daqp", "2")
+    # With constants, and with heap.
+    assert (first["code"], first["static"]) == ("20\u202f500", "3\u202f064")
+
+
+def test_what_was_not_counted_is_stated_once_a_reason(judged: MadeRecords) -> None:
+    judged.suite["not_counted"] = [
+        {"solver": solver, "target": "m7", "sequence": "paper[0:200]", "reason": "no compiler"}
+        for solver in ("daqp", "osqp")
+    ]
+    report = Report.of(judged.results())
+    (topic,) = (topic for topic in report.topics if topic.id == "embedded")
+    assert topic.lines == ("daqp and osqp, paper[0:200] on Cortex-M7: not counted: no compiler.",)
+    assert "not counted: no compiler" in dict(report.summary_rows())["embedded"]
+
+
+def test_a_report_without_counts_has_no_such_part(judged: MadeRecords) -> None:
+    assert "embedded" not in {topic.id for topic in Report.of(judged.results()).topics}
+
+
+@pytest.mark.slow
+def test_a_folder_with_counts_has_them_in_all_documents(
+    judged: MadeRecords, tmp_path: Path
+) -> None:
+    out = judged.write(tmp_path / "out")
+    write_steps(counts(), out / EMBEDDED_FILE)
+    page, ended = write_report_with_summary(out)
+    assert "15 %" in dict(ended)["counted"]
+    html, markdown = page.read_text(), (out / "report.md").read_text()
+    assert 'id="core-times"' in html and "45.0 ms" in html and 'href="embedded.parquet"' in html
+    assert "| daqp | paper[0:200] | Cortex-M7 | 2\u202f000\u202f000 |" in markdown
+    assert (out / "figures" / "embedded.svg").is_file()
+    assert "desk rank" in (out / "tables" / "embedded.csv").read_text()
