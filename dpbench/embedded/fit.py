@@ -83,7 +83,7 @@ def summarise_fit(fit: Fit) -> dict[str, Any]:
         "control_horizon": largest.N_c if largest else None,
         "variables": counts.z.shape[1] if counts else None,
         "memory_bytes": largest.memory if largest else None,
-        "instructions_max": counts.percentile(1.0) if counts else None,
+        "instructions_max": int(counts.steps["instructions"].max()) if counts else None,
         "error_move": float(counts.error_move.max()) if counts else None,
         "next_control_horizon": following.N_c if following else None,
         "next_memory_bytes": following.memory if following else None,
