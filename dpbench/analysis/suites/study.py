@@ -215,6 +215,8 @@ class Study:
                 "held": run.outcome == "finished" and run.r_tail_max_m <= radius_m,
                 "r_95_m": run.r_95_m,
                 "r_tail_max_m": run.r_tail_max_m,
+                "failed_steps": run.failed_steps,
+                "steps_done": run.steps_done,
                 "true_share": run.true_share,
                 "raw_p50_ns": run.raw_p50_ns,
                 "raw_p99_ns": run.raw_p99_ns,

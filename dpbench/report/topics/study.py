@@ -79,6 +79,7 @@ def _study_lines(study: Study) -> Iterator[str]:
             f"{study.name}: {unfinished} of {plural(len(runs), 'run')} did not finish. Every "
             "difference is conditional on the realisations that both configurations finished."
         )
+    yield from _failed_steps_lines(study)
     held = study.configurations[0].held
     worst = min(study.configurations, key=lambda c: c.held)
     radius = f"within {study.radius_m:g} m in the second half of a run"
@@ -93,6 +94,22 @@ def _study_lines(study: Study) -> Iterator[str]:
     )
     if study.loosest:
         yield _loosest_text(study)
+
+
+def _failed_steps_lines(study: Study) -> Iterator[str]:
+    """Yield a sentence on the runs in which the solver failed steps; none without such a run."""
+    failing = study.runs[study.runs["failed_steps"] > 0]
+    if failing.empty:
+        return
+    shares = failing["failed_steps"] / failing["steps_done"]
+    worst = failing.iloc[int(np.argmax(shares))]
+    yield (
+        f"{study.name}: steps failed in {len(failing)} of {plural(len(study.runs), 'run')}, most "
+        f"of them with {worst['configuration']} at point {worst['point']}, sea "
+        f"{worst['replicate']}: {worst['failed_steps']:.0f} of "
+        f"{plural(worst['steps_done'], 'step')}. The fallback steered there, or an unfinished "
+        "iterate."
+    )
 
 
 def _larger_errors_text(study: Study) -> str:

@@ -150,6 +150,8 @@ def _runs(away: dict[str, float], *, points: int = 2, seas: int = 6, **odd: str)
             replicate=float(r + 1),
             x={"hs": float(p)},
             outcome=odd.get(name, "finished") if (p, r) == (0, 0) else "finished",
+            failed_steps=0,
+            steps_done=400,
             true_share=1.0,
             raw_p50_ns=2e4,
             raw_p99_ns=np.nan,

@@ -34,6 +34,8 @@ def _run(name: str, point: int, replicate: int, **columns: Any) -> Any:
         "x": {"hs_m": float(point)},
         "outcome": "finished",
         "r_tail_max_m": 0.5,
+        "failed_steps": 0,
+        "steps_done": 400,
         "true_share": 1.0,
         "raw_p50_ns": 2e4,
         "raw_p99_ns": LOST,

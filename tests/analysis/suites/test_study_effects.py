@@ -30,6 +30,8 @@ def _study(points: list[dict[str, Any]], results: Any, seas: int = 8, **columns:
         "settings": "default",
         "outcome": "finished",
         "r_tail_max_m": 0.5,
+        "failed_steps": 0,
+        "steps_done": 400,
         "true_share": 1.0,
         "raw_p50_ns": 2e4,
         "raw_p99_ns": np.nan,

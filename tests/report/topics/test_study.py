@@ -83,6 +83,18 @@ def test_what_was_lost_is_a_condition(records: Any) -> None:
     assert [row[1] for row in found.tables[0].rows] == ["12 of 12", "11 of 12"]
 
 
+def test_failed_steps_of_runs_are_said(records: Any) -> None:
+    """Two runs of three have failed steps: 3 of 40, and 4 of 20 in one that ended early."""
+    records.sea("daqp", 0, 1, {EAST: 1.0})
+    records.sea("osqp", 0, 1, {EAST: 1.0}, failed=3)
+    records.sea("osqp", 0, 2, {EAST: 1.0}, failed=4, done=20)
+    found = topic.study_topic(find_studies(records.view()))
+    assert found is not None and found.lines[1] == (
+        "seas: steps failed in 2 of 3 runs, most of them with osqp at point 0, sea 2: 4 of 20 "
+        "steps. The fallback steered there, or an unfinished iterate."
+    )
+
+
 def test_a_mean_without_an_interval_has_no_ends(records: Any) -> None:
     found = _fill(records, points=1, seas=2)
     assert _drawn(found.figures[-1], "low_cm") in ([], [None])
