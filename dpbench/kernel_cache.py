@@ -54,6 +54,7 @@ def cache_folders() -> list[Path]:
 
 
 def _user_cache_folder() -> Path:
+    """Return Numba's folder in the user's cache."""
     return Path(_app_dirs(appname="numba", appauthor=False).user_cache_dir)
 
 
@@ -72,6 +73,7 @@ def _make_own_cache() -> bool:
 
 
 def _link_kernels(sources: Path, own: Path) -> None:
+    """Link the kernels compiled before, of a folder of sources, into a cache of one's own."""
     name = _locator.get_suitable_cache_subpath(str(sources / "any.py"))
     given = [Path(folder) / name for folder in filter(None, [_config.CACHE_DIR])]
     for place in (*given, sources / "__pycache__", _user_cache_folder() / name):

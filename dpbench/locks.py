@@ -203,6 +203,7 @@ def _read_other_holders(lock: int) -> list[Holder]:
 
 
 def _write_holders(lock: int, named: Sequence[Holder]) -> None:
+    """Write the processes that hold a lock into its file, a JSON line each."""
     with suppress(OSError):
         os.ftruncate(lock, 0)
         os.pwrite(lock, "".join(f"{json.dumps(asdict(one))}\n" for one in named).encode(), 0)
@@ -232,6 +233,7 @@ def _describe_folder_fault(found: os.stat_result) -> str:
 
 
 def _user_name(uid: int) -> str:
+    """Return the name of a user by number, in words."""
     try:
         return f"user {pwd.getpwuid(uid).pw_name}"
     except KeyError:

@@ -111,6 +111,7 @@ def print_fits(
 
 
 def _make_tables(fits: list[dict[str, Any]], *, single: bool) -> Iterator[Table]:
+    """Yield a table of the largest control horizons for each scenario and target."""
     for scenario, target in dict.fromkeys((row["scenario"], row["target"]) for row in fits):
         rows = [
             {
@@ -132,10 +133,12 @@ def _make_tables(fits: list[dict[str, Any]], *, single: bool) -> Iterator[Table]
 
 
 def _number(value: int | None) -> str:
+    """Format a count; a dash for None, which is unknown."""
     return MISSING if value is None else count_text(value)
 
 
 def _kilobytes(size: int | None) -> str:
+    """Format a size [B] in kB; a dash for None, which is unknown."""
     return MISSING if size is None else f"{size / KILOBYTE:.1f}"
 
 

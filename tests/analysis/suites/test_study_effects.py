@@ -96,7 +96,7 @@ def test_a_design_has_slopes_that_are_found_again() -> None:
 
 
 def test_points_that_are_run_once_are_the_sample_of_a_slope() -> None:
-    """Of one key, the interval comes near that of the textbook's regression."""
+    """The interval of one key comes near that of the textbook's regression."""
     rng = np.random.default_rng(6)
     x = rng.uniform(size=60)
     errors = 3.0 * x + 0.2 * rng.normal(size=60)
@@ -110,7 +110,7 @@ def test_points_that_are_run_once_are_the_sample_of_a_slope() -> None:
 
 
 def test_intervals_of_slopes_hold_the_truth() -> None:
-    """Of 200 slopes whose size varies from sea to sea, 90 % or more of the intervals hold."""
+    """90 % or more of the intervals of 200 slopes hold, whose size varies from sea to sea."""
     rng, inside = np.random.default_rng(8), 0
     x = np.linspace(0.0, 1.0, 12)
     points = [{WIND: float(value)} for value in x]

@@ -102,7 +102,7 @@ def test_a_mean_without_an_interval_has_no_ends(records: Any) -> None:
 
 
 def test_each_factor_has_a_slope_in_table_figure_and_file(records: Any) -> None:
-    """Of 20 points drawn from ranges; the error of one solver is the same at all of them."""
+    """The 20 points are drawn from ranges; the error of one solver is the same at all of them."""
     found = _fill(records, points=20, seas=6)
     table, figure = found.tables[2], found.figures[1]
     rows = {(row[0], row[2]): row for row in table.rows}
