@@ -6,6 +6,7 @@ import os
 import tempfile
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -87,9 +88,9 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Whatever looks at the synthetic campaign is slow: each worker makes it, and its report."""
+    """Whatever looks at a synthetic campaign with its report is slow: each worker makes both."""
     for item in items:
-        if "campaign" in getattr(item, "fixturenames", ()):
+        if {"campaign", "sent"} & {*getattr(item, "fixturenames", ())}:
             item.add_marker(pytest.mark.slow)
 
 
@@ -122,6 +123,9 @@ def pytest_configure(config: pytest.Config) -> None:
         run_closed_loop(load_scenario("paper").truncate(3), open_workspace("paper_active_set"))
 
 
+_load_scenario = cache(load_scenario)
+
+
 class MadeRecords:
     """Builds the records of a campaign that never ran, cell by cell."""
 
@@ -135,7 +139,7 @@ class MadeRecords:
     def scenario(self, name: str) -> Scenario:
         """A scenario of the problem files."""
         if name not in self._scenarios:
-            self._scenarios[name] = load_scenario(name)
+            self._scenarios[name] = _load_scenario(name)
         return self._scenarios[name]
 
     def _row(

@@ -117,7 +117,7 @@ def test_short_sequences_do_not_cost_a_long_one_its_interval() -> None:
     assert pooled_mean([short]).value == pytest.approx(math.exp(3.0), rel=0.05)
 
 
-@pytest.mark.parametrize("steps", [80, 97, 1000])
+@pytest.mark.parametrize("steps", [80, 97, pytest.param(1000, marks=pytest.mark.slow)])
 def test_the_error_of_a_mean_over_blocks_is_that_of_its_resamples(steps: int) -> None:
     """The values are correlated; 20000 resamples tell their own spread to half a percent."""
     rng = np.random.default_rng(5)

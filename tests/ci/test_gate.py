@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,13 @@ import pytest
 from dpbench.ci import gate
 
 Write = Callable[..., Path]
+DESCRIBED = cache(gate.describe_machine)
+
+
+@pytest.fixture(autouse=True)
+def described_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Describe this machine once for all runs of the gate."""
+    monkeypatch.setattr(gate, "describe_machine", DESCRIBED)
 
 
 @pytest.fixture

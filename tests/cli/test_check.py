@@ -59,6 +59,7 @@ def test_check_takes_what_run_takes(asked: str, said: str, place: Path, say: Say
     assert said in say("check", asked).splitlines()[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suite", problem_names("suites"))
 def test_check_takes_every_suite(suite: str, say: Say) -> None:
     text = " ".join(say("check", suite).split())

@@ -36,10 +36,13 @@ class SteppedController(Protocol):
 
 
 class CController:
-    """The compiled controller by its C interface."""
+    """The controller of a folder by its C interface; it is compiled once."""
 
     def __init__(self, folder: Path, data: ControllerData, applied: Vector) -> None:
-        self._library = ctypes.CDLL(str(compile_c(folder, folder / "step.so", "-shared", "-fPIC")))
+        library = folder / "step.so"
+        if not library.exists():
+            compile_c(folder, library, "-shared", "-fPIC")
+        self._library = ctypes.CDLL(str(library))
         self._memory = ctypes.create_string_buffer(MOST_BYTES)
         self._data, self._n_u = data, len(data.du_max)
         self._library.controller_start(self._memory, applied.ctypes.data_as(ctypes.c_void_p))

@@ -78,6 +78,7 @@ def paper(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ControllerDat
     return folder, _generate("paper", folder)
 
 
+@pytest.mark.slow
 @needs_gcc
 @pytest.mark.parametrize("name", ["paper", "thrusters"])
 def test_the_stated_memory_is_that_of_the_structure(name: str, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ import fnmatch
 import re
 import shlex
 from collections import defaultdict
+from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
 
@@ -32,6 +33,12 @@ def _defined(file: str) -> set[str]:
     tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
     kinds = (ast.FunctionDef, ast.ClassDef)
     return {node.name for node in ast.walk(tree) if isinstance(node, kinds)}
+
+
+@cache
+def _commands() -> tuple[Mapping[str, object], Callable[[list[str]], object]]:
+    """The commands, and what reads a command line."""
+    return command_line.commands(), parser(defaultdict(lambda: lambda arguments: 0)).parse_args
 
 
 @pytest.mark.parametrize(("page", "file", "name"), PLACES)
@@ -79,12 +86,12 @@ def test_every_command_that_a_page_prints_is_one(page: str) -> None:
         if line.startswith("dpbench")
     ]
     commands += re.findall(r"`(dpbench [a-z][^`]*)`", TEXT[page])
-    known = command_line.commands()
+    known, read = _commands()
     for command in commands:
         name, *words = shlex.split(command)[1:]
         assert name in known, command
         if words:
-            parser(defaultdict(lambda: lambda arguments: 0)).parse_args([name, *words])
+            read([name, *words])
 
 
 @pytest.mark.parametrize("kind", toml_keys.FILES)

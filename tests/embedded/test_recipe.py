@@ -51,6 +51,7 @@ def test_a_recipe_whose_generator_is_not_installed(tmp_path: Path) -> None:
     assert recipe.solver not in {other.solver for other in select_recipes([], [tmp_path])}
 
 
+@pytest.mark.slow
 def test_a_source_that_cannot_be_fetched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fetch, "cache_folder", lambda name: tmp_path)
     monkeypatch.setenv("PIP_NO_INDEX", "1")

@@ -195,6 +195,7 @@ def test_an_answer_that_is_none_can_be_drawn(loop: Run) -> None:
     assert np.isfinite(shown["error"]).all() and shown["error"][3] > 1.0
 
 
+@pytest.mark.slow
 def test_a_printed_figure_has_no_type_3_fonts(loop: Run) -> None:
     pytest.importorskip("matplotlib", reason="an extra")
     file = io.BytesIO()

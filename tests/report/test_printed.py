@@ -129,6 +129,7 @@ def test_accuracy_has_hollow_points_for_what_does_not_pass() -> None:
     assert _legend(figure) == ["active set", "first order"]
 
 
+@pytest.mark.slow
 def test_a_notebook_gets_a_picture() -> None:
     figure = _printed().draw_panels(error_panels(LAWS, SCENARIO))
     assert figure._repr_png_().startswith(b"\x89PNG")

@@ -13,8 +13,9 @@ import pytest
 import scipy.io
 
 from dpbench.errors import InputError
-from dpbench.files import mat
-from dpbench.scenario.hull_files import read_coefficient_table, read_mss
+from dpbench.files import mat, mat_child
+from dpbench.scenario import hull_files
+from dpbench.scenario.hull_files import Hull, read_coefficient_table, read_mss
 from dpbench.scenario.own_ship import Particulars, regression_added_mass
 from dpbench.scenario.scenario import load_vessel
 
@@ -33,10 +34,26 @@ def save(path: Path, vessel: dict[str, Any]) -> Path:
     return path
 
 
-def test_the_mss_hull_is_made_of_the_files_own_entries() -> None:
+@pytest.fixture(scope="module")
+def hull() -> Hull:
+    """The hull of the cut file."""
+    return read_mss(CUT)
+
+
+@pytest.fixture
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read files that are no danger without a process of their own, which takes its time."""
+
+    def read(path: Path, name: str) -> tuple[list[str], dict[str, Any]]:
+        fields = mat_child._collect_numbers(scipy.io.loadmat(path, simplify_cells=True)[name])
+        return [name], {f"{name}.{key}": np.asarray(value) for key, value in fields.items()}
+
+    monkeypatch.setattr(hull_files, "read_structure", read)
+
+
+def test_the_mss_hull_is_made_of_the_files_own_entries(hull: Hull) -> None:
     """Rows 1, 2, 6 of MRB + A and B + Bv at the lowest frequency; main gives the particulars."""
     raw = scipy.io.loadmat(CUT)["vessel"][0, 0]
-    hull = read_mss(CUT)
     for i, row in enumerate((0, 1, 5)):
         for j, column in enumerate((0, 1, 5)):
             assert hull.M[i, j] == raw["MRB"][row, column] + raw["A"][row, column, 0]
@@ -51,22 +68,23 @@ def test_the_mss_hull_is_made_of_the_files_own_entries() -> None:
     assert "0.105 rad/s" in hull.method
 
 
-def test_the_mss_hull_is_the_ship_that_others_published() -> None:
+def test_the_mss_hull_is_the_ship_that_others_published(hull: Hull) -> None:
     """NTNU's course vessel is this ship: its M agrees within 8 %; its surge is Söding's formula."""
-    hull, published = read_mss(CUT), load_vessel("supply_tmr")
+    published = load_vessel("supply_tmr")
     np.testing.assert_allclose(np.diag(hull.M), np.diag(published.M), rtol=0.08)
     own = Particulars(82.8, 19.2, 6.0, 6.3622085e6)
     surge = hull.M[0, 0] - own.displacement_kg
     assert regression_added_mass(own)[0] == pytest.approx(surge, rel=2e-3)
 
 
-def test_what_the_next_frequency_says_is_said() -> None:
-    (remark,) = read_mss(CUT).remarks
+def test_what_the_next_frequency_says_is_said(hull: Hull) -> None:
+    (remark,) = hull.remarks
     assert "0.209 rad/s" in remark and "1.91, 1.91, 1.89" in remark
 
 
-def test_order_speeds_and_one_matrix_of_viscous_damping(tmp_path: Path) -> None:
-    vessel, expected = structure(), read_mss(CUT)
+@pytest.mark.usefixtures("in_this_process")
+def test_order_speeds_and_one_matrix_of_viscous_damping(hull: Hull, tmp_path: Path) -> None:
+    vessel = structure()
     other = vessel | {
         "freqs": vessel["freqs"][::-1],
         "Bv": vessel["Bv"][:, :, 0],
@@ -75,19 +93,21 @@ def test_order_speeds_and_one_matrix_of_viscous_damping(tmp_path: Path) -> None:
             for key in ("A", "B")
         },
     }
-    hull = read_mss(save(tmp_path / "other.mat", other))
-    np.testing.assert_array_equal(hull.M, expected.M)
-    np.testing.assert_array_equal(hull.D, expected.D)
+    found = read_mss(save(tmp_path / "other.mat", other))
+    np.testing.assert_array_equal(found.M, hull.M)
+    np.testing.assert_array_equal(found.D, hull.D)
 
 
-def test_a_file_of_one_frequency(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("in_this_process")
+def test_a_file_of_one_frequency(hull: Hull, tmp_path: Path) -> None:
     vessel = structure()
     alone = vessel | {key: vessel[key][:, :, 0] for key in ("A", "B", "Bv")} | {"freqs": 0.1}
-    hull = read_mss(save(tmp_path / "alone.mat", alone))
-    np.testing.assert_array_equal(hull.M, read_mss(CUT).M)
-    assert not hull.remarks
+    found = read_mss(save(tmp_path / "alone.mat", alone))
+    np.testing.assert_array_equal(found.M, hull.M)
+    assert not found.remarks
 
 
+@pytest.mark.usefixtures("in_this_process")
 @pytest.mark.parametrize(
     ("change", "parts"),
     [
@@ -120,6 +140,7 @@ def test_files_that_are_no_such_structure_are_refused(tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_file_that_kills_scipy_is_one_line(tmp_path: Path) -> None:
     path = save(tmp_path / "ship.mat", {"MRB": np.eye(6), "main": {"Lpp": 82.8}, "name": "x"})
     whole = path.read_bytes()

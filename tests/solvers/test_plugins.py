@@ -98,18 +98,30 @@ def test_what_a_plugin_raises_is_an_answer(sequence):
     ("text", "words"),
     [
         (None, "no such file"),
-        ("1/0", "ZeroDivisionError"),
         ("x = 1", "RECORD: found None"),
-        ("from example import RECORD", "ModuleNotFoundError"),
-        (TEXT.replace("open = ", "shut = "), "open: found None"),
-        (TEXT.replace('"admm", method', '"daqp", method'), "RECORD.name.*'daqp'"),
-        (TEXT.replace("first order", "first ordre"), "family: found 'first ordre'; allowed: act"),
-        ("raise SystemExit(0)", "SystemExit: 0"),
-        ("raise type('Own', (BaseException,), {})('two\\nlines')", "Own: two lines"),
         ("import os; os._exit(0)", "an end of its process, exit code 0"),
-        ("import signal; signal.raise_signal(signal.SIGSEGV)", "an end of its process, SIGSEGV"),
-        (TEXT.replace('"admm", method', '"../../x", method'), "RECORD.name.*x'"),
-        (TEXT.replace('"admm", method', '"a\\x1b", method'), "RECORD.name.*x1b'"),
+        # Each starts a process.
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (
+                ("1/0", "ZeroDivisionError"),
+                ("from example import RECORD", "ModuleNotFoundError"),
+                (TEXT.replace("open = ", "shut = "), "open: found None"),
+                (TEXT.replace('"admm", method', '"daqp", method'), "RECORD.name.*'daqp'"),
+                (
+                    TEXT.replace("first order", "first ordre"),
+                    "family: found 'first ordre'; allowed: act",
+                ),
+                ("raise SystemExit(0)", "SystemExit: 0"),
+                ("raise type('Own', (BaseException,), {})('two\\nlines')", "Own: two lines"),
+                (
+                    "import signal; signal.raise_signal(signal.SIGSEGV)",
+                    "an end of its process, SIGSEGV",
+                ),
+                (TEXT.replace('"admm", method', '"../../x", method'), "RECORD.name.*x'"),
+                (TEXT.replace('"admm", method', '"a\\x1b", method'), "RECORD.name.*x1b'"),
+            )
+        ),
     ],
 )
 def test_what_is_no_plugin_is_refused(tmp_path, text, words):
@@ -130,6 +142,7 @@ def test_an_import_without_end_is_refused(tmp_path, monkeypatch):
         load_solver_module(file)
 
 
+@pytest.mark.slow
 def test_two_files_cannot_have_one_name(tmp_path):
     load_solver_module(EXAMPLE)
     copy = tmp_path / "other.py"

@@ -88,6 +88,7 @@ def test_a_mistake_is_found_before_anything_runs(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_controller_is_found_tried_anew_and_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -29,8 +29,11 @@ def _campaign(records: Any, **delays: dict[tuple[int, int], float]) -> None:
         records.loop(solver)
         records.replay(solver, rounds=5, median_us=20.0, spread=0.0)
         frame = records._steps[-1]
-        for (r, k), ms in delays.get(solver, {}).items():
-            frame.loc[(frame["repeat"] == r) & (frame["k"] == k), "total_ns"] = round(1e6 * ms)
+        late = delays.get(solver, {})
+        timings = zip(frame["repeat"], frame["k"], frame["total_ns"], strict=True)
+        frame["total_ns"] = [
+            round(1e6 * late[r, k]) if (r, k) in late else ns for r, k, ns in timings
+        ]
 
 
 def _verdict(records: Any, solver: str = "daqp") -> Any:

@@ -147,7 +147,7 @@ def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) 
         ("daqp", {"units": "si"}),
         ("paper_active_set", {}),
         ("quadprog", {"formulation": "condensed_stacked"}),
-        ("piqp", {"formulation": "sparse"}),
+        pytest.param("piqp", {"formulation": "sparse"}, marks=pytest.mark.slow),
     ],
 )
 def test_every_form_steers_as_the_exact_loop_does(

@@ -60,6 +60,7 @@ def test_a_model_ship_has_a_station_of_its_own_size() -> None:
     assert found["exact_left_s"] == pytest.approx(2 * model.sample_s)
 
 
+@pytest.mark.slow
 def test_slacks_at_rest_are_no_active_limits() -> None:
     """In still water at its setpoint the ship with soft limits has none that is active."""
     circle = load_scenario("watch_circle")

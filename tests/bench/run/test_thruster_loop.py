@@ -119,7 +119,7 @@ def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) 
         ("daqp", "condensed_box"),
         ("paper_active_set", "condensed_box"),
         ("quadprog", "condensed_stacked"),
-        ("piqp", "sparse"),
+        pytest.param("piqp", "sparse", marks=pytest.mark.slow),
     ],
 )
 def test_every_form_steers_as_the_exact_loop_does(

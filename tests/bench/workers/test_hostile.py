@@ -140,6 +140,7 @@ def test_a_stopped_worker_is_given_up(
     assert found.outcome == "hung" and "stopped by a signal" in found.detail
 
 
+@pytest.mark.slow
 def test_output_of_children_counts(context: ForkServerContext, tmp_path: Path) -> None:
     code = SOLVER + (
         "subprocess.run(['head', '-c', '9000000', '/dev/zero'], stderr=subprocess.DEVNULL)\n"

@@ -291,6 +291,7 @@ def test_what_a_time_limit_stopped_is_not_comparable(make: Make, before: Any, af
     assert compare(a, folder("c", ("crashed", 40), other)).worse
 
 
+@pytest.mark.slow
 def test_steps_after_a_solvers_own_time_limit_are_not_comparable(make: Make) -> None:
     """An answer that a clock cut short at step 50 changes those after it, and none before."""
     a = make("a", seed=1)
@@ -351,6 +352,7 @@ def test_two_machines_are_compared_by_ratios_to_a_reference(make: Make, capsys: 
     assert not found.shared
 
 
+@pytest.mark.slow
 def test_another_reference_and_one_that_was_not_run(make: Make, capsys: Any) -> None:
     """With osqp as the measure all others take a sixth; a name of nobody is one line, exit 2."""
     a = make("a", seed=1)
@@ -487,6 +489,7 @@ def test_another_build_of_the_same_version_is_said() -> None:
     assert Pair(generic, fast).label.startswith(output)
 
 
+@pytest.mark.slow
 def test_settings_whose_options_changed_are_compared_by_their_name(make: Make) -> None:
     """Fewer errors with the new options are an improvement, more a regression."""
     mine: dict[str, Any] = {"settings": "mine", "configurations": ("daqp",)}

@@ -182,6 +182,7 @@ def test_arrays_given_before_are_known_and_new_ones_are_taken(sequence):
     np.testing.assert_allclose(solve_qp(workspace, base).z, certify(base).z, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(isnan(heap_bytes()), reason="only glibc 2.33 and later shows its heap")
 @pytest.mark.parametrize("solver", ["osqp", "qoco"])
 def test_a_step_leaves_no_memory_behind(solver, sequence):

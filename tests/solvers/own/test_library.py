@@ -43,6 +43,7 @@ int main(int argc, char **names)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", [(), ("-DACTIVE_SET_FLOAT",)])
 def test_it_compiles_without_a_warning_and_solves_the_example_of_its_head(
     precision: tuple[str, ...], tmp_path: Path
@@ -86,6 +87,7 @@ def test_a_missing_library_without_a_compiler_is_one_line_with_the_remedy(
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_a_folder_without_the_library_gets_it(tmp_path: Path) -> None:
     path = compiling.compile_library(tmp_path / "new")
     assert [path.name] == [each.name for each in path.parent.iterdir()] == [library.library_name()]
