@@ -162,12 +162,14 @@ def _run(**columns: Any) -> Any:
 
 
 def test_the_largest_ratio_of_a_metric_by_hand() -> None:
-    """3 / 2 and 5 / 4: the first is larger; a metric of zero has no ratio."""
+    """3 / 2 and 5 / 4: the first is larger; a metric of zero or without a value has no ratio."""
     best: Any = {"a": _run(power_share=2.0), "b": _run(power_share=4.0), "c": _run(power_share=0.0)}
     runs = [_run(scenario=name, power_share=x) for name, x in (("b", 5.0), ("a", 3.0), ("c", 9.0))]
     assert largest_ratio(runs, best, "power_share") == 1.5
     assert largest_ratio(runs[:1], best, "power_share") == 1.25
     assert math.isnan(largest_ratio(runs[2:], best, "power_share"))
+    unknown = best | {"a": _run(power_share=math.nan)}
+    assert largest_ratio(runs[1::-1], unknown, "power_share") == 1.25
     small: Any = {"a": _run(power_share=0.5)}
     assert largest_ratio([_run(scenario="a", power_share=0.25)], small, "power_share") == 0.5
 
