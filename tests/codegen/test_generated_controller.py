@@ -46,7 +46,10 @@ def test_the_c_controller_steers_as_the_python_loop(name: str, tmp_path: Path) -
     ("name", "solver"),
     [
         ("paper", "paper_active_set"),
+        ("rough", "paper_active_set"),
+        ("thruster_loss", "paper_active_set"),
         ("thruster_loss_hard", "paper_active_set"),
+        ("thrusters", "paper_active_set"),
         ("thrusters_loss", "paper_active_set"),
         ("paper", "osqp"),
         ("thruster_loss", "osqp"),

@@ -1,6 +1,7 @@
 """The C library: what a controller compiles, and what a user reads where it is missing."""
 
 import re
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -41,6 +42,92 @@ int main(int argc, char **names)
     return 0;
 }
 """
+
+
+# Random QPs of several sizes, whose rows may repeat, contradict each other or have crossed limits,
+# with new rows, a new P and NaN. Each array has exactly the length that the header asks for.
+SANITIZED = """
+#include "hildreth.c"
+
+#include <stdio.h>
+#include <stdlib.h>
+
+static unsigned state = 1;
+static as_real draw(void) {
+    state = state * 1664525u + 1013904223u;
+    return (as_real)(state >> 8) / 8388608 - 1;
+}
+
+static void draw_cost(as_real *P, int n) {
+    for (int i = 0; i < n; i++)
+        for (int c = 0; c <= i; c++)
+            P[i * n + c] = P[c * n + i] = i == c ? n : (i + c) % 3 ? draw() : 0;
+}
+
+static void draw_rows(as_real *A, int n, int m) {
+    for (int i = 0; i < m * n; i++) A[i] = draw() > 0 ? draw() : 0;
+    for (int c = 0; m > 1 && c < n; c++) A[n + c] = state % 2 ? A[c] : -A[c];
+}
+
+static void draw_step(active_set *s) {
+    for (int i = 0; i < s->n; i++) s->q[i] = (as_real)s->n * 2 * draw();
+    for (int i = 0; i < s->n + s->m; i++) {
+        const as_real middle = draw() / 2, half = draw() + (as_real)0.9;
+        s->low[i] = half > 1 ? -(as_real)INFINITY : middle - half;
+        s->high[i] = half > (as_real)1.5 ? (as_real)INFINITY : middle + half * (state % 7 > 0);
+    }
+}
+
+int main(void) {
+    int endings[ACTIVE_SET_FAILED * -1 + 1] = {0};
+    for (int trial = 0; trial < 400; trial++) {
+        const int n = 1 + trial % 9, m = trial % 13;
+        as_real *P = malloc(sizeof *P * (size_t)(n * n));
+        as_real *A = malloc(sizeof *A * (size_t)(m * n + 1));
+        as_real *reals = malloc(sizeof *reals * (size_t)ACTIVE_SET_REALS(n, m));
+        as_real *change = malloc(sizeof *change * (size_t)(n + m));
+        int *integers = malloc(sizeof *integers * (size_t)ACTIVE_SET_INTEGERS(n, m));
+        active_set s;
+        draw_cost(P, n);
+        draw_rows(A, n, m);
+        active_set_place(&s, n, m, reals, integers);
+        if (active_set_factorise(&s, P, A)) return 1;
+        s.warm = trial % 3 > 0;
+        for (int k = 0; k < 12; k++) {
+            if (k == 5) draw_rows(A, n, m);
+            if (k == 5 && active_set_replace_rows(&s, A)) return 1;
+            if (k == 8) draw_cost(P, n);
+            if (k == 8 && active_set_factorise(&s, P, A)) return 1;
+            draw_step(&s);
+            if (k == 11) s.q[0] = (as_real)NAN;
+            const int ending = trial % 5 ? active_set_solve(&s)
+                                         : hildreth_solve(&s, 200, (as_real)1e-8, 1, change);
+            endings[ending < 0 ? -ending : 0]++;
+        }
+        free(P), free(A), free(reals), free(change), free(integers);
+    }
+    for (int i = 0; i < 5; i++) printf("%d ", endings[i]);
+    return 0;
+}
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="there is no gcc here")
+@pytest.mark.parametrize("precision", [(), ("-DACTIVE_SET_FLOAT",)])
+def test_a_sanitizer_finds_nothing_in_random_problems(
+    precision: tuple[str, ...], tmp_path: Path
+) -> None:
+    """Under the address and undefined-behaviour sanitizers, with every kind of ending."""
+    main, program = tmp_path / "main.c", tmp_path / "main"
+    main.write_text(SANITIZED, encoding="utf-8")
+    options = "-std=c99", "-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"
+    flags = (*options, *precision, f"-I{compiling.FOLDER}", "-o", str(program))
+    subprocess.run(["gcc", *flags, str(main), "-lm"], check=True)
+    done = subprocess.run([str(program)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    # Solved, not finite, crossed, infeasible, inaccurate.
+    assert all(int(count) > 0 for count in done.stdout.split())
 
 
 @pytest.mark.slow
