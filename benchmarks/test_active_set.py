@@ -8,15 +8,46 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import load_scenario, open_workspace
-from dpbench.bench.run.exact_loop import rebuild_sequence, solve_exactly
+from dpbench.bench.run.exact_loop import ExactLoop, rebuild_sequence, solve_exactly
+from dpbench.embedded.count import count_sequence
+from dpbench.embedded.recipe import select_recipes
+from dpbench.embedded.targets import TARGETS
+from dpbench.embedded.toolchain import has_extra
 from dpbench.qp.program import QPSequence
+from dpbench.scenario.scenario import Scenario
+
+OWN = ("paper_active_set", "hildreth")
+"""Solvers whose C is part of dpbench."""
+CORES = ("m7", "x86")
 
 
 @pytest.fixture(scope="module", params=["paper", "rough"])
-def sequence(request: pytest.FixtureRequest) -> QPSequence:
-    """The first 200 QPs of a scenario."""
+def loop(request: pytest.FixtureRequest) -> tuple[Scenario, ExactLoop]:
+    """The first 200 steps of a scenario, solved exactly."""
     scenario = load_scenario(request.param).truncate(200)
-    return rebuild_sequence(scenario, solve_exactly(scenario))
+    return scenario, solve_exactly(scenario)
+
+
+@pytest.fixture(scope="module")
+def sequence(loop: tuple[Scenario, ExactLoop]) -> QPSequence:
+    """Its QPs."""
+    return rebuild_sequence(*loop)
+
+
+def count_instructions(solver: str, sequence: QPSequence, exact: ExactLoop) -> dict[str, int]:
+    """Count what the C of one of dpbench's solvers executes on emulated cores along a sequence.
+
+    Such counts need no quiet machine. They are empty without the extra `embedded`.
+    """
+    if solver not in OWN or not has_extra():
+        return {}
+    (recipe,) = select_recipes([solver])
+    counts = {
+        name: count_sequence(recipe, sequence, TARGETS[name], optima=exact.optima) for name in CORES
+    }
+    return {
+        f"instructions_{name}": int(one.steps["instructions"].sum()) for name, one in counts.items()
+    }
 
 
 def bare_daqp(sequence: QPSequence) -> Callable[[], int]:
@@ -69,13 +100,19 @@ def own(solver: str, sequence: QPSequence) -> Callable[[], int]:
 
 
 @pytest.mark.benchmark(group="warm steps, 200 of a scenario", min_rounds=50)
-@pytest.mark.parametrize("solver", ["daqp, bare", "daqp", "paper_active_set", "hildreth"])
+@pytest.mark.parametrize("solver", ["daqp, bare", "daqp", *OWN])
 def test_warm_steps(
-    benchmark: BenchmarkFixture, exactly: Callable[..., None], sequence: QPSequence, solver: str
+    benchmark: BenchmarkFixture,
+    exactly: Callable[..., None],
+    loop: tuple[Scenario, ExactLoop],
+    sequence: QPSequence,
+    solver: str,
 ) -> None:
     """A whole pass over the sequence; divide by 200 for a step."""
     replay = bare_daqp(sequence) if solver == "daqp, bare" else own(solver, sequence)
     replay()  # the second pass starts warm from the end of the first, as all later ones do
     iterations = replay()
-    exactly(replay, iterations=iterations, rows=sequence.base.m + sequence.base.n)
+    instructions = count_instructions(solver, sequence, loop[1])
+    rows = sequence.base.m + sequence.base.n
+    exactly(replay, iterations=iterations, rows=rows, **instructions)
     benchmark(replay)

@@ -3,8 +3,8 @@
 A time is the benchmark's minimum, in units of the reference kernel where both runs have timed that
 beside the benchmark (`extra_info["reference_ns"]`). It is worse where the ratio of the two runs,
 without the factor that the benchmarks of other solvers share, is beyond the margin by more than the
-ratios scatter. Exact measures (`extra_info["exact"]`: iterations, error, rows, peak bytes) are
-worse where they grow.
+ratios scatter. Exact measures (`extra_info["exact"]`: iterations, instructions, error, rows, peak
+bytes) are worse where they grow.
 """
 
 import json
