@@ -76,7 +76,7 @@ def _facts(row: SolverRecord) -> str:
         ("comes", f"{install}{EXTRAS[row.extra]}", ""),
         ("matrices", {"dense": "dense", "csc": "sparse, by columns"}[row.form], ""),
         ("P has to be positive definite", _yes(row.needs_strict_convexity), ""),
-        ("may go aboard as it is", _unless(row.deployment_blocker), ""),
+        ("may be deployed on a ship as it is", _unless(row.deployment_blocker), ""),
     ]
     stated = {
         "licence": row.project.licence,

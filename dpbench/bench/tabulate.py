@@ -110,7 +110,7 @@ def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str)
         first = dict(zip(_SELECTION_COLUMNS, others[0], strict=True))
         place = first["sequence"] or first["scenario"]
         example = f"{first['solver']} in {place}, {first['steps_planned']} steps"
-        found = f"{out} with {len(others)} finished runs that are not asked for, as of {example}"
+        found = f"{out} with {len(others)} finished runs that were not requested, as of {example}"
         raise InputError("--out", "", found, remedy)
 
 

@@ -176,7 +176,7 @@ def explain_no_recommendation(
     """Explain why no solver is recommended: none deployable, none timed, or none passes."""
     if recommendation.faster is not None:
         return (
-            "Nothing that can go aboard passes; "
+            "No solver that can be deployed passes; "
             f"{recommendation.faster.configuration.label} does: {recommendation.because}."
         )
     if not any(row.has_steps for row in view.select(mode="replay", units="scaled")):
@@ -206,10 +206,8 @@ def paired_text(compared: PairedComparison) -> str:
         interval = f"{significant(compared.ratio.low)} to {significant(compared.ratio.high)}"
         wording += f" (geometric mean, {interval})"
         if compared.is_tied:
-            return f"{wording}: the two cannot be told apart"
-    return (
-        f"{wording}; which is faster depends on the yardstick" if compared.is_unstable else wording
-    )
+            return f"{wording}: no significant difference"
+    return f"{wording}; which is faster depends on the measure" if compared.is_unstable else wording
 
 
 def describe_findings(findings: Sequence[Finding]) -> str:

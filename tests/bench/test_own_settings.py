@@ -44,5 +44,5 @@ def test_each_set_of_options_runs_and_is_recorded(tmp_path: Path) -> None:
         assert f'"max_iter": {limit}' in runs["options"][name]
     # Other options under the same name are another run, which the folder has not been asked for.
     suite.write_text(SUITE.replace("max_iter = 7", "max_iter = 8"))
-    with pytest.raises(InputError, match="finished runs that are not asked for"):
+    with pytest.raises(InputError, match="finished runs that were not requested"):
         run_campaign(suite, out, solvers=solvers)

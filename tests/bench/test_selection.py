@@ -49,7 +49,7 @@ def test_another_selection_is_refused(
     files = {path: path.read_bytes() for path in whole.glob("*.*")}
     assert main(["run", str(suite), "--out", str(whole), "--quiet", *words]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "finished runs that are not asked for" in line
+    assert "finished runs that were not requested" in line
     assert "--fresh" in line and "another --out" in line
     assert {path: path.read_bytes() for path in whole.glob("*.*")} == files
 
@@ -80,8 +80,8 @@ def test_an_unfinished_folder_takes_another_selection(suite: Path, tmp_path: Pat
 def test_shards_are_not_gathered_into_another_result(suite: Path, tmp_path: Path) -> None:
     shard = run_campaign(suite, tmp_path / "shard", solvers=["daqp"], shard="1/1")
     half = run_campaign(suite, tmp_path / "half", solvers=["daqp"], shard="1/2")
-    with pytest.raises(InputError, match="not asked for"):
+    with pytest.raises(InputError, match="not requested"):
         run_campaign(suite, half, solvers=["daqp"], shard="2/2")
     out = run_campaign(suite, tmp_path / "out", solvers=["quadprog"], scenarios=["calm"])
-    with pytest.raises(InputError, match=r"not asked for.*another folder"):
+    with pytest.raises(InputError, match=r"not requested.*another folder"):
         gather([shard], out)

@@ -82,7 +82,7 @@ def connect_client(address: str, tls: TlsFiles | None = None) -> Iterator[Client
             with socket.create_connection(parse_host_port(place), timeout=ANSWER_S):
                 pass
         except (OSError, ValueError) as error:
-            found = f"{address}, where nobody answers ({type(error).__name__})"
+            found = f"{address}, where no scheduler answers ({type(error).__name__})"
             allowed = "the address of a Dask scheduler that runs, as tcp://HOST:8786"
             raise InputError(WHERE, "", found, allowed) from error
         try:

@@ -335,7 +335,7 @@ class ServingChild(Child):
     def finish_cell(self) -> Outcome:
         """End the current run and return its outcome; kill the process if it does not reply."""
         self.send_order(None)
-        if self._receive_reply(GRACE_S, "did not end when asked to") is True:
+        if self._receive_reply(GRACE_S, "did not end on request") is True:
             return self.read_verdict(self._verdict)
         return self.determine_outcome()
 
@@ -345,7 +345,7 @@ class ServingChild(Child):
         self.process.join(GRACE_S)
         if self.process.is_alive():
             # Behind its verdict a worker only counts allocations, which is no reason to blame it.
-            self.kill("" if self.has_verdict else "did not end when asked to")
+            self.kill("" if self.has_verdict else "did not end on request")
         self._orders.close()
         return self.determine_outcome()
 

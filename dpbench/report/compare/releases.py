@@ -175,7 +175,7 @@ def _comparability_notes(histories: Histories, records: Mapping[str, Records]) -
     if math.isfinite(histories.spread):
         lines.append(
             "what did not change its version differs by a factor of up to "
-            f"{significant(histories.spread)} between two folders: a smaller change says nothing"
+            f"{significant(histories.spread)} between two folders: a smaller change is no evidence"
         )
     if histories.alone:
         lines.append(f"{plural(histories.alone, 'cell')} in one folder only, left out")

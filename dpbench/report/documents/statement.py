@@ -66,7 +66,7 @@ def statement_svg(folder: Path, results: Results, data: PageData) -> str:
     """
     chosen = choose_solver(data.verdicts).chosen
     if chosen is None or chosen.state != "pass":
-        found = "no configuration that passes everywhere and can go aboard"
+        found = "no configuration that passes everywhere and can be deployed"
         raise InputError(str(folder), "--statement", found, "results with a recommendation")
     picture = find_offset_picture(data, chosen.configuration.solver)
     return _render_svg(_format_lines(folder, results, data, chosen, picture), picture)

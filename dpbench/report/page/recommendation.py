@@ -155,8 +155,8 @@ def _recommendation_sentence(data: PageData, found: SolverChoice, *, is_lost: bo
 
 def _infeasible_steps_text(data: PageData, c: Configuration) -> str:
     """State how many QPs had no solution, and if the solver reported that; "" for none."""
-    steps, told = data.count_infeasible_steps(c)
-    wording = ", and it said so" if told else ""
+    steps, is_reported = data.count_infeasible_steps(c)
+    wording = ", as the solver reported" if is_reported else ""
     return f" ({plural(steps, 'step')} had no solution{wording})" if steps else ""
 
 
@@ -183,7 +183,7 @@ def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]
     shortest_ns = shortest_wait_ns(data.records.calibration)
     if chosen.p50_ns < shortest_ns:
         p50, shortest = time_text(chosen.p50_ns), time_text(shortest_ns)
-        yield "checked", f"Its p50, {p50}, lies below the shortest wait checked, {shortest}."
+        yield "checked", f"Its p50, {p50}, is below the shortest wait checked, {shortest}."
     if found.faster is not None:
         label = found.faster.configuration.label
         yield "faster", f"{label} is faster, and is not the answer: {found.because}."

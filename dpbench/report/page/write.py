@@ -37,7 +37,7 @@ FILES = {
     "embedded.parquet": "one row a step of a solver's C on an embedded core",
     "capability.parquet": "one row a QP at the edge of what thrusters hold",
     "machine.json": "the machine and the versions",
-    "suite.json": "what was asked",
+    "suite.json": "the suite that was requested",
     "tables/runs.csv": "the runs as CSV; README.md beside it explains all tables",
 }
 VARIABLES = {

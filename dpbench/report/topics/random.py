@@ -48,7 +48,7 @@ def random_topic(records: Records) -> Topic | None:
         lines=(
             f"{-sum(count for count, _ in wrong)} false claims on {steps} certified steps: "
             f"{'; '.join(wording)}.",
-            "A set that knows of no ship: it says whom to trust, not who is fast.",
+            "These QPs are of no ship: they test the accuracy of solvers, not their speed.",
         ),
         figures=(
             Figure(

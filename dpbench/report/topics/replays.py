@@ -116,7 +116,7 @@ def _right_levels_text(records: Records, requirements: Requirements) -> str:
         if levels and "default" not in levels
     ]
     never = [name for name, levels in good.items() if not levels]
-    parts = [f"Right on every step with default settings: {and_list(by_default) or 'nobody'}"]
+    parts = [f"Right on every step with default settings: {and_list(by_default) or 'no solver'}"]
     parts += [f"with others only: {', '.join(others)}"] if others else []
     parts += [f"with none that was run: {and_list(never)}"] if never else []
     return "; ".join(parts) + "."
@@ -203,7 +203,7 @@ def worst_case_topic(records: Records) -> Topic | None:
     return Topic(
         "worst-case",
         "The step that was searched for",
-        (lead, "The same step of the other configurations stands below."),
+        (lead, "The table shows the same step of the other configurations."),
         (),
         (Table(head, tuple(rows), f"step {k}"),),
     )

@@ -72,7 +72,7 @@ def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -
         }
         limit = f"with {_judging_statistic(sweep)} within {requirements.p99_ms:g} ms"
         if not largest:
-            wording.append(f"In {sweep.name} nobody fits a horizon, right and {limit}.")
+            wording.append(f"In {sweep.name} no solver is right and {limit} at any horizon.")
             continue
         longest = max(largest.values(), key=count_variables)
         who = [name for name, horizons in largest.items() if horizons == longest]
@@ -139,7 +139,7 @@ def slowdown_topic(records: Records) -> Topic | None:
         tables.append(Table.of(rows, group.scenario))
         survivors = [c for c in group.configurations if c.survived_slowdown > 0]
         best = [f"{c.configuration.label} × {c.survived_slowdown:g}" for c in survivors[:3]]
-        named = ", ".join(best) if best else "nobody survives a slow-down"
+        named = ", ".join(best) if best else "no solver survives a slow-down"
         leads.append(f"Slower computers, {group.scenario}: {named}.")
     if not tables:
         return None

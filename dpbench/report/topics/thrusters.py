@@ -216,7 +216,7 @@ def _consequence_sentences(records: Records, chosen: Verdict | None) -> Iterator
     right = [name for name, of_it in own.items() if all(a.is_all_right for a in of_it)]
     shares = {name: largest_share(own[name]) for name in right}
     timed = {name: share for name, share in shares.items() if isfinite(share)}
-    wording = ["nobody answers all of that rightly"]
+    wording = ["no solver answers all of that correctly"]
     if timed:
         best = min(timed, key=lambda name: timed[name])
         share = sample_share_text(timed[best])

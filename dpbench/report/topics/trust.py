@@ -93,8 +93,8 @@ def trust_topic(records: Records) -> Topic | None:
         lines.append(_waits_text(waits, shortest_wait_ns(records.calibration)))
         requested = [(name, WAITS_NS[name] / 1e3, p50_ns / 1e3) for name, p50_ns in waits.items()]
         table = pd.DataFrame(requested, columns=["name", "x", "y"])
-        chart = draw_dots(table, "Waits of known length", "asked [µs]", "p50 of timings [µs]")
-        figures.append(Figure("calibration", chart, "Asked and measured."))
+        chart = draw_dots(table, "Waits of known length", "requested [µs]", "p50 of timings [µs]")
+        figures.append(Figure("calibration", chart, "Requested against measured wait."))
     if disturbance.seconds > 0:
         lines.append(_machine_load_text(disturbance, records.machine))
     data = [

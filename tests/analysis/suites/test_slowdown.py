@@ -113,7 +113,7 @@ def test_the_terminal_hears_who_survives_what(records: Any) -> None:
 
 def test_nobody_survives_is_said(records: Any) -> None:
     slow(records, "scs", 1, 112.0)
-    assert records.ending()["answer"].endswith("nobody survives a slow-down.")
+    assert records.ending()["answer"].endswith("no solver survives a slow-down.")
 
 
 def test_the_machine_of_slow_loops_is_judged(records: Any) -> None:

@@ -206,7 +206,7 @@ def test_code_in_python_alone_is_no_recommendation(records: Any) -> None:
     records.loop("qtqp")
     records.replay("qtqp")
     answer = _answer(records)
-    assert answer.sentence.startswith("Nothing that can go aboard passes; qtqp")
+    assert answer.sentence.startswith("No solver that can be deployed passes; qtqp")
     assert answer.notes == ()
 
 
@@ -234,7 +234,7 @@ def test_steps_without_a_solution_are_said(records: Any) -> None:
     records.loop("daqp", "thruster_loss_hard", infeasible_steps=3)
     records.loop("daqp", "thruster_loss_hard", infeasible_steps=40, units="si")
     records.replay("daqp")
-    output = "of 2 closed loops and 1 replay (3 steps had no solution, and it said so), p99"
+    output = "of 2 closed loops and 1 replay (3 steps had no solution, as the solver reported), p99"
     assert output in _answer(records).sentence
     records.replay("daqp", "thruster_loss_hard", infeasible_steps=6, rounds=3, true_share=0.99)
     assert "(5 steps had no solution), p99" in _answer(records).sentence
@@ -252,7 +252,7 @@ def test_a_p50_below_checked_waits_is_said(
         name = f"busy_wait_{wait_us}us"
         records.replay(name, median_us=wait_us + 0.2, route="native", policy="reuse")
     note = dict(_answer(records).notes).get("checked", "")
-    assert ("lies below the shortest wait checked, 20.0 µs." in note) == output == bool(note)
+    assert ("is below the shortest wait checked, 20.0 µs." in note) == output == bool(note)
 
 
 def test_a_snippet_opens_what_it_recommends(records: Any) -> None:

@@ -90,7 +90,7 @@ async function drawOne() {
     + `as solved but wrong on ${figure(run.untrue)}${run.answers === run.steps ? "" : ` of ${run.answers} answers`}; failed on ${figure(run.failed)}.`,
     run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the exactly solved loop`
       + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
-    run.infeasible > 0 ? `${run.infeasible} of the steps had no solution${run.all_true ? ", and it said so" : ""}.` : "",
+    run.infeasible > 0 ? `${run.infeasible} of the steps had no solution${run.all_true ? ", as the solver reported" : ""}.` : "",
     run.why && run.verdict !== "pass" ? `${run.outcome}: ${run.why}.` : "",
     judged ? `Over all judged scenarios and replays: ${C().verdict[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}.` : "",
     solver.method ? `Method: ${solver.method}.` : "",
@@ -201,7 +201,7 @@ function drawStep(run) {
   const exact = run.hard?.[0].find((hard) => hard[0] === k), off = run.hard?.[2].find((hard) => hard[0] === k);
   $("step-said").textContent = `Step ${k}: ${time(exact ? exact[1] : t[j])}, ${many(array(run.i)[j], "iteration")}, `
     + `${many(array(run.a)[j], "active limit")}, error of the first move ${figure(off ? off[1] : array(run.e)[j])}; `
-    + `it ${said(0) ? "said “solved”" : `did not say “solved”${known ? ` (${known[2].toLowerCase()})` : ""}`}; `
+    + `it ${said(0) ? "reported “solved”" : `did not report “solved”${known ? ` (${known[2].toLowerCase()})` : ""}`}; `
     + `its answer is ${said(1) ? "right" : "not right"}${flags.length ? `; ${flags.join(", ")}` : ""}. ${moved(run, k)}`;
   const experiment = facts.experiments[run.p];
   // A sea of a study has no file of its own to export from.
