@@ -65,7 +65,7 @@ class Campaign:
         self.machine, self._plan, self._out, self._shard = machine, plan, out, shard
         self.store = CellStore(out)
         self.attach_designs(designs, machine["id"], fresh=fresh)
-        self._counts = EmbeddedCounts(counts, self.store.folder, fresh=fresh)
+        self.counts = EmbeddedCounts(counts, self.store.folder, fresh=fresh)
         solvers = {p.cell.solver for p in plan.cells}
         self._libraries = {solver: check_availability(solver) for solver in solvers}
         self.work = shard.select_jobs([self._make_job(p) for p in plan.cells])
@@ -97,7 +97,7 @@ class Campaign:
         started_utc, started_s = datetime.now(UTC), time.monotonic()
         pending = self.find_pending()
         work = sum(count_steps(job.cell) for job in pending) + self.designs.work
-        work += self._counts.work
+        work += self.counts.work
         progress.start(work)
         if not work and self._has_written_results():
             clear_scratch_folders(self.store.folder)
@@ -110,7 +110,7 @@ class Campaign:
             self._store_result(by_id[result.run_id], result)
         self.sources.clear()
         self.designs.run(dispatcher, progress)
-        self._counts.run(dispatcher, progress)
+        self.counts.run(dispatcher, progress)
         self.write_results(started_utc, time.monotonic() - started_s, engine.remarks)
 
     def find_pending(self) -> list[CellJob]:
@@ -153,7 +153,7 @@ class Campaign:
         same = all(found.get(key) == value for key, value in asked.items())
         if self._at_boundary and not (self._out / CAPABILITY_FILE).is_file():
             return False
-        return same and self._counts.is_written(self._out) and is_tabulated(self.work, self.store)
+        return same and self.counts.is_written(self._out) and is_tabulated(self.work, self.store)
 
     def _request_document(self) -> dict[str, Any]:
         """Return the entries of `suite.json` that describe the requested suite."""
@@ -177,7 +177,7 @@ class Campaign:
     ) -> None:
         """Write all result files; `made_by` are the revisions that ran the cells, if not this."""
         self.designs.write(self._out)
-        not_counted = self._counts.write(self._out)
+        not_counted = self.counts.write(self._out)
         runs, step_rows = tabulate(self.work, self.store)
         suite: dict[str, Any] = {
             **self._request_document(),

@@ -7,7 +7,7 @@ is noted with the reason, and the campaign goes on.
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -143,6 +143,14 @@ class EmbeddedCounts:
         for path, outcome in dispatcher.make_files(run_count, texts, limit_s=LIMIT_S):
             count, self._reasons[path] = self._counts[path], outcome.detail
             progress.advance(WORK, f"count {count.solver} {count.target} {count.sequence}")
+
+    def note_reasons(self, missing: Iterable[UncountedSolver]) -> None:
+        """Take over the reasons why solvers were not counted where these counts were run."""
+        known = {(one["solver"], one["target"], one["sequence"]): one["reason"] for one in missing}
+        for path, count in self._counts.items():
+            reason = known.get((count.solver, count.target, count.sequence))
+            if reason is not None:
+                self._reasons[path] = reason
 
     def write(self, out: Path) -> list[UncountedSolver]:
         """Write `embedded.parquet`, or remove it if nothing was counted; return what was not."""

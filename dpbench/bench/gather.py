@@ -21,7 +21,11 @@ from dpbench.bench.engines.shards import ShardRecord
 from dpbench.bench.plan.run_request import Plan
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.result_folder import MachineDescription, lock_result_folder
+from dpbench.bench.record.result_folder import (
+    MachineDescription,
+    lock_result_folder,
+    read_suite,
+)
 from dpbench.bench.record.step_table import DAMAGE
 from dpbench.bench.tabulate import refuse_other_selection
 from dpbench.bench.workers.jobs import CellJob
@@ -76,9 +80,10 @@ def gather(
             )
             machine = {**machine, "others": others}
         campaign = Campaign(plan, designs, Path(out), machine, counts=plan_suite_counts(plan))
-        for record in records:
+        for folder, record in shards.items():
             if record.shard.index == 1:
                 campaign.attach_designs(designs, record.machine["id"])
+                campaign.counts.note_reasons(read_suite(folder).get("not_counted", ()))
         said = {cell: outcome for folder in shards for cell, outcome in _read_unfinished(folder)}
         _apply_finished(campaign.work, finished, said, machine["id"])
         campaign.find_pending()

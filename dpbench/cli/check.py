@@ -119,16 +119,22 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
         )
         raise InputError(str(file), "", f"tables {', '.join(document) or '(none)'}", allowed)
     suite_path, suite = load_suite(file)
+    from dpbench.bench.design import plan_designs
+    from dpbench.bench.embedded_counts import plan_counts
     from dpbench.bench.engines.open_engine import count_slots
     from dpbench.bench.estimate import estimate_cells, read_rates
     from dpbench.bench.plan.plan import plan
 
     with name_file_in_errors(suite_path):
         planned = plan(suite, beside=suite_path.parent)
+        if suite.design:
+            plan_designs(suite.design, suite_path.parent)
+        counts = plan_counts(suite.embedded, suite_path.parent) if suite.embedded else []
+    also = [f"and {len(counts)} counts on embedded cores"] if counts else []
     missing = [] if _can_pass(planned) else [f"{file}: {NONE_PASSES}"]
     rates = read_rates(Path("results") / suite_path.stem)
     _, *expected = estimate_cells(planned, count_slots(None), rates).lines
-    return "\n".join([*missing, f"{file}: a suite of {len(planned)} cells", *expected])
+    return "\n".join([*missing, f"{file}: a suite of {len(planned)} cells", *expected, *also])
 
 
 def _can_pass(planned: Sequence[PlannedCell]) -> bool:

@@ -9,6 +9,7 @@ import pytest
 from dpbench import run_campaign
 from dpbench.bench import embedded_counts
 from dpbench.bench.embedded_counts import plan_counts
+from dpbench.bench.gather import gather
 from dpbench.bench.plan.suite import EmbeddedTable
 from dpbench.embedded import toolchain
 from dpbench.embedded.table import EMBEDDED_FILE, load_counts
@@ -117,6 +118,19 @@ def test_a_finished_count_is_not_repeated(out: Path) -> None:
     run_campaign(out.parent / "suite.toml", out)
     assert {path: path.stat().st_mtime_ns for path in (out / "cells").glob("embedded-*")} == stored
     assert load_counts(out) is not None
+
+
+@pytest.mark.slow
+def test_shards_are_gathered_with_their_counts_and_reasons(out: Path, tmp_path: Path) -> None:
+    suite = out.parent / "suite.toml"
+    shards = [run_campaign(suite, tmp_path / f"shard{i}", shard=f"{i}/2") for i in (1, 2)]
+    joined = gather(shards, tmp_path / "joined", suite=suite)
+    steps, whole = load_counts(joined), load_counts(out)
+    assert steps is not None and whole is not None
+    assert steps.equals(whole)
+    assert load_counts(shards[1]) is None
+    found = [json.loads((folder / "suite.json").read_text()) for folder in (joined, out)]
+    assert found[0]["not_counted"] == found[1]["not_counted"]
 
 
 @pytest.mark.slow

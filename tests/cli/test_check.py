@@ -160,3 +160,13 @@ def test_one_problem_is_a_sequence_of_one_step(place: Path) -> None:
     sequence = read_sequence(Path("alone.npz")).sequence
     assert (sequence.name, len(sequence)) == ("alone", 1)
     assert sequence.base.u.tolist() == [50.0] and sequence.base.l.tolist() == [-np.inf]
+
+
+def test_a_suite_with_counts_on_embedded_cores(place: Path, say: Say, refuse: Say) -> None:
+    suite = 'title = "t"\nsolvers = ["daqp"]\n[embedded]\nsequences = ["paper:0:STEPS"]\n'
+    suite += '[[replay]]\nscenario = "paper"\nsteps = 5\n'
+    (place / "counts.toml").write_text(suite.replace("STEPS", "9"))
+    assert say("check", "counts.toml").splitlines()[-1] == "and 5 counts on embedded cores"
+    (place / "counts.toml").write_text(suite.replace("STEPS", "1001"))
+    line = refuse("check", "counts.toml")
+    assert "counts.toml: embedded.sequences: found 'paper:0:1001'" in line
