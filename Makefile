@@ -52,8 +52,8 @@ test: setup ## run the tests: on both cores, then those that need a quiet machin
 	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m "not alone"
 	$(BIN)/python -m pytest -m alone $(ALONE)
 
-test-fast: setup ## run the tests that take no time, in less than two minutes
-	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m "not slow and not alone"
+test-fast: setup ## run the quick tests, in about a minute
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m "not slow and not alone" --hypothesis-profile=quick
 
 test-core: $(CORE)/.installed ## run the quick tests without the extras, in an environment of their own
 	$(CORE)/bin/python -m pytest $(SIDE_BY_SIDE) -m "not slow and not alone" --without-extras $(CORE_TESTS)

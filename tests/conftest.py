@@ -29,6 +29,8 @@ hypothesis.settings.register_profile(
     "dpbench", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
 )
 hypothesis.settings.load_profile("dpbench")
+# What `make test-fast` draws: a quarter of the examples.
+hypothesis.settings.register_profile("quick", hypothesis.settings(), max_examples=25)
 
 MACHINE: dict[str, Any] = {
     "id": "0123456789ab",

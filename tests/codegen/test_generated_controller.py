@@ -112,6 +112,7 @@ def test_cmake_builds_the_example_and_its_test_passes(
     assert "out of 1" in done.stdout
 
 
+@pytest.mark.slow
 @needs_gcc
 def test_an_input_that_is_no_number_holds_the_plan(paper: tuple[Path, ControllerData]) -> None:
     """The rest of the last plan is followed, then the command is held; measuring goes on after."""
@@ -131,6 +132,7 @@ def test_an_input_that_is_no_number_holds_the_plan(paper: tuple[Path, Controller
     assert controller.step(numbers)[1] == 0
 
 
+@pytest.mark.slow
 @needs_gcc
 def test_whole_turns_of_the_heading_do_not_matter(paper: tuple[Path, ControllerData]) -> None:
     """A compass that goes from 359 degrees to 1 turns the ship by 2 degrees."""

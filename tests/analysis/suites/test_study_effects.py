@@ -109,6 +109,7 @@ def test_points_that_are_run_once_are_the_sample_of_a_slope() -> None:
     assert estimate.df == 58.0
 
 
+@pytest.mark.slow
 def test_intervals_of_slopes_hold_the_truth() -> None:
     """90 % or more of the intervals of 200 slopes hold, whose size varies from sea to sea."""
     rng, inside = np.random.default_rng(8), 0

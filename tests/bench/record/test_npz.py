@@ -81,6 +81,7 @@ def test_strange_arrays_are_refused(member: bytes, method: int, found: str, tmp_
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_member_that_unpacks_to_more_than_it_declares(tmp_path: Path) -> None:
     path = zipped(tmp_path / "a.npz", npy("(15,)", bytes(10**8)))
     head = len(npy("(15,)", b""))

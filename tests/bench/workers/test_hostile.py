@@ -95,6 +95,7 @@ def test_stopping_the_template_costs_nothing(tmp_path: Path) -> None:
     assert {found.outcome for found in became.values()} == {"finished"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ["", "os._exit(0)", "os.abort()", "os.kill(os.getppid(), 9)"])
 def test_daemons_end_with_workers(end: str, context: ForkServerContext, tmp_path: Path) -> None:
     number = tmp_path / "number"
@@ -151,6 +152,7 @@ def test_output_of_children_counts(context: ForkServerContext, tmp_path: Path) -
     assert child.notice.output.is_full and OUTPUT_BYTES == 2**20
 
 
+@pytest.mark.slow
 def test_the_keeper_has_one_child(context: ForkServerContext, tmp_path: Path) -> None:
     child = Child(context, exec, (SOLVER + "time.sleep(600.0)",), tmp_path, "cell", limit_s=5.0)
     wait_until(lambda: child.notice.forkserver, "it does not begin")

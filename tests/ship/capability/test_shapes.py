@@ -65,6 +65,7 @@ def test_the_pieces_are_what_zones_and_losses_leave(
         assert reach(shape, direction) == pytest.approx(wanted, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_corners_lie_on_the_edge_and_chords_inside(
     thrusters: ThrusterSet, hull: CapabilityHull
 ) -> None:
