@@ -13,8 +13,8 @@ CYCLES = 1.0
 """Cycles per instruction where the reader gives none: an assumption."""
 CLOCK_MHZ = 100.0
 CAVEAT = (
-    "Counts have no caches, no pipeline and no bus in them. They are no bound of the worst-case "
-    "execution time: the worst step is the worst of this sequence."
+    "Counts have no caches, no pipeline and no bus in them, and are no bound of the worst-case "
+    "execution time."
 )
 MOST_PAIRS = 2
 """Number of disagreements between desk and counts that are named for a sequence."""

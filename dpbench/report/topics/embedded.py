@@ -16,6 +16,7 @@ from dpbench.report.formats import MISSING, count_text, error_text, time_text
 from dpbench.report.page.section import Topic
 from dpbench.report.table import Table
 
+WORST = "The worst step is the worst of its sequence."
 TITLE = "On the ship's computer"
 
 
@@ -30,7 +31,7 @@ def embedded_topic(results: EmbeddedResults, requirements: Requirements) -> Topi
         *ranking_texts(results.sequences, requirements),
     ]
     if rows:
-        lines.append(f"Compiled by {', '.join(compilers)} with -O2. {CAVEAT}")
+        lines.append(f"Compiled by {', '.join(compilers)} with -O2. {CAVEAT} {WORST}")
     lines += not_counted_texts(results.not_counted)
     tables = (Table.of(rows, note=NOTE, text_columns=3),) if rows else ()
     return Topic("embedded", TITLE, tuple(lines), tables=tables)
