@@ -1,7 +1,7 @@
 """Overview of all solvers: deadline ladder, verdict matrix, accuracy against time."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from math import isfinite
 from typing import Any
 
@@ -14,6 +14,25 @@ from dpbench.report.charts import style
 MARKS = ("✓", "≈", "?", "▸", "✕", "–")
 MOST_ACROSS = 30
 """Columns of a settings level, and half those of all levels, that leave room for names."""
+TILE, HEAD_LETTER = 30, 8
+"""Width of a tile, and about that of a letter above a settings level [px]."""
+
+
+def shorten_settings(levels: Sequence[str]) -> dict[str, str]:
+    """Return short names of settings: those of a grid without the options that they share.
+
+    Examples
+    --------
+    >>> shorten_settings(["high", "eps_abs=1e-5,rho=0.1", "eps_abs=1e-5,rho=1"])
+    {'high': 'high', 'eps_abs=1e-5,rho=0.1': 'rho=0.1', 'eps_abs=1e-5,rho=1': 'rho=1'}
+    """
+    options = {level: level.split(",") for level in levels if "=" in level}
+    shared = set.intersection(*map(set, options.values())) if len(options) > 1 else set[str]()
+    kept = {
+        level: ",".join(pair for pair in pairs if pair not in shared)
+        for level, pairs in options.items()
+    }
+    return {level: kept.get(level) or level for level in levels}
 
 
 def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
@@ -64,7 +83,7 @@ def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     signed = base.transform_calculate(sign=f"{signs}[datum.verdict]", ink=f"{inks}[datum.verdict]")
     text = signed.mark_text(fontSize=12, fontWeight=600)
     text = text.encode(text="sign:N", color=alt.Color("ink:N", scale=None))
-    size: dict[str, Any] = {"width": alt.Step(30), "height": alt.Step(15 if tall else 22)}
+    size: dict[str, Any] = {"width": alt.Step(TILE), "height": alt.Step(15 if tall else 22)}
     placed = alt.layer(tiles.add_params(pick), text, chosen, data=table, **size)
     heads: dict[str, Any] = {
         "labelFontSize": 13,
@@ -72,13 +91,18 @@ def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
         "labelAnchor": "start",
         "labelAngle": 0,
     }
+    short = shorten_settings(levels)
+    lines = {level: text.split(",") for level, text in short.items()}
+    heads["labelExpr"] = f"{json.dumps(short if stacked else lines)}[datum.label]"
     header = alt.Header(**heads, labelColor=style.INK, labelOrient="top")
     own: dict[str, Any] = {"sort": levels, "title": None, "header": header}
     if stacked:
         chart = placed.facet(row=alt.Row("settings:N", **own), spacing=14)
         chart = chart.resolve_axis(x="independent")
     else:
-        chart = placed.facet(column=alt.Column("settings:N", **own), spacing=14)
+        longest = max(len(line) for name in lines.values() for line in name)
+        room = HEAD_LETTER * longest - TILE * len(solvers if tall else experiments)
+        chart = placed.facet(column=alt.Column("settings:N", **own), spacing=max(14, room))
     chart.usermeta = {"tall": tall}
     states = "pass, borderline, inconclusive, late, fail or not run"
     about = f"Tiles of solver by scenario: {states}, for each settings level."
@@ -132,8 +156,12 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float) -> Any:
     lines = base.mark_line(strokeWidth=1, opacity=0.45).add_params(
         percentile, style.narrow_flag(), pick
     )
+    short = json.dumps(shorten_settings(table["settings"].unique().tolist()))
     filled = style.legend_below(
-        columns=_LEGEND_COLUMNS, symbolFillColor=style.INK, symbolOpacity=1.0
+        columns=_LEGEND_COLUMNS,
+        symbolFillColor=style.INK,
+        symbolOpacity=1.0,
+        labelExpr=f"{short}[datum.label]",
     )
     dots = base.mark_point(filled=True, strokeWidth=1.5).encode(
         stroke=alt.Stroke(
