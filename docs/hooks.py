@@ -20,7 +20,7 @@ SOURCES = {
     "dpbench/solvers/libraries": "solvers/index.md",
     "problems": "reference/library.md",
 }
-"""What a page links to in the repository, and the page of the site that is made of it."""
+"""Pages of the site by the file or folder of the repository that they are made of."""
 ROOT = Path(__file__).parents[1]
 MAKERS = (
     toml_keys.pages,

@@ -91,12 +91,12 @@ class _Mailbox:
         self.write_head()
 
     def write_head(self) -> None:
-        """Write the structure, with no answer in it."""
+        """Write the C structure that the program reads its inputs from, with no answer in it."""
         self._core.write(DATA, _INTEGERS.pack(*self._integers) + self._pointers)
         self.write("z", np.full(self._z_bytes // self._type.itemsize, np.nan))
 
     def read(self) -> tuple[int, int, int, Vector]:
-        """Return status, iterations, active rows and answer."""
+        """Return status, iterations, active rows and answer that the program left in memory."""
         numbers = _INTEGERS.unpack(self._core.read(DATA, _INTEGERS.size))
         z = np.frombuffer(self._core.read(self._places["z"], self._z_bytes), self._type)
         return numbers[4], numbers[5], numbers[6], z.astype(np.float64)

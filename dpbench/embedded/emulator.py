@@ -50,16 +50,19 @@ class Counts:
 
 @_cfunc(_CODE, cache=True)
 def _count_instruction(engine, address, size, counts):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+    """Count one executed instruction in an array that Unicorn's hook hands on."""
     _carray(counts, 3, np.uint64)[_INSTRUCTIONS] += np.uint64(1)
 
 
 @_cfunc(_MEMORY, cache=True)
 def _count_load(engine, kind, address, size, value, counts):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+    """Count one load from memory in an array that Unicorn's hook hands on."""
     _carray(counts, 3, np.uint64)[_LOADS] += np.uint64(1)
 
 
 @_cfunc(_MEMORY, cache=True)
 def _count_store(engine, kind, address, size, value, counts):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+    """Count one store to memory in an array that Unicorn's hook hands on."""
     _carray(counts, 3, np.uint64)[_STORES] += np.uint64(1)
 
 
@@ -89,10 +92,12 @@ class Core:
         self._add_counters()
 
     def _register(self, name: str) -> int:
+        """Return Unicorn's number of a register of the core, by its name."""
         number: int = getattr(self._constants, name)
         return number
 
     def _write_register(self, name: str, value: int) -> None:
+        """Write a value into a register of the core, by its name."""
         self._core.reg_write(self._register(name), value)
 
     def _add_counters(self) -> None:
@@ -118,7 +123,7 @@ class Core:
             self._hooks.append(hook)
 
     def call(self, name: str, argument: int) -> tuple[int, Counts]:
-        """Call a function of one pointer; return its result and what it executed."""
+        """Call a function of one pointer on the core; return its result and its counts."""
         target, core = self._target, self._core
         stack, first, result = target.registers
         top = STACK_TOP
@@ -148,11 +153,11 @@ class Core:
         return signed, Counts(instructions, loads, stores, depth)
 
     def write(self, address: int, data: bytes) -> None:
-        """Write bytes into the core's memory."""
+        """Write bytes into the emulated core's memory."""
         self._core.mem_write(address, data)
 
     def read(self, address: int, size: int) -> bytes:
-        """Read bytes from the core's memory."""
+        """Read bytes from the emulated core's memory."""
         return bytes(self._core.mem_read(address, size))
 
     def heap_bytes(self) -> int:

@@ -26,7 +26,7 @@ class Program:
 
 
 def read_program(path: Path) -> Program:
-    """Read a program of `toolchain.compile_program`."""
+    """Read a compiled program from its ELF file: bytes to load, symbols and sizes."""
     elf_file: Any = import_module("elftools.elf.elffile").ELFFile
     with path.open("rb") as file:
         elf = elf_file(file)

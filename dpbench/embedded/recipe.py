@@ -51,7 +51,7 @@ class RecipeFile(_Table):
     start: _Text
     """State that a step starts from."""
     tuned: _Text
-    """Which settings were tuned, and on which sequences."""
+    """Settings that were tuned, and the sequences they were tuned on."""
     package: PackageTable | None = None
     requires: list[str] = []
     """Python packages of the generator, beside those of the extra."""
@@ -94,12 +94,12 @@ class Recipe:
 
     @property
     def solver(self) -> str:
-        """Name of the solver."""
+        """Name of the solver whose C the recipe compiles."""
         return self.file.solver
 
     @property
     def missing(self) -> str:
-        """What this recipe requires and is not there; "" if nothing."""
+        """Reason why the recipe cannot be used, such as a missing package; "" if there is none."""
         missing = [name for name in self.file.requires if importlib.util.find_spec(name) is None]
         return f"not installed: pip install {' '.join(missing)}" if missing else ""
 

@@ -55,7 +55,7 @@ def save_steps(counts: Sequence[StepCounts], folder: Path) -> Path:
 
 
 def write_steps(steps: pd.DataFrame, path: Path) -> None:
-    """Write counted steps to a file, whole or not at all."""
+    """Write counted steps to a Parquet file, whole or not at all."""
     with replace_file(path) as part:
         steps[list(COLUMNS)].astype(COLUMNS).to_parquet(part, index=False, compression="zstd")
 

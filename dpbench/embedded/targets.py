@@ -41,7 +41,7 @@ class Target:
 
     @property
     def compiler_flags(self) -> list[str]:
-        """Flags of the compiler that choose this core."""
+        """Compiler flags that select this embedded core."""
         return ["-target", self.triple, f"-mcpu={self.cpu}", *self.flags]
 
 

@@ -28,7 +28,8 @@ FLAGS = (
 )
 """Compiler flags of every program: hosted, so that `sqrt` is an instruction."""
 LINK = "-nostdlib -Wl,--gc-sections -Wl,--entry=embedded_set_up"
-"""Without the compiler's own library, which takes a minute to build and is hardly needed."""
+"""Flags of the linker: without the compiler's own library, which takes a minute to build and is
+hardly needed."""
 EXTRAS = ("ziglang", "unicorn", "elftools")
 
 
@@ -126,6 +127,7 @@ def compile_program(
 
 
 def _include_flags(folders: Iterable[Path]) -> list[str]:
+    """Return the compiler's flags for folders of headers."""
     return [f"-I{folder}" for folder in folders]
 
 

@@ -1,4 +1,4 @@
-"""What solvers cost as C on embedded cores, beside their times on this machine.
+"""Cost of solvers as C on embedded cores, beside their times on this machine.
 
 Instructions are counted by emulation; the desk's times are those of the same steps in a replay.
 """

@@ -85,4 +85,4 @@ OWN = {
         NativeAdapter(UNCONSTRAINED_CLIPPED, _open_unconstrained, lambda: ()),
     )
 }
-"""By the name of the solver."""
+"""Adapters by the name of the solver."""

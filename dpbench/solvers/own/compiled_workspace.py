@@ -57,10 +57,12 @@ class CompiledWorkspace(Workspace):
         self._factorise(problem)
 
     def _factorise(self, problem: Problem) -> None:
+        """Have the C library factorise a QP's matrices; keep its refusal, if any."""
         arrays = problem.P_pointer, problem.A_pointer
         self._store_refusal(self._library.active_set_factorise(self._pointer, *arrays))
 
     def _store_refusal(self, code: int) -> None:
+        """Store why the C library refused a QP, by its code; 0 for none."""
         self._refusal = code
         self._ending = self._ready = REFUSED if code else NOT_SOLVED_YET
 
@@ -156,6 +158,7 @@ class CompiledWorkspace(Workspace):
         return answer
 
     def _make_empty_solution(self, status: Status, detail: str) -> Solution:
+        """Return an answer without a point, with a status and its detail."""
         return Solution.missing(len(self._q), len(self._low), status, detail)
 
     def reset(self) -> None:

@@ -32,7 +32,7 @@ _FUNCTIONS = {
 
 
 def _name_fields(kind: type, names: str) -> list[tuple[str, type]]:
-    """Return fields of one kind for a structure."""
+    """Return name and type of each field of one kind of a C structure."""
     return [(name, kind) for name in names.split()]
 
 
@@ -93,6 +93,6 @@ class Problem:
         self.P_pointer, self.A_pointer = self.P.ctypes.data, self.A.ctypes.data
 
     def view(self, name: str, length: int) -> Vector:
-        """Return a vector of the structure as a view."""
+        """Return a vector of the C structure as an array that shares its memory."""
         start = (getattr(self.head, name) - self._reals.ctypes.data) // self._reals.itemsize
         return self._reals[start : start + length]

@@ -27,7 +27,7 @@ def write_sources(
 
 
 def _write_constants(qp: QuadraticProgram) -> str:
-    """Return the constants of a QP's matrices as C."""
+    """Return the constants of a QP's matrices as text of a C header."""
     n, m = qp.n, qp.m
     problem = Problem(n, m)
     problem.P[:], problem.A[:] = qp.P, qp.A

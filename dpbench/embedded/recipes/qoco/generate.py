@@ -63,5 +63,6 @@ def _find_finite(name: str, limits: Matrix, equal: Any) -> Any:
 
 
 def _array(name: str, indices: Any) -> str:
+    """Return row indices as a C array, with their number."""
     numbers = ", ".join(map(str, indices.tolist())) or "0"
     return f"enum {{{name}_rows = {len(indices)}}};\nstatic const int {name}[] = {{{numbers}}};\n"
