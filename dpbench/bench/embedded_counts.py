@@ -20,8 +20,8 @@ from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.result_folder import UncountedSolver
 from dpbench.bench.run.exact_loop import rebuild_sequence, solve_exactly
 from dpbench.bench.workers.worker import disable_gc_and_warnings, pin_to_core, write_outcome
-from dpbench.embedded.count import StepCounts, count_sequence
 from dpbench.embedded.recipe import find_recipes, select_recipes
+from dpbench.embedded.step_counts import StepCounts
 from dpbench.embedded.table import EMBEDDED_FILE, read_steps, tabulate_steps, write_steps
 from dpbench.embedded.targets import find_target
 from dpbench.embedded.toolchain import installed_compiler, require_extra
@@ -59,6 +59,9 @@ class PlannedCount:
 
     def count(self) -> StepCounts:
         """Solve the loop exactly, and count the solver's C along its QPs."""
+        # The emulator takes a while to load, and every campaign imports this module.
+        from dpbench.embedded.count import count_sequence
+
         last = self.first + self.steps
         scenario = cached_scenario(self.files)
         exact = solve_exactly(scenario.truncate(last))

@@ -11,8 +11,9 @@ from dpbench.bench.sequences.recording import load_named_sequence, thin_sequence
 from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.cli.embedded_fit import print_fits, read_kilobytes
 from dpbench.cli.terminal import make_console, make_report_table, print_wrapped
-from dpbench.embedded.count import StepCounts, count_sequence
+from dpbench.embedded.count import count_sequence
 from dpbench.embedded.recipe import Recipe, Setting, select_recipes
+from dpbench.embedded.step_counts import StepCounts
 from dpbench.embedded.table import SIZES, save_steps, summarise, tabulate_steps
 from dpbench.embedded.targets import TARGETS, Target, find_target
 from dpbench.embedded.toolchain import compiler_version, require_extra

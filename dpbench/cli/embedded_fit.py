@@ -10,9 +10,10 @@ from typing import Any
 from dpbench.bench.sequences.recording import record_scenario
 from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.cli.terminal import make_console, make_report_table, print_wrapped
-from dpbench.embedded.count import StepCounts, count_sequence
+from dpbench.embedded.count import count_sequence
 from dpbench.embedded.fit import KILOBYTE, Fit, Trial, find_largest, summarise_fit
 from dpbench.embedded.recipe import Recipe, Setting
+from dpbench.embedded.step_counts import StepCounts
 from dpbench.embedded.table import save_steps
 from dpbench.embedded.targets import TARGETS, Target
 from dpbench.embedded.toolchain import compiler_version

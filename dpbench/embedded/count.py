@@ -7,17 +7,17 @@ pipeline and no bus in it, and the worst step is the worst of this sequence.
 import struct
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.arrays import Floats, Ints, Matrix, Vector
+from dpbench.arrays import Floats, Vector
 from dpbench.embedded.calibration import calibrate
 from dpbench.embedded.emulator import DATA, Core
 from dpbench.embedded.program import read_program
 from dpbench.embedded.recipe import Recipe, Settings
+from dpbench.embedded.step_counts import COUNTED, StepCounts
 from dpbench.embedded.targets import Target
 from dpbench.errors import SituationError
 from dpbench.qp.program import CONSTANT, QPSequence, QPStep
@@ -28,35 +28,6 @@ from dpbench.temporary_folders import process_folder
 _ARRAYS = ("P", "q", "A", "l", "u", "lb", "ub", "z")
 """Pointers of `embedded_qp`, in their order."""
 _INTEGERS = struct.Struct("<8i")
-COUNTED = ("instructions", "loads", "stores", "stack", "iterations", "active", "status")
-"""Columns of each step: executed, bytes of stack, then what the solver reports."""
-
-
-@dataclass(frozen=True, eq=False)
-class StepCounts:
-    """Counts of a solver's C along a sequence of K QPs.
-
-    Parameters
-    ----------
-    solver, target, sequence : names.
-    single : whether in single precision.
-    settings : of the solver.
-    steps : (K,) of each of `COUNTED`; −1 where not counted or reported.
-    z : (K, n) answers, in the units of the sequence.
-    error_move, error_plan : (K,) distance to the certified optimum, of first move and whole plan.
-    sizes : bytes of code, constants, static data and heap.
-    """
-
-    solver: str
-    target: str
-    sequence: str
-    single: bool
-    settings: Settings
-    steps: dict[str, Ints]
-    z: Matrix
-    error_move: Vector
-    error_plan: Vector
-    sizes: dict[str, int]
 
 
 class _Mailbox:

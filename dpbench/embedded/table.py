@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 import pyarrow as pa
 
-from dpbench.embedded.count import COUNTED, StepCounts
+from dpbench.embedded.step_counts import COUNTED, StepCounts
 from dpbench.embedded.toolchain import compiler_version
 from dpbench.errors import ResultsError
 from dpbench.files.tables import decode_words, open_table

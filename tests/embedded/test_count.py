@@ -12,8 +12,9 @@ import scipy
 from dpbench import open_workspace
 from dpbench.bench.sequences.recording import thin_sequence
 from dpbench.bench.sequences.sequence_file import load_sequence
-from dpbench.embedded.count import StepCounts, count_sequence
+from dpbench.embedded.count import count_sequence
 from dpbench.embedded.recipe import select_recipes
+from dpbench.embedded.step_counts import StepCounts
 from dpbench.embedded.table import save_steps, summarise, tabulate_steps
 from dpbench.embedded.targets import TARGETS
 from dpbench.embedded.toolchain import compiler_version, has_extra

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dpbench.embedded.count import COUNTED, StepCounts
 from dpbench.embedded.fit import MOST, Trial, find_largest, summarise_fit
+from dpbench.embedded.step_counts import COUNTED, StepCounts
 
 STACK = 24
 
