@@ -305,6 +305,8 @@ def _add_embedded_arguments(embedded: Command) -> None:
     repeated("--fit", "KB", fit)
     single = "compile in single precision"
     embedded.add_argument("--float", action="store_true", dest="single", help=single)
+    opinion = "compare the counts with those of valgrind (x86) or QEMU (a53, m7) if installed"
+    embedded.add_argument("--second-opinion", action="store_true", help=opinion)
     option("--steps", "N", "at most N steps of each sequence (all)", type=int, default=0)
     option(
         "--out", "DIR", "folder of embedded.parquet (results/embedded)", default="results/embedded"

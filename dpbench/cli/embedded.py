@@ -4,6 +4,7 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from dpbench.cli.embedded_fit import print_fits, read_kilobytes
 from dpbench.cli.terminal import make_console, make_report_table, print_wrapped
 from dpbench.embedded.count import count_sequence
 from dpbench.embedded.recipe import Recipe, Setting, select_recipes
+from dpbench.embedded.second_opinion import compare_counts
 from dpbench.embedded.step_counts import StepCounts
 from dpbench.embedded.table import SIZES, save_steps, summarise, tabulate_steps
 from dpbench.embedded.targets import TARGETS, Target, find_target
@@ -26,9 +28,12 @@ REMARK = (
     "no caches, no pipeline and no bus. The worst step is the worst of this sequence."
 )
 
+COMPARED_STEPS = 3
+"""Steps that a second opinion is asked on, unless told otherwise: it is a hundred times slower."""
+
 
 def print_counts(arguments: argparse.Namespace) -> int:
-    """Count, print tables or JSON, write the steps; return 1 if a solver could not be counted."""
+    """Count as the options ask for; return 1 if a solver could not be counted, or tools differ."""
     require_extra()
     targets = [find_target(name) for name in arguments.target or ["m7"]]
     recipes = select_recipes(arguments.solver, map(Path, arguments.recipe))
@@ -45,6 +50,22 @@ def print_counts(arguments: argparse.Namespace) -> int:
             out=Path(arguments.out),
             as_json=arguments.json,
         )
+    if arguments.second_opinion:
+        steps = arguments.steps or COMPARED_STEPS
+        sequences = [_read_sequence(name, steps) for name in arguments.sequences or ["paper-30-5"]]
+        return _print_second_opinions(
+            sequences, targets, recipes, settings, single=arguments.single
+        )
+    return _print_counts(arguments, targets, recipes, settings)
+
+
+def _print_counts(
+    arguments: argparse.Namespace,
+    targets: list[Target],
+    recipes: list[Recipe],
+    settings: dict[str, dict[str, Setting]],
+) -> int:
+    """Count all steps, print tables or JSON, write the steps; return 1 if a solver was refused."""
     counts: list[StepCounts] = []
     refused: list[DpbenchError] = []
     for name in arguments.sequences or ["paper-30-5"]:
@@ -65,6 +86,38 @@ def print_counts(arguments: argparse.Namespace) -> int:
     else:
         _print_tables(counts, path)
     return int(bool(refused))
+
+
+def _print_second_opinions(
+    sequences: list[Recorded],
+    targets: list[Target],
+    recipes: list[Recipe],
+    settings: dict[str, dict[str, Setting]],
+    *,
+    single: bool,
+) -> int:
+    """Print counts of the first steps by Unicorn and by another tool; return 1 if they differ."""
+    agrees, screen = True, make_console()
+    for recorded in sequences:
+        rows = []
+        for target, recipe in product(targets, recipes):
+            own = settings.get(recipe.solver, {})
+            opinion = compare_counts(recipe, recorded.sequence, target, single=single, settings=own)
+            agrees &= opinion.agrees
+            rows.append(
+                {
+                    "solver": recipe.solver,
+                    "target": target.name,
+                    "Unicorn": count_text(opinion.instructions.sum()),
+                    "other": count_text(opinion.others.sum()),
+                    "tool": opinion.tool,
+                    "bytes differ": str(opinion.differing_bytes),
+                }
+            )
+        title = f"{recorded.sequence.name}: instructions of all steps by Unicorn and another tool"
+        note = "Bytes differ: of all answers and statuses; none should."
+        screen.print(make_report_table(Table.of(rows, title, note=note), screen))
+    return int(not agrees)
 
 
 def _count_recipe(recipe: Recipe, recorded: Recorded, target: Target, **options: Any) -> StepCounts:

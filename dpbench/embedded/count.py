@@ -6,16 +6,17 @@ pipeline and no bus in it, and the worst step is the worst of this sequence.
 
 import struct
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.arrays import Floats, Vector
+from dpbench.arrays import Floats, Matrix, Vector
 from dpbench.embedded.calibration import calibrate
 from dpbench.embedded.emulator import DATA, Core
-from dpbench.embedded.program import read_program
+from dpbench.embedded.program import Program, read_program
 from dpbench.embedded.recipe import Recipe, Settings
 from dpbench.embedded.step_counts import COUNTED, StepCounts
 from dpbench.embedded.targets import Target
@@ -27,10 +28,11 @@ from dpbench.temporary_folders import process_folder
 
 _ARRAYS = ("P", "q", "A", "l", "u", "lb", "ub", "z")
 """Pointers of `embedded_qp`, in their order."""
+_Core = TypeVar("_Core", bound=Core)
 _INTEGERS = struct.Struct("<8i")
 
 
-class _Mailbox:
+class Mailbox:
     """The QP in the core's memory: the structure `embedded_qp` and its arrays."""
 
     def __init__(self, core: Core, sequence: QPSequence, target: Target, *, single: bool) -> None:
@@ -90,31 +92,56 @@ def count_sequence(
     SituationError : its source cannot be fetched or compiled, or it refuses the first QP.
     EmulationError : the core cannot execute it, or the counters are wrong.
     """
+    own = settings or {}
+    core, mailbox = open_core(recipe, sequence, target, single=single, settings=own, kind=Core)
+    columns, answers = run_steps(core, mailbox, sequence)
+    certified = certify_sequence(sequence) if optima is None else optima
+    errors = measure_errors(answers, certified, sequence.base.block, sequence.base.moves)
+    steps = dict(zip(COUNTED, columns, strict=True))
+    sizes = {**core.sizes, "heap": core.heap_bytes()}
+    names = recipe.solver, target.name, sequence.name
+    return StepCounts(*names, single, recipe.with_settings(own), steps, answers, *errors, sizes)
+
+
+def open_core(
+    recipe: Recipe,
+    sequence: QPSequence,
+    target: Target,
+    *,
+    single: bool,
+    settings: Settings | None,
+    kind: Callable[[Program, Target], _Core],
+) -> tuple[_Core, Mailbox]:
+    """Return a core on which the solver of a recipe is set up for a sequence, and its mailbox.
+
+    Errors are those of `count_sequence`.
+    """
     calibrate(target)
-    used = recipe.with_settings(settings or {})
     with tempfile.TemporaryDirectory(dir=process_folder()) as folder:
-        program = read_program(
-            recipe.compile(sequence, target, Path(folder), single=single, settings=settings or {})
+        path = recipe.compile(
+            sequence, target, Path(folder), single=single, settings=settings or {}
         )
-    core = Core(program, target)
-    mailbox = _Mailbox(core, sequence, target, single=single)
+        core = kind(read_program(path), target)
+    mailbox = Mailbox(core, sequence, target, single=single)
     mailbox.write_head()
     refused, _ = core.call("embedded_set_up", DATA)
     if refused:
         raise SituationError(recipe.solver, f"it refuses {sequence.name} at set-up ({refused})")
+    return core, mailbox
+
+
+def run_steps(
+    core: Core, mailbox: Mailbox, sequence: QPSequence
+) -> tuple[NDArray[np.int64], Matrix]:
+    """Run all steps; return the columns (7, K) of `COUNTED` and the answers (K, n)."""
     columns = np.zeros((len(COUNTED), len(sequence)), dtype=np.int64)
     answers = np.empty((len(sequence), sequence.base.n))
     for k in range(len(sequence)):
         columns[:, k], answers[k] = _run_step(core, mailbox, sequence.step(k))
-    certified = certify_sequence(sequence) if optima is None else optima
-    errors = measure_errors(answers, certified, sequence.base.block, sequence.base.moves)
-    steps = dict(zip(COUNTED, columns, strict=True))
-    sizes = {**program.sizes, "heap": core.heap_bytes()}
-    names = recipe.solver, target.name, sequence.name
-    return StepCounts(*names, single, used, steps, answers, *errors, sizes)
+    return columns, answers
 
 
-def _run_step(core: Core, mailbox: _Mailbox, step: QPStep) -> tuple[NDArray[np.int64], Vector]:
+def _run_step(core: Core, mailbox: Mailbox, step: QPStep) -> tuple[NDArray[np.int64], Vector]:
     """Run one step; return its column of `COUNTED` and its answer."""
     mailbox.write_step(step)
     _, counts = core.call("embedded_step", DATA)

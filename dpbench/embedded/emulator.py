@@ -152,6 +152,15 @@ class Core:
         signed = value - (1 << 32) if value >> 31 else value
         return signed, Counts(instructions, loads, stores, depth)
 
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Bytes of the program's code, constants and static data."""
+        return self._program.sizes
+
+    def entry(self, name: str) -> int:
+        """Return the address of a function."""
+        return self._program.symbols[name]
+
     def write(self, address: int, data: bytes) -> None:
         """Write bytes into the emulated core's memory."""
         self._core.mem_write(address, data)

@@ -126,6 +126,13 @@ def compile_program(
     return out
 
 
+def compile_loader(sources: Sequence[Path], flags: Sequence[str], out: Path) -> Path:
+    """Compile C sources to a program of Linux, kept at `out` with a hash; return its path."""
+    key = _hash([compiler_version(), *flags], sources)
+    path = out.with_name(f"{out.name}-{key}")
+    return path if path.exists() else _compile(flags, sources, path)
+
+
 def _include_flags(folders: Iterable[Path]) -> list[str]:
     """Return the compiler's flags for folders of headers."""
     return [f"-I{folder}" for folder in folders]

@@ -1,6 +1,7 @@
 """`dpbench embedded`: its tables, its JSON, a recipe of a user's own, and what it refuses."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pandas as pd
@@ -119,3 +120,12 @@ def test_a_random_mpc_problem_by_its_name(
     assert hildreth["error_move"] < 1e-6 < zero["error_move"]
     assert main(["embedded", "random_mpc-3-2", *own]) == 2
     assert "random_mpc-STATES-INPUTS-HORIZON" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed")
+def test_a_second_opinion(capsys: pytest.CaptureFixture[str]) -> None:
+    own = ["--solver", "hildreth", "--steps", "1", "--target", "x86"]
+    assert main(["embedded", *own, "--second-opinion"]) == 0
+    (row,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("hildreth")]
+    unicorn, other = (part.strip() for part in row.split("│")[2:4])
+    assert unicorn == other
