@@ -15,7 +15,7 @@ from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.staged_qp import StagedQP
 from dpbench.mpc.thrusters.allocation_qp import AllocationQP
-from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
+from dpbench.qp.program import CONSTANT, QPSequence, QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
 from dpbench.qp.stacked import stack, stack_step, unstack
 from dpbench.scenario.scenario import Scenario
@@ -93,18 +93,30 @@ NO_MODEL = "the QPs of a scenario; recorded and random ones bring no model whose
 class BoxFormulation:
     """The condensed formulation of QPs, with box constraints, as the controller makes them.
 
-    `base` is the problem of the set-up. New matrices of a step become those of `base`, for later
-    steps without any. The arrays of a step that go to the solver are its own.
+    New matrices of a step become those of `base`, for later steps without any. The arrays of a step
+    that go to the solver are its own.
     """
 
     def __init__(self, base: QuadraticProgram) -> None:
-        self.base = base
+        self._base = base
+        self._changed: dict[str, Matrix] = {}
+
+    @property
+    def base(self) -> QuadraticProgram:
+        """The problem of the set-up, with the last matrices that a step brought."""
+        if self._changed:
+            vectors = self._base.q, self._base.l, self._base.u
+            self._base, self._changed = self._base.at(QPStep(*vectors, **self._changed)), {}
+        return self._base
 
     def step(self, step: QPStep) -> QPStep:
         """Return a step's QP as the solver gets it, with arrays of its own."""
-        # Asking the flag `refresh` takes half a microsecond, and this is a part of emitting.
+        # This is a part of emitting: asking the flag `refresh` takes half a microsecond, and a new
+        # `base` three.
         if not (step.P is None and step.A is None and step.lb is None and step.ub is None):
-            self.base = self.base.at(step)
+            for name in CONSTANT:
+                if (array := getattr(step, name)) is not None:
+                    self._changed[name] = array
             return step.copy()
         return step
 
