@@ -73,7 +73,7 @@ class ThrusterControlLoops:
 def thruster_control_loops(records: Records, requirements: Requirements) -> ThrusterControlLoops:
     """Select closed loops that command thrusters, in scenarios that some solver gets right."""
     loops = (run for run in records.select(mode="closed_loop") if isfinite(run.power_share))
-    runs = [run for run in loops if not run.is_baseline_law and not run.slowdown > 0.0]
+    runs = [run for run in loops if not run.is_baseline_law]
     right = [run for run in runs if is_right_to_the_end(run, requirements)]
     right.sort(key=lambda run: (run.scenario, -run.steps_done, run.dev_position_max_m))
     best = first_by(right, lambda run: run.scenario)
