@@ -75,6 +75,7 @@ class _RecordingCore(Core):
             self._add(_WRITE, address, data)
 
     def _add(self, kind: int, address: int, data: bytes) -> None:
+        """Append an event, its address and its bytes to the recorded trace."""
         self.trace += struct.pack("<3Q", kind, address, len(data)) + data
 
     def call(self, name: str, argument: int) -> tuple[int, Counts]:
