@@ -141,7 +141,7 @@ class StudiedConfiguration:
     """Results of a configuration in a study: share of runs in position, cost, error, p-values.
 
     runs, finished : how many it was given, and how many came to their end.
-    held : share of runs that end, with a radial error within the radius in their second half.
+    within : share of runs that end, with a radial error within the radius in their second half.
     cost : closed-loop cost over that of the exact loop in the same sea, less one: mean over runs.
     r_95_m : 95 % radial error, mean over runs [m].
     error_excess_m, log_cost_excess : r_95_m and logarithm of the cost, less the reference's; None
@@ -155,7 +155,7 @@ class StudiedConfiguration:
     settings: str
     runs: int
     finished: int
-    held: float
+    within: float
     cost: float
     r_95_m: float
     error_excess_m: PairedDifference | None
@@ -212,7 +212,7 @@ class Study:
                 "point": int(run.study_point),
                 "replicate": int(run.replicate),
                 "finished": run.outcome == "finished",
-                "held": run.outcome == "finished" and run.r_tail_max_m <= radius_m,
+                "within": run.outcome == "finished" and run.r_tail_max_m <= radius_m,
                 "r_95_m": run.r_95_m,
                 "r_tail_max_m": run.r_tail_max_m,
                 "failed_steps": run.failed_steps,
@@ -227,8 +227,8 @@ class Study:
             for run in runs
         ]
         self.runs = pd.DataFrame(rows)
-        """A row a run: run_id, configuration, point, replicate, whether it ended and held, its
-        errors and step times."""
+        """A row a run: run_id, configuration, point, replicate, whether it ended, and within
+        the radius, its errors and step times."""
         points = {int(run.study_point): dict(run.x) for run in runs}
         self.points = pd.DataFrame.from_dict(points, orient="index").sort_index()
         """The values of the keys (columns) at each point (index)."""
@@ -301,7 +301,7 @@ class Study:
             settings=str(runs["settings"].iloc[0]),
             runs=len(runs),
             finished=int(runs["finished"].sum()),
-            held=float(runs["held"].mean()),
+            within=float(runs["within"].mean()),
             cost=float(runs["over_exact"].mean()),
             r_95_m=float(runs["r_95_m"].mean()),
             error_excess_m=None if itself else self.difference(name, "r_95_m"),

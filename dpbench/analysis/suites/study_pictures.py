@@ -1,4 +1,4 @@
-"""Data of a study's pictures: shares held over its keys, and excess errors of its seas."""
+"""Data of a study's pictures: shares within the radius by keys, and excess errors by sea."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ def has_point_per_tile(study: Study) -> bool:
     return len(study.points) <= MOST_POINTS
 
 
-def held_maps(study: Study) -> pd.DataFrame:
+def within_maps(study: Study) -> pd.DataFrame:
     """Tabulate shares of seas in position over two parameters, for reference and worst solvers.
 
-    Columns: configuration, x and y (the first numeric keys), held (a share) and runs.
+    Columns: configuration, x and y (the first numeric keys), within (a share) and runs.
     """
-    ordered = sorted(study.configurations[1:], key=lambda c: c.held)[: MOST_MAPS - 1]
+    ordered = sorted(study.configurations[1:], key=lambda c: c.within)[: MOST_MAPS - 1]
     numeric = study.points.select_dtypes("number").columns.tolist()
     columns = dict(zip(numeric, ("x", "y"), strict=False))
     names = list(columns.values())
     tables = []
     for configuration in [study.configurations[0], *ordered]:
         runs = study.runs[study.runs["configuration"] == configuration.name]
-        held = runs.groupby("point")["held"].agg(runs="count", held="mean")
-        table = study.points.join(held, how="inner").rename(columns=columns)
-        part = table[[*names, "held", "runs"]]
+        within = runs.groupby("point")["within"].agg(runs="count", within="mean")
+        table = study.points.join(within, how="inner").rename(columns=columns)
+        part = table[[*names, "within", "runs"]]
         if not has_point_per_tile(study):
             part = part.assign(**{name: _bin_centres(part[name]) for name in names})
         # Points that differ in a third key lie on one another: their seas are counted together.
-        seas = part.assign(held=part["held"] * part["runs"])
+        seas = part.assign(within=part["within"] * part["runs"])
         summed = seas.groupby(names, as_index=False).sum() if names else seas
-        summed["held"] /= summed["runs"]
+        summed["within"] /= summed["runs"]
         tables.append(summed.assign(configuration=configuration.name))
     return pd.concat(tables, ignore_index=True)
 
@@ -97,10 +97,10 @@ def worst_run(study: Study, among: Sequence[str]) -> str | None:
     if rows.empty:
         return None
     known = [c for c in study.configurations if (rows["configuration"] == c.name).any()]
-    worst = min(reversed(known), key=lambda c: c.held)
+    worst = min(reversed(known), key=lambda c: c.within)
     rows = rows[rows["configuration"] == worst.name]
-    share = rows.groupby("point")["held"].transform("mean")
+    share = rows.groupby("point")["within"].transform("mean")
     order = rows.assign(share=share).sort_values(
-        ["share", "held", "r_tail_max_m"], ascending=[True, True, False], kind="stable"
+        ["share", "within", "r_tail_max_m"], ascending=[True, True, False], kind="stable"
     )
     return str(order["run_id"].iloc[0])

@@ -1,4 +1,4 @@
-"""Charts of a study: share of seas held, and errors over the reference in the same seas."""
+"""Charts of a study: seas within the radius, and errors over the reference in the same seas."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,20 +9,20 @@ import pandas as pd
 from dpbench.analysis.verdict.findings import STATES
 from dpbench.report.charts import style
 
-HELD = ("all within", "some within", "none within")
+WITHIN = ("all within", "some within", "none within")
 TRIED = ("tried", "front", "own", "chosen")
 """Kinds of tried controllers."""
 _LOOKS = [STATES.index(state) for state in ("pass", "inconclusive", "fail")]
 """States with the same looks."""
 _SIDE = 110
-_HELD = "share of seas within the radius"
+_WITHIN = "share of seas within the radius"
 _CHOSEN = "datum.chosen"
 
 
-def draw_held_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bool) -> Any:
-    """Draw the share of seas with position held over two parameters, a map per configuration.
+def draw_within_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bool) -> Any:
+    """Draw the share of seas within the radius over two parameters, a map per configuration.
 
-    table : columns configuration, x, y, held and runs.
+    table : columns configuration, x, y, within and runs.
     x, y : names of the keys; drawn : place values on axes instead of a grid.
     """
     names = list(dict.fromkeys(table["configuration"]))
@@ -32,13 +32,13 @@ def draw_held_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bo
     if drawn:
         across, up = alt.X("x:Q", title=x, scale=apart), alt.Y("y:Q", title=y, scale=apart)
     shade = alt.Color(
-        "held:Q",
-        title=_HELD,
+        "within:Q",
+        title=_WITHIN,
         scale=alt.Scale(domain=[0.0, 0.5, 1.0], range=[style.FAIL, style.FILLS[1], style.PASS]),
         legend=style.legend_below(format=".0%", gradientLength=160),
     )
-    held = alt.Tooltip("held:Q", title="within", format=".0%")
-    tips = ["configuration:N", style.tooltip("x:N", x), style.tooltip("y:N", y), held, "runs:Q"]
+    within = alt.Tooltip("within:Q", title="within", format=".0%")
+    tips = ["configuration:N", style.tooltip("x:N", x), style.tooltip("y:N", y), within, "runs:Q"]
     base = alt.Chart(table).encode(x=across, y=up, color=shade, tooltip=tips)
     marks = base.mark_point(filled=True, size=60, opacity=1) if drawn else base.mark_rect()
     size: Any = _SIDE if drawn else alt.Step(24)
@@ -48,15 +48,15 @@ def draw_held_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bo
     )
 
 
-def draw_held_lines(table: pd.DataFrame, title: str, x: str) -> Any:
-    """Draw the share of seas with position held over one parameter, a line per configuration."""
+def draw_within_lines(table: pd.DataFrame, title: str, x: str) -> Any:
+    """Draw the share of seas within the radius over one parameter, a line per configuration."""
     share: dict[str, Any] = {"axis": alt.Axis(format=".0%"), "scale": alt.Scale(domain=[0.0, 1.0])}
     chart = alt.Chart(table).mark_line(point=True)
     chart = chart.encode(
         x=alt.X("x:Q", title=x, scale=alt.Scale(zero=False)),
-        y=alt.Y("held:Q", title=_HELD, **share),
+        y=alt.Y("within:Q", title=_WITHIN, **share),
         color=alt.Color("configuration:N", title=None, legend=style.legend_below()),
-        tooltip=["configuration:N", style.tooltip("x:Q", x), style.tooltip("held:Q", "within")],
+        tooltip=["configuration:N", style.tooltip("x:Q", x), style.tooltip("within:Q", "within")],
     )
     return style.set_style(chart.properties(width=290, height=180), title, title)
 
@@ -140,9 +140,9 @@ def _draw_small_error_band(small_cm: float, low: alt.X | str = "low:Q", **look: 
 
 
 def draw_study_points(*, tiles: bool) -> Any:
-    """Draw a study's parameter points coloured by share of seas with position held.
+    """Draw a study's parameter points coloured by share of seas within the radius.
 
-    The page fills the data set `design`: x, y, state (of `HELD`), said, chosen, point.
+    The page fills the data set `design`: x, y, state (of `WITHIN`), said, chosen, point.
     """
     kind = "O" if tiles else "Q"
     # The page puts the names of the keys, of signals called like this, at the axes.
@@ -157,13 +157,13 @@ def draw_study_points(*, tiles: bool) -> Any:
     title = "within the radius"
     if tiles:
         fills = [style.FILLS[i] for i in _LOOKS]
-        look = style.colour("state", HELD, fills, title=title, symbolType="square")
+        look = style.colour("state", WITHIN, fills, title=title, symbolType="square")
         counts = base.mark_text(fontSize=12, color=style.INK).encode(text="said:N")
         parts = [base.mark_rect().encode(color=look, **ring), counts]
     else:
-        look = style.colour("state", HELD, [style.STATE_COLOURS[i] for i in _LOOKS], title=title)
+        look = style.colour("state", WITHIN, [style.STATE_COLOURS[i] for i in _LOOKS], title=title)
         shapes = alt.Shape(
-            "state:N", scale=style.names_scale(HELD, [style.STATE_SHAPES[i] for i in _LOOKS])
+            "state:N", scale=style.names_scale(WITHIN, [style.STATE_SHAPES[i] for i in _LOOKS])
         )
         marks = base.mark_point(filled=True, size=90, opacity=1)
         parts = [marks.encode(color=look, shape=shapes, **ring)]

@@ -28,8 +28,8 @@ from dpbench.analysis.suites.study_effects import (
 from dpbench.report.charts.study import (
     draw_effects,
     draw_excess_errors,
-    draw_held_lines,
-    draw_held_maps,
+    draw_within_lines,
+    draw_within_maps,
 )
 from dpbench.report.formats import MISSING, and_list, plural, significant
 from dpbench.report.page.section import Figure, Topic
@@ -66,7 +66,7 @@ def study_topic(known: Sequence[Study]) -> Topic | None:
 
 
 def _study_lines(study: Study) -> Iterator[str]:
-    """Yield sentences on a study: larger errors, unfinished runs, share of runs held."""
+    """Yield sentences on a study: larger errors, unfinished runs, runs within the radius."""
     runs, points = study.runs, len(study.points)
     seas = plural(study.replicates, "realisation")
     yield (
@@ -80,15 +80,15 @@ def _study_lines(study: Study) -> Iterator[str]:
             "difference is conditional on the realisations that both configurations finished."
         )
     yield from _failed_steps_lines(study)
-    held = study.configurations[0].held
-    worst = min(study.configurations, key=lambda c: c.held)
+    within = study.configurations[0].within
+    worst = min(study.configurations, key=lambda c: c.within)
     radius = f"within {study.radius_m:g} m in the second half of a run"
     yield (
-        f"With {study.reference} the ship stays {radius} in {_share_with_bound(held, study)} of "
+        f"With {study.reference} the ship stays {radius} in {_share_with_bound(within, study)} of "
         "them"
         + (
-            f", with {worst.name} in {_share_with_bound(worst.held, study)}."
-            if worst.held < held
+            f", with {worst.name} in {_share_with_bound(worst.within, study)}."
+            if worst.within < within
             else ", as with all."
         )
     )
@@ -154,21 +154,21 @@ def _loosest_text(study: Study) -> str:
 
 
 def _study_figures(study: Study) -> Iterator[Figure]:
-    """Yield charts of a study: share held over its points, errors by realisation."""
+    """Yield charts of a study: share within the radius over its points, errors by realisation."""
     name = study.name.replace("@", "-").replace("/", "-")
-    maps, whole = pictures.held_maps(study), pictures.has_point_per_tile(study)
+    maps, whole = pictures.within_maps(study), pictures.has_point_per_tile(study)
     keys = [str(key) for key in study.points if is_numeric_dtype(study.points[key])]
     title = f"Within {study.radius_m:g} m, {study.name}"
     if len(keys) > 1:
         own = study.points[keys[0]].nunique() > max(8, len(study.points) // 2)
         drawn = bool(own) or not whole
-        chart = draw_held_maps(maps, title, keys[0], keys[1], drawn=drawn)
+        chart = draw_within_maps(maps, title, keys[0], keys[1], drawn=drawn)
         where = "at each point" if whole else f"in {pictures.FIELDS} × {pictures.FIELDS} fields"
         caption = f"Share of seas {where}; a run that did not end is not within."
-        yield Figure(f"study-held-{name}", chart, caption)
+        yield Figure(f"study-within-{name}", chart, caption)
     elif keys:
-        chart = draw_held_lines(maps, title, keys[0])
-        yield Figure(f"study-held-{name}", chart, "Share of seas at each value.")
+        chart = draw_within_lines(maps, title, keys[0])
+        yield Figure(f"study-within-{name}", chart, "Share of seas at each value.")
     yield from figure_effects(study, name)
     table, seas, seas_all = pictures.error_excess_by_sea(study)
     if len(table):
@@ -213,7 +213,7 @@ def _configuration_row(configuration: StudiedConfiguration, study: Study) -> dic
     row = {
         "configuration": configuration.name,
         "runs": f"{configuration.finished} of {configuration.runs}",
-        "within": _share_with_bound(configuration.held, study),
+        "within": _share_with_bound(configuration.within, study),
         # Rounding alone is 0.
         "cost over exact": f"{0 if abs(cost) < NOTHING else significant(100.0 * cost, 2)} %",
         "behind [cm]": "reference" if behind_it is None else _difference_text(behind_it, 100.0),

@@ -211,7 +211,7 @@ def test_who_lost_a_run_is_no_reference_and_its_other_seas_are_paired() -> None:
     assert study.reference == "off"
     near = next(c for c in study.configurations if c.name == "near")
     assert (near.runs, near.finished) == (12, 11)
-    assert near.held == pytest.approx(11 / 12)
+    assert near.within == pytest.approx(11 / 12)
     assert near.error_excess_m is not None and near.error_excess_m.pairs == 11
     assert not near.is_cheap
 

@@ -134,12 +134,12 @@ def test_a_design_of_few_points_has_no_slope() -> None:
 
 
 def test_other_measures_are_of_all_runs() -> None:
-    """At the long horizon steps take twice the time, a quarter is untrue, and no run is held."""
+    """At the long horizon steps take twice the time, a quarter is untrue, no run is within."""
     study = _study([{HORIZON: 20}, {HORIZON: 60}], np.ones((2, 8)), raw_p99_ns=3e4)
     long = study.runs["point"] == 1
     study.runs.loc[long, "raw_p99_ns"] *= 2.0
     study.runs.loc[long, "true_share"] = 0.75
-    study.runs.loc[long, "held"] = False
+    study.runs.loc[long, "within"] = False
     expected = {STEP_TIME: 100.0, OUTSIDE: 100.0, UNTRUE: 25.0}
     for measure, change in expected.items():
         (effect,) = _effects(study, measure).values()

@@ -159,8 +159,8 @@ def test_it_is_seen_and_read(study_page: Opener, size: tuple[int, int], scheme: 
     assert page.evaluate("document.querySelectorAll('*').length") <= 3000
 
 
-def test_without_scripts_maps_and_seas_are_pictures(study_page: Opener) -> None:
+def test_without_scripts_maps_effects_and_seas_are_pictures(study_page: Opener) -> None:
     page = study_page(scripts=False)
-    assert page.locator(".paper img").count() == 2
+    assert page.locator(".paper img").count() == 3
     assert page.locator(".paper img").first.is_visible()
     assert not page.locator("#study-live").is_visible()

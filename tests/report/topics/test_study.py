@@ -52,8 +52,8 @@ def compile_rows(figure: Any) -> list[dict[str, Any]]:
 
 def test_a_small_study_is_drawn_whole(records: Any) -> None:
     found = _fill(records, points=5, seas=4)
-    held, behind = found.figures
-    assert len(_drawn(held, "held")) == 2 * 5 and "at each point" in held.caption
+    within, behind = found.figures
+    assert len(_drawn(within, "within")) == 2 * 5 and "at each point" in within.caption
     assert len(_drawn(behind, "error_excess_cm")) == 20 and "at even ranks" not in behind.caption
 
 
@@ -62,15 +62,15 @@ def test_of_a_large_study_some_seas_are_drawn(records: Any, monkeypatch: Any) ->
     monkeypatch.setattr(study_pictures, "MOST_POINTS", 20)
     monkeypatch.setattr(study_pictures, "FIELDS", 3)
     found = _fill(records, points=60, seas=2)
-    held, _, behind = found.figures
-    assert "in 3 × 3 fields" in held.caption and "9 of 120 at even ranks" in behind.caption
-    assert len(_drawn(held, "held")) <= 2 * 9 and sum(_drawn(held, "runs")) == 2 * 120
+    within, _, behind = found.figures
+    assert "in 3 × 3 fields" in within.caption and "9 of 120 at even ranks" in behind.caption
+    assert len(_drawn(within, "within")) <= 2 * 9 and sum(_drawn(within, "runs")) == 2 * 120
     dots = _drawn(behind, "error_excess_cm")
     assert len(dots) == 9 and min(dots) < 2.1 and max(dots) > 3.9
 
 
 def test_a_share_of_all_or_none_has_a_bound(records: Any) -> None:
-    """All of 12 realisations are held: at least 1 - 3/12 of all are, as sure as any interval."""
+    """All of 12 realisations are within: at least 1 - 3/12 of all are, as sure as any interval."""
     found = _fill(records, points=5, seas=12)
     assert "in 100 % (at least 75 %) of them" in found.lines[1]
     assert {row[2] for row in found.tables[0].rows} == {"100 % (at least 75 %)"}

@@ -62,20 +62,20 @@ function designRows(study) {
   study.points.forEach((id, i) => {
     const x = study.values[across][i], y = across === up ? "" : study.values[up][i];
     const at = `${x}/${y}`;
-    if (!groups.has(at)) groups.set(at, { x, y, points: [], held: 0, seas: 0 });
+    if (!groups.has(at)) groups.set(at, { x, y, points: [], within: 0, seas: 0 });
     const group = groups.get(at), own = runsOf(study, who, id);
     group.points.push([id, i]);
     group.seas += own.length;
-    group.held += own.filter((j) => study.runs.held[j]).length;
+    group.within += own.filter((j) => study.runs.within[j]).length;
   });
   return [...groups.values()].filter((group) => group.seas > 0).map((group) => {
     const chosen = group.points.find(([id]) => id === point);
     const [id, i] = chosen ?? group.points[0];
     // Over one key the height is free: it is the share within.
-    const y = across === up && !tiles ? (100 * group.held) / group.seas : group.y;
+    const y = across === up && !tiles ? (100 * group.within) / group.seas : group.y;
     return { x: group.x, y, point: id, chosen: Boolean(chosen),
-      state: group.held === group.seas ? "all within" : group.held ? "some within" : "none within",
-      said: `${group.held}/${group.seas}`,
+      state: group.within === group.seas ? "all within" : group.within ? "some within" : "none within",
+      said: `${group.within}/${group.seas}`,
       values: `${id}: ${valuesAt(study, i)}${group.points.length > 1 ? `, and ${group.points.length - 1} more` : ""}` };
   });
 }
@@ -109,17 +109,17 @@ function studySaid(study) {
   const { point, sea } = there(study), who = whoOf(study), i = study.points.indexOf(point);
   const at = `Point ${point} (${valuesAt(study, i)})`;
   if (who < 0) return `${at}. ${label(state.c)} is not in this study.`;
-  const own = runsOf(study, who, point), all = runsOf(study, who), held = (list) => list.filter((j) => study.runs.held[j]).length;
+  const own = runsOf(study, who, point), all = runsOf(study, who), within = (list) => list.filter((j) => study.runs.within[j]).length;
   const run = own.find((j) => study.runs.sea[j] === sea), behind = run === undefined ? null : study.runs.error_excess_cm[run];
   const tail = run === undefined ? null : study.runs.tail_m[run];
   const here = run === undefined ? "was not run" : tail === null ? "did not end"
-    : `${study.runs.held[run] ? "within the radius" : "beyond the radius"}, at most ${figure(tail)} m off in the second half`
+    : `${study.runs.within[run] ? "within the radius" : "beyond the radius"}, at most ${figure(tail)} m off in the second half`
       + (behind === null || who === study.reference ? "" : `, ${figure(behind)} cm behind ${study.names[study.reference]}`);
-  const share = held(all) / all.length, bound = 100 * Math.abs(share - study.upper_bound_of_none);
+  const share = within(all) / all.length, bound = 100 * Math.abs(share - study.upper_bound_of_none);
   const bounded = share === 1 || share === 0
     ? ` (95 % bound: at ${share ? "least" : "most"} ${bound.toFixed(0)} % of all seas)` : "";
-  return `${at}: ${study.names[who]} stays within ${study.radius_m} m in ${held(own)} of ${own.length} seas, over all points in `
-    + `${held(all)} of ${all.length}${bounded}. Sea ${sea}: ${here}.`;
+  return `${at}: ${study.names[who]} stays within ${study.radius_m} m in ${within(own)} of ${own.length} seas, over all points in `
+    + `${within(all)} of ${all.length}${bounded}. Sea ${sea}: ${here}.`;
 }
 
 function drawStudyChoice(study) {
