@@ -145,4 +145,4 @@ def not_counted_texts(missing: Sequence[UncountedSolver]) -> Iterator[str]:
         own = [one for one in missing if one["reason"] == reason]
         solvers = and_list(list(dict.fromkeys(one["solver"] for one in own)))
         where = [f"{one['sequence']} on {core_text(one['target'], single=False)}" for one in own]
-        yield f"{solvers}, {and_list(list(dict.fromkeys(where)))}: not counted: {reason}."
+        yield f"Not counted: {solvers}, {and_list(list(dict.fromkeys(where)))}: {reason}."

@@ -22,6 +22,7 @@ from dpbench.bench.design import Designs
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts.render import NOT_DRAWN, can_draw
 from dpbench.report.csv_tables import build_tables
+from dpbench.report.embedded_text import not_counted_texts
 from dpbench.report.formats import strip_markdown
 from dpbench.report.machine_verdict import calibration_text, disturbance_text
 from dpbench.report.page.data import PageData
@@ -102,6 +103,9 @@ class Report:
         rows += [note for note in headline.notes if note[0] in TERMINAL_NOTES]
         beside = (topic for topic in self.topics if topic.id in BESIDE and not topic.leads)
         rows += [(topic.id, topic.lines[0]) for topic in beside]
+        if self.data.counts.sequences:
+            missing = not_counted_texts(self.data.counts.not_counted)
+            rows += [("not counted", line.removeprefix("Not counted: ")) for line in missing]
         if verdicts.of:
             rows.append(("solvers", f"{count_solvers(verdicts)}."))
             rows += [("options", line) for line in own_settings_lines(verdicts)]

@@ -9,6 +9,7 @@ from dpbench.analysis.times.contrasts import paired_comparison
 from dpbench.analysis.verdict.fastest import best_verdict_by_solver, fastest_first
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.errors import UnknownNameError, list_allowed
+from dpbench.report.embedded_text import not_counted_texts
 from dpbench.report.formats import (
     MISSING,
     and_list,
@@ -52,6 +53,8 @@ def report_markdown(report: Report) -> str:
     after = [f"Verdicts by scenario: {valid}."] if valid else []
     after += [recommendation.requirements, recommendation.machine]
     after += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
+    if data.counts.sequences:
+        after += not_counted_texts(data.counts.not_counted)
     parts = [
         f"# dpbench: {markdown_text(str(report.results.suite.get('name', 'results')))}",
         *ship_lines(recommendation.ship),

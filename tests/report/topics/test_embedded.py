@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 
 from dpbench.embedded.table import EMBEDDED_FILE, write_steps
+from dpbench.report.documents.markdown import report_markdown
 from dpbench.report.report import Report
 from dpbench.report.write import write_report_with_summary
 from tests.conftest import MadeRecords
@@ -69,8 +70,13 @@ def test_what_was_not_counted_is_stated_once_a_reason(judged: MadeRecords) -> No
     ]
     report = Report.of(judged.results())
     (topic,) = (topic for topic in report.topics if topic.id == "embedded")
-    assert topic.lines == ("daqp and osqp, paper[0:200] on Cortex-M7: not counted: no compiler.",)
-    assert "not counted: no compiler" in dict(report.summary_rows())["embedded"]
+    line = "Not counted: daqp and osqp, paper[0:200] on Cortex-M7: no compiler."
+    assert topic.lines == (line,)
+    assert dict(report.summary_rows())["embedded"] == line
+    some = Report.of(judged.results(), counted=counts())
+    ended = dict(some.summary_rows())
+    assert line == f"Not counted: {ended['not counted']}" != ended["embedded"]
+    assert line in report_markdown(some)
 
 
 def test_a_report_without_counts_has_no_such_part(judged: MadeRecords) -> None:
