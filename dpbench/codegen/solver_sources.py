@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import scipy
 
-from dpbench.arrays import Indices
 from dpbench.codegen.c_tables import Table, make_table, number_text
 from dpbench.embedded.fetch import fetch_sources
 from dpbench.embedded.recipe import RECIPES, Recipe
@@ -57,29 +56,26 @@ class SolverSources:
 
 def make_active_set_sources(qp: CondensedQP) -> SolverSources:
     """Return the C sources of the paper's method with all constants of a QP's P and A."""
-    n, m = qp.n, qp.m
-    problem = Problem(n, m)
+    problem = Problem(qp.n, qp.m)
     problem.P[:], problem.A[:] = qp.P, qp.A
     arrays = problem.P_pointer, problem.A_pointer
     refused = open_library().active_set_factorise(problem.pointer, *arrays)
     assert refused == 0, "a controller's P is positive definite"
-    first = _view_integers(problem, "first", m + 1)
-    entries = int(first[-1])
-    G = problem.view("G", (n + m) * n)
-    tables = (
-        make_table("P", problem.view("P", n * n), "the Hessian, row after row"),
-        make_table("G", G, "P⁻¹ and A P⁻¹, row after row"),
-        make_table(
-            "unit", problem.view("unit", n + m), "1/√ of the diagonal of C P⁻¹ Cᵀ, C = [I; A]"
-        ),
-        make_table("a", problem.view("a", entries), "entries of A that are not zero"),
-        make_table("column", _view_integers(problem, "column", entries), "their columns"),
-        make_table("first", first, "where each row of A begins in these two"),
-        make_table(
-            "parent", _view_integers(problem, "parent", m), "rows of A whose entries begin a row's"
-        ),
-        make_table("order", _view_integers(problem, "order", n), "coupled variables, then others"),
-    )
+    meanings = {
+        "P": "the Hessian, row after row",
+        "G": "P⁻¹ and A P⁻¹, row after row",
+        "unit": "1/√ of the diagonal of C P⁻¹ Cᵀ, C = [I; A]",
+        "a": "entries of A that are not zero",
+        "column": "their columns",
+        "first": "where each row of A begins in these two",
+        "parent": "rows of A whose entries begin a row's",
+        "rest": "first entry of a row after these",
+        "order": "variables that P couples, part after part, then others",
+        "sizes": "at the first variable of a part: how many it has",
+        "blocks": "P⁻¹ of each part",
+    }
+    constants = problem.constants()
+    tables = tuple(make_table(name, constants[name], meaning) for name, meaning in meanings.items())
     reals = (field[0] for field in ActiveSet._fields_ if field[1] is ctypes.c_double)
     scalars = {name: number_text(getattr(problem.head, name)) for name in reals}
     values = {"scalars": scalars, "block": qp.block, "coupled": problem.head.coupled}
@@ -101,12 +97,6 @@ def make_active_set_sources(qp: CondensedQP) -> SolverSources:
 def round_up(count: int) -> int:
     """Return a number of bytes rounded up to a multiple of 8."""
     return -(-count // 8) * 8
-
-
-def _view_integers(problem: Problem, name: str, length: int) -> Indices:
-    """Return an array of integers of the library's structure as a view."""
-    address = getattr(problem.head, name)
-    return np.ctypeslib.as_array((ctypes.c_int * length).from_address(address))
 
 
 def generate_osqp_sources(qp: CondensedQP) -> SolverSources:

@@ -132,6 +132,18 @@ static as_real largest_of(const as_real *x, int n) {
     return most;
 }
 
+/* out += Σ x_k M_k over the n rows M_k of a square matrix */
+static void add_square(as_real *restrict out, const as_real *M, const as_real *x, int n) {
+    int k = 0;
+    for (; k + 2 < n; k += 4) {
+        const int last = k + 3 < n ? 3 : 0;
+        const as_real *rows = M + k * n;
+        add_four(out, n, x[k], rows, x[k + 1], rows + n, x[k + 2], rows + 2 * n,
+                 last ? x[k + 3] : 0, rows + last * n);
+    }
+    for (; k < n; k++) add_scaled(out, x[k], M + k * n, n);
+}
+
 /* out += sign Σ x_k M_k over the rows M_k of n numbers that are listed */
 static void add_rows(as_real *restrict out, as_real sign, const as_real *M, const as_real *x,
                      const int *listed, int count, int n) {
@@ -144,15 +156,23 @@ static void add_rows(as_real *restrict out, as_real sign, const as_real *M, cons
         add_scaled(out, sign * x[*listed], M + *listed * n, n);
 }
 
-/* out += sign M x for M = P or P⁻¹: whole rows for variables that P couples, else the diagonal */
-static void add_product(const active_set *s, as_real *restrict out, as_real sign, const as_real *M,
-                        const as_real *x) {
-    const int n = s->n;
-    add_rows(out, sign, M, x, s->order, s->coupled, n);
-    for (int k = s->coupled; k < n; k++) {
-        const int i = s->order[k];
-        out[i] += sign * x[i] * M[i * (n + 1)];
+/* out := sign P⁻¹x, part by part of the variables that P couples; `out` may be x */
+static void multiply_inverse(const active_set *s, as_real *out, as_real sign, const as_real *x) {
+    as_real *from = s->from, *to = s->to;
+    const int *order = s->order, *end = order + s->n, *single = order + s->coupled;
+    const as_real *block = s->blocks;
+    while (order < single) {
+        const int size = s->sizes[order - s->order];
+        for (int k = 0; k < size; k++) {
+            from[k] = sign * x[order[k]];
+            to[k] = 0;
+        }
+        add_square(to, block, from, size);
+        for (int k = 0; k < size; k++) out[order[k]] = to[k];
+        order += size;
+        block += size * size;
     }
+    for (; order < end; order++) out[*order] = sign * x[*order] * s->G[*order * (s->n + 1)];
 }
 
 /* b := L⁻¹ b over the first w rows, two at a time, after row 0 where w is odd */
@@ -228,16 +248,12 @@ static void add_active_rows(const active_set *s, as_real *x, as_real sign) {
 /* The values of the rows of A at z, behind z. */
 static void write_row_values(active_set *s) {
     const as_real *z = s->z, *a = s->a;
-    const int *column = s->column, *first = s->first, *parents = s->parent;
+    const int *column = s->column, *end = s->first, *parent = s->parent, *rest = s->rest;
     as_real *values = s->z + s->n;
-    for (int i = 0, e = 0; i < s->m; i++) {
-        const int parent = *parents++, end = first[i + 1];
-        as_real v = 0;
-        if (parent >= 0) {
-            v = values[parent];
-            e += first[parent + 1] - first[parent];
-        }
-        for (; e < end; e++) v += a[e] * z[column[e]];
+    for (int i = 0; i < s->m; i++, parent++, rest++) {
+        as_real v = *parent < 0 ? 0 : values[*parent];
+        end++;
+        for (int e = *rest; e < *end; e++) v += a[e] * z[column[e]];
         values[i] = v;
     }
 }
@@ -314,10 +330,10 @@ static as_real refine_combination(active_set *s, int j) {
     const int n = s->n, w = s->count;
     as_real *y = s->r, *x = s->e, *more = s->r_low;
     for (int again = 0;; again++) {
-        for (int c = 0; c < n; c++) x[c] = y[c] = 0;
+        clear(y, n);
         add_row(s, j, 1, y);
         for (int k = 0; k < w; k++) add_row(s, s->active[k], -s->R[k], y);
-        add_product(s, x, 1, s->G, y);
+        multiply_inverse(s, x, 1, y);
         if (again) return larger(dot(x, y, n), 0);
         for (int k = 0; k < w; k++) more[k] = row_times(s, s->active[k], x);
         substitute_forward(s->L, more, w);
@@ -574,8 +590,7 @@ static int activate_violated(
 
 /* base := −P⁻¹q; returns the square of its length in the norm of P, infinite or NaN if q is. */
 static as_real write_base(active_set *s) {
-    clear(s->base, s->n);
-    add_product(s, s->base, -1, s->G, s->q);
+    multiply_inverse(s, s->base, -1, s->q);
     return -dot(s->q, s->base, s->n);
 }
 
@@ -659,12 +674,13 @@ int active_set_solve(active_set *s) {
 void active_set_place_step(active_set *s, as_real *reals, int *integers) {
     const int n = s->n, N = n + s->m;
     as_real **const vectors[] = {
-        &s->q, &s->base, &s->R, &s->T, &s->r, &s->e, &s->z_low, &s->lam_low, &s->r_low};
+        &s->q, &s->base, &s->R, &s->T, &s->r, &s->e,
+        &s->z_low, &s->lam_low, &s->r_low, &s->from, &s->to};
     as_real **const long_ones[] = {&s->low, &s->high, &s->z, &s->lam};
     s->warm = s->block = s->count = s->iterations = 0;
     s->stale = 1;
     for (int k = 0; k < 4; k++, reals += N) *long_ones[k] = reals;
-    for (int k = 0; k < 9; k++, reals += n) *vectors[k] = reals;
+    for (int k = 0; k < 11; k++, reals += n) *vectors[k] = reals;
     s->L = reals;
     s->active = integers;
     s->side = integers + n;

@@ -59,8 +59,11 @@ struct active_set {
     const int *column;   /* and their columns */
     const int *first;    /* m+1: where a row begins in these two */
     const int *parent;   /* m: a row before it whose entries begin those of this row; −1: none does */
-    const int *order;    /* n: variables that P couples with others, then the rest */
-    int coupled;         /* how many it couples */
+    const int *rest;     /* m: its first entry after these */
+    const int *order;    /* n: variables that P couples, part after part, then the rest */
+    const int *sizes;    /* n: at the first variable of a part of this order, how many it has */
+    const as_real *blocks; /* P⁻¹ of each part, one after the other: outside of them it is zero */
+    int coupled;         /* how many variables P couples with others */
     as_real longest, steepest, largest, widest; /* max √H_ii, Σ|P| of a row, max |A|, Σ|P⁻¹| of a row */
     as_real loss;     /* of a gradient of size 1, by rounding in P⁻¹ */
     /* Memory from step to step, and scratch. */
@@ -70,16 +73,17 @@ struct active_set {
     int *side;                  /* n+m: +1 active at high, −1 at low, 0 not active */
     as_real *R, *T;             /* n, indexed as `active` */
     as_real *r, *e, *z_low, *lam_low, *r_low; /* n */
+    as_real *from, *to;         /* n: of one part */
     int (*refine)(active_set *, int); /* set by active_set_place; 0: no answer is refined */
 };
 
 /* Lengths of the two arrays that active_set_place divides, and of those of active_set_place_step. */
-#define ACTIVE_SET_STEP_REALS(n, m) (4 * ((n) + (m)) + (n) * ((n) + 1) / 2 + 9 * (n))
+#define ACTIVE_SET_STEP_REALS(n, m) (4 * ((n) + (m)) + (n) * ((n) + 1) / 2 + 11 * (n))
 #define ACTIVE_SET_STEP_INTEGERS(n, m) (2 * (n) + (m))
 #define ACTIVE_SET_REALS(n, m) \
-    (ACTIVE_SET_STEP_REALS(n, m) + ((n) + (m)) + 2 * (n) * ((n) + (m)))
+    (ACTIVE_SET_STEP_REALS(n, m) + ((n) + (m)) + (n) * (3 * (n) + 2 * (m)))
 #define ACTIVE_SET_INTEGERS(n, m) \
-    (ACTIVE_SET_STEP_INTEGERS(n, m) + 2 * (m) + 1 + (n) + (m) * (n))
+    (ACTIVE_SET_STEP_INTEGERS(n, m) + 3 * (m) + 1 + 2 * (n) + (m) * (n))
 
 void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers);
 /* Where P stays, its constants can be computed elsewhere and lie in read-only memory: give n, m and

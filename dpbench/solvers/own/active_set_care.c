@@ -14,11 +14,18 @@ static as_real smaller(as_real x, as_real y) { return x < y ? x : y; }
 
 /* ---- refinement and check ------------------------------------------------------------------ */
 
+/* out += P x: whole rows for variables that P couples, else the diagonal */
+static void add_product(const active_set *s, as_real *out, const as_real *x) {
+    const int n = s->n;
+    add_rows(out, 1, s->P, x, s->order, s->coupled, n);
+    for (int k = s->coupled; k < n; k++) out[s->order[k]] += x[s->order[k]] * s->P[s->order[k] * (n + 1)];
+}
+
 /* r := P z + q + Cᵀλ; returns zᵀP z */
 static as_real write_gradient(active_set *s) {
     const int n = s->n;
     for (int c = 0; c < n; c++) s->r[c] = 0;
-    add_product(s, s->r, 1, s->P, s->z);
+    add_product(s, s->r, s->z);
     const as_real square = dot(s->r, s->z, n);
     for (int c = 0; c < n; c++) s->r[c] += s->q[c];
     for (int k = 0; k < s->count; k++) add_row(s, s->active[k], s->lam[s->active[k]], s->r);
@@ -59,7 +66,7 @@ static as_real refine(active_set *s, as_real *size) {
     clear(s->lam_low, n);
     if (largest_of(s->r, n) > REAL(64) * EPSILON * (1 + largest_of(s->q, n))) {
         off = 1;
-        add_product(s, s->e, -1, s->G, s->r);
+        multiply_inverse(s, s->e, -1, s->r);
     }
     for (int k = 0; k < s->count; k++) {
         const int i = s->active[k];
@@ -230,8 +237,7 @@ static as_real polish(active_set *s) {
                 add_exactly(s->r + s->column[e], s->r_low + s->column[e], s->a[e], lam);
         }
         add_scaled(s->r, 1, s->r_low, n);
-        clear(s->e, n);
-        add_product(s, s->e, -1, s->G, s->r);
+        multiply_inverse(s, s->e, -1, s->r);
         for (int k = 0; k < s->count; k++) {
             const int i = s->active[k];
             s->T[k] = exact_distance(s, i, limit_of(s, i)) + row_times(s, i, s->e);

@@ -11,10 +11,13 @@ void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers
     s->unit = reals += ACTIVE_SET_STEP_REALS(n, m);
     s->P = reals += n + m;
     s->G = reals += square;
-    s->a = reals + square + rows;
+    s->blocks = reals += square + rows;
+    s->a = reals + square;
     s->first = integers += ACTIVE_SET_STEP_INTEGERS(n, m);
     s->parent = integers += m + 1;
+    s->rest = integers += m;
     s->order = integers += m;
+    s->sizes = integers += n;
     s->column = integers + n;
 }
 
@@ -64,7 +67,8 @@ static int find_parent(const active_set *s, int i) {
 static int write_rows(active_set *s, const as_real *A) {
     const int n = s->n, N = n + s->m;
     as_real *a = (as_real *)s->a, *unit = (as_real *)s->unit, *G = (as_real *)s->G;
-    int *first = (int *)s->first, *column = (int *)s->column, *parent = (int *)s->parent, end = 0;
+    int *first = (int *)s->first, *column = (int *)s->column, *parent = (int *)s->parent;
+    int *rest = (int *)s->rest, end = 0;
     s->longest = 0;
     s->largest = 1;
     for (int i = 0; i < N; i++, G += n) {
@@ -81,7 +85,8 @@ static int write_rows(active_set *s, const as_real *A) {
                 add_scaled(G, x, inverse_row(s, c), n);
             }
             first[i - n + 1] = end;
-            parent[i - n] = find_parent(s, i - n);
+            const int found = parent[i - n] = find_parent(s, i - n);
+            rest[i - n] = first[i - n] + (found < 0 ? 0 : first[found + 1] - first[found]);
         }
         const as_real length = root(larger(entry(s, i, i), 0));
         unit[i] = length > ZERO_ROW ? 1 / length : 1;
@@ -102,34 +107,57 @@ int active_set_replace_rows(active_set *s, const as_real *A) {
 static void measure_loss(active_set *s) {
     const int n = s->n;
     for (int c = 0; c < n; c++) s->e[c] = REAL(c % 3 ? 1 : -1);
-    clear(s->r, n);
-    add_product(s, s->r, 1, s->G, s->e);
+    multiply_inverse(s, s->r, 1, s->e);
     for (int c = 0; c < n; c++) s->e[c] = -s->e[c];
-    add_product(s, s->e, 1, s->P, s->r);
+    add_product(s, s->e, s->r);
     s->loss = largest_of(s->e, n);
+}
+
+static void swap(int *x, int *y) {
+    const int t = *x;
+    *x = *y;
+    *y = t;
+}
+
+/* Order the variables by the parts that P falls into, and copy P⁻¹ of each part. */
+static void write_parts(active_set *s) {
+    const int n = s->n;
+    int *order = (int *)s->order, *sizes = (int *)s->sizes, begin = 0, rest = n;
+    as_real *block = (as_real *)s->blocks;
+    for (int i = 0; i < n; i++) order[i] = i;
+    while (begin < rest) {
+        int end = begin + 1;
+        for (int k = begin; k < end; k++)
+            for (int j = end; j < rest; j++)
+                if (s->P[order[k] * n + order[j]] != 0) swap(order + end++, order + j);
+        sizes[begin] = end - begin;
+        if (end == begin + 1) {
+            swap(order + begin, order + --rest);
+            continue;
+        }
+        for (int k = begin; k < end; k++)
+            for (int j = begin; j < end; j++) *block++ = s->G[order[k] * n + order[j]];
+        begin = end;
+    }
+    s->coupled = begin;
 }
 
 int active_set_factorise(active_set *s, const as_real *P, const as_real *A) {
     const int n = s->n;
     as_real *own = (as_real *)s->P, *G = (as_real *)s->G;
-    int *order = (int *)s->order, single = n;
     s->steepest = s->widest = 0;
-    s->coupled = 0;
     for (int i = 0; i < n; i++) {
         as_real sum = 0;
-        int others = 0;
         for (int c = 0; c < n; c++) {
             const as_real p = (P[i * n + c] + P[c * n + i]) / 2;
             own[i * n + c] = G[i * n + c] = p;
             sum += size_of(p);
-            others += i != c && p != 0;
         }
         if (is_infinite(sum)) return ACTIVE_SET_DATA_NOT_FINITE;
         s->steepest = larger(s->steepest, sum);
-        if (others) order[s->coupled++] = i;
-        else order[--single] = i;
     }
     if (!invert(G, n)) return ACTIVE_SET_NOT_DEFINITE;
+    write_parts(s);
     for (int i = 0; i < n; i++) {
         as_real sum = 0;
         for (int c = 0; c < n; c++) sum += size_of(inverse_row(s, i)[c]);

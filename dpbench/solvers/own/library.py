@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dpbench.arrays import Vector
 from dpbench.errors import SolverUnavailableError
@@ -41,10 +42,12 @@ class ActiveSet(ctypes.Structure):
 
     _fields_ = [
         *_name_fields(INTEGER, "n m warm block stale count iterations"),
-        *_name_fields(POINTER, "q low high z lam P G unit a column first parent order"),
+        *_name_fields(
+            POINTER, "q low high z lam P G unit a column first parent rest order sizes blocks"
+        ),
         *_name_fields(INTEGER, "coupled"),
         *_name_fields(REAL, "longest steepest largest widest loss"),
-        *_name_fields(POINTER, "base L active side R T r e z_low lam_low r_low refine"),
+        *_name_fields(POINTER, "base L active side R T r e z_low lam_low r_low from to refine"),
     ]
 
 
@@ -79,9 +82,9 @@ class Problem:
 
     def __init__(self, n: int, m: int) -> None:
         N = n + m
-        reals = n * 2 * N + 5 * N + n * (n + 1) // 2 + 9 * n
+        reals = n * (n + 2 * N) + 5 * N + n * (n + 1) // 2 + 11 * n
         self._reals = np.zeros(reals)
-        self._integers = np.zeros(m * n + 2 * m + 1 + 2 * n + N, dtype=np.intc)
+        self._integers = np.zeros(m * n + 3 * m + 1 + 3 * n + N, dtype=np.intc)
         self.head = ActiveSet()
         self.pointer = ctypes.c_void_p(ctypes.addressof(self.head))
         data = (array.ctypes.data for array in (self._reals, self._integers))
@@ -91,6 +94,25 @@ class Problem:
         self.q = self.view("q", n)
         self.P, self.A = np.zeros((n, n)), np.zeros((m, n))
         self.P_pointer, self.A_pointer = self.P.ctypes.data, self.A.ctypes.data
+
+    def constants(self) -> dict[str, NDArray[Any]]:
+        """Return what P and A determine, by the names of the structure's arrays."""
+        n, m = self.A.shape[1], self.A.shape[0]
+        first, sizes = self._integer_view("first", m + 1), self._integer_view("sizes", n)
+        entries, start, blocks = int(first[-1]), 0, 0
+        while start < self.head.coupled:
+            blocks += sizes[start] ** 2
+            start += sizes[start]
+        reals = {"P": n * n, "G": (n + m) * n, "unit": n + m, "a": entries, "blocks": blocks}
+        integers = {"column": entries, "first": m + 1, "parent": m, "rest": m}
+        integers |= {"order": n, "sizes": n}
+        found = {name: self.view(name, length) for name, length in reals.items()}
+        return found | {name: self._integer_view(name, k) for name, k in integers.items()}
+
+    def _integer_view(self, name: str, length: int) -> NDArray[np.intc]:
+        """Return integers of the C structure as an array that shares their memory."""
+        start = (getattr(self.head, name) - self._integers.ctypes.data) // self._integers.itemsize
+        return self._integers[start : start + length]
 
     def view(self, name: str, length: int) -> Vector:
         """Return a vector of the C structure as an array that shares its memory."""

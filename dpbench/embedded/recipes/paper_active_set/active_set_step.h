@@ -29,7 +29,8 @@ static void take_bounds(const embedded_qp *qp) {
 int embedded_set_up(embedded_qp *qp) {
 #ifdef SCALARS
     const active_set constant = {.n = N, .m = M, .P = P_, .G = G_, .unit = unit_, .a = a_,
-        .column = column_, .first = first_, .parent = parent_, .order = order_, SCALARS};
+        .column = column_, .first = first_, .parent = parent_, .rest = rest_,
+        .order = order_, .sizes = sizes_, .blocks = blocks_, SCALARS};
     s = constant;
     active_set_place_step(&s, reals, integers);
 #if SETTING_REFINE /* hildreth has no such setting: 0 */
@@ -47,7 +48,7 @@ int embedded_set_up(embedded_qp *qp) {
 }
 
 static void take(embedded_qp *qp) {
-    copy(s.q, qp->q, N);
+    s.q = qp->q;
     copy(s.low + N, qp->l, M);
     copy(s.high + N, qp->u, M);
     if (!qp->changed) return;

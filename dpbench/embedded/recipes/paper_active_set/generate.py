@@ -1,11 +1,9 @@
 """Write what the paper's method needs of P and A as constants of C, computed on the desk."""
 
-import ctypes
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.qp.program import QPSequence, QuadraticProgram
@@ -22,28 +20,26 @@ def write_sources(
     (folder / "active_set_step.h").write_bytes((FOLDER / "active_set_step.h").read_bytes())
     text = ""
     if all(getattr(sequence, name) is None for name in ("P", "A")):
-        text = _write_constants(sequence.base)
+        text = _write_constants(sequence.base, refined=bool(settings.get("refine")))
     (folder / "constants.h").write_text(text)
 
 
-def _write_constants(qp: QuadraticProgram) -> str:
+def _write_constants(qp: QuadraticProgram, *, refined: bool) -> str:
     """Return the constants of a QP's matrices as text of a C header."""
-    n, m = qp.n, qp.m
-    problem = Problem(n, m)
+    problem = Problem(qp.n, qp.m)
     problem.P[:], problem.A[:] = qp.P, qp.A
     open_library().active_set_factorise(problem.pointer, problem.P_pointer, problem.A_pointer)
-    entries = int(np.count_nonzero(qp.A))
-    reals = {"P": n * n, "G": (n + m) * n, "unit": n + m, "a": entries}
-    integers = {"column": entries, "first": m + 1, "parent": m, "order": n}
-    lines = [_array("as_real", name, problem.view(name, size)) for name, size in reals.items()]
-    for name, size in integers.items():
-        pointer = ctypes.cast(getattr(problem.head, name), ctypes.POINTER(ctypes.c_int))
-        lines.append(_array("int", name, np.ctypeslib.as_array(pointer, (size,))))
+    constants = problem.constants()
+    lines = [] if refined else ["#define P_ 0 /* the refinement alone reads P */"]
+    if not refined:
+        del constants["P"]
+    lines += [_array(name, values) for name, values in constants.items()]
     scalars = ", ".join(f".{name} = {getattr(problem.head, name)!r}" for name in SCALARS)
     return "\n".join([*lines, f"#define SCALARS {scalars}", ""])
 
 
-def _array(kind: str, name: str, values: NDArray[Any]) -> str:
+def _array(name: str, values: NDArray[Any]) -> str:
     """Return an array as C, each number so that it is read back exactly."""
+    kind = "as_real" if values.dtype.kind == "f" else "int"
     numbers = ", ".join(repr(value) for value in values.tolist()) or "0"
     return f"static const {kind} {name}_[] = {{{numbers}}};"
