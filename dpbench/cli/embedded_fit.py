@@ -117,7 +117,7 @@ def _make_tables(fits: list[dict[str, Any]], *, single: bool) -> Iterator[Table]
         rows = [
             {
                 "solver": row["solver"],
-                "memory kB": str(row["kilobytes"]),
+                "limit kB": str(row["kilobytes"]),
                 "N_c": _number(row["control_horizon"]),
                 "n": _number(row["variables"]),
                 "kB": _kilobytes(row["memory_bytes"]),
