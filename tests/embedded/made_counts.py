@@ -24,6 +24,6 @@ def make_counts(
         **{"stack_bytes": 400, "iterations": 7, "active": 3, "status": 0},
         **{"error_move": error, "error_plan": error},
         **{"code_bytes": 20_000, "constants_bytes": 500, "static_bytes": 3_000, "heap_bytes": 64},
-        **{"settings": "{}", "compiler": "ziglang 0.0.0"},
+        **{"settings": '{"rho": 0.1}', "compiler": "ziglang 0.0.0"},
     }
     return pd.DataFrame(columns)[list(COLUMNS)].astype(COLUMNS)

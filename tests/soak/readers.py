@@ -21,11 +21,13 @@ from dpbench.bench.record.result_folder import load_results, read_accidents
 from dpbench.bench.record.step_table import batch_part, step_batch
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.bench.sequences.shipped import load_rules
+from dpbench.embedded.table import EMBEDDED_FILE, load_counts, write_steps
 from dpbench.report.report import Report
 from dpbench.scenario.hull_files import read_coefficient_table, read_mss
 from dpbench.scenario.problem_files import problems_root
 from dpbench.scenario.scenario import load_scenario, load_vessel
 from tests.conftest import MadeRecords
+from tests.embedded.made_counts import make_counts
 from tests.soak.mutations import of_archive, of_bytes, of_json, of_part, of_table, of_text
 
 Mutation = Callable[[bytes, random.Random], bytes]
@@ -116,6 +118,7 @@ class Results(Soaked):
         out = records.write(folder / "made")
         row = ("plot", 0, "psv", 8, "intact", "", 0.0, 20.0, True, 20.0, 7)
         write_capability(out, [{n: [value] for n, value in zip(COLUMNS, row, strict=True)}])
+        write_steps(make_counts("daqp", [1000, 2000], "paper[0:2]"), out / EMBEDDED_FILE)
         held = {"still water": {"holds_m": 8.0, "fails_m": None}}
         design = {"vessel": "psv", "controller": "paper", "tuning": "paper", "N_p": 30, "N_c": 5}
         design |= {"eigenvalues": [[0.9, 0.1]], "held": held}
@@ -125,7 +128,7 @@ class Results(Soaked):
 
     def choose(self, rng: random.Random) -> str:
         names = ("runs.parquet", "steps.parquet", "suite.json", "machine.json")
-        rare = ("design.json", "capability.parquet")
+        rare = ("design.json", "capability.parquet", EMBEDDED_FILE)
         return rng.choice((*3 * names, *rare))
 
     def mutate(self, name: str, data: bytes, rng: random.Random) -> bytes:
@@ -134,11 +137,12 @@ class Results(Soaked):
     def read(self, folder: Path, name: str, rng: random.Random) -> None:
         results = load_results(folder)
         designs, plots = load_designs(folder), load_capability(folder)
+        counts = load_counts(folder)
         read_accidents(folder)
         for table in results.recorded.scan(ALL_COLUMNS):
             len(table)
         if rng.random() < REPORTED:
-            _ = Report.of(results, designs, None, plots).figures
+            _ = Report.of(results, designs, None, plots, counts).figures
 
 
 REPORTED = 0.05
