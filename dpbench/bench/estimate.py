@@ -49,7 +49,8 @@ class Rates:
 
 
 STATED_RATES = Rates(
-    "stated rates of another machine; a run in the same folder gives those of this one"
+    "stated rates of another machine and small QPs; a run in the same folder gives those of this "
+    "one"
 )
 
 
