@@ -164,6 +164,7 @@ def test_errors_are_those_of_the_steps(loop: Run) -> None:
     np.testing.assert_allclose(own["value"], loop.steps["n_m"], atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["loop", "replayed"])
 def test_steps_are_those_of_the_run(kind: str, request: pytest.FixtureRequest) -> None:
     run: Run = request.getfixturevalue(kind)
@@ -203,6 +204,7 @@ def test_a_printed_figure_has_no_type_3_fonts(loop: Run) -> None:
     assert b"/Type3" not in file.getvalue() and b"/CIDFontType2" in file.getvalue()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("figure", ["steps", "ship", "errors", "forces"])
 def test_every_figure_is_drawn_by_either_backend(loop: Run, figure: str) -> None:
     printed = pytest.importorskip("matplotlib.figure", reason="an extra")

@@ -80,6 +80,7 @@ def test_it_has_four_formats(chart: Any, tmp_path: Path, suffix: str, begins: by
     assert b"<script src=" not in written
 
 
+@pytest.mark.slow
 def test_names_that_xml_cannot_hold_are_drawn() -> None:
     rows = [("a\x1b\x00\x0c\\\ufffeb", 0.0, 1.0, 7), ("c\\u001b", 0.0, 1.0, 7)]
     drawn = encode_figure(

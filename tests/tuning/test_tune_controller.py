@@ -123,6 +123,7 @@ def test_the_trials_of_another_search_are_refused(
     assert "is of another search; name another folder (--out)" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_damaged_trial_is_named(tmp_path: Path) -> None:
     tune = {"trials": 6, "steps": 20, "realisations": 1, "out": tmp_path}
     tune_controller("weather", **tune)  # type: ignore[arg-type] # keyword values of mixed types
@@ -133,6 +134,7 @@ def test_a_damaged_trial_is_named(tmp_path: Path) -> None:
         tune_controller("weather", **tune)  # type: ignore[arg-type] # keyword values of mixed types
 
 
+@pytest.mark.slow
 def test_a_ship_that_nothing_holds_is_said_to_be_lost(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

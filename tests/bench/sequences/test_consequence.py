@@ -73,6 +73,7 @@ def largest_share(thrusters: ThrusterSet, force: np.ndarray, group: str) -> floa
     return float(found.x[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", GROUPS)
 @settings(max_examples=15)
 @given(

@@ -125,6 +125,7 @@ def test_fewer_steps_cut_the_window_and_its_stretch() -> None:
     assert [(p.cell.steps, p.cell.last_step) for p in plan(other)] == [(1000, 1000)]
 
 
+@pytest.mark.slow
 def test_its_qps_are_those_of_the_whole_replay(tmp_path: Path) -> None:
     whole, path, short = cell(), tmp_path / "whole.npz", tmp_path / "short.npz"
     source_file(whole).make(path)

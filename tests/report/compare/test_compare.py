@@ -157,6 +157,7 @@ def test_a_lost_ship_comes_before_any_comparison(records: Any, tmp_path: Path) -
     assert found.lines[1].startswith("A: ") and BANNER not in "".join(found.lines[1:])
 
 
+@pytest.mark.slow
 def test_what_the_harness_lost_is_no_regression(make: Make) -> None:
     a = make("a", seed=1)
     for folders in ((a, make("b", seed=2, outcome="lost")), (make("c", seed=2, outcome="lost"), a)):
@@ -308,6 +309,7 @@ def test_steps_after_a_solvers_own_time_limit_are_not_comparable(make: Make) -> 
         assert figures["error_move_max"] == ("worse" if worse else "same")
 
 
+@pytest.mark.slow
 def test_rounds_are_cut_to_the_fewer(make: Make, tmp_path: Path) -> None:
     a = make("a", seed=1)
     b = make("b", seed=1)
@@ -321,6 +323,7 @@ def test_rounds_are_cut_to_the_fewer(make: Make, tmp_path: Path) -> None:
     assert (found["raw"] == 1.0).all()
 
 
+@pytest.mark.slow
 def test_a_stretch_of_slow_rounds_hides_nothing(make: Make) -> None:
     """Half of B's rounds take 1.5 times as long: the minimum is that of the others, and counts."""
     a, b = make("a", seed=1), make("b", seed=2, slow={"piqp": 1.15})
@@ -408,6 +411,7 @@ def test_folders_without_a_common_cell(make: Make, tmp_path: Path) -> None:
         compare(a, tmp_path / "none")
 
 
+@pytest.mark.slow
 def test_cells_without_a_partner_are_named(make: Make) -> None:
     a = make("a", seed=1, configurations=("daqp", "osqp"))
     b = make("b", seed=1, configurations=("daqp", "scs"))
@@ -507,6 +511,7 @@ def test_settings_whose_options_changed_are_compared_by_their_name(make: Make) -
     assert not any("options changed" in line for line in compare(a, a).lines)
 
 
+@pytest.mark.slow
 def test_settings_of_another_name_are_not_compared(make: Make) -> None:
     loop = {"outcome": "finished", "settings": "default", "options": ""}
     mine: dict[str, Any] = {"configurations": ("daqp",), "loop": loop, "options": '{"rho": 0.1}'}

@@ -83,6 +83,7 @@ def test_versions_stand_in_their_order_with_what_changed(make: Make, tmp_path: P
     assert text.count("<svg") == 2 and "piqp 0.10.0" in text
 
 
+@pytest.mark.slow
 def test_folders_of_two_machines_are_ratios_to_the_reference(make: Make) -> None:
     here = make("here", OLD, {"daqp": 10.0, "piqp": 80.0})
     there = make("there", NEW, {"daqp": 20.0, "piqp": 160.0}, machine="two")

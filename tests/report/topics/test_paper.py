@@ -48,6 +48,7 @@ def test_claims_of_the_paper_case(records: Any) -> None:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("column", "value", "claim"),
     [
@@ -113,6 +114,7 @@ def test_a_run_cut_short_represents_nobody(records: Any) -> None:
     )
 
 
+@pytest.mark.slow
 def test_choices_are_those_of_the_rows(records: Any) -> None:
     _pair(records)
     found = dict(list_choices(records.view()))
@@ -157,6 +159,7 @@ def test_a_namesake_is_not_the_paper(records: Any, part: str) -> None:
     assert paper_topic(view) is None
 
 
+@pytest.mark.slow
 def test_reworded_prose_is_still_the_paper(records: Any) -> None:
 
     def change(files: dict[str, Any]) -> None:
@@ -199,6 +202,7 @@ def _rows(designs: Designs | None, records: Any) -> list[tuple[str, ...]]:
     return [row for table in topic.tables if "Stability" in table.title for row in table.rows]
 
 
+@pytest.mark.slow
 def test_the_table_shows_the_numbers_of_the_records(records: Any) -> None:
     none = replace(PAPER, held={})
     paper, robust, unknown = _rows(Designs((PAPER, ROBUST, none), (MISSING,)), records)
@@ -207,5 +211,6 @@ def test_the_table_shows_the_numbers_of_the_records(records: Any) -> None:
     assert unknown[2:] == ("–", "–")
 
 
+@pytest.mark.slow
 def test_without_designs_there_is_no_such_table(records: Any) -> None:
     assert _rows(None, records) == []

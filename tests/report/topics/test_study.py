@@ -4,6 +4,7 @@ import json
 from typing import Any
 
 import numpy as np
+import pytest
 
 from dpbench.analysis.suites import study_pictures
 from dpbench.analysis.suites.study import find_studies
@@ -50,6 +51,7 @@ def compile_rows(figure: Any) -> list[dict[str, Any]]:
     return [row for data in sets for row in data.get("values", []) if "configuration" in row]
 
 
+@pytest.mark.slow
 def test_a_small_study_is_drawn_whole(records: Any) -> None:
     found = _fill(records, points=5, seas=4)
     within, behind = found.figures
@@ -57,6 +59,7 @@ def test_a_small_study_is_drawn_whole(records: Any) -> None:
     assert len(_drawn(behind, "error_excess_cm")) == 20 and "at even ranks" not in behind.caption
 
 
+@pytest.mark.slow
 def test_of_a_large_study_some_seas_are_drawn(records: Any, monkeypatch: Any) -> None:
     monkeypatch.setattr(study_pictures, "MOST_DOTS", 9)
     monkeypatch.setattr(study_pictures, "MOST_POINTS", 20)

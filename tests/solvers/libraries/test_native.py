@@ -219,6 +219,7 @@ def test_a_time_limit_that_is_not_met_changes_no_bit(solver, route, policy, sequ
         np.testing.assert_array_equal(one.z, other.z)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "solver", sorted({name for name, route, _ in LIMITED if route == "native"})
 )
