@@ -144,7 +144,9 @@ class EmbeddedCounts:
             path.unlink(missing_ok=True)
         texts = {path: self._counts[path].text for path in self._pending}
         for path, outcome in dispatcher.make_files(run_count, texts, limit_s=LIMIT_S):
-            count, self._reasons[path] = self._counts[path], outcome.detail
+            count = self._counts[path]
+            # Reasons go to others with the results, which tell nothing of this machine's folders.
+            self._reasons[path] = outcome.detail.replace(str(Path.home()), "~")
             progress.advance(WORK, f"count {count.solver} {count.target} {count.sequence}")
 
     def note_reasons(self, missing: Iterable[UncountedSolver]) -> None:
