@@ -22,8 +22,8 @@ from dpbench.files.writing import write_together
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
+from dpbench.report.study_effects_table import build_effects_table
 from dpbench.report.table import csv_bytes, markdown_text
-from dpbench.report.topics.study import build_effects_table
 from dpbench.report.words import read_words, render_document
 
 LEGEND = "README.md"

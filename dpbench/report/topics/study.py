@@ -19,10 +19,7 @@ from dpbench.analysis.suites.study import (
 )
 from dpbench.analysis.suites.study_effects import (
     ERROR,
-    MEASURES,
     STEP_TIME,
-    Effect,
-    Measure,
     study_effects,
 )
 from dpbench.report.charts.study import (
@@ -33,23 +30,16 @@ from dpbench.report.charts.study import (
 )
 from dpbench.report.formats import MISSING, and_list, plural, significant
 from dpbench.report.page.section import Figure, Topic
+from dpbench.report.study_effects_table import (
+    effect_numbers,
+    head_of_measure,
+    tabulate_effects,
+)
 from dpbench.report.table import Table
 
-MOST_ROWS = 24
-"""The page shows so many rows; `tables/study_effects.csv` has all."""
 MOST_DRAWN = 6
 """The reference and the first of the others are drawn."""
 DRAWN = (STEP_TIME, ERROR)
-_HEADS = {
-    measure: f"{measure.name} [{measure.unit}]".replace("percentage points", "points")
-    for measure in MEASURES
-}
-_KEYS = ("factor", "levels", "configuration")
-_WHAT = {"raw_p99_ns": "p99 step time", "raw_p50_ns": "median step time"}
-COLUMNS = (
-    *("study", "configuration", "factor", "levels", "measure", "unit"),
-    *("effect", "low", "high", "pairs", "points"),
-)
 
 
 def study_topic(known: Sequence[Study]) -> Topic | None:
@@ -237,55 +227,15 @@ def _difference_text(difference: PairedDifference, scale: float) -> str:
     return f"{significant(scale * mean.value, 2)} [{low}, {high}]"
 
 
-def build_effects_table(studies: Sequence[Study]) -> pd.DataFrame:
-    """Tabulate every effect of all studies with the ends of its 95 % interval, as `COLUMNS`."""
-    rows = [
-        (
-            *(study.name, effect.configuration, effect.factor, effect.levels),
-            *(_name_measure(effect.measure, study), effect.measure.unit, *_numbers(effect)),
-            *(effect.difference.pairs, effect.difference.points),
-        )
-        for study in studies
-        for effect in study_effects(study)
-    ]
-    return pd.DataFrame(rows, columns=list(COLUMNS))
-
-
-def tabulate_effects(study: Study) -> Table | None:
-    """Return the table of what each factor changes, a row per configuration and change."""
-    rows: dict[tuple[str, str, str], dict[str, str]] = {}
-    for effect in study_effects(study):
-        key = (effect.factor, effect.levels, effect.configuration)
-        row = rows.setdefault(key, dict(zip(_KEYS, key, strict=True)))
-        row[_head(effect.measure, study)] = _effect_text(effect)
-    if not rows:
-        return None
-    heads = [*_KEYS, *(_head(one, study) for one in MEASURES)]
-    changes = list(dict.fromkeys(key[:2] for key in rows))
-    ordered = sorted(rows.items(), key=lambda item: changes.index(item[0][:2]))
-    whole = [{head: row.get(head, MISSING) for head in heads} for _, row in ordered]
-    note = (
-        "Change from the first value to the second, of runs that differ in nothing else and share "
-        "the realisation; a slope is the least-squares change over the range, all points of a "
-        "realisation together. Intervals hold at 95 % for each cell alone; the units are the "
-        "realisations, or the points where each is run once. Step times are of closed loops, which "
-        "are measured beside each other: take a difference of a few percent from a replay."
-    )
-    if len(whole) > MOST_ROWS:
-        note += " All rows: tables/study_effects.csv."
-    title = f"{study.name}: what each factor changes"
-    return Table.of(whole, title, note=note, text_columns=3, shown=MOST_ROWS)
-
-
 def figure_effects(study: Study, name: str) -> Iterator[Figure]:
     """Draw what each factor changes in the step time and the radial error."""
     names = [configuration.name for configuration in study.configurations][:MOST_DRAWN]
     rows = [
         {
-            "measure": _head(effect.measure, study),
+            "measure": head_of_measure(effect.measure, study),
             "effect": f"{_short_factor(effect.factor)}: {effect.levels}",
             "configuration": effect.configuration,
-            **dict(zip(("value", "low", "high"), _numbers(effect), strict=True)),
+            **dict(zip(("value", "low", "high"), effect_numbers(effect), strict=True)),
         }
         for effect in study_effects(study)
         if effect.configuration in names and effect.measure in DRAWN
@@ -304,31 +254,3 @@ def figure_effects(study: Study, name: str) -> Iterator[Figure]:
 def _short_factor(factor: str) -> str:
     """Shorten the dotted keys of a factor to their last parts."""
     return ", ".join(key.rpartition(".")[2] for key in factor.split(", "))
-
-
-def _name_measure(measure: Measure, study: Study) -> str:
-    """Return the name of a measure; of the step time, with its percentile."""
-    return _WHAT[study.step_time] if measure == STEP_TIME else measure.name
-
-
-def _head(measure: Measure, study: Study) -> str:
-    """Return the column head of a measure, with its unit."""
-    return _HEADS[measure].replace(measure.name, _name_measure(measure, study))
-
-
-def _numbers(effect: Effect) -> tuple[float, float, float]:
-    """Return an effect and the ends of its interval in the unit of its measure; NaN for none."""
-    mean, convert = effect.difference.mean, effect.measure.convert
-    if not (np.isfinite(mean.low) and np.isfinite(mean.high)):
-        return convert(mean.value), np.nan, np.nan
-    return convert(mean.value), convert(mean.low), convert(mean.high)
-
-
-def _effect_text(effect: Effect) -> str:
-    """Format an effect with its interval in the unit of its measure."""
-    value, low, high = (significant(0.0 if abs(n) < 1e-4 else n, 2) for n in _numbers(effect))
-    if not np.isfinite(effect.difference.mean.low):
-        return f"{value} (no interval)"
-    if effect.difference.is_constant:
-        return f"{value} in every realisation"
-    return f"{value} [{low}, {high}]"

@@ -9,8 +9,8 @@ import pytest
 from dpbench.analysis.suites import study_pictures
 from dpbench.analysis.suites.study import find_studies
 from dpbench.report.charts.render import compile_vega
+from dpbench.report.study_effects_table import build_effects_table
 from dpbench.report.topics import study as topic
-from dpbench.report.topics.study import build_effects_table
 
 WIND, EAST = "environment.wind.speed_mps", "start.east_m"
 

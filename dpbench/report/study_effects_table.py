@@ -1,0 +1,98 @@
+"""Effects of the varied keys of a study as tables, for the page and for `tables/`."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from dpbench.analysis.suites.study import Study
+from dpbench.analysis.suites.study_effects import (
+    MEASURES,
+    STEP_TIME,
+    Effect,
+    Measure,
+    study_effects,
+)
+from dpbench.report.formats import MISSING, significant
+from dpbench.report.table import Table
+
+MOST_ROWS = 24
+"""The page shows so many rows; `tables/study_effects.csv` has all."""
+_HEADS = {
+    measure: f"{measure.name} [{measure.unit}]".replace("percentage points", "points")
+    for measure in MEASURES
+}
+_KEYS = ("factor", "levels", "configuration")
+_WHAT = {"raw_p99_ns": "p99 step time", "raw_p50_ns": "median step time"}
+COLUMNS = (
+    *("study", "configuration", "factor", "levels", "measure", "unit"),
+    *("effect", "low", "high", "pairs", "points"),
+)
+
+
+def build_effects_table(studies: Sequence[Study]) -> pd.DataFrame:
+    """Tabulate every effect of all studies with the ends of its 95 % interval, as `COLUMNS`."""
+    rows = [
+        (
+            *(study.name, effect.configuration, effect.factor, effect.levels),
+            *(_name_measure(effect.measure, study), effect.measure.unit, *effect_numbers(effect)),
+            *(effect.difference.pairs, effect.difference.points),
+        )
+        for study in studies
+        for effect in study_effects(study)
+    ]
+    return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def tabulate_effects(study: Study) -> Table | None:
+    """Return the table of what each factor changes, a row per configuration and change."""
+    rows: dict[tuple[str, str, str], dict[str, str]] = {}
+    for effect in study_effects(study):
+        key = (effect.factor, effect.levels, effect.configuration)
+        row = rows.setdefault(key, dict(zip(_KEYS, key, strict=True)))
+        row[head_of_measure(effect.measure, study)] = _effect_text(effect)
+    if not rows:
+        return None
+    heads = [*_KEYS, *(head_of_measure(one, study) for one in MEASURES)]
+    changes = list(dict.fromkeys(key[:2] for key in rows))
+    ordered = sorted(rows.items(), key=lambda item: changes.index(item[0][:2]))
+    whole = [{head: row.get(head, MISSING) for head in heads} for _, row in ordered]
+    note = (
+        "Change from the first value to the second, of runs that differ in nothing else and share "
+        "the realisation; a slope is the least-squares change over the range, all points of a "
+        "realisation together. Intervals hold at 95 % for each cell alone; the units are the "
+        "realisations, or the points where each is run once. Step times are of closed loops, which "
+        "are measured beside each other: take a difference of a few percent from a replay."
+    )
+    if len(whole) > MOST_ROWS:
+        note += " All rows: tables/study_effects.csv."
+    title = f"{study.name}: what each factor changes"
+    return Table.of(whole, title, note=note, text_columns=3, shown=MOST_ROWS)
+
+
+def _name_measure(measure: Measure, study: Study) -> str:
+    """Return the name of a measure; of the step time, with its percentile."""
+    return _WHAT[study.step_time] if measure == STEP_TIME else measure.name
+
+
+def head_of_measure(measure: Measure, study: Study) -> str:
+    """Return the column head of a measure, with its unit."""
+    return _HEADS[measure].replace(measure.name, _name_measure(measure, study))
+
+
+def effect_numbers(effect: Effect) -> tuple[float, float, float]:
+    """Return an effect and the ends of its interval in the unit of its measure; NaN for none."""
+    mean, convert = effect.difference.mean, effect.measure.convert
+    if not (np.isfinite(mean.low) and np.isfinite(mean.high)):
+        return convert(mean.value), np.nan, np.nan
+    return convert(mean.value), convert(mean.low), convert(mean.high)
+
+
+def _effect_text(effect: Effect) -> str:
+    """Format an effect with its interval in the unit of its measure."""
+    value, low, high = (significant(0.0 if abs(n) < 1e-4 else n, 2) for n in effect_numbers(effect))
+    if not np.isfinite(effect.difference.mean.low):
+        return f"{value} (no interval)"
+    if effect.difference.is_constant:
+        return f"{value} in every realisation"
+    return f"{value} [{low}, {high}]"
