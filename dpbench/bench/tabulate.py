@@ -62,7 +62,7 @@ class RequestedRuns:
         return pd.concat(filled).loc[list(self.jobs)].reset_index(drop=True)
 
     def _alias_rows(self, finished: pd.DataFrame, aliases: Mapping[str, str]) -> pd.DataFrame:
-        """Repeat rows of finished runs under further names of the same solver settings."""
+        """Repeat finished runs' rows of `runs.parquet` under the run ids of their aliases."""
         settings = [self.jobs[run_id][1] for run_id in aliases]
         cells = [
             self.jobs[run_id][0].cell.with_settings(self.jobs[run_id][1]) for run_id in aliases

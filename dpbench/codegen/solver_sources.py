@@ -132,7 +132,7 @@ def generate_osqp_sources(qp: CondensedQP) -> SolverSources:
 
 
 def fetch_daqp_sources(qp: CondensedQP) -> SolverSources:
-    """Return DAQP's C sources, downloaded once; SituationError where that is impossible."""
+    """Return DAQP's C files, downloaded once, and the QP's P and A as tables; or SituationError."""
     package = Recipe(RECIPES / "daqp").file.package
     assert package is not None, "its C is fetched"
     root = fetch_sources(package.name, package.version, package.sha256)

@@ -64,7 +64,7 @@ class Mailbox:
         self.write_head()
 
     def write_head(self) -> None:
-        """Write the C structure that the program reads its inputs from, with no answer in it."""
+        """Write the program's input structure into the core's memory, and NaN over its answer."""
         self._core.write(DATA, _INTEGERS.pack(*self._integers) + self._pointers)
         self.write("z", np.full(self._z_bytes // self._type.itemsize, np.nan))
 

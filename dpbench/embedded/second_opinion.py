@@ -145,7 +145,7 @@ def _compile_loader(target: Target) -> Path:
 
 
 def _run_callgrind(loader: Path, trace: Path, folder: Path) -> tuple[list[int], int]:
-    """Return the instructions of each step by callgrind, which writes a file for each call."""
+    """Return each step's instructions by callgrind, and the number that the program prints."""
     options = ["--tool=callgrind", f"--callgrind-out-file={folder / 'counts'}", "--quiet"]
     with trace.open("rb") as stream:
         done = subprocess.run(
@@ -162,7 +162,7 @@ def _run_callgrind(loader: Path, trace: Path, folder: Path) -> tuple[list[int], 
 
 
 def _run_qemu(tool: str, loader: Path, trace: Path, entry: int) -> tuple[list[int], int]:
-    """Return the instructions of each step by QEMU, which logs one line an instruction."""
+    """Return each step's instructions by QEMU's log, and the number that the program prints."""
     shown = subprocess.run([tool, "-h"], check=False, capture_output=True, text=True).stdout
     single = "-one-insn-per-tb" if "one-insn-per-tb" in shown else "-singlestep"
     logged = f"{PROGRAM:#x}..{PROGRAM + PROGRAM_SIZE - 1:#x}"

@@ -184,7 +184,7 @@ class StagedQP:
         return QPStep(q, low, high)
 
     def _effective_limits(self, before: Vector, limits: Limits) -> tuple[Matrix, Matrix]:
-        """Return each move's scaled amplitude limits, extended to what the rate limit can reach."""
+        """Return scaled lower and upper amplitude limits, extended to what the rate can reach."""
         low, high = limits.low / self._row_unit, limits.high / self._row_unit
         if self.amplitude != "reachable":
             return low, high

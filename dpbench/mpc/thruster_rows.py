@@ -60,7 +60,7 @@ class ThrusterRows:
         return largest
 
     def thruster_maxima(self, of_row: Vector, of_entry: Vector) -> tuple[Vector, Vector]:
-        """Return for each thruster the largest value of its rows and of its force components."""
+        """Return two vectors by thruster: largest value of its rows, and of its entries of f."""
         numbers = range(int(self.entry[-1]) + 1)
         rows = np.array([of_row[self.thruster == i].max() for i in numbers])
         return rows, np.array([of_entry[self.entry == i].max() for i in numbers])
@@ -153,7 +153,7 @@ class LimitRampDown:
         self._table: Matrix = table
 
     def compute_limits(self, f: Vector, limits: Limits) -> tuple[Matrix, Matrix]:
-        """Return limits (N_c, r) on the summed force change; lowered ones close in slowly."""
+        """Return lower and upper limits (N_c, r) on the summed force change, tightened slowly."""
         l, u = np.empty(self._shape), np.empty(self._shape)  # noqa: E741 - of l ≤ Az ≤ u
         self.write_limits(f, limits, l.reshape(-1), u.reshape(-1))
         return l, u

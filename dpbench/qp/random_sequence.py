@@ -187,7 +187,7 @@ def _draw_signals(rng: np.random.Generator, K: int, N: int) -> Matrix:
 def _choose_active_limits(
     frame: _ConstantParts, family: Family, s: Vector, count: int
 ) -> tuple[Vector, Vector, Flags]:
-    """Choose the limits that an optimum meets: the strongest with multipliers, the next without."""
+    """Choose the limits that an optimum meets; return sides (±1, 0), multipliers, near misses."""
     n = len(frame.lo)
     side = np.where(s > 0, 1.0, -1.0)
     side = np.where(frame.above & frame.below, side, np.where(frame.above, 1.0, -1.0))

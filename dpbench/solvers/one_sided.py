@@ -118,7 +118,7 @@ class OneSidedForm:
         self._sides.fill(l, u, self._h, self._b)
 
     def two_sided(self, z: Vector, y: Vector) -> tuple[Vector, Vector]:
-        """Convert multipliers of G z ≤ h, A z = b to those of two-sided rows and bounds."""
+        """Return y and y_box of two-sided rows and bounds from multipliers of G z ≤ h, A z = b."""
         assert self._box is not None, "bounds have to be rows"
         rows = self._sides.merge_multipliers(z[: self._rows], y[: self._equalities])
         return rows, self._box.merge_multipliers(z[self._rows :], y[self._equalities :])
@@ -134,7 +134,7 @@ class OneSidedForm:
     def convert_qpsolvers_multipliers(
         self, z: Any, y: Any, z_box: Any
     ) -> tuple[Vector, Vector] | None:
-        """Convert qpsolvers' multipliers to those of two-sided rows and bounds; None if absent."""
+        """Return y and y_box of two-sided rows and bounds from qpsolvers' multipliers, or None."""
         z = _as_vector_of_size(z, 0 if self.h is None else self.h.size)
         y = _as_vector_of_size(y, 0 if self.b is None else self.b.size)
         if z is None or y is None:

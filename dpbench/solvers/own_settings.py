@@ -112,7 +112,7 @@ def _is_option_value(value: object) -> bool:
 
 
 def _flatten_groups(options: Options, prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Yield options by name, those of a group as `group.name`."""
+    """Yield name and value of each option; an option of a group is named `group.name`."""
     for key, value in options.items():
         if isinstance(value, Mapping):
             yield from _flatten_groups(value, f"{prefix}{key}.")

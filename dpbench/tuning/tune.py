@@ -58,7 +58,7 @@ class TunedRole:
     runs: Mapping[str, Sequence[RunRecord]]
 
     def summary(self, requirements: Requirements) -> str:
-        """Return whether the best settings are right, and their step time beside the presets."""
+        """State whether the best settings are right, and their step time beside the presets."""
         best = self.runs[BEST]
         wrong = sum(not is_right(run, requirements) for run in best)
         if wrong:

@@ -73,7 +73,7 @@ def match_steps(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
 
 
 def log_half_width(first: Mapping[int, StepTimes], second: Mapping[int, StepTimes]) -> float:
-    """Return the interval half-width of two configurations' log time ratio; NaN if unknown.
+    """Return the half-width of two configurations' log time ratio over replays; NaN if unknown.
 
     first, second : step times by the index of the replay.
     """

@@ -228,7 +228,7 @@ def ratio_table(matrix: RunMatrix) -> pd.DataFrame:
 
 
 def pair_half_widths(matrix: RunMatrix) -> tuple[list[int], list[float]]:
-    """Return the timed configurations, and of each two the log time ratio's half-width.
+    """Return indices of timed configurations, and of each two the log time ratio's half-width.
 
     In the order (0, 1), (0, 2), ... (1, 2), ...
     """

@@ -170,7 +170,7 @@ class RunMatrix:
         return self.experiments.index(wanted) if wanted in self.experiments else None
 
     def longest_timing(self, configuration: Configuration) -> tuple[Experiment, RunRecord] | None:
-        """Return a configuration's judged run with the largest single timing, or None."""
+        """Return experiment and judged run of a configuration's largest single timing, or None."""
         judged = self._judged_runs(configuration)
         timed = [(experiment, run) for experiment, run in judged if not math.isnan(run.raw_max_ns)]
         return max(timed, key=lambda one: one[1].raw_max_ns, default=None)

@@ -33,7 +33,7 @@ class Point:
 
 
 def all_points(frontier: CapabilityPlot, capability: Capability) -> list[Point]:
-    """Return the QPs to pose at the wind limit of every failure case and direction."""
+    """Return the capability QPs around the wind limit of every failure case and direction."""
     return [
         point
         for case in frontier.cases

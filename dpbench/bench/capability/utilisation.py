@@ -251,7 +251,7 @@ class _ConeRows:
         self._height += len(rows)
 
     def stack(self) -> Matrix:
-        """Return the rows of A, first ones that mark the forces in the balance."""
+        """Return the matrix A: rows that mark the forces in the balance, then the cones' rows."""
         return np.vstack([np.tile(self._forces, (AXES, 1)), *(-block for block in self._blocks)])
 
 

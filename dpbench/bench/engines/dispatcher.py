@@ -212,7 +212,7 @@ class Dispatcher:
             self._engine.release_source(key)
 
     def _retry_unanswered(self, batch: Batch, results: Sequence[Result]) -> list[Result]:
-        """Queue runs without a result to be retried alone; return "lost" after a retry."""
+        """Queue runs without a result for a retry alone; after it return a "lost" for each."""
         names = set(batch.names) - {result.run_id for result in results}
         if batch.isolated:
             return [Result(name, Outcome("lost", DIED)) for name in names]
@@ -257,7 +257,7 @@ def longest_cell(jobs: Sequence[CellJob]) -> Cell:
 
 
 def _split_by_kind(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob]]]:
-    """Split runs by kind: closed loops, then timed replays, then problems without a deadline."""
+    """Yield kind and runs: closed loops, then timed replays, then problems without a deadline."""
     replays = [job for job in jobs if job.cell.mode == "replay"]
     yield "closed loops", [job for job in jobs if job.cell.mode == "closed_loop"]
     yield "replays", [job for job in replays if job.cell.is_timed]

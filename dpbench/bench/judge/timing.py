@@ -59,7 +59,7 @@ def timing_metrics(cell: Cell, evaluated: EvaluatedCell, counting: Steps) -> dic
 
 
 def _values_by_round(counting: Steps, values: Floats) -> tuple[NDArray[np.int32], Floats]:
-    """Arrange values of steps by replay round and step (R, K), NaN if missing; and the rounds."""
+    """Return the replay rounds (R,), and values by round and step (R, K), NaN if missing."""
     rounds, row = np.unique(counting["repeat"], return_inverse=True)
     steps, column = np.unique(counting["k"], return_inverse=True)
     by_round = np.full((len(rounds), len(steps)), np.nan)
@@ -88,7 +88,7 @@ def reference_kernel_median(columns: Columns) -> float:
 
 
 def load_kernel_time_ns(columns: Columns, counting: NDArray[np.int32]) -> float:
-    """Return the machine-load test's time [ns]: minimum over rounds, mean over repetitions."""
+    """Return the machine-load test's time [ns]: least over rounds, then geometric mean."""
     rounds = np.unique(columns["repeat"])
     passes = columns["load_kernel_ns"].astype(np.float64)[np.isin(rounds, counting)]
     passes = np.where(passes > 0, passes, np.nan)

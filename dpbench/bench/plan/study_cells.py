@@ -131,7 +131,7 @@ class _ScenarioCache:
             return None
 
     def refuse_key(self, key: str, steps: int) -> None:
-        """Raise InputError that a study parameter changes nothing in the first `steps` steps."""
+        """Raise InputError, always: a parameter changes nothing in the first `steps` steps."""
         steps = min(steps or self._base.steps, self._base.steps)
         found = f"a key that changes nothing in {steps} steps of {self._base.name}"
         if key == SEED and not self._base.environment.is_random:

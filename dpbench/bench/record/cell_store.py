@@ -413,7 +413,7 @@ class CellStore:
         self.add_rows(select_stepless(rows, read), FILE_SCHEMA.empty_table())
 
     def collect_rows(self) -> tuple[pa.Table, dict[str, Source]]:
-        """Return the rows of all finished runs, and the files that hold the latest copy of each."""
+        """Return the rows of all finished runs, and by run id the file with its latest copy."""
         tables, sources = [NO_RUNS], dict[str, Source]()
         for source in (self.public, *self.parts):
             table = source.read_rows()

@@ -42,7 +42,7 @@ def pin_threads() -> None:
 
 
 def clock_read_ns() -> tuple[float, int]:
-    """Return the median cost of reading the clock and its smallest difference [ns]."""
+    """Return the clock's median cost of a reading and its smallest nonzero difference [ns]."""
     clock = time.perf_counter_ns
     reads = [clock() for _ in range(20_000)]
     steps = sorted(b - a for a, b in pairwise(reads))

@@ -45,7 +45,7 @@ class Backup:
         self.solver.warm_up(WARM_UP_SOLVES)
 
     def solve_step(self, k: int, step: QPStep) -> Matrix | None:
-        """Solve the QP of step k and return its plan (N_c, n_u); None without a usable answer."""
+        """Solve the QP of step k and return its moves (N_c, n_u); None without a usable answer."""
         return self.log_answer(k, self.answer(k, step))
 
     def answer(self, k: int, step: QPStep) -> Solution:
@@ -55,7 +55,7 @@ class Backup:
         return self.solver.answer(step)
 
     def log_answer(self, k: int, answer: Solution) -> Matrix | None:
-        """Record the backup's answer to step k; return its plan (N_c, n_u), None if unusable."""
+        """Record the backup's answer to step k; return its moves (N_c, n_u), None if unusable."""
         record_answer(self.log, 0, k, answer, self.solver.waited_ns)
         self.log.times[0, k] = (-1, *self.solver.phases_ns, -1)
         if is_usable(answer):

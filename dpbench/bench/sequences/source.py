@@ -226,7 +226,7 @@ QPs of the cell, `check` reads all of it (ResultsError or InputError where it is
 
 
 def source_file(cell: Cell) -> SourceFile:
-    """Return the maker and reader of the file of a run's QPs, by the kind of these QPs."""
+    """Return the object that makes and reads the file of a run's QPs, by the kind of these QPs."""
     match cell.source:
         case ControllerSource() | HardestSource():
             return _LoopFile(cell)

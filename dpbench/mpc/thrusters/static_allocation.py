@@ -71,7 +71,7 @@ class StaticAllocation:
     def _sector_and_chord_rows(
         self, i: int, piece: Piece, share: float
     ) -> tuple[Matrix, Vector, Vector]:
-        """Return rows and limits that keep an azimuth in its sector and inside loss chords."""
+        """Return rows, low and high that keep an azimuth in its sector and inside loss chords."""
         count = self._extra[i]
         normals = np.tile([1.0, 0.0], (count, 1))
         low, high = np.full(count, -NEVER), np.full(count, NEVER)

@@ -166,7 +166,7 @@ def _bound_by_gap(
 def refine_exactly(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, target: Dyadic
 ) -> tuple[Dyadic, Dyadic] | None:
-    """Solve an active set's KKT system by iterative refinement in exact numbers, or return None."""
+    """Return an active set's z and multipliers, refined in exact numbers, or None."""
     n = system.n
     G, q = exact.C[system.rows], Dyadic.of(problem.q)
     x = Dyadic(np.array([0] * len(system.weight), dtype=object), LAST_BIT)

@@ -293,7 +293,7 @@ class LastResort:
                 yield _SetGuess(explaining, z)
 
     def _prove_guess(self, problem: JointQP, guess: _SetGuess) -> tuple[Proof | None, Signs | None]:
-        """Prove the optimum from a guessed active set, or return limits that leave no interior."""
+        """Return a proof from a guessed active set or None, and limits without interior or None."""
         assert self._exact is not None, "made before any guess is asked for"
         equal = np.where(problem.L == problem.U, 1, 0).astype(np.int8)
         held = select_independent(problem.C, np.where(equal, equal, guess.signs), equal)
@@ -313,7 +313,7 @@ class LastResort:
     def _enclose_optimum(
         self, problem: JointQP, held: Signs, touched: Signs
     ) -> tuple[Proof | None, Signs | None]:
-        """Enclose the optimum at `touched` rows, `held` first; return a set without interior."""
+        """Return a proof at `touched` rows, and a set without interior; None for either absent."""
         assert self._exact is not None, "made before any guess is asked for"
         rows: Signs | None = select_independent(problem.C, np.where(held, held, touched), held)
         for _ in range(EXCHANGES):

@@ -125,7 +125,7 @@ _MEAN_TIPS = (
 
 
 def _draw_mean_errors(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
-    """Draw mean position errors over the reference solver's, as points with intervals."""
+    """Return intervals and points of the mean position errors over the reference solver's."""
     bars = base.mark_rule(strokeWidth=3, color=style.ACCENT).encode(x="low_cm:Q", x2="high_cm:Q")
     means = base.mark_point(filled=True, size=60, color=style.ACCENT, opacity=1).encode(
         x="mean_cm:Q"

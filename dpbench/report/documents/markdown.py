@@ -149,7 +149,7 @@ MOST_CONFIGURATIONS = 3
 def compare_solver(
     report: Report, solver: str, others: Sequence[str] = ()
 ) -> tuple[str, list[WorstStep]]:
-    """Compare a solver with others in Markdown; also return its worst steps.
+    """Return a Markdown comparison of a solver with others, and the solver's worst steps.
 
     others : solvers to compare with; by default those of `USUAL` that ran.
 
@@ -233,7 +233,7 @@ def _figure_text(measure: Measure, value: float) -> str:
 
 
 def worst_text(worst: Sequence[WorstStep]) -> list[tuple[str, str]]:
-    """Describe a solver's worst steps with the commands that export their QPs, for a terminal."""
+    """Return label and text of each worst step of a solver; the text ends in its export command."""
     return [
         (
             f"worst {step.measure}",

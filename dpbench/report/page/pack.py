@@ -148,7 +148,7 @@ class Room:
 
     @classmethod
     def of(cls, lengths: Sequence[int]) -> Room:
-        """Share the page's room among runs of given numbers of steps; short ones stay whole."""
+        """Return the most steps and points to keep of each run, one limit for all runs."""
         more = max(0, len(lengths) - MANY_RUNS)
         points = common_length_limit(lengths, max(0, MOST_POINTS - POINTS_A_RUN * more))
         steps = common_length_limit(lengths, max(0, MOST_STEPS - STEPS_A_RUN * more))

@@ -314,7 +314,7 @@ def python_call_text(c: Configuration) -> str:
 
 
 def _make_snippets(c: Configuration) -> Iterator[tuple[str, str]]:
-    """Yield code to paste that opens a solver, by language: Python, C if known."""
+    """Yield language and code to paste that opens a solver: Python, and C if known."""
     yield "Python", python_call_text(c)
     options = all_options(c.solver_settings, c.solver)
     known = find_solver_record(c.solver)

@@ -174,7 +174,7 @@ def _study_figures(study: Study) -> Iterator[Figure]:
 
 
 def _study_tables(study: Study) -> Iterator[Table]:
-    """Yield the tables of a study: its configurations, and its points."""
+    """Yield the tables of a study: its configurations, its points, the effects of its factors."""
     rows = [_configuration_row(configuration, study) for configuration in study.configurations]
     title = f"{study.name}: against {study.reference} in the same realisation"
     note = (

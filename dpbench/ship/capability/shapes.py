@@ -128,7 +128,7 @@ class _ThrustEdge:
 def _outer_row(
     direction: float, points: Sequence[tuple[float, float]]
 ) -> tuple[float, float, float]:
-    """Return the row n·f ≤ h of points, n in a direction [rad]."""
+    """Return n_x, n_y and h of the closest row n·f ≤ h on points, n in a direction [rad]."""
     normal = math.cos(direction), math.sin(direction)
     return (*normal, max(normal[0] * x + normal[1] * y for x, y in points))
 

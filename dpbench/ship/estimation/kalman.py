@@ -185,7 +185,10 @@ def build_kalman_model(ship: Vessel, tuning: KalmanTuning, sample_s: float) -> K
 
 
 def discretise(A: Matrix, B: Matrix, E: Matrix, h: float) -> tuple[Matrix, Matrix, Matrix]:
-    """Discretise ẋ = A x + B u + E w, w white of intensity 1, exactly (Van Loan, IEEE TAC 23)."""
+    """Return Φ, Γ and noise covariance Q of ẋ = A x + B u + E w, discretised exactly.
+
+    w : white noise of intensity 1. Source: Van Loan, IEEE TAC 23.
+    """
     n, m = B.shape
     held = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * h)
     noise = expm(np.block([[-A, E @ E.T], [np.zeros((n, n)), A.T]]) * h)

@@ -105,7 +105,7 @@ class CompiledWorkspace(Workspace):
             self._store_refusal(replace_rows(self._pointer, problem.A_pointer))
 
     def read(self) -> Solution:
-        """Return a copy of the answer, with a status that says how the solve ended."""
+        """Return the last solve's answer, copied, with a status that says how it ended."""
         ending = self._ending
         if ending >= 0:
             return Solution(SOLVED, self._z.copy(), self._y.copy(), self._y_box.copy(), ending)
