@@ -7,7 +7,7 @@ failure is never an exception that leaves the run: it is a `Status` in a record.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from numbers import Integral
 
@@ -54,6 +54,14 @@ def require_at_least(option: str, value: int, least: int) -> None:
         raise TypeError(f"{option}: found {value!r}; allowed: a whole number, {least} or more")
     if value < least:
         raise InputError(option, "", value, f"a whole number, {least} or more")
+
+
+def require_names(**given: object) -> None:
+    """Raise TypeError for a text or a single object where a list of names belongs; None passes."""
+    for option, value in given.items():
+        if isinstance(value, str) or not (value is None or isinstance(value, Iterable)):
+            allowed = f"a list of names, such as [{value!r}]"
+            raise TypeError(f"{option}: found {value!r}; allowed: {allowed}")
 
 
 class SituationError(InputError):

@@ -206,10 +206,12 @@ def _rewrite_report(arguments: argparse.Namespace) -> int:
 
     if arguments.against and arguments.solver is None:
         raise SituationError("--against", "name the solver to compare with these by --for SOLVER")
-    page_and_ending = write_report_with_summary(
+    page, ending = write_report_with_summary(
         arguments.dir, **_named_parameters(arguments, "dir", *HOW_TO_END)
     )
-    return print_ending(*page_and_ending, arguments)
+    if arguments.statement:
+        ending = [*ending, ("statement", arguments.statement)]
+    return print_ending(page, ending, arguments)
 
 
 def _print_completion(arguments: argparse.Namespace) -> None:

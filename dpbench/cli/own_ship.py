@@ -40,6 +40,7 @@ from dpbench.ship.weather.waves import WATER_DENSITY
 WHERE = "init"
 COMMENT_WIDTH = 96
 STEPS = 1000  # Steps of the scenario, as many as a p99 needs
+LOST_FROM = 0.6  # Share of the steps after which thrusters are lost
 SAMPLE_S = 0.3
 START_M = (1.2, 1.3)  # North and east; sample and start are the paper's
 YAW_WEIGHT = 3000.0
@@ -387,7 +388,7 @@ def scenario_text(
 
 def _loss_s(vessel: Vessel) -> float:
     """Return the time [s] at which a new ship's scenario loses thrusters."""
-    return 0.6 * STEPS * choose_sample_s(vessel)
+    return LOST_FROM * STEPS * choose_sample_s(vessel)
 
 
 def _explain_sea_choice(share: float, held: HeldSea | None, *, chosen: bool) -> str:
@@ -417,5 +418,6 @@ def suite_text(
         number=number,
         solvers=json.dumps(SOLVERS),
         steps=STEPS,
+        lost_from=round(LOST_FROM * STEPS),
         step_s=choose_sample_s(vessel),
     )

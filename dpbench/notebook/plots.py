@@ -107,6 +107,8 @@ class RunPlots:
         """Return the scenario that all runs share; InputError if they differ or one has no ship."""
         scenario = self._run.scenario
         for run in (self._run, *others):
+            if not hasattr(run, "scenario"):
+                raise TypeError(f"plot: found {run!r}; allowed: runs of `run_closed_loop`")
             if run.scenario is None or scenario is None:
                 raise InputError("plot", "run", "a replay", "a closed loop; a replay has no ship")
             if run.scenario.files != scenario.files:

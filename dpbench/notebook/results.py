@@ -16,7 +16,7 @@ from dpbench.bench.design import load_designs
 from dpbench.bench.record import result_folder
 from dpbench.display import table_html
 from dpbench.embedded.table import load_counts
-from dpbench.errors import InputError, ResultsError, list_allowed
+from dpbench.errors import InputError, ResultsError, list_allowed, require_names
 from dpbench.files.writing import make_folder
 from dpbench.notebook.plots import ResultPlots
 from dpbench.report.csv_tables import read_table, write_tables
@@ -122,6 +122,7 @@ class Results(result_folder.Results):
         those that identify a configuration, its verdict, error and times.
         InputError for a table or column that is not there.
         """
+        require_names(columns=columns)
         _check_name("table", table, self.tables)
         frame = self.tables[table]
         for name in columns or ():
@@ -168,7 +169,10 @@ class Results(result_folder.Results):
     def _require_steps(self) -> None:
         """Raise ResultsError in a folder without `steps.parquet`."""
         if self.recorded.is_missing:
-            allowed = "`runs`, and the tables in its folder tables; or run the suite again"
+            allowed = (
+                "`runs`, `tables`, `verdict()`, `ladder()`, `ships()`, `to_latex()`, `to_csv()`, "
+                "which need no steps; or run the suite again"
+            )
             raise ResultsError(str(self.folder / "steps.parquet"), "", "no such file", allowed)
 
 

@@ -1,6 +1,7 @@
 """Open a workspace by the name of its solver."""
 
 import warnings
+from collections.abc import Mapping
 from functools import partial
 
 from dpbench.errors import PolicyError
@@ -45,6 +46,9 @@ def open_workspace(
     """
     if not isinstance(solver, str):
         raise TypeError(f"solver: found {solver!r}; allowed: the name of a solver")
+    if not isinstance(settings, (str, Mapping)):
+        allowed = "a name such as 'high', or a mapping of options"
+        raise TypeError(f"settings: found {settings!r}; allowed: {allowed}")
     row = find_record(solver)
     route = row.default_route if route is None else route
     _check_policy(row, route, policy)

@@ -283,6 +283,8 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
     ------
     ResultsError : naming the file, when one is missing, damaged or of another schema.
     """
+    if not isinstance(out, (str, os.PathLike)):
+        raise TypeError(f"results: found a {type(out).__name__}; allowed: the path of a folder")
     folder = Path(out)
     if not folder.is_dir():
         raise ResultsError(str(folder), "", "no such folder", "a folder written by `dpbench run`")

@@ -1,8 +1,9 @@
 """Markdown for pull requests: `report.md`, and the comparison of one solver with others."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
+from dpbench.analysis.records.run_record import group_by
 from dpbench.analysis.records.run_steps import Measure
 from dpbench.analysis.records.worst_steps import WorstStep, find_step_value, worst_steps
 from dpbench.analysis.times.contrasts import paired_comparison
@@ -104,8 +105,27 @@ def ship_lines(ship: ShipSummary) -> list[str]:
 
 def solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
     """Return a Markdown table of verdict, times and errors by configuration; "" without one."""
-    rows = solver_rows(data, verdicts)
-    return markdown_table(HEAD, rows, 3) if rows else ""
+    listed = list(verdicts)
+    rows = solver_rows(data, listed)
+    if not rows:
+        return ""
+    return "\n\n".join([markdown_table(HEAD, rows, 3), *map(markdown_line, describe_table(listed))])
+
+
+def describe_table(verdicts: Sequence[Verdict]) -> Iterator[str]:
+    """Yield the replay of each time where they differ, and the options of the user's settings."""
+    timed = group_by([v for v in verdicts if v.timed_on], lambda v: v.timed_on)
+    most, *others = sorted(timed, key=lambda name: -len(timed[name])) or [""]
+    if others:
+        texts = [f"{and_list([v.configuration.label for v in timed[n]])} ({n})" for n in others]
+        yield f"p50 and p99 are of the replay of {most}, but for {and_list(texts)}."
+    own = {
+        f"{v.configuration.solver} {v.configuration.settings}: {v.configuration.options_text}"
+        for v in verdicts
+        if v.configuration.options_text
+    }
+    if own:
+        yield f"Settings of your own: {'; '.join(sorted(own))}."
 
 
 def solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:
