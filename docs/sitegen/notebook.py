@@ -69,7 +69,7 @@ def run(folder: Path) -> Any:
     import nbclient
     import nbformat
 
-    notebook = nbformat.read(NOTEBOOK, as_version=4)  # type: ignore[no-untyped-call] # nbformat has no types here
+    notebook = nbformat.read(NOTEBOOK, as_version=4)  # type: ignore[no-untyped-call] # nbformat annotates no functions
     for cell in notebook.cells:
         cell.metadata.clear()
     about = dict(notebook.metadata)
@@ -88,7 +88,7 @@ def main() -> None:
 
     with tempfile.TemporaryDirectory() as folder:
         notebook = run(Path(folder))
-    nbformat.write(notebook, NOTEBOOK)  # type: ignore[no-untyped-call] # nbformat has no types here
+    nbformat.write(notebook, NOTEBOOK)  # type: ignore[no-untyped-call] # nbformat annotates no functions
 
 
 if __name__ == "__main__":

@@ -49,19 +49,19 @@ class Counts:
 
 
 @_cfunc(_CODE, cache=True)
-def _count_instruction(engine, address, size, counts):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+def _count_instruction(engine, address, size, counts):  # type: ignore[no-untyped-def] # Numba types it by the signature above
     """Count one executed instruction in an array that Unicorn's hook hands on."""
     _carray(counts, 3, np.uint64)[_INSTRUCTIONS] += np.uint64(1)
 
 
 @_cfunc(_MEMORY, cache=True)
-def _count_load(engine, kind, address, size, value, counts):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+def _count_load(engine, kind, address, size, value, counts):  # type: ignore[no-untyped-def] # Numba types it by the signature above
     """Count one load from memory in an array that Unicorn's hook hands on."""
     _carray(counts, 3, np.uint64)[_LOADS] += np.uint64(1)
 
 
 @_cfunc(_MEMORY, cache=True)
-def _count_store(engine, kind, address, size, value, counts):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+def _count_store(engine, kind, address, size, value, counts):  # type: ignore[no-untyped-def] # Numba types it by the signature above
     """Count one store to memory in an array that Unicorn's hook hands on."""
     _carray(counts, 3, np.uint64)[_STORES] += np.uint64(1)
 

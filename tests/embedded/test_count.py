@@ -120,7 +120,7 @@ def test_answers_of_osqp_equal_those_of_its_wheel() -> None:
 def test_qoco_meets_its_tolerance_with_rows_that_are_equalities() -> None:
     pytest.importorskip("qocogen", reason="the generator of QOCO's C is not installed")
     sequence = load("paper-30-5", 3)
-    base, l, u = sequence.base, sequence.l.copy(), sequence.u.copy()  # noqa: E741 - as in QuadraticProgram
+    base, l, u = sequence.base, sequence.l.copy(), sequence.u.copy()  # noqa: E741 - the field `l` of QuadraticProgram
     # Half the way to the optimum is feasible.
     half = [0.5 * base.A[1] @ optimum.z for optimum in certify_sequence(sequence)]
     l[:, 1] = u[:, 1] = half

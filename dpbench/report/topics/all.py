@@ -35,7 +35,7 @@ def build_topics(
     designs: Designs | None = None,
     capability: pd.DataFrame | None = None,
     known: Sequence[Study] | None = None,
-    counts: EmbeddedResults = EmbeddedResults(()),  # noqa: B008 - frozen
+    counts: EmbeddedResults = EmbeddedResults(()),  # noqa: B008 - frozen, so safe to share
 ) -> list[Topic]:
     """Build the report page's parts, one per question on the results, the suite's question first.
 
