@@ -1,9 +1,5 @@
 """A step that hangs is ended, and a loop goes on behind one that was killed as if it had failed."""
 
-import os
-import subprocess
-import sys
-import threading
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -23,9 +19,7 @@ from dpbench.bench.run.formulation import BoxFormulation
 from dpbench.bench.run.slow_computer import never_preempted
 from dpbench.bench.run.timed_solver import (
     HANG_DETAIL,
-    RunDelay,
     TimedSolver,
-    get_run_delay,
     step_alarm,
 )
 from dpbench.bench.workers.worker import find_hang
@@ -222,70 +216,3 @@ def test_a_killed_loop_of_a_slow_computer_goes_on(tmp_path: Path) -> None:
     log = RawLog.create(tmp_path / "a.raw", loop_layout(9, 3, 3, 3))
     log.started[0], log.done[0] = 1, 4
     assert find_hang(cell, tmp_path / "a.raw", []) == (0, 4)
-
-
-def _work_ms(ms: float) -> None:
-    until = time.thread_time_ns() + round(1e6 * ms)
-    while time.thread_time_ns() < until:
-        pass
-
-
-@pytest.fixture
-def one_core() -> Any:
-    before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {min(before)})
-    yield
-    os.sched_setaffinity(0, before)
-
-
-def test_a_shared_core_is_waited_for(one_core: None) -> None:
-    """Beside an endless loop, 100 ms of work wait for some 100 ms, and for no more than passed."""
-    other = subprocess.Popen(
-        [sys.executable, "-c", "print(flush=True)\nwhile True: pass"], stdout=subprocess.PIPE
-    )
-    try:
-        assert other.stdout is not None and other.stdout.readline() == b"\n"
-        delay, began_ns, used_ns = RunDelay(), time.perf_counter_ns(), time.thread_time_ns()
-        _work_ms(100.0)
-        waited_ns = delay.since_last()
-        passed_ns = time.perf_counter_ns() - began_ns
-        used_ns = time.thread_time_ns() - used_ns
-    finally:
-        other.kill()
-        other.communicate()
-    assert waited_ns > 10e6
-    # What passed was work or wait, but for what lies between the readings.
-    assert waited_ns == pytest.approx(passed_ns - used_ns, abs=0.2 * passed_ns)
-
-
-def test_sleep_is_no_wait_for_the_core() -> None:
-    delay = RunDelay()
-    waits_ms = []
-    for _ in range(5):
-        delay.since_last()
-        time.sleep(0.02)
-        waits_ms.append(1e-6 * delay.since_last())
-    assert 0.0 <= min(waits_ms) < 10.0
-
-
-def test_a_thread_has_its_own() -> None:
-    others: list[RunDelay] = []
-    thread = threading.Thread(target=lambda: others.append(get_run_delay()))
-    thread.start()
-    thread.join()
-    assert get_run_delay() is get_run_delay()
-    assert others[0] is not get_run_delay()
-
-
-def test_where_the_kernel_does_not_show_it_it_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(path: str, flags: int) -> int:
-        raise FileNotFoundError(path)
-
-    monkeypatch.setattr(os, "open", missing)
-    assert RunDelay().since_last() == -1
-    monkeypatch.undo()
-    delay = RunDelay()
-    monkeypatch.setattr(os, "pread", lambda file, size, at: b"12")
-    assert delay.since_last() == -1
-    monkeypatch.undo()
-    assert delay.since_last() == -1

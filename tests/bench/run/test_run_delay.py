@@ -1,0 +1,79 @@
+"""Waits of a thread for its core."""
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from typing import Any
+
+import pytest
+
+from dpbench.bench.run.run_delay import RunDelay, get_run_delay
+
+
+def _work_ms(ms: float) -> None:
+    until = time.thread_time_ns() + round(1e6 * ms)
+    while time.thread_time_ns() < until:
+        pass
+
+
+@pytest.fixture
+def one_core() -> Any:
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(before)})
+    yield
+    os.sched_setaffinity(0, before)
+
+
+def test_a_shared_core_is_waited_for(one_core: None) -> None:
+    """Beside an endless loop, 100 ms of work wait for some 100 ms, and for no more than passed."""
+    other = subprocess.Popen(
+        [sys.executable, "-c", "print(flush=True)\nwhile True: pass"], stdout=subprocess.PIPE
+    )
+    try:
+        assert other.stdout is not None and other.stdout.readline() == b"\n"
+        delay, began_ns, used_ns = RunDelay(), time.perf_counter_ns(), time.thread_time_ns()
+        _work_ms(100.0)
+        waited_ns = delay.since_last()
+        passed_ns = time.perf_counter_ns() - began_ns
+        used_ns = time.thread_time_ns() - used_ns
+    finally:
+        other.kill()
+        other.communicate()
+    assert waited_ns > 10e6
+    # What passed was work or wait, but for what lies between the readings.
+    assert waited_ns == pytest.approx(passed_ns - used_ns, abs=0.2 * passed_ns)
+
+
+def test_sleep_is_no_wait_for_the_core() -> None:
+    delay = RunDelay()
+    waits_ms = []
+    for _ in range(5):
+        delay.since_last()
+        time.sleep(0.02)
+        waits_ms.append(1e-6 * delay.since_last())
+    assert 0.0 <= min(waits_ms) < 10.0
+
+
+def test_a_thread_has_its_own() -> None:
+    others: list[RunDelay] = []
+    thread = threading.Thread(target=lambda: others.append(get_run_delay()))
+    thread.start()
+    thread.join()
+    assert get_run_delay() is get_run_delay()
+    assert others[0] is not get_run_delay()
+
+
+def test_where_the_kernel_does_not_show_it_it_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(path: str, flags: int) -> int:
+        raise FileNotFoundError(path)
+
+    monkeypatch.setattr(os, "open", missing)
+    assert RunDelay().since_last() == -1
+    monkeypatch.undo()
+    delay = RunDelay()
+    monkeypatch.setattr(os, "pread", lambda file, size, at: b"12")
+    assert delay.since_last() == -1
+    monkeypatch.undo()
+    assert delay.since_last() == -1
