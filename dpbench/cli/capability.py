@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -124,7 +125,9 @@ def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
 def _format_wind_limit(held: WindLimit) -> str:
     """Format the largest wind held [m/s] and its DP capability number as a table cell."""
     beyond = "+" if is_beyond_standard(held) else " "
-    return f"  {held.wind_mps:5.1f}{beyond} {held.number:>2}".ljust(_CELL)
+    # Rounded down: 10.68 m/s, short of the 10.7 m/s of number 5, is no "10.7" beside a 4.
+    wind_mps = math.floor(10.0 * held.wind_mps + 1e-6) / 10.0
+    return f"  {wind_mps:5.1f}{beyond} {held.number:>2}".ljust(_CELL)
 
 
 def _notation_lines(capability: Capability) -> list[str]:

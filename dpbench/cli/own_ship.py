@@ -117,6 +117,8 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
         ship = _scale_new_ship(options, numbers)
         texts[vessel_file.name] = vessel_text(ship, _restate_command(options))
         vessel, remarks = ship.vessel, list_cautions(ship)
+        if ship.thrusters is not None:
+            remarks.append(f"assumed of the thrusters: {' '.join(ship.thrusters.assumed)}")
     else:
         if sea is None:
             instead = f"give --sea, 1 to {max(scaling.DP_NUMBERS)}, or describe the ship anew"
@@ -266,7 +268,9 @@ def _summary_lines(
     share, whole = find_mean_share(vessel, number)
     lines = [f"wrote {path}" for path in paths]
     lines += [line for remark in remarks for line in textwrap.wrap(remark, WIDTH)]
-    lines.append(f"sea: DP number {number}; its mean force takes {share:.0%} of {whole}")
+    wind_mps = scaling.DP_NUMBERS[number][0]
+    sea = f"sea: DP number {number}, wind {wind_mps:g} m/s"
+    lines.append(f"{sea}; its mean force takes {share:.0%} of {whole}")
     if share > 1.0:
         forces = "--sway-thrust and --yaw-moment" if vessel.thrusters is None else "--thrusters"
         lines.append(f"This ship cannot hold there: see --sea, {forces}.")

@@ -21,6 +21,7 @@ from dpbench.mpc.thrusters.attainable_set import attainable_set
 from dpbench.report.formats import rounded_down
 from dpbench.scenario import own_ship as scaling
 from dpbench.scenario.own_thrusters import (
+    ASSUMED,
     Berth,
     complete_thrusters,
     list_assumptions,
@@ -51,12 +52,25 @@ HINTS = {
 
 @dataclass(frozen=True, eq=False)
 class OwnThrusters:
-    """Thrusters of the user's ship, as tables of its file and in SI units, and what was assumed."""
+    """Thrusters of the user's ship, as tables of its file and in SI units, and rows as given."""
 
     where: str
+    rows: list[dict[str, str]]
     tables: tuple[ThrusterTable, ...]
     thrusters: ThrusterSet
-    assumed: list[str]
+
+    @property
+    def assumed(self) -> list[str]:
+        """Sentences on the values that the rows leave out."""
+        return list_assumptions(self.rows, self.tables)
+
+    @property
+    def tables_with_assumed(self) -> list[tuple[ThrusterTable, list[str]]]:
+        """Each thruster's table, and the keys whose value its row leaves out."""
+        return [
+            (table, [key for key in ASSUMED if key not in row])
+            for table, row in zip(self.tables, self.rows, strict=True)
+        ]
 
     def as_limits(self) -> scaling.ThrustLimits:
         """Return the thrusters' largest forces, each axis by itself."""
@@ -100,7 +114,7 @@ def read_own_thrusters(
     if share > MOST_TO_WEIGHT:
         found = f"{thrusters.thrust_N.sum() / 1e3:.3g} kN in all, {share:.2g} of the ship's weight"
         raise InputError(where, "power_kW, thrust_kN", found, f"at most {MOST_TO_WEIGHT:g} of it")
-    return OwnThrusters(where, tables, thrusters, list_assumptions(rows, tables))
+    return OwnThrusters(where, rows, tables, thrusters)
 
 
 def _ask_for_rows() -> list[dict[str, str]]:
@@ -202,6 +216,7 @@ def describe_losses(held: HeldSea, number: int, at_s: float, file: Path) -> list
         *lines,
         f"To simulate the loss of {missing}, add to {file}:",
         *("  [[faults]]", f"  at_s = {at_s:g}", f"  lost = [{json.dumps(missing)}]"),
+        '  loss = "trip"',
     ]
 
 

@@ -29,6 +29,8 @@ LOADING_KW_PER_M2 = {"open": 138.0, "nozzle": 323.0, "tunnel": 297.0}
 """Power over squared diameter of the thrusters of Ratownik."""
 ASTERN = 0.79
 """Thrust astern of a main propeller over that ahead: the paper's ship, 980 kN of 1240 kN."""
+ASSUMED = ("rise_s", "diameter_m", "propeller", "astern")
+"""Keys that get a value where a row leaves them out."""
 MOST_X, MOST_Y = 0.6, 0.6
 """Largest distance of a thruster from midships over the length, and over the breadth."""
 
@@ -121,20 +123,37 @@ def list_assumptions(
     rows: Sequence[Mapping[str, str]], tables: Sequence[ThrusterTable]
 ) -> list[str]:
     """Return a sentence for each kind of value that the table leaves out."""
-    texts = {
-        "rise_s": "Rise times: that of the ship of Xia, Liu, Pang & Xue, with the root of length.",
-        "diameter_m": "Diameters: from the power, loaded as on the rescue ship Ratownik.",
-        "propeller": "Propellers: open, of tunnel thrusters in a tunnel.",
-        "height_m": "Shaft heights are unknown: no thrust is lost to air in waves.",
-        "astern": f"Main propellers astern: {ASTERN:g} of the thrust ahead.",
-        "group": "A thruster without a group fails alone.",
+    named = list(zip(rows, tables, strict=True))
+    by_power = [(row, table) for row, table in named if "power_kW" in row]
+    mains = [(row, table) for row, table in named if table.kind == "main"]
+    sizes = _list_left_out(by_power, "diameter_m", " m")
+    rises = _list_left_out(named, "rise_s", " s")
+    propellers = _list_left_out(by_power, "propeller")
+    astern = _list_left_out(mains, "astern")
+    sentences = {
+        f"Rise times: {rises}, that of the ship of Xia, Liu, Pang & Xue with the root of "
+        "length.": rises,
+        f"Diameters, from the power as on the rescue ship Ratownik: {sizes}.": sizes,
+        f"Propellers: {propellers}.": propellers,
+        "Shaft heights are unknown: no thrust is lost to air in waves.": any(
+            "height_m" not in row for row, _ in by_power
+        ),
+        f"Thrust astern over that ahead: {astern}.": astern,
+        "A thruster without a group fails alone.": any("group" not in row for row in rows),
     }
-    needed = {key: any(key not in row for row in rows) for key in texts}
-    by_power = any("power_kW" in row for row in rows)
-    for key in ("diameter_m", "propeller", "height_m"):
-        needed[key] = by_power and any(key not in row for row in rows if "power_kW" in row)
-    needed["astern"] = any(
-        table.kind == "main" and "astern" not in row
-        for row, table in zip(rows, tables, strict=True)
-    )
-    return [text for key, text in texts.items() if needed[key]]
+    return [sentence for sentence, is_needed in sentences.items() if is_needed]
+
+
+def _list_left_out(
+    named: Sequence[tuple[Mapping[str, str], ThrusterTable]], key: str, unit: str = ""
+) -> str:
+    """List the assumed values of a key with the thrusters that have them; "" without any."""
+    by_value: dict[str, list[str]] = {}
+    for row, table in named:
+        if key not in row:
+            value = getattr(table, key)
+            text = value if isinstance(value, str) else f"{value:.3g}"
+            by_value.setdefault(f"{text}{unit}", []).append(table.name)
+    if len(by_value) == 1 and len(named) == len(*by_value.values()):
+        return str(*by_value)
+    return ", ".join(f"{value} ({', '.join(names)})" for value, names in by_value.items())

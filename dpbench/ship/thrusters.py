@@ -108,8 +108,8 @@ class ThrusterSet:
         if twice:
             raise InputError(self.where, "thrusters.name", f"{twice[0]!r} twice", "a name for each")
         if np.linalg.matrix_rank(self.T_e / [[1.0], [1.0], [self.longest_arm_m]]) < AXES:
-            found = f"{', '.join(names) or 'none'}, which leave an axis without force"
-            raise InputError(self.where, "thrusters", found, "forces in surge, sway and yaw")
+            found = f"no independent forces in surge, sway and yaw by {', '.join(names) or 'none'}"
+            raise InputError(self.where, "thrusters", found, "thrusters that make each by itself")
 
     @property
     def longest_arm_m(self) -> float:

@@ -2,6 +2,7 @@
 
 import io
 import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +58,7 @@ def test_two_mains_two_tunnels_and_an_azimuth_on_two_boards(
     assert 800.0 / tunnel.diameter_m**2 == pytest.approx(LOADING_KW_PER_M2["tunnel"], rel=1e-2)
     assert scenario.files["scenario"]["controller"]["kind"] == "thrusters"
     (fault,) = scenario.files["scenario"]["faults"]
-    assert fault["lost"] == ["board A"]
+    assert fault["lost"] == ["board A"] and fault["loss"] == "trip"
     forces = load_scenario(FILES[1]).controller
     assert isinstance(forces, JointForceController)
     path, suite = load_suite(FILES[3])
@@ -66,6 +67,24 @@ def test_two_mains_two_tunnels_and_an_azimuth_on_two_boards(
     assert {"reuse", "warm"} <= {cell.cell.policy for cell in cells}
     assert any(table.consequence for table in suite.replay)
     assert Path("my_ship_capability.svg").read_text(encoding="utf-8").startswith("<svg")
+
+
+def test_what_is_assumed_of_thrusters_is_printed_and_marked(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """By value and thruster; not what the table gives."""
+    rows = TABLE.replace("power_kW,group", "power_kW,group,diameter_m,astern")
+    given = rows.replace("main,-38,-4,2000,board A", "main,-38,-4,2000,board A,3.2,0.6")
+    assert init(given) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    sizes = "3.81 m (main 2), 1.64 m (tunnel 3, tunnel 4), 2.95 m (azimuth 5)"
+    assert f"Diameters, from the power as on the rescue ship Ratownik: {sizes}." in said
+    assert "Thrust astern over that ahead: 0.79 (main 2)." in said
+    _, first, second, *_ = Path(FILES[0]).read_text(encoding="utf-8").split("[[thrusters]]\n")
+    assert "diameter_m = 3.2\n" in first and "astern = 0.6\n" in first
+    assert "diameter_m = 3.81  # assumed\n" in second and "astern = 0.79  # assumed\n" in second
+    source = tomllib.loads(Path(FILES[0]).read_text(encoding="utf-8"))["source"]
+    assert "section IV" not in source and source.endswith("; limits: vessel file")
 
 
 def test_the_worst_group_is_lost_where_the_others_hold(capsys: pytest.CaptureFixture[str]) -> None:
@@ -90,13 +109,15 @@ def test_a_sea_beyond_the_thrusters_is_named_and_so_is_the_loss_that_is_left_out
     assert held_mps is not None and float(held_mps[1]) < 24.4
     assert "no loss is simulated: without board A the thrusters hold DP number" in said
     pasted = re.search(
-        r"add to my_ship_sea9_thrusters.toml: (\[\[faults\]\]) (at_s = \S+) (lost = .*?\])", said
+        r"add to my_ship_sea9_thrusters.toml: "
+        r"(\[\[faults\]\]) (at_s = \S+) (lost = .*?\]) (loss = \S+)",
+        said,
     )
     assert pasted is not None
     with Path("my_ship_sea9_thrusters.toml").open("a", encoding="utf-8") as file:
         file.write("\n".join(pasted.groups()) + "\n")
     (fault,) = load_scenario("my_ship_sea9_thrusters.toml").files["scenario"]["faults"]
-    assert fault["lost"] == ["board A"]
+    assert fault["lost"] == ["board A"] and fault["loss"] == "trip"
 
 
 def test_a_force_that_the_thrusters_cannot_make_is_no_share_of_the_limits(
@@ -146,7 +167,8 @@ def test_thrusters_are_asked_for(
         (TABLE.replace("-38", "-380", 1), (), "thruster 1: x_m: found -380; allowed: -48 to 48"),
         (TABLE.replace("azimuth", "pod"), (), "thruster 5: kind: found 'pod'"),
         (TABLE.replace("2000", "2000000"), (), "of the ship's weight"),
-        ("kind,x_m,thrust_kN\nmain,-38,100\n", (), "leave an axis without force"),
+        ("kind,x_m,thrust_kN\nmain,-38,100\n", (), "no independent forces in surge"),
+        ("kind,x_m,power_kW\nazimuth,-30,3000\n", (), "forces in surge, sway and yaw by azimuth 1"),
         (
             "kind,x_m,thrust_kN,sector_from_deg,sector_to_deg\n"
             "azimuth,-30,100,-60,60\nazimuth,30,100,-60,60\n",

@@ -85,7 +85,7 @@ def _draw_points(closed: pd.DataFrame, place: Place) -> list[Any]:
     tooltips = [
         "case:N",
         style.tooltip("from_deg:Q", "from [°]"),
-        style.tooltip("wind_mps:Q", "wind held [m/s]", 3),
+        style.tooltip("wind_mps:Q", "wind held [m/s]"),
         alt.Tooltip("number:Q", title="DP capability number"),
     ]
     untrue = closed["untrue"] if "untrue" in closed else pd.Series(0, closed.index)

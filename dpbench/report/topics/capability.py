@@ -26,7 +26,7 @@ from dpbench.report.charts.capability import (
     draw_loss_spans,
     draw_sample_shares,
 )
-from dpbench.report.formats import and_list, counted_list, plural, sample_share_text, significant
+from dpbench.report.formats import and_list, counted_list, plural, rounded_down, sample_share_text
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
@@ -65,7 +65,7 @@ def _least_wind_sentences(plot: CapabilityResult) -> Iterator[str]:
 def _least_wind_text(edges: pd.DataFrame) -> str:
     """Format the least wind held over all directions [m/s], and its direction."""
     least = edges.nsmallest(1, "wind_mps").iloc[0]
-    return f"{significant(least['wind_mps'])} m/s, from {least['from_deg']:.0f}°"
+    return f"{rounded_down(least['wind_mps'])} m/s, from {least['from_deg']:.0f}°"
 
 
 def _name_right_solvers(plot: CapabilityResult) -> Iterator[str]:
