@@ -23,7 +23,7 @@ from dpbench.bench.engines.open_engine import open_engine
 from dpbench.bench.engines.shards import WHOLE, Shard, ShardRecord
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.configurations import library_identity
-from dpbench.bench.plan.run_request import Plan, RunRequest, list_plan_limits
+from dpbench.bench.plan.run_request import Plan, RunRequest
 from dpbench.bench.plan.suite import name_file_in_errors
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, CapabilitySource, Outcome
@@ -254,6 +254,8 @@ def run_campaign(
     solvers: Sequence[str] | None = None,
     scenarios: Sequence[str] | None = None,
     settings: Sequence[str] | None = None,
+    routes: Sequence[str] | None = None,
+    policies: Sequence[str] | None = None,
     steps: int | None = None,
     jobs: int | None = None,
     fresh: bool = False,
@@ -276,6 +278,7 @@ def run_campaign(
         for any choice, so that a part never replaces the whole.
     solvers, scenarios, settings : only these; scenarios that the suite does not name, by name or
         TOML file, replace its own.
+    routes, policies : in place of those of the suite, such as "native" and "warm".
     steps : at most so many of each loop and replay.
     jobs : closed loops or random sequences at a time; all cores by default. Replays along a loop
         always run alone.
@@ -310,15 +313,20 @@ def run_campaign(
     >>> run_campaign("smoke", "results/part", solvers=["daqp"], steps=5).name
     'part'
     """
-    require_names(solvers=solvers, scenarios=scenarios, settings=settings)
+    chosen = {
+        "solvers": solvers,
+        "scenarios": scenarios,
+        "settings": settings,
+        "routes": routes,
+        "policies": policies,
+    }
+    require_names(**chosen)
     asked = RunRequest(
         suite=None if suite is None else str(suite),
         sequence=None if sequence is None else str(sequence),
-        solvers=solvers,
-        scenarios=scenarios,
-        settings=settings,
         steps=steps,
         solver_module=None if solver_module is None else str(solver_module),
+        **chosen,
     )
     if wait_s is not None and not 0.0 <= wait_s < math.inf:
         raise InputError("--wait", "", wait_s, "a number of seconds, 0 or more")
@@ -331,7 +339,7 @@ def run_campaign(
         open_engine(engine, jobs, scheduler, tls, WaitLimit(wait_s)) as opened,
         lock_result_folder(folder, plan.name, WaitLimit(wait_s)),
     ):
-        for remark in list_plan_limits(plan.cells):
+        for remark in plan.remarks:
             progress.remark(remark)
         campaign = Campaign(
             plan, designs, folder, opened.machine, counts=counts, fresh=fresh, shard=some

@@ -109,6 +109,10 @@ def _add_suite_arguments(run: Command) -> None:
     repeated("--scenario", "N", scenario, dest="scenarios")
     settings = "only at default, low, mid, high or [settings.L] of the suite; repeatable"
     repeated("--settings", "L", settings)
+    route = "instead of the suite's: native, qpsolvers or default, each solver's own; repeatable"
+    repeated("--route", "R", route, dest="routes")
+    policy = "instead of the suite's: fresh, reuse or warm; repeatable"
+    repeated("--policy", "P", policy, dest="policies")
     option("--steps", "N", "at most N steps of each run", type=int)
     option("--jobs", "J", "loops or random configurations at a time", type=int)
     option("--solver-module", "FILE.py", "a plug-in that brings a solver")

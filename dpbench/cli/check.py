@@ -123,18 +123,19 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
     from dpbench.bench.embedded_counts import plan_counts
     from dpbench.bench.engines.open_engine import count_slots
     from dpbench.bench.estimate import estimate_cells, read_rates
-    from dpbench.bench.plan.plan import plan
+    from dpbench.bench.plan.run_request import RunRequest
 
+    plan = RunRequest(str(file)).plan()
     with name_file_in_errors(suite_path):
-        planned = plan(suite, beside=suite_path.parent)
         if suite.design:
             plan_designs(suite.design, suite_path.parent)
         counts = plan_counts(suite.embedded, suite_path.parent) if suite.embedded else []
     also = [f"and {len(counts)} counts on embedded cores"] if counts else []
-    missing = [] if _can_pass(planned) else [f"{file}: {NONE_PASSES}"]
+    missing = [] if _can_pass(plan.cells) else [f"{file}: {NONE_PASSES}"]
     rates = read_rates(Path("results") / suite_path.stem)
-    _, *expected = estimate_cells(planned, count_slots(None), rates).lines
-    return "\n".join([*missing, f"{file}: a suite of {len(planned)} cells", *expected, *also])
+    _, *expected = estimate_cells(plan.cells, count_slots(None), rates).lines
+    counted = f"{file}: a suite of {len(plan.cells)} cells"
+    return "\n".join([*missing, counted, *expected, *plan.remarks, *also])
 
 
 def _can_pass(planned: Sequence[PlannedCell]) -> bool:

@@ -9,6 +9,7 @@ The brackets hold what a TOML inline table holds between its braces.
 import json
 import tomllib
 from collections.abc import Iterator, Mapping
+from functools import cache
 from itertools import product
 from math import isfinite
 
@@ -89,6 +90,12 @@ def encode_options(options: Options) -> str:
     """Return options as JSON, equal for equal options; "" for none."""
     # In a notebook a value may be of a library's own type.
     return json.dumps(options, sort_keys=True, ensure_ascii=False, default=str) if options else ""
+
+
+@cache
+def normalise_options(text: str) -> str:
+    """Return encoded options with all numbers as floating-point ones, equal for equal values."""
+    return json.dumps(json.loads(text, parse_int=float), sort_keys=True) if text else ""
 
 
 def decode_options(text: str) -> Options:

@@ -51,12 +51,14 @@ NO_MODEL = "sparse: there is no model whose states to keep"
 class PlannedCell:
     """A planned run of one solver on one problem, or the reason why it is refused.
 
-    `alias_settings` are further names of the same settings, shown as rows of their own.
+    `alias_settings` are further names of the same settings, shown as rows of their own;
+    `merged_settings` are further names of the same options of one's own, which get no row.
     """
 
     cell: Cell
     refused: str = ""
     alias_settings: tuple[str, ...] = ()
+    merged_settings: tuple[str, ...] = ()
 
 
 def plan_cell(

@@ -27,6 +27,7 @@ from dpbench.errors import InputError, list_allowed
 from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.scenario.tables.key_types import Horizons
 from dpbench.solvers.calibration import CALIBRATION
+from dpbench.solvers.own_settings import normalise_options
 
 
 def plan(
@@ -73,7 +74,7 @@ def plan(
     if not cells:
         allowed = "[[closed_loop]] or another table of runs, with a solver to run"
         raise InputError("suite", "", "nothing to run", allowed)
-    return _merge_equal_cells(cells)
+    return _merge_equal_cells(_unify_own_settings(cells))
 
 
 def _list_unique_names(scenarios: Sequence[Scenario]) -> list[str]:
@@ -94,6 +95,29 @@ def _load_horizon_variants(
         (table.scenario, pair) for table in suite.replay for pair in table.horizon_pairs if pair
     }
     return {(name, pair): with_horizons(loaded[name], *pair) for name, pair in sorted(asked)}
+
+
+def _unify_own_settings(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
+    """Return cells in which equal options of one's own of a solver have the first of their names.
+
+    The other names are noted at the first of these cells.
+    """
+    keyed = [(p.cell.solver, normalise_options(p.cell.options)) for p in cells]
+    names: dict[tuple[str, str], dict[str, str]] = {}
+    for key, planned in zip(keyed, cells, strict=True):
+        if planned.cell.options:
+            names.setdefault(key, {}).setdefault(planned.cell.settings, planned.cell.options)
+    unified: list[PlannedCell] = []
+    for key, planned in zip(keyed, cells, strict=True):
+        alike = names.get(key, {})
+        if len(alike) < 2:
+            unified.append(planned)
+            continue
+        (first, options), *others = alike.items()
+        cell = replace(planned.cell, settings=first, options=options)
+        merged = tuple(name for name, _ in others)
+        unified.append(replace(planned, cell=cell, merged_settings=merged))
+    return unified
 
 
 def _merge_equal_cells(cells: Sequence[PlannedCell]) -> list[PlannedCell]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,7 +13,9 @@ from typing import Any, TypeVar
 from pydantic import BaseModel
 
 from dpbench.bench.judge.rules import supports_percentile
+from dpbench.bench.plan.call_modes import check_call_modes, check_mode_names
 from dpbench.bench.plan.cells import PlannedCell
+from dpbench.bench.plan.configurations import choose_solvers
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import (
     SuiteFile,
@@ -23,6 +26,7 @@ from dpbench.bench.plan.suite import (
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.errors import InputError, require_at_least
 from dpbench.scenario.problem_files import sequence_path
+from dpbench.solvers.own_settings import expand_choice
 from dpbench.solvers.table import load_solver_module
 
 
@@ -30,7 +34,8 @@ from dpbench.solvers.table import load_solver_module
 class Plan:
     """All planned runs that a user's request means, with the suite they come from.
 
-    `document` is the requested content of the suite; `part` tells whether it is less than all.
+    `document` is the requested content of the suite; `part` tells whether it is less than all;
+    `remarks` are lines on what does not run as requested, or cannot be measured.
     """
 
     name: str
@@ -38,6 +43,7 @@ class Plan:
     document: SuiteFile
     cells: list[PlannedCell]
     part: bool
+    remarks: Sequence[str]
 
     @cached_property
     def digest(self) -> str:
@@ -59,6 +65,8 @@ class RunRequest:
     solvers: Sequence[str] | None = None
     scenarios: Sequence[str] | None = None
     settings: Sequence[str] | None = None
+    routes: Sequence[str] | None = None
+    policies: Sequence[str] | None = None
     steps: int | None = None
     solver_module: str | None = None
 
@@ -67,14 +75,21 @@ class RunRequest:
         if self.solver_module is not None:
             load_solver_module(self.solver_module)
         name, path, document = self._load_suite()
-        chosen = {"scenarios": self.scenarios, "settings": self.settings}
-        document = select_part(document, steps=self.steps, **chosen)
+        check_mode_names(self.routes, self.policies)
+        chosen = {"settings": self.settings, "routes": self.routes, "policies": self.policies}
+        keys = {key: list(names) for key, names in chosen.items() if names}
+        document = select_part(document, scenarios=self.scenarios, steps=self.steps, **keys)
         with name_file_in_errors(path, chosen=bool(self.settings)):
+            remarks: list[str] = []
+            choices = self.solvers or document.solvers
+            if self.routes or self.policies:
+                solvers = choose_solvers(document, self.solvers)
+                remarks = check_call_modes(document, solvers, "routes" in keys)
             cells = plan(
                 document, solvers=self.solvers, scenarios=self.scenarios, beside=path.parent
             )
-        part = bool(self.solvers or self.scenarios or self.settings or self.steps is not None)
-        return Plan(name, path, document, cells, part)
+        part = bool(self.solvers or self.scenarios or keys or self.steps is not None)
+        return Plan(name, path, document, cells, part, [*remarks, *_list_remarks(cells, choices)])
 
     @property
     def _suite_file(self) -> Path | None:
@@ -110,10 +125,12 @@ def select_part(
     suite: SuiteFile,
     *,
     scenarios: Sequence[str] | None = None,
-    settings: Sequence[str] | None = None,
     steps: int | None = None,
+    **calls: list[str],
 ) -> SuiteFile:
-    """Return a suite reduced to some scenarios, settings and `steps` of each loop and replay.
+    """Return a suite reduced to some scenarios, calls and `steps` of each loop and replay.
+
+    calls : `settings`, `routes` and `policies` in place of those of every table.
 
     Unless the suite names all `scenarios`, they replace its own, by name or TOML file: each closed
     loop and replay runs with them, from the first step on. InputError for less than one step.
@@ -131,14 +148,13 @@ def select_part(
         tables["replay"] = [
             _copy_with(t, scenario=name, first=0, steps=0) for t in suite.replay for name in asked
         ]
-    if settings:
-        for key, own in tables.items():
-            tables[key] = [_copy_with(t, settings=list(settings)) for t in own]
+    for key, own in tables.items():
+        tables[key] = [_copy_with(t, **calls) for t in own]
     if steps is not None:
         for key in ("closed_loop", "replay", "study"):
             tables[key] = [_copy_with(t, steps=min(steps, t.steps or steps)) for t in tables[key]]
         tables["replay"] = [_copy_with(t, hardest=min(steps, t.hardest)) for t in tables["replay"]]
-    if not (scenarios or settings or steps is not None):
+    if not (scenarios or calls or steps is not None):
         return suite
     # Tables may have become equal.
     once = {
@@ -156,13 +172,23 @@ def _copy_with(model: Model, **update: object) -> Model:
     return model.model_copy(update=update)
 
 
-def list_plan_limits(planned: Sequence[PlannedCell]) -> list[str]:
-    """Return remarks on what the planned runs cannot measure, such as a p99 with few steps."""
-    cells = [p.cell for p in planned if p.cell.is_timed]
-    lengths = [cell.steps for cell in cells]
+def _list_remarks(planned: Sequence[PlannedCell], choices: Sequence[str]) -> list[str]:
+    """Return remarks on settings given twice, and on what the planned runs cannot measure.
+
+    choices : of solvers, as the suite or the request has them.
+    """
+    texts = Counter(text for one in choices if "[" in one for text in expand_choice(one))
+    remarks = [f"{text} is given {n} times: one row" for text, n in texts.items() if n > 1]
+    remarks += dict.fromkeys(
+        f"{p.cell.solver}: settings {', '.join(p.merged_settings)} are the same options as "
+        f"{p.cell.settings}: one row, {p.cell.settings}"
+        for p in planned
+        if p.merged_settings
+    )
+    lengths = [p.cell.steps for p in planned if p.cell.is_timed]
     if lengths and not supports_percentile(max(lengths), 99):
-        return [
+        remarks.append(
             f"no replay has steps enough for a p99 (the longest has {max(lengths)}): the largest "
             "step is judged in its place"
-        ]
-    return []
+        )
+    return remarks

@@ -68,6 +68,30 @@ def test_a_solver_is_chosen_with_settings_on_the_command_line(suite: str) -> Non
     ]
 
 
+def test_settings_with_the_same_options_are_one_cell(suite: str) -> None:
+    """Also of other notation or another table; a line names the others."""
+    text = Path(suite).read_text().replace('"osqp",', '"osqp", "osqp[eps_abs=1e-5,rho=1.60]",')
+    again = '[[replay]]\nscenario = "calm"\nsteps = 5\nsettings = ["twin"]\n'
+    twin = "[settings.twin]\nosqp = { rho = 1.6, eps_abs = 0.00001 }\n"
+    Path(suite).write_text(f"{text}\n{again}\n{twin}")
+    plan = RunRequest(suite).plan()
+    own = [(p.cell.scenario_name, p.cell.settings) for p in plan.cells if p.cell.options]
+    assert own == [("paper", "mine"), ("calm", "mine")]
+    assert plan.remarks[0] == (
+        "osqp: settings eps_abs=1e-5,rho=1.6, twin are the same options as mine: one row, mine"
+    )
+
+
+def test_a_whole_number_equals_a_decimal_one(suite: str) -> None:
+    solvers = ["osqp[rho=1]", "osqp[rho=1.0]", "osqp[rho=2]", "osqp[rho=2]"]
+    plan = RunRequest(suite, solvers=solvers).plan()
+    assert [p.cell.settings for p in plan.cells] == ["rho=1", "rho=2"]
+    assert list(plan.remarks[:2]) == [
+        "osqp[rho=2] is given 2 times: one row",
+        "osqp: settings rho=1.0 are the same options as rho=1: one row, rho=1",
+    ]
+
+
 def test_options_are_part_of_what_a_cell_is(suite: str) -> None:
     """Cells of presets keep their identity; other options under one name are another cell."""
     cells = [p.cell for p in RunRequest(suite, settings=["default", "mine"]).plan().cells]

@@ -1,0 +1,71 @@
+"""Routes and policies chosen on the command line, in place of those of a suite."""
+
+from pathlib import Path
+
+import pytest
+
+from dpbench.bench.plan.run_request import RunRequest
+from dpbench.errors import PolicyError
+
+SUITE = """
+title = "Call modes"
+solvers = ["osqp", "quadprog"]
+
+[[closed_loop]]
+scenarios = ["paper"]
+steps = 5
+
+[[replay]]
+scenario = "paper"
+steps = 5
+policies = ["fresh", "reuse"]
+"""
+
+
+@pytest.fixture
+def suite(tmp_path: Path) -> str:
+    path = tmp_path / "modes.toml"
+    path.write_text(SUITE)
+    return str(path)
+
+
+def test_a_chosen_call_mode_replaces_those_of_every_table(suite: str) -> None:
+    plan = RunRequest(suite, routes=["native"], policies=["warm"]).plan()
+    found = {
+        (p.cell.mode, p.cell.solver, p.cell.route, p.cell.policy, bool(p.refused))
+        for p in plan.cells
+    }
+    assert found == {
+        (mode, solver, "native", "warm", solver == "quadprog")
+        for mode in ("closed_loop", "replay")
+        for solver in ("osqp", "quadprog")
+    }
+    assert plan.part
+    assert plan.remarks[0] == "quadprog does not run: it has no native warm"
+
+
+def test_a_policy_alone_keeps_the_routes_of_the_suite(suite: str) -> None:
+    cells = [p.cell for p in RunRequest(suite, solvers=["osqp"], policies=["warm"]).plan().cells]
+    assert {(cell.route, cell.policy) for cell in cells} == {("qpsolvers", "warm")}
+
+
+@pytest.mark.parametrize(
+    ("chosen", "message"),
+    [
+        ({"routes": ["nativ"]}, "--route: found 'nativ'; allowed: .*native"),
+        ({"policies": ["hot"]}, "--policy: found 'hot'; allowed: fresh | reuse | warm"),
+        (
+            {"routes": ["native"], "policies": ["warm"], "solvers": ["quadprog"]},
+            "--route: found native warm; allowed: native fresh .* of quadprog",
+        ),
+        (
+            {"policies": ["warm"], "solvers": ["quadprog", "ecos"]},
+            r"--policy: found qpsolvers warm \(none of 2 solvers has it\)",
+        ),
+    ],
+)
+def test_a_call_mode_that_does_not_exist_is_refused(
+    suite: str, chosen: dict[str, list[str]], message: str
+) -> None:
+    with pytest.raises(PolicyError, match=message):
+        RunRequest(suite, **chosen).plan()  # type: ignore[arg-type] # mypy cannot type ** of one type
