@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 
@@ -50,11 +51,16 @@ class RunPlots:
             ", ship(), errors(), forces()>" if self._run.scenario else ">"
         )
 
-    def steps(self, *, backend: Backend = "altair") -> Any:
-        """Plot step time, error of the first move, iterations and forces over the steps."""
+    def steps(self, *others: JudgedRun, backend: Backend = "altair") -> Any:
+        """Plot step time, error of the first move and iterations over the steps.
+
+        Forces too, where it is one closed loop; several runs have a line each.
+        """
         from dpbench.analysis.verdict.requirements import Requirements
 
         run, limit = self._run, Requirements().error_move
+        if others:
+            return _draw_steps_together((run, *others), limit, backend)
         tables = _make_step_rows(run.steps), _compute_force_shares(run)
         if _is_printed(backend):
             return _import_printed().draw_step_strips(*tables, limit)
@@ -107,8 +113,7 @@ class RunPlots:
         """Return the scenario that all runs share; InputError if they differ or one has no ship."""
         scenario = self._run.scenario
         for run in (self._run, *others):
-            if not hasattr(run, "scenario"):
-                raise TypeError(f"plot: found {run!r}; allowed: runs of `run_closed_loop`")
+            _require_run(run, "`run_closed_loop`")
             if run.scenario is None or scenario is None:
                 raise InputError("plot", "run", "a replay", "a closed loop; a replay has no ship")
             if run.scenario.files != scenario.files:
@@ -150,10 +155,10 @@ class ResultPlots:
 
         table, limits = _require_rows(level_table(self._data)), self._data.requirements
         if _is_printed(backend):
-            draw = _import_printed().draw_accuracy
-        else:
-            from dpbench.report.charts.overview import draw_accuracy as draw
-        return draw(table, limits.error_move)
+            return _import_printed().draw_accuracy(table, limits.error_move)
+        from dpbench.report.charts.overview import draw_accuracy
+
+        return draw_accuracy(table, limits.error_move, with_names=True)
 
 
 def _require_rows(table: pd.DataFrame) -> pd.DataFrame:
@@ -180,6 +185,26 @@ def _import_printed() -> ModuleType:
         allowed = "pip install 'dpbench[matplotlib]', or altair"
         raise InputError("plot", "backend", found, allowed) from error
     return printed
+
+
+def _require_run(run: object, makers: str) -> None:
+    """Raise TypeError for what is no run; `makers` names the functions that return one."""
+    if not hasattr(run, "scenario"):
+        raise TypeError(f"plot: found {run!r}; allowed: runs of {makers}")
+
+
+def _draw_steps_together(runs: tuple[JudgedRun, ...], limit: float, backend: Backend) -> Any:
+    """Plot the steps of several runs with the limit on their errors."""
+    for run in runs:
+        _require_run(run, "`run_closed_loop` and `replay`")
+    laws = [replace(law, steps=_make_step_rows(law.steps)) for law in _convert_to_laws(runs)]
+    if _is_printed(backend):
+        from dpbench.report.charts.ship_tables import STEP, step_panels
+
+        return _import_printed().draw_panels(step_panels(laws, limit), STEP)
+    from dpbench.report.charts.ship import draw_steps_together
+
+    return draw_steps_together(laws, limit)
 
 
 def _convert_to_laws(runs: tuple[JudgedRun, ...]) -> list[Any]:

@@ -41,6 +41,7 @@ from dpbench.report.formats import (
     error_text,
     plural,
     seconds_text,
+    share_text,
     significant,
     time_text,
 )
@@ -96,10 +97,13 @@ class Run:
         return RunPlots(self)
 
     def __repr__(self) -> str:
-        row = self.summary
+        row, unverified = self.summary, self._unverified_text
+        time, note = self._time_text
         return (
-            f"<Run of {self.label}: {self._sequence_text}, {self._steps_text}, "
-            f"error_move ≤ {error_text(row['error_move_max'])}, p50 {time_text(row['raw_p50_ns'])}"
+            f"<{'Inaccurate run' if self._is_inaccurate else 'Run'} of {self.label}: "
+            f"{self._sequence_text}, {self._steps_text}, {share_text(row['true_share'])} verified, "
+            f"{f'{unverified} reported solved but not verified, ' if unverified else ''}"
+            f"error_move ≤ {error_text(row['error_move_max'])}, p50 {time}{note and f' ({note})'}"
             f"{f', {REMEMBERED}' if self.remembers else ''}"
             f"{f'; {self._ship.warning}' if self._ship.warning else ''}>"
         )
@@ -107,16 +111,40 @@ class Run:
     def _repr_html_(self) -> str:
         """Return the run's main results as an HTML table, which a notebook displays."""
         row = self.summary
+        time, note = self._time_text
         fields = {
+            "warning": "inaccurate" if self._is_inaccurate else "",
             "steps": self._steps_text,
+            "answers verified": share_text(row["true_share"]),
+            "reported solved but not verified": self._unverified_text or "0",
             "failed steps": count_text(row["failed_steps"]),
             "largest error of the first move": error_text(row["error_move_max"]),
-            "median of the step time": time_text(row["raw_p50_ns"]),
+            f"median step time{note and f', {note}'}": time,
         }
         fields |= {"times": REMEMBERED} if self.remembers else {}
         return fields_html(
             f"{self.label}: {self._sequence_text}", fields | self._describe_control()
         )
+
+    @property
+    def _is_inaccurate(self) -> bool:
+        """True if the referee finds some answer wrong."""
+        return bool(self.summary["true_share"] < 1.0)
+
+    @property
+    def _unverified_text(self) -> str:
+        """Number of answers that the solver reports as solved and that are wrong; "" for none."""
+        row = self.summary
+        count = row["claimed_not_true"]
+        return f"{count_text(count)} of {count_text(row['raw_samples'])} answers" if count else ""
+
+    @property
+    def _time_text(self) -> tuple[str, str]:
+        """Median step time, and what it is of: in a replay the minimum over rounds, as the page."""
+        if self.scenario is not None:
+            return time_text(self.summary["raw_p50_ns"]), ""
+        p50_ns = self.summary["algo_p50_ns"]
+        return time_text(p50_ns), "minimum over rounds" if p50_ns > 0.0 else "too few steps"
 
     @property
     def _sequence_text(self) -> str:

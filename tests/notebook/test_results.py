@@ -39,6 +39,9 @@ def test_figures_have_each_timed_solver_by_either_backend(results: Results, figu
     timed = set(results.ladder()["solver"])
     # Without any answer a solver has a time and no error.
     assert named == timed if figure == "times" else {"daqp", "osqp"} <= named <= timed
+    if figure == "accuracy":
+        words = [layer.get("encoding", {}).get("text") for layer in draw().to_dict()["layer"]]
+        assert {"field": "solver", "type": "nominal"} in words
     with pytest.raises(InputError, match="one of altair, matplotlib"):
         draw(backend="pdf")
 

@@ -120,8 +120,42 @@ def test_objects_say_what_they_are_in_a_line(loop: Run, replayed: Run) -> None:
         (replayed, ("daqp", "replay paper", "12 of 12 steps")),
     ):
         text = repr(shown)
-        assert len(text) < 120 and "\n" not in text
+        assert len(text) < 150 and "\n" not in text
         assert all(word in text for word in words), text
+
+
+def test_an_inaccurate_run_says_so_first(loop: Run, clipped: Run) -> None:
+    """And how many answers the solver reports as solved although they are wrong."""
+    sequence = record_sequence(load_scenario("paper").truncate(24))
+    osqp = open_workspace("osqp", route="native", settings={"eps_abs": 0.5, "eps_rel": 0.5})
+    run = replay(sequence, osqp, repeats=2, warmup_steps=2)
+    counting = run.steps.query("counts")
+    wrong = int((counting["claimed"] & ~counting["true"]).sum())
+    assert wrong > 0 and len(counting) == 48
+    words = f"{wrong} of 48 answers"
+    assert repr(run).startswith("<Inaccurate run of osqp (native")
+    assert f"{words} reported solved but not verified" in repr(run)
+    cells = _Cells(run._repr_html_()).cells
+    assert cells[cells.index("reported solved but not verified") + 1] == words
+    assert cells[cells.index("warning") + 1] == "inaccurate"
+    assert repr(clipped).startswith("<Inaccurate run of unconstrained_clipped")
+    assert repr(loop).startswith("<Run of daqp") and "100 % verified" in repr(loop)
+    assert "warning" not in _Cells(loop._repr_html_()).cells
+
+
+def test_the_time_of_a_replay_is_the_least_over_its_rounds(loop: Run) -> None:
+    """As on the page and in the verdict; the summary has the median of all timings, too."""
+    run = replay(
+        record_sequence(load_scenario("paper").truncate(24)), "daqp", repeats=3, warmup_steps=0
+    )
+    shown = replace(run, summary=run.summary.copy())
+    shown.summary["algo_p50_ns"], shown.summary["raw_p50_ns"] = 2e3, 9e3
+    assert "p50 2.00 µs (minimum over rounds)" in repr(shown)
+    cells = _Cells(shown._repr_html_()).cells
+    assert cells[cells.index("median step time, minimum over rounds") + 1] == "2.00 µs"
+    least = run.steps.query("counts").groupby("k")["total_ns"].min()
+    assert run.summary["algo_p50_ns"] == pytest.approx(least.median())
+    assert "over rounds" not in repr(loop)
 
 
 def test_an_optimum_without_a_point_says_so() -> None:
@@ -194,6 +228,23 @@ def test_an_answer_that_is_none_can_be_drawn(loop: Run) -> None:
     chart = Run(steps, loop.summary, loop.scenario).plot.steps()
     shown = pd.DataFrame(chart.vconcat[1].layer[0].data.values)
     assert np.isfinite(shown["error"]).all() and shown["error"][3] > 1.0
+
+
+@pytest.mark.slow
+def test_steps_of_several_runs_have_a_line_each(loop: Run, replayed: Run) -> None:
+    chart = loop.plot.steps(replayed)
+    chart.to_dict()
+    times = chart.vconcat[0].data
+    for i, run in enumerate((loop, replayed), start=1):
+        own = times[times["law"] == f"{run.label} #{i}"]
+        least = run.steps[run.steps["counts"]].groupby("k")["total_ns"].min()
+        np.testing.assert_allclose(own["value"], least / 1e3)
+    assert chart.vconcat[1].layer[1].data["limit"].tolist() == [0.01]
+    pytest.importorskip("matplotlib", reason="an extra")
+    figure = loop.plot.steps(replayed, backend="matplotlib")
+    assert figure.axes[-1].get_xlabel() == "step k"
+    with pytest.raises(TypeError, match="allowed: runs of `run_closed_loop` and `replay`"):
+        loop.plot.steps(3)  # type: ignore[arg-type] # the mistake that is tested
 
 
 @pytest.mark.slow

@@ -122,12 +122,13 @@ _FIGURES = (
 )
 
 
-def draw_accuracy(table: pd.DataFrame, error_limit: float) -> Any:
+def draw_accuracy(table: pd.DataFrame, error_limit: float, *, with_names: bool = False) -> Any:
     """Draw largest error over step time, with a line through the points of a solver's settings.
 
     Points are filled as `FULL` says; clicking sets `pick`; `percentile` is p50 or p99.
 
-    table : of `level_table`; error_limit : drawn as a line.
+    table : of `level_table`; error_limit : drawn as a line; with_names : of solvers, each at its
+    most accurate point, which the page places by its script instead.
     """
     table = table.assign(
         shown=table["error"].clip(lower=style.FLOOR),
@@ -174,9 +175,12 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float) -> Any:
     named = (
         base.transform_window(rank="row_number()", groupby=["solver"], sort=[{"field": "shown"}])
         .transform_filter("datum.rank == 1")
-        .mark_point(filled=True, opacity=0, size=110)
         .properties(name=style.NAMES)
     )
+    if with_names:
+        named = named.mark_text(align="left", dx=8, dy=-6).encode(text="solver:N")
+    else:
+        named = named.mark_point(filled=True, opacity=0, size=110)
     return style.set_style(
         alt.layer(
             lines,

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from dpbench.analysis.verdict.findings import STATES
 from dpbench.bench.record.schema import FORCES
 from dpbench.report.charts import style
-from dpbench.report.charts.ship_tables import Panel, PathTables
+from dpbench.report.charts.ship_tables import STEP, TIME, Panel, PathTables
 
 COLUMN_IN = 3.5
 """Width of a figure in one column of a two-column paper [inch]."""
@@ -53,8 +53,8 @@ def draw_path(tables: PathTables) -> Figure:
     return _add_legend(figure, axes)
 
 
-def draw_panels(panels: Sequence[Panel]) -> Figure:
-    """Draw panels one below the other, over the same time (Figures 5 to 7)."""
+def draw_panels(panels: Sequence[Panel], over: str = TIME) -> Figure:
+    """Draw panels one below the other, over the same time (Figures 5 to 7) or steps."""
     figure, rows = _make_axes([1.1] * len(panels), sharex=True)
     for axes, panel in zip(rows, panels, strict=True):
         _draw_laws(axes, panel.table, "t", "value", drawstyle="steps-post")
@@ -64,7 +64,7 @@ def draw_panels(panels: Sequence[Panel]) -> Figure:
         axes.annotate(
             panel.note, (0.98, 0.95), xycoords="axes fraction", ha="right", va="top", **_SMALL
         )
-    rows[-1].set(xlabel="t [s]")
+    rows[-1].set(xlabel=over)
     return _add_legend(figure, rows[0])
 
 
@@ -96,7 +96,7 @@ def draw_step_strips(
             rows[3].plot(own["k"], own["share"], label=force, **line)
         rows[3].set(ylabel="force / limit", ylim=(-1.05, 1.05))
         _add_legend(figure, rows[3])
-    rows[-1].set(xlabel="step k")
+    rows[-1].set(xlabel=STEP)
     return figure
 
 

@@ -1,4 +1,4 @@
-"""Figures 4-7 of the paper for any scenario: path, errors, forces and increments of its laws."""
+"""Figures 4-7 of the paper for any scenario, and the steps of several runs, drawn together."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,11 +9,14 @@ import pandas as pd
 from dpbench.analysis.suites.paper import Law
 from dpbench.report.charts import style
 from dpbench.report.charts.ship_tables import (
+    STEP,
+    TIME,
     Panel,
     error_panels,
     force_panels,
     increment_panels,
     path_tables,
+    step_panels,
 )
 from dpbench.scenario.scenario import Scenario
 
@@ -62,16 +65,26 @@ def draw_increments(laws: Sequence[Law], scenario: Scenario) -> Any:
     return style.set_style(chart, "Increments", about)
 
 
-def _stack_panels(panels: Sequence[Panel], laws: Sequence[Law]) -> Any:
-    """Draw panels one below the other, over the same time."""
-    drawn = [_draw_panel(panel, laws, last=panel is panels[-1]) for panel in panels]
+def draw_steps_together(runs: Sequence[Law], error_limit: float) -> Any:
+    """Draw step time, error of the first move and iterations of several runs over their steps.
+
+    runs, error_limit : as of `step_panels`.
+    """
+    chart = _stack_panels(step_panels(runs, error_limit), runs, over=STEP)
+    wording = "Step time, error of the first move and iterations of several runs over their steps."
+    return style.set_style(chart, "Step by step", wording)
+
+
+def _stack_panels(panels: Sequence[Panel], laws: Sequence[Law], over: str = TIME) -> Any:
+    """Draw panels one below the other, over the same time or steps."""
+    drawn = [_draw_panel(panel, laws, over if panel is panels[-1] else "") for panel in panels]
     shared = alt.Resolve(scale=alt.ScaleResolveMap(x="shared"))
     return alt.vconcat(*drawn, spacing=4, resolve=shared)
 
 
-def _draw_panel(panel: Panel, laws: Sequence[Law], *, last: bool) -> Any:
-    """Draw the lines of a panel, with its limits or the note on them."""
-    lines = _draw_law_lines(panel, laws, last=last)
+def _draw_panel(panel: Panel, laws: Sequence[Law], over: str) -> Any:
+    """Draw the lines of a panel, with its limits or the note on them; `over` names its x axis."""
+    lines = _draw_law_lines(panel, laws, over)
     if panel.limits:
         return alt.layer(lines, _draw_limits(panel.limits))
     if not panel.note:
@@ -81,14 +94,14 @@ def _draw_panel(panel: Panel, laws: Sequence[Law], *, last: bool) -> Any:
     return alt.layer(lines, style.inline_chart({}).properties(mark=note).encode(**corner))
 
 
-def _draw_law_lines(panel: Panel, laws: Sequence[Law], *, last: bool) -> Any:
-    """Draw one quantity of a panel over time, a line for each control law."""
+def _draw_law_lines(panel: Panel, laws: Sequence[Law], over: str) -> Any:
+    """Draw one quantity of a panel, a line for each control law; `over` names the x axis."""
     scale, axis = style.log_scale() if panel.is_log else alt.Scale(), alt.Axis(tickCount=4)
     line = (
         alt.Chart(panel.table)
         .mark_line(strokeWidth=1.3, interpolate="step-after")
         .encode(
-            x=alt.X("t:Q", title="t [s]" if last else None, scale=alt.Scale(nice=False)),
+            x=alt.X("t:Q", title=over or None, scale=alt.Scale(nice=False)),
             y=alt.Y("value:Q", title=panel.title, scale=scale, axis=axis),
             color=_law_colour(laws),
             strokeDash=_law_dash(laws),

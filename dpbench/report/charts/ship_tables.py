@@ -1,4 +1,4 @@
-"""Tables of the figures of a ship under several control laws, as either backend draws them."""
+"""Tables of the figures of a ship, or of steps, in several runs, as either backend draws them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ import pandas as pd
 from dpbench.analysis.records.thinned_runs import MOST, extreme_indices
 from dpbench.analysis.suites.paper import CIRCLE_M, Law, pose_errors
 from dpbench.arrays import Vector
+from dpbench.report.charts import style
 from dpbench.scenario.scenario import Scenario
 
 CORNERS = 73
@@ -19,6 +20,8 @@ DRAWN_FORCES = (
     ("sway", "y", "N", 1e3, "kN"),
     ("yaw", "n", "Nm", 1e6, "MN·m"),
 )
+TIME, STEP = "t [s]", "step k"
+"""Names of the axis that panels share."""
 MOST_TOGETHER = 4800
 """Points of all runs in a figure: a notebook refuses tables of more than 5000 rows."""
 LEAST_M = 1e-6
@@ -47,9 +50,10 @@ class PathTables:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One quantity over time under each control law.
+    """One quantity over time, or over the steps, under each control law.
 
-    table : columns law, t [s] and value. limits : drawn across. note : words in the corner.
+    table : columns law, t (time [s] or step) and value. limits : drawn across. note : words in the
+    corner.
     """
 
     title: str
@@ -100,6 +104,25 @@ def increment_panels(laws: Sequence[Law], scenario: Scenario) -> list[Panel]:
     return _axis_panels(laws, "dtau", "Δ", -most, most)
 
 
+def step_panels(runs: Sequence[Law], error_limit: float) -> list[Panel]:
+    """Tabulate step time, error of the first move and iterations over the steps of several runs.
+
+    runs : with steps of the columns `charts.steps.COLUMNS`.
+    """
+    panels = []
+    for column, title, limits in (
+        ("time_us", "time [µs]", ()),
+        ("error", "error_move", (error_limit,)),
+        ("iterations", "iterations", ()),
+    ):
+        table = _law_time_series(runs, lambda run, c=column: run.steps[c], over="k")
+        is_log = column != "iterations"
+        if is_log:
+            table["value"] = table["value"].clip(lower=style.FLOOR)
+        panels.append(Panel(title, table, limits, is_log=is_log))
+    return panels
+
+
 def _axis_panels(
     laws: Sequence[Law], column: str, sign: str, low: Vector, high: Vector
 ) -> list[Panel]:
@@ -117,12 +140,12 @@ def _axis_panels(
 
 
 def _law_time_series(
-    laws: Sequence[Law], value: Callable[..., npt.ArrayLike | pd.Series]
+    laws: Sequence[Law], value: Callable[..., npt.ArrayLike | pd.Series], over: str = "t_s"
 ) -> pd.DataFrame:
-    """Tabulate a quantity over time for each control law, thinned for drawing."""
+    """Tabulate a quantity over the column `over` for each control law, thinned for drawing."""
     tables = []
     for law in laws:
-        values, t = np.asarray(value(law), dtype=np.float64), law.steps["t_s"].to_numpy()
+        values, t = np.asarray(value(law), dtype=np.float64), law.steps[over].to_numpy()
         shown = extreme_indices(values, _points_per_run(laws))
         tables.append(pd.DataFrame({"law": law.label, "t": t[shown], "value": values[shown]}))
     return pd.concat(tables)
