@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 import textwrap
+import time
 import webbrowser
 from collections.abc import Iterable
 from pathlib import Path
@@ -34,6 +35,8 @@ ENDING_STYLES = {
 }
 """Styles of the lines that a run ends with."""
 _INDENT = 4 * " "
+MINUTE_S, SHORTEST_S, SHARE = 60.0, 10.0, 0.1
+"""Progress lines where there is no terminal: each minute, or each tenth that takes `SHORTEST_S`."""
 
 
 def make_console() -> Console:
@@ -155,6 +158,8 @@ class ProgressBar:
             disable=quiet or (transient and not _can_erase()),
         )
         self._task = self._progress.add_task("starting", total=None)
+        self._is_shown = _can_erase()
+        self._restart(0)
 
     def __enter__(self) -> ProgressBar:
         return self
@@ -167,6 +172,12 @@ class ProgressBar:
         """Show the progress bar with the total amount of work."""
         self._progress.start()
         self._progress.update(self._task, total=work)
+        self._restart(work)
+
+    def _restart(self, total: int) -> None:
+        """Begin to count time and work for the lines that are printed without a terminal."""
+        self._total, self._done, self._printed_share = total, 0, 0.0
+        self._printed_s = self._started_s = time.monotonic()
 
     def remark(self, text: str) -> None:
         """Print a line above the progress bar, or on standard error without a bar, unless quiet."""
@@ -182,6 +193,19 @@ class ProgressBar:
     def advance(self, work: int, what: str) -> None:
         """Add finished work to the progress bar and show what it was."""
         self._progress.update(self._task, advance=work, description=what[:44])
+        self._done += work
+        if not (self._quiet or self._is_shown) and self._total:
+            self._print_share(self._done / self._total, what, time.monotonic())
+
+    def _print_share(self, share: float, what: str, now_s: float) -> None:
+        """Print how much is done on standard error: each minute, and each tenth that takes long."""
+        since_s, is_tenth = now_s - self._printed_s, share - self._printed_share >= SHARE
+        if since_s >= MINUTE_S or (is_tenth and since_s >= SHORTEST_S):
+            passed_s = now_s - self._started_s
+            print(
+                f"dpbench: {share:.0%} after {passed_s:.0f} s: {what}", file=sys.stderr, flush=True
+            )
+            self._printed_s, self._printed_share = now_s, share
 
 
 def _can_erase() -> bool:

@@ -1,9 +1,10 @@
 """Text of the controller's own result: the first lines of every report."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from dpbench.analysis.records.run_record import group_by
+from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.run.station import HEADING_DEG
 from dpbench.report.formats import and_list, plural, share_text, significant
@@ -45,9 +46,20 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
     lost = [ship for ship in known if ship.has_left]
     opening = f"{BANNER}{_name_failures(lost)}, whatever the solver"
     warning = f"{opening}: {_describe_lost(lost)}." if lost else ""
-    sentences = [_describe_kept(known), *_describe_rest(ships), *_describe_limits(known)]
+    sentences = [
+        _describe_kept(known),
+        *_describe_after_losses(known),
+        *_describe_rest(ships),
+        *_describe_limits(known),
+    ]
     text = " ".join(sentence for sentence in sentences if sentence)
     return ShipSummary(warning, text, " ".join(_describe_small_margins(known)))
+
+
+def list_losses(run: RunRecord) -> list[tuple[float, list[str]]]:
+    """Return the time [s] and the names of each loss of thrusters in the scenario of a run."""
+    faults = (run.scenario_files or {}).get("scenario", {}).get("faults") or ()
+    return [(fault["at_s"], [*map(str, fault["lost"])]) for fault in faults if fault.get("lost")]
 
 
 def _name_failures(lost: Sequence[ShipResult]) -> str:
@@ -55,15 +67,15 @@ def _name_failures(lost: Sequence[ShipResult]) -> str:
     before = [
         [
             name
-            for fault in (ship.run.scenario_files or {}).get("scenario", {}).get("faults") or ()
-            if fault["at_s"] <= ship.run.exact_left_s
-            for name in fault.get("lost") or ()
+            for at_s, names in list_losses(ship.run)
+            if at_s <= ship.run.exact_left_s
+            for name in names
         ]
         for ship in lost
     ]
     if not all(before):
         return ""
-    losses = dict.fromkeys(and_list([str(name) for name in names]) for names in before)
+    losses = dict.fromkeys(and_list(names) for names in before)
     return f" after the loss of {' or of '.join(losses)}"
 
 
@@ -159,6 +171,28 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
         f"{significant(run.exact_offset_max_s)} s, {significant(run.exact_offset_end_m)} m at the "
         "end."
     )
+
+
+def _describe_after_losses(known: Sequence[ShipResult]) -> Iterator[str]:
+    """State how far ships outside of studies are off after a loss, the farthest first."""
+    after = [ship for ship in known if not ship.run.study and _has_loss(ship)]
+    after.sort(key=lambda ship: -ship.run.exact_loss_offset_max_m / ship.run.station_radius_m)
+    for ship in after[:MOST_NAMED]:
+        run = ship.run
+        losses = [f"{and_list(names)} at {at_s:g} s" for at_s, names in list_losses(run)]
+        what = and_list(losses) or "some of the force"
+        yield (
+            f"After the loss of {what} (`{ship.name}`): largest offset "
+            f"{significant(run.exact_loss_offset_max_m)} m, largest heading error "
+            f"{significant(run.exact_loss_heading_max_deg)}°; at the end "
+            f"{significant(run.exact_offset_end_m)} m and "
+            f"{significant(run.exact_heading_end_deg)}°."
+        )
+
+
+def _has_loss(ship: ShipResult) -> bool:
+    """Return whether a ship on its station loses thrusters or limits within its run."""
+    return not math.isnan(ship.run.exact_loss_offset_max_m)
 
 
 def _describe_small_margins(known: Sequence[ShipResult]) -> list[str]:

@@ -156,3 +156,20 @@ def test_a_remark_is_said_where_no_bar_can_be(capsys: pytest.CaptureFixture[str]
     with ProgressBar(quiet=True) as bar:
         bar.remark("nothing")
     assert capsys.readouterr() == ("", "dpbench: compiling\n")
+
+
+def test_progress_without_a_terminal_is_a_line_now_and_then(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each minute, or each tenth that takes ten seconds; none where it is quick or quiet."""
+    now_s = 0.0
+    monkeypatch.setattr("dpbench.cli.terminal.time.monotonic", lambda: now_s)
+    with ProgressBar() as bar, ProgressBar(quiet=True) as silent:
+        for one in (bar, silent):
+            one.start(100)
+        for at_s, work in ((3.0, 40), (11.0, 5), (21.0, 1), (72.0, 4), (73.0, 50)):
+            now_s = at_s
+            for one in (bar, silent):
+                one.advance(work, "daqp")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["dpbench: 45% after 11 s: daqp", "dpbench: 50% after 72 s: daqp"]

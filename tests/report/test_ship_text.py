@@ -296,3 +296,15 @@ def test_a_study_with_one_point_of_active_limits_was_hard(records: Any) -> None:
         "Limits are active in 0 % (point 0, sea 1 of `seas`) to 24.5 % (point 1, sea 1 of `seas`)"
     )
     assert text.endswith(f"{limits} of the steps.")
+
+
+def test_the_largest_and_the_last_offset_after_a_loss_are_stated(records: Any) -> None:
+    """The scenario file names the loss; a scenario without one has no such sentence."""
+    after = {"exact_loss_offset_max_m": 2.5, "exact_loss_heading_max_deg": 1.25}
+    records.loop("daqp", "thrusters_loss", **after)
+    records.loop("daqp", "paper")
+    assert _summary(records).text.count("After the loss") == 1
+    assert (
+        "After the loss of board A at 90 s (`thrusters_loss`): largest offset 2.50 m, largest "
+        "heading error 1.25°; at the end 0.0400 m and 0.0100°."
+    ) in _summary(records).text

@@ -119,7 +119,8 @@ def _name_ship(run: RunRecord, *, several: bool) -> str:
 SHIP_COLUMNS = (
     *("exact_steps", "station_radius_m", "exact_left_s", "exact_offset_max_m"),
     *("exact_offset_max_s", "exact_offset_end_m", "exact_heading_max_deg"),
-    *("exact_heading_end_deg", "exact_active_share"),
+    *("exact_heading_end_deg", "exact_loss_offset_max_m", "exact_loss_heading_max_deg"),
+    "exact_active_share",
 )
 
 

@@ -20,13 +20,15 @@ def station_metrics(scenario: Scenario, exact: ExactLoop, steps: int) -> dict[st
     """Return where the exactly solved loop's ship is in `steps` steps, and how often limits act.
 
     The ship is on station within `RADIUS_M` and `HEADING_DEG` of its setpoint, lengths and times
-    scaled for a model ship. Offsets count from its arrival on, or all if it never arrives.
+    scaled for a model ship. Offsets count from its arrival on, or all if it never arrives; after a
+    loss of thrusters or limits those from the arrival on.
     """
     K = min(steps, len(exact.tau))
     offset, heading, distance, arrived, radius_m = _measure_offsets(scenario, exact.state[: K + 1])
     left = arrived & ~(distance <= 1.0)
     counted = arrived if arrived.any() else ~arrived
     largest = int(np.argmax(np.where(counted, offset, -1.0)))
+    after_loss = arrived & (np.arange(K + 1) >= _first_loss_sample(scenario))
     return {
         "exact_steps": float(K),
         "station_radius_m": radius_m,
@@ -35,9 +37,22 @@ def station_metrics(scenario: Scenario, exact: ExactLoop, steps: int) -> dict[st
         "exact_offset_end_m": float(offset[-1]),
         "exact_heading_max_deg": float(heading[counted].max()),
         "exact_heading_end_deg": float(heading[-1]),
+        "exact_loss_offset_max_m": _largest(offset[after_loss]),
+        "exact_loss_heading_max_deg": _largest(heading[after_loss]),
         "exact_left_s": float(np.argmax(left)) * scenario.sample_s if left.any() else np.nan,
         "exact_active_share": float(exact.active[:K].mean()),
     }
+
+
+def _largest(values: Vector) -> float:
+    """Return the largest of some values; NaN without any."""
+    return float(values.max()) if len(values) else np.nan
+
+
+def _first_loss_sample(scenario: Scenario) -> float:
+    """Return the sample of a scenario's first fault; inf without one."""
+    faults = scenario.files["scenario"].get("faults") or ()
+    return min((round(fault["at_s"] / scenario.sample_s) for fault in faults), default=np.inf)
 
 
 def station_share(scenario: Scenario, state: Matrix) -> float:

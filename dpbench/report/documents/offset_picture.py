@@ -10,9 +10,9 @@ from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.thinned_runs import extreme_indices
 from dpbench.arrays import Vector
 from dpbench.report.charts.style import ACCENT, FAIL, INK, SOFT
-from dpbench.report.documents.scenario_words import list_losses
 from dpbench.report.formats import and_list, significant
 from dpbench.report.page.data import PageData
+from dpbench.report.ship_text import list_losses
 
 POINTS = 300  # Corners of the line, at most: one every 1.7 points of a page
 
@@ -53,7 +53,7 @@ class OffsetPicture:
             f'<path d="M{left} {top}v{height}h{width}" fill="none" stroke="{SOFT}"/>'
             f'<polyline points="{line}" fill="none" stroke="{ACCENT}" stroke-width="1.2"/>'
         )
-        for at_s, lost in list_losses((self.run.scenario_files or {}).get("scenario", {})):
+        for at_s, lost in list_losses(self.run):
             at = left + width * at_s / max(float(self.t_s[-1]), 1e-9)
             if at <= left + width:
                 yield f'<path d="M{at:.1f} {top}v{height}" stroke="{FAIL}" stroke-width="0.8"/>'

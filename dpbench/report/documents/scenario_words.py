@@ -6,7 +6,7 @@ from typing import Any
 from dpbench.analysis.records.run_record import group_by
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.report.formats import and_list
-from dpbench.report.ship_text import describe_ship
+from dpbench.report.ship_text import describe_ship, list_losses
 
 
 def describe_scenario(ship: ShipResult) -> Iterator[str]:
@@ -15,14 +15,8 @@ def describe_scenario(ship: ShipResult) -> Iterator[str]:
     scenario = (ship.run.scenario_files or {}).get("scenario")
     if scenario is not None:
         parts = [_weather_text(scenario.get("environment") or {})]
-        parts += [f"loss of {and_list(lost)} at {at_s:g} s" for at_s, lost in list_losses(scenario)]
+        parts += [f"loss of {and_list(lost)} at {at_s:g} s" for at_s, lost in list_losses(ship.run)]
         yield f"{scenario.get('title', ship.name)}: {'; '.join(parts)}"
-
-
-def list_losses(scenario: Mapping[str, Any]) -> list[tuple[float, list[str]]]:
-    """Return the time [s] and the names of each loss of thrusters of a scenario document."""
-    faults = scenario.get("faults") or ()
-    return [(fault["at_s"], [*map(str, fault["lost"])]) for fault in faults if fault.get("lost")]
 
 
 def _weather_text(environment: Mapping[str, Any]) -> str:

@@ -97,3 +97,16 @@ def test_when_a_ship_has_arrived(
     jumps = np.isin(np.arange(5), moved)
     found = find_arrivals(np.array(distance, dtype=float), jumps, 2)
     np.testing.assert_array_equal(found, np.array(arrived, dtype=bool))
+
+
+def test_offsets_after_a_loss_count_from_it_on() -> None:
+    """Four samples at rest, a loss at the fifth, and 3 m off at most; nothing without a loss."""
+    calm = load_scenario("calm")
+    east = [4.0, 0.0, 0.0, 0.0, 1.0, 3.0, 2.0]
+    faults = [{"at_s": 1.2, "limit_share": [1.0, 0.5, 1.0]}]
+    lossy = replace_values(calm, {"faults": faults}, "a loss")
+    found = station_metrics(lossy, loop_along(lossy, east), 6)
+    assert found["exact_loss_offset_max_m"] == 3.0 and found["exact_offset_max_m"] == 4.0
+    assert found["exact_loss_heading_max_deg"] == 0.0
+    assert np.isnan(station_metrics(lossy, loop_along(lossy, east), 3)["exact_loss_offset_max_m"])
+    assert np.isnan(station_metrics(calm, loop_along(calm, east), 6)["exact_loss_offset_max_m"])
