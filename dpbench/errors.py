@@ -27,7 +27,8 @@ class InputError(DpbenchError, ValueError):
 
     Parameters
     ----------
-    where : file, option or argument the mistake is in.
+    where : file or argument the mistake is in. An argument is in backquotes, as others in its text;
+        the command line prints them as its options, `jobs` as --jobs.
     key : the key inside it ("" when the whole of it is meant).
     found : what stands there.
     allowed : what could stand there.
@@ -48,12 +49,12 @@ class InputError(DpbenchError, ValueError):
         return type(self), (self.where, self.key, self.found, self.allowed)
 
 
-def require_at_least(option: str, value: int, least: int) -> None:
+def require_at_least(argument: str, value: int, least: int) -> None:
     """Raise InputError for a number below `least`, TypeError for one that is not whole."""
     if not isinstance(value, Integral):
-        raise TypeError(f"{option}: found {value!r}; allowed: a whole number, {least} or more")
+        raise TypeError(f"{argument}: found {value!r}; allowed: a whole number, {least} or more")
     if value < least:
-        raise InputError(option, "", value, f"a whole number, {least} or more")
+        raise InputError(argument, "", value, f"a whole number, {least} or more")
 
 
 def require_names(**given: object) -> None:
@@ -109,7 +110,7 @@ _NEAREST = 3
 
 
 def list_allowed(text: str, known: Sequence[str], *, listing: str = "") -> str:
-    """Return as text all known names, or the three nearest to `text` and a command for all."""
+    """Return as text all known names, or the three nearest to `text` and what lists all."""
     if len(known) <= MOST_NAMES:
         return f"one of {', '.join(known)}"
     # A text of a megabyte would be compared letter by letter.

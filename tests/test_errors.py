@@ -17,7 +17,7 @@ def test_a_short_list_is_given_whole() -> None:
 
 
 @pytest.mark.parametrize(
-    ("listing", "end"), [("", ""), ("dpbench list scenarios", ": `dpbench list scenarios`")]
+    ("listing", "end"), [("", ""), ("list_scenarios()", ": `list_scenarios()`")]
 )
 def test_a_long_list_is_cut_to_the_nearest_three(listing: str, end: str) -> None:
     """Seven names; the nearest first, then how many more there are and what lists them."""

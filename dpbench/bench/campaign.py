@@ -329,7 +329,7 @@ def run_campaign(
         **chosen,
     )
     if wait_s is not None and not 0.0 <= wait_s < math.inf:
-        raise InputError("--wait", "", wait_s, "a number of seconds, 0 or more")
+        raise InputError("`wait_s`", "", wait_s, "a number of seconds, 0 or more")
     plan, some = asked.plan(), Shard.from_text(shard)
     designs = plan_suite_designs(plan) if some.index == 1 else []
     counts = plan_suite_counts(plan) if some.index == 1 else []
@@ -346,7 +346,7 @@ def run_campaign(
         )
         if not (fresh or may_leave_out):
             work = [job.planned for job in campaign.work]
-            refuse_other_selection(work, folder, "--fresh to replace them, or another --out")
+            refuse_other_selection(work, folder, "`fresh=True` to replace them, or another `out`")
         for remark in campaign.store.remarks:
             progress.remark(remark)
         if shard is not None:

@@ -111,7 +111,7 @@ def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str)
         place = first["sequence"] or first["scenario"]
         example = f"{first['solver']} in {place}, {first['steps_planned']} steps"
         found = f"{out} with {len(others)} finished runs that were not requested, as of {example}"
-        raise InputError("--out", "", found, remedy)
+        raise InputError("`out`", "", found, remedy)
 
 
 def _selection_key(cell: Cell) -> tuple[object, ...]:

@@ -11,6 +11,7 @@ import argparse
 import atexit
 import json
 import os
+import re
 import resource
 import sys
 import warnings
@@ -89,6 +90,31 @@ def _print_warning(
     print(f"dpbench: {kind}{message}", file=sys.stderr)
 
 
+_LISTING = re.compile(r"`list_(\w+)\(\)`")
+_ARGUMENT = re.compile(r"`(\w+)(?:=True)?`")
+_OPTIONS = {
+    "solvers": "solver",
+    "scenarios": "scenario",
+    "routes": "route",
+    "policies": "policy",
+    "wait_s": "wait",
+}
+"""Options that are not called as the argument of the function."""
+
+
+def _use_command_words(error: DpbenchError) -> str:
+    """Return an error's text with options and commands in place of arguments and functions."""
+    text = _LISTING.sub(r"`dpbench list \1`", str(error))
+    if not (isinstance(error, InputError) and error.where.startswith("`")):
+        return text
+    return _ARGUMENT.sub(_write_option, text)
+
+
+def _write_option(argument: re.Match[str]) -> str:
+    """Return the option of the command line for an argument of a function."""
+    return f"--{_OPTIONS.get(argument[1], argument[1]).replace('_', '-')}"
+
+
 def _call_and_report_errors(arguments: argparse.Namespace, interruption: Interruption) -> int:
     """Run a parsed command; print an error on one line; return the exit code."""
     try:
@@ -100,7 +126,7 @@ def _call_and_report_errors(arguments: argparse.Namespace, interruption: Interru
         sys.stdout.flush()
         return code
     except DpbenchError as error:
-        print(f"dpbench: {error}", file=sys.stderr)
+        print(f"dpbench: {_use_command_words(error)}", file=sys.stderr)
         return 2 if isinstance(error, InputError) else 1
     except OSError as error:
         if is_output_lost():

@@ -70,7 +70,7 @@ def write_report_with_summary(
     """
     for kind in figures:
         if kind not in FORMATS:
-            raise InputError("--figures", "", repr(kind), " | ".join(FORMATS))
+            raise InputError("`figures`", "", repr(kind), " | ".join(FORMATS))
     folder = Path(out)
     with lock_for_writing(folder):
         beside_it = load_designs(folder), baseline, load_capability(folder), load_counts(folder)

@@ -128,7 +128,8 @@ def is_stored(name: str | Path) -> bool:
 
 def unknown_name(kind: str, text: str, otherwise: str) -> UnknownNameError:
     """Return an error for an unknown vessel, scenario, suite or sequence name, with near names."""
-    allowed = list_allowed(text, problem_names(kind), listing=f"dpbench list {kind}")
+    listing = "dpbench list vessels" if kind == "vessels" else f"list_{kind}()"
+    allowed = list_allowed(text, problem_names(kind), listing=listing)
     shown = repr(text if len(text) <= 80 else f"{text[:77]}...")
     return UnknownNameError(f"{kind[:-1]} name", "", shown, f"{allowed}; or {otherwise}")
 

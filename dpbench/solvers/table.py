@@ -21,7 +21,6 @@ from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
 from dpbench.solvers.own.adapters import OWN
 from dpbench.solvers.record import NO_PROJECT_FACTS, Build, RouteRecord, SolverRecord
 
-LISTING = "dpbench list solvers"  # The command that lists all solvers
 _ON_NATIVE: dict[str, NativeAdapter] = {**NATIVE, **OWN}
 TABLE: dict[str, SolverRecord] = {
     name: (_ON_NATIVE if name in _ON_NATIVE else THROUGH_QPSOLVERS)[name].record
@@ -73,7 +72,7 @@ def find_record(name: str) -> SolverRecord:
     if _is_served_by_qpsolvers(name):
         return _make_generic_adapter(name).record
     raise UnknownNameError(
-        "solver", "", repr(name), list_allowed(name, solver_names(), listing=LISTING)
+        "solver", "", repr(name), list_allowed(name, solver_names(), listing="list_solvers()")
     )
 
 

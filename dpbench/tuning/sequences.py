@@ -52,7 +52,7 @@ def load_problem(name: str, steps: int = 0) -> TunedProblem:
         scenario = load_scenario(name)
     except UnknownNameError as error:
         known = [*problem_names("scenarios"), *problem_names(SEQUENCES)]
-        allowed = f"{error.allowed}; or one of {len(known)} of `dpbench list sequences`"
+        allowed = f"{error.allowed}; or one of {len(known)} of `list_sequences()`"
         raise UnknownNameError("tune-solver", "", error.found, allowed) from error
     origin = str(Path(name).resolve()) if name.endswith(".toml") else name
     table = {

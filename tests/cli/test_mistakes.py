@@ -1,10 +1,12 @@
 """Mistakes a person makes: one line with place, found and allowed, exit 2, nothing written."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from dpbench import InputError, export_sequence, run_campaign
 from dpbench.cli.main import main
 from dpbench.scenario.problem_files import problem_path
 from tests.cli.conftest import Say
@@ -72,6 +74,47 @@ def test_a_ship_in_other_units_is_none(
 def test_bad_input_is_one_line_and_exit_2(words: list[str], parts: list[str], refuse: Say) -> None:
     line = refuse(*words)
     assert all(part in line for part in parts), line
+
+
+@pytest.mark.parametrize(
+    ("call", "said", "words", "typed"),
+    [
+        (
+            lambda: run_campaign("smoke", "out", wait_s=-1.0),
+            "`wait_s`: found -1.0; ",
+            ["run", "smoke", "--out", "out", "--wait", "-1"],
+            "--wait: found -1.0; ",
+        ),
+        (
+            lambda: run_campaign("smoke", "out", scheduler="tcp://127.0.0.1:1"),
+            "allowed: `engine` dask",
+            ["run", "smoke", "--out", "out", "--scheduler", "tcp://127.0.0.1:1"],
+            "allowed: --engine dask",
+        ),
+        (
+            lambda: export_sequence("paper-30-5", "out.npz", at=3, every=2),
+            "`at`: found 3 beside `steps` or `every`",
+            ["export", "paper-30-5", "--out", "out.npz", "--at", "3", "--every", "2"],
+            "--at: found 3 beside --steps or --every",
+        ),
+        (
+            lambda: run_campaign("smoke", "out", solvers=["quadprgo"]),
+            "more: `list_solvers()`",
+            ["run", "smoke", "--out", "out", "--solver", "quadprgo"],
+            "more: `dpbench list solvers`",
+        ),
+    ],
+    ids=["renamed", "option", "several", "listing"],
+)
+def test_a_mistake_is_named_as_the_user_made_it(
+    call: Callable[[], object], said: str, words: list[str], typed: str, refuse: Say
+) -> None:
+    """By arguments and functions in Python, by options and commands on the command line."""
+    with pytest.raises(InputError) as refused:
+        call()
+    assert said in str(refused.value) and "--" not in str(refused.value)
+    line = refuse(*words)
+    assert typed in line and said not in line
 
 
 @pytest.mark.parametrize("words", [["list", "ship"], ["fly"]])

@@ -159,7 +159,7 @@ def test_a_sequence_is_a_stored_name_or_a_path(
     assert sequence_path("robot", beside) == beside / "robot"
     assert sequence_path("mine", beside).resolve() == here / "mine"
     assert sequence_path("no/such") == Path("no/such")
-    listing = r"more: `dpbench list sequences`; or a \.npz path"
+    listing = r"more: `list_sequences\(\)`; or a \.npz path"
     for name, near in (("paper-30-6", "allowed: paper-30-5, .*"), ("x" * 300, "")):
         with pytest.raises(UnknownNameError, match=near + listing):
             sequence_path(name)

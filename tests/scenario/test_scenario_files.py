@@ -140,7 +140,7 @@ def test_an_unknown_scenario_name_lists_the_nearest(name: str, hint: str) -> Non
     assert caught.value.allowed.startswith(hint)
     known = problem_names("scenarios")
     assert sum(word in known for word in re.split("[ ,]+", caught.value.allowed)) == 3
-    assert f"… {len(known) - 3} more: `dpbench list scenarios`" in caught.value.allowed
+    assert f"… {len(known) - 3} more: `list_scenarios()`" in caught.value.allowed
 
 
 def test_a_scenario_takes_another_vessel_by_name(write: Callable[..., Path]) -> None:

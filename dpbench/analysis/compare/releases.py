@@ -162,7 +162,7 @@ def _choose_reference_solver(folders: Mapping[str, Records], asked: str | None) 
         allowed = (
             list_allowed(asked or "", common) if common else "a solver that all folders replayed"
         )
-        raise UnknownNameError("--reference", "", found, allowed)
+        raise UnknownNameError("`reference`", "", found, allowed)
     return known[0]
 
 

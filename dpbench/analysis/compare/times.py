@@ -163,7 +163,7 @@ def reference_solver(timings: Sequence[Timing], asked: str | None) -> str:
     counts = Counter(t.pair.a.solver for t in timings)
     if asked is not None and asked not in counts:
         allowed = list_allowed(asked, sorted(counts)) if counts else "a solver that both replayed"
-        raise UnknownNameError("--reference", "", repr(asked), allowed)
+        raise UnknownNameError("`reference`", "", repr(asked), allowed)
     known = [name for name in REFERENCES if name in counts]
     most = [name for name, _ in counts.most_common(1)]
     return asked or next(iter([*known, *most]), "")

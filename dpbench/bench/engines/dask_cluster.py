@@ -35,7 +35,7 @@ ANSWER_S = 5.0
 """Longest time that a scheduler may take to answer [s]."""
 RETURN_S = 30.0
 """Longest time that a campaign waits for a scheduler that went away [s]."""
-WHERE, TLS = "--scheduler", "--tls"
+WHERE, TLS = "`scheduler`", "`tls`"
 _OWN = {
     # A worker that is a daemon could start no processes.
     "distributed.worker.daemon": False,

@@ -25,27 +25,27 @@ def open_engine(
     scheduler that does not answer or whose workers cannot run cells.
     """
     if name not in ENGINES:
-        raise InputError("--engine", "", repr(name), " or ".join(ENGINES))
+        raise InputError("`engine`", "", repr(name), " or ".join(ENGINES))
     if name == "local" and scheduler is not None:
-        raise InputError("--scheduler", "", f"{scheduler} with engine local", "--engine dask")
+        raise InputError("`scheduler`", "", f"{scheduler} with engine local", "`engine` dask")
     if tls is not None and scheduler is None:
-        raise InputError("--tls", "", "files without --scheduler", "--scheduler tls://HOST:8786")
+        raise InputError("`tls`", "", "files without `scheduler`", "`scheduler` tls://HOST:8786")
     if scheduler is not None and jobs is not None:
-        found, allowed = f"{jobs} with --scheduler", "one of the two: its workers are there"
-        raise InputError("--jobs", "", found, allowed)
+        found, allowed = f"{jobs} with `scheduler`", "one of the two: its workers are there"
+        raise InputError("`jobs`", "", found, allowed)
     slots = count_slots(jobs)
     # Before anything is written: a folder that cannot be trusted refuses.
     open_lease_folder()
     if name == "local":
         return LocalEngine(slots, patience)
     if patience != WaitLimit():
-        raise InputError("--wait", "", f"a limit with engine {name}", "engine local")
+        raise InputError("`wait_s`", "", f"a limit with engine {name}", "engine local")
     try:
         # What an extra installs is imported only where it is asked for.
         from dpbench.bench.engines.dask_engine import open_dask_engine
     except ModuleNotFoundError as error:
         found, allowed = f"dask, without {error.name}", "pip install 'dpbench[cluster]', or local"
-        raise InputError("--engine", "", found, allowed) from error
+        raise InputError("`engine`", "", found, allowed) from error
     return open_dask_engine(scheduler, slots, tls)
 
 
@@ -53,5 +53,5 @@ def count_slots(jobs: int | None) -> int:
     """Return how many runs to do at a time: `jobs`, or all cores for None; InputError if more."""
     cores = len(os.sched_getaffinity(0))
     if jobs is not None and not 1 <= jobs <= cores:
-        raise InputError("--jobs", "", jobs, f"a number from 1 to {cores}, the cores available")
+        raise InputError("`jobs`", "", jobs, f"a number from 1 to {cores}, the cores available")
     return jobs or cores

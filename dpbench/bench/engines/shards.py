@@ -48,7 +48,7 @@ class Shard:
     def __post_init__(self) -> None:
         if not 1 <= self.index <= self.count <= MOST_SHARDS:
             allowed = f"i/n, as 1/4, with i from 1 to n and n up to {MOST_SHARDS}"
-            raise InputError("--shard", "", repr(str(self)), allowed)
+            raise InputError("`shard`", "", repr(str(self)), allowed)
 
     def __str__(self) -> str:
         return f"{self.index}/{self.count}"
@@ -60,7 +60,7 @@ class Shard:
             return WHOLE
         parts = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
         if parts is None:
-            raise InputError("--shard", "", repr(text)[:80], "i/n, as 1/4, with i from 1 to n")
+            raise InputError("`shard`", "", repr(text)[:80], "i/n, as 1/4, with i from 1 to n")
         return cls(*map(int, parts.groups()))
 
     def select_jobs(self, jobs: list[CellJob]) -> list[CellJob]:

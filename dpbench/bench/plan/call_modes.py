@@ -16,13 +16,13 @@ from dpbench.solvers.table import find_record
 
 def check_mode_names(routes: Sequence[str] | None, policies: Sequence[str] | None) -> None:
     """Raise PolicyError for an unknown route or policy."""
-    for option, chosen, known in (
-        ("--route", routes, get_args(RouteName)),
-        ("--policy", policies, get_args(Policy)),
+    for argument, chosen, known in (
+        ("`routes`", routes, get_args(RouteName)),
+        ("`policies`", policies, get_args(Policy)),
     ):
         for name in chosen or ():
             if name not in known:
-                raise PolicyError(option, "", repr(name)[:90], " | ".join(known))
+                raise PolicyError(argument, "", repr(name)[:90], " | ".join(known))
 
 
 def check_call_modes(suite: SuiteFile, solvers: Sequence[str], has_routes: bool) -> list[str]:
@@ -47,8 +47,8 @@ def check_call_modes(suite: SuiteFile, solvers: Sequence[str], has_routes: bool)
     if lacking and len(missing) == len(lacking):
         name, (found, allowed) = next(iter(missing.items()))
         others = f" (none of {len(missing)} solvers has it)" if len(missing) > 1 else ""
-        option = "--route" if has_routes else "--policy"
-        raise PolicyError(option, "", f"{found}{others}", f"{allowed} of {name}")
+        argument = "`routes`" if has_routes else "`policies`"
+        raise PolicyError(argument, "", f"{found}{others}", f"{allowed} of {name}")
     return [f"{name} does not run: it has no {found}" for name, (found, _) in missing.items()]
 
 

@@ -59,7 +59,7 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
         chosen.append(BASELINE_LAW)
     if not only and suite.calibration:
         chosen += CALIBRATION
-    check_own_settings(suite, chosen, "--solver" if only else "suite: solvers")
+    check_own_settings(suite, chosen, "`solvers`" if only else "suite: solvers")
     return list(dict.fromkeys(chosen))
 
 
@@ -105,7 +105,7 @@ def check_backup(name: str) -> tuple[str, str]:
     one = name != "all" and "[" not in name
     (solver,) = _resolve_solvers("closed_loop.backup", [name]) if one else ("",)
     if not solver or plugin_file(solver) or solver in CALIBRATION:
-        allowed = "one solver of `dpbench list solvers`, or of an installed plug-in"
+        allowed = "one solver of `list_solvers()`, or of an installed plug-in"
         raise InputError("suite", "closed_loop.backup", repr(name), allowed)
     here = check_availability(solver)
     return solver, "" if here.ok else f"backup {solver}: {here.reason}"

@@ -48,7 +48,7 @@ def plan(
     for name in scenarios or ():
         if name not in known:
             allowed = list_allowed(name, known) if known else "none, the suite has no scenario"
-            raise InputError("--scenario", "", repr(name), f"a scenario of the suite: {allowed}")
+            raise InputError("`scenarios`", "", repr(name), f"a scenario of the suite: {allowed}")
     loaded = {name: load_scenario(name, beside=beside) for name in known}
     swept = _load_horizon_variants(suite, loaded)
     stems = _list_unique_names([*loaded.values(), *swept.values()])

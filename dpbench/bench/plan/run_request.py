@@ -116,9 +116,9 @@ class RunRequest:
             meta = read_sequence(sequence_path(self.sequence)).sequence.meta
             name = f"sequence-{Path(self.sequence).resolve().stem}"
             return name, Path("suite"), build_sequence_suite(self.sequence, meta)
-        both = f"suite {self.suite} and --sequence {self.sequence}"
+        both = f"suite {self.suite} and sequence {self.sequence}"
         found = "neither" if self.suite is None else both
-        raise InputError("run", "", found, "a suite, or --sequence PATH")
+        raise InputError("run", "", found, "a suite or a sequence")
 
 
 def select_part(
@@ -136,7 +136,7 @@ def select_part(
     loop and replay runs with them, from the first step on. InputError for less than one step.
     """
     if steps is not None:
-        require_at_least("--steps", steps, 1)
+        require_at_least("`steps`", steps, 1)
     asked = list(scenarios or ())
     tables: dict[str, list[Any]] = {
         key: list(getattr(suite, key)) for key in SuiteFile.list_cell_tables()

@@ -306,12 +306,12 @@ class SuiteFile(FileModel):
 def name_file_in_errors(path: Path, *, chosen: bool = False) -> Iterator[None]:
     """Replace "the suite" by its path in input errors raised within the block.
 
-    Settings that were `chosen` on the command line are not the file's.
+    Settings that were `chosen` by an argument are not the file's.
     """
     places = {
         "suite": str(path),
         "scenario name": f"{path}: scenario name",
-        "settings": "--settings" if chosen else f"{path}: settings",
+        "settings": "`settings`" if chosen else f"{path}: settings",
     }
     try:
         yield
@@ -333,7 +333,8 @@ def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
     document = read_toml(path)
     kind = next((kind for key, kind in _OTHER_FILES.items() if key in document), None)
     if kind is not None:
-        allowed = "a suite; `dpbench run SUITE --scenario FILE` takes a scenario of one's own"
+        own = "`run_campaign(SUITE, scenarios=[FILE])` or `dpbench run SUITE --scenario FILE`"
+        allowed = f"a suite; a scenario of one's own by {own}"
         raise InputError(str(path), "", kind, allowed)
     return path, parse_model(document, SuiteFile, str(path))
 

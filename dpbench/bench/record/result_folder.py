@@ -214,7 +214,7 @@ def lock_result_folder(
     changed, where it cannot be written, has other files or the results of another suite, its folder
     of cells is a link, or another campaign uses it.
     """
-    where = "--out"
+    where = "`out`"
     if str(folder) in ("", "."):
         raise InputError(where, "", "the current folder", "a folder of its own")
     previous = folder / "suite.json"
@@ -287,7 +287,8 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
         raise TypeError(f"results: found a {type(out).__name__}; allowed: the path of a folder")
     folder = Path(out)
     if not folder.is_dir():
-        raise ResultsError(str(folder), "", "no such folder", "a folder written by `dpbench run`")
+        allowed = "a folder written by `run_campaign()` or `dpbench run`"
+        raise ResultsError(str(folder), "", "no such folder", allowed)
     no_steps = without_steps and not (folder / "steps.parquet").exists()
     runs, steps = _read_runs(folder), StepsOnDisk(folder, is_optional=without_steps)
     results = Results(runs, steps, *load_descriptions(folder))

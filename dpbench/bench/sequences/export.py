@@ -60,13 +60,13 @@ def export_sequence(
     """
     target = Path(out)
     if format not in FORMATS:
-        raise InputError("--format", "", repr(format), " | ".join(FORMATS))
+        raise InputError("`format`", "", repr(format), " | ".join(FORMATS))
     if (suffix := FILES.get(format)) and target.suffix != suffix:
-        raise InputError("--out", "", repr(target.name), f"a file name that ends in {suffix}")
+        raise InputError("`out`", "", repr(target.name), f"a file name that ends in {suffix}")
     if at is not None and (steps is not None or every != 1):
-        raise InputError("--at", "", f"{at} beside --steps or --every", "one step, or several")
+        raise InputError("`at`", "", f"{at} beside `steps` or `every`", "one step, or several")
     if part not in get_args(Part):
-        raise InputError("--part", "", repr(part), " | ".join(get_args(Part)))
+        raise InputError("`part`", "", repr(part), " | ".join(get_args(Part)))
     recorded = _record_requested(what, _parse_horizons(horizons), steps, every, at, part)
     target.parent.mkdir(parents=True, exist_ok=True)
     if format == "npz":
@@ -115,10 +115,10 @@ def _record_requested(
         return _record_step(record(scenario, steps=upto), at)
     if part != "controller":
         allowed = "a scenario: a sequence holds the QPs it holds"
-        raise InputError("--part", "", f"{part} for a recorded sequence", allowed)
+        raise InputError("`part`", "", f"{part} for a recorded sequence", allowed)
     if horizons is not None:
         found = f"{horizons[0]}/{horizons[1]} for a recorded sequence"
-        raise InputError("--horizons", "", found, "a scenario: a sequence has the horizons it has")
+        raise InputError("`horizons`", "", found, "a scenario: a sequence has the horizons it has")
     stored = _load_recorded(what)
     if at is not None:
         return _record_step(stored, at)
@@ -156,4 +156,4 @@ def _parse_horizons(text: str | None) -> Horizons | None:
     try:
         return parse_horizons(text)
     except ValueError as error:
-        raise InputError("--horizons", "", repr(text), str(error)) from error
+        raise InputError("`horizons`", "", repr(text), str(error)) from error

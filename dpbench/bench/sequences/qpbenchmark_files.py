@@ -60,7 +60,7 @@ def save_qpbenchmark(out: str | Path, recorded: Recorded) -> tuple[Path, Path]:
     stem = path.stem
     if not stem.isidentifier() or stem in _TAKEN or path.suffix not in ("", ".py", ".parquet"):
         allowed = "a Python name no library has, as qpbenchmark imports it, e.g. dp_paper.py"
-        raise InputError("--out", "", repr(path.name), allowed)
+        raise InputError("`out`", "", repr(path.name), allowed)
     sequence = recorded.sequence
     steps = list_steps_with_optimum(recorded)
     if not steps:

@@ -47,7 +47,7 @@ def record_scenario(
         scenario = with_horizons(scenario, *horizons)
     if steps is not None:
         if not 1 <= steps <= scenario.steps:
-            raise InputError("--steps", "", steps, f"1 to {scenario.steps} of {scenario.name}")
+            raise InputError("`steps`", "", steps, f"1 to {scenario.steps} of {scenario.name}")
         scenario = scenario.truncate(steps)
     exact = solve_exactly(scenario)
     exact.require_certificates(scenario.name)
@@ -73,9 +73,9 @@ def with_horizons(scenario: Scenario, N_p: int, N_c: int) -> Scenario:
 def thin_sequence(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequence:
     """Return each `every`-th of the first `steps` QPs of a sequence (None: of all)."""
     if steps is not None and not 1 <= steps <= len(sequence):
-        raise InputError("--steps", "", steps, f"1 to {len(sequence)} of {sequence.name}")
+        raise InputError("`steps`", "", steps, f"1 to {len(sequence)} of {sequence.name}")
     if every < 1:
-        raise InputError("--every", "", every, "1 or more")
+        raise InputError("`every`", "", every, "1 or more")
     if every == 1 and steps in (None, len(sequence)):
         return sequence
     stride = every * int(sequence.meta.get("every", 1))
@@ -86,7 +86,7 @@ def thin_sequence(sequence: QPSequence, steps: int | None, every: int = 1) -> QP
 def select_step(sequence: QPSequence, k: int) -> QPSequence:
     """Return step k of a sequence of QPs as a sequence of one QP."""
     if not 0 <= k < len(sequence):
-        raise InputError("--at", "", k, f"0 to {len(sequence) - 1} of {sequence.name}")
+        raise InputError("`at`", "", k, f"0 to {len(sequence) - 1} of {sequence.name}")
     first = int(sequence.meta.get("first", 0)) + k * int(sequence.meta.get("every", 1))
     return _select_steps(sequence, slice(k, k + 1), f"{sequence.name}[{k}]", {"first": first})
 

@@ -96,7 +96,9 @@ def save_sequence(
     <QPSequence paper-30-5[:300:4]: 75 QPs of 15 variables, 15 rows, constant matrices>
     """
     if (path := Path(path)).suffix != ".npz":
-        allowed = "a name that ends in .npz; of it `dpbench export --format` makes other formats"
+        allowed = (
+            "a name that ends in .npz; other formats by `export_sequence()` or `dpbench export`"
+        )
         raise InputError("save_sequence", "path", repr(path.name), allowed)
     scaled = sequence.scaled or sequence
     units = units or sequence.units
@@ -144,7 +146,7 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
 
     Parameters
     ----------
-    name_or_path : a stored sequence by name (`dpbench list sequences`), or a `.npz` file.
+    name_or_path : a stored sequence by name (`list_sequences()`), or a `.npz` file.
 
     Raises
     ------

@@ -198,5 +198,5 @@ def test_a_damaged_description_of_a_shard_is_one_line(
 
 @pytest.mark.parametrize("text", ["0/3", "4/3", "1/1000000000", "1", "a/b", "1/" + "9" * 5000])
 def test_what_is_no_shard_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match=r"--shard: found .*1/4, with i from 1 to n"):
+    with pytest.raises(InputError, match=r"`shard`: found .*1/4, with i from 1 to n"):
         Shard.from_text(text)

@@ -52,15 +52,15 @@ def test_a_policy_alone_keeps_the_routes_of_the_suite(suite: str) -> None:
 @pytest.mark.parametrize(
     ("chosen", "message"),
     [
-        ({"routes": ["nativ"]}, "--route: found 'nativ'; allowed: .*native"),
-        ({"policies": ["hot"]}, "--policy: found 'hot'; allowed: fresh | reuse | warm"),
+        ({"routes": ["nativ"]}, "`routes`: found 'nativ'; allowed: .*native"),
+        ({"policies": ["hot"]}, "`policies`: found 'hot'; allowed: fresh | reuse | warm"),
         (
             {"routes": ["native"], "policies": ["warm"], "solvers": ["quadprog"]},
-            "--route: found native warm; allowed: native fresh .* of quadprog",
+            "`routes`: found native warm; allowed: native fresh .* of quadprog",
         ),
         (
             {"policies": ["warm"], "solvers": ["quadprog", "ecos"]},
-            r"--policy: found qpsolvers warm \(none of 2 solvers has it\)",
+            r"`policies`: found qpsolvers warm \(none of 2 solvers has it\)",
         ),
     ],
 )

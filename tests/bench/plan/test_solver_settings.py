@@ -141,12 +141,12 @@ def test_a_mistake_in_a_suite_is_named(
 @pytest.mark.parametrize(
     ("choice", "message"),
     [
-        ("osqp[rhoo=1.6]", r"--solver: osqp\[rhoo\]: found an unknown key; allowed: rho, "),
-        ("quadprog[tol=1e-6]", r"--solver: quadprog\[tol\]: .*: no settings"),
+        ("osqp[rhoo=1.6]", r"`solvers`: osqp\[rhoo\]: found an unknown key; allowed: rho, "),
+        ("quadprog[tol=1e-6]", r"`solvers`: quadprog\[tol\]: .*: no settings"),
         ("all[rho=1]", "found 'all'"),
     ],
 )
-def test_a_mistake_on_the_command_line_is_named(suite: str, choice: str, message: str) -> None:
+def test_a_mistake_in_a_choice_is_named(suite: str, choice: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         RunRequest(suite, solvers=[choice]).plan()
 

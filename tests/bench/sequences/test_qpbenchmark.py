@@ -147,7 +147,7 @@ def test_steps_without_an_optimum_are_left_out(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["two words.py", "json.py", "numpy", "9lives.py", "dp.npz"])
 def test_a_name_that_cannot_be_imported_is_refused(name: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--out"):
+    with pytest.raises(InputError, match="`out`"):
         save_qpbenchmark(tmp_path / name, mixed())
     assert not list(tmp_path.iterdir())
 

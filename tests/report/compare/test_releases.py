@@ -91,7 +91,7 @@ def test_folders_of_two_machines_are_ratios_to_the_reference(make: Make) -> None
     assert any(line.startswith("times are multiples of the p50 of daqp") for line in found.lines)
     assert [row[4:6] for row in found.tables[0].rows] == [("8.00", "–"), ("8.00", "1.00")]
     assert "p50 [× daqp]" in found.tables[0].heads
-    with pytest.raises(InputError, match=r"--reference: found 'osqp'; allowed: one of daqp, piqp"):
+    with pytest.raises(InputError, match=r"`reference`: found 'osqp'; allowed: one of daqp, piqp"):
         releases([here, there], reference="osqp")
 
 

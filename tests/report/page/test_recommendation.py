@@ -307,7 +307,7 @@ def test_the_baseline_is_beside_the_answer(records: Any) -> None:
     ]
     second = _answer(records, "osqp").second
     assert second is not None and second.solver == "osqp"
-    with pytest.raises(InputError, match=r"--baseline: found 'nope'; allowed: .* daqp, osqp, piqp"):
+    with pytest.raises(InputError, match=r"`baseline`: found 'nope'; allowed: .* daqp, osqp, piqp"):
         _answer(records, "nope")
 
 
