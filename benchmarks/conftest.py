@@ -9,7 +9,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import load_scenario
 from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
-from dpbench.ci.replays import time_reference_kernel
+from dpbench.ci.machine_state import watch_machine
 from dpbench.mpc.condense import ControlProblem
 from dpbench.scenario.scenario import Scenario
 
@@ -43,8 +43,8 @@ def no_garbage_collection() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def reference_kernel(benchmark: BenchmarkFixture) -> Iterator[None]:
-    """The reference kernel before and after each benchmark."""
-    with time_reference_kernel(benchmark):
+    """The machine's state and its reference kernel beside each benchmark."""
+    with watch_machine(benchmark):
         yield
 
 

@@ -1,22 +1,17 @@
-"""Comparison of two JSON files of pytest-benchmark from one machine.
+"""Comparison of two revisions by runs of pytest-benchmark on one machine.
 
-A time is the benchmark's minimum, in units of the reference kernel where both runs have timed that
-beside the benchmark (`extra_info["reference_ns"]`). It is worse where the ratio of the two runs,
-without the factor that the benchmarks of other solvers share, is beyond the margin by more than the
-ratios scatter. Exact measures (`extra_info["exact"]`: iterations, instructions, error, rows, peak
-bytes) are worse where they grow.
+A run of each is one block; several runs by turns are pairs of blocks, whose scatter is the noise
+between runs. A time is a benchmark's minimum, in units of the reference kernel where both runs have
+timed that beside the benchmark. It is worse where the ratio of the two revisions, without the
+factor that the benchmarks of other solvers share, is beyond the margin by more than the ratios
+scatter. While the machine was disturbed no time has a verdict. Exact measures
+(`extra_info["exact"]`: iterations, instructions, error, rows, peak bytes) are worse where they
+grow.
 """
 
-import json
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from dpbench.analysis.compare.evidence import (
     Assessment,
@@ -24,8 +19,26 @@ from dpbench.analysis.compare.evidence import (
     assess_ratios,
     remove_machine_factor,
 )
+from dpbench.analysis.statistics import Interval
 from dpbench.ci import MARGIN
-from dpbench.errors import InputError
+from dpbench.ci.benchmarks import WRONG_ANSWERS, Benchmark, BenchmarkRun
+from dpbench.ci.verdicts import (
+    DISTURBED,
+    FASTER,
+    GONE,
+    NEW,
+    NO_BASELINE,
+    NO_CHANGE,
+    NO_KERNEL,
+    NOT_TIMED,
+    NOT_VERIFIED,
+    ORDER,
+    SLOWER,
+    WORSE,
+    Row,
+    RunComparison,
+)
+from dpbench.report.formats import plural
 
 ALPHA = 0.05
 NOISE = Prior(sd=0.05, df=6.0)
@@ -33,65 +46,65 @@ NOISE = Prior(sd=0.05, df=6.0)
 SLACK = {"peak_bytes": (1.1, 128.0), "error_move_max": (1.1, 1e-9)}
 """Factor and number by which an exact measure may grow: when SciPy frees memory is not exact, and
 an error below 1e-9 of a rate-limit step is rounding."""
-ALLOWED = "a JSON file of pytest-benchmark, written by --benchmark-json"
+FEWEST_PAIRS = 3
+"""Undisturbed pairs of runs that suffice, where there are as many pairs."""
+
+Pairs = Sequence[tuple[BenchmarkRun, BenchmarkRun]]
 
 
-@dataclass(frozen=True)
-class Benchmark:
-    """One benchmark of a run: minimum and lower quartile [s], rounds, what was noted beside it.
-
-    `solver` is the benchmark's own name where no solver was noted.
-    """
-
-    name: str
-    minimum_s: float
-    quartile_s: float
-    rounds: int
-    reference_ns: float | None
-    exact: Mapping[str, float]
-    solver: str
-
-    @classmethod
-    def read(cls, entry: Mapping[str, Any]) -> "Benchmark":
-        """Read an entry of a JSON file; KeyError, TypeError or ValueError if it is none."""
-        stats, extra = entry["stats"], entry.get("extra_info", {})
-        reference = extra.get("reference_ns")
-        times = float(stats["min"]), float(stats["q1"])
-        if not (0.0 < times[0] <= times[1] < np.inf and (reference is None or reference > 0)):
-            raise ValueError(f"times {times}, reference_ns {reference}")
-        exact, name = dict(extra.get("exact", {})), str(entry["fullname"])
-        # Without the route: a change of a solver slows it on each.
-        solver = str(extra.get("solver", name)).partition(" (")[0]
-        return cls(name, *times, int(stats["rounds"]), reference, exact, solver)
-
-    @property
-    def error(self) -> float:
-        """Rough standard error of log(minimum): a quarter of the way to the lower quartile."""
-        spread = float(np.log(self.quartile_s / self.minimum_s))
-        return spread / 4.0 / float(np.sqrt(max(1.0, self.rounds / 10.0)))
+def compare_runs(
+    pairs: Pairs, *, margin: float = MARGIN, allow_gone: bool = False
+) -> RunComparison:
+    """Compare the runs of two revisions, taken by turns: (base, head) of each pair."""
+    times = _assess_times(pairs, margin)
+    was = {name for base, _ in pairs for name in base.names}
+    failed = {name: why for _, head in pairs for name, why in head.failed.items()}
+    now = {name for _, head in pairs for name in head.names}
+    rows = []
+    for name in sorted(was | now):
+        if name in failed:
+            verdict = WRONG_ANSWERS if failed[name].startswith(WRONG_ANSWERS) else NOT_TIMED
+            rows.append(Row(name, verdict, remarks=(failed[name],)))
+        elif name not in now:
+            rows.append(Row(name, GONE))
+        elif name in times:
+            rows.append(_judge(name, pairs, *times[name]))
+        else:
+            why = [base.failed[name] for base, _ in pairs if name in base.failed][:1]
+            rows.append(Row(name, NEW if was else NO_BASELINE, remarks=(*map(_in_base, why),)))
+    rows.sort(key=lambda row: ORDER.index(row.verdict))
+    return RunComparison(rows, allow_gone)
 
 
-Benchmarks = dict[str, Benchmark]
+def _in_base(reason: str) -> str:
+    """State why a benchmark of the base has no time."""
+    return f"failed in the base: {reason}"
 
 
-def index_benchmarks(entries: Iterable[Mapping[str, Any]]) -> Benchmarks:
-    """Return the benchmarks of a pytest run by name, from the entries of its JSON file."""
-    return {one.name: one for one in map(Benchmark.read, entries)}
-
-
-def load_benchmarks(path: Path) -> Benchmarks:
-    """Read the benchmarks in a JSON file by name; InputError for a file that has none."""
-    try:
-        found = index_benchmarks(json.loads(path.read_text(encoding="utf-8"))["benchmarks"])
-    except OSError as error:
-        raise InputError(str(path), "", error.strerror or "unreadable", ALLOWED) from error
-    except (ValueError, TypeError, AttributeError) as error:
-        raise InputError(str(path), "", f"no such numbers ({error})", ALLOWED) from error
-    except KeyError as error:
-        raise InputError(str(path), str(error.args[0]), "nothing", ALLOWED) from error
-    if not found:
-        raise InputError(str(path), "benchmarks", "none", ALLOWED)
-    return found
+def _judge(name: str, pairs: Pairs, time: Assessment, complaints: Sequence[str]) -> Row:
+    """Judge a benchmark that both revisions have timed; complaints take its time's verdict."""
+    both = [
+        (base.benchmarks[name], head.benchmarks[name])
+        for base, head in pairs
+        if name in base.benchmarks and name in head.benchmarks
+    ]
+    # What is exact may still have noise of memory: the pair that grew least counts.
+    exact = min((find_exact_changes(*pair) for pair in both), key=len)
+    ratio, verdict, remarks = time.ratio, NO_CHANGE, list(exact)
+    if complaints:
+        verdict = DISTURBED
+        remarks += complaints
+        # A single pair shows nothing of the noise that load makes.
+        ratio = Interval(ratio.value, 0.0, np.inf) if len(both) == 1 else ratio
+    elif not np.isfinite(ratio.high):
+        verdict = NO_KERNEL
+    elif time.verdict == "slower":
+        verdict = SLOWER
+    elif time.verdict == "faster":
+        verdict = FASTER if all(head.is_verified for _, head in both) else NOT_VERIFIED
+    if exact and verdict != SLOWER:
+        verdict = WORSE
+    return Row(name, verdict, ratio, tuple(remarks))
 
 
 def find_exact_changes(was: Benchmark, now: Benchmark) -> list[str]:
@@ -105,22 +118,72 @@ def find_exact_changes(was: Benchmark, now: Benchmark) -> list[str]:
     return changes + [f"{name} is no longer measured" for name in missing]
 
 
-def assess_times(was: Benchmarks, now: Benchmarks, margin: float = MARGIN) -> dict[str, Assessment]:
-    """Assess the time of each benchmark that both runs have.
+def _assess_times(pairs: Pairs, margin: float) -> dict[str, tuple[Assessment, list[str]]]:
+    """Assess the time of each benchmark that both revisions have, with what disturbed it.
 
-    Below three benchmarks of other solvers the reference kernel stands for the machine; without it
-    there is no verdict.
+    Disturbed pairs are left out where enough others remain. Below three benchmarks of other solvers
+    the reference kernel stands for the machine.
     """
-    pairs = [(was[name], now[name]) for name in now if name in was]
-    kernels = np.array([_kernel_factor(*pair) for pair in pairs])
-    logs = np.array([np.log(after.minimum_s / before.minimum_s) for before, after in pairs])
-    logs -= np.nan_to_num(kernels)
-    own = np.array([before.error + after.error for before, after in pairs])
+    quiet: dict[str, list[tuple[Benchmark, Benchmark]]] = {}
+    loud: dict[str, list[tuple[Benchmark, Benchmark]]] = {}
+    for name in sorted({name for _, head in pairs for name in head.benchmarks}):
+        both = [
+            (base.benchmarks[name], head.benchmarks[name])
+            for base, head in pairs
+            if name in base.benchmarks and name in head.benchmarks
+        ]
+        undisturbed = [pair for pair in both if not any(one.complaints for one in pair)]
+        if both and len(undisturbed) >= min(FEWEST_PAIRS, len(both)):
+            quiet[name] = undisturbed
+        elif both:
+            loud[name] = both
+    found: dict[str, tuple[Assessment, list[str]]] = {
+        name: (one, []) for name, one in _assess_family(quiet, margin).items()
+    }
+    complaints = {name: _complaints(both) for name, both in loud.items()}
+    loud_found = _assess_family(loud, margin).items()
+    return found | {name: (one, complaints[name]) for name, one in loud_found}
+
+
+def _complaints(both: Sequence[tuple[Benchmark, Benchmark]]) -> list[str]:
+    """Describe how many runs of a benchmark were disturbed, and the worst of them."""
+    runs = [(side, one) for pair in both for side, one in zip(("base", "head"), pair, strict=True)]
+    disturbed = [(side, one) for side, one in runs if one.complaints]
+    side, worst = max(disturbed, key=lambda found: len(found[1].complaints))
+    count = f"{len(disturbed)} of {plural(len(runs), 'run')} disturbed"
+    return [f"{count} ({side}: {', '.join(worst.complaints)})"]
+
+
+def _assess_family(
+    measured: dict[str, list[tuple[Benchmark, Benchmark]]], margin: float
+) -> dict[str, Assessment]:
+    """Assess the ratios of several benchmarks, each of one or more pairs, together."""
+    if not measured:
+        return {}
+    kernels = np.array([np.mean([_kernel_factor(*p) for p in both]) for both in measured.values()])
+    estimates = [_estimate_ratio(both) for both in measured.values()]
+    logs, own = np.array([one for one, _ in estimates]), np.array([one for _, one in estimates])
     groups = ["plain" if np.isnan(kernel) else "kernel" for kernel in kernels]
-    solvers = [after.solver for _, after in pairs]
+    solvers = [both[0][1].solver for both in measured.values()]
     evidence = remove_machine_factor(logs, own, groups, NOISE, 0.0 * kernels, subjects=solvers)
-    found = assess_ratios(evidence, margin, ALPHA)
-    return {after.name: one for (_, after), one in zip(pairs, found, strict=True)}
+    return dict(zip(measured, assess_ratios(evidence, margin, ALPHA), strict=True))
+
+
+def _estimate_ratio(both: Sequence[tuple[Benchmark, Benchmark]]) -> tuple[float, float]:
+    """Return the mean log ratio of pairs of runs, less the kernel's, and its standard error."""
+    logs = np.array(
+        [
+            np.log(now.minimum_s / was.minimum_s) - np.nan_to_num(_kernel_factor(was, now))
+            for was, now in both
+        ]
+    )
+    if len(logs) == 1:
+        ((was, now),) = both
+        return float(logs[0]), was.error + now.error
+    squares, df = float(np.sum((logs - logs.mean()) ** 2)), len(logs) - 1
+    moderated = (NOISE.df * NOISE.sd**2 + squares) / (NOISE.df + df)
+    # Never smaller than it is found.
+    return float(logs.mean()), float(np.sqrt(max(moderated, squares / df) / len(logs)))
 
 
 def _kernel_factor(was: Benchmark, now: Benchmark) -> float:
@@ -128,37 +191,3 @@ def _kernel_factor(was: Benchmark, now: Benchmark) -> float:
     if was.reference_ns is None or now.reference_ns is None:
         return np.nan
     return float(np.log(now.reference_ns / was.reference_ns))
-
-
-def is_worse(was: Benchmark, now: Benchmark, time: Assessment) -> bool:
-    """Return whether a benchmark is slower or an exact measure of it grew."""
-    return time.verdict == "slower" or bool(find_exact_changes(was, now))
-
-
-def print_comparison(
-    was: Benchmarks,
-    now: Benchmarks,
-    console: Console,
-    *,
-    margin: float = MARGIN,
-    only_changes: bool = False,
-) -> bool:
-    """Print a row for each benchmark that both runs have; return whether any is worse."""
-    table = Table(show_edge=False, pad_edge=False)
-    for head in ("benchmark", "time", "ratio", "exact measures"):
-        table.add_column(head, overflow="fold")
-    worse = False
-    for name, found in assess_times(was, now, margin).items():
-        exact, ratio = find_exact_changes(was[name], now[name]), found.ratio
-        worse |= is_worse(was[name], now[name], found)
-        if exact or found.verdict in ("slower", "faster") or not only_changes:
-            known = np.isfinite(ratio.high)
-            number = f"{ratio.value:.2f} [{ratio.low:.2f}, {ratio.high:.2f}]" if known else "–"
-            verdict = found.verdict if known else "no reference kernel"
-            table.add_row(Text(name), verdict, Text(number), "; ".join(exact) or "not larger")
-    if table.row_count:
-        console.print(table)
-    for what, names in (("gone", was.keys() - now.keys()), ("new", now.keys() - was.keys())):
-        for name in sorted(names):
-            console.print(f"{what}: {name}", markup=False, soft_wrap=True)
-    return worse

@@ -1,55 +1,65 @@
 """Compare a JSON file of pytest-benchmark with the stored one of the same machine.
 
-    python -m dpbench.ci.gate bench.json BASELINE [--renew] [--retries 3]
+    python -m dpbench.ci.gate bench.json BASELINE [--renew] [--retries 3] [--allow-gone]
 
-BASELINE is a JSON file, or a folder that keeps one for each machine. What looks worse is measured
-again: noise only ever makes a minimum larger. Exit 0: nothing worse, or no baseline yet, which is
-stored; 1: a regression, or no benchmark that both have; 2: bad input.
+BASELINE is a JSON file, or a folder that keeps one for each machine. What looks worse or was
+disturbed is measured again: noise only ever makes a minimum larger. The baseline is not: to measure
+both by turns is the task of `dpbench.ci.revisions`. Exit 0: no regression shown, or no baseline
+yet, which is stored; 1: a regression, a benchmark that failed or is gone; 2: bad input.
 """
 
 import argparse
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 
 from dpbench.bench.record.machine import describe_machine
-from dpbench.ci.comparison import (
-    Benchmark,
-    Benchmarks,
-    assess_times,
-    find_exact_changes,
-    is_worse,
-    load_benchmarks,
-    print_comparison,
-)
+from dpbench.ci.benchmarks import Benchmark, BenchmarkRun, load_run
+from dpbench.ci.comparison import compare_runs, find_exact_changes
+from dpbench.ci.verdicts import DISTURBED, SLOWER, WORSE, describe_end
 from dpbench.errors import InputError
 
 
-def measure_again(was: Benchmarks, now: Benchmarks, retries: int, console: Console) -> None:
-    """Run what looks worse again, at most so many times; keep the smaller numbers in `now`."""
+def measure_again(
+    was: BenchmarkRun, now: BenchmarkRun, retries: int, console: Console
+) -> BenchmarkRun:
+    """Run what looks worse or was disturbed again, at most so many times; keep the better times."""
     for _ in range(retries):
-        times = assess_times(was, now)
-        worse = [name for name, time in times.items() if is_worse(was[name], now[name], time)]
-        if not worse:
-            return
-        console.print(f"measuring {len(worse)} again", soft_wrap=True)
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "again.json"
-            command = [sys.executable, "-m", "pytest", "-q", *worse, f"--benchmark-json={path}"]
-            done = subprocess.run(command, capture_output=True, check=False)
-            again = load_benchmarks(path) if done.returncode == 0 else {}
-        for name in [name for name in worse if name in again]:
-            now[name] = _merge_best(was[name], now[name], again[name])
+        rows = compare_runs([(was, now)]).rows
+        doubtful = [row.name for row in rows if row.verdict in (SLOWER, WORSE, DISTURBED)]
+        if not doubtful:
+            break
+        console.print(f"measuring {len(doubtful)} again, not the baseline", soft_wrap=True)
+        again = _run_benchmarks(doubtful)
+        kept = {
+            name: _merge_best(was.benchmarks[name], now.benchmarks[name], again[name])
+            for name in doubtful
+            if name in again
+        }
+        now = replace(now, benchmarks=now.benchmarks | kept)
+    return now
+
+
+def _run_benchmarks(names: Sequence[str]) -> dict[str, Benchmark]:
+    """Run benchmarks in the present folder; return those that were timed."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "again.json"
+        command = [sys.executable, "-m", "pytest", "-q", *names, f"--benchmark-json={path}"]
+        done = subprocess.run(command, capture_output=True, check=False)
+        return load_run(path).benchmarks if done.returncode == 0 else {}
 
 
 def _merge_best(was: Benchmark, *measured: Benchmark) -> Benchmark:
-    """Return the fastest of several measurements, with the exact measures that grew least."""
+    """Return the fastest of the least disturbed measurements, with the least exact measures."""
     exact = min(measured, key=lambda one: len(find_exact_changes(was, one))).exact
-    fastest = min(measured, key=lambda one: one.minimum_s / (one.reference_ns or 1.0))
+    fastest = min(
+        measured, key=lambda one: (bool(one.complaints), one.minimum_s / (one.reference_ns or 1.0))
+    )
     return replace(fastest, exact=exact)
 
 
@@ -61,35 +71,33 @@ def main(argv: list[str] | None = None) -> int:
         "baseline", type=Path, help="a JSON file, or a folder that keeps one for each machine"
     )
     parser.add_argument("--renew", action="store_true", help="make this run the baseline")
-    parser.add_argument("--retries", type=int, default=3, help="of what looks worse (3)")
+    parser.add_argument(
+        "--retries", type=int, default=3, help="of what looks worse or was disturbed (3)"
+    )
+    parser.add_argument(
+        "--allow-gone", action="store_true", help="pass where a benchmark of the baseline is gone"
+    )
     arguments = parser.parse_args(argv)
     console = Console() if sys.stdout.isatty() else Console(width=200)
     baseline: Path = arguments.baseline
     if baseline.suffix != ".json":
         baseline = baseline / f"{describe_machine()['id']}.json"
     try:
-        now = load_benchmarks(arguments.json)
+        now = load_run(arguments.json)
         if arguments.renew or not baseline.exists():
             baseline.parent.mkdir(parents=True, exist_ok=True)
             baseline.write_bytes(arguments.json.read_bytes())
             why = "renewed" if arguments.renew else "no baseline of this machine yet"
             console.print(f"{why}: stored {baseline}, nothing compared", soft_wrap=True)
             return 0
-        was = load_benchmarks(baseline)
-        if not was.keys() & now.keys():
-            console.print(f"no benchmark that {baseline} has too, nothing compared", soft_wrap=True)
-            return 1
-        measure_again(was, now, arguments.retries, console)
-        worse = print_comparison(was, now, console, only_changes=True)
+        was = load_run(baseline)
+        now = measure_again(was, now, arguments.retries, console)
     except InputError as error:
         print(f"gate: {error}", file=sys.stderr)
         return 2
-    result = "a regression" if worse else "nothing worse"
-    console.print(
-        f"{result} against {baseline}, {len(was.keys() & now.keys())} benchmarks compared",
-        soft_wrap=True,
-    )
-    return int(worse)
+    found = compare_runs([(was, now)], allow_gone=arguments.allow_gone)
+    found.print(console, [describe_end(found, str(baseline))])
+    return int(found.worse)
 
 
 if __name__ == "__main__":

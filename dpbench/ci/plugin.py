@@ -16,6 +16,8 @@ from dpbench.ci import MARGIN
 if TYPE_CHECKING:
     from dpbench.ci.replays import ReplayBenchmark
 
+NOT_UNDER_XDIST = "benchmarks are not timed under xdist: run with -n0"
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options that compare benchmarks with a stored run to pytest."""
@@ -32,30 +34,48 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         default=MARGIN,
         help=f"how much slower is no regression ({MARGIN})",
     )
+    group.addoption(
+        "--dpbench-allow-gone",
+        action="store_true",
+        help="pass where a benchmark of that file is not run",
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Read the stored run before any test; UsageError for bad input."""
-    if config.getoption("dpbench_compare") and not hasattr(config, "workerinput"):
+    if hasattr(config, "workerinput") or not config.pluginmanager.hasplugin("benchmark"):
+        if config.getoption("dpbench_compare") and not hasattr(config, "workerinput"):
+            raise pytest.UsageError("--dpbench-compare: pip install 'dpbench[ci]'")
+        return
+    from dpbench.ci.failures import FailedBenchmarks
+
+    failures = FailedBenchmarks(config)
+    config.pluginmanager.register(failures, "dpbench-failures")
+    if config.getoption("dpbench_compare"):
+        if config.getoption("numprocesses", None):
+            raise pytest.UsageError(f"--dpbench-compare: {NOT_UNDER_XDIST}")
         from dpbench.ci.session import SessionComparison
 
-        config.pluginmanager.register(SessionComparison(config), "dpbench-comparison")
+        comparison = SessionComparison(config, failures.reasons)
+        config.pluginmanager.register(comparison, "dpbench-comparison")
 
 
 @pytest.fixture
 def dpbench_reference_kernel(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Time the machine's reference kernel before and after a benchmark of any kind."""
-    from dpbench.ci.replays import time_reference_kernel
+    """Note what the machine did during a benchmark of any kind, and time its reference kernel."""
+    from dpbench.ci.machine_state import watch_machine
 
-    with time_reference_kernel(request.getfixturevalue("benchmark")):
+    with watch_machine(request.getfixturevalue("benchmark")):
         yield
 
 
 @pytest.fixture
-def dpbench_replay(
-    request: pytest.FixtureRequest, dpbench_reference_kernel: None
-) -> ReplayBenchmark:
+def dpbench_replay(request: pytest.FixtureRequest) -> ReplayBenchmark:
     """Benchmark the replay of a sequence with a solver: `dpbench_replay("paper-30-5", "daqp")`."""
     from dpbench.ci.replays import ReplayBenchmark
 
-    return ReplayBenchmark(request.getfixturevalue("benchmark"))
+    if hasattr(request.config, "workerinput"):
+        request.node.warn(pytest.PytestWarning(NOT_UNDER_XDIST))
+    return ReplayBenchmark(
+        request.getfixturevalue("benchmark"), request.path.parent, request.config.rootpath
+    )

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -16,46 +14,40 @@ import pytest
 
 from dpbench.analysis.records.run_record import build_records
 from dpbench.analysis.verdict.requirements import Requirements, is_right
-from dpbench.bench.run.replay import time_kernels
+from dpbench.bench.sequences.recording import thin_sequence
 from dpbench.bench.sequences.sequence_file import as_sequence
-from dpbench.errors import SituationError
+from dpbench.ci.benchmarks import WRONG_ANSWERS
+from dpbench.ci.machine_state import HasInfo, watch_machine
+from dpbench.errors import InputError, SituationError
 from dpbench.notebook.runs import REMEMBERED, Run, replay
 from dpbench.qp.program import ARRAYS, QPSequence, QPStep, QuadraticProgram
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import load_solver_module
 
+Given = TypeVar("Given")
 
-class BenchmarkFixture(Protocol):
+
+class BenchmarkFixture(HasInfo, Protocol):
     """Part of the fixture `benchmark` of pytest-benchmark, an extra, that is used here."""
-
-    extra_info: dict[str, Any]
 
     def __call__(self, function: Callable[[], object]) -> object:
         """Time a function in rounds."""
 
 
-@contextmanager
-def time_reference_kernel(benchmark: BenchmarkFixture) -> Iterator[None]:
-    """Note the reference kernel's shorter time of before and after the block [ns]."""
-    time_kernels(time.perf_counter_ns)
-    before = time_kernels(time.perf_counter_ns)
-    yield
-    after = time_kernels(time.perf_counter_ns)
-    benchmark.extra_info["reference_ns"] = min(before, after)
-
-
 class ReplayBenchmark:
     """Benchmark of one solver's replay of one sequence; the fixture `dpbench_replay`."""
 
-    def __init__(self, benchmark: BenchmarkFixture) -> None:
-        self._benchmark = benchmark
+    def __init__(self, benchmark: BenchmarkFixture, *folders: Path) -> None:
+        """Time with a benchmark; relative files are looked for in `folders`, then here."""
+        self._benchmark, self._folders = benchmark, folders
 
     def __call__(
         self,
         sequence: QPSequence | str | Path,
         solver: Workspace | str | Path,
         *,
+        steps: int | None = None,
         error_move: float = Requirements.error_move,
         failed_steps: int = Requirements.failed_steps,
         **options: Any,
@@ -65,7 +57,9 @@ class ReplayBenchmark:
         Parameters
         ----------
         sequence : an object, a name or a `.npz` file.
-        solver : a name, the `.py` file of a plug-in, or a workspace.
+        solver : a name, the `.py` file of a plug-in, or a workspace. A relative file is in the
+            folder of the test, in pytest's rootdir or in the present folder.
+        steps : only the first so many; by default all.
         error_move : largest error of the first move allowed, in rate-limit steps.
         failed_steps : number of failed steps allowed.
         options : of `open_workspace` (policy, settings, route), not for a workspace.
@@ -75,18 +69,27 @@ class ReplayBenchmark:
         pytest.fail.Exception : an answer is beyond these requirements, or answers are remembered.
         InputError : for an unknown name or option, or a file that cannot be read.
         """
-        qps, workspace = as_sequence(sequence), _open_solver(solver, options)
+        qps = thin_sequence(as_sequence(self._find(sequence, ".npz")), steps)
+        workspace = _open_solver(self._find(solver, ".py"), options)
         run = replay(qps, workspace, repeats=2)
         self._store_facts(run)
         requirements = Requirements(error_move=error_move, failed_steps=failed_steps)
         _check_answers(run, requirements)
-        base, steps = qps.base.copy(), [qps.step(k) for k in range(len(qps))]
-        self._benchmark(_build_pass(base, steps, workspace))
-        if not _are_unchanged(qps, base, steps):
+        base, given = qps.base.copy(), [qps.step(k) for k in range(len(qps))]
+        with watch_machine(self._benchmark):
+            self._benchmark(_build_pass(base, given, workspace))
+        if not _are_unchanged(qps, base, given):
             pytest.fail(
                 f"{run.label} overwrites the problem: its time is of another", pytrace=False
             )
         return run
+
+    def _find(self, given: Given, suffix: str) -> Given | Path:
+        """Return the path of a relative file that is given by name; anything else as it is."""
+        if not isinstance(given, (str, Path)) or not str(given).endswith(suffix):
+            return given
+        places = (folder / given for folder in self._folders)
+        return next((place for place in places if place.is_file()), Path(given))
 
     def _store_facts(self, run: Run) -> None:
         """Store what identifies a replay and what it reached in the JSON of pytest-benchmark."""
@@ -98,6 +101,7 @@ class ReplayBenchmark:
         for name in ("steps_done", "failed_steps", "claimed_not_true"):
             info[name] = int(row[name])
         info["error_move_max"] = float(row["error_move_max"])
+        info["true_share"] = float(np.nan_to_num(row["true_share"]))
         iterations = run.steps.loc[run.steps["repeat"] == 1, "iterations"]
         # Where rounds differ, the clock has a part in them.
         if iterations.notna().all() and row["iterations_identical_share"] == 1.0:
@@ -112,7 +116,15 @@ def _open_solver(solver: Workspace | str | Path, options: dict[str, Any]) -> Wor
             raise SituationError("dpbench_replay", "give the options to open_workspace instead")
         return solver
     if isinstance(solver, Path) or solver.endswith(".py"):
-        solver = load_solver_module(solver).name
+        try:
+            solver = load_solver_module(solver).name
+        except InputError as error:
+            if isinstance(error.__cause__, ModuleNotFoundError) and error.__cause__.name:
+                package = error.__cause__.name.partition(".")[0]
+                remedy = f"it imports {package}, which is not installed: pip install -e . there, "
+                remedy += f"or pip install {package}"
+                raise SituationError(f"solver module {solver}", remedy) from error
+            raise
     return open_workspace(solver, **options)
 
 
@@ -126,8 +138,8 @@ def _check_answers(run: Run, requirements: Requirements) -> None:
         f"(allowed {requirements.error_move:g}), "
         f"failed steps {record.failed_steps:g} (allowed {requirements.failed_steps})"
     )
-    remembered = f"; {REMEMBERED}" if run.remembers else ""
-    pytest.fail(f"{run!r}: {found}{remembered}", pytrace=False)
+    reason = REMEMBERED if run.remembers else WRONG_ANSWERS
+    pytest.fail(f"{reason}: {found} by {run!r}", pytrace=False)
 
 
 def _build_pass(

@@ -72,7 +72,7 @@ def test_the_first_run_is_stored_and_the_second_compared(
     (stored,) = (tmp_path / "baseline").iterdir()
     assert stored.read_bytes() == first.read_bytes()
     assert judged(tmp_path, write("second")) == [0]
-    assert "nothing worse" in capsys.readouterr().out
+    assert "no change shown: 10 benchmarks" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -117,11 +117,14 @@ def test_a_solver_that_became_slower_as_a_whole_fails(
 def test_a_run_without_a_benchmark_of_the_baseline_fails(
     write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Nothing was compared, which is no pass."""
+    """A benchmark of the baseline that is gone is no pass, unless that is allowed."""
     renamed = write("later")
     renamed.write_text(renamed.read_text("utf-8").replace("test_x", "test_y"), encoding="utf-8")
     assert judged(tmp_path, write("before"), renamed) == [0, 1]
-    assert "nothing compared" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "gone (a benchmark of the base was not run): 10 gone, 10 new" in out
+    arguments = [str(renamed), str(tmp_path / "baseline"), "--retries", "0", "--allow-gone"]
+    assert gate.main(arguments) == 0
 
 
 def test_renewing_the_baseline(write: Write, tmp_path: Path) -> None:

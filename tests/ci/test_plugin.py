@@ -36,10 +36,10 @@ def run(pytester: pytest.Pytester, *arguments: str) -> pytest.RunResult:
     return pytester.runpytest_subprocess(*loaded, *quick, *arguments)
 
 
-def write_baseline(folder: Path, name: str, seconds: float) -> str:
+def write_baseline(folder: Path, name: str, seconds: float, **exact: float) -> str:
     """A stored run of one benchmark, on a machine as fast as most."""
     stats = {"min": seconds, "q1": seconds, "rounds": 5}
-    entry = {"fullname": name, "stats": stats, "extra_info": {"reference_ns": 4e4}}
+    entry = {"fullname": name, "stats": stats, "extra_info": {"exact": exact, "reference_ns": 4e4}}
     path = folder / "base.json"
     path.write_text(json.dumps({"benchmarks": [entry]}), encoding="utf-8")
     return str(path)
@@ -61,20 +61,47 @@ def test_the_plug_in_is_an_entry_point_and_imports_nothing_heavy() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("seconds", "code", "text"), [(1e-7, 1, "*a regression*"), (1e3, 0, "*no regression*")]
+    ("exact", "code", "text"), [({"x": 1}, 1, "*a regression*"), ({}, 0, "*no regression shown*")]
 )
 def test_a_session_compared_with_a_stored_one(
-    pytester: pytest.Pytester, seconds: float, code: int, text: str
+    pytester: pytest.Pytester, exact: dict[str, float], code: int, text: str
 ) -> None:
-    """A replay that is much slower fails the session, a faster one does not; both are stored."""
+    """A lost measure fails the session, a smaller time does not; what is measured is stored."""
     pytester.makepyfile(test_it=TEST)
-    base = write_baseline(pytester.path, "test_it.py::test_replay", seconds)
+    base = write_baseline(pytester.path, "test_it.py::test_replay", 1e3, **exact)
     result = run(pytester, f"--dpbench-compare={base}", "--benchmark-json=now.json")
     result.assert_outcomes(passed=1)
     assert result.ret == code
     result.stdout.fnmatch_lines(["*dpbench comparison*", "*test_it.py::test_replay*", text])
     (entry,) = json.loads((pytester.path / "now.json").read_text(encoding="utf-8"))["benchmarks"]
-    assert entry["extra_info"]["reference_ns"] > 0
+    info = entry["extra_info"]
+    assert info["reference_ns"] > 0 and info["true_share"] == 1.0
+    assert info["machine"]["processor_s"] > 0.0
+
+
+@pytest.mark.slow
+def test_a_benchmark_that_fails_is_in_the_json_file(pytester: pytest.Pytester) -> None:
+    """A comparison says why it has no time, also where no benchmark has one."""
+    pytester.makepyfile(test_it=TEST.replace('"quadprog"', '"quadprog", error_move=-1.0'))
+    result = run(pytester, "--benchmark-json=now.json")
+    assert result.ret == 1
+    stored = json.loads((pytester.path / "now.json").read_text(encoding="utf-8"))
+    assert stored["benchmarks"] == []
+    (reason,) = stored["dpbench_failed"].values()
+    assert reason.startswith("wrong answers: largest error of the first move")
+
+
+@pytest.mark.slow
+def test_under_xdist_a_replay_is_checked_and_not_timed(pytester: pytest.Pytester) -> None:
+    """One line says so, and no comparison is made of nothing."""
+    pytester.makepyfile(test_it=TEST)
+    loaded = ("-p", "no:dpbench", "-p", plugin.__name__, "-n", "1")
+    result = pytester.runpytest_subprocess(*loaded)
+    result.assert_outcomes(passed=1, warnings=1)
+    result.stdout.fnmatch_lines(["*benchmarks are not timed under xdist: run with -n0*"])
+    base = write_baseline(pytester.path, "test_it.py::test_replay", 1.0)
+    result = pytester.runpytest_subprocess(*loaded, f"--dpbench-compare={base}")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
 
 
 @pytest.mark.slow
@@ -84,7 +111,8 @@ def test_a_comparison_of_nothing_fails(pytester: pytest.Pytester) -> None:
     base = write_baseline(pytester.path, "gone", 1.0)
     result = run(pytester, f"--dpbench-compare={base}")
     assert result.ret == 1
-    result.stdout.fnmatch_lines(["*nothing measured*"])
+    result.stdout.fnmatch_lines(["gone *"])
+    assert run(pytester, f"--dpbench-compare={base}", "--dpbench-allow-gone").ret == 0
     result = run(pytester, "--dpbench-compare=none.json")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(["*none.json*No such file*"])

@@ -58,7 +58,9 @@ def test_a_false_answer_fails_the_test(few: QPSequence, tmp_path: Path) -> None:
     """A plug-in's file is loaded; what it claims is checked, and a test may allow more."""
     file, benchmark = tmp_path / "lazy.py", CallsTwice()
     file.write_text(LAZY, encoding="utf-8")
-    with pytest.raises(pytest.fail.Exception, match=r"first move .* \(allowed 0.01\)"):
+    with pytest.raises(
+        pytest.fail.Exception, match=r"^wrong answers: .*first move .* \(allowed 0.01\)"
+    ):
         ReplayBenchmark(benchmark)(few, file)
     assert benchmark.extra_info["claimed_not_true"] > 0
     ReplayBenchmark(CallsTwice())(few, "lazy", error_move=1e9)
@@ -90,3 +92,23 @@ def test_options_are_not_for_a_workspace(few: QPSequence) -> None:
     """They would be ignored."""
     with pytest.raises(InputError, match="give the options to open_workspace"):
         ReplayBenchmark(CallsTwice())(few, open_workspace("quadprog"), policy="fresh")
+
+
+def test_files_are_found_beside_the_test_and_cut(tmp_path: Path) -> None:
+    """A relative file is in the test's folder, then in the root; `steps` cuts the sequence."""
+    root, folder = tmp_path, tmp_path / "tests"
+    folder.mkdir()
+    (root / "near.py").write_text(LAZY.replace("lazy", "far_lazy"), encoding="utf-8")
+    (folder / "near.py").write_text(LAZY.replace("lazy", "near_lazy"), encoding="utf-8")
+    run = ReplayBenchmark(CallsTwice(), folder, root)(
+        "paper-30-5", "near.py", steps=3, error_move=1e9
+    )
+    assert run.label.startswith("near_lazy") and run.summary["steps_done"] == 3
+
+
+def test_a_missing_package_of_a_plug_in_is_named(few: QPSequence, tmp_path: Path) -> None:
+    """The message has the package and what installs it."""
+    file = tmp_path / "needs.py"
+    file.write_text("import nowhere_at_all.part\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"nowhere_at_all, which is not installed: pip install -e"):
+        ReplayBenchmark(CallsTwice())(few, file)

@@ -1,0 +1,111 @@
+"""JSON files of pytest-benchmark: times, exact measures, the machine's state, tests that failed."""
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dpbench.ci.machine_state import KEY, MachineState
+from dpbench.errors import InputError
+
+FAILED = "dpbench_failed"
+"""Key of a JSON file: the reason of each benchmark that failed, by name."""
+WRONG_ANSWERS = "wrong answers"
+"""Beginning of the reason where a replay does not meet its requirements."""
+ALLOWED = "a JSON file of pytest-benchmark, written by --benchmark-json"
+BLOCKS = 4
+"""The rounds of a benchmark are cut into so many consecutive blocks, whose minima scatter."""
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """One benchmark of a run: minimum [s], its rough standard error, what was noted beside it.
+
+    error : of log(minimum), from inside the run.
+    solver : the benchmark's own name where no solver was noted.
+    is_verified : whether every answer was verified; True where none was checked.
+    complaints : what disturbed the machine meanwhile.
+    """
+
+    name: str
+    minimum_s: float
+    error: float
+    reference_ns: float | None
+    exact: Mapping[str, float]
+    solver: str
+    is_verified: bool = True
+    complaints: tuple[str, ...] = ()
+
+    @classmethod
+    def read(cls, entry: Mapping[str, Any]) -> "Benchmark":
+        """Read an entry of a JSON file; KeyError, TypeError or ValueError if it is none."""
+        stats, extra = entry["stats"], entry.get("extra_info", {})
+        reference = extra.get("reference_ns")
+        times = float(stats["min"]), float(stats["q1"])
+        if not (0.0 < times[0] <= times[1] < np.inf and (reference is None or reference > 0)):
+            raise ValueError(f"times {times}, reference_ns {reference}")
+        name = str(entry["fullname"])
+        # Without the route: a change of a solver slows it on each.
+        solver = str(extra.get("solver", name)).partition(" (")[0]
+        state = MachineState.read(extra[KEY]).complaints() if KEY in extra else []
+        return cls(
+            name,
+            times[0],
+            _estimate_error(*times, int(stats["rounds"]), stats.get("data", [])),
+            reference,
+            dict(extra.get("exact", {})),
+            solver,
+            extra.get("true_share", 1.0) == 1.0,
+            tuple(state),
+        )
+
+
+def _estimate_error(
+    minimum_s: float, quartile_s: float, rounds: int, data: Iterable[float]
+) -> float:
+    """Estimate the standard error of log(minimum) from the quartile, and from blocks of rounds."""
+    spread = float(np.log(quartile_s / minimum_s))
+    error = spread / 4.0 / float(np.sqrt(max(1.0, rounds / 10.0)))
+    times = np.array(list(data), dtype=np.float64)
+    if len(times) < BLOCKS:
+        return error
+    least = [np.log(block.min()) for block in np.array_split(times, BLOCKS)]
+    return max(error, float(np.std(least, ddof=1)) / float(np.sqrt(BLOCKS)))
+
+
+@dataclass(frozen=True)
+class BenchmarkRun:
+    """The benchmarks of one run of pytest by name, and the reasons of those that failed."""
+
+    benchmarks: dict[str, Benchmark] = field(default_factory=dict)
+    failed: dict[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, entries: Iterable[Mapping[str, Any]], failed: Mapping[str, str]) -> "BenchmarkRun":
+        """Return the run of the entries of a JSON file; one that failed has no time."""
+        found = {one.name: one for one in map(Benchmark.read, entries)}
+        return cls({name: found[name] for name in found if name not in failed}, dict(failed))
+
+    @property
+    def names(self) -> set[str]:
+        """Names of all benchmarks, those that failed included."""
+        return {*self.benchmarks, *self.failed}
+
+
+def load_run(path: Path) -> BenchmarkRun:
+    """Read the benchmarks in a JSON file; InputError for a file that has none."""
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        run = BenchmarkRun.of(stored["benchmarks"], stored.get(FAILED, {}))
+    except OSError as error:
+        raise InputError(str(path), "", error.strerror or "unreadable", ALLOWED) from error
+    except (ValueError, TypeError, AttributeError) as error:
+        raise InputError(str(path), "", f"no such numbers ({error})", ALLOWED) from error
+    except KeyError as error:
+        raise InputError(str(path), str(error.args[0]), "nothing", ALLOWED) from error
+    if not run.names:
+        raise InputError(str(path), "benchmarks", "none", ALLOWED)
+    return run

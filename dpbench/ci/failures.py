@@ -1,0 +1,51 @@
+"""The benchmarks of a pytest session that failed, in its JSON file beside those that were timed."""
+
+import json
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dpbench.ci.benchmarks import FAILED
+
+FIXTURES = {"benchmark", "dpbench_replay"}
+"""Fixtures by which a test is a benchmark: the second asks for the first as it runs."""
+
+
+class FailedBenchmarks:
+    """Plug-in that notes why benchmarks failed: `reasons`, the first line of each by name."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+        self.reasons: dict[str, str] = {}
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(
+        self, item: pytest.Item, call: pytest.CallInfo[None]
+    ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+        """Note a benchmark that fails or cannot be set up."""
+        report = yield
+        is_benchmark = not FIXTURES.isdisjoint(getattr(item, "fixturenames", ()))
+        if report.failed and is_benchmark and call.excinfo is not None:
+            lines = str(call.excinfo.value).splitlines() or [call.excinfo.typename]
+            self.reasons.setdefault(item.nodeid, lines[0])
+        return report
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_benchmark_update_json(self, output_json: dict[str, Any]) -> None:
+        """Add the failures to the JSON file."""
+        output_json[FAILED] = self.reasons
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_sessionfinish(self) -> None:
+        """Write the JSON file where nothing was timed: pytest-benchmark then writes none."""
+        target = self._config.getoption("benchmark_json", None)
+        # No public hook has the benchmarks of a session.
+        measured = self._config._benchmarksession.benchmarks  # type: ignore[attr-defined] # a private attribute
+        if not (target and self.reasons) or measured:
+            return
+        # Older releases of pytest-benchmark have opened the file.
+        path = Path(getattr(target, "name", "")) if hasattr(target, "write") else Path(target)
+        content = json.dumps({"benchmarks": [], FAILED: self.reasons})
+        path.write_text(content, encoding="utf-8")

@@ -1,0 +1,155 @@
+"""Compare two revisions of a solver by its benchmarks, measured by turns.
+
+    python -m dpbench.ci.revisions BASE HEAD [--pairs 5] [--markdown FILE] [-- PYTEST ARGUMENTS]
+
+BASE and HEAD are working trees. pytest runs in each by turns, with `.venv/bin/python` of the tree
+where there is one. Pairs of runs that other load disturbed are repeated, each once at most. Exit 0:
+no regression shown, or a base without benchmarks; 1: a regression, wrong answers, a benchmark that
+failed or is gone; 2: bad input.
+"""
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from dpbench.ci import MARGIN
+from dpbench.ci.benchmarks import BenchmarkRun, load_run
+from dpbench.ci.comparison import compare_runs
+from dpbench.ci.verdicts import NOT_TIMED, Row, RunComparison
+from dpbench.errors import InputError
+from dpbench.files.writing import write_named_file
+
+SHOWN_LINES = 5
+"""Last lines of a pytest run that has no benchmarks."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One run of a tree's benchmarks; the reason where pytest did not come to its end."""
+
+    run: BenchmarkRun
+    reason: str = ""
+
+    @property
+    def is_quiet(self) -> bool:
+        """Whether nothing disturbed the machine."""
+        return not any(one.complaints for one in self.run.benchmarks.values())
+
+
+def measure_tree(tree: Path, arguments: Sequence[str]) -> Measured:
+    """Run the benchmarks of a working tree with pytest."""
+    own = tree.resolve() / ".venv" / "bin" / "python"
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run.json"
+        command = [str(own) if own.exists() else sys.executable, "-m", "pytest", "-q"]
+        command += ["--rootdir=.", "--benchmark-only", f"--benchmark-json={path}", *arguments]
+        done = subprocess.run(
+            command, cwd=tree, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False
+        )
+        lines = [line for line in done.stdout.decode(errors="replace").splitlines() if line.strip()]
+        reason = (
+            f"pytest ended with exit code {done.returncode}: {' | '.join(lines[-SHOWN_LINES:])}"
+        )
+        # 0 and 1: every test was run to its end.
+        if done.returncode > 1 or not path.exists():
+            return Measured(BenchmarkRun(), reason)
+        try:
+            return Measured(load_run(path))
+        except InputError:
+            return Measured(BenchmarkRun(), reason)
+
+
+def measure_by_turns(
+    trees: tuple[Path, Path], count: int, arguments: Sequence[str]
+) -> list[tuple[Measured, Measured]]:
+    """Measure both trees by turns until so many pairs are undisturbed, at most twice as many.
+
+    One pair is enough where the base has no benchmark or the head has one that fails.
+    """
+    pairs: list[tuple[Measured, Measured]] = []
+    while len(pairs) < 2 * count and sum(a.is_quiet and b.is_quiet for a, b in pairs) < count:
+        # Neither is always the second.
+        turns = (0, 1) if len(pairs) % 2 == 0 else (1, 0)
+        measured = {turn: measure_tree(trees[turn], arguments) for turn in turns}
+        pairs.append((measured[0], measured[1]))
+        base, head = pairs[-1]
+        if not base.run.benchmarks or not head.run.benchmarks or head.run.failed:
+            break
+    return pairs
+
+
+def compare_trees(
+    trees: tuple[Path, Path],
+    count: int,
+    arguments: Sequence[str],
+    margin: float,
+    *,
+    allow_gone: bool,
+) -> tuple[RunComparison, list[str]]:
+    """Compare two working trees; return the comparison and lines on how it was measured.
+
+    InputError where the head has no benchmark and the base has none either.
+    """
+    pairs = measure_by_turns(trees, count, arguments)
+    found = compare_runs(
+        [(base.run, head.run) for base, head in pairs], margin=margin, allow_gone=allow_gone
+    )
+    lines = [f"{len(pairs)} runs of each revision, by turns"]
+    base, head = pairs[-1]
+    if base.reason:
+        lines.append(f"base: {base.reason}")
+    if head.reason:
+        if base.reason:
+            raise InputError(str(trees[1]), "", head.reason, "a working tree with benchmarks")
+        # Its benchmarks are not gone: nobody knows.
+        row = Row("all benchmarks of the head", NOT_TIMED, remarks=(head.reason,))
+        found = RunComparison([row, *found.rows], allow_gone)
+    return found, lines
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Measure both trees, print and write the comparison; return the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="dpbench.ci.revisions", description=__doc__.splitlines()[0]
+    )
+    parser.add_argument("base", type=Path, metavar="BASE", help="working tree to compare with")
+    parser.add_argument("head", type=Path, metavar="HEAD", help="working tree of the change")
+    parser.add_argument("--pairs", type=int, default=5, help="runs of each revision (5)")
+    parser.add_argument(
+        "--margin", type=float, default=MARGIN, help=f"how much slower is no regression ({MARGIN})"
+    )
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write Markdown")
+    parser.add_argument(
+        "--allow-gone", action="store_true", help="pass where a benchmark of the base is gone"
+    )
+    parser.add_argument("pytest", nargs="*", metavar="ARGUMENT", help="of pytest, after --")
+    arguments = parser.parse_args(argv)
+    trees = arguments.base, arguments.head
+    try:
+        for tree in trees:
+            if not tree.is_dir():
+                raise InputError(str(tree), "", "no folder", "a working tree")
+        found, lines = compare_trees(
+            trees,
+            max(1, arguments.pairs),
+            arguments.pytest,
+            arguments.margin,
+            allow_gone=arguments.allow_gone,
+        )
+    except InputError as error:
+        print(f"revisions: {error}", file=sys.stderr)
+        return 2
+    found.print(Console() if sys.stdout.isatty() else Console(width=200), lines)
+    if arguments.markdown is not None:
+        write_named_file(arguments.markdown, found.markdown(lines).encode())
+    return int(found.worse)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,143 @@
+"""Verdicts on runs of two revisions: disturbances, pairs of runs, answers, failures."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dpbench.ci.benchmarks import BenchmarkRun
+from dpbench.ci.comparison import compare_runs
+from dpbench.ci.machine_state import MachineState
+
+QUIET = {
+    "wall_s": 1.0,
+    "processor_s": 1.0,
+    "voluntary_switches": 0.0,
+    "involuntary_switches": 3.0,
+    "steal_s": 0.0,
+    "kernel_before_ns": 4e4,
+    "kernel_after_ns": 4.1e4,
+}
+
+
+def entry(name: str = "t", seconds: float = 1e-3, **more: Any) -> dict[str, Any]:
+    """An entry of a JSON file, on a quiet machine."""
+    info = {"reference_ns": 4e4, "machine": QUIET} | more
+    stats = {"min": seconds, "q1": 1.01 * seconds, "rounds": 50}
+    return {"fullname": name, "stats": stats, "extra_info": info}
+
+
+def run_of(*entries: dict[str, Any], **failed: str) -> BenchmarkRun:
+    """A run of pytest."""
+    return BenchmarkRun.of(entries, failed)
+
+
+def verdicts(base: BenchmarkRun, head: BenchmarkRun, **options: bool) -> tuple[str, bool]:
+    """Verdict of a single pair of runs, and whether it is a regression."""
+    found = compare_runs([(base, head)], **options)
+    return found.verdict, found.worse
+
+
+@pytest.mark.parametrize(
+    ("changed", "text"),
+    [
+        ({}, ""),
+        ({"involuntary_switches": 30.0}, "30 involuntary context switches a second"),
+        ({"processor_s": 0.6}, "a processor for 60 % of the time only"),
+        # A solver that sleeps or waits for a device is not put off.
+        ({"processor_s": 0.6, "voluntary_switches": 200.0}, ""),
+        ({"steal_s": 0.1}, "10.0 % of the time stolen by the host"),
+        ({"kernel_after_ns": 8e4}, "a reference kernel 2.00 times as slow at one end"),
+        ({"throttle_events": 2.0}, "2 throttle events"),
+    ],
+)
+def test_complaints_of_a_machine(changed: dict[str, float], text: str) -> None:
+    """Each limit of a quiet machine has its words; what is hidden is no complaint."""
+    assert MachineState.read(QUIET | changed).complaints() == ([text] if text else [])
+
+
+@pytest.mark.parametrize("side", [0, 1])
+@pytest.mark.parametrize("factor", [0.06, 1.0, 2.06])
+def test_a_disturbed_time_has_no_verdict(side: int, factor: float) -> None:
+    """Neither slower nor faster, whichever of the two runs it was, and no interval."""
+    loud = QUIET | {"involuntary_switches": 120.0}
+    machines = [loud if side == i else QUIET for i in range(2)]
+    base, head = (
+        run_of(entry(seconds=s, machine=m))
+        for s, m in zip((1e-3, factor * 1e-3), machines, strict=True)
+    )
+    found = compare_runs([(base, head)])
+    (row,) = found.rows
+    assert (found.verdict, found.worse) == ("disturbed", False)
+    assert row.cells["ratio"] == f"{factor:.2f}"
+    assert "120 involuntary context switches" in row.cells["remarks"]
+    assert found.headline.startswith("disturbed")
+
+
+def test_exact_measures_and_answers_have_a_verdict_on_a_disturbed_machine() -> None:
+    """They do not depend on the clock."""
+    loud = QUIET | {"involuntary_switches": 120.0}
+    base = run_of(entry(machine=loud, exact={"iterations": 10}))
+    more = run_of(entry(machine=loud, exact={"iterations": 11}))
+    assert verdicts(base, more) == ("worse", True)
+    assert verdicts(base, run_of(t="wrong answers: error 3")) == ("wrong answers", True)
+
+
+def test_a_failed_test_is_not_gone_and_one_that_is_gone_may_be_allowed() -> None:
+    """Each has a verdict of its own."""
+    base, other = run_of(entry("t")), run_of(entry("u"))
+    assert verdicts(base, run_of(t="ZeroDivisionError")) == ("failed, not timed", True)
+    assert verdicts(base, other) == ("gone", True)
+    assert verdicts(base, other, allow_gone=True) == ("new", False)
+    assert verdicts(run_of(), base) == ("no baseline", False)
+    assert verdicts(run_of(t="TypeError"), base) == ("new", False)
+
+
+def test_faster_needs_verified_answers() -> None:
+    """A solver is not faster by answers that nobody confirmed; slower it may be."""
+    base, quick, slow = (run_of(entry(seconds=s, true_share=0.9)) for s in (1e-3, 1e-4, 1e-2))
+    assert verdicts(base, quick) == ("faster, not verified", False)
+    assert verdicts(base, slow) == ("slower", True)
+    assert verdicts(base, run_of(entry(seconds=1e-4, true_share=1.0))) == ("faster", False)
+
+
+def test_disturbed_pairs_are_left_out_where_three_others_remain() -> None:
+    """Two of five pairs tell nothing; with three disturbed there is no verdict."""
+    loud = QUIET | {"steal_s": 0.5}
+
+    def pairs(disturbed: int) -> list[tuple[BenchmarkRun, BenchmarkRun]]:
+        machines = [loud] * disturbed + [QUIET] * (5 - disturbed)
+        return [
+            (run_of(entry()), run_of(entry(seconds=9e-3 if m is loud else 2e-3, machine=m)))
+            for m in machines
+        ]
+
+    found = compare_runs(pairs(2))
+    assert found.verdict == "slower"
+    assert found.rows[0].ratio is not None
+    assert found.rows[0].ratio.value == pytest.approx(2.0)
+    assert compare_runs(pairs(3)).verdict == "disturbed"
+
+
+def test_the_interval_of_pairs_covers_what_runs_scatter() -> None:
+    """Unchanged code whose runs scatter by 30 %: the truth is in nearly every interval."""
+    rng, covered, wide = np.random.default_rng(5), 0, []
+    for _ in range(200):
+        factors = np.exp(rng.normal(0.0, 0.3, (5, 2)))
+        pairs = [(run_of(entry(seconds=a)), run_of(entry(seconds=b))) for a, b in factors]
+        (row,) = compare_runs(pairs).rows
+        assert row.ratio is not None
+        covered += row.ratio.spans(1.0)
+        wide.append(row.ratio.high / row.ratio.low)
+    assert covered >= 180
+    quiet = compare_runs([(run_of(entry()), run_of(entry()))] * 5).rows[0].ratio
+    assert quiet is not None
+    assert np.median(wide) > 1.5 * quiet.high / quiet.low
+
+
+def test_the_document_begins_with_the_verdict() -> None:
+    """The first line of a comment; names of others are made harmless."""
+    found = compare_runs([(run_of(entry("a|b")), run_of(entry("a|b", seconds=1e-2)))])
+    first, _, rest = found.markdown(["five runs"]).partition("\n")
+    assert first == "**dpbench: slower: 1 benchmark**"
+    assert "a\\|b" in rest and rest.endswith("five runs\n")
