@@ -18,6 +18,7 @@ from dpbench.display import table_html
 from dpbench.embedded.table import load_counts
 from dpbench.errors import InputError, ResultsError, list_allowed, require_names
 from dpbench.files.writing import make_folder
+from dpbench.notebook.latex import make_tabular
 from dpbench.notebook.plots import ResultPlots
 from dpbench.report.csv_tables import read_table, write_tables
 from dpbench.report.formats import plural
@@ -113,24 +114,41 @@ class Results(result_folder.Results):
         """
         return self.tables["paired_ratios"]
 
-    def to_latex(self, table: str = "verdicts", columns: Sequence[str] | None = None) -> str:
+    def to_latex(
+        self,
+        table: str | pd.DataFrame = "verdicts",
+        columns: Sequence[str] | None = None,
+        *,
+        solvers: Sequence[str] | None = None,
+        only_run: bool = False,
+    ) -> str:
         """Return a table of the report as a LaTeX `tabular`, numbers to three digits.
 
         The document needs the package `booktabs`.
 
-        table : a name in `tables`. columns : some of its columns, by default all; of "verdicts"
-        those that identify a configuration, its verdict, error and times.
-        InputError for a table or column that is not there.
+        table : a name in `tables`, or a data frame, such as some rows of one. columns : some of its
+        columns, by default all; of "verdicts" those that identify a configuration, its verdict,
+        error and times. solvers : only their rows. only_run : without rows of verdict "not run".
+        InputError for a table, column or solver that is not there.
         """
-        require_names(columns=columns)
-        _check_name("table", table, self.tables)
-        frame = self.tables[table]
+        require_names(columns=columns, solvers=solvers)
+        if isinstance(table, str):
+            _check_name("table", table, self.tables)
+            frame = self.tables[table]
+        else:
+            frame = table
+        if solvers is not None:
+            _check_name("column", "solver", frame.columns)
+            for name in solvers:
+                _check_name("solver", name, frame["solver"].unique())
+            frame = frame[frame["solver"].isin(solvers)]
+        if only_run and "verdict" in frame:
+            frame = frame[frame["verdict"] != "not run"]
         for name in columns or ():
             _check_name("column", name, frame.columns)
-        usual = [name for name in frame if table != "verdicts" or name in VERDICT_COLUMNS]
-        style = frame[list(columns or usual)].style.hide(axis="index")
-        style = style.format(_format_cell, escape="latex", na_rep="")
-        return str(style.format_index(escape="latex", axis=1).to_latex(hrules=True))
+        are_verdicts = isinstance(table, str) and table == "verdicts"
+        usual = [name for name in frame if not are_verdicts or name in VERDICT_COLUMNS]
+        return make_tabular(frame[list(columns or usual)])
 
     def to_csv(self, folder: str | Path) -> None:
         """Write all tables of the report that have rows as CSV files into a folder.
@@ -190,14 +208,9 @@ class _StoredTables(dict[str, pd.DataFrame]):
 
 
 def _check_name(key: str, name: str, known: Iterable[str]) -> None:
-    """Raise InputError unless a table or column is known, with the nearest of those that are."""
+    """Raise InputError unless a table, column or solver is known, with the nearest that are."""
     if name not in (names := list(known)):
         raise InputError("results", key, repr(name), list_allowed(name, names))
-
-
-def _format_cell(value: object) -> str:
-    """Format a number to three digits, and anything else as text."""
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def load_results(out: str | Path) -> Results:

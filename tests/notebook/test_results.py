@@ -63,13 +63,42 @@ def test_a_table_in_latex_has_a_line_for_each_row(results: Results) -> None:
     rows = [line for line in lines if line.endswith(r"\\")]
     assert len(rows) == 1 + len(results.verdict())
     assert rows[0] == r"solver & error\_move & p50\_us \\"
-    assert all(len(re.findall(r"\d", cell.split("e")[0])) <= 4 for cell in rows[1].split("&")[1:])
+    cells = rows[1].split("&")[1:]
+    assert all(len(re.findall(r"[1-9]", cell.split("\\cdot")[0])) <= 3 for cell in cells)
     (head,) = (line for line in results.to_latex().splitlines() if line.startswith("solver &"))
     assert head.count("&") < 8 and r"error\_move" in head
     with pytest.raises(InputError, match="verdicts"):
         results.to_latex("verdict")
     with pytest.raises(InputError, match="p50_us"):
         results.to_latex("verdicts", columns=["p50"])
+
+
+def test_rows_of_a_table_in_latex_can_be_chosen(results: Results) -> None:
+    verdict = results.verdict()
+    assert {"not run", "pass"} < set(verdict["verdict"]) and verdict["solver"].nunique() > 2
+    known = results.to_latex(solvers=["daqp", "osqp"], only_run=True)
+    chosen = verdict[verdict["solver"].isin(["daqp", "osqp"]) & (verdict["verdict"] != "not run")]
+    assert 0 < len(chosen) < len(verdict[verdict["verdict"] != "not run"])
+    solvers = [line.split(" & ")[0] for line in known.splitlines() if line.endswith(r"\\")]
+    assert solvers == ["solver", *chosen["solver"]]
+    assert "not run" in results.to_latex() and "not run" not in known
+    assert results.to_latex(chosen, ["solver"]).count(r"\\") == 1 + len(chosen)
+    with pytest.raises(InputError, match=r"solver: found 'dapq'; allowed: .*daqp"):
+        results.to_latex(solvers=["dapq"])
+    with pytest.raises(InputError, match="column: found 'solver'"):
+        results.to_latex("paired_ratios", solvers=["daqp"])
+
+
+def test_every_table_in_latex_is_complete_ascii(results: Results) -> None:
+    """Braces and dollars are balanced, and every row has the cells of the head."""
+    for name, table in results.tables.items():
+        text = results.to_latex(name)
+        assert text.isascii(), name
+        bare = re.sub(r"\\[\\{}$]", "", text)
+        assert bare.count("{") == bare.count("}") and bare.count("$") % 2 == 0, name
+        rows = [line for line in text.splitlines() if line.endswith(r"\\")]
+        usual = 8 if name == "verdicts" else len(table.columns)
+        assert all(len(re.findall(r"(?<!\\)&", row)) == usual - 1 for row in rows), name
 
 
 def test_ladder_and_ratios_are_of_the_same_solvers(results: Results) -> None:

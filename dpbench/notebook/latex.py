@@ -1,0 +1,125 @@
+"""Tables as LaTeX: text escaped, numbers and signs as math, nothing but ASCII."""
+
+import re
+from numbers import Integral, Real
+
+import pandas as pd
+from pandas.api.types import is_bool_dtype, is_numeric_dtype
+
+_SPECIAL = {sign: f"\\{sign}" for sign in "&%$#_{}"} | {
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "`": "",  # Markdown's mark of code
+    "\u202f": r"\,",
+    "–": "--",
+    "“": "``",
+    "”": "''",
+    "…": r"\ldots{}",
+}
+_MATH = {
+    "|": "|",
+    "<": "<",
+    ">": ">",
+    "∞": r"\infty",
+    "→": r"\to",
+    "←": r"\gets",
+    "↔": r"\leftrightarrow",
+    "−": "-",
+    "±": r"\pm",
+    "×": r"\times",
+    "·": r"\cdot",
+    "≤": r"\le",
+    "≥": r"\ge",
+    "≠": r"\ne",
+    "≈": r"\approx",
+    "√": r"\surd",
+    "½": r"\frac{1}{2}",
+    "°": r"^{\circ}",
+    "¹": "^{1}",
+    "²": "^{2}",
+    "³": "^{3}",
+    "⁻": "^{-}",
+    "ᵀ": r"^{\top}",
+    "Δ": r"\Delta",
+    "Σ": r"\Sigma",
+    "η": r"\eta",
+    "θ": r"\theta",
+    "λ": r"\lambda",
+    "µ": r"\mu",
+    "μ": r"\mu",
+    "ν": r"\nu",
+    "τ": r"\tau",
+    "ψ": r"\psi",
+}
+_ESCAPES = str.maketrans(_SPECIAL | {sign: f"${math}$" for sign, math in _MATH.items()})
+_NUMBER = re.compile(r"(?<![\w.)])-?\d+(?:\.\d+)?e[+-]?\d+(?!\w)|(?<![\w.)])-(?=\d)")
+"""A number with an exponent, or the minus of another one."""
+_DIGITS = 3
+
+
+def make_tabular(table: pd.DataFrame) -> str:
+    r"""Return a table as a LaTeX `tabular` with the rules of `booktabs`, one line a row.
+
+    Numbers have three digits and stand to the right; a missing value is an empty cell.
+
+    Examples
+    --------
+    >>> print(make_tabular(pd.DataFrame({"p50_us": [5.468], "error": [2.64e-12]})))
+    \begin{tabular}{rr}
+    \toprule
+    p50\_us & error \\
+    \midrule
+    5.47 & $2.64\cdot 10^{-12}$ \\
+    \bottomrule
+    \end{tabular}
+    <BLANKLINE>
+    """
+    align = "".join("r" if _is_of_numbers(table[name]) else "l" for name in table)
+    heads = (escape_text(str(name)) for name in table)
+    rows = [map(format_cell, row) for row in table.itertuples(index=False, name=None)]
+    head, *body = (" & ".join(cells) + r" \\" for cells in (heads, *rows))
+    lines = [r"\toprule", head, r"\midrule", *body, r"\bottomrule"]
+    return "\n".join((f"\\begin{{tabular}}{{{align}}}", *lines, r"\end{tabular}", ""))
+
+
+def _is_of_numbers(column: pd.Series) -> bool:
+    """Return whether the cells of a column are numbers."""
+    return is_numeric_dtype(column) and not is_bool_dtype(column)
+
+
+def format_cell(value: object) -> str:
+    """Format a value as a cell of LaTeX: a number to three digits, anything else as text."""
+    if value is None or value is pd.NA or value != value:  # NaN alone differs from itself
+        return ""
+    if isinstance(value, Real) and not isinstance(value, Integral):
+        return _format_number(float(value))
+    return escape_text(str(value))
+
+
+def escape_text(text: str) -> str:
+    """Escape a text for LaTeX; its signs and the exponents of its numbers become math."""
+    parts, end = [], 0
+    for found in _NUMBER.finditer(text):
+        number = "$-$" if found[0] == "-" else _write_power(found[0])
+        parts += [text[end : found.start()].translate(_ESCAPES), number]
+        end = found.end()
+    return "".join((*parts, text[end:].translate(_ESCAPES)))
+
+
+def _format_number(value: float) -> str:
+    """Format a number to three digits, without exponent from 1e-4 to 1e7."""
+    if abs(value) == float("inf"):
+        return r"$\infty$" if value > 0.0 else r"$-\infty$"
+    rounded = float(f"{value:.{_DIGITS}g}")
+    if rounded != 0.0 and not 1e-4 <= abs(rounded) < 1e7:
+        return _write_power(f"{value:.{_DIGITS}g}")
+    text = f"{rounded:.10g}"
+    return f"${text}$" if rounded < 0.0 else text
+
+
+def _write_power(text: str) -> str:
+    """Return a number such as 1.2e-12 as a power of ten in math."""
+    mantissa, exponent = text.split("e")
+    factor = {"1": "", "-1": "-"}.get(mantissa, f"{mantissa}\\cdot ")
+    return f"${factor}10^{{{int(exponent)}}}$"

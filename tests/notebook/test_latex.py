@@ -1,0 +1,60 @@
+"""Cells of LaTeX against cells that were written by hand."""
+
+import math
+
+import pandas as pd
+import pytest
+
+from dpbench.notebook.latex import escape_text, format_cell, make_tabular
+
+
+@pytest.mark.parametrize(
+    ("value", "cell"),
+    [
+        (1.2e-12, r"$1.2\cdot 10^{-12}$"),
+        (-3.456e-7, r"$-3.46\cdot 10^{-7}$"),
+        (1e-10, "$10^{-10}$"),
+        (2.5e9, r"$2.5\cdot 10^{9}$"),
+        (8326.389, "8330"),
+        (0.000615, "0.000615"),
+        (9.9999e-5, "0.0001"),
+        (0.0, "0"),
+        (-0.25, "$-0.25$"),
+        (math.inf, r"$\infty$"),
+        (-math.inf, r"$-\infty$"),
+        (math.nan, ""),
+        (pd.NA, ""),
+        (None, ""),
+        (6035, "6035"),
+        (-3, "$-$3"),
+        (True, "True"),
+    ],
+)
+def test_a_value_is_a_cell(value: object, cell: str) -> None:
+    assert format_cell(value) == cell
+
+
+@pytest.mark.parametrize(
+    ("text", "latex"),
+    [
+        ("p99_us", r"p99\_us"),
+        ("A & B, 5 % of #1 in {x}", r"A \& B, 5 \% of \#1 in \{x\}"),
+        ("C:\\x ~ y^2", r"C:\textbackslash{}x \textasciitilde{} y\textasciicircum{}2"),
+        ("largest |λ| ≥ 64", r"largest $|$$\lambda$$|$ $\ge$ 64"),
+        ("1.68 – 1.75 m·s⁻²", r"1.68 -- 1.75 m$\cdot$s$^{-}$$^{2}$"),
+        ("a → b, up to ∞", r"a $\to$ b, up to $\infty$"),
+        ("eps_abs=1e-05,rho=-0.1", r"eps\_abs=$10^{-5}$,rho=$-$0.1"),
+        ("paper-30-5, k 3, 1\u202f741 rounds", r"paper-30-5, k 3, 1\,741 rounds"),
+        ("−3 °C in `turn`", r"$-$3 $^{\circ}$C in turn"),
+        ("v1e5x 2a", "v1e5x 2a"),
+    ],
+)
+def test_a_text_is_escaped(text: str, latex: str) -> None:
+    assert escape_text(text) == latex
+
+
+def test_numbers_are_to_the_right_of_a_table() -> None:
+    table = pd.DataFrame({"a_b": ["x"], "n": [2], "is": [True], "t": [0.5]})
+    lines = make_tabular(table).splitlines()
+    assert lines[0] == r"\begin{tabular}{lrlr}" and lines[2] == r"a\_b & n & is & t \\"
+    assert lines[4] == r"x & 2 & True & 0.5 \\" and lines[-1] == r"\end{tabular}"
