@@ -36,6 +36,7 @@ Doubt = Literal[
     "few timings",
     "short slow loop",
     "late at random",
+    "late when disturbed",
     "perhaps late timings",
     "perhaps past the deadline",
     "no closed loop",

@@ -18,7 +18,8 @@ which a p99 allows ("late timings").
 Closed loops, and replays of one round. Hard steps and delays look the same, and one late timing in
 a hundred is allowed: binomial with a share of 1 %. Late is what exceeds the limit by more than the
 uncertainty of the times. Where waits are not recorded, each involuntary context switch that can
-have hit a timed call explains one (`explained_late_timings`).
+have hit a timed call explains one (`explained_late_timings`). A disturbed run proves nothing: waits
+do not show what other programs cost in caches and clock frequency.
 
 Deadline. So long a stall is rare in a whole campaign: its rate is that of all replays together.
 
@@ -44,6 +45,7 @@ from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.uncertainty import Uncertainty
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import explained_late_timings
+from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S
 
 Kind = Literal["late timings", "late at random", "past the deadline"]
 PROVEN, DOUBTFUL = 0.001, 0.05
@@ -71,6 +73,7 @@ class LateTimings:
     late, samples : late timings and all timings, over all rounds.
     machine : share of late timings that the machine leads to expect; NaN where nothing shows it.
     p : one-sided p-value, adjusted within its kind (Holm).
+    is_disturbed : whether it is the only round of its steps, on a disturbed machine.
     """
 
     kind: Kind
@@ -79,6 +82,7 @@ class LateTimings:
     samples: int
     machine: float
     p: float
+    is_disturbed: bool = False
 
     @property
     def share(self) -> float:
@@ -88,7 +92,7 @@ class LateTimings:
     @property
     def is_proven(self) -> bool:
         """True if the test excludes the machine as the cause of a run's late timings."""
-        return self.p <= PROVEN
+        return self.p <= PROVEN and not self.is_disturbed
 
 
 @dataclass(frozen=True)
@@ -270,7 +274,9 @@ def _test_single_round(run: RunRecord, own: Delays, limit_ns: float) -> LateTimi
         p = 1.0
     # Where the kernel hides its switches they may explain all of it.
     p = DOUBTFUL if math.isnan(explained) and p < DOUBTFUL else p
-    return LateTimings("late timings", run, late, samples, explained / samples, p)
+    switches = MAX_SWITCHES_PER_S * run.replay_s, ALLOWED * samples
+    is_disturbed = run.involuntary_switches > max(switches)
+    return LateTimings("late timings", run, late, samples, explained / samples, p, is_disturbed)
 
 
 def _count_explained(run: RunRecord, own: Delays, late: int, limit_ns: float) -> float:

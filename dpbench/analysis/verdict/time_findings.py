@@ -96,15 +96,20 @@ def report_late_timings(
 ) -> list[Finding]:
     """Convert late timings of runs to findings for a verdict, the worst run of each kind first."""
     found = [one for run in runs for one in late.get(run.run_id, ())]
-    by_kind: dict[Cause | Doubt, list[LateTimings]] = group_by(
-        found, lambda one: one.kind if one.is_proven else _DOUBTFUL[one.kind]
-    )
+    by_kind: dict[Cause | Doubt, list[LateTimings]] = group_by(found, _choose_finding)
     findings = []
     for kind, of_kind in by_kind.items():
         worst, *others = sorted(of_kind, key=lambda one: -one.share)
         at = (worst.run, *(one.run for one in others))
         findings.append(Finding(kind, at, worst.share, worst.samples, worst.machine))
     return findings
+
+
+def _choose_finding(one: LateTimings) -> Cause | Doubt:
+    """Choose the finding on late timings: a cause where they are proven, else a doubt."""
+    if one.is_disturbed:
+        return "late when disturbed"
+    return one.kind if one.is_proven else _DOUBTFUL[one.kind]
 
 
 def judge_times(

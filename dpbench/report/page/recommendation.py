@@ -7,7 +7,7 @@ from math import isnan
 from typing import Any
 
 from dpbench.analysis.times.contrasts import find_faster_inconclusive, paired_comparison
-from dpbench.analysis.times.machine import shortest_wait_ns
+from dpbench.analysis.times.machine import shortest_wait_ns, timed_runs, total_disturbance
 from dpbench.analysis.verdict.fastest import (
     SolverChoice,
     choose_solver,
@@ -27,6 +27,7 @@ from dpbench.report.formats import (
     strip_markdown,
     time_text,
 )
+from dpbench.report.machine_verdict import disturbance_text
 from dpbench.report.page.data import PageData
 from dpbench.report.ship_text import ShipSummary, summarise_ships
 from dpbench.report.verdict_text import (
@@ -121,10 +122,19 @@ def build_recommendation(
         chips=tuple(_make_badges(data, first)),
         snippets=tuple(_make_snippets(chosen.configuration)) if chosen else (),
         requirements=requirements_text(data.requirements) if data.verdicts.of else "",
-        machine=f"Machine: {machine.get('cpu_model', 'not known')}, {machine.get('cores', '?')} "
-        f"cores, {machine.get('python', '')}. Times hold for it alone.",
+        machine=_describe_machine(data, machine),
         first=first,
         second=second,
+    )
+
+
+def _describe_machine(data: PageData, machine: Mapping[str, Any]) -> str:
+    """Name the machine, and what disturbed it; "" for nothing."""
+    name = f"{machine.get('cpu_model', 'not known')}, {machine.get('cores', '?')} cores"
+    disturbed = disturbance_text(total_disturbance(timed_runs(data.records)))
+    return (
+        f"Machine: {name}, {machine.get('python', '')}. Times hold for it alone."
+        + f" It was {disturbed}: times are better measured again." * (disturbed != "quiet")
     )
 
 

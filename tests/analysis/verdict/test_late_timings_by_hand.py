@@ -15,6 +15,7 @@ from dpbench.analysis.verdict.lateness import (
     find_late_timings,
 )
 from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.time_findings import report_late_timings
 from dpbench.analysis.verdict.uncertainty import Uncertainty
 from dpbench.solvers.calibration import COPY_ONLY
 
@@ -155,6 +156,21 @@ def test_switches_outside_of_the_timed_calls_explain_nothing(records: Any) -> No
     fewer = sum(math.comb(450, n) * 0.01**n * 0.99 ** (450 - n) for n in range(11))
     assert found.machine == 12 / 450
     assert found.p == pytest.approx(1.0 - fewer, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("switches", "replay_s", "proven"), [(50, 0.36, False), (50, 6.0, True), (4, 0.36, True)]
+)
+def test_a_disturbed_loop_proves_nothing(
+    records: Any, switches: int, replay_s: float, proven: bool
+) -> None:
+    """139 switches a second of another program; not 8.3 a second, nor four of 450 timings."""
+    slow = dict.fromkeys(range(200), 7e6)
+    _loop(records, 450, slow, involuntary_switches=switches, replay_s=replay_s)
+    (found,) = _found(records)["daqp"]
+    assert found.p < 0.001 and found.is_proven == proven
+    (finding,) = report_late_timings([found.run], {found.run.run_id: [found]})
+    assert finding.kind == ("late timings" if proven else "late when disturbed")
 
 
 @pytest.mark.parametrize(("switches", "p"), [(0, 1.0 - 0.99**3), (1, None), (2, None)])
