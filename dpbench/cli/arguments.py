@@ -327,12 +327,15 @@ def _add_tune_solver_arguments(tune: Command) -> None:
     )
     add, option = tune.add_argument, partial(_add_option, tune)
     repeated = partial(option, action="append", default=[])
-    add("solver", help="the solver to tune")
+    start = "the solver to tune, as osqp, or with settings to start from as 'osqp[rho=1.6]'"
+    add("solver", help=start)
     training = "search on this sequence or scenario; repeatable (paper, rough, turn)"
     repeated("--train", "S", training, dest="training")
-    repeated("--test", "S", "measure on this one; repeatable (move, squall, weather)")
-    ranges = "search this option, as 'rho=[1e-3,10]', instead of its usual range; repeatable"
+    repeated("--test", "S", "measure on this one; repeatable (move, extreme, weather)")
+    ranges = "search this option, as 'rho=[1e-3,10]', instead of the usual ones; repeatable"
     repeated("--range", "RANGE", ranges, dest="ranges")
+    widened = "search this option in this range, beside the other ones; repeatable"
+    repeated("--widen", "RANGE", widened, dest="widened")
     add("--route", help="native (default where there is one) or qpsolvers")
     add("--policy", default="fresh", help="fresh (default), reuse or warm")
     error = "largest error of the first move, in rate-limit steps (0.01)"

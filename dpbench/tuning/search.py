@@ -80,13 +80,17 @@ class TrialSearch(Generic[_Score]):
         self._rng = np.random.default_rng(seed)
         self.trials: list[Trial[_Score]] = []
 
-    def run(self, batches: int) -> None:
-        """Try so many batches of options: a half of them spread, the others near the best."""
+    def run(self, batches: int, start: Options | None = None) -> None:
+        """Try so many batches of options: a half of them spread, the others near the best.
+
+        start : options that are tried with the first batch.
+        """
         spread = math.ceil(batches / 2)
         dimensions = len(self._space.ranges)
         sample = qmc.Sobol(dimensions, seed=self._rng)
+        first = [] if start is None else [(start, self._space.point_of(start))]
         for _ in range(spread):
-            self._try_points(sample.random(BATCH))
+            self._try_points(sample.random(BATCH), first)
         radius = FIRST_RADIUS
         for _ in range(batches - spread):
             before = self._choose(self.trials)
@@ -96,12 +100,11 @@ class TrialSearch(Generic[_Score]):
             if self._choose(self.trials) == before:
                 radius /= 2.0
 
-    def _try_points(self, points: Matrix) -> None:
-        """Evaluate the options at some points, except those that were tried."""
+    def _try_points(self, points: Matrix, given: Sequence[tuple[Options, Vector]] = ()) -> None:
+        """Evaluate options that are given and those at some points, except what was tried."""
         known = {trial.name for trial in self.trials}
         new: dict[str, tuple[Options, Vector]] = {}
-        for point in points:
-            options = self._space.options_at(point)
+        for options, point in [*given, *((self._space.options_at(p), p) for p in points)]:
             name = describe_options(options)
             if name not in known:
                 new.setdefault(name, (options, point))

@@ -21,13 +21,15 @@ class TunedProblem:
     """A source of QPs: its name in the results, its table of a suite, and what it consists of.
 
     loop : the scenario and ship that its QPs belong to, whatever the horizons, as JSON; "" if
-        unknown. steps : the QPs of a recorded sequence.
+        unknown. steps : the QPs of a recorded sequence. every : steps of the loop from one of its
+        QPs to the next.
     """
 
     name: str
     table: dict[str, Any]
     loop: str = ""
     steps: frozenset[bytes] = field(default=frozenset(), repr=False)
+    every: int = 1
 
 
 def load_problem(name: str, steps: int = 0) -> TunedProblem:
@@ -44,9 +46,14 @@ def load_problem(name: str, steps: int = 0) -> TunedProblem:
         recorded = read_sequence(path)
         origin = name if is_stored(name) else str(path.resolve())
         sequence = recorded.sequence
+        every = sequence.meta.get("every", 1)
         table: dict[str, Any] = {"kind": "recorded", "sequence": origin}
         return TunedProblem(
-            sequence.name, table, _loop_key(recorded.documents), _hash_steps(sequence)
+            sequence.name,
+            table,
+            _loop_key(recorded.documents),
+            _hash_steps(sequence),
+            every if isinstance(every, int) else 1,
         )
     try:
         scenario = load_scenario(name)

@@ -6,19 +6,26 @@ timed anew side by side, on these and on the test sequences.
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
+
+import numpy as np
 
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.bench.progress import Progress, Silent
 from dpbench.errors import InputError, PolicyError, require_at_least
 from dpbench.files.writing import write_text
-from dpbench.report.formats import error_text, significant, time_text
+from dpbench.report.formats import and_list, error_text, significant, time_text
 from dpbench.report.table import Table
 from dpbench.solvers.contract import Options, Policy, Route
-from dpbench.solvers.own_settings import describe_options
+from dpbench.solvers.own_settings import (
+    describe_options,
+    expand_grid,
+    parse_choice,
+    split_choice,
+)
 from dpbench.solvers.record import HIGH
 from dpbench.solvers.settings import has_setting, has_tolerance_levels, resolve_options
 from dpbench.solvers.table import (
@@ -42,16 +49,16 @@ from dpbench.tuning.sequences import TunedProblem, load_problem, refuse_overlap
 from dpbench.tuning.space import SearchSpace, make_space
 
 TRAINING = ("paper", "rough", "turn")
-TEST = ("move", "squall", "weather")
+TEST = ("move", "extreme", "weather")
 TRIALS = 48
-BEST = "best"
+YOURS, BEST = "yours", "best"
 
 
 @dataclass(frozen=True)
 class TunedRole:
-    """The best settings and presets on the training or on the test sequences, side by side.
+    """Best settings, presets and the user's own on the training or the test sequences.
 
-    runs : by the name of the settings, the best ones as `BEST`.
+    runs : by the name of the settings, the user's as `YOURS`, the best ones as `BEST`.
     """
 
     title: str
@@ -81,19 +88,21 @@ class TunedRole:
 class Tuning:
     """Result of a search: the best trial, its runs on training and test sequences, its file.
 
-    folder : of the runs; path : of the settings as TOML, None where no trial met the requirement.
+    edges : options whose best value is at the edge of its range. folder : of the runs; path : of
+    the settings as TOML, None where no trial met the requirement.
     """
 
     solver: TunedSolver
     best: Trial[Score]
     trials: int
+    edges: Sequence[str]
     roles: tuple[TunedRole, ...]
     folder: Path
     path: Path | None
 
     @property
     def table(self) -> Table:
-        """Table of step time and error of presets and best settings on each sequence."""
+        """Table of step time and error of presets, own and best settings on each sequence."""
         limit = self.solver.requirements
         rows = [
             (
@@ -118,12 +127,14 @@ class Tuning:
     @property
     def lines(self) -> list[str]:
         """The result in words: the best settings, and what they gain on either kind of sequence."""
+        edges = [f"the best lies at the edge of the searched range, {text}" for text in self.edges]
         if self.path is None:
             return [
                 f"none of {self.trials} settings is accurate on every training sequence; the "
-                f"nearest, {self.best.name}, misses the requirement on {self.best.score.wrong}"
+                f"nearest, {self.best.name}, misses the requirement on {self.best.score.wrong}",
+                *edges,
             ]
-        lines = [f"best of {self.trials} settings: {self.best.name}"]
+        lines = [f"best of {self.trials} settings: {self.best.name}", *edges]
         for role in self.roles:
             lines.append(f"{role.title} sequences: {role.summary(self.solver.requirements)}")
         return [*lines, f"settings: {self.path}; runs: {self.folder / 'final'}"]
@@ -164,6 +175,7 @@ def tune_solver(
     training: Sequence[str] = (),
     test: Sequence[str] = (),
     ranges: Sequence[str] = (),
+    widened: Sequence[str] = (),
     route: Route | None = None,
     policy: Policy = "fresh",
     error_move: float = Requirements.error_move,
@@ -181,8 +193,11 @@ def tune_solver(
 
     Parameters
     ----------
+    solver : a name, or with settings of one's own as `osqp[rho=1.6]`: the search starts with these,
+        keeps those of their options that it does not search, and measures them beside the best.
     training, test : recorded sequences or scenarios; by default `TRAINING` and `TEST`.
     ranges : texts such as `rho=[1e-3,10]`, in place of the stated ranges of the solver.
+    widened : such texts beside the other ranges.
     route, policy : of the solver; no route is native where it has that.
     error_move : the accuracy requirement, largest error of the first move [rate-limit steps].
     trials : settings to try, rounded up to whole batches; steps : of a scenario, 0 for all.
@@ -197,33 +212,81 @@ def tune_solver(
     if solver_module is not None:
         load_solver_module(solver_module)
     _check_numbers(trials, steps, seed, error_move)
+    solver, given = _read_start(solver)
     tuned = _choose_call(solver, route, policy, Requirements(error_move=error_move), solver_module)
     if has_setting(solver, name) or not re.fullmatch(r"[\w-]{1,80}", name, re.ASCII):
         allowed = f"letters, digits, _ and -; no preset of {solver}"
         raise InputError("--name", "", repr(name)[:90], allowed)
-    space = make_space(solver, ranges)
-    _check_ends(tuned, space)
+    space = make_space(solver, ranges, widened, given)
+    start = space.with_types(given) if given else None
+    _check_options(tuned, space, start)
     learned = [load_problem(one, steps) for one in training or TRAINING]
     other = [load_problem(one, steps) for one in test or TEST]
     refuse_overlap(learned, other)
     folder = Path(out) if out is not None else Path("results") / f"tune-{solver}"
     batches = max(2, -(-trials // BATCH))
     bar = _BatchProgress(progress or Silent(), batches + 1)
-    search = _search_settings(tuned, learned, space, folder, batches, seed, bar)
+    for remark in _list_remarks(policy, [*learned, *other], space, start):
+        bar.remark(remark)
+    search = _search_settings(tuned, learned, space, folder, batches, seed, bar, start)
     best = search.best
+    tuning = Tuning(
+        tuned, best, len(search.trials), space.describe_edges(best.options), (), folder, None
+    )
     if not best.score.is_right:
-        return Tuning(tuned, best, len(search.trials), (), folder, None)
-    presets = [DEFAULT, HIGH] if has_tolerance_levels(solver) else [DEFAULT]
-    everything = [*learned, *other]
-    runs = measure_settings(tuned, everything, [best.options], folder / "final", bar, presets)
-    roles = []
-    for title, problems in (("training", learned), ("test", other)):
-        found = runs_by_settings(runs, problems)
-        roles.append(TunedRole(title, {n: found[n] for n in presets} | {BEST: found[best.name]}))
-    path = folder / f"{name}.toml"
-    tuning = Tuning(tuned, best, len(search.trials), tuple(roles), folder, path)
-    write_text(path, _settings_toml(tuning, name))
+        return tuning
+    roles = _measure_roles(tuned, best.options, start, learned, other, folder, bar)
+    tuning = replace(tuning, roles=roles, path=folder / f"{name}.toml")
+    write_text(folder / f"{name}.toml", _settings_toml(tuning, name))
     return tuning
+
+
+def _read_start(choice: str) -> tuple[str, Options]:
+    """Return solver and options of a choice such as `osqp[rho=1.6]`; InputError for a grid."""
+    solver, _ = split_choice(choice)
+    points = expand_grid(parse_choice(choice), f"solver {solver}")
+    if len(points) != 1:
+        allowed = "one value an option; --range or --widen 'OPTION=[LEAST,LARGEST]' for a range"
+        raise InputError("tune-solver", "", choice[:90], allowed)
+    return solver, points[0]
+
+
+def _list_remarks(
+    policy: Policy, problems: Sequence[TunedProblem], space: SearchSpace, start: Options | None
+) -> list[str]:
+    """Return remarks on a warm start from a distant step, and on a start at the edge of a range."""
+    thinned = [f"{one.name} (one step of {one.every})" for one in problems if one.every > 1]
+    remarks = []
+    if policy == "warm" and thinned:
+        remarks.append(
+            f"warm starts on {and_list(thinned)} begin far from the solution, and their times are "
+            "not those of a control loop; name scenarios, as --train paper --steps 300"
+        )
+    edges = space.describe_edges(start or {})
+    return remarks + [f"your settings lie at the edge of the searched range, {e}" for e in edges]
+
+
+def _measure_roles(
+    tuned: TunedSolver,
+    best: Options,
+    start: Options | None,
+    training: Sequence[TunedProblem],
+    test: Sequence[TunedProblem],
+    folder: Path,
+    progress: Progress,
+) -> tuple[TunedRole, ...]:
+    """Time presets, the settings to start from and the best ones side by side."""
+    presets = [DEFAULT, HIGH] if has_tolerance_levels(tuned.name) else [DEFAULT]
+    named = ({} if start is None else {YOURS: start}) | {BEST: best}
+    runs = measure_settings(
+        tuned, [*training, *test], list(named.values()), folder / "final", progress, presets
+    )
+    roles = []
+    for title, problems in (("training", training), ("test", test)):
+        found = runs_by_settings(runs, problems)
+        own = {name: found[describe_options(options)] for name, options in named.items()}
+        roles.append(TunedRole(title, {name: found[name] for name in presets} | own))
+    return tuple(roles)
 
 
 def _check_numbers(trials: int, steps: int, seed: int, error_move: float) -> None:
@@ -255,12 +318,13 @@ def _choose_call(
     return TunedSolver(solver, chosen, policy, requirements, solver_module)
 
 
-def _check_ends(tuned: TunedSolver, space: SearchSpace) -> None:
-    """Raise SettingsError where the solver lacks an option or refuses an end of its range."""
+def _check_options(tuned: TunedSolver, space: SearchSpace, start: Options | None) -> None:
+    """Raise SettingsError where the solver lacks an option, or refuses one or an end of a range."""
     native = tuned.route == "native"
     adapter = native_adapter(tuned.name) if native else qpsolvers_adapter(tuned.name)
-    for end in ("low", "high"):
-        resolve_options({own.name: getattr(own, end) for own in space.ranges}, adapter)
+    for share in (0.0, 1.0):
+        resolve_options(space.options_at(np.full(len(space.ranges), share)), adapter)
+    resolve_options(start or {}, adapter)
 
 
 def _search_settings(
@@ -271,6 +335,7 @@ def _search_settings(
     batches: int,
     seed: int,
     progress: Progress,
+    start: Options | None,
 ) -> SettingsSearch:
     """Run the search on the training sequences, one campaign for each batch; return it."""
     numbers = count(1)
@@ -281,7 +346,7 @@ def _search_settings(
         return score_settings(settings, runs_by_settings(runs, problems), tuned.requirements)
 
     search = SettingsSearch(space, evaluate, seed)
-    search.run(batches)
+    search.run(batches, start)
     return search
 
 

@@ -58,3 +58,14 @@ def test_accuracy_comes_before_time() -> None:
     ]
     last_to_first = first_to_last[::-1]
     assert sorted(last_to_first, key=lambda score: score.key) == first_to_last
+
+
+def test_the_search_tries_the_start_first() -> None:
+    """As it is given, also between the points of the ranges, and goes on near it."""
+    start = {"a": 10.001, "b": 0.7}
+    search = SettingsSearch(SPACE, _evaluate, seed=1)
+    search.run(2, start)
+    assert search.trials[0].options == start
+    assert search.best.score.ratio < 1.0001
+    near = [trial.point for trial in search.trials[-BATCH:]]
+    assert all(abs(point - search.trials[0].point).max() <= 0.25 for point in near)

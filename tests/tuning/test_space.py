@@ -74,3 +74,54 @@ def test_every_stated_range_is_of_an_option_of_the_solver(solver: str, space: An
         options = space.options_at(np.full(len(space.ranges), share))
         assert all(math.isfinite(value) for value in options.values())
         assert resolve_options(options, adapter).items() >= options.items()
+
+
+def test_a_wider_range_keeps_the_other_stated_ones() -> None:
+    stated, wider = make_space("osqp"), make_space("osqp", widened=["rho=[1e-3,1e4]"])
+    assert [own.name for own in wider.ranges] == [own.name for own in stated.ranges]
+    changed = set(wider.ranges) - set(stated.ranges)
+    assert changed == {OptionRange("rho", 1e-3, 1e4)}
+    assert make_space("quadprog", widened=["x=[1,2]"]).ranges == (OptionRange("x", 1, 2),)
+    with pytest.raises(InputError, match=r"--widen: rho: found \[2, 1\]"):
+        make_space("osqp", widened=["rho=[2,1]"])
+
+
+def test_own_options_that_are_not_searched_are_fixed() -> None:
+    own = {"rho": 1, "adaptive_rho": False}
+    space = make_space("osqp", ["rho=[0.1,10.0]", "max_iter=[10,20]"], own=own)
+    assert space.options_at(np.array([1.0, 0.0])) == {
+        "adaptive_rho": False,
+        "rho": 10.0,
+        "max_iter": 10,
+    }
+    assert type(space.with_types(own)["rho"]) is float
+    assert space.point_of(own).tolist() == [0.5, 0.5]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.5, 1.0])
+@pytest.mark.parametrize("ends", [(1e-4, 1e2), (1.0, 2.0), (-5.0, 5.0)])
+def test_the_share_of_a_value_gives_the_value(ends: tuple[float, float], share: float) -> None:
+    own = OptionRange("x", *ends)
+    assert own.share_of(own.value_at(share)) == pytest.approx(share, abs=2e-3)
+    assert own.share_of(ends[0] - 1e-5) == 0.0 and own.share_of(2 * ends[1]) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("own", "value", "wider"),
+    [
+        (OptionRange("rho", 1e-3, 1e2), 99.0, "[0.001, 10000.0]"),
+        (OptionRange("rho", 1e-3, 1e2), 1e-3, "[1e-05, 100.0]"),
+        (OptionRange("rho", 1e-3, 1e2), 1.0, ""),
+        (OptionRange("a", 1.0, 2.0), 2.0, "[1.0, 3.0]"),
+        (OptionRange("a", 1.0, 2.0), 1.0, "[0.0, 2.0]"),
+        (OptionRange("a", 1.0, 2.0, is_limited=True), 2.0, ""),
+        (OptionRange("k", 1, 50), 50, "[1, 5000]"),
+        (OptionRange("k", 1, 50), 1, ""),
+        (OptionRange("k", 20, 50), 20, "[1, 50]"),
+    ],
+)
+def test_a_value_at_the_edge_names_a_wider_range(
+    own: OptionRange, value: float, wider: str
+) -> None:
+    expected = f"{own.name} = {value:g}: widen it by --widen '{own.name}={wider}'" if wider else ""
+    assert own.describe_edge(value) == expected

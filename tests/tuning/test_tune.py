@@ -24,6 +24,8 @@ from dpbench.tuning.tune import tune_solver
         ("osqp", {"route": "c"}, "route: found 'c'"),
         ("clarabel", {"policy": "warm"}, "policy: found 'warm'; allowed: .*no interface"),
         ("nobody", {}, "found 'nobody'"),
+        ("osqp[rhoo=1]", {}, "settings of osqp: rhoo: found an unknown key"),
+        ("osqp[rho=[1,2]]", {}, r"found osqp\[rho=\[1,2\]\]; allowed: one value an option"),
     ],
 )
 def test_a_mistake_is_found_before_anything_runs(
@@ -60,6 +62,28 @@ def test_settings_are_found_measured_and_written(
     before = {path: path.stat().st_mtime_ns for path in Path("out").rglob("runs.parquet")}
     assert main(command) == 0
     assert before == {path: path.stat().st_mtime_ns for path in Path("out").rglob("runs.parquet")}
+
+
+@pytest.mark.slow
+def test_own_settings_are_measured_beside_the_best(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The search keeps an option that it does not vary; yours, at the edge, get a wider range."""
+    words = "--train calm-60-10 --test move-60-10 --trials 16 --policy warm"
+    choice, ranges = "osqp[rho=100,max_iter=3000]", ["--range", "rho=[50,100]"]
+    assert main(["tune-solver", choice, *ranges, *words.split(), "--out", str(tmp_path)]) in (0, 1)
+    said = capsys.readouterr()
+    notes = " ".join((said.out + said.err).split())
+    assert "warm starts on calm-60-10[:300:8] (one step of 8) and move-60-10[:300:8]" in notes
+    assert "your settings lie at the edge of the searched range, rho = 100: widen" in notes
+    first = load_results(tmp_path / "batch-01").runs["settings"]
+    assert first.iloc[1] == "max_iter=3000,rho=100"
+    assert all("max_iter=3000" in name for name in first if name != "default")
+    tables = [row for row in said.out.splitlines() if "│ yours" in row]
+    assert [row.split("│")[1].strip() for row in tables] == [
+        "calm-60-10[:300:8]",
+        "move-60-10[:300:8]",
+    ]
 
 
 @pytest.mark.slow
