@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import LinearConstraint, linprog, milp
 
-from dpbench.bench.capability.frontier import CapabilityPlot, Case, is_beyond_standard
+from dpbench.bench.capability.frontier import CapabilityPlot, Case, is_beyond_standard_winds
 from dpbench.bench.capability.utilisation import MOST_USE
 from dpbench.errors import InputError
 from dpbench.scenario.tables.vessel_file import VesselFile
@@ -202,7 +202,7 @@ def _compare_edge(seed: int) -> str:
         assert len(str(error).splitlines()) == 1
         return "refused"
     plot = CapabilityPlot(vessel, None if seed % 5 == 0 else SIDES)
-    case = plot.cases[rng.integers(len(plot.cases))]
+    case = plot.intact_and_failure_cases[rng.integers(len(plot.intact_and_failure_cases))]
     from_rad = math.radians(rng.choice([0.0, 90.0, 180.0, rng.uniform(0.0, 360.0)]))
     edge = plot.find_wind_limit(case, from_rad)
     off = TOLERANCE * max(1.0, edge.wind_mps)
@@ -213,9 +213,9 @@ def _compare_edge(seed: int) -> str:
     ]
     if uses[0] > 1.0 + TOLERANCE:
         return f"WRONG: {edge.wind_mps:.9g} m/s of {case.name} needs {uses[0]:.9g}"
-    if uses[1] < 1.0 - TOLERANCE and not is_beyond_standard(edge):
+    if uses[1] < 1.0 - TOLERANCE and not is_beyond_standard_winds(edge):
         return f"WRONG: beyond {edge.wind_mps:.9g} m/s of {case.name} needs {uses[1]:.9g}"
-    return "beyond the standard" if is_beyond_standard(edge) else "an edge"
+    return "beyond the standard" if is_beyond_standard_winds(edge) else "an edge"
 
 
 def _pieces(
@@ -225,7 +225,7 @@ def _pieces(
     every = plot.pieces_of(case)
     if plot.sides is not None:
         return every
-    best = plot.best_choice(case, from_rad, wind_mps)[1]
+    best = plot.find_least_use_and_pieces(case, from_rad, wind_mps)[1]
     return [[piece] if some else [] for piece, some in zip(best, every, strict=True)]
 
 

@@ -15,7 +15,7 @@ from scipy.special import ndtri, stdtr, stdtrit
 from scipy.stats import beta
 
 from dpbench.arrays import Floats
-from dpbench.bench.judge.rules import supports_percentile
+from dpbench.bench.judge.rules import has_enough_samples_for_percentile
 
 PARTS = 5
 """Consecutive parts of a sequence whose means give the error of its mean."""
@@ -162,7 +162,7 @@ def percentile_interval(values: Floats, percent: float) -> Interval:
     are percentiles again (Woodruff 1952).
     """
     steps, share = len(values), 1.0 - percent / 100.0
-    if not supports_percentile(steps, percent):
+    if not has_enough_samples_for_percentile(steps, percent):
         return UNKNOWN
     value = float(np.percentile(values, percent))
     if not has_interval_support(steps):

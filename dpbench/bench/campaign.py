@@ -14,10 +14,10 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.bench.capability.table import CAPABILITY_FILE, write_capability
-from dpbench.bench.design import Design, DesignStudy, plan_designs
-from dpbench.bench.embedded_counts import EmbeddedCounts, PlannedCount, plan_counts
-from dpbench.bench.engines.dispatcher import Dispatcher, longest_cell
+from dpbench.bench.capability.table import CAPABILITY_FILE, write_capability_plots
+from dpbench.bench.design import Design, DesignStudy, pair_controllers_with_vessels
+from dpbench.bench.embedded_counts import EmbeddedCounts, PlannedCount, pair_sequences_with_cores
+from dpbench.bench.engines.dispatcher import Dispatcher, find_cell_with_most_steps
 from dpbench.bench.engines.engine import Engine, SourceFiles, TlsFiles
 from dpbench.bench.engines.open_engine import open_engine
 from dpbench.bench.engines.shards import WHOLE, Shard, ShardRecord
@@ -64,11 +64,11 @@ class Campaign:
     ) -> None:
         self.machine, self._plan, self._out, self._shard = machine, plan, out, shard
         self.store = CellStore(out)
-        self.attach_designs(designs, machine["id"], fresh=fresh)
+        self.set_stability_studies(designs, machine["id"], fresh=fresh)
         self.counts = EmbeddedCounts(counts, self.store.folder, fresh=fresh)
         solvers = {p.cell.solver for p in plan.cells}
         self._libraries = {solver: check_availability(solver) for solver in solvers}
-        self.work = shard.select_jobs([self._make_job(p) for p in plan.cells])
+        self.work = shard.select_jobs([self._make_job_of_planned_cell(p) for p in plan.cells])
         self._fresh = fresh
         if fresh:
             self.store.mark_unfinished(RequestedRuns(self.work).jobs)
@@ -78,14 +78,14 @@ class Campaign:
         self._at_boundary = group_by_source(at_boundary)
         self.sources = SourceFiles(self.store.folder, self._at_boundary)
 
-    def attach_designs(
+    def set_stability_studies(
         self, designs: Sequence[Design], machine_id: str, *, fresh: bool = False
     ) -> None:
         """Set the controllers whose stability is studied; records are kept by `machine_id`."""
         cells = self.store.folder
         self.designs = DesignStudy(designs, cells, machine_id, fresh=fresh)
 
-    def _make_job(self, planned: PlannedCell) -> CellJob:
+    def _make_job_of_planned_cell(self, planned: PlannedCell) -> CellJob:
         """Return a planned run with its run_id and the version of its solver's library."""
         library = self._libraries[planned.cell.solver]
         identity = library_identity(planned.cell, library)
@@ -95,7 +95,7 @@ class Campaign:
     def run(self, engine: Engine, progress: Progress) -> None:
         """Do all unfinished runs and stability studies on an engine; write the result tables."""
         started_utc, started_s = datetime.now(UTC), time.monotonic()
-        pending = self.find_pending()
+        pending = self.find_unfinished_jobs()
         work = sum(count_steps(job.cell) for job in pending) + self.designs.work
         work += self.counts.work
         progress.start(work)
@@ -106,14 +106,14 @@ class Campaign:
         dispatcher = Dispatcher(engine, self.sources, progress)
         self._make_capability_files(dispatcher, pending)
         by_id = {job.run_id: job for job in pending}
-        for result in dispatcher.run(pending):
+        for result in dispatcher.yield_results_of_jobs(pending):
             self._store_result(by_id[result.run_id], result)
         self.sources.clear()
         self.designs.run(dispatcher, progress)
         self.counts.run(dispatcher, progress)
         self.write_results(started_utc, time.monotonic() - started_s, engine.remarks)
 
-    def find_pending(self) -> list[CellJob]:
+    def find_unfinished_jobs(self) -> list[CellJob]:
         """Return the runs still to be done; set the outcome of refused and of stored ones."""
         pending = []
         for job in self.work:
@@ -138,9 +138,12 @@ class Campaign:
     def _make_capability_files(self, dispatcher: Dispatcher, pending: list[CellJob]) -> None:
         """Make missing files of capability-plot QPs; a failure shows in the runs that use them."""
         wanted = {job.source_key for job in pending} & set(self._at_boundary)
-        cells = {self.sources.path(key): longest_cell(self._at_boundary[key]) for key in wanted}
+        cells = {
+            self.sources.path(key): find_cell_with_most_steps(self._at_boundary[key])
+            for key in wanted
+        }
         unmade = {p: cell.to_json() for p, cell in cells.items() if not is_readable(cell, p)}
-        for _ in dispatcher.make_files(make_source, unmade):
+        for _ in dispatcher.yield_made_files(make_source, unmade):
             pass
 
     def _has_written_results(self) -> bool:
@@ -149,19 +152,19 @@ class Campaign:
             found = load_descriptions(self._out)[1]
         except ResultsError:
             return False
-        asked = json.loads(json.dumps(self._request_document()))
+        asked = json.loads(json.dumps(self._describe_request_for_suite_json()))
         same = all(found.get(key) == value for key, value in asked.items())
         if self._at_boundary and not (self._out / CAPABILITY_FILE).is_file():
             return False
         return same and self.counts.is_written(self._out) and is_tabulated(self.work, self.store)
 
-    def _request_document(self) -> dict[str, Any]:
+    def _describe_request_for_suite_json(self) -> dict[str, Any]:
         """Return the entries of `suite.json` that describe the requested suite."""
         document = self._plan.document.model_dump()
         asked = {"name": self._plan.name, **document, "harness_version": HARNESS_VERSION}
         return asked if self._shard == WHOLE else asked | {"shard": str(self._shard)}
 
-    def _earlier_revisions(self) -> list[Revision]:
+    def _read_earlier_revisions(self) -> list[Revision]:
         """Return the dpbench revisions that an interrupted campaign noted in `suite.json`."""
         previous = self._out / "suite.json"
         if self._fresh or not previous.is_file():
@@ -180,34 +183,37 @@ class Campaign:
         not_counted = self.counts.write(self._out)
         runs, step_rows = tabulate(self.work, self.store)
         suite: dict[str, Any] = {
-            **self._request_document(),
-            "revisions": made_by or append_revision(self._earlier_revisions(), current_revision()),
+            **self._describe_request_for_suite_json(),
+            "revisions": made_by
+            or append_revision(self._read_earlier_revisions(), current_revision()),
             "started_utc": started.isoformat(timespec="seconds"),
             "wall_s": round(wall_s, 1),
-            **_count_lost(runs, self.designs, remarks),
+            **_count_lost_runs_and_studies(runs, self.designs, remarks),
             **({"not_counted": not_counted} if not_counted else {}),
         }
         rows = {"run_rows": len(runs), "step_rows": step_rows}
         write_json(self._out / "machine.json", self.machine)
         write_json(self._out / "suite.json", suite | rows)
-        self._write_capability()
+        self._write_capability_plots()
 
-    def _write_capability(self) -> None:
+    def _write_capability_plots(self) -> None:
         """Write the capability plots of the vessels whose edges were replayed."""
         tables = [read_capability_plot(self.sources.path(key)) for key in self._at_boundary]
         made = [table for table in tables if table is not None]
         if made:
-            write_capability(self._out, made)
+            write_capability_plots(self._out, made)
         elif not self._at_boundary:
             (self._out / CAPABILITY_FILE).unlink(missing_ok=True)
 
 
-def _count_lost(runs: pd.DataFrame, designs: DesignStudy, remarks: Sequence[str]) -> dict[str, Any]:
+def _count_lost_runs_and_studies(
+    runs: pd.DataFrame, designs: DesignStudy, remarks: Sequence[str]
+) -> dict[str, Any]:
     """Return `suite.json` entries: how many runs and stability studies were lost, and remarks."""
     causes = runs.loc[runs["outcome"] == "lost", "outcome_detail"].tolist()
     lines = [
-        _describe_losses(causes, f"{len(runs)} cells", ", not by their solvers"),
-        _describe_losses(designs.lost, f"{len(designs)} designs"),
+        _describe_lost_runs(causes, f"{len(runs)} cells", ", not by their solvers"),
+        _describe_lost_runs(designs.lost, f"{len(designs)} designs"),
     ]
     return {
         "lost_cells": len(causes),
@@ -216,7 +222,7 @@ def _count_lost(runs: pd.DataFrame, designs: DesignStudy, remarks: Sequence[str]
     }
 
 
-def _describe_losses(causes: Sequence[str], of: str, beside: str = "") -> str:
+def _describe_lost_runs(causes: Sequence[str], of: str, beside: str = "") -> str:
     """Return a line on how many runs or stability studies were lost, and why; "" for none."""
     if not causes:
         return ""
@@ -228,21 +234,21 @@ def _describe_losses(causes: Sequence[str], of: str, beside: str = "") -> str:
     )
 
 
-def plan_suite_designs(plan: Plan) -> list[Design]:
+def plan_stability_studies(plan: Plan) -> list[Design]:
     """Return the controller-vessel pairs a suite studies for stability; none if run in part."""
     table = None if plan.part else plan.document.design
     with name_file_in_errors(plan.path):
-        return plan_designs(table, plan.path.parent) if table else []
+        return pair_controllers_with_vessels(table, plan.path.parent) if table else []
 
 
-def plan_suite_counts(plan: Plan) -> list[PlannedCount]:
+def plan_embedded_counts(plan: Plan) -> list[PlannedCount]:
     """Return what a suite counts on embedded cores; nothing if it is run in part."""
     table = None if plan.part else plan.document.embedded
     with name_file_in_errors(plan.path):
-        return plan_counts(table, plan.path.parent) if table else []
+        return pair_sequences_with_cores(table, plan.path.parent) if table else []
 
 
-def default_folder(plan: Plan, out: str | Path | None) -> Path:
+def choose_result_folder(plan: Plan, out: str | Path | None) -> Path:
     """Return the result folder: `out`, or `results/<name of the plan>` without one."""
     return Path(out) if out is not None else Path("results") / f"{plan.name}{'-part' * plan.part}"
 
@@ -331,9 +337,9 @@ def run_campaign(
     if wait_s is not None and not 0.0 <= wait_s < math.inf:
         raise InputError("`wait_s`", "", wait_s, "a number of seconds, 0 or more")
     plan, some = asked.plan(), Shard.from_text(shard)
-    designs = plan_suite_designs(plan) if some.index == 1 else []
-    counts = plan_suite_counts(plan) if some.index == 1 else []
-    folder = default_folder(plan, out)
+    designs = plan_stability_studies(plan) if some.index == 1 else []
+    counts = plan_embedded_counts(plan) if some.index == 1 else []
+    folder = choose_result_folder(plan, out)
     progress = progress or Silent()
     with (
         open_engine(engine, jobs, scheduler, tls, WaitLimit(wait_s)) as opened,

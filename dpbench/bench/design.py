@@ -132,7 +132,7 @@ class Design:
         return json.dumps(vars(self), sort_keys=True, ensure_ascii=False)
 
 
-def plan_designs(table: DesignTable, beside: Path | None = None) -> list[Design]:
+def pair_controllers_with_vessels(table: DesignTable, beside: Path | None = None) -> list[Design]:
     """Pair each controller of a suite table with each vessel; InputError for a bad file."""
     controllers = [load_scenario(name, beside=beside) for name in table.controllers]
     vessels = [problem_path("vessels", name, beside) for name in table.vessels]
@@ -143,13 +143,13 @@ def plan_designs(table: DesignTable, beside: Path | None = None) -> list[Design]
                 allowed = "files of different names, each once"
                 raise InputError("suite", f"design.{key}", f"{name!r} twice", allowed)
     return [
-        Design(controller.name, _trial_documents(controller, vessel))
+        Design(controller.name, _make_trial_documents(controller, vessel))
         for controller in controllers
         for vessel in vessels
     ]
 
 
-def _trial_documents(controller: Scenario, vessel: Path) -> ScenarioDocuments:
+def _make_trial_documents(controller: Scenario, vessel: Path) -> ScenarioDocuments:
     """Return scenario documents with this controller, this vessel and the weather of `calm`."""
     own = controller.files["scenario"]
     files = load_scenario(f"{WEATHER}@{vessel.resolve()}").files
@@ -167,7 +167,9 @@ def _trial_documents(controller: Scenario, vessel: Path) -> ScenarioDocuments:
 SIDES = (1.0, -1.0)
 
 
-def is_held(scenario: Scenario, offset_m: float, sides: Sequence[float] = SIDES) -> bool:
+def can_recover_from_offset(
+    scenario: Scenario, offset_m: float, sides: Sequence[float] = SIDES
+) -> bool:
     """Return whether the ship recovers from a sway offset [m, full size] on every side.
 
     A step without a certified optimum counts as not held.
@@ -189,7 +191,7 @@ def is_held(scenario: Scenario, offset_m: float, sides: Sequence[float] = SIDES)
     return True
 
 
-def find_bracket(holds: Callable[[float], bool]) -> Bracket:
+def find_bracket_of_recovery(holds: Callable[[float], bool]) -> Bracket:
     """Return between which sway offsets recovery stops: double until it fails, then bisect."""
     held = 0.0
     for offset in OFFSETS_M:
@@ -208,18 +210,18 @@ def find_bracket(holds: Callable[[float], bool]) -> Bracket:
     return Bracket(held, fails)
 
 
-def study_design(design: Design) -> DesignRecord:
+def study_stability(design: Design) -> DesignRecord:
     """Return a controller's closed-loop eigenvalues and the sway offsets it recovers from."""
     scenario, documents = build_scenario(design.files), design.files["scenario"]
     still = build_scenario(design.files | {"scenario": documents | {"environment": {}}})
     held = {
-        STILL: find_bracket(partial(is_held, still)),
-        WEATHER: find_bracket(partial(is_held, scenario)),
+        STILL: find_bracket_of_recovery(partial(can_recover_from_offset, still)),
+        WEATHER: find_bracket_of_recovery(partial(can_recover_from_offset, scenario)),
     }
-    return replace(linear_record(scenario), controller=design.controller, held=held)
+    return replace(compute_linear_record(scenario), controller=design.controller, held=held)
 
 
-def linear_record(scenario: Scenario) -> DesignRecord:
+def compute_linear_record(scenario: Scenario) -> DesignRecord:
     """Return a controller's closed-loop eigenvalues without active limits; simulate nothing."""
     problem = scenario.problem
     roots = compute_closed_loop_eigenvalues(problem.model, gains(problem))
@@ -234,7 +236,9 @@ def linear_record(scenario: Scenario) -> DesignRecord:
     )
 
 
-def find_still_water_bracket(scenario: Scenario, holds: Holds = is_held) -> Bracket:
+def find_bracket_in_still_water(
+    scenario: Scenario, holds: Holds = can_recover_from_offset
+) -> Bracket:
     """Return the offsets up to which a controller recovers in still water, by trials of `holds`."""
     own = scenario.files["scenario"]
     kept = ("title", "shows", "vessel", "sample_s", "controller")
@@ -243,14 +247,16 @@ def find_still_water_bracket(scenario: Scenario, holds: Holds = is_held) -> Brac
     # In still water port mirrors starboard, where ship and model do.
     mirrored = has_mirror_symmetry(still.vessel) and still.controller.psi0_rad == 0.0
     sides = SIDES[:1] if mirrored else SIDES
-    return find_bracket(lambda offset_m: holds(still, offset_m, sides))
+    return find_bracket_of_recovery(lambda offset_m: holds(still, offset_m, sides))
 
 
-def run_design(text: str, folder: Path, name: str, core: int, path: Path) -> None:
+def run_stability_study_in_process(
+    text: str, folder: Path, name: str, core: int, path: Path
+) -> None:
     """Study a controller's stability in a process of its own; write the record to `path`."""
     pin_to_core(core)
     disable_gc_and_warnings()
-    write_json(path, asdict(Designs((study_design(Design(**json.loads(text))),))))
+    write_json(path, asdict(Designs((study_stability(Design(**json.loads(text))),))))
     write_outcome(folder / f"{name}.json", Outcome("finished", ""))
 
 
@@ -271,7 +277,9 @@ class DesignStudy:
             self._designs[cells / f"design-{key}.json"] = design
         self._reasons: dict[Path, str] = {}
         self.lost: list[str] = []
-        self._pending = [path for path in self._designs if fresh or _read_record(path) is None]
+        self._pending = [
+            path for path in self._designs if fresh or _read_stored_record(path) is None
+        ]
 
     def __len__(self) -> int:
         return len(self._designs)
@@ -287,7 +295,9 @@ class DesignStudy:
             # One that is looked into again must not leave its old record behind if it fails.
             path.unlink(missing_ok=True)
         texts = {path: self._designs[path].text for path in self._pending}
-        for path, outcome in dispatcher.make_files(run_design, texts, limit_s=LIMIT_S):
+        for path, outcome in dispatcher.yield_made_files(
+            run_stability_study_in_process, texts, limit_s=LIMIT_S
+        ):
             design, self._reasons[path] = self._designs[path], outcome.detail
             if outcome.outcome == "lost":
                 self.lost.append(outcome.detail)
@@ -298,7 +308,7 @@ class DesignStudy:
         if not self._designs:
             (out / DESIGN_FILE).unlink(missing_ok=True)
             return
-        records = {path: _read_record(path) for path in self._designs}
+        records = {path: _read_stored_record(path) for path in self._designs}
         gone = "its record is gone"
         missing = [
             UnanalysedStability(design.vessel, design.controller, self._reasons.get(path, gone))
@@ -309,16 +319,16 @@ class DesignStudy:
         write_json(out / DESIGN_FILE, asdict(Designs(finished, tuple(missing))))
 
 
-def _read_record(path: Path) -> DesignRecord | None:
+def _read_stored_record(path: Path) -> DesignRecord | None:
     """Return a controller's stored stability record; None where it is missing or damaged."""
     try:
-        (record,) = _read_design_file(path).records
+        (record,) = _read_stability_file(path).records
     except (ResultsError, ValueError):
         return None
     return record
 
 
-def load_designs(folder: Path) -> Designs | None:
+def load_stability_records(folder: Path) -> Designs | None:
     """Return the stability records in `design.json`; None without it; ResultsError if damaged."""
     path = folder / DESIGN_FILE
     if not path.exists():
@@ -328,10 +338,10 @@ def load_designs(folder: Path) -> Designs | None:
         older = f"{path}: designs of schema {schema} are not shown; run again"
         warnings.warn(older, RenamedWarning, stacklevel=2)
         return None
-    return _read_design_file(path)
+    return _read_stability_file(path)
 
 
-def _read_design_file(path: Path) -> Designs:
+def _read_stability_file(path: Path) -> Designs:
     """Return the stability records in a JSON file; ResultsError if damaged or of another schema."""
     document = read_json(path)
     if document.get("schema") != DESIGN_SCHEMA:

@@ -57,7 +57,7 @@ class PlannedCount:
         """JSON text of all fields, by which the count is stored and ordered from a process."""
         return json.dumps(asdict(self), sort_keys=True, ensure_ascii=False)
 
-    def count(self) -> StepCounts:
+    def count_instructions(self) -> StepCounts:
         """Solve the loop exactly, and count the solver's C along its QPs."""
         # The emulator takes a while to load, and every campaign imports this module.
         from dpbench.embedded.count import count_sequence
@@ -76,7 +76,9 @@ class PlannedCount:
         )
 
 
-def plan_counts(table: EmbeddedTable, beside: Path | None = None) -> list[PlannedCount]:
+def pair_sequences_with_cores(
+    table: EmbeddedTable, beside: Path | None = None
+) -> list[PlannedCount]:
     """Pair each sequence of a suite's table with each core and solver; InputError if it is bad."""
     known = list(find_recipes())
     for name in table.solvers:
@@ -85,13 +87,17 @@ def plan_counts(table: EmbeddedTable, beside: Path | None = None) -> list[Planne
             raise InputError("suite", "embedded.solvers", repr(name), allowed)
     return [
         PlannedCount(solver, target, *part, single=table.precision == "float")
-        for part in (_parse_sequence(text, beside) for text in dict.fromkeys(table.sequences))
+        for part in (
+            _parse_scenario_and_steps(text, beside) for text in dict.fromkeys(table.sequences)
+        )
         for target in dict.fromkeys(table.targets)
         for solver in (recipe.solver for recipe in select_recipes(table.solvers))
     ]
 
 
-def _parse_sequence(text: str, beside: Path | None) -> tuple[str, ScenarioDocuments, int, int]:
+def _parse_scenario_and_steps(
+    text: str, beside: Path | None
+) -> tuple[str, ScenarioDocuments, int, int]:
     """Return name and files of a scenario, first step and number of steps."""
     name, *numbers = text.rsplit(":", 2)
     if len(numbers) != 2 or not all(number.isdecimal() for number in numbers):
@@ -104,13 +110,13 @@ def _parse_sequence(text: str, beside: Path | None) -> tuple[str, ScenarioDocume
     return scenario.name, scenario.files, first, steps
 
 
-def run_count(text: str, folder: Path, name: str, core: int, path: Path) -> None:
+def run_count_in_process(text: str, folder: Path, name: str, core: int, path: Path) -> None:
     """Count a solver's C in a process of its own; write its steps to `path`, and the outcome."""
     pin_to_core(core)
     disable_gc_and_warnings()
     try:
         require_extra()
-        write_steps(tabulate_steps([PlannedCount(**json.loads(text)).count()]), path)
+        write_steps(tabulate_steps([PlannedCount(**json.loads(text)).count_instructions()]), path)
     except DpbenchError as error:
         write_outcome(folder / f"{name}.json", Outcome("invalid", str(error)))
         return
@@ -127,7 +133,7 @@ class EmbeddedCounts:
             key = hashlib.sha256((count.text + made_by).encode()).hexdigest()[:16]
             self._counts[cells / f"embedded-{key}.parquet"] = count
         self._reasons: dict[Path, str] = {}
-        self._pending = [path for path in self._counts if fresh or _read_count(path) is None]
+        self._pending = [path for path in self._counts if fresh or _read_stored_count(path) is None]
 
     @property
     def work(self) -> int:
@@ -143,13 +149,15 @@ class EmbeddedCounts:
         for path in self._pending:
             path.unlink(missing_ok=True)
         texts = {path: self._counts[path].text for path in self._pending}
-        for path, outcome in dispatcher.make_files(run_count, texts, limit_s=LIMIT_S):
+        for path, outcome in dispatcher.yield_made_files(
+            run_count_in_process, texts, limit_s=LIMIT_S
+        ):
             count = self._counts[path]
             # Reasons go to others with the results, which tell nothing of this machine's folders.
             self._reasons[path] = outcome.detail.replace(str(Path.home()), "~")
             progress.advance(WORK, f"count {count.solver} {count.target} {count.sequence}")
 
-    def note_reasons(self, missing: Iterable[UncountedSolver]) -> None:
+    def take_over_reasons(self, missing: Iterable[UncountedSolver]) -> None:
         """Take over the reasons why solvers were not counted where these counts were run."""
         known = {(one["solver"], one["target"], one["sequence"]): one["reason"] for one in missing}
         for path, count in self._counts.items():
@@ -159,7 +167,7 @@ class EmbeddedCounts:
 
     def write(self, out: Path) -> list[UncountedSolver]:
         """Write `embedded.parquet`, or remove it if nothing was counted; return what was not."""
-        stored = {path: _read_count(path) for path in self._counts}
+        stored = {path: _read_stored_count(path) for path in self._counts}
         frames = [frame for frame in stored.values() if frame is not None]
         if frames:
             write_steps(pd.concat(frames, ignore_index=True), out / EMBEDDED_FILE)
@@ -177,7 +185,7 @@ class EmbeddedCounts:
         ]
 
 
-def _read_count(path: Path) -> pd.DataFrame | None:
+def _read_stored_count(path: Path) -> pd.DataFrame | None:
     """Return the stored steps of one count; None where they are missing or damaged."""
     try:
         return read_steps(path) if path.is_file() else None

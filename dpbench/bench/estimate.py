@@ -13,7 +13,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
-from dpbench.bench.campaign import default_folder
+from dpbench.bench.campaign import choose_result_folder
 from dpbench.bench.engines.open_engine import count_slots
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.run_request import RunRequest
@@ -41,11 +41,11 @@ class Rates:
     step_bytes: float = STEP_BYTES
     run_bytes: float = RUN_BYTES
 
-    def seconds_of(self, cell: Cell) -> float:
+    def estimate_cell_seconds(self, cell: Cell) -> float:
         """Return the expected time of a run [s], by the measured or stated step times."""
         kind = tuple(str(getattr(cell, name)) for name in _KIND)
         step_s = self.steps_s.get(kind, STEP_S - JUDGE_STEP_S)
-        return CELL_S + (step_s + JUDGE_STEP_S) * count_recorded_steps(cell)
+        return CELL_S + (step_s + JUDGE_STEP_S) * count_step_rows_of_cell(cell)
 
 
 STATED_RATES = Rates(
@@ -94,12 +94,12 @@ def _format_duration(seconds: float) -> str:
     return f"{seconds:.2g} s"
 
 
-def count_recorded_steps(cell: Cell) -> int:
+def count_step_rows_of_cell(cell: Cell) -> int:
     """Return the number of rows that a run leaves in `steps.parquet`."""
     return cell.steps * cell.rounds + cell.warmup_steps if cell.mode == "replay" else cell.steps
 
 
-def estimate_cells(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> Estimate:
+def estimate_time_and_size(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> Estimate:
     """Return expected time and table size of planned runs on `slots`, without capability plots."""
     to_run = [p for p in planned if not p.refused]
     measured = [p for p in to_run if not isinstance(p.cell.source, CapabilitySource)]
@@ -107,11 +107,14 @@ def estimate_cells(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> 
         cells=len(to_run),
         refused=len(planned) - len(to_run),
         unmeasured=len(to_run) - len(measured),
-        steps=sum(count_recorded_steps(p.cell) for p in to_run),
-        time_s=sum(rates.seconds_of(p.cell) / (1 if p.cell.is_timed else slots) for p in measured),
+        steps=sum(count_step_rows_of_cell(p.cell) for p in to_run),
+        time_s=sum(
+            rates.estimate_cell_seconds(p.cell) / (1 if p.cell.is_timed else slots)
+            for p in measured
+        ),
         size_bytes=sum(
             (1 + len(p.alias_settings))
-            * (rates.run_bytes + rates.step_bytes * count_recorded_steps(p.cell))
+            * (rates.run_bytes + rates.step_bytes * count_step_rows_of_cell(p.cell))
             for p in measured
         ),
         slots=slots,
@@ -119,7 +122,7 @@ def estimate_cells(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> 
     )
 
 
-def read_rates(folder: Path) -> Rates:
+def read_measured_rates(folder: Path) -> Rates:
     """Return the step times measured in a result folder; `STATED_RATES` where it has none."""
     try:
         runs = load_results(folder, without_steps=True).runs
@@ -149,4 +152,6 @@ def estimate_campaign(
     if engine != "local":
         raise InputError("--dry-run", "", f"engine {engine}", "engine local")
     plan = RunRequest(None if suite is None else str(suite), **asked).plan()
-    return estimate_cells(plan.cells, count_slots(jobs), read_rates(default_folder(plan, out)))
+    return estimate_time_and_size(
+        plan.cells, count_slots(jobs), read_measured_rates(choose_result_folder(plan, out))
+    )

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from dpbench.bench.campaign import Campaign, plan_suite_counts, plan_suite_designs
+from dpbench.bench.campaign import Campaign, plan_embedded_counts, plan_stability_studies
 from dpbench.bench.engines.shards import ShardRecord
 from dpbench.bench.plan.run_request import Plan
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
@@ -40,7 +40,7 @@ _EXTRA_FILE = re.compile(r"design-\w+\.json|embedded-\w+\.parquet|exact-\w+\.npz
 """Files of a folder of cells that are shown too: designs, counts, capability plots with QPs."""
 
 
-def gather(
+def join_result_folders(
     folders: Sequence[str | Path],
     out: str | Path,
     *,
@@ -67,26 +67,30 @@ def gather(
     started_utc, started_s = datetime.now(UTC), time.monotonic()
     shards = {Path(folder): ShardRecord.read(Path(folder)) for folder in folders}
     plan, records = _make_common_plan(shards, suite, solver_module), list(shards.values())
-    designs, remarks = plan_suite_designs(plan), _missing_shards(records)
+    designs, remarks = plan_stability_studies(plan), _describe_missing_shards(records)
     with lock_result_folder(Path(out), plan.name):
         refuse_other_selection(plan.cells, Path(out), "another folder")
-        finished, ignored = _collect_cells(list(shards), Path(out), plan.name)
+        finished, ignored = _copy_finished_runs(list(shards), Path(out), plan.name)
         remarks += ignored
-        machine, others = _choose_machine(records, finished)
+        machine, others = _split_main_and_other_machines(records, finished)
         if others:
             remarks.append(
                 f"cells ran on {len(others) + 1} kinds of machines: times of replays are ranked "
                 f"on {machine.get('cpu_model', 'an unnamed CPU')} ({machine['id']}) alone"
             )
             machine = {**machine, "others": others}
-        campaign = Campaign(plan, designs, Path(out), machine, counts=plan_suite_counts(plan))
+        campaign = Campaign(plan, designs, Path(out), machine, counts=plan_embedded_counts(plan))
         for folder, record in shards.items():
             if record.shard.index == 1:
-                campaign.attach_designs(designs, record.machine["id"])
-                campaign.counts.note_reasons(read_suite(folder).get("not_counted", ()))
-        said = {cell: outcome for folder in shards for cell, outcome in _read_unfinished(folder)}
-        _apply_finished(campaign.work, finished, said, machine["id"])
-        campaign.find_pending()
+                campaign.set_stability_studies(designs, record.machine["id"])
+                campaign.counts.take_over_reasons(read_suite(folder).get("not_counted", ()))
+        said = {
+            cell: outcome
+            for folder in shards
+            for cell, outcome in _yield_unfinished_outcomes(folder)
+        }
+        _fill_jobs_from_finished(campaign.work, finished, said, machine["id"])
+        campaign.find_unfinished_jobs()
         made_by = [record.revision for record in records if record.revision]
         made_by = [one for i, one in enumerate(made_by) if one not in made_by[:i]]
         campaign.write_results(started_utc, time.monotonic() - started_s, remarks, made_by)
@@ -125,7 +129,7 @@ def _make_common_plan(
     return plan
 
 
-def _missing_shards(shards: Sequence[ShardRecord]) -> list[str]:
+def _describe_missing_shards(shards: Sequence[ShardRecord]) -> list[str]:
     """Return a remark that names the parts of the suite without a folder; none if complete."""
     counts = {shard.shard.count for shard in shards}
     if len(counts) > 1:
@@ -136,7 +140,9 @@ def _missing_shards(shards: Sequence[ShardRecord]) -> list[str]:
     return [f"shards that are not among them: {named}"] if absent else []
 
 
-def _collect_cells(folders: Sequence[Path], out: Path, name: str) -> tuple[pd.DataFrame, list[str]]:
+def _copy_finished_runs(
+    folders: Sequence[Path], out: Path, name: str
+) -> tuple[pd.DataFrame, list[str]]:
     """Copy all finished runs into `out`; return their rows, and remarks on the folders."""
     with ExitStack() as stack:
         for folder in folders:
@@ -161,7 +167,7 @@ def _refuse_mixed_versions(rows: pd.DataFrame) -> None:
             raise InputError(_WHERE, str(solver), found, "one version of a solver")
 
 
-def _choose_machine(
+def _split_main_and_other_machines(
     shards: Sequence[ShardRecord], finished: pd.DataFrame
 ) -> tuple[MachineDescription, list[MachineDescription]]:
     """Return the machine with the most timed replays (else runs), and the other machines."""
@@ -174,7 +180,7 @@ def _choose_machine(
     return known.pop(first), list(known.values())
 
 
-def _read_unfinished(folder: Path) -> Iterator[tuple[str, Outcome]]:
+def _yield_unfinished_outcomes(folder: Path) -> Iterator[tuple[str, Outcome]]:
     """Yield description and outcome of each run in a folder that was lost or invalid."""
     with suppress(*DAMAGE):
         columns = ["cell", "outcome", "outcome_detail"]
@@ -186,7 +192,7 @@ def _read_unfinished(folder: Path) -> Iterator[tuple[str, Outcome]]:
                 yield str(cell), Outcome(str(outcome), str(detail))
 
 
-def _apply_finished(
+def _fill_jobs_from_finished(
     jobs: Sequence[CellJob],
     finished: pd.DataFrame,
     said: Mapping[str, Outcome],

@@ -6,8 +6,8 @@ from pathlib import Path
 import pandas as pd
 import pyarrow as pa
 
-from dpbench.bench.judge.answer_caching import with_loop_ratio
-from dpbench.bench.judge.rows import run_row
+from dpbench.bench.judge.answer_caching import add_loop_ratios
+from dpbench.bench.judge.rows import make_run_row
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.configurations import library_identity
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
@@ -77,7 +77,7 @@ class RequestedRuns:
         if outcome.outcome not in ("refused", "lost", "invalid"):
             outcome = Outcome("lost", "its record is damaged or gone")
         cell = job.cell.with_settings(settings)
-        return run_row(run_id, cell, outcome, job.library, job.machine_id, None, None)
+        return make_run_row(run_id, cell, outcome, job.library, job.machine_id, None, None)
 
     def find_aliases(self, finished: pd.DataFrame) -> dict[str, str]:
         """Map run_ids under other names of the same solver settings to those of finished runs."""
@@ -140,7 +140,7 @@ def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, i
         read = _split_steps(store, stored, sources, wanted.jobs, aliases, steps)
         # What cannot be read any more is not finished.
         finished = finished[finished.index.isin(read) | (finished["steps_done"] == 0)]
-        rows = with_loop_ratio(wanted.make_rows(finished)[list(RUN_COLUMNS)])
+        rows = add_loop_ratios(wanted.make_rows(finished)[list(RUN_COLUMNS)])
         runs = as_runs(rows.assign(**study_columns(rows)))
         store.public.write(runs_from_frame(runs), steps)
     finally:

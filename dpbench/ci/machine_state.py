@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from dpbench.bench.judge.rules import is_disturbed
+from dpbench.bench.judge.rules import mask_disturbed_rounds
 from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S, Disturbance, read_counters
 from dpbench.bench.run.replay import time_kernels
 
@@ -61,7 +61,7 @@ class MachineState:
         if share < LEAST_PROCESSOR_SHARE and not gives_up:
             lines.append(f"a processor for {100 * share:.0f} % of the time only")
         kernels = np.array([[self.kernel_before_ns, self.kernel_after_ns]])
-        if is_disturbed(kernels)[0]:
+        if mask_disturbed_rounds(kernels)[0]:
             slower = kernels.max() / kernels.min()
             lines.append(f"a reference kernel {slower:.2f} times as slow at one end")
         return lines

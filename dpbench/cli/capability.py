@@ -20,7 +20,7 @@ from dpbench.bench.capability.frontier import (
     CapabilityPlot,
     WindLimit,
     compute_capability,
-    is_beyond_standard,
+    is_beyond_standard_winds,
 )
 from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.sequences.capability_boundary import write_capability_suite
@@ -104,7 +104,7 @@ def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
     """Format the largest wind held, by direction and lost thrusters, as a table of 80 columns."""
     columns = dict(capability.held)
     if len(columns) > _WIDE:
-        columns = {INTACT: columns[INTACT], "worst failure": capability.worst_failure}
+        columns = {INTACT: columns[INTACT], "worst failure": capability.limits_after_worst_failure}
     room = _CELL - 2
     names = [case if len(case) <= room else f"{case[: room - 1]}…" for case in columns]
     head = "".join(f"  {name:<{room}}" for name in names)
@@ -124,7 +124,7 @@ def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
 
 def _format_wind_limit(held: WindLimit) -> str:
     """Format the largest wind held [m/s] and its DP capability number as a table cell."""
-    beyond = "+" if is_beyond_standard(held) else " "
+    beyond = "+" if is_beyond_standard_winds(held) else " "
     # Rounded down: 10.68 m/s, short of the 10.7 m/s of number 5, is no "10.7" beside a 4.
     wind_mps = math.floor(10.0 * held.wind_mps + 1e-6) / 10.0
     return f"  {wind_mps:5.1f}{beyond} {held.number:>2}".ljust(_CELL)
@@ -156,7 +156,7 @@ def _closed_loop_lines(capability: Capability, vessel: str) -> list[str]:
     if path.suffix != ".toml":
         commands = [f"dpbench run smoke --scenario thrusters@{vessel}"]
     else:
-        number = min(max(capability.numbers[0], min(DP_NUMBERS)), max(DP_NUMBERS))
+        number = min(max(capability.dp_capability_numbers[0], min(DP_NUMBERS)), max(DP_NUMBERS))
         folder = "" if path.parent == Path() else f" --out {path.parent}"
         suite = path.with_name(f"{path.stem}_sea{number}_suite.toml")
         commands = [

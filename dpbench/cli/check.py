@@ -119,21 +119,23 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
         )
         raise InputError(str(file), "", f"tables {', '.join(document) or '(none)'}", allowed)
     suite_path, suite = load_suite(file)
-    from dpbench.bench.design import plan_designs
-    from dpbench.bench.embedded_counts import plan_counts
+    from dpbench.bench.design import pair_controllers_with_vessels
+    from dpbench.bench.embedded_counts import pair_sequences_with_cores
     from dpbench.bench.engines.open_engine import count_slots
-    from dpbench.bench.estimate import estimate_cells, read_rates
+    from dpbench.bench.estimate import estimate_time_and_size, read_measured_rates
     from dpbench.bench.plan.run_request import RunRequest
 
     plan = RunRequest(str(file)).plan()
     with name_file_in_errors(suite_path):
         if suite.design:
-            plan_designs(suite.design, suite_path.parent)
-        counts = plan_counts(suite.embedded, suite_path.parent) if suite.embedded else []
+            pair_controllers_with_vessels(suite.design, suite_path.parent)
+        counts = (
+            pair_sequences_with_cores(suite.embedded, suite_path.parent) if suite.embedded else []
+        )
     also = [f"and {len(counts)} counts on embedded cores"] if counts else []
     missing = [] if _can_pass(plan.cells) else [f"{file}: {NONE_PASSES}"]
-    rates = read_rates(Path("results") / suite_path.stem)
-    _, *expected = estimate_cells(plan.cells, count_slots(None), rates).lines
+    rates = read_measured_rates(Path("results") / suite_path.stem)
+    _, *expected = estimate_time_and_size(plan.cells, count_slots(None), rates).lines
     counted = f"{file}: a suite of {len(plan.cells)} cells"
     return "\n".join([*missing, counted, *expected, *plan.remarks, *also])
 

@@ -9,7 +9,12 @@ import numpy as np
 
 from dpbench.arrays import Vector
 from dpbench.bench.capability.reach import ThrusterReach
-from dpbench.bench.design import OFFSETS_M, Bracket, find_still_water_bracket, is_held
+from dpbench.bench.design import (
+    OFFSETS_M,
+    Bracket,
+    can_recover_from_offset,
+    find_bracket_in_still_water,
+)
 from dpbench.bench.progress import Progress, Silent
 from dpbench.cli.terminal import WIDTH
 from dpbench.report.formats import rounded_down, rounded_up, significant
@@ -73,7 +78,7 @@ def ship_lines(vessel: Vessel) -> list[str]:
         ("drift at full" if vessel.drag else "linear drift at full", *drift),
     ]
     table = [f"{row[0]:<22}" + "".join(f"{cell:<19}" for cell in row[1:]) for row in rows]
-    find_share = None if reach is None else reach.find_share
+    find_share = None if reach is None else reach.find_least_thrust_share
     current_mps = ships.largest_current_abeam_mps(vessel, find_share)
     lines = [line.rstrip() for line in table]
     return [*lines, _sideways_line(pure, current_mps, unit, per), *_drag_lines(vessel, unit, per)]
@@ -81,7 +86,7 @@ def ship_lines(vessel: Vessel) -> list[str]:
 
 def _limit_to_pure_forces(vessel: Vessel, reach: ThrusterReach) -> Vessel:
     """Return a vessel whose limits its thrusters make without a force in another axis."""
-    low, high = reach.find_pure_forces()
+    low, high = reach.find_least_and_largest_pure_forces()
     tau_min, tau_max = np.maximum(vessel.tau_min, low), np.minimum(vessel.tau_max, high)
     return replace(vessel, tau_min=tau_min, tau_max=tau_max)
 
@@ -141,7 +146,7 @@ def _weather_line(scenario: Scenario) -> str:
     most = float((np.abs(load) / against).max())
     together = ""
     if vessel.thrusters is not None:
-        share = ThrusterReach(vessel.thrusters).find_share(-load)
+        share = ThrusterReach(vessel.thrusters).find_least_thrust_share(-load)
         together = f", {share:.0%} of the thrust"
         most = max(most, share)
     over = " - it cannot hold" if most > 1.0 else ""
@@ -160,9 +165,9 @@ def _try_offsets(tuned: Sequence[Scenario], progress: Progress | None) -> list[s
             nonlocal trials
             trials += 1
             progress.advance(1, f"sideways by {offset_m:g} m")
-            return is_held(trial, offset_m, sides)
+            return can_recover_from_offset(trial, offset_m, sides)
 
-        bracket = find_still_water_bracket(scenario, holds)
+        bracket = find_bracket_in_still_water(scenario, holds)
         progress.advance(_TRIALS - trials, "")
         controller = scenario.controller.label
         # Offsets are at full size; a model ship's own are printed.

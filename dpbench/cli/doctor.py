@@ -1,6 +1,6 @@
 """Text of `dpbench doctor`: this machine, whether it is quiet, and whether the harness is right."""
 
-from dpbench.bench.judge.calibration import calibrate
+from dpbench.bench.judge.calibration import time_dummy_solvers
 from dpbench.bench.record.disturbance import QUIET_RULE
 from dpbench.bench.record.machine import describe_machine
 from dpbench.cli.terminal import wrap_paragraph
@@ -14,7 +14,7 @@ _WIDTH = 32
 def doctor_lines() -> list[str]:
     """Describe this machine, how quiet it is, and whether solve times are measured correctly."""
     machine = describe_machine()
-    harness = calibrate()
+    harness = time_dummy_solvers()
     available = ((name, check_availability(name)) for name in solver_names())
     builds = [f"{name} {here.build.text}" for name, here in available if here.build.text]
     loads = ", ".join(f"{load:.2f}" for load in machine["load_average"])

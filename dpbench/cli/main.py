@@ -216,11 +216,11 @@ def _run_shard(arguments: argparse.Namespace) -> int:
 
 def _gather_shards(arguments: argparse.Namespace) -> int:
     """Join the folders of shards and write the report (`dpbench gather`)."""
-    from dpbench.bench.gather import gather
+    from dpbench.bench.gather import join_result_folders
     from dpbench.cli.terminal import print_ending
     from dpbench.report.write import write_report_with_summary
 
-    out = gather(**_named_parameters(arguments, *HOW_TO_END))
+    out = join_result_folders(**_named_parameters(arguments, *HOW_TO_END))
     lost_ship = print_ending(*write_report_with_summary(out), arguments)
     return _print_accidents(out) or lost_ship
 

@@ -224,7 +224,9 @@ def find_mean_share(vessel: Vessel, number: int) -> tuple[float, str]:
     """Return the share that the mean force of a DP number takes, and of what: limits or thrust."""
     if vessel.thrusters is None:
         return scaling.load_share(vessel, number), "the limits"
-    share = ThrusterReach(vessel.thrusters).find_share(-scaling.sea_load(vessel, number))
+    share = ThrusterReach(vessel.thrusters).find_least_thrust_share(
+        -scaling.sea_load(vessel, number)
+    )
     return share, "the thrust"
 
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from dpbench.analysis.verdict.fastest import best_verdict_by_solver
-from dpbench.bench.capability.table import load_capability
-from dpbench.bench.design import load_designs
+from dpbench.bench.capability.table import load_capability_plots
+from dpbench.bench.design import load_stability_records
 from dpbench.bench.record import result_folder
 from dpbench.display import table_html
 from dpbench.embedded.table import load_counts
@@ -181,8 +181,10 @@ class Results(result_folder.Results):
         # The report draws, and Altair takes its time.
         from dpbench.report.report import Report
 
-        capability, counted = load_capability(self.folder), load_counts(self.folder)
-        return Report.of(self, load_designs(self.folder), capability=capability, counted=counted)
+        capability, counted = load_capability_plots(self.folder), load_counts(self.folder)
+        return Report.of(
+            self, load_stability_records(self.folder), capability=capability, counted=counted
+        )
 
     def _require_steps(self) -> None:
         """Raise ResultsError in a folder without `steps.parquet`."""

@@ -16,11 +16,11 @@ import pandas as pd
 
 from dpbench.analysis.records.run_record import build_records
 from dpbench.analysis.verdict.ship_results import ShipResult
-from dpbench.bench.judge.answer_caching import is_remembered
-from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_log
-from dpbench.bench.judge.replay import evaluate_sequence
-from dpbench.bench.judge.rows import run_row, step_rows
-from dpbench.bench.judge.step_columns import step_columns
+from dpbench.bench.judge.answer_caching import is_answer_cached
+from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_loop_log
+from dpbench.bench.judge.replay import evaluate_replay_log
+from dpbench.bench.judge.rows import make_run_row, make_step_rows
+from dpbench.bench.judge.step_columns import make_step_columns
 from dpbench.bench.record.cell import DEFAULT_FALLBACK, FORMULATIONS, Cell, Formulation, Outcome
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.record.schema import as_runs
@@ -89,7 +89,7 @@ class Run:
         """True if a replay's times are of answers the solver has cached, not of solving."""
         row = self.summary
         excess = float(row["first_visit_excess"])
-        return is_remembered(float(row["first_visit_ratio"]), math.nan, excess)
+        return is_answer_cached(float(row["first_visit_ratio"]), math.nan, excess)
 
     @property
     def plot(self) -> RunPlots:
@@ -236,7 +236,7 @@ def run_closed_loop(
     )
     setup = closed_loop_setup(cell, scenario, workspace, RawLog.in_memory, NO_LIMIT_NS)
     closed_loop(setup)
-    evaluated = evaluate_log(cell, setup.log, solve_exactly(scenario))
+    evaluated = evaluate_loop_log(cell, setup.log, solve_exactly(scenario))
     return _make_run(cell, workspace, setup.solver, evaluated, scenario)
 
 
@@ -290,7 +290,7 @@ def replay(
         warmup_steps=warmup_steps,
     )
     sample_s = float(sequence.meta.get("sample_s", float("nan")))
-    return _make_run(cell, workspace, solver, evaluate_sequence(log, sequence, sample_s))
+    return _make_run(cell, workspace, solver, evaluate_replay_log(log, sequence, sample_s))
 
 
 def _check_choice(key: str, value: str, allowed: Collection[str]) -> None:
@@ -328,7 +328,7 @@ def _make_run(
     scenario: Scenario | None = None,
 ) -> Run:
     """Make a run with its table of steps and its summary row from judged answers."""
-    steps = step_columns(cell, evaluated)
+    steps = make_step_columns(cell, evaluated)
     outcome = Outcome("finished", "", workspace.form, *timed_solver.size)
-    row = run_row("in-process", cell, outcome, Availability(True), "", evaluated, steps)
-    return Run(step_rows("in-process", steps), as_runs(pd.DataFrame([row])).iloc[0], scenario)
+    row = make_run_row("in-process", cell, outcome, Availability(True), "", evaluated, steps)
+    return Run(make_step_rows("in-process", steps), as_runs(pd.DataFrame([row])).iloc[0], scenario)

@@ -9,7 +9,7 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.paper import PAPER, Law, find_paper_runs, paper_figure_data
 from dpbench.bench.campaign import run_campaign
-from dpbench.bench.design import Designs, linear_record
+from dpbench.bench.design import Designs, compute_linear_record
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import Results, load_results, read_accidents
@@ -72,7 +72,7 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
     records = Records(results)
     scenario = records.scenario(PAPER)
     # How far off the ship is brought back from takes a quarter of a minute more: suite `standard`.
-    designs = Designs((linear_record(scenario),)) if scenario is not None else None
+    designs = Designs((compute_linear_record(scenario),)) if scenario is not None else None
     topic = paper_topic(records, designs)
     lost, remarks = read_accidents(runs)
     if topic is None or scenario is None:
@@ -82,7 +82,7 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
     write_bytes(folder / "claims.csv", csv_bytes(topic.tables[0].frame))
     write_text(folder / "claims.md", _claims_document(topic, results))
     judged = judge_claims(records)
-    radius = linear_record(scenario).spectral_radius
+    radius = compute_linear_record(scenario).spectral_radius
     stable = (
         f"stability: largest |λ| {radius:.4f} (eq. 35); sway offset held: `dpbench check {PAPER}`"
     )

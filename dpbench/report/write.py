@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from dpbench.bench.capability.table import load_capability
-from dpbench.bench.design import load_designs
+from dpbench.bench.capability.table import load_capability_plots
+from dpbench.bench.design import load_stability_records
 from dpbench.bench.record.result_folder import load_results, lock_for_writing
 from dpbench.embedded.table import load_counts
 from dpbench.errors import InputError
@@ -73,7 +73,12 @@ def write_report_with_summary(
             raise InputError("`figures`", "", repr(kind), " | ".join(FORMATS))
     folder = Path(out)
     with lock_for_writing(folder):
-        beside_it = load_designs(folder), baseline, load_capability(folder), load_counts(folder)
+        beside_it = (
+            load_stability_records(folder),
+            baseline,
+            load_capability_plots(folder),
+            load_counts(folder),
+        )
         report = Report.of(load_results(folder), *beside_it)
         comment, worst = ("", []) if solver is None else compare_solver(report, solver, against)
         drawn, tables = make_folder(folder / "figures"), make_folder(folder / "tables")

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.bench.judge.control_metrics import force_travel
+from dpbench.bench.judge.control_metrics import compute_force_travel
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
@@ -161,7 +161,7 @@ def _run_loop(scenario: Scenario, drawn: WeatherDraw) -> tuple[float, float]:
     setup = closed_loop_setup(cell, scenario, workspace, RawLog.in_memory, NO_LIMIT_NS)
     setup.drawn = drawn
     closed_loop(setup)
-    return station_share(scenario, setup.log.state), force_travel(scenario, setup.log.tau)
+    return station_share(scenario, setup.log.state), compute_force_travel(scenario, setup.log.tau)
 
 
 def find_front(trials: Sequence[Trial[LoopScore]]) -> list[Trial[LoopScore]]:

@@ -22,15 +22,15 @@ from dpbench.analysis.statistics import (
     resampled_error,
     upper_bound_of_none,
 )
-from dpbench.bench.judge.rules import percentile, supports_percentile
+from dpbench.bench.judge.rules import has_enough_samples_for_percentile, percentile_or_nan
 
 
 @pytest.mark.parametrize(("percent", "enough"), [(50, 20), (95, 200), (99, 1000), (99.9, 10_000)])
 def test_a_percentile_needs_ten_samples_beyond_it(percent: float, enough: int) -> None:
-    assert supports_percentile(enough, percent)
-    assert not supports_percentile(enough - 1, percent)
-    assert np.isnan(percentile(np.ones(enough - 1), percent))
-    assert percentile(np.ones(enough), percent) == 1.0
+    assert has_enough_samples_for_percentile(enough, percent)
+    assert not has_enough_samples_for_percentile(enough - 1, percent)
+    assert np.isnan(percentile_or_nan(np.ones(enough - 1), percent))
+    assert percentile_or_nan(np.ones(enough), percent) == 1.0
 
 
 def test_interval_is_unknown_where_the_percentile_is_refused() -> None:

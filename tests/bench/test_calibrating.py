@@ -12,7 +12,11 @@ import pytest
 
 from dpbench import load_scenario, record_sequence
 from dpbench.bench.campaign import run_campaign
-from dpbench.bench.judge.calibration import calibrate, excess_over_wait_ns, is_within_tolerance
+from dpbench.bench.judge.calibration import (
+    compute_excess_over_wait_ns,
+    is_within_tolerance,
+    time_dummy_solvers,
+)
 from dpbench.bench.record.disturbance import disturbance_metrics
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.record.result_folder import Results, load_results
@@ -118,12 +122,12 @@ def test_the_bar_of_each_configuration() -> None:
     assert not is_within_tolerance("busy_wait_1000us", 989_000.0)
     assert is_within_tolerance(NO_OP, 1000.0) and not is_within_tolerance(NO_OP, 1001.0)
     assert is_within_tolerance("copy_only", 1e9) is None
-    assert excess_over_wait_ns("busy_wait_20us", 20_300.0) == 300.0
+    assert compute_excess_over_wait_ns("busy_wait_20us", 20_300.0) == 300.0
 
 
 def test_a_quick_calibration_leaves_the_process_as_it_was() -> None:
     before = os.sched_getaffinity(0), gc.isenabled()
-    found = calibrate()
+    found = time_dummy_solvers()
     assert (os.sched_getaffinity(0), gc.isenabled()) == before
     assert list(found.p50_ns) == list(CALIBRATION)
     assert found.p50_ns["busy_wait_1000us"] >= 0.999e6

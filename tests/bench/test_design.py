@@ -22,10 +22,10 @@ from dpbench.bench.design import (
     Design,
     Designs,
     DesignStudy,
-    find_bracket,
-    is_held,
-    load_designs,
-    plan_designs,
+    can_recover_from_offset,
+    find_bracket_of_recovery,
+    load_stability_records,
+    pair_controllers_with_vessels,
 )
 from dpbench.bench.engines.dispatcher import Dispatcher
 from dpbench.bench.engines.engine import SourceFiles
@@ -56,7 +56,7 @@ def run(designs: list[Design], out: Path) -> Designs:
         engine.prepare(sources, [], Silent())
         looked_into.run(Dispatcher(engine, sources, Silent()), Silent())
         looked_into.write(out)
-    designs_there = load_designs(out)
+    designs_there = load_stability_records(out)
     assert designs_there is not None
     return designs_there
 
@@ -69,12 +69,12 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def designs(out: Path) -> Designs:
     """The paper's controller in the paper's ship, looked into in a process of its own."""
-    return run(plan_designs(TABLE), out)
+    return run(pair_controllers_with_vessels(TABLE), out)
 
 
 @pytest.fixture(scope="module")
 def still() -> Scenario:
-    files = plan_designs(TABLE)[0].files
+    files = pair_controllers_with_vessels(TABLE)[0].files
     return build_scenario(files | {"scenario": files["scenario"] | {"environment": {}}})
 
 
@@ -85,7 +85,7 @@ def test_what_it_does_not_hold_ends_in_a_limit_cycle_of_some_five_metres(still: 
 
 
 def test_the_paper_holds_1_65_m_and_not_1_8_m(designs: Designs, still: Scenario) -> None:
-    assert is_held(still, 1.65) and not is_held(still, 1.8)
+    assert can_recover_from_offset(still, 1.65) and not can_recover_from_offset(still, 1.8)
     held = designs.records[0].held
     assert held["still water"].fails_m is not None
     assert 1.65 <= held["still water"].holds_m < held["still water"].fails_m <= 1.8
@@ -117,39 +117,45 @@ def test_uncertified_steps_are_not_held(still: Scenario, monkeypatch: pytest.Mon
         raise CertificateError(f"{scenario.name}: step 0 has no certified optimum")
 
     monkeypatch.setattr(region, "solve_exactly", refuse)
-    assert not is_held(still, 1.0)
+    assert not can_recover_from_offset(still, 1.0)
 
 
 def test_a_model_ship_is_tried_on_its_own_scale() -> None:
     """With the damping of the model alone, and less far off with the drag of the ship."""
-    files = plan_designs(DesignTable(controllers=["paper"], vessels=["cybership2"]))[0].files
+    files = pair_controllers_with_vessels(
+        DesignTable(controllers=["paper"], vessels=["cybership2"])
+    )[0].files
     linear = {key: value for key, value in files["vessel"].items() if key != "drag"}
     scenario, without_drag = build_scenario(files), build_scenario(files | {"vessel": linear})
     assert scenario.steps == without_drag.steps == 2000
-    assert is_held(without_drag, 1.0) and not is_held(without_drag, 1.25)
-    assert is_held(scenario, 0.5) and not is_held(scenario, 1.0)
+    assert can_recover_from_offset(without_drag, 1.0) and not can_recover_from_offset(
+        without_drag, 1.25
+    )
+    assert can_recover_from_offset(scenario, 0.5) and not can_recover_from_offset(scenario, 1.0)
 
 
 @given(st.floats(min_value=OFFSETS_M[0], max_value=OFFSETS_M[-1], exclude_max=True))
 def test_the_bracket_holds_the_threshold_and_is_narrow(threshold: float) -> None:
-    bracket = find_bracket(lambda offset: offset <= threshold)
+    bracket = find_bracket_of_recovery(lambda offset: offset <= threshold)
     assert bracket.fails_m is not None
     assert bracket.holds_m <= threshold < bracket.fails_m
     assert bracket.fails_m - bracket.holds_m <= WIDTH * bracket.fails_m
 
 
 def test_a_bracket_may_have_one_end_only() -> None:
-    assert find_bracket(lambda offset: True) == Bracket(64.0, None)
-    assert find_bracket(lambda offset: offset <= 0.1) == Bracket(0.0, 0.25)
+    assert find_bracket_of_recovery(lambda offset: True) == Bracket(64.0, None)
+    assert find_bracket_of_recovery(lambda offset: offset <= 0.1) == Bracket(0.0, 0.25)
 
 
 def test_a_finished_design_is_not_looked_into_again(designs: Designs, out: Path) -> None:
-    planned = plan_designs(TABLE)
+    planned = pair_controllers_with_vessels(TABLE)
     (path,) = (out / "cells").glob("design-*.json")
     written = path.stat().st_mtime_ns
     assert study(planned, out).work == 0
     assert run(planned, out) == designs and path.stat().st_mtime_ns == written
-    other = plan_designs(DesignTable(controllers=["rough"], vessels=["supply_fs99"]))
+    other = pair_controllers_with_vessels(
+        DesignTable(controllers=["rough"], vessels=["supply_fs99"])
+    )
     assert study(other, out).work == study(planned, out, "another").work == WORK
     assert DesignStudy(planned, out / "cells", "machine", fresh=True).work == WORK
     text = path.read_text(encoding="utf-8")
@@ -159,7 +165,7 @@ def test_a_finished_design_is_not_looked_into_again(designs: Designs, out: Path)
 
 
 def test_a_design_whose_process_fails_is_missing_with_the_reason(tmp_path: Path) -> None:
-    (design,) = plan_designs(TABLE)
+    (design,) = pair_controllers_with_vessels(TABLE)
     broken = run([Design("paper", design.files | {"vessel": {}})], tmp_path)
     assert broken.records == ()
     (missing,) = broken.missing
@@ -179,7 +185,7 @@ def test_a_design_whose_process_fails_is_missing_with_the_reason(tmp_path: Path)
 )
 def test_bad_tables_are_refused(controllers: list[str], vessels: list[str], says: str) -> None:
     with pytest.raises(InputError, match=says):
-        plan_designs(DesignTable(controllers=controllers, vessels=vessels))
+        pair_controllers_with_vessels(DesignTable(controllers=controllers, vessels=vessels))
 
 
 def test_files_beside_the_suite_are_designs_too(tmp_path: Path) -> None:
@@ -190,7 +196,7 @@ def test_files_beside_the_suite_are_designs_too(tmp_path: Path) -> None:
     text = text.replace("sample_s = 0.3", "sample_s = 0.6")
     (tmp_path / "coarse.toml").write_text(text, encoding="utf-8")
     table = DesignTable(controllers=["coarse.toml"], vessels=["mine.toml"])
-    (design,) = plan_designs(table, tmp_path)
+    (design,) = pair_controllers_with_vessels(table, tmp_path)
     assert (design.controller, design.vessel) == ("coarse", "mine")
     scenario = build_scenario(design.files)
     assert (scenario.sample_s, scenario.steps, scenario.controller.tuning) == (0.6, 1000, "robust")
@@ -226,13 +232,13 @@ def test_damaged_files_are_refused(designs: Designs, out: Path, tmp_path: Path, 
     path = tmp_path / "design.json"
     path.write_text(damage((out / "design.json").read_text(encoding="utf-8")), encoding="utf-8")
     with pytest.raises(ResultsError) as error:
-        load_designs(tmp_path)
+        load_stability_records(tmp_path)
     text = str(error.value)
     assert text.startswith(str(path)) and says in text and "\n" not in text
 
 
 def test_an_older_file_is_passed_over_with_one_line(tmp_path: Path) -> None:
-    assert load_designs(tmp_path) is None
+    assert load_stability_records(tmp_path) is None
     (tmp_path / "design.json").write_text('{"schema": 1, "records": []}', encoding="utf-8")
     with pytest.warns(RenamedWarning, match="schema 1 are not shown"):
-        assert load_designs(tmp_path) is None
+        assert load_stability_records(tmp_path) is None

@@ -8,8 +8,8 @@ import pytest
 
 from dpbench import run_campaign
 from dpbench.bench import embedded_counts
-from dpbench.bench.embedded_counts import plan_counts
-from dpbench.bench.gather import gather
+from dpbench.bench.embedded_counts import pair_sequences_with_cores
+from dpbench.bench.gather import join_result_folders
 from dpbench.bench.plan.suite import EmbeddedTable
 from dpbench.embedded import toolchain
 from dpbench.embedded.table import EMBEDDED_FILE, load_counts
@@ -35,7 +35,7 @@ def table(*sequences: str, **keys: list[str]) -> EmbeddedTable:
 
 
 def test_each_sequence_is_planned_with_each_core_and_solver() -> None:
-    planned = plan_counts(
+    planned = pair_sequences_with_cores(
         table("paper:0:5", "rough:2:3", targets=["m7", "a53"], solvers=["daqp", "osqp"])
     )
     assert [(c.sequence, c.target, c.solver) for c in planned[:3]] == [
@@ -59,22 +59,22 @@ def test_each_sequence_is_planned_with_each_core_and_solver() -> None:
 )
 def test_a_bad_sequence_is_refused(text: str, found: str) -> None:
     with pytest.raises(InputError, match=found):
-        plan_counts(table(text))
+        pair_sequences_with_cores(table(text))
 
 
 def test_a_solver_without_a_recipe_is_refused() -> None:
     with pytest.raises(InputError, match=r"embedded.solvers: found 'piqp'; allowed: solvers with"):
-        plan_counts(table("paper:0:1", solvers=["piqp"]))
+        pair_sequences_with_cores(table("paper:0:1", solvers=["piqp"]))
 
 
 def test_without_the_extra_a_count_ends_with_the_remedy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (planned,) = plan_counts(table("paper:0:1", solvers=["daqp"]))
+    (planned,) = pair_sequences_with_cores(table("paper:0:1", solvers=["daqp"]))
     monkeypatch.setattr(toolchain, "EXTRAS", ("no_such_package",))
     monkeypatch.setattr(embedded_counts, "pin_to_core", lambda _: None)
     monkeypatch.setattr(embedded_counts, "disable_gc_and_warnings", lambda: None)
-    embedded_counts.run_count(planned.text, tmp_path, "one", 0, tmp_path / "one.parquet")
+    embedded_counts.run_count_in_process(planned.text, tmp_path, "one", 0, tmp_path / "one.parquet")
     said = json.loads((tmp_path / "one.json").read_text())
     assert said["outcome"] == "invalid"
     assert "pip install 'dpbench[embedded]'" in said["detail"]
@@ -124,7 +124,7 @@ def test_a_finished_count_is_not_repeated(out: Path) -> None:
 def test_shards_are_gathered_with_their_counts_and_reasons(out: Path, tmp_path: Path) -> None:
     suite = out.parent / "suite.toml"
     shards = [run_campaign(suite, tmp_path / f"shard{i}", shard=f"{i}/2") for i in (1, 2)]
-    joined = gather(shards, tmp_path / "joined", suite=suite)
+    joined = join_result_folders(shards, tmp_path / "joined", suite=suite)
     steps, whole = load_counts(joined), load_counts(out)
     assert steps is not None and whole is not None
     assert steps.equals(whole)
@@ -137,8 +137,8 @@ def test_shards_are_gathered_with_their_counts_and_reasons(out: Path, tmp_path: 
 def test_a_part_has_the_qps_of_its_steps(out: Path) -> None:
     steps = load_counts(out)
     assert steps is not None
-    (part,) = plan_counts(table("paper:3:4", solvers=["paper_active_set"]))
-    (longer,) = plan_counts(table("paper:0:7", solvers=["paper_active_set"]))
+    (part,) = pair_sequences_with_cores(table("paper:3:4", solvers=["paper_active_set"]))
+    (longer,) = pair_sequences_with_cores(table("paper:0:7", solvers=["paper_active_set"]))
     counted = part.count()
     np.testing.assert_allclose(counted.z, longer.count().z[3:], rtol=0, atol=1e-12)
     own = steps[(steps["solver"] == "paper_active_set") & (steps["sequence"] == "paper[3:7]")]

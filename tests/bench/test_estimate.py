@@ -5,7 +5,13 @@ from pathlib import Path
 import pytest
 
 from dpbench import load_results
-from dpbench.bench.estimate import JUDGE_STEP_S, STATED_RATES, Rates, estimate_cells, read_rates
+from dpbench.bench.estimate import (
+    JUDGE_STEP_S,
+    STATED_RATES,
+    Rates,
+    estimate_time_and_size,
+    read_measured_rates,
+)
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.record.cell import CapabilitySource, Cell
 from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
@@ -26,7 +32,7 @@ def test_time_goes_by_cells_steps_and_configurations(slots: int) -> None:
     rates = Rates("a test", {kind: 0.004})
     loops = [cell("daqp", 400)] * 90 + [cell("osqp", 1000)] * 30
     replays = [cell("osqp", 50, mode="replay", rounds=4, warmup_steps=5)] * 3
-    found = estimate_cells([*loops, *replays], slots, rates)
+    found = estimate_time_and_size([*loops, *replays], slots, rates)
     of_loops = 120 * CELL_S + 36_000 * (0.004 + JUDGE_STEP_S) + 30_000 * STEP_S
     of_replays = 3 * (CELL_S + 205 * STEP_S)
     assert found.time_s == pytest.approx(of_loops / slots + of_replays)
@@ -37,7 +43,9 @@ def test_time_goes_by_cells_steps_and_configurations(slots: int) -> None:
 def test_what_does_not_run_takes_nothing() -> None:
     edge = {"mode": "replay", "scenario": {}, "source": CapabilitySource("x")}
     refused = PlannedCell(cell("osqp", 400).cell, "no such policy")
-    found = estimate_cells([cell("daqp", 20), refused, cell("daqp", 9, **edge)], 1, STATED_RATES)
+    found = estimate_time_and_size(
+        [cell("daqp", 20), refused, cell("daqp", 9, **edge)], 1, STATED_RATES
+    )
     assert (found.cells, found.refused, found.unmeasured) == (2, 1, 1)
     assert found.time_s == pytest.approx(CELL_S + 20 * STEP_S)
 
@@ -66,7 +74,7 @@ def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
     assert main(["run", "tiny.toml", "--quiet", "--solver", "daqp", "--out", "mine"]) == 0
     assert main(["run", "tiny.toml", "--dry-run", "--out", "mine"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "by the runs in mine"
-    runs, found = load_results("mine").runs, read_rates(Path("mine"))
+    runs, found = load_results("mine").runs, read_measured_rates(Path("mine"))
     # 40 loops of 12 steps; the replays take 2 rounds of 20 and 3 steps to warm up.
     assert len(found.steps_s) == 3
     took_s = runs[runs["mode"] == "closed_loop"]["replay_s"].sum()
@@ -80,6 +88,6 @@ def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
 
 
 def test_without_a_folder_rates_are_stated(tmp_path: Path) -> None:
-    assert read_rates(tmp_path) == read_rates(tmp_path / "none") == STATED_RATES
+    assert read_measured_rates(tmp_path) == read_measured_rates(tmp_path / "none") == STATED_RATES
     (tmp_path / "runs.parquet").write_bytes(b"no table")
-    assert read_rates(tmp_path) == STATED_RATES
+    assert read_measured_rates(tmp_path) == STATED_RATES

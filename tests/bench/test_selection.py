@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from dpbench import load_results, run_campaign
-from dpbench.bench.gather import gather
+from dpbench.bench.gather import join_result_folders
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from tests.bench.deterministic import suite_file, suite_toml
@@ -84,4 +84,4 @@ def test_shards_are_not_gathered_into_another_result(suite: Path, tmp_path: Path
         run_campaign(suite, half, solvers=["daqp"], shard="2/2")
     out = run_campaign(suite, tmp_path / "out", solvers=["quadprog"], scenarios=["calm"])
     with pytest.raises(InputError, match=r"not requested.*another folder"):
-        gather([shard], out)
+        join_result_folders([shard], out)

@@ -86,7 +86,7 @@ def test_the_notation_is_that_of_the_standard() -> None:
         "b": tuple(WindLimit(9.0, 4) if k == 3 else held for k, held in enumerate(intact)),
     }
     capability = Capability("some", None, {"intact": intact, **failures}, {}, ())
-    assert capability.numbers == (7, 5, 4, 4)
+    assert capability.dp_capability_numbers == (7, 5, 4, 4)
     assert capability.notation == "DP capability-L1(7, 5, 4, 4)"
 
 

@@ -37,7 +37,9 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture(autouse=True)
 def _quick_trials(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a tuning hold 1 m; `test_check_ship` tries real loops."""
-    monkeypatch.setattr(check_ship, "is_held", lambda trial, offset_m, sides: offset_m <= 1.0)
+    monkeypatch.setattr(
+        check_ship, "can_recover_from_offset", lambda trial, offset_m, sides: offset_m <= 1.0
+    )
 
 
 @pytest.mark.parametrize(

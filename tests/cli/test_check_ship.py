@@ -6,7 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from dpbench.bench.design import find_bracket, find_still_water_bracket, is_held
+from dpbench.bench.design import (
+    can_recover_from_offset,
+    find_bracket_in_still_water,
+    find_bracket_of_recovery,
+)
 from dpbench.cli import check_ship
 from dpbench.scenario.problem_files import problem_names, problem_path
 from dpbench.scenario.scenario import Scenario, load_scenario, load_vessel
@@ -15,7 +19,9 @@ from dpbench.ship.thrusters import Thruster, ThrusterSet
 
 def up_to(monkeypatch: pytest.MonkeyPatch, offset_m: float) -> None:
     """Every tuning holds what is not beyond `offset_m`."""
-    monkeypatch.setattr(check_ship, "is_held", lambda trial, offset, sides: offset <= offset_m)
+    monkeypatch.setattr(
+        check_ship, "can_recover_from_offset", lambda trial, offset, sides: offset <= offset_m
+    )
 
 
 def read_stored_text(name: str) -> str:
@@ -117,11 +123,13 @@ def test_what_the_paper_holds_is_what_the_loop_holds() -> None:
 
     def holds(trial: Scenario, offset_m: float, sides: Sequence[float]) -> bool:
         tried.append(tuple(sides))
-        return is_held(trial, offset_m, sides)
+        return can_recover_from_offset(trial, offset_m, sides)
 
-    one_side = find_still_water_bracket(scenario, holds)
+    one_side = find_bracket_in_still_water(scenario, holds)
     assert set(tried) == {(1.0,)}
-    both = find_still_water_bracket(scenario, lambda trial, offset_m, _: is_held(trial, offset_m))
+    both = find_bracket_in_still_water(
+        scenario, lambda trial, offset_m, _: can_recover_from_offset(trial, offset_m)
+    )
     assert one_side == both
     assert both.fails_m is not None and 1.5 < both.holds_m < both.fails_m < 1.8
-    assert both == find_bracket(lambda offset_m: offset_m <= both.holds_m)
+    assert both == find_bracket_of_recovery(lambda offset_m: offset_m <= both.holds_m)

@@ -75,7 +75,9 @@ def test_lists_fit(kind: str, say: Say) -> None:
 def test_what_a_command_says_fits(
     words: list[str], say: Say, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(check_ship, "is_held", lambda trial, offset_m, sides: offset_m <= 1.0)
+    monkeypatch.setattr(
+        check_ship, "can_recover_from_offset", lambda trial, offset_m, sides: offset_m <= 1.0
+    )
     said = say(*words)
     if "--json" not in words:
         assert_readable(said)

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from dpbench.bench.capability.table import CAPABILITY_FILE, load_capability
-from dpbench.bench.design import load_designs
+from dpbench.bench.capability.table import CAPABILITY_FILE, load_capability_plots
+from dpbench.bench.design import load_stability_records
 from dpbench.bench.engines.shards import ShardRecord
 from dpbench.bench.record.npz import open_arrays
 from dpbench.bench.record.recorded_steps import StepsOnDisk
@@ -41,8 +41,8 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "suite.json": read_json,
     "machine.json": lambda path: load_descriptions(path.parent),
     "shard.json": lambda path: ShardRecord.read(path.parent),
-    "design.json": lambda path: load_designs(path.parent),
-    CAPABILITY_FILE: lambda path: load_capability(path.parent),
+    "design.json": lambda path: load_stability_records(path.parent),
+    CAPABILITY_FILE: lambda path: load_capability_plots(path.parent),
     EMBEDDED_FILE: lambda path: load_counts(path.parent),
     "runs.parquet": lambda path: load_results(path.parent),
     "steps.parquet": lambda path: StepsOnDisk(path.parent),

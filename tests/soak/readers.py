@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dpbench.bench.capability.table import COLUMNS, load_capability, write_capability
-from dpbench.bench.design import load_designs
+from dpbench.bench.capability.table import COLUMNS, load_capability_plots, write_capability_plots
+from dpbench.bench.design import load_stability_records
 from dpbench.bench.engines.shards import SHARD_FILE, Shard, ShardRecord
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.run_request import RunRequest
@@ -117,7 +117,7 @@ class Results(Soaked):
         records.refused("qpax", "it is not installed")
         out = records.write(folder / "made")
         row = ("plot", 0, "psv", 8, "intact", "", 0.0, 20.0, True, 20.0, 7)
-        write_capability(out, [{n: [value] for n, value in zip(COLUMNS, row, strict=True)}])
+        write_capability_plots(out, [{n: [value] for n, value in zip(COLUMNS, row, strict=True)}])
         write_steps(make_counts("daqp", [1000, 2000], "paper[0:2]"), out / EMBEDDED_FILE)
         held = {"still water": {"holds_m": 8.0, "fails_m": None}}
         design = {"vessel": "psv", "controller": "paper", "tuning": "paper", "N_p": 30, "N_c": 5}
@@ -136,7 +136,7 @@ class Results(Soaked):
 
     def read(self, folder: Path, name: str, rng: random.Random) -> None:
         results = load_results(folder)
-        designs, plots = load_designs(folder), load_capability(folder)
+        designs, plots = load_stability_records(folder), load_capability_plots(folder)
         counts = load_counts(folder)
         read_accidents(folder)
         for table in results.recorded.scan(ALL_COLUMNS):

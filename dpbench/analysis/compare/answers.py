@@ -16,7 +16,7 @@ import pandas as pd
 from dpbench.analysis.compare.pairs import Pair, cell_key
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.bench.judge.rules import decided_steps, failed_steps
+from dpbench.bench.judge.rules import mask_decided_steps, mask_failed_steps
 from dpbench.qp.solution import Status
 
 Change = Literal["worse", "better", "same", "not comparable"]
@@ -154,7 +154,7 @@ def _accuracy_ranges(steps: pd.DataFrame, run: RunRecord, common: float) -> dict
     counting = steps[steps["k"] < common]
     if counting.empty:
         return {m.column: _point_range(getattr(run, m.column)) for m in ACCURACY}
-    failed, true = failed_steps(counting), counting["true"].where(decided_steps(counting))
+    failed, true = mask_failed_steps(counting), counting["true"].where(mask_decided_steps(counting))
     rounds = counting.assign(failed=failed.astype(float), true=true.astype(float)).groupby("repeat")
     by_round = {
         "error_move_max": rounds["error_move"].max(),

@@ -14,7 +14,7 @@ from dpbench.analysis.compare.pairs import cell_key, problem_key
 from dpbench.analysis.compare.times import REFERENCES, usual_first_key
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by
-from dpbench.bench.judge.rules import largest_known
+from dpbench.bench.judge.rules import maximum_of_known
 from dpbench.errors import InputError, UnknownNameError, list_allowed
 
 
@@ -41,19 +41,19 @@ class Release:
     @property
     def error_move(self) -> float:
         """Largest error of the first control move over all runs of a solver version."""
-        return largest_known([run.error_move_max for run in self.runs.values()])
+        return maximum_of_known([run.error_move_max for run in self.runs.values()])
 
     @property
     def claimed_not_true(self) -> float:
         """Number of steps wrongly claimed solved, per repetition of a run; largest of all runs."""
-        return largest_known(
+        return maximum_of_known(
             [_count_per_round(run, run.claimed_not_true) for run in self.runs.values()]
         )
 
     @property
     def failed_steps(self) -> float:
         """Number of failed steps per repetition of a run; largest over a solver version's runs."""
-        return largest_known(
+        return maximum_of_known(
             [_count_per_round(run, run.failed_steps) for run in self.runs.values()]
         )
 

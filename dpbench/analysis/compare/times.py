@@ -24,7 +24,7 @@ from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
 from dpbench.analysis.statistics import resampled_error
 from dpbench.analysis.times.machine import disturbed_sequences
 from dpbench.arrays import Floats, Ints
-from dpbench.bench.judge.rules import median_known
+from dpbench.bench.judge.rules import median_of_known
 from dpbench.bench.record.configuration import settings_level
 from dpbench.errors import UnknownNameError, list_allowed
 
@@ -300,7 +300,7 @@ def _log_ratios(timings: Sequence[Timing], column: str) -> Floats:
 def _kernel_ratios(timings: Sequence[Timing]) -> _KernelRatios:
     """Return the median log time ratio B/A of each of two machine-speed tests; NaN if untimed."""
     columns = (_log_ratios(timings, name) for name in ("reference_kernel_ns", "load_kernel_ns"))
-    return _KernelRatios(*(median_known(logs[np.isfinite(logs)]) for logs in columns))
+    return _KernelRatios(*(median_of_known(logs[np.isfinite(logs)]) for logs in columns))
 
 
 def _round_times(records: Records, run: RunRecord) -> pd.DataFrame | None:

@@ -16,7 +16,7 @@ from dpbench.analysis.records.step_times import (
     delays_by_run,
     times_by_run,
 )
-from dpbench.bench.judge.rules import is_ranked
+from dpbench.bench.judge.rules import has_comparable_times
 from dpbench.bench.record.configuration import COMMON_FORMULATION
 from dpbench.bench.record.recorded_steps import ALL_COLUMNS, row_ranges_by_run
 from dpbench.bench.record.result_folder import Results
@@ -125,7 +125,9 @@ class Records:
     def is_ranked(self, run: RunRecord) -> bool:
         """Return whether a run's step times may be compared with those of other runs."""
         of_folder = str(self.machine.get("id", ""))
-        return run.mode != "replay" or is_ranked(run.concurrency, run.machine_id, of_folder)
+        return run.mode != "replay" or has_comparable_times(
+            run.concurrency, run.machine_id, of_folder
+        )
 
     def times(self, run: RunRecord) -> StepTimes | None:
         """Return a replay's step times; None without a valid step or if not comparable."""

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from pydantic import BaseModel, ValidationError
 
-from dpbench.bench.judge.answer_caching import is_remembered
+from dpbench.bench.judge.answer_caching import is_answer_cached
 from dpbench.bench.record.cell import (
     CONTROLLER,
     CapabilitySource,
@@ -253,7 +253,7 @@ class RunRecord:
     @property
     def remembers(self) -> bool:
         """True if the times show that the solver returned cached answers."""
-        return is_remembered(
+        return is_answer_cached(
             self.first_visit_ratio, self.loop_ratio, self.first_visit_excess, self.loop_tail_ratio
         )
 

@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Floats, Ints
-from dpbench.bench.judge.rules import decided_steps, failed_steps
+from dpbench.bench.judge.rules import mask_decided_steps, mask_failed_steps
 from dpbench.bench.record.recorded_steps import row_ranges_by_run
 
 
@@ -69,8 +69,8 @@ def counting_rows(steps: pd.DataFrame) -> CountingRows:
     """Convert a step table to arrays, without warm-up and disturbed repetitions."""
     counts = steps["counts"].to_numpy(dtype=np.bool_)
     arrays: dict[str, NDArray[np.generic]] = {
-        "known": decided_steps(steps)[counts],
-        "failed": failed_steps(steps)[counts],
+        "known": mask_decided_steps(steps)[counts],
+        "failed": mask_failed_steps(steps)[counts],
     }
     for name in ("run_id", "status"):
         # One object a name, not one a row.

@@ -8,7 +8,7 @@ import numpy as np
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import MEASURES, Measure, RunSteps, find_hardest_steps
-from dpbench.bench.judge.rules import median_known
+from dpbench.bench.judge.rules import median_of_known
 from dpbench.bench.record.configuration import Configuration
 
 
@@ -65,7 +65,7 @@ def _worst_by_measure(run: RunRecord, steps: RunSteps) -> dict[Measure, WorstSte
     for measure in MEASURES:
         at, values = find_hardest_steps(steps, measure, 1), steps.values(measure)
         if len(at):
-            value, usual = float(values[at[0]]), median_known(values)
+            value, usual = float(values[at[0]]), median_of_known(values)
             worst[measure] = WorstStep(measure, run, steps.at(at), value, usual)
     return worst
 

@@ -102,7 +102,7 @@ there."""
 def capability_plots(records: Records, table: pd.DataFrame | None) -> list[CapabilityResult]:
     """Return a folder's capability plots (wind held by direction), in suite order.
 
-    table : of `load_capability`; None where the folder has none.
+    table : of `load_capability_plots`; None where the folder has none.
     """
     at_edge = [run for run in records.at_edge if run.has_steps]
     names = dict.fromkeys(run.sequence for run in at_edge)

@@ -18,7 +18,7 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
 from dpbench.analysis.suites.random_claims import CLAIMS, classify_steps
-from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, percentile
+from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, percentile_or_nan
 from dpbench.bench.record.cell import ConsequenceSource
 from dpbench.scenario.scenario import cached_scenario
 
@@ -150,7 +150,7 @@ def _count_batch_answers(
         solver=runs[0].solver,
         name=runs[0].name,
         asked=sum(run.steps_planned for run in runs),
-        p99=percentile(shares, 99),
+        p99=percentile_or_nan(shares, 99),
         largest=float(shares.max()) if len(shares) else math.nan,
         **{str(name): int(count) for name, count in counts.items()},
     )

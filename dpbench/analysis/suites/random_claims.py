@@ -16,9 +16,9 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.bench.judge.rules import (
     NO_ANSWER_CLAIMS,
-    claimed_not_true,
-    decided_steps,
-    true_not_claimed,
+    mask_claimed_not_true,
+    mask_decided_steps,
+    mask_true_not_claimed,
 )
 from dpbench.bench.record.configuration import settings_level
 
@@ -101,14 +101,14 @@ def claims_by_run(steps: pd.DataFrame) -> pd.DataFrame:
 
 def classify_steps(steps: pd.DataFrame) -> pd.DataFrame:
     """Classify each step's claim as true or false: a table with a Boolean column per kind."""
-    known, none_said = decided_steps(steps), steps["status"].isin(NO_ANSWER_CLAIMS)
+    known, none_said = mask_decided_steps(steps), steps["status"].isin(NO_ANSWER_CLAIMS)
     claimed, true = steps["claimed"], steps["true"]
     return pd.DataFrame(
         {
             "steps": known,
             "right_claims": known & claimed & true,
-            "false_claims": claimed_not_true(steps),
-            "not_claimed": true_not_claimed(steps),
+            "false_claims": mask_claimed_not_true(steps),
+            "not_claimed": mask_true_not_claimed(steps),
             "right_refusals": known & none_said & true,
             "wrong_refusals": known & none_said & ~true,
             "nothing": known & ~claimed & ~none_said & ~true,

@@ -25,7 +25,7 @@ from dpbench.analysis.statistics import (
 from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.arrays import Floats
-from dpbench.bench.judge.rules import median_known
+from dpbench.bench.judge.rules import median_of_known
 from dpbench.bench.record.configuration import settings_level
 
 
@@ -209,7 +209,7 @@ def count_fastest_forms(records: Records, requirements: Requirements) -> Counter
         times = records.times(run) if run.mode == "replay" and not run.has_topic else None
         if times is not None and is_right(run, requirements):
             case = run.sequence, run.units, run.configuration.in_common_formulation.label
-            by_case.setdefault(case, {})[run.formulation] = median_known(times.algo_ns)
+            by_case.setdefault(case, {})[run.formulation] = median_of_known(times.algo_ns)
     cases = [forms for forms in by_case.values() if len(forms) > 1]
     return Counter(min(forms, key=lambda form: forms[form]) for forms in cases)
 

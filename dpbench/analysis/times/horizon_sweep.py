@@ -14,7 +14,7 @@ from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.statistics import UNKNOWN, Interval, percentile_interval
 from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.arrays import Floats
-from dpbench.bench.judge.rules import percentile
+from dpbench.bench.judge.rules import percentile_or_nan
 from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.schema import FORCES
 from dpbench.scenario.tables.key_types import Horizons
@@ -55,7 +55,7 @@ class SweepPoint:
     @property
     def p99_ns(self) -> float:
         """The p99 step time [ns], each step's fastest repetition; NaN for too few steps."""
-        return percentile(self.times.algo_ns, 99) if self.times else math.nan
+        return percentile_or_nan(self.times.algo_ns, 99) if self.times else math.nan
 
     @cached_property
     def p99_interval(self) -> Interval:

@@ -24,7 +24,7 @@ from dpbench.analysis.verdict.fastest import best_verdict_by_solver, fastest_fir
 from dpbench.analysis.verdict.findings import STATES
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import Verdict
-from dpbench.bench.judge.rules import percentile, supports_percentile
+from dpbench.bench.judge.rules import has_enough_samples_for_percentile, percentile_or_nan
 from dpbench.bench.record.configuration import Configuration, settings_level
 from dpbench.solvers.own_settings import decode_options, describe_options
 
@@ -284,11 +284,11 @@ def _build_level_point(
     timed = [times.algo_ns for times in map(records.times, runs) if times is not None]
     if len(timed) < len(runs):
         return None
-    whole = [algo for algo in timed if supports_percentile(len(algo), 99)]
+    whole = [algo for algo in timed if has_enough_samples_for_percentile(len(algo), 99)]
     return LevelPoint(
         configuration,
         p50_ns=max(float(np.median(algo)) for algo in whole or timed),
-        p99_ns=max((percentile(algo, 99) for algo in whole), default=math.nan),
+        p99_ns=max((percentile_or_nan(algo, 99) for algo in whole), default=math.nan),
         error_move=float(np.fmax.reduce([run.error_move_max for run in runs])),
         failed=int(np.nansum([run.failed_steps for run in runs])),
     )

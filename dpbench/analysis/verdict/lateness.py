@@ -18,8 +18,8 @@ which a p99 allows ("late timings").
 Closed loops, and replays of one round. Hard steps and delays look the same, and one late timing in
 a hundred is allowed: binomial with a share of 1 %. Late is what exceeds the limit by more than the
 uncertainty of the times. Where waits are not recorded, each involuntary context switch that can
-have hit a timed call explains one (`explained_late_timings`). A disturbed run proves nothing: waits
-do not show what other programs cost in caches and clock frequency.
+have hit a timed call explains one (`count_explained_late_timings`). A disturbed run proves nothing:
+waits do not show what other programs cost in caches and clock frequency.
 
 Deadline. So long a stall is rare in a whole campaign: its rate is that of all replays together.
 
@@ -44,7 +44,7 @@ from dpbench.analysis.statistics import adjust_holm
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.uncertainty import Uncertainty
 from dpbench.arrays import Floats
-from dpbench.bench.judge.rules import explained_late_timings
+from dpbench.bench.judge.rules import count_explained_late_timings
 from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S
 
 Kind = Literal["late timings", "late at random", "past the deadline"]
@@ -286,7 +286,7 @@ def _count_explained(run: RunRecord, own: Delays, late: int, limit_ns: float) ->
     if math.isnan(run.involuntary_switches):
         return math.nan
     timed_share = 1e-9 * float(own.base_ns.sum()) / run.replay_s
-    return explained_late_timings(run.involuntary_switches, timed_share)
+    return count_explained_late_timings(run.involuntary_switches, timed_share)
 
 
 def _test_deadline(

@@ -18,7 +18,7 @@ from dpbench.analysis.verdict.lateness import LateTimings, find_late_timings
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.uncertainty import Uncertainty, estimate_uncertainty
 from dpbench.arrays import Floats
-from dpbench.bench.judge.rules import percentile
+from dpbench.bench.judge.rules import percentile_or_nan
 
 LOOP_TIMINGS = 200
 """Timings of a closed loop from which its median is a plain answer."""
@@ -158,7 +158,7 @@ def p99_ns(run: RunRecord, algo_ns: Floats) -> float:
     A window holds the hardest steps of a stretch, so those beyond the stretch's p99 are all in it.
     """
     if not run.window_of:
-        return percentile(algo_ns, 99)
+        return percentile_or_nan(algo_ns, 99)
     beyond = math.floor(0.01 * run.window_of)
     return float(np.sort(algo_ns)[::-1][min(beyond, len(algo_ns) - 1)])
 
@@ -183,7 +183,7 @@ class _ReplayTimes:
     def of(cls, run: RunRecord, times: StepTimes) -> _ReplayTimes:
         """Compute the percentiles and extremes of one replay's step times."""
         algo, rounds = times.algo_ns, times.rounds_ns
-        p95, p99 = percentile(algo, 95), p99_ns(run, algo)
+        p95, p99 = percentile_or_nan(algo, 95), p99_ns(run, algo)
         ends = float(rounds.min()), float(rounds.max())
         p50, timings = float(np.median(algo)), int(np.median(times.timings))
         return cls(run, p50, p95, p99, float(algo.max()), times.raw_max_ns, ends, timings)

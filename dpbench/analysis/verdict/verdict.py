@@ -29,7 +29,7 @@ from dpbench.analysis.verdict.findings import (
     finding_on_worst,
 )
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.bench.judge.rules import largest_known
+from dpbench.bench.judge.rules import maximum_of_known
 from dpbench.bench.record.configuration import Configuration, settings_level
 from dpbench.solvers.record import POLICIES
 
@@ -187,7 +187,7 @@ def judge_configuration(
         replays=sum(not run.window_of for run in replays),
         windows=sum(run.window_of > 0 for run in replays),
         steps=sum(_count_judged_steps(run) for run in ran),
-        error_move=largest_known([run.error_move_max for run in ran]),
+        error_move=maximum_of_known([run.error_move_max for run in ran]),
         failed_steps=sum(_count_or_zero(run.failed_steps) for run in ran),
         **figures,
     )

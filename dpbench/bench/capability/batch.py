@@ -32,17 +32,17 @@ class Point:
     held: bool
 
 
-def all_points(frontier: CapabilityPlot, capability: Capability) -> list[Point]:
+def list_points_at_all_limits(frontier: CapabilityPlot, capability: Capability) -> list[Point]:
     """Return the capability QPs around the wind limit of every failure case and direction."""
     return [
         point
-        for case in frontier.cases
+        for case in frontier.intact_and_failure_cases
         for from_deg, edge in zip(FROM_DEG, capability.held[case.name], strict=True)
-        for point in points_at_edge(case, math.radians(from_deg), edge)
+        for point in list_points_at_limit(case, math.radians(from_deg), edge)
     ]
 
 
-def points_at_edge(case: Case, from_rad: float, edge: WindLimit) -> list[Point]:
+def list_points_at_limit(case: Case, from_rad: float, edge: WindLimit) -> list[Point]:
     """Return the capability QPs at `POINTS` winds around one direction's and failure's limit."""
     number, wind_mps = edge.number, edge.wind_mps
     if number == max(DP_CONDITIONS):
@@ -60,15 +60,17 @@ def points_at_edge(case: Case, from_rad: float, edge: WindLimit) -> list[Point]:
     return [Point(case, from_rad, *wind) for wind in sorted(winds)]
 
 
-def allocation_sequence(frontier: CapabilityPlot, points: Sequence[Point]) -> QPSequence:
+def build_allocation_sequence(frontier: CapabilityPlot, points: Sequence[Point]) -> QPSequence:
     """Return the static allocation QP of each capability point, in their order."""
     assert frontier.sides is not None, "a QP has polygons"
-    allocation = _build_allocation(frontier, {point.case for point in points}, frontier.sides)
+    allocation = _build_static_allocation(
+        frontier, {point.case for point in points}, frontier.sides
+    )
     problems = []
     for point in points:
         weather = frontier.weather(point.from_rad, point.wind_mps)
-        _, chosen = frontier.best_choice(point.case, point.from_rad, point.wind_mps)
-        lost = frontier.lost_thrusters(point.case)
+        _, chosen = frontier.find_least_use_and_pieces(point.case, point.from_rad, point.wind_mps)
+        lost = frontier.find_unusable_thrusters(point.case)
         problems.append(allocation.build_qp(weather.load, weather.shares, chosen, lost))
     q, low, high = (np.array([getattr(qp, name) for qp in problems]) for name in ("q", "l", "u"))
     rows = np.array([qp.A for qp in problems])
@@ -76,7 +78,9 @@ def allocation_sequence(frontier: CapabilityPlot, points: Sequence[Point]) -> QP
     return QPSequence(f"{frontier.vessel.id} capability", problems[0], q, low, high, A=changed)
 
 
-def _build_allocation(frontier: CapabilityPlot, cases: set[Case], sides: int) -> StaticAllocation:
+def _build_static_allocation(
+    frontier: CapabilityPlot, cases: set[Case], sides: int
+) -> StaticAllocation:
     """Return an allocation QP with rows for the thrusters' convex areas in any failure case."""
     every = [frontier.pieces_of(case) for case in cases]
     count = len(frontier.thrusters.thrusters)

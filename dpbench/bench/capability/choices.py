@@ -20,7 +20,7 @@ Relax = Callable[[Choices], tuple[float, list[Vector]]]
 """Least use in the convex hulls of pieces, and the use of each piece."""
 
 
-def find_best_choice(relax: Relax, choices: Choices) -> tuple[float, Combination]:
+def find_least_use_and_pieces(relax: Relax, choices: Choices) -> tuple[float, Combination]:
     """Return the least use of thrust over all choices of a piece each, and the choice.
 
     Parameters
@@ -37,7 +37,11 @@ def find_best_choice(relax: Relax, choices: Choices) -> tuple[float, Combination
         if _is_no_better(bound, best):
             break
         rounded = tuple(pieces[int(np.argmax(use))] for pieces, use in zip(some, uses, strict=True))
-        use = bound if all(len(pieces) == 1 for pieces in some) else _least_use_of(relax, rounded)
+        use = (
+            bound
+            if all(len(pieces) == 1 for pieces in some)
+            else _compute_least_use_of_pieces(relax, rounded)
+        )
         if use < best:
             best, chosen = use, rounded
         if _is_no_better(bound, best):
@@ -54,7 +58,7 @@ def _is_no_better(bound: float, best: float) -> bool:
     return bound * (1.0 + GAP) + GAP >= best
 
 
-def _least_use_of(relax: Relax, chosen: Combination) -> float:
+def _compute_least_use_of_pieces(relax: Relax, chosen: Combination) -> float:
     """Return the least share of full thrust with one convex piece chosen for each thruster."""
     return relax(tuple((piece,) for piece in chosen))[0]
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from dpbench.arrays import Vector
-from dpbench.bench.capability.choices import find_best_choice
+from dpbench.bench.capability.choices import find_least_use_and_pieces
 from dpbench.bench.capability.utilisation import Choices, Combination, Utilisation
 from dpbench.bench.progress import Progress, Silent
 from dpbench.errors import InputError
@@ -77,10 +77,10 @@ class CapabilityPlot:
         self._utilisation = Utilisation(self.thrusters, sides)
         self.pieces_of = cache(self._split_thrust_areas)
         # One wind is asked with many choices of pieces in a row.
-        self.weather = lru_cache(maxsize=64)(self._compute_weather)
+        self.weather = lru_cache(maxsize=64)(self._compute_load_and_usable_shares)
 
     @property
-    def cases(self) -> list[Case]:
+    def intact_and_failure_cases(self) -> list[Case]:
         """The intact ship, then the loss of each group of thrusters that fail together."""
         groups = self.thrusters.groups.items()
         return [
@@ -88,7 +88,7 @@ class CapabilityPlot:
             *(Case(name, frozenset(numbers)) for name, numbers in groups),
         ]
 
-    def _compute_weather(self, from_rad: float, wind_mps: float) -> Weather:
+    def _compute_load_and_usable_shares(self, from_rad: float, wind_mps: float) -> Weather:
         """Return load and usable shares of thrust in wind, waves and current from `from_rad`."""
         condition = interpolate_condition(wind_mps)
         loads = mean_loads(self.hull, condition, from_rad)
@@ -117,12 +117,12 @@ class CapabilityPlot:
             for i, thruster in enumerate(every)
         ]
 
-    def lost_thrusters(self, case: Case) -> frozenset[int]:
+    def find_unusable_thrusters(self, case: Case) -> frozenset[int]:
         """Return the indices of the lost thrusters and of those that may push in no direction."""
         nowhere = {i for i, parts in enumerate(self.pieces_of(case)) if not parts}
         return case.lost | nowhere
 
-    def _choices(self, case: Case) -> Choices:
+    def _list_piece_choices(self, case: Case) -> Choices:
         """Return the pieces of each thruster between which there is a choice."""
         return tuple(tuple(some or [_NOWHERE]) for some in self.pieces_of(case))
 
@@ -130,36 +130,38 @@ class CapabilityPlot:
         """Return the least share of full thrust that holds a wind, in given convex thrust areas."""
         weather = self.weather(from_rad, wind_mps)
         return self._utilisation.least_use(
-            weather.load, weather.shares, chosen, self.lost_thrusters(case)
+            weather.load, weather.shares, chosen, self.find_unusable_thrusters(case)
         )
 
-    def best_choice(
+    def find_least_use_and_pieces(
         self, case: Case, from_rad: float, wind_mps: float
     ) -> tuple[float, Combination]:
         """Return the least share of full thrust that holds a wind, and its convex thrust areas."""
-        weather, lost = self.weather(from_rad, wind_mps), self.lost_thrusters(case)
-        return find_best_choice(
-            lambda some: self._utilisation.relax(weather.load, weather.shares, some, lost),
-            self._choices(case),
+        weather, lost = self.weather(from_rad, wind_mps), self.find_unusable_thrusters(case)
+        return find_least_use_and_pieces(
+            lambda some: self._utilisation.relax_to_convex_hulls(
+                weather.load, weather.shares, some, lost
+            ),
+            self._list_piece_choices(case),
         )
 
     def find_wind_limit(self, case: Case, from_rad: float) -> WindLimit:
         """Return the largest wind held, with all weaker winds of the standard's table held too."""
         number, low = 0, 0.0
         # Nothing pushes in calm: any choice holds it.
-        chosen = tuple(pieces[0] for pieces in self._choices(case))
+        chosen = tuple(pieces[0] for pieces in self._list_piece_choices(case))
         for wind_mps, *_ in DP_CONDITIONS.values():
             # What holds this wind most likely holds the next.
             if self.least_use(case, from_rad, wind_mps, chosen) > 1.0:
-                use, best = self.best_choice(case, from_rad, wind_mps)
+                use, best = self.find_least_use_and_pieces(case, from_rad, wind_mps)
                 if use > 1.0:
-                    limit = self._solve_wind_limit(case, from_rad, (low, wind_mps), chosen)
+                    limit = self._solve_wind_limit_between(case, from_rad, (low, wind_mps), chosen)
                     return WindLimit(limit, number)
                 chosen = best
             number, low = number + 1, wind_mps
         return WindLimit(low, number)
 
-    def _solve_wind_limit(
+    def _solve_wind_limit_between(
         self, case: Case, from_rad: float, between: tuple[float, float], chosen: Combination
     ) -> float:
         """Return the wind [m/s] within `between` that takes full thrust, in the best areas.
@@ -177,7 +179,7 @@ class CapabilityPlot:
             low = float(brentq(missing, low, high, xtol=WIND_TOLERANCE))
             # Not at the edge itself, as all choices hold a calm.
             above = low + WIND_TOLERANCE
-            use, better = self.best_choice(case, from_rad, above)
+            use, better = self.find_least_use_and_pieces(case, from_rad, above)
             if use >= 1.0 or above >= high:
                 return low
             low, chosen = above, better
@@ -197,7 +199,7 @@ class Capability:
     assumed: tuple[str, ...]
 
     @property
-    def worst_failure(self) -> tuple[WindLimit, ...]:
+    def limits_after_worst_failure(self) -> tuple[WindLimit, ...]:
         """The lowest wind limit after any failure, by direction."""
         failures = [held for case, held in self.held.items() if case != INTACT]
         return tuple(
@@ -205,17 +207,20 @@ class Capability:
         )
 
     @property
-    def numbers(self) -> tuple[int, int, int, int]:
+    def dp_capability_numbers(self) -> tuple[int, int, int, int]:
         """Least DP capability numbers near the bow and all round: intact, then worst failure."""
-        return (*_least_numbers(self.held[INTACT]), *_least_numbers(self.worst_failure))
+        return (
+            *_least_numbers_at_bow_and_all_round(self.held[INTACT]),
+            *_least_numbers_at_bow_and_all_round(self.limits_after_worst_failure),
+        )
 
     @property
     def notation(self) -> str:
         """The four DP capability numbers in the standard's notation (2.5.1)."""
-        return f"DP capability-L1({', '.join(map(str, self.numbers))})"
+        return f"DP capability-L1({', '.join(map(str, self.dp_capability_numbers))})"
 
 
-def _least_numbers(held: tuple[WindLimit, ...]) -> tuple[int, int]:
+def _least_numbers_at_bow_and_all_round(held: tuple[WindLimit, ...]) -> tuple[int, int]:
     """Return the least DP capability number within `BOW_DEG` of the bow, and all round."""
     near = [
         at.number
@@ -227,7 +232,7 @@ def _least_numbers(held: tuple[WindLimit, ...]) -> tuple[int, int]:
 
 def compute_capability(frontier: CapabilityPlot, progress: Progress | None = None) -> Capability:
     """Return the wind limits from all directions; ArithmeticError if the cone solver fails."""
-    progress, cases = progress or Silent(), frontier.cases
+    progress, cases = progress or Silent(), frontier.intact_and_failure_cases
     progress.start(len(cases) * DIRECTIONS)
     held: dict[str, tuple[WindLimit, ...]] = {}
     for case in cases:
@@ -241,6 +246,6 @@ def compute_capability(frontier: CapabilityPlot, progress: Progress | None = Non
     return Capability(frontier.vessel.id, frontier.sides, held, lost, frontier.hull.assumed)
 
 
-def is_beyond_standard(held: WindLimit) -> bool:
+def is_beyond_standard_winds(held: WindLimit) -> bool:
     """Return whether a wind limit is in the last row of the standard's weather table."""
     return held.number == max(DP_CONDITIONS)

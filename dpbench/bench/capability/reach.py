@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.bench.capability.choices import find_best_choice
+from dpbench.bench.capability.choices import find_least_use_and_pieces
 from dpbench.bench.capability.utilisation import Utilisation
 from dpbench.ship.capability.shapes import Piece, convex_pieces
 from dpbench.ship.layout import AXES
@@ -25,23 +25,27 @@ class ThrusterReach:
     def __init__(self, thrusters: ThrusterSet) -> None:
         self._utilisation = Utilisation(thrusters)
         self._shares = np.ones(len(thrusters.thrusters))
-        self._choices = tuple(
+        self._list_piece_choices = tuple(
             tuple(convex_pieces(thruster.sector_rad, [], [], [], _CHORD_RAD))
             if thruster.kind == "azimuth"
             else (Piece(),)
             for thruster in thrusters.thrusters
         )
 
-    def find_share(self, force: Vector) -> float:
+    def find_least_thrust_share(self, force: Vector) -> float:
         """Return the least share of full thrust that makes a force (3,) [N, N, N·m]; inf if none.
 
         The thrusters make it where the share is at most 1.
         """
-        relax = partial(self._utilisation.relax, -force, self._shares, lost=frozenset())
-        return find_best_choice(relax, self._choices)[0]
+        relax = partial(
+            self._utilisation.relax_to_convex_hulls, -force, self._shares, lost=frozenset()
+        )
+        return find_least_use_and_pieces(relax, self._list_piece_choices)[0]
 
-    def find_pure_forces(self) -> tuple[Vector, Vector]:
+    def find_least_and_largest_pure_forces(self) -> tuple[Vector, Vector]:
         """Return the least and largest force (3,) of each axis with none in the other two."""
         axes = np.eye(AXES)
-        low, high = ([1.0 / self.find_share(s * axis) for axis in axes] for s in (-1.0, 1.0))
+        low, high = (
+            [1.0 / self.find_least_thrust_share(s * axis) for axis in axes] for s in (-1.0, 1.0)
+        )
         return -np.array(low), np.array(high)

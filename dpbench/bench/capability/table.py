@@ -37,7 +37,7 @@ direction of the weather; wind of the QP and whether it is held; largest wind he
 """
 
 
-def capability_columns(
+def make_capability_columns(
     sequence: str, capability: Capability, points: Sequence[Point]
 ) -> dict[str, list[Any]]:
     """Return one capability plot and its QPs as columns of `capability.parquet`, by name."""
@@ -56,14 +56,14 @@ def capability_columns(
     }
 
 
-def write_capability(out: Path, tables: Sequence[dict[str, list[Any]]]) -> None:
+def write_capability_plots(out: Path, tables: Sequence[dict[str, list[Any]]]) -> None:
     """Write capability plots to `capability.parquet` in a result folder."""
     frame = pd.concat([pd.DataFrame(table) for table in tables], ignore_index=True)
     with replace_file(out / CAPABILITY_FILE) as part:
         frame.astype(COLUMNS).to_parquet(part, index=False, compression="zstd")
 
 
-def load_capability(folder: Path) -> pd.DataFrame | None:
+def load_capability_plots(folder: Path) -> pd.DataFrame | None:
     """Return `capability.parquet` of a result folder, None without one; ResultsError if damaged."""
     path = folder / CAPABILITY_FILE
     if not path.exists():
@@ -78,11 +78,11 @@ def load_capability(folder: Path) -> pd.DataFrame | None:
     except (OSError, ValueError, TypeError, KeyError, pa.ArrowException) as error:
         found = f"a damaged file ({str(error)[:80]})"
         raise ResultsError(str(path), "", found, "a parquet table; run again") from error
-    _check_plots(plots, path)
+    _refuse_bad_plots(plots, path)
     return plots
 
 
-def _check_plots(plots: pd.DataFrame, path: Path) -> None:
+def _refuse_bad_plots(plots: pd.DataFrame, path: Path) -> None:
     """Raise ResultsError for winds that are no numbers, and for a plot without the intact ship."""
     for name in ("from_deg", "wind_mps", "edge_mps"):
         finite = np.isfinite(plots[name].to_numpy())

@@ -78,9 +78,11 @@ class Utilisation:
         `shares` (p,) is effective over nominal thrust; `chosen` (p,) pieces are kept by this
         object.
         """
-        return self.relax(load, shares, tuple((piece,) for piece in chosen), lost)[0]
+        return self.relax_to_convex_hulls(load, shares, tuple((piece,) for piece in chosen), lost)[
+            0
+        ]
 
-    def relax(
+    def relax_to_convex_hulls(
         self, load: Vector, shares: Vector, choices: Choices, lost: frozenset[int]
     ) -> tuple[float, list[Vector]]:
         """Return the least use in the convex hulls of pieces, and the use u_k of each piece.
@@ -105,15 +107,15 @@ class Utilisation:
         size = float(np.abs(wanted).max())
         if size == 0.0:
             return 0.0, unused
-        x = self._solve_cones(cones, balance, wanted / size)
+        x = self._solve_cone_program(cones, balance, wanted / size)
         if x is None or x[-1] > MOST_USE:
             return np.inf, unused
         x *= size
         return float(x[-1]), [x[at] for at in cones.sizes]
 
-    def _solve_cones(self, cones: _Cones, balance: Matrix, wanted: Vector) -> Vector | None:
+    def _solve_cone_program(self, cones: _Cones, balance: Matrix, wanted: Vector) -> Vector | None:
         """Return the optimum of a cone program for a force (3,); None where there is none."""
-        A, b = cones.insert_balance(balance), cones.zeros.copy()
+        A, b = cones.make_matrix_with_balance(balance), cones.zeros.copy()
         b[:AXES] = wanted
         problem = cones.quadratic, cones.cost, A, b, cones.kinds
         solution = _import_clarabel().DefaultSolver(*problem, self._settings).solve()
@@ -121,7 +123,7 @@ class Utilisation:
         if status == "Solved":
             x: Vector = np.array(solution.x)
             return x
-        return None if status == "PrimalInfeasible" else cones.solve_by_tangents(wanted)
+        return None if status == "PrimalInfeasible" else cones.solve_by_linear_programs(wanted)
 
 
 def _is_in_span(balance: Matrix, wanted: Vector) -> bool:
@@ -161,12 +163,14 @@ class _Cones:
             is_round = thruster.kind == "azimuth" and sides is None
             for k, piece in enumerate(choices[i]):
                 entries += range(own.start, own.stop)
-                blocks, cones = _cone_rows(thruster, piece, sides)
-                self.sizes[i][k] = rows.add_piece(blocks, cones, i in several, is_round=is_round)
+                blocks, cones = _make_rows_and_cones(thruster, piece, sides)
+                self.sizes[i][k] = rows.add_rows_of_piece(
+                    blocks, cones, i in several, is_round=is_round
+                )
             if i in several:
-                rows.add_sum(self.sizes[i])
+                rows.add_row_of_sum(self.sizes[i])
         self.entries = np.array(entries, dtype=np.intp)
-        whole = rows.stack()
+        whole = rows.stack_rows_to_matrix()
         self.kinds, self.zeros = rows.kinds, np.zeros(len(whole))
         self.quadratic, self.cost = csc_matrix((width, width)), np.eye(width)[-1]
         self._circles = rows.circles
@@ -174,16 +178,18 @@ class _Cones:
         self._matrix = csc_matrix(whole)
         self._of_balance = self._matrix.indices < AXES
 
-    def insert_balance(self, balance: Matrix) -> csc_matrix:
+    def make_matrix_with_balance(self, balance: Matrix) -> csc_matrix:
         """Return the constraint matrix with the force-balance rows (3, entries) filled in."""
         self._matrix.data[self._of_balance] = balance.T.ravel()
         return self._matrix
 
-    def solve_by_tangents(self, wanted: Vector) -> Vector | None:
+    def solve_by_linear_programs(self, wanted: Vector) -> Vector | None:
         """Return the optimum for a force (3,) by linear programs; None where there is none."""
         A = self._matrix.toarray()
         posed: dict[str, Any] = {"A_eq": A[:AXES], "b_eq": wanted, "bounds": (None, None)}
-        tangents = [self._tangent_row(*at, angle) for at in self._circles for angle in TANGENTS]
+        tangents = [
+            self._make_tangent_row(*at, angle) for at in self._circles for angle in TANGENTS
+        ]
         for _ in range(ROUNDS):
             rows = np.vstack([A[self._flat], *tangents])
             posed |= {"A_ub": rows, "b_ub": np.zeros(len(rows)), "options": _PRECISE}
@@ -199,11 +205,11 @@ class _Cones:
             if not beyond:
                 break
             tangents += [
-                self._tangent_row(at, own, np.arctan2(x[at + 1], x[at])) for at, own in beyond
+                self._make_tangent_row(at, own, np.arctan2(x[at + 1], x[at])) for at, own in beyond
             ]
         return x
 
-    def _tangent_row(self, at: int, own: int, angle_rad: float) -> Matrix:
+    def _make_tangent_row(self, at: int, own: int, angle_rad: float) -> Matrix:
         """Return the row (1, width) of a circle's tangent: (cos, sin)·f/T − u_k ≤ 0."""
         row = np.zeros((1, len(self.cost)))
         row[0, at], row[0, at + 1], row[0, own] = np.cos(angle_rad), np.sin(angle_rad), -1.0
@@ -224,7 +230,9 @@ class _ConeRows:
         self.circles: list[tuple[int, int]] = []
         self.round_rows: list[int] = []
 
-    def add_piece(self, rows: Matrix, cones: list[Any], has_size: bool, *, is_round: bool) -> int:
+    def add_rows_of_piece(
+        self, rows: Matrix, cones: list[Any], has_size: bool, *, is_round: bool
+    ) -> int:
         """Add the rows of one piece; return the index of its u_k, that of u without one."""
         at, count = self._first, rows.shape[1] - 1
         own = at + count if has_size else self._width - 1
@@ -238,7 +246,7 @@ class _ConeRows:
         self._first = at + count + has_size
         return own
 
-    def add_sum(self, sizes: Indices) -> None:
+    def add_row_of_sum(self, sizes: Indices) -> None:
         """Add the row Σ u_k ≤ u of a thruster with several pieces."""
         row = np.zeros((1, self._width))
         row[0, sizes], row[0, -1] = -1.0, 1.0
@@ -250,12 +258,14 @@ class _ConeRows:
         self.kinds += cones
         self._height += len(rows)
 
-    def stack(self) -> Matrix:
+    def stack_rows_to_matrix(self) -> Matrix:
         """Return the matrix A: rows that mark the forces in the balance, then the cones' rows."""
         return np.vstack([np.tile(self._forces, (AXES, 1)), *(-block for block in self._blocks)])
 
 
-def _cone_rows(thruster: Thruster, piece: Piece, sides: int | None) -> tuple[Matrix, list[Any]]:
+def _make_rows_and_cones(
+    thruster: Thruster, piece: Piece, sides: int | None
+) -> tuple[Matrix, list[Any]]:
     """Return the cone constraints of one thruster's force by its thrust share: rows and cones."""
     if thruster.kind != "azimuth":
         return np.array([[-1.0, 1.0], [1.0, thruster.astern]]), [

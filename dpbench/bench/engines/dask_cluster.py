@@ -22,7 +22,7 @@ from distributed.comm.registry import get_backend
 from distributed.security import Security
 
 from dpbench.bench.engines.engine import TlsFiles
-from dpbench.bench.engines.on_worker import WorkerInfo, end_tasks, worker_info
+from dpbench.bench.engines.on_worker import WorkerInfo, describe_worker, interrupt_tasks
 from dpbench.bench.record.cell import HARNESS_VERSION
 from dpbench.bench.workers.child import hide_main_module
 from dpbench.bench.workers.interrupts import block_terminal_signals, delay_signals
@@ -67,7 +67,7 @@ class OwnWorker(_WithoutHttp, Worker):  # type: ignore[misc] # Dask is untyped h
 
     async def close(self, *args: Any, **kwargs: Any) -> Any:
         """Interrupt the running task, then close the worker; Dask would wait for the task."""
-        end_tasks()
+        interrupt_tasks()
         return await super().close(*args, **kwargs)
 
 
@@ -88,7 +88,7 @@ def connect_client(address: str, tls: TlsFiles | None = None) -> Iterator[Client
         try:
             # In a thread: a notebook has a loop of its own in this one.
             with ThreadPoolExecutor(1) as pool:
-                pool.submit(asyncio.run, _connect_once(address, security)).result()
+                pool.submit(asyncio.run, _test_connection(address, security)).result()
             client = Client(address, security=security, timeout=RETURN_S, set_as_default=False)
         # Those that are no OSError: one of both wants TLS, and the other has none.
         except (OSError, TypeError, RuntimeError) as error:
@@ -99,7 +99,7 @@ def connect_client(address: str, tls: TlsFiles | None = None) -> Iterator[Client
             yield client
 
 
-async def _connect_once(address: str, security: Security) -> None:
+async def _test_connection(address: str, security: Security) -> None:
     """Test that a Dask scheduler accepts a connection, and close it; OSError if refused."""
     arguments = security.get_connection_args("client")
     comm = await connect(address, timeout=ANSWER_S, **arguments)
@@ -196,7 +196,7 @@ class Cluster:
         self._refused: set[str] = set()
         self.concurrency, self.addresses = 1, frozenset[str]()
         client.wait_for_workers(1)
-        for error in self._update_workers():
+        for error in self._read_current_workers():
             raise error
         workers = {address: self._workers[address] for address in self._infos}
         exclusive = [a for a, w in workers.items() if w["resources"].get(EXCLUSIVE, 0) >= 1]
@@ -210,10 +210,12 @@ class Cluster:
         self.machine = self._infos[(exclusive or [*workers])[0]].machine
         self.kinds = len({info.machine["id"] for info in self._infos.values()})
 
-    def refresh(self) -> list[str]:
+    def update_workers(self) -> list[str]:
         """Update the workers, if the scheduler answers; return a remark on each refused one."""
         try:
-            return [f"a worker is given no cells: {error}" for error in self._update_workers()]
+            return [
+                f"a worker is given no cells: {error}" for error in self._read_current_workers()
+            ]
         except OSError:
             return []
 
@@ -227,20 +229,20 @@ class Cluster:
             time.sleep(0.1)
         return False
 
-    def _update_workers(self) -> list[InputError]:
+    def _read_current_workers(self) -> list[InputError]:
         """Read the current workers from the scheduler; return an error for each refused one."""
         if self.client.status != "running":
             return []
         workers: dict[str, Any] = self.client.scheduler_info(n_workers=-1)["workers"]
         refused = []
         new = [a for a in workers if a not in self._infos and a not in self._refused]
-        answers = self.client.run(worker_info, workers=new, on_error="return") if new else {}
+        answers = self.client.run(describe_worker, workers=new, on_error="return") if new else {}
         infos = {address: info for address, info in self._infos.items() if address in workers}
         for address, answer in answers.items():
             if isinstance(answer, OSError):
                 continue  # it went, or does not answer yet
             try:
-                infos[address] = _check_worker(address, answer)
+                infos[address] = _parse_worker_info(address, answer)
             except InputError as error:
                 refused.append(error)
                 self._refused.add(address)
@@ -254,7 +256,7 @@ class Cluster:
         return refused
 
 
-def _check_worker(address: str, answer: object) -> WorkerInfo:
+def _parse_worker_info(address: str, answer: object) -> WorkerInfo:
     """Check a Dask worker's description of itself; InputError where it cannot take runs."""
     if not isinstance(answer, WorkerInfo):
         found = f"worker {address} without dpbench {HARNESS_VERSION} ({answer!r})"

@@ -55,7 +55,7 @@ def open_dask_engine(
     with ExitStack() as until_connected:
         until_connected.push(engine)
         if scheduler is not None:
-            engine.connect(scheduler, tls)
+            engine.connect_to_scheduler(scheduler, tls)
         until_connected.pop_all()
     return engine
 
@@ -72,16 +72,16 @@ class DaskEngine(ExitStack):
         token = uuid4().hex[:8]
         # Two campaigns may ask one scheduler for the same.
         self._names = (f"{i}-{token}" for i in count())
-        self._forget_tasks()
+        self._drop_tasks_and_sources()
 
-    def _forget_tasks(self) -> None:
+    def _drop_tasks_and_sources(self) -> None:
         """Drop all submitted tasks, and the files of QPs that were made on workers."""
         self._in_flight: dict[str, Batch] = {}
         self._sources: dict[str, Future] = {}  # by the path of their file
         self._given_to: dict[str, frozenset[str]] = {}  # the workers that each task may run on
         self._ended = SimpleQueue[Future]()
 
-    def connect(self, scheduler: str, tls: TlsFiles | None) -> None:
+    def connect_to_scheduler(self, scheduler: str, tls: TlsFiles | None) -> None:
         """Connect to the workers of a Dask scheduler; InputError where that is impossible."""
         client = self.enter_context(connect_client(scheduler, tls))
         self._where = f"at {scheduler}"
@@ -114,7 +114,7 @@ class DaskEngine(ExitStack):
         assert self._cluster is not None, "it is prepared"
         return self._cluster
 
-    def capacity(self, *, timed: bool) -> int:
+    def count_batches_to_submit(self, *, timed: bool) -> int:
         """Return how many batches of runs to submit ahead, enough for all Dask workers."""
         return BATCHES_AHEAD * self.slots
 
@@ -124,17 +124,17 @@ class DaskEngine(ExitStack):
         if isinstance(batch, CellBatch):
             future = self._submit_cells(batch)
         elif batch.are_sources:
-            future = self._submit_sources(batch)
+            future = self._submit_making_of_sources(batch)
         else:
-            future = self._submit_files(batch, batch.texts)
+            future = self._submit_making_of_files(batch, batch.texts)
         self._in_flight[future.key] = batch
         self._given_to[future.key] = self.cluster.addresses
         future.add_done_callback(self._ended.put)
 
-    def completed(self) -> Iterator[Completed]:
+    def yield_completed_batches(self) -> Iterator[Completed]:
         """Wait some seconds for a completed batch of runs; yield it with its results."""
         if time.monotonic() - self._refreshed_s >= REFRESH_S:
-            self._refresh_workers()
+            self._update_workers_or_hand_over()
         try:
             future = self._ended.get(timeout=REFRESH_S)
         except Empty:
@@ -143,7 +143,7 @@ class DaskEngine(ExitStack):
         self._given_to.pop(future.key, None)
         yield batch, self._read_results(batch, future)
 
-    def has_source(self, key: str, cell: Cell) -> bool:
+    def is_source_intact(self, key: str, cell: Cell) -> bool:
         """Return True: Dask remakes a file of QPs that was lost with its worker."""
         return True
 
@@ -152,16 +152,16 @@ class DaskEngine(ExitStack):
         if source := self._sources.pop(str(self._files.path(key)), None):
             self._given_to.pop(source.key, None)
 
-    def _refresh_workers(self) -> None:
+    def _update_workers_or_hand_over(self) -> None:
         """Update the list of workers; HandOverError if all workers of some task are gone."""
-        for remark in self.cluster.refresh():
+        for remark in self.cluster.update_workers():
             self._progress.remark(remark)
         self._refreshed_s = time.monotonic()
         if self.cluster.is_own:
             return
         if any(map(self.cluster.addresses.isdisjoint, self._given_to.values())):
             self.cluster.client.cancel([*self._sources.values()])
-            self._forget_tasks()
+            self._drop_tasks_and_sources()
             raise HandOverError("no worker is left of those that a task was given to")
 
     def _read_results(self, batch: Batch, future: Future) -> Sequence[Result]:
@@ -170,7 +170,7 @@ class DaskEngine(ExitStack):
             returned = future.result()
         except CancelledError as error:
             # Nobody else lets a task go: it went with the connection, and all others did.
-            raise self._wait_for_connection() from error
+            raise self._choose_error_after_waiting() from error
         except KilledWorker:
             return []
         except Exception as error:  # kept in the rows of its cells; others go on
@@ -182,25 +182,25 @@ class DaskEngine(ExitStack):
         for name, made in returned.items():
             if made.data:
                 write_bytes(Path(name), made.data)
-        return on_worker.list_outcomes(returned)
+        return on_worker.list_outcomes_as_results(returned)
 
     def _require_connection(self) -> None:
         """Raise HandOverError or EngineGoneError where the Dask scheduler is not connected."""
         if self.cluster.client.status != "running":
-            raise self._wait_for_connection()
+            raise self._choose_error_after_waiting()
 
-    def _wait_for_connection(self) -> HandOverError | EngineGoneError:
+    def _choose_error_after_waiting(self) -> HandOverError | EngineGoneError:
         """Wait for a lost Dask scheduler; return the error to raise: submit again, or give up."""
-        self._forget_tasks()
+        self._drop_tasks_and_sources()
         if not self.cluster.wait_for_reconnection():
             return EngineGoneError(f"the scheduler {self._where} went away")
-        self._refresh_workers()
+        self._update_workers_or_hand_over()
         return HandOverError("the connection was lost for a while")
 
     def _submit_cells(self, batch: CellBatch) -> Future:
         """Submit a batch of runs as a Dask task, with the files of their QPs."""
         alone = batch.is_timed and self.cluster.exclusive
-        return self._send_task(
+        return self._submit_call(
             on_worker.run_cells,
             self._context,
             batch,
@@ -213,32 +213,36 @@ class DaskEngine(ExitStack):
             retries=RETRIES,
         )
 
-    def _submit_sources(self, batch: FileBatch) -> Future:
+    def _submit_making_of_sources(self, batch: FileBatch) -> Future:
         """Submit Dask tasks that make files of QPs, kept on workers; return their outcomes."""
         made: dict[str, Future] = {}
         texts = dict(batch.texts)
         for path, text in batch.texts.items():
             cell = Cell.from_json(text)
             if isinstance(cell.source, RecordedSource) or is_readable(cell, path):
-                found = _read_source(cell, path)
-                made[str(path)] = self._send_task(on_worker.return_file, found, name="source")
+                found = _read_or_make_source(cell, path)
+                made[str(path)] = self._submit_call(
+                    on_worker.return_file_unchanged, found, name="source"
+                )
                 del texts[path]
         if texts:
-            together = self._submit_files(batch, texts)
+            together = self._submit_making_of_files(batch, texts)
             for name in map(str, texts):
-                made[name] = self._send_task(dict.get, together, name, name="source")
+                made[name] = self._submit_call(dict.get, together, name, name="source")
         self._sources |= made
         self._given_to |= {future.key: self.cluster.addresses for future in made.values()}
-        return self._send_task(on_worker.list_outcomes, made, name="made")
+        return self._submit_call(on_worker.list_outcomes_as_results, made, name="made")
 
-    def _submit_files(self, batch: FileBatch, texts: Mapping[Path, str]) -> Future:
+    def _submit_making_of_files(self, batch: FileBatch, texts: Mapping[Path, str]) -> Future:
         """Send the task of making a batch of files, with the texts it reads, to a Dask worker."""
         named = {str(path): text for path, text in texts.items()}
         args = on_worker.make_files, self._context, batch.target, named, batch.limit_s
         name = batch.target.__name__
-        return self._send_task(*args, isolated=batch.isolated, name=name, retries=RETRIES)
+        return self._submit_call(*args, isolated=batch.isolated, name=name, retries=RETRIES)
 
-    def _send_task(self, function: Callable[..., Any], *args: Any, name: str, **how: Any) -> Future:
+    def _submit_call(
+        self, function: Callable[..., Any], *args: Any, name: str, **how: Any
+    ) -> Future:
         """Submit a function call as a uniquely named Dask task to the accepted workers."""
         self._require_connection()
         key = f"{name}-{next(self._names)}"
@@ -247,7 +251,7 @@ class DaskEngine(ExitStack):
         return self.cluster.client.submit(function, *args, key=key, pure=False, **how)
 
 
-def _read_source(cell: Cell, path: Path) -> on_worker.MadeFile:
+def _read_or_make_source(cell: Cell, path: Path) -> on_worker.MadeFile:
     """Return the file of a run's QPs as bytes; make it where it is missing."""
     if not is_readable(cell, path):
         try:

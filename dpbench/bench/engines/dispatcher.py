@@ -58,46 +58,48 @@ class Dispatcher:
         self._open_steps: dict[str, int] = {}  # of the sources that cells of this kind need
         self._retried = set[str]()
 
-    def run(self, jobs: Sequence[CellJob]) -> Iterator[Result]:
+    def yield_results_of_jobs(self, jobs: Sequence[CellJob]) -> Iterator[Result]:
         """Do all runs on the engine; yield exactly one result per run."""
         self._uses = Counter(job.source_key for job in jobs)
-        for kind, alike in _split_by_kind(jobs):
+        for kind, alike in _yield_kinds_and_jobs(jobs):
             self._of_key = group_by_source(alike)
             self._left = Counter(job.source_key for job in alike)
             self._waiting.extend(split_into_batches(kind, alike, self._engine.slots))
-            for batch, results in self._complete_batches():
+            for batch, results in self._yield_completed_batches():
                 if isinstance(batch, CellBatch):
-                    yield from self._filter_results(batch, results)
+                    yield from self._yield_results_and_requeue_damaged(batch, results)
                 else:
-                    self._record_sources(results)
+                    self._note_made_sources(results)
 
-    def make_files(
+    def yield_made_files(
         self, target: Target, texts: Mapping[Path, str], *, limit_s: float | None = None
     ) -> Iterator[tuple[Path, Outcome]]:
         """Make files in processes of their own, each within `limit_s`; yield path and outcome."""
         self._ready.extend(FileBatch(target, {path: text}, limit_s) for path, text in texts.items())
-        for _, results in self._complete_batches():
+        for _, results in self._yield_completed_batches():
             for result in results:
                 yield Path(result.run_id), result.outcome
 
-    def _complete_batches(self) -> Iterator[Completed]:
+    def _yield_completed_batches(self) -> Iterator[Completed]:
         """Do all queued batches of runs on the engine; yield each with its final results."""
         while True:
             try:
-                self._request_sources()
-                yield from self._unblock_batches()
-                self._submit_ready()
+                self._queue_making_of_sources()
+                yield from self._queue_unblocked_and_yield_failed()
+                self._submit_queued_batches()
                 if not (self._in_flight or self._waiting or self._blocked or self._isolated):
                     return
-                for batch, results in self._engine.completed() if self._in_flight else ():
+                for batch, results in (
+                    self._engine.yield_completed_batches() if self._in_flight else ()
+                ):
                     self._in_flight.remove(batch)
-                    yield batch, [*results, *self._retry_unanswered(batch, results)]
+                    yield batch, [*results, *self._requeue_or_lose_unanswered(batch, results)]
             except HandOverError:
-                yield from self._hand_over_again()
+                yield from self._requeue_dropped_batches()
             except EngineGoneError as error:
-                yield from self._give_up(str(error))
+                yield from self._yield_lost_for_all_unfinished(str(error))
 
-    def _request_sources(self) -> None:
+    def _queue_making_of_sources(self) -> None:
         """Queue the making of the files of QPs that the next batches of runs need."""
         idle = not (self._ready or self._in_flight)
         if self._isolated and idle:
@@ -119,20 +121,25 @@ class Dispatcher:
                 break
             self._blocked.append(self._waiting.popleft())
             self._being_made.update(new)
-            self._open_steps |= {key: longest_cell(self._of_key[key]).last_step for key in new}
+            self._open_steps |= {
+                key: find_cell_with_most_steps(self._of_key[key]).last_step for key in new
+            }
             keys += new
-        self._ready.extend(self._batch_sources(keys))
+        self._ready.extend(self._yield_source_batches(keys))
 
-    def _batch_sources(self, keys: Sequence[str]) -> Iterator[FileBatch]:
+    def _yield_source_batches(self, keys: Sequence[str]) -> Iterator[FileBatch]:
         """Yield batches that make files of QPs, each as long as the longest run that uses it."""
         seconds = {key: SOURCE_S + SOURCE_STEP_S * self._open_steps[key] for key in keys}
         size_s = choose_batch_seconds(sum(seconds.values()), self._engine.slots)
         for group in cut_into_groups(keys, seconds.__getitem__, size_s):
-            cells = {self._sources.path(key): longest_cell(self._of_key[key]) for key in group}
+            cells = {
+                self._sources.path(key): find_cell_with_most_steps(self._of_key[key])
+                for key in group
+            }
             texts = {path: cell.to_json() for path, cell in cells.items()}
             yield FileBatch(make_source, texts, are_sources=True)
 
-    def _unblock_batches(self) -> Iterator[Completed]:
+    def _queue_unblocked_and_yield_failed(self) -> Iterator[Completed]:
         """Queue batches whose QP files are made; yield results of runs whose QP file failed."""
         blocked, self._blocked = self._blocked, []
         for batch in blocked:
@@ -141,27 +148,29 @@ class Dispatcher:
                 continue
             failed = [job for job in batch.jobs if job.source_key in self._failed]
             if failed:
-                results = [_sourceless_result(job, self._failed[job.source_key]) for job in failed]
+                results = [
+                    _make_sourceless_result(job, self._failed[job.source_key]) for job in failed
+                ]
                 yield CellBatch(batch.kind, failed), results
             batch.jobs = [job for job in batch.jobs if job.source_key not in self._failed]
             if batch.jobs:
                 self._ready.append(batch)
 
-    def _submit_ready(self) -> None:
+    def _submit_queued_batches(self) -> None:
         """Submit queued batches of runs to the engine while they may run at the same time."""
-        while self._ready and self._may_run_beside(self._ready[0]):
+        while self._ready and self._can_run_beside_submitted(self._ready[0]):
             self._engine.submit(self._ready[0])
             self._in_flight.add(self._ready.popleft())
 
-    def _may_run_beside(self, batch: Batch) -> bool:
+    def _can_run_beside_submitted(self, batch: Batch) -> bool:
         """Return whether a batch of runs may run beside those the engine already has."""
         if not self._in_flight:
             return True
         other = next(iter(self._in_flight))
-        room = len(self._in_flight) < self._engine.capacity(timed=batch.is_timed)
+        room = len(self._in_flight) < self._engine.count_batches_to_submit(timed=batch.is_timed)
         return room and batch.is_timed == other.is_timed and not (batch.isolated or other.isolated)
 
-    def _record_sources(self, results: Sequence[Result]) -> None:
+    def _note_made_sources(self, results: Sequence[Result]) -> None:
         """Note for each source file whether it was made or why it failed."""
         keys = {str(self._sources.path(key)): key for key in self._being_made}
         for result in results:
@@ -172,7 +181,9 @@ class Dispatcher:
             else:
                 self._failed[key] = result.outcome
 
-    def _filter_results(self, batch: CellBatch, results: Sequence[Result]) -> Iterator[Result]:
+    def _yield_results_and_requeue_damaged(
+        self, batch: CellBatch, results: Sequence[Result]
+    ) -> Iterator[Result]:
         """Yield a batch's results; runs lost with a damaged file of QPs are queued again."""
         jobs = {job.run_id: job for job in batch.jobs}
         lost = [jobs[one.run_id] for one in results if one.outcome.outcome == "lost"]
@@ -185,7 +196,7 @@ class Dispatcher:
             self._waiting.appendleft(CellBatch(batch.kind, [*again.values()]))
         for result in results:
             if result.run_id not in again:
-                self._count_result(batch, jobs[result.run_id])
+                self._advance_progress_and_release_source(batch, jobs[result.run_id])
                 yield result
 
     def _has_damaged_source(self, job: CellJob) -> bool:
@@ -193,11 +204,11 @@ class Dispatcher:
         key = job.source_key
         if job.run_id in self._retried or key in self._failed:
             return False
-        return key in self._remade or not self._engine.has_source(
-            key, longest_cell(self._of_key[key])
+        return key in self._remade or not self._engine.is_source_intact(
+            key, find_cell_with_most_steps(self._of_key[key])
         )
 
-    def _count_result(self, batch: CellBatch, job: CellJob) -> None:
+    def _advance_progress_and_release_source(self, batch: CellBatch, job: CellJob) -> None:
         """Advance the progress by a finished run; release its QP file after its last user."""
         shown = min(batch.shown_work, count_steps(job.cell))
         batch.shown_work -= shown
@@ -211,7 +222,7 @@ class Dispatcher:
             self._made.discard(key)
             self._engine.release_source(key)
 
-    def _retry_unanswered(self, batch: Batch, results: Sequence[Result]) -> list[Result]:
+    def _requeue_or_lose_unanswered(self, batch: Batch, results: Sequence[Result]) -> list[Result]:
         """Queue runs without a result for a retry alone; after it return a "lost" for each."""
         names = set(batch.names) - {result.run_id for result in results}
         if batch.isolated:
@@ -219,7 +230,7 @@ class Dispatcher:
         self._isolated.extend(batch.split_for_isolated_retry(names))
         return []
 
-    def _hand_over_again(self) -> Iterator[Completed]:
+    def _requeue_dropped_batches(self) -> Iterator[Completed]:
         """Queue again all batches that the engine dropped; retry alone those dropped too often."""
         dropped, self._in_flight = self._in_flight, set()
         self._made.clear()
@@ -227,7 +238,7 @@ class Dispatcher:
         for batch in dropped:
             batch.attempts += 1
             if batch.attempts == MOST_ATTEMPTS:
-                yield batch, self._retry_unanswered(batch, [])
+                yield batch, self._requeue_or_lose_unanswered(batch, [])
         ready.extendleft(batch for batch in dropped if batch.attempts < MOST_ATTEMPTS)
         self._waiting.extendleft(self._blocked)
         self._blocked.clear()
@@ -237,7 +248,7 @@ class Dispatcher:
             else:
                 self._ready.append(batch)
 
-    def _give_up(self, reason: str) -> Iterator[Completed]:
+    def _yield_lost_for_all_unfinished(self, reason: str) -> Iterator[Completed]:
         """Empty all queues; yield a "lost" result for every run or file without one."""
         cells = [*self._blocked, *self._waiting]
         batches = [*cells, *self._in_flight, *self._ready, *self._isolated]
@@ -251,12 +262,12 @@ class Dispatcher:
                 yield batch, [Result(name, Outcome("lost", reason)) for name in batch.names]
 
 
-def longest_cell(jobs: Sequence[CellJob]) -> Cell:
+def find_cell_with_most_steps(jobs: Sequence[CellJob]) -> Cell:
     """Return that of the runs on one file of QPs which needs the most steps of it."""
     return max((job.cell for job in jobs), key=lambda cell: cell.last_step)
 
 
-def _split_by_kind(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob]]]:
+def _yield_kinds_and_jobs(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob]]]:
     """Yield kind and runs: closed loops, then timed replays, then problems without a deadline."""
     replays = [job for job in jobs if job.cell.mode == "replay"]
     yield "closed loops", [job for job in jobs if job.cell.mode == "closed_loop"]
@@ -264,7 +275,7 @@ def _split_by_kind(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob
     yield "problems without a deadline", [job for job in replays if not job.cell.is_timed]
 
 
-def _sourceless_result(job: CellJob, outcome: Outcome) -> Result:
+def _make_sourceless_result(job: CellJob, outcome: Outcome) -> Result:
     """Return the result of a run whose QPs could not be made: "lost" or "invalid", and why."""
     what = "exactly solved loop" if job.cell.scenario else "sequence"
     became = "lost" if outcome.outcome == "lost" else "invalid"

@@ -75,19 +75,19 @@ class Engine(AbstractContextManager["Engine"], Protocol):
     def prepare(self, sources: SourceFiles, jobs: Sequence[CellJob], progress: Progress) -> None:
         """Start the processes or workers needed for the runs `jobs`."""
 
-    def capacity(self, *, timed: bool) -> int:
+    def count_batches_to_submit(self, *, timed: bool) -> int:
         """Return how many batches of runs to submit ahead: of timed replays, or of others."""
 
     def submit(self, batch: Batch) -> None:
         """Start or queue a batch of runs, whose files of QPs must exist."""
 
-    def completed(self) -> Iterator[Completed]:
+    def yield_completed_batches(self) -> Iterator[Completed]:
         """Wait some seconds for completed batches of runs; yield each with its results.
 
         HandOverError or EngineGoneError, also of `submit`, where the batches are lost.
         """
 
-    def has_source(self, key: str, cell: Cell) -> bool:
+    def is_source_intact(self, key: str, cell: Cell) -> bool:
         """Return whether a file of QPs is still intact, after a run that needs it was lost."""
 
     def release_source(self, key: str) -> None:

@@ -51,7 +51,7 @@ class LocalEngine(ExitStack):
         if jobs:
             executor.check_machine_free(times=any(job.cell.is_timed for job in jobs))
 
-    def capacity(self, *, timed: bool) -> int:
+    def count_batches_to_submit(self, *, timed: bool) -> int:
         """Return how many batches of runs to submit ahead: one if timed, else two per process."""
         return 1 if timed else BATCHES_AHEAD * self.slots
 
@@ -60,11 +60,11 @@ class LocalEngine(ExitStack):
         keys = batch.source_keys if isinstance(batch, CellBatch) else []
         self._executor.submit(batch, {key: self._sources.path(key) for key in keys})
 
-    def completed(self) -> Iterator[Completed]:
+    def yield_completed_batches(self) -> Iterator[Completed]:
         """Wait for completed batches of runs; yield each with its results."""
         return self._executor.wait_for_batches()
 
-    def has_source(self, key: str, cell: Cell) -> bool:
+    def is_source_intact(self, key: str, cell: Cell) -> bool:
         """Return whether the file of a run's QPs can be read to its end."""
         return is_readable(cell, self._sources.path(key))
 

@@ -54,7 +54,7 @@ class MadeFile:
 
 
 @cache
-def worker_info() -> WorkerInfo:
+def describe_worker() -> WorkerInfo:
     """Return a cluster worker's dpbench version, machine and whether it may start processes."""
     may_start = not multiprocessing.current_process().daemon
     return WorkerInfo(HARNESS_VERSION, may_start, describe_machine())
@@ -70,8 +70,8 @@ _ENDING = threading.Lock()
 
 
 @contextmanager
-def _registered_task() -> Iterator[None]:
-    """Register the thread of a cluster task in the block, so that `end_tasks` can interrupt it."""
+def _register_task_thread() -> Iterator[None]:
+    """Register a cluster task's thread in the block, for `interrupt_tasks` to end it."""
     thread = threading.get_ident()
     with _ENDING:
         _TASKS.add(thread)
@@ -82,7 +82,7 @@ def _registered_task() -> Iterator[None]:
             _TASKS.remove(thread)
 
 
-def end_tasks() -> None:
+def interrupt_tasks() -> None:
     """Interrupt all cluster tasks of this process by `TaskEndedError` in their threads."""
     with _ENDING:
         for thread in _TASKS:
@@ -90,7 +90,7 @@ def end_tasks() -> None:
             set_error(ctypes.c_ulong(thread), ctypes.py_object(TaskEndedError))
 
 
-@_registered_task()
+@_register_task_thread()
 def make_files(
     context: CampaignContext,
     target: Target,
@@ -100,7 +100,7 @@ def make_files(
     isolated: bool,
 ) -> dict[str, MadeFile]:
     """Make files on one core of this cluster worker; return each with its outcome, by path."""
-    with lease_core() as core, _open_executor(context, [core]) as (executor, folder):
+    with lease_core() as core, _open_executor_and_folder(context, [core]) as (executor, folder):
         paths = {folder / Path(name).name: name for name in texts}
         here = {path: texts[name] for path, name in paths.items()}
         results = _run_batch(executor, FileBatch(target, here, limit_s, isolated=isolated), {})
@@ -111,17 +111,17 @@ def make_files(
         return made
 
 
-def return_file(made: MadeFile) -> MadeFile:
+def return_file_unchanged(made: MadeFile) -> MadeFile:
     """Return `made` unchanged: a cluster task that carries a file of the campaign's machine."""
     return made
 
 
-def list_outcomes(made: Mapping[str, MadeFile | None]) -> list[Result]:
+def list_outcomes_as_results(made: Mapping[str, MadeFile | None]) -> list[Result]:
     """Return the outcome of each made file as a result; None entries are left out."""
     return [Result(name, file.outcome) for name, file in made.items() if file is not None]
 
 
-@_registered_task()
+@_register_task_thread()
 def run_cells(
     context: CampaignContext,
     batch: CellBatch,
@@ -134,14 +134,16 @@ def run_cells(
 
     `sources` are of their QPs, by key. `alone` gives them all cores of this machine, else one.
     """
-    results = [*_lose_other_versions(batch.jobs)]
+    results = [*_yield_lost_for_other_versions(batch.jobs)]
     known = {result.run_id for result in results}
     jobs = [job for job in batch.jobs if job.run_id not in known]
     if not jobs:
         return results
     with ExitStack() as stack:
         cores = sorted(os.sched_getaffinity(0)) if alone else [stack.enter_context(lease_core())]
-        executor, folder = stack.enter_context(_open_executor(context, cores, concurrency))
+        executor, folder = stack.enter_context(
+            _open_executor_and_folder(context, cores, concurrency)
+        )
         paths = {key: folder / f"exact-{key}.npz" for key in sources}
         for key, path in paths.items():
             path.write_bytes(sources[key].data)
@@ -158,13 +160,15 @@ def _run_batch(
     return results
 
 
-def _lose_other_versions(jobs: Sequence[CellJob]) -> Iterator[Result]:
+def _yield_lost_for_other_versions(jobs: Sequence[CellJob]) -> Iterator[Result]:
     """Yield a "lost" result for each run whose solver has another version here than planned."""
     node = os.uname().nodename
     for job in jobs:
         wanted = job.library.identity
         # A plug-in comes with the cells.
-        identity = wanted if job.cell.solver_module else _find_library_identity(job.cell.solver)
+        identity = (
+            wanted if job.cell.solver_module else _find_library_version_and_build(job.cell.solver)
+        )
         if identity != wanted:
             where = f"{job.cell.solver} {identity or 'missing'} on {node}"
             cause = Outcome("lost", f"{where}, {wanted} where the campaign was started")
@@ -172,7 +176,7 @@ def _lose_other_versions(jobs: Sequence[CellJob]) -> Iterator[Result]:
 
 
 @cache
-def _find_library_identity(solver: str) -> str:
+def _find_library_version_and_build(solver: str) -> str:
     """Return version and build of a solver's library on this worker."""
     return check_availability(solver).identity
 
@@ -182,7 +186,7 @@ _get_forkserver = cache(start_forkserver)
 
 
 @contextmanager
-def _open_executor(
+def _open_executor_and_folder(
     context: CampaignContext, cores: list[int], concurrency: int = 1
 ) -> Iterator[tuple[CellExecutor, Path]]:
     """Open an executor of runs, one at a time, on these cores, and its temporary folder."""
@@ -199,7 +203,7 @@ def _open_executor(
             cores,
             1,
             Silent(),
-            worker_info().machine["id"],
+            describe_worker().machine["id"],
             modules=modules,
             concurrency=concurrency,
         )

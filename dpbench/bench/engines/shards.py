@@ -71,19 +71,19 @@ class Shard:
         """
         if self == WHOLE:
             return jobs
-        share = _total_steps(jobs) / self.count
+        share = _sum_planned_steps(jobs) / self.count
         bundles = []
         for alike in group_by_source(jobs).values():
-            whole = _total_steps(alike) <= share
-            bundles += [alike] if whole else _split_jobs(alike)
+            whole = _sum_planned_steps(alike) <= share
+            bundles += [alike] if whole else _split_into_inseparable_groups(alike)
         # The largest first, each to whoever has least: a cell's own text settles who that is.
-        bundles.sort(key=lambda some: (-_total_steps(some), some[0].cell.to_json()))
+        bundles.sort(key=lambda some: (-_sum_planned_steps(some), some[0].cell.to_json()))
         loads = [(0, part) for part in range(1, self.count + 1)]
         heapify(loads)
         mine: set[str] = set()
         for some in bundles:
             load, part = loads[0]
-            heapreplace(loads, (load + _total_steps(some), part))
+            heapreplace(loads, (load + _sum_planned_steps(some), part))
             if part == self.index:
                 mine |= {job.run_id for job in some}
         return [job for job in jobs if job.run_id in mine]
@@ -92,12 +92,12 @@ class Shard:
 WHOLE = Shard(1, 1)
 
 
-def _total_steps(jobs: list[CellJob]) -> int:
+def _sum_planned_steps(jobs: list[CellJob]) -> int:
     """Sum the planned steps of all jobs."""
     return sum(count_steps(job.cell) for job in jobs)
 
 
-def _split_jobs(jobs: list[CellJob]) -> list[list[CellJob]]:
+def _split_into_inseparable_groups(jobs: list[CellJob]) -> list[list[CellJob]]:
     """Split runs on one file of QPs into the smallest groups that must stay on one machine."""
     units = group_by_problem([job for job in jobs if job.cell.is_timed])
     alike: dict[tuple[str, ...], list[CellJob]] = {}

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from dpbench.arrays import Floats, Ints
-from dpbench.bench.judge.rules import explained_late_timings
+from dpbench.bench.judge.rules import count_explained_late_timings
 from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
 from dpbench.bench.record.raw_log import COUNTERS, RawLog, sum_step_ns
 
@@ -43,7 +43,7 @@ MOST_LOOP_TAIL = 15.0
 """Largest such ratio of the 90th percentiles: 144 honest pairs had 0.7 to 1.6."""
 
 
-def caching_metrics(log: RawLog) -> dict[str, float]:
+def compute_caching_metrics(log: RawLog) -> dict[str, float]:
     """Return how much slower QPs are solved the first time than later, a sign of cached answers.
 
     `first_visit_ratio` is the median over steps of the first visit's time over the shortest later
@@ -57,19 +57,23 @@ def caching_metrics(log: RawLog) -> dict[str, float]:
     for r, group in ((1, number >= warm_up), (0, number < warm_up)):
         if r >= len(log.done):
             continue
-        later = _later_visits(log, total, r)
+        later = _collect_times_of_later_rounds(log, total, r)
         shortest = later.min(axis=0, initial=np.inf)
         pairs = group & (log.first_ns > 0) & np.isfinite(shortest)
         if np.count_nonzero(pairs) >= FEWEST_VISITS:
-            slower = _machine_slowdown(log, r)
+            slower = _measure_machine_slowdown(log, r)
             ratio = float(np.median(log.first_ns[pairs] / shortest[pairs])) / slower
             first, later = log.first_ns[pairs].astype(np.float64), later[:, pairs]
-            excess = _slow_excess(first, later, slower, _count_explained_visits(log, r, later))
+            excess = _compute_share_slow_at_first(
+                first, later, slower, _count_explained_slow_steps(log, r, later)
+            )
             return {"first_visit_ratio": ratio, "first_visit_excess": excess}
     return {"first_visit_ratio": np.nan, "first_visit_excess": np.nan}
 
 
-def _slow_excess(first: Floats, later: Floats, slower: float, explained: int) -> float:
+def _compute_share_slow_at_first(
+    first: Floats, later: Floats, slower: float, explained: int
+) -> float:
     """Return the share of steps slow when first solved (K,) but not in later rounds (R, K)."""
     slow_first = np.count_nonzero(first > SLOW_VISIT * slower * later.min(axis=0))
     slow_later = 0
@@ -79,18 +83,18 @@ def _slow_excess(first: Floats, later: Floats, slower: float, explained: int) ->
     return float((slow_first - 2 * slow_later - explained) / len(first))
 
 
-def _count_explained_visits(log: RawLog, r: int, later: Floats) -> int:
+def _count_explained_slow_steps(log: RawLog, r: int, later: Floats) -> int:
     """Return how many slow steps in round r its involuntary context switches may explain."""
     if log.attempts[r] > 1:
         return 0
     counted = dict(zip(COUNTERS, log.counters[r].tolist(), strict=True))
     timed_share = 1e-9 * float(later.min(axis=0).sum()) / (counted["replay_s"] or float("nan"))
-    return explained_late_timings(
+    return count_explained_late_timings(
         float(np.nan_to_num(counted["involuntary_switches"])), timed_share
     )
 
 
-def _later_visits(log: RawLog, total: Ints, r: int) -> Floats:
+def _collect_times_of_later_rounds(log: RawLog, total: Ints, r: int) -> Floats:
     """Return the solve times (R, K) of each step in the rounds after round r; inf for none."""
     # A round that was run again holds its last attempt, which is a later visit too.
     rounds = np.arange(r if log.attempts[r] > 1 else r + 1, len(log.done))
@@ -99,7 +103,7 @@ def _later_visits(log: RawLog, total: Ints, r: int) -> Floats:
     return np.where(recorded, np.maximum(total[rounds], 1), np.inf)
 
 
-def _machine_slowdown(log: RawLog, r: int) -> float:
+def _measure_machine_slowdown(log: RawLog, r: int) -> float:
     """Return how many times slower than at its best the machine was around replay round r."""
     seen = log.reference_kernel_ns[log.reference_kernel_ns > 0]
     if not len(seen):
@@ -107,7 +111,7 @@ def _machine_slowdown(log: RawLog, r: int) -> float:
     return max(1.0, float(log.first_reference_kernel_ns[r] / seen.min()))
 
 
-def is_remembered(
+def is_answer_cached(
     first_visit_ratio: float,
     loop_ratio: float,
     first_visit_excess: float = np.nan,
@@ -125,7 +129,7 @@ def is_remembered(
 _CONFIGURATION = ["scenario", *CONFIGURATION_COLUMNS]
 
 
-def with_loop_ratio(runs: pd.DataFrame) -> pd.DataFrame:
+def add_loop_ratios(runs: pd.DataFrame) -> pd.DataFrame:
     """Add columns to a table of runs: closed-loop over replay step time, at p50 and at p90.
 
     NaN without a loop in that scenario that finished without a failed step, as a solver that fails

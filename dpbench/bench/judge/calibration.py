@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.bench.judge.rules import is_disturbed
+from dpbench.bench.judge.rules import mask_disturbed_rounds
 from dpbench.bench.record.disturbance import Disturbance, disturbance_metrics
 from dpbench.bench.record.raw_log import RawLog, sum_step_ns
 from dpbench.bench.run.assemble import NO_LIMIT_NS, clock, replay_parts
@@ -20,7 +20,7 @@ _SIZE, _STEPS, _ROUNDS = 15, 200, 5
 """Size of the paper's QP; together a second and a half of waiting."""
 
 
-def excess_over_wait_ns(configuration: str, p50_ns: float) -> float:
+def compute_excess_over_wait_ns(configuration: str, p50_ns: float) -> float:
     """Return by how much a measured median exceeds the known wait of a dummy solver [ns]."""
     return p50_ns - WAITS_NS.get(configuration, 0)
 
@@ -29,7 +29,7 @@ def is_within_tolerance(configuration: str, p50_ns: float) -> bool | None:
     """Return whether a dummy solver's measured median is right; None if its time is not known."""
     if configuration not in WAITS_NS and configuration != NO_OP:
         return None
-    return abs(excess_over_wait_ns(configuration, p50_ns)) <= max(
+    return abs(compute_excess_over_wait_ns(configuration, p50_ns)) <= max(
         BAR_NS, BAR_SHARE * WAITS_NS.get(configuration, 0)
     )
 
@@ -42,14 +42,14 @@ class Calibration:
     disturbance: Disturbance
 
 
-def calibrate() -> Calibration:
+def time_dummy_solvers() -> Calibration:
     """Time made-up QPs with every dummy solver of known duration, on this process's last core."""
     allowed = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {max(allowed)})
     collecting = gc.isenabled()
     gc.disable()
     try:
-        runs = {name: _replay_configuration(name) for name in CALIBRATION}
+        runs = {name: _time_dummy_solver(name) for name in CALIBRATION}
     finally:
         os.sched_setaffinity(0, allowed)
         if collecting:
@@ -66,7 +66,7 @@ def _build_sequence() -> QPSequence:
     return QPSequence("made up", base, many, many - 1, many + 1)
 
 
-def _replay_configuration(name: str) -> tuple[float, Disturbance]:
+def _time_dummy_solver(name: str) -> tuple[float, Disturbance]:
     """Replay made-up QPs with a dummy solver; return its median step time [ns] and disturbance."""
     steps, timed_solver, log = replay_parts(
         _build_sequence(), open_calibration(name), "condensed_box", _ROUNDS, RawLog.in_memory
@@ -75,7 +75,7 @@ def _replay_configuration(name: str) -> tuple[float, Disturbance]:
         steps, timed_solver, log, warmup_steps=_STEPS, limit_ns=NO_LIMIT_NS, clock=clock
     )
     replaying.run_all_rounds()
-    slowed = is_disturbed(log.reference_kernel_ns)[1:]  # the warm-up does not count
+    slowed = mask_disturbed_rounds(log.reference_kernel_ns)[1:]  # the warm-up does not count
     seen = disturbance_metrics(log)
     return float(np.median(sum_step_ns(log.times[1:]))), Disturbance(
         rounds=_ROUNDS,

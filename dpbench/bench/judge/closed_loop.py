@@ -13,11 +13,14 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Floats, Matrix, Vector
 from dpbench.bench.judge.control_metrics import (
-    axis_limit_metrics,
-    control_metrics,
-    joint_limit_metrics,
+    compute_axis_limit_metrics,
+    compute_control_metrics,
+    compute_joint_limit_metrics,
 )
-from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
+from dpbench.bench.judge.thruster_metrics import (
+    compute_thruster_metrics,
+    compute_used_thrust_and_power_shares,
+)
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import COUNTERS, PHASES, AnswerLog, RawLog
 from dpbench.bench.run.assemble import with_cell_formulation
@@ -62,9 +65,13 @@ _SOLVE = PHASES.index("solve")
 
 
 METRICS: dict[MetricGroup, Callable[[Scenario, QPBuilder, Columns, Matrix], dict[str, float]]] = {
-    "axis_limits": lambda case, qps, steps, _: axis_limit_metrics(case, steps["tau"], qps.limits),
-    "joint_limits": lambda case, qps, steps, _: joint_limit_metrics(case, steps["tau"], qps.limits),
-    "thrusters": lambda case, qps, _, f: thruster_metrics(case, f, qps.thruster_limits),
+    "axis_limits": lambda case, qps, steps, _: compute_axis_limit_metrics(
+        case, steps["tau"], qps.limits
+    ),
+    "joint_limits": lambda case, qps, steps, _: compute_joint_limit_metrics(
+        case, steps["tau"], qps.limits
+    ),
+    "thrusters": lambda case, qps, _, f: compute_thruster_metrics(case, f, qps.thruster_limits),
     "delivery": lambda *of: {"undelivered_share": float(of[2]["undelivered_share"].max())},
 }
 """Metrics of each group that a controller may name, of its steps and thruster forces (K, n_f)."""
@@ -92,7 +99,7 @@ class StepEvaluator:
         self._waiting: list[tuple[QPStep, QPStep, Solution, Optimum]] = []
         self._evaluated: list[Matrix] = []
 
-    def switch_matrices(self, step: QPStep, own: QPStep) -> None:
+    def take_new_matrices(self, step: QPStep, own: QPStep) -> None:
         """Switch to the QP matrices of a step where it has new ones."""
         if self._scaled.changed_by(step):
             self._evaluate_queue()
@@ -106,13 +113,13 @@ class StepEvaluator:
             self._referee = get_shared_referee(qp.P, qp.A, qp.lb, qp.ub)
         return self._referee.certify(step.q, step.l, step.u)
 
-    def add_answer(self, scaled: QPStep, own: QPStep, answer: Solution, optimum: Optimum) -> None:
+    def queue_answer(self, scaled: QPStep, own: QPStep, answer: Solution, optimum: Optimum) -> None:
         """Queue an answer, in the solver's own units, for evaluation against its optimum."""
         self._waiting.append((scaled, own, answer, optimum))
         if len(self._waiting) >= BATCH_SIZE:
             self._evaluate_queue()
 
-    def evaluations(self) -> Matrix:
+    def stack_evaluations(self) -> Matrix:
         """Return the errors and residuals (K, len(EVALUATION)) of all queued answers, in order."""
         self._evaluate_queue()
         return np.concatenate([np.empty((0, len(EVALUATION))), *self._evaluated])
@@ -124,9 +131,9 @@ class StepEvaluator:
         scaled, own, answers, optima = zip(*self._waiting, strict=True)
         self._waiting = []
         z, y, y_box = (_stack_attribute(answers, part) for part in ("z", "y", "y_box"))
-        self._add_multipliers(own, z, y, y_box)
-        in_own = compute_residuals_of_many(self._own, *_step_vectors(own), z, y, y_box)
-        q, l, u = _step_vectors(scaled)  # noqa: E741 - l ≤ Az ≤ u, the name of the field
+        self._fill_missing_multipliers(own, z, y, y_box)
+        in_own = compute_residuals_of_many(self._own, *_stack_q_l_u(own), z, y, y_box)
+        q, l, u = _stack_q_l_u(scaled)  # noqa: E741 - l ≤ Az ≤ u, the name of the field
         in_scaled, qp = in_own, self._scaled
         if not self._same:
             z, y, y_box = z / self._units.z, y * self._units.row, y_box * self._units.z
@@ -142,10 +149,12 @@ class StepEvaluator:
         of_scaled = in_scaled.primal, in_scaled.dual, in_scaled.complementarity, in_scaled.gap
         errors = in_own.primal, in_own.dual, move, plan
         self._evaluated.append(
-            np.column_stack((*of_scaled, *errors, *_optimum_figures(optima), *levels))
+            np.column_stack(
+                (*of_scaled, *errors, *_collect_error_bounds_and_active_counts(optima), *levels)
+            )
         )
 
-    def _add_multipliers(
+    def _fill_missing_multipliers(
         self, steps: Sequence[QPStep], z: Matrix, y: Matrix, y_box: Matrix
     ) -> None:
         """Fill in best-fitting Lagrange multipliers, in place, where a solver returned none."""
@@ -159,12 +168,12 @@ def _stack_attribute(parts: Sequence[object], name: str) -> Matrix:
     return np.array([getattr(part, name) for part in parts])
 
 
-def _step_vectors(steps: Sequence[QPStep]) -> tuple[Matrix, Matrix, Matrix]:
+def _stack_q_l_u(steps: Sequence[QPStep]) -> tuple[Matrix, Matrix, Matrix]:
     """Return the QP vectors q (K, n), l (K, m) and u (K, m) of K steps."""
     return _stack_attribute(steps, "q"), _stack_attribute(steps, "l"), _stack_attribute(steps, "u")
 
 
-def _optimum_figures(optima: Sequence[Optimum]) -> tuple[Vector, Vector]:
+def _collect_error_bounds_and_active_counts(optima: Sequence[Optimum]) -> tuple[Vector, Vector]:
     """Return the error bound (K,) and the number of active limits (K,) of each optimum."""
     bound = np.array([optimum.bound for optimum in optima])
     multipliers = np.concatenate(
@@ -173,12 +182,12 @@ def _optimum_figures(optima: Sequence[Optimum]) -> tuple[Vector, Vector]:
     return bound, (np.abs(multipliers) > ACTIVE_MULTIPLIER).sum(axis=1).astype(np.float64)
 
 
-def recorded_answer(log: AnswerLog, r: int, k: int) -> Solution:
+def read_recorded_answer(log: AnswerLog, r: int, k: int) -> Solution:
     """Return a solver's answer of round r, step k from a raw log, in the solver's own units."""
     return Solution(Status(int(log.status[r, k])), log.z[r, k], log.y[r, k], log.y_box[r, k])
 
 
-def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCell:
+def evaluate_loop_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCell:
     """Evaluate a closed loop's raw log; return its step columns and control metrics."""
     scenario = with_cell_formulation(cell, cached_scenario(cell.scenario).truncate(cell.steps))
     scaled = QPBuilder(scenario)
@@ -186,8 +195,8 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCell:
     done = int(log.done[0])
     # On a slow computer a step may pass without a computation: it has no answer to evaluate.
     asked = log.times[0, :done, _SOLVE] >= 0
-    columns, matrix_steps = _evaluate_steps(
-        log, *_rebuild_controller_steps(scaled, own, log), asked
+    columns, matrix_steps = _evaluate_steps_and_count_matrices(
+        log, *_make_evaluator_and_rebuilder(scaled, own, log), asked
     )
     columns |= {
         "asked": asked,
@@ -203,10 +212,12 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCell:
     if not done:
         return EvaluatedCell(columns, {})
     thrust = log.thrust[:done]
-    columns |= shares_of_full(scenario, thrust) | _allocation_columns(scenario, scaled, own, log)
-    columns |= _backup_columns(cell, scenario, log)
+    columns |= compute_used_thrust_and_power_shares(scenario, thrust) | _make_allocation_columns(
+        scenario, scaled, own, log
+    )
+    columns |= _evaluate_backup_columns(cell, scenario, log)
     applied = scenario.controller.select_applied(columns["tau"], thrust)
-    metrics = control_metrics(scenario, columns["state"], applied, scaled.reference, exact)
+    metrics = compute_control_metrics(scenario, columns["state"], applied, scaled.reference, exact)
     for group in scenario.controller.metric_groups:
         metrics |= METRICS[group](scenario, scaled, columns, thrust)
     metrics |= station_metrics(scenario, exact, cell.steps)
@@ -216,7 +227,7 @@ def evaluate_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCell:
     return EvaluatedCell(columns, metrics)
 
 
-def _rebuild_controller_steps(
+def _make_evaluator_and_rebuilder(
     scaled: QPBuilder, own: QPBuilder, log: RawLog
 ) -> tuple[StepEvaluator, RebuildStep]:
     """Return an evaluator of a controller's QPs, and a function that rebuilds each step's QP."""
@@ -230,7 +241,7 @@ def _rebuild_controller_steps(
     return StepEvaluator(base, own_base, own.condensed.scale), rebuilt
 
 
-def _allocation_columns(
+def _make_allocation_columns(
     scenario: Scenario, scaled: QPBuilder, own: QPBuilder, log: RawLog
 ) -> Columns:
     """Return, of a loop with thrust allocation, the undelivered force and allocation columns."""
@@ -252,11 +263,13 @@ def _allocation_columns(
         return step, step if own is scaled else own.rebuild_allocation(*recorded)
 
     evaluator = StepEvaluator(base, own_base, second_own.scale)
-    evaluated, _ = _evaluate_steps(answers, evaluator, rebuilt, np.ones(done, dtype=np.bool_))
+    evaluated, _ = _evaluate_steps_and_count_matrices(
+        answers, evaluator, rebuilt, np.ones(done, dtype=np.bool_)
+    )
     return columns | {f"{SECOND_QP_PREFIX}{name}": column for name, column in evaluated.items()}
 
 
-def _backup_columns(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
+def _evaluate_backup_columns(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
     """Return the backup solver's step columns: its answers, whether and when they were applied."""
     answers = log.backup
     if answers is None:
@@ -266,13 +279,15 @@ def _backup_columns(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
     done = int(log.done[0])
     asked = answers.times[0, :done, _SOLVE] >= 0
-    evaluated, _ = _evaluate_steps(answers, *_rebuild_controller_steps(scaled, own, log), asked)
+    evaluated, _ = _evaluate_steps_and_count_matrices(
+        answers, *_make_evaluator_and_rebuilder(scaled, own, log), asked
+    )
     acted, ready_ns = answers.acted[:done].astype(bool), answers.ready_ns[:done].copy()
     facts = evaluated | {"asked": asked, "acted": acted, "ready_ns": ready_ns}
     return {f"{BACKUP_PREFIX}{name}": column for name, column in facts.items()}
 
 
-def _evaluate_steps(
+def _evaluate_steps_and_count_matrices(
     answers: AnswerLog, evaluator: StepEvaluator, rebuilt: RebuildStep, asked: Flags
 ) -> tuple[Columns, int]:
     """Evaluate a solver's answers in the `asked` steps (K,); count steps with new matrices."""
@@ -281,16 +296,16 @@ def _evaluate_steps(
     matrix_steps = 0
     for k in np.flatnonzero(asked).tolist():
         step, step_own = rebuilt(k)
-        evaluator.switch_matrices(step, step_own)
+        evaluator.take_new_matrices(step, step_own)
         optimum = evaluator.certify(step)
-        evaluator.add_answer(step, step_own, recorded_answer(answers, 0, k), optimum)
+        evaluator.queue_answer(step, step_own, read_recorded_answer(answers, 0, k), optimum)
         certificates[k] = CERTIFICATES.index(optimum.kind)
         matrix_steps += Refresh.MATRICES in step.refresh
-    evaluations[asked] = evaluator.evaluations()
-    return common_columns(answers, [0], [len(asked)], evaluations, certificates), matrix_steps
+    evaluations[asked] = evaluator.stack_evaluations()
+    return make_answer_columns(answers, [0], [len(asked)], evaluations, certificates), matrix_steps
 
 
-def common_columns(
+def make_answer_columns(
     log: AnswerLog,
     rounds: list[int],
     counts: list[int],

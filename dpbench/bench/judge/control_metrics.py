@@ -16,7 +16,7 @@ AT_LIMIT = 1e-6
 """Share of the limit's own step within which a force is at the limit."""
 
 
-def control_metrics(
+def compute_control_metrics(
     scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix, exact: ExactLoop
 ) -> dict[str, float]:
     """Return pose error, settling, effort and cost metrics of a closed loop of K steps.
@@ -34,34 +34,34 @@ def control_metrics(
     heading = np.degrees(np.abs(turn))
     t = np.arange(K, dtype=np.float64) * dt
     metrics = {
-        "r_rms_m": _rms(radius),
+        "r_rms_m": _root_mean_square(radius),
         "r_95_m": float(np.quantile(radius, 0.95)),
         "r_max_m": float(radius.max()),
         "r_tail_max_m": float(radius[K // 2 :].max()),
-        "heading_rms_deg": _rms(heading),
+        "heading_rms_deg": _root_mean_square(heading),
         "heading_max_deg": float(heading.max()),
-        "settle_s": _settling_time(t, (radius <= 1.0) & (heading <= 1.0), dt, hold_s=30.0),
-        "settle_0p1m_s": _settling_time(t, radius <= 0.1, dt, hold_s=None),
+        "settle_s": _settling_time_of_flags(t, (radius <= 1.0) & (heading <= 1.0), dt, hold_s=30.0),
+        "settle_0p1m_s": _settling_time_of_flags(t, radius <= 0.1, dt, hold_s=None),
         "share_1m": float(np.mean(radius <= 1.0)),
         "pose_error": float(np.mean(radius + 0.75**radius * np.abs(turn))),
-        "closed_loop_cost": _quadratic_cost(scenario, state[: K + 1], u, reference),
-        "exact_cost": _quadratic_cost(scenario, exact.state[: K + 1], exact_u, reference),
+        "closed_loop_cost": _compute_quadratic_cost(scenario, state[: K + 1], u, reference),
+        "exact_cost": _compute_quadratic_cost(scenario, exact.state[: K + 1], exact_u, reference),
     }
     return (
         metrics
-        | _watch_shares(radius, heading)
-        | _axis_metrics(t, error, dt)
-        | _effort_metrics(scenario, state[:K, VELOCITY], tau)
-        | _deviation_metrics(state[:K], tau, exact)
+        | _compute_zone_shares(radius, heading)
+        | _compute_axis_error_metrics(t, error, dt)
+        | _compute_effort_metrics(scenario, state[:K, VELOCITY], tau)
+        | _compare_with_exact_loop(state[:K], tau, exact)
     )
 
 
-def previous_forces(forces: Matrix) -> Matrix:
+def shift_forces_by_one_step(forces: Matrix) -> Matrix:
     """Return the force before each of K forces (K, n); zero before the first."""
     return np.vstack([np.zeros(forces.shape[1]), forces[:-1]])
 
 
-def _watch_shares(radius: Vector, heading: Vector) -> dict[str, float]:
+def _compute_zone_shares(radius: Vector, heading: Vector) -> dict[str, float]:
     """Return the shares of time in the green, yellow and red zone of position and heading."""
     green = (radius <= 3.0) & (heading <= 3.0)
     red = (radius > 5.0) | (heading > 5.0)
@@ -72,7 +72,7 @@ def _watch_shares(radius: Vector, heading: Vector) -> dict[str, float]:
     }
 
 
-def _axis_metrics(t: Vector, error: Matrix, dt: float) -> dict[str, float]:
+def _compute_axis_error_metrics(t: Vector, error: Matrix, dt: float) -> dict[str, float]:
     """Return IAE, ISE, ITAE and overshoot of each axis by column, from its errors (steps, 3)."""
     metrics = {}
     for i, axis in enumerate(POSE_AXES):
@@ -80,16 +80,16 @@ def _axis_metrics(t: Vector, error: Matrix, dt: float) -> dict[str, float]:
         metrics[f"iae_{axis}"] = float(size.sum() * dt)
         metrics[f"ise_{axis}"] = float((size**2).sum() * dt)
         metrics[f"itae_{axis}"] = float((t * size).sum() * dt)
-        metrics[f"overshoot_{axis}"] = _overshoot(error[:, i])
+        metrics[f"overshoot_{axis}"] = _overshoot_of_error(error[:, i])
     return metrics
 
 
-def _rms(values: Floats) -> float:
+def _root_mean_square(values: Floats) -> float:
     """Return the root mean square of some values."""
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _settling_time(t: Vector, inside: Flags, dt: float, hold_s: float | None) -> float:
+def _settling_time_of_flags(t: Vector, inside: Flags, dt: float, hold_s: float | None) -> float:
     """Return the first time [s] after which `inside` stays true for `hold_s` (None: to the end)."""
     if hold_s is None:
         outside = np.flatnonzero(~inside)
@@ -102,14 +102,16 @@ def _settling_time(t: Vector, inside: Flags, dt: float, hold_s: float | None) ->
     return float(t[np.argmax(held)]) if held.any() else np.inf
 
 
-def _overshoot(error: Vector) -> float:
+def _overshoot_of_error(error: Vector) -> float:
     """Return the overshoot: the largest error of opposite sign to the first; NaN if that is 0."""
     if error[0] == 0.0:
         return np.nan
     return float(max(0.0, np.max(-np.sign(error[0]) * error)))
 
 
-def _quadratic_cost(scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix) -> float:
+def _compute_quadratic_cost(
+    scenario: Scenario, state: Matrix, u: Matrix, reference: Matrix
+) -> float:
     """Return the quadratic control cost of K steps: pose error, input change, thruster input."""
     error = state[1:, POSE] - reference[1 : len(state)]
     change = np.diff(u, axis=0, prepend=np.zeros((1, u.shape[1])))
@@ -121,24 +123,24 @@ def _quadratic_cost(scenario: Scenario, state: Matrix, u: Matrix, reference: Mat
     return 0.5 * float(cost)
 
 
-def _effort_metrics(scenario: Scenario, nu: Matrix, tau: Matrix) -> dict[str, float]:
+def _compute_effort_metrics(scenario: Scenario, nu: Matrix, tau: Matrix) -> dict[str, float]:
     """Return thrust effort [s], total variation and work [J] of the applied forces."""
     largest = np.maximum(scenario.vessel.tau_max, -scenario.vessel.tau_min)
     power = np.abs(np.einsum("ki,ki->k", tau, nu))
     return {
         "effort_s": float(((tau / largest) ** 2).sum() * scenario.sample_s),
-        "total_variation": force_travel(scenario, tau),
+        "total_variation": compute_force_travel(scenario, tau),
         "work_J": float(power.sum() * scenario.sample_s),
     }
 
 
-def force_travel(scenario: Scenario, tau: Matrix) -> float:
+def compute_force_travel(scenario: Scenario, tau: Matrix) -> float:
     """Return the total variation of applied forces (K, 3), in multiples of the largest forces."""
     largest = np.maximum(scenario.vessel.tau_max, -scenario.vessel.tau_min)
-    return float(np.abs((tau - previous_forces(tau)) / largest).sum())
+    return float(np.abs((tau - shift_forces_by_one_step(tau)) / largest).sum())
 
 
-def _deviation_metrics(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str, float]:
+def _compare_with_exact_loop(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str, float]:
     """Return the largest and RMS deviation of pose and force from the exactly solved loop."""
     K = len(tau)
     north, east, turn = (state - exact.state[:K])[:, POSE].T
@@ -147,42 +149,42 @@ def _deviation_metrics(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str
     force = np.abs(tau[:, :2] - exact.tau[:K, :2]).max(axis=1)
     return {
         "dev_position_max_m": float(position.max()),
-        "dev_position_rms_m": _rms(position),
+        "dev_position_rms_m": _root_mean_square(position),
         "dev_heading_max_deg": float(heading.max()),
-        "dev_heading_rms_deg": _rms(heading),
+        "dev_heading_rms_deg": _root_mean_square(heading),
         "dev_force_max_N": float(force.max()),
-        "dev_force_rms_N": _rms(force),
+        "dev_force_rms_N": _root_mean_square(force),
     }
 
 
-def axis_limit_metrics(
+def compute_axis_limit_metrics(
     scenario: Scenario, tau: Matrix, limits: Sequence[Limits]
 ) -> dict[str, float]:
     """Return shares of steps at limits of each axis, and violations, of applied tau (K, 3)."""
-    du_max, before = scenario.problem.du_max, previous_forces(tau)
+    du_max, before = scenario.problem.du_max, shift_forces_by_one_step(tau)
     low, high = stack_limits(limits[: len(tau)])
     near = AT_LIMIT * du_max
     at_amplitude = (tau >= high - near) | (tau <= low + near)
     # What the rate leaves of a limit that has just dropped is no violation.
     above = tau > np.maximum(high, before - du_max)
     below = tau < np.minimum(low, before + du_max)
-    violated = (above | below).any(axis=1) | _exceeds_rate(scenario, tau)
+    violated = (above | below).any(axis=1) | _mask_steps_over_rate_limit(scenario, tau)
     shares = {f"at_amplitude_{force}": at_amplitude[:, i] for i, force in enumerate(FORCES)}
     return (
-        _rate_shares(scenario, tau)
+        _share_of_steps_at_rate_limit(scenario, tau)
         | {name: float(share.mean()) for name, share in shares.items()}
         | {"limit_violations": float(violated.sum())}
     )
 
 
-def joint_limit_metrics(
+def compute_joint_limit_metrics(
     scenario: Scenario, tau: Matrix, limits: Sequence[Limits]
 ) -> dict[str, float]:
     """Return shares of steps at limits that thrusters set jointly, and the number of violations."""
     problem = scenario.problem
     near = AT_LIMIT * problem.row_max
     low, high = stack_limits(limits[: len(tau)])
-    along, before = tau @ problem.G.T, previous_forces(tau) @ problem.G.T
+    along, before = tau @ problem.G.T, shift_forces_by_one_step(tau) @ problem.G.T
     at_limit = ((along >= high - near) | (along <= low + near)).any(axis=1)
     # Outside a set that has shrunk the force must come nearer: a smaller share of the whole set.
     outside = ((along > high + near) | (along < low - near)).any(axis=1)
@@ -190,24 +192,26 @@ def joint_limit_metrics(
         np.maximum(rows / problem.u_max, rows / problem.u_min).max(axis=1)
         for rows in (along, before)
     )
-    violated = (outside & (share > share_before + 1e-9)) | _exceeds_rate(scenario, tau)
-    return _rate_shares(scenario, tau) | {
+    violated = (outside & (share > share_before + 1e-9)) | _mask_steps_over_rate_limit(
+        scenario, tau
+    )
+    return _share_of_steps_at_rate_limit(scenario, tau) | {
         "limit_violations": float(violated.sum()),
         "at_limit_thrusters": float(at_limit.mean()),
     }
 
 
-def _rate_shares(scenario: Scenario, tau: Matrix) -> dict[str, float]:
+def _share_of_steps_at_rate_limit(scenario: Scenario, tau: Matrix) -> dict[str, float]:
     """Return by column the share of steps at which each force changes at its rate limit."""
     du_max = scenario.problem.du_max
-    at_rate = np.abs(tau - previous_forces(tau)) >= du_max - AT_LIMIT * du_max
+    at_rate = np.abs(tau - shift_forces_by_one_step(tau)) >= du_max - AT_LIMIT * du_max
     return {f"at_rate_{force}": float(at_rate[:, i].mean()) for i, force in enumerate(FORCES)}
 
 
-def _exceeds_rate(scenario: Scenario, tau: Matrix) -> Flags:
+def _mask_steps_over_rate_limit(scenario: Scenario, tau: Matrix) -> Flags:
     """Return whether each applied force (K, 3) changed faster than the rate limit: (K,)."""
     ship, du_max = scenario.vessel, scenario.problem.du_max
     # Beyond one unit in the last place of the force itself a difference is no rounding.
     rounding = 4 * np.spacing(np.maximum(ship.tau_max, -ship.tau_min))
-    too_fast: Flags = (np.abs(tau - previous_forces(tau)) > du_max + rounding).any(axis=1)
+    too_fast: Flags = (np.abs(tau - shift_forces_by_one_step(tau)) > du_max + rounding).any(axis=1)
     return too_fast

@@ -19,7 +19,7 @@ from dpbench.solvers.table import Availability
 _OF_CELL = ("mode", *CONFIGURATION_COLUMNS, "slowdown", "seed")
 
 
-def step_rows(run_id: str, steps: StepColumns) -> pd.DataFrame:
+def make_step_rows(run_id: str, steps: StepColumns) -> pd.DataFrame:
     """Return the step columns of one run as rows of `steps.parquet`."""
     columns: dict[str, Any] = {"run_id": np.full(len(steps["k"]), run_id, dtype=object)}
     for name, column in steps.items():
@@ -28,7 +28,7 @@ def step_rows(run_id: str, steps: StepColumns) -> pd.DataFrame:
     return as_steps(pd.DataFrame(columns))
 
 
-def run_row(
+def make_run_row(
     run_id: str,
     cell: Cell,
     outcome: Outcome,
@@ -50,7 +50,7 @@ def run_row(
         "generic_build": library.build.generic,
         "form": outcome.form,
         **_size_columns(cell, outcome),
-        "deadline_s": _deadline_s(cell),
+        "deadline_s": _deadline_of_cell_s(cell),
         "outcome": outcome.outcome,
         "outcome_detail": outcome.detail,
         "process_peak_bytes": np.nan if outcome.peak_bytes is None else outcome.peak_bytes,
@@ -68,22 +68,22 @@ def run_row(
         # The warm-up does not count.
         return row | evaluated.metrics
     row["steps_done"] = int(np.bincount(steps["repeat"][counts]).max())
-    judged = rules.steps_with_answers(rules.select_rows(steps, counts), cell.slowdown)
-    row |= evaluated.metrics | timing.timing_metrics(cell, evaluated, judged)
+    judged = rules.select_answered_steps(rules.select_step_rows(steps, counts), cell.slowdown)
+    row |= evaluated.metrics | timing.compute_timing_percentiles(cell, evaluated, judged)
     if cell.solver not in CALIBRATION:
         row |= _accuracy_columns(judged) | _worst_error_columns(
-            rules.steps_with_answers(steps, cell.slowdown)
+            rules.select_answered_steps(steps, cell.slowdown)
         )
     if cell.mode == "closed_loop":
         row |= (
             _fallback_columns(steps)
             | _backup_columns(steps)
-            | timing.deadline_metrics(steps, cell.slowdown)
+            | timing.compute_deadline_metrics(steps, cell.slowdown)
         )
     return row
 
 
-def _deadline_s(cell: Cell) -> float:
+def _deadline_of_cell_s(cell: Cell) -> float:
     """Return the time budget of a step [s]; NaN in a replay, which has none."""
     if cell.mode == "replay":
         return float("nan")
@@ -105,9 +105,9 @@ def _size_columns(cell: Cell, outcome: Outcome) -> dict[str, Any]:
 
 def _accuracy_columns(steps: StepColumns) -> dict[str, Any]:
     """Return the shares of claimed and of correct answers, errors and iterations of a run."""
-    known, undecided = rules.decided_steps(steps), steps["certificate"] == rules.UNDECIDED
-    charged = rules.select_rows(steps, ~undecided)
-    moves = rules.first_move_errors(charged)
+    known, undecided = rules.mask_decided_steps(steps), steps["certificate"] == rules.UNDECIDED
+    charged = rules.select_step_rows(steps, ~undecided)
+    moves = rules.compute_first_move_errors(charged)
     moves = moves[~np.isnan(moves)]
     iterations = steps["iterations"][steps["iterations"] > MISSING_INT]
     bounds = steps["optimum_bound"]
@@ -116,27 +116,27 @@ def _accuracy_columns(steps: StepColumns) -> dict[str, Any]:
         "true_share": _share_of_true(steps["true"][known]),
         "true_1e4_share": _share_of_true(steps["true_1e4"][known]),
         "true_1e6_share": _share_of_true(steps["true_1e6"][known]),
-        "claimed_not_true": int(rules.claimed_not_true(steps).sum()),
-        "true_not_claimed": int(rules.true_not_claimed(steps).sum()),
+        "claimed_not_true": int(rules.mask_claimed_not_true(steps).sum()),
+        "true_not_claimed": int(rules.mask_true_not_claimed(steps).sum()),
         "error_move_p50": np.quantile(moves, 0.5, method="higher") if len(moves) else np.nan,
-        "primal_max": rules.largest_known(charged["primal"]),
-        "dual_max": rules.largest_known(charged["dual"]),
-        "optimum_bound_max": rules.largest_known(bounds[np.isfinite(bounds)]),
+        "primal_max": rules.maximum_of_known(charged["primal"]),
+        "dual_max": rules.maximum_of_known(charged["dual"]),
+        "optimum_bound_max": rules.maximum_of_known(bounds[np.isfinite(bounds)]),
         "uncertified": int((~known & ~undecided).sum()),
         "undecided_steps": int(undecided.sum()),
         "infeasible_steps": int((steps["certificate"] == rules.INFEASIBLE).sum()),
-        "iterations_p50": rules.median_known(iterations),
-        "iterations_max": rules.largest_known(iterations),
+        "iterations_p50": rules.median_of_known(iterations),
+        "iterations_max": rules.maximum_of_known(iterations),
     }
 
 
 def _worst_error_columns(steps: StepColumns) -> dict[str, Any]:
     """Return a run's largest errors and number of failed steps, of all rounds with warm-up."""
-    charged = rules.select_rows(steps, steps["certificate"] != rules.UNDECIDED)
+    charged = rules.select_step_rows(steps, steps["certificate"] != rules.UNDECIDED)
     return {
-        "error_move_max": rules.largest_known(rules.first_move_errors(charged)),
-        "error_plan_max": rules.largest_known(charged["error_plan"]),
-        "failed_steps": int(rules.failed_steps(steps).sum()),
+        "error_move_max": rules.maximum_of_known(rules.compute_first_move_errors(charged)),
+        "error_plan_max": rules.maximum_of_known(charged["error_plan"]),
+        "failed_steps": int(rules.mask_failed_steps(steps).sum()),
     }
 
 
@@ -155,19 +155,19 @@ def _backup_columns(steps: StepColumns) -> dict[str, Any]:
         "backup_asked": int(asked.sum()),
         "backup_acted": int(steps["backup"].sum()),
         "backup_failures": int(steps["backup_failed"].sum()),
-        "backup_p50_ns": rules.median_known(times),
-        "backup_max_ns": rules.largest_known(times),
-        "backup_error_max": rules.largest_known(steps["backup_error"][asked]),
+        "backup_p50_ns": rules.median_of_known(times),
+        "backup_max_ns": rules.maximum_of_known(times),
+        "backup_error_max": rules.maximum_of_known(steps["backup_error"][asked]),
     }
 
 
 def _fallback_columns(steps: StepColumns) -> dict[str, Any]:
     """Return how often the fallback acted, its longest streak, and the steps to recover."""
     failed = steps["fallback"]
-    recovered = timing.steps_to_recover(failed, steps["true"])
+    recovered = timing.count_steps_to_recover(failed, steps["true"])
     return {
         "fallbacks": int(failed.sum()),
-        "fallback_longest": timing.longest_streak(failed),
+        "fallback_longest": timing.length_of_longest_streak(failed),
         "recover_steps_max": pd.NA if recovered is None else recovered,
         "unconverged": int(steps["unconverged"].sum()),
         "clipped": int(steps["clipped"].sum()),

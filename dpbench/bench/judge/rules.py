@@ -40,7 +40,7 @@ _UNFINISHED = tuple(status.name for status in Status if status.is_unfinished)
 _NO_USE = tuple(status.name for status in Status if not status.is_usable)
 
 
-def is_ranked(concurrency: float, machine_id: str, of_folder: str) -> bool:
+def has_comparable_times(concurrency: float, machine_id: str, of_folder: str) -> bool:
     """Return whether a replay's times may be compared with those of other replays in the folder.
 
     They are taken one cell at a time (`concurrency`, NaN where unknown), on the machine
@@ -49,7 +49,7 @@ def is_ranked(concurrency: float, machine_id: str, of_folder: str) -> bool:
     return bool(np.isnan(concurrency)) or (concurrency <= 1.0 and machine_id == of_folder)
 
 
-def explained_late_timings(switches: float, timed_share: float) -> int:
+def count_explained_late_timings(switches: float, timed_share: float) -> int:
     """Return how many late step times involuntary context switches may explain.
 
     A process gets at least a quarter of a core, so at most four times `timed_share`, the base time
@@ -60,7 +60,7 @@ def explained_late_timings(switches: float, timed_share: float) -> int:
     return int(min(switches, math.ceil(hits + 3.0 * math.sqrt(hits))))
 
 
-def is_disturbed(reference_kernel_ns: Floats) -> Flags:
+def mask_disturbed_rounds(reference_kernel_ns: Floats) -> Flags:
     """Return a mask (R,) of the replay rounds in which the machine-speed test ran too slowly.
 
     `reference_kernel_ns` (R, 2) is before and after each round [ns], 0 where it was not timed.
@@ -72,7 +72,7 @@ def is_disturbed(reference_kernel_ns: Floats) -> Flags:
     return slowed
 
 
-def counting_rows(repeat: NDArray[np.int32], disturbed: Flags) -> Flags:
+def mask_counted_rows(repeat: NDArray[np.int32], disturbed: Flags) -> Flags:
     """Return a mask (N,) of replay steps, in rounds `repeat`, that count: not the warm-up.
 
     No disturbed round counts, unless all of them are.
@@ -82,25 +82,25 @@ def counting_rows(repeat: NDArray[np.int32], disturbed: Flags) -> Flags:
     return undisturbed if undisturbed.any() else rounds
 
 
-def supports_percentile(samples: int, percent: float) -> bool:
+def has_enough_samples_for_percentile(samples: int, percent: float) -> bool:
     """Return whether at least `BEYOND` samples lie beyond a percentile."""
     return samples * (100.0 - percent) / 100.0 >= BEYOND - 1e-9
 
 
-def percentile(values: Floats, percent: float) -> float:
+def percentile_or_nan(values: Floats, percent: float) -> float:
     """Return a percentile of values; NaN where too few samples lie beyond it."""
-    if not supports_percentile(len(values), percent):
+    if not has_enough_samples_for_percentile(len(values), percent):
         return float(np.nan)
     return float(np.percentile(values, percent))
 
 
-def median_known(values: Floats | Sequence[float]) -> float:
+def median_of_known(values: Floats | Sequence[float]) -> float:
     """Return the median of the values that are not NaN; NaN without any."""
     known = _drop_nan(values)
     return float(np.median(known)) if len(known) else float(np.nan)
 
 
-def largest_known(values: Floats | Sequence[float]) -> float:
+def maximum_of_known(values: Floats | Sequence[float]) -> float:
     """Return the largest of the values that are not NaN; NaN without any."""
     known = _drop_nan(values)
     return float(known.max()) if len(known) else float(np.nan)
@@ -112,63 +112,69 @@ def _drop_nan(values: Floats | Sequence[float]) -> Floats:
     return array[~np.isnan(array)]
 
 
-def decided_steps(steps: Steps) -> Flags:
+def mask_decided_steps(steps: Steps) -> Flags:
     """Return a mask (N,) of steps with a certified optimum or a proof that there is none."""
-    return ~_column_is_in(steps, "certificate", (UNCERTIFIED, UNDECIDED))
+    return ~_mask_column_in(steps, "certificate", (UNCERTIFIED, UNDECIDED))
 
 
-def failed_steps(steps: Steps) -> Flags:
+def mask_failed_steps(steps: Steps) -> Flags:
     """Return a mask (N,) of steps whose answer is unusable or unfinished, though one exists.
 
     A QP without a feasible point has no answer; an iterate that is given all the same fails. A step
     that is undecided at rounding never does.
     """
-    infeasible = _column_is_in(steps, "certificate", (INFEASIBLE,))
-    failed = (_flag_column(steps, "fallback") & ~infeasible) | _flag_column(steps, "unconverged")
-    return failed & ~_column_is_in(steps, "certificate", (UNDECIDED,))
+    infeasible = _mask_column_in(steps, "certificate", (INFEASIBLE,))
+    failed = (_read_flag_column(steps, "fallback") & ~infeasible) | _read_flag_column(
+        steps, "unconverged"
+    )
+    return failed & ~_mask_column_in(steps, "certificate", (UNDECIDED,))
 
 
-def steps_with_answers(steps: StepColumns, slowdown: float) -> StepColumns:
+def select_answered_steps(steps: StepColumns, slowdown: float) -> StepColumns:
     """Return the step columns of those steps that have a solver's answer, also a late one."""
     if slowdown == 0.0:
         return steps
-    answered = select_rows(steps, steps["total_ns"] > MISSING_INT)
-    return answered | {"fallback": unusable_steps(answered)}
+    answered = select_step_rows(steps, steps["total_ns"] > MISSING_INT)
+    return answered | {"fallback": mask_unusable_steps(answered)}
 
 
-def select_rows(steps: StepColumns, rows: Flags) -> StepColumns:
+def select_step_rows(steps: StepColumns, rows: Flags) -> StepColumns:
     """Return step columns reduced to the rows of a mask (N,)."""
     return {name: column[rows] for name, column in steps.items()}
 
 
-def claimed_not_true(steps: Steps) -> Flags:
+def mask_claimed_not_true(steps: Steps) -> Flags:
     """Return a mask (N,) of steps the solver claims solved though its answer is proven wrong."""
-    return _flag_column(steps, "claimed") & ~_flag_column(steps, "true") & decided_steps(steps)
-
-
-def true_not_claimed(steps: Steps) -> Flags:
-    """Return a mask (N,) of steps whose answer is optimal though the solver does not claim so."""
-    said_none = _column_is_in(steps, "status", NO_ANSWER_CLAIMS)
     return (
-        _flag_column(steps, "true")
-        & ~_flag_column(steps, "claimed")
-        & ~said_none
-        & decided_steps(steps)
+        _read_flag_column(steps, "claimed")
+        & ~_read_flag_column(steps, "true")
+        & mask_decided_steps(steps)
     )
 
 
-def unusable_steps(steps: Steps) -> Flags:
+def mask_true_not_claimed(steps: Steps) -> Flags:
+    """Return a mask (N,) of steps whose answer is optimal though the solver does not claim so."""
+    said_none = _mask_column_in(steps, "status", NO_ANSWER_CLAIMS)
+    return (
+        _read_flag_column(steps, "true")
+        & ~_read_flag_column(steps, "claimed")
+        & ~said_none
+        & mask_decided_steps(steps)
+    )
+
+
+def mask_unusable_steps(steps: Steps) -> Flags:
     """Return a mask (N,) of steps whose answer cannot be applied: by status, or not finite."""
     infinite: Flags = np.isinf(steps["error_plan"]) | np.isinf(steps["primal"])
-    return _column_is_in(steps, "status", _NO_USE) | np.asarray(infinite)
+    return _mask_column_in(steps, "status", _NO_USE) | np.asarray(infinite)
 
 
-def unfinished_steps(steps: Steps) -> Flags:
+def mask_unfinished_steps(steps: Steps) -> Flags:
     """Return a mask (N,) of steps whose answer is an unfinished iterate, by its status."""
-    return _column_is_in(steps, "status", _UNFINISHED)
+    return _mask_column_in(steps, "status", _UNFINISHED)
 
 
-def first_move_errors(steps: Steps) -> Floats:
+def compute_first_move_errors(steps: Steps) -> Floats:
     """Return the error (N,) of each step's first move, in rate-limit steps.
 
     Of a cascade it is the larger of that of its force and that of its thrusters.
@@ -180,12 +186,12 @@ def first_move_errors(steps: Steps) -> Floats:
     return larger
 
 
-def _flag_column(steps: Steps, name: str) -> Flags:
+def _read_flag_column(steps: Steps, name: str) -> Flags:
     """Return a column of a table of steps as an array of booleans."""
     return np.asarray(steps[name], dtype=np.bool_)
 
 
-def _column_is_in(steps: Steps, name: str, values: tuple[str, ...]) -> Flags:
+def _mask_column_in(steps: Steps, name: str, values: tuple[str, ...]) -> Flags:
     """Return a mask (N,) of the steps whose text in one column is one of `values`."""
     column = steps[name]
     if isinstance(column, pd.Series):

@@ -20,9 +20,9 @@ from dpbench.bench.judge.closed_loop import (
     Columns,
     EvaluatedCell,
 )
-from dpbench.bench.judge.control_metrics import previous_forces
+from dpbench.bench.judge.control_metrics import shift_forces_by_one_step
 from dpbench.bench.judge.rules import StepColumns
-from dpbench.bench.judge.timing import deadline_columns, find_disturbed_rounds
+from dpbench.bench.judge.timing import find_disturbed_rounds, make_deadline_columns
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import PHASES, SOLVER_PHASES
 from dpbench.bench.record.schema import AXIS_FORCES, MISSING_INT
@@ -38,22 +38,22 @@ _STATE = ("u_mps", "v_mps", "r_radps", "n_m", "e_m", "psi_rad")
 _OF_THRUSTERS = ("thrust_share", "power_share", "undelivered_share")
 
 
-def step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
+def make_step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
     """Return the columns of `steps.parquet` for the recorded steps of a run."""
     columns = evaluated.columns
     asked = columns["asked"] if cell.slowdown > 0.0 else None
     steps = _answer_columns(columns, asked)
-    second = _select_prefix(columns, SECOND_QP_PREFIX)
+    second = _select_columns_by_prefix(columns, SECOND_QP_PREFIX)
     if second:
         steps = join_cascade_steps(steps, _answer_columns(second, None))
-    steps |= {"total_ns": step_time_ns(steps), "t_s": columns["t_s"]}
+    steps |= {"total_ns": sum_step_times_ns(steps), "t_s": columns["t_s"]}
     if cell.mode == "replay":
         disturbed = np.isin(columns["repeat"], find_disturbed_rounds(columns))
         steps["warmup"], steps["disturbed"] = steps["repeat"] == rules.WARM_UP, disturbed
-        steps["counts"] = rules.counting_rows(columns["repeat"], disturbed)
+        steps["counts"] = rules.mask_counted_rows(columns["repeat"], disturbed)
         return steps | {
-            "unconverged": rules.unfinished_steps(steps),
-            "fallback": rules.unusable_steps(steps),
+            "unconverged": rules.mask_unfinished_steps(steps),
+            "fallback": rules.mask_unusable_steps(steps),
         }
     steps["counts"] = np.ones(len(steps["k"]), dtype=np.bool_)
     delay = find_delay(cell, cached_scenario(cell.scenario).sample_s)
@@ -61,7 +61,7 @@ def step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
     waited_ns: Ints = steps["total_ns"]
     if "backup" in steps:
         waited_ns = waited_ns + np.maximum(steps["backup_ns"], 0)
-    steps |= deadline_columns(delay, columns["latency_ns"], waited_ns)
+    steps |= make_deadline_columns(delay, columns["latency_ns"], waited_ns)
     if "backup" in steps and delay.is_simulated:
         ready_ns = columns[f"{BACKUP_PREFIX}ready_ns"]
         steps["late"] |= ready_ns > delay.budget_ns
@@ -69,7 +69,7 @@ def step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
     return steps | _ship_columns(columns)
 
 
-def _select_prefix(columns: Columns, prefix: str) -> Columns:
+def _select_columns_by_prefix(columns: Columns, prefix: str) -> Columns:
     """Return the step columns whose names have a prefix, under names without it."""
     names = [name for name in columns if name.startswith(prefix)]
     return {name.removeprefix(prefix): columns[name] for name in names}
@@ -77,14 +77,14 @@ def _select_prefix(columns: Columns, prefix: str) -> Columns:
 
 def _backup_columns(columns: Columns) -> StepColumns:
     """Return whether the backup solver acted or failed in each step, its time and error."""
-    own = _select_prefix(columns, BACKUP_PREFIX)
+    own = _select_columns_by_prefix(columns, BACKUP_PREFIX)
     if not own:
         return {}
     answers = _answer_columns(own, own["asked"])
     return {
         "backup": own["acted"],
-        "backup_failed": own["asked"] & rules.unusable_steps(answers),
-        "backup_ns": step_time_ns({phase: answers[phase] for phase in SOLVER_COLUMNS}),
+        "backup_failed": own["asked"] & rules.mask_unusable_steps(answers),
+        "backup_ns": sum_step_times_ns({phase: answers[phase] for phase in SOLVER_COLUMNS}),
         "backup_error": answers["error_move"],
     }
 
@@ -133,7 +133,7 @@ def join_cascade_steps(first: StepColumns, second: StepColumns) -> StepColumns:
         both["certificate"] = np.where(either, unknown, both["certificate"])
     waited = first["waited_ns"], second["waited_ns"]
     both["waited_ns"] = np.where(np.minimum(*waited) > MISSING_INT, sum(waited), MISSING_INT)
-    both["allocation_ns"] = step_time_ns({phase: second[phase] for phase in SOLVER_COLUMNS})
+    both["allocation_ns"] = sum_step_times_ns({phase: second[phase] for phase in SOLVER_COLUMNS})
     both["allocation_error"] = second["error_move"]
     return both
 
@@ -146,7 +146,7 @@ def _as_integers(values: NDArray[Any]) -> Ints:
 def _ship_columns(columns: Columns) -> StepColumns:
     """Return pose, velocity, force and command of the ship in each step of a closed loop."""
     state, tau = columns["state"][:-1], columns["tau"].astype(np.float64)
-    change = tau - previous_forces(tau)
+    change = tau - shift_forces_by_one_step(tau)
     ship = {name: columns[name] for name in ("fallback", "unconverged", "clipped")}
     ship |= {name: state[:, i] for i, name in enumerate(_STATE)}
     for i, axis in enumerate(AXIS_FORCES):
@@ -156,7 +156,7 @@ def _ship_columns(columns: Columns) -> StepColumns:
     return ship | {name: columns[name] for name in _OF_THRUSTERS if name in columns}
 
 
-def step_time_ns(steps: Mapping[str, NDArray[Any]]) -> Ints:
+def sum_step_times_ns(steps: Mapping[str, NDArray[Any]]) -> Ints:
     """Return each step's solver time [ns] (N,), thrust allocation included; −1 if not solved."""
     phases = [steps[phase] for phase in SOLVER_COLUMNS]
     parts = [*phases, steps["allocation_ns"]] if "allocation_ns" in steps else phases

@@ -19,7 +19,7 @@ PUSHING = 0.01
 """Share of its full thrust from which the direction of a thruster counts."""
 
 
-def shares_of_full(scenario: Scenario, f: Matrix) -> dict[str, Vector]:
+def compute_used_thrust_and_power_shares(scenario: Scenario, f: Matrix) -> dict[str, Vector]:
     """Return the used shares of full thrust and power (K,) from thruster forces f (K, n_f) [N]."""
     control = scenario.controller.commanded
     if control is None:
@@ -30,18 +30,20 @@ def shares_of_full(scenario: Scenario, f: Matrix) -> dict[str, Vector]:
     return {"thrust_share": size.sum(axis=1) / most.sum(), "power_share": power}
 
 
-def thruster_metrics(scenario: Scenario, f: Matrix, limits: Sequence[Limits]) -> dict[str, float]:
+def compute_thruster_metrics(
+    scenario: Scenario, f: Matrix, limits: Sequence[Limits]
+) -> dict[str, float]:
     """Return thrust, power, wear and limit metrics of the thruster forces f (K, n_f) [N]."""
     control = scenario.controller.commanded
     assert control is not None, "a controller of thrusters"
     step_max = control.thrusters.step_max(scenario.sample_s)
     before = np.array([control.force_before(f, k) for k in range(len(f))])
     change = f - before
-    shares = shares_of_full(scenario, f)
+    shares = compute_used_thrust_and_power_shares(scenario, f)
     per_entry = control.thrusters.per_entry(control.thrusters.thrust_N)
-    turned_deg, reversals = _azimuth_travel(control, f, before)
+    turned_deg, reversals = _azimuth_travel_and_reversals(control, f, before)
     at_rate = np.abs(change) >= (1.0 - AT_LIMIT) * step_max
-    at_limit, violated = _count_at_limits(control, step_max, f, before, limits)
+    at_limit, violated = _limit_share_and_violations(control, step_max, f, before, limits)
     return {
         "thrust_share": float(shares["thrust_share"].mean()),
         "power_share": float(shares["power_share"].mean()),
@@ -54,7 +56,9 @@ def thruster_metrics(scenario: Scenario, f: Matrix, limits: Sequence[Limits]) ->
     }
 
 
-def _azimuth_travel(control: ThrusterControl, f: Matrix, before: Matrix) -> tuple[float, float]:
+def _azimuth_travel_and_reversals(
+    control: ThrusterControl, f: Matrix, before: Matrix
+) -> tuple[float, float]:
     """Return how far azimuth thrusters turned [°], and how often fixed thrusters reversed."""
     turned, reversals = 0.0, 0
     parts = zip(control.thrusters.thrusters, control.thrusters.slices, strict=True)
@@ -71,7 +75,7 @@ def _azimuth_travel(control: ThrusterControl, f: Matrix, before: Matrix) -> tupl
     return float(np.degrees(turned)), float(reversals)
 
 
-def _count_at_limits(
+def _limit_share_and_violations(
     control: ThrusterControl, step_max: Vector, f: Matrix, before: Matrix, limits: Sequence[Limits]
 ) -> tuple[float, float]:
     """Return the share of steps with a thruster at its limit, and how many violate a limit.

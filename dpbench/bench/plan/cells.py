@@ -171,7 +171,7 @@ def capability_cells(
 ) -> list[PlannedCell]:
     """Plan the runs that solve a capability plot's QPs; InputError without thrusters or hull."""
     files = read_vessel_documents(table.vessel, beside=beside)
-    cases = CapabilityPlot(build_vessel(files, table.vessel), table.sides).cases
+    cases = CapabilityPlot(build_vessel(files, table.vessel), table.sides).intact_and_failure_cases
     own = [name for name in solvers if name not in CALIBRATION]
     name = f"{files['vessel_name']} capability, {table.sides} sides"
     source = CapabilitySource(name, table.sides, **files)

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
-from dpbench.bench.judge.rules import supports_percentile
+from dpbench.bench.judge.rules import has_enough_samples_for_percentile
 from dpbench.bench.plan.call_modes import check_call_modes, check_mode_names
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.configurations import choose_solvers
@@ -186,7 +186,7 @@ def _list_remarks(planned: Sequence[PlannedCell], choices: Sequence[str]) -> lis
         if p.merged_settings
     )
     lengths = [p.cell.steps for p in planned if p.cell.is_timed]
-    if lengths and not supports_percentile(max(lengths), 99):
+    if lengths and not has_enough_samples_for_percentile(max(lengths), 99):
         remarks.append(
             f"no replay has steps enough for a p99 (the longest has {max(lengths)}): the largest "
             "step is judged in its place"

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from dpbench.bench.capability.batch import all_points, allocation_sequence
+from dpbench.bench.capability.batch import build_allocation_sequence, list_points_at_all_limits
 from dpbench.bench.capability.frontier import Capability, CapabilityPlot, compute_capability
-from dpbench.bench.capability.table import capability_columns
+from dpbench.bench.capability.table import make_capability_columns
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.errors import InputError
 from dpbench.ship.vessel import Vessel
@@ -15,9 +15,9 @@ def write_capability_boundary(path: Path, vessel: Vessel, sides: int, name: str)
     """Write a ship's capability plot and its certified QPs to one file."""
     frontier = CapabilityPlot(vessel, sides)
     capability = compute_capability(frontier)
-    points = all_points(frontier, capability)
-    documents = {"capability": capability_columns(name, capability, points)}
-    save_sequence(path, allocation_sequence(frontier, points), documents=documents)
+    points = list_points_at_all_limits(frontier, capability)
+    documents = {"capability": make_capability_columns(name, capability, points)}
+    save_sequence(path, build_allocation_sequence(frontier, points), documents=documents)
 
 
 def read_capability_plot(path: Path) -> dict[str, list[Any]] | None:
@@ -31,9 +31,9 @@ def read_capability_plot(path: Path) -> dict[str, list[Any]] | None:
 
 def write_capability_suite(frontier: CapabilityPlot, capability: Capability, folder: Path) -> Path:
     """Write a capability plot's certified QPs and a suite that replays them; return its path."""
-    points = all_points(frontier, capability)
+    points = list_points_at_all_limits(frontier, capability)
     folder.mkdir(parents=True, exist_ok=True)
-    save_sequence(folder / "capability.npz", allocation_sequence(frontier, points))
+    save_sequence(folder / "capability.npz", build_allocation_sequence(frontier, points))
     suite = folder / "capability.toml"
     text = _SUITE.format(vessel=capability.vessel, sides=frontier.sides)
     suite.write_text(text, encoding="utf-8")

@@ -15,7 +15,7 @@ from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from dpbench.bench.judge.rows import run_row
+from dpbench.bench.judge.rows import make_run_row
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import remove_log
@@ -329,7 +329,10 @@ class CellExecutor(ExitStack):
             elif outcome.outcome != "lost" and job.run_id not in kept:
                 about = job.run_id, job.cell, outcome, job.library, self._machine_id, None, None
                 concurrency = self._concurrency if job.cell.is_timed else None
-                without_steps[job.run_id] = run_row(*about, concurrency=concurrency), no_steps()
+                without_steps[job.run_id] = (
+                    make_run_row(*about, concurrency=concurrency),
+                    no_steps(),
+                )
             remove_log(folder / f"{job.run_id}.raw")
             for suffix in ("json", "judged", "evaluated.json"):
                 # What somebody else put in a file's place goes with the folder.

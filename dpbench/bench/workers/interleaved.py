@@ -25,7 +25,7 @@ from random import Random
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.bench.judge.rules import is_disturbed
+from dpbench.bench.judge.rules import mask_disturbed_rounds
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
 from dpbench.bench.record.raw_log import RawLog
@@ -206,7 +206,7 @@ class ReplayGroup:
     def _is_disturbed(self, worker: ReplayWorker, r: int) -> bool:
         """Return whether the machine-speed test around replay round r ran too slowly."""
         try:
-            return bool(is_disturbed(self._open_log(worker).reference_kernel_ns)[r])
+            return bool(mask_disturbed_rounds(self._open_log(worker).reference_kernel_ns)[r])
         except (OSError, ValueError):
             # Somebody removed the log; it is lost when it is to be judged.
             return False

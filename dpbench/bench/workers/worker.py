@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_log
-from dpbench.bench.judge.replay import evaluate_sequence
-from dpbench.bench.judge.rows import run_row
-from dpbench.bench.judge.step_columns import step_columns
+from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_loop_log
+from dpbench.bench.judge.replay import evaluate_replay_log
+from dpbench.bench.judge.rows import make_run_row
+from dpbench.bench.judge.step_columns import make_step_columns
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.disturbance import read_counters
 from dpbench.bench.record.npz import open_arrays
@@ -429,9 +429,9 @@ def _judge_cell(batch_cell: BatchCell, log: RawLog) -> tuple[Row, pa.RecordBatch
     cell, outcome = Cell.from_json(batch_cell.cell), batch_cell.outcome
     assert outcome is not None, "it ran"
     evaluated = _evaluate_log(cell, batch_cell.source, log)
-    steps = step_columns(cell, evaluated)
+    steps = make_step_columns(cell, evaluated)
     about = batch_cell.name, cell, outcome, batch_cell.library, batch_cell.machine_id
-    row = run_row(*about, evaluated, steps, concurrency=batch_cell.concurrency)
+    row = make_run_row(*about, evaluated, steps, concurrency=batch_cell.concurrency)
     return row, step_batch(steps)
 
 
@@ -439,11 +439,11 @@ def _evaluate_log(cell: Cell, source: Path, log: RawLog) -> EvaluatedCell:
     """Evaluate the raw log of a replay or closed loop; return step columns and metrics."""
     if cell.mode == "replay":
         known, judged = read_replay(cell, source), cell.solver not in CALIBRATION
-        replayed = evaluate_sequence(
+        replayed = evaluate_replay_log(
             log, known.sequence, known.sample_s, known.optima, judged=judged
         )
         return replace(replayed, metrics=replayed.metrics | known.station)
-    return evaluate_log(cell, log, _load_exact_loop(source))
+    return evaluate_loop_log(cell, log, _load_exact_loop(source))
 
 
 @lru_cache(maxsize=1)

@@ -15,7 +15,7 @@ from scipy.stats import qmc
 
 from dpbench.arrays import Floats
 from dpbench.bench.judge.closed_loop import EvaluatedCell
-from dpbench.bench.judge.replay import evaluate_sequence
+from dpbench.bench.judge.replay import evaluate_replay_log
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import RawLog
@@ -77,7 +77,7 @@ class SearchedSolver:
         if not raw.exists():
             return outcome, None
         sample_s = float(sequence.meta.get("sample_s", float("nan")))
-        return outcome, evaluate_sequence(RawLog.open(raw), sequence, sample_s)
+        return outcome, evaluate_replay_log(RawLog.open(raw), sequence, sample_s)
 
     def close(self) -> None:
         """End the worker process of the solver."""

@@ -21,7 +21,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import group_by
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.ship_results import ship_results
-from dpbench.bench.judge.rules import largest_known
+from dpbench.bench.judge.rules import maximum_of_known
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError
 from dpbench.files.writing import write_named_file
@@ -132,9 +132,11 @@ def _solver_sentence(solver: str, own_histories: Sequence[History]) -> str:
     changed = [history for history in own_histories if history.has_changed]
     ends = [(history.releases[0], history.releases[-1]) for history in changed]
     sides = list(zip(*ends, strict=True))
-    errors = " → ".join(error_text(largest_known([r.error_move for r in side])) for side in sides)
+    errors = " → ".join(
+        error_text(maximum_of_known([r.error_move for r in side])) for side in sides
+    )
     failed = " → ".join(
-        _format_count(largest_known([r.failed_steps for r in side])) for side in sides
+        _format_count(maximum_of_known([r.failed_steps for r in side])) for side in sides
     )
     versions = " → ".join(release.version for release in ends[0])
     times = _time_change_text(changed)

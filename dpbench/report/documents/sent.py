@@ -13,7 +13,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, StringConstraints
 
-from dpbench.bench.capability.table import CAPABILITY_FILE, load_capability
+from dpbench.bench.capability.table import CAPABILITY_FILE, load_capability_plots
 from dpbench.bench.record.result_folder import Results, hash_files, load_results, read_suite
 from dpbench.embedded.table import EMBEDDED_FILE, load_counts
 from dpbench.errors import InputError, ResultsError
@@ -176,7 +176,7 @@ def check_sent_folder(folder: Path) -> str:
             f"{where}/{strangers[0]}", "", "a file", f"only {and_list([*SENT, *WHERE_THERE])}"
         )
     sender = read_model(folder / SENDER, Sender)
-    load_capability(folder)
+    load_capability_plots(folder)
     load_counts(folder)
     _check_runs(folder, results)
     _check_page(folder)

@@ -39,7 +39,7 @@ def build_topics(
 ) -> list[Topic]:
     """Build the report page's parts, one per question on the results, the suite's question first.
 
-    designs, capability : of `load_designs` and `load_capability`.
+    designs, capability : of `load_stability_records` and `load_capability_plots`.
     known : the studies of these records, if they are already read; counts : of their folder.
     """
     requirements = verdicts.requirements

@@ -18,7 +18,7 @@ from dpbench.analysis.times.contrasts import (
     match_steps,
 )
 from dpbench.analysis.verdict.requirements import Requirements, is_right, is_right_to_the_end
-from dpbench.bench.judge.rules import median_known, percentile
+from dpbench.bench.judge.rules import median_of_known, percentile_or_nan
 from dpbench.bench.record.configuration import settings_level
 from dpbench.report.formats import (
     MISSING,
@@ -52,7 +52,9 @@ def routes_topic(records: Records) -> Topic | None:
         return None
     wording = (
         "How many times as fast a step becomes, median over solvers and sequences: "
-        + "; ".join(f"{change} {significant(median_known(gain))}" for change, gain in gains.items())
+        + "; ".join(
+            f"{change} {significant(median_of_known(gain))}" for change, gain in gains.items()
+        )
         + ".",
         "What calling a library natively saves, then keeping its workspace, then its last answer.",
     )
@@ -135,8 +137,8 @@ def race_topic(records: Records) -> Topic | None:
         ratio = paired_ratio(*match_steps(*both))
         options = run.configuration.call_text
         wording.append(f"{_ratio_text(ratio)} in {run.sequence} ({options})")
-        p50 = [time_text(median_known(times.algo_ns)) for times in both]
-        p99 = [time_text(percentile(times.algo_ns, 99)) for times in both]
+        p50 = [time_text(median_of_known(times.algo_ns)) for times in both]
+        p99 = [time_text(percentile_or_nan(times.algo_ns, 99)) for times in both]
         rows.append((run.sequence, options, *p50, *p99, _ratio_text(ratio)))
     times = [f"{solver} {time}" for time in ("p50", "p99") for solver in (first, second)]
     head = ("sequence", "call mode", *times, "ratio (95 %)")
@@ -175,7 +177,7 @@ def _median_text(records: Records, run: RunRecord | None, requirements: Requirem
     times = None if run is None else records.times(run)
     if run is None or times is None:
         return MISSING if run is None else run.outcome.replace("_", " ")
-    text = time_text(median_known(times.algo_ns))
+    text = time_text(median_of_known(times.algo_ns))
     return text if is_right(run, requirements) else f"{text} (not right)"
 
 
@@ -220,7 +222,7 @@ def _step_row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None
         time_text(steps.time_ns[i]),
         time_text(float(np.median(steps.time_ns))),
         count_text(steps.iterations[i]),
-        count_text(median_known(steps.iterations)),
+        count_text(median_of_known(steps.iterations)),
         error_text(float(steps.error[i])),
         answer_text(steps, i),
     )

@@ -15,7 +15,7 @@ from dpbench.analysis.times.machine import (
     timed_runs,
     total_disturbance,
 )
-from dpbench.bench.judge.calibration import excess_over_wait_ns, is_within_tolerance
+from dpbench.bench.judge.calibration import compute_excess_over_wait_ns, is_within_tolerance
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.report.charts.lines import draw_dots
 from dpbench.report.formats import and_list, count_text, plural, share_text, significant
@@ -54,7 +54,7 @@ def _waits_text(measured: Mapping[str, float], shortest_ns: float) -> str:
     if not missed:
         return f"Waits of known length were measured within 1 µs or 1 %.{below}"
     waits = [f"{WAITS_NS[n] / 1e3:g} µs as {p50 / 1e3:.1f} µs" for n, p50 in missed.items()]
-    worst = max(abs(excess_over_wait_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
+    worst = max(abs(compute_excess_over_wait_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
     return (
         f"Waits of known length: {and_list(waits)} (p50 of the timings that count, the largest of "
         f"its replays), so absolute times of that length are known to {share_text(worst)}.{below}"

@@ -11,7 +11,7 @@ import pytest
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import Count, RunRecord, build_records
-from dpbench.bench.judge.rules import counting_rows
+from dpbench.bench.judge.rules import mask_counted_rows
 from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import RUN_COLUMNS, as_runs
@@ -109,7 +109,7 @@ def _spoil(records: Any, rounds: list[int]) -> Records:
     steps = found.steps.copy()
     steps["disturbed"] = steps["repeat"].isin(rounds)
     repeat, disturbed = (steps[name].to_numpy() for name in ("repeat", "disturbed"))
-    steps["counts"] = counting_rows(repeat, disturbed)
+    steps["counts"] = mask_counted_rows(repeat, disturbed)
     return Records(Results(found.runs, StepsInMemory(steps), found.machine, found.suite))
 
 

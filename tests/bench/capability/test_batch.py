@@ -36,14 +36,16 @@ def frontier() -> CapabilityPlot:
 def points(frontier: CapabilityPlot) -> list[batch.Point]:
     return [
         point
-        for case in frontier.cases
+        for case in frontier.intact_and_failure_cases
         for from_rad in map(math.radians, SOME)
-        for point in batch.points_at_edge(case, from_rad, frontier.find_wind_limit(case, from_rad))
+        for point in batch.list_points_at_limit(
+            case, from_rad, frontier.find_wind_limit(case, from_rad)
+        )
     ]
 
 
 def test_a_direction_has_four_points_around_its_edge() -> None:
-    points = batch.points_at_edge(Case("intact", frozenset()), 0.1, WindLimit(15.0, 6))
+    points = batch.list_points_at_limit(Case("intact", frozenset()), 0.1, WindLimit(15.0, 6))
     winds = [
         DP_CONDITIONS[6][0],
         (1 - batch.EDGE) * 15.0,
@@ -52,10 +54,10 @@ def test_a_direction_has_four_points_around_its_edge() -> None:
     ]
     assert [point.wind_mps for point in points] == winds
     assert [point.held for point in points] == [True, True, False, False]
-    top = batch.points_at_edge(Case("intact", frozenset()), 0.1, WindLimit(32.6, 11))
+    top = batch.list_points_at_limit(Case("intact", frozenset()), 0.1, WindLimit(32.6, 11))
     assert [point.wind_mps for point in top] == [DP_CONDITIONS[row][0] for row in (8, 9, 10, 11)]
     assert all(point.held for point in top)
-    nothing = batch.points_at_edge(Case("intact", frozenset()), 0.1, WindLimit(1.0, 0))
+    nothing = batch.list_points_at_limit(Case("intact", frozenset()), 0.1, WindLimit(1.0, 0))
     assert [point.wind_mps for point in nothing] == [
         0.5,
         1 - batch.EDGE,
@@ -66,7 +68,7 @@ def test_a_direction_has_four_points_around_its_edge() -> None:
 
 @pytest.mark.slow
 def test_the_referee_agrees(frontier: CapabilityPlot, points: list[batch.Point]) -> None:
-    sequence = batch.allocation_sequence(frontier, points)
+    sequence = batch.build_allocation_sequence(frontier, points)
     assert len(sequence) == len(points) == 4 * len(SOME) * 4
     for point, optimum in zip(points, certify_sequence(sequence), strict=True):
         assert (optimum.kind == "infeasible") is not point.held
@@ -76,7 +78,7 @@ def test_the_referee_agrees(frontier: CapabilityPlot, points: list[batch.Point])
 def made_up(frontier: CapabilityPlot) -> Capability:
     known = {
         case.name: tuple(WindLimit(10.0 + k % 3, 4) for k in range(len(FROM_DEG)))
-        for case in frontier.cases
+        for case in frontier.intact_and_failure_cases
     }
     return Capability("ratownik", 24, known, dict.fromkeys(known, ("bow 1",)), ())
 
@@ -84,10 +86,12 @@ def made_up(frontier: CapabilityPlot) -> Capability:
 @pytest.mark.slow
 def test_a_plot_of_a_suite_is_a_row_a_qp(frontier: CapabilityPlot, tmp_path: Path) -> None:
     capability = made_up(frontier)
-    points = batch.all_points(frontier, capability)
-    assert table.load_capability(tmp_path) is None
-    table.write_capability(tmp_path, [table.capability_columns("some name", capability, points)])
-    found = table.load_capability(tmp_path)
+    points = batch.list_points_at_all_limits(frontier, capability)
+    assert table.load_capability_plots(tmp_path) is None
+    table.write_capability_plots(
+        tmp_path, [table.make_capability_columns("some name", capability, points)]
+    )
+    found = table.load_capability_plots(tmp_path)
     assert found is not None
     assert list(found) == list(table.COLUMNS)
     assert found["k"].tolist() == list(range(len(points)))
@@ -98,10 +102,10 @@ def test_a_plot_of_a_suite_is_a_row_a_qp(frontier: CapabilityPlot, tmp_path: Pat
     for column, value in (("case", "bow 1"), ("edge_mps", math.nan)):
         found.assign(**{column: value}).to_parquet(path)
         with pytest.raises(ResultsError, match=column):
-            table.load_capability(tmp_path)
+            table.load_capability_plots(tmp_path)
     path.write_bytes(b"nothing")
     with pytest.raises(ResultsError, match=r"capability\.parquet"):
-        table.load_capability(tmp_path)
+        table.load_capability_plots(tmp_path)
 
 
 @pytest.mark.slow
@@ -112,7 +116,7 @@ def test_a_batch_runs_as_a_suite(frontier: CapabilityPlot, tmp_path: Path) -> No
     assert suite.recorded[0].sequence == "capability.npz"
     recorded = load_recorded(path.parent / "capability.npz")
     assert recorded.optima is not None
-    assert len(recorded.optima) == 4 * len(frontier.cases) * len(FROM_DEG)
+    assert len(recorded.optima) == 4 * len(frontier.intact_and_failure_cases) * len(FROM_DEG)
     assert np.isfinite(recorded.sequence.l).all()
 
 
@@ -147,7 +151,7 @@ def test_a_vessel_that_has_no_plot_is_refused(keys: dict[str, object], said: str
 def test_a_run_leaves_the_plot_and_answers_that_the_referee_judged(tmp_path: Path) -> None:
     suite, out = suite_file(tmp_path, SUITE), tmp_path / "out"
     run_campaign(suite, out, solvers=["quadprog"])
-    table_of_run = table.load_capability(out)
+    table_of_run = table.load_capability_plots(out)
     assert table_of_run is not None
     (plot,) = capability_plots(Records(load_results(out)), table_of_run)
     (answers,) = plot.answers
@@ -157,7 +161,7 @@ def test_a_run_leaves_the_plot_and_answers_that_the_referee_judged(tmp_path: Pat
     assert len(plot.edges) == 36 * 3 and not plot.edges["untrue"].any()
     (out / "capability.parquet").unlink()
     run_campaign(suite, out, solvers=["quadprog"])
-    assert table.load_capability(out) is not None
+    assert table.load_capability_plots(out) is not None
     page = write_report(out).read_text(encoding="utf-8")
     assert 'id="answer"' in page and "1 of 1 solver answers all 432 QPs" in page
     assert (out / "figures" / "capability-osv.svg").is_file()

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from dpbench.bench.capability.choices import find_best_choice
+from dpbench.bench.capability.choices import find_least_use_and_pieces
 from dpbench.bench.capability.frontier import CapabilityPlot
 from dpbench.bench.capability.utilisation import Choices
 from dpbench.scenario.scenario import load_vessel
@@ -34,13 +34,15 @@ def ship_of_azimuths(count: int, sides: int | None = None) -> CapabilityPlot:
 def test_the_best_choice_is_the_best_of_all(sides: int | None) -> None:
     """Four azimuths, intact and without one, in mild and heavy weather."""
     plot = ship_of_azimuths(4, sides)
-    for case, from_deg, wind_mps in product(plot.cases[:2], (0.0, 70.0, 200.0), (5.0, 14.0)):
+    for case, from_deg, wind_mps in product(
+        plot.intact_and_failure_cases[:2], (0.0, 70.0, 200.0), (5.0, 14.0)
+    ):
         at = case, math.radians(from_deg), wind_mps
         every = [
             plot.least_use(*at, chosen)
             for chosen in product(*(some or [Piece()] for some in plot.pieces_of(case)))
         ]
-        use, chosen = plot.best_choice(*at)
+        use, chosen = plot.find_least_use_and_pieces(*at)
         assert len(every) > 10
         assert use == pytest.approx(min(every), rel=1e-7)
         assert plot.least_use(*at, chosen) == use
@@ -57,7 +59,7 @@ def test_few_bounds_are_enough_for_many_choices() -> None:
         own = [np.array([costs[id(piece)] for piece in one]) for one in some]
         return float(sum(cost.min() for cost in own)), [1.0 / cost for cost in own]
 
-    use, chosen = find_best_choice(relax, pieces)
+    use, chosen = find_least_use_and_pieces(relax, pieces)
     assert use == 12.0
     assert chosen == tuple(some[0] for some in pieces)
     assert len(asked) == 2
@@ -67,10 +69,14 @@ def test_few_bounds_are_enough_for_many_choices() -> None:
 def test_eight_azimuths_in_each_others_race_have_an_edge() -> None:
     """11 664 choices; one direction took a minute where each was tried."""
     plot = ship_of_azimuths(8)
-    assert math.prod(len(some) for some in plot.pieces_of(plot.cases[0])) == 11_664
-    edge = plot.find_wind_limit(plot.cases[0], math.radians(70.0))
-    assert plot.best_choice(plot.cases[0], math.radians(70.0), edge.wind_mps)[0] == pytest.approx(1)
-    mirrored = plot.find_wind_limit(plot.cases[0], math.radians(-70.0))
+    assert (
+        math.prod(len(some) for some in plot.pieces_of(plot.intact_and_failure_cases[0])) == 11_664
+    )
+    edge = plot.find_wind_limit(plot.intact_and_failure_cases[0], math.radians(70.0))
+    assert plot.find_least_use_and_pieces(
+        plot.intact_and_failure_cases[0], math.radians(70.0), edge.wind_mps
+    )[0] == pytest.approx(1)
+    mirrored = plot.find_wind_limit(plot.intact_and_failure_cases[0], math.radians(-70.0))
     assert mirrored.wind_mps == pytest.approx(edge.wind_mps, abs=1e-5)
 
 
@@ -78,7 +84,7 @@ def test_eight_azimuths_in_each_others_race_have_an_edge() -> None:
 def test_a_ship_whose_first_pieces_balance_nothing_has_an_edge() -> None:
     """In a calm all choices are alike; the edge is that of the choice that holds some wind."""
     plot = ship_of_azimuths(2)
-    case = plot.cases[0]
+    case = plot.intact_and_failure_cases[0]
     first = tuple(some[0] for some in plot.pieces_of(case))
     starboard, port = math.radians(90.0), math.radians(270.0)
     assert plot.least_use(case, starboard, 1e-3, first) < 1.0

@@ -52,7 +52,7 @@ def test_port_and_starboard_hold_the_same(held_intact: list[WindLimit]) -> None:
 @pytest.mark.parametrize("case", ["board A", "board B"])
 def test_without_interaction_a_thruster_never_helps_less_than_its_loss(case: str) -> None:
     frontier = CapabilityPlot(load_vessel("osv"))
-    intact, *failures = frontier.cases
+    intact, *failures = frontier.intact_and_failure_cases
     failure = next(one for one in failures if one.name == case)
     for from_deg in range(0, 360, 40):
         whole, less = (
@@ -67,12 +67,17 @@ def test_polygons_become_the_circle_with_order_two() -> None:
     vessel, wind_mps = load_vessel("osv"), 20.0
     directions = [math.radians(15.0 * k + 4.0) for k in range(24)]
     circle = np.array(
-        [CapabilityPlot(vessel).best_choice(INTACT, angle, wind_mps)[0] for angle in directions]
+        [
+            CapabilityPlot(vessel).find_least_use_and_pieces(INTACT, angle, wind_mps)[0]
+            for angle in directions
+        ]
     )
     gaps = []
     for sides in (8, 16, 32, 64):
         polygon = CapabilityPlot(vessel, sides)
-        use = np.array([polygon.best_choice(INTACT, angle, wind_mps)[0] for angle in directions])
+        use = np.array(
+            [polygon.find_least_use_and_pieces(INTACT, angle, wind_mps)[0] for angle in directions]
+        )
         assert (use >= circle * (1.0 - 1e-8)).all()
         assert (use <= circle / math.cos(math.pi / sides) * (1.0 + 1e-8)).all()
         gaps.append((use / circle).max() - 1.0)

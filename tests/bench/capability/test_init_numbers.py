@@ -45,7 +45,7 @@ def build_ship(own: Particulars, azimuth_kN: float, tunnel_kN: float) -> Vessel:
 def capability_number(ship: Vessel) -> int:
     """The least number within 30° of the bow, intact, up to the largest that `init` has."""
     plot = CapabilityPlot(ship)
-    intact = plot.cases[0]
+    intact = plot.intact_and_failure_cases[0]
     numbers = [plot.find_wind_limit(intact, math.radians(deg)).number for deg in NEAR_BOW_DEG]
     return min(*numbers, max(DP_NUMBERS))
 

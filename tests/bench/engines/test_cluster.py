@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.bench.engines.on_worker import worker_info
+from dpbench.bench.engines.on_worker import describe_worker
 from dpbench.errors import InputError
 
 WHY = "engine dask needs the extra `cluster`"
@@ -37,7 +37,7 @@ class Client:
         return {"workers": self.workers}
 
     def run(self, function: object, workers: list[str], on_error: str) -> dict[str, Any]:
-        return {address: self.said.get(address, worker_info()) for address in workers}
+        return {address: self.said.get(address, describe_worker()) for address in workers}
 
 
 def test_a_machine_offers_itself_once() -> None:
@@ -49,8 +49,8 @@ def test_a_machine_offers_itself_once() -> None:
 
 
 REFUSED = (
-    (replace(worker_info(), harness_version="0.0.9"), r"with dpbench 0\.0\.9"),
-    (replace(worker_info(), may_start=False), "a daemon"),
+    (replace(describe_worker(), harness_version="0.0.9"), r"with dpbench 0\.0\.9"),
+    (replace(describe_worker(), may_start=False), "a daemon"),
     (ModuleNotFoundError("dpbench"), "without dpbench"),
 )
 
@@ -69,27 +69,27 @@ def test_a_late_worker_of_another_version_has_no_task(said: object, found: str) 
     cluster = Cluster(client)
     client.workers = Client("a", "b", "b").workers
     client.said = {"tcp://b:1": said}
-    (remark,) = cluster.refresh()
+    (remark,) = cluster.update_workers()
     assert re.search(f"is given no cells.*{found}", remark)
     assert cluster.addresses == {"tcp://a:0", "tcp://b:2"} and cluster.slots == 2
-    assert cluster.refresh() == []
+    assert cluster.update_workers() == []
 
 
 def test_workers_are_counted_anew() -> None:
     client = Client("a", "b")
     cluster = Cluster(client)
     client.workers = Client("a", "a", "a", "b").workers
-    cluster.refresh()
+    cluster.update_workers()
     assert (cluster.slots, cluster.concurrency, cluster.exclusive) == (4, 3, False)
     client.workers = Client("b").workers
-    cluster.refresh()
+    cluster.update_workers()
     # The most there were at a time, beside whatever ran then.
     assert (cluster.slots, cluster.concurrency) == (1, 3)
     client.workers, before = {}, cluster.addresses
-    cluster.refresh()
+    cluster.update_workers()
     assert (cluster.slots, cluster.addresses) == (1, before)
     client.workers, client.status = Client("a", "a").workers, "connecting"
-    cluster.refresh()
+    cluster.update_workers()
     assert (cluster.slots, cluster.addresses) == (1, before)
 
 
@@ -98,6 +98,6 @@ def test_a_worker_that_does_not_answer_is_asked_again() -> None:
     cluster = Cluster(client)
     client.workers = Client("a", "b").workers
     client.said = {"tcp://b:1": OSError("nobody there")}
-    assert cluster.refresh() == [] and cluster.addresses == {"tcp://a:0"}
+    assert cluster.update_workers() == [] and cluster.addresses == {"tcp://a:0"}
     client.said = {}
-    assert cluster.refresh() == [] and cluster.slots == 2
+    assert cluster.update_workers() == [] and cluster.slots == 2

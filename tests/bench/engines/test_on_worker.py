@@ -17,7 +17,7 @@ from dpbench.bench.engines import on_worker
 from dpbench.bench.engines.on_worker import (
     CampaignContext,
     TaskEndedError,
-    end_tasks,
+    interrupt_tasks,
     run_cells,
 )
 from dpbench.bench.plan.run_request import RunRequest
@@ -104,8 +104,8 @@ def test_an_ended_task(jobs: list[CellJob], place: Path, monkeypatch: pytest.Mon
     thread = threading.Thread(target=task)
     thread.start()
     assert running.wait(60.0)
-    end_tasks()
+    interrupt_tasks()
     thread.join()
     assert len(became) == 1
     assert not list(place.glob(f"{PREFIX}*"))
-    end_tasks()
+    interrupt_tasks()

@@ -9,7 +9,7 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.engines.shards import SHARD_FILE, Shard, ShardRecord
-from dpbench.bench.gather import gather
+from dpbench.bench.gather import join_result_folders
 from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.record.step_table import runs_from_frame, runs_to_frame, write_runs
@@ -54,7 +54,7 @@ def test_missing_shards(copies: list[Path], suite: Path, undisturbed: Path, tmp_
     data[: len(data) // 2] = bytes(len(data) // 2)
     damaged.write_bytes(data)
     there = len(load_results(copies[1]).runs)
-    out = gather(copies[:2], tmp_path / "out")
+    out = join_result_folders(copies[:2], tmp_path / "out")
     results = load_results(out)
     assert (results.runs["outcome"] == "finished").sum() == there
     assert set(results.runs["outcome"]) == {"finished", "lost"}
@@ -71,7 +71,7 @@ def test_a_killed_shard_is_gathered(copies: list[Path], undisturbed: Path, tmp_p
         part.rename(killed.folder / part.name)
     (copies[2] / "suite.json").unlink()
     (copies[2] / "machine.json").unlink()
-    assert_same(gather(copies, tmp_path / "out"), undisturbed)
+    assert_same(join_result_folders(copies, tmp_path / "out"), undisturbed)
 
 
 def changed(folder: Path, **entries: object) -> None:
@@ -85,21 +85,21 @@ def test_foreign_shards_are_refused(copies: list[Path], suite: Path, tmp_path: P
     out = tmp_path / "out"
     changed(copies[0], harness_version="0.0.9")
     with pytest.raises(InputError, match=r"shard1 of dpbench 0\.0\.9"):
-        gather(copies, out)
+        join_result_folders(copies, out)
     changed(
         copies[0],
         harness_version=json.loads((copies[1] / SHARD_FILE).read_text())["harness_version"],
     )
     changed(copies[0], digest="0" * 16)
     with pytest.raises(InputError, match="another choice of it"):
-        gather(copies, out)
+        join_result_folders(copies, out)
     with pytest.raises(InputError, match="changed since"):
-        gather(copies[:1], out)
+        join_result_folders(copies[:1], out)
     changed(copies[1], shard={"index": 1, "count": 4})
     with pytest.raises(InputError, match="shards of 3 and shards of 4"):
-        gather(copies[1:], out)
+        join_result_folders(copies[1:], out)
     with pytest.raises(InputError, match="without a shard"):
-        gather([suite.parent / "undisturbed"], out)
+        join_result_folders([suite.parent / "undisturbed"], out)
     assert not out.exists()
 
 
@@ -107,11 +107,11 @@ def test_moved_suites(copies: list[Path], suite: Path, undisturbed: Path, tmp_pa
     asked = json.loads((copies[0] / SHARD_FILE).read_text())["asked"]
     for i, folder in enumerate(copies[:2]):
         changed(folder, asked=asked | {"suite": f"/on/host{i}/tiny.toml"})
-    assert_same(gather(copies, tmp_path / "out"), undisturbed)
+    assert_same(join_result_folders(copies, tmp_path / "out"), undisturbed)
     with pytest.raises(InputError, match=r"no file /on/host0/tiny\.toml.*--suite"):
-        gather(copies[:2], tmp_path / "other")
+        join_result_folders(copies[:2], tmp_path / "other")
     changed(copies[2], asked=asked | {"suite": "/on/host2/tiny.toml"})
-    assert_same(gather(copies, tmp_path / "other", suite=suite), undisturbed)
+    assert_same(join_result_folders(copies, tmp_path / "other", suite=suite), undisturbed)
 
 
 def test_a_plug_in_is_not_run_because_a_shard_names_it(
@@ -145,7 +145,7 @@ def test_links_are_not_gathered(copies: list[Path], undisturbed: Path, tmp_path:
     (tmp_path / "secret").write_text("{}", encoding="utf-8")
     (copies[0] / "cells" / f"design-{16 * 'a'}.json").symlink_to(tmp_path / "secret")
     (copies[1] / "cells" / "part-00001 (copy).parquet").touch()
-    out = gather(copies, tmp_path / "out")
+    out = join_result_folders(copies, tmp_path / "out")
     assert_same(out, undisturbed)
     assert not list((out / "cells").glob("design-*"))
     (remark,) = load_results(out).suite["remarks"]
@@ -160,7 +160,7 @@ def test_another_machine_is_kept_for_each_cell(copies: list[Path], tmp_path: Pat
     check = pq.read_metadata(public.runs).metadata[b"steps_crc32"].decode()
     write_runs(public.runs, runs_from_frame(rows), {"steps_crc32": check})
     changed(copies[1], machine=machine | {"id": other})
-    results = load_results(gather(copies, tmp_path / "out"))
+    results = load_results(join_result_folders(copies, tmp_path / "out"))
     assert results.runs["run_id"].is_unique and set(results.runs["outcome"]) == {"finished"}
     counts = results.runs["machine_id"].value_counts()
     assert counts[other] == len(rows) and set(counts.index) == {other, machine["id"]}

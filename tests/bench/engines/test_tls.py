@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from dpbench.bench.engines.on_worker import worker_info
+from dpbench.bench.engines.on_worker import describe_worker
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 
@@ -54,8 +54,8 @@ def scheduler(files: list[str]) -> Iterator[str]:
 
 def test_with_its_files_a_scheduler_is_reached(scheduler: str, files: list[str]) -> None:
     with connect_client(scheduler, files) as client:
-        answer = client.run_on_scheduler(worker_info)
-    assert answer.harness_version == worker_info().harness_version
+        answer = client.run_on_scheduler(describe_worker)
+    assert answer.harness_version == describe_worker().harness_version
 
 
 def test_a_scheduler_with_tls_refuses_others(

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from dpbench import open_workspace
-from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_log
+from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_loop_log
 from dpbench.bench.judge.control_metrics import (
-    axis_limit_metrics,
-    control_metrics,
-    joint_limit_metrics,
+    compute_axis_limit_metrics,
+    compute_control_metrics,
+    compute_joint_limit_metrics,
 )
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import RawLog
@@ -119,8 +119,11 @@ def metrics_of(
     nothing = np.zeros_like(applied)
     still = exact_loop(np.zeros((K + 1, 3)).tolist(), np.zeros((K, 3)).tolist(), nothing.tolist())
     loop = still if exact is None else exact
-    metrics = control_metrics(ship, state, applied, wanted, loop)
-    of_limits = {"axis_limits": axis_limit_metrics, "joint_limits": joint_limit_metrics}
+    metrics = compute_control_metrics(ship, state, applied, wanted, loop)
+    of_limits = {
+        "axis_limits": compute_axis_limit_metrics,
+        "joint_limits": compute_joint_limit_metrics,
+    }
     in_force = [Limits(*sides) for sides in zip(low, high, strict=True)]
     for group in set(of_limits) & set(ship.controller.metric_groups):
         metrics |= of_limits[group](ship, applied, in_force)
@@ -139,4 +142,4 @@ def judged_loop(
     assert closed_loop(setup)
     if change is not None:
         change(setup.log)
-    return evaluate_log(cell, setup.log, solve_exactly(case)), setup.log, cell
+    return evaluate_loop_log(cell, setup.log, solve_exactly(case)), setup.log, cell

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from dpbench import load_results, load_scenario, record_sequence
-from dpbench.bench.judge.answer_caching import caching_metrics, is_remembered
+from dpbench.bench.judge.answer_caching import compute_caching_metrics, is_answer_cached
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.run.formulation import replay_formulation
 from dpbench.bench.run.replay import ReplayRun
@@ -28,7 +28,7 @@ STEPS, WARM_UP, ROUNDS = 80, 20, 4
 
 
 def remembers(row: Mapping[str, Any]) -> bool:
-    return bool(is_remembered(row["first_visit_ratio"], row["loop_ratio"]))
+    return bool(is_answer_cached(row["first_visit_ratio"], row["loop_ratio"]))
 
 
 class Clock:
@@ -153,7 +153,7 @@ def replayed(
 
 
 def ratio(log: RawLog) -> float:
-    return caching_metrics(log)["first_visit_ratio"]
+    return compute_caching_metrics(log)["first_visit_ratio"]
 
 
 def row(first: float = np.nan, loop: float = np.nan) -> dict[str, float]:

@@ -9,7 +9,11 @@ import numpy as np
 import pytest
 
 from dpbench.bench.judge import calibration
-from dpbench.bench.judge.calibration import calibrate, excess_over_wait_ns, is_within_tolerance
+from dpbench.bench.judge.calibration import (
+    compute_excess_over_wait_ns,
+    is_within_tolerance,
+    time_dummy_solvers,
+)
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.qp.program import QPSequence
@@ -50,18 +54,18 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[RawLog]:
 )
 def test_the_bar_is_a_microsecond_or_a_hundredth(name: str, wait_ns: int, bar_ns: int) -> None:
     assert is_within_tolerance(name, float(wait_ns)) is True
-    assert excess_over_wait_ns(name, wait_ns + 300.0) == 300.0
+    assert compute_excess_over_wait_ns(name, wait_ns + 300.0) == 300.0
     for side in (-1, 1):
         assert is_within_tolerance(name, wait_ns + side * bar_ns) is True
         assert is_within_tolerance(name, wait_ns + side * (bar_ns + 0.01)) is False
     assert (
         is_within_tolerance("copy_only", 1e9) is None
-        and excess_over_wait_ns("copy_only", 1e9) == 1e9
+        and compute_excess_over_wait_ns("copy_only", 1e9) == 1e9
     )
 
 
 def test_a_quick_calibration_times_the_rounds_after_the_warm_up(clock: list[RawLog]) -> None:
-    found = calibrate()
+    found = time_dummy_solvers()
     (log,) = clock
     assert log.done.tolist() == [200] * 6 and log.z.shape == (6, 200, 15)
     assert found.p50_ns[NO_OP] % READING_NS == 0
@@ -78,7 +82,7 @@ def test_made_up_qps_have_a_solution(clock: list[RawLog], monkeypatch: pytest.Mo
         return assemble(sequence, *others)
 
     monkeypatch.setattr(calibration, "replay_parts", parts)
-    calibrate()
+    time_dummy_solvers()
     (sequence,) = seen
     base = sequence.base
     assert (base.n, base.m, len(sequence)) == (15, 15, 200)
@@ -107,7 +111,7 @@ def test_median_of_counted_rounds(clock: list[RawLog], monkeypatch: pytest.Monke
         log.counters[0] = 1e6
 
     monkeypatch.setattr(ReplayRun, "run_all_rounds", rounds)
-    found = calibrate()
+    found = time_dummy_solvers()
     assert found.p50_ns == {NO_OP: 4.0}
     seen = found.disturbance
     assert (seen.rounds, seen.disturbed, seen.rerun) == (5, 2.0, 0.0)
@@ -126,15 +130,15 @@ def test_process_restored(collecting: bool, breaks: bool, monkeypatch: pytest.Mo
         return quiet()
 
     quiet = _quiet()
-    monkeypatch.setattr(calibration, "_replay_configuration", replayed)
+    monkeypatch.setattr(calibration, "_time_dummy_solver", replayed)
     was_collecting = gc.isenabled()
     (gc.enable if collecting else gc.disable)()
     try:
         if breaks:
             with pytest.raises(RuntimeError, match="planted"):
-                calibrate()
+                time_dummy_solvers()
         else:
-            assert set(calibrate().p50_ns) == set(CALIBRATION)
+            assert set(time_dummy_solvers().p50_ns) == set(CALIBRATION)
         assert (os.sched_getaffinity(0), gc.isenabled()) == (cores, collecting)
         assert set(map(str, seen)) == {str(({max(cores)}, False))}
     finally:

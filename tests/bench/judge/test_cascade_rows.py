@@ -7,9 +7,13 @@ import pandas as pd
 import pytest
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
-from dpbench.bench.judge.rows import run_row, step_rows
-from dpbench.bench.judge.rules import StepColumns, failed_steps, first_move_errors
-from dpbench.bench.judge.step_columns import join_cascade_steps, step_columns, step_time_ns
+from dpbench.bench.judge.rows import make_run_row, make_step_rows
+from dpbench.bench.judge.rules import StepColumns, compute_first_move_errors, mask_failed_steps
+from dpbench.bench.judge.step_columns import (
+    join_cascade_steps,
+    make_step_columns,
+    sum_step_times_ns,
+)
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.record.schema import MISSING_INT
@@ -22,10 +26,10 @@ STEPS, BAD = 20, 5
 def judged(units: str = "scaled", spoil: Any = None) -> tuple[pd.DataFrame, dict[str, Any]]:
     """Steps and run of a short cascade by daqp, its log changed by `spoil` before it is judged."""
     evaluated, _, cell = judged_loop(spoil, "thrusters_cascade", units, STEPS)
-    steps = step_columns(cell, evaluated)
+    steps = make_step_columns(cell, evaluated)
     outcome = Outcome("finished", "", "dense", 30, 30)
-    rows = step_rows("run", steps)
-    return rows, run_row("run", cell, outcome, Availability(True), "", evaluated, steps)
+    rows = make_step_rows("run", steps)
+    return rows, make_run_row("run", cell, outcome, Availability(True), "", evaluated, steps)
 
 
 def test_both_qps_are_timed_together_and_apart() -> None:
@@ -110,12 +114,15 @@ def test_a_step_is_as_good_as_the_worse_of_its_answers() -> None:
     assert steps["true"].tolist() == [True, False, False, True, False]
     assert steps["status"].tolist() == ["SOLVED", "SOLVED", "ERROR", "PRIMAL_INFEASIBLE", "ERROR"]
     assert steps["certificate"].tolist() == ["linear"] * 3 + ["infeasible", "linear"]
-    assert step_time_ns(steps).tolist() == [20] * 5 and steps["allocation_ns"].tolist() == [10] * 5
+    assert (
+        sum_step_times_ns(steps).tolist() == [20] * 5
+        and steps["allocation_ns"].tolist() == [10] * 5
+    )
     assert steps["waited_ns"].tolist() == [8] * 5
-    assert first_move_errors(steps).tolist() == [0.1, 0.7, np.inf, 0.2, np.inf]
+    assert compute_first_move_errors(steps).tolist() == [0.1, 0.7, np.inf, 0.2, np.inf]
     # The loop falls back where either has no answer: a right claim of infeasibility is no failure.
     steps["fallback"] = np.array([False, False, True, True, True])
-    assert failed_steps(steps).tolist() == [False, False, True, False, True]
+    assert mask_failed_steps(steps).tolist() == [False, False, True, False, True]
 
 
 @pytest.mark.parametrize("certificate", ["none", "undecided"])

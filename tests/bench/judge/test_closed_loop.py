@@ -165,8 +165,8 @@ def evaluations(cases: list[Case], own: QuadraticProgram | None = None) -> list[
     evaluator = StepEvaluator(base, own or base, Units(np.full(2, scale), np.ones(2)))
     for qp, answer in cases:
         step, given = (QPStep(one.q, one.l, one.u) for one in (qp, own or qp))
-        evaluator.add_answer(step, given, answer, evaluator.certify(step))
-    return [dict(zip(EVALUATION, row, strict=True)) for row in evaluator.evaluations()]
+        evaluator.queue_answer(step, given, answer, evaluator.certify(step))
+    return [dict(zip(EVALUATION, row, strict=True)) for row in evaluator.stack_evaluations()]
 
 
 def evaluation(qp: QuadraticProgram, z: Any, y_box: Any, status: Status = Status.SOLVED) -> Any:

@@ -3,9 +3,9 @@
 import pytest
 
 from dpbench import load_scenario
-from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_log
+from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_loop_log
 from dpbench.bench.judge.rules import StepColumns
-from dpbench.bench.judge.step_columns import step_columns
+from dpbench.bench.judge.step_columns import make_step_columns
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import PHASES, RawLog, loop_layout
 from dpbench.bench.run.formulation import QPBuilder
@@ -40,8 +40,8 @@ def judged() -> tuple[EvaluatedCell, StepColumns, Cell]:
     log.times[0, :, PHASES.index("solve")] = [100, 200, 300, 400]
     cell = Cell("closed_loop", case.files, "daqp", "native", "warm", "high", STEPS)
     exact = exact_loop([[0.0, 0.0, 0.0]] * (STEPS + 1), [[1e3, 0.0, 0.0]] * STEPS)
-    evaluated = evaluate_log(cell, log, exact)
-    return evaluated, step_columns(cell, evaluated), cell
+    evaluated = evaluate_loop_log(cell, log, exact)
+    return evaluated, make_step_columns(cell, evaluated), cell
 
 
 @pytest.mark.parametrize(
@@ -79,6 +79,6 @@ def test_a_ship_that_follows_a_filtered_reference_has_no_error() -> None:
     assert log.state[1, 3:].any()
     exact = exact_loop(log.state[:, 3:].tolist(), [[0.0, 0.0, 0.0]] * STEPS)
     cell = Cell("closed_loop", case.files, "daqp", "native", "warm", "high", STEPS)
-    metrics = evaluate_log(cell, log, exact).metrics
+    metrics = evaluate_loop_log(cell, log, exact).metrics
     assert metrics["r_max_m"] == metrics["heading_max_deg"] == 0.0
     assert metrics["closed_loop_cost"] == metrics["exact_cost"] == 0.0

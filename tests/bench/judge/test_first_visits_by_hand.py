@@ -8,7 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.bench.judge.answer_caching import caching_metrics, is_remembered, with_loop_ratio
+from dpbench.bench.judge.answer_caching import (
+    add_loop_ratios,
+    compute_caching_metrics,
+    is_answer_cached,
+)
 from dpbench.bench.record.raw_log import COUNTERS
 
 NAN = math.nan
@@ -26,7 +30,7 @@ NAN = math.nan
     ],
 )
 def test_limits_of_figures(figures: tuple[float, float, float, float], remembered: bool) -> None:
-    assert is_remembered(*figures) is remembered
+    assert is_answer_cached(*figures) is remembered
 
 
 def _log(first: list[float], *rounds: list[float], warm_up: int = 0, **columns: Any) -> Any:
@@ -53,7 +57,7 @@ def _log(first: list[float], *rounds: list[float], warm_up: int = 0, **columns: 
 
 
 def _metrics(log: Any) -> tuple[float, float]:
-    found = caching_metrics(log)
+    found = compute_caching_metrics(log)
     return found["first_visit_ratio"], found["first_visit_excess"]
 
 
@@ -184,23 +188,23 @@ REPLAY = {"mode": "replay", "raw_p50_ns": 2.0, "raw_p90_ns": 8.0}
     ],
 )
 def test_the_longest_loop_is_compared(loop: dict[str, Any], ratios: tuple[float, float]) -> None:
-    found = with_loop_ratio(_rows({}, REPLAY, loop))
+    found = add_loop_ratios(_rows({}, REPLAY, loop))
     assert found.loc[1, ["loop_ratio", "loop_tail_ratio"]].to_list() == list(ratios)
     assert found.loc[[0, 2], ["loop_ratio", "loop_tail_ratio"]].isna().all().all()
 
 
 def test_loop_ratios_without_their_columns() -> None:
     columns = ["loop_ratio", "loop_tail_ratio"]
-    assert with_loop_ratio(_rows(REPLAY))[columns].isna().all().all()
+    assert add_loop_ratios(_rows(REPLAY))[columns].isna().all().all()
     assert (
-        with_loop_ratio(_rows({}, REPLAY).drop(columns="failed_steps"))[columns].isna().all().all()
+        add_loop_ratios(_rows({}, REPLAY).drop(columns="failed_steps"))[columns].isna().all().all()
     )
-    found = with_loop_ratio(_rows({}, REPLAY).drop(columns="raw_p90_ns"))
+    found = add_loop_ratios(_rows({}, REPLAY).drop(columns="raw_p90_ns"))
     assert found.loc[1, "loop_ratio"] == 5.0 and found["loop_tail_ratio"].isna().all()
 
 
 def test_a_cascade_is_compared_by_its_controller() -> None:
-    found = with_loop_ratio(_rows({"controller_p50_ns": 4.0}, REPLAY))
+    found = add_loop_ratios(_rows({"controller_p50_ns": 4.0}, REPLAY))
     assert found.loc[1, ["loop_ratio", "loop_tail_ratio"]].to_list() == [2.0, 2.5]
-    found = with_loop_ratio(_rows({"controller_p50_ns": NAN}, REPLAY))
+    found = add_loop_ratios(_rows({"controller_p50_ns": NAN}, REPLAY))
     assert found.loc[1, "loop_ratio"] == 5.0

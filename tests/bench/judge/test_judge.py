@@ -11,7 +11,7 @@ import pytest
 
 from dpbench import load_scenario, open_workspace, record_sequence, replay
 from dpbench.bench.judge.closed_loop import EVALUATION
-from dpbench.bench.judge.replay import evaluate_sequence
+from dpbench.bench.judge.replay import evaluate_replay_log
 from dpbench.bench.record.cell import Formulation
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.run.exact_loop import ExactWorkspace
@@ -223,6 +223,6 @@ def test_the_status_is_part_of_an_answer() -> None:
     log.z[:], log.y[:], log.y_box[:] = -sequence.q, 0.0, 0.0
     log.status[:, 0] = (Status.SOLVED, Status.SOLVED, Status.PRIMAL_INFEASIBLE)
     log.done[:] = 1
-    evaluated = evaluate_sequence(log, sequence, 1.0)
+    evaluated = evaluate_replay_log(log, sequence, 1.0)
     assert evaluated.columns["evaluations"][:, EVALUATION.index("true")].tolist() == [1.0, 1.0, 0.0]
     assert evaluated.metrics["bit_identical_share"] == 0.0

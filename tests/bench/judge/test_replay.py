@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
-from dpbench.bench.judge.replay import evaluate_sequence, repeatability
+from dpbench.bench.judge.replay import evaluate_replay_log, measure_repeatability
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.qp.program import QPSequence, QuadraticProgram, Units
 from dpbench.qp.referee.referee import certify
@@ -45,7 +45,7 @@ def test_each_answer_is_judged_in_its_round_and_step() -> None:
     log = log_of([[1.5, 2.0], [], [1.0, 2.0, 2.75]])
     log.reference_kernel_ns[:] = np.arange(3.0)[:, np.newaxis]
     log.load_kernel_ns[:] = np.arange(3.0)[:, np.newaxis, np.newaxis]
-    found = evaluate_sequence(log, sequence(), 0.3)
+    found = evaluate_replay_log(log, sequence(), 0.3)
     assert found.columns["repeat"].tolist() == [0, 0, 2, 2, 2]
     assert found.columns["k"].tolist() == [0, 1, 0, 1, 2]
     assert figure(found, "error_move") == [0.5, 0.0, 0.0, 0.0, 0.25]
@@ -58,19 +58,19 @@ def test_each_answer_is_judged_in_its_round_and_step() -> None:
 
 def test_the_times_are_those_of_the_recorded_run() -> None:
     """Every second step from the fifth on, 0.3 s apart: 1.5, 2.1 and 2.7 s."""
-    found = evaluate_sequence(log_of([[], [1.0, 2.0, 3.0]]), sequence(), 0.3)
+    found = evaluate_replay_log(log_of([[], [1.0, 2.0, 3.0]]), sequence(), 0.3)
     np.testing.assert_allclose(found.columns["t_s"], [1.5, 2.1, 2.7], rtol=1e-15)
     clock = [found.metrics[name] for name in ("sample_s", "first_sample", "every_sample")]
     assert clock == [0.3, 5.0, 2.0]
     plain = replace(sequence(), meta={})
-    found = evaluate_sequence(log_of([[], [1.0, 2.0, 3.0]]), plain, 0.5)
+    found = evaluate_replay_log(log_of([[], [1.0, 2.0, 3.0]]), plain, 0.5)
     assert found.columns["t_s"].tolist() == [0.0, 0.5, 1.0]
     assert (found.metrics["first_sample"], found.metrics["every_sample"]) == (0.0, 1.0)
 
 
 def test_without_judging_nothing_is_said() -> None:
     log = log_of([[1.0], [1.0, 2.0, 3.0]])
-    found = evaluate_sequence(log, sequence(), 0.3, judged=False)
+    found = evaluate_replay_log(log, sequence(), 0.3, judged=False)
     assert np.isnan(found.columns["evaluations"]).all() and kinds(found) == ["none"] * 4
     assert found.columns["k"].tolist() == [0, 0, 1, 2]
     assert found.metrics["bit_identical_share"] == 1.0
@@ -83,7 +83,7 @@ def test_given_optima_are_those_that_count() -> None:
         for k, kind in enumerate(("gap", "rational", "linear"))
     ]
     log = log_of([[1.0, 2.0], [1.0, 3.0, 5.0]])
-    found = evaluate_sequence(log, qps, 0.3, optima)
+    found = evaluate_replay_log(log, qps, 0.3, optima)
     assert figure(found, "error_move") == [1.0, 1.0, 1.0, 2.0, 3.0]
     assert kinds(found) == ["gap", "rational", "gap", "rational", "linear"]
 
@@ -93,7 +93,7 @@ def test_answers_in_other_units_are_judged_in_scaled_ones() -> None:
     scaled = sequence()
     own = replace(sequence(4.0), scaled=scaled, units=Units(np.array([0.25]), np.ones(1)))
     log = log_of([[0.25, 0.5], [0.25, 0.625, 0.75]])
-    found = evaluate_sequence(log, own, 0.3)
+    found = evaluate_replay_log(log, own, 0.3)
     assert figure(found, "error_move") == [0.0, 0.0, 0.0, 0.5, 0.0]
     assert figure(found, "dual") == [0.0, 0.0, 0.0, 0.5, 0.0]
     assert figure(found, "dual_own") == [0.0, 0.0, 0.0, 2.0, 0.0]
@@ -104,13 +104,13 @@ def test_answers_in_other_units_are_judged_in_scaled_ones() -> None:
 def test_matrices_of_a_step_hold_for_its_answers_alone() -> None:
     """The curvature doubles at step 1 only: the optima are 1, 1 and 3."""
     P = np.array([1.0, 2.0, 1.0])[:, np.newaxis, np.newaxis]
-    found = evaluate_sequence(log_of([[], [1.0, 1.0, 3.0]]), replace(sequence(), P=P), 0.3)
+    found = evaluate_replay_log(log_of([[], [1.0, 1.0, 3.0]]), replace(sequence(), P=P), 0.3)
     assert figure(found, "error_move") == [0.0, 0.0, 0.0] and figure(found, "true") == [1.0] * 3
 
 
 def test_a_replay_that_never_began_has_no_rows() -> None:
     for answers in ([[], []], [[]]):
-        found = evaluate_sequence(log_of(answers), sequence(), 0.3)
+        found = evaluate_replay_log(log_of(answers), sequence(), 0.3)
         assert all(len(found.columns[name]) == 0 for name in ("k", "t_s", "times"))
         assert found.columns["evaluations"].shape == (0, len(EVALUATION))
 
@@ -129,7 +129,7 @@ def alike(rounds: int = 3, steps: int = 4) -> RawLog:
 def test_rounds_that_are_alike_are_identical() -> None:
     log = alike()
     log.z[:, 2] = np.nan
-    assert repeatability(log, ONES) == {
+    assert measure_repeatability(log, ONES) == {
         "bit_identical_share": 1.0,
         "answer_spread_max": 0.0,
         "iterations_identical_share": 1.0,
@@ -141,7 +141,7 @@ def test_the_last_bit_counts_and_so_does_the_sign_of_zero() -> None:
     log = alike()
     log.z[2, 1, 0] = np.nextafter(2.0, 3.0)
     log.z[1, 0, 0] = -0.0
-    found = repeatability(log, ONES)
+    found = measure_repeatability(log, ONES)
     assert found["bit_identical_share"] == 0.5
     assert found["answer_spread_max"] == np.spacing(2.0)
 
@@ -151,7 +151,7 @@ def test_spreads_are_the_largest_and_in_scaled_units() -> None:
     log = alike()
     log.z[2, 3, 1] += 3.0
     log.iterations[:, 3] = (5, 9, 3)
-    found = repeatability(log, np.array([1.0, 2.0]))
+    found = measure_repeatability(log, np.array([1.0, 2.0]))
     assert found["answer_spread_max"] == 1.5
     assert (found["iterations_identical_share"], found["iterations_spread"]) == (0.75, 6.0)
 
@@ -159,7 +159,7 @@ def test_spreads_are_the_largest_and_in_scaled_units() -> None:
 def test_an_answer_that_is_missing_once_is_not_the_same() -> None:
     log = alike()
     log.z[1, 0] = np.nan
-    found = repeatability(log, ONES)
+    found = measure_repeatability(log, ONES)
     assert (found["bit_identical_share"], found["answer_spread_max"]) == (0.75, 0.0)
 
 
@@ -168,10 +168,10 @@ def test_only_what_was_recorded_is_compared() -> None:
     log.done[0] = 2
     log.z[0, 2:] = 99.0
     log.iterations[0, 2:] = 99
-    assert repeatability(log, ONES)["bit_identical_share"] == 1.0
-    assert repeatability(log, ONES)["iterations_spread"] == 0.0
+    assert measure_repeatability(log, ONES)["bit_identical_share"] == 1.0
+    assert measure_repeatability(log, ONES)["iterations_spread"] == 0.0
     log.done[0] = 0
-    assert all(np.isnan(value) for value in repeatability(log, ONES).values())
+    assert all(np.isnan(value) for value in measure_repeatability(log, ONES).values())
 
 
 @pytest.mark.parametrize("counts", [(-1, -1, -1), (-1, 4, 4)])
@@ -181,5 +181,5 @@ def test_a_solver_that_does_not_count_has_no_repeatability(
     """−1 is no number of iterations."""
     log = alike(steps=1)
     log.iterations[:, 0] = counts
-    found = repeatability(log, ONES)
+    found = measure_repeatability(log, ONES)
     assert np.isnan(found["iterations_identical_share"]) and np.isnan(found["iterations_spread"])

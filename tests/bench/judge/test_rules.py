@@ -10,9 +10,9 @@ import pytest
 from dpbench.analysis.records.step_times import times_by_run
 from dpbench.bench.judge import rules
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
-from dpbench.bench.judge.replay import evaluate_sequence
-from dpbench.bench.judge.rows import run_row, step_rows
-from dpbench.bench.judge.step_columns import step_columns
+from dpbench.bench.judge.replay import evaluate_replay_log
+from dpbench.bench.judge.rows import make_run_row, make_step_rows
+from dpbench.bench.judge.step_columns import make_step_columns
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import PHASES, RawLog, replay_layout
 from dpbench.bench.record.schema import as_runs
@@ -48,14 +48,14 @@ def _sequence() -> QPSequence:
 def _tables(evaluated: EvaluatedCell) -> tuple[pd.DataFrame, Any]:
     configuration = {"name": "made up"}, "planted", "native", "fresh", "default", STEPS
     cell = Cell("replay", *configuration, rounds=3)
-    steps = step_columns(cell, evaluated)
+    steps = make_step_columns(cell, evaluated)
     outcome, library = Outcome("finished", ""), Availability(True)
-    row = run_row("planted", cell, outcome, library, "", evaluated, steps)
-    return step_rows("planted", steps), as_runs(pd.DataFrame([row])).iloc[0]
+    row = make_run_row("planted", cell, outcome, library, "", evaluated, steps)
+    return make_step_rows("planted", steps), as_runs(pd.DataFrame([row])).iloc[0]
 
 
 def _judged(log: RawLog) -> EvaluatedCell:
-    return evaluate_sequence(log, _sequence(), 0.3)
+    return evaluate_replay_log(log, _sequence(), 0.3)
 
 
 @pytest.mark.parametrize(
@@ -85,18 +85,18 @@ def test_a_replay_that_ended_in_its_warm_up_has_no_figures() -> None:
 def test_a_round_is_disturbed_beyond_the_factor_of_the_best_kernel_seen() -> None:
     """Kernels of 4 and at most 5 are calm, 5.01 is not; one that was never timed spoils nothing."""
     kernel_ns = np.array([[4.0, 5.0], [5.0, 5.0], [4.0, 5.01], [0.0, 4.5], [0.0, 0.0]])
-    assert rules.is_disturbed(kernel_ns).nonzero()[0].tolist() == [2]
-    assert not rules.is_disturbed(np.zeros((5, 2))).any()
+    assert rules.mask_disturbed_rounds(kernel_ns).nonzero()[0].tolist() == [2]
+    assert not rules.mask_disturbed_rounds(np.zeros((5, 2))).any()
 
 
 def test_rounds_that_count_are_those_undisturbed_while_there_are_any() -> None:
     """Rounds 0 1 1 2 2: of round 1 disturbed, of both disturbed, of none; a warm-up alone."""
     repeat = np.array([0, 1, 1, 2, 2], dtype=np.int32)
     no, yes = False, True
-    assert rules.counting_rows(repeat, repeat == 1).tolist() == [no, no, no, yes, yes]
-    assert rules.counting_rows(repeat, repeat >= 0).tolist() == [no, yes, yes, yes, yes]
-    assert rules.counting_rows(repeat, repeat > 2).tolist() == [no, yes, yes, yes, yes]
-    assert not rules.counting_rows(0 * repeat, repeat == 1).any()
+    assert rules.mask_counted_rows(repeat, repeat == 1).tolist() == [no, no, no, yes, yes]
+    assert rules.mask_counted_rows(repeat, repeat >= 0).tolist() == [no, yes, yes, yes, yes]
+    assert rules.mask_counted_rows(repeat, repeat > 2).tolist() == [no, yes, yes, yes, yes]
+    assert not rules.mask_counted_rows(0 * repeat, repeat == 1).any()
 
 
 def _certified(kind: str, count: int, log: RawLog) -> EvaluatedCell:
@@ -147,11 +147,11 @@ def test_an_answer_that_is_not_finite_fails_with_a_certificate_or_without() -> N
 
 @pytest.mark.parametrize(("percent", "needed"), [(50, 20), (95, 200), (99, 1000), (99.9, 10_000)])
 def test_a_percentile_needs_ten_samples_beyond_it(percent: float, needed: int) -> None:
-    assert rules.supports_percentile(needed, percent) and not rules.supports_percentile(
-        needed - 1, percent
-    )
-    assert np.isfinite(rules.percentile(np.arange(float(needed)), percent))
-    assert np.isnan(rules.percentile(np.arange(needed - 1.0), percent))
+    assert rules.has_enough_samples_for_percentile(
+        needed, percent
+    ) and not rules.has_enough_samples_for_percentile(needed - 1, percent)
+    assert np.isfinite(rules.percentile_or_nan(np.arange(float(needed)), percent))
+    assert np.isnan(rules.percentile_or_nan(np.arange(needed - 1.0), percent))
 
 
 def test_a_limit_violated_by_rounding_is_charged_to_nobody() -> None:
@@ -162,7 +162,7 @@ def test_a_limit_violated_by_rounding_is_charged_to_nobody() -> None:
     base = replace(sequence.base, lb=low[0], ub=high)
     sequence = replace(sequence, base=base, lb=low, ub=np.zeros((STEPS, N)))
     for status in (Status.SOLVED, Status.PRIMAL_INFEASIBLE):
-        _, run = _tables(evaluate_sequence(_log([CALM] * 3, [status] * 6), sequence, 0.3))
+        _, run = _tables(evaluate_replay_log(_log([CALM] * 3, [status] * 6), sequence, 0.3))
         assert (run["undecided_steps"], run["uncertified"], run["infeasible_steps"]) == (12, 0, 0)
         assert (run["claimed_not_true"], run["failed_steps"], run["true_share"]) == (0, 0, 1.0)
     exact = ExactWorkspace()
@@ -178,23 +178,25 @@ def test_an_answer_is_unusable_by_its_status_or_its_numbers() -> None:
         "error_plan": np.array([0.1, np.inf, np.nan, 0.3, np.nan]),
         "primal": np.array([0.1, 0.2, np.inf, 0.3, 0.0]),
     }
-    assert rules.unusable_steps(steps).tolist() == [True, True, True, False, False]
+    assert rules.mask_unusable_steps(steps).tolist() == [True, True, True, False, False]
 
 
 def test_the_error_of_a_cascade_is_the_larger_known_one() -> None:
     alone = {"error_move": np.array([0.1, 0.3, np.nan])}
-    np.testing.assert_array_equal(rules.first_move_errors(alone), [0.1, 0.3, np.nan])
+    np.testing.assert_array_equal(rules.compute_first_move_errors(alone), [0.1, 0.3, np.nan])
     both = alone | {"allocation_error": np.array([0.2, np.nan, 0.4])}
-    assert rules.first_move_errors(both).tolist() == [0.2, 0.3, 0.4]
+    assert rules.compute_first_move_errors(both).tolist() == [0.2, 0.3, 0.4]
 
 
 def test_medians_and_maxima_are_of_what_is_there() -> None:
     values = [np.nan, 3.0, 1.0, np.nan, 8.0]
-    assert (rules.median_known(values), rules.largest_known(values)) == (3.0, 8.0)
-    assert rules.largest_known([-2.0, -3.0]) == -2.0
-    assert rules.median_known([7.0]) == rules.largest_known([7.0]) == 7.0
+    assert (rules.median_of_known(values), rules.maximum_of_known(values)) == (3.0, 8.0)
+    assert rules.maximum_of_known([-2.0, -3.0]) == -2.0
+    assert rules.median_of_known([7.0]) == rules.maximum_of_known([7.0]) == 7.0
     for nothing in ([], [np.nan]):
-        assert np.isnan(rules.median_known(nothing)) and np.isnan(rules.largest_known(nothing))
+        assert np.isnan(rules.median_of_known(nothing)) and np.isnan(
+            rules.maximum_of_known(nothing)
+        )
 
 
 # Certificate, status, claimed, true, fallback, unconverged; what the step then counts as.
@@ -226,15 +228,15 @@ def test_each_kind_of_step_is_charged_as_the_method_states(as_table: bool) -> No
     columns |= dict.fromkeys(("error_plan", "primal"), np.zeros(len(CASES)))
     steps = pd.DataFrame(columns) if as_table else columns
     found = {
-        "unknown": ~rules.decided_steps(steps),
-        "failed": rules.failed_steps(steps),
-        "claimed_not_true": rules.claimed_not_true(steps),
-        "true_not_claimed": rules.true_not_claimed(steps),
+        "unknown": ~rules.mask_decided_steps(steps),
+        "failed": rules.mask_failed_steps(steps),
+        "claimed_not_true": rules.mask_claimed_not_true(steps),
+        "true_not_claimed": rules.mask_true_not_claimed(steps),
     }
     for i, (case, expected) in enumerate(CASES.items()):
         assert {name for name, flags in found.items() if flags[i]} == set(expected.split()), case
     of_no_use = [case[1] in ("PRIMAL_INFEASIBLE", "ERROR") for case in CASES]
-    assert rules.unusable_steps(steps).tolist() == of_no_use
+    assert rules.mask_unusable_steps(steps).tolist() == of_no_use
 
 
 @pytest.mark.parametrize(
@@ -249,4 +251,4 @@ def test_each_kind_of_step_is_charged_as_the_method_states(as_table: bool) -> No
 )
 def test_switches_explain_late_timings(switches: float, timed_share: float, explained: int) -> None:
     """A share of 1 % is hit by 4 % of the switches, plus three standard deviations."""
-    assert rules.explained_late_timings(switches, timed_share) == explained
+    assert rules.count_explained_late_timings(switches, timed_share) == explained

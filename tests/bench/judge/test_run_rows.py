@@ -9,8 +9,8 @@ import pytest
 
 from dpbench.bench.judge import timing
 from dpbench.bench.judge.closed_loop import EvaluatedCell
-from dpbench.bench.judge.rows import run_row, step_rows
-from dpbench.bench.judge.rules import is_ranked
+from dpbench.bench.judge.rows import make_run_row, make_step_rows
+from dpbench.bench.judge.rules import has_comparable_times
 from dpbench.bench.record.cell import Cell, Outcome, RecordedSource
 from dpbench.bench.record.schema import MISSING_INT
 from dpbench.bench.run.slow_computer import ComputationalDelay
@@ -32,7 +32,7 @@ def flags(text: str) -> np.ndarray:
 
 def row_of(cell: Cell, steps: Any = None, judged: Any = None, **given: Any) -> dict[str, Any]:
     outcome = Outcome("finished", "", "dense", 15, 12)
-    return run_row("a1", cell, outcome, Availability(True), "m", judged, steps, **given)
+    return make_run_row("a1", cell, outcome, Availability(True), "m", judged, steps, **given)
 
 
 def loop_steps(**columns: Any) -> dict[str, Any]:
@@ -205,14 +205,16 @@ def test_a_cell_without_steps_has_its_identity_only() -> None:
     assert "r_rms_m" not in row and "raw_p50_ns" not in row
     # A sequence from elsewhere has no horizons, and a solver that refused got no QP.
     elsewhere = replace(REPLAY, source=RecordedSource("r"))
-    row = run_row("a1", elsewhere, Outcome("refused", "no"), Availability(True), "m", None, None)
+    row = make_run_row(
+        "a1", elsewhere, Outcome("refused", "no"), Availability(True), "m", None, None
+    )
     assert all(row[name] is pd.NA for name in ("N_p", "N_c", "n", "m"))
 
 
 def test_numbers_that_are_absent_are_null_in_the_table_of_steps() -> None:
     """An integer of −1 is a missing number; a latency of 0 is one."""
     steps = {"k": np.array([0, 1]), "latency_ns": np.array([0, MISSING_INT])}
-    table = step_rows("a1", steps | {"n_m": np.array([1.0, NAN])})
+    table = make_step_rows("a1", steps | {"n_m": np.array([1.0, NAN])})
     assert table["run_id"].tolist() == ["a1", "a1"] and table["k"].tolist() == [0, 1]
     assert table["latency_ns"].isna().tolist() == [False, True]
     assert table["latency_ns"].iloc[0] == 0 and table["n_m"].iloc[0] == 1.0
@@ -226,17 +228,17 @@ def test_half_a_nanosecond_is_rounding() -> None:
         "total_ns": np.array([101, 101, 101]),
         "latency_ns": np.array([151, 152, 150]),
     }
-    assert timing.deadline_metrics(steps, 1.5)["interrupted"] == 1
+    assert timing.compute_deadline_metrics(steps, 1.5)["interrupted"] == 1
 
 
 def test_an_answer_exactly_in_time_is_not_late() -> None:
     """An answer at the budget of 1000 ns is in time; a step without a computation is late."""
     took = np.array([1000, 1001, 999, 3000])
-    plain = timing.deadline_columns(ComputationalDelay(0.0, 1000, 2000), took, took)
+    plain = timing.make_deadline_columns(ComputationalDelay(0.0, 1000, 2000), took, took)
     assert plain["late"].tolist() == [False, True, False, True]
     assert "latency_ns" not in plain
     latency = np.array([1000, 1001, 999, -7, -1, 0])
-    slow = timing.deadline_columns(
+    slow = timing.make_deadline_columns(
         ComputationalDelay(2.0, 1000, 2000), latency, np.array([9000] * 6)
     )
     assert slow["late"].tolist() == [False, True, False, True, True, False]
@@ -247,7 +249,7 @@ def test_an_answer_exactly_in_time_is_not_late() -> None:
     ("row", "longest"), [("", 0), ("0", 0), ("1", 1), ("1101", 2), ("0111", 3), ("10111101", 4)]
 )
 def test_longest_run_of_flags(row: str, longest: int) -> None:
-    assert timing.longest_streak(flags(row)) == longest
+    assert timing.length_of_longest_streak(flags(row)) == longest
 
 
 @pytest.mark.parametrize(
@@ -265,7 +267,7 @@ def test_longest_run_of_flags(row: str, longest: int) -> None:
     ],
 )
 def test_steps_to_the_next_good_one(bad: str, good: str, steps: int | None) -> None:
-    assert timing.steps_to_recover(flags(bad), flags(good)) == steps
+    assert timing.count_steps_to_recover(flags(bad), flags(good)) == steps
 
 
 @pytest.mark.parametrize(
@@ -273,4 +275,4 @@ def test_steps_to_the_next_good_one(bad: str, good: str, steps: int | None) -> N
     [(1.0, "a", True), (2.0, "a", False), (1.0, "b", False), (NAN, "b", True), (1.5, "a", False)],
 )
 def test_times_taken_alone_are_ranked(concurrency: float, machine: str, ranked: bool) -> None:
-    assert is_ranked(concurrency, machine, "a") is ranked
+    assert has_comparable_times(concurrency, machine, "a") is ranked

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
-from dpbench.bench.judge.step_columns import step_columns
+from dpbench.bench.judge.step_columns import make_step_columns
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import PHASES
 from dpbench.bench.record.schema import MISSING_INT
@@ -64,7 +64,7 @@ def loop(slowdown: float = 0.0, deadline_s: float = 0.0, **columns: Any) -> dict
     evaluated = EvaluatedCell(of_qps(STEP_TIMES, **figures) | of_ship | columns, {})
     delay = {"slowdown": slowdown, "deadline_s": deadline_s}
     cell = Cell("closed_loop", PAPER, steps=3, **delay, **CONFIGURATION)
-    return step_columns(cell, evaluated)
+    return make_step_columns(cell, evaluated)
 
 
 def test_what_an_answer_claims_and_took() -> None:
@@ -162,7 +162,7 @@ def test_replay_rounds(kernels: list[float], disturbed: list[bool], counts: list
         "t_s": np.zeros(3),
         "reference_kernel_ns": np.array(kernels)[:, np.newaxis] * [1.0, 1.0],
     }
-    steps = step_columns(REPLAY, EvaluatedCell(columns, {}))
+    steps = make_step_columns(REPLAY, EvaluatedCell(columns, {}))
     assert steps["warmup"].tolist() == [True, False, False]
     assert steps["disturbed"].tolist() == disturbed and steps["counts"].tolist() == counts
     assert steps["unconverged"].tolist() == [False, True, False]

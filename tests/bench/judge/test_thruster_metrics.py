@@ -6,7 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from dpbench.bench.judge.thruster_metrics import shares_of_full, thruster_metrics
+from dpbench.bench.judge.thruster_metrics import (
+    compute_thruster_metrics,
+    compute_used_thrust_and_power_shares,
+)
 from dpbench.mpc.thruster_rows import Limits, thruster_rows
 from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning
 from dpbench.scenario.controllers.commanded import ThrusterControl, TurningThrusterControl
@@ -48,13 +51,13 @@ def metrics_of(
     tables = [np.vstack([np.broadcast_to(s, (len(f), 4)), np.zeros((1, 4))]) for s in sides]
     states = [np.zeros(3, dtype=bool)] * (len(f) - 1) + [np.isin(np.arange(3), lost)] * 2
     limits = [Limits(*of_step) for of_step in zip(*tables, states, strict=True)]
-    return thruster_metrics(ship(turning), np.array(f, dtype=float), limits)
+    return compute_thruster_metrics(ship(turning), np.array(f, dtype=float), limits)
 
 
 def test_shares_of_full_thrust_and_power() -> None:
     """Forces of 25, 16 and 81 N of 100, 25 and 400 N have powers of 125, 64 and 729."""
     f = [[15, -20, -16, 81], [0, 0, 0, 0]]
-    of_steps = shares_of_full(ship(), np.array(f, dtype=float))
+    of_steps = compute_used_thrust_and_power_shares(ship(), np.array(f, dtype=float))
     # 122/525, and 918 of 1000 + 125 + 8000
     assert of_steps["thrust_share"] == pytest.approx([122 / 525, 0.0])
     assert of_steps["power_share"] == pytest.approx([918 / 9125, 0.0])
@@ -101,7 +104,7 @@ def test_travel_of_all_azimuths_is_added_up() -> None:
     control = ThrusterControl(three, thruster_rows(three, 4), np.eye(6))
     f = np.array([[10.0, 0, 0, 10, 5, 0], [0, 10, 10, 0, 5, 0], [0, 10, 0, -10, 5, 0]])
     limits = [Limits(np.full(6, -1e3), np.full(6, 1e3), np.zeros(3, dtype=bool))] * 3
-    found = thruster_metrics(thruster_ship(control), f, limits)
+    found = compute_thruster_metrics(thruster_ship(control), f, limits)
     assert found["azimuth_travel_deg"] == pytest.approx(270.0)
 
 
@@ -143,7 +146,7 @@ def test_a_lost_thruster_is_at_no_limit() -> None:
     limits = [ROWS.limits_after_loss({1})] * 2
     for main, share in ((0.0, 0.0), (400.0, 0.5)):
         run = np.array([[0, 0, 0, main], [0, 0, 0, 0]])
-        assert thruster_metrics(ship(), run, limits)["at_limit_thrusters"] == share
+        assert compute_thruster_metrics(ship(), run, limits)["at_limit_thrusters"] == share
 
 
 @pytest.mark.parametrize(

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from dpbench.bench.judge.closed_loop import EvaluatedCell
-from dpbench.bench.judge.rules import counting_rows, select_rows
+from dpbench.bench.judge.rules import mask_counted_rows, select_step_rows
 from dpbench.bench.judge.timing import (
+    average_load_test_ns,
+    compute_timing_percentiles,
     find_disturbed_rounds,
-    load_kernel_time_ns,
-    reference_kernel_median,
-    timing_metrics,
+    median_reference_kernel_ns,
 )
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.schema import MISSING_INT
@@ -43,8 +43,8 @@ def replayed(slowed: tuple[int, ...] = (0, 2), **columns: Any) -> dict[str, Any]
         | columns,
         {},
     )
-    counting = select_rows(steps, counting_rows(repeat, disturbed))
-    return timing_metrics(REPLAY, evaluated, counting)
+    counting = select_step_rows(steps, mask_counted_rows(repeat, disturbed))
+    return compute_timing_percentiles(REPLAY, evaluated, counting)
 
 
 def test_the_algorithmic_time_is_the_minimum_over_the_rounds_that_count() -> None:
@@ -109,7 +109,7 @@ def looped(**columns: Any) -> dict[str, Any]:
         "overhead_ns": np.full(20, MISSING_INT),
     }
     evaluated = EvaluatedCell({"setup_once_ns": np.array([3]), "matrix_updates": np.array([2])}, {})
-    return timing_metrics(LOOP, evaluated, steps | columns)
+    return compute_timing_percentiles(LOOP, evaluated, steps | columns)
 
 
 def test_the_times_of_a_loop_are_those_of_its_steps() -> None:
@@ -138,7 +138,9 @@ def rounds_of(repeat: Any, k: Any, total_ns: Any) -> dict[str, Any]:
     kernels = {"reference_kernel_ns": np.ones((2, 2)), "load_kernel_ns": np.ones((2, 1, 1))}
     once = {"setup_once_ns": np.array([0]), "matrix_updates": np.array([0])}
     steps = {"repeat": repeat, "k": k, "total_ns": total_ns, "disturbed": repeat > 2}
-    return timing_metrics(REPLAY, EvaluatedCell(kernels | once | {"repeat": repeat}, {}), steps)
+    return compute_timing_percentiles(
+        REPLAY, EvaluatedCell(kernels | once | {"repeat": repeat}, {}), steps
+    )
 
 
 def test_many_steps_of_a_replay_carry_percentiles() -> None:
@@ -159,6 +161,6 @@ def test_a_round_that_ended_early_leaves_its_later_steps_to_the_others() -> None
 
 
 def test_a_kernel_that_was_not_timed_is_no_time() -> None:
-    assert reference_kernel_median({"reference_kernel_ns": np.array([[0.0, 1.0]])}) == 1.0
+    assert median_reference_kernel_ns({"reference_kernel_ns": np.array([[0.0, 1.0]])}) == 1.0
     load = {"repeat": np.array([1, 2]), "load_kernel_ns": np.array([[[1.0, 2.0]], [[3.0, 0.0]]])}
-    assert load_kernel_time_ns(load, np.array([1, 2])) == pytest.approx(np.sqrt(2.0))
+    assert average_load_test_ns(load, np.array([1, 2])) == pytest.approx(np.sqrt(2.0))

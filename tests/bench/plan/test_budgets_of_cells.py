@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from dpbench import load_scenario
-from dpbench.bench.judge.rows import run_row
+from dpbench.bench.judge.rows import make_run_row
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import ClosedLoopTable, RandomTable, ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell, HardestSource, Outcome
@@ -112,7 +112,7 @@ def test_without_a_deadline_a_step_has_its_sample(deadline_s: float, budget_ns: 
 
 
 def recorded_deadline_s(cell: Cell) -> float:
-    row = run_row("run", cell, Outcome("refused", ""), Availability(True), "", None, None)
+    row = make_run_row("run", cell, Outcome("refused", ""), Availability(True), "", None, None)
     return float(row["deadline_s"])
 
 

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from dpbench.bench.judge.rows import step_rows
+from dpbench.bench.judge.rows import make_step_rows
 from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.record import cell_store
 from dpbench.bench.record.cell_store import CellStore, StepFile
@@ -109,7 +109,7 @@ def test_steps_come_back_bit_for_bit(tmp_path: Path) -> None:
     file.add(concat_steps({"a": step_batch(steps)}))
     file.close()
     found = as_steps(read_steps(tmp_path, list(STEP_COLUMNS)).to_pandas())
-    pd.testing.assert_frame_equal(found, step_rows("a", steps), check_exact=True)
+    pd.testing.assert_frame_equal(found, make_step_rows("a", steps), check_exact=True)
 
 
 def test_only_the_runs_and_columns_that_are_asked_for(tmp_path: Path, monkeypatch: Any) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.bench.judge.thruster_metrics import thruster_metrics
+from dpbench.bench.judge.thruster_metrics import compute_thruster_metrics
 from dpbench.bench.record.cell import Formulation
 from dpbench.bench.record.raw_log import RawLog, loop_layout
 from dpbench.bench.run.backup import WARM_UP_SOLVES, Backup
@@ -87,4 +87,4 @@ def surge_steps(log: RawLog, scenario: Scenario) -> list[float]:
 
 def limit_violations(scenario: Scenario, log: RawLog) -> float:
     limits = QPBuilder(scenario).thruster_limits
-    return thruster_metrics(scenario, log.thrust, limits)["limit_violations"]
+    return compute_thruster_metrics(scenario, log.thrust, limits)["limit_violations"]

@@ -13,7 +13,7 @@ import pytest
 import quadprog
 
 from dpbench import open_workspace, run_closed_loop
-from dpbench.bench.judge.replay import evaluate_sequence
+from dpbench.bench.judge.replay import evaluate_replay_log
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import RawLog, log_bytes, loop_layout
 from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup, replay_parts
@@ -312,7 +312,7 @@ def test_the_allocations_are_a_sequence(case: Scenario, exact: ExactLoop, units:
         steps, solver, log, warmup_steps=5, limit_ns=NO_LIMIT_NS, clock=time.perf_counter_ns
     )
     assert run.run_round(0) and run.run_round(1)
-    evaluated = evaluate_sequence(log, sequence, case.sample_s, exact.allocated[7:27])
+    evaluated = evaluate_replay_log(log, sequence, case.sample_s, exact.allocated[7:27])
     errors = evaluated.columns["evaluations"]
     assert errors[:, 10].all()
     assert errors[:, 6].max() < 1e-8

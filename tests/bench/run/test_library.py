@@ -10,8 +10,8 @@ import pytest
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
 from dpbench.bench.capability.frontier import CapabilityPlot
-from dpbench.bench.judge.control_metrics import axis_limit_metrics, control_metrics
-from dpbench.bench.judge.thruster_metrics import thruster_metrics
+from dpbench.bench.judge.control_metrics import compute_axis_limit_metrics, compute_control_metrics
+from dpbench.bench.judge.thruster_metrics import compute_thruster_metrics
 from dpbench.bench.run.exact_loop import ExactLoop, rebuild_sequence, solve_exactly
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.qp.referee.optimum import Optimum
@@ -34,10 +34,10 @@ def exact(name: str) -> ExactLoop:
 def measured(scenario: Scenario, loop: ExactLoop) -> dict[str, float]:
     builder = QPBuilder(scenario)
     u = scenario.controller.select_applied(loop.tau, loop.thrust)
-    of_ship = control_metrics(scenario, loop.state, u, builder.reference, loop)
+    of_ship = compute_control_metrics(scenario, loop.state, u, builder.reference, loop)
     if scenario.controller.commanded is None:
-        return of_ship | axis_limit_metrics(scenario, loop.tau, builder.limits)
-    return of_ship | thruster_metrics(scenario, loop.thrust, builder.thruster_limits)
+        return of_ship | compute_axis_limit_metrics(scenario, loop.tau, builder.limits)
+    return of_ship | compute_thruster_metrics(scenario, loop.thrust, builder.thruster_limits)
 
 
 def metrics(name: str) -> dict[str, float]:
@@ -221,7 +221,9 @@ def test_the_weather_on_thrusters_is_the_largest_that_level_1_holds(name: str, n
     scenario = load_scenario(name)
     plot = CapabilityPlot(scenario.vessel)
     lost = [group for fault in scenario.files["scenario"]["faults"] for group in fault["lost"]]
-    (case,) = (case for case in plot.cases if [case.name] == (lost or ["intact"]))
+    (case,) = (
+        case for case in plot.intact_and_failure_cases if [case.name] == (lost or ["intact"])
+    )
     tables = scenario.files["scenario"]["environment"]
     assert plot.find_wind_limit(case, np.radians(tables["wind"]["from_deg"])).number == number
     waves = tables["waves"]

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
-from dpbench.bench.judge.closed_loop import EVALUATION, evaluate_log
+from dpbench.bench.judge.closed_loop import EVALUATION, evaluate_loop_log
 from dpbench.bench.plan.plan import plan
 from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
 from dpbench.bench.record.cell import SLOWEST, Cell
@@ -266,7 +266,7 @@ def test_a_model_that_turns_is_judged_on_the_steps_that_were_computed() -> None:
     cell = Cell(
         "closed_loop", scenario.files, "quadprog", "qpsolvers", "fresh", "", 150, slowdown=1.0
     )
-    evaluated = evaluate_log(cell, log, solve_exactly(scenario))
+    evaluated = evaluate_loop_log(cell, log, solve_exactly(scenario))
     move = evaluated.columns["evaluations"][:, EVALUATION.index("error_move")]
     assert (move[began] < 1e-9).all() and np.isnan(np.delete(move, began)).all()
     assert evaluated.metrics["matrix_steps"] > 1

@@ -313,7 +313,7 @@ def test_a_damaged_source_is_made_anew(copied: Path) -> None:
 
 @pytest.mark.parametrize("times", [1, 2])
 def test_a_source_damaged_later(times: int, copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    out, left, take = copied / "out", [times], Dispatcher._record_sources
+    out, left, take = copied / "out", [times], Dispatcher._note_made_sources
     forget_cells(out)
 
     def damaged(self: Dispatcher, results: Sequence[Result]) -> None:
@@ -323,7 +323,7 @@ def test_a_source_damaged_later(times: int, copied: Path, monkeypatch: pytest.Mo
         left[0] -= 1
 
     with monkeypatch.context() as patch:
-        patch.setattr(Dispatcher, "_record_sources", damaged)
+        patch.setattr(Dispatcher, "_note_made_sources", damaged)
         assert run(copied / "tiny.toml", out) == times - 1
     assert outcomes(out) == [["finished", "lost"][times - 1], "finished", "finished"]
     assert run(copied / "tiny.toml", out) == 0

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from dpbench.bench.judge.control_metrics import joint_limit_metrics
+from dpbench.bench.judge.control_metrics import compute_joint_limit_metrics
 from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.errors import InputError
@@ -207,7 +207,7 @@ def test_a_run_uses_what_there_is_and_no_more() -> None:
     thrusters = thrusters_of("ratownik")
     reach = [reach_by_linprog(thrusters, 4, force, set()) for force in tau[60::10]]
     assert min(reach) >= 1 - 1e-7
-    metrics = joint_limit_metrics(scenario, tau, QPBuilder(scenario).limits)
+    metrics = compute_joint_limit_metrics(scenario, tau, QPBuilder(scenario).limits)
     assert metrics["limit_violations"] == 0.0
     assert (metrics["at_limit_thrusters"] > 0.0) == (min(reach) < 1 + 1e-6)
     assert "at_amplitude_surge" not in metrics

@@ -12,8 +12,8 @@ import pytest
 from dpbench.bench.capability.table import (
     CAPABILITY_FILE,
     COLUMNS,
-    load_capability,
-    write_capability,
+    load_capability_plots,
+    write_capability_plots,
 )
 from dpbench.cli.main import main
 from dpbench.errors import ResultsError
@@ -64,13 +64,13 @@ def test_capability_plots_go_along(records: Any, tmp_path: Path) -> None:
     records.loop("daqp", steps=20)
     out, folder = records.write(tmp_path / "out"), tmp_path / "folder"
     row = ("plot", 0, "psv", 8, "intact", "", 0.0, 20.0, True, 20.0, 7)
-    write_capability(out, [{name: [value] for name, value in zip(COLUMNS, row, strict=True)}])
+    write_capability_plots(out, [{name: [value] for name, value in zip(COLUMNS, row, strict=True)}])
     assert main(["report", str(out), "--send", str(folder), "--quiet"]) == 0
     (folder / SENDER).write_text(SIGNED, encoding="utf-8")
     assert (folder / CAPABILITY_FILE).read_bytes() == (out / CAPABILITY_FILE).read_bytes()
     assert 'id="capability"' in (folder / "report.html").read_text("utf-8")
     check_sent_folder(folder)
-    load_capability(folder).assign(wind_mps=30.0).to_parquet(folder / CAPABILITY_FILE)
+    load_capability_plots(folder).assign(wind_mps=30.0).to_parquet(folder / CAPABILITY_FILE)
     with pytest.raises(ResultsError, match=r"a page of another capability\.parquet"):
         check_sent_folder(folder)
     (out / CAPABILITY_FILE).unlink()
