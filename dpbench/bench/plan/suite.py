@@ -256,7 +256,7 @@ class SuiteFile(FileModel):
     calibration: bool = False
     """Replays with the harness's own configurations, whose cost is known."""
     cell_limit_s: Positive = 5.0
-    """Run time of its own after which a cell stops [s]."""
+    """Run time, without waits for its core, after which a cell stops [s]."""
     cell_memory_gb: NotNegative = 0.0
     """Memory of its own that a cell's process may have [GB]; 0: 40 % of the machine's."""
     replay_budget_s: NotNegative = 0.0

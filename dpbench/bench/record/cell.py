@@ -173,7 +173,7 @@ class Cell:
     scenario : documents of the scenario (`Scenario.files`); empty where the QPs have none.
     first : first step of a replayed sequence, or of the stretch whose hardest steps are replayed.
     rounds, warmup_steps : of a replay: counting rounds, and steps of the round before them.
-    limit_s : the cell's own run time after which it stops.
+    limit_s : the cell's run time, without waits for its core, after which it stops.
     memory_gb : own memory of its process; 0 for the usual share of the machine's (`footprint.py`).
     budget_s, repeat_budget_s : of a replay: run time for all and for repeated rounds
         (`interleaved.py`); no limit of all for 0.

@@ -17,6 +17,7 @@ from dpbench.bench.run.actuation import build_actuation
 from dpbench.bench.run.backup import Backup, LoopWithBackup
 from dpbench.bench.run.fallback_policies import FALLBACKS, FallbackPolicy
 from dpbench.bench.run.formulation import QPBuilder
+from dpbench.bench.run.run_delay import RunLimit
 from dpbench.bench.run.slow_computer import ComputationalDelay, SlowComputer, Usage, never_preempted
 from dpbench.bench.run.timed_solver import Clock, TimedSolver, is_usable, record_answer
 from dpbench.mpc.law import UnconstrainedLaw
@@ -34,8 +35,9 @@ SolverReplacement = LoopWithBackup | SlowComputer
 class ClosedLoopSetup:
     """The parts of a closed loop: scenario, QP builder, solver, fallback, log and limits.
 
-    `fallback` acts without a usable answer; `limit_ns` of own run time end the run. `delay` is that
-    of a slow computer, None where the ship waits for each answer; `usage` counts preemptions there.
+    `fallback` acts without a usable answer; `limit_ns` of run time, without waits for the core, end
+    the run. `delay` is that of a slow computer, None where the ship waits for each answer; `usage`
+    counts preemptions there.
     `allocating` is the solver of a cascade's second QP; `drawn` the precomputed weather; `backup`
     the second solver.
     """
@@ -57,7 +59,7 @@ class ClosedLoopSetup:
 def closed_loop(setup: ClosedLoopSetup) -> bool:
     """Run a closed loop and record every step; return False when the time limit stopped it."""
     scenario, builder, log = setup.scenario, setup.builder, setup.log
-    clock, limit_ns, steps = setup.clock, setup.limit_ns, scenario.steps
+    clock, steps = setup.clock, scenario.steps
     plant = _build_plant(scenario)
     weather = scenario.environment
     sea = weather.stage_table(steps, scenario.sample_s, SUBSTEPS, setup.drawn)
@@ -81,7 +83,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     log.setup_once_ns[0] = solver.prepare()
     log.theta[:, theta.y_ref], log.theta[:, theta.one] = reference[:steps], 1.0
     log.state[0] = state
-    start_ns = clock()
+    run_limit = RunLimit(clock(), setup.limit_ns)
     log.started[0] = 1
     for k in range(steps):
         t0 = clock()
@@ -114,7 +116,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
         log.times[0, k] = (t2 - t1, *solver.phases_ns, t4 - t0 - (t3 - t2))
         log.matrix_updates[0] = solver.matrix_updates
         log.done[0] = k + 1
-        if t4 - start_ns > limit_ns and k + 1 < steps:
+        if run_limit.is_exceeded(t4) and k + 1 < steps:
             return False
     return True
 

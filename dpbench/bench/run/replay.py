@@ -12,6 +12,7 @@ import numpy as np
 from dpbench.arrays import Floats
 from dpbench.bench.record.disturbance import read_counters
 from dpbench.bench.record.raw_log import RawLog, sum_phases_ns
+from dpbench.bench.run.run_delay import RunLimit
 from dpbench.bench.run.timed_solver import Clock, TimedSolver, is_usable, record_answer
 from dpbench.kernel_cache import njit
 from dpbench.qp.program import QPSequence
@@ -77,7 +78,8 @@ class ReplayRun:
     Parameters
     ----------
     warmup_steps : length of round 0; preroll : steps solved before each round without a record.
-    limit_ns : own run time of all rounds together; of a round that is run again the last counts.
+    limit_ns : run time of all rounds together, without waits for the core; of a round that is run
+        again the last counts.
     hung : (round, step) in which earlier processes of the replay hung, whose log this is; the last
         of
         these rounds goes on where it was, and no such step is tried again.
@@ -134,7 +136,7 @@ class ReplayRun:
         limit_ns = self._limit_ns - int(self._spent_ns.sum())
         before = read_counters()
         log.reference_kernel_ns[r, 0] = time_kernels(clock, log.load_kernel_ns[r, 0])
-        start_ns = clock()
+        run_limit = RunLimit(clock(), limit_ns)
         self._warm_caches(steps)
         updates_before, hung = solver.matrix_updates, self._hung
         for k in range(begin, steps):
@@ -151,9 +153,9 @@ class ReplayRun:
                 log.first_ns[k] = sum_phases_ns(solver.phases_ns)
             log.matrix_updates[r] = solver.matrix_updates - updates_before
             log.done[r] = k + 1
-            if clock() - start_ns > limit_ns:
+            if run_limit.is_exceeded(clock()):
                 return False
-        self._spent_ns[r] = clock() - start_ns
+        self._spent_ns[r] = run_limit.spent_ns(clock())
         log.reference_kernel_ns[r, 1] = time_kernels(clock, log.load_kernel_ns[r, 1])
         if log.attempts[r] == 1:
             log.first_reference_kernel_ns[r] = log.reference_kernel_ns[r].max()

@@ -63,6 +63,11 @@ class TimedSolver:
         self.repeated = False
 
     @property
+    def pending_wait_ns(self) -> int:
+        """Wait for the core since the end of the last answer [ns]; 0 if unknown."""
+        return self._run_delay.pending_ns
+
+    @property
     def matrix_updates(self) -> int:
         """Number of updates so far in which the solver took new QP matrices."""
         return self._workspace.matrix_updates
@@ -271,9 +276,10 @@ def step_alarm(limit_s: float, clock: Clock) -> Iterator[None]:
         # Only within a call of the workspace `answer` takes what is raised for its failure.
         if frame is None or called is None or called.f_code.co_name not in _OF_WORKSPACE:
             return
-        if clock() - frame.f_locals["t0"] >= limit_ns:
+        solver = frame.f_locals["self"]
+        if clock() - frame.f_locals["t0"] - solver.pending_wait_ns >= limit_ns:
             words = f"interrupted, as it ran beyond the limit of {limit_s:g} s of a step"
-            frame.f_locals["self"].interrupted = words
+            solver.interrupted = words
             raise StepTimeLimitError(words)
 
     before = signal.signal(signal.SIGALRM, alarm)

@@ -22,6 +22,7 @@ from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.machine import THREAD_VARIABLES, pin_threads
 from dpbench.bench.record.raw_log import RawLog, is_writable_log
 from dpbench.bench.run.footprint import process_peak_bytes
+from dpbench.bench.run.run_delay import read_process_wait_s
 from dpbench.bench.workers import shared_status
 from dpbench.bench.workers.interrupts import block_sigint
 from dpbench.bench.workers.orphans import END_S, end_orphans, kill_forkserver, signal_process
@@ -46,6 +47,8 @@ START_ALLOWANCE_S = 60.0
 GRACE_S = 3.0
 """Time beyond a cell's own limit for one call that does not return [s]; for a round of a replay no
 longer than the limit."""
+LEAST_WAIT_S = 0.05
+"""Least time between two looks at how long a process waited for its core [s]."""
 STOPPED_S = 10.0  # A process that somebody stopped (SIGSTOP) is killed after this time
 _BY_MEMORY = "killed by SIGKILL, as by the out-of-memory killer"
 FORKSERVER_DIED = Outcome(
@@ -106,7 +109,7 @@ class Child:
     target, args : called in the process as target(*args); it writes `verdict` before it ends, and
         sets its phase in `shared_status.py`. An end without a verdict is charged to that phase.
     folder, name : of its raw log and verdict.
-    limit_s : own run time after the start of its log; None for no limit.
+    limit_s : run time after the start of its log, without waits for its core; None for no limit.
     logs : whether it leaves a raw log; otherwise its time runs from its start.
     forkserver_died : whether its template died before it, so that its end is unknown.
     alone : whether it runs while nothing else does, because an earlier template died.
@@ -174,9 +177,18 @@ class Child:
         if self._running_since is None:
             if now - self._born > START_ALLOWANCE_S:
                 return self.kill(f"did not start within {START_ALLOWANCE_S:g} s")
-        elif self._limit_s is not None and now - self._running_since > self._limit_s + GRACE_S:
+        elif self._limit_s is not None and self._is_overdue(now - self._running_since):
             return self.kill(f"one call ran beyond the limit of {self._limit_s:g} s and was killed")
         return False
+
+    def _is_overdue(self, running_s: float) -> bool:
+        """Return whether the run time, without waits for the core, is beyond its limit."""
+        most_s = (self._limit_s or 0.0) + GRACE_S
+        return running_s > most_s and running_s - self._read_wait_s() > most_s
+
+    def _read_wait_s(self) -> float:
+        """Return how long the process has waited for its core so far [s]; 0 where unknown."""
+        return read_process_wait_s(self.process.pid or 0)
 
     def _read_peak_bytes(self) -> float:
         """Return the peak memory of the process so far [B]; 0 where it is gone."""
@@ -317,8 +329,14 @@ class ServingChild(Child):
 
     def _receive_reply(self, wait_s: float, overdue: str) -> object:
         """Return the worker's reply if it comes within `wait_s`; else kill it and return None."""
+        begun_s, waited_s, left_s = time.monotonic(), self._read_wait_s(), wait_s
         # What the process started may hold the other end of its pipe open when it ends.
-        ready = wait([self._orders, self.process.sentinel], wait_s)
+        while not (ready := wait([self._orders, self.process.sentinel], left_s)):
+            # What it waited for its core is no time of its own.
+            used_s = time.monotonic() - begun_s - (self._read_wait_s() - waited_s)
+            if used_s >= wait_s:
+                break
+            left_s = max(wait_s - used_s, LEAST_WAIT_S)
         try:
             if ready:
                 return self._orders.recv() if self._orders.poll() else None

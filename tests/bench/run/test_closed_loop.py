@@ -15,6 +15,7 @@ from dpbench.bench.record.cell import DEFAULT_FALLBACK
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.run.fallback_policies import FALLBACKS
+from dpbench.bench.run.run_delay import RunDelay
 from dpbench.errors import CertificateError
 from dpbench.mpc.law import UnconstrainedLaw, gains
 from dpbench.qp.program import QPStep, QuadraticProgram
@@ -232,6 +233,19 @@ def test_the_time_limit_keeps_the_steps(scenario: Scenario) -> None:
     log, _, complete = run(scenario, slow, limit_ns=50_000_000)
     assert not complete
     assert 1 <= int(log.done[0]) < 40
+
+
+def test_waits_for_the_core_end_no_run(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    def slow(k: int, step: QPStep) -> Solution:
+        time.sleep(0.01)
+        return Solution(Status.SOLVED, np.zeros(15), np.zeros(15), np.zeros(15))
+
+    def waited_ns(self: RunDelay) -> int:
+        return round(0.99 * time.perf_counter_ns())
+
+    # As if nearly all of that were a wait.
+    monkeypatch.setattr(RunDelay, "read_total_ns", waited_ns)
+    assert run(scenario, slow, limit_ns=50_000_000)[2]
 
 
 def test_fallback_without_a_plan_holds(scenario: Scenario) -> None:

@@ -9,7 +9,12 @@ from typing import Any
 
 import pytest
 
-from dpbench.bench.run.run_delay import RunDelay, get_run_delay
+from dpbench.bench.run.run_delay import (
+    RunDelay,
+    RunLimit,
+    get_run_delay,
+    read_process_wait_s,
+)
 
 
 def _work_ms(ms: float) -> None:
@@ -77,3 +82,37 @@ def test_where_the_kernel_does_not_show_it_it_is_unknown(monkeypatch: pytest.Mon
     assert delay.since_last() == -1
     monkeypatch.undo()
     assert delay.since_last() == -1
+
+
+def test_waits_for_the_core_use_up_no_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a limit of 100: 90 of 150 on the clock were waits, then no more are added."""
+    waited = iter((1000, 1090, 1090, 1090))
+    monkeypatch.setattr(RunDelay, "read_total_ns", lambda self: next(waited))
+    limit = RunLimit(0, 100)
+    assert not limit.is_exceeded(100)
+    assert not limit.is_exceeded(150)
+    assert not limit.is_exceeded(190)
+    assert limit.is_exceeded(191)
+    assert limit.spent_ns(200) == 110
+
+
+def test_hidden_waits_leave_the_limit_to_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(RunDelay, "read_total_ns", lambda self: -1)
+    limit = RunLimit(1000, 100)
+    assert not limit.is_exceeded(1100)
+    assert limit.is_exceeded(1101)
+
+
+def test_the_waits_of_a_process_are_read_from_outside(one_core: None) -> None:
+    """Of two endless loops on one core each waits for about half of the time."""
+    loop = [sys.executable, "-c", "while True: pass"]
+    both = [subprocess.Popen(loop) for _ in range(2)]
+    try:
+        time.sleep(1.0)
+        waited_s = [read_process_wait_s(one.pid) for one in both]
+    finally:
+        for one in both:
+            one.kill()
+            one.wait()
+    assert min(waited_s) > 0.05
+    assert read_process_wait_s(both[0].pid) == 0.0

@@ -120,6 +120,21 @@ def test_a_hanging_call_is_killed_and_its_steps_stay(
     np.testing.assert_array_equal(RawLog.open(tmp_path / "cell.raw").z[0, 0], [1.0, 2.0])
 
 
+def test_a_wait_for_the_core_is_no_run_time(
+    context: ForkServerContext, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(supervise, "GRACE_S", 0.1)
+    RawLog.create(tmp_path / "cell.raw", replay_layout(1, 4, 2, 2)).started[0] = 1
+    child = Child(context, exec, (SOLVER + "time.sleep(600.0)",), tmp_path, "cell", limit_s=0.2)
+    monkeypatch.setattr(supervise, "read_process_wait_s", lambda process: 600.0)
+    assert not child.kill_if_overdue()
+    time.sleep(0.5)
+    assert not child.kill_if_overdue()
+    monkeypatch.setattr(supervise, "read_process_wait_s", lambda process: 0.0)
+    assert child.kill_if_overdue()
+    assert child.determine_outcome().outcome in ("hung", "lost")
+
+
 @pytest.mark.parametrize(("head", "outcome"), [(SOLVER, "hung"), (HARNESS, "lost")])
 def test_a_process_that_never_starts_its_loop_is_killed(
     head: str,
