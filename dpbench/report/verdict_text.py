@@ -1,6 +1,7 @@
 """Verdicts in plain words; every number in them comes from rows."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 
 from dpbench.analysis.records.records import Records
@@ -35,6 +36,8 @@ MOST_OWN = 12
 """Settings of one's own that are listed."""
 LEAST_POINTS = 3
 """Settings with the same options that count as a grid."""
+MOST_NAMED = 3
+"""Configurations that are named with their number of runs; of the others their number is."""
 NOBODY = "No solver was run, so there is nothing to judge."
 
 
@@ -150,12 +153,24 @@ def _grid_rank(verdict: Verdict) -> tuple[int, float]:
 
 
 def stopped_runs_text(runs: Sequence[RunRecord]) -> str:
-    """State how many runs their time limit stopped; "" for none."""
+    """State how many runs their time limit stopped, and of which configurations; "" for none."""
     ran = [run for run in runs if run.outcome != "refused"]
-    stopped = sum(run.outcome == "timed_out" for run in ran)
+    stopped = [run.configuration.label for run in ran if run.outcome == "timed_out"]
     if not stopped:
         return ""
-    return f"{stopped} of {plural(len(ran), 'run')} stopped at the time limit (cell_limit_s)."
+    return (
+        f"{len(stopped)} of {plural(len(ran), 'run')} stopped at the time limit (cell_limit_s): "
+        f"{name_counts(Counter(stopped).most_common())}; outcome timed_out in tables/runs.csv."
+    )
+
+
+def name_counts(counts: Sequence[tuple[str, int]]) -> str:
+    """List names with their counts, the largest first: three, and how many more there are."""
+    ordered = sorted(counts, key=lambda named: -named[1])
+    named = [f"{count} of {name}" for name, count in ordered[:MOST_NAMED]]
+    more = len(ordered) - MOST_NAMED
+    rest = [f"{sum(n for _, n in ordered[MOST_NAMED:])} of {more} more"] if more > 0 else []
+    return and_list([*named, *rest])
 
 
 def deployment_facts(solver: str) -> str:

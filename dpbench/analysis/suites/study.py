@@ -12,7 +12,8 @@ twice their variance, as points that lose runs are the rougher ones. Degrees of 
 Satterthwaite (1946), as if runs were independent: R − 1 where nothing is lost. Points that are all
 run once are the sample.
 
-A difference is conditional on the runs that both configurations finished.
+A difference is conditional on the runs that both configurations finished. A run that its time limit
+stopped, or that the benchmark lost, is not judged: it is in no share within the radius.
 """
 
 import math
@@ -47,6 +48,8 @@ LEAST_PAIRS = 6
 """Least number of pairs for which an interval is stated."""
 ALPHA = 0.05
 """Family-wise error of the claims of a study, each kind of claim a family (Holm 1979)."""
+NOT_JUDGED = ("timed_out", "lost", "invalid")
+"""Outcomes that are no result of the solver: its time limit, or the benchmark, ended the run."""
 EXACT_FIRST = ("paper_active_set", "daqp")
 """Solvers that are the reference of a study before all others: active sets, exact to rounding."""
 
@@ -140,10 +143,12 @@ def mean_over_points(values: Floats) -> MeanEstimate:
 class StudiedConfiguration:
     """Results of a configuration in a study: share of runs in position, cost, error, p-values.
 
-    runs, finished : how many it was given, and how many came to their end.
-    within : share of runs that end, with a radial error within the radius in their second half.
-    cost : closed-loop cost over that of the exact loop in the same sea, less one: mean over runs.
-    r_95_m : 95 % radial error, mean over runs [m].
+    runs, finished, stopped : how many it was given, came to their end, and met their time limit.
+    within : share of judged runs that end, with a radial error within the radius in their second
+        half; NaN without a judged run.
+    cost : closed-loop cost over that of the exact loop in the same sea, less one: mean over judged
+        runs.
+    r_95_m : 95 % radial error, mean over judged runs [m].
     error_excess_m, log_cost_excess : r_95_m and logarithm of the cost, less the reference's; None
         of the reference itself.
     p_differs : of a radial error that differs from the reference's by more than `NOTHING`;
@@ -155,6 +160,7 @@ class StudiedConfiguration:
     settings: str
     runs: int
     finished: int
+    stopped: int
     within: float
     cost: float
     r_95_m: float
@@ -162,6 +168,11 @@ class StudiedConfiguration:
     log_cost_excess: PairedDifference | None
     p_differs: float = 1.0
     p_cheap: float = 1.0
+
+    @property
+    def known_within(self) -> float:
+        """Share of judged runs within the radius; 1 where none is judged, as nothing is lost."""
+        return 1.0 if math.isnan(self.within) else self.within
 
     @property
     def differs(self) -> bool:
@@ -212,7 +223,8 @@ class Study:
                 "point": int(run.study_point),
                 "replicate": int(run.replicate),
                 "finished": run.outcome == "finished",
-                "within": run.outcome == "finished" and run.r_tail_max_m <= radius_m,
+                "stopped": run.outcome == "timed_out",
+                "within": _is_within(run, radius_m),
                 "r_95_m": run.r_95_m,
                 "r_tail_max_m": run.r_tail_max_m,
                 "failed_steps": run.failed_steps,
@@ -227,8 +239,8 @@ class Study:
             for run in runs
         ]
         self.runs = pd.DataFrame(rows)
-        """A row a run: run_id, configuration, point, replicate, whether it ended, and within
-        the radius, its errors and step times."""
+        """A row a run: run_id, configuration, point, replicate, whether it ended, whether it was
+        within the radius (1 or 0, NaN where it is not judged), its errors and step times."""
         points = {int(run.study_point): dict(run.x) for run in runs}
         self.points = pd.DataFrame.from_dict(points, orient="index").sort_index()
         """The values of the keys (columns) at each point (index)."""
@@ -293,7 +305,7 @@ class Study:
     def _summarise_configuration(self, name: str) -> StudiedConfiguration:
         """Summarise a configuration's runs, and its differences to the reference's."""
         runs = self.runs[self.runs["configuration"] == name]
-        itself = name == self.reference
+        judged, itself = runs[runs["within"].notna()], name == self.reference
         log_cost = [np.log(self.values(c, "cost")) for c in (name, self.reference)]
         return StudiedConfiguration(
             name=name,
@@ -301,9 +313,10 @@ class Study:
             settings=str(runs["settings"].iloc[0]),
             runs=len(runs),
             finished=int(runs["finished"].sum()),
-            within=float(runs["within"].mean()),
-            cost=float(runs["over_exact"].mean()),
-            r_95_m=float(runs["r_95_m"].mean()),
+            stopped=int(runs["stopped"].sum()),
+            within=float(judged["within"].mean()),
+            cost=float(judged["over_exact"].mean()),
+            r_95_m=float(judged["r_95_m"].mean()),
             error_excess_m=None if itself else self.difference(name, "r_95_m"),
             log_cost_excess=None if itself else paired_difference(*log_cost),
         )
@@ -317,6 +330,13 @@ class Study:
             cheap = [one for one in of_solver if one[1].is_cheap]
             loosest[solver] = max(cheap, key=itemgetter(0))[1] if cheap else None
         return loosest
+
+
+def _is_within(run: RunRecord, radius_m: float) -> float:
+    """Return 1 where a run ends with its second half within the radius, else 0; NaN: not judged."""
+    if run.outcome in NOT_JUDGED:
+        return math.nan
+    return float(run.outcome == "finished" and run.r_tail_max_m <= radius_m)
 
 
 def find_studies(records: Records) -> list[Study]:

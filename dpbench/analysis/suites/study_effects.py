@@ -148,7 +148,7 @@ def _measure_values(study: Study, configuration: str) -> Mapping[Measure, pd.Ser
     return {
         STEP_TIME: np.log(finished[study.step_time].where(finished[study.step_time] > 0)).dropna(),
         ERROR: finished["r_95_m"],
-        OUTSIDE: 1.0 - runs["within"].astype(np.float64),
+        OUTSIDE: (1.0 - runs["within"]).dropna(),
         UNTRUE: (1.0 - finished["true_share"]).dropna(),
     }
 

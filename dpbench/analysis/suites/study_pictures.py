@@ -25,16 +25,16 @@ def has_point_per_tile(study: Study) -> bool:
 def within_maps(study: Study) -> pd.DataFrame:
     """Tabulate shares of seas in position over two parameters, for reference and worst solvers.
 
-    Columns: configuration, x and y (the first numeric keys), within (a share) and runs.
+    Columns: configuration, x and y (the first numeric keys), within (a share) and judged runs.
     """
-    ordered = sorted(study.configurations[1:], key=lambda c: c.within)[: MOST_MAPS - 1]
+    ordered = sorted(study.configurations[1:], key=lambda c: c.known_within)[: MOST_MAPS - 1]
     numeric = study.points.select_dtypes("number").columns.tolist()
     columns = dict(zip(numeric, ("x", "y"), strict=False))
     names = list(columns.values())
     tables = []
     for configuration in [study.configurations[0], *ordered]:
         runs = study.runs[study.runs["configuration"] == configuration.name]
-        within = runs.groupby("point")["within"].agg(runs="count", within="mean")
+        within = runs.groupby("point")["within"].agg(runs="count", within="mean").dropna()
         table = study.points.join(within, how="inner").rename(columns=columns)
         part = table[[*names, "within", "runs"]]
         if not has_point_per_tile(study):
@@ -97,7 +97,7 @@ def worst_run(study: Study, among: Sequence[str]) -> str | None:
     if rows.empty:
         return None
     known = [c for c in study.configurations if (rows["configuration"] == c.name).any()]
-    worst = min(reversed(known), key=lambda c: c.within)
+    worst = min(reversed(known), key=lambda c: c.known_within)
     rows = rows[rows["configuration"] == worst.name]
     share = rows.groupby("point")["within"].transform("mean")
     order = rows.assign(share=share).sort_values(

@@ -47,7 +47,7 @@ def report_markdown(report: Report) -> str:
     """Return the report as Markdown text of limited length: recommendation, table of solvers."""
     data, recommendation, topics = report.data, report.recommendation, report.topics
     lead = [topic.lines[0] for topic in topics if topic.leads]
-    wording = []
+    wording = [note for about, note in recommendation.notes if about == "stopped"]
     if data.verdicts.of or not lead:
         wording = [recommendation.sentence, *(note for _, note in recommendation.notes)]
     valid = ", ".join(chip.text for chip in recommendation.chips)

@@ -65,7 +65,7 @@ def study_document(
             "of": [place[name] for name in rows["configuration"]],
             "point": rows["point"].tolist(),
             "sea": rows["replicate"].tolist(),
-            "within": [int(within) for within in rows["within"]],
+            "within": [None if math.isnan(share) else int(share) for share in rows["within"]],
             "tail_m": _round_values(rows["r_tail_max_m"].where(rows["finished"])),
             "error_excess_cm": _round_values(error_excess_cm(study, rows)),
             "id": rows["run_id"].tolist(),
@@ -76,7 +76,8 @@ def study_document(
 def _mean_excess_error(study: Study, name: str) -> dict[str, Any]:
     """Return a configuration's mean excess error [cm], its interval, share of seas within."""
     (found,) = (c for c in study.configurations if c.name == name)
-    known: dict[str, Any] = {"within": found.within, "pairs": 0}
+    within = None if math.isnan(found.within) else found.within
+    known: dict[str, Any] = {"within": within, "pairs": 0}
     if found.error_excess_m is None or found.error_excess_m.pairs == 0:
         return known
     return known | mean_cm(found.error_excess_m)

@@ -206,7 +206,7 @@ def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]
 
 def _stopped_notes(data: PageData) -> Iterator[tuple[str, str]]:
     """Yield a note on the runs that their time limit stopped, if any."""
-    if stopped := stopped_runs_text(data.records.runs):
+    if stopped := stopped_runs_text(data.records.all_runs):
         yield "stopped", stopped
 
 

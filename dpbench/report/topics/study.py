@@ -36,6 +36,7 @@ from dpbench.report.study_effects_table import (
     tabulate_effects,
 )
 from dpbench.report.table import Table
+from dpbench.report.verdict_text import name_counts
 
 MOST_DRAWN = 6
 """The reference and the first of the others are drawn."""
@@ -63,15 +64,10 @@ def _study_lines(study: Study) -> Iterator[str]:
         f"{study.name}: {plural(len(runs), 'run')} at {plural(points, 'point')} in {seas}; "
         f"{_larger_errors_text(study)}"
     )
-    unfinished = len(runs) - int(runs["finished"].sum())
-    if unfinished:
-        yield (
-            f"{study.name}: {unfinished} of {plural(len(runs), 'run')} did not finish. Every "
-            "difference is conditional on the realisations that both configurations finished."
-        )
+    yield from _unfinished_lines(study)
     yield from _failed_steps_lines(study)
     within = study.configurations[0].within
-    worst = min(study.configurations, key=lambda c: c.within)
+    worst = min(study.configurations, key=lambda c: c.known_within)
     radius = f"within {study.radius_m:g} m in the second half of a run"
     yield (
         f"With {study.reference} the ship stays {radius} in {_share_with_bound(within, study)} of "
@@ -84,6 +80,23 @@ def _study_lines(study: Study) -> Iterator[str]:
     )
     if study.loosest:
         yield _loosest_text(study)
+
+
+def _unfinished_lines(study: Study) -> Iterator[str]:
+    """Yield sentences on the runs that did not finish: those that their limit stopped apart."""
+    runs, every = study.runs, plural(len(study.runs), "run")
+    stopped, unfinished = int(runs["stopped"].sum()), int((~runs["finished"]).sum())
+    if stopped:
+        named = [(c.name, c.stopped) for c in study.configurations if c.stopped]
+        yield (
+            f"{study.name}: {stopped} of {every} stopped at the time limit (cell_limit_s) and not "
+            f"judged: {name_counts(named)}. They are in no share of runs within the radius."
+        )
+    if unfinished:
+        yield (
+            f"{study.name}: {unfinished} of {every} did not finish. Every difference is "
+            "conditional on the realisations that both configurations finished."
+        )
 
 
 def _failed_steps_lines(study: Study) -> Iterator[str]:
@@ -120,7 +133,9 @@ def _larger_errors_text(study: Study) -> str:
 
 
 def _share_with_bound(share: float, study: Study) -> str:
-    """Format a share of seas in percent; at 0 % or 100 % with its 95 % bound."""
+    """Format a share of seas in percent; at 0 % or 100 % with its 95 % bound; of no sea a dash."""
+    if np.isnan(share):
+        return MISSING
     bound = 100 * upper_bound_of_none(study.realisations)
     wording = f"{100 * share:.0f} %"
     if share in (0.0, 1.0):
@@ -202,7 +217,8 @@ def _configuration_row(configuration: StudiedConfiguration, study: Study) -> dic
     cost = configuration.cost
     row = {
         "configuration": configuration.name,
-        "runs": f"{configuration.finished} of {configuration.runs}",
+        "runs": f"{configuration.finished} of {configuration.runs}"
+        + (f", {configuration.stopped} stopped" if configuration.stopped else ""),
         "within": _share_with_bound(configuration.within, study),
         # Rounding alone is 0.
         "cost over exact": f"{0 if abs(cost) < NOTHING else significant(100.0 * cost, 2)} %",

@@ -216,6 +216,15 @@ def test_who_lost_a_run_is_no_reference_and_its_other_seas_are_paired() -> None:
     assert not near.is_cheap
 
 
+@pytest.mark.parametrize("outcome", ["timed_out", "lost", "invalid"])
+def test_what_the_solver_did_not_end_is_not_judged(outcome: str) -> None:
+    """11 of 11 judged runs are within, and no run of the one sea is held against the solver."""
+    study = _study(_runs({"near": 0.0, "off": 0.03}, near=outcome), radius_m=9.0)
+    near = next(c for c in study.configurations if c.name == "near")
+    assert (near.runs, near.finished, near.stopped) == (12, 11, int(outcome == "timed_out"))
+    assert near.within == 1.0 and not near.is_cheap
+
+
 def test_the_loosest_tolerance_that_costs_little() -> None:
     """It is 1e-4 (2 mm) among 1e-3 (3 cm behind), 1e-4 and 1e-6; none for a solver with none cheap;
     a solver without a tolerance to set is left out."""

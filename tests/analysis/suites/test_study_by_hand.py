@@ -58,7 +58,7 @@ def _configuration(
     log_cost_excess: PairedDifference | None,
     **columns: Any,
 ) -> StudiedConfiguration:
-    usual = {"runs": 6, "finished": 6, "within": 1.0, "cost": 0.0, "r_95_m": 0.25}
+    usual = {"runs": 6, "finished": 6, "stopped": 0, "within": 1.0, "cost": 0.0, "r_95_m": 0.25}
     return StudiedConfiguration(
         "osqp",
         "osqp",
@@ -211,7 +211,7 @@ def test_who_is_cheap() -> None:
 
 
 def test_the_figures_of_a_configuration() -> None:
-    """Means over its runs: a stopped run and one beyond the radius are not within."""
+    """Means over its judged runs: one beyond the radius is not within, a stopped one not judged."""
     runs = [
         _run("osqp", 0, 1, closed_loop_cost=3.0, exact_cost=2.0, r_95_m=0.5),
         _run("osqp", 0, 2, r_tail_max_m=1.0),
@@ -222,9 +222,9 @@ def test_the_figures_of_a_configuration() -> None:
     study = Study("seas", runs, 1.0)
     assert study.reference == "osqp"
     reference, law = study.configurations
-    assert (reference.runs, reference.finished, reference.within) == (4, 3, 0.5)
-    assert reference.cost == pytest.approx((0.5 + 1.0 + 1.0 + 1.0) / 4)
-    assert reference.r_95_m == pytest.approx((0.5 + 0.75) / 4)
+    assert (reference.runs, reference.finished, reference.within) == (4, 3, 2 / 3)
+    assert reference.cost == pytest.approx((0.5 + 1.0 + 1.0) / 3)
+    assert reference.r_95_m == pytest.approx((0.5 + 0.5) / 3)
     assert (reference.error_excess_m, reference.log_cost_excess, law.name) == (None, None, "law")
     assert (reference.p_differs, reference.p_cheap) == (1.0, 1.0)
     assert law.error_excess_m is not None and law.error_excess_m.pairs == 1
@@ -232,7 +232,7 @@ def test_the_figures_of_a_configuration() -> None:
     assert study.points["hs_m"].to_dict() == {0: 0.0, 1: 1.0}
     maps = within_maps(study)
     assert maps["configuration"].tolist() == ["osqp", "osqp", "law"]
-    assert maps["runs"].tolist() == [2, 2, 1] and maps["within"].tolist() == [1.0, 0.0, 1.0]
+    assert maps["runs"].tolist() == [2, 1, 1] and maps["within"].tolist() == [1.0, 0.0, 1.0]
 
 
 @pytest.mark.parametrize(

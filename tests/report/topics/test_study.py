@@ -15,7 +15,14 @@ from dpbench.report.topics import study as topic
 WIND, EAST = "environment.wind.speed_mps", "start.east_m"
 
 
-def _fill(records: Any, points: int, seas: int, *, lost: tuple[int, int] | None = None) -> Any:
+def _fill(
+    records: Any,
+    points: int,
+    seas: int,
+    *,
+    lost: tuple[int, int] | None = None,
+    outcome: str = "crashed",
+) -> Any:
     """Two solvers at points of two keys; one of them is 2 to 4 cm behind, and does not finish the
     run of one point and sea."""
     rng = np.random.default_rng(1)
@@ -34,7 +41,7 @@ def _fill(records: Any, points: int, seas: int, *, lost: tuple[int, int] | None 
                     replicate=sea,
                     r_95_m=0.5 + behind,
                     exact_cost=100.0 - (solver == "osqp"),
-                    outcome="crashed" if behind and (point, sea) == lost else "finished",
+                    outcome=outcome if behind and (point, sea) == lost else "finished",
                 )
     return topic.study_topic(find_studies(records.view()))
 
@@ -49,6 +56,16 @@ def compile_rows(figure: Any) -> list[dict[str, Any]]:
     """The rows in the data of a figure that name a configuration."""
     sets = compile_vega(figure.chart)["data"]
     return [row for data in sets for row in data.get("values", []) if "configuration" in row]
+
+
+def test_stopped_runs_are_counted_and_named(records: Any) -> None:
+    found = _fill(records, points=5, seas=4, lost=(2, 3), outcome="timed_out")
+    assert found.lines[1] == (
+        "seas: 1 of 40 runs stopped at the time limit (cell_limit_s) and not judged: 1 of osqp. "
+        "They are in no share of runs within the radius."
+    )
+    assert "conditional on the realisations" in found.lines[2]
+    assert found.tables[0].rows[1][:2] == ("osqp", "19 of 20, 1 stopped")
 
 
 @pytest.mark.slow

@@ -29,6 +29,9 @@ function runsOf(study, who, point = null) {
   return of.map((_, i) => i).filter((i) => of[i] === who && (point === null || at[i] === point));
 }
 
+// Those of some runs that are judged: neither their time limit nor the benchmark ended them.
+const judgedOf = (study, runs) => runs.filter((i) => study.runs.within[i] !== null);
+
 // The values of a study's keys at a point, in words.
 function valuesAt(study, i) {
   return study.keys.map((key, j) => `${lastOf(key)} ${told(study.values[j][i])}`).join(", ");
@@ -65,7 +68,7 @@ function designRows(study) {
     if (!groups.has(at)) groups.set(at, { x, y, points: [], within: 0, seas: 0 });
     const group = groups.get(at), own = runsOf(study, who, id);
     group.points.push([id, i]);
-    group.seas += own.length;
+    group.seas += judgedOf(study, own).length;
     group.within += own.filter((j) => study.runs.within[j]).length;
   });
   return [...groups.values()].filter((group) => group.seas > 0).map((group) => {
@@ -109,16 +112,17 @@ function studySaid(study) {
   const { point, sea } = there(study), who = whoOf(study), i = study.points.indexOf(point);
   const at = `Point ${point} (${valuesAt(study, i)})`;
   if (who < 0) return `${at}. ${label(state.c)} is not in this study.`;
-  const own = runsOf(study, who, point), all = runsOf(study, who), within = (list) => list.filter((j) => study.runs.within[j]).length;
+  const own = runsOf(study, who, point), all = judgedOf(study, runsOf(study, who)), within = (list) => list.filter((j) => study.runs.within[j]).length;
   const run = own.find((j) => study.runs.sea[j] === sea), behind = run === undefined ? null : study.runs.error_excess_cm[run];
   const tail = run === undefined ? null : study.runs.tail_m[run];
-  const here = run === undefined ? "was not run" : tail === null ? "did not end"
+  const here = run === undefined ? "was not run" : study.runs.within[run] === null ? "was not judged, as its time limit or the benchmark ended it"
+    : tail === null ? "did not end"
     : `${study.runs.within[run] ? "within the radius" : "beyond the radius"}, at most ${figure(tail)} m off in the second half`
       + (behind === null || who === study.reference ? "" : `, ${figure(behind)} cm behind ${study.names[study.reference]}`);
-  const share = within(all) / all.length, bound = 100 * Math.abs(share - study.upper_bound_of_none);
+  const share = all.length ? within(all) / all.length : NaN, bound = 100 * Math.abs(share - study.upper_bound_of_none);
   const bounded = share === 1 || share === 0
     ? ` (95 % bound: at ${share ? "least" : "most"} ${bound.toFixed(0)} % of all seas)` : "";
-  return `${at}: ${study.names[who]} stays within ${study.radius_m} m in ${within(own)} of ${own.length} seas, over all points in `
+  return `${at}: ${study.names[who]} stays within ${study.radius_m} m in ${within(own)} of ${judgedOf(study, own).length} seas, over all points in `
     + `${within(all)} of ${all.length}${bounded}. Sea ${sea}: ${here}.`;
 }
 
