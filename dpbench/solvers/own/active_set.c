@@ -93,6 +93,11 @@ static int is_infinite(as_real x) { return x - x != REAL(0); } /* or NaN */
 #else
 #define KERNEL
 #endif
+#ifdef __GNUC__
+#define RARE __attribute__((noinline, cold)) /* its registers are not those of the loop around it */
+#else
+#define RARE
+#endif
 
 /* ---- vectors ------------------------------------------------------------------------------- */
 
@@ -119,6 +124,10 @@ static as_real dot(const as_real *x, const as_real *y, int n) {
 
 static void clear(as_real *x, int n) {
     for (int i = 0; i < n; i++) x[i] = 0;
+}
+
+static void copy(as_real *to, const as_real *from, int n) {
+    for (const as_real *end = from + n; from < end;) *to++ = *from++;
 }
 
 /* out += t x */
@@ -168,8 +177,7 @@ static void multiply_inverse(const active_set *s, as_real *out, as_real sign, co
             to[k] = 0;
         }
         add_square(to, block, from, size);
-        for (int k = 0; k < size; k++) out[order[k]] = to[k];
-        order += size;
+        for (int k = 0; k < size; k++) out[*order++] = to[k];
         block += size * size;
     }
     for (; order < end; order++) out[*order] = sign * x[*order] * s->G[*order * (s->n + 1)];
@@ -250,11 +258,11 @@ static void write_row_values(active_set *s) {
     const as_real *z = s->z, *a = s->a;
     const int *column = s->column, *end = s->first, *parent = s->parent, *rest = s->rest;
     as_real *values = s->z + s->n;
-    for (int i = 0; i < s->m; i++, parent++, rest++) {
+    for (as_real *value = values, *last = values + s->m; value < last; parent++) {
         as_real v = *parent < 0 ? 0 : values[*parent];
         end++;
-        for (int e = *rest; e < *end; e++) v += a[e] * z[column[e]];
-        values[i] = v;
+        for (int e = *rest++; e < *end; e++) v += a[e] * z[column[e]];
+        *value++ = v;
     }
 }
 
@@ -279,7 +287,7 @@ static as_real *factor_row(const active_set *s, int k) { return s->L + (size_t)k
 static void append_row(active_set *s, int i, int side, as_real d) {
     const int w = s->count++;
     as_real *L = factor_row(s, w);
-    for (int k = 0; k < w; k++) L[k] = s->T[k];
+    copy(L, s->T, w);
     L[w] = 1 / root(d);
     s->active[w] = i;
     s->side[i] = side;
@@ -320,7 +328,7 @@ static void write_entries(active_set *s, int j) {
 
 /* R := L⁻ᵀT, where T = L⁻¹H_Wj the combination of active rows that is row j but for a rest */
 static void write_combination(active_set *s) {
-    for (int k = 0; k < s->count; k++) s->R[k] = s->T[k];
+    copy(s->R, s->T, s->count);
     substitute_backward(s->L, s->R, s->count);
 }
 
@@ -439,7 +447,7 @@ static void restore_signs(active_set *s) {
 
 /* z = base − Σ λ_i P⁻¹c_i and the values of the rows (eq. 32) */
 static void write_point(active_set *s) {
-    for (int c = 0; c < s->n; c++) s->z[c] = s->base[c];
+    copy(s->z, s->base, s->n);
     add_active_rows(s, s->z, -1);
     write_row_values(s);
 }
@@ -471,24 +479,36 @@ static void insert(view *found, int i, as_real by) {
     found->rows[k] = i;
 }
 
+/* Look at a row that is near a limit or beyond one. */
+RARE static void look_at(const active_set *s, view *found, int i, as_real noise, as_real close) {
+    const as_real v = s->z[i], low = s->low[i], high = s->high[i], u = s->unit[i];
+    if (s->side[i] != NEITHER && low < high) return;
+    if ((v - high) * u < -close && (low - v) * u < -close) return;
+    found->crossed |= has_crossed_limits(s, i);
+    if (s->side[i] != NEITHER) return;
+    found->near = 1;
+    found->equal |= low == high;
+    const as_real by = violation(s, i, v);
+    if (by > noise && (found->count < CANDIDATES || by > found->by[CANDIDATES - 1]))
+        insert(found, i, by);
+}
+
+/* As most rows are; those with a NaN or crossed limits are not. */
+static int is_far_from_limits(as_real v, as_real low, as_real high, as_real far) {
+    return high - v > far && v - low > far;
+}
+
 static void look(const active_set *s, view *found, as_real noise, as_real close) {
     found->count = found->near = found->equal = found->crossed = 0;
-    const as_real *z = s->z, *lows = s->low, *highs = s->high;
+    const as_real *z = s->z, *low = s->low, *high = s->high;
     const as_real far = close * larger(s->longest, 1);
-    for (int i = 0, N = s->n + s->m; i < N; i++) {
-        const as_real v = *z++, low = *lows++, high = *highs++;
-        /* Neither NaN nor crossed. */
-        if (high - v > far && v - low > far) continue;
-        const as_real u = s->unit[i];
-        if ((v - high) * u < -close && (low - v) * u < -close) continue;
-        found->crossed |= has_crossed_limits(s, i);
-        if (s->side[i] != NEITHER) continue;
-        found->near = 1;
-        found->equal |= low == high;
-        const as_real by = violation(s, i, v);
-        if (by > noise && (found->count < CANDIDATES || by > found->by[CANDIDATES - 1]))
-            insert(found, i, by);
+    const int N = s->n + s->m;
+    int i = 0;
+    for (; i + 1 < N; i += 2, z += 2, low += 2, high += 2) {
+        if (!is_far_from_limits(*z, *low, *high, far)) look_at(s, found, i, noise, close);
+        if (!is_far_from_limits(z[1], low[1], high[1], far)) look_at(s, found, i + 1, noise, close);
     }
+    if (i < N && !is_far_from_limits(*z, *low, *high, far)) look_at(s, found, i, noise, close);
 }
 
 /* λ := the ray by which row j contradicts the active rows that it combines; T keeps that of before. */
