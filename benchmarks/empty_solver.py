@@ -22,7 +22,7 @@ class EmptyWorkspace(Workspace):
         self._answer = None
 
     def setup(self, qp):
-        self._answer = self._answer or Solution.missing(qp.n, qp.m, Status.UNKNOWN)
+        self._answer = self._answer or Solution.without_point(qp.n, qp.m, Status.UNKNOWN)
 
     def update(self, step):
         pass

@@ -61,7 +61,7 @@ class _Stored(Workspace):
 
     def __init__(self) -> None:
         super().__init__("stored", "native", "reuse")
-        self._answer = Solution.missing(1, 1, Status.ERROR)
+        self._answer = Solution.without_point(1, 1, Status.ERROR)
 
     def setup(self, qp: QuadraticProgram) -> None:
         zero = 0.0 * qp.q

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 
-def table_html(
+def make_html_table(
     heads: Sequence[str], rows: Iterable[Sequence[object]], *, title: str = "", note: str = ""
 ) -> str:
     """Make an HTML table of rows below column heads, with a title above and a note below."""
@@ -18,13 +18,13 @@ def table_html(
     return f"<table>{above}{whole}<tbody>{body}</tbody></table>{below}"
 
 
-def fields_html(title: str, fields: Mapping[str, object]) -> str:
+def make_html_field_table(title: str, fields: Mapping[str, object]) -> str:
     """Make an HTML table with one row for each field, name and value, that is not empty."""
     rows = [(name, value) for name, value in fields.items() if str(value) != ""]
-    return table_html((), rows, title=title)
+    return make_html_table((), rows, title=title)
 
 
-def numbers_text(numbers: Iterable[float], units: Sequence[str] = ()) -> str:
+def format_numbers_with_units(numbers: Iterable[float], units: Sequence[str] = ()) -> str:
     """Format numbers to four digits, separated by commas, each with its unit."""
     texts = [f"{number:.4g}" for number in numbers]
     if units:

@@ -49,7 +49,7 @@ class InputError(DpbenchError, ValueError):
         return type(self), (self.where, self.key, self.found, self.allowed)
 
 
-def require_at_least(argument: str, value: int, least: int) -> None:
+def require_integer_at_least(argument: str, value: int, least: int) -> None:
     """Raise InputError for a number below `least`, TypeError for one that is not whole."""
     if not isinstance(value, Integral):
         raise TypeError(f"{argument}: found {value!r}; allowed: a whole number, {least} or more")
@@ -57,7 +57,7 @@ def require_at_least(argument: str, value: int, least: int) -> None:
         raise InputError(argument, "", value, f"a whole number, {least} or more")
 
 
-def require_names(**given: object) -> None:
+def require_lists_of_names(**given: object) -> None:
     """Raise TypeError for a text or a single object where a list of names belongs; None passes."""
     for option, value in given.items():
         if isinstance(value, str) or not (value is None or isinstance(value, Iterable)):
@@ -80,7 +80,9 @@ class ShapeError(InputError):
     """An array of the wrong shape, with its name, found and expected shape."""
 
     @classmethod
-    def of(cls, where: str, name: str, found: tuple[int, ...], expected: str) -> ShapeError:
+    def from_shapes(
+        cls, where: str, name: str, found: tuple[int, ...], expected: str
+    ) -> ShapeError:
         """Make the error for an array of a wrong shape, from its name and both shapes."""
         return cls(where, name, f"shape {found}", expected)
 
@@ -109,7 +111,7 @@ MOST_NAMES = 6  # A list of more names is cut to the nearest
 _NEAREST = 3
 
 
-def list_allowed(text: str, known: Sequence[str], *, listing: str = "") -> str:
+def format_allowed_names(text: str, known: Sequence[str], *, listing: str = "") -> str:
     """Return as text all known names, or the three nearest to `text` and what lists all."""
     if len(known) <= MOST_NAMES:
         return f"one of {', '.join(known)}"
@@ -123,7 +125,7 @@ class RenamedWarning(FutureWarning):
     """Warning about an outdated name in a user's file or command, with the new name."""
 
 
-def warn_renamed(where: str, old: str, new: str) -> None:
+def warn_of_outdated_name(where: str, old: str, new: str) -> None:
     """Warn that a name in a user's file or command is outdated, and state the new one."""
     warnings.warn(f"{where}: {old} is now called {new}", RenamedWarning, stacklevel=3)
 

@@ -16,7 +16,7 @@ import numba
 from numba.core.caching import UserProvidedCacheLocator
 from numba.misc.appdirs import AppDirs
 
-from dpbench.temporary_folders import process_folder
+from dpbench.temporary_folders import process_temporary_folder
 
 PACKAGE = Path(__file__).parent
 Function = Callable[..., Any]
@@ -42,41 +42,43 @@ def njit(*signature: str, **options: Any) -> Callable[[Function], Function]:
         except RuntimeError as error:
             if not str(error).startswith(_NO_PLACE):
                 raise
-        return with_options(options if _make_own_cache() else {**options, "cache": False})
+        return with_options(
+            options if _use_temporary_numba_cache() else {**options, "cache": False}
+        )
 
     return compiled
 
 
-def cache_folders() -> list[Path]:
+def list_numba_cache_folders() -> list[Path]:
     """Return the folders below which Numba keeps compiled functions."""
     given = _config.CACHE_DIR
-    return [Path(given)] if given else [PACKAGE, _user_cache_folder()]
+    return [Path(given)] if given else [PACKAGE, _numba_folder_in_user_cache()]
 
 
-def _user_cache_folder() -> Path:
+def _numba_folder_in_user_cache() -> Path:
     """Return Numba's folder in the user's cache."""
     return Path(_app_dirs(appname="numba", appauthor=False).user_cache_dir)
 
 
 @cache
-def _make_own_cache() -> bool:
+def _use_temporary_numba_cache() -> bool:
     """Make a temporary folder for compiled functions and have Numba use it; return if it worked."""
     try:
-        own = process_folder() / "kernels"
+        own = process_temporary_folder() / "kernels"
         own.mkdir()
         for sources in {path.parent for path in PACKAGE.rglob("*.py")}:
-            _link_kernels(sources, own)
+            _link_compiled_kernels_into_cache(sources, own)
     except OSError:
         return False
     _config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"] = str(own)
     return True
 
 
-def _link_kernels(sources: Path, own: Path) -> None:
+def _link_compiled_kernels_into_cache(sources: Path, own: Path) -> None:
     """Link the kernels compiled before, of a folder of sources, into a cache of one's own."""
     name = _locator.get_suitable_cache_subpath(str(sources / "any.py"))
     given = [Path(folder) / name for folder in filter(None, [_config.CACHE_DIR])]
-    for place in (*given, sources / "__pycache__", _user_cache_folder() / name):
+    for place in (*given, sources / "__pycache__", _numba_folder_in_user_cache() / name):
         files: list[Path] = []
         with suppress(OSError):
             files = [path for path in place.iterdir() if path.suffix in (".nbi", ".nbc")]

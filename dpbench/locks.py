@@ -44,7 +44,7 @@ class Holder:
         return f"process {self.pid} ({self.work}, since {began})"
 
     @classmethod
-    def read(cls, line: str) -> Holder:
+    def from_json_line(cls, line: str) -> Holder:
         """Parse a lock holder from a JSON line; ValueError, KeyError or TypeError if invalid."""
         entry = json.loads(line)
         work = "".join(c for c in str(entry["work"]) if c.isprintable())
@@ -65,7 +65,9 @@ class BusyError(InputError):
 
 
 @contextmanager
-def try_lease(path: Path, opened_as: int, how: int = EXCLUSIVE | fcntl.LOCK_NB) -> Iterator[bool]:
+def try_hold_file_lock(
+    path: Path, opened_as: int, how: int = EXCLUSIVE | fcntl.LOCK_NB
+) -> Iterator[bool]:
     """Hold a file lock during the block, without waiting; yield false if it cannot be locked."""
     with ExitStack() as stack:
         is_locked = False
@@ -78,7 +80,7 @@ def try_lease(path: Path, opened_as: int, how: int = EXCLUSIVE | fcntl.LOCK_NB) 
 
 
 @contextmanager
-def _hold_lock(
+def _wait_for_and_hold_lock(
     path: Path,
     opened_as: int,
     how: int,
@@ -93,14 +95,14 @@ def _hold_lock(
         with suppress(OSError):
             lock = os.open(path, opened_as, 0o600)
             stack.callback(os.close, lock)
-            if not _try_lock(lock, how):
-                _wait_for_lock(lock, how, where, patience, say_waiting)
-            locked = lock if _try_lock(lock, how) else None
+            if not _try_lock_open_file(lock, how):
+                _wait_for_lock_or_raise_busy(lock, how, where, patience, say_waiting)
+            locked = lock if _try_lock_open_file(lock, how) else None
         yield locked
 
 
 @contextmanager
-def lock_file(
+def hold_file_lock(
     path: Path,
     how: int,
     holder: Holder,
@@ -117,31 +119,33 @@ def lock_file(
     say_waiting : called once with the holders, before a wait.
     Raises BusyError at the end of the wait.
     """
-    with _hold_lock(path, FILE, how, where, patience, say_waiting) as lock:
+    with _wait_for_and_hold_lock(path, FILE, how, where, patience, say_waiting) as lock:
         if lock is not None:
-            _write_holders(lock, [*_read_other_holders(lock), holder])
+            _write_holders_into_lock_file(lock, [*_read_holders_named_in_lock_file(lock), holder])
         try:
             yield lock is not None
         finally:
             if lock is not None:
-                _write_holders(lock, _read_other_holders(lock))
+                _write_holders_into_lock_file(lock, _read_holders_named_in_lock_file(lock))
 
 
 @contextmanager
-def lock_folder(
+def hold_folder_lock(
     folder: Path, *, patience: WaitLimit, say_waiting: Callable[[str], None]
 ) -> Iterator[bool]:
     """Wait for a folder's exclusive lock, hold it during the block; yield whether it is held."""
-    with _hold_lock(folder, FOLDER, EXCLUSIVE, str(folder), patience, say_waiting) as lock:
+    with _wait_for_and_hold_lock(
+        folder, FOLDER, EXCLUSIVE, str(folder), patience, say_waiting
+    ) as lock:
         yield lock is not None
 
 
-def _wait_for_lock(
+def _wait_for_lock_or_raise_busy(
     lock: int, how: int, where: str, patience: WaitLimit, say_waiting: Callable[[str], None]
 ) -> None:
     """Wait for the lock of an open file; BusyError at the end of the wait."""
     if patience.limit_s != 0.0:
-        say_waiting(describe_holders(lock))
+        say_waiting(describe_lock_holders(lock))
     if patience.limit_s is None:
         # In the kernel's queue, where another that releases and locks again goes to the end.
         fcntl.flock(lock, how)
@@ -149,14 +153,14 @@ def _wait_for_lock(
     end_s = time.monotonic() + patience.limit_s
     while time.monotonic() < end_s:
         time.sleep(_POLL_S)
-        if _try_lock(lock, how):
+        if _try_lock_open_file(lock, how):
             return
     waited = f" after a wait of {patience.limit_s:g} s" if patience.limit_s else ""
-    found = f"in use by {describe_holders(lock)}{waited}"
+    found = f"in use by {describe_lock_holders(lock)}{waited}"
     raise BusyError(where, "", found, "to wait for it, without --no-wait or longer")
 
 
-def _try_lock(lock: int, how: int) -> bool:
+def _try_lock_open_file(lock: int, how: int) -> bool:
     """Try to lock an open file; return whether it was free. OSError where locks are missing."""
     try:
         fcntl.flock(lock, how | fcntl.LOCK_NB)
@@ -165,13 +169,13 @@ def _try_lock(lock: int, how: int) -> bool:
     return True
 
 
-def describe_holders(lock: int) -> str:
+def describe_lock_holders(lock: int) -> str:
     """Describe the processes that hold the lock of an open file or folder."""
-    named = _read_other_holders(lock) or _read_kernel_holders(lock)
+    named = _read_holders_named_in_lock_file(lock) or _read_holders_from_proc_locks(lock)
     return " and ".join(map(str, named)) or "another process, which left no name"
 
 
-def _read_kernel_holders(lock: int) -> list[Holder]:
+def _read_holders_from_proc_locks(lock: int) -> list[Holder]:
     """Return the processes that hold a file's lock according to Linux's /proc/locks."""
     status = os.fstat(lock)
     device = status.st_dev
@@ -188,7 +192,7 @@ def _read_kernel_holders(lock: int) -> list[Holder]:
     return found
 
 
-def _read_other_holders(lock: int) -> list[Holder]:
+def _read_holders_named_in_lock_file(lock: int) -> list[Holder]:
     """Return other living processes that a lock file names as holders; none for a folder."""
     found: list[Holder] = []
     if stat.S_ISDIR(os.fstat(lock).st_mode):
@@ -196,43 +200,43 @@ def _read_other_holders(lock: int) -> list[Holder]:
     # Anybody may have damaged the file.
     for line in os.pread(lock, MAX_BYTES, 0).decode(errors="replace").splitlines():
         with suppress(ValueError, KeyError, TypeError, OverflowError, OSError):
-            holder = Holder.read(line)
+            holder = Holder.from_json_line(line)
             if holder.pid != os.getpid() and Path(f"/proc/{holder.pid}").exists():
                 found.append(holder)
     return found
 
 
-def _write_holders(lock: int, named: Sequence[Holder]) -> None:
+def _write_holders_into_lock_file(lock: int, named: Sequence[Holder]) -> None:
     """Write the processes that hold a lock into its file, a JSON line each."""
     with suppress(OSError):
         os.ftruncate(lock, 0)
         os.pwrite(lock, "".join(f"{json.dumps(asdict(one))}\n" for one in named).encode(), 0)
 
 
-def open_lease_folder() -> Path:
+def find_safe_lock_folder() -> Path:
     """Return the folder of this user's lock files; InputError where others could write to it."""
     folder = Path(tempfile.gettempdir()) / f"dpbench-leases-{os.getuid()}"
     with suppress(OSError):
         folder.mkdir(0o700)
     with suppress(FileNotFoundError):
-        if fault := _describe_folder_fault(folder.lstat()):
+        if fault := _describe_lock_folder_fault(folder.lstat()):
             allowed = "a folder of your own that only you can write; remove it, or set TMPDIR"
             raise InputError(str(folder), "", fault, allowed)
     return folder
 
 
-def _describe_folder_fault(found: os.stat_result) -> str:
+def _describe_lock_folder_fault(found: os.stat_result) -> str:
     """Return why a lock folder cannot be trusted; "" for a safe one."""
     if not stat.S_ISDIR(found.st_mode):
         return "a link" if stat.S_ISLNK(found.st_mode) else "a file"
     if found.st_uid != os.getuid():
-        return f"a folder of {_user_name(found.st_uid)}"
+        return f"a folder of {_describe_user_by_number(found.st_uid)}"
     if found.st_mode & 0o022:
         return f"a folder that others can write (mode {stat.S_IMODE(found.st_mode):o})"
     return ""
 
 
-def _user_name(uid: int) -> str:
+def _describe_user_by_number(uid: int) -> str:
     """Return the name of a user by number, in words."""
     try:
         return f"user {pwd.getpwuid(uid).pw_name}"
@@ -241,18 +245,18 @@ def _user_name(uid: int) -> str:
 
 
 @contextmanager
-def lease_core() -> Iterator[int]:
+def hold_free_core_lock() -> Iterator[int]:
     """Lock a free processor core in the block, the first where all are leased; yield its number."""
-    cores, folder = sorted(os.sched_getaffinity(0)), open_lease_folder()
+    cores, folder = sorted(os.sched_getaffinity(0)), find_safe_lock_folder()
     for core in cores:
-        with try_lease(folder / f"core-{core}", FILE) as held:
+        with try_hold_file_lock(folder / f"core-{core}", FILE) as held:
             if held:
                 yield core
                 return
     yield cores[0]
 
 
-def lease_machine(
+def hold_machine_lock(
     how: int,
     holder: Holder,
     *,
@@ -261,7 +265,9 @@ def lease_machine(
 ) -> AbstractContextManager[bool]:
     """Lock this machine against other campaigns: exclusively for timed replays, else shared.
 
-    Returns false where locks do not work. Parameters and errors as in `lock_file`.
+    Returns false where locks do not work. Parameters and errors as in `hold_file_lock`.
     """
-    path, where = open_lease_folder() / "machine", "this machine"
-    return lock_file(path, how, holder, where=where, patience=patience, say_waiting=say_waiting)
+    path, where = find_safe_lock_folder() / "machine", "this machine"
+    return hold_file_lock(
+        path, how, holder, where=where, patience=patience, say_waiting=say_waiting
+    )

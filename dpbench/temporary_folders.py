@@ -13,7 +13,7 @@ from functools import cache
 from multiprocessing.util import Finalize, get_temp_dir
 from pathlib import Path
 
-from dpbench.locks import FOLDER, try_lease
+from dpbench.locks import FOLDER, try_hold_file_lock
 
 PREFIX = "dpbench-scratch-"  # Beginning of the names of such folders alone
 LONGEST = 70  # Bytes of the path of a folder of sockets: Linux allows 107, and Python adds up to 33
@@ -22,28 +22,28 @@ ATTEMPTS = 10  # To remove a folder that others still write to
 
 
 @contextmanager
-def temporary_folder(place: Path) -> Iterator[Path]:
+def make_temporary_folder_for_block(place: Path) -> Iterator[Path]:
     """Make a private temporary folder below `place`, removed at the end of the block."""
-    clear_abandoned(place)
+    remove_abandoned_temporary_folders(place)
     # Nobody looks for this name: it gets the other when it is locked.
     made = Path(tempfile.mkdtemp(prefix=f".{PREFIX}", dir=place))
-    with try_lease(made, FOLDER):
+    with try_hold_file_lock(made, FOLDER):
         folder = made.rename(made.with_name(made.name.removeprefix(".")))
         try:
             yield folder
         finally:
-            _remove_folder(folder)
+            _remove_folder_with_retries(folder)
 
 
-def clear_abandoned(place: Path) -> None:
+def remove_abandoned_temporary_folders(place: Path) -> None:
     """Remove temporary folders that processes which have ended left below `place`."""
     for folder in place.glob(f"{PREFIX}*"):
-        with try_lease(folder, FOLDER) as abandoned:
+        with try_hold_file_lock(folder, FOLDER) as abandoned:
             if abandoned:
-                _remove_folder(folder)
+                _remove_folder_with_retries(folder)
 
 
-def _remove_folder(folder: Path) -> None:
+def _remove_folder_with_retries(folder: Path) -> None:
     """Remove a folder, with retries while another process still writes to it."""
     for _ in range(ATTEMPTS):
         shutil.rmtree(folder, ignore_errors=True)
@@ -57,9 +57,9 @@ inherits, and without another reference would remove its parent's folder."""
 
 
 @cache
-def process_folder() -> Path:
+def process_temporary_folder() -> Path:
     """Return this process's temporary folder, removed at its end; OSError if none can be made."""
-    made = temporary_folder(Path(tempfile.gettempdir()))
+    made = make_temporary_folder_for_block(Path(tempfile.gettempdir()))
     folder = made.__enter__()
     _held.append(made)
     # In this process and in no fork of it, after the sockets in it are closed.
@@ -71,7 +71,7 @@ def place_sockets_in_process_folder() -> None:
     """Make `multiprocessing` keep its sockets in this process's folder, if its path is short."""
     before = tempfile.tempdir
     try:
-        folder = process_folder()
+        folder = process_temporary_folder()
         if len(os.fsencode(folder)) <= LONGEST:
             tempfile.tempdir = str(folder)
         get_temp_dir()  # made at the first call, and kept

@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 
-from dpbench.errors import InputError, SituationError, SolverUnavailableError, list_allowed
+from dpbench.errors import InputError, SituationError, SolverUnavailableError, format_allowed_names
 from dpbench.solvers import table
 from dpbench.solvers.table import Availability, check_available
 
@@ -13,7 +13,10 @@ NAMES = ("calm", "rough", "squall", "swell", "turn", "turning", "waves")
 
 def test_a_short_list_is_given_whole() -> None:
     """Six names, in their own order."""
-    assert list_allowed("tern", NAMES[1:]) == "one of rough, squall, swell, turn, turning, waves"
+    assert (
+        format_allowed_names("tern", NAMES[1:])
+        == "one of rough, squall, swell, turn, turning, waves"
+    )
 
 
 @pytest.mark.parametrize(
@@ -21,14 +24,14 @@ def test_a_short_list_is_given_whole() -> None:
 )
 def test_a_long_list_is_cut_to_the_nearest_three(listing: str, end: str) -> None:
     """Seven names; the nearest first, then how many more there are and what lists them."""
-    *near, rest = list_allowed("tern", NAMES, listing=listing).split(", ")
+    *near, rest = format_allowed_names("tern", NAMES, listing=listing).split(", ")
     assert near[:2] == ["turn", "turning"] and near[2] in NAMES
     assert rest == f"… 4 more{end}"
 
 
 def test_a_long_list_is_cut_for_a_name_like_no_other() -> None:
     """Three names all the same, also for a text of a megabyte, at once."""
-    assert list_allowed("§" * 1_000_000, NAMES).endswith("… 4 more")
+    assert format_allowed_names("§" * 1_000_000, NAMES).endswith("… 4 more")
 
 
 @pytest.mark.parametrize(

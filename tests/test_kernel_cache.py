@@ -10,7 +10,7 @@ import pytest
 
 import dpbench
 from dpbench import kernel_cache
-from dpbench.kernel_cache import PACKAGE, cache_folders, njit
+from dpbench.kernel_cache import PACKAGE, list_numba_cache_folders, njit
 
 KERNEL = """
 from dpbench.kernel_cache import njit
@@ -64,13 +64,13 @@ def test_without_any_folder_they_are_compiled_in_memory(monkeypatch: pytest.Monk
             raise RuntimeError("cannot cache function 'f': no locator available")
         return numba.njit
 
-    monkeypatch.setattr(kernel_cache, "process_folder", nowhere)
+    monkeypatch.setattr(kernel_cache, "process_temporary_folder", nowhere)
     monkeypatch.setattr(kernel_cache, "_numba_njit", refusing)
-    kernel_cache._make_own_cache.cache_clear()
+    kernel_cache._use_temporary_numba_cache.cache_clear()
     try:
         assert njit(cache=True)(lambda x: x + 1)(1) == 2
     finally:
-        kernel_cache._make_own_cache.cache_clear()
+        kernel_cache._use_temporary_numba_cache.cache_clear()
 
     def broken(**options: object) -> object:
         raise RuntimeError("another")
@@ -83,6 +83,6 @@ def test_without_any_folder_they_are_compiled_in_memory(monkeypatch: pytest.Monk
 def test_the_folders_are_those_of_numba(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """The one that is given alone, or the sources and the user's."""
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
-    assert cache_folders() == [tmp_path]
+    assert list_numba_cache_folders() == [tmp_path]
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
-    assert cache_folders()[0] == PACKAGE and len(cache_folders()) == 2
+    assert list_numba_cache_folders()[0] == PACKAGE and len(list_numba_cache_folders()) == 2

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from dpbench.temporary_folders import PREFIX, temporary_folder
+from dpbench.temporary_folders import PREFIX, make_temporary_folder_for_block
 
 HOLD = """
 import sys, time
@@ -27,7 +27,7 @@ def _names(place: Path) -> list[str]:
 
 def test_a_folder_goes_with_its_campaign(tmp_path: Path) -> None:
     """With what is in it; after an error too."""
-    with pytest.raises(KeyError), temporary_folder(tmp_path) as folder:
+    with pytest.raises(KeyError), make_temporary_folder_for_block(tmp_path) as folder:
         (folder / "log").write_bytes(b"a log")
         assert _names(tmp_path) == [folder.name] and folder.name.startswith(PREFIX)
         raise KeyError
@@ -42,19 +42,19 @@ def test_what_a_killed_campaign_left_goes_with_the_next(tmp_path: Path) -> None:
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
         assert holder.stdout is not None
         left = Path(holder.stdout.readline().strip())
-        with temporary_folder(tmp_path):
+        with make_temporary_folder_for_block(tmp_path):
             assert (left / "log").is_file()
         os.kill(holder.pid, signal.SIGKILL)
     assert (left / "log").is_file(), "nobody tidied up"
-    with temporary_folder(tmp_path) as folder:
+    with make_temporary_folder_for_block(tmp_path) as folder:
         assert sorted(_names(tmp_path)) == sorted(["dpbench-notes", folder.name])
 
 
 FORK = """
 import multiprocessing, sys, tempfile, time
-from dpbench.temporary_folders import process_folder
+from dpbench.temporary_folders import process_temporary_folder
 tempfile.tempdir = sys.argv[1]
-folder = process_folder()
+folder = process_temporary_folder()
 child = multiprocessing.get_context("fork").Process(target=print)
 child.start()
 child.join()

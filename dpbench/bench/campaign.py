@@ -43,7 +43,7 @@ from dpbench.bench.tabulate import RequestedRuns, is_tabulated, refuse_other_sel
 from dpbench.bench.workers.jobs import CellJob, Result, count_steps, group_by_source
 from dpbench.bench.workers.scratch import clear_scratch_folders
 from dpbench.bench.workers.worker import make_source
-from dpbench.errors import InputError, ResultsError, require_names
+from dpbench.errors import InputError, ResultsError, require_lists_of_names
 from dpbench.locks import WaitLimit
 from dpbench.solvers.table import check_availability
 
@@ -326,7 +326,7 @@ def run_campaign(
         "routes": routes,
         "policies": policies,
     }
-    require_names(**chosen)
+    require_lists_of_names(**chosen)
     asked = RunRequest(
         suite=None if suite is None else str(suite),
         sequence=None if sequence is None else str(sequence),

@@ -25,7 +25,7 @@ from dpbench.embedded.step_counts import StepCounts
 from dpbench.embedded.table import EMBEDDED_FILE, read_steps, tabulate_steps, write_steps
 from dpbench.embedded.targets import find_target
 from dpbench.embedded.toolchain import installed_compiler, require_extra
-from dpbench.errors import DpbenchError, InputError, ResultsError, list_allowed
+from dpbench.errors import DpbenchError, InputError, ResultsError, format_allowed_names
 from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.scenario.scenario import cached_scenario, load_scenario
 
@@ -83,7 +83,7 @@ def pair_sequences_with_cores(
     known = list(find_recipes())
     for name in table.solvers:
         if name not in known:
-            allowed = f"solvers with a recipe: {list_allowed(name, known)}"
+            allowed = f"solvers with a recipe: {format_allowed_names(name, known)}"
             raise InputError("suite", "embedded.solvers", repr(name), allowed)
     return [
         PlannedCount(solver, target, *part, single=table.precision == "float")

@@ -30,8 +30,8 @@ from dpbench.bench.record.step_table import DAMAGE
 from dpbench.bench.tabulate import refuse_other_selection
 from dpbench.bench.workers.jobs import CellJob
 from dpbench.errors import InputError
-from dpbench.files.tables import decode_words, open_table
-from dpbench.files.writing import write_bytes
+from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
+from dpbench.files.writing import write_bytes_atomically
 from dpbench.solvers.record import Build
 from dpbench.solvers.table import Availability
 
@@ -154,7 +154,7 @@ def _copy_finished_runs(
             for path in other.folder.iterdir():
                 # No link to other files.
                 if _EXTRA_FILE.fullmatch(path.name) and stat.S_ISREG(path.lstat().st_mode):
-                    write_bytes(store.folder / path.name, path.read_bytes())
+                    write_bytes_atomically(store.folder / path.name, path.read_bytes())
         return store.finished_runs(), [line for one in (store, *others) for line in one.remarks]
 
 
@@ -185,8 +185,8 @@ def _yield_unfinished_outcomes(folder: Path) -> Iterator[tuple[str, Outcome]]:
     with suppress(*DAMAGE):
         columns = ["cell", "outcome", "outcome_detail"]
         path = folder / "runs.parquet"
-        with open_table(path) as file:
-            rows = decode_words(file.read(columns=columns), path).to_pandas()
+        with open_untrusted_parquet_table(path) as file:
+            rows = decode_dictionary_columns_to_text(file.read(columns=columns), path).to_pandas()
         for cell, outcome, detail in rows.itertuples(index=False):
             if outcome in ("lost", "invalid"):
                 yield str(cell), Outcome(str(outcome), str(detail))

@@ -23,7 +23,7 @@ from dpbench.ci.benchmarks import BenchmarkRun, load_run
 from dpbench.ci.comparison import compare_runs
 from dpbench.ci.verdicts import NOT_TIMED, Row, RunComparison
 from dpbench.errors import InputError
-from dpbench.files.writing import write_named_file
+from dpbench.files.writing import write_bytes_to_file_or_pipe
 
 SHOWN_LINES = 5
 """Last lines of a pytest run that has no benchmarks."""
@@ -147,7 +147,7 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     found.print(Console() if sys.stdout.isatty() else Console(width=200), lines)
     if arguments.markdown is not None:
-        write_named_file(arguments.markdown, found.markdown(lines).encode())
+        write_bytes_to_file_or_pipe(arguments.markdown, found.markdown(lines).encode())
     return int(found.worse)
 
 

@@ -22,8 +22,14 @@ from typing import TYPE_CHECKING, Any
 from dpbench.bench.workers.interrupts import Interruption, first_signal_only
 from dpbench.cli.arguments import HOW_TO_END, offer_completions, parser
 from dpbench.cli.streams import PIPE_CLOSED, flush_streams, is_output_lost, open_streams
-from dpbench.errors import DpbenchError, InputError, RenamedWarning, SituationError, warn_renamed
-from dpbench.files.writing import write_named_file
+from dpbench.errors import (
+    DpbenchError,
+    InputError,
+    RenamedWarning,
+    SituationError,
+    warn_of_outdated_name,
+)
+from dpbench.files.writing import write_bytes_to_file_or_pipe
 
 if TYPE_CHECKING:
     from dpbench.report.table import Table
@@ -74,7 +80,7 @@ def _call_command(argv: Sequence[str], interruption: Interruption) -> int:
         warnings.simplefilter("always", RenamedWarning)
         warnings.showwarning = _print_warning
         if words and words[0] in OLD_COMMANDS:
-            warn_renamed("command", words[0], OLD_COMMANDS[words[0]])
+            warn_of_outdated_name("command", words[0], OLD_COMMANDS[words[0]])
             words[0] = OLD_COMMANDS[words[0]]
         whole = parser(_CALLS)
         if "_ARGCOMPLETE" in os.environ:
@@ -291,7 +297,7 @@ def _print_comparison(
         print(markdown, end="")
         return
     if file is not None:
-        write_named_file(Path(file), markdown.encode())
+        write_bytes_to_file_or_pipe(Path(file), markdown.encode())
     screen = make_console()
     for table in tables:
         screen.print(make_report_table(table, screen))

@@ -29,7 +29,7 @@ from dpbench.cli.own_thrusters import (
     save_held_sea,
 )
 from dpbench.cli.terminal import WIDTH
-from dpbench.errors import InputError, SituationError, list_allowed
+from dpbench.errors import InputError, SituationError, format_allowed_names
 from dpbench.report.words import render_document
 from dpbench.scenario import own_ship as scaling
 from dpbench.scenario.hull_files import Hull, read_coefficient_table, read_mss
@@ -176,7 +176,7 @@ def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None
             WHERE,
             "--like",
             repr(options.like)[:80],
-            list_allowed(options.like, list(scaling.LIBRARY)),
+            format_allowed_names(options.like, list(scaling.LIBRARY)),
         )
     like = options.like or scaling.nearest_ship(own)
     own_thrusters = None

@@ -18,7 +18,7 @@ from dpbench.codegen.c_tables import number_text
 from dpbench.codegen.controller_data import ControllerData, Signal, make_names
 from dpbench.codegen.rendering import render
 from dpbench.embedded.toolchain import compile_library
-from dpbench.temporary_folders import process_folder, temporary_folder
+from dpbench.temporary_folders import make_temporary_folder_for_block, process_temporary_folder
 
 SYSTEMS = {
     2: (
@@ -129,7 +129,7 @@ def _compile_libraries(
 ) -> dict[str, bytes]:
     """Return the shared library for each system by its path in the FMU."""
     libraries: dict[str, bytes] = {}
-    with temporary_folder(process_folder()) as folder:
+    with make_temporary_folder_for_block(process_temporary_folder()) as folder:
         for name, text in sources.items():
             (folder / name).write_bytes(text)
         files = sorted(folder.glob("*.c"))

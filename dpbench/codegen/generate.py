@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from dpbench.codegen.rendering import render
 from dpbench.codegen.solver_sources import SOLVERS, SolverSources, round_up
 from dpbench.codegen.trajectory import record_trajectory
 from dpbench.errors import InputError
-from dpbench.files.writing import write_named_file, write_together
+from dpbench.files.writing import write_bytes_to_file_or_pipe, write_file_set_into_folder
 from dpbench.scenario.scenario import Scenario, as_scenario
 
 MOST_REPLAYED = 1000
@@ -66,7 +67,7 @@ def generate_controller(
     files["trajectory.csv"] = trajectory.format_csv(names).encode()
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
-    write_together(folder, {name: (lambda text=text: text) for name, text in files.items()})  # type: ignore[misc] # mypy sees no type of a lambda's default
+    write_file_set_into_folder(folder, {name: partial(bytes, text) for name, text in files.items()})
     lines = [
         f"{len(files)} files in {folder}: the step in controller.c, an example in main.c.",
         f"The QP has {data.qp.n} variables and {data.qp.m} rows; constants take "
@@ -74,7 +75,7 @@ def generate_controller(
     ]
     if fmu is not None:
         whole = build_fmu(data, files, fmi)
-        write_named_file(Path(fmu), whole)
+        write_bytes_to_file_or_pipe(Path(fmu), whole)
         systems = ", ".join(place for place, _, _ in SYSTEMS[fmi])
         lines.append(
             f"FMI {fmi}.0 in {fmu}, {len(whole) / 1000:.0f} kB, with libraries for {systems}."

@@ -18,7 +18,7 @@ from dpbench.embedded.recipe import RECIPES, Recipe
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.solvers.own import compiling
 from dpbench.solvers.own.library import ActiveSet, Problem, open_library
-from dpbench.temporary_folders import process_folder, temporary_folder
+from dpbench.temporary_folders import make_temporary_folder_for_block, process_temporary_folder
 
 OSQP_SETTINGS = {"eps_abs": 1e-6, "eps_rel": 0.0, "rho": 0.03, "max_iter": 20_000}
 OSQP_TOLERANCE = 0.01
@@ -107,7 +107,7 @@ def generate_osqp_sources(qp: CondensedQP) -> SolverSources:
     solver = import_module("osqp").OSQP()
     P = scipy.sparse.csc_matrix(qp.P)
     solver.setup(P, np.zeros(qp.n), rows, -one, one, **options)
-    with temporary_folder(process_folder()) as folder:
+    with make_temporary_folder_for_block(process_temporary_folder()) as folder:
         solver.codegen(str(folder / "c"), parameters="vectors", extension_name=None)
         files = {
             path.name: path.read_bytes()

@@ -23,8 +23,8 @@ from dpbench.embedded.targets import Target
 from dpbench.errors import SituationError
 from dpbench.qp.program import CONSTANT, QPSequence, QPStep
 from dpbench.qp.referee.optimum import Optimum
-from dpbench.qp.referee.referee import certify_sequence, measure_errors
-from dpbench.temporary_folders import process_folder
+from dpbench.qp.referee.referee import certify_all_steps, measure_first_move_and_plan_errors_of_many
+from dpbench.temporary_folders import process_temporary_folder
 
 _ARRAYS = ("P", "q", "A", "l", "u", "lb", "ub", "z")
 """Pointers of `embedded_qp`, in their order."""
@@ -95,8 +95,10 @@ def count_sequence(
     own = settings or {}
     core, mailbox = open_core(recipe, sequence, target, single=single, settings=own, kind=Core)
     columns, answers = run_steps(core, mailbox, sequence)
-    certified = certify_sequence(sequence) if optima is None else optima
-    errors = measure_errors(answers, certified, sequence.base.block, sequence.base.moves)
+    certified = certify_all_steps(sequence) if optima is None else optima
+    errors = measure_first_move_and_plan_errors_of_many(
+        answers, certified, sequence.base.block, sequence.base.moves
+    )
     steps = dict(zip(COUNTED, columns, strict=True))
     sizes = {**core.sizes, "heap": core.heap_bytes()}
     names = recipe.solver, target.name, sequence.name
@@ -117,7 +119,7 @@ def open_core(
     Errors are those of `count_sequence`.
     """
     calibrate(target)
-    with tempfile.TemporaryDirectory(dir=process_folder()) as folder:
+    with tempfile.TemporaryDirectory(dir=process_temporary_folder()) as folder:
         path = recipe.compile(
             sequence, target, Path(folder), single=single, settings=settings or {}
         )

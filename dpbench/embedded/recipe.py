@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from dpbench.embedded.fetch import fetch_sources
 from dpbench.embedded.targets import Target
 from dpbench.embedded.toolchain import FOLDER, compile_program
-from dpbench.errors import InputError, SituationError, UnknownNameError, list_allowed
+from dpbench.errors import InputError, SituationError, UnknownNameError, format_allowed_names
 from dpbench.qp.program import QPSequence
 
 RECIPES = FOLDER / "recipes"
@@ -218,6 +218,8 @@ def select_recipes(names: Iterable[str], folders: Iterable[Path] = ()) -> list[R
     known = find_recipes(folders)
     for name in names:
         if name not in known:
-            raise UnknownNameError("--solver", "", repr(name), list_allowed(name, list(known)))
+            raise UnknownNameError(
+                "--solver", "", repr(name), format_allowed_names(name, list(known))
+            )
     able = [name for name, recipe in known.items() if not recipe.missing]
     return [known[name] for name in (dict.fromkeys(names) or able)]

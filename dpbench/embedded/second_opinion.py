@@ -25,7 +25,7 @@ from dpbench.embedded.targets import Target
 from dpbench.embedded.toolchain import RUNTIME, cache_folder, compile_loader
 from dpbench.errors import SituationError
 from dpbench.qp.program import QPSequence
-from dpbench.temporary_folders import process_folder
+from dpbench.temporary_folders import process_temporary_folder
 
 TOOLS = {"x86": "valgrind", "a53": "qemu-aarch64", "m7": "qemu-arm"}
 """Program that counts for each target; Debian has them in `valgrind` and `qemu-user`."""
@@ -115,7 +115,7 @@ def compare_counts(
         recipe, sequence, target, single=single, settings=settings, kind=_RecordingCore
     )
     columns, _ = run_steps(core, mailbox, sequence)
-    with tempfile.TemporaryDirectory(dir=process_folder()) as folder:
+    with tempfile.TemporaryDirectory(dir=process_temporary_folder()) as folder:
         trace = Path(folder, "trace")
         trace.write_bytes(core.trace)
         loader = _compile_loader(target)

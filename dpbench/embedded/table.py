@@ -11,8 +11,8 @@ import pyarrow as pa
 from dpbench.embedded.step_counts import COUNTED, StepCounts
 from dpbench.embedded.toolchain import compiler_version
 from dpbench.errors import ResultsError
-from dpbench.files.tables import decode_words, open_table
-from dpbench.files.writing import make_folder, replace_file
+from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
+from dpbench.files.writing import make_folder_if_missing, write_file_atomically
 
 EMBEDDED_FILE = "embedded.parquet"
 SIZES = ("code", "constants", "static", "heap")
@@ -49,22 +49,24 @@ def tabulate_steps(counts: Sequence[StepCounts]) -> pd.DataFrame:
 def save_steps(counts: Sequence[StepCounts], folder: Path) -> Path:
     """Write `embedded.parquet` to a folder, made if missing; return its path."""
     folder.parent.mkdir(parents=True, exist_ok=True)
-    path = make_folder(folder) / EMBEDDED_FILE
+    path = make_folder_if_missing(folder) / EMBEDDED_FILE
     write_steps(tabulate_steps(counts), path)
     return path
 
 
 def write_steps(steps: pd.DataFrame, path: Path) -> None:
     """Write counted steps to a Parquet file, whole or not at all."""
-    with replace_file(path) as part:
+    with write_file_atomically(path) as part:
         steps[list(COLUMNS)].astype(COLUMNS).to_parquet(part, index=False, compression="zstd")
 
 
 def read_steps(path: Path) -> pd.DataFrame:
     """Return the counted steps in a file; ResultsError where it is damaged or has no rows."""
     try:
-        with open_table(path, error=ResultsError) as file:
-            table = decode_words(file.read(columns=list(COLUMNS)), path, error=ResultsError)
+        with open_untrusted_parquet_table(path, error=ResultsError) as file:
+            table = decode_dictionary_columns_to_text(
+                file.read(columns=list(COLUMNS)), path, error=ResultsError
+            )
         frame: pd.DataFrame = table.to_pandas(ignore_metadata=True)[list(COLUMNS)]
         steps = frame.astype(COLUMNS)
         for text in steps["settings"].unique():

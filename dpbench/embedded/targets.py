@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from dpbench.errors import UnknownNameError, list_allowed
+from dpbench.errors import UnknownNameError, format_allowed_names
 
 
 @dataclass(frozen=True)
@@ -122,5 +122,7 @@ TARGETS = {
 def find_target(name: str) -> Target:
     """Return the target of a name; UnknownNameError for any other."""
     if name not in TARGETS:
-        raise UnknownNameError("--target", "", repr(name), list_allowed(name, list(TARGETS)))
+        raise UnknownNameError(
+            "--target", "", repr(name), format_allowed_names(name, list(TARGETS))
+        )
     return TARGETS[name]

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from dpbench.embedded.targets import Target
 from dpbench.errors import SituationError
-from dpbench.temporary_folders import process_folder
+from dpbench.temporary_folders import process_temporary_folder
 
 FOLDER = Path(__file__).parent
 RUNTIME = FOLDER / "runtime"
@@ -69,7 +69,7 @@ def cache_folder(name: str) -> Path:
             return folder
     except OSError:
         pass
-    folder = process_folder() / name
+    folder = process_temporary_folder() / name
     folder.mkdir(exist_ok=True)
     return folder
 

@@ -50,14 +50,14 @@ def parse_json(text: str) -> Any:
         document = json.loads(text)
     except RecursionError as failure:
         raise ValueError("nested too deep") from failure
-    check_values(document)
+    refuse_deep_or_huge_values(document)
     if "\\ud" in text.lower():
         # An escape of half a surrogate pair gives a text that can be neither printed nor written.
         json.dumps(document, ensure_ascii=False).encode()
     return document
 
 
-def check_values(document: object) -> None:
+def refuse_deep_or_huge_values(document: object) -> None:
     """Raise ValueError for parsed JSON nested too deep, or with an integer beyond all floats."""
     depth = 0
     level: list[Any] = [document]

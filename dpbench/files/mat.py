@@ -19,7 +19,7 @@ WAIT_S = 30.0  # For the process, which ends itself after `mat_child.TIME_S` of 
 _ALLOWED = "a .mat file of version 7 or older (in MATLAB: save -v7)"
 
 
-def read_structure(path: Path, name: str) -> tuple[list[str], dict[str, NDArray[Any]]]:
+def read_mat_structure_in_child(path: Path, name: str) -> tuple[list[str], dict[str, NDArray[Any]]]:
     """Read the numeric fields of a structure in an untrusted MATLAB file, in a child process.
 
     The names of all variables, and of the structure `name` each field as an array, by its dotted

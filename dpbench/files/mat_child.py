@@ -12,11 +12,11 @@ MEMORY_BYTES = 2**29  # Python with SciPy takes a quarter of it
 TIME_S = 10  # Of a processor; a file of the largest size that is read takes a second
 
 
-def main(name: str) -> int:
+def write_mat_structure_to_stdout(name: str) -> int:
     """Read a MATLAB file on stdin, write a structure's numbers to stdout; return 1 on failure."""
-    _lower_resource_limit(resource.RLIMIT_AS, MEMORY_BYTES)
-    _lower_resource_limit(resource.RLIMIT_CPU, TIME_S)
-    _lower_resource_limit(resource.RLIMIT_CORE, 0)
+    _lower_own_resource_limit(resource.RLIMIT_AS, MEMORY_BYTES)
+    _lower_own_resource_limit(resource.RLIMIT_CPU, TIME_S)
+    _lower_own_resource_limit(resource.RLIMIT_CORE, 0)
     import numpy as np
     import scipy.io
 
@@ -30,28 +30,34 @@ def main(name: str) -> int:
     arrays: dict[str, Any] = {"names": np.array(names, dtype="U63")}
     structure = content.get(name)
     if isinstance(structure, dict):
-        arrays |= {f"{name}.{key}": value for key, value in _collect_numbers(structure).items()}
+        arrays |= {
+            f"{name}.{key}": value
+            for key, value in _flatten_numeric_fields_by_dotted_name(structure).items()
+        }
     packed = io.BytesIO()
     np.savez(packed, **arrays)
     sys.stdout.buffer.write(packed.getvalue())
     return 0
 
 
-def _lower_resource_limit(kind: int, most: int) -> None:
+def _lower_own_resource_limit(kind: int, most: int) -> None:
     """Lower a limit of this process's memory or time, unless it is lower already."""
     _, highest = resource.getrlimit(kind)
     most = most if highest == resource.RLIM_INFINITY else min(most, highest)
     resource.setrlimit(kind, (most, highest))
 
 
-def _collect_numbers(structure: dict[str, Any]) -> dict[str, Any]:
+def _flatten_numeric_fields_by_dotted_name(structure: dict[str, Any]) -> dict[str, Any]:
     """Flatten a nested structure to arrays by dotted name; fields without numbers become empty."""
     import numpy as np
 
     numbers: dict[str, Any] = {}
     for key, value in structure.items():
         if isinstance(value, dict):
-            numbers |= {f"{key}.{inner}": one for inner, one in _collect_numbers(value).items()}
+            numbers |= {
+                f"{key}.{inner}": one
+                for inner, one in _flatten_numeric_fields_by_dotted_name(value).items()
+            }
             continue
         array = np.asarray(value)
         numbers[key] = array if array.dtype.kind in "biuf" else np.zeros(0)
@@ -59,4 +65,4 @@ def _collect_numbers(structure: dict[str, Any]) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]))
+    sys.exit(write_mat_structure_to_stdout(sys.argv[1]))

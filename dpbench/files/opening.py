@@ -70,7 +70,7 @@ def read_bytes(
             raise error(str(path), "", found, what) from failure
 
 
-def check_unpacked(
+def refuse_implausible_unpacked_size(
     path: Path, unpacked: int, size: int, *, error: type[InputError] = InputError
 ) -> None:
     """Raise `error` if a compressed file would unpack to far more bytes than plausible."""

@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from dpbench.errors import InputError
-from dpbench.files.opening import check_unpacked, open_regular_file
+from dpbench.files.opening import open_regular_file, refuse_implausible_unpacked_size
 
 WHAT = "a table written by `dpbench run`"
 MOST_ENTRIES = 100_000
@@ -28,7 +28,9 @@ _IS_NUMBER = (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean, pa
 
 
 @contextmanager
-def open_table(path: Path, *, error: type[InputError] = InputError) -> Iterator[pq.ParquetFile]:
+def open_untrusted_parquet_table(
+    path: Path, *, error: type[InputError] = InputError
+) -> Iterator[pq.ParquetFile]:
     """Open an untrusted Parquet table of numbers and texts, with its unpacked size bounded.
 
     Raises InputError : it is no regular file, has columns of other types, or unpacks to too much.
@@ -43,14 +45,16 @@ def open_table(path: Path, *, error: type[InputError] = InputError) -> Iterator[
             if not any(fits(kind) for fits in (*_IS_NUMBER, *_IS_TEXT)):
                 raise error(str(path), field.name[:80], f"type {kind}", "numbers and words")
         words = [f.name for f in schema if any(fits(f.type) for fits in _IS_TEXT)]
-        check_unpacked(path, _unpacked_bytes(metadata, len(words)), size, error=error)
+        refuse_implausible_unpacked_size(
+            path, _estimate_unpacked_table_bytes(metadata, len(words)), size, error=error
+        )
     with pq.ParquetFile(
         path, metadata=metadata, read_dictionary=words, page_checksum_verification=True
     ) as table:
         yield table
 
 
-def _unpacked_bytes(metadata: pq.FileMetaData, words: int) -> int:
+def _estimate_unpacked_table_bytes(metadata: pq.FileMetaData, words: int) -> int:
     """Return a Parquet table's size in memory [bytes], each distinct text counted once."""
     a_row = _CODE * words + _NUMBER * (metadata.num_columns - words)
     # Of row groups as a whole: where the entry of a column is damaged, asking for it aborts Python.
@@ -58,17 +62,24 @@ def _unpacked_bytes(metadata: pq.FileMetaData, words: int) -> int:
     return sum(a_row * group.num_rows + group.total_byte_size for group in groups)
 
 
-def decode_words(table: pa.Table, path: Path, *, error: type[InputError] = InputError) -> pa.Table:
+def decode_dictionary_columns_to_text(
+    table: pa.Table, path: Path, *, error: type[InputError] = InputError
+) -> pa.Table:
     """Convert dictionary-encoded text columns to plain text; raise `error` if too large."""
     coded = {f.name: table[f.name] for f in table.schema if pa.types.is_dictionary(f.type)}
-    check_unpacked(path, sum(map(_word_bytes, coded.values())), os.path.getsize(path), error=error)
+    refuse_implausible_unpacked_size(
+        path,
+        sum(map(_count_bytes_of_decoded_texts, coded.values())),
+        os.path.getsize(path),
+        error=error,
+    )
     for name, column in coded.items():
         at = table.schema.get_field_index(name)
         table = table.set_column(at, name, column.cast(column.type.value_type))
     return table
 
 
-def _word_bytes(column: pa.ChunkedArray) -> int:
+def _count_bytes_of_decoded_texts(column: pa.ChunkedArray) -> int:
     """Return the bytes of a column's texts, each as often as it occurs."""
     total = 0
     for chunk in column.chunks:

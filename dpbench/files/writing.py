@@ -17,13 +17,13 @@ MOST_NAME_BYTES = 120
 _MOST_LIST_BYTES = 2**20
 
 
-def is_file_name(text: str) -> bool:
+def is_plain_file_name(text: str) -> bool:
     """Return whether a text is a printable file name without folder or leading dot."""
     plain = text.isprintable() and not {"/", "\\"} & set(text) and not text.startswith(".")
     return plain and 0 < len(text.encode()) <= MOST_NAME_BYTES
 
 
-def make_folder(path: Path) -> Path:
+def make_folder_if_missing(path: Path) -> Path:
     """Make a folder unless it exists; InputError if a link has its name."""
     if path.is_symlink():
         raise InputError(str(path), "", "a link", "a folder: nothing is written through a link")
@@ -31,7 +31,7 @@ def make_folder(path: Path) -> Path:
     return path
 
 
-def new_file(path: Path) -> Path:
+def create_empty_file(path: Path) -> Path:
     """Make an empty regular file at a path, replacing a file or link of that name."""
     path.unlink(missing_ok=True)
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -40,9 +40,9 @@ def new_file(path: Path) -> Path:
 
 
 @contextmanager
-def replace_file(path: Path) -> Iterator[Path]:
+def write_file_atomically(path: Path) -> Iterator[Path]:
     """Yield a new file that replaces the one at `path` when the block ends, or not at all."""
-    part = new_file(path.with_name(f"{path.name}.part"))
+    part = create_empty_file(path.with_name(f"{path.name}.part"))
     try:
         yield part
         part.replace(path)
@@ -50,14 +50,14 @@ def replace_file(path: Path) -> Iterator[Path]:
         part.unlink(missing_ok=True)
 
 
-def replace_durably(part: Path, path: Path) -> None:
+def rename_durably(part: Path, path: Path) -> None:
     """Rename a written file to its final name, so that it survives a power failure."""
-    sync_to_disk(part)
+    sync_path_to_disk(part)
     part.replace(path)
-    sync_to_disk(path.parent)
+    sync_path_to_disk(path.parent)
 
 
-def sync_to_disk(path: Path) -> None:
+def sync_path_to_disk(path: Path) -> None:
     """Wait until a file or folder is on the disk."""
     number = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
@@ -66,53 +66,54 @@ def sync_to_disk(path: Path) -> None:
         os.close(number)
 
 
-def write_bytes(path: Path, content: bytes) -> None:
+def write_bytes_atomically(path: Path, content: bytes) -> None:
     """Write bytes to a file, completely or not at all."""
-    with replace_file(path) as part:
+    with write_file_atomically(path) as part:
         part.write_bytes(content)
 
 
-def write_text(path: Path, text: str) -> None:
+def write_text_atomically(path: Path, text: str) -> None:
     """Write text to a file in UTF-8, completely or not at all; lone surrogates become `?`."""
-    write_bytes(path, text.encode(errors="replace"))
+    write_bytes_atomically(path, text.encode(errors="replace"))
 
 
-def write_named_file(path: Path, content: bytes) -> None:
+def write_bytes_to_file_or_pipe(path: Path, content: bytes) -> None:
     """Write bytes to a file of the user's choice, which may be a device or a pipe."""
     if path.exists() and not stat.S_ISREG(path.stat().st_mode):
         path.write_bytes(content)
     else:
-        write_bytes(path, content)
+        write_bytes_atomically(path, content)
 
 
-def write_together(folder: Path, contents: Mapping[str, Callable[[], bytes]]) -> None:
+def write_file_set_into_folder(folder: Path, contents: Mapping[str, Callable[[], bytes]]) -> None:
     """Write a set of files into a folder, and remove files of an earlier set that are not in it.
 
-    `contents` makes the bytes of each file by name; `file_list_path` records the names;
-    no other file is removed. InputError: the folder is a link, or a name is none of a file in it.
+    `contents` makes the bytes of each file by name; the list of them is kept beside
+    them, and no other file is removed. InputError: the folder is a link, or a name is none of a
+    file in it.
     """
     for name in contents:
-        if not is_file_name(name):
+        if not is_plain_file_name(name):
             raise InputError(str(folder), "", f"a file called {name!r}", "a name without a folder")
-    earlier, now = _read_file_list(make_folder(folder)), set(contents)
+    earlier, now = _read_names_of_written_files(make_folder_if_missing(folder)), set(contents)
     # Should this be interrupted, the next time has to know the files of both.
-    _write_file_list(folder, earlier | now)
+    _write_names_of_written_files(folder, earlier | now)
     for name in earlier - now:
         if stat.S_ISREG((folder / name).lstat().st_mode):
             (folder / name).unlink()
     for name, content in contents.items():
-        write_bytes(folder / name, content())
-    _write_file_list(folder, now)
+        write_bytes_atomically(folder / name, content())
+    _write_names_of_written_files(folder, now)
 
 
-def file_list_path(folder: Path) -> Path:
+def build_path_of_written_file_list(folder: Path) -> Path:
     """Return the path of the list of files that dpbench wrote into a folder together."""
     return folder.with_name(f".{folder.name}.json")
 
 
-def _read_file_list(folder: Path) -> set[str]:
+def _read_names_of_written_files(folder: Path) -> set[str]:
     """Read the names of files that dpbench wrote into a folder, as far as they exist."""
-    path = file_list_path(folder)
+    path = build_path_of_written_file_list(folder)
     try:
         state = path.lstat()
         if not stat.S_ISREG(state.st_mode) or state.st_size > _MOST_LIST_BYTES:
@@ -121,10 +122,12 @@ def _read_file_list(folder: Path) -> set[str]:
     except (OSError, ValueError, RecursionError):
         return set()
     named = names if isinstance(names, list) else []
-    known = {name for name in named if isinstance(name, str) and is_file_name(name)}
+    known = {name for name in named if isinstance(name, str) and is_plain_file_name(name)}
     return {name for name in known if os.path.lexists(folder / name)}
 
 
-def _write_file_list(folder: Path, names: set[str]) -> None:
+def _write_names_of_written_files(folder: Path, names: set[str]) -> None:
     """Write the names of files that dpbench wrote into a folder."""
-    write_text(file_list_path(folder), json.dumps(sorted(names), indent=1) + "\n")
+    write_text_atomically(
+        build_path_of_written_file_list(folder), json.dumps(sorted(names), indent=1) + "\n"
+    )

@@ -32,7 +32,7 @@ from dpbench.mpc.kernels import build_affine_blocks, condense_blocks, write_summ
 from dpbench.mpc.model import StateSpace, rotate_model
 from dpbench.mpc.terminal import TerminalCost, build_terminal_cost
 from dpbench.mpc.thruster_rows import Limits, ThrusterRows
-from dpbench.qp.program import check_shapes
+from dpbench.qp.program import require_shapes_and_make_contiguous
 
 UnitSystem = Literal["scaled", "si"]
 Terminal = Literal["none", "riccati"]
@@ -76,7 +76,7 @@ class ControlProblem:
         shapes |= {"Q": (n_y, n_y), "R": (n_u, n_u)}
         if self.W is not None:
             shapes["W"] = (n_u, n_u)
-        check_shapes(self, shapes)
+        require_shapes_and_make_contiguous(self, shapes)
         G, row_max, limits = np.eye(n_u), self.du_max, Limits(self.u_min, self.u_max)
         if (rows := self.thrusters) is not None:
             G, row_max, limits = rows.G, rows.row_units(self.du_max), rows.intact

@@ -23,7 +23,7 @@ from dpbench.mpc.model import HORIZONTAL
 from dpbench.mpc.outputs import OutputBounds, bounded_steps, output_blocks
 from dpbench.mpc.soft_limits import ConstraintBlock, Penalty, amplitude_block, assemble_blocks
 from dpbench.mpc.thruster_rows import LimitRampDown, Limits
-from dpbench.qp.program import QPStep, QuadraticProgram, Units, describe_size
+from dpbench.qp.program import QPStep, QuadraticProgram, Units, describe_qp_size
 
 # Policy of amplitude limits for plan row i: `reachable`, as far as the rate can follow them;
 # `hard`, the limits, though no plan may satisfy them; `soft`, with a slack at an exact penalty.
@@ -90,7 +90,7 @@ class CondensedQP:
         self._prepare_emit()
 
     def __repr__(self) -> str:
-        return f"<CondensedQP: {describe_size(self.n, self.m)}, {self.units}>"
+        return f"<CondensedQP: {describe_qp_size(self.n, self.m)}, {self.units}>"
 
     @property
     def matrices(self) -> CondensedMatrices:

@@ -17,7 +17,7 @@ import scipy.linalg
 
 from dpbench.arrays import Matrix
 from dpbench.errors import ShapeError
-from dpbench.qp.program import check_shapes
+from dpbench.qp.program import require_shapes_and_make_contiguous
 from dpbench.ship.layout import AXES
 
 SPEED_CHANGE, POSE_CHANGE, POSE = (slice(first, first + AXES) for first in (0, AXES, 2 * AXES))
@@ -53,7 +53,9 @@ class StateSpace:
 
     def __post_init__(self) -> None:
         n_x, n_u, n_y = np.shape(self.A)[0], np.shape(self.B)[-1], np.shape(self.C)[0]
-        check_shapes(self, {"A": (n_x, n_x), "B": (n_x, n_u), "C": (n_y, n_x)})
+        require_shapes_and_make_contiguous(
+            self, {"A": (n_x, n_x), "B": (n_x, n_u), "C": (n_y, n_x)}
+        )
 
     @property
     def n_x(self) -> int:
@@ -134,7 +136,9 @@ def rotate_model(model: StateSpace, turn_rad: float) -> StateSpace:
     """
     sizes = model.n_x, model.n_y
     if sizes != (SHIP_STATES, AXES):
-        raise ShapeError.of("rotate_model", "model", sizes, "the 9 states and 3 outputs of a ship")
+        raise ShapeError.from_shapes(
+            "rotate_model", "model", sizes, "the 9 states and 3 outputs of a ship"
+        )
     R, A, B = rotation_matrix(turn_rad), model.A.copy(), model.B.copy()
     for rows in (POSE_CHANGE, POSE):
         A[rows, SPEED_CHANGE] = R @ A[rows, SPEED_CHANGE]

@@ -53,7 +53,9 @@ def output_blocks(
     """Return the soft QP constraints of the position watch circle and of the ship-speed bound."""
     n_y, n_x, n = problem.model.n_y, problem.model.n_x, len(matrices.E)
     if n_y != AXES:
-        raise ShapeError.of("OutputBounds", "model.C", problem.model.C.shape, "3 outputs of a ship")
+        raise ShapeError.from_shapes(
+            "OutputBounds", "model.C", problem.model.C.shape, "3 outputs of a ship"
+        )
     # Outputs at steps 0 … N_p as maps of the state and of the scaled plan; north and east only.
     free = np.vstack((problem.model.C, matrices.F)).reshape(-1, n_y, n_x)[:, HORIZONTAL]
     moved = matrices.Phi * np.tile(problem.du_max, problem.N_c)

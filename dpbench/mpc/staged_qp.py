@@ -218,7 +218,7 @@ class StagedQP:
 
     def condensed(self, solution: Solution) -> Solution:
         """Convert a sparse solution to the condensed one; NaN stays NaN, a proof stays a proof."""
-        return solution.with_iterate(
+        return solution.copy_with_other_vectors(
             self._view_moves(solution.z).reshape(-1),
             self._view_amplitude_rows(solution.y).reshape(-1),
             self._view_moves(solution.y_box).reshape(-1),

@@ -14,10 +14,10 @@ from dpbench.analysis.verdict.fastest import best_verdict_by_solver
 from dpbench.bench.capability.table import load_capability_plots
 from dpbench.bench.design import load_stability_records
 from dpbench.bench.record import result_folder
-from dpbench.display import table_html
+from dpbench.display import make_html_table
 from dpbench.embedded.table import load_counts
-from dpbench.errors import InputError, ResultsError, list_allowed, require_names
-from dpbench.files.writing import make_folder
+from dpbench.errors import InputError, ResultsError, format_allowed_names, require_lists_of_names
+from dpbench.files.writing import make_folder_if_missing
 from dpbench.notebook.latex import make_tabular
 from dpbench.notebook.plots import ResultPlots
 from dpbench.report.csv_tables import read_table, write_tables
@@ -131,7 +131,7 @@ class Results(result_folder.Results):
         error and times. solvers : only their rows. only_run : without rows of verdict "not run".
         InputError for a table, column or solver that is not there.
         """
-        require_names(columns=columns, solvers=solvers)
+        require_lists_of_names(columns=columns, solvers=solvers)
         if isinstance(table, str):
             _check_name("table", table, self.tables)
             frame = self.tables[table]
@@ -155,7 +155,7 @@ class Results(result_folder.Results):
 
         The file `.<folder>.json` beside it lists them, so that the next call removes old ones.
         """
-        write_tables(make_folder(Path(folder)), self.tables)
+        write_tables(make_folder_if_missing(Path(folder)), self.tables)
 
     def __repr__(self) -> str:
         runs = plural(len(self.runs), "run")
@@ -172,7 +172,7 @@ class Results(result_folder.Results):
             self._full_report.data, best_verdict_by_solver(self._full_report.data.verdicts)
         )
         title = str(self.suite.get("name", self.folder.name))
-        return table_html(HEAD, rows, title=title, note=self.answer)
+        return make_html_table(HEAD, rows, title=title, note=self.answer)
 
     @cached_property
     def _full_report(self) -> Report:
@@ -212,7 +212,7 @@ class _StoredTables(dict[str, pd.DataFrame]):
 def _check_name(key: str, name: str, known: Iterable[str]) -> None:
     """Raise InputError unless a table, column or solver is known, with the nearest that are."""
     if name not in (names := list(known)):
-        raise InputError("results", key, repr(name), list_allowed(name, names))
+        raise InputError("results", key, repr(name), format_allowed_names(name, names))
 
 
 def load_results(out: str | Path) -> Results:

@@ -31,8 +31,8 @@ from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.bench.sequences.sequence_file import as_sequence
-from dpbench.display import fields_html
-from dpbench.errors import InputError, require_at_least
+from dpbench.display import make_html_field_table
+from dpbench.errors import InputError, require_integer_at_least
 from dpbench.mpc.condense import UnitSystem
 from dpbench.notebook.plots import RunPlots
 from dpbench.qp.program import QPSequence
@@ -122,7 +122,7 @@ class Run:
             f"median step time{note and f', {note}'}": time,
         }
         fields |= {"times": REMEMBERED} if self.remembers else {}
-        return fields_html(
+        return make_html_field_table(
             f"{self.label}: {self._sequence_text}", fields | self._describe_control()
         )
 
@@ -271,8 +271,8 @@ def replay(
     """
     _check_choice("formulation", formulation, FORMULATIONS)
     sequence, workspace = as_sequence(sequence), _as_workspace(workspace)
-    require_at_least("repeats", repeats, 1)
-    require_at_least("warmup_steps", warmup_steps, 0)
+    require_integer_at_least("repeats", repeats, 1)
+    require_integer_at_least("warmup_steps", warmup_steps, 0)
     warmup_steps = min(warmup_steps, len(sequence))
     steps, solver, log = replay_parts(sequence, workspace, formulation, repeats, RawLog.in_memory)
     replaying = ReplayRun(

@@ -25,7 +25,8 @@ so that row 2 comes first and λ₂ = 3.5 s. Three more iterations end at x = (1
 >>> s = 0.5**0.5
 >>> J, upper = np.array([[1.0, 0.0, s], [0.0, 1.0, s]]), np.array([1.0, 1.0, 2.5 * s])
 >>> method = DualActiveSet(J, np.array([3.0, 3.0]), -upper - 10.0, upper, limit=9)
->>> method._find_most_violated(), method._add_row(2, 1.0), bool(np.isclose(method._lam[2], 3.5 * s))
+>>> found, ending = method._find_most_violated_row_and_side(), method._activate_violated_row(2, 1.0)
+>>> found, ending, bool(np.isclose(method._lam[2], 3.5 * s))
 ((2, 1.0), None, True)
 >>> outcome = method.run()
 >>> outcome.multipliers.round(12).tolist(), outcome.iterations
@@ -115,33 +116,33 @@ class DualActiveSet:
         self._Q, self._R = np.empty((x0.size, 0)), np.empty((0, 0))
         self.iterations = 0
 
-    def run(self, start: Vector | None = None) -> Outcome:
+    def run_from_active_set(self, start: Vector | None = None) -> Outcome:
         """Add violated rows to the active set until none is left or no step is possible.
 
         start : (p,) +1 or −1 for independent rows to begin with, at their upper or lower limit.
         """
         if start is not None:
-            self._warm_start(start)
+            self._start_from_active_set(start)
         while True:
-            j, side = self._find_most_violated()
+            j, side = self._find_most_violated_row_and_side()
             if j < 0:
                 return self._build_outcome(Ending.OPTIMAL)
-            if (ending := self._add_row(j, side)) is not None:
+            if (ending := self._activate_violated_row(j, side)) is not None:
                 return self._build_outcome(ending)
 
-    def _warm_start(self, start: Vector) -> None:
+    def _start_from_active_set(self, start: Vector) -> None:
         """Start from the active set `start`, less the rows with multipliers of the wrong sign."""
         self._active = [int(i) for i in np.flatnonzero(start)]
         self._side[self._active] = start[self._active]
         while self._active:
-            self._factor_active_rows()
-            self._recompute_iterate()
+            self._factor_active_normals_by_qr()
+            self._recompute_point_and_multipliers()
             wrong = np.where(self._free, 0.0, self._side * self._lam)[self._active]
             worst = int(np.argmin(wrong))
             if wrong[worst] >= 0.0:
                 return
             self._lam[self._active.pop(worst)] = 0.0
-        self._factor_active_rows()
+        self._factor_active_normals_by_qr()
         self._x = self._base
 
     def _build_outcome(self, ending: Ending) -> Outcome:
@@ -149,7 +150,7 @@ class DualActiveSet:
         active = np.array(self._active, dtype=np.intp)
         return Outcome(ending, active, self._side, self._lam, self.iterations)
 
-    def _find_most_violated(self) -> tuple[int, float]:
+    def _find_most_violated_row_and_side(self) -> tuple[int, float]:
         """Return the inactive row violated most, and +1 at its upper or −1 at its lower limit."""
         w = self._x @ self._J
         over, under = w - self._upper, self._lower - w
@@ -167,29 +168,31 @@ class DualActiveSet:
             return -1, 0.0
         return j, side
 
-    def _add_row(self, j: int, side: float) -> Ending | None:
+    def _activate_violated_row(self, j: int, side: float) -> Ending | None:
         """Raise a violated row's multiplier until the row is active; drop rows that block."""
         J, lam = self._J, self._lam
         limit = self._upper[j] if side > 0.0 else self._lower[j]
         self._side[j] = side
         before = self._active.copy(), lam.copy(), self._x, self._Q, self._R
         excess = side * (float(J[:, j] @ self._x) - limit)
-        rounding = excess <= WRITTEN_TWICE * self._violation_scale(limit)
+        rounding = excess <= WRITTEN_TWICE * self._compute_reference_size_of_violation(limit)
         while self.iterations < self._limit:
             self.iterations += 1
             a = side * J[:, j]
-            r, d = self._project_on_active(a)
+            r, d = self._split_vector_along_active_normals(a)
             gap = float(a @ self._x) - side * limit
             dependent = len(self._active) == a.size or d @ d <= DEPENDENT**2 * (a @ a)
-            blocking, t_dual = self._find_blocking_row(r, NO_PART if dependent else 0.0)
+            blocking, t_dual = self._find_blocking_row_and_step_length(
+                r, NO_PART if dependent else 0.0
+            )
             t_primal = np.inf if dependent else max(gap, 0.0) / float(d @ d)
             if dependent and blocking < 0:
-                if gap > self._contradiction * self._violation_scale(limit):
+                if gap > self._contradiction * self._compute_reference_size_of_violation(limit):
                     # The ray that proves row j, dependent on the active ones, contradictory.
                     lam[:] = 0.0
                     lam[self._active], lam[j] = -r, side
                     return Ending.INFEASIBLE
-                self._ignore_row(j, before if rounding else None)
+                self._exclude_redundant_row(j, before if rounding else None)
                 return None
             t = min(t_primal, t_dual)
             lam[self._active] -= t * r
@@ -197,18 +200,18 @@ class DualActiveSet:
             self._x = self._x - t * d
             if t_primal <= t_dual:
                 self._active.append(j)
-                self._factor_active_rows()
-                self._recompute_iterate()
+                self._factor_active_normals_by_qr()
+                self._recompute_point_and_multipliers()
                 return None
             lam[self._active.pop(blocking)] = 0.0
-            self._factor_active_rows()
+            self._factor_active_normals_by_qr()
         return Ending.ITERATION_LIMIT
 
-    def _factor_active_rows(self) -> None:
+    def _factor_active_normals_by_qr(self) -> None:
         """Compute the QR factors of the active rows' normals."""
         self._Q, self._R = np.linalg.qr(self._J[:, self._active])
 
-    def _project_on_active(self, a: Vector) -> tuple[Vector, Vector]:
+    def _split_vector_along_active_normals(self, a: Vector) -> tuple[Vector, Vector]:
         """Return a vector's coefficients in the active normals, and the rest orthogonal to them."""
         if not self._active:
             return np.empty(0), a
@@ -217,7 +220,7 @@ class DualActiveSet:
         again = self._Q.T @ d
         return _solve_triangular(self._R, c + again), d - self._Q @ again
 
-    def _find_blocking_row(self, r: Vector, least: float) -> tuple[int, float]:
+    def _find_blocking_row_and_step_length(self, r: Vector, least: float) -> tuple[int, float]:
         """Return which active multiplier reaches zero first along a step, and that step length."""
         if not self._active:
             return -1, np.inf
@@ -233,7 +236,7 @@ class DualActiveSet:
         ties = np.flatnonzero(steps == shortest)
         return int(min(ties, key=lambda k: self._active[k])), shortest
 
-    def _recompute_iterate(self) -> None:
+    def _recompute_point_and_multipliers(self) -> None:
         """Recompute point and multipliers from the active set, free of accumulated rounding."""
         W = self._active
         g = np.where(self._side[W] > 0.0, self._upper[W], self._lower[W])
@@ -244,11 +247,11 @@ class DualActiveSet:
         across = self._base - self._Q @ along
         self._x = across - self._Q @ (self._Q.T @ across - at_limits)
 
-    def _violation_scale(self, limit: float) -> float:
+    def _compute_reference_size_of_violation(self, limit: float) -> float:
         """Return the size that a violation is relative to: |limit| plus the largest entry of x."""
         return abs(limit) + float(np.max(np.abs(self._x), initial=0.0))
 
-    def _ignore_row(self, j: int, before: _State | None) -> None:
+    def _exclude_redundant_row(self, j: int, before: _State | None) -> None:
         """Exclude row j from the search: it repeats active rows up to rounding.
 
         If it was violated by no more than rounding at first, the steps since have followed nothing
@@ -277,7 +280,7 @@ class Projection:
     scale: Vector
 
     @classmethod
-    def of(cls, P: Matrix, C: Matrix) -> Projection:
+    def factorise_hessian_and_rows(cls, P: Matrix, C: Matrix) -> Projection:
         """Factorise P (n, n) and scale rows C (N, n); LinAlgError if P is not positive definite."""
         L = np.linalg.cholesky(0.5 * (P + P.T)).astype(np.float64)
         J = scipy.linalg.solve_triangular(L, C.T, lower=True)
@@ -286,7 +289,7 @@ class Projection:
         np.divide(1.0, length, out=scale, where=length > 0.0)
         return cls(L, J * scale, scale)
 
-    def solve(
+    def solve_for_vectors(
         self,
         q: Vector,
         lower: Vector,
@@ -300,5 +303,5 @@ class Projection:
         limit = ITERATIONS_PER_ROW * self.scale.size
         low, high = lower * self.scale, upper * self.scale
         method = DualActiveSet(self.J, x0, low, high, limit=limit, contradiction=contradiction)
-        outcome = method.run(start)
+        outcome = method.run_from_active_set(start)
         return replace(outcome, multipliers=outcome.multipliers * self.scale)

@@ -47,12 +47,14 @@ def has_equal_blocks(n: int, m: int, block: int) -> bool:
     return block == 0 or (n % block == 0 and m % (n // block) == 0)
 
 
-def rows_per_block(n: int, m: int, block: int) -> int:
+def count_rows_per_block(n: int, m: int, block: int) -> int:
     """Return the number of constraint rows per control move of `block` variables."""
     return m * block // n
 
 
-def check_shapes(owner: object, shapes: Mapping[str, tuple[int, ...]]) -> None:
+def require_shapes_and_make_contiguous(
+    owner: object, shapes: Mapping[str, tuple[int, ...]]
+) -> None:
     """Check the shapes of a frozen dataclass's arrays and make them contiguous float64.
 
     ShapeError for other shapes; TypeError for what is no dense array of numbers.
@@ -66,11 +68,11 @@ def check_shapes(owner: object, shapes: Mapping[str, tuple[int, ...]]) -> None:
             allowed = f"a dense array of numbers, shape {shape}"
             raise TypeError(f"{where}: found {found}; allowed: {allowed}") from error
         if array.shape != shape:
-            raise ShapeError.of(type(owner).__name__, name, array.shape, f"shape {shape}")
+            raise ShapeError.from_shapes(type(owner).__name__, name, array.shape, f"shape {shape}")
         object.__setattr__(owner, name, array)
 
 
-def symmetric_part(P: Floats, where: str) -> Floats:
+def require_or_make_symmetric(P: Floats, where: str) -> Floats:
     """Return P (…, n, n) if it is symmetric, else its symmetric part.
 
     Matrices that are not finite are returned as they are. InputError, naming the entry, where the
@@ -89,7 +91,7 @@ def symmetric_part(P: Floats, where: str) -> Floats:
     return 0.5 * P + 0.5 * mirrored
 
 
-def describe_size(n: int, m: int) -> str:
+def describe_qp_size(n: int, m: int) -> str:
     """Return the size of a QP as text: its variables and rows."""
     return f"{n} variable{'s' * (n != 1)}, {m} row{'s' * (m != 1)}"
 
@@ -142,31 +144,35 @@ class QuadraticProgram:
     def __post_init__(self) -> None:
         n = np.shape(self.q)[0] if np.ndim(self.q) == 1 else -1
         if n < 1:
-            raise ShapeError.of("QuadraticProgram", "q", np.shape(self.q), "shape (n,) with n ≥ 1")
-        self._fill_absent("A", (0, n), 0.0)
+            raise ShapeError.from_shapes(
+                "QuadraticProgram", "q", np.shape(self.q), "shape (n,) with n ≥ 1"
+            )
+        self._fill_missing_array("A", (0, n), 0.0)
         m = np.shape(self.A)[0] if np.ndim(self.A) == 2 else -1
         if m < 0:
-            raise ShapeError.of("QuadraticProgram", "A", np.shape(self.A), f"shape (m, {n})")
+            raise ShapeError.from_shapes(
+                "QuadraticProgram", "A", np.shape(self.A), f"shape (m, {n})"
+            )
         for name, size, limit in (("l", m, -np.inf), ("u", m, np.inf), ("lb", n, -np.inf)):
-            self._fill_absent(name, (size,), limit)
-        self._fill_absent("ub", (n,), np.inf)
+            self._fill_missing_array(name, (size,), limit)
+        self._fill_missing_array("ub", (n,), np.inf)
         shapes = {"P": (n, n), "q": (n,), "A": (m, n), "l": (m,), "u": (m,), "lb": (n,), "ub": (n,)}
-        check_shapes(self, shapes)
-        object.__setattr__(self, "P", symmetric_part(self.P, "QuadraticProgram"))
+        require_shapes_and_make_contiguous(self, shapes)
+        object.__setattr__(self, "P", require_or_make_symmetric(self.P, "QuadraticProgram"))
         if not has_equal_blocks(n, m, self.block):
             allowed = f"0, or a divisor of n={n} into moves that share m={m} rows alike"
-            raise ShapeError.of("QuadraticProgram", "block", (self.block,), allowed)
+            raise ShapeError.from_shapes("QuadraticProgram", "block", (self.block,), allowed)
         most = self.block or n
         if not 0 <= self.moves <= most:
-            raise ShapeError.of("QuadraticProgram", "moves", (self.moves,), f"0 to {most}")
+            raise ShapeError.from_shapes("QuadraticProgram", "moves", (self.moves,), f"0 to {most}")
 
-    def _fill_absent(self, name: str, shape: tuple[int, ...], value: float) -> None:
+    def _fill_missing_array(self, name: str, shape: tuple[int, ...], value: float) -> None:
         """Set an array that was left out, such as a bound, to one value throughout."""
         if getattr(self, name) is ABSENT:
             object.__setattr__(self, name, np.full(shape, value))
 
     def __repr__(self) -> str:
-        return f"<QuadraticProgram: {describe_size(self.n, self.m)}>"
+        return f"<QuadraticProgram: {describe_qp_size(self.n, self.m)}>"
 
     @property
     def n(self) -> int:
@@ -178,7 +184,7 @@ class QuadraticProgram:
         """Number m of the QP's constraint rows, without bounds."""
         return int(self.A.shape[0])
 
-    def limits(self) -> tuple[Vector, Vector]:
+    def stack_row_and_bound_limits(self) -> tuple[Vector, Vector]:
         """Return lower and upper limits (m + n,) of rows and bounds together."""
         return np.concatenate((self.l, self.lb)), np.concatenate((self.u, self.ub))
 
@@ -188,7 +194,9 @@ class QuadraticProgram:
 
     def copy(self) -> QuadraticProgram:
         """Copy the QP with all its arrays."""
-        return self._replace_arrays({name: getattr(self, name).copy() for name in ARRAYS})
+        return self._copy_with_replaced_arrays(
+            {name: getattr(self, name).copy() for name in ARRAYS}
+        )
 
     def changed_by(self, step: QPStep) -> bool:
         """Return whether a step brings matrices or bounds that differ from this problem's."""
@@ -202,11 +210,13 @@ class QuadraticProgram:
         """Return this QP with a step's vectors q, l and u, and its matrices if the step has any."""
         given = {name: getattr(step, name) for name in ARRAYS}
         parts = {name: part for name, part in given.items() if part is not None}
-        changed = self._replace_arrays(parts)
-        check_shapes(changed, {name: getattr(self, name).shape for name in parts})
+        changed = self._copy_with_replaced_arrays(parts)
+        require_shapes_and_make_contiguous(
+            changed, {name: getattr(self, name).shape for name in parts}
+        )
         return changed
 
-    def _replace_arrays(self, parts: dict[str, Floats]) -> QuadraticProgram:
+    def _copy_with_replaced_arrays(self, parts: dict[str, Floats]) -> QuadraticProgram:
         """Return this QP with other arrays, unchecked, as that would count as a solver's time."""
         # A fifth of the time of `copy.copy`, in every step that brings matrices.
         changed = object.__new__(type(self))
@@ -235,7 +245,7 @@ class QPStep:
 
     def __repr__(self) -> str:
         parts = "vectors" if self.refresh is Refresh.VECTORS else "vectors and matrices"
-        return f"<QPStep: {describe_size(len(self.q), len(self.l))}, {parts}>"
+        return f"<QPStep: {describe_qp_size(len(self.q), len(self.l))}, {parts}>"
 
     @property
     def refresh(self) -> Refresh:
@@ -306,9 +316,9 @@ class QPSequence:
         shapes: dict[str, tuple[int, ...]] = {"q": (K, n), "l": (K, m), "u": (K, m)}
         shapes |= {"P": (K, n, n), "A": (K, m, n), "lb": (K, n), "ub": (K, n)}
         given = {name: shape for name, shape in shapes.items() if getattr(self, name) is not None}
-        check_shapes(self, given)
+        require_shapes_and_make_contiguous(self, given)
         if self.P is not None:
-            object.__setattr__(self, "P", symmetric_part(self.P, "QPSequence"))
+            object.__setattr__(self, "P", require_or_make_symmetric(self.P, "QPSequence"))
 
     def __len__(self) -> int:
         return int(self.q.shape[0])
@@ -316,7 +326,7 @@ class QPSequence:
     def __repr__(self) -> str:
         varies = any(getattr(self, name) is not None for name in CONSTANT)
         matrices = "matrices of each step" if varies else "constant matrices"
-        size = describe_size(self.base.n, self.base.m)
+        size = describe_qp_size(self.base.n, self.base.m)
         return f"<QPSequence {self.name}: {len(self)} QPs of {size}, {matrices}>"
 
     def step(self, k: int) -> QPStep:
@@ -332,7 +342,7 @@ class QPSequence:
         return self.base.at(self.step(k))
 
 
-def convert_units(scaled: QPSequence, units: Units) -> QPSequence:
+def convert_sequence_to_units(scaled: QPSequence, units: Units) -> QPSequence:
     """Convert a scaled QP sequence to other units; the scaled one stays attached to it.
 
         P_own = U⁻¹ P U⁻¹,  q_own = U⁻¹ q,  A_own = W A U⁻¹,  l_own = W l,  lb_own = U lb
@@ -342,7 +352,7 @@ def convert_units(scaled: QPSequence, units: Units) -> QPSequence:
     base = scaled.base
     for name, factors, size in (("z", units.z, base.n), ("row", units.row, base.m)):
         if factors.shape != (size,):
-            raise ShapeError.of("Units", name, factors.shape, f"shape {(size,)}")
+            raise ShapeError.from_shapes("Units", name, factors.shape, f"shape {(size,)}")
     z, row = units.z, units.row
     factor: dict[str, Any] = {"l": row, "u": row, "lb": z, "ub": z, "q": 1.0 / z}
     factor |= {"P": 1.0 / np.outer(z, z), "A": np.outer(row, 1.0 / z)}

@@ -54,7 +54,7 @@ class RandomMPC:
             raise InputError("random MPC", "size", found, f"at most {MOST_VARIABLES} of each")
 
     @classmethod
-    def parse(cls, name: str) -> Self:
+    def from_sequence_name(cls, name: str) -> Self:
         """Read `random_mpc-10-4-10-s123`; InputError for another form or an impossible size."""
         match = _NAME.fullmatch(name)
         if match is None:
@@ -63,7 +63,7 @@ class RandomMPC:
         return cls(int(states), int(inputs), int(horizon), int(seed or cls.seed))
 
     @property
-    def name(self) -> str:
+    def sequence_name(self) -> str:
         """Unique name, e.g. `random_mpc-10-4-10-s123`."""
         return f"random_mpc-{self.states}-{self.inputs}-{self.horizon}-s{self.seed}"
 
@@ -83,12 +83,12 @@ class RandomSystem:
     reference: Matrix
 
 
-def is_random_mpc(name: object) -> bool:
+def is_random_mpc_sequence_name(name: object) -> bool:
     """Return whether a sequence's name is one of this family."""
     return str(name).startswith("random_mpc-") and not str(name).endswith(".npz")
 
 
-def draw_system(recipe: RandomMPC) -> RandomSystem:
+def draw_random_system_and_reference(recipe: RandomMPC) -> RandomSystem:
     """Draw a system whose largest singular value is 1, and a reference that it can follow."""
     nx, nu = recipe.states, recipe.inputs
     rng = np.random.default_rng(recipe.seed)
@@ -109,7 +109,7 @@ def draw_system(recipe: RandomMPC) -> RandomSystem:
     return RandomSystem(A, B, Q, reference)
 
 
-def _predict(system: RandomSystem, N: int) -> tuple[Matrix, Matrix]:
+def _build_prediction_matrices(system: RandomSystem, N: int) -> tuple[Matrix, Matrix]:
     """Return Φ (N·nx, nx) and Γ (N·nx, N·nu) of x_1 … x_N = Φ x_0 + Γ u."""
     nx, nu = system.B.shape
     powers = [np.eye(nx)]
@@ -122,7 +122,7 @@ def _predict(system: RandomSystem, N: int) -> tuple[Matrix, Matrix]:
     return np.vstack(powers[1:]), effect.reshape(N * nx, N * nu)
 
 
-def generate_random_mpc(
+def generate_qps_and_optima_of_random_mpc(
     recipe: RandomMPC, steps: int | None = None
 ) -> tuple[QPSequence, list[Optimum]]:
     """Generate the QPs of a closed loop that applies the first input of each certified optimum.
@@ -131,9 +131,9 @@ def generate_random_mpc(
     """
     K, N, nx = recipe.steps if steps is None else steps, recipe.horizon, recipe.states
     if not 1 <= K <= recipe.steps:
-        raise InputError(recipe.name, "steps", K, f"1 to {recipe.steps}")
-    system, n = draw_system(recipe), recipe.inputs * N
-    free, effect = _predict(system, N)
+        raise InputError(recipe.sequence_name, "steps", K, f"1 to {recipe.steps}")
+    system, n = draw_random_system_and_reference(recipe), recipe.inputs * N
+    free, effect = _build_prediction_matrices(system, N)
     weight = np.tile(system.Q, N)
     weight[-nx:] *= N - 1
     weighted = INPUT_MAX * effect.T * weight
@@ -148,5 +148,7 @@ def generate_random_mpc(
         x = system.A @ x + system.B @ u + noise[k]
     nothing = np.empty((K, 0))
     meta: dict[str, str | float | int] = {"family": "random_mpc"}
-    sequence = QPSequence(recipe.name, replace(base, q=q[0]), q, nothing, nothing, meta=meta)
+    sequence = QPSequence(
+        recipe.sequence_name, replace(base, q=q[0]), q, nothing, nothing, meta=meta
+    )
     return sequence, optima

@@ -73,25 +73,31 @@ class RandomRecipe:
 
     def __post_init__(self) -> None:
         if self.family not in FAMILIES:
-            raise _recipe_error("family", repr(self.family), f"one of {', '.join(FAMILIES)}")
+            raise _make_recipe_input_error(
+                "family", repr(self.family), f"one of {', '.join(FAMILIES)}"
+            )
         if not 2 <= self.n <= LARGEST[0]:
-            raise _recipe_error("n", self.n, f"2 to {LARGEST[0]}")
+            raise _make_recipe_input_error("n", self.n, f"2 to {LARGEST[0]}")
         rows = {"degenerate": self.n, "no_rows": 0, "plain": 0, "semidefinite": 0}
         least = rows.get(self.family, 2)
         most = LARGEST[1] if self.family != "no_rows" else 0
         if not least <= self.m <= most:
             allowed = f"{least} to {most} for {self.family} with n = {self.n}"
-            raise _recipe_error("m", self.m, allowed)
+            raise _make_recipe_input_error("m", self.m, allowed)
         if self.seed < 0 or self.steps < 1:
-            raise _recipe_error("seed, steps", (self.seed, self.steps), "0 or more, 1 or more")
+            raise _make_recipe_input_error(
+                "seed, steps", (self.seed, self.steps), "0 or more, 1 or more"
+            )
         if self.block < 0 or not has_equal_blocks(self.n, self.m, self.block):
             allowed = f"0, or a divisor of n={self.n} into moves that share m={self.m} rows alike"
-            raise _recipe_error("block", self.block, allowed)
+            raise _make_recipe_input_error("block", self.block, allowed)
         if self.cond != 0.0 and not 1.0 <= self.cond <= 1e8:
-            raise _recipe_error("cond", self.cond, "1 to 1e8, or 0 for that of the family")
+            raise _make_recipe_input_error(
+                "cond", self.cond, "1 to 1e8, or 0 for that of the family"
+            )
 
     @property
-    def name(self) -> str:
+    def sequence_name(self) -> str:
         """Unique name of the recipe, e.g. `plain-n12-m30-s1`."""
         usual = {"steps": 24, "block": 0, "cond": 0.0}
         values = {key: getattr(self, key) for key in usual}
@@ -99,6 +105,6 @@ class RandomRecipe:
         return f"{self.family}-n{self.n}-m{self.m}-s{self.seed}{extra}"
 
 
-def _recipe_error(key: str, found: object, allowed: str) -> InputError:
+def _make_recipe_input_error(key: str, found: object, allowed: str) -> InputError:
     """Return the InputError for a parameter that a recipe does not allow."""
     return InputError("random recipe", key, found, allowed)

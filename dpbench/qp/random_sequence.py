@@ -30,26 +30,26 @@ partial sum of Pz stays below 2^53 units, and the smallest of 1e8 eigenvalues is
 FACTOR = 2.0**-7  # Grid of the factor of a semidefinite P
 
 
-def round_to_grid(x: Vector, unit: float) -> Vector:
+def round_to_multiples(x: Vector, unit: float) -> Vector:
     """Round numbers to the nearest multiples of `unit`, a power of two."""
     return np.rint(x / unit) * unit
 
 
-def draw_definite(rng: np.random.Generator, n: int, cond: float) -> Matrix:
+def draw_random_positive_definite_matrix(rng: np.random.Generator, n: int, cond: float) -> Matrix:
     """Draw a random positive definite P (n, n) with condition number `cond`."""
     Q, _ = np.linalg.qr(rng.normal(size=(n, n)))
     P = (Q * np.geomspace(cond**-0.5, cond**0.5, n)) @ Q.T
     unit = 2.0 ** (math.ceil(0.5 * math.log2(cond)) - COST_BITS)
-    return round_to_grid(0.5 * (P + P.T), unit)
+    return round_to_multiples(0.5 * (P + P.T), unit)
 
 
-def draw_semidefinite(rng: np.random.Generator, n: int, rank: int) -> Matrix:
+def draw_random_semidefinite_matrix(rng: np.random.Generator, n: int, rank: int) -> Matrix:
     """Draw a random positive semidefinite P (n, n) of exactly the given rank."""
-    B = round_to_grid(rng.normal(size=(n, rank)) / math.sqrt(rank), FACTOR)
+    B = round_to_multiples(rng.normal(size=(n, rank)) / math.sqrt(rank), FACTOR)
     return B @ B.T
 
 
-def draw_unit_rows(rng: np.random.Generator, m: int, n: int) -> Matrix:
+def draw_random_unit_rows(rng: np.random.Generator, m: int, n: int) -> Matrix:
     """Draw random constraint rows (m, n) of unit norm, every second one sparse."""
     A = rng.normal(size=(m, n))
     sparse = rng.random((m, n)) < 0.75
@@ -57,7 +57,7 @@ def draw_unit_rows(rng: np.random.Generator, m: int, n: int) -> Matrix:
     # One entry stays, so that there is a direction left.
     sparse[np.arange(m), rng.integers(0, n, m)] = False
     A[sparse] = 0.0
-    return round_to_grid(A / np.linalg.norm(A, axis=1, keepdims=True), ROW)
+    return round_to_multiples(A / np.linalg.norm(A, axis=1, keepdims=True), ROW)
 
 
 JUMPS = 2  # of the signals
@@ -78,31 +78,31 @@ class PlantedSequence:
     y_box: Matrix
 
 
-def random_sequence(recipe: RandomRecipe) -> QPSequence:
+def generate_random_sequence(recipe: RandomRecipe) -> QPSequence:
     """Generate the random QP sequence of a recipe, identical to the bit each time."""
-    return plant_sequence(recipe).sequence
+    return generate_random_sequence_with_optima(recipe).sequence
 
 
-def plant_sequence(recipe: RandomRecipe) -> PlantedSequence:
+def generate_random_sequence_with_optima(recipe: RandomRecipe) -> PlantedSequence:
     """Generate the random QP sequence of a recipe together with its known optima."""
     family = FAMILIES[recipe.family]
     seed = [recipe.seed, recipe.n, recipe.m, zlib.crc32(recipe.family.encode())]
     rng = np.random.default_rng(seed)
-    frame = _draw_frame(recipe, family, rng)
-    signals = _draw_signals(rng, recipe.steps, recipe.m + recipe.n)
+    frame = _draw_constant_matrices_and_bounds(recipe, family, rng)
+    signals = _draw_smooth_signals_with_jumps(rng, recipe.steps, recipe.m + recipe.n)
     share = 0.4 + 0.2 * np.sin(2.0 * np.pi * (np.arange(recipe.steps) / 12.0 + rng.random()))
     steps = []
     for k in range(recipe.steps):
         count = max(1, round(float(share[k]) * recipe.n))
-        step = _plant_step(frame, family, signals[k], count)
+        step = _build_step_around_known_optimum(frame, family, signals[k], count)
         if family.infeasible and k % 3 == 2:
-            step = _make_infeasible(frame, step, int(rng.integers(recipe.m)), k)
+            step = _copy_step_made_infeasible(frame, step, int(rng.integers(recipe.m)), k)
         steps.append(step)
     first = steps[0]
-    limits = first.l, first.u, frame.lb, frame.ub
+    limits = first.l, first.u, frame.lower_bounds, frame.upper_bounds
     base = QuadraticProgram(frame.P, first.q, frame.A, *limits, recipe.block)
     q, l, u, z, y, y_box = (np.array(part) for part in zip(*steps, strict=True))  # noqa: E741
-    sequence = QPSequence(recipe.name, base, q, l, u, meta={"family": recipe.family})
+    sequence = QPSequence(recipe.sequence_name, base, q, l, u, meta={"family": recipe.family})
     return PlantedSequence(sequence, np.isfinite(z).all(axis=1), z, y, y_box)
 
 
@@ -127,12 +127,12 @@ class _ConstantParts:
     sign: Vector
 
     @property
-    def lb(self) -> Vector:
+    def lower_bounds(self) -> Vector:
         """Lower bounds (n,) of the variables, −inf where there is none."""
         return np.where(self.below[len(self.half) :], self.lo, -np.inf)
 
     @property
-    def ub(self) -> Vector:
+    def upper_bounds(self) -> Vector:
         """Upper bounds (n,) of the variables, inf where there is none."""
         return np.where(self.above[len(self.half) :], self.hi, np.inf)
 
@@ -148,12 +148,18 @@ class _PlantedStep(NamedTuple):
     y_box: Vector
 
 
-def _draw_frame(recipe: RandomRecipe, family: Family, rng: np.random.Generator) -> _ConstantParts:
+def _draw_constant_matrices_and_bounds(
+    recipe: RandomRecipe, family: Family, rng: np.random.Generator
+) -> _ConstantParts:
     """Draw a random QP sequence's constant matrices and bounds, and which row limits exist."""
     n, m = recipe.n, recipe.m
     rank, cond = n - max(1, n // 5), recipe.cond or family.cond
-    P = draw_semidefinite(rng, n, rank) if family.semidefinite else draw_definite(rng, n, cond)
-    A = draw_unit_rows(rng, m, n)
+    P = (
+        draw_random_semidefinite_matrix(rng, n, rank)
+        if family.semidefinite
+        else draw_random_positive_definite_matrix(rng, n, cond)
+    )
+    A = draw_random_unit_rows(rng, m, n)
     twin, sign = np.full(m + n, -1, dtype=np.intp), np.ones(m + n)
     for pair in range(min(m // 2, max(1, round(0.5 * family.twins * m))) if family.twins else 0):
         i, j = 2 * pair, 2 * pair + 1
@@ -169,13 +175,13 @@ def _draw_frame(recipe: RandomRecipe, family: Family, rng: np.random.Generator) 
     upper_kept = rng.random(m) < 0.5
     open_lo, open_hi = (rng.random(n) < family.open_bounds for _ in range(2))
     ends = (0.5, 1.5, n), (0.5, 1.5, n), (0.25, 1.0, m)
-    lo, hi, half = (round_to_grid(rng.uniform(*interval), POINT) for interval in ends)
+    lo, hi, half = (round_to_multiples(rng.uniform(*interval), POINT) for interval in ends)
     above = np.concatenate((~free & ~(one_sided & ~upper_kept), ~open_hi))
     below = np.concatenate((~free & ~(one_sided & upper_kept), ~open_lo))
     return _ConstantParts(P, A, -lo, hi, half, above, below, equal, twin, sign)
 
 
-def _draw_signals(rng: np.random.Generator, K: int, N: int) -> Matrix:
+def _draw_smooth_signals_with_jumps(rng: np.random.Generator, K: int, N: int) -> Matrix:
     """Draw K steps of N smooth random signals of size 0.5 to 2, with common jumps."""
     size, speed = rng.uniform(0.5, 2.0, N), rng.uniform(0.2, 1.0, N)
     jumps = np.sort(rng.integers(1, max(2, K), JUMPS))
@@ -184,7 +190,7 @@ def _draw_signals(rng: np.random.Generator, K: int, N: int) -> Matrix:
     return size * np.sin(2.0 * np.pi * turns)
 
 
-def _choose_active_limits(
+def _choose_active_sides_multipliers_and_near_misses(
     frame: _ConstantParts, family: Family, s: Vector, count: int
 ) -> tuple[Vector, Vector, Flags]:
     """Choose the limits that an optimum meets; return sides (±1, 0), multipliers, near misses."""
@@ -196,8 +202,8 @@ def _choose_active_limits(
     held = order[: max(1, count - int(frame.equal.sum()))]
     touched = order[len(held) :][: max(1, round(family.touching * n)) if family.touching else 0]
     y = np.zeros(len(s))
-    y[held] = side[held] * round_to_grid(0.125 + np.abs(s[held]), POINT)
-    y[frame.equal] = round_to_grid(s[frame.equal], POINT)
+    y[held] = side[held] * round_to_multiples(0.125 + np.abs(s[held]), POINT)
+    y[frame.equal] = round_to_multiples(s[frame.equal], POINT)
     met = np.zeros(len(s))
     met[held], met[touched] = side[held], side[touched]
     near = np.zeros(len(s), dtype=bool)
@@ -210,17 +216,19 @@ def _choose_active_limits(
     return met, y, near
 
 
-def _plant_step(frame: _ConstantParts, family: Family, s: Vector, count: int) -> _PlantedStep:
+def _build_step_around_known_optimum(
+    frame: _ConstantParts, family: Family, s: Vector, count: int
+) -> _PlantedStep:
     """Build one QP step around a chosen optimum, from random numbers s (m + n,)."""
     m = len(frame.half)
-    met, y, near = _choose_active_limits(frame, family, s, count)
+    met, y, near = _choose_active_sides_multipliers_and_near_misses(frame, family, s, count)
     wave = 0.9 * np.clip(0.5 * s, -1.0, 1.0)
     middle, half = 0.5 * (frame.hi + frame.lo), 0.5 * (frame.hi - frame.lo)
-    z = round_to_grid(middle + half * wave[m:], POINT)
+    z = round_to_multiples(middle + half * wave[m:], POINT)
     z = np.where(met[m:] > 0, frame.hi, np.where(met[m:] < 0, frame.lo, z))
     w = frame.A @ z
     above, below = (
-        round_to_grid(frame.half * (1.0 + side * wave[:m]), POINT) for side in (-1.0, 1.0)
+        round_to_multiples(frame.half * (1.0 + side * wave[:m]), POINT) for side in (-1.0, 1.0)
     )
     close = np.where(near[:m], NEAR, 0.0)
     upper, lower, equal = met[:m] > 0, met[:m] < 0, frame.equal[:m]
@@ -233,7 +241,9 @@ def _plant_step(frame: _ConstantParts, family: Family, s: Vector, count: int) ->
     return _PlantedStep(q, *limits, z, y[:m], y[m:])
 
 
-def _make_infeasible(frame: _ConstantParts, step: _PlantedStep, row: int, k: int) -> _PlantedStep:
+def _copy_step_made_infeasible(
+    frame: _ConstantParts, step: _PlantedStep, row: int, k: int
+) -> _PlantedStep:
     """Return the step made infeasible, by the bounds or by a row's copy in turn, and a proof."""
     l, u, a = step.l.copy(), step.u.copy(), frame.A[row]  # noqa: E741 - as in QuadraticProgram
     y = np.zeros(len(l))

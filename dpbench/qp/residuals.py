@@ -101,16 +101,18 @@ def compute_residuals_of_many(
         # A sum is finite only if every term is (or it overflows: then the iterate is useless too).
         no_point = ~(np.abs(z.sum(axis=1)) < inf)
         nothing = no_point | ~(np.abs(multiplier.sum(axis=1)) < inf)
-    others = (_make_inf(number, nothing) for number in of_multipliers)
-    return Residuals(_make_inf(primal, no_point), *others)
+    others = (_replace_nan_and_flagged_by_inf(number, nothing) for number in of_multipliers)
+    return Residuals(_replace_nan_and_flagged_by_inf(primal, no_point), *others)
 
 
-def _make_inf(numbers: Vector, lost: Flags) -> Vector:
+def _replace_nan_and_flagged_by_inf(numbers: Vector, lost: Flags) -> Vector:
     """Replace NaN, and every value where `lost` is set, by inf."""
     return np.where(lost | np.isnan(numbers), inf, numbers)
 
 
-def fit_multipliers(qp: QuadraticProgram, z: Vector, tol: float) -> tuple[Vector, Vector]:
+def fit_row_and_bound_multipliers(
+    qp: QuadraticProgram, z: Vector, tol: float
+) -> tuple[Vector, Vector]:
     """Compute multipliers y (m,) and y_box (n,) by non-negative least squares from z alone.
 
     Non-negative least squares of Pz + q + Gᵀλ over the limits G that z meets to within tol·(1 +
@@ -123,7 +125,7 @@ def fit_multipliers(qp: QuadraticProgram, z: Vector, tol: float) -> tuple[Vector
     C = np.vstack((qp.A, np.eye(n)))
     value = C @ z
     multiplier = np.zeros(m + n)
-    lower, upper = qp.limits()
+    lower, upper = qp.stack_row_and_bound_limits()
     rows, signs = [], []
     for limit, sign in ((upper, 1.0), (lower, -1.0)):
         met = np.flatnonzero(sign * (value - limit) >= -tol * (1.0 + np.abs(limit)))
@@ -141,7 +143,7 @@ TRUE_TOL = 1e-3  # The tolerance at which an answer is called true, where no oth
 PLAN_TOL_FACTOR = 10.0  # allowed distance of a plan to the optimum, in tolerances of residuals
 
 
-def is_true(
+def is_answer_correct(
     qp: QuadraticProgram, residuals: Residuals[float], error_plan: float, tol: float = TRUE_TOL
 ) -> bool:
     """Return whether an answer is correct by its residuals and its distance to the optimum.
@@ -150,10 +152,12 @@ def is_true(
     """
     primal, dual = np.array([residuals.primal]), np.array([residuals.dual])
     at_once = Residuals(primal, dual, primal, dual)  # of which the last two are not looked at
-    return bool(are_true(qp.q[np.newaxis], at_once, np.array([error_plan]), tol)[0])
+    return bool(are_answers_correct(qp.q[np.newaxis], at_once, np.array([error_plan]), tol)[0])
 
 
-def are_true(q: Matrix, residuals: Residuals[Vector], error_plan: Vector, tol: float) -> Flags:
+def are_answers_correct(
+    q: Matrix, residuals: Residuals[Vector], error_plan: Vector, tol: float
+) -> Flags:
     """Return for K answers to QPs of gradients q (K, n) whether each is correct: (K,)."""
     true: Flags = (
         (residuals.primal <= tol)

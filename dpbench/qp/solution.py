@@ -36,22 +36,22 @@ class Status(IntEnum):
     UNKNOWN = 8
 
     @property
-    def sentence(self) -> str:
+    def explanation_for_report(self) -> str:
         """Explanation of the status for the report, with the likely cause."""
         return _SENTENCES[self]
 
     @property
-    def is_usable(self) -> bool:
+    def is_answer_applied(self) -> bool:
         """Return whether a finite answer with this status is applied, as an unfinished one is."""
         return self in _USABLE
 
     @property
-    def is_unfinished(self) -> bool:
+    def is_applied_though_unfinished(self) -> bool:
         """Return whether an answer with this status is applied, but marked as not optimal."""
         return self in _UNFINISHED
 
     @property
-    def denies_optimum(self) -> bool:
+    def claims_no_optimum_exists(self) -> bool:
         """Return whether the status claims that no optimum exists: infeasible or unbounded."""
         return self in (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)
 
@@ -106,14 +106,14 @@ class Solution:
         return f"<Solution {self.status.name}: {len(self.z)} variables{count}{detail}>"
 
     @classmethod
-    def missing(
+    def without_point(
         cls, n: int, m: int, status: Status, detail: str = "", counters: tuple[int, int] = (-1, -1)
     ) -> Solution:
         """Return an answer without a point, all arrays NaN; counters: iterations, time [ns]."""
         nan = np.nan
         return cls(status, np.full(n, nan), np.full(m, nan), np.full(n, nan), *counters, detail)
 
-    def with_iterate(self, z: Vector, y: Vector, y_box: Vector) -> Solution:
+    def copy_with_other_vectors(self, z: Vector, y: Vector, y_box: Vector) -> Solution:
         """Return a copy with other arrays z, y and y_box, and the same status and counters."""
         return replace(self, z=z, y=y, y_box=y_box)
 
@@ -123,7 +123,7 @@ class Solution:
         return self.status is Status.SOLVED
 
     @property
-    def identity(self) -> bytes:
+    def bytes_for_comparison(self) -> bytes:
         """Status and array bits as bytes, equal for answers that are judged alike."""
         numbers = (self.z, self.y, self.y_box)
         return bytes([self.status]) + b"".join(array.tobytes() for array in numbers)
@@ -134,7 +134,7 @@ _INTEGERS = frozenset((int, np.int64, np.int32))
 _LARGEST = int(np.iinfo(np.int64).max)
 
 
-def is_plain(answer: Any, n: int, m: int) -> bool:
+def is_solution_of_plain_types(answer: Any, n: int, m: int) -> bool:
     """Return whether an answer is a `Solution` of plain types, read without a solver's code."""
     if type(answer) is not Solution:
         return False
@@ -153,39 +153,42 @@ def is_plain(answer: Any, n: int, m: int) -> bool:
     )
 
 
-def sanitise_answer(answer: Any, n: int, m: int) -> Solution:
+def copy_checked_answer(answer: Any, n: int, m: int) -> Solution:
     """Return a checked copy of a solver's answer; status ERROR and its fault if malformed."""
     try:
-        return _copy_answer(answer, n, m)
+        return _copy_answer_or_raise_malformed(answer, n, m)
     except _MalformedError as error:
-        return Solution.missing(n, m, Status.ERROR, f"malformed answer: {error}")
+        return Solution.without_point(n, m, Status.ERROR, f"malformed answer: {error}")
 
 
 class _MalformedError(Exception):
     """Error for a part of a solver's answer of the wrong type or shape."""
 
 
-def _copy_answer(answer: Any, n: int, m: int) -> Solution:
+def _copy_answer_or_raise_malformed(answer: Any, n: int, m: int) -> Solution:
     """Return a checked copy of a solver's answer; _MalformedError for a wrong type or shape."""
     if not isinstance(answer, Solution):
-        raise _MalformedError(f"{_describe_type(answer)} in place of a Solution")
+        raise _MalformedError(f"{_name_type_of_value(answer)} in place of a Solution")
     status: Any = answer.status
     if type(status) is not Status:
-        raise _MalformedError(f"status is {_describe_type(status)}, not a Status")
-    z, y = _copy_array("z", answer.z, n), _copy_array("y", answer.y, m)
-    y_box = _copy_array("y_box", answer.y_box, n)
-    iterations = _read_integer("iterations", answer.iterations)
-    reported_ns = _read_integer("reported_ns", answer.reported_ns)
+        raise _MalformedError(f"status is {_name_type_of_value(status)}, not a Status")
+    z, y = (
+        _copy_array_or_raise_malformed("z", answer.z, n),
+        _copy_array_or_raise_malformed("y", answer.y, m),
+    )
+    y_box = _copy_array_or_raise_malformed("y_box", answer.y_box, n)
+    iterations = _read_counter_or_raise_malformed("iterations", answer.iterations)
+    reported_ns = _read_counter_or_raise_malformed("reported_ns", answer.reported_ns)
     detail: Any = answer.detail
     if type(detail) is not str:
-        raise _MalformedError(f"detail is {_describe_type(detail)}, not text")
+        raise _MalformedError(f"detail is {_name_type_of_value(detail)}, not text")
     return Solution(status, z, y, y_box, iterations, reported_ns, detail)
 
 
-def _copy_array(name: str, value: Any, size: int) -> Vector:
+def _copy_array_or_raise_malformed(name: str, value: Any, size: int) -> Vector:
     """Return a copy of a float64 array of the given size; _MalformedError for anything else."""
     if not isinstance(value, np.ndarray):
-        raise _MalformedError(f"{name} is {_describe_type(value)}, not an array")
+        raise _MalformedError(f"{name} is {_name_type_of_value(value)}, not an array")
     # The numbers in memory, without any code of a subclass.
     array: Any = np.array(value, subok=False)
     if array.dtype != _FLOAT64 or array.shape != (size,):
@@ -194,17 +197,17 @@ def _copy_array(name: str, value: Any, size: int) -> Vector:
     return np.ascontiguousarray(array, dtype=np.float64)
 
 
-def _read_integer(name: str, value: Any) -> int:
+def _read_counter_or_raise_malformed(name: str, value: Any) -> int:
     """Return a counter as an int; _MalformedError if it is no integer of 64 bits."""
     try:
         number = operator.index(value)
     except TypeError as error:
-        raise _MalformedError(f"{name} is {_describe_type(value)}, not an integer") from error
+        raise _MalformedError(f"{name} is {_name_type_of_value(value)}, not an integer") from error
     if not -_LARGEST <= number <= _LARGEST:
         raise _MalformedError(f"{name} is beyond 64 bits")
     return number
 
 
-def _describe_type(value: Any) -> str:
+def _name_type_of_value(value: Any) -> str:
     """Name the type of a value for an error message."""
     return "None" if value is None else f"of type {type(value).__name__}"

@@ -13,7 +13,7 @@ from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
 
 
-def stack(qp: QuadraticProgram) -> QuadraticProgram:
+def convert_qp_to_one_sided_rows(qp: QuadraticProgram) -> QuadraticProgram:
     """Convert a QP with two-sided rows and bounds to 2m + 2n one-sided rows M z ≤ γ."""
     identity = np.eye(qp.n)
     M = np.vstack([-qp.A, qp.A, -identity, identity])
@@ -23,7 +23,7 @@ def stack(qp: QuadraticProgram) -> QuadraticProgram:
     return QuadraticProgram(qp.P, qp.q, M, none, gamma, -free, free, 0, qp.moves)
 
 
-def stack_step(step: QPStep, stacked: QuadraticProgram) -> QPStep:
+def convert_step_to_one_sided_rows(step: QPStep, stacked: QuadraticProgram) -> QPStep:
     """Convert a step of a QP to one of its one-sided form `stacked`, M from what it brings."""
     m = step.l.shape[0]
     gamma = stacked.u.copy()
@@ -42,9 +42,9 @@ def stack_step(step: QPStep, stacked: QuadraticProgram) -> QPStep:
     return QPStep(step.q, stacked.l.copy(), gamma, P=step.P, A=M)
 
 
-def unstack(solution: Solution, m: int) -> Solution:
+def convert_solution_to_two_sided_rows(solution: Solution, m: int) -> Solution:
     """Convert a solution of the one-sided QP back to one of the two-sided QP with m rows."""
     n = solution.z.shape[0]
     lam = solution.y
     y, y_box = lam[m : 2 * m] - lam[:m], lam[2 * m + n :] - lam[2 * m : 2 * m + n]
-    return solution.with_iterate(solution.z, y, y_box)
+    return solution.copy_with_other_vectors(solution.z, y, y_box)

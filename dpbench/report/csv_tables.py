@@ -18,7 +18,7 @@ from dpbench.analysis.verdict.ship_results import ship_table
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.errors import ResultsError
-from dpbench.files.writing import write_together
+from dpbench.files.writing import write_file_set_into_folder
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
@@ -79,7 +79,7 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
         for name, table in written.items()
     }
     legend = render_document("tables.md", tables=wording)
-    write_together(folder, {**contents, LEGEND: legend.encode})
+    write_file_set_into_folder(folder, {**contents, LEGEND: legend.encode})
 
 
 def read_table(path: Path) -> pd.DataFrame:

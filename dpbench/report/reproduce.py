@@ -13,7 +13,7 @@ from dpbench.bench.design import Designs, compute_linear_record
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import Results, load_results, read_accidents
-from dpbench.files.writing import write_bytes, write_text
+from dpbench.files.writing import write_bytes_atomically, write_text_atomically
 from dpbench.report.charts.render import encode_figure
 from dpbench.report.formats import plural, strip_markdown
 from dpbench.report.page.section import Topic
@@ -79,8 +79,8 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
         nothing = f"nothing is reproduced: no loop of the paper's case was finished; see {runs}"
         return Reproduction((nothing,), tuple(remarks), complete=False)
     _write_paper_figures(folder, topic, find_paper_runs(records), scenario)
-    write_bytes(folder / "claims.csv", csv_bytes(topic.tables[0].frame))
-    write_text(folder / "claims.md", _claims_document(topic, results))
+    write_bytes_atomically(folder / "claims.csv", csv_bytes(topic.tables[0].frame))
+    write_text_atomically(folder / "claims.md", _claims_document(topic, results))
     judged = judge_claims(records)
     radius = compute_linear_record(scenario).spectral_radius
     stable = (
@@ -103,9 +103,9 @@ def _write_paper_figures(
         short = figure.name.removeprefix(f"{topic.id}-")
         name = f"figure{number}_{short}"
         for kind in FORMATS:
-            write_bytes(folder / f"{name}.{kind}", encode_figure(figure.chart, kind))
+            write_bytes_atomically(folder / f"{name}.{kind}", encode_figure(figure.chart, kind))
         data = pd.concat([paper_figure_data(short, law, scenario) for law in laws])
-        write_bytes(folder / f"{name}.csv", csv_bytes(data))
+        write_bytes_atomically(folder / f"{name}.csv", csv_bytes(data))
 
 
 def _claims_document(topic: Topic, results: Results) -> str:

@@ -8,7 +8,7 @@ from typing import Any, Self
 
 import pandas as pd
 
-from dpbench.display import table_html
+from dpbench.display import make_html_table
 from dpbench.report.formats import strip_markdown
 
 _TAG = re.compile(r"<(?=[A-Za-z/!?])")
@@ -121,4 +121,4 @@ def markdown_document(title: str, lines: Sequence[str], tables: Sequence[Table])
 
 def html_table(table: Table) -> str:
     """Return the table as plain HTML, which a notebook displays."""
-    return table_html(table.heads, table.rows, title=table.title, note=table.note)
+    return make_html_table(table.heads, table.rows, title=table.title, note=table.note)

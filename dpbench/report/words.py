@@ -8,14 +8,14 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
-from dpbench.display import numbers_text
+from dpbench.display import format_numbers_with_units
 from dpbench.report import formats
 
 FILTERS = {
     "and_list": formats.and_list,
     "count": formats.count_text,
     "error": formats.error_text,
-    "numbers": numbers_text,
+    "numbers": format_numbers_with_units,
     "plural": formats.plural,
     "seconds": formats.seconds_text,
     "share": formats.share_text,

@@ -9,7 +9,11 @@ from dpbench.bench.design import load_stability_records
 from dpbench.bench.record.result_folder import load_results, lock_for_writing
 from dpbench.embedded.table import load_counts
 from dpbench.errors import InputError
-from dpbench.files.writing import make_folder, write_text, write_together
+from dpbench.files.writing import (
+    make_folder_if_missing,
+    write_file_set_into_folder,
+    write_text_atomically,
+)
 from dpbench.report.charts.render import FORMATS, can_draw, encode_figure
 from dpbench.report.csv_tables import write_tables
 from dpbench.report.documents.markdown import compare_solver, report_markdown, worst_text
@@ -81,20 +85,25 @@ def write_report_with_summary(
         )
         report = Report.of(load_results(folder), *beside_it)
         comment, worst = ("", []) if solver is None else compare_solver(report, solver, against)
-        drawn, tables = make_folder(folder / "figures"), make_folder(folder / "tables")
+        drawn, tables = (
+            make_folder_if_missing(folder / "figures"),
+            make_folder_if_missing(folder / "tables"),
+        )
         if statement is not None:
             write_statement(Path(statement), folder, report.results, report.data)
         _write_figures(drawn, report, ("svg", *figures))
         write_tables(tables, report.tables)
-        write_text(folder / "report.md", report_markdown(report))
+        write_text_atomically(folder / "report.md", report_markdown(report))
         page = folder / "report.html"
-        write_text(page, _render_report_page(folder, report))
+        write_text_atomically(page, _render_report_page(folder, report))
         if send is not None:
             prepare_sent_folder(folder, Path(send))
-            write_text(Path(send) / PAGE, _render_report_page(Path(send), report, light=True))
+            write_text_atomically(
+                Path(send) / PAGE, _render_report_page(Path(send), report, light=True)
+            )
         ended = report.summary_rows()
         if solver is not None:
-            write_text(folder / f"{solver}.md", comment)
+            write_text_atomically(folder / f"{solver}.md", comment)
             ended += [*worst_text(worst), ("comment", str(folder / f"{solver}.md"))]
     return page, ended
 
@@ -112,4 +121,4 @@ def _write_figures(folder: Path, report: Report, formats: Sequence[str]) -> None
         for name, chart in report.figures.items()
         for kind in dict.fromkeys(formats)
     }
-    write_together(folder, files)
+    write_file_set_into_folder(folder, files)

@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix
-from dpbench.errors import InputError, list_allowed
+from dpbench.errors import InputError, format_allowed_names
 from dpbench.files.documents import read_csv_rows
-from dpbench.files.mat import read_structure
+from dpbench.files.mat import read_mat_structure_in_child
 
 _Fields = Mapping[str, NDArray[Any]]
 _NOTHING = np.zeros(0)
@@ -54,7 +54,7 @@ class Hull:
 
 def read_mss(path: Path) -> Hull:
     """Read a hull from a `vessel` structure of the MSS toolbox, a MATLAB file."""
-    names, vessel = read_structure(path, "vessel")
+    names, vessel = read_mat_structure_in_child(path, "vessel")
     if not vessel:
         found = ", ".join(names)[:200] or "nothing"
         raise InputError(str(path), "vessel", found, "a structure `vessel` of the MSS toolbox")
@@ -157,7 +157,7 @@ def _read_coefficients(path: Path) -> dict[str, float]:
         if name not in known or name in values:
             found = "a second row" if name in values else "an unknown coefficient"
             raise InputError(
-                str(path), repr(name)[:80], found, f"each once, {list_allowed(name, known)}"
+                str(path), repr(name)[:80], found, f"each once, {format_allowed_names(name, known)}"
             )
         values[name] = _parse_coefficient(path, name, rest[0] if rest else "")
     return values

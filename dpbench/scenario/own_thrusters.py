@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dpbench.errors import InputError, list_allowed
+from dpbench.errors import InputError, format_allowed_names
 from dpbench.files.documents import read_csv_rows
 from dpbench.scenario.problem_files import parse_model
 from dpbench.scenario.tables.vessel_file import ThrusterTable
@@ -51,7 +51,7 @@ def read_thruster_rows(path: Path) -> list[dict[str, str]]:
     for name in names:
         if name not in COLUMNS or names.count(name) > 1:
             found = "a second column" if names.count(name) > 1 else "an unknown column"
-            raise InputError(str(path), repr(name)[:80], found, list_allowed(name, COLUMNS))
+            raise InputError(str(path), repr(name)[:80], found, format_allowed_names(name, COLUMNS))
     if missing := [name for name in REQUIRED if name not in names]:
         allowed = "kind, x_m, and power_kW or thrust_kN"
         raise InputError(str(path), "first row", f"no column {missing[0]}", allowed)

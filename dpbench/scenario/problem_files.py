@@ -14,8 +14,8 @@ from pydantic import (
     model_serializer,
 )
 
-from dpbench.errors import InputError, UnknownNameError, list_allowed, warn_renamed
-from dpbench.files.documents import MOST_DEPTH, check_values
+from dpbench.errors import InputError, UnknownNameError, format_allowed_names, warn_of_outdated_name
+from dpbench.files.documents import MOST_DEPTH, refuse_deep_or_huge_values
 from dpbench.files.opening import MOST_TEXT_BYTES, read_bytes
 
 KINDS = ("vessels", "scenarios", "suites")
@@ -89,7 +89,7 @@ def problem_path(kind: str, name: str | Path, beside: Path | None = None) -> Pat
     """
     text = str(name)
     if (kind, text) in OLD_NAMES:
-        warn_renamed(f"{kind[:-1]} name", text, OLD_NAMES[kind, text])
+        warn_of_outdated_name(f"{kind[:-1]} name", text, OLD_NAMES[kind, text])
         text = OLD_NAMES[kind, text]
     if not text.endswith(".toml") and "/" not in text:
         path = problems_root() / kind / f"{text}.toml"
@@ -129,7 +129,7 @@ def is_stored(name: str | Path) -> bool:
 def unknown_name(kind: str, text: str, otherwise: str) -> UnknownNameError:
     """Return an error for an unknown vessel, scenario, suite or sequence name, with near names."""
     listing = "dpbench list vessels" if kind == "vessels" else f"list_{kind}()"
-    allowed = list_allowed(text, problem_names(kind), listing=listing)
+    allowed = format_allowed_names(text, problem_names(kind), listing=listing)
     shown = repr(text if len(text) <= 80 else f"{text[:77]}...")
     return UnknownNameError(f"{kind[:-1]} name", "", shown, f"{allowed}; or {otherwise}")
 
@@ -144,7 +144,7 @@ def read_toml(path: Path) -> dict[str, Any]:
             found = f"a key of more than {MOST_DEPTH} parts"
             raise InputError(where, f"line {line}", found, f"at most {MOST_DEPTH}")
         document = tomllib.loads(text)
-        check_values(document)
+        refuse_deep_or_huge_values(document)
     except InputError:
         raise
     except RecursionError as error:
@@ -164,7 +164,7 @@ def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _M
     """Convert settings to a validated data model; InputError names the faulty key and value."""
     for old, new in getattr(model, "old_keys", {}).items():
         if old in document and new not in document:
-            warn_renamed(where, old, new)
+            warn_of_outdated_name(where, old, new)
             document = {new if key == old else key: value for key, value in document.items()}
     try:
         return model.model_validate(document)
@@ -177,7 +177,7 @@ def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _M
         if first["type"] == "extra_forbidden":
             if new := getattr(model, "refused_keys", {}).get(key):
                 raise InputError(where, key, "an old name", f"{new}, its name now") from error
-            allowed = list_allowed(keys[-1], _allowed_keys(model, keys[:-1]))
+            allowed = format_allowed_names(keys[-1], _allowed_keys(model, keys[:-1]))
             raise InputError(where, key, "an unknown key", allowed) from error
         if first["type"] == "missing":
             raise InputError(where, key, "nothing", "this key is required") from error

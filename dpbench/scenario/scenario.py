@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.display import fields_html, numbers_text
-from dpbench.errors import InputError, UnknownNameError, require_at_least
+from dpbench.display import format_numbers_with_units, make_html_field_table
+from dpbench.errors import InputError, UnknownNameError, require_integer_at_least
 from dpbench.mpc.condense import ControlProblem, UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.reference import ReferenceFilter, build_reference_table
@@ -104,13 +104,13 @@ class Scenario:
             "vessel": f"{self.vessel.title} ({self.vessel.id})",
             "controller": self.controller.description,
             "length": f"{self.steps} steps of {self.sample_s:.4g} s",
-            "start": numbers_text(self.start, units),
-            "reference": numbers_text(self.reference, units),
-            "most in one step": numbers_text(self.force_step_max, ("N", "N", "N·m")),
+            "start": format_numbers_with_units(self.start, units),
+            "reference": format_numbers_with_units(self.reference, units),
+            "most in one step": format_numbers_with_units(self.force_step_max, ("N", "N", "N·m")),
             "state": self.estimation.kind,
             "amplitude limits": self.controller.amplitude,
         }
-        return fields_html(f"{self.name}: {self.title}", fields)
+        return make_html_field_table(f"{self.name}: {self.title}", fields)
 
     @property
     def problem(self) -> ControlProblem:
@@ -141,7 +141,7 @@ class Scenario:
 
     def truncate(self, steps: int) -> Scenario:
         """Return the scenario cut to its first `steps` samples."""
-        require_at_least(f"scenario {self.name}: steps", steps, 1)
+        require_integer_at_least(f"scenario {self.name}: steps", steps, 1)
         return replace(self, steps=min(steps, self.steps))
 
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-from dpbench.errors import InputError, list_allowed
+from dpbench.errors import InputError, format_allowed_names
 from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.scenario.scenario import Scenario, build_scenario, read_vessel_documents
 from dpbench.ship.plant import SUBSTEPS
@@ -78,7 +78,9 @@ def _find_index(table: Any, part: str, where: str) -> Any:
     if isinstance(table, dict):
         if part in table:
             return part
-        raise InputError(where, "", f"no key {part!r} there", list_allowed(part, sorted(table)))
+        raise InputError(
+            where, "", f"no key {part!r} there", format_allowed_names(part, sorted(table))
+        )
     if isinstance(table, list):
         if part.isdecimal() and int(part) < len(table):
             return int(part)

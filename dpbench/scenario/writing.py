@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from dpbench.files.writing import write_text
+from dpbench.files.writing import write_text_atomically
 from dpbench.scenario.problem_files import ScenarioDocuments, problem_names
 from dpbench.scenario.scenario import read_vessel_documents
 
@@ -23,10 +23,10 @@ def save_scenario(files: ScenarioDocuments, path: Path, comment: str = "") -> li
     paths = [path]
     if not shipped or read_vessel_documents(ship)["vessel"] != files["vessel"]:
         own = path.with_name(f"{path.stem}_ship.toml")
-        write_text(own, render_toml(files["vessel"]))
+        write_text_atomically(own, render_toml(files["vessel"]))
         paths, ship = [path, own], own.name
     head = "".join(f"# {line}\n" for line in comment.splitlines())
-    write_text(path, head + render_toml(files["scenario"] | {"vessel": ship}))
+    write_text_atomically(path, head + render_toml(files["scenario"] | {"vessel": ship}))
     return paths
 
 

@@ -19,7 +19,7 @@ from typing import Literal
 import numpy as np
 
 from dpbench.arrays import Indices, Matrix, Vector
-from dpbench.errors import InputError, list_allowed
+from dpbench.errors import InputError, format_allowed_names
 from dpbench.ship.layout import AXES
 
 ThrusterKind = Literal["azimuth", "tunnel", "main"]
@@ -191,7 +191,7 @@ class ThrusterSet:
         known = {thruster.name: (i,) for i, thruster in enumerate(self.thrusters)} | self.groups
         for name in names:
             if name not in known:
-                raise InputError(where, key, repr(name), list_allowed(name, list(known)))
+                raise InputError(where, key, repr(name), format_allowed_names(name, list(known)))
         return {i for name in names for i in known[name]}
 
 

@@ -72,7 +72,7 @@ class NoOpWorkspace(Workspace):
 
     def setup(self, qp: QuadraticProgram) -> None:
         """Store an answer without numbers, of the problem's size."""
-        self._answer = Solution.missing(qp.n, qp.m, Status.UNKNOWN)
+        self._answer = Solution.without_point(qp.n, qp.m, Status.UNKNOWN)
 
     def update(self, step: QPStep) -> None:
         """Do nothing with the vectors of the next QP."""

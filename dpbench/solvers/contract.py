@@ -105,7 +105,7 @@ def check_step(step: QPStep, n: int, m: int) -> None:
     for name, shape in expected.items():
         array = getattr(step, name)
         if array is not None and array.shape != shape:
-            raise ShapeError.of("QPStep", name, array.shape, f"shape {shape}")
+            raise ShapeError.from_shapes("QPStep", name, array.shape, f"shape {shape}")
 
 
 def describe_exception(error: BaseException) -> str:

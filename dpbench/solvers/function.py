@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Concatenate
 
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
-from dpbench.qp.solution import Solution, Status, sanitise_answer
+from dpbench.qp.solution import Solution, Status, copy_checked_answer
 from dpbench.solvers.contract import (
     Options,
     Policy,
@@ -46,7 +46,7 @@ class FunctionWorkspace(Workspace):
             answer: Solution | None = self._function(self._qp, **self._options)
             if answer is None:
                 # `_solution` is None before the call, so an answer None is replaced.
-                answer = sanitise_answer(answer, self._qp.n, self._qp.m)
+                answer = copy_checked_answer(answer, self._qp.n, self._qp.m)
             self._solution = answer
         except MemoryError:
             raise
@@ -63,7 +63,7 @@ class FunctionWorkspace(Workspace):
         except AttributeError:
             # No solution, or not of arrays.
             assert self._qp is not None, "setup comes first"
-            return sanitise_answer(answer, self._qp.n, self._qp.m)
+            return copy_checked_answer(answer, self._qp.n, self._qp.m)
         return Solution(
             answer.status, z, y, y_box, answer.iterations, answer.reported_ns, answer.detail
         )
@@ -71,7 +71,7 @@ class FunctionWorkspace(Workspace):
     def _make_error_solution(self, detail: str) -> Solution:
         """Return an answer without numbers, of status ERROR, with an explanation."""
         assert self._qp is not None, "setup comes first"
-        return Solution.missing(self._qp.n, self._qp.m, Status.ERROR, detail)
+        return Solution.without_point(self._qp.n, self._qp.m, Status.ERROR, detail)
 
 
 def opener(name: str, solve: Solve) -> Callable[[Policy, Options], Workspace]:

@@ -28,8 +28,8 @@ from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Any, get_args
 
-from dpbench.errors import InputError, warn_renamed
-from dpbench.files.writing import is_file_name
+from dpbench.errors import InputError, warn_of_outdated_name
+from dpbench.files.writing import is_plain_file_name
 from dpbench.solvers.adapter import NativeAdapter, OpenWorkspace
 from dpbench.solvers.contract import Form, Options, Policy, Workspace
 from dpbench.solvers.record import (
@@ -224,7 +224,7 @@ def _register_plugin(
         raise InputError(where, "RECORD", repr(record), "a SolverRecord, see solver_record")
     if not callable(opener):
         raise InputError(where, "open", repr(opener), "a function of (policy, options)")
-    if not is_file_name(record.name):
+    if not is_plain_file_name(record.name):
         raise InputError(where, "RECORD.name", repr(record.name), "a name without a folder")
     other = _LOADED.get(record.name)
     if record.name in taken or (other is not None and other.origin != origin):
@@ -243,7 +243,7 @@ def _register_plugin(
 def _read_levels(where: str, module: Any, record: SolverRecord) -> Levels:
     """Return the tolerance levels that a plug-in states, or those of its record."""
     if not hasattr(module, "LEVELS") and hasattr(module, "LADDER"):
-        warn_renamed(where, "LADDER", "LEVELS")
+        warn_of_outdated_name(where, "LADDER", "LEVELS")
     return dict(getattr(module, "LEVELS", getattr(module, "LADDER", record.levels)))
 
 

@@ -7,7 +7,7 @@ record (`by_tolerance`), for both routes.
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from dpbench.errors import SettingsError, list_allowed
+from dpbench.errors import SettingsError, format_allowed_names
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, list_attributes
 from dpbench.solvers.contract import Options, Settings
 from dpbench.solvers.record import DEFAULT, LEVELS, MID, TOLERANCES
@@ -99,7 +99,7 @@ def check_option_names(solver: str, settings: Mapping[str, object], allowed: Ite
         keys = [f"{name}.{member}" for member in value] if isinstance(value, Mapping) else [name]
         for key in keys:
             if key not in known:
-                allowed = list_allowed(key, known) if known else "no settings"
+                allowed = format_allowed_names(key, known) if known else "no settings"
                 raise SettingsError(f"settings of {solver}", key[:80], "an unknown key", allowed)
 
 

@@ -12,7 +12,12 @@ from importlib.machinery import PathFinder
 from importlib.util import find_spec
 from pathlib import Path
 
-from dpbench.errors import DpbenchError, SolverUnavailableError, UnknownNameError, list_allowed
+from dpbench.errors import (
+    DpbenchError,
+    SolverUnavailableError,
+    UnknownNameError,
+    format_allowed_names,
+)
 from dpbench.solvers import plugins
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, read_solved_flag
 from dpbench.solvers.calibration import CALIBRATION, open_calibration
@@ -72,7 +77,10 @@ def find_record(name: str) -> SolverRecord:
     if _is_served_by_qpsolvers(name):
         return _make_generic_adapter(name).record
     raise UnknownNameError(
-        "solver", "", repr(name), list_allowed(name, solver_names(), listing="list_solvers()")
+        "solver",
+        "",
+        repr(name),
+        format_allowed_names(name, solver_names(), listing="list_solvers()"),
     )
 
 

@@ -12,7 +12,7 @@ from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.result_folder import load_results
-from dpbench.files.writing import write_text
+from dpbench.files.writing import write_text_atomically
 from dpbench.solvers.contract import Options
 from dpbench.solvers.own_settings import describe_options
 from dpbench.tuning.search import Score
@@ -50,7 +50,7 @@ def measure_settings(
     """
     suite = folder.with_suffix(".toml")
     folder.parent.mkdir(parents=True, exist_ok=True)
-    write_text(suite, suite_text(solver, problems, settings, presets))
+    write_text_atomically(suite, suite_text(solver, problems, settings, presets))
     run_campaign(
         suite, folder, may_leave_out=True, progress=progress, solver_module=solver.solver_module
     )

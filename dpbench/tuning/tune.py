@@ -15,8 +15,8 @@ import numpy as np
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.bench.progress import Progress, Silent
-from dpbench.errors import InputError, PolicyError, require_at_least
-from dpbench.files.writing import write_text
+from dpbench.errors import InputError, PolicyError, require_integer_at_least
+from dpbench.files.writing import write_text_atomically
 from dpbench.report.formats import and_list, error_text, significant, time_text
 from dpbench.report.table import Table
 from dpbench.solvers.contract import Options, Policy, Route
@@ -237,7 +237,7 @@ def tune_solver(
         return tuning
     roles = _measure_roles(tuned, best.options, start, learned, other, folder, bar)
     tuning = replace(tuning, roles=roles, path=folder / f"{name}.toml")
-    write_text(folder / f"{name}.toml", _settings_toml(tuning, name))
+    write_text_atomically(folder / f"{name}.toml", _settings_toml(tuning, name))
     return tuning
 
 
@@ -291,9 +291,9 @@ def _measure_roles(
 
 def _check_numbers(trials: int, steps: int, seed: int, error_move: float) -> None:
     """Raise InputError for an impossible number of trials, steps, seed or error limit."""
-    require_at_least("--trials", trials, 1)
-    require_at_least("--steps", steps, 0)
-    require_at_least("--seed", seed, 0)
+    require_integer_at_least("--trials", trials, 1)
+    require_integer_at_least("--steps", steps, 0)
+    require_integer_at_least("--seed", seed, 0)
     if not 0.0 < error_move < float("inf"):
         raise InputError("--error", "", error_move, "a number above 0")
 

@@ -15,9 +15,9 @@ import numpy as np
 import pandas as pd
 
 from dpbench.bench.progress import Progress, Silent
-from dpbench.errors import InputError, SituationError, require_at_least
+from dpbench.errors import InputError, SituationError, require_integer_at_least
 from dpbench.files.opening import read_bytes
-from dpbench.files.writing import write_text
+from dpbench.files.writing import write_text_atomically
 from dpbench.report.charts.render import save_figure
 from dpbench.report.charts.study import draw_tuning_front
 from dpbench.report.formats import plural, significant
@@ -120,7 +120,7 @@ class _KeptTrials:
         head = json.dumps({"search": search})
         if not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_text(path, f"{head}\n")
+            write_text_atomically(path, f"{head}\n")
             return
         text = read_bytes(path, "the trials of a search", most_bytes=_MOST_BYTES).decode()
         # A line without an end is that of an interrupted write.
@@ -137,7 +137,7 @@ class _KeptTrials:
                 allowed = "a name and two numbers"
                 raise InputError(str(path), f"line {number}", repr(line[:80]), allowed) from error
         if whole != text:
-            write_text(path, whole)
+            write_text_atomically(path, whole)
 
     def find(self, name: str) -> LoopScore | None:
         """Return the stored score of a trial by its name; None where it is not finished."""
@@ -228,7 +228,7 @@ def _write_tuning(
     comment = "\n".join(("Controller found by `dpbench tune`.", *tuning.lines))
     paths = save_scenario(changed.files, folder / f"{name}_tuned.toml", comment)
     table = tuning.table
-    write_text(folder / "tune.csv", table.to_csv(index=False))
+    write_text_atomically(folder / "tune.csv", table.to_csv(index=False))
     drawn = table[["share", "wear_per_h", "kind"]].copy()
     drawn["options"] = [trial.name for trial in tuning.trials]
     # A logarithmic axis has no zero, and a ship that is lost no place on it.
@@ -250,10 +250,10 @@ def _parse_seas(text: str) -> list[int]:
 
 def _check_numbers(trials: int, realisations: int, margin: float, steps: int, seed: int) -> None:
     """Raise InputError for an impossible number of trials or realisations, margin or seed."""
-    require_at_least("--trials", trials, 1)
-    require_at_least("--realisations", realisations, 1)
-    require_at_least("--steps", steps, 0)
-    require_at_least("--seed", seed, 0)
+    require_integer_at_least("--trials", trials, 1)
+    require_integer_at_least("--realisations", realisations, 1)
+    require_integer_at_least("--steps", steps, 0)
+    require_integer_at_least("--seed", seed, 0)
     if not 0.0 < margin <= 1.0:
         raise InputError("--margin", "", margin, "a number above 0, at most 1")
 

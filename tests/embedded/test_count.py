@@ -20,7 +20,7 @@ from dpbench.embedded.targets import TARGETS
 from dpbench.embedded.toolchain import compiler_version, has_extra
 from dpbench.errors import InputError, SituationError
 from dpbench.qp.program import QPSequence
-from dpbench.qp.referee.referee import certify_sequence
+from dpbench.qp.referee.referee import certify_all_steps
 from dpbench.solvers.contract import Settings
 from dpbench.solvers.record import HIGH
 
@@ -122,7 +122,7 @@ def test_qoco_meets_its_tolerance_with_rows_that_are_equalities() -> None:
     sequence = load("paper-30-5", 3)
     base, l, u = sequence.base, sequence.l.copy(), sequence.u.copy()  # noqa: E741 - the field `l` of QuadraticProgram
     # Half the way to the optimum is feasible.
-    half = [0.5 * base.A[1] @ optimum.z for optimum in certify_sequence(sequence)]
+    half = [0.5 * base.A[1] @ optimum.z for optimum in certify_all_steps(sequence)]
     l[:, 1] = u[:, 1] = half
     fixed = replace(sequence, base=replace(base, l=l[0], u=u[0]), l=l, u=u)
     counts = count("qoco", "a53", fixed)

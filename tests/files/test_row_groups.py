@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpbench.files.row_groups import RowGroupWriter, read_footer
+from dpbench.files.row_groups import RowGroupWriter, read_parquet_footer
 
 ROWS = st.lists(
     st.tuples(
@@ -48,10 +48,10 @@ def join(files: list[bytes], path: Path) -> int:
     writer = RowGroupWriter(path)
     for data in files:
         source = io.BytesIO(data)
-        footer = read_footer(source)
-        for index in range(len(footer.groups)):
-            writer.copy(source, footer, index)
-    writer.close(read_footer(io.BytesIO(encoded([], "zstd", 1))))
+        footer = read_parquet_footer(source)
+        for index in range(len(footer.row_groups)):
+            writer.copy_row_group(source, footer, index)
+    writer.write_footer_and_close(read_parquet_footer(io.BytesIO(encoded([], "zstd", 1))))
     return writer.rows
 
 
@@ -85,10 +85,10 @@ def test_a_group_of_another_schema_is_refused(tmp_path: Path) -> None:
     pq.write_table(pa.table({"other": [1]}), file)
     writer = RowGroupWriter(tmp_path / "all.parquet")
     first = io.BytesIO(encoded([("a", 1, 1.0, True)], "zstd", 1))
-    writer.copy(first, read_footer(first), 0)
+    writer.copy_row_group(first, read_parquet_footer(first), 0)
     with pytest.raises(ValueError, match="another schema"):
-        writer.copy(file, read_footer(file), 0)
-    writer.close(read_footer(first))
+        writer.copy_row_group(file, read_parquet_footer(file), 0)
+    writer.write_footer_and_close(read_parquet_footer(first))
     assert pq.read_table(tmp_path / "all.parquet").num_rows == 1
 
 
@@ -105,11 +105,11 @@ def test_damaged_footers_raise_what_is_documented(tmp_path: Path) -> None:
         (tmp_path / "all.parquet").unlink(missing_ok=True)
         writer = RowGroupWriter(tmp_path / "all.parquet")
         try:
-            footer = read_footer(source)
-            for index in range(len(footer.groups)):
-                writer.copy(source, footer, index)
+            footer = read_parquet_footer(source)
+            for index in range(len(footer.row_groups)):
+                writer.copy_row_group(source, footer, index)
         except (ValueError, KeyError, IndexError):
             refused += 1
         with suppress(ValueError):
-            writer.close(read_footer(io.BytesIO(whole)))
+            writer.write_footer_and_close(read_parquet_footer(io.BytesIO(whole)))
     assert refused > 1000

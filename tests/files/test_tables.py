@@ -10,7 +10,7 @@ import pytest
 
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError, ResultsError
-from dpbench.files.tables import decode_words, open_table
+from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
 
 ROWS = 4_000_000
 
@@ -25,7 +25,7 @@ def test_rows_that_are_all_the_same(tmp_path: Path) -> None:
     table = pa.table({f"c{i}": np.zeros(ROWS) for i in range(4)})
     path = _written(tmp_path / "runs.parquet", table)
     found = r"unpack to 128\d{6}; allowed: at most"
-    with pytest.raises(InputError, match=found), open_table(path):
+    with pytest.raises(InputError, match=found), open_untrusted_parquet_table(path):
         raise AssertionError("it was read")
     with pytest.raises(ResultsError, match=r"runs\.parquet: found \d+ bytes that unpack to"):
         load_results(tmp_path)
@@ -35,8 +35,11 @@ def test_a_long_word_in_each_row(tmp_path: Path) -> None:
     codes = pa.array(np.zeros(ROWS, dtype=np.int32))
     words = pa.DictionaryArray.from_arrays(codes, pa.array(["x" * 10_000]))
     path = _written(tmp_path / "runs.parquet", pa.table({"cell": words}))
-    with open_table(path) as file, pytest.raises(InputError, match=f"to {10_000 * ROWS}"):
-        decode_words(file.read(), path)
+    with (
+        open_untrusted_parquet_table(path) as file,
+        pytest.raises(InputError, match=f"to {10_000 * ROWS}"),
+    ):
+        decode_dictionary_columns_to_text(file.read(), path)
 
 
 @pytest.mark.slow
@@ -47,14 +50,17 @@ def test_a_damaged_entry_of_a_column_ends_no_process(tmp_path: Path) -> None:
     footer = int.from_bytes(whole[-8:-4], "little") + 8
     for at in range(len(whole) - footer, len(whole)):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 3]) + whole[at + 1 :])
-        with suppress(OSError, ValueError, pa.ArrowException), open_table(path) as file:
-            decode_words(file.read(), path)
+        with (
+            suppress(OSError, ValueError, pa.ArrowException),
+            open_untrusted_parquet_table(path) as file,
+        ):
+            decode_dictionary_columns_to_text(file.read(), path)
 
 
 def test_other_types_than_numbers_and_words_are_refused(tmp_path: Path) -> None:
     path = _written(tmp_path / "a.parquet", pa.table({"c": pa.array([[1.0] * 1000] * 100)}))
     found = r"c: found type list.*; allowed: numbers and words"
-    with pytest.raises(InputError, match=found), open_table(path):
+    with pytest.raises(InputError, match=found), open_untrusted_parquet_table(path):
         raise AssertionError("it was read")
 
 
@@ -72,7 +78,7 @@ def test_words_and_numbers_come_back(tmp_path: Path) -> None:
     path = tmp_path / "a.parquet"
     for store_schema in (True, False):
         pq.write_table(table, path, store_schema=store_schema)
-        with open_table(path) as file:
-            found = decode_words(file.read(), path)
+        with open_untrusted_parquet_table(path) as file:
+            found = decode_dictionary_columns_to_text(file.read(), path)
         assert found.to_pydict() == table.to_pydict()
         assert not any(pa.types.is_dictionary(field.type) for field in found.schema)

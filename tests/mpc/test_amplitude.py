@@ -76,7 +76,7 @@ def test_a_penalty_is_exact_from_the_largest_multiplier_on(
     largest = float(np.abs(expected.y).max())
     # Below it no amplitude limit matters enough for 1 % of its multiplier to move the plan.
     assume(largest > 1e-2)
-    rows, (low, high) = np.vstack((qp.A, np.eye(qp.n))), qp.limits()
+    rows, (low, high) = np.vstack((qp.A, np.eye(qp.n))), qp.stack_row_and_bound_limits()
     active = rows[np.minimum(rows @ expected.z - low, high - rows @ expected.z) < 1e-9]
     assume(np.linalg.matrix_rank(active) == len(active))
     for factor, same in ((1.01, True), (0.99, False)):

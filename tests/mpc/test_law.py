@@ -16,7 +16,7 @@ from dpbench.mpc.law import (
     unconstrained_plan,
 )
 from dpbench.mpc.model import StateSpace, augment, build_prediction_model
-from dpbench.qp.stacked import stack
+from dpbench.qp.stacked import convert_qp_to_one_sided_rows
 from dpbench.scenario.scenario import load_vessel
 from tests.mpc.conftest import VESSELS, naive_build, sample_of, ship_problem, solve_by_quadprog
 
@@ -106,7 +106,7 @@ def test_constrained_plan_is_the_unconstrained_one_less_the_correction(case: Any
         z, y, y_box = solve_by_quadprog(qp)
         lam = np.concatenate([-y, y, -y_box, y_box])
         active = lam > 1e-9 * np.abs(qp.q).max()
-    stacked = stack(qp)
+    stacked = convert_qp_to_one_sided_rows(qp)
     K0 = np.linalg.solve(qp.P, stacked.A[active].T @ lam[active])
     free = np.linalg.solve(qp.P, -qp.q)
     size = 1e-9 * (1.0 + np.abs(free).max())

@@ -229,7 +229,7 @@ def test_a_constant_disturbance_leaves_no_steady_error(variant: str) -> None:
     for _ in range(STEPS):
         x = np.concatenate([state - before, state[3:]])
         step = builder.emit(x, y_ref, u)
-        best = referee.certify(step.q, step.l, step.u)
+        best = referee.certify_vectors(step.q, step.l, step.u)
         assert best.bound < 1e-10
         limited += bool((np.abs(best.y_box) > 1e-9).any())
         u = u + builder.moves(best.z)[0]

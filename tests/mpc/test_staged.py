@@ -16,7 +16,7 @@ from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.staged_qp import StagedQP
 from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.referee.feasibility.farkas import farkas_valid
+from dpbench.qp.referee.feasibility.farkas import is_farkas_vector_proof
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Solution, Status
@@ -194,7 +194,7 @@ def test_a_proof_of_infeasibility_is_one_of_the_condensed_problem() -> None:
     answer = Solution(Status.PRIMAL_INFEASIBLE, found.z, found.y, found.y_box)
     back = staged.condensed(answer)
     qp = condensed.problem(condensed.emit(case.x, case.y_ref, u_prev, limits=limits))
-    assert farkas_valid(qp, back.y, back.y_box)
+    assert is_farkas_vector_proof(qp, back.y, back.y_box)
     assert back.status is Status.PRIMAL_INFEASIBLE and np.isnan(back.z).all()
 
 

@@ -14,7 +14,11 @@ from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Refresh
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution, Status
-from dpbench.qp.stacked import stack, stack_step, unstack
+from dpbench.qp.stacked import (
+    convert_qp_to_one_sided_rows,
+    convert_solution_to_two_sided_rows,
+    convert_step_to_one_sided_rows,
+)
 from dpbench.scenario.scenario import condense, load_scenario
 
 K, N, M = 4, 6, 4
@@ -80,7 +84,7 @@ def test_rows_and_limits_may_be_left_out() -> None:
     assert (boxed.n, boxed.m) == (N, 0)
     np.testing.assert_array_equal(boxed.ub, qp.ub)
     above = QuadraticProgram(qp.P, qp.q, qp.A, u=qp.u)
-    low, high = above.limits()
+    low, high = above.stack_row_and_bound_limits()
     assert (low == -np.inf).all() and (high[M:] == np.inf).all()
     np.testing.assert_array_equal(high[:M], qp.u)
 
@@ -104,7 +108,7 @@ def test_the_number_of_moves_survives_steps_and_stacking() -> None:
     qp = program(0, block=3, moves=2)
     step = QPStep(2.0 * qp.q, qp.l, qp.u, P=3.0 * qp.P)
     assert (qp.at(step).block, qp.at(step).moves) == (3, 2)
-    assert stack(qp).moves == 2
+    assert convert_qp_to_one_sided_rows(qp).moves == 2
     assert program(0, block=3).moves == 0
 
 
@@ -141,7 +145,7 @@ def test_stacked_form_has_the_sixty_rows_of_the_paper_in_its_order() -> None:
     du_max = np.array([32736.0, 11008.0, 475200.0])
     u, C2, eye = np.array([2e5, -1e5, 3e6]), np.kron(np.tri(5), np.eye(3)), np.eye(15)
     step = in_newtons.emit(state(1.2, 1.3, 0.0), np.zeros(3), u)
-    found = stack(in_newtons.problem(step))
+    found = convert_qp_to_one_sided_rows(in_newtons.problem(step))
     assert (found.n, found.m) == (15, 60)
     np.testing.assert_array_equal(found.A, np.vstack([-C2, C2, -eye, eye]))
     gamma = [np.tile(part, 5) for part in (-u_min + u, u_max - u, du_max, du_max)]
@@ -159,9 +163,11 @@ def test_stacked_and_two_sided_forms_have_one_optimum(builder: CondensedQP, name
     sense = np.zeros(qp.n + qp.m, dtype=np.intc)
     z, _, flag, info = daqp.solve(qp.P.copy(), qp.q.copy(), qp.A.copy(), *limits, sense)
     assert flag == 1
-    lam, stacked = np.asarray(info["lam"]), stack(qp)
+    lam, stacked = np.asarray(info["lam"]), convert_qp_to_one_sided_rows(qp)
     raw = quadprog.solve_qp(stacked.P.copy(), -stacked.q, -stacked.A.T.copy(), -stacked.u, 0)
-    back = unstack(Solution(Status.SOLVED, raw[0], raw[4], np.zeros(qp.n), 3, 5, "words"), qp.m)
+    back = convert_solution_to_two_sided_rows(
+        Solution(Status.SOLVED, raw[0], raw[4], np.zeros(qp.n), 3, 5, "words"), qp.m
+    )
     # daqp's primal tolerance is 1e-6; on its final active set both solve one linear system.
     np.testing.assert_allclose(back.z, z, rtol=0, atol=1e-8)
     size = 1e-8 * (1.0 + np.abs(qp.q).max())
@@ -178,13 +184,17 @@ def test_stacked_and_two_sided_forms_have_one_optimum(builder: CondensedQP, name
 def test_both_amplitude_signs_come_back_as_signed_multipliers() -> None:
     """λ of an upper row becomes y > 0, of a lower row y < 0, and the same for bounds."""
     lam = np.arange(1.0, 11.0)
-    back = unstack(Solution(Status.SOLVED, np.zeros(3), lam, np.zeros(3)), 2)
+    back = convert_solution_to_two_sided_rows(
+        Solution(Status.SOLVED, np.zeros(3), lam, np.zeros(3)), 2
+    )
     np.testing.assert_array_equal(back.y, [3.0 - 1.0, 4.0 - 2.0])
     np.testing.assert_array_equal(back.y_box, [8.0 - 5.0, 9.0 - 6.0, 10.0 - 7.0])
 
 
 def test_a_missing_answer_stays_missing() -> None:
-    back = unstack(Solution.missing(3, 10, Status.ERROR, "broke"), 2)
+    back = convert_solution_to_two_sided_rows(
+        Solution.without_point(3, 10, Status.ERROR, "broke"), 2
+    )
     assert np.isnan(np.concatenate([back.z, back.y, back.y_box])).all()
     assert (back.y.shape, back.y_box.shape) == ((2,), (3,))
     assert (back.status, back.detail) == (Status.ERROR, "broke")
@@ -193,10 +203,10 @@ def test_a_missing_answer_stays_missing() -> None:
 def test_stacking_a_step_is_stacking_its_problem(builder: CondensedQP) -> None:
     first = builder.problem(builder.emit(state(0.01, -0.01, 0.0), np.zeros(3), np.zeros(3)))
     step = builder.emit(STEPS["amplitude"][0], np.zeros(3), STEPS["amplitude"][1])
-    base = stack(first)
+    base = convert_qp_to_one_sided_rows(first)
     kept = [a.copy() for a in (base.A, base.u, step.q, step.l, step.u)]
-    moved = base.at(stack_step(step, base))
-    expected = stack(first.at(step))
+    moved = base.at(convert_step_to_one_sided_rows(step, base))
+    expected = convert_qp_to_one_sided_rows(first.at(step))
     for name in ("P", "q", "A", "l", "u", "lb", "ub"):
         np.testing.assert_array_equal(getattr(moved, name), getattr(expected, name))
     for now, then in zip((base.A, base.u, step.q, step.l, step.u), kept, strict=True):
@@ -206,12 +216,12 @@ def test_stacking_a_step_is_stacking_its_problem(builder: CondensedQP) -> None:
 @pytest.mark.parametrize("changed", [(), ("A",), ("P", "A"), ("lb",), ("ub",), ("P", "lb", "ub")])
 def test_a_chain_of_steps_stays_in_step_with_the_two_sided_form(changed: tuple[str, ...]) -> None:
     two_sided = program(0)
-    one_sided = stack(two_sided)
+    one_sided = convert_qp_to_one_sided_rows(two_sided)
     for seed, brought in enumerate((changed, (), changed), 1):
         new = program(seed)
         step = QPStep(new.q, new.l, new.u, **{name: getattr(new, name) for name in brought})
-        one_sided = one_sided.at(stack_step(step, one_sided))
+        one_sided = one_sided.at(convert_step_to_one_sided_rows(step, one_sided))
         two_sided = two_sided.at(step)
-        expected = stack(two_sided)
+        expected = convert_qp_to_one_sided_rows(two_sided)
         for name in ("P", "q", "A", "l", "u", "lb", "ub"):
             np.testing.assert_array_equal(getattr(one_sided, name), getattr(expected, name))

@@ -8,15 +8,15 @@ from dpbench.qp.random_mpc import (
     INPUT_COST,
     INPUT_MAX,
     RandomMPC,
-    draw_system,
-    generate_random_mpc,
+    draw_random_system_and_reference,
+    generate_qps_and_optima_of_random_mpc,
 )
 
 SMALL = RandomMPC(states=3, inputs=2, horizon=4, seed=5)
 
 
 def test_the_system_is_stable_and_can_follow_its_reference() -> None:
-    system = draw_system(SMALL)
+    system = draw_random_system_and_reference(SMALL)
     assert np.linalg.norm(system.A, 2) == pytest.approx(1.0)
     moves = system.reference[1:] - system.reference[:-1] @ system.A.T
     inputs, *_ = np.linalg.lstsq(system.B, moves.T, rcond=None)
@@ -27,7 +27,7 @@ def test_the_system_is_stable_and_can_follow_its_reference() -> None:
 
 def cost(v: np.ndarray, k: int) -> float:
     """The cost of inputs 3·v from the origin at step k, by simulating the states."""
-    system, x, total = draw_system(SMALL), np.zeros(SMALL.states), 0.0
+    system, x, total = draw_random_system_and_reference(SMALL), np.zeros(SMALL.states), 0.0
     for i in range(SMALL.horizon):
         u = INPUT_MAX * v[i * SMALL.inputs : (i + 1) * SMALL.inputs]
         x = system.A @ x + system.B @ u
@@ -38,7 +38,7 @@ def cost(v: np.ndarray, k: int) -> float:
 
 
 def test_the_condensed_cost_is_that_of_the_simulated_states() -> None:
-    sequence, _ = generate_random_mpc(SMALL, 1)
+    sequence, _ = generate_qps_and_optima_of_random_mpc(SMALL, 1)
     qp, rng = sequence.base, np.random.default_rng(1)
     for v in rng.uniform(-1.0, 1.0, (5, qp.n)):
         condensed = 0.5 * v @ qp.P @ v + sequence.q[0] @ v
@@ -46,12 +46,14 @@ def test_the_condensed_cost_is_that_of_the_simulated_states() -> None:
 
 
 def test_every_step_is_certified_and_a_seed_gives_the_same_again() -> None:
-    sequence, optima = generate_random_mpc(SMALL)
-    again, _ = generate_random_mpc(RandomMPC.parse(sequence.name))
+    sequence, optima = generate_qps_and_optima_of_random_mpc(SMALL)
+    again, _ = generate_qps_and_optima_of_random_mpc(RandomMPC.from_sequence_name(sequence.name))
     assert len(sequence) == len(optima) == 200 - SMALL.horizon
     assert max(optimum.bound for optimum in optima) < 1e-12
     np.testing.assert_array_equal(sequence.q, again.q)
-    other, _ = generate_random_mpc(RandomMPC.parse("random_mpc-3-2-4-s6"), 1)
+    other, _ = generate_qps_and_optima_of_random_mpc(
+        RandomMPC.from_sequence_name("random_mpc-3-2-4-s6"), 1
+    )
     assert np.abs(other.q[0] - sequence.q[0]).max() > 0.1
 
 
@@ -66,9 +68,9 @@ def test_every_step_is_certified_and_a_seed_gives_the_same_again() -> None:
 )
 def test_a_bad_name(name: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        RandomMPC.parse(name)
+        RandomMPC.from_sequence_name(name)
 
 
 def test_more_steps_than_there_are() -> None:
     with pytest.raises(InputError, match=r"steps: found 197; allowed: 1 to 196"):
-        generate_random_mpc(SMALL, 197)
+        generate_qps_and_optima_of_random_mpc(SMALL, 197)

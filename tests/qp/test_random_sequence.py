@@ -9,7 +9,11 @@ from scipy.optimize import linprog
 
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import FAMILIES, MARGIN, NEAR, RandomRecipe
-from dpbench.qp.random_sequence import PlantedSequence, plant_sequence, random_sequence
+from dpbench.qp.random_sequence import (
+    PlantedSequence,
+    generate_random_sequence,
+    generate_random_sequence_with_optima,
+)
 from dpbench.qp.referee.referee import Referee
 
 INF = np.inf
@@ -35,7 +39,9 @@ def joint(found: PlantedSequence, k: int) -> tuple[np.ndarray, ...]:
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_recipe_gives_the_same_bits_again(family: str) -> None:
-    first, again, other = (random_sequence(recipe(family, seed=seed)) for seed in (1, 1, 2))
+    first, again, other = (
+        generate_random_sequence(recipe(family, seed=seed)) for seed in (1, 1, 2)
+    )
     for name in ("P", "A", "lb", "ub"):
         assert getattr(first.base, name).tobytes() == getattr(again.base, name).tobytes()
     for name in ("q", "l", "u"):
@@ -56,7 +62,7 @@ def test_the_planted_optimum_satisfies_the_optimality_conditions_exactly(
     family: str, n: int, m: int, steps: int
 ) -> None:
     """In rational arithmetic, also with 120 variables and 300 rows."""
-    found = plant_sequence(recipe(family, n, m, steps=steps))
+    found = generate_random_sequence_with_optima(recipe(family, n, m, steps=steps))
     for k in np.flatnonzero(found.feasible):
         C, L, U, y = (exact(array) for array in joint(found, int(k)))
         z, q = exact(found.z[k]), exact(found.sequence.q[k])
@@ -71,11 +77,11 @@ def test_the_planted_optimum_satisfies_the_optimality_conditions_exactly(
 )
 def test_the_referee_certifies_what_was_planted(family: str, n: int, m: int) -> None:
     steps = 6 if n == 30 else 24
-    found = plant_sequence(recipe(family, n, m, seed=3, steps=steps))
+    found = generate_random_sequence_with_optima(recipe(family, n, m, seed=3, steps=steps))
     base, sequence = found.sequence.base, found.sequence
     referee = Referee(base.P, base.A, base.lb, base.ub)
     for k in range(steps):
-        optimum = referee.certify(sequence.q[k], sequence.l[k], sequence.u[k])
+        optimum = referee.certify_vectors(sequence.q[k], sequence.l[k], sequence.u[k])
         if found.feasible[k]:
             # The bound grows with the condition; 1e-5 is the finest error an answer is held to.
             assert np.abs(optimum.z - found.z[k]).max() <= optimum.bound <= 1e-8
@@ -85,7 +91,7 @@ def test_the_referee_certifies_what_was_planted(family: str, n: int, m: int) -> 
 
 def test_infeasible_steps_have_no_feasible_point_by_a_margin() -> None:
     """Every third step would need limits moved by 1/40 at least; the planted vector proves it."""
-    found = plant_sequence(recipe("infeasible_steps", seed=4))
+    found = generate_random_sequence_with_optima(recipe("infeasible_steps", seed=4))
     assert (~found.feasible).tolist() == [k % 3 == 2 for k in range(24)]
     for k in np.flatnonzero(~found.feasible):
         C, L, U, y = joint(found, int(k))
@@ -106,7 +112,7 @@ def _met(found: PlantedSequence, k: int) -> np.ndarray:
 
 
 def test_degenerate_vertices_meet_more_limits_than_there_are_variables() -> None:
-    found = plant_sequence(recipe("degenerate"))
+    found = generate_random_sequence_with_optima(recipe("degenerate"))
     A = found.sequence.base.A
     copies = [(i, j) for i in range(30) for j in range(i) if (np.abs(A[i]) == np.abs(A[j])).all()]
     assert copies
@@ -117,7 +123,7 @@ def test_degenerate_vertices_meet_more_limits_than_there_are_variables() -> None
 
 def test_weakly_active_limits_are_met_without_a_multiplier_or_nearly_met() -> None:
     """On every step some limit is met with a zero multiplier; others are missed by 2⁻²⁶."""
-    found = plant_sequence(recipe("weakly_active"))
+    found = generate_random_sequence_with_optima(recipe("weakly_active"))
     near = 0
     for k in range(24):
         C, L, U, y = joint(found, k)
@@ -129,7 +135,7 @@ def test_weakly_active_limits_are_met_without_a_multiplier_or_nearly_met() -> No
 
 def test_plain_problems_are_strictly_complementary() -> None:
     """Every limit that is met has a multiplier, and every other one a slack of 1/50 at least."""
-    found = plant_sequence(recipe("plain"))
+    found = generate_random_sequence_with_optima(recipe("plain"))
     for k in range(24):
         C, L, U, y = joint(found, k)
         value = C @ found.z[k]
@@ -138,26 +144,28 @@ def test_plain_problems_are_strictly_complementary() -> None:
 
 
 def test_equal_free_and_infinite_limits_are_there() -> None:
-    equal = random_sequence(recipe("equal"))
+    equal = generate_random_sequence(recipe("equal"))
     assert (equal.l == equal.u).sum(axis=1).min() == 4
-    free = random_sequence(recipe("free"))
+    free = generate_random_sequence(recipe("free"))
     assert (np.isinf(free.l) & np.isinf(free.u)).sum(axis=1).min() == 12
     assert (np.isinf(free.l) != np.isinf(free.u)).any()
-    base = random_sequence(recipe("infinite_bounds")).base
+    base = generate_random_sequence(recipe("infinite_bounds")).base
     assert 6 <= np.isinf(base.lb).sum() + np.isinf(base.ub).sum() <= 18
-    assert random_sequence(recipe("no_rows")).base.m == 0
+    assert generate_random_sequence(recipe("no_rows")).base.m == 0
 
 
 @pytest.mark.parametrize(("family", "cond"), [("plain", 1e2), ("ill_conditioned", 1e8)])
 @pytest.mark.parametrize("n", [2, 12, 120])
 def test_cost_matrices_have_the_condition_they_name(family: str, cond: float, n: int) -> None:
     """The condition of P is that of its family to 1 %, which its grid of 36 bits allows."""
-    eigenvalues = np.linalg.eigvalsh(random_sequence(recipe(family, n, 4, steps=1)).base.P)
+    eigenvalues = np.linalg.eigvalsh(generate_random_sequence(recipe(family, n, 4, steps=1)).base.P)
     assert eigenvalues[-1] / eigenvalues[0] == pytest.approx(cond, rel=1e-2)
 
 
 def test_semidefinite_costs_lose_a_fifth_of_their_rank() -> None:
-    eigenvalues = np.linalg.eigvalsh(random_sequence(recipe("semidefinite", 30, 60)).base.P)
+    eigenvalues = np.linalg.eigvalsh(
+        generate_random_sequence(recipe("semidefinite", 30, 60)).base.P
+    )
     assert (np.abs(eigenvalues) < 1e-13 * eigenvalues[-1]).sum() == 6
     assert eigenvalues[6] > 1e-3 * eigenvalues[-1]
 
@@ -165,7 +173,7 @@ def test_semidefinite_costs_lose_a_fifth_of_their_rank() -> None:
 @pytest.mark.parametrize("family", FAMILIES)
 def test_rows_have_unit_norm_and_paths_are_smooth_but_for_jumps(family: str) -> None:
     """Norms are 1 to 1e-4, the grid of A; between most steps a third of the limits met stays."""
-    found = plant_sequence(recipe(family))
+    found = generate_random_sequence_with_optima(recipe(family))
     norms = np.linalg.norm(found.sequence.base.A, axis=1)
     np.testing.assert_allclose(norms, 1.0, atol=1e-4)
     active = np.hstack((found.y, found.y_box)) != 0.0
@@ -200,5 +208,5 @@ def test_names_tell_recipes_apart_and_recipes_survive_json() -> None:
     changes = {"n": 6, "m": 6, "seed": 2, "steps": 3, "block": 2, "cond": 1e4, "family": "free"}
     usual = recipe("plain")
     variants = [usual, *(replace(usual, **{key: value}) for key, value in changes.items())]
-    assert len({variant.name for variant in variants}) == len(variants)
+    assert len({variant.sequence_name for variant in variants}) == len(variants)
     assert all(RandomRecipe(**asdict(variant)) == variant for variant in variants)

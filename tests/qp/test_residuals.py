@@ -7,8 +7,13 @@ import pytest
 from numpy.typing import NDArray
 
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.referee.referee import certify, measure_error
-from dpbench.qp.residuals import Residuals, fit_multipliers, is_true, residuals
+from dpbench.qp.referee.referee import certify, measure_first_move_and_plan_error
+from dpbench.qp.residuals import (
+    Residuals,
+    fit_row_and_bound_multipliers,
+    is_answer_correct,
+    residuals,
+)
 from dpbench.qp.solution import Solution, Status
 
 INF = np.inf
@@ -31,8 +36,8 @@ def _exact(qp: QuadraticProgram) -> Solution:
 
 
 def _true(qp: QuadraticProgram, answer: Solution, tol: float = 1e-3) -> bool:
-    plan = measure_error(answer.z, certify(qp), qp.block)[1]
-    return is_true(qp, residuals(qp, answer), plan, tol)
+    plan = measure_first_move_and_plan_error(answer.z, certify(qp), qp.block)[1]
+    return is_answer_correct(qp, residuals(qp, answer), plan, tol)
 
 
 def _line(q: float, low: float, high: float, box: float = INF) -> QuadraticProgram:
@@ -110,7 +115,14 @@ def test_formulas_term_by_term(seed: int) -> None:
     rng = np.random.default_rng(seed)
     z, y, y_box = rng.normal(size=qp.n), rng.normal(size=qp.m), rng.normal(size=qp.n)
     found = residuals(qp, _answer(z, y, y_box))
-    rows = list(zip(np.concatenate((qp.A @ z, z)), *qp.limits(), [*y, *y_box], strict=True))
+    rows = list(
+        zip(
+            np.concatenate((qp.A @ z, z)),
+            *qp.stack_row_and_bound_limits(),
+            [*y, *y_box],
+            strict=True,
+        )
+    )
     r = [sum(qp.P[i] * z) + qp.q[i] + sum(qp.A[:, i] * y) + y_box[i] for i in range(qp.n)]
     errors = []
     for value, lower, upper, lam in rows:
@@ -161,14 +173,14 @@ def test_attacks_are_found_false(attack: str, seed: int) -> None:
 def test_best_multipliers_do_not_excuse_a_wrong_point(seed: int) -> None:
     qp = _qp(seed=seed)
     z = 0.9 * certify(qp).z
-    y, y_box = fit_multipliers(qp, z, 1e-6)
+    y, y_box = fit_row_and_bound_multipliers(qp, z, 1e-6)
     assert residuals(qp, _answer(z, y, y_box)).dual > 1e-3 * (1.0 + np.abs(qp.q).max())
 
 
 def test_best_multipliers_name_finite_limits_only() -> None:
     eye = np.eye(2)
     qp = QuadraticProgram(eye, [-3.0, 3.0], eye, [-INF, 1.0], [1.0, 1.0], [-INF] * 2, [INF] * 2)
-    y, y_box = fit_multipliers(qp, np.array([1.0, 1.0]), 1e-6)
+    y, y_box = fit_row_and_bound_multipliers(qp, np.array([1.0, 1.0]), 1e-6)
     # Non-negative least squares of two orthogonal columns: exact up to a few roundings.
     assert y == pytest.approx([2.0, -4.0], rel=1e-14)
     assert not y_box.any()
@@ -177,7 +189,7 @@ def test_best_multipliers_name_finite_limits_only() -> None:
 @pytest.mark.parametrize("bad", [INF, np.nan])
 def test_multipliers_of_no_point_are_not_numbers(bad: float) -> None:
     qp = _qp()
-    y, y_box = fit_multipliers(qp, np.append(np.zeros(qp.n - 1), bad), 1e-6)
+    y, y_box = fit_row_and_bound_multipliers(qp, np.append(np.zeros(qp.n - 1), bad), 1e-6)
     assert (y.shape, y_box.shape) == ((qp.m,), (qp.n,))
     assert np.isnan(y).all() and np.isnan(y_box).all()
 
@@ -187,10 +199,13 @@ def test_error_of_move_and_plan() -> None:
     optimum = certify(qp)
     z = optimum.z.copy()
     z[3] += 0.5
-    assert measure_error(z, optimum, 2) == (0.0, pytest.approx(0.5, rel=1e-14))
-    assert measure_error(z, optimum, 0)[0] == measure_error(z, optimum, 0)[1]
+    assert measure_first_move_and_plan_error(z, optimum, 2) == (0.0, pytest.approx(0.5, rel=1e-14))
+    assert (
+        measure_first_move_and_plan_error(z, optimum, 0)[0]
+        == measure_first_move_and_plan_error(z, optimum, 0)[1]
+    )
     z[5] = np.nan
-    assert measure_error(z, optimum, 2) == (INF, INF)
+    assert measure_first_move_and_plan_error(z, optimum, 2) == (INF, INF)
 
 
 def test_slacks_are_no_error_of_a_move_or_a_plan() -> None:
@@ -199,12 +214,17 @@ def test_slacks_are_no_error_of_a_move_or_a_plan() -> None:
     z = optimum.z.copy()
     z[:6] += [0.25, 7.0, -0.5, 8.0, 0.125, 9.0]
     rounding = pytest.approx(0.25, rel=1e-14), pytest.approx(0.5, rel=1e-14)
-    assert measure_error(z, optimum, 2, moves=1) == rounding
-    assert measure_error(z, optimum, 2, moves=2) == measure_error(z, optimum, 2)
-    assert measure_error(z, optimum, 0, moves=1) == (rounding[0], rounding[0])
-    assert measure_error(z, optimum, 0, moves=3) == measure_error(z, optimum, 3)[:1] * 2
+    assert measure_first_move_and_plan_error(z, optimum, 2, moves=1) == rounding
+    assert measure_first_move_and_plan_error(
+        z, optimum, 2, moves=2
+    ) == measure_first_move_and_plan_error(z, optimum, 2)
+    assert measure_first_move_and_plan_error(z, optimum, 0, moves=1) == (rounding[0], rounding[0])
+    assert (
+        measure_first_move_and_plan_error(z, optimum, 0, moves=3)
+        == measure_first_move_and_plan_error(z, optimum, 3)[:1] * 2
+    )
     z[1] = np.nan
-    assert measure_error(z, optimum, 2, moves=1) == (INF, INF)
+    assert measure_first_move_and_plan_error(z, optimum, 2, moves=1) == (INF, INF)
 
 
 @pytest.mark.parametrize(("off_middle", "error"), [(0.45e-6, 0.5e-3 + 0.45e-6), (0.55e-6, 1.0)])
@@ -244,7 +264,7 @@ def test_the_bounds_of_a_true_answer(which: str) -> None:
 
     def is_true_at(value: float) -> bool:
         of = dict.fromkeys(bound, 0.0) | {which: value}
-        return is_true(qp, Residuals(of["primal"], of["dual"], INF, INF), of["plan"])
+        return is_answer_correct(qp, Residuals(of["primal"], of["dual"], INF, INF), of["plan"])
 
     assert is_true_at(bound[which])
     assert not is_true_at(bound[which] * (1.0 + 1e-9))
@@ -263,16 +283,18 @@ def test_a_point_touches_a_limit_within_the_tolerance(
     The gradient Pz + q is −side there, so the multiplier of a limit that is met is `side`.
     """
     z = side * (3.0 - slack)
-    found = np.concatenate(fit_multipliers(_line(-side - z, -row, row, box), np.array([z]), 0.25))
+    found = np.concatenate(
+        fit_row_and_bound_multipliers(_line(-side - z, -row, row, box), np.array([z]), 0.25)
+    )
     expected = [side if touched else 0.0, 0.0]
     assert found == pytest.approx(expected if row == 3.0 else expected[::-1], rel=1e-14)
 
 
 def test_a_multiplier_never_pulls_towards_the_inside() -> None:
     # At z = 3 the cost falls towards the inside: 3 + 1 > 0.
-    assert fit_multipliers(_line(1.0, -2.0, 3.0), np.array([3.0]), 1e-6) == (0.0, 0.0)
+    assert fit_row_and_bound_multipliers(_line(1.0, -2.0, 3.0), np.array([3.0]), 1e-6) == (0.0, 0.0)
     # Both limits met: either sign, so the multiplier is −(2 + 1).
-    y, y_box = fit_multipliers(_line(1.0, 2.0, 2.0), np.array([2.0]), 1e-6)
+    y, y_box = fit_row_and_bound_multipliers(_line(1.0, 2.0, 2.0), np.array([2.0]), 1e-6)
     assert (y, y_box) == (pytest.approx([-3.0]), pytest.approx([0.0]))
 
 

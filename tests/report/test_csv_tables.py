@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from dpbench.analysis.records.run_steps import counting_rows, run_steps
-from dpbench.files.writing import write_together
+from dpbench.files.writing import write_file_set_into_folder
 from dpbench.report.csv_tables import TABLES, build_tables
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
@@ -86,7 +86,7 @@ def test_what_ended_early_stands_with_its_reason(records: Any, tmp_path: Path) -
     records.refused("ecos", "it keeps no workspace", policy="reuse")
     records.loop("highs", outcome="crashed", outcome_detail="signal 11", done=0)
     out = records.write(tmp_path / "out")
-    write_together(out / "tables", {"old.csv": lambda: b"x\n1\n"})
+    write_file_set_into_folder(out / "tables", {"old.csv": lambda: b"x\n1\n"})
     write_report(out)
     table = _table(out, "runs").set_index("solver")
     assert table["outcome"].to_dict() == {"daqp": "finished", "ecos": "refused", "highs": "crashed"}

@@ -45,10 +45,12 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Read files that are no danger without a process of their own, which takes its time."""
 
     def read(path: Path, name: str) -> tuple[list[str], dict[str, Any]]:
-        fields = mat_child._collect_numbers(scipy.io.loadmat(path, simplify_cells=True)[name])
+        fields = mat_child._flatten_numeric_fields_by_dotted_name(
+            scipy.io.loadmat(path, simplify_cells=True)[name]
+        )
         return [name], {f"{name}.{key}": np.asarray(value) for key, value in fields.items()}
 
-    monkeypatch.setattr(hull_files, "read_structure", read)
+    monkeypatch.setattr(hull_files, "read_mat_structure_in_child", read)
 
 
 def test_the_mss_hull_is_made_of_the_files_own_entries(hull: Hull) -> None:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
-from dpbench.qp.random_sequence import PlantedSequence, plant_sequence
-from dpbench.qp.referee.feasibility.farkas import farkas_valid
-from dpbench.qp.residuals import is_true, residuals
+from dpbench.qp.random_sequence import PlantedSequence, generate_random_sequence_with_optima
+from dpbench.qp.referee.feasibility.farkas import is_farkas_vector_proof
+from dpbench.qp.residuals import is_answer_correct, residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.contract import Policy
 from dpbench.solvers.open import open_workspace
@@ -30,7 +30,7 @@ def answers(problem, policy, solver="paper_active_set", settings="default"):
     for k in range(len(sequence)):
         answer = solve_next(workspace, sequence.step(k))
         yield sequence.problem(k), answer
-        if not answer.status.is_usable:
+        if not answer.status.is_answer_applied:
             workspace.reset()
 
 
@@ -41,10 +41,10 @@ def check(problem: PlantedSequence, policy: Policy) -> None:
         if problem.feasible[k]:
             assert answer.status is Status.SOLVED, where
             error = float(np.abs(answer.z - problem.z[k]).max())
-            assert is_true(qp, residuals(qp, answer), error, 1e-6), where
+            assert is_answer_correct(qp, residuals(qp, answer), error, 1e-6), where
         else:
             assert answer.status is Status.PRIMAL_INFEASIBLE, where
-            assert farkas_valid(qp, answer.y, answer.y_box), where
+            assert is_farkas_vector_proof(qp, answer.y, answer.y_box), where
 
 
 @pytest.mark.slow
@@ -57,20 +57,25 @@ def test_it_solves_every_random_problem_and_claims_nothing_untrue(
     for n, m, block in SIZES:
         for seed in SEEDS[policy]:
             rows = 0 if family == "no_rows" else m
-            check(plant_sequence(RandomRecipe(family, n, rows, seed, block=block)), policy)
+            check(
+                generate_random_sequence_with_optima(
+                    RandomRecipe(family, n, rows, seed, block=block)
+                ),
+                policy,
+            )
 
 
 @pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
 @pytest.mark.parametrize("family", STRICT)
 def test_the_same_at_the_largest_size(family: str, policy: Policy) -> None:
     rows = 0 if family == "no_rows" else 300
-    check(plant_sequence(RandomRecipe(family, 120, rows, 1, steps=9)), policy)
+    check(generate_random_sequence_with_optima(RandomRecipe(family, 120, rows, 1, steps=9)), policy)
 
 
 @pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
 def test_high_settings_tighten_the_proximal_steps_of_daqp(policy: Policy) -> None:
     """Answers for a semidefinite P are right to 1e-5 at `high`, and not at `default`."""
-    problem = plant_sequence(RandomRecipe("semidefinite", 12, 30, 2, block=2))
+    problem = generate_random_sequence_with_optima(RandomRecipe("semidefinite", 12, 30, 2, block=2))
 
     def worst(settings: str) -> float:
         pairs = zip(answers(problem, policy, "daqp", settings), problem.z, strict=True)

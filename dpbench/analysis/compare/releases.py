@@ -15,7 +15,7 @@ from dpbench.analysis.compare.times import REFERENCES, usual_first_key
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.bench.judge.rules import maximum_of_known
-from dpbench.errors import InputError, UnknownNameError, list_allowed
+from dpbench.errors import InputError, UnknownNameError, format_allowed_names
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +160,9 @@ def _choose_reference_solver(folders: Mapping[str, Records], asked: str | None) 
     if not known:
         found = repr(asked) if asked else f"none of {', '.join(REFERENCES)} in all folders"
         allowed = (
-            list_allowed(asked or "", common) if common else "a solver that all folders replayed"
+            format_allowed_names(asked or "", common)
+            if common
+            else "a solver that all folders replayed"
         )
         raise UnknownNameError("`reference`", "", found, allowed)
     return known[0]

@@ -26,7 +26,7 @@ from dpbench.analysis.times.machine import disturbed_sequences
 from dpbench.arrays import Floats, Ints
 from dpbench.bench.judge.rules import median_of_known
 from dpbench.bench.record.configuration import settings_level
-from dpbench.errors import UnknownNameError, list_allowed
+from dpbench.errors import UnknownNameError, format_allowed_names
 
 BLOCK_STEPS, LEAST_BLOCKS = 20, 4
 """Length of a block of steps, and how many there must be for their spread to be an error. It leaves
@@ -162,7 +162,9 @@ def reference_solver(timings: Sequence[Timing], asked: str | None) -> str:
     """
     counts = Counter(t.pair.a.solver for t in timings)
     if asked is not None and asked not in counts:
-        allowed = list_allowed(asked, sorted(counts)) if counts else "a solver that both replayed"
+        allowed = (
+            format_allowed_names(asked, sorted(counts)) if counts else "a solver that both replayed"
+        )
         raise UnknownNameError("`reference`", "", repr(asked), allowed)
     known = [name for name in REFERENCES if name in counts]
     most = [name for name, _ in counts.most_common(1)]

@@ -15,8 +15,8 @@ import pyarrow as pa
 from dpbench.bench.capability.batch import Point
 from dpbench.bench.capability.frontier import FROM_DEG, INTACT, Capability
 from dpbench.errors import ResultsError
-from dpbench.files.tables import decode_words, open_table
-from dpbench.files.writing import replace_file
+from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
+from dpbench.files.writing import write_file_atomically
 
 CAPABILITY_FILE = "capability.parquet"
 COLUMNS = {
@@ -59,7 +59,7 @@ def make_capability_columns(
 def write_capability_plots(out: Path, tables: Sequence[dict[str, list[Any]]]) -> None:
     """Write capability plots to `capability.parquet` in a result folder."""
     frame = pd.concat([pd.DataFrame(table) for table in tables], ignore_index=True)
-    with replace_file(out / CAPABILITY_FILE) as part:
+    with write_file_atomically(out / CAPABILITY_FILE) as part:
         frame.astype(COLUMNS).to_parquet(part, index=False, compression="zstd")
 
 
@@ -69,8 +69,10 @@ def load_capability_plots(folder: Path) -> pd.DataFrame | None:
     if not path.exists():
         return None
     try:
-        with open_table(path, error=ResultsError) as file:
-            table = decode_words(file.read(columns=list(COLUMNS)), path, error=ResultsError)
+        with open_untrusted_parquet_table(path, error=ResultsError) as file:
+            table = decode_dictionary_columns_to_text(
+                file.read(columns=list(COLUMNS)), path, error=ResultsError
+            )
         plots: pd.DataFrame = table.to_pandas(ignore_metadata=True)[list(COLUMNS)]
         plots = plots.astype(COLUMNS)
     except ResultsError:

@@ -27,7 +27,7 @@ from dpbench.bench.record.cell import HARNESS_VERSION
 from dpbench.bench.workers.child import hide_main_module
 from dpbench.bench.workers.interrupts import block_terminal_signals, delay_signals
 from dpbench.errors import InputError
-from dpbench.temporary_folders import temporary_folder
+from dpbench.temporary_folders import make_temporary_folder_for_block
 
 EXCLUSIVE = "exclusive"
 """The resource of which a machine's workers offer one together, if replays may be timed there."""
@@ -150,7 +150,7 @@ def _open_own_cluster(workers: int) -> Iterator[Client]:
     with (
         _silence_dask(),
         hide_main_module(),
-        temporary_folder(Path(tempfile.gettempdir())) as folder,
+        make_temporary_folder_for_block(Path(tempfile.gettempdir())) as folder,
         dask.config.set({**_OWN, "temporary-directory": str(folder)}),
         ExitStack() as stack,
     ):

@@ -35,7 +35,7 @@ from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.sequences.source import is_readable, source_file
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result
 from dpbench.errors import CertificateError, InputError
-from dpbench.files.writing import write_bytes
+from dpbench.files.writing import write_bytes_atomically
 
 RETRIES = 2
 """Number of times that a task is run again after an error of the harness."""
@@ -181,7 +181,7 @@ class DaskEngine(ExitStack):
             return results
         for name, made in returned.items():
             if made.data:
-                write_bytes(Path(name), made.data)
+                write_bytes_atomically(Path(name), made.data)
         return on_worker.list_outcomes_as_results(returned)
 
     def _require_connection(self) -> None:

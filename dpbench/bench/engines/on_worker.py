@@ -24,9 +24,9 @@ from dpbench.bench.workers.executor import CellExecutor
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, Target
 from dpbench.bench.workers.scratch import Scratch
 from dpbench.errors import DpbenchError
-from dpbench.locks import lease_core
+from dpbench.locks import hold_free_core_lock
 from dpbench.solvers.table import check_availability
-from dpbench.temporary_folders import temporary_folder
+from dpbench.temporary_folders import make_temporary_folder_for_block
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,10 @@ def make_files(
     isolated: bool,
 ) -> dict[str, MadeFile]:
     """Make files on one core of this cluster worker; return each with its outcome, by path."""
-    with lease_core() as core, _open_executor_and_folder(context, [core]) as (executor, folder):
+    with (
+        hold_free_core_lock() as core,
+        _open_executor_and_folder(context, [core]) as (executor, folder),
+    ):
         paths = {folder / Path(name).name: name for name in texts}
         here = {path: texts[name] for path, name in paths.items()}
         results = _run_batch(executor, FileBatch(target, here, limit_s, isolated=isolated), {})
@@ -140,7 +143,11 @@ def run_cells(
     if not jobs:
         return results
     with ExitStack() as stack:
-        cores = sorted(os.sched_getaffinity(0)) if alone else [stack.enter_context(lease_core())]
+        cores = (
+            sorted(os.sched_getaffinity(0))
+            if alone
+            else [stack.enter_context(hold_free_core_lock())]
+        )
         executor, folder = stack.enter_context(
             _open_executor_and_folder(context, cores, concurrency)
         )
@@ -191,7 +198,7 @@ def _open_executor_and_folder(
 ) -> Iterator[tuple[CellExecutor, Path]]:
     """Open an executor of runs, one at a time, on these cores, and its temporary folder."""
     with ExitStack() as stack:
-        place = stack.enter_context(temporary_folder(Path(tempfile.gettempdir())))
+        place = stack.enter_context(make_temporary_folder_for_block(Path(tempfile.gettempdir())))
         modules = {}
         for i, (path, text) in enumerate(context.modules.items()):
             modules[path] = str(place / str(i) / Path(path).name)

@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager
 from dpbench.bench.engines.engine import Engine, TlsFiles
 from dpbench.bench.engines.local import LocalEngine
 from dpbench.errors import InputError
-from dpbench.locks import WaitLimit, open_lease_folder
+from dpbench.locks import WaitLimit, find_safe_lock_folder
 
 ENGINES = ("local", "dask")
 
@@ -35,7 +35,7 @@ def open_engine(
         raise InputError("`jobs`", "", found, allowed)
     slots = count_slots(jobs)
     # Before anything is written: a folder that cannot be trusted refuses.
-    open_lease_folder()
+    find_safe_lock_folder()
     if name == "local":
         return LocalEngine(slots, patience)
     if patience != WaitLimit():

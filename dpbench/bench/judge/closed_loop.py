@@ -29,8 +29,18 @@ from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.run.station import station_metrics
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
-from dpbench.qp.referee.referee import Referee, claim_is_true, get_shared_referee, measure_errors
-from dpbench.qp.residuals import TRUE_TOL, are_true, compute_residuals_of_many, fit_multipliers
+from dpbench.qp.referee.referee import (
+    Referee,
+    get_shared_referee,
+    is_infeasibility_or_unboundedness_claim_true,
+    measure_first_move_and_plan_errors_of_many,
+)
+from dpbench.qp.residuals import (
+    TRUE_TOL,
+    are_answers_correct,
+    compute_residuals_of_many,
+    fit_row_and_bound_multipliers,
+)
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.controllers.controller import MetricGroup
 from dpbench.scenario.scenario import Scenario, cached_scenario
@@ -111,7 +121,7 @@ class StepEvaluator:
         if self._referee is None:
             qp = self._scaled
             self._referee = get_shared_referee(qp.P, qp.A, qp.lb, qp.ub)
-        return self._referee.certify(step.q, step.l, step.u)
+        return self._referee.certify_vectors(step.q, step.l, step.u)
 
     def queue_answer(self, scaled: QPStep, own: QPStep, answer: Solution, optimum: Optimum) -> None:
         """Queue an answer, in the solver's own units, for evaluation against its optimum."""
@@ -138,12 +148,14 @@ class StepEvaluator:
         if not self._same:
             z, y, y_box = z / self._units.z, y * self._units.row, y_box * self._units.z
             in_scaled = compute_residuals_of_many(qp, q, l, u, z, y, y_box)
-        move, plan = measure_errors(z, optima, qp.block, qp.moves)
-        levels = [are_true(q, in_scaled, plan, tol) for tol in (TRUE_TOL, 1e-4, 1e-6)]
+        move, plan = measure_first_move_and_plan_errors_of_many(z, optima, qp.block, qp.moves)
+        levels = [are_answers_correct(q, in_scaled, plan, tol) for tol in (TRUE_TOL, 1e-4, 1e-6)]
         for i, answer in enumerate(answers):
-            if answer.status.denies_optimum:
+            if answer.status.claims_no_optimum_exists:
                 claim = Solution(answer.status, z[i], y[i], y_box[i])
-                is_so = claim_is_true(qp.at(scaled[i]), claim, optima[i])
+                is_so = is_infeasibility_or_unboundedness_claim_true(
+                    qp.at(scaled[i]), claim, optima[i]
+                )
                 for level in levels:
                     level[i] = is_so
         of_scaled = in_scaled.primal, in_scaled.dual, in_scaled.complementarity, in_scaled.gap
@@ -160,7 +172,7 @@ class StepEvaluator:
         """Fill in best-fitting Lagrange multipliers, in place, where a solver returned none."""
         without = np.isnan(y).any(axis=1) & np.isfinite(z).all(axis=1)
         for i in np.flatnonzero(without).tolist():
-            y[i], y_box[i] = fit_multipliers(self._own.at(steps[i]), z[i], 1e-6)
+            y[i], y_box[i] = fit_row_and_bound_multipliers(self._own.at(steps[i]), z[i], 1e-6)
 
 
 def _stack_attribute(parts: Sequence[object], name: str) -> Matrix:

@@ -78,7 +78,7 @@ def _evaluate_errors_and_proofs(
         for r in np.flatnonzero(recorded[:, k]).tolist():
             # Most solvers repeat themselves bit for bit; an equal answer is evaluated once.
             answer = read_recorded_answer(log, r, k)
-            identity = answer.identity
+            identity = answer.bytes_for_comparison
             if identity not in seen:
                 evaluator.queue_answer(step, step_own, answer, optimum)
                 seen[identity], added = added, added + 1

@@ -34,7 +34,7 @@ from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.sequences.recording import hash_sequence_files, read_sequence
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import FAMILIES
-from dpbench.qp.referee.kkt import is_positive_definite
+from dpbench.qp.referee.kkt import is_proven_positive_definite
 from dpbench.scenario.problem_files import is_stored, sequence_path
 from dpbench.scenario.scenario import build_vessel, read_vessel_documents
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
@@ -161,7 +161,7 @@ def recorded_cells(
         source = RecordedSource(sequence.name, origin, sha256)
         planned = replay_cells(suite, table, solvers, len(sequence), scenario={}, source=source)
         matrices = [sequence.base.P] if sequence.P is None else list(sequence.P)
-        strict = all(is_positive_definite(P) for P in matrices)
+        strict = all(is_proven_positive_definite(P) for P in matrices)
         cells += planned if strict else map(_refuse_semidefinite, planned)
     return cells
 
@@ -194,7 +194,7 @@ def random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -
     blanks = replay_cells(suite, table, solvers, table.steps, scenario={})
     cells: list[PlannedCell] = []
     for recipe in table.list_recipes():
-        source = RandomSource(name=recipe.name, recipe=recipe)
+        source = RandomSource(name=recipe.sequence_name, recipe=recipe)
         planned = [replace(blank, cell=replace(blank.cell, source=source)) for blank in blanks]
         semidefinite = FAMILIES[recipe.family].semidefinite
         cells += map(_refuse_semidefinite, planned) if semidefinite else planned

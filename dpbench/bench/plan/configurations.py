@@ -20,7 +20,7 @@ from dpbench.bench.plan.suite import (
 )
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.configuration import Configuration
-from dpbench.errors import InputError, list_allowed
+from dpbench.errors import InputError, format_allowed_names
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Route
 from dpbench.solvers.own.adapters import UNCONSTRAINED_CLIPPED
@@ -47,12 +47,12 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
             wanted = _resolve_solvers(key, table.solvers)
             if wanted and not any(_is_among(choice, wanted) for choice in named):
                 found = ", ".join(table.solvers)
-                allowed = f"a solver of the suite: {list_allowed(found, named)}"
+                allowed = f"a solver of the suite: {format_allowed_names(found, named)}"
                 raise InputError("suite", key, found, allowed)
     baseline = suite.report.baseline
     solvers = [split_choice(choice)[0] for choice in named]
     if baseline is not None and baseline not in solvers:
-        allowed = f"a solver of the suite: {list_allowed(baseline, solvers)}"
+        allowed = f"a solver of the suite: {format_allowed_names(baseline, solvers)}"
         raise InputError("suite", "report.baseline", repr(baseline), allowed)
     chosen = _expand_names(only) if only else named
     if not only and suite.baseline_law:

@@ -23,7 +23,7 @@ from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile
 from dpbench.bench.record.cell import CONTROLLER, ConsequenceSource, HardestSource, QPSource
 from dpbench.bench.sequences.loop_sequences import select_thruster_rows
 from dpbench.bench.sequences.recording import with_horizons
-from dpbench.errors import InputError, list_allowed
+from dpbench.errors import InputError, format_allowed_names
 from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.scenario.tables.key_types import Horizons
 from dpbench.solvers.calibration import CALIBRATION
@@ -47,7 +47,9 @@ def plan(
     known = suite.scenario_names
     for name in scenarios or ():
         if name not in known:
-            allowed = list_allowed(name, known) if known else "none, the suite has no scenario"
+            allowed = (
+                format_allowed_names(name, known) if known else "none, the suite has no scenario"
+            )
             raise InputError("`scenarios`", "", repr(name), f"a scenario of the suite: {allowed}")
     loaded = {name: load_scenario(name, beside=beside) for name in known}
     swept = _load_horizon_variants(suite, loaded)

@@ -24,7 +24,7 @@ from dpbench.bench.plan.suite import (
     name_file_in_errors,
 )
 from dpbench.bench.sequences.recording import read_sequence
-from dpbench.errors import InputError, require_at_least
+from dpbench.errors import InputError, require_integer_at_least
 from dpbench.scenario.problem_files import sequence_path
 from dpbench.solvers.own_settings import expand_choice
 from dpbench.solvers.table import load_solver_module
@@ -136,7 +136,7 @@ def select_part(
     loop and replay runs with them, from the first step on. InputError for less than one step.
     """
     if steps is not None:
-        require_at_least("`steps`", steps, 1)
+        require_integer_at_least("`steps`", steps, 1)
     asked = list(scenarios or ())
     tables: dict[str, list[Any]] = {
         key: list(getattr(suite, key)) for key in SuiteFile.list_cell_tables()

@@ -44,9 +44,14 @@ from dpbench.bench.record.step_table import (
 )
 from dpbench.errors import InputError
 from dpbench.files.opening import open_regular_file
-from dpbench.files.row_groups import Footer, RowGroupWriter, read_footer
-from dpbench.files.tables import decode_words, open_table
-from dpbench.files.writing import make_folder, new_file, replace_durably, write_bytes
+from dpbench.files.row_groups import Footer, RowGroupWriter, read_parquet_footer
+from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
+from dpbench.files.writing import (
+    create_empty_file,
+    make_folder_if_missing,
+    rename_durably,
+    write_bytes_atomically,
+)
 
 PART_CELLS = 256
 """Cells of a part that is made of others, at most."""
@@ -133,7 +138,7 @@ class Source(ABC):
     def find_groups(self, names: Collection[str]) -> Iterator[StepGroup]:
         """Yield the readable Parquet row groups with steps of the runs `names`."""
         footer = _read_sound_footer(self.steps) if self.is_sound() else None
-        with suppress(*DAMAGE), open_table(self.steps) as file:
+        with suppress(*DAMAGE), open_untrusted_parquet_table(self.steps) as file:
             for index in range(file.num_row_groups):
                 try:
                     table = file.read_row_group(index, columns=["run_id"] if footer else None)
@@ -157,17 +162,17 @@ class PublicTables(Source):
 
     def iterate_rows(self) -> Iterator[pa.Table]:
         """Yield the rows of finished runs in `runs.parquet`, some hundred at a time."""
-        with open_table(self.runs) as file:
+        with open_untrusted_parquet_table(self.runs) as file:
             # All columns, which tells whether they can be read, of some rows at a time, as the
             # descriptions of cells are long. Threads would cost more than they save.
             for batch in file.iter_batches(batch_size=CHECKED_ROWS, use_threads=False):
-                table = decode_words(pa.Table.from_batches([batch]), self.runs)
+                table = decode_dictionary_columns_to_text(pa.Table.from_batches([batch]), self.runs)
                 yield _select_finished(complete_runs(table))
 
     def run_ids(self) -> list[str]:
         """Return the run_ids of all rows of `runs.parquet`, in order."""
         try:
-            with open_table(self.runs) as file:
+            with open_untrusted_parquet_table(self.runs) as file:
                 return [str(n) for n in file.read(columns=["run_id"])["run_id"].to_pylist()]
         except DAMAGE:
             return []
@@ -183,7 +188,7 @@ class PublicTables(Source):
     def write(self, rows: pa.Table, steps: StepFile) -> None:
         """Move a finished file of steps to `steps.parquet`, then write `runs.parquet`."""
         steps.close()
-        replace_durably(steps.path, self.steps)
+        rename_durably(steps.path, self.steps)
         write_runs(self.runs, rows, {_CHECKSUM_KEY: f"{steps.crc32:08x}"})
 
     def remove(self) -> None:
@@ -219,13 +224,13 @@ class Part(Source):
         """Yield the one row group with the steps in a batch's file, if it has any rows."""
         # It was sound when its rows were read, which tell the runs in its only row group.
         footer = _read_sound_footer(self.steps)
-        if footer is not None and footer.rows:
-            may_copy = len(names) == self._cells and footer.rows >= COPIED_ROWS
+        if footer is not None and footer.row_count:
+            may_copy = len(names) == self._cells and footer.row_count >= COPIED_ROWS
             yield StepGroup(self.steps, 0, list(names), may_copy, footer, self._read_row_group)
 
     def _read_row_group(self) -> pa.Table:
         """Return the steps in a batch's file as an Arrow table."""
-        with open_table(self.steps) as file:
+        with open_untrusted_parquet_table(self.steps) as file:
             return file.read_row_group(0)
 
     def remove(self) -> None:
@@ -237,7 +242,7 @@ def _read_sound_footer(path: Path) -> Footer | None:
     """Return the footer of a Parquet file; None where it is damaged."""
     try:
         with open_regular_file(path) as file:
-            return read_footer(file)
+            return read_parquet_footer(file)
     except DAMAGE:
         return None
 
@@ -286,7 +291,7 @@ class StepFile:
     """A Parquet file of steps that is being written, whole runs at a time."""
 
     def __init__(self, path: Path) -> None:
-        self.path = new_file(path)
+        self.path = create_empty_file(path)
         self._writer = RowGroupWriter(path)
         self._waiting, self._count = list[pa.Table](), 0
 
@@ -306,7 +311,7 @@ class StepFile:
             return False
         try:
             with open_regular_file(group.path) as file:
-                self._writer.copy(file, group.footer, group.index)
+                self._writer.copy_row_group(file, group.footer, group.index)
         except (ValueError, KeyError, IndexError):
             return False
         return True
@@ -322,13 +327,15 @@ class StepFile:
         """Write the added steps as one row group of the Parquet file."""
         if self._count:
             file = io.BytesIO(encode_steps(pa.concat_tables(self._waiting)))
-            self._writer.copy(file, read_footer(file), 0)
+            self._writer.copy_row_group(file, read_parquet_footer(file), 0)
         self._waiting, self._count = [], 0
 
     def close(self) -> None:
         """Write the steps that are left and the Parquet footer; nothing the second time."""
         self._flush()
-        self._writer.close(read_footer(io.BytesIO(encode_steps(FILE_SCHEMA.empty_table()))))
+        self._writer.write_footer_and_close(
+            read_parquet_footer(io.BytesIO(encode_steps(FILE_SCHEMA.empty_table())))
+        )
 
 
 class CellStore:
@@ -340,7 +347,7 @@ class CellStore:
     def __init__(self, out: Path) -> None:
         self.out, self.folder, self.public = out, out / "cells", PublicTables(out)
         out.mkdir(parents=True, exist_ok=True)
-        make_folder(self.folder)
+        make_folder_if_missing(self.folder)
         self._stale: set[str] = set()
         self._remove_leftovers()
         numbers = {
@@ -387,7 +394,7 @@ class CellStore:
         if part.data == self._latest:
             return
         name = f"part-{self._next:05d}-{zlib.crc32(part.data):08x}.parquet"
-        write_bytes(self.folder / name, part.data)
+        write_bytes_atomically(self.folder / name, part.data)
         self.parts.append(Part(self.folder / name))
         self._next, self._latest = self._next + 1, part.data
         self.finished |= part.outcomes

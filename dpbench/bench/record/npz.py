@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Floats
 from dpbench.errors import InputError, ResultsError
-from dpbench.files.opening import check_unpacked, open_regular_file
-from dpbench.files.writing import replace_file, write_bytes
+from dpbench.files.opening import open_regular_file, refuse_implausible_unpacked_size
+from dpbench.files.writing import write_bytes_atomically, write_file_atomically
 
 Arrays = dict[str, NDArray[Any]]
 FIXED_DATE = (1980, 1, 1, 0, 0, 0)
@@ -56,7 +56,7 @@ DAMAGE = (
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write arrays to a `.npz` file with reproducible bytes, whole or not at all."""
-    with replace_file(path) as part, zipfile.ZipFile(part, "w") as archive:
+    with write_file_atomically(path) as part, zipfile.ZipFile(part, "w") as archive:
         for name, array in arrays.items():
             member = io.BytesIO()
             np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
@@ -71,7 +71,7 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     size = -(-(_HEAD.size + len(parts[0])) // _ALIGN) * _ALIGN - _HEAD.size
     padded = (array.ljust(-(-len(array) // _ALIGN) * _ALIGN, b"\0") for array in parts[1:])
     body = parts[0].ljust(size) + b"".join(padded)
-    write_bytes(path, _HEAD.pack(_MARK, size, zlib.crc32(body)) + body)
+    write_bytes_atomically(path, _HEAD.pack(_MARK, size, zlib.crc32(body)) + body)
 
 
 def _parse_arrays(data: NDArray[np.uint8]) -> Arrays:
@@ -142,7 +142,9 @@ def _check_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInfo
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             found = f"compression method {member.compress_type}"
             raise InputError(str(path), member.filename[:80], found, "deflated, or stored")
-    check_unpacked(path, sum(member.file_size for member in members), os.path.getsize(path))
+    refuse_implausible_unpacked_size(
+        path, sum(member.file_size for member in members), os.path.getsize(path)
+    )
     return members
 
 

@@ -26,7 +26,7 @@ from dpbench.bench.record.step_table import (
     plain_frame,
 )
 from dpbench.errors import ResultsError
-from dpbench.files.tables import open_table
+from dpbench.files.tables import open_untrusted_parquet_table
 
 ALL_COLUMNS = tuple(STEP_COLUMNS)
 KEY_COLUMNS = {"run_id", "repeat", "k"}
@@ -46,7 +46,10 @@ class StepsOnDisk:
         if is_optional and not self._path.exists():
             self.rows, self._run_rows, self.is_missing = 0, [], True
             return
-        with table_errors(self._path), open_table(self._path, error=ResultsError) as file:
+        with (
+            table_errors(self._path),
+            open_untrusted_parquet_table(self._path, error=ResultsError) as file,
+        ):
             schema, self.rows = file.schema_arrow, file.metadata.num_rows
         self._stored = set(schema.names)
         self._check_schema(schema)

@@ -34,9 +34,9 @@ from dpbench.bench.record.schema import SCHEMA_VERSION, STUDY_PREFIX
 from dpbench.bench.record.step_table import complete_runs, runs_to_frame
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.documents import read_json_object
-from dpbench.files.tables import decode_words, open_table
-from dpbench.files.writing import is_file_name, make_folder, write_text
-from dpbench.locks import WaitLimit, describe_holders, lock_folder
+from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
+from dpbench.files.writing import is_plain_file_name, make_folder_if_missing, write_text_atomically
+from dpbench.locks import WaitLimit, describe_lock_holders, hold_folder_lock
 from dpbench.solvers.contract import Policy, Route
 
 _Kind = TypeVar("_Kind")
@@ -228,7 +228,7 @@ def lock_result_folder(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
-        lock = os.open(make_folder(folder / "cells") / ".lock", flags, 0o666)
+        lock = os.open(make_folder_if_missing(folder / "cells") / ".lock", flags, 0o666)
     except OSError as error:
         found = f"{folder}: {error.strerror}"
         raise InputError(where, "", found, "a folder that can be written") from error
@@ -237,7 +237,7 @@ def lock_result_folder(
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            found = f"{folder} in use by a campaign: {describe_holders(lock)}"
+            found = f"{folder} in use by a campaign: {describe_lock_holders(lock)}"
             raise InputError(where, "", found, "to wait for it, or another folder") from error
         with lock_for_writing(folder, patience):
             yield
@@ -255,13 +255,13 @@ def lock_for_writing(folder: Path, patience: WaitLimit = WaitLimit()) -> Iterato
         said = f"dpbench: waiting for {others}, which writes into {folder}"
         print(said, file=sys.stderr, flush=True)
 
-    with lock_folder(folder, patience=patience, say_waiting=say_waiting):
+    with hold_folder_lock(folder, patience=patience, say_waiting=say_waiting):
         yield
 
 
 def write_json(path: Path, document: Mapping[str, object]) -> None:
     """Write a JSON file, whole or not at all."""
-    write_text(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
+    write_text_atomically(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
 
 
 def read_accidents(out: Path) -> tuple[int, list[str]]:
@@ -315,8 +315,8 @@ def read_suite(folder: Path) -> SuiteDescription:
 def _read_runs(folder: Path) -> pd.DataFrame:
     """Return `runs.parquet` of a result folder, checked; ResultsError if damaged."""
     path = folder / "runs.parquet"
-    with table_errors(path), open_table(path, error=ResultsError) as file:
-        table = decode_words(file.read(), path, error=ResultsError)
+    with table_errors(path), open_untrusted_parquet_table(path, error=ResultsError) as file:
+        table = decode_dictionary_columns_to_text(file.read(), path, error=ResultsError)
     if missing := sorted({"run_id", "schema"} - set(table.column_names)):
         raise missing_columns_error(path, missing)
     others = sorted(set(table["schema"].unique().to_pylist()) - {SCHEMA_VERSION}, key=str)
@@ -333,7 +333,7 @@ def _read_runs(folder: Path) -> pd.DataFrame:
     check_runs(runs, path)
     # `report --for` writes files named after solvers.
     for name in runs["solver"].unique():
-        if not is_file_name(str(name)):
+        if not is_plain_file_name(str(name)):
             raise ResultsError(str(path), "solver", repr(name)[:80], "a name without a folder")
     return runs
 

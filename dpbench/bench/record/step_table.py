@@ -27,7 +27,7 @@ from dpbench.bench.record.schema import (
     DType,
     as_runs,
 )
-from dpbench.files.writing import new_file, replace_durably
+from dpbench.files.writing import create_empty_file, rename_durably
 
 _ARROW: dict[DType, pa.DataType] = {
     "str": pa.string(),
@@ -173,11 +173,11 @@ def _cast_columns(table: pa.Table, columns: Columns, schema: pa.Schema) -> pa.Ta
 
 def write_runs(path: Path, runs: pa.Table, metadata: Mapping[str, str]) -> None:
     """Write a table of runs to a Parquet file with `metadata`, whole or not at all."""
-    part = new_file(path.with_name(f"{path.name}.part"))
+    part = create_empty_file(path.with_name(f"{path.name}.part"))
     try:
         table = runs.replace_schema_metadata(dict(metadata))
         pq.write_table(table, part, compression="zstd", write_page_checksum=True)
-        replace_durably(part, path)
+        rename_durably(part, path)
     finally:
         part.unlink(missing_ok=True)
 

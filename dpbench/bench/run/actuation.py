@@ -121,7 +121,7 @@ class Allocator(Actuation):
         record_answer(answers, 0, k, solution, solver.waited_ns)
         answers.matrix_updates[0] = solver.matrix_updates
         if is_usable(solution):
-            return builder.moves(solution.z), solution.status.is_unfinished, spent_ns
+            return builder.moves(solution.z), solution.status.is_applied_though_unfinished, spent_ns
         solver.reset()
         return None, False, spent_ns
 

@@ -106,7 +106,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
         np.add(u, du, out=log.command[k])
         clipped = limit(u, du, limits[k], applied[k])
         u[...] = applied[k]
-        log.flags[k] = (law.acted, usable and solution.status.is_unfinished, clipped)
+        log.flags[k] = (law.acted, usable and solution.status.is_applied_though_unfinished, clipped)
         record_answer(log, 0, k, solution, solver.waited_ns)
         # As the overhead is what neither solver takes.
         t3 += act(k)

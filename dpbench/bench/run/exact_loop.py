@@ -59,7 +59,7 @@ class ExactWorkspace(Workspace):
         self._base = qp
         matrices = qp.P, qp.A, qp.lb, qp.ub
         self._referee = (
-            self._referee.for_matrices(*matrices)
+            self._referee.for_changed_matrices(*matrices)
             if self._referee
             else get_shared_referee(*matrices)
         )
@@ -76,7 +76,7 @@ class ExactWorkspace(Workspace):
         """Find and certify the optimum of the current step's QP, and store it."""
         assert self._referee is not None and self._step is not None, "setup comes first"
         step = self._step
-        self.optima.append(self._referee.certify(step.q, step.l, step.u))
+        self.optima.append(self._referee.certify_vectors(step.q, step.l, step.u))
 
     def read(self) -> Solution:
         """Return the certified optimum; no answer where infeasible or where nothing is proven."""

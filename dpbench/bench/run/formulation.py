@@ -17,7 +17,11 @@ from dpbench.mpc.staged_qp import StagedQP
 from dpbench.mpc.thrusters.allocation_qp import AllocationQP
 from dpbench.qp.program import CONSTANT, QPSequence, QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
-from dpbench.qp.stacked import stack, stack_step, unstack
+from dpbench.qp.stacked import (
+    convert_qp_to_one_sided_rows,
+    convert_solution_to_two_sided_rows,
+    convert_step_to_one_sided_rows,
+)
 from dpbench.scenario.scenario import Scenario
 
 
@@ -129,16 +133,16 @@ class StackedFormulation(BoxFormulation):
     """The formulation of QPs with all limits as one-sided rows, as in the paper (eq. 23-25)."""
 
     def __init__(self, base: QuadraticProgram) -> None:
-        super().__init__(stack(base))
+        super().__init__(convert_qp_to_one_sided_rows(base))
         self._m = base.m
 
     def step(self, step: QPStep) -> QPStep:
         """Return a step's QP with all its limits as one-sided rows."""
-        return super().step(stack_step(step, self.base))
+        return super().step(convert_step_to_one_sided_rows(step, self.base))
 
     def solution(self, answer: Solution) -> Solution:
         """Return a solver's answer with the multipliers of each row's two sides joined."""
-        return unstack(answer, self._m)
+        return convert_solution_to_two_sided_rows(answer, self._m)
 
 
 class SparseFormulation(BoxFormulation):

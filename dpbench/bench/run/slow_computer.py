@@ -111,7 +111,7 @@ class SlowComputer:
         self._recorded_ns = latency_ns.copy()
         latency_ns[:] = -1
         n, m, *_ = builder.sizes
-        self._nothing = Solution.missing(n, m, Status.UNKNOWN)
+        self._nothing = Solution.without_point(n, m, Status.UNKNOWN)
         model = builder.condensed.control.model
         self._k, self._x, self._u = 0, np.zeros(model.n_x), np.zeros(model.n_u)
         # The step at which the processor is free, and the plan that arrives then.

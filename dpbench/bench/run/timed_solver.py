@@ -17,7 +17,7 @@ from dpbench.bench.record.raw_log import PHASES, SOLVER_PHASES, AnswerLog
 from dpbench.bench.run.formulation import BoxFormulation
 from dpbench.bench.run.run_delay import get_run_delay
 from dpbench.qp.program import QPStep, QuadraticProgram
-from dpbench.qp.solution import Solution, Status, is_plain, sanitise_answer
+from dpbench.qp.solution import Solution, Status, copy_checked_answer, is_solution_of_plain_types
 from dpbench.solvers.contract import Workspace
 
 Clock = Callable[[], int]
@@ -36,7 +36,7 @@ class StepTimeLimitError(TimeoutError):
 
 def is_usable(solution: Solution) -> bool:
     """Return whether a closed loop can apply an answer: by its status, and if z is finite."""
-    return solution.status.is_usable and math.isfinite(solution.z.sum())
+    return solution.status.is_answer_applied and math.isfinite(solution.z.sum())
 
 
 class TimedSolver:
@@ -110,8 +110,8 @@ class TimedSolver:
             solution = workspace.read()
             t3 = clock()
             # Looking at a plain answer is no work of the solver's; what any other does is.
-            if not is_plain(solution, n, m):
-                solution = sanitise_answer(solution, n, m)
+            if not is_solution_of_plain_types(solution, n, m):
+                solution = copy_checked_answer(solution, n, m)
                 t3 = clock()
         except MemoryError:
             # It is at its limit, where the harness would find no memory either.
@@ -121,14 +121,14 @@ class TimedSolver:
             now = clock()
             t1, t2, t3 = (now if t < 0 else t for t in (t1, t2, t3))
             detail = f"{type(error).__name__}: {error}"
-            solution = Solution.missing(n, m, Status.ERROR, detail)
+            solution = Solution.without_point(n, m, Status.ERROR, detail)
         # Behind the clock. A wait before t0 counts too, which makes no step look slower.
         self.waited_ns = min(self._run_delay.since_last(), t3 - t0)
         prepared = t1 - t0
         handed_over = (prepared, -1) if setup_every_step else (-1, prepared)
         self.phases_ns = (*handed_over, t2 - t1, t3 - t2)
         if self.interrupted:
-            solution = Solution.missing(n, m, Status.TIME_LIMIT, self.interrupted)
+            solution = Solution.without_point(n, m, Status.TIME_LIMIT, self.interrupted)
         if solution.detail:
             self._count_detail(solution.detail)
         return formulated.solution(solution)
@@ -176,7 +176,7 @@ class TimedSolver:
         """Return the missing answer to a step in which an earlier process hung and was killed."""
         self.phases_ns, self.waited_ns = (-1, 0, limit_ns, 0), 0
         n, m = self.size
-        answer = Solution.missing(n, m, Status.TIME_LIMIT, HANG_DETAIL)
+        answer = Solution.without_point(n, m, Status.TIME_LIMIT, HANG_DETAIL)
         self._count_detail(HANG_DETAIL)
         return self._formulated.solution(answer)
 

@@ -12,8 +12,8 @@ from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.bench.sequences.text_files import save_csv, save_mat, save_qps
 from dpbench.errors import InputError, SituationError
 from dpbench.qp.program import QPSequence
-from dpbench.qp.random_mpc import is_random_mpc
-from dpbench.qp.referee.referee import certify_sequence
+from dpbench.qp.random_mpc import is_random_mpc_sequence_name
+from dpbench.qp.referee.referee import certify_all_steps
 from dpbench.scenario.problem_files import is_stored, problem_names
 from dpbench.scenario.scenario import Scenario, as_scenario
 from dpbench.scenario.tables.key_types import Horizons, parse_horizons
@@ -124,7 +124,7 @@ def _record_requested(
         return _record_step(stored, at)
     sequence = recording.thin_sequence(stored.sequence, steps, every)
     # The optima of a file are certified again.
-    return replace(stored, sequence=sequence, optima=certify_sequence(sequence))
+    return replace(stored, sequence=sequence, optima=certify_all_steps(sequence))
 
 
 def _is_scenario(what: object) -> bool:
@@ -132,7 +132,12 @@ def _is_scenario(what: object) -> bool:
     if not isinstance(what, str | Path):
         return not isinstance(what, QPSequence)
     path = Path(what)
-    is_file = path.suffix == ".npz" or path.is_dir() or is_stored(what) or is_random_mpc(what)
+    is_file = (
+        path.suffix == ".npz"
+        or path.is_dir()
+        or is_stored(what)
+        or is_random_mpc_sequence_name(what)
+    )
     return str(what) in problem_names("scenarios") or not is_file
 
 
@@ -146,7 +151,7 @@ def _load_recorded(what: str | Path | Scenario | QPSequence) -> Recorded:
 def _record_step(recorded: Recorded, k: int) -> Recorded:
     """Cut a recording to its step k, with the optimum of that step certified."""
     sequence = recording.select_step(recorded.sequence, k)
-    return replace(recorded, sequence=sequence, optima=certify_sequence(sequence))
+    return replace(recorded, sequence=sequence, optima=certify_all_steps(sequence))
 
 
 def _parse_horizons(text: str | None) -> Horizons | None:

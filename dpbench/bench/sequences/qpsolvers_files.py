@@ -17,7 +17,7 @@ from dpbench.arrays import Vector
 from dpbench.bench.record.npz import DAMAGE, Arrays, read_float_array, read_npz
 from dpbench.errors import InputError
 from dpbench.files.opening import open_regular_file
-from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, symmetric_part
+from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, require_or_make_symmetric
 
 WHAT = "a problem written by `qpsolvers.Problem.save` (.npz)"
 KEYS = ("P", "q", "G", "h", "A", "b", "lb", "ub")
@@ -85,7 +85,7 @@ def read_problem(path: Path) -> QuadraticProgram:
     if len(shape) != 1 or shape[0] < 1:
         raise InputError(where, "q", f"shape {shape}" if shape else "nothing", "shape (n,), n ≥ 1")
     n = shape[0]
-    P = symmetric_part(read_float_array(arrays, where, "P", (n, n)), where)
+    P = require_or_make_symmetric(read_float_array(arrays, where, "P", (n, n)), where)
     G, h = _read_rows(arrays, where, ("G", "h"), n, "+")
     A, b = _read_rows(arrays, where, ("A", "b"), n, "")
     free = np.full(n, np.inf)

@@ -18,9 +18,13 @@ from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
 from dpbench.errors import InputError
 from dpbench.files.opening import open_regular_file
 from dpbench.qp.program import CONSTANT, QPSequence
-from dpbench.qp.random_mpc import RandomMPC, generate_random_mpc, is_random_mpc
+from dpbench.qp.random_mpc import (
+    RandomMPC,
+    generate_qps_and_optima_of_random_mpc,
+    is_random_mpc_sequence_name,
+)
 from dpbench.qp.referee.optimum import Optimum
-from dpbench.qp.referee.referee import certify_sequence
+from dpbench.qp.referee.referee import certify_all_steps
 from dpbench.scenario.problem_files import sequence_path
 from dpbench.scenario.scenario import Scenario, build_scenario
 
@@ -58,7 +62,7 @@ def record_scenario(
     units = builder.condensed.scale
     if part == "allocation" and builder.allocation is not None:
         units = builder.allocation.scale
-    return Recorded(sequence, certify_sequence(sequence), units, {**scenario.files})
+    return Recorded(sequence, certify_all_steps(sequence), units, {**scenario.files})
 
 
 def with_horizons(scenario: Scenario, N_p: int, N_c: int) -> Scenario:
@@ -117,8 +121,10 @@ def load_named_sequence(name: str | Path) -> Recorded:
 
     Only the former are sure to have optima. UnknownNameError or InputError for a name of nothing.
     """
-    if is_random_mpc(name):
-        return Recorded(*generate_random_mpc(RandomMPC.parse(str(name))))
+    if is_random_mpc_sequence_name(name):
+        return Recorded(
+            *generate_qps_and_optima_of_random_mpc(RandomMPC.from_sequence_name(str(name)))
+        )
     return read_sequence(sequence_path(name))
 
 

@@ -40,7 +40,13 @@ from dpbench.bench.record.npz import (
 )
 from dpbench.errors import InputError
 from dpbench.files.documents import parse_json
-from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, Units, convert_units
+from dpbench.qp.program import (
+    CONSTANT,
+    QPSequence,
+    QuadraticProgram,
+    Units,
+    convert_sequence_to_units,
+)
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Kind, Optimum
 from dpbench.scenario.problem_files import sequence_path
 
@@ -87,7 +93,7 @@ def save_sequence(
     ----------
     path : a name that ends in .npz; InputError for another.
     sequence : one in SI is written as its scaled form, with its units.
-    optima : those of `certify_sequence`, which finds them where they are not given.
+    optima : those of `certify_all_steps`, which finds them where they are not given.
 
     Examples
     --------
@@ -104,9 +110,9 @@ def save_sequence(
     units = units or sequence.units
     if optima is None:
         # Reading a file takes no referee, whose kernels take longer to load than the file.
-        from dpbench.qp.referee.referee import certify_sequence
+        from dpbench.qp.referee.referee import certify_all_steps
 
-        optima = certify_sequence(scaled)
+        optima = certify_all_steps(scaled)
     base = scaled.base
     meta = scaled.meta | {name: version(name) for name in VERSIONED} | {"zlib": ZLIB}
     arrays: dict[str, Any] = {
@@ -166,7 +172,7 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
     if recorded.units is None:
         found = "1 for all: units of its own"
         raise InputError(str(path), "unit_z, unit_row", found, "units in SI, or units='scaled'")
-    return convert_units(recorded.sequence, recorded.units)
+    return convert_sequence_to_units(recorded.sequence, recorded.units)
 
 
 def as_sequence(given: object) -> QPSequence:

@@ -39,9 +39,9 @@ from dpbench.bench.sequences.recording import hash_sequence_files, read_sequence
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.errors import InputError, ResultsError
 from dpbench.qp.program import QPSequence
-from dpbench.qp.random_sequence import random_sequence
+from dpbench.qp.random_sequence import generate_random_sequence
 from dpbench.qp.referee.optimum import Optimum
-from dpbench.qp.referee.referee import certify_sequence
+from dpbench.qp.referee.referee import certify_all_steps
 from dpbench.scenario.problem_files import sequence_path
 from dpbench.scenario.scenario import build_vessel, cached_scenario
 from dpbench.ship.layout import AXES
@@ -69,7 +69,7 @@ def read_replay(cell: Cell, path: Path) -> ReplayInput:
     if key not in _latest:
         _latest.clear()
         known = source_file(cell).load(path)
-        _latest[key] = replace(known, optima=known.optima or certify_sequence(known.sequence))
+        _latest[key] = replace(known, optima=known.optima or certify_all_steps(known.sequence))
     return _latest[key]
 
 
@@ -182,8 +182,8 @@ class _RandomFile(_SequenceFile):
 
     def make(self, path: Path) -> None:
         """Generate and certify the random QPs and write them to `path`."""
-        sequence = random_sequence(self.source.recipe)
-        save_sequence(path, sequence, certify_sequence(sequence))
+        sequence = generate_random_sequence(self.source.recipe)
+        save_sequence(path, sequence, certify_all_steps(sequence))
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,11 @@ import numpy as np
 
 from dpbench.arrays import Vector
 from dpbench.bench.sequences.sequence_file import Recorded
-from dpbench.files.writing import make_folder, replace_file, write_text
+from dpbench.files.writing import (
+    make_folder_if_missing,
+    write_file_atomically,
+    write_text_atomically,
+)
 from dpbench.qp.program import ARRAYS, QPSequence, QuadraticProgram
 
 OPTIMUM = ("z", "y", "y_box")
@@ -21,7 +25,7 @@ def save_mat(path: Path, recorded: Recorded) -> Path:
     """
     from scipy.io import savemat
 
-    with replace_file(path) as part:
+    with write_file_atomically(path) as part:
         savemat(str(part), _collect_arrays(recorded), appendmat=False)
     return path
 
@@ -31,11 +35,11 @@ def save_csv(folder: Path, recorded: Recorded) -> Path:
 
     Arrays of every step have a row per step; a matrix is flattened by rows there.
     """
-    make_folder(folder)
+    make_folder_if_missing(folder)
     for name, array in _collect_arrays(recorded).items():
         rows = array.reshape(len(array), -1)
         text = "\n".join(",".join(map(repr, row)) for row in rows.tolist())
-        write_text(folder / f"{name}.csv", f"{text}\n")
+        write_text_atomically(folder / f"{name}.csv", f"{text}\n")
     return folder
 
 
@@ -45,11 +49,11 @@ def save_qps(folder: Path, recorded: Recorded) -> Path:
     The format of the Maros-Meszaros and CUTEst test sets (MPS with a section QUADOBJ, free form).
     A row with two limits is stored as its upper limit and the range between them.
     """
-    make_folder(folder)
+    make_folder_if_missing(folder)
     sequence = recorded.sequence
     for k in range(len(sequence)):
         lines = _qps_lines(sequence.problem(k), f"{sequence.name.partition('[')[0]}_{k}")
-        write_text(folder / f"{k:06d}.qps", "\n".join(lines) + "\n")
+        write_text_atomically(folder / f"{k:06d}.qps", "\n".join(lines) + "\n")
     return folder
 
 

@@ -10,9 +10,9 @@ from dpbench.bench.sequences.recording import describe_sequence, read_sequence
 from dpbench.bench.sequences.sequence_file import WHAT, active_set
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence, QuadraticProgram
-from dpbench.qp.referee.feasibility.farkas import farkas_valid
+from dpbench.qp.referee.feasibility.farkas import is_farkas_vector_proof
 from dpbench.qp.referee.optimum import Optimum
-from dpbench.qp.referee.referee import iterate_certified
+from dpbench.qp.referee.referee import yield_certified_optima
 from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Solution, Status
 
@@ -36,7 +36,7 @@ def verify_sequence(path: Path, progress: Progress | None = None) -> str:
         _check_active_sets(path, claims)
     shown.start(len(sequence))
     optima = []
-    for k, optimum in enumerate(iterate_certified(sequence)):
+    for k, optimum in enumerate(yield_certified_optima(sequence)):
         if claims is not None:
             _check_step(where, k, sequence, claims[k], optimum)
         optima.append(optimum)
@@ -66,7 +66,7 @@ def _check_step(where: str, k: int, sequence: QPSequence, claim: Optimum, optimu
         # Whether a point is feasible is a matter of rounding, and no proof is asked for.
         return
     if without:
-        if not farkas_valid(sequence.problem(k), claim.y, claim.y_box):
+        if not is_farkas_vector_proof(sequence.problem(k), claim.y, claim.y_box):
             allowed = "a Farkas vector: the step is infeasible"
             raise InputError(where, f"y, y_box[{k}]", "no proof of infeasibility", allowed)
         return

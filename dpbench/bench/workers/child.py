@@ -28,7 +28,7 @@ from dpbench.bench.workers.interrupts import block_sigint
 from dpbench.bench.workers.orphans import END_S, end_orphans, kill_forkserver, signal_process
 from dpbench.bench.workers.shared_status import CUT, Phase, SharedStatus
 from dpbench.errors import DpbenchError
-from dpbench.kernel_cache import cache_folders
+from dpbench.kernel_cache import list_numba_cache_folders
 from dpbench.temporary_folders import place_sockets_in_process_folder
 
 LOOP = "dpbench.bench.workers.template"
@@ -39,7 +39,7 @@ _LAST_COMPILED = "replay._reference_kernel-*.nbi"
 
 def has_compiled_kernels() -> bool:
     """Return whether the compiled code of every cell is in Numba's cache on this machine."""
-    return any(any(folder.rglob(_LAST_COMPILED)) for folder in cache_folders())
+    return any(any(folder.rglob(_LAST_COMPILED)) for folder in list_numba_cache_folders())
 
 
 START_ALLOWANCE_S = 60.0

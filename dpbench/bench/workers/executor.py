@@ -28,7 +28,7 @@ from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Res
 from dpbench.bench.workers.scratch import NoRoomError, Scratch
 from dpbench.bench.workers.worker import BatchCell
 from dpbench.errors import InputError
-from dpbench.locks import EXCLUSIVE, SHARED, Holder, WaitLimit, lease_machine
+from dpbench.locks import EXCLUSIVE, SHARED, Holder, WaitLimit, hold_machine_lock
 
 POLL_S = 0.1  # The end of a process is noticed at once; this is for what takes too long
 
@@ -293,7 +293,7 @@ class CellExecutor(ExitStack):
 
     def _lock_machine(self, how: int) -> AbstractContextManager[bool]:
         """Lock this machine, shared or alone, and report which campaigns it waits for."""
-        return lease_machine(
+        return hold_machine_lock(
             how, self._holder, patience=self._patience, say_waiting=self._report_wait
         )
 

@@ -14,7 +14,10 @@ from pathlib import Path
 import psutil
 
 from dpbench.errors import DpbenchError
-from dpbench.temporary_folders import clear_abandoned, temporary_folder
+from dpbench.temporary_folders import (
+    make_temporary_folder_for_block,
+    remove_abandoned_temporary_folders,
+)
 
 MEMORY = Path("/dev/shm")  # The file system in memory that every Linux has, of whatever size
 MARGIN_BYTES = 2**21  # For what lies beside the logs: verdicts, and what libraries print
@@ -26,7 +29,9 @@ class NoRoomError(DpbenchError):
 
 def open_scratch_folder() -> AbstractContextManager[Path]:
     """Open a temporary folder, in memory where that can be written."""
-    return temporary_folder(MEMORY if os.access(MEMORY, os.W_OK) else Path(tempfile.gettempdir()))
+    return make_temporary_folder_for_block(
+        MEMORY if os.access(MEMORY, os.W_OK) else Path(tempfile.gettempdir())
+    )
 
 
 def count_free_bytes(place: Path) -> int:
@@ -45,7 +50,7 @@ def clear_scratch_folders(beside: Path) -> list[Path]:
         if os.access(place, os.W_OK):
             by_device.setdefault(place.stat().st_dev, place)
     for place in by_device.values():
-        clear_abandoned(place)
+        remove_abandoned_temporary_folders(place)
     return list(by_device.values())
 
 
@@ -90,7 +95,7 @@ class Scratch(ExitStack):
     def _make_folder(self, place: Path) -> Path:
         """Return this campaign's temporary folder within `place`; make it on first use."""
         if place not in self._made:
-            self._made[place] = self.enter_context(temporary_folder(place))
+            self._made[place] = self.enter_context(make_temporary_folder_for_block(place))
         return self._made[place]
 
 

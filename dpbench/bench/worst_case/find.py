@@ -22,7 +22,7 @@ from dpbench.bench.workers.scratch import open_scratch_folder
 from dpbench.bench.worst_case.goal import GOALS, Goal, WorstStep
 from dpbench.bench.worst_case.search import Case, Search, SearchedSolver
 from dpbench.bench.worst_case.space import SearchSpace
-from dpbench.errors import InputError, require_at_least
+from dpbench.errors import InputError, require_integer_at_least
 from dpbench.scenario.scenario import MAX_STEPS, Scenario, load_scenario
 from dpbench.solvers.contract import Policy, Route
 from dpbench.solvers.table import check_availability, find_record, load_solver_module
@@ -142,8 +142,8 @@ def _check_options(goal: str, budget: int, steps: int, seed: int) -> None:
     """Raise InputError that names the option with a bad value."""
     if goal not in GOALS:
         raise InputError("--goal", "", repr(goal), " | ".join(GOALS))
-    require_at_least("--budget", budget, 1)
-    require_at_least("--seed", seed, 0)
+    require_integer_at_least("--budget", budget, 1)
+    require_integer_at_least("--seed", seed, 0)
     if not 1 <= steps <= MAX_STEPS:
         raise InputError("--steps", "", steps, f"a whole number from 1 to {MAX_STEPS}")
 

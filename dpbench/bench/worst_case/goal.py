@@ -17,7 +17,7 @@ DECLINED = 1e-2
 _ROUNDING = 1e-18
 """Errors of zero have no logarithm; no certificate sees one below this."""
 _LARGEST = 1e300
-_NO_ANSWER_CLAIMS = [status for status in Status if status.denies_optimum]
+_NO_ANSWER_CLAIMS = [status for status in Status if status.claims_no_optimum_exists]
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ import numpy as np
 from dpbench.arrays import Flags, Matrix, Vector
 from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.thruster_rows import NOTHING_LOST, LimitRampDown, Limits, ThrusterRows
-from dpbench.qp.program import QPStep, QuadraticProgram, Units, check_shapes
+from dpbench.qp.program import QPStep, QuadraticProgram, Units, require_shapes_and_make_contiguous
 from dpbench.ship.layout import AXES
 
 
@@ -46,7 +46,7 @@ class AllocationProblem:
         n_f = len(self.rows.entry)
         shapes: dict[str, tuple[int, ...]] = {"T_e": (AXES, n_f), "W": (n_f, n_f), "R": (n_f, n_f)}
         shapes |= {"slack": (AXES, AXES), "df_max": (n_f,), "step_max": (AXES,)}
-        check_shapes(self, shapes)
+        require_shapes_and_make_contiguous(self, shapes)
 
     @cached_property
     def row_max(self) -> Vector:

@@ -27,7 +27,7 @@ class Dyadic:
     exponent: int
 
     @classmethod
-    def of(cls, array: Floats) -> Dyadic:
+    def from_floats(cls, array: Floats) -> Dyadic:
         """Convert a finite float64 array to exact dyadic numbers."""
         mantissa, power = np.frexp(array)
         digits = np.ldexp(mantissa, _SHIFT).astype(np.int64)
@@ -46,13 +46,18 @@ class Dyadic:
     def __getitem__(self, index: slice | Indices | Flags) -> Dyadic:
         return Dyadic(self.whole[index], self.exponent)
 
-    def at(self, exponent: int) -> Whole:
+    def integers_at_exponent(self, exponent: int) -> Whole:
         """Return the integers that times a smaller power of two give the same numbers."""
         return np.asarray(self.whole * (1 << (self.exponent - exponent)), dtype=object)
 
     def __add__(self, other: Dyadic) -> Dyadic:
         low = min(self.exponent, other.exponent)
-        return Dyadic(np.asarray(self.at(low) + other.at(low), dtype=object), low)
+        return Dyadic(
+            np.asarray(
+                self.integers_at_exponent(low) + other.integers_at_exponent(low), dtype=object
+            ),
+            low,
+        )
 
     def __sub__(self, other: Dyadic) -> Dyadic:
         return self + -other
@@ -71,22 +76,22 @@ class Dyadic:
             return Dyadic(np.asarray(shape.astype(np.int64), dtype=object), exponent)
         return Dyadic(np.asarray(self.whole @ other.whole, dtype=object), exponent)
 
-    def sum(self) -> Dyadic:
+    def exact_sum(self) -> Dyadic:
         """Return the exact sum of all entries."""
         return Dyadic(np.asarray(sum(self.whole.ravel().tolist()), dtype=object), self.exponent)
 
-    def signs(self) -> NDArray[np.int8]:
+    def entry_signs(self) -> NDArray[np.int8]:
         """Return the sign of each entry: −1, 0 or 1."""
         return np.asarray(np.sign(self.whole), dtype=np.int8)
 
-    def floats(self) -> Vector:
+    def round_to_floats(self) -> Vector:
         """Return each entry rounded to the nearest float64."""
         up, down = 1 << max(self.exponent, 0), 1 << max(-self.exponent, 0)
         values = [(number * up) / down for number in self.whole.ravel().tolist()]
         return np.array(values, dtype=np.float64).reshape(self.whole.shape)
 
 
-def solve_integer(M: Whole, rhs: Whole) -> tuple[Whole, int] | None:
+def solve_integer_system_exactly(M: Whole, rhs: Whole) -> tuple[Whole, int] | None:
     """Solve M x = rhs exactly, as integer numerators and one denominator; None if singular.
 
     M (N, N) must have non-zero leading minors unless it is singular, as a KKT matrix with positive
@@ -111,7 +116,7 @@ def solve_integer(M: Whole, rhs: Whole) -> tuple[Whole, int] | None:
     return (x, det) if det > 0 else (np.asarray(-x, dtype=object), -det)
 
 
-def is_semidefinite(S: Whole) -> bool:
+def is_integer_matrix_semidefinite(S: Whole) -> bool:
     """Return whether a symmetric integer matrix is semidefinite (Golub and Van Loan, 4.2.8)."""
     work = S.copy()
     previous = 1

@@ -34,7 +34,7 @@ EXCHANGES = 20  # Most choices of rows that are tried where more than n meet in 
 NEAR = 1e-9  # Relative slack below which an inactive row counts as weakly active
 
 
-def find_met_limits(problem: JointQP, z: Vector) -> Signs:
+def find_signs_of_limits_met(problem: JointQP, z: Vector) -> Signs:
     """Return the signs (N,) of the limits that z meets or violates, to within rounding."""
     value = problem.C @ z[: len(problem.q)]
     near = NEAR * (1.0 + np.abs(value))
@@ -42,7 +42,7 @@ def find_met_limits(problem: JointQP, z: Vector) -> Signs:
     return np.where(upper, 1, np.where(lower, -1, 0)).astype(np.int8)
 
 
-def select_independent(C: Matrix, signs: Signs, first: Signs) -> Signs:
+def select_independent_active_rows(C: Matrix, signs: Signs, first: Signs) -> Signs:
     """Select linearly independent constraint rows of an active set, preferring those in `first`."""
     chosen = np.zeros_like(signs)
     n = C.shape[1]
@@ -61,7 +61,7 @@ def select_independent(C: Matrix, signs: Signs, first: Signs) -> Signs:
     return chosen
 
 
-def gap_certificate(
+def prove_optimum_by_duality_gap(
     problem: JointQP,
     exact: ExactMatrices,
     systems: Callable[[Signs], KKTSystem],
@@ -76,39 +76,49 @@ def gap_certificate(
     """
     for _ in range(EXCHANGES):
         system = systems(signs)
-        if not system.is_proven:
+        if not system.is_proven_nonsingular:
             return None
         limits = np.concatenate((problem.U, problem.L))[system.limits]
         inward = Dyadic(np.array([-int(s) for s in system.signs], dtype=object), TAU_EXPONENT)
-        refined = refine_exactly(problem, exact, system, Dyadic.of(limits) + inward)
+        refined = refine_point_and_multipliers_exactly(
+            problem, exact, system, Dyadic.from_floats(limits) + inward
+        )
         if refined is None:
             return None
         z, lam = refined
-        violated = _violated_limits(problem, exact, z)
+        violated = _find_signs_of_violated_limits(problem, exact, z)
         if not violated.any():
-            return _bound_by_gap(problem, exact, system, inverse, z, lam)
-        exchanged = exchange_rows(problem, system, lam.floats(), violated)
+            return _bound_distance_by_duality_gap(problem, exact, system, inverse, z, lam)
+        exchanged = replace_dependent_row_by_violated_one(
+            problem, system, lam.round_to_floats(), violated
+        )
         if exchanged is None:
             return None
         signs = exchanged
     return None
 
 
-def exchange_violated(problem: JointQP, exact: ExactMatrices, system: KKTSystem) -> Signs | None:
+def exchange_row_for_violated_one(
+    problem: JointQP, exact: ExactMatrices, system: KKTSystem
+) -> Signs | None:
     """Exchange a row of the system for one that the point of its limits violates, or return None.
 
     Rows of the system, and equality rows, which no finite binary number need satisfy, do not count.
     """
     limits = np.concatenate((problem.U, problem.L))[system.limits]
-    refined = refine_exactly(problem, exact, system, Dyadic.of(limits))
+    refined = refine_point_and_multipliers_exactly(
+        problem, exact, system, Dyadic.from_floats(limits)
+    )
     if refined is None:
         return None
-    violated = _violated_limits(problem, exact, refined[0])
+    violated = _find_signs_of_violated_limits(problem, exact, refined[0])
     violated[system.rows], violated[problem.L == problem.U] = 0, 0
-    return exchange_rows(problem, system, refined[1].floats(), violated)
+    return replace_dependent_row_by_violated_one(
+        problem, system, refined[1].round_to_floats(), violated
+    )
 
 
-def exchange_rows(
+def replace_dependent_row_by_violated_one(
     problem: JointQP, system: KKTSystem, multipliers: Vector, violated: Signs
 ) -> Signs | None:
     """Return an active set (N,) in which a violated row replaces one that it depends on, or None.
@@ -136,7 +146,7 @@ def exchange_rows(
     return None
 
 
-def _bound_by_gap(
+def _bound_distance_by_duality_gap(
     problem: JointQP,
     exact: ExactMatrices,
     system: KKTSystem,
@@ -148,34 +158,36 @@ def _bound_by_gap(
     rows = system.rows
     limits = np.concatenate((problem.U, problem.L))[system.limits]
     # A multiplier of the wrong sign is set to zero: its row becomes part of r.
-    lam = Dyadic(np.where(lam.signs() == system.signs, lam.whole, 0), lam.exponent)
+    lam = Dyadic(np.where(lam.entry_signs() == system.signs, lam.whole, 0), lam.exponent)
     G = exact.C[rows]
-    slack = Dyadic.of(limits) - G @ z
-    r = exact.P @ z + Dyadic.of(problem.q) + G.T @ lam
-    size = np.abs(r.floats()) * OUTWARD
-    gap = float((lam * slack).sum().floats()) * OUTWARD + 0.5 * float(size @ inverse @ size)
+    slack = Dyadic.from_floats(limits) - G @ z
+    r = exact.P @ z + Dyadic.from_floats(problem.q) + G.T @ lam
+    size = np.abs(r.round_to_floats()) * OUTWARD
+    gap = float((lam * slack).exact_sum().round_to_floats()) * OUTWARD + 0.5 * float(
+        size @ inverse @ size
+    )
     y = np.zeros(len(problem.L))
-    y[rows] = lam.floats()
+    y[rows] = lam.round_to_floats()
     radius = math.sqrt(2.0 * gap * float(np.diagonal(inverse).max())) * OUTWARD
-    nearest = z.floats()
+    nearest = z.round_to_floats()
     # z.floats() is off by half a unit in the last place at most.
     rounding = float(np.spacing(np.abs(nearest)).max())
     return Proof(nearest, y, (radius + rounding) * OUTWARD, "gap")
 
 
-def refine_exactly(
+def refine_point_and_multipliers_exactly(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, target: Dyadic
 ) -> tuple[Dyadic, Dyadic] | None:
     """Return an active set's z and multipliers, refined in exact numbers, or None."""
     n = system.n
-    G, q = exact.C[system.rows], Dyadic.of(problem.q)
+    G, q = exact.C[system.rows], Dyadic.from_floats(problem.q)
     x = Dyadic(np.array([0] * len(system.weight), dtype=object), LAST_BIT)
     for _ in range(ROUNDS):
         z, lam = x[:n], x[n:]
         upper = -(exact.P @ z + q + G.T @ lam)
         lower = target - G @ z
-        step = system.X @ np.concatenate((upper.floats(), lower.floats()))
-        change = _round_to_multiples(step)
+        step = system.X @ np.concatenate((upper.round_to_floats(), lower.round_to_floats()))
+        change = _round_step_to_integer_multiples(step)
         if not change.any():
             return z, lam
         x = Dyadic(np.asarray(x.whole + change, dtype=object), LAST_BIT)
@@ -185,20 +197,20 @@ def refine_exactly(
     return None
 
 
-def _round_to_multiples(step: Vector) -> NDArray[np.object_]:
+def _round_step_to_integer_multiples(step: Vector) -> NDArray[np.object_]:
     """Round a refinement step to integer multiples of a fixed power of two."""
-    digits = Dyadic.of(step)
+    digits = Dyadic.from_floats(step)
     shift = digits.exponent - LAST_BIT
     if shift >= 0:
-        return digits.at(LAST_BIT)
+        return digits.integers_at_exponent(LAST_BIT)
     return np.asarray(digits.whole >> -shift, dtype=object)
 
 
-def _violated_limits(problem: JointQP, exact: ExactMatrices, z: Dyadic) -> Signs:
+def _find_signs_of_violated_limits(problem: JointQP, exact: ExactMatrices, z: Dyadic) -> Signs:
     """Return the signs (N,) of the limits that a point violates, in exact arithmetic."""
     value = exact.C @ z
     upper, lower = np.isfinite(problem.U), np.isfinite(problem.L)
     violated = np.zeros(len(problem.L), dtype=np.int8)
-    violated[lower] -= (Dyadic.of(problem.L[lower]) - value[lower]).signs() > 0
-    violated[upper] += (value[upper] - Dyadic.of(problem.U[upper])).signs() > 0
+    violated[lower] -= (Dyadic.from_floats(problem.L[lower]) - value[lower]).entry_signs() > 0
+    violated[upper] += (value[upper] - Dyadic.from_floats(problem.U[upper])).entry_signs() > 0
     return violated

@@ -20,7 +20,7 @@ By hand, 1 − 3·x at the float64 number next to ⅓, x = ⅓ − 2⁻⁵⁴/3:
 has no residual. The product's error is 3x − 1 = −2⁻⁵⁴, and the residual +2⁻⁵⁴:
 
 >>> third, r = np.array([1 / 3]), np.empty(1)
->>> _write_residual.py_func(np.array([[3.0]]), third, np.ones(1), r)
+>>> _write_residual_in_double_precision.py_func(np.array([[3.0]]), third, np.ones(1), r)
 >>> float(1.0 - 3.0 * third[0]), float(r[0]) * 2**54
 (0.0, 1.0)
 
@@ -29,7 +29,7 @@ within the rounding of the bound:
 
 >>> K, X_T, ones = np.array([[3.0]]), np.array([[1 / 3]]), np.ones(1)
 >>> x, error = np.zeros(1), np.zeros(1)
->>> _enclose_solution.py_func(K, X_T, ones, 1e-15, 1e-15, ones, x, error)
+>>> _write_solution_and_error_bound.py_func(K, X_T, ones, 1e-15, 1e-15, ones, x, error)
 >>> bool(x[0] == third[0]), round(float(error[0]) * 3 * 2**54, 9)
 (True, 1.0)
 """
@@ -53,7 +53,7 @@ cached_njit = njit(cache=True, error_model="numpy")
 
 
 @inlined_njit
-def add_columns(columns, x, total):
+def add_matrix_vector_product(columns, x, total):
     """Add the matrix-vector product Σ columns[j]·x[j] to total."""
     for j in range(len(x)):
         factor = x[j]
@@ -62,7 +62,7 @@ def add_columns(columns, x, total):
 
 
 @inlined_njit
-def _add_absolute_columns(columns, x, total):
+def _add_absolute_matrix_vector_product(columns, x, total):
     """Add the product of absolute values Σ |columns[j]|·|x[j]| to total."""
     for j in range(len(x)):
         factor = abs(x[j])
@@ -71,7 +71,7 @@ def _add_absolute_columns(columns, x, total):
 
 
 @inlined_njit
-def _write_residual(K, x, b, r):
+def _write_residual_in_double_precision(K, x, b, r):
     """Write r (N,) = b − K x of a symmetric K, in twice the working precision."""
     N = len(b)
     lost = np.zeros(N)
@@ -99,7 +99,7 @@ def _write_residual(K, x, b, r):
 
 
 @inlined_njit
-def _enclose_solution(K, X_T, weight, alpha, gamma, rhs, x, error):
+def _write_solution_and_error_bound(K, X_T, weight, alpha, gamma, rhs, x, error):
     """Write x (N,) = K⁻¹ rhs and a rigorous bound of its error.
 
     By |K⁻¹b − x| ≤ e + α/(1−α) · max_i(e_i/d_i) · d,  e ≥ |X(b − Kx)|, as in `kkt`.
@@ -112,15 +112,15 @@ def _enclose_solution(K, X_T, weight, alpha, gamma, rhs, x, error):
         for i in range(N):
             x[i] += change[i]
             change[i] = 0.0
-        _write_residual(K, x, rhs, r)
-        add_columns(X_T, r, change)
+        _write_residual_in_double_precision(K, x, rhs, r)
+        add_matrix_vector_product(X_T, r, change)
     for i in range(N):
         size[i] = abs(rhs[i])
-    _add_absolute_columns(K, x, size)
+    _add_absolute_matrix_vector_product(K, x, size)
     # The rounding of r, of X r, and of r itself as a share of it.
     for i in range(N):
         size[i] = gamma * gamma * size[i] + gamma * abs(r[i]) + UNDERFLOW
-    _add_absolute_columns(X_T, size, error)
+    _add_absolute_matrix_vector_product(X_T, size, error)
     largest = 0.0
     for i in range(N):
         error[i] = (abs(change[i]) + error[i]) * OUTWARD
@@ -131,7 +131,7 @@ def _enclose_solution(K, X_T, weight, alpha, gamma, rhs, x, error):
 
 
 @inlined_njit
-def _are_finite(numbers):
+def _are_all_finite(numbers):
     """Return whether all numbers are finite."""
     good = True
     for number in numbers:
@@ -140,7 +140,7 @@ def _are_finite(numbers):
 
 
 @inlined_njit
-def _is_optimal(L, U, rows, signs, lam, lam_doubt, value, doubt, held):
+def _is_active_set_beyond_doubt(L, U, rows, signs, lam, lam_doubt, value, doubt, held):
     """Return whether multipliers and slacks exceed their error bounds, so that their signs hold."""
     for k in range(len(rows)):
         i = rows[k]
@@ -172,16 +172,17 @@ def prove_active_set_optimal(q, L, U, C_T, gamma_C, K, X_T, weight, rows, signs,
         if not np.isfinite(rhs[n + k]):
             return np.inf, x, error, y
     z, lam, z_error, lam_error = x[:n], x[n:], error[:n], error[n:]
-    _enclose_solution(K, X_T, weight, alpha, gamma_K, rhs, x, error)
+    _write_solution_and_error_bound(K, X_T, weight, alpha, gamma_K, rhs, x, error)
     # Rounding of C z and of the final subtraction, and what z itself is uncertain by.
-    add_columns(C_T, z, value)
+    add_matrix_vector_product(C_T, z, value)
     for j in range(n):
         rhs[j] = z_error[j] + gamma_C * abs(z[j])
-    _add_absolute_columns(C_T, rhs[:n], doubt)
+    _add_absolute_matrix_vector_product(C_T, rhs[:n], doubt)
     for i in range(N):
         doubt[i] = (doubt[i] + UNIT * abs(value[i])) * OUTWARD
     if not (
-        _are_finite(error) and _is_optimal(L, U, rows, signs, lam, lam_error, value, doubt, held)
+        _are_all_finite(error)
+        and _is_active_set_beyond_doubt(L, U, rows, signs, lam, lam_error, value, doubt, held)
     ):
         return np.inf, x, error, y
     bound = 0.0
@@ -193,9 +194,9 @@ def prove_active_set_optimal(q, L, U, C_T, gamma_C, K, X_T, weight, rows, signs,
 
 
 @cached_njit
-def classify_limits(q, L, U):
+def classify_limits_as_ordered_crossed_or_nan(q, L, U):
     """Classify a QP's gradient and limits: ordered, crossed (some L > U) or invalid (NaN)."""
-    if not _are_finite(q):
+    if not _are_all_finite(q):
         return INVALID_DATA
     code = ORDERED_LIMITS
     for i in range(len(L)):

@@ -22,7 +22,7 @@ from dpbench.qp.referee.kernels import OUTWARD, UNDERFLOW, UNIT, prove_active_se
 from dpbench.qp.referee.optimum import JointQP, Proof
 
 
-def gamma(k: int) -> float:
+def compute_rounding_error_factor(k: int) -> float:
     """Return the rounding-error factor γ_k = k·u / (1 − k·u) of k operations."""
     return k * UNIT / (1.0 - k * UNIT)
 
@@ -49,7 +49,7 @@ class KKTSystem:
         self.weight = np.ones(N)
         self.weight[n:] = float(np.abs(P).max()) or 1.0
         self.alpha = np.inf
-        self.gamma = gamma(N + 4)
+        self.gamma = compute_rounding_error_factor(N + 4)
         try:
             self.X = np.linalg.inv(self.K)
         except np.linalg.LinAlgError:
@@ -63,15 +63,15 @@ class KKTSystem:
         self.alpha = float(((defect + self.gamma * size) / self.weight).max()) * OUTWARD
 
     @property
-    def is_proven(self) -> bool:
+    def is_proven_nonsingular(self) -> bool:
         """Return whether the KKT matrix is proven non-singular."""
         return self.alpha < 0.5
 
-    def rhs(self, q: Vector, L: Vector, U: Vector) -> Vector:
+    def build_right_hand_side(self, q: Vector, L: Vector, U: Vector) -> Vector:
         """Return the KKT right-hand side [−q; b_W] (n + w,), b_W the active limits."""
         return np.concatenate((-q, np.concatenate((U, L))[self.limits]))
 
-    def inverse_bounds(self) -> Matrix:
+    def bound_inverse_entrywise(self) -> Matrix:
         """Return rigorous entrywise upper bounds of |K⁻¹|."""
         X = np.abs(self.X)
         column = (X / self.weight[:, np.newaxis]).max(axis=0)
@@ -79,11 +79,11 @@ class KKTSystem:
         return (X + spread * np.outer(self.weight, column)) * OUTWARD
 
 
-def is_positive_definite(P: Matrix) -> bool:
+def is_proven_positive_definite(P: Matrix) -> bool:
     """Return whether P is proven positive definite, with rounding (Rump, BIT 46, theorem 2.3)."""
     n = P.shape[0]
     trace = float(np.abs(np.diagonal(P)).sum())
-    margin = 2.0 * gamma(n + 3) * trace + UNDERFLOW
+    margin = 2.0 * compute_rounding_error_factor(n + 3) * trace + UNDERFLOW
     try:
         np.linalg.cholesky(P - margin * np.eye(n))
     except np.linalg.LinAlgError:
@@ -96,10 +96,12 @@ class Geometry:
 
     def __init__(self, C: Matrix) -> None:
         self.C_T = np.ascontiguousarray(C.T)
-        self.gamma = gamma(C.shape[1] + 2)
+        self.gamma = compute_rounding_error_factor(C.shape[1] + 2)
 
 
-def linear_certificate(problem: JointQP, geometry: Geometry, system: KKTSystem) -> Proof | None:
+def prove_optimum_by_kkt_error_bounds(
+    problem: JointQP, geometry: Geometry, system: KKTSystem
+) -> Proof | None:
     """Certify an optimum whose active set is beyond doubt, or return None.
 
     `system` must be `proven` and of the problem's matrices, P positive semidefinite and L ≤ U.

@@ -39,26 +39,29 @@ from scipy.optimize import linprog, nnls
 
 from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic
-from dpbench.qp.referee.equilibrated import Scales, is_scalable
-from dpbench.qp.referee.feasibility.implied import drop_empty_rows, make_equalities
+from dpbench.qp.referee.equilibrated import Scales, is_exact_after_power_of_two_scaling
+from dpbench.qp.referee.feasibility.implied import (
+    remove_limits_of_zero_rows,
+    turn_always_met_limits_into_equalities,
+)
 from dpbench.qp.referee.gap import (
     EXCHANGES,
     TAU_EXPONENT,
-    exchange_violated,
-    find_met_limits,
-    refine_exactly,
-    select_independent,
+    exchange_row_for_violated_one,
+    find_signs_of_limits_met,
+    refine_point_and_multipliers_exactly,
+    select_independent_active_rows,
 )
 from dpbench.qp.referee.kernels import OUTWARD, UNIT
 from dpbench.qp.referee.kkt import (
     Geometry,
     KKTSystem,
-    gamma,
-    is_positive_definite,
-    linear_certificate,
+    compute_rounding_error_factor,
+    is_proven_positive_definite,
+    prove_optimum_by_kkt_error_bounds,
 )
 from dpbench.qp.referee.optimum import ExactMatrices, JointQP, Kind, Proof, Signs
-from dpbench.qp.referee.oracle import guess_active_sets
+from dpbench.qp.referee.oracle import yield_active_set_guesses
 
 NO_MULTIPLIER = 1e-12  # A multiplier of less than this share of the largest one is no support for M
 LEAST_MULTIPLIER = 2.0 ** (TAU_EXPONENT // 2)  # Moving limits by τ makes them of √τ at most
@@ -85,7 +88,7 @@ class _NearPoint:
     e: Vector
 
 
-def enclosure_certificate(
+def enclose_all_optima(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, inward: Vector, *, convex: bool
 ) -> EnclosedPoint | None:
     """Enclose all optima of a QP with equality rows or singular P; None without proof.
@@ -95,54 +98,60 @@ def enclosure_certificate(
         equality-like rows.
     convex : whether P is proven positive semidefinite.
     """
-    if (near := _find_feasible(problem, exact, system, inward)) is None:
+    if (near := _refine_to_nearly_feasible_point(problem, exact, system, inward)) is None:
         return None
     rows = system.rows
     equal = problem.L[rows] == problem.U[rows]
     # A multiplier of the wrong sign is zero here and its row becomes part of r.
-    keep = equal | (near.lam.signs() == system.signs)
+    keep = equal | (near.lam.entry_signs() == system.signs)
     lam = Dyadic(np.where(keep, near.lam.whole, 0), near.lam.exponent)
-    size = np.abs(lam.floats())
+    size = np.abs(lam.round_to_floats())
     support = equal | (size > max(NO_MULTIPLIER * size.max(initial=0.0), LEAST_MULTIPLIER))
-    inverse = _bound_penalised_inverse(problem, rows[support], rows[equal], convex=convex)
+    inverse = _bound_penalised_hessian_inverse_entrywise(
+        problem, rows[support], rows[equal], convex=convex
+    )
     if inverse is None:
         return None
-    weight = _penalty_weight(problem.P)
+    weight = _choose_penalty_weight(problem.P)
     omega = float((weight / size[support & ~equal] ** 2).sum()) * OUTWARD
-    slack = np.abs(near.slack.floats()) + np.abs(problem.C[rows]) @ near.e
+    slack = np.abs(near.slack.round_to_floats()) + np.abs(problem.C[rows]) @ near.e
     gap = float((size * slack)[~equal].sum()) * OUTWARD
-    r = exact.P @ near.z + Dyadic.of(problem.q) + exact.C[rows].T @ lam
-    r_abs = (np.abs(r.floats()) + np.abs(problem.P) @ near.e) * OUTWARD
+    r = exact.P @ near.z + Dyadic.from_floats(problem.q) + exact.C[rows].T @ lam
+    r_abs = (np.abs(r.round_to_floats()) + np.abs(problem.P) @ near.e) * OUTWARD
     rho = float(np.sqrt(r_abs @ inverse @ r_abs)) * OUTWARD
     if not omega * rho**2 * OUTWARD <= 0.25:
         return None
     x = (2.0 * rho + math.sqrt(4.0 * (rho**2 + gap + omega * gap**2))) * OUTWARD
-    z = near.z.floats()
+    z = near.z.round_to_floats()
     # z.floats() is off by half a unit in the last place at most.
     bound = x * np.sqrt(np.diagonal(inverse)) + near.e + np.spacing(np.abs(z))
     y = np.zeros(len(problem.L))
-    y[rows] = lam.floats()
+    y[rows] = lam.round_to_floats()
     return EnclosedPoint(z, y, np.asarray(bound * OUTWARD, dtype=np.float64))
 
 
-def _find_feasible(
+def _refine_to_nearly_feasible_point(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem, inward: Vector
 ) -> _NearPoint | None:
     """Refine a point and prove that a feasible one is near; None without proof."""
     rows, n = system.rows, system.n
-    limits = Dyadic.of(np.concatenate((problem.U, problem.L))[system.limits])
+    limits = Dyadic.from_floats(np.concatenate((problem.U, problem.L))[system.limits])
     amounts = np.round(inward * 2.0**AMOUNT_BITS) * -system.signs
-    shift = Dyadic.of(amounts)
+    shift = Dyadic.from_floats(amounts)
     target = limits + Dyadic(shift.whole, shift.exponent + TAU_EXPONENT - AMOUNT_BITS)
-    if (refined := refine_exactly(problem, exact, system, target)) is None:
+    if (refined := refine_point_and_multipliers_exactly(problem, exact, system, target)) is None:
         return None
     z, lam = refined
     equal = problem.L[rows] == problem.U[rows]
     value = exact.C @ z
     slack = limits - value[rows]
-    e = _bound_distance(problem.C[rows[equal]], system.X[:n, n:][:, equal], slack[equal].floats())
+    e = _bound_distance_to_equality_rows(
+        problem.C[rows[equal]], system.X[:n, n:][:, equal], slack[equal].round_to_floats()
+    )
     others = problem.L != problem.U
-    if e is None or not _is_inside(problem, value, np.abs(problem.C) @ e * OUTWARD, others):
+    if e is None or not _are_limits_met_with_margin(
+        problem, value, np.abs(problem.C) @ e * OUTWARD, others
+    ):
         return None
     # Every equality-like row must be among those that ẑ satisfies.
     if others.sum() + equal.sum() != len(problem.L):
@@ -150,12 +159,14 @@ def _find_feasible(
     return _NearPoint(z, lam, slack, e)
 
 
-def _bound_distance(C: Matrix, B: Matrix, residual: Vector) -> Vector | None:
+def _bound_distance_to_equality_rows(C: Matrix, B: Matrix, residual: Vector) -> Vector | None:
     """Return a bound (n,) of the distance to a point that satisfies equality rows C, or None."""
     if not len(C):
         return np.zeros(C.shape[1])
     identity = np.eye(len(C))
-    defect = np.abs(C @ B - identity) + gamma(C.shape[1] + 2) * (np.abs(C) @ np.abs(B) + identity)
+    defect = np.abs(C @ B - identity) + compute_rounding_error_factor(C.shape[1] + 2) * (
+        np.abs(C) @ np.abs(B) + identity
+    )
     alpha = float(defect.sum(axis=1).max()) * OUTWARD
     if not alpha < 0.5:
         return None
@@ -164,45 +175,49 @@ def _bound_distance(C: Matrix, B: Matrix, residual: Vector) -> Vector | None:
     return e
 
 
-def _is_inside(problem: JointQP, value: Dyadic, doubt: Vector, rows: Flags) -> bool:
+def _are_limits_met_with_margin(
+    problem: JointQP, value: Dyadic, doubt: Vector, rows: Flags
+) -> bool:
     """Return whether given constraint rows satisfy their limits by a margin of at least `doubt`."""
     for limit, sign in ((problem.U, 1), (problem.L, -1)):
         there = np.flatnonzero(rows & np.isfinite(limit))
-        slack = Dyadic.of(limit[there]) - value[there]
-        least = sign * (slack - Dyadic.of(sign * doubt[there])).signs()
+        slack = Dyadic.from_floats(limit[there]) - value[there]
+        least = sign * (slack - Dyadic.from_floats(sign * doubt[there])).entry_signs()
         if (least < 0).any():
             return False
     return True
 
 
-def _penalty_weight(P: Matrix) -> float:
+def _choose_penalty_weight(P: Matrix) -> float:
     """Return the penalty weight w of the constraint rows C in the augmented Hessian P + w CᵀC."""
     return WEIGHT * (float(np.abs(np.diagonal(P)).max(initial=0.0)) or 1.0)
 
 
-def _penalised_lower_bound(P: Matrix, C: Matrix) -> Matrix:
+def _compute_matrix_below_penalised_hessian(P: Matrix, C: Matrix) -> Matrix:
     """Return a matrix provably below the augmented Hessian P + w CᵀC, rounding included."""
-    w = _penalty_weight(P)
+    w = _choose_penalty_weight(P)
     M = P + w * (C.T @ C)
     size = np.abs(P) + w * (np.abs(C).T @ np.abs(C))
-    lost = gamma(len(C) + 4) * float(size.sum(axis=1).max())
+    lost = compute_rounding_error_factor(len(C) + 4) * float(size.sum(axis=1).max())
     M = 0.5 * (M + M.T)
     return np.asarray(M - (2.0 * lost + UNIT * np.abs(M).max()) * np.eye(len(P)), dtype=np.float64)
 
 
-def _bound_penalised_inverse(
+def _bound_penalised_hessian_inverse_entrywise(
     problem: JointQP, support: Indices, equal: Indices, *, convex: bool
 ) -> Matrix | None:
     """Return upper bounds of the entries of |(P + w CᵀC)⁻¹|, C some rows; None without proof."""
     P, C = problem.P, problem.C
-    if not convex and not is_positive_definite(_penalised_lower_bound(P, C[equal])):
+    if not convex and not is_proven_positive_definite(
+        _compute_matrix_below_penalised_hessian(P, C[equal])
+    ):
         return None
-    M = _penalised_lower_bound(P, C[support])
-    if not is_positive_definite(M):
+    M = _compute_matrix_below_penalised_hessian(P, C[support])
+    if not is_proven_positive_definite(M):
         return None
     n = len(P)
     system = KKTSystem(M, np.zeros((0, n)), np.zeros(0, dtype=np.int8))
-    return system.inverse_bounds() if system.is_proven else None
+    return system.bound_inverse_entrywise() if system.is_proven_nonsingular else None
 
 
 PROXIMAL = 10.0 ** -np.arange(4.0, 9.0)  # Weights of the proximal term where P is singular
@@ -225,34 +240,38 @@ class LastResort:
     """Costliest certifier of optima of QPs with the same P and C: scaled, equalities enclosed."""
 
     def __init__(self, P: Matrix, C: Matrix, *, convex: bool) -> None:
-        self._scales = Scales.of(P, C)
-        self._safe = is_scalable(P, C)
-        self._P, self._C = self._scales.cost_matrix(P), self._scales.rows(C)
+        self._scales = Scales.compute_ruiz_scales(P, C)
+        self._safe = is_exact_after_power_of_two_scaling(P, C)
+        self._P, self._C = self._scales.scale_cost_matrix(P), self._scales.scale_constraint_rows(C)
         # It may be proven definite in these units where it is not in the others.
-        self._definite = is_positive_definite(self._P)
+        self._definite = is_proven_positive_definite(self._P)
         self._convex = convex or self._definite
         self._geometry = Geometry(self._C)
         self._exact: ExactMatrices | None = None
 
-    def certify(self, problem: JointQP) -> Proof | None:
+    def prove_optimum(self, problem: JointQP) -> Proof | None:
         """Certify an optimum that is still open; y is NaN where implied limits took part."""
-        if not (self._safe and is_scalable(problem.q, problem.L, problem.U)):
+        if not (
+            self._safe and is_exact_after_power_of_two_scaling(problem.q, problem.L, problem.U)
+        ):
             return None
         if self._exact is None:
-            self._exact = ExactMatrices.of(self._P, self._C)
+            self._exact = ExactMatrices.from_float_matrices(self._P, self._C)
         best: Proof | None = None
-        posed = [drop_empty_rows(problem)]
+        posed = [remove_limits_of_zero_rows(problem)]
         for at in posed:
-            scaled = self._scales.problem(at, self._P, self._C)
-            for guess in self._guess_sets(scaled):
-                proof, touched = self._prove_guess(scaled, guess)
+            scaled = self._scales.scale_problem(at, self._P, self._C)
+            for guess in self._yield_active_set_guesses(scaled):
+                proof, touched = self._prove_guess_or_find_flat_limits(scaled, guess)
                 if proof is not None and (best is None or proof.bound < best.bound):
                     implied = at is not posed[0]
                     best = replace(proof, y=np.full_like(proof.y, np.nan)) if implied else proof
                 if best is not None and best.bound <= ENOUGH:
                     return best
                 tighter = (
-                    None if touched is None or len(posed) > 1 else make_equalities(at, touched)
+                    None
+                    if touched is None or len(posed) > 1
+                    else turn_always_met_limits_into_equalities(at, touched)
                 )
                 if tighter is not None:
                     posed.append(tighter)
@@ -261,16 +280,16 @@ class LastResort:
             return None
         return best
 
-    def _guess_sets(self, problem: JointQP) -> Iterator[_SetGuess]:
+    def _yield_active_set_guesses(self, problem: JointQP) -> Iterator[_SetGuess]:
         """Yield guesses of the active set, by the proximal point method where P is singular."""
         if self._definite:
-            for signs in guess_active_sets(problem):
+            for signs in yield_active_set_guesses(problem):
                 if signs is not None:
                     yield _SetGuess(signs, None)
         else:
-            yield from self._iterate_proximal(problem)
+            yield from self._yield_active_sets_by_proximal_point(problem)
 
-    def _iterate_proximal(self, problem: JointQP) -> Iterator[_SetGuess]:
+    def _yield_active_sets_by_proximal_point(self, problem: JointQP) -> Iterator[_SetGuess]:
         """Yield active sets that the proximal point method finds for a singular P."""
         n = len(problem.q)
         # On the feasible set the squares of equality rows are constant, whatever P is across it.
@@ -280,8 +299,8 @@ class LastResort:
         z, signs = np.zeros(n), None
         for weight in np.repeat(PROXIMAL, PROXIMAL_STEPS):
             at = replace(problem, P=P_E + weight * np.eye(n), q=q_E - weight * z)
-            answer = next(guess_active_sets(at), None)
-            moved = None if answer is None else _solve_equality_qp(at, answer)
+            answer = next(yield_active_set_guesses(at), None)
+            moved = None if answer is None else _minimise_with_active_rows_as_equalities(at, answer)
             if moved is None:
                 break
             before, z, signs = z, moved, answer
@@ -289,58 +308,68 @@ class LastResort:
                 break
         if signs is not None:
             yield _SetGuess(signs, z)
-            if (explaining := _find_explaining_limits(problem, z)) is not None:
+            if (explaining := _find_limits_balancing_gradient(problem, z)) is not None:
                 yield _SetGuess(explaining, z)
 
-    def _prove_guess(self, problem: JointQP, guess: _SetGuess) -> tuple[Proof | None, Signs | None]:
+    def _prove_guess_or_find_flat_limits(
+        self, problem: JointQP, guess: _SetGuess
+    ) -> tuple[Proof | None, Signs | None]:
         """Return a proof from a guessed active set or None, and limits without interior or None."""
         assert self._exact is not None, "made before any guess is asked for"
         equal = np.where(problem.L == problem.U, 1, 0).astype(np.int8)
-        held = select_independent(problem.C, np.where(equal, equal, guess.signs), equal)
+        held = select_independent_active_rows(problem.C, np.where(equal, equal, guess.signs), equal)
         system = KKTSystem(problem.P, problem.C, held)
         z = guess.z
-        if system.is_proven:
-            proof = linear_certificate(problem, self._geometry, system)
+        if system.is_proven_nonsingular:
+            proof = prove_optimum_by_kkt_error_bounds(problem, self._geometry, system)
             if proof is not None and self._convex:
                 bound = np.full(len(proof.z), proof.bound)
-                return self._unscale_proof(proof.z, proof.y, bound, "linear"), None
-            z = system.X @ system.rhs(problem.q, problem.L, problem.U)
+                return self._convert_proof_to_unscaled_problem(
+                    proof.z, proof.y, bound, "linear"
+                ), None
+            z = system.X @ system.build_right_hand_side(problem.q, problem.L, problem.U)
         if z is None:
             return None, None
-        touched = np.where(equal, equal, find_met_limits(problem, z))
-        return self._enclose_optimum(problem, held, touched)
+        touched = np.where(equal, equal, find_signs_of_limits_met(problem, z))
+        return self._enclose_optimum_or_find_flat_limits(problem, held, touched)
 
-    def _enclose_optimum(
+    def _enclose_optimum_or_find_flat_limits(
         self, problem: JointQP, held: Signs, touched: Signs
     ) -> tuple[Proof | None, Signs | None]:
         """Return a proof at `touched` rows, and a set without interior; None for either absent."""
         assert self._exact is not None, "made before any guess is asked for"
-        rows: Signs | None = select_independent(problem.C, np.where(held, held, touched), held)
+        rows: Signs | None = select_independent_active_rows(
+            problem.C, np.where(held, held, touched), held
+        )
         for _ in range(EXCHANGES):
             if rows is None:
                 break
             system = KKTSystem(problem.P, problem.C, rows)
-            inward = _inward_amounts(problem, system, touched)
+            inward = _find_inward_shifts_of_active_rows(problem, system, touched)
             if inward is None:
                 return None, touched
-            if not system.is_proven:
+            if not system.is_proven_nonsingular:
                 break
-            found = enclosure_certificate(problem, self._exact, system, inward, convex=self._convex)
+            found = enclose_all_optima(problem, self._exact, system, inward, convex=self._convex)
             if found is not None:
-                return self._unscale_proof(found.z, found.y, found.bound, "gap"), None
-            rows = exchange_violated(problem, self._exact, system)
+                return self._convert_proof_to_unscaled_problem(
+                    found.z, found.y, found.bound, "gap"
+                ), None
+            rows = exchange_row_for_violated_one(problem, self._exact, system)
         return None, None
 
-    def _unscale_proof(self, z: Vector, y: Vector, bound: Vector, kind: Kind) -> Proof:
+    def _convert_proof_to_unscaled_problem(
+        self, z: Vector, y: Vector, bound: Vector, kind: Kind
+    ) -> Proof:
         """Return a proof for the QP as given from that of its scaled form."""
         D = self._scales.D
         worst = float((D * bound).max()) * OUTWARD
-        return Proof(D * z, self._scales.multipliers(y), worst, kind)
+        return Proof(D * z, self._scales.unscale_multipliers(y), worst, kind)
 
 
-def _find_explaining_limits(problem: JointQP, z: Vector) -> Signs | None:
+def _find_limits_balancing_gradient(problem: JointQP, z: Vector) -> Signs | None:
     """Return limits met at z whose multipliers of the right sign balance the gradient there."""
-    touched = find_met_limits(problem, z)
+    touched = find_signs_of_limits_met(problem, z)
     equal = problem.L == problem.U
     rows = np.flatnonzero(np.where(equal, 0, touched))
     free = problem.C[equal].T
@@ -358,9 +387,9 @@ def _find_explaining_limits(problem: JointQP, z: Vector) -> Signs | None:
     return signs
 
 
-def _solve_equality_qp(problem: JointQP, signs: Signs) -> Vector | None:
+def _minimise_with_active_rows_as_equalities(problem: JointQP, signs: Signs) -> Vector | None:
     """Return the minimiser with the rows `signs` held as equalities; None where singular."""
-    held = select_independent(problem.C, signs, signs)
+    held = select_independent_active_rows(problem.C, signs, signs)
     rows, n = np.flatnonzero(held), len(problem.q)
     G = problem.C[rows]
     K = np.block([[problem.P, G.T], [G, np.zeros((len(rows), len(rows)))]])
@@ -372,7 +401,9 @@ def _solve_equality_qp(problem: JointQP, signs: Signs) -> Vector | None:
     return np.asarray(z) if np.isfinite(z).all() else None
 
 
-def _inward_amounts(problem: JointQP, system: KKTSystem, touched: Signs) -> Vector | None:
+def _find_inward_shifts_of_active_rows(
+    problem: JointQP, system: KKTSystem, touched: Signs
+) -> Vector | None:
     """Return how far inside its limit to hold each active row so that all near hold, or None."""
     equal = problem.L == problem.U
     amounts = np.where(equal[system.rows], 0.0, 1.0)

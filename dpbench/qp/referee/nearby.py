@@ -26,11 +26,12 @@ and at that set z = (1, ½), λ₀ = μ₀ = 3 − 1 = 2, and nothing changes an
 >>> C, L, U = np.eye(2), np.full(2, -np.inf), np.ones(2)
 >>> problem = JointQP(np.eye(2), np.array([-3.0, -0.5]), C, L, U)
 >>> near = KKTSystem(problem.P, C, np.array([0, 1], dtype=np.int8))
->>> guess_nearby(problem, Geometry(C), near).tolist()
+>>> guess_active_set_from_last_step(problem, Geometry(C), near).tolist()
 [1, 0]
 >>> x, mu = np.array([3.0, 1.0, -0.5]), np.zeros(2)
 >>> place, signs, both = np.array([-1, 2]), np.array([1, 0]), np.array([0, 1])
->>> _move_to_set.py_func(C, L, U, near.X_T, place, signs, both, x, mu), x.tolist(), mu.tolist()
+>>> moved = _update_solution_to_active_set.py_func(C, L, U, near.X_T, place, signs, both, x, mu)
+>>> moved, x.tolist(), mu.tolist()
 (True, [1.0, 0.5, 0.0], [2.0, 0.5])
 """
 
@@ -39,7 +40,7 @@ and at that set z = (1, ½), λ₀ = μ₀ = 3 − 1 = 2, and nothing changes an
 
 import numpy as np
 
-from dpbench.qp.referee.kernels import add_columns, cached_njit, inlined_njit
+from dpbench.qp.referee.kernels import add_matrix_vector_product, cached_njit, inlined_njit
 from dpbench.qp.referee.kkt import Geometry, KKTSystem
 from dpbench.qp.referee.optimum import JointQP, Signs
 
@@ -47,24 +48,28 @@ from dpbench.qp.referee.optimum import JointQP, Signs
 STEPS, MOST = 8, 12
 
 
-def guess_nearby(problem: JointQP, geometry: Geometry, system: KKTSystem) -> Signs | None:
+def guess_active_set_from_last_step(
+    problem: JointQP, geometry: Geometry, system: KKTSystem
+) -> Signs | None:
     """Guess the active set by iterating from that of the last step; None if that does not end."""
     signs: Signs = np.zeros(len(problem.L), dtype=np.int8)
     signs[system.rows] = system.signs
     posed = problem.q, problem.L, problem.U, problem.C
     return (
-        signs if _iterate_active_set(*posed, geometry.C_T, system.X_T, system.rows, signs) else None
+        signs
+        if _iterate_active_set_in_place(*posed, geometry.C_T, system.X_T, system.rows, signs)
+        else None
     )
 
 
 @inlined_njit
-def _active_limit(L, U, signs, i):
+def _get_active_limit_value(L, U, signs, i):
     """Return the limit at which row i is active; 0 where it is not active."""
     return U[i] if signs[i] > 0 else L[i] if signs[i] < 0 else 0.0
 
 
 @inlined_njit
-def _solve_in_place(S, b):
+def _solve_linear_system_in_place(S, b):
     """Solve S x = b in place by Gauss-Jordan elimination; return False where S is singular."""
     for k in range(len(b)):
         best = k
@@ -87,7 +92,7 @@ def _solve_in_place(S, b):
 
 
 @inlined_njit
-def _move_to_set(C, L, U, X_T, place, signs, changed, x, mu):
+def _update_solution_to_active_set(C, L, U, X_T, place, signs, changed, x, mu):
     """Update the KKT solution x (n + w,) to the active set `signs`; False where that is singular.
 
     place (N,) : position of the row's equation in K_W, −1 for a row that is not in W.
@@ -97,20 +102,20 @@ def _move_to_set(C, L, U, X_T, place, signs, changed, x, mu):
     X_B, S = np.zeros_like(B_T), np.zeros((len(mu), len(mu)))
     for k in range(len(mu)):
         i = changed[k]
-        mu[k] = -_active_limit(L, U, signs, i)
+        mu[k] = -_get_active_limit_value(L, U, signs, i)
         if place[i] >= 0:
             B_T[k, place[i]] = 1.0
         else:
             for j in range(C.shape[1]):
                 B_T[k, j] = C[i, j]
-        add_columns(X_T, B_T[k], X_B[k])
+        add_matrix_vector_product(X_T, B_T[k], X_B[k])
         for j in range(len(x)):
             mu[k] += B_T[k, j] * x[j]
             for other in range(k + 1):
                 S[k, other] += B_T[k, j] * X_B[other, j]
         for other in range(k):
             S[other, k] = S[k, other]
-    if not _solve_in_place(S, mu):
+    if not _solve_linear_system_in_place(S, mu):
         return False
     for k in range(len(mu)):
         for j in range(len(x)):
@@ -119,7 +124,7 @@ def _move_to_set(C, L, U, X_T, place, signs, changed, x, mu):
 
 
 @inlined_njit
-def _exchange_rows(L, U, signs, place, changed, value, x, mu):
+def _exchange_wrong_and_violated_rows(L, U, signs, place, changed, value, x, mu):
     """Add violated rows and drop those with wrong multipliers; return whether any changed."""
     multipliers = np.zeros(len(signs))
     for i in range(len(signs)):
@@ -141,7 +146,7 @@ def _exchange_rows(L, U, signs, place, changed, value, x, mu):
 
 
 @cached_njit
-def _iterate_active_set(q, L, U, C, C_T, X_T, rows, signs):
+def _iterate_active_set_in_place(q, L, U, C, C_T, X_T, rows, signs):
     """Update the active set `signs` (N,) in place; return whether it converged within `STEPS`."""
     n, N = len(q), len(L)
     place, changed = np.full(N, -1), np.zeros(N, dtype=np.int64)
@@ -153,15 +158,17 @@ def _iterate_active_set(q, L, U, C, C_T, X_T, rows, signs):
             rhs[j] = -q[j]
         for i in range(N):
             if place[i] >= 0:
-                rhs[place[i]] = _active_limit(L, U, signs, i)
+                rhs[place[i]] = _get_active_limit_value(L, U, signs, i)
             if (place[i] >= 0) != (signs[i] != 0):
                 changed[count] = i
                 count += 1
-        add_columns(X_T, rhs, x)
+        add_matrix_vector_product(X_T, rhs, x)
         mu = np.zeros(count)
-        if count > MOST or not _move_to_set(C, L, U, X_T, place, signs, changed, x, mu):
+        if count > MOST or not _update_solution_to_active_set(
+            C, L, U, X_T, place, signs, changed, x, mu
+        ):
             return False
-        add_columns(C_T, x[:n], value)
-        if not _exchange_rows(L, U, signs, place, changed, value, x, mu):
+        add_matrix_vector_product(C_T, x[:n], value)
+        if not _exchange_wrong_and_violated_rows(L, U, signs, place, changed, value, x, mu):
             return True
     return False

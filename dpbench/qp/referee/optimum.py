@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.display import fields_html, numbers_text
+from dpbench.display import format_numbers_with_units, make_html_field_table
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.dyadic import Dyadic
 
@@ -51,16 +51,18 @@ class Optimum:
     reason: str = ""
 
     def __repr__(self) -> str:
-        return f"<{self._title}: {self._proven_statement}>"
+        return f"<{self._size_title}: {self._proven_statement}>"
 
     def _repr_html_(self) -> str:
         """Show the optimum as a table in a notebook."""
         fields = {"certificate": f"{self.kind}: {self._proven_statement}"}
-        fields |= {name: numbers_text(getattr(self, name)) for name in ("z", "y", "y_box")}
-        return fields_html(self._title, fields)
+        fields |= {
+            name: format_numbers_with_units(getattr(self, name)) for name in ("z", "y", "y_box")
+        }
+        return make_html_field_table(self._size_title, fields)
 
     @property
-    def _title(self) -> str:
+    def _size_title(self) -> str:
         """Size of the certified QP, in words."""
         return f"Optimum of {len(self.z)} variable{'s' * (len(self.z) != 1)}"
 
@@ -90,9 +92,9 @@ class JointQP:
     U: Vector
 
     @classmethod
-    def of(cls, qp: QuadraticProgram) -> JointQP:
+    def from_qp(cls, qp: QuadraticProgram) -> JointQP:
         """Join the rows and bounds of a QP into rows C with limits L and U."""
-        return cls(qp.P, qp.q, np.vstack((qp.A, np.eye(qp.n))), *qp.limits())
+        return cls(qp.P, qp.q, np.vstack((qp.A, np.eye(qp.n))), *qp.stack_row_and_bound_limits())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,6 +115,6 @@ class ExactMatrices:
     C: Dyadic
 
     @classmethod
-    def of(cls, P: Matrix, C: Matrix) -> ExactMatrices:
+    def from_float_matrices(cls, P: Matrix, C: Matrix) -> ExactMatrices:
         """Convert Hessian P and constraint rows C from float64 to exact arithmetic."""
-        return cls(Dyadic.of(P), Dyadic.of(C))
+        return cls(Dyadic.from_floats(P), Dyadic.from_floats(C))

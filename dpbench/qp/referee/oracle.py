@@ -17,7 +17,7 @@ _EQUALITY = 5  # DAQP's mark of a row that is always active
 _INFEASIBLE = -1  # DAQP's exit flag for an empty feasible set
 
 
-def guess_active_sets(problem: JointQP) -> Iterator[Signs | None]:
+def yield_active_set_guesses(problem: JointQP) -> Iterator[Signs | None]:
     """Yield guesses of a QP's active set, best first; None where a solver finds it infeasible."""
     for guess in GUESSERS:
         try:
@@ -26,7 +26,7 @@ def guess_active_sets(problem: JointQP) -> Iterator[Signs | None]:
             continue
 
 
-def _guess_by_daqp(problem: JointQP) -> Signs | None:
+def _guess_active_set_by_daqp(problem: JointQP) -> Signs | None:
     """Return the active set that the solver DAQP finds; None where it claims infeasibility."""
     daqp = import_module("daqp")
     n = len(problem.q)
@@ -41,20 +41,24 @@ def _guess_by_daqp(problem: JointQP) -> Signs | None:
         return None
     if flag <= 0:
         raise RuntimeError("no answer")
-    return _active_signs(problem, np.roll(np.asarray(info["lam"], dtype=np.float64), -n))
+    return _active_set_from_multiplier_signs(
+        problem, np.roll(np.asarray(info["lam"], dtype=np.float64), -n)
+    )
 
 
-def _guess_by_dual_method(problem: JointQP) -> Signs | None:
+def _guess_active_set_by_dual_method(problem: JointQP) -> Signs | None:
     """Return the active set at which the dual method ends, its iterations limited."""
-    outcome = Projection.of(problem.P, problem.C).solve(problem.q, problem.L, problem.U)
+    outcome = Projection.factorise_hessian_and_rows(problem.P, problem.C).solve_for_vectors(
+        problem.q, problem.L, problem.U
+    )
     if outcome.ending is Ending.INFEASIBLE:
         return None
     signs = np.zeros(len(problem.L))
     signs[outcome.active] = outcome.side[outcome.active]
-    return _active_signs(problem, signs)
+    return _active_set_from_multiplier_signs(problem, signs)
 
 
-def _active_signs(problem: JointQP, y: Vector) -> Signs:
+def _active_set_from_multiplier_signs(problem: JointQP, y: Vector) -> Signs:
     """Return the active set (N,) that the signs of multipliers y name; equalities are active."""
     signs = np.sign(np.nan_to_num(y))
     signs[(signs == 0.0) & (problem.L == problem.U)] = 1.0
@@ -62,4 +66,4 @@ def _active_signs(problem: JointQP, y: Vector) -> Signs:
     return np.where(np.isfinite(limit), signs, 0).astype(np.int8)
 
 
-GUESSERS = (_guess_by_daqp, _guess_by_dual_method)  # in this order
+GUESSERS = (_guess_active_set_by_daqp, _guess_active_set_by_dual_method)  # in this order

@@ -25,18 +25,19 @@ G = (3, 0), z = (⅓, ½) and λ = 2/9, both exact. Rounded once, ⅓ is off by 
 >>> problem = JointQP.of(QuadraticProgram(np.eye(2), [-1, -0.5], *row))
 >>> exact = ExactMatrices.of(problem.P, problem.C)
 >>> qp, no_guess = _IntegerQP.of(problem, exact), np.zeros(3, dtype=np.int8)
->>> active, at = _start_active_set(qp, no_guess)
+>>> active, at = _build_dual_feasible_start(qp, no_guess)
 >>> unit = Fraction(2) ** qp.z_exponent
 >>> [str(Fraction(z, at.denominator) * unit) for z in at.point]
 ['1', '1/2']
->>> _find_most_violated(qp, at), _add_violated_limit(qp, active, 0, 1), active.rows
+>>> proof = _add_violated_limit_or_return_farkas_vector(qp, active, 0, 1)
+>>> _find_most_violated_row_and_sign(qp, at), proof, active.rows
 ((0, 1), None, [0])
 >>> at = active.solve(np.zeros(2, dtype=object))
 >>> [str(Fraction(z, at.denominator) * unit) for z in at.point[:2]]
 ['1/3', '1/2']
 >>> str(Fraction(at.point[2], at.denominator) * Fraction(2) ** qp.y_exponent)
 '2/9'
->>> proof = rational_certificate(problem, exact, no_guess)
+>>> proof = prove_optimum_in_exact_arithmetic(problem, exact, no_guess)
 >>> proof.z.tolist() == [1 / 3, 1 / 2], bool(np.isclose(proof.bound, 2**-54 / 3, rtol=1e-9, atol=0))
 (True, True)
 """
@@ -49,7 +50,7 @@ from fractions import Fraction
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.qp.referee.dyadic import Dyadic, Whole, solve_integer
+from dpbench.qp.referee.dyadic import Dyadic, Whole, solve_integer_system_exactly
 from dpbench.qp.referee.optimum import ExactMatrices, JointQP, Proof, Signs
 
 
@@ -66,17 +67,25 @@ class _IntegerQP:
     y_exponent: int
 
     @classmethod
-    def of(cls, problem: JointQP, exact: ExactMatrices) -> _IntegerQP:
+    def from_joint_qp(cls, problem: JointQP, exact: ExactMatrices) -> _IntegerQP:
         """Convert a QP to integers, with powers of two as units."""
-        q = Dyadic.of(problem.q)
-        L, U = (Dyadic.of(np.nan_to_num(x, posinf=0.0, neginf=0.0)) for x in (problem.L, problem.U))
+        q = Dyadic.from_floats(problem.q)
+        L, U = (
+            Dyadic.from_floats(np.nan_to_num(x, posinf=0.0, neginf=0.0))
+            for x in (problem.L, problem.U)
+        )
         p, c = exact.P.exponent, exact.C.exponent
         e = min(q.exponent - p, L.exponent - c, U.exponent - c)
-        limits = _mark_infinite(L.at(c + e), problem.L), _mark_infinite(U.at(c + e), problem.U)
-        return cls(exact.P.whole, q.at(p + e), exact.C.whole, *limits, e, p + e - c)
+        limits = (
+            _list_integer_limits_or_none(L.integers_at_exponent(c + e), problem.L),
+            _list_integer_limits_or_none(U.integers_at_exponent(c + e), problem.U),
+        )
+        return cls(
+            exact.P.whole, q.integers_at_exponent(p + e), exact.C.whole, *limits, e, p + e - c
+        )
 
 
-def _mark_infinite(numbers: Whole, given: Vector) -> list[int | None]:
+def _list_integer_limits_or_none(numbers: Whole, given: Vector) -> list[int | None]:
     """Return the integer limits as a list, None where the given limit is infinite."""
     finite = np.isfinite(given).tolist()
     return [x if there else None for x, there in zip(numbers.tolist(), finite, strict=True)]
@@ -99,17 +108,17 @@ class _ActiveSet:
         self.rows: list[int] = []
         self.side: list[int] = []
 
-    def add(self, row: int, sign: int) -> None:
+    def add_row_at_limit(self, row: int, sign: int) -> None:
         """Add a row at its upper (+1) or lower (−1) limit to the exact active set."""
         self.rows.append(row)
         equal = self.qp.lower[row] == self.qp.upper[row]
         self.side.append(0 if equal else sign)
 
-    def drop(self, position: int) -> None:
+    def drop_row_at_position(self, position: int) -> None:
         """Remove the row at a position of the exact active set."""
         del self.rows[position], self.side[position]
 
-    def solve(self, gradient: Whole) -> _ExactPoint | None:
+    def solve_kkt_exactly(self, gradient: Whole) -> _ExactPoint | None:
         """Solve the KKT system of the held rows exactly; None where it is singular."""
         qp, n, w = self.qp, len(self.qp.q), len(self.rows)
         G = qp.C[self.rows]
@@ -119,19 +128,19 @@ class _ActiveSet:
         rhs[:n, 0], rhs[:n, 1] = -qp.q, -gradient
         sides = zip(self.rows, self.side, strict=True)
         rhs[n:, 0] = [qp.lower[row] if side < 0 else qp.upper[row] for row, side in sides]
-        solved = solve_integer(K, rhs)
+        solved = solve_integer_system_exactly(K, rhs)
         if solved is None:
             return None
         x, denominator = solved
         return _ExactPoint(x[:, 0], x[:, 1], denominator)
 
-    def most_wrong_multiplier(self, multipliers: Whole) -> int | None:
+    def find_position_of_most_wrong_multiplier(self, multipliers: Whole) -> int | None:
         """Return the position of the multiplier of the most wrong sign, or None."""
         values = [side * lam for side, lam in zip(self.side, multipliers, strict=True)]
         worst = min(range(len(values)), key=values.__getitem__, default=None)
         return worst if worst is not None and values[worst] < 0 else None
 
-    def first_zero_multiplier(self, at: _ExactPoint) -> tuple[Fraction, int] | None:
+    def find_first_multiplier_to_reach_zero(self, at: _ExactPoint) -> tuple[Fraction, int] | None:
         """Return how far a new row's multiplier can rise until another is zero, and that one."""
         n = len(self.qp.q)
         multipliers = enumerate(zip(self.side, at.point[n:], at.slope[n:], strict=True))
@@ -143,7 +152,7 @@ class _ActiveSet:
         return min(zeros, default=None)
 
 
-def _find_most_violated(qp: _IntegerQP, at: _ExactPoint) -> tuple[int, int] | None:
+def _find_most_violated_row_and_sign(qp: _IntegerQP, at: _ExactPoint) -> tuple[int, int] | None:
     """Return row and sign of the limit that the point violates most; None if feasible."""
     value = qp.C @ at.point[: len(qp.q)]
     violation, limit = 0, None
@@ -156,67 +165,75 @@ def _find_most_violated(qp: _IntegerQP, at: _ExactPoint) -> tuple[int, int] | No
     return limit
 
 
-def _start_active_set(qp: _IntegerQP, signs: Signs) -> tuple[_ActiveSet, _ExactPoint] | None:
+def _build_dual_feasible_start(
+    qp: _IntegerQP, signs: Signs
+) -> tuple[_ActiveSet, _ExactPoint] | None:
     """Return a dual-feasible active set and its exact point, starting from a guess."""
     active = _ActiveSet(qp)
     for row in np.flatnonzero(signs).tolist():
-        active.add(row, int(signs[row]))
+        active.add_row_at_limit(row, int(signs[row]))
     nothing = np.zeros(len(qp.q), dtype=object)
     while True:
-        at = active.solve(nothing)
+        at = active.solve_kkt_exactly(nothing)
         if at is None:
-            return None if not active.rows else _start_active_set(qp, np.zeros_like(signs))
-        worst = active.most_wrong_multiplier(at.point[len(qp.q) :])
+            return None if not active.rows else _build_dual_feasible_start(qp, np.zeros_like(signs))
+        worst = active.find_position_of_most_wrong_multiplier(at.point[len(qp.q) :])
         if worst is None:
             return active, at
-        active.drop(worst)
+        active.drop_row_at_position(worst)
 
 
-def rational_certificate(problem: JointQP, exact: ExactMatrices, signs: Signs) -> Proof | None:
+def prove_optimum_in_exact_arithmetic(
+    problem: JointQP, exact: ExactMatrices, signs: Signs
+) -> Proof | None:
     """Certify the optimum by an active-set method in exact rational arithmetic.
 
     `problem` must have positive definite P and L ≤ U; `signs` is a guess of the active set, which
     decides the time only. Where there is no optimum, the proof is of kind "infeasible" with the
     Farkas multipliers y (N,), z NaN and bound inf; None when P turns out singular.
     """
-    qp = _IntegerQP.of(problem, exact)
-    started = _start_active_set(qp, signs)
+    qp = _IntegerQP.from_joint_qp(problem, exact)
+    started = _build_dual_feasible_start(qp, signs)
     if started is None:
         return None
     active, at = started
-    while (violated := _find_most_violated(qp, at)) is not None:
+    while (violated := _find_most_violated_row_and_sign(qp, at)) is not None:
         row, sign = violated
-        farkas = _add_violated_limit(qp, active, row, sign)
+        farkas = _add_violated_limit_or_return_farkas_vector(qp, active, row, sign)
         if farkas is not None:
             return Proof(np.full(len(qp.q), np.nan), farkas, np.inf, "infeasible")
-        settled = active.solve(np.zeros(len(qp.q), dtype=object))
+        settled = active.solve_kkt_exactly(np.zeros(len(qp.q), dtype=object))
         if settled is None:
             return None
         at = settled
-    return _build_proof(qp, active, at)
+    return _round_exact_point_to_proof(qp, active, at)
 
 
-def _add_violated_limit(qp: _IntegerQP, active: _ActiveSet, row: int, sign: int) -> Vector | None:
+def _add_violated_limit_or_return_farkas_vector(
+    qp: _IntegerQP, active: _ActiveSet, row: int, sign: int
+) -> Vector | None:
     """Add a violated limit to the active set; return Farkas multipliers if that is impossible."""
     gradient = sign * qp.C[row]
     limit = sign * ((qp.upper[row] if sign > 0 else qp.lower[row]) or 0)
     while True:
-        at = active.solve(gradient)
+        at = active.solve_kkt_exactly(gradient)
         assert at is not None, "rows of the active set are independent"
         n = len(qp.q)
         slope = int(gradient @ at.slope[:n])
         violation = int(gradient @ at.point[:n]) - limit * at.denominator
         reached = Fraction(violation, -slope) if slope < 0 else None
-        blocked = active.first_zero_multiplier(at)
+        blocked = active.find_first_multiplier_to_reach_zero(at)
         if reached is not None and (blocked is None or reached <= blocked[0]):
-            active.add(row, sign)
+            active.add_row_at_limit(row, sign)
             return None
         if blocked is None:
-            return _farkas_ray(qp, active, at, row, sign)
-        active.drop(blocked[1])
+            return _build_farkas_vector_of_violated_row(qp, active, at, row, sign)
+        active.drop_row_at_position(blocked[1])
 
 
-def _farkas_ray(qp: _IntegerQP, active: _ActiveSet, at: _ExactPoint, row: int, sign: int) -> Vector:
+def _build_farkas_vector_of_violated_row(
+    qp: _IntegerQP, active: _ActiveSet, at: _ExactPoint, row: int, sign: int
+) -> Vector:
     """Return the multipliers (N,) that prove the violated row contradicts the active rows."""
     y = np.zeros(len(qp.lower))
     y[row] = sign
@@ -225,7 +242,7 @@ def _farkas_ray(qp: _IntegerQP, active: _ActiveSet, at: _ExactPoint, row: int, s
     return y
 
 
-def _build_proof(qp: _IntegerQP, active: _ActiveSet, at: _ExactPoint) -> Proof:
+def _round_exact_point_to_proof(qp: _IntegerQP, active: _ActiveSet, at: _ExactPoint) -> Proof:
     """Return the exact point rounded to float64, with its rounding error as the bound."""
     n = len(qp.q)
     unit = Fraction(2) ** qp.z_exponent

@@ -53,25 +53,44 @@ from scipy.sparse.csgraph import connected_components
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.qp.program import QPSequence, QuadraticProgram
-from dpbench.qp.referee.dyadic import Dyadic, is_semidefinite
-from dpbench.qp.referee.equilibrated import equilibrate_diagonal, is_scalable
-from dpbench.qp.referee.feasibility.farkas import (
-    certify_infeasible,
-    certify_unbounded,
-    farkas_valid,
-    unbounded_valid,
+from dpbench.qp.referee.dyadic import Dyadic, is_integer_matrix_semidefinite
+from dpbench.qp.referee.equilibrated import (
+    is_exact_after_power_of_two_scaling,
+    scale_to_unit_diagonal,
 )
-from dpbench.qp.referee.feasibility.implied import fix_forced_variables
-from dpbench.qp.referee.feasibility.rounding import bound_least_violation, find_magnified_farkas
-from dpbench.qp.referee.gap import find_met_limits, gap_certificate, select_independent
-from dpbench.qp.referee.kernels import CROSSED_LIMITS, INVALID_DATA, classify_limits
-from dpbench.qp.referee.kkt import Geometry, KKTSystem, is_positive_definite, linear_certificate
+from dpbench.qp.referee.feasibility.farkas import (
+    find_farkas_vector,
+    find_unbounded_direction,
+    is_direction_proof_of_unboundedness,
+    is_farkas_vector_proof,
+)
+from dpbench.qp.referee.feasibility.implied import fix_variables_forced_to_bounds
+from dpbench.qp.referee.feasibility.rounding import (
+    bound_least_constraint_violation,
+    find_farkas_vector_by_magnified_lps,
+)
+from dpbench.qp.referee.gap import (
+    find_signs_of_limits_met,
+    prove_optimum_by_duality_gap,
+    select_independent_active_rows,
+)
+from dpbench.qp.referee.kernels import (
+    CROSSED_LIMITS,
+    INVALID_DATA,
+    classify_limits_as_ordered_crossed_or_nan,
+)
+from dpbench.qp.referee.kkt import (
+    Geometry,
+    KKTSystem,
+    is_proven_positive_definite,
+    prove_optimum_by_kkt_error_bounds,
+)
 from dpbench.qp.referee.last_resort import LastResort
-from dpbench.qp.referee.nearby import guess_nearby
+from dpbench.qp.referee.nearby import guess_active_set_from_last_step
 from dpbench.qp.referee.optimum import ExactMatrices, JointQP, Kind, Optimum, Proof, Signs
-from dpbench.qp.referee.oracle import guess_active_sets
-from dpbench.qp.referee.rational import rational_certificate
-from dpbench.qp.residuals import fit_multipliers
+from dpbench.qp.referee.oracle import yield_active_set_guesses
+from dpbench.qp.referee.rational import prove_optimum_in_exact_arithmetic
+from dpbench.qp.residuals import fit_row_and_bound_multipliers
 from dpbench.qp.solution import Solution, Status
 
 WANTED = 1e-10  # A bound above it sends the problem to the next, costlier certificate
@@ -114,17 +133,17 @@ class Referee:
         self._farkas: tuple[Vector, Vector] | None = None
         self._data = _MatrixData()
         self._finite = bool(np.isfinite(P).all() and np.isfinite(A).all())
-        self._definite = self._finite and is_positive_definite(self._P)
+        self._definite = self._finite and is_proven_positive_definite(self._P)
         self._convex = self._definite or (self._finite and self._is_proven_convex())
 
-    def for_matrices(self, P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
+    def for_changed_matrices(self, P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
         """Return a checker of optima for a later step's matrices, started at the last set."""
         later = Referee(P, A, lb, ub)
         if len(later._last) == len(self._last):
             later._last = self._last
         return later
 
-    def reset_copy(self) -> Referee:
+    def copy_without_memory(self) -> Referee:
         """Return a copy of this checker without memory of earlier QPs; matrix data are shared."""
         other = copy(self)
         other._last, other._farkas = np.zeros_like(self._last), None
@@ -135,103 +154,124 @@ class Referee:
         P = self._P
         if (np.diagonal(P) < 0.0).any():
             return False
-        if is_scalable(P) and is_positive_definite(equilibrate_diagonal(P)):
+        if is_exact_after_power_of_two_scaling(P) and is_proven_positive_definite(
+            scale_to_unit_diagonal(P)
+        ):
             return True
         count, part = connected_components(P != 0.0, directed=False)
         blocks = [np.flatnonzero(part == i) for i in range(count)]
         if max(len(block) for block in blocks) > SEMIDEFINITE_SIZE:
             return False
-        return all(is_semidefinite(Dyadic.of(P[np.ix_(block, block)]).whole) for block in blocks)
+        return all(
+            is_integer_matrix_semidefinite(Dyadic.from_floats(P[np.ix_(block, block)]).whole)
+            for block in blocks
+        )
 
-    def _exact_matrices(self) -> ExactMatrices:
+    def _get_exact_matrices(self) -> ExactMatrices:
         """Return Hessian P and constraint rows C in exact arithmetic, from a cache."""
         if self._data.exact is None:
-            self._data.exact = ExactMatrices.of(self._P, self._C)
+            self._data.exact = ExactMatrices.from_float_matrices(self._P, self._C)
         return self._data.exact
 
-    def certify(self, q: Vector, l: Vector, u: Vector) -> Optimum:  # noqa: E741 - as in QuadraticProgram
+    def certify_vectors(self, q: Vector, l: Vector, u: Vector) -> Optimum:  # noqa: E741 - as in QuadraticProgram
         """Certify the optimum of the QP with vectors q (n,), l and u (m,)."""
         # Kernels are compiled for arrays that may be written to, whatever memory q lies in.
         q, L, U = q.copy(), np.concatenate((l, self._lb)), np.concatenate((u, self._ub))
-        limits = classify_limits(q, L, U)
+        limits = classify_limits_as_ordered_crossed_or_nan(q, L, U)
         if limits == INVALID_DATA or not self._finite:
-            return replace(self._no_certificate(), reason=INVALID)
+            return replace(self._make_optimum_without_proof(), reason=INVALID)
         problem = JointQP(self._P, q, self._C, L, U)
         if limits == CROSSED_LIMITS:
-            return self._find_farkas(problem) or self._no_certificate()
-        proof = self._try_linear(problem, self._last) or self._try_nearby(problem)
+            return self._find_proof_of_infeasibility(problem) or self._make_optimum_without_proof()
+        proof = self._try_proof_by_kkt_error_bounds(
+            problem, self._last
+        ) or self._try_last_active_set(problem)
         if proof is None or proof.bound > WANTED:
-            return self._reuse_farkas(problem) or self._search_certificate(problem)
-        return self._split_proof(proof)
+            return self._reuse_earlier_proof_of_infeasibility(
+                problem
+            ) or self._certify_by_guessed_active_sets(problem)
+        return self._convert_proof_to_optimum(proof)
 
-    def _try_nearby(self, problem: JointQP) -> Proof | None:
+    def _try_last_active_set(self, problem: JointQP) -> Proof | None:
         """Prove the optimum with an active set guessed from the last QP's; None if unproven."""
-        system = self._kkt_system(self._last) if self._convex else None
-        if system is None or not system.is_proven:
+        system = self._get_kkt_system_of_active_set(self._last) if self._convex else None
+        if system is None or not system.is_proven_nonsingular:
             return None
-        signs = guess_nearby(problem, self._geometry, system)
-        proof = None if signs is None else self._try_linear(problem, signs)
+        signs = guess_active_set_from_last_step(problem, self._geometry, system)
+        proof = None if signs is None else self._try_proof_by_kkt_error_bounds(problem, signs)
         if signs is not None and proof is not None:
             self._last = signs
         return proof
 
-    def _search_certificate(self, problem: JointQP) -> Optimum:
+    def _certify_by_guessed_active_sets(self, problem: JointQP) -> Optimum:
         """Certify a QP's optimum or infeasibility from guessed active sets, cheapest first."""
-        fixed = fix_forced_variables(problem)
+        fixed = fix_variables_forced_to_bounds(problem)
         posed = problem if fixed is None else fixed
         tried: list[Signs] = []
         best: Proof | None = None
-        for signs in guess_active_sets(posed):
+        for signs in yield_active_set_guesses(posed):
             if signs is None:
-                if (empty := self._find_farkas(problem)) is not None:
+                if (empty := self._find_proof_of_infeasibility(problem)) is not None:
                     return empty
                 continue
             tried.append(signs)
-            best = self._try_linear(posed, signs)
+            best = self._try_proof_by_kkt_error_bounds(posed, signs)
             if best is not None:
                 self._last = signs
                 break
         if best is None or best.bound > WANTED:
-            best = self._try_costly(posed, tried, best)
+            best = self._try_gap_and_exact_proofs(posed, tried, best)
         if best is None or WANTED < best.bound < np.inf:
-            return self._try_last_resort(problem, posed, best)
+            return self._try_costliest_proof(problem, posed, best)
         if best.kind == "infeasible":
-            return self._find_farkas(problem) or self._verdict_by_multipliers(problem, best.y)
-        return self._build_optimum(problem, posed, best)
+            return self._find_proof_of_infeasibility(
+                problem
+            ) or self._certify_infeasible_by_exact_multipliers(problem, best.y)
+        return self._convert_proof_to_optimum_with_fitted_multipliers(problem, posed, best)
 
-    def _try_last_resort(self, problem: JointQP, posed: JointQP, known: Proof | None) -> Optimum:
+    def _try_costliest_proof(
+        self, problem: JointQP, posed: JointQP, known: Proof | None
+    ) -> Optimum:
         """Try the costliest proof of the optimum; return the better of it and the known proof."""
-        if known is None and (empty := self._find_farkas(problem)) is not None:
+        if known is None and (empty := self._find_proof_of_infeasibility(problem)) is not None:
             return empty
         if self._data.last_resort is None:
             self._data.last_resort = LastResort(self._P, self._C, convex=self._convex)
-        closer = self._data.last_resort.certify(posed)
+        closer = self._data.last_resort.prove_optimum(posed)
         if closer is not None and (known is None or closer.bound < known.bound):
-            return self._build_optimum(problem, None, closer)
+            return self._convert_proof_to_optimum_with_fitted_multipliers(problem, None, closer)
         if known is not None:
-            return self._build_optimum(problem, posed, known)
-        farkas = find_magnified_farkas(self._as_qp(problem))
-        return self._no_certificate() if farkas is None else self._refute(problem, *farkas)
+            return self._convert_proof_to_optimum_with_fitted_multipliers(problem, posed, known)
+        farkas = find_farkas_vector_by_magnified_lps(self._convert_joint_problem_to_qp(problem))
+        return (
+            self._make_optimum_without_proof()
+            if farkas is None
+            else self._certify_infeasible_if_proven(problem, *farkas)
+        )
 
-    def _build_optimum(self, problem: JointQP, posed: JointQP | None, proof: Proof) -> Optimum:
+    def _convert_proof_to_optimum_with_fitted_multipliers(
+        self, problem: JointQP, posed: JointQP | None, proof: Proof
+    ) -> Optimum:
         """Return a proof as an optimum, with multipliers fitted to the original problem."""
         if posed is problem:
-            return self._split_proof(proof)
+            return self._convert_proof_to_optimum(proof)
         try:
-            y, y_box = fit_multipliers(self._as_qp(problem), proof.z, 1e-9)
+            y, y_box = fit_row_and_bound_multipliers(
+                self._convert_joint_problem_to_qp(problem), proof.z, 1e-9
+            )
         except RuntimeError:
             # Non-negative least squares gave up: the optimum is valid without multipliers.
             y, y_box = np.full(self._m, np.nan), np.full(len(proof.z), np.nan)
         return Optimum(proof.z, y, y_box, proof.bound, proof.kind)
 
-    def _try_linear(self, problem: JointQP, signs: Signs) -> Proof | None:
+    def _try_proof_by_kkt_error_bounds(self, problem: JointQP, signs: Signs) -> Proof | None:
         """Try to prove an active set optimal by error bounds of its KKT solution, else None."""
-        system = self._kkt_system(signs) if self._convex else None
-        if system is None or not system.is_proven:
+        system = self._get_kkt_system_of_active_set(signs) if self._convex else None
+        if system is None or not system.is_proven_nonsingular:
             return None
-        return linear_certificate(problem, self._geometry, system)
+        return prove_optimum_by_kkt_error_bounds(problem, self._geometry, system)
 
-    def _kkt_system(self, signs: Signs) -> KKTSystem:
+    def _get_kkt_system_of_active_set(self, signs: Signs) -> KKTSystem:
         """Return the KKT system of an active set, from a cache of the last ones."""
         key = signs.tobytes()
         system = self._data.systems.get(key)
@@ -243,7 +283,7 @@ class Referee:
             self._data.systems.move_to_end(key)
         return system
 
-    def _try_costly(
+    def _try_gap_and_exact_proofs(
         self, problem: JointQP, tried: list[Signs], known: Proof | None
     ) -> Proof | None:
         """Return the best proof of an optimum: known, by duality gap or in exact arithmetic."""
@@ -253,48 +293,52 @@ class Referee:
         starts = tried or [np.zeros(len(problem.L), dtype=np.int8)]
         # Guesses differ in their weakly active rows.
         for signs in reversed(starts):
-            if (by_gap := self._try_gap(problem, signs)) is not None:
+            if (by_gap := self._try_proof_by_duality_gap(problem, signs)) is not None:
                 proofs.append(by_gap)
                 if by_gap.bound <= WANTED:
                     break
         if not any(proof.bound <= WANTED for proof in proofs) and len(problem.q) <= EXACT_SIZE:
             # Rows that depend on others exactly would make it begin with none.
-            start = select_independent(self._C, starts[-1], starts[-1])
-            exact = rational_certificate(problem, self._exact_matrices(), start)
+            start = select_independent_active_rows(self._C, starts[-1], starts[-1])
+            exact = prove_optimum_in_exact_arithmetic(problem, self._get_exact_matrices(), start)
             proofs += [] if exact is None else [exact]
         return min(proofs, key=lambda p: (p.kind == "infeasible", p.bound), default=None)
 
-    def _try_gap(self, problem: JointQP, signs: Signs) -> Proof | None:
+    def _try_proof_by_duality_gap(self, problem: JointQP, signs: Signs) -> Proof | None:
         """Try to prove the optimum by its duality gap from the active set `signs`, else None."""
         if self._data.inverse is None:
-            free = self._kkt_system(np.zeros_like(signs))
-            if not free.is_proven:
+            free = self._get_kkt_system_of_active_set(np.zeros_like(signs))
+            if not free.is_proven_nonsingular:
                 return None
-            self._data.inverse = free.inverse_bounds()
-        held = select_independent(self._C, signs, signs)
-        system = self._kkt_system(held)
-        if not system.is_proven:
+            self._data.inverse = free.bound_inverse_entrywise()
+        held = select_independent_active_rows(self._C, signs, signs)
+        system = self._get_kkt_system_of_active_set(held)
+        if not system.is_proven_nonsingular:
             return None
         # The point to rounding is enough to see which limits it touches.
-        touched = find_met_limits(problem, system.X @ system.rhs(problem.q, problem.L, problem.U))
-        signs = select_independent(self._C, np.where(held, held, touched), held)
-        exact, inverse = self._exact_matrices(), self._data.inverse
-        return gap_certificate(problem, exact, self._kkt_system, signs, inverse)
+        touched = find_signs_of_limits_met(
+            problem, system.X @ system.build_right_hand_side(problem.q, problem.L, problem.U)
+        )
+        signs = select_independent_active_rows(self._C, np.where(held, held, touched), held)
+        exact, inverse = self._get_exact_matrices(), self._data.inverse
+        return prove_optimum_by_duality_gap(
+            problem, exact, self._get_kkt_system_of_active_set, signs, inverse
+        )
 
-    def _split_proof(self, proof: Proof) -> Optimum:
+    def _convert_proof_to_optimum(self, proof: Proof) -> Optimum:
         """Return a proof as an optimum, its multipliers split into rows and bounds."""
         y, y_box = proof.y[: self._m], proof.y[self._m :]
         return Optimum(proof.z, y, y_box, proof.bound, proof.kind)
 
-    def _find_farkas(self, problem: JointQP) -> Optimum | None:
+    def _find_proof_of_infeasibility(self, problem: JointQP) -> Optimum | None:
         """Return a verdict of infeasibility with a verified Farkas vector, or None."""
-        farkas = certify_infeasible(self._as_qp(problem))
+        farkas = find_farkas_vector(self._convert_joint_problem_to_qp(problem))
         if farkas is None:
             return None
         self._farkas = farkas
-        return self._refute(problem, *farkas)
+        return self._certify_infeasible_if_proven(problem, *farkas)
 
-    def _reuse_farkas(self, problem: JointQP) -> Optimum | None:
+    def _reuse_earlier_proof_of_infeasibility(self, problem: JointQP) -> Optimum | None:
         """Return the verdict "infeasible" by an earlier Farkas vector that is still valid, or None.
 
         Problems undecided at rounding need a vector of their own.
@@ -305,37 +349,45 @@ class Referee:
         used = np.flatnonzero(both)
         limits = np.where(both > 0.0, problem.U, problem.L)[used]
         # Most vectors of another step are seen to prove nothing before they are tried exactly.
-        if not both[used] @ limits < 0.0 or not farkas_valid(self._as_qp(problem), *self._farkas):
+        if not both[used] @ limits < 0.0 or not is_farkas_vector_proof(
+            self._convert_joint_problem_to_qp(problem), *self._farkas
+        ):
             return None
-        verdict = self._refute(problem, *self._farkas)
+        verdict = self._certify_infeasible_if_proven(problem, *self._farkas)
         return verdict if verdict.kind == "infeasible" else None
 
-    def _refute(self, problem: JointQP, y: Vector, y_box: Vector) -> Optimum:
+    def _certify_infeasible_if_proven(self, problem: JointQP, y: Vector, y_box: Vector) -> Optimum:
         """Return a certificate of infeasibility, from multipliers that prove it, or undecided."""
-        least = bound_least_violation(self._as_qp(problem), np.concatenate((y, y_box)))
+        least = bound_least_constraint_violation(
+            self._convert_joint_problem_to_qp(problem), np.concatenate((y, y_box))
+        )
         kind: Kind = "undecided" if least.is_undecided else "infeasible"
         return Optimum(np.full(len(problem.q), np.nan), y, y_box, np.inf, kind)
 
-    def _verdict_by_multipliers(self, problem: JointQP, multipliers: Vector) -> Optimum:
+    def _certify_infeasible_by_exact_multipliers(
+        self, problem: JointQP, multipliers: Vector
+    ) -> Optimum:
         """Return the infeasibility verdict of exact Farkas multipliers if valid once rounded.
 
         Where they do not, the least violation may still be seen to be rounding.
         """
         y = multipliers[: self._m]
         y_box = -(y @ self._A)
-        if farkas_valid(self._as_qp(problem), y, y_box):
-            return self._refute(problem, y, y_box)
-        if bound_least_violation(self._as_qp(problem)).is_undecided:
-            return replace(self._no_certificate(), kind="undecided")
-        return self._no_certificate()
+        if is_farkas_vector_proof(self._convert_joint_problem_to_qp(problem), y, y_box):
+            return self._certify_infeasible_if_proven(problem, y, y_box)
+        if bound_least_constraint_violation(
+            self._convert_joint_problem_to_qp(problem)
+        ).is_undecided:
+            return replace(self._make_optimum_without_proof(), kind="undecided")
+        return self._make_optimum_without_proof()
 
-    def _no_certificate(self) -> Optimum:
+    def _make_optimum_without_proof(self) -> Optimum:
         """Return the result for a QP with nothing proven: NaN arrays, infinite error bound."""
         n, nan, reason = len(self._lb), np.nan, "" if self._convex else INDEFINITE
         nothing = np.full(n, nan), np.full(self._m, nan), np.full(n, nan)
         return Optimum(*nothing, np.inf, "none", reason)
 
-    def _as_qp(self, problem: JointQP) -> QuadraticProgram:
+    def _convert_joint_problem_to_qp(self, problem: JointQP) -> QuadraticProgram:
         """Return a problem of this referee's matrices as a QP with rows and bounds."""
         m = self._m
         return QuadraticProgram(
@@ -346,11 +398,11 @@ class Referee:
 def get_shared_referee(P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
     """Return a checker of QP optima that shares cached data of equal matrices in this thread."""
     parts = P.tobytes(), A.tobytes(), lb.tobytes(), ub.tobytes()
-    return _cached_referee(get_ident(), len(lb), *parts).reset_copy()
+    return _make_cached_referee(get_ident(), len(lb), *parts).copy_without_memory()
 
 
 @lru_cache(maxsize=8)
-def _cached_referee(thread: int, n: int, P: bytes, A: bytes, lb: bytes, ub: bytes) -> Referee:
+def _make_cached_referee(thread: int, n: int, P: bytes, A: bytes, lb: bytes, ub: bytes) -> Referee:
     """Make the referee of some matrices, given as bytes; cached by thread."""
     square, rows, *bounds = (np.array(memoryview(part).cast("d")) for part in (P, A, lb, ub))
     return Referee(square.reshape(n, n), rows.reshape(-1, n), *bounds)
@@ -367,21 +419,23 @@ def certify(qp: QuadraticProgram) -> Optimum:
     """
     if not isinstance(qp, QuadraticProgram):
         raise TypeError(f"qp: found a {type(qp).__name__}; allowed: a QuadraticProgram")
-    return Referee(qp.P, qp.A, qp.lb, qp.ub).certify(qp.q, qp.l, qp.u)
+    return Referee(qp.P, qp.A, qp.lb, qp.ub).certify_vectors(qp.q, qp.l, qp.u)
 
 
-def measure_error(z: Vector, optimum: Optimum, block: int, moves: int = 0) -> tuple[float, float]:
+def measure_first_move_and_plan_error(
+    z: Vector, optimum: Optimum, block: int, moves: int = 0
+) -> tuple[float, float]:
     """Return the largest distance of z to the optimum, over the first move and over the plan.
 
     With `moves` only the first `moves` variables of each block count, the others being slacks.
     All variables are one block if block is 0; inf where z is not finite; NaN where there is no
     certified optimum to compare with. The bound of the optimum is not added.
     """
-    move, plan = measure_errors(z[np.newaxis], [optimum], block, moves)
+    move, plan = measure_first_move_and_plan_errors_of_many(z[np.newaxis], [optimum], block, moves)
     return float(move[0]), float(plan[0])
 
 
-def measure_errors(
+def measure_first_move_and_plan_errors_of_many(
     z: Matrix, optima: Sequence[Optimum], block: int, moves: int = 0
 ) -> tuple[Vector, Vector]:
     """Return the errors of first move and plan of K answers z (K, n): (K,) each."""
@@ -395,7 +449,7 @@ def measure_errors(
     return move, plan
 
 
-def iterate_certified(sequence: QPSequence) -> Iterator[Optimum]:
+def yield_certified_optima(sequence: QPSequence) -> Iterator[Optimum]:
     """Yield the certified optimum of each step of a QP sequence in scaled units."""
     qp = sequence.base
     referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
@@ -403,21 +457,28 @@ def iterate_certified(sequence: QPSequence) -> Iterator[Optimum]:
         step = sequence.step(k)
         if qp.changed_by(step):
             qp = qp.at(step)
-            referee = referee.for_matrices(qp.P, qp.A, qp.lb, qp.ub)
-        yield referee.certify(step.q, step.l, step.u)
+            referee = referee.for_changed_matrices(qp.P, qp.A, qp.lb, qp.ub)
+        yield referee.certify_vectors(step.q, step.l, step.u)
 
 
-def certify_sequence(sequence: QPSequence) -> list[Optimum]:
+def certify_all_steps(sequence: QPSequence) -> list[Optimum]:
     """Return the certified optimum of each step of a QP sequence in scaled units."""
-    return list(iterate_certified(sequence))
+    return list(yield_certified_optima(sequence))
 
 
-def claim_is_true(qp: QuadraticProgram, solution: Solution, optimum: Optimum) -> bool:
+def is_infeasibility_or_unboundedness_claim_true(
+    qp: QuadraticProgram, solution: Solution, optimum: Optimum
+) -> bool:
     """Return whether a claim of infeasible or unbounded is proven, by its vectors or by ours."""
     if solution.status is Status.PRIMAL_INFEASIBLE:
-        return optimum.kind == "infeasible" or farkas_valid(qp, solution.y, solution.y_box)
+        return optimum.kind == "infeasible" or is_farkas_vector_proof(
+            qp, solution.y, solution.y_box
+        )
     if solution.status is Status.DUAL_INFEASIBLE:
         if optimum.kind not in ("none", "infeasible"):
             return False
-        return unbounded_valid(qp, solution.z) or certify_unbounded(qp) is not None
+        return (
+            is_direction_proof_of_unboundedness(qp, solution.z)
+            or find_unbounded_direction(qp) is not None
+        )
     return False

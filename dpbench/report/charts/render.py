@@ -15,7 +15,7 @@ import psutil
 import vl_convert as vlc
 
 from dpbench.errors import InputError
-from dpbench.files.writing import write_named_file
+from dpbench.files.writing import write_bytes_to_file_or_pipe
 from dpbench.report.charts.style import FONT, NAMES
 
 FORMATS = ("svg", "pdf", "png")
@@ -128,7 +128,7 @@ def encode_figure(chart: Any, kind: str) -> bytes:
 
 def save_figure(chart: Any, path: Path) -> Path:
     """Write a chart to a file, in the format of the file name's ending."""
-    write_named_file(path, encode_figure(chart, path.suffix.lstrip(".")))
+    write_bytes_to_file_or_pipe(path, encode_figure(chart, path.suffix.lstrip(".")))
     return path
 
 

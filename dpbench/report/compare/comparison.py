@@ -25,7 +25,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.times.machine import timed_runs, total_disturbance
 from dpbench.analysis.verdict.ship_results import ship_results
 from dpbench.bench.record.result_folder import load_results
-from dpbench.display import table_html
+from dpbench.display import make_html_table
 from dpbench.errors import InputError
 from dpbench.report.formats import (
     MISSING,
@@ -234,7 +234,7 @@ class Comparison:
 
     def _repr_html_(self) -> str:
         """Return the comparison as HTML, which a notebook displays."""
-        lines = table_html((), [(line,) for line in self.lines], title="Comparison")
+        lines = make_html_table((), [(line,) for line in self.lines], title="Comparison")
         return lines + "".join(html_table(table) for table in self.tables)
 
     @property

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from dpbench.analysis.compare.times import ComparedTimes, Timing
-from dpbench.files.writing import write_named_file
+from dpbench.files.writing import write_bytes_to_file_or_pipe
 from dpbench.report.charts import style
 from dpbench.report.charts.steps import draw_step_pairs
 from dpbench.report.charts.style import ROW_STEP
@@ -62,7 +62,7 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
         tables=[replace(t, shown=MOST_ROWS) for t in others],
         block="" if times is None else _pack_data(order, charts, times),
     )
-    write_named_file(path, text.encode())
+    write_bytes_to_file_or_pipe(path, text.encode())
     return path
 
 

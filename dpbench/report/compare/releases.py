@@ -24,7 +24,7 @@ from dpbench.analysis.verdict.ship_results import ship_results
 from dpbench.bench.judge.rules import maximum_of_known
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError
-from dpbench.files.writing import write_named_file
+from dpbench.files.writing import write_bytes_to_file_or_pipe
 from dpbench.report.charts import style
 from dpbench.report.formats import (
     MISSING,
@@ -283,7 +283,7 @@ def write_releases(path: Path, releases: Releases) -> Path:
         tables=[table for table in releases.tables if table.rows],
         missing=MISSING,
     )
-    write_named_file(path, text.encode())
+    write_bytes_to_file_or_pipe(path, text.encode())
     return path
 
 

@@ -9,7 +9,7 @@ from dpbench.analysis.records.worst_steps import WorstStep, find_step_value, wor
 from dpbench.analysis.times.contrasts import paired_comparison
 from dpbench.analysis.verdict.fastest import best_verdict_by_solver, fastest_first
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
-from dpbench.errors import UnknownNameError, list_allowed
+from dpbench.errors import UnknownNameError, format_allowed_names
 from dpbench.report.embedded_text import not_counted_texts
 from dpbench.report.formats import (
     MISSING,
@@ -179,7 +179,7 @@ def compare_solver(
     best = {v.configuration.solver: v for v in best_verdict_by_solver(data.verdicts)}
     for option, name in (("--for", solver), *(("--against", other) for other in others)):
         if name not in best:
-            raise UnknownNameError(option, "", repr(name), list_allowed(name, sorted(best)))
+            raise UnknownNameError(option, "", repr(name), format_allowed_names(name, sorted(best)))
     named = others or [name for name in USUAL if name in best]
     chosen = [best[name] for name in dict.fromkeys(named) if name != solver]
     worst = worst_steps(data.records, solver)

@@ -18,7 +18,7 @@ from dpbench.bench.record.result_folder import Results, hash_files, load_results
 from dpbench.embedded.table import EMBEDDED_FILE, load_counts
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.opening import read_bytes
-from dpbench.files.writing import replace_file, write_text
+from dpbench.files.writing import write_file_atomically, write_text_atomically
 from dpbench.report.formats import and_list, plural
 from dpbench.report.page.write import FILES
 from dpbench.scenario.problem_files import read_model
@@ -151,12 +151,12 @@ def prepare_sent_folder(folder: Path, target: Path) -> None:
     for name in WHERE_THERE:
         (target / name).unlink(missing_ok=True)
     for name in _files_to_send(folder):
-        with replace_file(target / name) as part:
+        with write_file_atomically(target / name) as part:
             shutil.copyfile(folder / name, part)
     started = str(read_suite(folder).get("started_utc", ""))[:10]
     if not (target / SENDER).is_file():
         when = started or datetime.datetime.now(datetime.UTC).date().isoformat()
-        write_text(target / SENDER, _BLANK.format(when=when))
+        write_text_atomically(target / SENDER, _BLANK.format(when=when))
 
 
 def check_sent_folder(folder: Path) -> str:

@@ -19,7 +19,7 @@ from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.errors import InputError
-from dpbench.files.writing import write_named_file
+from dpbench.files.writing import write_bytes_to_file_or_pipe
 from dpbench.report.charts.style import FAIL, INK, LINE, SOFT
 from dpbench.report.documents.offset_picture import OffsetPicture, find_offset_picture
 from dpbench.report.documents.scenario_words import describe_scenario, describe_thrusters
@@ -76,9 +76,9 @@ def write_statement(path: Path, folder: Path, results: Results, data: PageData) 
     """Write the one-page statement on the recommended solver, as .pdf or .svg."""
     drawn = statement_svg(folder, results, data)
     if path.suffix == ".svg":
-        write_named_file(path, drawn.encode())
+        write_bytes_to_file_or_pipe(path, drawn.encode())
     elif path.suffix == ".pdf":
-        write_named_file(path, vlc.svg_to_pdf(drawn))
+        write_bytes_to_file_or_pipe(path, vlc.svg_to_pdf(drawn))
     else:
         raise InputError("--statement", "", str(path), "a file that ends in .pdf or .svg")
     return path

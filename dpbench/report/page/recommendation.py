@@ -17,7 +17,7 @@ from dpbench.analysis.verdict.fastest import (
 from dpbench.analysis.verdict.speed_margin import SlowStep, largest_stall_ns
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
-from dpbench.errors import InputError, list_allowed
+from dpbench.errors import InputError, format_allowed_names
 from dpbench.report.embedded_text import counted_text
 from dpbench.report.formats import (
     and_list,
@@ -110,7 +110,7 @@ def build_recommendation(
     if baseline is not None:
         own = [c for c in known if c.solver == baseline]
         if not own:
-            solvers = list_allowed(baseline, list(dict.fromkeys(c.solver for c in known)))
+            solvers = format_allowed_names(baseline, list(dict.fromkeys(c.solver for c in known)))
             raise InputError("`baseline`", "", repr(baseline), f"a solver that was run, {solvers}")
         fastest = fastest_configuration(data.verdicts, baseline)
         second = fastest.configuration if fastest else own[0]

@@ -69,7 +69,7 @@ class MeasuredState(Estimator):
     def update(self, measured: Vector, tau: Vector) -> Vector:
         """Return the measurement as the estimate; store its change since the last one."""
         if measured.shape != (STATE,):
-            raise ShapeError.of("MeasuredState", "measured", measured.shape, "shape (6,)")
+            raise ShapeError.from_shapes("MeasuredState", "measured", measured.shape, "shape (6,)")
         estimate, change = self._estimate, self.change
         heading_before = estimate[HEADING]
         np.subtract(measured, estimate, out=change)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.qp.program import CONSTANT, QPStep, QuadraticProgram, rows_per_block
+from dpbench.qp.program import CONSTANT, QPStep, QuadraticProgram, count_rows_per_block
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.adapter import Claim
 from dpbench.solvers.contract import (
@@ -200,22 +200,22 @@ class NativeWorkspace(Workspace):
             raise missing_setup_error("read")
         if self._failure:
             self._unread = False
-            return Solution.missing(self._n, self._m, Status.ERROR, self._failure)
+            return Solution.without_point(self._n, self._m, Status.ERROR, self._failure)
         if not self._done:
-            return Solution.missing(self._n, self._m, Status.ERROR, NOT_SOLVED)
+            return Solution.without_point(self._n, self._m, Status.ERROR, NOT_SOLVED)
         status, iterations, reported_ns, detail = self._read_reported_status()
         detail = "" if status is SOLVED else detail
-        point = self._read_solution_vectors() if status.is_usable else None
+        point = self._read_solution_vectors() if status.is_answer_applied else None
         if point is None:
             counters = iterations, reported_ns
-            solution = Solution.missing(self._n, self._m, status, detail, counters)
+            solution = Solution.without_point(self._n, self._m, status, detail, counters)
         else:
             solution = Solution(status, *point, iterations, reported_ns, detail)
         if self._unread:
             self._unread = False
             # The square of z is finite if z has neither a NaN nor an infinity.
             z = solution.z
-            self._unusable = not (solution.status.is_usable and isfinite(z.dot(z)))
+            self._unusable = not (solution.status.is_answer_applied and isfinite(z.dot(z)))
             if self._warm and not self._unusable:
                 self._store_start(solution)
         return solution
@@ -289,7 +289,7 @@ class WarmStart:
     """The previous answer shifted by one move, to start the next solve; block 0 shifts nothing."""
 
     def __init__(self, n: int, m: int, block: int) -> None:
-        rows = rows_per_block(n, m, block)
+        rows = count_rows_per_block(n, m, block)
         self.z = np.zeros(n)
         self.dual = np.zeros(m + n)
         self.y, self.y_box = self.dual[:m], self.dual[m:]

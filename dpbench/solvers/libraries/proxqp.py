@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 from dpbench.arrays import Vector
-from dpbench.qp.program import rows_per_block
+from dpbench.qp.program import count_rows_per_block
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.adapter import (
     Claim,
@@ -148,7 +148,11 @@ class ProxqpWorkspace(NativeWorkspace):
             guess = self._library.InitialGuess
             solver.settings.initial_guess = guess.COLD_START_WITH_PREVIOUS_RESULT
             if block := self._block:
-                x, z, rows = solver.results.x, solver.results.z, rows_per_block(self._n, m, block)
+                x, z, rows = (
+                    solver.results.x,
+                    solver.results.z,
+                    count_rows_per_block(self._n, m, block),
+                )
                 for part, by in ((x, block), (z[:m], rows), (z[m:], block)):
                     shift_into(part, part.copy(), by)
 

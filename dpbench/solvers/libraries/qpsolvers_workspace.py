@@ -110,7 +110,7 @@ class QpsolversWorkspace(Workspace):
         self._last, self._unread = None, False
         answer = self._answer
         if answer is None:
-            return Solution.missing(n, m, Status.ERROR, self._failure)
+            return Solution.without_point(n, m, Status.ERROR, self._failure)
         status, iterations, reported_ns, detail = self._adapter.read_claimed_status(
             answer, self._options
         )
@@ -118,11 +118,11 @@ class QpsolversWorkspace(Workspace):
             detail = ""
         absent = answer.x is None or np.shape(answer.x) != (n,)
         if absent or not (answer.found or self._adapter.iterate_when_not_found):
-            return Solution.missing(n, m, status, detail, (iterations, reported_ns))
+            return Solution.without_point(n, m, status, detail, (iterations, reported_ns))
         z = np.array(answer.x, dtype=np.float64)
         pair = self._form.convert_qpsolvers_multipliers(answer.z, answer.y, answer.z_box)
         y, y_box = (np.full(m, np.nan), np.full(n, np.nan)) if pair is None else pair
-        if self.policy == "warm" and status.is_usable and np.isfinite(z).all():
+        if self.policy == "warm" and status.is_answer_applied and np.isfinite(z).all():
             self._last = z.copy()
         return Solution(status, z, y, y_box, iterations, reported_ns, detail)
 

@@ -159,7 +159,7 @@ class CompiledWorkspace(Workspace):
 
     def _make_empty_solution(self, status: Status, detail: str) -> Solution:
         """Return an answer without a point, with a status and its detail."""
-        return Solution.missing(len(self._q), len(self._low), status, detail)
+        return Solution.without_point(len(self._q), len(self._low), status, detail)
 
     def reset(self) -> None:
         """Make the next solve start without a warm start, from an empty active set."""

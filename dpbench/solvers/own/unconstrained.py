@@ -56,7 +56,7 @@ class UnconstrainedWorkspace(Workspace):
             raise missing_setup_error("read")
         n, m = self._base.n, self._base.m
         if self._factor is None:
-            return Solution.missing(n, m, Status.ERROR, "P is not positive definite")
+            return Solution.without_point(n, m, Status.ERROR, "P is not positive definite")
         if self._z is None:
-            return Solution.missing(n, m, Status.ERROR, "read before solve")
+            return Solution.without_point(n, m, Status.ERROR, "read before solve")
         return Solution(Status.UNKNOWN, self._z.copy(), np.zeros(m), np.zeros(n), iterations=0)

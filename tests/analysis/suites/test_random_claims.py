@@ -20,7 +20,7 @@ RECIPE = RandomRecipe("plain", 4, 6, 1)
 
 def cell(recipe: RandomRecipe = RECIPE) -> dict[str, str]:
     """The columns that make a row one of a random sequence."""
-    source = {"kind": "random", "name": recipe.name, "recipe": asdict(recipe)}
+    source = {"kind": "random", "name": recipe.sequence_name, "recipe": asdict(recipe)}
     return {"scenario": "", "cell": json.dumps({"source": source})}
 
 

@@ -18,7 +18,7 @@ from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.sequences.capability_boundary import write_capability_suite
 from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.errors import InputError, ResultsError
-from dpbench.qp.referee.referee import certify_sequence
+from dpbench.qp.referee.referee import certify_all_steps
 from dpbench.report.write import write_report
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.capability.conditions import DP_CONDITIONS
@@ -70,7 +70,7 @@ def test_a_direction_has_four_points_around_its_edge() -> None:
 def test_the_referee_agrees(frontier: CapabilityPlot, points: list[batch.Point]) -> None:
     sequence = batch.build_allocation_sequence(frontier, points)
     assert len(sequence) == len(points) == 4 * len(SOME) * 4
-    for point, optimum in zip(points, certify_sequence(sequence), strict=True):
+    for point, optimum in zip(points, certify_all_steps(sequence), strict=True):
         assert (optimum.kind == "infeasible") is not point.held
         assert not point.held or optimum.bound < 1e-10
 

@@ -24,7 +24,7 @@ from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.workers.child import start_forkserver
 from dpbench.bench.workers.jobs import CellBatch, CellJob, Result
 from dpbench.solvers.table import check_availability
-from dpbench.temporary_folders import PREFIX, temporary_folder
+from dpbench.temporary_folders import PREFIX, make_temporary_folder_for_block
 
 pytestmark = pytest.mark.slow
 
@@ -58,7 +58,7 @@ def test_what_a_killed_worker_left_goes_with_the_next_task(place: Path) -> None:
     leases = f"dpbench-leases-{os.getuid()}"
     left = {path.name for path in place.glob("dpbench-*")} - {leases}
     assert left, "nobody tidied up"
-    with temporary_folder(place) as folder:
+    with make_temporary_folder_for_block(place) as folder:
         assert {path.name for path in place.glob("dpbench-*")} == {leases, folder.name}
 
 

@@ -190,7 +190,7 @@ def test_a_claim_of_infeasibility_is_true_where_no_point_is_feasible() -> None:
     infeasible = Status.PRIMAL_INFEASIBLE
     assert evaluation(qp, [1.0, 0.0], [1.0, 0.0], infeasible)["true"] == 0.0
     empty = replace(qp, l=np.full(2, 3.0), u=np.full(2, 4.0))
-    (found,) = evaluations([(empty, Solution.missing(2, 2, infeasible))])
+    (found,) = evaluations([(empty, Solution.without_point(2, 2, infeasible))])
     assert found["true"] == 1.0 and np.isnan(found["error_move"])
 
 
@@ -200,7 +200,7 @@ def test_a_wrong_last_move_is_an_error_of_the_plan_alone() -> None:
 
 
 def test_no_answer_is_infinitely_wrong() -> None:
-    (found,) = evaluations([(problem([-2.0, 0.0]), Solution.missing(2, 2, Status.SOLVED))])
+    (found,) = evaluations([(problem([-2.0, 0.0]), Solution.without_point(2, 2, Status.SOLVED))])
     assert {found[name] for name in ("error_move", "error_plan", "primal", "dual")} == {np.inf}
     assert found["true"] == 0.0
 
@@ -250,7 +250,7 @@ def test_many_answers_are_judged_as_each_by_itself(monkeypatch: pytest.MonkeyPat
         if i % 5 == 1:
             answer.y[:], answer.y_box[:] = np.nan, np.nan
         if i % 5 == 2:
-            answer = Solution.missing(2, 2, Status.PRIMAL_INFEASIBLE)
+            answer = Solution.without_point(2, 2, Status.PRIMAL_INFEASIBLE)
         cases.append((problem(rng.normal(size=2).tolist()), answer))
     one_by_one = [[*evaluations([case])[0].values()] for case in cases]
     for most in (7, 128):

@@ -44,7 +44,7 @@ class FailingAt(Workspace):
         answer = self._inner.read()
         if self._k not in self._steps:
             return answer
-        return Solution.missing(len(answer.z), len(answer.y), FAILED, "forced")
+        return Solution.without_point(len(answer.z), len(answer.y), FAILED, "forced")
 
 
 @pytest.fixture(scope="module")

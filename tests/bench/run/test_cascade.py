@@ -25,7 +25,7 @@ from dpbench.bench.sequences.source import log_size
 from dpbench.errors import InputError
 from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.referee.referee import certify_sequence
+from dpbench.qp.referee.referee import certify_all_steps
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario, build_scenario, load_scenario
 from dpbench.ship.plant import SUBSTEPS, Plant
@@ -184,7 +184,7 @@ def test_a_tripped_board_gives_nothing_at_once_and_its_allocations_are_rebuilt()
     np.testing.assert_allclose(exact.thrust[20:, [0, 2, 3]], 0.0, atol=1e-6)
     assert np.abs(exact.thrust[19, [0, 2, 3]]).max() > 1e3
     sequence = rebuild_sequence(case, exact, part="allocation", first=18, count=5)
-    for optimum, known in zip(certify_sequence(sequence), exact.allocated[18:23], strict=True):
+    for optimum, known in zip(certify_all_steps(sequence), exact.allocated[18:23], strict=True):
         np.testing.assert_allclose(optimum.z, known.z, atol=1e-12)
 
 

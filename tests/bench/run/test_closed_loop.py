@@ -142,7 +142,7 @@ def failing_from(first: int, status: Status = Status.PRIMAL_INFEASIBLE) -> Answe
     def answer(k: int, step: QPStep) -> Solution:
         if k < first:
             return Solution(Status.SOLVED, plan, np.zeros(15), np.zeros(15))
-        return Solution.missing(15, 15, status)
+        return Solution.without_point(15, 15, status)
 
     return answer
 
@@ -157,7 +157,7 @@ def test_shifted_plan_follows_the_last_plan_then_holds(scenario: Scenario) -> No
 
 def test_a_step_without_certificate(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
     """A loop has its table although a step has no certificate; its QPs are not published."""
-    certify, count = Referee.certify, itertools.count()
+    certify, count = Referee.certify_vectors, itertools.count()
 
     def fail_at_five(referee: Referee, *vectors: Any) -> Optimum:
         optimum = certify(referee, *vectors)
@@ -166,7 +166,7 @@ def test_a_step_without_certificate(scenario: Scenario, monkeypatch: pytest.Monk
         n, m = len(optimum.z), len(optimum.y)
         return Optimum(*(np.full(size, np.nan) for size in (n, m, n)), np.inf, "none")
 
-    monkeypatch.setattr(Referee, "certify", fail_at_five)
+    monkeypatch.setattr(Referee, "certify_vectors", fail_at_five)
     exact = solve_exactly(scenario.truncate(8))
     assert [optimum.kind == "none" for optimum in exact.optima] == [k == 5 for k in range(8)]
     du_max = scenario.problem.du_max

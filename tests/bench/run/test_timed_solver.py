@@ -110,7 +110,9 @@ class Leaving(Workspace):
     def read(self) -> Solution:
         answer = self._inner.read()
         if self._k == self._at and self._fails:
-            return Solution.missing(len(answer.z), len(answer.y), Status.TIME_LIMIT, HANG_DETAIL)
+            return Solution.without_point(
+                len(answer.z), len(answer.y), Status.TIME_LIMIT, HANG_DETAIL
+            )
         return answer
 
     def setup(self, qp: QuadraticProgram) -> None:

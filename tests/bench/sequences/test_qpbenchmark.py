@@ -16,8 +16,8 @@ from dpbench.bench.sequences.recording import record_scenario
 from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.random_recipe import RandomRecipe
-from dpbench.qp.random_sequence import random_sequence
-from dpbench.qp.referee.referee import certify_sequence
+from dpbench.qp.random_sequence import generate_random_sequence
+from dpbench.qp.referee.referee import certify_all_steps
 
 SOLVERS = ("daqp", "osqp")
 RTOL = 1e-9
@@ -38,7 +38,7 @@ def mixed() -> Recorded:
     lb, ub = np.array([-1.0, -np.inf, -0.5, -1.0]), np.array([1.0, 2.0, np.inf, 0.5])
     base = QuadraticProgram(L @ L.T + np.eye(n), q[0], A, low[0], high[0], lb, ub)
     sequence = QPSequence("mixed", base, q, low, high)
-    return Recorded(sequence, certify_sequence(sequence))
+    return Recorded(sequence, certify_all_steps(sequence))
 
 
 def two_sided(qp: QuadraticProgram, answer: Any) -> Solution:
@@ -136,9 +136,9 @@ def test_the_table_holds_the_problems(tmp_path: Path) -> None:
 
 def test_steps_without_an_optimum_are_left_out(tmp_path: Path) -> None:
     recipe = RandomRecipe("infeasible_steps", 4, 6, 1, steps=6)
-    sequence = random_sequence(recipe)
+    sequence = generate_random_sequence(recipe)
     table, _ = save_qpbenchmark(
-        tmp_path / "some.py", Recorded(sequence, certify_sequence(sequence))
+        tmp_path / "some.py", Recorded(sequence, certify_all_steps(sequence))
     )
     # Every third step of this family contradicts itself.
     names = pd.read_parquet(table)["name"].tolist()

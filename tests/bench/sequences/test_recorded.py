@@ -18,7 +18,7 @@ from dpbench.bench.record.cell import Cell
 from dpbench.bench.sequences.qpsolvers_files import read_problems
 from dpbench.bench.sequences.recording import record_scenario
 from dpbench.cli.main import main
-from dpbench.qp.referee.referee import certify_sequence
+from dpbench.qp.referee.referee import certify_all_steps
 from dpbench.report.write import write_report
 
 TARGETS = {2: -0.75, 10: -0.5, 11: 2.0}
@@ -62,7 +62,7 @@ def test_files_come_in_natural_order_with_the_optima_of_a_hand_calculation(folde
     assert (sequence.name, len(sequence), sequence.P, sequence.lb) == ("robot", 3, None, None)
     assert sequence.base.l.tolist() == [-np.inf, 3.0]
     assert sequence.q[:, 0].tolist() == [0.75, 0.5, -2.0]
-    for found, a in zip(certify_sequence(sequence), TARGETS.values(), strict=True):
+    for found, a in zip(certify_all_steps(sequence), TARGETS.values(), strict=True):
         assert found.bound < 1e-9
         np.testing.assert_allclose(found.z, optimum(a), atol=1e-9)
 
@@ -76,19 +76,19 @@ def test_what_changes_between_files_stands_per_step(folder: Path) -> None:
     assert sequence.P[:, 0, 0].tolist() == [1.0, 2.0, 1.0]
     assert sequence.ub[:, 1].tolist() == [9.0, 8.0, 9.0]
     # With x₀² instead of ½x₀² the minimum is at (a + 1)/2.
-    np.testing.assert_allclose(certify_sequence(sequence)[1].z, [0.75, 2.25, 0.5], atol=1e-9)
+    np.testing.assert_allclose(certify_all_steps(sequence)[1].z, [0.75, 2.25, 0.5], atol=1e-9)
 
 
 def test_a_problem_without_rows_or_bounds_is_read(tmp_path: Path) -> None:
     Problem(np.eye(2), np.array([1.0, -2.0])).save(str(tmp_path / "0.npz"))
     sequence = read_problems(tmp_path)
     assert sequence.base.m == 0 and np.isinf(sequence.base.lb).all()
-    np.testing.assert_allclose(certify_sequence(sequence)[0].z, [-1.0, 2.0], atol=1e-12)
+    np.testing.assert_allclose(certify_all_steps(sequence)[0].z, [-1.0, 2.0], atol=1e-12)
     G, h = np.array([1.0, 1.0]), np.array([0.0])
     Problem(np.eye(2), np.array([1.0, -2.0]), G, h).save(str(tmp_path / "0.npz"))
     sequence = read_problems(tmp_path)
     assert sequence.base.m == 1
-    np.testing.assert_allclose(certify_sequence(sequence)[0].z, [-1.5, 1.5], atol=1e-12)
+    np.testing.assert_allclose(certify_all_steps(sequence)[0].z, [-1.5, 1.5], atol=1e-12)
 
 
 Arrays = dict[str, Any]

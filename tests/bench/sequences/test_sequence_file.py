@@ -24,10 +24,10 @@ from dpbench.bench.sequences.recording import record_scenario
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.bench.sequences.verify import _check_step
 from dpbench.errors import ShapeError
-from dpbench.qp.program import Units, convert_units
+from dpbench.qp.program import Units, convert_sequence_to_units
 from dpbench.qp.random_recipe import RandomRecipe
-from dpbench.qp.random_sequence import random_sequence
-from dpbench.qp.referee.referee import certify, certify_sequence
+from dpbench.qp.random_sequence import generate_random_sequence
+from dpbench.qp.referee.referee import certify, certify_all_steps
 
 Arrays = dict[str, Any]
 STEPS = 30
@@ -92,8 +92,8 @@ def same(found: QPSequence, wanted: QPSequence, rtol: float = 0.0) -> None:
 @pytest.mark.parametrize("family", ["infeasible_steps", "infinite_bounds", "no_rows"])
 def test_a_random_sequence_survives_its_file(family: str, tmp_path: Path) -> None:
     rows = 0 if family == "no_rows" else 6
-    sequence = random_sequence(RandomRecipe(family, 4, rows, 1, steps=6, block=2))
-    optima = certify_sequence(sequence)
+    sequence = generate_random_sequence(RandomRecipe(family, 4, rows, 1, steps=6, block=2))
+    optima = certify_all_steps(sequence)
     save_sequence(tmp_path / "one.npz", sequence, optima)
     recorded = load_recorded(tmp_path / "one.npz")
     same(recorded.sequence, sequence)
@@ -252,9 +252,9 @@ def test_read_in_si_and_written_it_is_the_same_file(tmp_path: Path) -> None:
 @given(seed=st.integers(0, 10_000), moves=st.integers(2, 5), rows=st.integers(1, 5))
 def test_a_change_of_units_keeps_cost_and_feasibility(seed: int, moves: int, rows: int) -> None:
     rng = np.random.default_rng(seed)
-    scaled = random_sequence(RandomRecipe("plain", moves, rows, seed, steps=2))
+    scaled = generate_random_sequence(RandomRecipe("plain", moves, rows, seed, steps=2))
     units = Units(10.0 ** rng.uniform(-2, 4, moves), 10.0 ** rng.uniform(-2, 4, rows))
-    own = convert_units(scaled, units)
+    own = convert_sequence_to_units(scaled, units)
     for k in range(2):
         z = rng.standard_normal(moves)
         before, after = scaled.problem(k), own.problem(k)
@@ -267,14 +267,14 @@ def test_a_change_of_units_keeps_cost_and_feasibility(seed: int, moves: int, row
 
 def test_a_sequence_without_si_units_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "random.npz"
-    sequence = random_sequence(RandomRecipe("plain", 3, 2, 1, steps=2))
+    sequence = generate_random_sequence(RandomRecipe("plain", 3, 2, 1, steps=2))
     save_sequence(path, sequence)
     with pytest.raises(InputError, match=r"random.npz: unit_z, unit_row"):
         load_sequence(path, units="si")
     with pytest.raises(InputError, match="'imperial'"):
         load_sequence(path, units="imperial")
     with pytest.raises(ShapeError, match="row"):
-        convert_units(sequence, Units(np.ones(3), np.ones(3)))
+        convert_sequence_to_units(sequence, Units(np.ones(3), np.ones(3)))
 
 
 def test_no_other_format_is_written_under_a_foreign_suffix(tmp_path: Path) -> None:

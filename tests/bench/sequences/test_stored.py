@@ -79,7 +79,7 @@ def test_sampled_optima_are_found_again(name: str) -> None:
     sequence, optima = recorded.sequence, recorded.optima or []
     for k in (0, len(sequence) // 2, len(sequence) - 1):
         qp, stored = sequence.problem(k), optima[k]
-        again = Referee(qp.P, qp.A, qp.lb, qp.ub).certify(qp.q, qp.l, qp.u)
+        again = Referee(qp.P, qp.A, qp.lb, qp.ub).certify_vectors(qp.q, qp.l, qp.u)
         assert (again.kind == "infeasible") == (stored.kind == "infeasible")
         if stored.kind == "infeasible":
             continue

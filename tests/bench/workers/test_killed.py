@@ -60,7 +60,7 @@ def undisturbed(suite: Path) -> Path:
         # The public steps are written, and in no place yet; the parts are.
         ("StepFile.close:1", CELLS),
         # The public steps are in their place, without their runs.
-        ("replace_durably:1", CELLS),
+        ("rename_durably:1", CELLS),
         # All is written, and the parts are still there.
         ("write_runs:1", ROWS),
     ],

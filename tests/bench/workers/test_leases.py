@@ -15,7 +15,7 @@ from dpbench import load_results, locks, run_campaign
 from dpbench.bench.progress import Silent
 from dpbench.cli.main import main
 from dpbench.errors import InputError
-from dpbench.locks import BusyError, lease_core, open_lease_folder
+from dpbench.locks import BusyError, find_safe_lock_folder, hold_free_core_lock
 from dpbench.notebook.runs import run_closed_loop
 from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.open import open_workspace
@@ -26,9 +26,9 @@ pytestmark = pytest.mark.slow
 HEAD: dict[str, Any] = {"rounds": 1, "warmup_steps": 0}
 LOOPS = suite_toml(**HEAD, closed_loop=[{"scenarios": ["paper"], "steps": 5}])
 REPLAYS = suite_toml(**HEAD, replay=[{"scenario": "paper", "steps": 5}])
-OTHERS = "lease_machine({}, Holder('results/other'))"
+OTHERS = "hold_machine_lock({}, Holder('results/other'))"
 HOLDING = """
-from dpbench.locks import EXCLUSIVE, SHARED, Holder, lease_core, lease_machine
+from dpbench.locks import EXCLUSIVE, SHARED, Holder, hold_free_core_lock, hold_machine_lock
 with {lease} as held:
     print(held, flush=True)
     input()
@@ -56,13 +56,13 @@ def temporary_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.alone  # What runs side by side has one core each.
 def test_a_core_is_leased_to_one_process_at_a_time() -> None:
     cores = sorted(os.sched_getaffinity(0))
-    with holding("lease_core()") as (_, core):
+    with holding("hold_free_core_lock()") as (_, core):
         taken = int(core)
-        with lease_core() as first, lease_core() as second:
+        with hold_free_core_lock() as first, hold_free_core_lock() as second:
             assert taken in cores and (first != taken or len(cores) == 1)
             # More work than cores: one of them has two.
             assert second in cores
-    with lease_core() as core_again:
+    with hold_free_core_lock() as core_again:
         assert core_again == taken == cores[0]
 
 
@@ -129,10 +129,10 @@ def test_nobody_waits_without_timing(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 def test_a_campaign_that_was_killed_is_not_named(tmp_path: Path) -> None:
     with holding(OTHERS.format("SHARED")) as (killed, _):
-        named = (open_lease_folder() / "machine").read_text(encoding="utf-8")
+        named = (find_safe_lock_folder() / "machine").read_text(encoding="utf-8")
     assert f'"pid": {killed.pid}' in named
     with holding(OTHERS.format("SHARED")) as (other, _):
-        with (open_lease_folder() / "machine").open("a", encoding="utf-8") as file:
+        with (find_safe_lock_folder() / "machine").open("a", encoding="utf-8") as file:
             file.write('null\n{"pid": 1, "since": 1e99, "work": ""}\n\x00[[[\n')
         with pytest.raises(BusyError) as busy:
             run_suite(tmp_path, REPLAYS, wait_s=0.0)

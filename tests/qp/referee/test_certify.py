@@ -12,13 +12,23 @@ import quadprog
 from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.program import ARRAYS, QPStep, QuadraticProgram
 from dpbench.qp.referee import oracle
-from dpbench.qp.referee.dyadic import Dyadic, is_semidefinite
-from dpbench.qp.referee.gap import gap_certificate
-from dpbench.qp.referee.kkt import Geometry, KKTSystem, is_positive_definite, linear_certificate
+from dpbench.qp.referee.dyadic import Dyadic, is_integer_matrix_semidefinite
+from dpbench.qp.referee.gap import prove_optimum_by_duality_gap
+from dpbench.qp.referee.kkt import (
+    Geometry,
+    KKTSystem,
+    is_proven_positive_definite,
+    prove_optimum_by_kkt_error_bounds,
+)
 from dpbench.qp.referee.optimum import ExactMatrices, JointQP, Optimum
-from dpbench.qp.referee.rational import rational_certificate
-from dpbench.qp.referee.referee import Referee, certify, get_shared_referee, measure_error
-from dpbench.qp.residuals import is_true, residuals
+from dpbench.qp.referee.rational import prove_optimum_in_exact_arithmetic
+from dpbench.qp.referee.referee import (
+    Referee,
+    certify,
+    get_shared_referee,
+    measure_first_move_and_plan_error,
+)
+from dpbench.qp.residuals import is_answer_correct, residuals
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import condense, load_scenario
 from tests.qp.referee.test_kernels import solve_exactly
@@ -73,19 +83,19 @@ def test_bounds_of_the_inverse_hold(seed: int) -> None:
     qp = _random(5, 3, seed, condition=1e7)
     signs = np.array([1, -1, 0, 0, 0, 1, 0, 0], dtype=np.int8)
     system = KKTSystem(qp.P, np.vstack((qp.A, np.eye(5))), signs)
-    assert system.is_proven
-    inverse = system.inverse_bounds()
+    assert system.is_proven_nonsingular
+    inverse = system.bound_inverse_entrywise()
     for j in range(8):
         pairs = zip(solve_exactly(system.K, np.eye(8)[j]), inverse[:, j].tolist(), strict=True)
         assert all(abs(value) <= Fraction(bound) for value, bound in pairs)
 
 
 def test_singular_matrix_is_not_proven_definite() -> None:
-    assert is_positive_definite(np.diag([1.0, 1e-8]))
+    assert is_proven_positive_definite(np.diag([1.0, 1e-8]))
     for smallest in (0.0, -1e-18, -1e-8):
-        assert not is_positive_definite(np.diag([1.0, smallest]))
+        assert not is_proven_positive_definite(np.diag([1.0, smallest]))
     v = np.array([[1.0], [0.1]])
-    assert not is_positive_definite(v @ v.T)
+    assert not is_proven_positive_definite(v @ v.T)
 
 
 def test_definiteness_survives_rounding() -> None:
@@ -93,9 +103,9 @@ def test_definiteness_survives_rounding() -> None:
     for seed in range(100):
         B = np.random.default_rng(seed).normal(size=(2, 3))
         P = 0.5 * (B.T @ B + (B.T @ B).T)
-        if not is_semidefinite(Dyadic.of(P).whole):
+        if not is_integer_matrix_semidefinite(Dyadic.from_floats(P).whole):
             indefinite += 1
-            assert not is_positive_definite(P)
+            assert not is_proven_positive_definite(P)
     assert indefinite > 10
 
 
@@ -125,7 +135,7 @@ def test_nothing_is_claimed_without_a_unique_optimum(last: float, q: list[float]
     optimum = certify(QuadraticProgram(np.diag([1.0, last]), q, np.zeros((0, 2)), [], [], *BOX))
     assert (optimum.kind, optimum.bound) == ("none", INF)
     assert np.isnan(optimum.z).all()
-    assert np.isnan(measure_error(np.zeros(2), optimum, 0)).all()
+    assert np.isnan(measure_first_move_and_plan_error(np.zeros(2), optimum, 0)).all()
 
 
 @pytest.mark.parametrize(
@@ -151,11 +161,11 @@ def test_inputs_are_copied_and_left_alone() -> None:
     qp = _random(6, 5, 3)
     given = qp.copy()
     referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
-    first = referee.certify(qp.q, qp.l, qp.u)
+    first = referee.certify_vectors(qp.q, qp.l, qp.u)
     assert all((getattr(qp, name) == getattr(given, name)).all() for name in ARRAYS)
     kept = first.z.copy()
     qp.P[:], qp.A[:], qp.lb[:], qp.ub[:] = 0.0, 0.0, 0.0, 0.0
-    again = referee.certify(given.q, given.l, given.u)
+    again = referee.certify_vectors(given.q, given.l, given.u)
     assert (again.z == kept).all() and (first.z == kept).all()
 
 
@@ -186,18 +196,20 @@ def test_linear_certificate(q: tuple[float, float]) -> None:
     problem = _problem(q)
     for signs in ACTIVE_SETS:
         system = KKTSystem(problem.P, problem.C, signs)
-        if system.is_proven:
-            proof = linear_certificate(problem, Geometry(problem.C), system)
+        if system.is_proven_nonsingular:
+            proof = prove_optimum_by_kkt_error_bounds(problem, Geometry(problem.C), system)
             assert proof is None or np.abs(proof.z - CASES[q]).max() <= proof.bound <= 1e-12
 
 
 @pytest.mark.parametrize("q", CASES)
 def test_gap_certificate(q: tuple[float, float]) -> None:
     problem = _problem(q)
-    exact = ExactMatrices.of(problem.P, problem.C)
+    exact = ExactMatrices.from_float_matrices(problem.P, problem.C)
     systems, bounds = partial(KKTSystem, problem.P, problem.C), []
     for signs in ACTIVE_SETS:
-        proof = gap_certificate(problem, exact, systems, signs, np.eye(2) * (1.0 + 1e-12))
+        proof = prove_optimum_by_duality_gap(
+            problem, exact, systems, signs, np.eye(2) * (1.0 + 1e-12)
+        )
         if proof is not None:
             assert np.abs(proof.z - CASES[q]).max() <= proof.bound
             bounds.append(proof.bound)
@@ -207,9 +219,9 @@ def test_gap_certificate(q: tuple[float, float]) -> None:
 @pytest.mark.parametrize("q", CASES)
 def test_rational_certificate(q: tuple[float, float]) -> None:
     problem = _problem(q)
-    exact = ExactMatrices.of(problem.P, problem.C)
+    exact = ExactMatrices.from_float_matrices(problem.P, problem.C)
     for signs in ACTIVE_SETS:
-        proof = rational_certificate(problem, exact, signs)
+        proof = prove_optimum_in_exact_arithmetic(problem, exact, signs)
         assert proof is not None
         # All coordinates of these optima are float64 numbers.
         assert tuple(proof.z) == CASES[q]
@@ -231,11 +243,11 @@ def test_steps_of_a_scenario(name: str, drop: bool) -> None:
         limits = Limits(0.4 * control.u_min, 0.4 * control.u_max) if drop else None
         step = builder.emit(x, y_ref, u_prev, limits=limits)
         qp = builder.problem(step)
-        optimum = referee.certify(step.q, step.l, step.u)
+        optimum = referee.certify_vectors(step.q, step.l, step.u)
         assert optimum.kind == "linear"
         assert optimum.bound <= 1e-12
         answer = Solution(Status.UNKNOWN, optimum.z, optimum.y, optimum.y_box)
-        assert is_true(qp, residuals(qp, answer), 0.0, 1e-6)
+        assert is_answer_correct(qp, residuals(qp, answer), 0.0, 1e-6)
         # quadprog wants some interior: limits a part in 1e9 wider move z by no more than
         # 1e-9 times the Lipschitz constant of the optimum, which cond(P) < 1e3 bounds.
         wider = np.concatenate((step.l, qp.lb, -step.u, -qp.ub)) - 1e-9
@@ -253,7 +265,7 @@ def test_what_is_known_of_the_matrices_changes_no_answer() -> None:
         run.append(builder.emit(x, y_ref, builder.control.u_max * rng.uniform(-1.0, 1.0, 3)))
 
     def certified(referee: Referee, run: int) -> list[Optimum]:
-        return [referee.certify(step.q, step.l, step.u) for step in runs[run]]
+        return [referee.certify_vectors(step.q, step.l, step.u) for step in runs[run]]
 
     alone = [certified(Referee(*matrices), run) for run in range(2)]
     for run in (0, 1, 1, 0):

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.referee.feasibility.implied import fix_forced_variables
+from dpbench.qp.referee.feasibility.implied import fix_variables_forced_to_bounds
 from dpbench.qp.referee.optimum import ExactMatrices, JointQP
-from dpbench.qp.referee.rational import rational_certificate
+from dpbench.qp.referee.rational import prove_optimum_in_exact_arithmetic
 from dpbench.qp.referee.referee import certify
-from dpbench.qp.residuals import fit_multipliers, is_true, residuals
+from dpbench.qp.residuals import fit_row_and_bound_multipliers, is_answer_correct, residuals
 from dpbench.qp.solution import Solution, Status
 
 BOUND = 1e-9
@@ -136,9 +136,9 @@ def test_certified_multipliers_explain_the_optimum(known: Known) -> None:
     qp = known.qp
     optimum = certify(qp)
     own = Solution(Status.UNKNOWN, optimum.z, optimum.y, optimum.y_box)
-    best = Solution(Status.UNKNOWN, known.z, *fit_multipliers(qp, known.z, 1e-6))
+    best = Solution(Status.UNKNOWN, known.z, *fit_row_and_bound_multipliers(qp, known.z, 1e-6))
     for answer in (own, best):
-        assert is_true(qp, residuals(qp, answer), 0.0, 1e-6)
+        assert is_answer_correct(qp, residuals(qp, answer), 0.0, 1e-6)
         # 1e-9 of the size of the multipliers, which are below 2^25 here.
         assert residuals(qp, answer).complementarity <= 1e-9 * (1.0 + np.abs(qp.q).max())
 
@@ -167,17 +167,19 @@ def test_dropped_limit_has_a_cheap_certificate(blocks: int, forced: int, seed: i
     assert optimum.kind == "linear"
     assert optimum.bound <= 1e-12
     answer = Solution(Status.UNKNOWN, optimum.z, optimum.y, optimum.y_box)
-    assert is_true(qp, residuals(qp, answer), 0.0, 1e-6)
+    assert is_answer_correct(qp, residuals(qp, answer), 0.0, 1e-6)
     assert residuals(qp, answer).complementarity <= 1e-9
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_fixing_keeps_the_optimum(seed: int) -> None:
     qp = _dropped(3, 2, seed)
-    joint = JointQP.of(qp)
-    assert fix_forced_variables(joint) is not None
+    joint = JointQP.from_qp(qp)
+    assert fix_variables_forced_to_bounds(joint) is not None
     guess = np.zeros(qp.n + qp.m, dtype=np.int8)
-    exact = rational_certificate(joint, ExactMatrices.of(joint.P, joint.C), guess)
+    exact = prove_optimum_in_exact_arithmetic(
+        joint, ExactMatrices.from_float_matrices(joint.P, joint.C), guess
+    )
     optimum = certify(qp)
     assert exact is not None
     assert np.abs(exact.z - optimum.z).max() <= exact.bound + optimum.bound
@@ -187,7 +189,7 @@ def test_one_bit_of_freedom_is_not_forcing() -> None:
     one, ten = np.ones(1), np.full(1, 10.0)
     for limit, forcing in ((-10.0, True), (np.nextafter(-10.0, 0.0), False)):
         qp = QuadraticProgram(np.eye(1), one, np.eye(1), [-np.inf], [limit], -ten, ten)
-        assert (fix_forced_variables(JointQP.of(qp)) is not None) is forcing
+        assert (fix_variables_forced_to_bounds(JointQP.from_qp(qp)) is not None) is forcing
         optimum = certify(qp)
         assert abs(optimum.z[0] + 10.0) <= optimum.bound + 2e-15
         assert optimum.bound <= 1e-12

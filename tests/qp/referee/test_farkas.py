@@ -11,12 +11,17 @@ from hypothesis import strategies as st
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee import referee
 from dpbench.qp.referee.feasibility.farkas import (
-    certify_infeasible,
-    certify_unbounded,
-    farkas_valid,
-    unbounded_valid,
+    find_farkas_vector,
+    find_unbounded_direction,
+    is_direction_proof_of_unboundedness,
+    is_farkas_vector_proof,
 )
-from dpbench.qp.referee.referee import Referee, certify, claim_is_true, measure_error
+from dpbench.qp.referee.referee import (
+    Referee,
+    certify,
+    is_infeasibility_or_unboundedness_claim_true,
+    measure_first_move_and_plan_error,
+)
 from dpbench.qp.solution import Solution, Status
 
 INF = np.inf
@@ -46,12 +51,12 @@ def _infeasible(seed: int, n: int, m: int, boxed: bool) -> tuple[QuadraticProgra
 @given(seeds, st.integers(1, 6), st.integers(2, 7), st.booleans())
 def test_infeasible_problems_are_recognised(seed: int, n: int, m: int, boxed: bool) -> None:
     qp, y = _infeasible(seed, n, m, boxed)
-    assert farkas_valid(qp, y, -(y @ qp.A))
+    assert is_farkas_vector_proof(qp, y, -(y @ qp.A))
     optimum = certify(qp)
     assert optimum.kind == "infeasible"
-    assert farkas_valid(qp, optimum.y, optimum.y_box)
+    assert is_farkas_vector_proof(qp, optimum.y, optimum.y_box)
     assert np.isnan(optimum.z).all()
-    assert np.isnan(measure_error(np.zeros(n), optimum, 0)).all()
+    assert np.isnan(measure_first_move_and_plan_error(np.zeros(n), optimum, 0)).all()
 
 
 @pytest.mark.slow
@@ -64,11 +69,11 @@ def test_no_vector_refutes_a_feasible_problem(seed: int, n: int, m: int) -> None
     free = np.where(rng.random((4, max(m, n))) < 0.3, INF, 0.0)
     row, box = (A @ z - free[0, :m], A @ z + free[1, :m]), (z - free[2, :n], z + free[3, :n])
     qp = QuadraticProgram(np.eye(n), rng.normal(size=n), A, *row, *box)
-    assert certify_infeasible(qp) is None
+    assert find_farkas_vector(qp) is None
     for _ in range(10):
         y = rng.integers(-3, 4, m).astype(float)
-        assert not farkas_valid(qp, y, -(y @ A))
-        assert not farkas_valid(qp, y + 1e-9 * rng.normal(size=m), -(y @ A))
+        assert not is_farkas_vector_proof(qp, y, -(y @ A))
+        assert not is_farkas_vector_proof(qp, y + 1e-9 * rng.normal(size=m), -(y @ A))
 
 
 @settings(max_examples=40, derandomize=True, deadline=None)
@@ -78,22 +83,22 @@ def test_false_vectors_are_refused(seed: int) -> None:
     y_box = -(y @ qp.A)
     wrong = [(-y, -y_box), (y, y_box + 1.0), (0.0 * y, 0.0 * y_box), (y[:2], y_box)]
     wrong += [(np.full(4, np.nan), y_box), (y, np.full(3, np.nan))]
-    assert not any(farkas_valid(qp, *vector) for vector in wrong)
+    assert not any(is_farkas_vector_proof(qp, *vector) for vector in wrong)
 
 
 def test_vector_must_balance_to_the_last_bit_on_infinite_bounds() -> None:
     A = np.array([[0.1, 1.0], [-0.1, -1.0]])
     free = np.full(2, INF)
     qp = QuadraticProgram(np.eye(2), [0.0, 0.0], A, [-INF] * 2, [1.0, -2.0], -free, free)
-    assert farkas_valid(qp, np.array([1.0, 1.0]), np.zeros(2))
-    assert not farkas_valid(qp, np.array([1.0, 1.0 + 2.0**-52]), np.zeros(2))
+    assert is_farkas_vector_proof(qp, np.array([1.0, 1.0]), np.zeros(2))
+    assert not is_farkas_vector_proof(qp, np.array([1.0, 1.0 + 2.0**-52]), np.zeros(2))
 
 
 def test_infinite_limits_cannot_be_named() -> None:
     A = np.array([[1.0]])
     qp = QuadraticProgram(np.eye(1), [0.0], A, [3.0], [INF], [-1.0], [1.0])
-    assert farkas_valid(qp, np.array([-1.0]), np.array([1.0]))
-    assert not farkas_valid(qp, np.array([1.0]), np.array([-1.0]))
+    assert is_farkas_vector_proof(qp, np.array([-1.0]), np.array([1.0]))
+    assert not is_farkas_vector_proof(qp, np.array([1.0]), np.array([-1.0]))
 
 
 @pytest.mark.parametrize("limit", [0.3, 1.0, 7.7])
@@ -104,12 +109,14 @@ def test_feasible_by_one_point_and_infeasible_by_one_bit(limit: float) -> None:
     feasible, rounded, empty = (certify(qp) for qp in qps)
     assert abs(feasible.z[0] - limit) <= feasible.bound <= 1e-12
     assert (rounded.kind, empty.kind) == ("undecided", "infeasible")
-    assert farkas_valid(qps[1], rounded.y, rounded.y_box)
-    assert farkas_valid(qps[2], empty.y, empty.y_box)
+    assert is_farkas_vector_proof(qps[1], rounded.y, rounded.y_box)
+    assert is_farkas_vector_proof(qps[2], empty.y, empty.y_box)
 
 
 def _claim(qp: QuadraticProgram, status: Status) -> bool:
-    return claim_is_true(qp, Solution.missing(qp.n, qp.m, status), certify(qp))
+    return is_infeasibility_or_unboundedness_claim_true(
+        qp, Solution.without_point(qp.n, qp.m, status), certify(qp)
+    )
 
 
 def test_a_false_infeasible_is_as_wrong_as_a_false_solved() -> None:
@@ -120,8 +127,8 @@ def test_a_false_infeasible_is_as_wrong_as_a_false_solved() -> None:
     assert not _claim(full, Status.DUAL_INFEASIBLE)
     assert not _claim(empty, Status.SOLVED)
     forged = Solution(Status.PRIMAL_INFEASIBLE, np.zeros(3), y, -(y @ empty.A))
-    assert not claim_is_true(full, forged, certify(full))
-    assert claim_is_true(empty, forged, certify(full))
+    assert not is_infeasibility_or_unboundedness_claim_true(full, forged, certify(full))
+    assert is_infeasibility_or_unboundedness_claim_true(empty, forged, certify(full))
 
 
 def test_unbounded_problems() -> None:
@@ -129,16 +136,16 @@ def test_unbounded_problems() -> None:
     A = np.array([[0.0, 1.0, -3.0]])
     q = np.array([0.0, -1.0, 0.0])
     open_qp = QuadraticProgram(P, q, A, [-1.0], [1.0], -free, free)
-    d = certify_unbounded(open_qp)
+    d = find_unbounded_direction(open_qp)
     assert d is not None
-    assert unbounded_valid(open_qp, d)
-    assert unbounded_valid(open_qp, np.array([0.0, 3.0, 1.0]))
+    assert is_direction_proof_of_unboundedness(open_qp, d)
+    assert is_direction_proof_of_unboundedness(open_qp, np.array([0.0, 3.0, 1.0]))
     for wrong in ([0.0, -3.0, -1.0], [1.0, 3.0, 1.0], [0.0, 1.0, 0.0], [0.0, 3.0, np.nan]):
-        assert not unbounded_valid(open_qp, np.array(wrong))
+        assert not is_direction_proof_of_unboundedness(open_qp, np.array(wrong))
     assert _claim(open_qp, Status.DUAL_INFEASIBLE)
     closed = QuadraticProgram(P, q, A, [-1.0], [1.0], -free, np.full(3, 5.0))
-    assert certify_unbounded(closed) is None
-    assert not unbounded_valid(closed, np.array([0.0, 3.0, 1.0]))
+    assert find_unbounded_direction(closed) is None
+    assert not is_direction_proof_of_unboundedness(closed, np.array([0.0, 3.0, 1.0]))
     assert not _claim(closed, Status.DUAL_INFEASIBLE)
 
 
@@ -152,16 +159,16 @@ OPPOSED = np.eye(2), np.array([[1.0, 1.0], [1.0, 1.0], [1.0, -1.0]]), -BOX, BOX
 
 
 def test_the_vector_of_an_earlier_problem_is_tried_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    count = Mock(wraps=certify_infeasible)
-    monkeypatch.setattr(referee, "certify_infeasible", count)
+    count = Mock(wraps=find_farkas_vector)
+    monkeypatch.setattr(referee, "find_farkas_vector", count)
     steady, q = Referee(*OPPOSED), np.array([-3.0, 0.5])
     for excess in (0.5, 0.25, -0.25, 1.0, 2.0):
         l, u = _opposed(excess)  # noqa: E741 - as in QuadraticProgram
-        optimum = steady.certify(q, l, u)
+        optimum = steady.certify_vectors(q, l, u)
         assert optimum.kind == ("infeasible" if excess > 0.0 else "linear")
         if excess > 0.0:
             qp = QuadraticProgram(OPPOSED[0], q, OPPOSED[1], l, u, *OPPOSED[2:])
-            assert farkas_valid(qp, optimum.y, optimum.y_box)
+            assert is_farkas_vector_proof(qp, optimum.y, optimum.y_box)
     count.assert_called_once()
 
 
@@ -169,8 +176,11 @@ def test_the_vector_of_an_earlier_problem_is_tried_first(monkeypatch: pytest.Mon
 def test_an_earlier_vector_changes_no_verdict(excess: float) -> None:
     q = np.array([-3.0, 0.5])
     seasoned, fresh = Referee(*OPPOSED), Referee(*OPPOSED)
-    assert seasoned.certify(q, *_opposed(0.5)).kind == "infeasible"
-    later, known = seasoned.certify(q, *_opposed(excess)), fresh.certify(q, *_opposed(excess))
+    assert seasoned.certify_vectors(q, *_opposed(0.5)).kind == "infeasible"
+    later, known = (
+        seasoned.certify_vectors(q, *_opposed(excess)),
+        fresh.certify_vectors(q, *_opposed(excess)),
+    )
     assert later.kind == known.kind
     assert np.array_equal(later.z, known.z, equal_nan=True) or later.bound < 1e-9
 
@@ -182,10 +192,10 @@ def test_an_earlier_vector_proves_no_other_problem(seed: int, n: int, m: int, bo
     rng = np.random.default_rng(seed)
     qp, _ = _infeasible(seed, n, m, boxed)
     seasoned = Referee(qp.P, qp.A, qp.lb, qp.ub)
-    assert seasoned.certify(qp.q, qp.l, qp.u).kind == "infeasible"
+    assert seasoned.certify_vectors(qp.q, qp.l, qp.u).kind == "infeasible"
     for _ in range(3):
         shift = rng.integers(-8, 9, m) / 4
         l, u = qp.l + np.minimum(shift, 0.0), qp.u + np.maximum(shift, 0.0)  # noqa: E741 - as above
-        later = seasoned.certify(qp.q, l, u)
-        known = Referee(qp.P, qp.A, qp.lb, qp.ub).certify(qp.q, l, u)
+        later = seasoned.certify_vectors(qp.q, l, u)
+        known = Referee(qp.P, qp.A, qp.lb, qp.ub).certify_vectors(qp.q, l, u)
         assert (later.kind == "infeasible") is (known.kind == "infeasible")

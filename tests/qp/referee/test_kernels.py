@@ -12,16 +12,20 @@ from numba import njit
 from numpy.typing import NDArray
 
 from dpbench.qp.referee import kernels, referee
-from dpbench.qp.referee.dyadic import Dyadic, is_semidefinite, solve_integer
+from dpbench.qp.referee.dyadic import (
+    Dyadic,
+    is_integer_matrix_semidefinite,
+    solve_integer_system_exactly,
+)
 from dpbench.qp.referee.kernels import (
     CROSSED_LIMITS,
     INVALID_DATA,
     ORDERED_LIMITS,
-    classify_limits,
+    classify_limits_as_ordered_crossed_or_nan,
     prove_active_set_optimal,
 )
-from dpbench.qp.referee.kkt import Geometry, KKTSystem, linear_certificate
-from dpbench.qp.referee.nearby import guess_nearby
+from dpbench.qp.referee.kkt import Geometry, KKTSystem, prove_optimum_by_kkt_error_bounds
+from dpbench.qp.referee.nearby import guess_active_set_from_last_step
 from dpbench.qp.referee.optimum import JointQP
 from dpbench.qp.referee.referee import Referee
 
@@ -34,7 +38,7 @@ UNIT_ROUNDOFF = Fraction(1, 2**53)
 def compiled_residual(K, x, b):  # type: ignore[no-untyped-def]  # compiled: numba finds the types
     """b − K x as the certificate's kernel calculates it, compiled."""
     r = np.zeros(len(b))
-    kernels._write_residual(K, x, b, r)
+    kernels._write_residual_in_double_precision(K, x, b, r)
     return r
 
 
@@ -61,7 +65,7 @@ def test_residual_is_that_of_twice_the_precision(seed: int, N: int, spread: int)
     # With the product rounded once as the other side, the residual is that rounding.
     b = np.array([-float(value) for value in _exactly(K, x, np.zeros(N))[0]])
     r, interpreted = compiled_residual(K, x, b), np.zeros(N)
-    kernels._write_residual.py_func(K, x, b, interpreted)
+    kernels._write_residual_in_double_precision.py_func(K, x, b, interpreted)
     assert (r == interpreted).all()
     steps = (N + 1) * UNIT_ROUNDOFF
     for found, exact, size in zip(r.tolist(), *_exactly(K, x, b), strict=True):
@@ -73,7 +77,7 @@ def test_residual_is_that_of_twice_the_precision(seed: int, N: int, spread: int)
 def test_what_overflows_proves_nothing(huge: float) -> None:
     problem = JointQP(np.eye(1), np.array([-huge]), np.eye(1), np.array([-INF]), np.array([INF]))
     system = KKTSystem(problem.P, problem.C, np.zeros(1, dtype=np.int8))
-    assert linear_certificate(problem, Geometry(problem.C), system) is None
+    assert prove_optimum_by_kkt_error_bounds(problem, Geometry(problem.C), system) is None
 
 
 @settings(max_examples=60)
@@ -92,11 +96,11 @@ def test_enclosure_holds_the_exact_solution(
     P, C = 0.5 * (P + P.T), np.vstack((rng.normal(size=(m, n)), np.eye(n)))
     signs = rng.integers(-1, 2, n + m).astype(np.int8)
     system = KKTSystem(P, C, signs)
-    if not system.is_proven:
+    if not system.is_proven_nonsingular:
         return
     q, L, U = rng.normal(size=n), -rng.random(n + m), rng.random(n + m)
     bound, x, error, y = _certified(JointQP(P, q, C, L, U), system)
-    exact = solve_exactly(system.K, system.rhs(q, L, U))
+    exact = solve_exactly(system.K, system.build_right_hand_side(q, L, U))
     for near, within, value in zip(x.tolist(), error.tolist(), exact, strict=True):
         assert abs(Fraction(near) - value) <= Fraction(within)
     # Half a unit in the last place, and what α makes of the largest of them.
@@ -143,7 +147,10 @@ def solve_exactly(K: Array, b: Array) -> list[Fraction]:
     ],
 )
 def test_invalid_data_count_before_crossed_limits(q: Any, L: Any, U: Any, expected: int) -> None:
-    assert classify_limits(np.array([q]), np.array(L), np.array(U)) == expected
+    assert (
+        classify_limits_as_ordered_crossed_or_nan(np.array([q]), np.array(L), np.array(U))
+        == expected
+    )
 
 
 @settings(max_examples=60)
@@ -155,7 +162,9 @@ def test_nearby_set_is_that_of_the_optimum(seed: int, n: int, changes: int) -> N
     optimal = np.where(np.abs(target) > 1.0, np.sign(target), 0.0).astype(np.int8)
     begun, changed = optimal.copy(), rng.permutation(n)[:changes]
     begun[changed] = rng.integers(-1, 2, len(changed))
-    found = guess_nearby(problem, Geometry(problem.C), KKTSystem(P, problem.C, begun))
+    found = guess_active_set_from_last_step(
+        problem, Geometry(problem.C), KKTSystem(P, problem.C, begun)
+    )
     assert found is not None and (found == optimal).all()
 
 
@@ -163,7 +172,10 @@ def test_nearby_gives_up_without_a_point() -> None:
     C, U = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.array([1.0, 1.0, INF])
     problem = JointQP(np.eye(2), np.array([-3.0, 0.0]), C, np.full(3, -INF), U)
     for begun in (np.zeros(3, dtype=np.int8), np.array([0, 0, 1], dtype=np.int8)):
-        assert guess_nearby(problem, Geometry(C), KKTSystem(problem.P, C, begun)) is None
+        assert (
+            guess_active_set_from_last_step(problem, Geometry(C), KKTSystem(problem.P, C, begun))
+            is None
+        )
 
 
 def test_a_nearby_set_that_is_wrong_proves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -171,23 +183,23 @@ def test_a_nearby_set_that_is_wrong_proves_nothing(monkeypatch: pytest.MonkeyPat
     P, A, ones = np.eye(4) + 0.3, rng.normal(size=(3, 4)), np.ones(4)
     steps = [(2 * rng.normal(size=4), -rng.random(3), rng.random(3)) for _ in range(20)]
     honest, deceived = Referee(P, A, -ones, ones), Referee(P, A, -ones, ones)
-    known = [honest.certify(*step) for step in steps]
+    known = [honest.certify_vectors(*step) for step in steps]
 
     lie = lambda *_: rng.integers(-1, 2, 7).astype(np.int8)  # noqa: E731
-    monkeypatch.setattr(referee, "guess_nearby", lie)
+    monkeypatch.setattr(referee, "guess_active_set_from_last_step", lie)
     for step, optimum in zip(steps, known, strict=True):
-        found = deceived.certify(*step)
+        found = deceived.certify_vectors(*step)
         assert found.kind == optimum.kind == "linear"
         assert np.abs(found.z - optimum.z).max() <= found.bound + optimum.bound <= 1e-12
 
 
 def test_sets_that_change_by_little_need_no_guesser(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(referee, "guess_active_sets", lambda problem: pytest.fail("guessed"))
+    monkeypatch.setattr(referee, "yield_active_set_guesses", lambda problem: pytest.fail("guessed"))
     n, none = 5, np.zeros(0)
     steady = Referee(np.eye(n) + 0.1, np.zeros((0, n)), -np.ones(n), np.ones(n))
     sets = set()
     for angle in np.linspace(0.0, 2.0 * np.pi, 200):
-        optimum = steady.certify(3.0 * np.sin(angle + np.arange(n)), none, none)
+        optimum = steady.certify_vectors(3.0 * np.sin(angle + np.arange(n)), none, none)
         assert optimum.kind == "linear" and optimum.bound <= 1e-15
         sets.add(np.sign(optimum.y_box).tobytes())
     assert len(sets) >= 10
@@ -195,13 +207,21 @@ def test_sets_that_change_by_little_need_no_guesser(monkeypatch: pytest.MonkeyPa
 
 def test_any_memory_of_the_vectors_is_taken() -> None:
     P, none, ones = np.eye(3), np.zeros((0, 3)), np.ones(3)
-    plain = Referee(P, none, -ones, ones).certify(np.array([-2.0, 0.5, 0.0]), ones[:0], ones[:0])
-    compiled = len(classify_limits.signatures), len(prove_active_set_optimal.signatures)
+    plain = Referee(P, none, -ones, ones).certify_vectors(
+        np.array([-2.0, 0.5, 0.0]), ones[:0], ones[:0]
+    )
+    compiled = (
+        len(classify_limits_as_ordered_crossed_or_nan.signatures),
+        len(prove_active_set_optimal.signatures),
+    )
     q = np.array([-2.0, 9.0, 0.5, 9.0, 0.0, 9.0])
     q.setflags(write=False)
-    strided = Referee(P, none, -ones, ones).certify(q[::2], ones[:0], ones[:0])
+    strided = Referee(P, none, -ones, ones).certify_vectors(q[::2], ones[:0], ones[:0])
     assert (strided.z == plain.z).all() and strided.kind == plain.kind == "linear"
-    assert compiled == (len(classify_limits.signatures), len(prove_active_set_optimal.signatures))
+    assert compiled == (
+        len(classify_limits_as_ordered_crossed_or_nan.signatures),
+        len(prove_active_set_optimal.signatures),
+    )
 
 
 numbers = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e150, max_value=1e150)
@@ -216,13 +236,13 @@ def _fractions(value: Dyadic) -> list[Fraction]:
 @given(st.lists(st.tuples(numbers, numbers), min_size=1, max_size=5))
 def test_sums_and_products_are_exact(pairs: list[tuple[float, float]]) -> None:
     a, b = (np.array(column) for column in zip(*pairs, strict=True))
-    x, y = Dyadic.of(a), Dyadic.of(b)
+    x, y = Dyadic.from_floats(a), Dyadic.from_floats(b)
     exact = [(Fraction(s), Fraction(t)) for s, t in pairs]
     assert _fractions(x + y) == [s + t for s, t in exact]
     assert _fractions(x - y) == [s - t for s, t in exact]
     assert _fractions(x * y) == [s * t for s, t in exact]
-    assert _fractions((x * y).sum()) == [sum(s * t for s, t in exact)]
-    assert _fractions(Dyadic.of(a[np.newaxis]) @ y) == [sum(s * t for s, t in exact)]
+    assert _fractions((x * y).exact_sum()) == [sum(s * t for s, t in exact)]
+    assert _fractions(Dyadic.from_floats(a[np.newaxis]) @ y) == [sum(s * t for s, t in exact)]
 
 
 @settings(max_examples=100, derandomize=True, deadline=None)
@@ -230,8 +250,8 @@ def test_sums_and_products_are_exact(pairs: list[tuple[float, float]]) -> None:
 def test_round_trip(values: list[float]) -> None:
     """A float64 array survives the way there and back bit for bit, signs of values included."""
     array = np.array(values)
-    assert (Dyadic.of(array).floats() == array).all()
-    assert (Dyadic.of(array).signs() == np.sign(array)).all()
+    assert (Dyadic.from_floats(array).round_to_floats() == array).all()
+    assert (Dyadic.from_floats(array).entry_signs() == np.sign(array)).all()
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -241,7 +261,7 @@ def test_integer_elimination_solves(seed: int) -> None:
     B, G = rng.integers(-5, 6, (n, n)), rng.integers(-5, 6, (w, n))
     K = np.block([[B.T @ B + np.eye(n, dtype=int), G.T], [G, np.zeros((w, w), dtype=int)]])
     M, rhs = K.astype(object), rng.integers(-9, 10, (n + w, 2)).astype(object)
-    solved = solve_integer(M, rhs)
+    solved = solve_integer_system_exactly(M, rhs)
     assert solved is not None
     x, denominator = solved
     assert denominator > 0
@@ -250,7 +270,7 @@ def test_integer_elimination_solves(seed: int) -> None:
 
 def test_integer_elimination_reports_dependent_rows() -> None:
     K = np.array([[2, 0, 1, 1], [0, 2, 1, 1], [1, 1, 0, 0], [1, 1, 0, 0]]).astype(object)
-    assert solve_integer(K, np.ones((4, 1), dtype=int).astype(object)) is None
+    assert solve_integer_system_exactly(K, np.ones((4, 1), dtype=int).astype(object)) is None
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -259,9 +279,9 @@ def test_semidefinite_is_decided_exactly(seed: int) -> None:
     rng = np.random.default_rng(seed)
     B = rng.integers(-1000, 1001, (3, 6))
     S = (B.T @ B).astype(object)
-    assert is_semidefinite(S)
+    assert is_integer_matrix_semidefinite(S)
     for i in range(6):
         shifted = S * 1000
         shifted[i, i] -= 1
         # Rank 3 in six dimensions: each axis has a part in the null space.
-        assert not is_semidefinite(shifted)
+        assert not is_integer_matrix_semidefinite(shifted)

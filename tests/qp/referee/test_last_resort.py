@@ -12,14 +12,17 @@ from numpy.typing import NDArray
 
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee import oracle
-from dpbench.qp.referee.equilibrated import Scales, is_scalable
-from dpbench.qp.referee.feasibility.implied import drop_empty_rows, make_equalities
+from dpbench.qp.referee.equilibrated import Scales, is_exact_after_power_of_two_scaling
+from dpbench.qp.referee.feasibility.implied import (
+    remove_limits_of_zero_rows,
+    turn_always_met_limits_into_equalities,
+)
 from dpbench.qp.referee.kkt import KKTSystem
-from dpbench.qp.referee.last_resort import LastResort, enclosure_certificate
+from dpbench.qp.referee.last_resort import LastResort, enclose_all_optima
 from dpbench.qp.referee.optimum import ExactMatrices, JointQP, Optimum, Proof
-from dpbench.qp.referee.rational import rational_certificate
+from dpbench.qp.referee.rational import prove_optimum_in_exact_arithmetic
 from dpbench.qp.referee.referee import Referee, certify
-from dpbench.qp.residuals import is_true, residuals
+from dpbench.qp.residuals import is_answer_correct, residuals
 from dpbench.qp.solution import Solution, Status
 
 INF = np.inf
@@ -88,7 +91,7 @@ def test_weak_rows_beside_equalities(seed: int, spread: int) -> None:
     optimum = _certified(known)
     answer = Solution(Status.UNKNOWN, optimum.z, optimum.y, optimum.y_box)
     if not spread:
-        assert is_true(known.qp, residuals(known.qp, answer), 0.0, 1e-6)
+        assert is_answer_correct(known.qp, residuals(known.qp, answer), 0.0, 1e-6)
 
 
 def test_definite_in_other_units() -> None:
@@ -124,8 +127,8 @@ def test_bound_holds_on_its_own(
 
 
 def _resort(qp: QuadraticProgram) -> Proof | None:
-    joint = JointQP.of(qp)
-    return LastResort(joint.P, joint.C, convex=True).certify(joint)
+    joint = JointQP.from_qp(qp)
+    return LastResort(joint.P, joint.C, convex=True).prove_optimum(joint)
 
 
 @pytest.mark.slow
@@ -179,9 +182,11 @@ def test_agrees_with_exact_arithmetic(seed: int) -> None:
     limits = np.where(np.arange(6) < 3, u, -INF), u, [-5.0] * 9, [5.0] * 9
     P = 0.5 * (B.T @ B + (B.T @ B).T)
     qp = QuadraticProgram(P, rng.normal(size=9), A, *limits)
-    joint = JointQP.of(qp)
+    joint = JointQP.from_qp(qp)
     start = np.zeros(15, dtype=np.int8)
-    exact = rational_certificate(joint, ExactMatrices.of(joint.P, joint.C), start)
+    exact = prove_optimum_in_exact_arithmetic(
+        joint, ExactMatrices.from_float_matrices(joint.P, joint.C), start
+    )
     proof = _resort(qp)
     assert exact is not None and (proof is None) is (exact.kind == "infeasible")
     if proof is None:
@@ -206,11 +211,11 @@ def test_every_active_set(q: tuple[float, float], rank: int) -> None:
     bounds = []
     for rest in product((-1, 0, 1), repeat=2):
         system = KKTSystem(P, C, np.array([1, *rest], dtype=np.int8))
-        if not system.is_proven:
+        if not system.is_proven_nonsingular:
             continue
         inward = np.array([0.0] + [1.0] * (len(system.rows) - 1))
-        exact = ExactMatrices.of(P, C)
-        found = enclosure_certificate(problem, exact, system, inward, convex=True)
+        exact = ExactMatrices.from_float_matrices(P, C)
+        found = enclose_all_optima(problem, exact, system, inward, convex=True)
         if found is not None:
             assert best is not None and (np.abs(found.z - [best, 0.25 - best]) <= found.bound).all()
             bounds.append(found.bound.max())
@@ -222,40 +227,45 @@ def _cycle(change: float = 0.0) -> JointQP:
     eye, ones, free = np.eye(5), np.ones(5), np.full(5, INF)
     A = np.vstack((eye - np.roll(eye, 1, axis=1), ones, 3.0 * ones, 0.0 * ones))
     limits = [0.0] * 4 + [-change, 2.0, 6.0, -1.0], [INF] * 5 + [2.0, 6.0, 1.0]
-    return JointQP.of(QuadraticProgram(eye, np.arange(5), A, *limits, -free, free))
+    return JointQP.from_qp(QuadraticProgram(eye, np.arange(5), A, *limits, -free, free))
 
 
 def test_implied_equalities_are_found_exactly() -> None:
-    problem = drop_empty_rows(_cycle())
+    problem = remove_limits_of_zero_rows(_cycle())
     assert np.isinf(problem.L[7])
     touched = np.array([-1] * 5 + [1, 1] + [0] * 6, dtype=np.int8)
-    found = make_equalities(problem, touched)
+    found = turn_always_met_limits_into_equalities(problem, touched)
     assert found is not None
     equal = found.L == found.U
     assert equal.sum() == 5
     assert np.linalg.matrix_rank(found.C[equal]) == 5
-    assert make_equalities(drop_empty_rows(_cycle(2.0**-60)), touched) is None
+    assert (
+        turn_always_met_limits_into_equalities(
+            remove_limits_of_zero_rows(_cycle(2.0**-60)), touched
+        )
+        is None
+    )
 
 
 def test_circle_of_rows_is_certified(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = _cycle()
-    proof = LastResort(problem.P, problem.C, convex=True).certify(problem)
+    proof = LastResort(problem.P, problem.C, convex=True).prove_optimum(problem)
     assert proof is not None
     # The bound is less than what 0.4 is off from two fifths.
     assert max(abs(Fraction(z) - Fraction(2, 5)) for z in proof.z.tolist()) <= proof.bound <= 1e-12
     assert np.isnan(proof.y).all()
     # With nobody to guess it is silent.
     monkeypatch.setattr(oracle, "GUESSERS", ())
-    assert LastResort(problem.P, problem.C, convex=True).certify(problem) is None
+    assert LastResort(problem.P, problem.C, convex=True).prove_optimum(problem) is None
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_other_units_are_the_same_problem_to_the_last_bit(seed: int) -> None:
     known = plant(seed, 8, equal=2, strict=2, weak=2, bounds=2, spread=25)
-    joint = JointQP.of(known.qp)
-    scales = Scales.of(joint.P, joint.C)
-    P, C = scales.cost_matrix(joint.P), scales.rows(joint.C)
-    scaled = scales.problem(joint, P, C)
+    joint = JointQP.from_qp(known.qp)
+    scales = Scales.compute_ruiz_scales(joint.P, joint.C)
+    P, C = scales.scale_cost_matrix(joint.P), scales.scale_constraint_rows(joint.C)
+    scaled = scales.scale_problem(joint, P, C)
     D, R = scales.D, scales.R
     assert (P / scales.cost / np.outer(D, D) == joint.P).all()
     assert (C / np.outer(R, D) == joint.C).all()
@@ -268,9 +278,9 @@ def test_other_units_are_the_same_problem_to_the_last_bit(seed: int) -> None:
 
 def test_numbers_out_of_range_are_left_alone() -> None:
     """Numbers that scaling could push out of float64 are refused, infinite limits are not."""
-    assert is_scalable(np.array([1.0, 0.0, INF]))
-    assert not is_scalable(np.array([1e300]))
-    assert not is_scalable(np.array([1.0, 1e-300]))
+    assert is_exact_after_power_of_two_scaling(np.array([1.0, 0.0, INF]))
+    assert not is_exact_after_power_of_two_scaling(np.array([1e300]))
+    assert not is_exact_after_power_of_two_scaling(np.array([1.0, 1e-300]))
 
 
 def test_referee_keeps_its_last_resort() -> None:
@@ -278,5 +288,5 @@ def test_referee_keeps_its_last_resort() -> None:
     qp = known.qp
     referee = Referee(qp.P, qp.A, qp.lb, qp.ub)
     for q in (qp.q, qp.q + 1.0, qp.q):
-        one, two = referee.certify(q, qp.l, qp.u), certify(replace(qp, q=q))
+        one, two = referee.certify_vectors(q, qp.l, qp.u), certify(replace(qp, q=q))
         assert np.abs(one.z - two.z).max() <= one.bound + two.bound <= BOUND

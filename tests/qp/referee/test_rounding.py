@@ -10,8 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.referee.feasibility.farkas import farkas_valid
-from dpbench.qp.referee.feasibility.rounding import bound_least_violation, limit_sizes
+from dpbench.qp.referee.feasibility.farkas import is_farkas_vector_proof
+from dpbench.qp.referee.feasibility.rounding import (
+    bound_least_constraint_violation,
+    compute_reference_sizes_of_limits,
+)
 from dpbench.qp.referee.optimum import JointQP
 from dpbench.qp.referee.referee import certify
 
@@ -46,7 +49,7 @@ def test_planted_violation(plant: Any, violation: float, scale: float) -> None:
     optimum = certify(qp)
     assert optimum.kind == ("undecided" if violation < 1e-14 else "infeasible")
     assert np.isnan(optimum.z).all() and optimum.bound == INF
-    assert farkas_valid(qp, optimum.y, optimum.y_box)
+    assert is_farkas_vector_proof(qp, optimum.y, optimum.y_box)
 
 
 @pytest.mark.parametrize("scale", SCALES)
@@ -69,7 +72,7 @@ def test_crossed_limits(limit: float, row: bool) -> None:
         limits = (*crossed, *free) if row else (*free, *crossed)
         optimum = certify(qp := QuadraticProgram(np.eye(1), [0.0], np.eye(1), *limits))
         assert optimum.kind == kind
-        assert farkas_valid(qp, optimum.y, optimum.y_box)
+        assert is_farkas_vector_proof(qp, optimum.y, optimum.y_box)
 
 
 @pytest.mark.slow
@@ -82,12 +85,12 @@ def test_crossed_limits(limit: float, row: bool) -> None:
 def test_bounds_enclose_the_least_violation(violation: float, plant: Any, scale: float) -> None:
     """lower ≤ t* ≤ upper, with t* by hand in fractions; the verdict is that of t* and γ."""
     qp = plant(violation, scale)
-    upper, lower = limit_sizes(JointQP.of(qp))
+    upper, lower = compute_reference_sizes_of_limits(JointQP.from_qp(qp))
     # The row must rise, and the bound z ≥ 0 may fall to meet it.
     room = Fraction(float(upper[0])) + (Fraction(float(lower[1])) if qp.n == 1 else 0)
     exact = Fraction(float(-qp.u[0])) / room
     optimum = certify(qp)
-    found = bound_least_violation(qp, np.concatenate((optimum.y, optimum.y_box)))
+    found = bound_least_constraint_violation(qp, np.concatenate((optimum.y, optimum.y_box)))
     assert Fraction(found.lower) <= exact
     assert found.lower >= 0.999 * float(exact)
     if found.upper < INF:
@@ -166,13 +169,13 @@ U = 2.0**-53
     ],
 )
 def test_a_violation_is_undecided_up_to_the_bound(n: int, units: int, undecided: bool) -> None:
-    assert bound_least_violation(_opposed(units * U, 1.0, n)).is_undecided is undecided
+    assert bound_least_constraint_violation(_opposed(units * U, 1.0, n)).is_undecided is undecided
 
 
 @pytest.mark.parametrize(("n", "roundings"), [(1, 3), (3, 5)])
 def test_the_bound_is_more_than_its_first_order(n: int, roundings: int) -> None:
     """The bound γ_k = k u/(1 − k u) is k u + (k u)² and a little more."""
-    bound = bound_least_violation(_opposed(2 * U, 1.0, n)).rounding
+    bound = bound_least_constraint_violation(_opposed(2 * U, 1.0, n)).rounding
     assert roundings * U < bound < roundings * U * (1.0 + 2 * roundings * U)
 
 
@@ -191,7 +194,9 @@ def test_the_size_of_a_row_whose_coefficients_are_rounding(coefficient: float, s
     qp = QuadraticProgram(
         np.eye(1), [1.0], [[coefficient], [1.0]], [-INF] * 2, [-(2.0**-200), 4.0], [-INF], [INF]
     )
-    assert limit_sizes(JointQP.of(qp))[0][0] == pytest.approx(size, rel=1e-12)
+    assert compute_reference_sizes_of_limits(JointQP.from_qp(qp))[0][0] == pytest.approx(
+        size, rel=1e-12
+    )
 
 
 @pytest.mark.parametrize(
@@ -205,4 +210,6 @@ def test_the_size_of_a_row_whose_coefficients_are_rounding(coefficient: float, s
 def test_a_distance_that_is_rounding_is_no_reach(limit: float, size: float) -> None:
     """The row z ≤ −c has the size c + reach, beside the bound −1 ≤ z."""
     qp = QuadraticProgram(np.eye(1), [1.0], [[1.0]], [-INF], [-limit], [-1.0], [INF])
-    assert limit_sizes(JointQP.of(qp))[0][0] == pytest.approx(size, rel=1e-15)
+    assert compute_reference_sizes_of_limits(JointQP.from_qp(qp))[0][0] == pytest.approx(
+        size, rel=1e-15
+    )

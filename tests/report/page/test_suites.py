@@ -49,7 +49,7 @@ def _paper(records: Any) -> None:
 
 def _random(records: Any) -> None:
     recipe = RandomRecipe("plain", 4, 6, 1)
-    source = {"kind": "random", "name": recipe.name, "recipe": asdict(recipe)}
+    source = {"kind": "random", "name": recipe.sequence_name, "recipe": asdict(recipe)}
     records.replay("daqp", steps=6, scenario="", cell=json.dumps({"source": source}))
 
 

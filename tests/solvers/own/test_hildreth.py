@@ -7,7 +7,7 @@ import pytest
 
 from dpbench.errors import SettingsError
 from dpbench.qp.program import QPStep, QuadraticProgram
-from dpbench.qp.referee.feasibility.farkas import farkas_valid
+from dpbench.qp.referee.feasibility.farkas import is_farkas_vector_proof
 from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
@@ -109,7 +109,7 @@ def test_multipliers_without_end_are_a_proof():
     answer = hildreth(qp, {"max_iter": 1000})
     assert answer.status is Status.PRIMAL_INFEASIBLE
     assert np.isnan(answer.z).all()
-    assert farkas_valid(qp, answer.y, answer.y_box)
+    assert is_farkas_vector_proof(qp, answer.y, answer.y_box)
     # After one sweep nothing is proven, and nothing is claimed.
     assert hildreth(qp, {"max_iter": 1}).status is Status.MAX_ITERATIONS
 
@@ -118,7 +118,7 @@ def test_a_row_of_zeros_that_asks_for_more_is_infeasible():
     qp = QuadraticProgram(np.eye(2), [1, 1], [[0, 0]], [1], [2], [-1, -1], [1, 1])
     answer = hildreth(qp)
     assert answer.status is Status.PRIMAL_INFEASIBLE
-    assert farkas_valid(qp, answer.y, answer.y_box)
+    assert is_farkas_vector_proof(qp, answer.y, answer.y_box)
 
 
 @pytest.mark.parametrize(

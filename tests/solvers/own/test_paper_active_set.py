@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench.qp.program import QPStep, QuadraticProgram
-from dpbench.qp.referee.feasibility.farkas import farkas_valid
+from dpbench.qp.referee.feasibility.farkas import is_farkas_vector_proof
 from dpbench.qp.referee.referee import Referee
-from dpbench.qp.residuals import is_true, residuals
+from dpbench.qp.residuals import is_answer_correct, residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
 from tests.solvers.conftest import solve_next, solve_qp
@@ -114,7 +114,7 @@ def test_crossed_limits_are_infeasible():
     answer = solve(qp)
     assert answer.status is Status.PRIMAL_INFEASIBLE
     assert answer.detail == "the limits of row 1 of [A; I] cross"
-    assert farkas_valid(qp, answer.y, answer.y_box)
+    assert is_farkas_vector_proof(qp, answer.y, answer.y_box)
 
 
 def klee_minty(n):
@@ -246,7 +246,7 @@ def test_what_it_calls_solved_the_referee_finds_true(seed):
     solver.setup(base)
     for step in steps:
         answer, qp = solve_next(solver, step), base.at(step)
-        optimum = referee.certify(qp.q, qp.l, qp.u)
+        optimum = referee.certify_vectors(qp.q, qp.l, qp.u)
         if not answer.claimed:
             # Limits through one point that rounding has moved apart: infeasible.
             assert optimum.kind != "linear"
@@ -258,7 +258,7 @@ def test_what_it_calls_solved_the_referee_finds_true(seed):
         if np.isfinite(optimum.bound):
             error = np.abs(answer.z - optimum.z).max()
             # Rounding is 1e-16, times a condition of 1e8, of what may be 1e5 times a plan in size.
-            assert is_true(qp, found, error / size, 1e-6)
+            assert is_answer_correct(qp, found, error / size, 1e-6)
 
 
 @pytest.mark.slow
@@ -301,7 +301,7 @@ def test_between_finite_limits_the_proof_of_infeasibility_is_exact(seed):
     solver = open_workspace("paper_active_set", policy="warm")
     answer = solve_qp(solver, qp)
     assert answer.status is Status.PRIMAL_INFEASIBLE
-    assert farkas_valid(qp, answer.y, answer.y_box)
+    assert is_farkas_vector_proof(qp, answer.y, answer.y_box)
     assert proves_infeasible(qp, answer.y, answer.y_box)
 
 

@@ -287,7 +287,10 @@ def test_a_corner_reached_at_the_largest_rate_is_solved_as_any_other_point(
         now = np.tile(normals @ f, moves)
         q = -reach.T @ np.tile(wanted if k % 8 else np.array([9.0 * thrust, 0, 0]), moves)
         step = QPStep(q, -high - now, high - now)
-        answer, optimum = solve_next(workspace, step), referee.certify(step.q, step.l, step.u)
+        answer, optimum = (
+            solve_next(workspace, step),
+            referee.certify_vectors(step.q, step.l, step.u),
+        )
         assert answer.status is Status.SOLVED
         np.testing.assert_allclose(answer.z, optimum.z, rtol=0, atol=1e-10)
         value = np.concatenate([A @ answer.z, answer.z])
@@ -357,6 +360,9 @@ def test_softened_rows_give_the_certified_optimum(workspace, moves, softened):
     workspace.setup(qp)
     for _ in range(10):
         step = QPStep(qp.q * rng.uniform(0.5, 1.5, qp.n), qp.l, qp.u)
-        answer, optimum = solve_next(workspace, step), referee.certify(step.q, step.l, step.u)
+        answer, optimum = (
+            solve_next(workspace, step),
+            referee.certify_vectors(step.q, step.l, step.u),
+        )
         assert answer.status is Status.SOLVED
         np.testing.assert_allclose(answer.z, optimum.z, rtol=0, atol=1e-11)

@@ -20,14 +20,14 @@ from scipy.optimize import linprog
 
 from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic
-from dpbench.qp.referee.feasibility.farkas import to_integers
-from dpbench.qp.referee.gap import select_independent
+from dpbench.qp.referee.feasibility.farkas import round_to_integer_proportions
+from dpbench.qp.referee.gap import select_independent_active_rows
 from dpbench.qp.referee.optimum import JointQP, Signs
 
 NEAR = 1e-9  # Relative distance within which a row is worth the exact comparison
 
 
-def fix_forced_variables(problem: JointQP) -> JointQP | None:
+def fix_variables_forced_to_bounds(problem: JointQP) -> JointQP | None:
     """Fix variables that a constraint row forces to bounds, and drop that row; None if none does.
 
     None too where two rows force a variable to different bounds, which other proofs refute.
@@ -38,7 +38,9 @@ def fix_forced_variables(problem: JointQP) -> JointQP | None:
     lb, ub = problem.L[m:], problem.U[m:]
     # The lower side of a row is the upper side of its negative.
     sides = ((A, U[:m]), (-A, -L[:m]))
-    forcing_rows = [_find_forcing_rows(rows, lb, ub, limit) for rows, limit in sides]
+    forcing_rows = [
+        _find_rows_forcing_variables_to_bounds(rows, lb, ub, limit) for rows, limit in sides
+    ]
     if not any(len(rows) for rows in forcing_rows):
         return None
     for (signed, _), forcing in zip(sides, forcing_rows, strict=True):
@@ -53,7 +55,7 @@ def fix_forced_variables(problem: JointQP) -> JointQP | None:
     return JointQP(problem.P, problem.q, problem.C, L, U)
 
 
-def _find_forcing_rows(A: Matrix, lb: Vector, ub: Vector, u: Vector) -> Indices:
+def _find_rows_forcing_variables_to_bounds(A: Matrix, lb: Vector, ub: Vector, u: Vector) -> Indices:
     """Find rows whose smallest value within the bounds equals their limit exactly."""
     positive, negative = np.maximum(A, 0.0), np.minimum(A, 0.0)
     low, high = (np.isfinite(bound) for bound in (lb, ub))
@@ -66,8 +68,10 @@ def _find_forcing_rows(A: Matrix, lb: Vector, ub: Vector, u: Vector) -> Indices:
     )
     if not len(rows):
         return rows
-    exact = Dyadic.of(positive[rows]) @ Dyadic.of(lb) + Dyadic.of(negative[rows]) @ Dyadic.of(ub)
-    forcing: Indices = rows[(exact - Dyadic.of(u[rows])).signs() == 0]
+    exact = Dyadic.from_floats(positive[rows]) @ Dyadic.from_floats(lb) + Dyadic.from_floats(
+        negative[rows]
+    ) @ Dyadic.from_floats(ub)
+    forcing: Indices = rows[(exact - Dyadic.from_floats(u[rows])).entry_signs() == 0]
     return forcing
 
 
@@ -75,34 +79,36 @@ DENOMINATOR = 1000  # Largest denominator of a weight
 NEGLIGIBLE_WEIGHT = 1e-9  # Weights below it are rounding
 
 
-def drop_empty_rows(problem: JointQP) -> JointQP:
+def remove_limits_of_zero_rows(problem: JointQP) -> JointQP:
     """Remove the limits of rows without coefficients that every z satisfies."""
     idle = ~problem.C.any(axis=1) & (problem.L <= 0.0) & (problem.U >= 0.0)
     L, U = np.where(idle, -np.inf, problem.L), np.where(idle, np.inf, problem.U)
     return JointQP(problem.P, problem.q, problem.C, L, U)
 
 
-def make_equalities(problem: JointQP, touched: Signs) -> JointQP | None:
+def turn_always_met_limits_into_equalities(problem: JointQP, touched: Signs) -> JointQP | None:
     """Make limits in `touched` that all feasible points meet equalities; None without proof."""
     equal = problem.L == problem.U
     rows = np.flatnonzero((touched != 0) & ~equal)
-    weights = _find_weights(problem, rows, touched[rows], np.flatnonzero(equal))
+    weights = _find_weights_proving_equality(problem, rows, touched[rows], np.flatnonzero(equal))
     if weights is None:
         return None
     limits = np.where(touched > 0, problem.U, problem.L)
     L, U = problem.L.copy(), problem.U.copy()
     if weights.any():
-        exact = to_integers(weights, DENOMINATOR)
+        exact = round_to_integer_proportions(weights, DENOMINATOR)
         if exact is None or (exact * touched < 0.0)[~equal].any():
             return None
-        if not _is_balanced(problem, limits, exact):
+        if not _is_weighted_sum_of_rows_and_limits_zero(problem, limits, exact):
             return None
         never_slack = np.flatnonzero((exact != 0.0) & ~equal)
         L[never_slack] = U[never_slack] = limits[never_slack]
-    return _drop_dependent_equalities(JointQP(problem.P, problem.q, problem.C, L, U))
+    return _drop_dependent_equality_rows(JointQP(problem.P, problem.q, problem.C, L, U))
 
 
-def _find_weights(problem: JointQP, rows: Indices, side: Signs, equal: Indices) -> Vector | None:
+def _find_weights_proving_equality(
+    problem: JointQP, rows: Indices, side: Signs, equal: Indices
+) -> Vector | None:
     """Find constraint weights (N,) by an LP that prove limits are always met with equality."""
     n, k = problem.C.shape[1], len(rows)
     G = side[:, np.newaxis] * problem.C[rows]
@@ -123,27 +129,29 @@ def _find_weights(problem: JointQP, rows: Indices, side: Signs, equal: Indices) 
     return weights
 
 
-def _is_balanced(problem: JointQP, limits: Vector, weights: Vector) -> bool:
+def _is_weighted_sum_of_rows_and_limits_zero(
+    problem: JointQP, limits: Vector, weights: Vector
+) -> bool:
     """Return whether weighted rows and weighted limits each sum to zero, in exact arithmetic."""
     used = np.flatnonzero(weights)
-    exact = Dyadic.of(weights[used])
-    if (Dyadic.of(problem.C[used].T) @ exact).signs().any():
+    exact = Dyadic.from_floats(weights[used])
+    if (Dyadic.from_floats(problem.C[used].T) @ exact).entry_signs().any():
         return False
-    return not (Dyadic.of(limits[used]) * exact).sum().signs().any()
+    return not (Dyadic.from_floats(limits[used]) * exact).exact_sum().entry_signs().any()
 
 
-def _drop_dependent_equalities(problem: JointQP) -> JointQP | None:
+def _drop_dependent_equality_rows(problem: JointQP) -> JointQP | None:
     """Drop redundant equality rows; None if a dependent row is no exact combination of the rest."""
     equal = np.where(problem.L == problem.U, 1, 0).astype(np.int8)
-    basis = select_independent(problem.C, equal, equal)
+    basis = select_independent_active_rows(problem.C, equal, equal)
     kept, rest = np.flatnonzero(basis), np.flatnonzero(equal != basis)
     L, U = problem.L.copy(), problem.U.copy()
     for i in rest:
         shares = np.linalg.lstsq(problem.C[kept].T, problem.C[i], rcond=None)[0]
         weights = np.zeros(len(L))
         weights[kept], weights[i] = np.where(np.abs(shares) < NEGLIGIBLE_WEIGHT, 0.0, shares), -1.0
-        exact = to_integers(weights, DENOMINATOR)
-        if exact is None or not _is_balanced(problem, problem.U, exact):
+        exact = round_to_integer_proportions(weights, DENOMINATOR)
+        if exact is None or not _is_weighted_sum_of_rows_and_limits_zero(problem, problem.U, exact):
             return None
         L[i], U[i] = -np.inf, np.inf
     return JointQP(problem.P, problem.q, problem.C, L, U)

@@ -31,7 +31,7 @@ from scipy.optimize import linprog
 from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.dyadic import Dyadic
-from dpbench.qp.referee.feasibility.farkas import find_farkas_near
+from dpbench.qp.referee.feasibility.farkas import find_farkas_vector_near_candidate
 from dpbench.qp.referee.kernels import OUTWARD, UNDERFLOW
 from dpbench.qp.referee.optimum import JointQP
 
@@ -59,26 +59,28 @@ class LeastViolation:
         return self.upper <= self.rounding
 
 
-def bound_least_violation(qp: QuadraticProgram, y: Vector | None = None) -> LeastViolation:
+def bound_least_constraint_violation(
+    qp: QuadraticProgram, y: Vector | None = None
+) -> LeastViolation:
     """Bound the least relative constraint violation of a QP without a feasible point.
 
     y (m + n,) is a valid Farkas vector (y, y_box), if one is known.
     """
-    problem = JointQP.of(qp)
-    upper, lower = limit_sizes(problem)
+    problem = JointQP.from_qp(qp)
+    upper, lower = compute_reference_sizes_of_limits(problem)
     steps = qp.n + 2
     rounding = steps * UNIT_ROUNDOFF / (1.0 - steps * UNIT_ROUNDOFF)
-    least = 0.0 if y is None else _violation_by_vector(problem, y, upper, lower)
+    least = 0.0 if y is None else _bound_violation_below_by_farkas_vector(problem, y, upper, lower)
     if least > rounding:
         return LeastViolation(least, np.inf, rounding)
     best = float(np.inf)
-    for point in _refine_points(problem, upper, lower):
+    for point in _yield_less_violating_points(problem, upper, lower):
         if (best := min(best, point.violation)) <= rounding:
             break
     return LeastViolation(least, best, rounding)
 
 
-def limit_sizes(problem: JointQP) -> tuple[Vector, Vector]:
+def compute_reference_sizes_of_limits(problem: JointQP) -> tuple[Vector, Vector]:
     """Return magnitudes (N,) against which rounding errors of constraint limits are measured."""
     C = np.abs(problem.C)
     n = C.shape[1]
@@ -88,7 +90,9 @@ def limit_sizes(problem: JointQP) -> tuple[Vector, Vector]:
     gamma = (n + 2) * UNIT_ROUNDOFF
     hollow = (gamma * C.max(axis=0, initial=0.0) >= C).all(axis=1)
     size = limits + np.where(
-        hollow, 0.0, C @ _variable_reach(C[~hollow], limits[:, ~hollow], gamma)
+        hollow,
+        0.0,
+        C @ _compute_variable_sizes_at_nearest_limits(C[~hollow], limits[:, ~hollow], gamma),
     )
     known, bounds = limits[:, :m][:, ~hollow[:m]], limits[:, m:]
     others = known[known > 0.0] if known.any() else bounds[bounds > 0.0]
@@ -98,7 +102,7 @@ def limit_sizes(problem: JointQP) -> tuple[Vector, Vector]:
     return size[0], size[1]
 
 
-def _variable_reach(C: Matrix, limits: Matrix, gamma: float) -> Vector:
+def _compute_variable_sizes_at_nearest_limits(C: Matrix, limits: Matrix, gamma: float) -> Vector:
     """Return each variable's size (n,) at the nearest limit that involves it."""
     reach = np.zeros(C.shape[1])
     for j, column in enumerate(C.T):
@@ -111,40 +115,42 @@ def _variable_reach(C: Matrix, limits: Matrix, gamma: float) -> Vector:
     return reach
 
 
-def _violation_by_vector(problem: JointQP, y: Vector, upper: Vector, lower: Vector) -> float:
+def _bound_violation_below_by_farkas_vector(
+    problem: JointQP, y: Vector, upper: Vector, lower: Vector
+) -> float:
     """Return a lower bound of the least relative constraint violation from a Farkas vector y."""
-    rows, weights = _weighted_rows(problem, y)
-    positive = weights.signs() > 0
+    rows, weights = _select_rows_with_exact_weights(problem, y)
+    positive = weights.entry_signs() > 0
     limits = np.where(positive, problem.U[rows], problem.L[rows])
     size = np.where(positive, upper[rows], lower[rows])
-    total = float(np.abs(weights.floats()) @ size) * OUTWARD
-    short = -float((weights * Dyadic.of(limits)).sum().floats())
+    total = float(np.abs(weights.round_to_floats()) @ size) * OUTWARD
+    short = -float((weights * Dyadic.from_floats(limits)).exact_sum().round_to_floats())
     return short / total / OUTWARD if short > 0.0 and total > 0.0 else 0.0
 
 
-def _weighted_rows(problem: JointQP, y: Vector) -> tuple[Indices, Dyadic]:
+def _select_rows_with_exact_weights(problem: JointQP, y: Vector) -> tuple[Indices, Dyadic]:
     """Return the constraint rows with weight in a Farkas vector, and their exact weights."""
     m = len(problem.L) - len(problem.q)
     used = np.flatnonzero(y)
     if len(used) == 1 and problem.L[used[0]] > problem.U[used[0]]:
         # It stands for both limits of a row at once.
-        return np.repeat(used, 2), Dyadic.of(np.array([1.0, -1.0]))
-    own = Dyadic.of(y[:m])
-    box = -(Dyadic.of(problem.C[:m].T) @ own)
+        return np.repeat(used, 2), Dyadic.from_floats(np.array([1.0, -1.0]))
+    own = Dyadic.from_floats(y[:m])
+    box = -(Dyadic.from_floats(problem.C[:m].T) @ own)
     low = min(box.exponent, own.exponent)
-    whole = np.concatenate((own.at(low), box.at(low)))
+    whole = np.concatenate((own.integers_at_exponent(low), box.integers_at_exponent(low)))
     rows = np.flatnonzero(whole != 0)
     return rows, Dyadic(whole[rows], low)
 
 
-def find_magnified_farkas(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
+def find_farkas_vector_by_magnified_lps(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
     """Find a Farkas vector by linear programs on magnified residuals, or return None."""
-    problem = JointQP.of(qp)
-    upper, lower = limit_sizes(problem)
-    for point in _refine_points(problem, upper, lower):
+    problem = JointQP.from_qp(qp)
+    upper, lower = compute_reference_sizes_of_limits(problem)
+    for point in _yield_less_violating_points(problem, upper, lower):
         if point.violation == 0.0:
             return None
-        farkas = find_farkas_near(qp, point.y)
+        farkas = find_farkas_vector_near_candidate(qp, point.y)
         if farkas is not None:
             return farkas
     return None
@@ -158,7 +164,9 @@ class _PointViolation:
     y: Vector
 
 
-def _refine_points(problem: JointQP, upper: Vector, lower: Vector) -> Iterator[_PointViolation]:
+def _yield_less_violating_points(
+    problem: JointQP, upper: Vector, lower: Vector
+) -> Iterator[_PointViolation]:
     """Yield multipliers and violations of points that violate the limits less and less.
 
     Linear programs on the exact residuals of the point before, magnified (Gleixner, Steffy and
@@ -168,35 +176,37 @@ def _refine_points(problem: JointQP, upper: Vector, lower: Vector) -> Iterator[_
     rows = np.concatenate((np.flatnonzero(above), np.flatnonzero(below)))
     turn = np.where(np.arange(len(rows)) < above.sum(), 1.0, -1.0)
     G = turn[:, np.newaxis] * problem.C[rows]
-    exact = Dyadic.of(G)
-    limits = Dyadic.of(np.concatenate((problem.U[above], -problem.L[below])))
+    exact = Dyadic.from_floats(G)
+    limits = Dyadic.from_floats(np.concatenate((problem.U[above], -problem.L[below])))
     size = np.concatenate((upper[above], lower[below]))
-    z = Dyadic.of(np.zeros(len(problem.q)))
+    z = Dyadic.from_floats(np.zeros(len(problem.q)))
     magnified = 1.0 / max(float(size.max(initial=0.0)), UNDERFLOW)
     slack = limits
     for _ in range(ROUNDS):
-        step = _solve_magnified(G, slack.floats() * magnified, size)
+        step = _solve_lp_for_step_and_multipliers(G, slack.round_to_floats() * magnified, size)
         if step is None:
             return
-        z = z + Dyadic.of(step[0] / magnified)
+        z = z + Dyadic.from_floats(step[0] / magnified)
         slack = limits - exact @ z
-        violation = _largest_violation(slack, size)
+        violation = _compute_largest_relative_violation(slack, size)
         y = np.zeros(len(problem.L))
         np.add.at(y, rows, turn * step[1])
         yield _PointViolation(violation, y)
         magnified *= GAIN
 
 
-def _largest_violation(slack: Dyadic, size: Vector) -> float:
+def _compute_largest_relative_violation(slack: Dyadic, size: Vector) -> float:
     """Return the largest violation relative to the limits' sizes, rounded up."""
-    violation = np.maximum(-slack.floats(), 0.0) * OUTWARD
+    violation = np.maximum(-slack.round_to_floats(), 0.0) * OUTWARD
     bad = violation > 0.0
     if (size[bad] == 0.0).any():
         return float(np.inf)
     return float((violation[bad] / size[bad]).max(initial=0.0)) * OUTWARD
 
 
-def _solve_magnified(G: Matrix, slack: Vector, size: Vector) -> tuple[Vector, Vector] | None:
+def _solve_lp_for_step_and_multipliers(
+    G: Matrix, slack: Vector, size: Vector
+) -> tuple[Vector, Vector] | None:
     """Find the step to least constraint violation, and its multipliers, by a scaled-up LP."""
     near = slack < ENDLESS / GAIN
     A = np.column_stack((G, -size))[near]
