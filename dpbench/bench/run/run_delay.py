@@ -42,7 +42,7 @@ class RunDelay:
 
     @property
     def pending_ns(self) -> int:
-        """How long the thread waited since the last call of `since_last` [ns]; 0 if unknown."""
+        """Wait for the core since the last call of `since_last` [ns]; 0 if unknown."""
         return max(self.read_total_ns() - self._before_ns, 0)
 
 

@@ -139,7 +139,7 @@ def test_other_measures_are_of_all_runs() -> None:
     long = study.runs["point"] == 1
     study.runs.loc[long, "raw_p99_ns"] *= 2.0
     study.runs.loc[long, "true_share"] = 0.75
-    study.runs.loc[long, "within"] = False
+    study.runs.loc[long, "within"] = 0.0
     expected = {STEP_TIME: 100.0, OUTSIDE: 100.0, UNTRUE: 25.0}
     for measure, change in expected.items():
         (effect,) = _effects(study, measure).values()

@@ -85,7 +85,7 @@ def test_where_the_kernel_does_not_show_it_it_is_unknown(monkeypatch: pytest.Mon
 
 
 def test_waits_for_the_core_use_up_no_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a limit of 100: 90 of 150 on the clock were waits, then no more are added."""
+    """A limit of 100 lasts until 190 where 90 on the clock were waits."""
     waited = iter((1000, 1090, 1090, 1090))
     monkeypatch.setattr(RunDelay, "read_total_ns", lambda self: next(waited))
     limit = RunLimit(0, 100)
@@ -104,7 +104,7 @@ def test_hidden_waits_leave_the_limit_to_the_clock(monkeypatch: pytest.MonkeyPat
 
 
 def test_the_waits_of_a_process_are_read_from_outside(one_core: None) -> None:
-    """Of two endless loops on one core each waits for about half of the time."""
+    """Two endless loops on one core wait for each other about half of the time."""
     loop = [sys.executable, "-c", "while True: pass"]
     both = [subprocess.Popen(loop) for _ in range(2)]
     try:

@@ -177,7 +177,7 @@ def test_loops_without_times_and_stopped_runs_are_named(records: Any) -> None:
     notes = dict(_answer(records).notes)
     assert notes["slower"].endswith("Not timed, as no replay has their QPs: calm and rough.")
     assert notes["stopped"] == (
-        "1 of 4 runs stopped at the time limit (cell_limit_s): 1 of osqp (native fresh, default); "
+        "1 of 4 runs stopped at the time limit (cell_limit_s): 1 of osqp (qpsolvers fresh); "
         "outcome timed_out in tables/runs.csv."
     )
 
