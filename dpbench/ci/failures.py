@@ -9,9 +9,6 @@ import pytest
 
 from dpbench.ci.benchmarks import FAILED
 
-FIXTURES = {"benchmark", "dpbench_replay"}
-"""Fixtures by which a test is a benchmark: the second asks for the first as it runs."""
-
 
 class FailedBenchmarks:
     """Plug-in that notes why benchmarks failed: `reasons`, the first line of each by name."""
@@ -26,7 +23,7 @@ class FailedBenchmarks:
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         """Note a benchmark that fails or cannot be set up."""
         report = yield
-        is_benchmark = not FIXTURES.isdisjoint(getattr(item, "fixturenames", ()))
+        is_benchmark = "benchmark" in getattr(item, "fixturenames", ())
         if report.failed and is_benchmark and call.excinfo is not None:
             lines = str(call.excinfo.value).splitlines() or [call.excinfo.typename]
             self.reasons.setdefault(item.nodeid, lines[0])

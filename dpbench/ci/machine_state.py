@@ -1,4 +1,4 @@
-"""What the machine did while a benchmark ran, stored beside its times."""
+"""The state of the machine while a benchmark ran, stored beside its times."""
 
 from __future__ import annotations
 

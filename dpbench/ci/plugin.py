@@ -14,7 +14,7 @@ import pytest
 from dpbench.ci import MARGIN
 
 if TYPE_CHECKING:
-    from dpbench.ci.replays import ReplayBenchmark
+    from dpbench.ci.replays import BenchmarkFixture, ReplayBenchmark
 
 NOT_UNDER_XDIST = "benchmarks are not timed under xdist: run with -n0"
 
@@ -61,21 +61,19 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.fixture
-def dpbench_reference_kernel(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Note what the machine did during a benchmark of any kind, and time its reference kernel."""
+def dpbench_reference_kernel(benchmark: BenchmarkFixture) -> Iterator[None]:
+    """Note the state of the machine during a benchmark of any kind, and its reference kernel."""
     from dpbench.ci.machine_state import watch_machine
 
-    with watch_machine(request.getfixturevalue("benchmark")):
+    with watch_machine(benchmark):
         yield
 
 
 @pytest.fixture
-def dpbench_replay(request: pytest.FixtureRequest) -> ReplayBenchmark:
+def dpbench_replay(request: pytest.FixtureRequest, benchmark: BenchmarkFixture) -> ReplayBenchmark:
     """Benchmark the replay of a sequence with a solver: `dpbench_replay("paper-30-5", "daqp")`."""
     from dpbench.ci.replays import ReplayBenchmark
 
     if hasattr(request.config, "workerinput"):
         request.node.warn(pytest.PytestWarning(NOT_UNDER_XDIST))
-    return ReplayBenchmark(
-        request.getfixturevalue("benchmark"), request.path.parent, request.config.rootpath
-    )
+    return ReplayBenchmark(benchmark, request.path.parent, request.config.rootpath)

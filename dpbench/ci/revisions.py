@@ -24,6 +24,7 @@ from dpbench.ci.comparison import compare_runs
 from dpbench.ci.verdicts import NOT_TIMED, Row, RunComparison
 from dpbench.errors import InputError
 from dpbench.files.writing import write_bytes_to_file_or_pipe
+from dpbench.report.formats import plural
 
 SHOWN_LINES = 5
 """Last lines of a pytest run that has no benchmarks."""
@@ -38,7 +39,7 @@ class Measured:
 
     @property
     def is_quiet(self) -> bool:
-        """Whether nothing disturbed the machine."""
+        """True if nothing disturbed the machine."""
         return not any(one.complaints for one in self.run.benchmarks.values())
 
 
@@ -100,7 +101,7 @@ def compare_trees(
     found = compare_runs(
         [(base.run, head.run) for base, head in pairs], margin=margin, allow_gone=allow_gone
     )
-    lines = [f"{len(pairs)} runs of each revision, by turns"]
+    lines = [f"{plural(len(pairs), 'run')} of each revision, by turns"]
     base, head = pairs[-1]
     if base.reason:
         lines.append(f"base: {base.reason}")
