@@ -77,7 +77,7 @@
 #define LOST ROUNDING_OF(3e-8)       /* nor does a gradient that rounding may have changed by less */
 #define SMALL ROUNDING_OF(1e-9)         /* allowed in a row, and in the gradient of 1 + |q| */
 #define EXACT (EPSILON * REAL(1e-3))    /* a correction that the doubled precision has to reach */
-enum { PASSES = 20, POLISHES = 8, ITERATIONS_PER_ROW = 20, CANDIDATES = 8, NEITHER = 0, LEFT_OUT = 2 };
+enum { PASSES = 20, POLISHES = 8, ITERATIONS_PER_ROW = 20, NEITHER = 0, LEFT_OUT = 2 };
 enum { OPTIMAL = 0, DOUBTFUL = -10, UNREFINED = -11, CONTRADICTED = -12 };
 
 static as_real root(as_real x) { return (as_real)sqrt((double)x); }
@@ -89,9 +89,11 @@ static int is_infinite(as_real x) { return x - x != REAL(0); } /* or NaN */
  * loops have few rounds, and unrolled they would be larger and hardly faster. */
 #if defined(__clang__) && __SIZEOF_POINTER__ == 4
 #define KERNEL __attribute__((noinline))
+#define SINGLE __attribute__((always_inline))
 #define FOR_SIZE
 #else
 #define KERNEL
+#define SINGLE
 #endif
 #ifdef __GNUC__
 #define RARE __attribute__((noinline, cold)) /* its registers are not those of the loop around it */
@@ -105,6 +107,9 @@ static int is_infinite(as_real x) { return x - x != REAL(0); } /* or NaN */
 KERNEL static void add_four(as_real *restrict out, int n, as_real a, const as_real *restrict x,
                             as_real b, const as_real *restrict y, as_real c,
                             const as_real *restrict u, as_real d, const as_real *restrict v) {
+#ifdef FOR_SIZE
+#pragma clang loop unroll_count(2) /* by four it would need more registers than it may use */
+#endif
     for (int i = 0; i < n; i++) out[i] += (a * x[i] + b * y[i]) + (c * u[i] + d * v[i]);
 }
 
@@ -114,12 +119,11 @@ KERNEL static void add_four(as_real *restrict out, int n, as_real a, const as_re
 
 static as_real dot(const as_real *x, const as_real *y, int n) {
     as_real a = 0, b = 0;
-    int i = 0;
-    for (; i + 1 < n; i += 2) {
-        a += x[i] * y[i];
-        b += x[i + 1] * y[i + 1];
+    for (; n > 1; n -= 2, x += 2, y += 2) {
+        a += x[0] * y[0];
+        b += x[1] * y[1];
     }
-    return i < n ? a + b + x[i] * y[i] : a + b;
+    return n ? a + b + *x * *y : a + b;
 }
 
 static void clear(as_real *x, int n) {
@@ -142,7 +146,7 @@ static as_real largest_of(const as_real *x, int n) {
 }
 
 /* out += Σ x_k M_k over the n rows M_k of a square matrix */
-static void add_square(as_real *restrict out, const as_real *M, const as_real *x, int n) {
+SINGLE static void add_square(as_real *restrict out, const as_real *M, const as_real *x, int n) {
     int k = 0;
     for (; k + 2 < n; k += 4) {
         const int last = k + 3 < n ? 3 : 0;
@@ -190,13 +194,14 @@ static void substitute_forward(const as_real *L, as_real *b, int w) {
     for (; k < w; k += 2) {
         const as_real *next = L + k + 1;
         as_real x = b[k], y = b[k + 1];
-        for (int c = 0; c < k; c++) {
-            x -= L[c] * b[c];
-            y -= next[c] * b[c];
+        const as_real *solved = b;
+        for (int left = k; left > 0; left--, solved++) {
+            x -= *L++ * *solved;
+            y -= *next++ * *solved;
         }
-        b[k] = x *= L[k];
-        b[k + 1] = (y - next[k] * x) * next[k + 1];
-        L = next + k + 2;
+        b[k] = x *= *L;
+        b[k + 1] = (y - next[0] * x) * next[1];
+        L = next + 2;
     }
 }
 
@@ -206,10 +211,12 @@ static void substitute_backward(const as_real *L, as_real *b, int w) {
     for (int k = w - 2; k >= 0; k -= 2) {
         const as_real *next = row - k - 2;
         row = next - k - 1;
+        const as_real *lower = row;
         const as_real y = b[k + 1] * next[k + 1], x = (b[k] - next[k] * y) * row[k];
         b[k] = x;
         b[k + 1] = y;
-        for (int c = 0; c < k; c++) b[c] -= x * row[c] + y * next[c];
+        as_real *to = b;
+        for (int left = k; left > 0; left--, to++) *to -= x * *lower++ + y * *next++;
     }
     if (w & 1) b[0] *= L[0];
 }
@@ -223,14 +230,15 @@ static const as_real *inverse_row(const active_set *s, int i) {
 /* c_iᵀx */
 static as_real row_times(const active_set *s, int i, const as_real *x) {
     if (i < s->n) return x[i];
-    const int end = s->first[i - s->n + 1];
-    as_real a = 0, b = 0;
-    int e = s->first[i - s->n];
-    for (; e + 1 < end; e += 2) {
-        a += s->a[e] * x[s->column[e]];
-        b += s->a[e + 1] * x[s->column[e + 1]];
+    const int *first = s->first + (i - s->n), *column = s->column + *first;
+    const as_real *a = s->a + *first;
+    as_real sum = 0, odd = 0;
+    int count = first[1] - *first;
+    for (; count > 1; count -= 2, a += 2, column += 2) {
+        sum += a[0] * x[column[0]];
+        odd += a[1] * x[column[1]];
     }
-    return e < end ? a + b + s->a[e] * x[s->column[e]] : a + b;
+    return count ? sum + odd + *a * x[*column] : sum + odd;
 }
 
 /* x += t c_i */
@@ -276,7 +284,7 @@ static int has_crossed_limits(const active_set *s, int i) {
 }
 
 static int has_wrong_sign(const active_set *s, int i, as_real lam) {
-    return lam * REAL(s->side[i]) < 0 && s->low[i] < s->high[i];
+    return (s->side[i] > 0 ? lam < 0 : lam > 0) && s->low[i] < s->high[i];
 }
 
 /* ---- the factor of H_WW -------------------------------------------------------------------- */
@@ -454,14 +462,6 @@ static void write_point(active_set *s) {
 
 /* ---- violated rows ------------------------------------------------------------------------- */
 
-/* What a look at all rows finds: the rows not active that are beyond a limit by most over their
- * length, worst first, of those that are by more than `noise` and the rounding of the limit; whether
- * others are nearer to a limit than `close`; whether one has two equal limits; whether limits cross. */
-typedef struct {
-    int count, near, equal, crossed, rows[CANDIDATES];
-    as_real by[CANDIDATES];
-} view;
-
 /* How far row i, at v, is beyond a limit, over its length and less the rounding of the limit. */
 static as_real violation(const active_set *s, int i, as_real v) {
     const as_real over = v - s->high[i], under = s->low[i] - v;
@@ -469,8 +469,10 @@ static as_real violation(const active_set *s, int i, as_real v) {
                                       : under - VIOLATED * size_of(s->low[i]));
 }
 
-static void insert(view *found, int i, as_real by) {
-    int k = found->count < CANDIDATES ? found->count++ : CANDIDATES - 1;
+static void insert(active_set_view *found, int i, as_real by) {
+    int k = found->count;
+    if (k < ACTIVE_SET_CANDIDATES) found->count++;
+    else if (by <= found->by[--k]) return;
     for (; k > 0 && found->by[k - 1] < by; k--) {
         found->by[k] = found->by[k - 1];
         found->rows[k] = found->rows[k - 1];
@@ -480,7 +482,8 @@ static void insert(view *found, int i, as_real by) {
 }
 
 /* Look at a row that is near a limit or beyond one. */
-RARE static void look_at(const active_set *s, view *found, int i, as_real noise, as_real close) {
+RARE static void look_at(active_set *s, int i, as_real noise, as_real close) {
+    active_set_view *found = &s->found;
     const as_real v = s->z[i], low = s->low[i], high = s->high[i], u = s->unit[i];
     if (s->side[i] != NEITHER && low < high) return;
     if ((v - high) * u < -close && (low - v) * u < -close) return;
@@ -489,8 +492,7 @@ RARE static void look_at(const active_set *s, view *found, int i, as_real noise,
     found->near = 1;
     found->equal |= low == high;
     const as_real by = violation(s, i, v);
-    if (by > noise && (found->count < CANDIDATES || by > found->by[CANDIDATES - 1]))
-        insert(found, i, by);
+    if (by > noise) insert(found, i, by);
 }
 
 /* As most rows are; those with a NaN or crossed limits are not. */
@@ -498,17 +500,18 @@ static int is_far_from_limits(as_real v, as_real low, as_real high, as_real far)
     return high - v > far && v - low > far;
 }
 
-static void look(const active_set *s, view *found, as_real noise, as_real close) {
+static void look(active_set *s, as_real noise, as_real close) {
+    active_set_view *found = &s->found;
     found->count = found->near = found->equal = found->crossed = 0;
     const as_real *z = s->z, *low = s->low, *high = s->high;
     const as_real far = close * larger(s->longest, 1);
     const int N = s->n + s->m;
     int i = 0;
     for (; i + 1 < N; i += 2, z += 2, low += 2, high += 2) {
-        if (!is_far_from_limits(*z, *low, *high, far)) look_at(s, found, i, noise, close);
-        if (!is_far_from_limits(z[1], low[1], high[1], far)) look_at(s, found, i + 1, noise, close);
+        if (!is_far_from_limits(*z, *low, *high, far)) look_at(s, i, noise, close);
+        if (!is_far_from_limits(z[1], low[1], high[1], far)) look_at(s, i + 1, noise, close);
     }
-    if (i < N && !is_far_from_limits(*z, *low, *high, far)) look_at(s, found, i, noise, close);
+    if (i < N && !is_far_from_limits(*z, *low, *high, far)) look_at(s, i, noise, close);
 }
 
 /* λ := the ray by which row j contradicts the active rows that it combines; T keeps that of before. */
@@ -578,10 +581,11 @@ static int activate(active_set *s, int j, int which, as_real gap, as_real allowe
     return DOUBTFUL;
 }
 
-/* Bring violated rows in until none is left, beginning with those `found`, which is renewed. Of those
+/* Bring violated rows in until none is left, beginning with those found, which are renewed. Of those
  * of one look all are brought in that are still violated: a look costs as much as several rows. */
 static int activate_violated(
-    active_set *s, view *found, as_real noise, as_real close, as_real size, int refined) {
+    active_set *s, as_real noise, as_real close, as_real size, int refined) {
+    active_set_view *found = &s->found;
     while (found->count > 0) {
         const as_real least = larger(noise, found->by[0] * SHARE);
         for (int c = 0; c < found->count; c++) {
@@ -601,7 +605,7 @@ static int activate_violated(
             if (ending != OPTIMAL) return ending;
         }
         write_point(s);
-        look(s, found, noise, close);
+        look(s, noise, close);
     }
     return OPTIMAL;
 }
@@ -661,19 +665,18 @@ static int search(active_set *s) {
     const as_real size = root(larger(square, 0)), coarse = VIOLATED * size, close = 4 * NEAR * size;
     if (s->count > 0) restore_signs(s);
     write_point(s);
-    view found;
-    look(s, &found, coarse, close);
-    if (found.crossed) return ACTIVE_SET_CROSSED;
-    if (found.equal) {
+    look(s, coarse, close);
+    if (s->found.crossed) return ACTIVE_SET_CROSSED;
+    if (s->found.equal) {
         add_equalities(s);
         restore_signs(s);
         write_point(s);
-        look(s, &found, coarse, close);
+        look(s, coarse, close);
     }
-    const int ending = activate_violated(s, &found, coarse, close, 2 * size, 0);
+    const int ending = activate_violated(s, coarse, close, 2 * size, 0);
     if (ending != OPTIMAL) return ending;
     const as_real length = s->count > 0 ? length_of_point(s) : 0;
-    const int sure = !s->refine || (!found.near && length <= 2 * size && !is_steep(s) &&
+    const int sure = !s->refine || (!s->found.near && length <= 2 * size && !is_steep(s) &&
                                        s->loss * largest_of(s->q, s->n) <= LOST);
     for (int again = 0; again < 2 && sure; again++) {
         if (is_settled(s, length)) return s->iterations;

@@ -37,6 +37,16 @@ enum {
 /* What active_set_factorise returns. */
 enum { ACTIVE_SET_OK = 0, ACTIVE_SET_DATA_NOT_FINITE = 1, ACTIVE_SET_NOT_DEFINITE = 2 };
 
+enum { ACTIVE_SET_CANDIDATES = 8 };
+
+/* What a look at all rows finds: the rows not active that are beyond a limit by most over their
+ * length, worst first, of those that are by more than noise and the rounding of the limit; whether
+ * others are near one; whether one has two equal limits; whether limits cross. */
+typedef struct {
+    int count, near, equal, crossed, rows[ACTIVE_SET_CANDIDATES];
+    as_real by[ACTIVE_SET_CANDIDATES];
+} active_set_view;
+
 typedef struct active_set active_set;
 struct active_set {
     int n, m;         /* variables, rows of A */
@@ -74,6 +84,7 @@ struct active_set {
     as_real *R, *T;             /* n, indexed as `active` */
     as_real *r, *e, *z_low, *lam_low, *r_low; /* n */
     as_real *from, *to;         /* n: of one part */
+    active_set_view found;      /* not on the stack, which is short on small computers */
     int (*refine)(active_set *, int); /* set by active_set_place; 0: no answer is refined */
 };
 

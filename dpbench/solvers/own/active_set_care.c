@@ -342,7 +342,6 @@ static int is_clear(const active_set *s, as_real next, as_real size) {
 static int refine_search(active_set *s, as_real reach) {
     const as_real coarse = VIOLATED * reach, first = larger(reach * reach, TINY);
     as_real size = reach, before = first;
-    view found;
     for (int pass = 0; pass < PASSES; pass++) {
         const as_real correction = refine(s, &size), off = root(correction);
         const int dropped = correct_signs(s, larger(coarse, off));
@@ -355,15 +354,15 @@ static int refine_search(active_set *s, as_real reach) {
             restore_signs(s);
             write_point(s);
         }
-        look(s, &found, noise, close);
-        if (found.count == 0 && dropped == 0 && (settled || correction > before / 4)) {
-            if (found.near || is_steep(s)) return DOUBTFUL;
+        look(s, noise, close);
+        if (s->found.count == 0 && dropped == 0 && (settled || correction > before / 4)) {
+            if (s->found.near || is_steep(s)) return DOUBTFUL;
             const int sure = settled && is_clear(s, next, size);
             return sure || active_set_excess(s) <= 1 ? s->iterations : DOUBTFUL;
         }
-        before = found.count == 0 ? correction : first;
+        before = s->found.count == 0 ? correction : first;
         /* Whether rows hardly contradict each other is decided on refined values only. */
-        const int ending = activate_violated(s, &found, coarse, close, size, 1);
+        const int ending = activate_violated(s, coarse, close, size, 1);
         if (ending != OPTIMAL) return ending == CONTRADICTED ? prove(s) : ending;
     }
     return DOUBTFUL;

@@ -37,6 +37,12 @@ def _name_fields(kind: type, names: str) -> list[tuple[str, type]]:
     return [(name, kind) for name in names.split()]
 
 
+class View(ctypes.Structure):
+    """The structure `active_set_view` of `active_set.h`."""
+
+    _fields_ = [("count_near_equal_crossed", INTEGER * 4), ("rows", INTEGER * 8), ("by", REAL * 8)]
+
+
 class ActiveSet(ctypes.Structure):
     """The structure `active_set` of `active_set.h`."""
 
@@ -47,7 +53,9 @@ class ActiveSet(ctypes.Structure):
         ),
         *_name_fields(INTEGER, "coupled"),
         *_name_fields(REAL, "longest steepest largest widest loss"),
-        *_name_fields(POINTER, "base L active side R T r e z_low lam_low r_low from to refine"),
+        *_name_fields(POINTER, "base L active side R T r e z_low lam_low r_low from to"),
+        ("found", View),
+        *_name_fields(POINTER, "refine"),
     ]
 
 
