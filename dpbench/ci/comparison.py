@@ -58,6 +58,7 @@ def compare_runs(
     """Compare the runs of two revisions, taken by turns: (base, head) of each pair."""
     times = _assess_times(pairs, margin)
     was = {name for base, _ in pairs for name in base.names}
+    is_timed = any(base.benchmarks for base, _ in pairs)
     failed = {name: why for _, head in pairs for name, why in head.failed.items()}
     now = {name for _, head in pairs for name in head.names}
     rows = []
@@ -71,7 +72,7 @@ def compare_runs(
             rows.append(_judge(name, pairs, *times[name]))
         else:
             why = [base.failed[name] for base, _ in pairs if name in base.failed][:1]
-            rows.append(Row(name, NEW if was else NO_BASELINE, remarks=(*map(_in_base, why),)))
+            rows.append(Row(name, NEW if is_timed else NO_BASELINE, remarks=(*map(_in_base, why),)))
     rows.sort(key=lambda row: ORDER.index(row.verdict))
     return RunComparison(rows, allow_gone)
 

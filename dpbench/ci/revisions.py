@@ -117,7 +117,9 @@ def compare_trees(
 def main(argv: list[str] | None = None) -> int:
     """Measure both trees, print and write the comparison; return the exit code."""
     parser = argparse.ArgumentParser(
-        prog="dpbench.ci.revisions", description=__doc__.splitlines()[0]
+        prog="dpbench.ci.revisions",
+        description=__doc__.splitlines()[0],
+        epilog="What follows -- is for pytest.",
     )
     parser.add_argument("base", type=Path, metavar="BASE", help="working tree to compare with")
     parser.add_argument("head", type=Path, metavar="HEAD", help="working tree of the change")
@@ -129,8 +131,10 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--allow-gone", action="store_true", help="pass where a benchmark of the base is gone"
     )
-    parser.add_argument("pytest", nargs="*", metavar="ARGUMENT", help="of pytest, after --")
-    arguments = parser.parse_args(argv)
+    given = sys.argv[1:] if argv is None else argv
+    # argparse does not take the rest of a line behind options and positional arguments.
+    end = given.index("--") if "--" in given else len(given)
+    arguments = parser.parse_args(given[:end])
     trees = arguments.base, arguments.head
     try:
         for tree in trees:
@@ -139,7 +143,7 @@ def main(argv: list[str] | None = None) -> int:
         found, lines = compare_trees(
             trees,
             max(1, arguments.pairs),
-            arguments.pytest,
+            given[end + 1 :],
             arguments.margin,
             allow_gone=arguments.allow_gone,
         )

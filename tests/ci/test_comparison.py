@@ -90,7 +90,8 @@ def test_a_failed_test_is_not_gone_and_one_that_is_gone_may_be_allowed() -> None
     assert verdicts(base, other) == ("gone", True)
     assert verdicts(base, other, allow_gone=True) == ("new", False)
     assert verdicts(run_of(), base) == ("no baseline", False)
-    assert verdicts(run_of(t="TypeError"), base) == ("new", False)
+    assert verdicts(run_of(t="TypeError"), base) == ("no baseline", False)
+    assert verdicts(run_of(entry("u"), t="TypeError"), run_of(entry("u"), entry("t")))[1] is False
 
 
 def test_faster_needs_verified_answers() -> None:

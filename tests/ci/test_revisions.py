@@ -17,7 +17,8 @@ def stub_runs(
     """Replace pytest by runs of known times, the first `loud` ones disturbed; return the order."""
     order: list[str] = []
 
-    def measure(tree: Path, _arguments: object) -> Measured:
+    def measure(tree: Path, arguments: list[str]) -> Measured:
+        assert arguments in ([], ["-k", "t"])
         order.append(tree.name)
         if tree.name not in seconds:
             return Measured(BenchmarkRun(), "pytest ended with exit code 5")
@@ -74,7 +75,7 @@ def test_exit_codes_and_first_lines(
     """A base without benchmarks passes; a head without them, or with wrong answers, does not."""
     stub_runs(monkeypatch, seconds=seconds, **failed)
     markdown = trees[0].parent / "compare.md"
-    assert main([*map(str, trees), "--markdown", str(markdown)]) == code
+    assert main([*map(str, trees), "--markdown", str(markdown), "--", "-k", "t"]) == code
     assert capsys.readouterr().out.startswith(text)
     if code < 2:
         assert markdown.read_text(encoding="utf-8").startswith(f"**dpbench: {text}")
