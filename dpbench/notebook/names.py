@@ -1,18 +1,43 @@
 """Names that the functions of the package take: of solvers, scenarios, suites and sequences."""
 
+from dpbench.display import make_html_table
 from dpbench.scenario.problem_files import SEQUENCES, problem_names
-from dpbench.solvers.table import solver_names
+from dpbench.solvers.table import check_availability, find_record, solver_names
+
+_HEADS = ("solver", "version", "kind", "licence", "call modes")
 
 
-def list_solvers() -> list[str]:
-    """Return the names of all known solvers, installed or not.
+class SolverNames(list[str]):
+    """Names of solvers, shown as a table: version, kind of method, licence and call modes."""
+
+    def __repr__(self) -> str:
+        rows = [_HEADS, *map(_describe_solver, self)]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
+
+    def _repr_html_(self) -> str:
+        """Return the table as HTML, which a notebook displays."""
+        return make_html_table(_HEADS, map(_describe_solver, self))
+
+
+def _describe_solver(name: str) -> tuple[str, ...]:
+    """Describe a solver by a row of cells below `_HEADS`."""
+    # Importing all libraries takes longer than all the rest.
+    row, library = find_record(name), check_availability(name, imported=False)
+    version = library.version if library.ok else "not installed"
+    modes = "; ".join(f"{route}: {', '.join(p)}" for route, p in row.policies.items())
+    return name, version, row.family, row.project.licence.value, modes
+
+
+def list_solvers() -> SolverNames:
+    """Return the names of all known solvers, installed or not, which are shown as a table.
 
     Examples
     --------
     >>> {"daqp", "osqp", "paper_active_set"} <= set(list_solvers())
     True
     """
-    return list(solver_names())
+    return SolverNames(solver_names())
 
 
 def list_scenarios() -> list[str]:

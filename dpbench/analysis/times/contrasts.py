@@ -53,15 +53,20 @@ class PairedComparison:
         return len(set(self.leaders.values())) > 1 or self.ratio.high < 1.0
 
     @property
+    def finding(self) -> str:
+        """What the ratio shows: "too few steps", "tied", "unstable" or "slower" (the second)."""
+        if not math.isfinite(self.ratio.high):
+            return "too few steps"
+        if self.is_tied:
+            return "tied"
+        return "unstable" if self.is_unstable else "slower"
+
+    @property
     def row(self) -> dict[str, Any]:
-        """Table row: names of both configurations, time ratio with interval, tied, unstable."""
+        """Table row: names of both configurations, time ratio with interval, and the finding."""
         ratio = {"ratio": self.ratio.value, "low": self.ratio.low, "high": self.ratio.high}
         names = {"first": self.first, "second": self.second}
-        return (
-            names
-            | ratio
-            | {"steps": self.steps, "tied": self.is_tied, "unstable": self.is_unstable}
-        )
+        return names | ratio | {"steps": self.steps, "finding": self.finding}
 
 
 def match_steps(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:

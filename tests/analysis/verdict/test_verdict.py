@@ -279,14 +279,14 @@ def test_a_clear_lead_is_called_so(records: Any) -> None:
     """
     found = _duel(records, 40.0)
     assert found.ratio.value == pytest.approx(2.0, rel=0.02)
-    assert not found.is_tied
+    assert not found.is_tied and found.finding == "slower"
     said = r"[\d.]+ times as long over the same steps \(geometric mean, [\d.]+ to [\d.]+\)"
     assert re.fullmatch(said, paired_text(found))
 
 
 def test_a_tie_is_called_a_tie(records: Any) -> None:
     found = _duel(records, 20.0)
-    assert found.is_tied
+    assert found.is_tied and found.finding == "tied"
     assert "no significant difference" in paired_text(found)
 
 
@@ -298,6 +298,7 @@ def test_few_steps_state_the_ratio_and_no_more(records: Any, median_us: float) -
         records.replay(solver, steps=40, median_us=median, spread=0.0)
     view = records.view()
     found = paired_comparison(view, *fastest_first(judge_solvers(view, REQUIREMENTS).references))
+    assert found.finding == "too few steps"
     said = paired_text(found)
     assert said.startswith("1.01 times" if median_us < 21.0 else "2260 times")
     assert said.endswith("(geometric mean of 40 steps; fewer than 500 steps, so no interval)")
@@ -312,8 +313,8 @@ def test_an_order_that_turns_with_the_yardstick_is_called_unstable(records: Any)
     view = records.view()
     ranked = fastest_first(judge_solvers(view, REQUIREMENTS).references)
     assert [v.configuration.solver for v in ranked] == ["steady", "nervous"]
-    text = paired_text(paired_comparison(view, *ranked))
-    assert "depends on the measure" in text
+    found = paired_comparison(view, *ranked)
+    assert found.finding == "unstable" and "depends on the measure" in paired_text(found)
 
 
 def test_terminal_lines_carry_no_markup(records: Any) -> None:
