@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -204,7 +204,14 @@ def compare_to_reference(
         *(part[judged] for part in (evidence.effect, evidence.machine, evidence.error, evidence.df))
     )
     assessments = assess_ratios(family, margin, alpha) if len(judged) else []
-    return [ComparedTimes(timings[i], one) for i, one in zip(judged, assessments, strict=True)]
+    return [_judge_timing(timings[i], one) for i, one in zip(judged, assessments, strict=True)]
+
+
+def _judge_timing(timing: Timing, assessment: Assessment) -> ComparedTimes:
+    """Return the verdict on a ratio; without verified answers in B a smaller time is no claim."""
+    if assessment.verdict == "faster" and timing.pair.b.true_share != 1.0:
+        assessment = replace(assessment, verdict="no difference shown")
+    return ComparedTimes(timing, assessment)
 
 
 def _flagged_runs_text(of: Sequence[bool]) -> str:
@@ -244,7 +251,7 @@ def compare_times(
         np.concatenate([configurations.df, np.full(len(together), MACHINE_NOISE.df)]),
     )
     assessments = assess_ratios(family, margin, alpha)
-    compared = [ComparedTimes(*both) for both in zip(timings, assessments, strict=False)]
+    compared = [_judge_timing(*both) for both in zip(timings, assessments, strict=False)]
     rest = iter(assessments[len(timings) :])
     shared = []
     for name, machine in machines.items():

@@ -107,7 +107,8 @@ def times_table(
         "B/A: geometric mean over the steps of the ratio of algorithmic times (minimum over "
         f"as many rounds of either run). Machine: {machine}, taken out of the next. Its "
         "interval holds for all rows together and counts the noise between two runs. Slower or "
-        f"faster: by more than {percent}; equivalent: within {percent}; each kind of claim "
+        f"faster: by more than {percent}, faster only where every answer of B is verified; "
+        f"equivalent: within {percent}; each kind of claim "
         f"with a family-wise error of {100 * alpha:g} % (Holm)."
     )
     cells = [
@@ -256,9 +257,21 @@ class Comparison:
         """Table of accuracy and control: a row per configuration and compared quantity."""
         return pd.DataFrame([answer.row for answer in self.figures])
 
+    @property
+    def headline(self) -> str:
+        """Verdict of the comparison in a few words, what is worse first."""
+        times = {one.assessment.verdict for one in self.compared}
+        if any(figure.change == "worse" for figure in self.figures):
+            return "worse accuracy or control" + (", slower" if "slower" in times else "")
+        if self.worse:
+            return "slower"
+        disturbed = any("disturbed" in one.unjudged for one in self.shared)
+        shown = "faster" if "faster" in times else "no change shown"
+        return f"{shown}, on a disturbed machine" if disturbed else shown
+
     def markdown(self) -> str:
         """Return the comparison of two result folders as a Markdown document."""
-        return markdown_document("Comparison", self.lines, self.tables)
+        return markdown_document(f"Comparison: {self.headline}", self.lines, self.tables)
 
 
 def compare(

@@ -32,7 +32,8 @@ Make = Callable[..., Path]
 
 
 def identity(mode: str, solver: str, columns: Mapping[str, Any]) -> dict[str, Any]:
-    return run_row(f"{mode}-{solver}", mode, solver, STEPS, **(QUIET | columns))
+    given = QUIET | {"true_share": 1.0} | columns
+    return run_row(f"{mode}-{solver}", mode, solver, STEPS, **given)
 
 
 def replay_rows(
@@ -112,6 +113,18 @@ def test_planted_ratios_are_found_and_the_others_are_equivalent(make: Make) -> N
     assert row["low"] < 1.3 < row["high"]
     assert found.worse
     assert any("by 1.100 the reference kernel" in line for line in found.lines)
+    assert found.markdown().startswith("# Comparison: slower\n")
+
+
+@pytest.mark.slow
+def test_a_smaller_time_is_faster_only_with_verified_answers(make: Make) -> None:
+    """The same times, once with every answer of B verified and once without."""
+    a, slow = make("a", seed=1), {"scs": 1 / 1.3}
+    headlines = []
+    for share in (1.0, 0.99):
+        found = compare(a, make(f"b{share}", seed=2, slow=slow, true_share=share))
+        headlines.append((verdicts(found.times)["scs"], found.headline))
+    assert headlines == [("faster", "faster"), ("no difference shown", "no change shown")]
 
 
 @pytest.mark.slow
