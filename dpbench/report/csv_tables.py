@@ -7,6 +7,7 @@ from pathlib import Path
 import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
+from dpbench.analysis.suites.study_tables import tabulate_behind, tabulate_points
 from dpbench.analysis.times.solver_tables import (
     experiment_table,
     hard_step_table,
@@ -53,9 +54,12 @@ def build_tables(
         "hard_steps": hard_step_table(data, data.thinned_runs),
         "ladder": ladder.rename(columns={n: f"{n.removesuffix('_ms')}_us" for n in times}),
         "paired_ratios": ratio_table(data),
+        "study_behind": tabulate_behind(data.studies),
+        "study_points": tabulate_points(data.studies),
         "study_effects": build_effects_table(data.studies),
     }
-    for topic in topics:
+    # Those of a study are written as numbers above.
+    for topic in (topic for topic in topics if topic.id != "study"):
         for i, small in enumerate(topic.tables):
             name = topic.id if i == 0 else f"{topic.id}_{i + 1}"
             tables[name] = small.frame

@@ -33,7 +33,7 @@ _STATES = ("var(--good)", "var(--near)", "var(--warn)", "var(--late)", "var(--ba
 _HUES = [hue for hue in style.FAMILY_COLOURS.values() if hue not in style.STATE_COLOURS]
 FILES = {
     "runs.parquet": "one row a run",
-    "steps.parquet": "one row a step",
+    "steps.parquet": "one row a step; a published copy may lack it: the same run writes it again",
     "embedded.parquet": "one row a step of a solver's C on an embedded core",
     "capability.parquet": "one row a QP at the edge of what thrusters hold",
     "machine.json": "the machine and the versions",

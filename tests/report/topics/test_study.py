@@ -1,15 +1,19 @@
 """The figures of a large study stay small, and say what they leave out."""
 
+import io
 import json
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from dpbench.analysis.suites import study_pictures
 from dpbench.analysis.suites.study import find_studies
+from dpbench.analysis.suites.study_tables import tabulate_behind, tabulate_points
 from dpbench.report.charts.render import compile_vega
 from dpbench.report.study_effects_table import build_effects_table
+from dpbench.report.table import csv_bytes
 from dpbench.report.topics import study as topic
 
 WIND, EAST = "environment.wind.speed_mps", "start.east_m"
@@ -56,6 +60,24 @@ def compile_rows(figure: Any) -> list[dict[str, Any]]:
     """The rows in the data of a figure that name a configuration."""
     sets = compile_vega(figure.chart)["data"]
     return [row for data in sets for row in data.get("values", []) if "configuration" in row]
+
+
+def test_the_files_of_a_study_hold_numbers(records: Any) -> None:
+    """20 seas of osqp, 2 to 4 cm behind, one of them stopped."""
+    _fill(records, points=5, seas=4, lost=(2, 3), outcome="timed_out")
+    studies = find_studies(records.view())
+    behind, points = (
+        pd.read_csv(io.BytesIO(csv_bytes(table(studies))))
+        for table in (tabulate_behind, tabulate_points)
+    )
+    texts = {"study", "configuration", "reference"}
+    assert set(behind.select_dtypes(exclude="number")) == texts
+    assert set(points.select_dtypes(exclude="number")) == texts - {"reference"}
+    osqp = behind.set_index("configuration").loc["osqp"]
+    assert (osqp["runs"], osqp["finished"], osqp["stopped"]) == (20, 19, 1)
+    assert 2.0 < osqp["behind_cm_low"] < osqp["behind_cm"] < osqp["behind_cm_high"] < 4.0
+    assert points["runs"].tolist() == [4] * 10 and points["finished"].sum() == 39
+    assert points[f"x_{WIND}"].between(5, 18).all()
 
 
 def test_stopped_runs_are_counted_and_named(records: Any) -> None:
