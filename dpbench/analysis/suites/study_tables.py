@@ -7,10 +7,21 @@ import pandas as pd
 
 from dpbench.analysis.suites.study import SMALL_M, PairedDifference, StudiedConfiguration, Study
 
+BEHIND_COLUMNS = (
+    *("study", "configuration", "reference", "runs", "finished", "stopped", "within_share"),
+    *("r_95_m", "cost_over_exact_percent", "behind_cm", "behind_cm_low", "behind_cm_high"),
+    *("dearer_percent", "dearer_percent_low", "dearer_percent_high", "p_differs", "seas_for_1_cm"),
+)
+POINT_COLUMNS = (
+    *("study", "configuration", "point", "runs", "finished", "stopped", "within_share", "r_95_m"),
+)
+"""Columns of each study; those of its keys follow."""
+
 
 def tabulate_behind(studies: Sequence[Study]) -> pd.DataFrame:
     """Tabulate every configuration of all studies against its reference; units in the heads."""
-    return pd.DataFrame([_behind_row(study, c) for study in studies for c in study.configurations])
+    rows = [_behind_row(study, c) for study in studies for c in study.configurations]
+    return pd.DataFrame(rows, columns=list(BEHIND_COLUMNS))
 
 
 def _behind_row(study: Study, configuration: StudiedConfiguration) -> dict[str, object]:
@@ -46,7 +57,9 @@ def _interval_columns(name: str, difference: PairedDifference | None) -> dict[st
 
 def tabulate_points(studies: Sequence[Study]) -> pd.DataFrame:
     """Tabulate each point of all studies by configuration: keys (`x_<key>`), runs, means."""
-    return pd.concat([pd.DataFrame(), *map(_point_rows, studies)], ignore_index=True)
+    if not studies:
+        return pd.DataFrame(columns=list(POINT_COLUMNS))
+    return pd.concat(map(_point_rows, studies), ignore_index=True)
 
 
 def _point_rows(study: Study) -> pd.DataFrame:
