@@ -15,7 +15,7 @@ from dpbench.bench.judge.rules import (
     median_of_known,
     percentile_or_nan,
 )
-from dpbench.bench.record.cell import Cell
+from dpbench.bench.record.cell import Cell, HardestSource, QPSource
 from dpbench.bench.record.schema import MISSING_INT
 from dpbench.bench.run.slow_computer import ComputationalDelay
 
@@ -61,8 +61,20 @@ def compute_timing_percentiles(
         "algo_p95_ns": percentile_or_nan(best, 95),
         "algo_p99_ns": percentile_or_nan(best, 99),
         "algo_max_ns": best.max(),
+        "window_p99_ns": window_p99_ns(best, cell.source),
         "algo_median_p50_ns": percentile_or_nan(np.nanmedian(by_round, axis=0), 50),
     }
+
+
+def window_p99_ns(best_ns: Floats, source: QPSource) -> float:
+    """Return the step time that one in a hundred steps of a window's stretch exceed; else NaN.
+
+    best_ns : of each step of the window the time of its fastest round.
+    """
+    if not isinstance(source, HardestSource):
+        return float(np.nan)
+    slower = min(source.of // 100, len(best_ns) - 1)
+    return float(np.sort(best_ns)[-1 - slower])
 
 
 def _rounds_and_values_by_round(

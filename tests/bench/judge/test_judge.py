@@ -12,7 +12,8 @@ import pytest
 from dpbench import load_scenario, open_workspace, record_sequence, replay
 from dpbench.bench.judge.closed_loop import EVALUATION
 from dpbench.bench.judge.replay import evaluate_replay_log
-from dpbench.bench.record.cell import Formulation
+from dpbench.bench.judge.timing import window_p99_ns
+from dpbench.bench.record.cell import CONTROLLER, Formulation, HardestSource
 from dpbench.bench.record.raw_log import RawLog, replay_layout
 from dpbench.bench.run.exact_loop import ExactWorkspace
 from dpbench.bench.run.formulation import replay_formulation
@@ -226,3 +227,11 @@ def test_the_status_is_part_of_an_answer() -> None:
     evaluated = evaluate_replay_log(log, sequence, 1.0)
     assert evaluated.columns["evaluations"][:, EVALUATION.index("true")].tolist() == [1.0, 1.0, 0.0]
     assert evaluated.metrics["bit_identical_share"] == 0.0
+
+
+def test_the_p99_of_a_window_is_that_of_its_stretch() -> None:
+    """Two of 200 steps are slower than 7 among 9, 8, 7 and 1; of 500 more than the window has."""
+    best = np.array([1.0, 9.0, 7.0, 8.0])
+    assert window_p99_ns(best, HardestSource("turn", of=200)) == 7.0
+    assert window_p99_ns(best, HardestSource("turn", of=500)) == 1.0
+    assert np.isnan(window_p99_ns(best, CONTROLLER))
