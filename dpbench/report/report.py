@@ -32,7 +32,7 @@ from dpbench.report.page.section import Topic
 from dpbench.report.topics.all import build_topics
 from dpbench.report.verdict_text import count_solvers, own_settings_lines
 
-TERMINAL_NOTES = ("counted", "slower", "faster", "inconclusive", "next", "stopped")
+TERMINAL_NOTES = ("counted", "slower", "faster", "inconclusive", "next", "unanswered", "stopped")
 """Notes of the recommendation on a terminal."""
 BESIDE = ("embedded", "slowdown", "random", "consequence")
 """Topics with a line of their own on a terminal where they are not the answer."""

@@ -8,6 +8,7 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, first_by
 from dpbench.analysis.suites.random_claims import CLAIMS, claims_by_run, classify_steps
+from dpbench.bench.capability.frontier import DIRECTIONS, Capability, WindLimit
 from dpbench.bench.judge.rules import INFEASIBLE
 from dpbench.bench.record.cell import CapabilitySource
 
@@ -91,6 +92,17 @@ class CapabilityResult:
     def qps(self) -> int:
         """Number of QPs at the largest winds held that each solver was given."""
         return max((answers.asked for answers in self.answers), default=0)
+
+    @property
+    def notation(self) -> str:
+        """The four DP capability numbers in the standard's notation; "" of a plot with gaps."""
+        held = {
+            str(case): tuple(map(WindLimit, own["wind_mps"], own["number"]))
+            for case, own in self.edges.sort_values("from_deg").groupby("case", sort=False)
+        }
+        if len(held) < 2 or any(len(limits) != DIRECTIONS for limits in held.values()):
+            return ""
+        return Capability(self.vessel, self.sides, held, {}, ()).notation
 
 
 EDGES = ("case", "lost", "from_deg", "wind_mps", "number", "untrue")

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import pandas as pd
@@ -81,6 +82,7 @@ class ConsequenceAnalysis:
         return first_by(self.answers, lambda answers: answers.solver)
 
 
+@lru_cache(maxsize=2)
 def consequence_analyses(records: Records) -> list[ConsequenceAnalysis]:
     """Return the folder's analyses of thruster losses, those in which a QP was solved."""
     asked = [run for run in records.consequence if run.outcome != "refused"]

@@ -13,15 +13,19 @@ from typing import Any
 
 import vl_convert as vlc
 
+from dpbench.analysis.suites.capability import capability_plots
+from dpbench.analysis.suites.consequence import consequence_analyses
 from dpbench.analysis.times.machine import timed_runs, total_disturbance
 from dpbench.analysis.verdict.fastest import best_verdict_by_solver, choose_solver
 from dpbench.analysis.verdict.verdict import Verdict
+from dpbench.bench.capability.table import load_capability_plots
 from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.errors import InputError
 from dpbench.files.writing import write_bytes_to_file_or_pipe
+from dpbench.report.capability_text import describe_capability, describe_losses_held
 from dpbench.report.charts.style import FAIL, INK, LINE, SOFT
-from dpbench.report.documents.offset_picture import OffsetPicture, find_offset_picture
+from dpbench.report.documents.loop_picture import LoopPicture, find_loop_picture
 from dpbench.report.documents.scenario_words import describe_scenario, describe_thrusters
 from dpbench.report.formats import strip_markdown, time_text
 from dpbench.report.machine_verdict import disturbance_text
@@ -68,7 +72,7 @@ def statement_svg(folder: Path, results: Results, data: PageData) -> str:
     if chosen is None or chosen.state != "pass":
         found = "no configuration that passes everywhere and can be deployed"
         raise InputError(str(folder), "--statement", found, "results with a recommendation")
-    picture = find_offset_picture(data, chosen.configuration.solver)
+    picture = find_loop_picture(data, chosen.configuration.solver)
     return _render_svg(_format_lines(folder, results, data, chosen, picture), picture)
 
 
@@ -105,7 +109,7 @@ def _format_lines(
     results: Results,
     data: PageData,
     chosen: Verdict,
-    picture: OffsetPicture | None,
+    picture: LoopPicture | None,
 ) -> Iterator[TextLine]:
     """Yield the text lines of the statement on the recommended solver, styled and wrapped."""
     caption = "" if picture is None else picture.caption
@@ -147,6 +151,7 @@ def _fill_statement(
             text for file in files if (text := describe_thrusters(file.get("thrusters") or ()))
         ],
         sources=[file["source"] for file in files if file.get("source")],
+        held=_describe_held(folder, data),
         caption=caption,
         unmet=describe_unmet(ships, known),
         compared=[
@@ -178,14 +183,21 @@ def _fill_statement(
     )
 
 
-def _render_svg(lines: Iterable[TextLine], picture: OffsetPicture | None) -> str:
+def _describe_held(folder: Path, data: PageData) -> list[str]:
+    """Describe DP capability and consequence analyses of a folder, a line each."""
+    plots = capability_plots(data.records, load_capability_plots(folder))
+    lines = [" ".join(describe_capability(plot)) for plot in plots]
+    return [*lines, *map(describe_losses_held, consequence_analyses(data.records))]
+
+
+def _render_svg(lines: Iterable[TextLine], picture: LoopPicture | None) -> str:
     """Render lines of text and the picture as one SVG page."""
     parts: list[str] = []
     y = float(MARGIN)
     for line in lines:
         if line.is_caption and picture is not None:
-            parts += picture.svg(MARGIN, y + 5.0, WIDTH - 2 * MARGIN, PICTURE_HEIGHT)
-            y += PICTURE_HEIGHT + 5.0
+            parts += picture.svg(MARGIN, y + 14.0, WIDTH - 2 * MARGIN, PICTURE_HEIGHT)
+            y += PICTURE_HEIGHT + 14.0
         y += line.size * 1.22 + line.gap
         weight = "600" if line.bold else "400"
         parts.append(

@@ -18,6 +18,7 @@ from dpbench.analysis.verdict.speed_margin import SlowStep, largest_stall_ns
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.configuration import Configuration
 from dpbench.errors import InputError, format_allowed_names
+from dpbench.report.capability_text import unanswered_text
 from dpbench.report.embedded_text import counted_text
 from dpbench.report.formats import (
     and_list,
@@ -202,6 +203,9 @@ def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]
         beside = paired_text(paired_comparison(data.records, chosen, found.runner_up))
         label, time = found.runner_up.configuration.label, usual_time_text(found.runner_up)
         yield "next", f"Next: {label}, {time}, {beside}."
+    for verdict in filter(None, (chosen, found.runner_up)):
+        if silent := unanswered_text(data.records, verdict.configuration.solver):
+            yield "unanswered", f"{silent}."
 
 
 def _stopped_notes(data: PageData) -> Iterator[tuple[str, str]]:

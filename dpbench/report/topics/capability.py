@@ -8,13 +8,15 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.capability import CapabilityResult, capability_plots
 from dpbench.analysis.suites.consequence import (
-    HELD,
-    LOST,
     BatchAnswers,
     ConsequenceAnalysis,
     consequence_analyses,
 )
-from dpbench.bench.capability.frontier import INTACT
+from dpbench.report.capability_text import (
+    describe_capability,
+    describe_losses_held,
+    margin_text,
+)
 from dpbench.report.charts.capability import (
     ANSWERS,
     NOTHING,
@@ -26,7 +28,7 @@ from dpbench.report.charts.capability import (
     draw_loss_spans,
     draw_sample_shares,
 )
-from dpbench.report.formats import and_list, counted_list, plural, rounded_down, sample_share_text
+from dpbench.report.formats import and_list, counted_list, plural, sample_share_text
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
@@ -41,31 +43,12 @@ def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | No
         title="Capability",
         lines=tuple(
             " ".join(
-                [*_least_wind_sentences(plot), *(_name_right_solvers(plot) if plot.answers else ())]
+                [*describe_capability(plot), *(_name_right_solvers(plot) if plot.answers else ())]
             )
             for plot in plots
         ),
         figures=tuple(figure for plot in plots for figure in _capability_figures(plot)),
     )
-
-
-def _least_wind_sentences(plot: CapabilityResult) -> Iterator[str]:
-    """State the least wind that a ship holds, intact and after its worst loss."""
-    if plot.edges.empty:
-        return
-    intact = plot.edges[plot.edges["case"] == INTACT]
-    failed = plot.edges[plot.edges["case"] != INTACT]
-    wording = f"Intact, {plot.vessel} holds at least {_least_wind_text(intact)}"
-    if len(failed):
-        worst = failed.nsmallest(1, "wind_mps").iloc[0]
-        wording += f"; after the loss of {worst['case']} {_least_wind_text(failed)}"
-    yield f"{wording} (DNV-ST-0111, level 1; azimuths as polygons of {plot.sides} sides)."
-
-
-def _least_wind_text(edges: pd.DataFrame) -> str:
-    """Format the least wind held over all directions [m/s], and its direction."""
-    least = edges.nsmallest(1, "wind_mps").iloc[0]
-    return f"{rounded_down(least['wind_mps'])} m/s, from {least['from_deg']:.0f}°"
 
 
 def _name_right_solvers(plot: CapabilityResult) -> Iterator[str]:
@@ -80,9 +63,8 @@ def _name_right_solvers(plot: CapabilityResult) -> Iterator[str]:
         yield f"Untrue claims: {counted_list((a.solver, a.wrong) for a in wrong)}."
     else:
         yield "None makes an untrue claim."
-    silent = sum(1 for a in plot.answers if a.unanswered)
-    if silent:
-        yield f"{plural(silent, 'solver')} did not answer all of them: gave up, or ran out of time."
+    if silent := [(a.solver, a.unanswered) for a in plot.answers if a.unanswered]:
+        yield f"Without an answer, given up or out of time: {counted_list(silent)}."
 
 
 def _capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
@@ -155,8 +137,7 @@ def _consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
     yield Figure(
         f"consequence-{_analysis_file_name(analysis)}",
         draw_loss_spans(analysis.spans, f"Losses held, {analysis.name}"),
-        "Proven for the force through a 60 s filter, times a dynamic margin of "
-        f"{analysis.margin:g}: an optimum, or that there is none.",
+        f"Proven for the {margin_text(analysis)}: an optimum, or that there is none.",
     )
     timed = [answers for answers in analysis.best.values() if not isnan(answers.largest)]
     marks = [
@@ -176,28 +157,8 @@ def _analysis_file_name(analysis: ConsequenceAnalysis) -> str:
     return analysis.name.rstrip("]").replace("[", "-").replace(":", "-")
 
 
-def _time_held_text(of_group: pd.DataFrame) -> str:
-    """Describe when a thruster loss can be held: throughout, until a time, or never."""
-    states, change_s = of_group["state"].tolist(), of_group["from_s"].iloc[-1]
-    if states == [HELD]:
-        return "throughout"
-    if HELD not in states:
-        return "at no time"
-    if states == [HELD, LOST]:
-        return f"until {change_s:.0f} s and not after"
-    if states == [LOST, HELD]:
-        return f"from {change_s:.0f} s on"
-    long_s = of_group["to_s"] - of_group["from_s"]
-    share = long_s[of_group["state"] == HELD].sum() / long_s.sum()
-    return f"in {100.0 * share:.0f} % of the time"
-
-
 def _consequence_text(analysis: ConsequenceAnalysis) -> str:
     """State which losses can be held, the solvers right on all QPs, the fastest, missed alarms."""
-    when: dict[str, list[str]] = {}
-    for group, of_group in analysis.spans.groupby("group", sort=False):
-        when.setdefault(_time_held_text(of_group), []).append(str(group))
-    held = [f"the loss of {' or of '.join(of)} can be held {time}" for time, of in when.items()]
     answers = analysis.answers
     right = [a for a in answers if a.is_all_right]
     head = f"{len(right)} of {plural(len(answers), 'configuration')} answer all QPs rightly"
@@ -206,11 +167,11 @@ def _consequence_text(analysis: ConsequenceAnalysis) -> str:
         best = min(timed, key=lambda a: a.largest)
         share, batch = sample_share_text(best.largest), plural(len(analysis.groups), "QP")
         head += f", the fastest {best.name} with at most {share} of the sample for its {batch}"
-    silent = sum(1 for a in answers if a.unanswered)
-    unanswered = f"; {silent} did not answer all of them" if silent else ""
+    silent = counted_list((a.name, a.unanswered) for a in answers if a.unanswered)
+    unanswered = f"; QPs are left without an answer by {silent}" if silent else ""
     missed = counted_list((a.name, a.missed) for a in answers if a.missed)
     alarms = f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"
-    return f"In {analysis.name} {'; '.join(held)}. {head}; {alarms}{unanswered}."
+    return f"{describe_losses_held(analysis)} {head}; {alarms}{unanswered}."
 
 
 def consequence_row(best: BatchAnswers, right: Sequence[bool]) -> dict[str, str]:

@@ -108,13 +108,28 @@ def test_an_untrue_claim_is_found_on_the_plot(records: Any) -> None:
     }
 
 
+def test_the_notation_is_that_of_the_plot_and_none_of_a_plot_with_gaps(records: Any) -> None:
+    """8 intact but from 90°, 5 without board A but from 20°."""
+    rows = [
+        (case, from_deg, 3 if from_deg == least else number)
+        for case, number, least in (("intact", 8, 90), ("board A", 5, 20))
+        for from_deg in range(0, 360, 10)
+    ]
+    table = pd.DataFrame(rows, columns=["case", "from_deg", "number"])
+    table = table.assign(k=range(72), sequence="plot", vessel="osv", sides=8, lost="", edge_mps=9.0)
+    (plot,) = capability_plots(records.view(), table)
+    assert plot.notation == "DP capability-L1(8, 3, 3, 3)"
+    (gaps,) = capability_plots(records.view(), table[table["from_deg"] > 0])
+    assert gaps.notation == ""
+
+
 def test_the_topic_says_what_is_held_and_who_knows(records: Any) -> None:
     runs = edge_runs(records)
     topic = capability_topic(runs, plot_table())
     assert topic.lines == (
         "Intact, osv holds at least 12.0 m/s, from 90° (DNV-ST-0111, level 1; azimuths as polygons "
         "of 8 sides). 1 of 2 solvers answers all 4 QPs at that edge rightly: quadprog. Untrue "
-        "claims: osqp (1). 1 solver did not answer all of them: gave up, or ran out of time.",
+        "claims: osqp (1). Without an answer, given up or out of time: osqp (1).",
     )
     assert len(topic.figures) == 2
     without_plot = capability_topic(runs, None)

@@ -134,7 +134,7 @@ def test_the_ship_comes_first_and_is_drawn(drawn: str) -> None:
     assert texts[3].startswith("Solved exactly, the controller holds the ship on station")
     assert "paper: on station; largest offset 1.77 m at 0.300 s, last 0.0400 m" in "".join(texts)
     root = ElementTree.fromstring(drawn)
-    (line,) = (element for element in root.iter() if element.tag.endswith("polyline"))
+    line, *_ = (element for element in root.iter() if element.tag.endswith("polyline"))
     corners = [tuple(map(float, pair.split(","))) for pair in line.get("points", "").split()]
     assert len(corners) > 100
     assert all(MARGIN <= x <= WIDTH - MARGIN and 0 < y < HEIGHT for x, y in corners)
@@ -167,3 +167,7 @@ def test_it_states_weather_losses_thrusters_and_source(records: Any, tmp_path: P
     assert "Thrusters by switchboard: board A: " in text
     assert "wind " in text and " m/s from " in text and "current " in text
     assert max(len(line) * 3.5 for line in lines) <= WIDTH
+    heads = [line.split(", to ")[0] for line in lines]
+    panels = [head for head in ("offset", "heading error", "thrust") if head in heads]
+    assert len(panels) == svg.count("<polyline") >= 2
+    assert "around the loss of board A in thrusters_loss, 30" in text

@@ -1,0 +1,78 @@
+"""Text of what thrusters hold: capability numbers, and losses in a consequence analysis."""
+
+from collections.abc import Iterator
+
+import pandas as pd
+
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.capability import CapabilityResult
+from dpbench.analysis.suites.consequence import (
+    HELD,
+    LOST,
+    ConsequenceAnalysis,
+    consequence_analyses,
+)
+from dpbench.bench.capability.frontier import INTACT
+from dpbench.report.formats import rounded_down
+
+
+def describe_capability(plot: CapabilityResult) -> Iterator[str]:
+    """State a ship's capability numbers, and the least wind it holds intact and after a loss."""
+    if plot.edges.empty:
+        return
+    intact = plot.edges[plot.edges["case"] == INTACT]
+    failed = plot.edges[plot.edges["case"] != INTACT]
+    wording = f"Intact, {plot.vessel} holds at least {_least_wind_text(intact)}"
+    if len(failed):
+        worst = failed.nsmallest(1, "wind_mps").iloc[0]
+        wording += f"; after the loss of {worst['case']} {_least_wind_text(failed)}"
+    if plot.notation:
+        yield f"{plot.notation}."
+    yield f"{wording} (DNV-ST-0111, level 1; azimuths as polygons of {plot.sides} sides)."
+
+
+def _least_wind_text(edges: pd.DataFrame) -> str:
+    """Format the least wind held over all directions [m/s], and its direction."""
+    least = edges.nsmallest(1, "wind_mps").iloc[0]
+    return f"{rounded_down(least['wind_mps'])} m/s, from {least['from_deg']:.0f}°"
+
+
+def _time_held_text(of_group: pd.DataFrame) -> str:
+    """Describe when a thruster loss can be held: throughout, until a time, or never."""
+    states, change_s = of_group["state"].tolist(), of_group["from_s"].iloc[-1]
+    if states == [HELD]:
+        return "throughout"
+    if HELD not in states:
+        return "at no time"
+    if states == [HELD, LOST]:
+        return f"until {change_s:.0f} s and not after"
+    if states == [LOST, HELD]:
+        return f"from {change_s:.0f} s on"
+    long_s = of_group["to_s"] - of_group["from_s"]
+    share = long_s[of_group["state"] == HELD].sum() / long_s.sum()
+    return f"in {100.0 * share:.0f} % of the time"
+
+
+def describe_losses_held(analysis: ConsequenceAnalysis) -> str:
+    """State which losses of thrusters can be held and when, and what of the force is asked for."""
+    when: dict[str, list[str]] = {}
+    for group, of_group in analysis.spans.groupby("group", sort=False):
+        when.setdefault(_time_held_text(of_group), []).append(str(group))
+    held = [f"the loss of {' or of '.join(of)} can be held {time}" for time, of in when.items()]
+    return f"In {analysis.name} {'; '.join(held)} ({margin_text(analysis)})."
+
+
+def margin_text(analysis: ConsequenceAnalysis) -> str:
+    """Name the force that the thrusters must make after a loss."""
+    return f"force through a 60 s filter, times a dynamic margin of {analysis.margin:g}"
+
+
+def unanswered_text(records: Records, solver: str) -> str:
+    """State how many QPs of consequence analyses a solver leaves unanswered; "" for none."""
+    best = [a.best[solver] for a in consequence_analyses(records) if solver in a.best]
+    silent, asked = sum(a.unanswered for a in best), sum(a.asked for a in best)
+    infeasible = sum(a.infeasible - a.refused for a in best)
+    if not silent:
+        return ""
+    alarms = " where a loss cannot be held" if silent == infeasible else ""
+    return f"{solver} leaves {silent} of {asked} QPs of the consequence analysis unanswered{alarms}"
