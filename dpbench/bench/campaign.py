@@ -7,7 +7,7 @@ import json
 import math
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -46,6 +46,12 @@ from dpbench.bench.workers.worker import make_source
 from dpbench.errors import InputError, ResultsError, require_lists_of_names
 from dpbench.locks import WaitLimit
 from dpbench.solvers.table import check_availability
+
+CELL_KEYS = (
+    *("cell_limit_s", "cell_memory_gb", "rounds", "warmup_steps", "replay_budget_s"),
+    *("repeat_budget_s", "harness_version"),
+)
+"""Keys of a suite that are part of many or all of its cells: a change runs these again."""
 
 
 class Campaign:
@@ -98,6 +104,8 @@ class Campaign:
         pending = self.find_unfinished_jobs()
         work = sum(count_steps(job.cell) for job in pending) + self.designs.work
         work += self.counts.work
+        if pending and (changed := self._describe_changed_keys()):
+            progress.remark(f"{len(pending)} cells are run, as the suite changed: {changed}")
         progress.start(work)
         if not work and self._has_written_results():
             clear_scratch_folders(self.store.folder)
@@ -170,6 +178,15 @@ class Campaign:
         if self._fresh or not previous.is_file():
             return []
         return list(read_suite(self._out).get("revisions", []))
+
+    def _describe_changed_keys(self) -> str:
+        """Name the keys of all cells that the suite had with other values in this folder; or ""."""
+        if self._fresh or not (self._out / "suite.json").is_file():
+            return ""
+        found: Mapping[str, Any] = dict(read_suite(self._out))
+        asked = self._describe_request_for_suite_json()
+        changed = [k for k in CELL_KEYS if k in found and found[k] != asked[k]]
+        return ", ".join(f"{key} {found[key]} → {asked[key]}" for key in changed)
 
     def write_results(
         self,

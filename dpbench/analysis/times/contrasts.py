@@ -54,7 +54,7 @@ class PairedComparison:
 
     @property
     def finding(self) -> str:
-        """What the ratio shows: "too few steps", "tied", "unstable" or "slower" (the second)."""
+        """Finding on the ratio: "too few steps", "tied", "unstable" or "slower" (the second)."""
         if not math.isfinite(self.ratio.high):
             return "too few steps"
         if self.is_tied:
