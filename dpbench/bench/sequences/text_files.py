@@ -1,6 +1,7 @@
 """Sequences for other tools: a MATLAB file, a folder of CSV tables, a folder of QPS files."""
 
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -21,12 +22,15 @@ def save_mat(path: Path, recorded: Recorded) -> Path:
     """Write a sequence to a MATLAB file, version 5.
 
     P, A, lb, ub as in `QuadraticProgram`, with the step as the first axis where they vary; q, l, u
-    (K, ·), the optima z, y, y_box (K, ·) and their error `bound` (K,).
+    (K, ·), the optima z, y, y_box (K, ·) and their error `bound` (K,). `unit_z` (n,) and `unit_row`
+    (m,) are 1 of z and of a row in N or N·m. The structure `meta` has `name`, `scenario`,
+    `sample_s` [s], `first` and `every` sample, the horizons, and the version of dpbench.
     """
     from scipy.io import savemat
 
     with write_file_atomically(path) as part:
-        savemat(str(part), _collect_arrays(recorded), appendmat=False)
+        contents = {**_collect_arrays(recorded), "meta": _collect_meta(recorded)}
+        savemat(str(part), contents, appendmat=False)
     return path
 
 
@@ -66,7 +70,16 @@ def _collect_arrays(recorded: Recorded) -> dict[str, Vector]:
     if optima:
         arrays |= {name: np.array([getattr(o, name) for o in optima]) for name in OPTIMUM}
         arrays["bound"] = np.array([o.bound for o in optima])
+    if recorded.units is not None:
+        arrays |= {"unit_z": recorded.units.z, "unit_row": recorded.units.row}
     return arrays
+
+
+def _collect_meta(recorded: Recorded) -> dict[str, str | int | float]:
+    """Return the name of a sequence, its origin and the version of dpbench, by field."""
+    known = {"name": recorded.sequence.name, "dpbench": version("dpbench")}
+    meta = known | recorded.sequence.meta
+    return {key: value for key, value in meta.items() if isinstance(value, str | int | float)}
 
 
 def _qps_lines(qp: QuadraticProgram, name: str) -> Iterator[str]:

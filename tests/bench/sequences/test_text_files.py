@@ -26,6 +26,17 @@ def test_a_matlab_file_has_the_arrays(name: str, tmp_path: Path) -> None:
     assert found["bound"].shape == (1, 3)
 
 
+def test_a_matlab_file_has_units_sample_time_scenario_and_version(tmp_path: Path) -> None:
+    export_sequence("paper-30-5", tmp_path / "a.mat", format="mat", steps=3)
+    found = loadmat(tmp_path / "a.mat", simplify_cells=True)
+    # A rate-limit step of the paper's ship in surge, sway and yaw [N, N·m].
+    assert found["unit_z"].tolist() == [32736.0, 11008.0, 475200.0] * 5
+    assert found["unit_row"].shape == (15,)
+    meta = found["meta"]
+    assert (meta["sample_s"], meta["scenario"], meta["N_p"]) == (0.3, "paper-30-5", 30)
+    assert meta["name"].startswith("paper-30-5") and meta["dpbench"]
+
+
 def test_csv_tables_have_the_arrays_to_the_last_digit(tmp_path: Path) -> None:
     export_sequence("turn-30-5", tmp_path / "tables", format="csv", steps=2)
     problem = load_recorded(sequence_path("turn-30-5")).sequence.problem(1)
