@@ -11,10 +11,12 @@ import numpy as np
 
 from dpbench.codegen.c_tables import Table, make_table, number_text
 from dpbench.codegen.controller_data import ControllerData, read_controller
+from dpbench.codegen.counted_replay import StepCost, count_replay
 from dpbench.codegen.fmu import SYSTEMS, build_fmu
 from dpbench.codegen.rendering import render
 from dpbench.codegen.solver_sources import SOLVERS, SolverSources, round_up
-from dpbench.codegen.trajectory import record_trajectory
+from dpbench.codegen.trajectory import Trajectory, record_trajectory
+from dpbench.embedded.toolchain import has_extra
 from dpbench.errors import InputError
 from dpbench.files.writing import write_bytes_to_file_or_pipe, write_file_set_into_folder
 from dpbench.scenario.scenario import Scenario, as_scenario
@@ -31,6 +33,7 @@ def generate_controller(
     steps: int = MOST_REPLAYED,
     fmu: str | Path | None = None,
     fmi: int = 2,
+    counts: bool = True,
 ) -> list[str]:
     """Write a scenario's controller as C99 into a folder; return what was written, as lines.
 
@@ -41,11 +44,14 @@ def generate_controller(
     out : the folder, made unless it exists.
     steps : length of the recorded trajectory that comes with it.
     fmu : file of a functional mock-up unit to write too; fmi : its version, 2 or 3.
+    counts : put instructions of the replayed steps into README.md, where the extra `embedded` is
+        installed.
 
     Raises
     ------
     InputError : for a controller or solver without C code, or without the extra `embedded`, whose
         compiler an FMU needs.
+    SituationError : the sources cannot be fetched, or an emulated core commands something else.
     """
     if solver not in SOLVERS:
         raise InputError("codegen", "solver", repr(solver), ", ".join(SOLVERS))
@@ -61,8 +67,10 @@ def generate_controller(
         "constants": sum(table.bytes for table in (*tables, *sources.tables)),
         "memory": _count_memory(data, sources),
     }
-    files = render_sources(data, sources, tables, solver=solver, **sizes)
     trajectory = record_trajectory(data, solver, steps, sources.settings)
+    costs = count_steps(data, sources, tables, trajectory) if counts and has_extra() else []
+    facts = {**sizes, "solver": solver, "costs": [cost.row for cost in costs]}
+    files = render_sources(data, sources, tables, **facts)
     names = [signal.name for signal in (*data.inputs, *data.outputs)]
     files["trajectory.csv"] = trajectory.format_csv(names).encode()
     folder = Path(out)
@@ -73,6 +81,7 @@ def generate_controller(
         f"The QP has {data.qp.n} variables and {data.qp.m} rows; constants take "
         f"{sizes['constants']} bytes, memory takes {sizes['memory']}.",
     ]
+    lines += [f"{cost.summary}." for cost in costs]
     if fmu is not None:
         whole = build_fmu(data, files, fmi)
         write_bytes_to_file_or_pipe(Path(fmu), whole)
@@ -81,6 +90,20 @@ def generate_controller(
             f"FMI {fmi}.0 in {fmu}, {len(whole) / 1000:.0f} kB, with libraries for {systems}."
         )
     return lines
+
+
+def count_steps(
+    data: ControllerData,
+    sources: SolverSources,
+    tables: Iterable[Table],
+    trajectory: Trajectory,
+) -> list[StepCost]:
+    """Return what the steps of a trajectory take on emulated cores."""
+    files = render_sources(data, sources, tables, solver="", constants=0, memory=0, costs=[])
+    compiled = {name: files[name] for name in files if Path(name).suffix in (".c", ".h")}
+    del compiled["main.c"]
+    compiled["count_step.c"] = render("count_step.c", inputs=data.inputs)
+    return count_replay(compiled, trajectory, data.du_max, sources.tolerance)
 
 
 def _count_memory(data: ControllerData, sources: SolverSources) -> int:

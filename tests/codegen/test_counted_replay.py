@@ -1,0 +1,64 @@
+"""Instructions of a generated controller's steps: the right steps, counted each time alike."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from dpbench.codegen import generate
+from dpbench.codegen.controller_data import read_controller
+from dpbench.codegen.generate import count_steps, generate_controller, list_tables
+from dpbench.codegen.solver_sources import make_active_set_sources
+from dpbench.codegen.trajectory import record_trajectory
+from dpbench.embedded.toolchain import has_extra
+from dpbench.errors import SituationError
+from dpbench.scenario.scenario import load_scenario
+
+needs_extra = pytest.mark.skipif(not has_extra(), reason="needs the extra embedded")
+STEPS = 6
+
+
+@needs_extra
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["paper", "thrusters_loss"])
+def test_every_step_is_counted_and_does_more_than_its_solve(name: str) -> None:
+    """θ and q alone take a product of `gradient` with θ: a multiplication for each entry."""
+    data = read_controller(load_scenario(name))
+    sources = make_active_set_sources(data.qp)
+    trajectory = record_trajectory(data, "paper_active_set", STEPS)
+    first, again = (count_steps(data, sources, list_tables(data), trajectory) for _ in range(2))
+    for cost, same in zip(first, again, strict=True):
+        assert cost.instructions.tolist() == same.instructions.tolist()
+        assert len(cost.instructions) == STEPS
+        assert cost.instructions.min() > data.gradient.size
+    assert [cost.core for cost in first] == ["Cortex-M7", "Cortex-A53"]
+
+
+@needs_extra
+@pytest.mark.slow
+def test_other_commands_than_recorded_are_refused() -> None:
+    data = read_controller(load_scenario("paper"))
+    sources = make_active_set_sources(data.qp)
+    recorded = record_trajectory(data, "paper_active_set", STEPS)
+    shifted = replace(recorded, commands=recorded.commands + 0.01 * data.du_max)
+    with pytest.raises(SituationError, match=r"a command differs by 0\.01"):
+        count_steps(data, sources, list_tables(data), shifted)
+
+
+@needs_extra
+@pytest.mark.slow
+def test_the_readme_names_the_counts(tmp_path: Path) -> None:
+    lines = generate_controller("paper", out=tmp_path, steps=STEPS)
+    readme = (tmp_path / "README.md").read_text()
+    (row,) = re.findall(r"\| Cortex-M7 \| 6 \| ([\d,]+) \|", readme)
+    assert any(f"On Cortex-M7 a step takes {row} instructions" in line for line in lines)
+    assert "count_step.c" not in {path.name for path in tmp_path.iterdir()}
+
+
+def test_without_the_extra_the_readme_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(generate, "has_extra", lambda: False)
+    generate_controller("paper", out=tmp_path, steps=2)
+    assert "install `dpbench[embedded]`" in (tmp_path / "README.md").read_text()
