@@ -21,7 +21,7 @@ from dpbench.temporary_folders import make_temporary_folder_for_block, process_t
 
 CORES = ("m7", "a53")
 MOST_INSTRUCTIONS = 100_000_000
-"""Of a replay on one core, some seconds: where they are reached, no more steps are counted."""
+"""Most instructions of a replay on one core, some seconds: no step is counted after them."""
 FLAGS = ("-ffp-contract=off",)
 """As in the CMakeLists.txt of a controller: the replay compares with recorded commands."""
 
