@@ -23,6 +23,7 @@ from dpbench.cli.own_thrusters import (
     choose_loss,
     choose_sea,
     describe_losses,
+    find_hardest_sea,
     find_held_sea,
     find_mean_share,
     read_own_thrusters,
@@ -133,7 +134,8 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
         drawn = save_held_sea(held, vessel, folder, name)
         steered = next(file for file in texts if file.endswith("_thrusters.toml"))
         remarks += describe_losses(held, number, _loss_s(vessel), folder / steered)
-    return [*drawn, *_summary_lines(folder, texts, vessel, number, remarks)]
+    harder = _suggest_harder_sea(folder, vessel, number, held)
+    return [*drawn, *_summary_lines(folder, texts, vessel, number, remarks), *harder]
 
 
 def _render_sea_files(
@@ -275,6 +277,21 @@ def _summary_lines(
         forces = "--sway-thrust and --yaw-moment" if vessel.thrusters is None else "--thrusters"
         lines.append(f"This ship cannot hold there: see --sea, {forces}.")
     return [*lines, f"next: dpbench check {paths[0]}", f"      dpbench run {paths[-1]}"]
+
+
+def _suggest_harder_sea(
+    folder: Path, vessel: Vessel, number: int, held: HeldSea | None
+) -> list[str]:
+    """Name the command that writes the hardest sea the ship holds; nothing where this is it."""
+    harder = find_hardest_sea(vessel, held)
+    if harder <= number:
+        return []
+    share, whole = find_mean_share(vessel, harder)
+    where = "" if folder == Path() else f" --out {folder}"
+    return [
+        f"harder: dpbench init {vessel.id} --sea {harder}{where}",
+        f"      (its mean force takes {share:.0%} of {whole}: limits are active more often)",
+    ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -220,6 +220,16 @@ def describe_losses(held: HeldSea, number: int, at_s: float, file: Path) -> list
     ]
 
 
+def find_hardest_sea(vessel: Vessel, held: HeldSea | None) -> int:
+    """Return the largest DP number that the intact ship holds, by its limits without thrusters."""
+    if held is None:
+        held_numbers = (n for n in scaling.DP_NUMBERS if find_mean_share(vessel, n)[0] <= 1.0)
+    else:
+        winds = scaling.DP_NUMBERS.items()
+        held_numbers = (n for n, (wind_mps, *_) in winds if wind_mps <= held.intact_mps)
+    return max(held_numbers, default=1)
+
+
 def find_mean_share(vessel: Vessel, number: int) -> tuple[float, str]:
     """Return the share that the mean force of a DP number takes, and of what: limits or thrust."""
     if vessel.thrusters is None:

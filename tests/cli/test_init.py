@@ -1,5 +1,7 @@
 """`dpbench init`: three files of one's own ship; what cannot be is refused."""
 
+import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -146,6 +148,21 @@ def test_the_same_ship_in_another_sea(capsys: pytest.CaptureFixture[str]) -> Non
     assert scenario.environment.wind is not None
     assert scenario.environment.wind.speed_mps == 13.8
     assert load_suite("my_ship_sea6_suite.toml")[1].replay[0].scenario == "my_ship_sea6.toml"
+    assert "cannot hold" in capsys.readouterr().out
+
+
+def test_the_hardest_sea_that_the_ship_holds_is_suggested(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """97 % of the limits at DP number 4; number 5 is beyond them."""
+    main([*SHIP, "--out", "ships"])
+    (command,) = re.findall(r"harder: dpbench (init my_ship --sea \d .*)", capsys.readouterr().out)
+    assert main(shlex.split(command)) == 0
+    harder = capsys.readouterr().out
+    assert "harder" not in harder
+    assert "cannot hold" not in harder
+    larger = int(command.split()[3]) + 1
+    assert main(["init", "my_ship", "--sea", str(larger), "--out", "ships"]) == 0
     assert "cannot hold" in capsys.readouterr().out
 
 
