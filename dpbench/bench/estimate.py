@@ -1,13 +1,18 @@
 """Estimates of the time of a campaign: by the runs of its last result folder, or stated rates.
 
-    time = Σ over cells (CELL_S + (step of its kind + JUDGE_STEP_S) · steps) / slots
+    time = START_S + Σ over loops and replays (CELL_S + TIMED_CELL_S + solving + judging) / slots
+         + Σ over sources of QPs (SOURCE_STEP_S · steps) / slots
 
-A kind is one configuration in one mode. The time of its step, with all between two steps, is the
-mean over the runs of the folder.
+    solving = step of its kind · steps, within the limits of the suite
+
+TIMED_CELL_S is of replays by turns alone, which have one slot. A kind is one configuration in one
+mode. The time of its step, with all between two steps, is the mean over the runs of the folder, or
+stated by the size of the QP. Judging and sources take longer with the size, too.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +25,15 @@ from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell import CapabilitySource, Cell
 from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
 from dpbench.bench.record.result_folder import load_results
-from dpbench.bench.workers.jobs import CELL_S, STEP_S
+from dpbench.bench.step_rates import estimate_step_s, measure_qp_size
+from dpbench.bench.workers.interleaved import FEWEST_ROUNDS
+from dpbench.bench.workers.jobs import CELL_S
 from dpbench.errors import InputError, ResultsError
 
-JUDGE_STEP_S = 0.00015
-"""Part of `STEP_S` for the referee and the tables [s]."""
+START_S, TIMED_CELL_S = 1.0, 0.25
+"""Start of a campaign; processes, warm-up and kernels of a replay by turns, rounds again [s]."""
+JUDGE_STEP_S, SOURCE_STEP_S, USUAL_SIZE = 0.00015, 0.0003, 60
+"""A step for the referee and the tables, and a step of an exactly solved loop [s], at this size."""
 STEP_BYTES, RUN_BYTES = 90.0, 500.0
 """Size of a step and of a run in the tables, for runs that have nothing in common
 (`docs/guide/scale.md`)."""
@@ -34,7 +43,7 @@ Kind = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Rates:
-    """Step times [s] of kinds that were run before, else `STEP_S`; and bytes per table row."""
+    """Step times [s] of kinds that were run before, else stated ones; and bytes per table row."""
 
     origin: str
     steps_s: dict[Kind, float] = field(default_factory=dict)
@@ -43,14 +52,14 @@ class Rates:
 
     def estimate_cell_seconds(self, cell: Cell) -> float:
         """Return the expected time of a run [s], by the measured or stated step times."""
-        kind = tuple(str(getattr(cell, name)) for name in _KIND)
-        step_s = self.steps_s.get(kind, STEP_S - JUDGE_STEP_S)
-        return CELL_S + (step_s + JUDGE_STEP_S) * count_step_rows_of_cell(cell)
+        kind, size = tuple(str(getattr(cell, name)) for name in _KIND), measure_qp_size(cell)
+        step_s = self.steps_s.get(kind) or estimate_step_s(cell.solver, cell.route, size)
+        own_s = CELL_S + TIMED_CELL_S * cell.is_timed
+        return own_s + _estimate_solving_s(cell, step_s) + _estimate_judging_s(cell, size)
 
 
 STATED_RATES = Rates(
-    "stated rates of another machine and small QPs; a run in the same folder gives those of this "
-    "one"
+    "stated rates of another machine; a run in the same folder gives those of this one"
 )
 
 
@@ -70,6 +79,7 @@ class Estimate:
     size_bytes: float
     slots: int
     rates: str
+    remarks: Sequence[str] = ()
 
     @property
     def lines(self) -> list[str]:
@@ -83,6 +93,7 @@ class Estimate:
             f"about {_format_duration(self.time_s)} on this machine, {self.slots} closed loops at "
             f"a time, and {self.size_bytes / 1e6:.1f} MB of tables; without the report{apart}",
             f"by {self.rates}",
+            *self.remarks,
         ]
 
 
@@ -99,6 +110,37 @@ def count_step_rows_of_cell(cell: Cell) -> int:
     return cell.steps * cell.rounds + cell.warmup_steps if cell.mode == "replay" else cell.steps
 
 
+def _estimate_solving_s(cell: Cell, step_s: float) -> float:
+    """Return the expected time of a run's steps [s], within its limit and its budget of rounds."""
+    if cell.mode != "replay":
+        return min(cell.steps * step_s, cell.limit_s)
+    round_s = cell.steps * step_s
+    rounds = cell.rounds
+    if cell.budget_s > 0.0 and round_s > 0.0:
+        rounds = min(rounds, max(FEWEST_ROUNDS, math.ceil(cell.budget_s / round_s)))
+    return min(rounds * round_s + cell.warmup_steps * step_s, cell.limit_s)
+
+
+def _estimate_judging_s(cell: Cell, size: int) -> float:
+    """Return the expected time of the referee and the tables for a run [s].
+
+    Most answers of later rounds are those of the first one, and are judged once.
+    """
+    return JUDGE_STEP_S * size / USUAL_SIZE * cell.steps
+
+
+def _estimate_sources_s(cells: Iterable[Cell]) -> float:
+    """Return the expected time of all exactly solved loops and sequences that runs need [s]."""
+    seconds: dict[tuple[object, ...], float] = {}
+    for cell in cells:
+        point = cell.study and (cell.study.point, cell.study.replicate)
+        key = (cell.scenario.get("name"), cell.source.name, point, cell.units)
+        steps = max(cell.first + cell.steps, cell.source.count_stretch_steps(cell.steps))
+        own = SOURCE_STEP_S * measure_qp_size(cell) / USUAL_SIZE * steps
+        seconds[key] = max(seconds.get(key, 0.0), own)
+    return sum(seconds.values())
+
+
 def estimate_time_and_size(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> Estimate:
     """Return expected time and table size of planned runs on `slots`, without capability plots."""
     to_run = [p for p in planned if not p.refused]
@@ -108,7 +150,9 @@ def estimate_time_and_size(planned: Sequence[PlannedCell], slots: int, rates: Ra
         refused=len(planned) - len(to_run),
         unmeasured=len(to_run) - len(measured),
         steps=sum(count_step_rows_of_cell(p.cell) for p in to_run),
-        time_s=sum(
+        time_s=START_S * bool(measured)
+        + _estimate_sources_s(p.cell for p in measured) / slots
+        + sum(
             rates.estimate_cell_seconds(p.cell) / (1 if p.cell.is_timed else slots)
             for p in measured
         ),
@@ -152,6 +196,7 @@ def estimate_campaign(
     if engine != "local":
         raise InputError("--dry-run", "", f"engine {engine}", "engine local")
     plan = RunRequest(None if suite is None else str(suite), **asked).plan()
-    return estimate_time_and_size(
-        plan.cells, count_slots(jobs), read_measured_rates(choose_result_folder(plan, out))
+    rates = read_measured_rates(choose_result_folder(plan, out))
+    return replace(
+        estimate_time_and_size(plan.cells, count_slots(jobs), rates), remarks=plan.remarks
     )

@@ -1,53 +1,118 @@
 """The estimate of a campaign equals the times of its last runs, or what stated rates give."""
 
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from dpbench import load_results
+from dpbench.bench import step_rates
 from dpbench.bench.estimate import (
     JUDGE_STEP_S,
+    SOURCE_STEP_S,
+    START_S,
     STATED_RATES,
+    TIMED_CELL_S,
     Rates,
     estimate_time_and_size,
     read_measured_rates,
 )
 from dpbench.bench.plan.cells import PlannedCell
-from dpbench.bench.record.cell import CapabilitySource, Cell
+from dpbench.bench.record.cell import (
+    CapabilitySource,
+    Cell,
+    ConsequenceSource,
+    RandomSource,
+    RecordedSource,
+)
 from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
-from dpbench.bench.workers.jobs import CELL_S, STEP_S
+from dpbench.bench.step_rates import SMALL, estimate_step_s, measure_qp_size
+from dpbench.bench.workers.jobs import CELL_S
 from dpbench.cli.main import main
+from dpbench.qp.random_recipe import RandomRecipe
+from dpbench.scenario.scenario import load_scenario
+from dpbench.solvers.table import find_record
 from tests.bench.deterministic import suite_file, suite_toml
 
 
 def cell(solver: str, steps: int, **more: object) -> PlannedCell:
-    of_cell = {"mode": "closed_loop", "scenario": {"name": "x"}, "formulation": "condensed_box"}
+    of_cell = {"mode": "closed_loop", "scenario": {}, "formulation": "condensed_box"}
     way = {"route": "native", "policy": "fresh", "settings": "default", "solver": solver}
     return PlannedCell(Cell(**{**of_cell, **way, "steps": steps, **more}))  # type: ignore[arg-type] # mypy cannot type ** of mixed values
 
 
 @pytest.mark.parametrize("slots", [1, 2])
 def test_time_goes_by_cells_steps_and_configurations(slots: int) -> None:
+    """Loops share the slots, replays by turns do not; each further solver costs its own steps."""
     kind = ("closed_loop", "daqp", "native", "fresh", "default", "", "condensed_box", "scaled")
-    rates = Rates("a test", {kind: 0.004})
-    loops = [cell("daqp", 400)] * 90 + [cell("osqp", 1000)] * 30
-    replays = [cell("osqp", 50, mode="replay", rounds=4, warmup_steps=5)] * 3
-    found = estimate_time_and_size([*loops, *replays], slots, rates)
-    of_loops = 120 * CELL_S + 36_000 * (0.004 + JUDGE_STEP_S) + 30_000 * STEP_S
-    of_replays = 3 * (CELL_S + 205 * STEP_S)
-    assert found.time_s == pytest.approx(of_loops / slots + of_replays)
-    assert (found.cells, found.steps) == (123, 66_000 + 3 * 205)
-    assert found.size_bytes == pytest.approx(123 * 500 + 90 * found.steps)
+    rates = Rates("a test", {kind: 0.004, ("replay", *kind[1:]): 0.002})
+    source = RandomSource("q", recipe=RandomRecipe("plain", 40, 20, 1, 50))
+    loops = [cell("daqp", 400, source=source)] * 90
+    replays = [cell("daqp", 50, mode="replay", rounds=4, warmup_steps=5)] * 3
+    alone, both = (
+        estimate_time_and_size(cells, slots, rates) for cells in (loops, [*loops, *replays])
+    )
+    judged = 400 * JUDGE_STEP_S
+    assert alone.time_s == pytest.approx(
+        START_S + (400 * SOURCE_STEP_S + 90 * (CELL_S + 400 * 0.004 + judged)) / slots
+    )
+    assert both.time_s - alone.time_s >= 3 * (205 * 0.002 + TIMED_CELL_S)
+    assert (both.cells, both.steps) == (93, 36_000 + 3 * 205)
+    assert both.size_bytes == pytest.approx(93 * 500 + 90 * both.steps)
+
+
+def test_a_budget_and_a_limit_bound_the_time_of_a_run() -> None:
+    """A replay whose budget is used up still has three rounds; nothing is longer than its limit."""
+    kind = ("replay", "daqp", "native", "fresh", "default", "", "condensed_box", "scaled")
+    rates = Rates("a test", {kind: 0.01})
+
+    def time_s(**more: object) -> float:
+        replay = {"mode": "replay", "scenario": {}, "rounds": 9, "limit_s": 99.0}
+        return estimate_time_and_size([cell("daqp", 100, **{**replay, **more})], 1, rates).time_s
+
+    whole = time_s()
+    assert whole - time_s(budget_s=0.5) == pytest.approx(6.0)
+    assert whole - time_s(budget_s=4.5) == pytest.approx(4.0)
+    assert whole - time_s(limit_s=2.0) == pytest.approx(7.0)
+
+
+@pytest.mark.parametrize("route", ["native", "qpsolvers"])
+def test_a_stated_step_takes_longer_in_a_larger_qp(route: str) -> None:
+    for solver in ("osqp", "daqp", "a solver of a plug-in"):
+        times = [estimate_step_s(solver, route, size) for size in (10, 30, 60, 150, 340, 900)]
+        assert times[0] == times[1] and times[1:] == sorted(set(times))
+
+
+def test_the_stated_table_holds_solvers_that_exist() -> None:
+    path = Path(step_rates.__file__).with_name("stated_rates.toml")
+    table = tomllib.loads(path.read_text(encoding="utf-8"))
+    for name, times in table["times"].items():
+        solver, route = name.split(" ")
+        assert route in find_record(solver).routes and len(times) == len(table["sizes"])
+    assert estimate_step_s("osqp", "native", 60) == pytest.approx(
+        1e-6 * table["times"]["osqp native"][1]
+    )
+
+
+@pytest.mark.parametrize(("name", "size"), [("paper", 30), ("rough", 60), ("thrusters", 340)])
+def test_the_size_is_that_of_the_scenario(name: str, size: int) -> None:
+    files = load_scenario(name).files
+    assert measure_qp_size(cell("daqp", 5, scenario=files).cell) == size
+    allocation = {"mode": "replay", "source": ConsequenceSource("x", "A")}
+    assert measure_qp_size(cell("daqp", 5, scenario=files, **allocation).cell) == SMALL
+    stored = RecordedSource("x", "paper-30-5")
+    assert measure_qp_size(cell("daqp", 5, mode="replay", scenario={}, source=stored).cell) == 30
 
 
 def test_what_does_not_run_takes_nothing() -> None:
     edge = {"mode": "replay", "scenario": {}, "source": CapabilitySource("x")}
+    random = {"scenario": {}, "source": RandomSource("q", recipe=RandomRecipe("plain", 9, 9, 1, 5))}
     refused = PlannedCell(cell("osqp", 400).cell, "no such policy")
-    found = estimate_time_and_size(
-        [cell("daqp", 20), refused, cell("daqp", 9, **edge)], 1, STATED_RATES
-    )
+    cells = [cell("daqp", 20, **random), refused, cell("daqp", 9, **edge)]
+    found = estimate_time_and_size(cells, 1, STATED_RATES)
     assert (found.cells, found.refused, found.unmeasured) == (2, 1, 1)
-    assert found.time_s == pytest.approx(CELL_S + 20 * STEP_S)
+    assert found.time_s == estimate_time_and_size(cells[:1], 1, STATED_RATES).time_s > START_S
+    assert estimate_time_and_size([refused], 1, STATED_RATES).time_s == 0.0
 
 
 SUITE = suite_toml(
@@ -66,14 +131,14 @@ def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
     assert main(["run", "tiny.toml", "--dry-run"]) == 0
     said = capsys.readouterr()
     assert said.err == ""
-    cells, cost, rates = said.out.splitlines()
+    cells, cost, rates, remark = said.out.splitlines()
     assert cells == "83 cells to run and 1 refused: 1 089 recorded steps"
     assert "s on this machine" in cost and "MB of tables" in cost
-    assert rates.startswith("by stated rates")
+    assert rates.startswith("by stated rates") and "for a p99" in remark
     assert sorted(path.name for path in tmp_path.iterdir()) == ["tiny.toml"]
     assert main(["run", "tiny.toml", "--quiet", "--solver", "daqp", "--out", "mine"]) == 0
     assert main(["run", "tiny.toml", "--dry-run", "--out", "mine"]) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == "by the runs in mine"
+    assert capsys.readouterr().out.splitlines()[-2] == "by the runs in mine"
     runs, found = load_results("mine").runs, read_measured_rates(Path("mine"))
     # 40 loops of 12 steps; the replays take 2 rounds of 20 and 3 steps to warm up.
     assert len(found.steps_s) == 3
