@@ -6,6 +6,7 @@ inherit (NUMBA_CACHE_DIR), with links to kernels that were compiled before.
 """
 
 import os
+import sys
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core import event
 from numba.core.caching import UserProvidedCacheLocator
 from numba.misc.appdirs import AppDirs
 
@@ -25,6 +27,10 @@ _numba_njit: Any = numba.njit
 _config: Any = numba.config  # type: ignore[attr-defined,unused-ignore] # as above
 _app_dirs: Any = AppDirs
 _locator: Any = UserProvidedCacheLocator
+_Listener: Any = event.Listener
+COMPILING = "dpbench: compiling numerical kernels, once per machine: about 20 s"
+_OWN_PROCESSES = {"dpbench.cli", "dpbench.bench.workers.template"}
+"""Modules of commands and workers, where a campaign has a line of its own."""
 _NO_PLACE = "cannot cache function"
 """Beginning of Numba's error where it finds no folder to write to."""
 
@@ -47,6 +53,27 @@ def njit(*signature: str, **options: Any) -> Callable[[Function], Function]:
         )
 
     return compiled
+
+
+class _CompilationNotice(_Listener):  # type: ignore[misc] # Numba's class is untyped
+    """Line on standard error before a session in Python waits for its first compilation."""
+
+    is_printed = False
+
+    def on_start(self, event: Any) -> None:
+        """Print the line once, for a kernel of this package that is not in Numba's cache."""
+        kernel: Function = event.data["dispatcher"].py_func
+        is_due = not self.is_printed and _OWN_PROCESSES.isdisjoint(sys.modules)
+        if is_due and kernel.__module__.startswith("dpbench."):
+            self.is_printed = True
+            print(COMPILING, file=sys.stderr, flush=True)
+
+    def on_end(self, event: Any) -> None:
+        """Do nothing at the end of a compilation; Numba requires this method."""
+
+
+_install_notice: Any = event.register
+_install_notice("numba:compile", _CompilationNotice())
 
 
 def list_numba_cache_folders() -> list[Path]:

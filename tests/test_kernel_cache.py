@@ -26,6 +26,13 @@ print(twice(2.0), os.environ["NUMBA_CACHE_DIR"], sum(twice.stats.cache_hits.valu
 if "again" not in sys.argv:
     subprocess.run([sys.executable, __file__, "again"], check=True)
 """
+SESSION = """
+import importlib, sys
+for module in sys.argv[1:]:
+    importlib.import_module(module)
+from dpbench.ship.estimation.estimator import nearest_turn
+nearest_turn(0.0, 1.0), nearest_turn(0, 1)
+"""
 
 
 @pytest.mark.slow
@@ -51,6 +58,22 @@ def test_kernels_are_kept_as_long_as_the_program_lives(tmp_path: Path) -> None:
     assert (first[0], first[2]) == ("4.0", "0") and (again[0], again[2]) == ("4.0", "1")
     assert first[1] == again[1] and first[1].startswith(str(place))
     assert list(place.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_a_session_in_python_announces_compilation_once(tmp_path: Path) -> None:
+    """Not when kernels are cached, and not in a command or worker."""
+
+    def run(folder: str, *modules: str) -> list[str]:
+        command = [sys.executable, "-c", SESSION, *modules]
+        cache = {"NUMBA_CACHE_DIR": str(tmp_path / folder)}
+        done = subprocess.run(
+            command, env=os.environ | cache, stderr=subprocess.PIPE, text=True, check=True
+        )
+        return done.stderr.splitlines()
+
+    assert run("session") == [kernel_cache.COMPILING]
+    assert run("session") == [] == run("command", "dpbench.cli")
 
 
 def test_without_any_folder_they_are_compiled_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
