@@ -82,15 +82,22 @@ def count_solvers(verdicts: Verdicts) -> str:
 
 def select_own_settings(verdicts: Verdicts) -> list[Verdict]:
     """Select the best verdict over the call modes of each solver's settings of one's own."""
+    alike = _group_own_settings(verdicts).values()
+    return [min(fastest_first(of), key=lambda v: STATES.index(v.state)) for of in alike]
+
+
+def _group_own_settings(verdicts: Verdicts) -> dict[tuple[str, str], list[Verdict]]:
+    """Group the verdicts on settings of one's own by solver and options."""
     own = [verdict for verdict in verdicts.all if verdict.configuration.options]
-    alike = group_by(own, lambda v: (v.configuration.solver, v.configuration.options))
-    return [min(fastest_first(of), key=lambda v: STATES.index(v.state)) for of in alike.values()]
+    return group_by(own, lambda v: (v.configuration.solver, v.configuration.options))
 
 
 def own_settings_lines(verdicts: Verdicts) -> list[str]:
     """State the verdict on each settings of one's own, and the best of each grid."""
     own = select_own_settings(verdicts)
-    lines = [_own_settings_line(verdict) for verdict in own[:MOST_OWN]]
+    modes = [len(alike) for alike in _group_own_settings(verdicts).values()]
+    shown = zip(own[:MOST_OWN], modes, strict=False)
+    lines = [_own_settings_line(verdict, count) for verdict, count in shown]
     others = len(own) - MOST_OWN
     more = [f"{others} more settings: tables/verdicts.csv."] if others > 0 else []
     return [*lines, *more, *best_of_grids(own)]
@@ -102,10 +109,14 @@ def _own_settings_name(verdict: Verdict) -> str:
     return f"{c.solver} {c.settings}" if c.options_text else f"{c.solver}[{c.settings}]"
 
 
-def _own_settings_line(verdict: Verdict) -> str:
-    """State verdict, error, failed steps and p99 of a solver at settings of one's own."""
+def _own_settings_line(verdict: Verdict, modes: int) -> str:
+    """State verdict, error, failed steps and p99 of a solver at settings of one's own.
+
+    modes : number of call modes of these settings, of which the verdict is the best.
+    """
     c = verdict.configuration
-    name = f"{_own_settings_name(verdict)} ({c.route} {c.policy})"
+    best = f", best of {modes} call modes" if modes > 1 else ""
+    name = f"{_own_settings_name(verdict)} ({c.route} {c.policy}{best})"
     if verdict.refusal:
         return f"{name}: {verdict.state}: {verdict.refusal}."
     findings = verdict.causes or verdict.missing

@@ -78,6 +78,7 @@ def _describe_configuration(
         **{name: json_number(times.get(name)) for name in ("p50", "p99", "max")},
         "replay_p99": None if v is None else json_number(v.replay_p99_ns),
         "raw_p99": None if v is None else json_number(v.raw_p99_ns),
+        "p50_in": "" if v is None else v.timed_on,
         "p99_in": "" if v is None else v.p99_on,
         "error": None if v is None else json_number(v.error_move),
         "failed": None if v is None else v.failed_steps,

@@ -439,6 +439,8 @@ def test_two_solvers_are_compared(opened: Any) -> None:
         named = page.evaluate(f"views.pairs.then((view) => view.signal('{name}'))")
         assert named.startswith(title) and named.endswith("[µs]")
     markdown = page.text_content("#two-markdown")
+    (p50,) = re.findall(r"\| p50 \| [\d.]+ µs in (\S+) \| [\d.]+ µs in (\S+) \|", markdown)
+    assert set(p50) <= {"paper", "rough"}
     assert "| p99 |" in markdown
     assert len(markdown.encode()) < 3000
 

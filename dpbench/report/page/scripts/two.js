@@ -69,8 +69,11 @@ async function drawTwo() {
     await view.data("pairs", rows).runAsync();
   }
   $("two-markdown").textContent = `| | ${label(state.c)} | ${label(second)} |\n|---|---|---|\n`
-    + [["p50", "p50"], ["p99", "p99"], ["largest step", "max"]].map(([name, column]) =>
-      `| ${name} | ${time(C()[column][state.c])} | ${time(C()[column][second])} |`).join("\n")
+    + ["p50", "p99"].map((column) => {
+      const cells = [state.c, second].map((c) => `${time(C()[column][c])} in ${C()[`${column}_in`][c]}`);
+      return `| ${column} | ${cells.join(" | ")} |`;
+    }).join("\n")
+    + `\n| largest step of all replays | ${time(C().max[state.c])} | ${time(C().max[second])} |`
     + `\n| largest error | ${figure(C().error[state.c])} | ${figure(C().error[second])} |\n`
     + `| verdict | ${C().verdict[state.c]} | ${C().verdict[second]} |\n\n${said.textContent.split(" Below")[0]}\n`;
 }
