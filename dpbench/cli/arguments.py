@@ -304,6 +304,7 @@ def _add_embedded_arguments(embedded: Command) -> None:
     repeated("--target", "T", "m7 (default), a53, riscv or x86; repeatable")
     repeated("--solver", "S", "only this solver; repeatable (all with a recipe)")
     repeated("--recipe", "DIR", "a recipe of your own: recipe.toml and shim.c; repeatable")
+    repeated("--source", "SOLVER=DIR", "a folder of a solver's sources, as hpipm; repeatable")
     repeated("--settings", "S.KEY=N", "a setting of a solver, as osqp.rho=0.1; repeatable")
     fit = "find the largest control horizon of a scenario (paper) that fits in this; repeatable"
     repeated("--fit", "KB", fit)

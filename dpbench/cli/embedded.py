@@ -36,7 +36,8 @@ def print_counts(arguments: argparse.Namespace) -> int:
     """Count as the options ask for; return 1 if a solver could not be counted, or tools differ."""
     require_extra()
     targets = [find_target(name) for name in arguments.target or ["m7"]]
-    recipes = select_recipes(arguments.solver, map(Path, arguments.recipe))
+    sources = _read_sources(arguments.source)
+    recipes = select_recipes(arguments.solver, map(Path, arguments.recipe), sources)
     settings = _read_settings(arguments.settings, recipes)
     if arguments.fit:
         return print_fits(
@@ -132,6 +133,17 @@ def _read_sequence(name: str, steps: int) -> Recorded:
         return recorded
     optima = None if recorded.optima is None else recorded.optima[:steps]
     return Recorded(thin_sequence(recorded.sequence, steps), optima, recorded.units)
+
+
+def _read_sources(texts: list[str]) -> dict[str, Path]:
+    """Parse SOLVER=DIR; InputError where DIR is no folder."""
+    sources: dict[str, Path] = {}
+    for text in texts:
+        solver, _, folder = text.partition("=")
+        if not folder or not Path(folder).is_dir():
+            raise InputError("--source", "", repr(text), "SOLVER=DIR, a folder that exists")
+        sources[solver] = Path(folder)
+    return sources
 
 
 def _read_settings(texts: list[str], recipes: list[Recipe]) -> dict[str, dict[str, Setting]]:

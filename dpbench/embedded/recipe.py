@@ -1,6 +1,7 @@
 """Recipes: where a solver's C comes from, and what of it is compiled.
 
-A recipe is a folder with `recipe.toml` and `shim.c`, which implements `runtime/embedded.h`. With a
+A recipe is a folder with `recipe.toml` and `shim.c` or `shim.cpp`, which implements
+`runtime/embedded.h`. With a
 `generate.py` its function `write_sources` writes C for the QPs that are counted. A folder of a
 user's own is the same.
 """
@@ -53,14 +54,20 @@ class RecipeFile(_Table):
     tuned: _Text
     """Settings that were tuned, and the sequences they were tuned on."""
     package: PackageTable | None = None
+    library: PackageTable | None = None
+    """Source distribution of headers that the package includes."""
+    folder: str = ""
+    """Contents of the folder that the user names, where no package has the sources."""
     requires: list[str] = []
     """Python packages of the generator, beside those of the extra."""
     sources: list[str] = []
     """Files of the package, or of the recipe's folder without one; with `*` and `?`."""
     include: list[str] = []
-    """Folders of headers there."""
+    """Folders of headers there, or in the library."""
     defines: list[str] = []
     """Flags of the compiler."""
+    targets: list[str] = []
+    """Targets that it compiles for; none given: all."""
     float_defines: list[str] | None = None
     """Further flags in single precision; none given: the solver has no single precision."""
     matrices: bool = True
@@ -74,10 +81,14 @@ class RecipeFile(_Table):
 
 
 class Recipe:
-    """A recipe read from its folder; InputError with file and key where that is not one."""
+    """A recipe read from its folder; InputError with file and key where that is not one.
 
-    def __init__(self, folder: Path) -> None:
+    `source` is a folder of the solver's sources, in place of those of a package.
+    """
+
+    def __init__(self, folder: Path, source: Path | None = None) -> None:
         self.folder, where = folder.absolute(), folder / "recipe.toml"
+        self.source = source.absolute() if source else None
         try:
             text = where.read_text(encoding="utf-8")
             self.file = RecipeFile.model_validate(tomllib.loads(text))
@@ -89,7 +100,9 @@ class Recipe:
             first = error.errors()[0]
             key = ".".join(map(str, first["loc"]))
             raise InputError(str(where), key, repr(first["input"]), first["msg"]) from None
-        if not (folder / "shim.c").is_file():
+        shims = [self.folder / name for name in ("shim.c", "shim.cpp")]
+        self._shims = [path for path in shims if path.is_file()]
+        if not self._shims:
             raise InputError(str(folder), "shim.c", "no such file", "a shim by embedded.h")
 
     @property
@@ -101,6 +114,8 @@ class Recipe:
     def missing(self) -> str:
         """Reason why the recipe cannot be used, such as a missing package; "" if there is none."""
         missing = [name for name in self.file.requires if importlib.util.find_spec(name) is None]
+        if self.file.folder and self.source is None:
+            return f"name a folder with {self.file.folder}: --source {self.solver}=DIR"
         return f"not installed: pip install {' '.join(missing)}" if missing else ""
 
     def with_settings(self, given: Settings) -> Settings:
@@ -141,25 +156,32 @@ class Recipe:
         self.check(sequence, single=single)
         if self.missing:
             raise SituationError(self.solver, self.missing)
-        file, origin = self.file, self.folder
+        file = self.file
+        if file.targets and target.name not in file.targets:
+            raise InputError(self.solver, "--target", target.name, ", ".join(file.targets))
         (folder / "problem.h").write_text(_problem_header(sequence, self.with_settings(settings)))
-        if file.package is not None:
-            origin = fetch_sources(
-                *(getattr(file.package, key) for key in PackageTable.model_fields)
-            )
+        origins = self._open_origins()
         if file.generator:
             writer = _load_writer(self.folder / file.generator)
             writer(sequence, folder, single, self.with_settings(settings))
         sources = [
-            self.folder / "shim.c",
-            *_find(origin, file.sources),
+            *self._shims,
+            *_find(origins[0], file.sources),
             *sorted(folder.rglob("*.c")),
         ]
-        include = [origin / name for name in file.include]
+        include = [self.folder, *(origin / name for origin in origins for name in file.include)]
         defines = [*file.defines]
         if single:
             defines += ["-DEMBEDDED_FLOAT", *(file.float_defines or [])]
         return compile_program(sources, target, written=folder, include=include, defines=defines)
+
+    def _open_origins(self) -> list[Path]:
+        """Return the folders of the solver's sources; files to compile are in the first."""
+        if self.source is not None:
+            return [self.source]
+        packages = [table for table in (self.file.package, self.file.library) if table]
+        origins = [fetch_sources(table.name, table.version, table.sha256) for table in packages]
+        return origins or [self.folder]
 
 
 def _find(origin: Path, patterns: Iterable[str]) -> list[Path]:
@@ -210,12 +232,20 @@ def find_recipes(folders: Iterable[Path] = ()) -> dict[str, Recipe]:
     return {recipe.solver: recipe for recipe in map(Recipe, (*own, *folders))}
 
 
-def select_recipes(names: Iterable[str], folders: Iterable[Path] = ()) -> list[Recipe]:
+def select_recipes(
+    names: Iterable[str],
+    folders: Iterable[Path] = (),
+    sources: Mapping[str, Path] | None = None,
+) -> list[Recipe]:
     """Return the recipes of named solvers; UnknownNameError for another.
 
-    Without names, all recipes that miss nothing.
+    Without names, all recipes that miss nothing. `sources` are folders by solver.
     """
     known = find_recipes(folders)
+    for name, source in (sources or {}).items():
+        if name not in known:
+            raise UnknownNameError("--source", "", name, format_allowed_names(name, list(known)))
+        known[name] = Recipe(known[name].folder, source)
     for name in names:
         if name not in known:
             raise UnknownNameError(

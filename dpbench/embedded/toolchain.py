@@ -22,11 +22,23 @@ FOLDER = Path(__file__).parent
 RUNTIME = FOLDER / "runtime"
 REMEDY = "pip install 'dpbench[embedded]'"
 FLAGS = (
-    "-std=c99 -g0 -O2 -fomit-frame-pointer -fhosted -fno-math-errno -fno-sanitize=all "
+    "-g0 -O2 -fomit-frame-pointer -fhosted -fno-math-errno -fno-sanitize=all "
     "-fno-exceptions -fno-unwind-tables -fno-asynchronous-unwind-tables -ffunction-sections "
     "-fdata-sections"
 )
 """Compiler flags of every program: hosted, so that `sqrt` is an instruction."""
+CPLUSPLUS = (
+    "-fno-rtti -fno-threadsafe-statics -nostdinc++ -D_GNU_SOURCE -D_LIBCPP_ABI_VERSION=1 "
+    "-D_LIBCPP_ABI_NAMESPACE=__1 -D_LIBCPP_DISABLE_VISIBILITY_ANNOTATIONS "
+    "-D_LIBCPP_HARDENING_MODE=_LIBCPP_HARDENING_MODE_NONE "
+    "-D_LIBCPP_ASSERTION_SEMANTIC_DEFAULT=_LIBCPP_ASSERTION_SEMANTIC_IGNORE "
+    "-D_LIBCPP_HAS_MUSL_LIBC=1 -D_LIBCPP_HAS_THREADS=0 -D_LIBCPP_HAS_LOCALIZATION=1 "
+    "-D_LIBCPP_HAS_WIDE_CHARACTERS=1 -D_LIBCPP_HAS_UNICODE=1 -D_LIBCPP_HAS_TERMINAL=0 "
+    "-D_LIBCPP_HAS_MONOTONIC_CLOCK=1 -D_LIBCPP_HAS_RANDOM_DEVICE=0 -D_LIBCPP_HAS_FILESYSTEM=0 "
+    "-D_LIBCPP_HAS_TIME_ZONE_DATABASE=0 -D_LIBCPP_HAS_VENDOR_AVAILABILITY_ANNOTATIONS=0"
+)
+"""Further flags of a program with C++: what zig's C++ library is configured by."""
+SUFFIXES = {".c", ".h", ".cpp", ".hpp", ".ipp", ".tpp"}
 LINK = "-nostdlib -Wl,--gc-sections -Wl,--entry=embedded_set_up"
 """Flags of the linker: without the compiler's own library, which takes a minute to build and is
 hardly needed."""
@@ -100,7 +112,7 @@ def compile_program(
     include: Sequence[Path] = (),
     defines: Sequence[str] = (),
 ) -> Path:
-    """Compile C sources to a program of a bare core; return the ELF file, kept in the cache.
+    """Compile C or C++ sources to a program of a bare core; return the ELF file, kept in the cache.
 
     `written` is a folder of headers for this program alone. The compiler runs in it, so that its
     path is not in the command; a hash of its files is.
@@ -109,17 +121,22 @@ def compile_program(
     """
     script = RUNTIME / "program.ld"
     everything = [*sources, RUNTIME / "runtime.c"]
-    words = [*target.compiler_flags, *FLAGS.split(), *defines]
+    has_cplusplus = any(path.suffix == ".cpp" for path in sources)
+    everything += [RUNTIME / "cplusplus.cpp"] if has_cplusplus else []
+    language = CPLUSPLUS.split() if has_cplusplus else ["-std=c99"]
+    words = [*target.compiler_flags, *language, *FLAGS.split(), *defines]
     own = [written] if written else []
     # For zig's own cache, a header of the same name in another working folder is the same header.
-    words += [f"-DWRITTEN_{_hash([], list(folder.rglob('*.[ch]')))}" for folder in own]
-    folders = [RUNTIME, *own, *include]
+    words += [f"-DWRITTEN_{_hash([], _list_sources(folder))}" for folder in own]
     # A source may include another one.
-    files = [*everything, *(file for folder in folders for file in folder.rglob("*.[ch]"))]
+    folders = {RUNTIME, *own, *include, *(path.parent for path in sources)}
+    files = {*everything, *(file for folder in folders for file in _list_sources(folder))}
     key = _hash([compiler_version(), LINK, *words], [*files, script])
     out = cache_folder("programs") / f"{key}.elf"
     if not out.exists():
         headers = [f"-isystem{folder}" for folder in _header_folders(target)]
+        # zig's own folder of headers, which must come after these, is one of -isystem.
+        headers += _include_flags(_cplusplus_folders() if has_cplusplus else [])
         linker = [*LINK.split(), "-T", str(script)]
         searched = _include_flags([RUNTIME, *([Path()] if written else []), *include])
         _compile([*words, *headers, *searched, *linker], everything, out, cwd=written)
@@ -138,12 +155,27 @@ def _include_flags(folders: Iterable[Path]) -> list[str]:
     return [f"-I{folder}" for folder in folders]
 
 
-def _header_folders(target: Target) -> list[Path]:
-    """Return the folders of the C library's headers that ziglang brings for a target."""
+def _list_sources(folder: Path) -> list[Path]:
+    """Return all files of C and C++ in a folder and below."""
+    return [path for path in folder.rglob("*.*") if path.suffix in SUFFIXES]
+
+
+def _find_zig_library() -> Path:
+    """Return the folder of what ziglang brings for its targets."""
     found = importlib.util.find_spec("ziglang")
     assert found is not None and found.origin is not None
-    library = Path(found.origin).parent / "lib" / "libc" / "include"
+    return Path(found.origin).parent / "lib"
+
+
+def _header_folders(target: Target) -> list[Path]:
+    """Return the folders of the C library's headers that ziglang brings for a target."""
+    library = _find_zig_library() / "libc" / "include"
     return [library / target.headers, library / "generic-musl"]
+
+
+def _cplusplus_folders() -> list[Path]:
+    """Return the folders of the C++ library's headers that ziglang brings."""
+    return [_find_zig_library() / name / "include" for name in ("libcxx", "libcxxabi")]
 
 
 def _hash(words: Sequence[str], files: Sequence[Path]) -> str:

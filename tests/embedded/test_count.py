@@ -131,6 +131,17 @@ def test_qoco_meets_its_tolerance_with_rows_that_are_equalities() -> None:
     np.testing.assert_allclose(counts.z @ base.A[1], half, atol=1e-6)
 
 
+def test_qpoases_repeats_its_counts_and_meets_the_optima() -> None:
+    for name, most in (("paper-30-5", 1e-10), ("turn-30-5", 1e-12)):
+        first, second = (count("qpoases", "a53", load(name, 5)) for _ in "12")
+        assert tabulate_steps([first]).equals(tabulate_steps([second]))
+        assert set(first.steps["status"].tolist()) == {0}
+        assert first.error_plan.max() < most
+        assert (first.steps["active"] > 0).all()
+        # Memory that is given back is used again.
+        assert 0 < first.sizes["heap"] < 50_000
+
+
 def test_matrices_of_each_step_and_single_precision() -> None:
     changing = load("turn-30-5", 5)
     for solver in ("daqp", "paper_active_set", "quadprog"):

@@ -51,6 +51,17 @@ def test_a_recipe_whose_generator_is_not_installed(tmp_path: Path) -> None:
     assert recipe.solver not in {other.solver for other in select_recipes([], [tmp_path])}
 
 
+def test_a_recipe_whose_sources_are_in_a_folder_of_the_user(tmp_path: Path) -> None:
+    (tmp_path / "recipe.toml").write_text(f'{TEXT}folder = "the sources"\nsources = ["x*.c"]\n')
+    (tmp_path / "shim.c").write_text("")
+    (recipe,) = select_recipes(["mine"], [tmp_path])
+    assert recipe.missing == "name a folder with the sources: --source mine=DIR"
+    (given,) = select_recipes(["mine"], [tmp_path], {"mine": tmp_path / "own"})
+    assert (given.missing, given.source) == ("", tmp_path / "own")
+    with pytest.raises(UnknownNameError, match=r"--source: found other; allowed: "):
+        select_recipes([], [], {"other": tmp_path})
+
+
 @pytest.mark.slow
 def test_a_source_that_cannot_be_fetched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fetch, "cache_folder", lambda name: tmp_path)

@@ -21,9 +21,19 @@ typedef struct {
     real *z;                           /* n: written by the solver */
 } embedded_qp;
 
+#ifdef __cplusplus
+extern "C" {
+/* Construct static objects; the first call of a set-up in C++. */
+void embedded_construct(void);
+#endif
+
 /* Set the solver up on the QP of the first step; returns 0, or what it refused. Not counted. */
 int embedded_set_up(embedded_qp *qp);
 /* Take a step's q, l and u, and what else changed, solve, and write z. Counted. */
 int embedded_step(embedded_qp *qp);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -6,6 +6,9 @@
 #include <stdlib.h>
 #include <string.h>
 
+#undef stdout
+#undef stderr
+
 /* Clang would make of these functions' loops calls of the same functions. */
 #pragma clang attribute push( \
     __attribute__((no_builtin("memcpy", "memmove", "memset"))), apply_to = function)
@@ -13,7 +16,8 @@
 extern char heap_start[];
 char *embedded_heap_end = heap_start; /* how much was ever taken; nothing is given back */
 
-void *malloc(size_t size) {
+/* Weak: cplusplus.cpp has others. */
+__attribute__((weak)) void *malloc(size_t size) {
     char *here = embedded_heap_end;
     embedded_heap_end += (size + 15) & ~(size_t)15;
     return here;
@@ -21,7 +25,7 @@ void *malloc(size_t size) {
 
 void *calloc(size_t count, size_t size) { return memset(malloc(count * size), 0, count * size); }
 
-void free(void *memory) { (void)memory; }
+__attribute__((weak)) void free(void *memory) { (void)memory; }
 
 typedef long __attribute__((may_alias)) word;
 
@@ -75,6 +79,12 @@ double hypot(double x, double y) {
 int printf(const char *restrict format, ...) { return (void)format, 0; }
 int puts(const char *text) { return (void)text, 0; }
 int putchar(int letter) { return letter; }
+int fprintf(FILE *restrict file, const char *restrict format, ...) {
+    return (void)file, (void)format, 0;
+}
+int fflush(FILE *file) { return (void)file, 0; }
+FILE *const stdout = NULL;
+FILE *const stderr = NULL;
 
 #ifdef __arm__
 /* Names of the same under the ABI of Arm. */
