@@ -46,7 +46,7 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
     if scenario is None or not laws or not measured:
         return None
     others = {"not": "not reproduced", "the opposite": "opposite"}
-    wording = [count_reproduced(measured)]
+    wording = [count_reproduced(judged)]
     for word, state in others.items():
         names = [strip_markdown(claim.claim) for claim in measured if claim.state == state]
         wording += [f"{word}: “{'”, “'.join(names)}”"] if names else []
@@ -75,10 +75,11 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
 
 
 def count_reproduced(judged: Sequence[Claim]) -> str:
-    """State how many of the paper's measured claims are reproduced."""
-    states = [claim.state for claim in judged if claim.state != "not measured"]
-    held = states.count("reproduced")
-    return f"{held} of {len(states)} claims of Xia, Liu, Pang & Xue are reproduced"
+    """State how many of the paper's claims are reproduced, and how many were not measured."""
+    states = [claim.state for claim in judged]
+    held, missing = states.count("reproduced"), states.count("not measured")
+    open_ones = f"; not measured, without whole runs of both laws: {missing}" if missing else ""
+    return f"{held} of {len(states)} claims of Xia, Liu, Pang & Xue are reproduced{open_ones}"
 
 
 def _stability_table(designs: Designs) -> Table:

@@ -114,6 +114,19 @@ def test_a_run_cut_short_represents_nobody(records: Any) -> None:
     )
 
 
+def test_claims_that_were_not_measured_are_counted(records: Any) -> None:
+    """Without the clipped law no claim that compares the two is measured."""
+    records.loop("daqp", steps=WHOLE)
+    states = list(_states(records).values())
+    reproduced, missing = states.count("reproduced"), states.count("not measured")
+    assert reproduced > 0
+    assert missing > 0
+    topic = paper_topic(records.view())
+    assert topic is not None
+    assert topic.lines[0].startswith(f"{reproduced} of {len(states)} claims")
+    assert f"not measured, without whole runs of both laws: {missing}" in topic.lines[0]
+
+
 @pytest.mark.slow
 def test_choices_are_those_of_the_rows(records: Any) -> None:
     _pair(records)
