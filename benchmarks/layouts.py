@@ -130,7 +130,7 @@ def independent_use(
         for piece in [] if i in case.lost else parts:
             corners = piece_corners(thruster, piece, sides)
             full = weather.shares[i] * thruster.thrust_N
-            forces.append(full * corners @ thruster.columns.T)
+            forces.append(full * corners @ thruster.configuration_columns.T)
             owner.append(i)
     if not forces:
         return math.inf
@@ -141,7 +141,7 @@ def independent_use(
         return math.inf
     lengths = [len(force) for force in forces]
     use = size / largest * _solve(columns.T / largest, load / size, lengths, owner)
-    most = MOST_USE * size / float(plot.thrusters.thrust_N.sum())
+    most = MOST_USE * size / float(plot.thrusters.largest_thrusts_N.sum())
     return use if use <= most else math.inf
 
 

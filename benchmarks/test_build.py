@@ -14,9 +14,9 @@ from dpbench import load_scenario
 from dpbench.bench.run.exact_loop import base_problem
 from dpbench.bench.run.formulation import BoxFormulation, QPBuilder
 from dpbench.bench.sequences.recording import with_horizons
-from dpbench.mpc.condense import ControlProblem, build_affine_map, condense_matrices
+from dpbench.mpc.condense import ControlProblem, build_affine_map, condense_mpc_matrices
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.kernels import write_hessian_blocks
+from dpbench.mpc.kernels import write_condensed_hessian
 from dpbench.scenario.scenario import Scenario, condense
 
 SIZES = (75, 150, 300, 600, 900)
@@ -66,7 +66,7 @@ def test_condense(
 
 @pytest.mark.benchmark(group="condense 30/5 from given (A, B, C)")
 def test_condense_matrices_and_map(benchmark: BenchmarkFixture, problem: ControlProblem) -> None:
-    benchmark(lambda: build_affine_map(problem, condense_matrices(problem), "scaled"))
+    benchmark(lambda: build_affine_map(problem, condense_mpc_matrices(problem), "scaled"))
 
 
 @pytest.mark.benchmark(group="condense 30/5 from given (A, B, C)")
@@ -97,10 +97,10 @@ def test_condense_long(benchmark: BenchmarkFixture, problem: ControlProblem) -> 
 @pytest.mark.parametrize("n", SIZES)
 def test_hessian_grows(benchmark: BenchmarkFixture, problem: ControlProblem, n: int) -> None:
     horizon = n // problem.model.n_u
-    h = condense_matrices(replace(problem, N_p=horizon, N_c=horizon)).h
+    h = condense_mpc_matrices(replace(problem, N_p=horizon, N_c=horizon)).h
     benchmark.extra_info["n"] = n
     E = np.empty((n, n))
-    benchmark(write_hessian_blocks, np.ascontiguousarray(h), problem.Q, problem.R, horizon, E)
+    benchmark(write_condensed_hessian, np.ascontiguousarray(h), problem.Q, problem.R, horizon, E)
 
 
 @pytest.mark.benchmark(group="growth: the whole CondensedQP, N_p = N_c = n/3")

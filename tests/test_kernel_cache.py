@@ -30,8 +30,8 @@ SESSION = """
 import importlib, sys
 for module in sys.argv[1:]:
     importlib.import_module(module)
-from dpbench.ship.estimation.estimator import nearest_turn
-nearest_turn(0.0, 1.0), nearest_turn(0, 1)
+from dpbench.ship.estimation.estimator import shift_heading_near
+shift_heading_near(0.0, 1.0), shift_heading_near(0, 1)
 """
 
 

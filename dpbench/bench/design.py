@@ -25,7 +25,7 @@ from dpbench.bench.record.result_folder import parse_document, read_json, write_
 from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.workers.worker import disable_gc_and_warnings, pin_to_core, write_outcome
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
-from dpbench.mpc.law import compute_closed_loop_eigenvalues, gains
+from dpbench.mpc.law import compute_closed_loop_eigenvalues, compute_state_feedback_gains
 from dpbench.scenario.problem_files import ScenarioDocuments, problem_path
 from dpbench.scenario.scenario import Scenario, build_scenario, load_scenario
 from dpbench.ship.characteristics import has_mirror_symmetry
@@ -175,9 +175,9 @@ def can_recover_from_offset(
     A step without a certified optimum counts as not held.
     """
     scale = Froude(float(scenario.files["vessel"]["model_scale"]))
-    tail = round(TAIL_S * scale.time / scenario.sample_s)
+    tail = round(TAIL_S * scale.time_and_speed_factor / scenario.sample_s)
     for sign in sides:
-        start = np.array([0.0, sign * offset_m * scale.length, 0.0])
+        start = np.array([0.0, sign * offset_m * scale.length_factor, 0.0])
         try:
             exact = solve_exactly(replace(scenario, start=start, velocity=np.zeros(AXES)))
             exact.require_certificates(scenario.name)
@@ -186,7 +186,7 @@ def can_recover_from_offset(
         state = exact.state
         away = np.hypot(*(state[-tail - 1 :, NORTH:HEADING] - scenario.reference[:YAW]).T)
         # NaN stays outside.
-        if not (away <= TOLERANCE_M * scale.length).all():
+        if not (away <= TOLERANCE_M * scale.length_factor).all():
             return False
     return True
 
@@ -224,7 +224,7 @@ def study_stability(design: Design) -> DesignRecord:
 def compute_linear_record(scenario: Scenario) -> DesignRecord:
     """Return a controller's closed-loop eigenvalues without active limits; simulate nothing."""
     problem = scenario.problem
-    roots = compute_closed_loop_eigenvalues(problem.model, gains(problem))
+    roots = compute_closed_loop_eigenvalues(problem.model, compute_state_feedback_gains(problem))
     return DesignRecord(
         vessel=scenario.vessel.id,
         controller=scenario.name,

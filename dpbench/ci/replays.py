@@ -157,7 +157,7 @@ def _build_pass(
         for start in starts:
             start()
             workspace.solve()
-            if not workspace.read().status.is_answer_applied:
+            if not workspace.read().status.is_usable:
                 workspace.reset()
 
     return solve_all

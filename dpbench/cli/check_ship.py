@@ -66,20 +66,26 @@ def ship_lines(vessel: Vessel) -> list[str]:
     if (np.abs(vessel.tau_max - pure.tau_max) > _SAME * vessel.tau_max).any():
         forces.append(("with other forces", *_format_forces(vessel, unit, per)))
     rise = vessel.tau_max / vessel.rate_max
-    acceleration = pure.reachable_acceleration()[1] * _KILO
-    speeds = ships.steady_speed(pure)[1], ships.slow_speed(vessel)
+    acceleration = pure.accelerations_at_force_limits()[1] * _KILO
+    speeds = (
+        ships.compute_speeds_at_force_limits(pure)[1],
+        ships.compute_linear_damping_speeds(vessel),
+    )
     drift = _format_with_units(speeds[0] * _DEGREES, _SPEEDS, speeds[1] * _DEGREES)
     rows = [
         ("", "surge", "sway", "yaw"),
         *forces,
         ("zero to full in", *(f"{_format_number(t)} s" for t in rise)),
-        ("time constant", *(f"{_format_number(t)} s" for t in ships.axis_time_constants_s(vessel))),
+        (
+            "time constant",
+            *(f"{_format_number(t)} s" for t in ships.compute_axis_time_constants_s(vessel)),
+        ),
         ("acceleration at full", *_format_with_units(acceleration, ("mm/s²", "mm/s²", "mrad/s²"))),
         ("drift at full" if vessel.drag else "linear drift at full", *drift),
     ]
     table = [f"{row[0]:<22}" + "".join(f"{cell:<19}" for cell in row[1:]) for row in rows]
     find_share = None if reach is None else reach.find_least_thrust_share
-    current_mps = ships.largest_current_abeam_mps(vessel, find_share)
+    current_mps = ships.find_largest_current_abeam_mps(vessel, find_share)
     lines = [line.rstrip() for line in table]
     return [*lines, _sideways_line(pure, current_mps, unit, per), *_drag_lines(vessel, unit, per)]
 
@@ -129,9 +135,9 @@ def _format_number(value: float) -> str:
 
 def _sideways_line(vessel: Vessel, current_mps: float, unit: str, per: float) -> str:
     """State a ship's force at 1 m/s sideways, its sway force limit, and the current it holds."""
-    needs = ships.sideways_force(vessel)[ships.SWAY] / per
+    needs = ships.compute_force_of_unit_current_abeam(vessel)[ships.SWAY] / per
     has = min(-vessel.tau_min[ships.SWAY], vessel.tau_max[ships.SWAY]) / per
-    most = ships.slow_speed(vessel)[ships.SWAY]
+    most = ships.compute_linear_damping_speeds(vessel)[ships.SWAY]
     largest = rounded_down(current_mps, 2) if current_mps <= most else f"> {significant(most, 2)}"
     needed = f"1 m/s sideways needs {_format_number(needs)} {unit} of {_format_number(has)}"
     return f"{needed}; holds {largest} m/s of current abeam"
@@ -140,7 +146,9 @@ def _sideways_line(vessel: Vessel, current_mps: float, unit: str, per: float) ->
 def _weather_line(scenario: Scenario) -> str:
     """State the mean force of a scenario's weather as shares of the ship's limits and thrust."""
     vessel = scenario.vessel
-    load = ships.mean_load(vessel, scenario.environment, float(scenario.reference[2]))
+    load = ships.compute_mean_weather_force(
+        vessel, scenario.environment, float(scenario.reference[2])
+    )
     against = np.where(load < 0.0, vessel.tau_max, -vessel.tau_min)
     shares = ", ".join(f"{share:.0%}" for share in np.abs(load) / against)
     most = float((np.abs(load) / against).max())
@@ -171,7 +179,7 @@ def _try_offsets(tuned: Sequence[Scenario], progress: Progress | None) -> list[s
         progress.advance(_TRIALS - trials, "")
         controller = scenario.controller.label
         # Offsets are at full size; a model ship's own are printed.
-        scale = Froude(float(scenario.files["vessel"]["model_scale"])).length
+        scale = Froude(float(scenario.files["vessel"]["model_scale"])).length_factor
         lines.append(f"tuning {controller:<14} {_describe_bracket(bracket, scale)}")
     return lines
 

@@ -31,8 +31,8 @@ def _list_vessels() -> RenderableType:
     for name in problems.problem_names("vessels"):
         path = problems.problem_path("vessels", name)
         vessel = problems.read_model(path, VesselFile).build_vessel(name, str(path))
-        times = ", ".join(f"{t:.3g}" for t in vessel.time_constants_s())
-        surge, sway, yaw = 1e3 * vessel.reachable_acceleration()[1]
+        times = ", ".join(f"{t:.3g}" for t in vessel.linear_model_time_constants_s())
+        surge, sway, yaw = 1e3 * vessel.accelerations_at_force_limits()[1]
         reached = f"{surge:.3g} and {sway:.3g} mm/s², {yaw:.3g} mrad/s²"
         about = [f"time constants: {times} s", f"acceleration at full thrust: {reached}"]
         entries.append(format_entry(name, [vessel.title, *about]))

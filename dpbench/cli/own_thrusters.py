@@ -17,7 +17,7 @@ from dpbench.bench.capability.reach import ThrusterReach
 from dpbench.cli.capability import save_rose_figure
 from dpbench.cli.terminal import ProgressBar
 from dpbench.errors import InputError, SituationError
-from dpbench.mpc.thrusters.attainable_set import attainable_set
+from dpbench.mpc.thrusters.attainable_set import build_attainable_force_polytope
 from dpbench.report.formats import rounded_down
 from dpbench.scenario import own_ship as scaling
 from dpbench.scenario.own_thrusters import (
@@ -74,7 +74,7 @@ class OwnThrusters:
 
     def as_limits(self) -> scaling.ThrustLimits:
         """Return the thrusters' largest forces, each axis by itself."""
-        _, most = self.thrusters.limits()
+        _, most = self.thrusters.least_and_largest_force_by_axis()
         return scaling.ThrustLimits(*most.tolist())
 
     def fit(self, vessel: Vessel) -> Vessel:
@@ -82,13 +82,13 @@ class OwnThrusters:
 
         Raises InputError where they can push to one side of an axis only.
         """
-        low, high = self.thrusters.limits()
+        low, high = self.thrusters.least_and_largest_force_by_axis()
         if not (low < 0.0).all():
             found = "thrusters that push to one side of an axis only"
             raise InputError(
                 self.where, "", found, "forces ahead and astern, to port and starboard"
             )
-        rate = self.thrusters.rate()
+        rate = self.thrusters.largest_force_rate_by_axis()
         return replace(vessel, thrusters=self.thrusters, tau_min=low, tau_max=high, rate_max=rate)
 
 
@@ -110,9 +110,10 @@ def read_own_thrusters(
     rows = _ask_for_rows() if asked else read_thruster_rows(Path(where))
     berth = Berth(own.length_m, own.breadth_m, rise_s)
     tables, thrusters = complete_thrusters(rows, berth, where)
-    share = scaling.thrust_to_weight(own, float(thrusters.thrust_N.sum()))
+    share = scaling.thrust_to_weight(own, float(thrusters.largest_thrusts_N.sum()))
     if share > MOST_TO_WEIGHT:
-        found = f"{thrusters.thrust_N.sum() / 1e3:.3g} kN in all, {share:.2g} of the ship's weight"
+        total_kN = thrusters.largest_thrusts_N.sum() / 1e3
+        found = f"{total_kN:.3g} kN in all, {share:.2g} of the ship's weight"
         raise InputError(where, "power_kW, thrust_kN", found, f"at most {MOST_TO_WEIGHT:g} of it")
     return OwnThrusters(where, rows, tables, thrusters)
 
@@ -250,7 +251,9 @@ def choose_limits(vessel: Vessel) -> str:
     if every is None or any(thruster.sector_rad is not None for thruster in every.thrusters):
         return "box"
     facets = len(
-        attainable_set(every, ControllerTable.model_fields["attainable_sides"].default).normals
+        build_attainable_force_polytope(
+            every, ControllerTable.model_fields["attainable_sides"].default
+        ).normals
     )
     return "attainable" if facets <= MOST_FACETS else "box"
 

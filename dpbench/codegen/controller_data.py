@@ -150,7 +150,7 @@ def _read_thrusters(
     for k, t in enumerate(rows.thruster):
         own = slice(int(first_entry[t]), int(first_entry[t + 1]))
         normal[k, : own.stop - own.start] = rows.G[k, own]
-    lost = rows.limits_after_loss(range(p))
+    lost = rows.limits_after_loss_of_thrusters(range(p))
     names = make_names([thruster.name for thruster in thrusters])
     first_row = np.searchsorted(rows.thruster, np.arange(p + 1)).tolist()
     limits = rows.low, rows.high, lost.low, lost.high

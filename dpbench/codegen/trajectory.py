@@ -46,7 +46,7 @@ def record_trajectory(
     closed_loop(setup)
     log = setup.log
     sensors = Sensors(scenario.environment, K, scenario.sample_s)
-    measured = np.array([sensors.sense(log.state[k], k).copy() for k in range(K)])
+    measured = np.array([sensors.measure_state(log.state[k], k).copy() for k in range(K)])
     reference = scenario.build_reference_table(K)
     if data.thrusters is not None:
         state = lost_at_samples(controller, K)

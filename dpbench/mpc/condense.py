@@ -14,7 +14,7 @@ A controller that commands thrusters has their forces f for u, the model's B T_e
 
     J ← J + ½ Σ f_iᵀ W f_i over the N_c moves,   f = C1 f(k−1) + C2 ΔF:
     E ← E + C2ᵀ W̄ C2,   F_k ← F_k + C2ᵀ W̄ C1 f(k−1)
-    u_min ≤ G f_i ≤ u_max,   the sides of their polygons (`thruster_rows`)
+    u_min ≤ G f_i ≤ u_max,   the sides of their polygons (`thruster_rows.py`)
 """
 
 from __future__ import annotations
@@ -28,8 +28,12 @@ from numpy.lib.stride_tricks import as_strided
 
 from dpbench.arrays import Floats, Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.mpc.kernels import build_affine_blocks, condense_blocks, write_summed_rows
-from dpbench.mpc.model import StateSpace, rotate_model
+from dpbench.mpc.kernels import (
+    build_affine_map_from_blocks,
+    condense_model_and_weights,
+    write_rows_of_summed_increments,
+)
+from dpbench.mpc.model import StateSpace, relinearise_model_at_turned_heading
 from dpbench.mpc.terminal import TerminalCost, build_terminal_cost
 from dpbench.mpc.thruster_rows import Limits, ThrusterRows
 from dpbench.qp.program import require_shapes_and_make_contiguous
@@ -79,7 +83,7 @@ class ControlProblem:
         require_shapes_and_make_contiguous(self, shapes)
         G, row_max, limits = np.eye(n_u), self.du_max, Limits(self.u_min, self.u_max)
         if (rows := self.thrusters) is not None:
-            G, row_max, limits = rows.G, rows.row_units(self.du_max), rows.intact
+            G, row_max, limits = rows.G, rows.largest_row_changes_per_step(self.du_max), rows.intact
         for name, value in {"G": G, "row_max": row_max, "limits": limits}.items():
             object.__setattr__(self, name, value)
         if not 1 <= self.N_c <= self.N_p:
@@ -90,16 +94,16 @@ class ControlProblem:
             raise InputError("ControlProblem", "terminal", repr(self.terminal), allowed)
 
     @property
-    def horizons(self) -> dict[str, int]:
+    def horizons_by_name(self) -> dict[str, int]:
         """Prediction horizon N_p and control horizon N_c, by name."""
         return {"N_p": self.N_p, "N_c": self.N_c}
 
-    def rotate(self, turn_rad: float) -> ControlProblem:
+    def relinearise_at_turned_heading(self, turn_rad: float) -> ControlProblem:
         """Return the MPC problem with its model re-linearised, the heading turned by `turn_rad`."""
-        return replace(self, model=rotate_model(self.model, turn_rad))
+        return replace(self, model=relinearise_model_at_turned_heading(self.model, turn_rad))
 
 
-def toeplitz(h: Floats, N_c: int) -> Matrix:
+def build_block_toeplitz_matrix(h: Floats, N_c: int) -> Matrix:
     """Return the block-Toeplitz prediction matrix Φ (N_p·n_y, N_c·n_u) of Markov parameters h."""
     N_p, n_y, n_u = h.shape
     padded = np.zeros((N_c - 1 + N_p, n_y, n_u))
@@ -110,14 +114,14 @@ def toeplitz(h: Floats, N_c: int) -> Matrix:
     return blocks.reshape(N_p * n_y, N_c * n_u)
 
 
-def summed_rows(N_c: int, G: Matrix) -> Matrix:
+def build_rows_of_summed_increments(N_c: int, G: Matrix) -> Matrix:
     """Return the matrix that maps all increments Δu to the limited values G u of each move."""
     rows = np.empty((N_c * G.shape[0], N_c * G.shape[1]))
-    write_summed_rows(G, rows)
+    write_rows_of_summed_increments(G, rows)
     return rows
 
 
-def scaled_rows(problem: ControlProblem, units: UnitSystem) -> Matrix:
+def scale_amplitude_limit_rows(problem: ControlProblem, units: UnitSystem) -> Matrix:
     """Return constraint rows G (r, n_u) of the input amplitude limits, in scaled or SI units."""
     if units == "si" or problem.thrusters is None:
         return problem.G
@@ -146,7 +150,7 @@ class CondensedMatrices:
     @cached_property
     def Phi(self) -> Matrix:
         """Prediction matrix Φ (N_p·n_y, n) from increments to outputs (eq. 15)."""
-        return toeplitz(self.h, self.E.shape[0] // self.h.shape[2])
+        return build_block_toeplitz_matrix(self.h, self.E.shape[0] // self.h.shape[2])
 
     @cached_property
     def F_y(self) -> Matrix:
@@ -156,26 +160,35 @@ class CondensedMatrices:
         blocks = self.Phi.reshape(N_p, n_y, n).transpose(2, 0, 1)
         F_y = -(blocks @ self.Q).reshape(n, N_p * n_y)
         if self.end is not None:
-            F_y[:, -n_y:] += self.end.F_y
+            F_y[:, -n_y:] += self.end.reference_to_gradient_part
         return F_y
 
 
-def condense_matrices(problem: ControlProblem) -> CondensedMatrices:
+def condense_mpc_matrices(problem: ControlProblem) -> CondensedMatrices:
     """Condense the MPC problem: eliminate the states, return its constant matrices (eq. 15-24)."""
     model, Q = problem.model, problem.Q
     matrices = model.A, model.B, model.C, Q, problem.R
-    E, F_x, F_held, F, h = condense_blocks(*matrices, problem.N_p, problem.N_c)
+    E, F_x, F_held, F, h = condense_model_and_weights(*matrices, problem.N_p, problem.N_c)
     F_u = np.zeros((len(E), 0))
     if problem.W is not None:
-        thrust, F_u = _condense_force_cost(problem.W, problem.N_c)
+        thrust, F_u = _hessian_and_gradient_of_input_cost(problem.W, problem.N_c)
         E = E + thrust
     if problem.terminal == "none":
         return CondensedMatrices(E, F_x, F_held, F, h, Q, F_u)
     end = build_terminal_cost(model, Q, problem.R, problem.du_max, problem.N_p, problem.N_c)
-    return CondensedMatrices(E + end.E, F_x + end.F_x, F_held + end.F_y, F, h, Q, F_u, end)
+    return CondensedMatrices(
+        E + end.hessian_part,
+        F_x + end.state_to_gradient_part,
+        F_held + end.reference_to_gradient_part,
+        F,
+        h,
+        Q,
+        F_u,
+        end,
+    )
 
 
-def _condense_force_cost(W: Matrix, N_c: int) -> tuple[Matrix, Matrix]:
+def _hessian_and_gradient_of_input_cost(W: Matrix, N_c: int) -> tuple[Matrix, Matrix]:
     """Return Hessian (n, n) and gradient map (n, n_u) of the summed input cost ½ Σ uᵢᵀ W uᵢ."""
     # Move j adds to the forces of j and all that follow.
     i = np.arange(float(N_c))
@@ -193,5 +206,5 @@ def build_affine_map(
         unit, row_unit = np.ones(len(unit)), np.ones(len(row_unit))
     of_theta = matrices.F_x, matrices.F_held, matrices.F_u
     limits = problem.G, problem.u_min, problem.u_max
-    Z: Matrix = build_affine_blocks(*of_theta, *limits, unit, row_unit)
+    Z: Matrix = build_affine_map_from_blocks(*of_theta, *limits, unit, row_unit)
     return Z

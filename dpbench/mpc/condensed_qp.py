@@ -14,14 +14,23 @@ from dpbench.mpc.condense import (
     ControlProblem,
     UnitSystem,
     build_affine_map,
-    condense_matrices,
-    scaled_rows,
-    summed_rows,
+    build_rows_of_summed_increments,
+    condense_mpc_matrices,
+    scale_amplitude_limit_rows,
 )
-from dpbench.mpc.kernels import reachable_limits
+from dpbench.mpc.kernels import write_limits_reachable_at_rate
 from dpbench.mpc.model import HORIZONTAL
-from dpbench.mpc.outputs import OutputBounds, bounded_steps, output_blocks
-from dpbench.mpc.soft_limits import ConstraintBlock, Penalty, amplitude_block, assemble_blocks
+from dpbench.mpc.outputs import (
+    OutputBounds,
+    build_output_constraint_blocks,
+    choose_bounded_prediction_steps,
+)
+from dpbench.mpc.soft_limits import (
+    ConstraintBlock,
+    Penalty,
+    assemble_qp_of_cost_and_blocks,
+    build_amplitude_constraint_block,
+)
 from dpbench.mpc.thruster_rows import LimitRampDown, Limits
 from dpbench.qp.program import QPStep, QuadraticProgram, Units, describe_qp_size
 
@@ -48,7 +57,7 @@ class CondensedQP:
     units : "scaled" (z = ΔU/Δu_max) or "si" (z = ΔU in N, N, N·m).
     amplitude : policy of the amplitude limits.
     outputs : bounds on predicted position and speed, softened; None for none, as in the paper.
-    penalty : of the slacks; None for `Penalty.default`.
+    penalty : of the slacks; None for `Penalty.choose_exact_penalty`.
 
     Attributes
     ----------
@@ -81,13 +90,13 @@ class CondensedQP:
             raise InputError("CondensedQP", "amplitude", repr(amplitude), allowed)
         self.control, self.units = problem, units
         self.amplitude, self.outputs, self.penalty = amplitude, outputs, penalty
-        self._matrices: CondensedMatrices = condense_matrices(problem)
+        self._matrices: CondensedMatrices = condense_mpc_matrices(problem)
         self._du: Vector = problem.du_max if units == "scaled" else np.ones(problem.model.n_u)
-        self._build_hard_qp()
-        extra = self._extra_blocks()
+        self._build_qp_with_hard_limits()
+        extra = self._list_extra_constraint_blocks()
         if amplitude == "soft" or outputs is not None or extra:
-            self._build_with_blocks(extra)
-        self._prepare_emit()
+            self._build_qp_with_constraint_blocks(extra)
+        self._prepare_buffers_of_emit()
 
     def __repr__(self) -> str:
         return f"<CondensedQP: {describe_qp_size(self.n, self.m)}, {self.units}>"
@@ -97,7 +106,7 @@ class CondensedQP:
         """Condensed MPC matrices in SI units: Hessian E, free response F, prediction matrix Φ."""
         return self._matrices
 
-    def _build_hard_qp(self) -> None:
+    def _build_qp_with_hard_limits(self) -> None:
         """Build P, A and bounds of the QP whose limits are all hard, over the plan of moves."""
         problem, N_c = self.control, self.control.N_c
         self.block = problem.model.n_u
@@ -112,35 +121,41 @@ class CondensedQP:
         self._du_plan = du
         self.P: Matrix = du[:, np.newaxis] * du
         self.P *= self._matrices.E
-        self.A: Matrix = summed_rows(N_c, scaled_rows(problem, self.units))
+        self.A: Matrix = build_rows_of_summed_increments(
+            N_c, scale_amplitude_limit_rows(problem, self.units)
+        )
         self.ub: Vector = own.copy()
         self.lb: Vector = -own
         self.Z: Matrix = build_affine_map(problem, self._matrices, self.units)
 
-    def _extra_blocks(self) -> list[ConstraintBlock]:
+    def _list_extra_constraint_blocks(self) -> list[ConstraintBlock]:
         """Return constraint blocks that a subclass adds to each move; none here."""
         return []
 
-    def _build_with_blocks(self, extra: list[ConstraintBlock]) -> None:
+    def _build_qp_with_constraint_blocks(self, extra: list[ConstraintBlock]) -> None:
         """Build P, A and bounds of the QP with blocks of further or soft limits."""
         problem, matrices = self.control, self._matrices
         du = np.tile(problem.du_max, problem.N_c)
         P, Z = matrices.E * np.outer(du, du), build_affine_map(problem, matrices, "scaled")
-        penalty = Penalty.default(problem, P) if self.penalty is None else self.penalty
+        penalty = Penalty.choose_exact_penalty(problem, P) if self.penalty is None else self.penalty
         soft = self.amplitude == "soft"
-        blocks = [amplitude_block(problem, Z, penalty.amplitude if soft else None)]
+        blocks = [build_amplitude_constraint_block(problem, Z, penalty.amplitude if soft else None)]
         if self.outputs is not None:
-            blocks += output_blocks(problem, matrices, self.outputs, penalty.outputs)
+            blocks += build_output_constraint_blocks(
+                problem, matrices, self.outputs, penalty.outputs
+            )
         blocks += extra
-        built = assemble_blocks(P, Z[: len(P)], problem.du_max, blocks, penalty.curvature)
+        built = assemble_qp_of_cost_and_blocks(
+            P, Z[: len(P)], problem.du_max, blocks, penalty.curvature
+        )
         self.block, self.penalty = built.block, penalty
         self.m, self.n = built.A.shape
         own, self.scale = built, Units(np.ones(self.n), np.ones(self.m))
         if self.units == "si":
-            own, self.scale = built.in_si(), built.si
+            own, self.scale = built.convert_to_si_units(), built.si
         self.P, self.A, self.lb, self.ub, self.Z = own.P, own.A, own.lb, own.ub, own.Z
 
-    def _prepare_emit(self) -> None:
+    def _prepare_buffers_of_emit(self) -> None:
         """Allocate the parameter vector and compute the array slices that build each step's QP."""
         n_u, at = self.control.model.n_u, self.control.model.theta
         theta = np.ones(at.size)
@@ -183,15 +198,15 @@ class CondensedQP:
         out = product(theta)
         step = QPStep(out[:n], out[n:cut], out[cut:])
         if preview:
-            self._add_preview(step, y_ref)
+            self._add_reference_preview_to_step(step, y_ref)
         if limits is not None:
-            self._write_amplitude_limits(step, u_prev, limits)
+            self._write_amplitude_limits_into_step(step, u_prev, limits)
         return step
 
-    def _add_preview(self, step: QPStep, y_ref: Matrix) -> None:
+    def _add_reference_preview_to_step(self, step: QPStep, y_ref: Matrix) -> None:
         """Add the effect of a reference (N_p, n_y) that varies along the horizon to q and u."""
         change = y_ref - y_ref[0]
-        slope = self._du_plan * (self._reference_map() @ change.reshape(-1))
+        slope = self._du_plan * (self._build_reference_to_gradient_map() @ change.reshape(-1))
         moves = step.q.reshape(self._shape)[self._moves]
         moves += slope.reshape(moves.shape)
         bounds = self.outputs
@@ -201,29 +216,31 @@ class CondensedQP:
             circle = slice(first, first + bounds.sides)
             upper_map = self.Z[self.n + self.m :].reshape(*self._row_shape, -1)
             of_position = upper_map[0, circle, self.control.model.theta.y_ref][:, HORIZONTAL]
-            bounded = bounded_steps(self.control.N_p, self.control.N_c) - 1
+            bounded = choose_bounded_prediction_steps(self.control.N_p, self.control.N_c) - 1
             moved = change[bounded, HORIZONTAL] @ of_position.T
             step.u.reshape(self._row_shape)[:, circle] += moved
 
-    def _reference_map(self) -> Matrix:
+    def _build_reference_to_gradient_map(self) -> Matrix:
         """Return the map (N_c·n_u, N_p·n_y) from the reference to the QP gradient, in SI units."""
         return self._matrices.F_y
 
-    def _write_amplitude_limits(self, step: QPStep, u_prev: Vector, limits: Limits) -> None:
+    def _write_amplitude_limits_into_step(
+        self, step: QPStep, u_prev: Vector, limits: Limits
+    ) -> None:
         """Write the limits of forces at this step into its vectors l and u."""
         problem, unit = self.control, self._row_unit
         if self._ramp_down is not None:
             self._ramp_down.write_limits(u_prev, limits, step.l, step.u)
         elif self.amplitude == "reachable":
             of_rows = limits.low, limits.high, problem.row_max, unit
-            reachable_limits(u_prev, *of_rows, step.l, step.u, problem.N_c)
+            write_limits_reachable_at_rate(u_prev, *of_rows, step.l, step.u, problem.N_c)
         else:
             before = u_prev if problem.thrusters is None else problem.G @ u_prev
             low, high = ((side - before) / problem.row_max for side in (limits.low, limits.high))
             step.l.reshape(self._row_shape)[self._lower] = low * unit
             step.u.reshape(self._row_shape)[self._upper] = high * unit
 
-    def spread_over_moves(self, of_row: Flags) -> Flags:
+    def repeat_flags_for_each_move(self, of_row: Flags) -> Flags:
         """Return flags (m,) of all rows: those (r,) of force limits at each move, else False."""
         spread = np.zeros(self.m, dtype=np.bool_)
         for side in (self._upper, self._lower):
@@ -242,13 +259,15 @@ class CondensedQP:
         """Return the control increments ΔU (N_c, n_u) of a solution z, in N, N, N·m."""
         return z.reshape(self._shape)[self._moves] * self._du
 
-    def plan(self, delta_u: Matrix) -> Vector:
+    def convert_increments_to_variables(self, delta_u: Matrix) -> Vector:
         """Convert control increments (N_c, n_u) [N, N, N·m] to QP variables z, slacks at zero."""
         z = np.zeros(self.n)
         z.reshape(self._shape)[self._moves] = delta_u / self._du
         return z
 
-    def constant_cost(self, x: Vector, y_ref: Vector, u_prev: Vector | None = None) -> float:
+    def constant_part_of_cost(
+        self, x: Vector, y_ref: Vector, u_prev: Vector | None = None
+    ) -> float:
         """Return the constant part J0 of the MPC cost, which no control increment changes."""
         problem = self.control
         y_d = np.tile(y_ref, problem.N_p) if y_ref.ndim == 1 else y_ref.reshape(-1)
@@ -257,4 +276,8 @@ class CondensedQP:
         if problem.W is not None and u_prev is not None:
             cost += 0.5 * problem.N_c * float(u_prev @ problem.W @ u_prev)
         end = self.matrices.end
-        return cost if end is None else cost + end.constant(x, y_d[-problem.model.n_y :])
+        return (
+            cost
+            if end is None
+            else cost + end.cost_at_zero_increments(x, y_d[-problem.model.n_y :])
+        )

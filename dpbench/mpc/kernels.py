@@ -23,7 +23,7 @@ sums is 1·2 + 2·4 = 10 and 1 + 4 + 1 = 6; the corner is E_11 − 1 and one pro
 F = (2, 4, 8), so F_x = ΦᵀF = (2 + 8 + 32, 4 + 16) and F_held = −Φᵀ(1, 1, 1) = (−7, −3).
 
 >>> one = np.ones((1, 1))
->>> E, F_x, F_held, F, h = condense_blocks(2 * one, one, one, one, one, 3, 2)
+>>> E, F_x, F_held, F, h = condense_model_and_weights(2 * one, one, one, one, one, 3, 2)
 >>> h.ravel().tolist(), F.ravel().tolist()
 ([1.0, 2.0, 4.0], [2.0, 4.0, 8.0])
 >>> E.tolist(), F_x.ravel().tolist(), F_held.ravel().tolist()
@@ -41,7 +41,7 @@ TILE = 32  # Rows and columns of a tile of P: 8 kB, of which two fit the smalles
 
 
 @njit(cache=True)
-def write_product(X, Y, out):
+def write_matrix_product(X, Y, out):
     """Write the matrix product X Y into `out`."""
     for i in range(X.shape[0]):
         for j in range(Y.shape[1]):
@@ -52,19 +52,19 @@ def write_product(X, Y, out):
 
 
 @njit(cache=True)
-def write_markov_blocks(A, B, C, F, h):
+def write_prediction_blocks(A, B, C, F, h):
     """Write F_t = C A^{t+1} and the Markov parameters h_t = C A^t B, t = 0 … N_p − 1 (eq. 15)."""
     N_p, n_y = h.shape[0], h.shape[1]
     G = C.copy()
     for t in range(N_p):
-        write_product(G, B, h[t])
+        write_matrix_product(G, B, h[t])
         following = F[t * n_y : (t + 1) * n_y]
-        write_product(G, A, following)
+        write_matrix_product(G, A, following)
         G = following
 
 
 @njit(cache=True)
-def _add_product(left, right, out):
+def _add_transposed_product(left, right, out):
     """Add the matrix product leftᵀ right to out."""
     for a in range(left.shape[1]):
         for b in range(right.shape[1]):
@@ -75,7 +75,7 @@ def _add_product(left, right, out):
 
 
 @njit(cache=True)
-def write_hessian_blocks(h, Q, R, N_c, E):
+def write_condensed_hessian(h, Q, R, N_c, E):
     """Write the Hessian E = Φᵀ Q̄ Φ + R̄ of the condensed QP (eq. 24), without forming Φ.
 
     Last block row by sums over the horizon, the others along the block diagonals,
@@ -84,13 +84,13 @@ def write_hessian_blocks(h, Q, R, N_c, E):
     N_p, n_y, n_u = h.shape
     Qh = np.empty_like(h)
     for t in range(N_p):
-        write_product(Q, h[t], Qh[t])
+        write_matrix_product(Q, h[t], Qh[t])
     E[:] = 0.0
     last = N_c - 1
     for j in range(N_c):
         block = E[last * n_u :, j * n_u : (j + 1) * n_u]
         for t in range(N_p - last):
-            _add_product(h[t], Qh[t + last - j], block)
+            _add_transposed_product(h[t], Qh[t + last - j], block)
     # Q h_{N_p−1−j} of all j side by side, so that a row of E is made in one sweep.
     beside = np.empty((n_y, N_c * n_u))
     for j in range(N_c):
@@ -112,11 +112,11 @@ def write_hessian_blocks(h, Q, R, N_c, E):
         for a in range(n_u):
             for b in range(n_u):
                 E[i * n_u + a, i * n_u + b] += R[a, b]
-    _copy_lower_to_upper(E)
+    _copy_lower_triangle_to_upper(E)
 
 
 @njit(cache=True)
-def _copy_lower_to_upper(E):
+def _copy_lower_triangle_to_upper(E):
     """Copy the lower triangle of a square matrix to the upper one, tile by tile for cache speed."""
     n = E.shape[0]
     for top in range(0, n, TILE):
@@ -127,12 +127,12 @@ def _copy_lower_to_upper(E):
 
 
 @njit(cache=True)
-def write_gradient_blocks(h, F, Q, F_x, F_held):
+def write_condensed_gradient_maps(h, F, Q, F_x, F_held):
     """Write the maps from state (F_x) and constant reference (F_held) to the condensed gradient."""
     N_p, n_y, n_u = h.shape
     QF = np.empty_like(F)
     for t in range(N_p):
-        write_product(Q, F[t * n_y : (t + 1) * n_y], QF[t * n_y : (t + 1) * n_y])
+        write_matrix_product(Q, F[t * n_y : (t + 1) * n_y], QF[t * n_y : (t + 1) * n_y])
     F_x[:] = 0.0
     N_c, n_x = F_x.shape[0] // n_u, F_x.shape[1]
     part = np.empty(n_x)
@@ -150,7 +150,7 @@ def write_gradient_blocks(h, F, Q, F_x, F_held):
     # A reference that is held meets each h_t in all moves up to N_p − t: one sum that goes on.
     held = np.zeros((n_u, n_y))
     for t in range(N_p):
-        _add_product(h[t], Q, held)
+        _add_transposed_product(h[t], Q, held)
         j = N_p - 1 - t
         if j < N_c:
             for a in range(n_u):
@@ -159,7 +159,7 @@ def write_gradient_blocks(h, F, Q, F_x, F_held):
 
 
 @njit(cache=True)
-def condense_blocks(A, B, C, Q, R, N_p, N_c):
+def condense_model_and_weights(A, B, C, Q, R, N_p, N_c):
     """Condense an MPC problem: return Hessian, gradient maps, free response, Markov parameters."""
     n_x, n_u, n_y = A.shape[0], B.shape[1], C.shape[0]
     F = np.empty((N_p * n_y, n_x))
@@ -167,14 +167,14 @@ def condense_blocks(A, B, C, Q, R, N_p, N_c):
     E = np.empty((N_c * n_u, N_c * n_u))
     F_x = np.empty((N_c * n_u, n_x))
     F_held = np.empty((N_c * n_u, n_y))
-    write_markov_blocks(A, B, C, F, h)
-    write_hessian_blocks(h, Q, R, N_c, E)
-    write_gradient_blocks(h, F, Q, F_x, F_held)
+    write_prediction_blocks(A, B, C, F, h)
+    write_condensed_hessian(h, Q, R, N_c, E)
+    write_condensed_gradient_maps(h, F, Q, F_x, F_held)
     return E, F_x, F_held, F, h
 
 
 @njit(cache=True)
-def write_summed_rows(G, rows):
+def write_rows_of_summed_increments(G, rows):
     """Write the matrix to `rows` that maps increments to G times their sum up to each move."""
     r, n_u = G.shape
     n = rows.shape[1]
@@ -192,7 +192,7 @@ def write_summed_rows(G, rows):
 
 
 @njit(cache=True, error_model="numpy")
-def reachable_limits(u_prev, u_min, u_max, row_max, row_unit, l, u, N_c):  # noqa: E741 - of l ≤ Az ≤ u
+def write_limits_reachable_at_rate(u_prev, u_min, u_max, row_max, row_unit, l, u, N_c):  # noqa: E741 - of l ≤ Az ≤ u
     """Write each move's amplitude limits, extended as far as the rate limit requires, into l and u.
 
     In rate-limit steps the reachable bounds −i and i are exact, so a row that is forced to its
@@ -208,7 +208,7 @@ def reachable_limits(u_prev, u_min, u_max, row_max, row_unit, l, u, N_c):  # noq
 
 
 @njit(cache=True)
-def build_affine_blocks(F_x, F_held, F_u, G, u_min, u_max, unit, row_unit):
+def build_affine_map_from_blocks(F_x, F_held, F_u, G, u_min, u_max, unit, row_unit):
     """Return Z from [x; y_ref; u_prev; 1] to [q; l; u] (eq. 20-24), in units of z and of rows."""
     n, n_x, n_y = F_x.shape[0], F_x.shape[1], F_held.shape[1]
     r, n_u = G.shape

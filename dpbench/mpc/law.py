@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.mpc.condense import CondensedMatrices, ControlProblem, condense_matrices
+from dpbench.mpc.condense import CondensedMatrices, ControlProblem, condense_mpc_matrices
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.model import StateSpace
 
@@ -32,14 +32,16 @@ class Gains:
     K_u: Matrix | None = None
 
 
-def unconstrained_plan(matrices: CondensedMatrices, x: Vector, Y_d: Vector) -> Vector:
+def compute_unconstrained_increments(matrices: CondensedMatrices, x: Vector, Y_d: Vector) -> Vector:
     """Return the increments ΔU (n,) that minimise the cost without constraints (eq. 27), in SI."""
     return -scipy.linalg.solve(matrices.E, matrices.F_x @ x + matrices.F_y @ Y_d, assume_a="pos")
 
 
-def gains(problem: ControlProblem, matrices: CondensedMatrices | None = None) -> Gains:
+def compute_state_feedback_gains(
+    problem: ControlProblem, matrices: CondensedMatrices | None = None
+) -> Gains:
     """Return the state-feedback gains of the unconstrained MPC law (eq. 33)."""
-    matrices = condense_matrices(problem) if matrices is None else matrices
+    matrices = condense_mpc_matrices(problem) if matrices is None else matrices
     n_u, n_y, n_x = problem.model.n_u, problem.model.n_y, problem.model.n_x
     slopes = np.hstack([-matrices.F_held, matrices.F_x, matrices.F_u])
     first = scipy.linalg.solve(matrices.E, slopes, assume_a="pos")[:n_u]
@@ -58,18 +60,18 @@ class UnconstrainedLaw:
         """Return the unconstrained move Δu (n_u,) at state x, reference y_ref and input u(k−1)."""
         matrices = self._builder.matrices
         if self._known is None or self._known[0] is not matrices:
-            self._known = matrices, gains(self._builder.control, matrices)
+            self._known = matrices, compute_state_feedback_gains(self._builder.control, matrices)
         law = self._known[1]
         move: Vector = law.K_y @ y_ref - law.K_mpc @ x
         return move if law.K_u is None else move - law.K_u @ u_prev
 
 
-def build_closed_loop(model: StateSpace, law: Gains) -> Matrix:
+def build_closed_loop_matrix(model: StateSpace, law: Gains) -> Matrix:
     """Return the closed-loop matrix A − B K_mpc (n_x, n_x) (eq. 34)."""
     return model.A - model.B @ law.K_mpc
 
 
 def compute_closed_loop_eigenvalues(model: StateSpace, law: Gains) -> np.ndarray:
     """Return the eigenvalues of the closed loop (eq. 35), largest modulus first."""
-    roots = np.linalg.eigvals(build_closed_loop(model, law))
+    roots = np.linalg.eigvals(build_closed_loop_matrix(model, law))
     return roots[np.argsort(-np.abs(roots), kind="stable")]

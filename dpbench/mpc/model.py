@@ -37,7 +37,7 @@ class ThetaLayout(NamedTuple):
     size: int
 
 
-def rotation_matrix(psi_rad: float) -> Matrix:
+def build_rotation_matrix(psi_rad: float) -> Matrix:
     """Return the rotation matrix R(ψ) (3, 3) from the body to the north-east-down frame (eq. 3)."""
     c, s = np.cos(psi_rad), np.sin(psi_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -81,16 +81,16 @@ class StateSpace:
         return ThetaLayout(*parts, one, one + 1)
 
 
-def linearise(M: Matrix, D: Matrix, psi0_rad: float) -> StateSpace:
+def linearise_ship_at_heading(M: Matrix, D: Matrix, psi0_rad: float) -> StateSpace:
     """Return continuous matrices A_c, B_c, C_c of the ship linearised at heading ψ0 (eq. 5-8)."""
     zero = np.zeros((AXES, AXES))
-    A_c = np.block([[-np.linalg.solve(M, D), zero], [rotation_matrix(psi0_rad), zero]])
+    A_c = np.block([[-np.linalg.solve(M, D), zero], [build_rotation_matrix(psi0_rad), zero]])
     B_c = np.vstack([np.linalg.inv(M), zero])
     C_c = np.hstack([zero, np.eye(AXES)])
     return StateSpace(A_c, B_c, C_c)
 
 
-def discretise(continuous: StateSpace, sample_s: float) -> StateSpace:
+def discretise_zero_order_hold(continuous: StateSpace, sample_s: float) -> StateSpace:
     """Discretise a continuous model exactly under zero-order hold (eq. 9-10).
 
     exp([[A_c, B_c], [0, 0]] ΔT) = [[A_m, B_m], [0, I]] (Van Loan 1978, IEEE TAC 23(3)).
@@ -103,7 +103,7 @@ def discretise(continuous: StateSpace, sample_s: float) -> StateSpace:
     return StateSpace(held[:n_x, :n_x], held[:n_x, n_x:], continuous.C)
 
 
-def augment(discrete: StateSpace) -> StateSpace:
+def augment_to_incremental_model(discrete: StateSpace) -> StateSpace:
     """Return the incremental model on x = [Δx_m; y], which adds integral action (eq. 11)."""
     A_m, B_m, C_m = discrete.A, discrete.B, discrete.C
     n_x, n_y = discrete.n_x, discrete.n_y
@@ -116,17 +116,21 @@ def augment(discrete: StateSpace) -> StateSpace:
 def build_prediction_model(M: Matrix, D: Matrix, psi0_rad: float, sample_s: float) -> StateSpace:
     """Return a ship's incremental discrete-time model linearised at heading ψ0, from a cache."""
     inertia, damping = (np.asarray(matrix, dtype=np.float64).tobytes() for matrix in (M, D))
-    return _cached_model(inertia, damping, psi0_rad, sample_s)
+    return _build_cached_prediction_model(inertia, damping, psi0_rad, sample_s)
 
 
 @lru_cache(maxsize=64)
-def _cached_model(M: bytes, D: bytes, psi0_rad: float, sample_s: float) -> StateSpace:
+def _build_cached_prediction_model(
+    M: bytes, D: bytes, psi0_rad: float, sample_s: float
+) -> StateSpace:
     """Make the discrete augmented model of a ship; cached, with its matrices as bytes."""
     inertia, damping = (np.frombuffer(part).reshape(AXES, AXES) for part in (M, D))
-    return augment(discretise(linearise(inertia, damping, psi0_rad), sample_s))
+    return augment_to_incremental_model(
+        discretise_zero_order_hold(linearise_ship_at_heading(inertia, damping, psi0_rad), sample_s)
+    )
 
 
-def rotate_model(model: StateSpace, turn_rad: float) -> StateSpace:
+def relinearise_model_at_turned_heading(model: StateSpace, turn_rad: float) -> StateSpace:
     """Return a ship's incremental model re-linearised at a heading turned by `turn_rad`.
 
     ψ0 enters A_c through η̇ = R(ψ0) ν alone, so with η_b = Rᵀη the model is that of ψ0 = 0 and
@@ -137,9 +141,12 @@ def rotate_model(model: StateSpace, turn_rad: float) -> StateSpace:
     sizes = model.n_x, model.n_y
     if sizes != (SHIP_STATES, AXES):
         raise ShapeError.from_shapes(
-            "rotate_model", "model", sizes, "the 9 states and 3 outputs of a ship"
+            "relinearise_model_at_turned_heading",
+            "model",
+            sizes,
+            "the 9 states and 3 outputs of a ship",
         )
-    R, A, B = rotation_matrix(turn_rad), model.A.copy(), model.B.copy()
+    R, A, B = build_rotation_matrix(turn_rad), model.A.copy(), model.B.copy()
     for rows in (POSE_CHANGE, POSE):
         A[rows, SPEED_CHANGE] = R @ A[rows, SPEED_CHANGE]
         B[rows] = R @ B[rows]

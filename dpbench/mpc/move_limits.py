@@ -21,7 +21,7 @@ class MoveLimit(Protocol):
         """Write the rate- and amplitude-limited force to `applied`; return whether it was cut."""
 
 
-def move_limit(problem: ControlProblem) -> MoveLimit:
+def make_increment_limiter(problem: ControlProblem) -> MoveLimit:
     """Return the limiter of control increments: axis by axis, or each thruster as a whole."""
     if problem.thrusters is None:
         return AxisLimit(problem.du_max)
@@ -36,12 +36,12 @@ class AxisLimit:
 
     def __call__(self, u: Vector, du: Vector, limits: Limits, applied: Vector) -> bool:
         """Clip an increment axis by axis; write the applied force, return whether it was cut."""
-        clipped: bool = limit_move(self._du_max, u, du, limits.low, limits.high, applied)
+        clipped: bool = write_limited_command(self._du_max, u, du, limits.low, limits.high, applied)
         return clipped
 
 
 @njit(cache=True)
-def limit_move(du_max, u, du, u_min, u_max, applied):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+def write_limited_command(du_max, u, du, u_min, u_max, applied):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Write u + Δu, clipped to rate and amplitude limits, to `applied`; return whether it was cut.
 
     The reachable limits of the first move are max(u_max, u − Δu_max) and min(u_min, u + Δu_max):
@@ -71,7 +71,7 @@ class ThrusterLimit:
 
     def __init__(self, rows: ThrusterRows, du_max: Vector) -> None:
         self._rows, self._du_max = rows, du_max
-        self._row_max = rows.row_units(du_max)
+        self._row_max = rows.largest_row_changes_per_step(du_max)
         self._ramp_down = LimitRampDown(rows, du_max, self._row_max, 1)
         self._rounding = CLIP_TOLERANCE * self._row_max
 
@@ -83,13 +83,13 @@ class ThrusterLimit:
         out = (before > u_max + self._rounding) | (before < u_min - self._rounding)
         base = u
         if out.any():
-            closing = self._ramp_down.compute_limits(u, limits)
+            closing = self._ramp_down.compute_gradually_tightened_limits(u, limits)
             u_min, u_max = (side[0] * self._row_max + before for side in closing)
             beyond = np.isin(rows.entry, rows.thruster[out])
             squares = np.bincount(rows.entry, (u / du_max) ** 2)
             back = 1.0 - 1.0 / np.sqrt(np.maximum(squares, 1.0))[rows.entry]
             base = np.where(beyond, back * u, u)
-        target = u + self._limit_rate(u, du)
+        target = u + self._clip_to_force_rate(u, du)
         at_base, change = rows.G @ base, rows.G @ (target - base)
         room = np.where(change > 0.0, u_max - at_base, at_base - u_min)
         share = np.full(len(room), 1.0)
@@ -100,6 +100,6 @@ class ThrusterLimit:
         applied[...] = base + t[rows.entry] * (target - base)
         return bool((np.abs(applied - u - du) > CLIP_TOLERANCE * du_max).any())
 
-    def _limit_rate(self, u: Vector, du: Vector) -> Vector:
+    def _clip_to_force_rate(self, u: Vector, du: Vector) -> Vector:
         """Return the force changes du (n_f,) clipped to the rate limits."""
         return np.clip(du, -self._du_max, self._du_max)

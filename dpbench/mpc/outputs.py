@@ -17,7 +17,7 @@ from dpbench.arrays import Floats, Indices, Matrix
 from dpbench.errors import ShapeError
 from dpbench.mpc.condense import CondensedMatrices, ControlProblem
 from dpbench.mpc.model import HORIZONTAL
-from dpbench.mpc.soft_limits import ConstraintBlock, infinite_limits
+from dpbench.mpc.soft_limits import ConstraintBlock, make_infinite_limit_coefficients
 from dpbench.ship.layout import AXES
 
 
@@ -36,18 +36,18 @@ class OutputBounds:
     sides: int = 8
 
     @property
-    def directions(self) -> Matrix:
+    def polygon_normals(self) -> Matrix:
         """Outward unit normals (K, 2) of the polygon that replaces a circle."""
         angle = 2.0 * np.pi * np.arange(self.sides) / self.sides
         return np.column_stack((np.cos(angle), np.sin(angle)))
 
 
-def bounded_steps(N_p: int, N_c: int) -> Indices:
+def choose_bounded_prediction_steps(N_p: int, N_c: int) -> Indices:
     """Return the N_c prediction steps at which outputs are bounded, spread evenly up to N_p."""
     return np.arange(1, N_c + 1) * N_p // N_c
 
 
-def output_blocks(
+def build_output_constraint_blocks(
     problem: ControlProblem, matrices: CondensedMatrices, bounds: OutputBounds, rho: float
 ) -> list[ConstraintBlock]:
     """Return the soft QP constraints of the position watch circle and of the ship-speed bound."""
@@ -60,22 +60,22 @@ def output_blocks(
     free = np.vstack((problem.model.C, matrices.F)).reshape(-1, n_y, n_x)[:, HORIZONTAL]
     moved = matrices.Phi * np.tile(problem.du_max, problem.N_c)
     moved = np.vstack((np.zeros((n_y, n)), moved)).reshape(-1, n_y, n)[:, HORIZONTAL]
-    i = bounded_steps(problem.N_p, problem.N_c)
+    i = choose_bounded_prediction_steps(problem.N_p, problem.N_c)
     blocks = []
     if bounds.radius_m is not None:
-        block = _polygon_block(problem, bounds, free[i], moved[i], bounds.radius_m, rho)
+        block = _build_polygon_constraint(problem, bounds, free[i], moved[i], bounds.radius_m, rho)
         # The circle is centred on the reference.
         centre = block.high[:, :, problem.model.theta.y_ref][:, :, HORIZONTAL]
-        centre[...] = bounds.directions / block.row_unit[0]
+        centre[...] = bounds.polygon_normals / block.row_unit[0]
         blocks.append(block)
     if bounds.speed_mps is not None:
         per_s = 1.0 / bounds.sample_s
         rate, push = per_s * (free[i] - free[i - 1]), per_s * (moved[i] - moved[i - 1])
-        blocks.append(_polygon_block(problem, bounds, rate, push, bounds.speed_mps, rho))
+        blocks.append(_build_polygon_constraint(problem, bounds, rate, push, bounds.speed_mps, rho))
     return blocks
 
 
-def _polygon_block(
+def _build_polygon_constraint(
     problem: ControlProblem,
     bounds: OutputBounds,
     free: Floats,
@@ -90,11 +90,11 @@ def _polygon_block(
     """
     K, n_u, theta = bounds.sides, problem.model.n_u, problem.model.theta
     unit = float(np.linalg.norm(moved[-1, :, :n_u], axis=0).max())
-    d = bounds.directions / unit
+    d = bounds.polygon_normals / unit
     high = np.zeros((len(free), K, theta.size))
     high[:, :, theta.x] = -(d @ free)
     high[:, :, theta.one] = np.cos(np.pi / K) * radius / unit
     units = np.full(K, unit)
     rows = d @ moved
-    low, rhos = infinite_limits(high, -1.0), np.full(K, rho)
+    low, rhos = make_infinite_limit_coefficients(high, -1.0), np.full(K, rho)
     return ConstraintBlock(rows, -np.eye(K), low, high, units, units, rhos)

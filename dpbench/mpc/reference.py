@@ -11,7 +11,7 @@ import numpy as np
 import scipy.linalg
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.ship.estimation.estimator import nearest_turn
+from dpbench.ship.estimation.estimator import shift_heading_near
 from dpbench.ship.layout import YAW
 
 FILTER_ORDER = 3
@@ -25,14 +25,14 @@ class ReferenceFilter:
     damping: float = 1.0
 
 
-def unwrap_pose(target: Vector, start: Vector) -> Vector:
+def shift_target_heading_near_start(target: Vector, start: Vector) -> Vector:
     """Return the pose `target` (3,) with its heading shifted to within π of that of `start`."""
     reference = target.copy()
-    reference[YAW] = nearest_turn(target[YAW], start[YAW])
+    reference[YAW] = shift_heading_near(target[YAW], start[YAW])
     return reference
 
 
-def build_reference_table(
+def build_smoothed_reference_table(
     start: Vector,
     target: Vector,
     samples: int,
@@ -40,7 +40,7 @@ def build_reference_table(
     smoothed: ReferenceFilter | None = None,
 ) -> Matrix:
     """Return the reference (samples, 3), smoothed from rest at the start or the target at once."""
-    goal = unwrap_pose(target, start)
+    goal = shift_target_heading_near_start(target, start)
     table = np.tile(goal, (samples, 1))
     if smoothed is None:
         return table

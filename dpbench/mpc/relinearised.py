@@ -1,6 +1,7 @@
 """`RelinearisedQP`: the condensed QP re-linearised at the measured heading, step by step.
 
-Linearising at ψ turns the model by T = diag(I, R, R) (`model.rotate_model`), so with R = R(ψ − ψ0)
+Linearising at ψ turns the model by T = diag(I, R, R) (`relinearise_model_at_turned_heading`), so
+with R = R(ψ − ψ0)
 
     h_t ↦ R h_t,    F_t ↦ R F_t Tᵀ,    E ↦ Σ hᵀ (RᵀQR) h + R̄,    F_x ↦ Σ hᵀ (RᵀQR) F_t Tᵀ
 
@@ -22,7 +23,7 @@ import numpy as np
 
 from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.mpc.condense import CondensedMatrices, ControlProblem, condense_matrices
+from dpbench.mpc.condense import CondensedMatrices, ControlProblem, condense_mpc_matrices
 from dpbench.mpc.condensed_qp import CondensedOptions, CondensedQP
 from dpbench.mpc.model import HEADING
 from dpbench.mpc.thruster_rows import Limits
@@ -51,20 +52,20 @@ class HeadingSeries:
     terms: list[tuple[int, Vector]]
 
     @classmethod
-    def of(cls, samples: Sequence[Matrix]) -> HeadingSeries:
+    def fit_to_samples(cls, samples: Sequence[Matrix]) -> HeadingSeries:
         """Fit a trigonometric polynomial to matrices sampled at five equally spaced headings."""
         stack = np.array([np.where(np.isfinite(sample), sample, 0.0) for sample in samples])
         size = np.broadcast_to(_NOISE * np.abs(stack).max(axis=(0, 1)), stack.shape[1:]).reshape(-1)
         stack = stack.reshape(len(_TURNS), -1)
         varying = np.flatnonzero(np.ptp(stack, axis=0) > size)
         values, size = stack[:, varying], size[varying]
-        waves = 0.4 * np.array(_heading_harmonics(np.cos(_TURNS), np.sin(_TURNS))) @ values
+        waves = 0.4 * np.array(_compute_heading_harmonics(np.cos(_TURNS), np.sin(_TURNS))) @ values
         terms = [(k, wave) for k, wave in enumerate(waves) if (np.abs(wave) > size).any()]
         return cls(varying, values.mean(axis=0), terms)
 
-    def write(self, turn_rad: float, out: Matrix) -> None:
+    def write_matrix_at_turn(self, turn_rad: float, out: Matrix) -> None:
         """Evaluate the polynomial at a heading change [rad]; write varying entries to `out`."""
-        waves = _heading_harmonics(math.cos(turn_rad), math.sin(turn_rad))
+        waves = _compute_heading_harmonics(math.cos(turn_rad), math.sin(turn_rad))
         # Entry by entry alike, so that a symmetric matrix stays so to the last bit.
         values = self.constant.copy()
         for k, coefficients in self.terms:
@@ -72,7 +73,7 @@ class HeadingSeries:
         out.reshape(-1)[self.varying] = values
 
 
-def _heading_harmonics(c: Wave, s: Wave) -> tuple[Wave, Wave, Wave, Wave]:
+def _compute_heading_harmonics(c: Wave, s: Wave) -> tuple[Wave, Wave, Wave, Wave]:
     """Return cos δ, sin δ, cos 2δ, sin 2δ from c = cos δ and s = sin δ."""
     return c, s, c * c - s * s, 2.0 * c * s
 
@@ -106,24 +107,31 @@ class RelinearisedQP(CondensedQP):
         self.psi0_rad = self.heading_rad = psi0_rad
         self.threshold_rad = threshold_rad
         self._condensed_at = psi0_rad
-        *samples, check = [self._condense_at(turn) for turn in (*_TURNS, _CHECKED_TURN)]
+        *samples, check = [
+            self._condense_at_turned_heading(turn) for turn in (*_TURNS, _CHECKED_TURN)
+        ]
         self._sampled = [sample.matrices for sample in samples]
         parts = {name: [getattr(sample, name) for sample in samples] for name in ("P", "A", "Z")}
-        self._series = {name: HeadingSeries.of(of_turns) for name, of_turns in parts.items()}
-        self._verify_series(check)
+        self._series = {
+            name: HeadingSeries.fit_to_samples(of_turns) for name, of_turns in parts.items()
+        }
+        self._require_series_equal_to(check)
         self._brings_P = always or len(self._series["P"].varying) > 0
         self._brings_A = len(self._series["A"].varying) > 0
 
-    def _condense_at(self, turn_rad: float) -> CondensedQP:
+    def _condense_at_turned_heading(self, turn_rad: float) -> CondensedQP:
         """Condense the problem of a ship turned by an angle [rad]."""
         form = CondensedOptions(units=self.units, amplitude=self.amplitude, outputs=self.outputs)
-        return CondensedQP(self.control.rotate(turn_rad), **(form | {"penalty": self.penalty}))
+        return CondensedQP(
+            self.control.relinearise_at_turned_heading(turn_rad),
+            **(form | {"penalty": self.penalty}),
+        )
 
-    def _verify_series(self, check: CondensedQP) -> None:
+    def _require_series_equal_to(self, check: CondensedQP) -> None:
         """Raise InputError if polynomials in heading miss the QP condensed at another heading."""
         for name, series in self._series.items():
             condensed, interpolated = getattr(check, name), getattr(self, name).copy()
-            series.write(_CHECKED_TURN, interpolated)
+            series.write_matrix_at_turn(_CHECKED_TURN, interpolated)
             finite = np.isfinite(condensed)
             expected = np.where(finite, condensed, 0.0)
             error = np.abs(np.where(finite, interpolated, 0.0) - expected)
@@ -136,33 +144,33 @@ class RelinearisedQP(CondensedQP):
         """Condensed matrices E, F, Φ at the last heading, SI; recomputed after it changes."""
         if self._condensed_at != self.heading_rad:
             turn = self.heading_rad - self.psi0_rad
-            self._matrices = condense_matrices(self.control.rotate(turn))
+            self._matrices = condense_mpc_matrices(self.control.relinearise_at_turned_heading(turn))
             self._condensed_at = self.heading_rad
         return self._matrices
 
     @cached_property
-    def _reference_series(self) -> HeadingSeries:
+    def _reference_map_series(self) -> HeadingSeries:
         """Polynomial in the heading that gives the map from the reference to the QP gradient."""
-        return HeadingSeries.of([matrices.F_y for matrices in self._sampled])
+        return HeadingSeries.fit_to_samples([matrices.F_y for matrices in self._sampled])
 
-    def _reference_map(self) -> Matrix:
+    def _build_reference_to_gradient_map(self) -> Matrix:
         """Return the map from the reference to q at the present heading."""
         F_y = self._sampled[0].F_y.copy()
-        self._reference_series.write(self.heading_rad - self.psi0_rad, F_y)
+        self._reference_map_series.write_matrix_at_turn(self.heading_rad - self.psi0_rad, F_y)
         return F_y
 
-    def linearise(self, psi_rad: float) -> None:
+    def update_matrices_to_heading(self, psi_rad: float) -> None:
         """Update the QP matrices P, A and Z to the ship model linearised at heading `psi_rad`."""
         self.heading_rad = float(psi_rad)
         turn = self.heading_rad - self.psi0_rad
         if len(self._series["P"].varying):
             self.P = self.P.copy()
-            self._series["P"].write(turn, self.P)
+            self._series["P"].write_matrix_at_turn(turn, self.P)
         if self._brings_A:
             self.A = self.A.copy()
-            self._series["A"].write(turn, self.A)
+            self._series["A"].write_matrix_at_turn(turn, self.A)
         # In place: `emit` holds the product with this very array.
-        self._series["Z"].write(turn, self.Z)
+        self._series["Z"].write_matrix_at_turn(turn, self.Z)
 
     def emit(
         self, x: Vector, y_ref: Vector, u_prev: Vector, *, limits: Limits | None = None
@@ -175,7 +183,7 @@ class RelinearisedQP(CondensedQP):
         psi_rad = x[HEADING]
         if not abs(psi_rad - self.heading_rad) >= self.threshold_rad:
             return super().emit(x, y_ref, u_prev, limits=limits)
-        self.linearise(psi_rad)
+        self.update_matrices_to_heading(psi_rad)
         step = super().emit(x, y_ref, u_prev, limits=limits)
         if self._brings_P:
             step.P = self.P

@@ -18,7 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dpbench.arrays import Floats, Matrix, Vector
-from dpbench.mpc.condense import ControlProblem, scaled_rows, summed_rows
+from dpbench.mpc.condense import (
+    ControlProblem,
+    build_rows_of_summed_increments,
+    scale_amplitude_limit_rows,
+)
 from dpbench.qp.program import Units
 
 
@@ -36,7 +40,7 @@ class Penalty:
     curvature: float
 
     @classmethod
-    def default(cls, problem: ControlProblem, P: Matrix) -> Penalty:
+    def choose_exact_penalty(cls, problem: ControlProblem, P: Matrix) -> Penalty:
         """Return slack penalties large enough to be exact, from the scaled Hessian P (n, n).
 
         A multiplier of an amplitude row is the slope of the cost along a force: P times the
@@ -51,7 +55,7 @@ class Penalty:
         span = (problem.u_max - problem.u_min) / problem.row_max
         largest = size.sum(axis=1).reshape(-1, n_u).max(axis=0)
         if problem.thrusters is not None:
-            span, largest = problem.thrusters.thruster_maxima(span, largest)
+            span, largest = problem.thrusters.row_and_entry_maxima_by_thruster(span, largest)
         amplitude = 0.25 * span * largest
         outputs = 0.5 * float(span.max() * size.max())
         return cls(amplitude, outputs, float(np.linalg.eigvalsh(P)[0]))
@@ -75,14 +79,16 @@ class ConstraintBlock:
     rho: Vector
 
 
-def infinite_limits(like: Floats, sign: float) -> Floats:
+def make_infinite_limit_coefficients(like: Floats, sign: float) -> Floats:
     """Return coefficients of row limits that are infinite for all parameters, shaped as `like`."""
     rows = np.zeros_like(like)
     rows[..., -1] = sign * np.inf
     return rows
 
 
-def amplitude_block(problem: ControlProblem, Z: Matrix, rho: Vector | None) -> ConstraintBlock:
+def build_amplitude_constraint_block(
+    problem: ControlProblem, Z: Matrix, rho: Vector | None
+) -> ConstraintBlock:
     """Return constraints of the input amplitude limits, softened by slacks if penalties are given.
 
     Z is the scaled map of the plain problem. Hard, a move has r two-sided rows; soft, it has r
@@ -90,7 +96,9 @@ def amplitude_block(problem: ControlProblem, Z: Matrix, rho: Vector | None) -> C
     """
     n_u, N_c, r, unit = problem.model.n_u, problem.N_c, len(problem.G), problem.row_max
     n = N_c * n_u
-    sums = summed_rows(N_c, scaled_rows(problem, "scaled")).reshape(N_c, r, n)
+    sums = build_rows_of_summed_increments(
+        N_c, scale_amplitude_limit_rows(problem, "scaled")
+    ).reshape(N_c, r, n)
     low, high = Z[n:].reshape(2, N_c, r, -1)
     if rho is None:
         nothing = np.zeros(0)
@@ -98,10 +106,10 @@ def amplitude_block(problem: ControlProblem, Z: Matrix, rho: Vector | None) -> C
     own, slack_unit = np.eye(r), unit
     if problem.thrusters is not None:
         own = np.eye(len(rho))[problem.thrusters.thruster]
-        slack_unit, _ = problem.thrusters.thruster_maxima(unit, problem.du_max)
+        slack_unit, _ = problem.thrusters.row_and_entry_maxima_by_thruster(unit, problem.du_max)
     rows = np.concatenate((sums, sums), axis=1), np.vstack((-own, own))
-    lower = np.concatenate((infinite_limits(high, -1.0), low), axis=1)
-    upper = np.concatenate((high, infinite_limits(low, 1.0)), axis=1)
+    lower = np.concatenate((make_infinite_limit_coefficients(high, -1.0), low), axis=1)
+    upper = np.concatenate((high, make_infinite_limit_coefficients(low, 1.0)), axis=1)
     return ConstraintBlock(*rows, lower, upper, np.concatenate((unit, unit)), slack_unit, rho)
 
 
@@ -117,7 +125,7 @@ class AssembledBlocks:
     si: Units
     block: int
 
-    def in_si(self) -> AssembledBlocks:
+    def convert_to_si_units(self) -> AssembledBlocks:
         """Return the assembled QP with variables and rows converted to SI units."""
         z, row = self.si.z, self.si.row
         P, A = self.P / np.outer(z, z), self.A * row[:, np.newaxis] / z
@@ -125,7 +133,7 @@ class AssembledBlocks:
         return replace(self, P=P, A=A, lb=self.lb * z, ub=self.ub * z, Z=Z)
 
 
-def assemble_blocks(
+def assemble_qp_of_cost_and_blocks(
     P: Matrix, Z_q: Matrix, du_max: Vector, blocks: list[ConstraintBlock], epsilon: float
 ) -> AssembledBlocks:
     """Assemble a QP from the scaled cost of the moves and constraint blocks with slacks."""

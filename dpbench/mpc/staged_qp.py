@@ -20,8 +20,8 @@ costate recursion μ_{i−1} = Aᵀ μ_i − CᵀQ (C x_i − y_d,i), so that �
 tracking cost along Δu_i; along Δu_i what is left is R Δu_i − Bᵀ μ_i − λ_i + r_i = 0: a row of
 E ΔU + F_k + C2ᵀ (I ⊗ Gᵀ) y + r = 0 (eq. 24, 28). A Farkas vector of the staged rows has μ = 0, by
 the same recursion without a cost, and leaves C2ᵀ (I ⊗ Gᵀ) y + r = 0 and the same negative sum over
-the limits: it proves the condensed problem infeasible too. `condensed` therefore takes Δu_i, y_i
-and r_i.
+the limits: it proves the condensed problem infeasible too. `convert_solution_to_condensed`
+therefore takes Δu_i, y_i and r_i.
 """
 
 from typing import Literal
@@ -31,7 +31,7 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.condense import ControlProblem, UnitSystem
-from dpbench.mpc.terminal import solve_riccati
+from dpbench.mpc.terminal import solve_discrete_riccati_of_model
 from dpbench.mpc.thruster_rows import LimitRampDown, Limits
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
@@ -72,8 +72,8 @@ class StagedQP:
         scaled = units == "scaled"
         self._unit: Vector = problem.du_max if scaled else np.ones(n_u)
         self._row_unit: Vector = problem.row_max if scaled else np.ones(r)
-        self._build_cost()
-        self._build_rows()
+        self._build_cost_and_reference_map()
+        self._build_constraint_matrix()
         # Read-only arrays need not be compared when a solver is set up anew at every step.
         for array in (self.P, self.A, self.lb, self.ub):
             array.setflags(write=False)
@@ -83,46 +83,50 @@ class StagedQP:
         if problem.thrusters is not None:
             self._ramp_down = LimitRampDown(problem.thrusters, problem.du_max, problem.row_max, N_c)
 
-    def _stage_start(self, i: int, width: int) -> int:
+    def _index_of_stage_in_vector(self, i: int, width: int) -> int:
         """Return the index of stage i in a QP vector, where stages with a move take `width`."""
         behind = max(i - self.control.N_c, 0)
         return (i - behind) * width + behind * self.control.model.n_x
 
-    def _state_slice(self, i: int) -> slice:
+    def _slice_of_stage_state(self, i: int) -> slice:
         """Return the slice of stage i's predicted state in the QP variables."""
         model = self.control.model
-        first = self._stage_start(i, self._width) + (2 * model.n_u if i < self.control.N_c else 0)
+        first = self._index_of_stage_in_vector(i, self._width) + (
+            2 * model.n_u if i < self.control.N_c else 0
+        )
         return slice(first, first + model.n_x)
 
-    def _build_cost(self) -> None:
+    def _build_cost_and_reference_map(self) -> None:
         """Build the cost P of moves, forces and states, and its map from the reference."""
         problem, model, unit = self.control, self.control.model, self._unit
         weight = model.C.T @ problem.Q @ model.C
         move = problem.R * np.outer(unit, unit)
         self.P: Matrix = np.zeros((self.n, self.n))
         for i in range(problem.N_c):
-            first = self._stage_start(i, self._width)
+            first = self._index_of_stage_in_vector(i, self._width)
             at = slice(first, first + model.n_u)
             self.P[at, at] = 0.5 * (move + move.T)
             if problem.W is not None:
                 force = slice(at.stop, at.stop + model.n_u)
                 self.P[force, force] = problem.W * np.outer(unit, unit)
         for i in range(problem.N_p):
-            self.P[self._state_slice(i), self._state_slice(i)] = 0.5 * (weight + weight.T)
+            self.P[self._slice_of_stage_state(i), self._slice_of_stage_state(i)] = 0.5 * (
+                weight + weight.T
+            )
         # q along each state, per unit of its reference, and what the last one has on top.
         self._slope: Matrix = -model.C.T @ problem.Q
         self._end: Matrix = np.zeros((model.n_x, model.n_y))
         if problem.terminal == "riccati":
-            S = solve_riccati(model, problem.Q, problem.R, problem.du_max)
-            last = self._state_slice(problem.N_p - 1)
+            S = solve_discrete_riccati_of_model(model, problem.Q, problem.R, problem.du_max)
+            last = self._slice_of_stage_state(problem.N_p - 1)
             self.P[last, last] = 0.5 * (S + S.T)
             self._end = (weight - S) @ model.C.T
         self._held: Matrix = np.zeros((self.n, model.n_y))
         for i in range(problem.N_p):
-            self._held[self._state_slice(i)] = self._slope
+            self._held[self._slice_of_stage_state(i)] = self._slope
         self._held[-model.n_x :] += self._end
 
-    def _build_rows(self) -> None:
+    def _build_constraint_matrix(self) -> None:
         """Build the rows A: dynamics, sums of moves and limits, stage by stage."""
         problem, model, unit = self.control, self.control.model, self._unit
         n_u, n_x = model.n_u, model.n_x
@@ -131,34 +135,37 @@ class StagedQP:
         self.A: Matrix = np.zeros((self.m, self.n))
         low, high = np.zeros(self.m), np.zeros(self.m)
         for i in range(problem.N_p):
-            row, first = self._stage_start(i, self._row_width), self._stage_start(i, self._width)
+            row, first = (
+                self._index_of_stage_in_vector(i, self._row_width),
+                self._index_of_stage_in_vector(i, self._width),
+            )
             if i < problem.N_c:
                 du, u = slice(first, first + n_u), slice(first + n_u, first + 2 * n_u)
                 moved = slice(row, row + n_u)
                 limited = slice(row + n_u + n_x, row + self._row_width)
                 self.A[moved, du], self.A[moved, u] = -one, one
                 if i > 0:
-                    before = self._stage_start(i - 1, self._width) + n_u
+                    before = self._index_of_stage_in_vector(i - 1, self._width) + n_u
                     self.A[moved, before : before + n_u] = -one
                 self.A[limited, u] = G
                 low[limited] = problem.u_min / self._row_unit
                 high[limited] = problem.u_max / self._row_unit
                 row += n_u
                 self.A[row : row + n_x, du] = -B
-            self.A[row : row + n_x, self._state_slice(i)] = np.eye(n_x)
+            self.A[row : row + n_x, self._slice_of_stage_state(i)] = np.eye(n_x)
             if i > 0:
-                self.A[row : row + n_x, self._state_slice(i - 1)] = -model.A
+                self.A[row : row + n_x, self._slice_of_stage_state(i - 1)] = -model.A
         self._low, self._high = low, high
         self.ub: Vector = np.full(self.n, np.inf)
-        self._view_moves(self.ub)[...] = problem.du_max / unit
+        self._view_increments_in_variables(self.ub)[...] = problem.du_max / unit
         self.lb: Vector = -self.ub
 
-    def _view_moves(self, along: Vector) -> Matrix:
+    def _view_increments_in_variables(self, along: Vector) -> Matrix:
         """Return a view (N_c, n_u) of the control increments in a vector of QP variables."""
         stages = along[: self._cut].reshape(self.control.N_c, self._width)
         return stages[:, : self.control.model.n_u]
 
-    def _view_amplitude_rows(self, along: Vector) -> Matrix:
+    def _view_amplitude_limits_in_rows(self, along: Vector) -> Matrix:
         """Return a view (N_c, r) of the amplitude limits' entries in a vector over QP rows."""
         stages = along[: self._row_cut].reshape(self.control.N_c, self._row_width)
         return stages[:, -len(self._row_unit) :]
@@ -177,13 +184,18 @@ class StagedQP:
         before = u_prev / self._unit
         low[:n_u] = high[:n_u] = before
         low[n_u:first] = high[n_u:first] = model.A.dot(x)
-        q = self._held.dot(y_ref) if y_ref.ndim == 1 else self._preview_gradient(y_ref)
+        q = self._held.dot(y_ref) if y_ref.ndim == 1 else self._compute_preview_gradient(y_ref)
         if limits is not None:
-            u_min, u_max = self._effective_limits(before, limits)
-            self._view_amplitude_rows(low)[...], self._view_amplitude_rows(high)[...] = u_min, u_max
+            u_min, u_max = self._make_amplitude_limits_reachable(before, limits)
+            (
+                self._view_amplitude_limits_in_rows(low)[...],
+                self._view_amplitude_limits_in_rows(high)[...],
+            ) = u_min, u_max
         return QPStep(q, low, high)
 
-    def _effective_limits(self, before: Vector, limits: Limits) -> tuple[Matrix, Matrix]:
+    def _make_amplitude_limits_reachable(
+        self, before: Vector, limits: Limits
+    ) -> tuple[Matrix, Matrix]:
         """Return scaled lower and upper amplitude limits, extended to what the rate can reach."""
         low, high = limits.low / self._row_unit, limits.high / self._row_unit
         if self.amplitude != "reachable":
@@ -194,10 +206,10 @@ class StagedQP:
         force = before * self._unit
         along = self.control.G @ force / self._row_unit
         unit = self.control.row_max / self._row_unit
-        low, high = self._ramp_down.compute_limits(force, limits)
+        low, high = self._ramp_down.compute_gradually_tightened_limits(force, limits)
         return along + low * unit, along + high * unit
 
-    def _preview_gradient(self, y_ref: Matrix) -> Vector:
+    def _compute_preview_gradient(self, y_ref: Matrix) -> Vector:
         """Return the gradient q (n,) for a reference (N_p, n_y) that changes along the horizon."""
         N_c, n_x = self.control.N_c, self.control.model.n_x
         along = y_ref @ self._slope.T
@@ -216,10 +228,10 @@ class StagedQP:
         vectors = step.q, self.A, step.l, step.u, self.lb, self.ub
         return QuadraticProgram(self.P, *vectors, stages=stages)
 
-    def condensed(self, solution: Solution) -> Solution:
+    def convert_solution_to_condensed(self, solution: Solution) -> Solution:
         """Convert a sparse solution to the condensed one; NaN stays NaN, a proof stays a proof."""
         return solution.copy_with_other_vectors(
-            self._view_moves(solution.z).reshape(-1),
-            self._view_amplitude_rows(solution.y).reshape(-1),
-            self._view_moves(solution.y_box).reshape(-1),
+            self._view_increments_in_variables(solution.z).reshape(-1),
+            self._view_amplitude_limits_in_rows(solution.y).reshape(-1),
+            self._view_increments_in_variables(solution.y_box).reshape(-1),
         )

@@ -28,28 +28,30 @@ class TerminalCost:
     C: Matrix
 
     @property
-    def E(self) -> Matrix:
+    def hessian_part(self) -> Matrix:
         """Part (n, n) of the condensed Hessian due to the terminal cost, exactly symmetric."""
         E = self.Gamma.T @ self.W @ self.Gamma
         return 0.5 * (E + E.T)
 
     @property
-    def F_x(self) -> Matrix:
+    def state_to_gradient_part(self) -> Matrix:
         """Part (n, n_x) due to the terminal cost in the map from the state to the QP gradient."""
         return self.Gamma.T @ self.W @ self.A_N
 
     @property
-    def F_y(self) -> Matrix:
+    def reference_to_gradient_part(self) -> Matrix:
         """Part (n, n_y) due to the terminal cost in the map from last reference to gradient."""
         return -self.Gamma.T @ self.W @ self.C.T
 
-    def constant(self, x: Vector, y_d: Vector) -> float:
+    def cost_at_zero_increments(self, x: Vector, y_d: Vector) -> float:
         """Return the terminal cost at zero increments, for the last reference y_d (n_y,)."""
         away = self.A_N @ x - self.C.T @ y_d
         return 0.5 * float(away @ self.W @ away)
 
 
-def solve_riccati(model: StateSpace, Q: Matrix, R: Matrix, du_max: Vector) -> Matrix:
+def solve_discrete_riccati_of_model(
+    model: StateSpace, Q: Matrix, R: Matrix, du_max: Vector
+) -> Matrix:
     """Return the solution S (n_x, n_x) of the discrete Riccati equation; InputError if none."""
     # In N and N·m the entries of B and R lie up to fourteen decades from those of A and Q.
     A, B, R = model.A, model.B * du_max, R * du_max * du_max[:, np.newaxis]
@@ -77,6 +79,6 @@ def build_terminal_cost(
     for j in range(N_c - 1, -1, -1):
         Gamma[:, j * n_u : (j + 1) * n_u] = reached
         reached = model.A @ reached
-    W = solve_riccati(model, Q, R, du_max) - model.C.T @ Q @ model.C
+    W = solve_discrete_riccati_of_model(model, Q, R, du_max) - model.C.T @ Q @ model.C
     A_N = np.linalg.matrix_power(model.A, N_p)
     return TerminalCost(0.5 * (W + W.T), A_N, Gamma, model.C)

@@ -54,18 +54,20 @@ class ThrusterRows:
         intact = Limits(self.low, self.high, np.zeros(self.entry[-1] + 1, dtype=np.bool_))
         object.__setattr__(self, "intact", intact)
 
-    def row_units(self, df_max: Vector) -> Vector:
+    def largest_row_changes_per_step(self, df_max: Vector) -> Vector:
         """Return each force constraint's unit (r,): its change by a full rate-limit step."""
         largest: Vector = np.sqrt(((self.G * df_max) ** 2).sum(axis=1))
         return largest
 
-    def thruster_maxima(self, of_row: Vector, of_entry: Vector) -> tuple[Vector, Vector]:
+    def row_and_entry_maxima_by_thruster(
+        self, of_row: Vector, of_entry: Vector
+    ) -> tuple[Vector, Vector]:
         """Return two vectors by thruster: largest value of its rows, and of its entries of f."""
         numbers = range(int(self.entry[-1]) + 1)
         rows = np.array([of_row[self.thruster == i].max() for i in numbers])
         return rows, np.array([of_entry[self.entry == i].max() for i in numbers])
 
-    def limits_after_loss(self, lost: Collection[int]) -> Limits:
+    def limits_after_loss_of_thrusters(self, lost: Collection[int]) -> Limits:
         """Return the limits after the loss of thrusters, given by index: those give no force.
 
         As many rows of a thruster become zero as it has entries, of an azimuth two that lie across
@@ -82,17 +84,21 @@ class ThrusterRows:
         return Limits(low, high, np.isin(np.arange(self.entry[-1] + 1), list(lost)))
 
 
-def thruster_rows(thrusters: ThrusterSet, sides: int) -> ThrusterRows:
+def build_limit_rows_of_thrusters(thrusters: ThrusterSet, sides: int) -> ThrusterRows:
     """Return linear limits of a ship's thrusters: polygons of `sides` sides for azimuths."""
-    normals, lows, highs = zip(*(_limit_rows(t, sides) for t in thrusters.thrusters), strict=True)
+    normals, lows, highs = zip(
+        *(_build_limit_rows_of_one_thruster(t, sides) for t in thrusters.thrusters), strict=True
+    )
     numbers = np.arange(len(lows))
     thruster = np.repeat(numbers, [len(low) for low in lows])
-    entry = np.repeat(numbers, [t.components for t in thrusters.thrusters])
+    entry = np.repeat(numbers, [t.component_count for t in thrusters.thrusters])
     G: Matrix = scipy.linalg.block_diag(*normals)
     return ThrusterRows(G, np.concatenate(lows), np.concatenate(highs), thruster, entry)
 
 
-def _limit_rows(thruster: Thruster, sides: int) -> tuple[Matrix, Vector, Vector]:
+def _build_limit_rows_of_one_thruster(
+    thruster: Thruster, sides: int
+) -> tuple[Matrix, Vector, Vector]:
     """Return one thruster's linear force limits: normals (r_i, components), low and high (r_i,)."""
     if thruster.kind != "azimuth":
         most = np.array([thruster.thrust_N])
@@ -152,7 +158,9 @@ class LimitRampDown:
         table[G_FROM:, :r] = rows.G.T
         self._table: Matrix = table
 
-    def compute_limits(self, f: Vector, limits: Limits) -> tuple[Matrix, Matrix]:
+    def compute_gradually_tightened_limits(
+        self, f: Vector, limits: Limits
+    ) -> tuple[Matrix, Matrix]:
         """Return lower and upper limits (N_c, r) on the summed force change, tightened slowly."""
         l, u = np.empty(self._shape), np.empty(self._shape)  # noqa: E741 - of l ≤ Az ≤ u
         self.write_limits(f, limits, l.reshape(-1), u.reshape(-1))
@@ -160,15 +168,15 @@ class LimitRampDown:
 
     def write_limits(self, f: Vector, limits: Limits, l: Vector, u: Vector) -> None:  # noqa: E741 - of l ≤ Az ≤ u
         """Write each move's force limits, lowered ones tightened gradually, into l and u."""
-        _write_retreating_limits(self._table, f, *limits, l, u, self._shape[0])
+        _write_tightened_limits(self._table, f, *limits, l, u, self._shape[0])
 
 
-# Rows of the table of `_write_retreating_limits`; its columns are rows k, entries or thrusters.
+# Rows of the table of `_write_tightened_limits`; its columns are rows k, entries or thrusters.
 LOW, HIGH, ROW_MAX, FACTOR, ALONG, DU_MAX, ROW_FROM, ENTRY_FROM, G_FROM = range(9)
 
 
 @njit(cache=True, error_model="numpy")
-def _write_retreating_limits(table, f, low, high, lost, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; of l ≤ Az ≤ u
+def _write_tightened_limits(table, f, low, high, lost, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; of l ≤ Az ≤ u
     """Write each move's force limits into l and u, tightened gradually if f is outside them."""
     r, n_f, stride = low.shape[0], f.shape[0], l.shape[0] // N_c
     for k in range(r):
@@ -179,7 +187,7 @@ def _write_retreating_limits(table, f, low, high, lost, l, u, N_c):  # type: ign
     t, first = 0, 0
     while first < r:
         end = int(table[ROW_FROM, t + 1])
-        gauge = _used_share(table, first, end)
+        gauge = _compute_used_share_of_limits(table, first, end)
         steps = 0.0
         for j in range(int(table[ENTRY_FROM, t]), int(table[ENTRY_FROM, t + 1])):
             steps += (f[j] / table[DU_MAX, j]) ** 2
@@ -201,7 +209,7 @@ def _write_retreating_limits(table, f, low, high, lost, l, u, N_c):  # type: ign
 
 
 @njit(cache=True, error_model="numpy")
-def _used_share(table, first, end):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+def _compute_used_share_of_limits(table, first, end):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Return the share of its intact limits that a thruster's force uses."""
     gauge = 0.0
     for k in range(first, end):

@@ -41,7 +41,7 @@ class Status(IntEnum):
         return _SENTENCES[self]
 
     @property
-    def is_answer_applied(self) -> bool:
+    def is_usable(self) -> bool:
         """Return whether a finite answer with this status is applied, as an unfinished one is."""
         return self in _USABLE
 

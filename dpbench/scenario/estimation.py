@@ -36,25 +36,27 @@ class EstimatorChoice:
         if self.waves is None:
             return MeasuredState()
         if self.kind == "kalman":
-            kalman = KalmanTuning.of_ship(
+            kalman = KalmanTuning.choose_for_ship(
                 ship, self.waves, self.sensor_std, wave_filter=self.wave_filter, where=self.where
             )
             return KalmanFilter(ship, kalman, sample_s)
-        passive = PassiveTuning.of_ship(ship, self.waves, wave_filter=self.wave_filter)
+        passive = PassiveTuning.choose_for_ship(ship, self.waves, wave_filter=self.wave_filter)
         return PassiveObserver(ship, passive, sample_s)
 
 
 def choose_estimator(spec: ScenarioFile, scale: Froude, where: str) -> EstimatorChoice:
     """Return the estimator settings of a scenario file, scaled to the ship."""
     place, table, sea = f"{where}: estimator", spec.estimator, spec.environment
-    sensor = SENSOR_STD * scale.pose
+    sensor = SENSOR_STD * scale.pose_factors
     if sea.noise is not None:
         sensor = np.maximum(sea.noise.std(scale), 0.1 * sensor)
     waves = None
     if table.kind != "measured":
-        floor = CALM_STD * scale.pose
+        floor = CALM_STD * scale.pose_factors
         std = floor if sea.waves is None else np.maximum(sea.waves.motion_std(scale), floor)
-        waves = WaveModel.of_sea(_assumed_peak_period_s(table, spec, place) * scale.time, std)
+        waves = WaveModel.from_peak_period(
+            _assumed_peak_period_s(table, spec, place) * scale.time_and_speed_factor, std
+        )
     return EstimatorChoice(table.kind, table.wave_filter, waves, sensor, place)
 
 

@@ -28,7 +28,7 @@ from dpbench.scenario.scenario import load_vessel
 from dpbench.scenario.tables.vessel_file import CapabilityTable
 from dpbench.scenario.tables.weather import CurrentTable, EnvironmentTable, WavesTable, WindTable
 from dpbench.ship.capability.conditions import DP_CONDITIONS, Condition
-from dpbench.ship.capability.loads import DYNAMIC_FACTOR, mean_loads
+from dpbench.ship.capability.loads import DYNAMIC_FACTOR, compute_mean_environmental_loads
 from dpbench.ship.capability.losses import MISCELLANEOUS
 from dpbench.ship.drag import HullDrag
 from dpbench.ship.layout import V
@@ -145,7 +145,7 @@ def scale_vessel(like: str, own: Particulars, thrust: ThrustLimits, name: str = 
     )
     hull = CapabilityTable(breadth_m=own.breadth_m, draught_m=own.draught_m)
     capability = hull.build_hull(own.length_m, windage)
-    drag = HullDrag.of(capability)
+    drag = HullDrag.from_hull(capability)
     return replace(
         vessel,
         id=name,
@@ -237,7 +237,9 @@ def sea_load(vessel: Vessel, number: int) -> Vector:
         allowed = "this table, with at least breadth_m and draught_m, and [windage]"
         raise InputError(vessel.where, "capability", "nothing", allowed)
     condition = Condition(*DP_NUMBERS[number])
-    load: Vector = mean_loads(vessel.capability, condition, math.radians(FROM_DEG)).sum(axis=0)
+    load: Vector = compute_mean_environmental_loads(
+        vessel.capability, condition, math.radians(FROM_DEG)
+    ).sum(axis=0)
     return load
 
 

@@ -15,7 +15,7 @@ from dpbench.display import format_numbers_with_units, make_html_field_table
 from dpbench.errors import InputError, UnknownNameError, require_integer_at_least
 from dpbench.mpc.condense import ControlProblem, UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.reference import ReferenceFilter, build_reference_table
+from dpbench.mpc.reference import ReferenceFilter, build_smoothed_reference_table
 from dpbench.scenario.controllers.controller import Controller
 from dpbench.scenario.controllers.forces import ForceController
 from dpbench.scenario.controllers.specification import ControllerSpec
@@ -120,7 +120,7 @@ class Scenario:
     @property
     def force_step_max(self) -> Vector:
         """Largest change of the force (3,) [N, N, N·m] in one sample."""
-        return self.vessel.step_max(self.sample_s)
+        return self.vessel.largest_force_change_per_sample(self.sample_s)
 
     @property
     def first_state(self) -> Vector:
@@ -129,14 +129,14 @@ class Scenario:
 
     def build_reference_table(self, samples: int) -> Matrix:
         """Return the reference pose at each sample (samples, 3), heading unwrapped."""
-        return build_reference_table(
+        return build_smoothed_reference_table(
             self.start, self.reference, samples, self.sample_s, self.smoothed
         )
 
     def estimator(self) -> Estimator:
         """Return a new state estimator, started at the ship's state of the first sample."""
         estimator = self.estimation.build_estimator(self.vessel, self.sample_s)
-        estimator.start(self.first_state)
+        estimator.start_from_state(self.first_state)
         return estimator
 
     def truncate(self, steps: int) -> Scenario:
@@ -200,11 +200,11 @@ def build_scenario(
     vessel = ship_file.build_vessel(files["vessel_name"], vessel_where)
     scale = Froude(ship_file.model_scale)
     plant = spec.plant
-    sample_s = spec.sample_s * scale.time
+    sample_s = spec.sample_s * scale.time_and_speed_factor
     if not 1 <= spec.steps <= MAX_STEPS:
         allowed = f"1 to {MAX_STEPS} samples of {spec.sample_s:g} s"
         raise InputError(where, "duration_s", spec.duration_s, allowed)
-    true_ship = replace(vessel, where=f"{where}: plant").with_mismatch(
+    true_ship = replace(vessel, where=f"{where}: plant").copy_with_model_mismatch(
         plant.mass_percent, plant.damping_percent
     )
     environment = spec.environment.build_environment(scale)
@@ -214,7 +214,7 @@ def build_scenario(
     made_from = ControllerSpec(spec, vessel, sample_s, scale, where)
     controller = CONTROLLERS[spec.controller.kind](made_from)
     # An error before anything runs: wind and drift need data of the hull.
-    environment.load_coefficients(vessel)
+    environment.wind_and_drift_coefficients(vessel)
     return Scenario(
         name=files["name"],
         title=spec.title,
@@ -226,9 +226,9 @@ def build_scenario(
         estimation=choose_estimator(spec, scale, where),
         steps=spec.steps,
         sample_s=sample_s,
-        start=spec.start.pose() * scale.pose,
-        velocity=spec.start.velocity() * scale.velocity,
-        reference=spec.reference.pose() * scale.pose,
+        start=spec.start.pose() * scale.pose_factors,
+        velocity=spec.start.velocity() * scale.velocity_factors,
+        reference=spec.reference.pose() * scale.pose_factors,
         smoothed=spec.reference.build_filter(scale),
         preview=spec.reference.preview,
         controller=controller,
@@ -261,7 +261,7 @@ def _build_actuators(
     loss = np.array(plant.thrust_loss_percent)
     losses = Actuators(1.0 - loss / 100.0, plant.delay_samples)
     if controller.commanded is not None:
-        lag_s = plant.thruster_lag_s * scale.time
+        lag_s = plant.thruster_lag_s * scale.time_and_speed_factor
         control = controller.commanded
         return CommandedThrusters(control.thrusters, sample_s, lag_s, losses, control.trips)
     return losses if loss.any() or plant.delay_samples else None

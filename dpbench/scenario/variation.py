@@ -98,10 +98,10 @@ def _serialise_behaviour(scenario: Scenario, steps: int) -> bytes:
     """Return all of a scenario that affects a run as bytes, without names and titles."""
     sea, sample_s = scenario.environment, scenario.sample_s
     weather = (
-        sea.stage_table(steps, sample_s, SUBSTEPS),
-        sea.measured_motion(steps, sample_s),
-        sea.noise_table(steps),
-        sea.load_coefficients(scenario.vessel),
+        sea.build_weather_table_at_stages(steps, sample_s, SUBSTEPS),
+        sea.wave_frequency_motion_at_samples(steps, sample_s),
+        sea.draw_measurement_noise(steps),
+        sea.wind_and_drift_coefficients(scenario.vessel),
     )
     ships = [
         replace(ship, id="", title="", source="", where="")

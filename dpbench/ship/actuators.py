@@ -21,7 +21,7 @@ class Actuators:
     efficiency: Vector = field(default_factory=lambda: np.ones(AXES))
     delay_samples: int = 0
 
-    def start(self) -> DelayedThrust:
+    def make_state_at_rest(self) -> DelayedThrust:
         """Return the actuators' state at the start of a run, without thrust."""
         return DelayedThrust(self)
 
@@ -36,7 +36,7 @@ class CommandedThrusters:
     behind: Actuators
     trips: Trips = ()
 
-    def start(self) -> ThrusterForces:
+    def make_state_at_rest(self) -> ThrusterForces:
         """Return the thrusters' state at the start of a run, without thrust."""
         return ThrusterForces(self)
 
@@ -47,7 +47,7 @@ class DelayLine:
     def __init__(self, samples: int, entries: int) -> None:
         self._ring, self._newest = np.zeros((samples + 1, entries)), 0
 
-    def push(self, command: Vector) -> Vector:
+    def store_command_and_return_due_one(self, command: Vector) -> Vector:
         """Store the newest command and return a view of the one that is due now."""
         self._ring[self._newest] = command
         self._newest = (self._newest + 1) % len(self._ring)
@@ -64,9 +64,11 @@ class DelayedThrust:
         self._delay = DelayLine(actuators.delay_samples, AXES)
         self._delivered = np.zeros(AXES)
 
-    def deliver(self, tau: Vector) -> Vector:
+    def force_on_hull_for_command(self, tau: Vector) -> Vector:
         """Return the force on the hull (3,) for a commanded force tau (3,)."""
-        np.multiply(self._efficiency, self._delay.push(tau), out=self._delivered)
+        np.multiply(
+            self._efficiency, self._delay.store_command_and_return_due_one(tau), out=self._delivered
+        )
         return self._delivered
 
 
@@ -79,22 +81,24 @@ class ThrusterForces:
         self._k, self._trips = 0, dict(commanded.trips)
         self._stopped: Indices = np.zeros(0, dtype=np.intp)
         self._efficient: Matrix = behind.efficiency[:, np.newaxis] * thrusters.T_e
-        self._step_max = thrusters.step_max(commanded.sample_s)
+        self._step_max = thrusters.largest_force_changes_per_sample(commanded.sample_s)
         self._delay = DelayLine(behind.delay_samples, thrusters.n_f)
         self._circles = [
             (at, thruster.thrust_N)
-            for thruster, at in zip(thrusters.thrusters, thrusters.slices, strict=True)
+            for thruster, at in zip(
+                thrusters.thrusters, thrusters.slices_in_force_vector, strict=True
+            )
             if thruster.kind == "azimuth"
         ]
         lag = commanded.lag_s / commanded.sample_s
         self._left = np.exp(-1.0 / lag) if lag > 0.0 else 0.0
         self._mean = lag * (1.0 - self._left)
 
-    def deliver(self, command: Vector) -> Vector:
+    def force_on_hull_for_command(self, command: Vector) -> Vector:
         """Return the force on the hull (3,) in this sample for commanded thruster forces (n_f,)."""
-        goal, f = self._delay.push(command), self.f
+        goal, f = self._delay.store_command_and_return_due_one(command), self.f
         if self._trips:
-            f[self._stop_tripped()] = 0.0
+            f[self._update_and_list_stopped_entries()] = 0.0
         target = np.clip(goal, f - self._step_max, f + self._step_max)
         for at, thrust_N in self._circles:
             size = float(np.sqrt((target[at] ** 2).sum()))
@@ -105,7 +109,7 @@ class ThrusterForces:
         self.f = target + self._left * behind
         return self._efficient @ (target + self._mean * behind)
 
-    def _stop_tripped(self) -> Indices:
+    def _update_and_list_stopped_entries(self) -> Indices:
         """Return the entries of f that have stopped by this sample, and count the sample."""
         entries = self._trips.get(self._k)
         if entries is not None:

@@ -39,7 +39,7 @@ _HOERNER = np.array(
 """B/2T and C_d, read off the curve of Hoerner (Leite et al. 1998, Applied Ocean Research 20)."""
 
 
-def cross_flow_coefficient(breadth_m: float, draught_m: float) -> float:
+def compute_cross_flow_drag_coefficient(breadth_m: float, draught_m: float) -> float:
     """Return Hoerner's two-dimensional drag coefficient C_d of a hull section."""
     return float(np.interp(0.5 * breadth_m / draught_m, *_HOERNER))
 
@@ -60,10 +60,10 @@ class HullDrag:
     fading_mps: float
 
     @classmethod
-    def of(cls, hull: CapabilityHull) -> HullDrag:
+    def from_hull(cls, hull: CapabilityHull) -> HullDrag:
         """Return the drag of a hull from its dimensions below the water."""
         half, section = 0.5 * WATER_DENSITY, hull.breadth_m * hull.draught_m
-        coefficient = cross_flow_coefficient(hull.breadth_m, hull.draught_m)
+        coefficient = compute_cross_flow_drag_coefficient(hull.breadth_m, hull.draught_m)
         return cls(
             along=half * SURGE_COEFFICIENT * section,
             across=half * coefficient * hull.submerged_m2,
@@ -72,19 +72,19 @@ class HullDrag:
             fading_mps=FADING_FROUDE_NUMBER * math.sqrt(GRAVITY * hull.length_m),
         )
 
-    def scaled(self, factor: float) -> HullDrag:
+    def copy_with_scaled_force(self, factor: float) -> HullDrag:
         """Return the drag of a hull that meets `factor` times the force."""
         return replace(self, along=factor * self.along, across=factor * self.across)
 
-    def to_array(self) -> Vector:
+    def to_kernel_array(self) -> Vector:
         """Return the hull's numbers (5,) that the drag kernels read."""
         half_m = 0.5 * self.length_m
         return np.array([1.0 / self.fading_mps, self.along, self.across, self.centre_m, half_m])
 
-    def force(self, D: Matrix, velocity: Vector) -> Vector:
+    def compute_drag_force(self, D: Matrix, velocity: Vector) -> Vector:
         """Return the force F (3,) [N, N, N·m] that keeps a velocity (3,) through the water."""
         force = np.empty(3)
         # Numba is imported where a force is asked for: commands that only read a vessel do without.
-        write_drag = import_module("dpbench.ship.drag_kernel").write_drag
-        write_drag(velocity[U], velocity[V], velocity[R], D, self.to_array(), force)
+        write_drag = import_module("dpbench.ship.drag_kernel").write_drag_force
+        write_drag(velocity[U], velocity[V], velocity[R], D, self.to_kernel_array(), force)
         return force

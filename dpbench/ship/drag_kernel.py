@@ -5,17 +5,17 @@ import numpy as np
 from dpbench.kernel_cache import njit
 from dpbench.ship.layout import R, U, V
 
-_FADING, _ALONG, _ACROSS, _CENTRE, _HALF_LENGTH = range(5)  # Entries of `HullDrag.to_array`
+_FADING, _ALONG, _ACROSS, _CENTRE, _HALF_LENGTH = range(5)  # Entries of `HullDrag.to_kernel_array`
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def write_drag(u, v, r, D, hull, out):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+def write_drag_force(u, v, r, D, hull, out):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Write the drag F (3,) at a velocity through the water to out."""
     speed = np.sqrt(u * u + v * v)
     root = np.exp(-0.5 * speed * hull[_FADING])
     u_left, v_left = root * u, root * v
     middle, edge = v + hull[_CENTRE] * r, hull[_HALF_LENGTH] * r
-    force, moment = _mean_cross_flow(middle, edge)
+    force, moment = _mean_cross_flow_force_and_moment(middle, edge)
     across = hull[_ACROSS] * force
     out[U] = root * (D[U, U] * u_left + D[U, V] * v_left + D[U, R] * r)
     out[V] = root * (D[V, U] * u_left + D[V, V] * v_left + D[V, R] * r)
@@ -26,7 +26,7 @@ def write_drag(u, v, r, D, hull, out):  # type: ignore[no-untyped-def] # compile
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _mean_cross_flow(middle, edge):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+def _mean_cross_flow_force_and_moment(middle, edge):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Return the means of w|w| and t w|w| over −1 ≤ t ≤ 1, of w = middle + edge t."""
     aft, fore = middle - edge, middle + edge
     if aft * fore >= 0.0:

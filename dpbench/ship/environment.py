@@ -29,12 +29,12 @@ from dpbench.ship.layout import (
     WIND_U,
 )
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.harmonics import random_stream
+from dpbench.ship.weather.harmonics import make_random_generator
 from dpbench.ship.weather.waves import FirstOrderMotion, WaveDrift
 from dpbench.ship.weather.wind import Wind
 
 WeatherDraw = dict[str, Matrix]
-"""Wind speed and wave height at the stage times, see `Environment.precompute_weather`."""
+"""Wind speed and wave height at the stage times, as drawn by an environment."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class Current:
     to_rad: float
 
     @property
-    def velocity(self) -> Vector:
+    def velocity_north_east(self) -> Vector:
         """Velocity (2,) of the current, north and east [m/s]."""
         return self.speed_mps * np.array([np.cos(self.to_rad), np.sin(self.to_rad)])
 
@@ -86,9 +86,9 @@ class SensorNoise:
 
     std: Vector
 
-    def table(self, samples: int, seed: int) -> Matrix:
+    def draw_noise_table(self, samples: int, seed: int) -> Matrix:
         """Draw sensor noise (samples, 3) from a seed; more samples do not change the first."""
-        stream = random_stream(seed, "noise")
+        stream = make_random_generator(seed, "noise")
         return np.asarray(self.std * stream.standard_normal((samples, AXES)))
 
 
@@ -126,7 +126,7 @@ class Environment:
         gusty = self.wind is not None and self.wind.gusts != "none"
         return gusty or any(part is not None for part in (self.drift, self.motion, self.noise))
 
-    def force(self, t_s: ArrayLike) -> Matrix:
+    def compute_slow_forces_and_squalls(self, t_s: ArrayLike) -> Matrix:
         """Return slow forces and squalls (..., 3) [N, N, N·m], north, east, yaw, at times t_s."""
         t = np.asarray(t_s, dtype=np.float64)[..., np.newaxis]
         b = self.mean + self.amplitude * np.sin(2 * np.pi * t / self.period_s + self.phase_rad)
@@ -136,17 +136,19 @@ class Environment:
             b += squall.force_at(t_s)
         return b
 
-    def precompute_weather(self, steps: int, sample_s: float, substeps: int) -> WeatherDraw:
+    def draw_wind_and_waves_at_stages(
+        self, steps: int, sample_s: float, substeps: int
+    ) -> WeatherDraw:
         """Return wind speed and wave envelope at Runge-Kutta stages (steps, 2·substeps + 1)."""
-        start, offset = _stage_times(steps, sample_s, substeps)
+        start, offset = _compute_sample_and_stage_times(steps, sample_s, substeps)
         drawn: WeatherDraw = {}
         if self.wind is not None:
-            drawn["wind"] = self.wind.speed(start, offset, self.seed)
+            drawn["wind"] = self.wind.wind_speed_at_times(start, offset, self.seed)
         if self.drift is not None:
-            drawn["waves"] = self.drift.envelope(start, offset, self.seed)
+            drawn["waves"] = self.drift.wave_envelope_at_times(start, offset, self.seed)
         return drawn
 
-    def stage_table(
+    def build_weather_table_at_stages(
         self, steps: int, sample_s: float, substeps: int, drawn: WeatherDraw | None = None
     ) -> Matrix:
         """Return the weather at all Runge-Kutta stages: (steps, 2·substeps + 1, 3 or 9).
@@ -155,25 +157,31 @@ class Environment:
         entry the end of the sample; the columns are those of `layout`. `drawn` saves summing up
         the harmonics; it may be of more steps.
         """
-        start, offset = _stage_times(steps, sample_s, substeps)
+        start, offset = _compute_sample_and_stage_times(steps, sample_s, substeps)
         t = start[:, np.newaxis] + offset
-        b = np.ascontiguousarray(self.force(t))
+        b = np.ascontiguousarray(self.compute_slow_forces_and_squalls(t))
         if not self.depends_on_ship:
             return b
-        drawn = self.precompute_weather(steps, sample_s, substeps) if drawn is None else drawn
+        drawn = (
+            self.draw_wind_and_waves_at_stages(steps, sample_s, substeps)
+            if drawn is None
+            else drawn
+        )
         table = np.zeros((*t.shape, LOADED))
         table[..., :PLAIN] = b
         if self.wind is not None:
-            table[..., AIR] = _vectors_towards(drawn["wind"][:steps], self.wind.to_rad)
+            table[..., AIR] = _make_vectors_in_direction(drawn["wind"][:steps], self.wind.to_rad)
         if self.current is not None:
-            table[..., WATER] = self.current.velocity
+            table[..., WATER] = self.current.velocity_north_east
         if self.drift is not None:
-            table[..., WAVE] = _vectors_towards(drawn["waves"][:steps], self.drift.sea.to_rad)
+            table[..., WAVE] = _make_vectors_in_direction(
+                drawn["waves"][:steps], self.drift.sea.to_rad
+            )
         if self.ramp_s > 0:
             table[..., PLAIN:] *= np.minimum(t / self.ramp_s, 1.0)[..., np.newaxis]
         return table
 
-    def load_coefficients(self, vessel: Vessel) -> Vector | None:
+    def wind_and_drift_coefficients(self, vessel: Vessel) -> Vector | None:
         """Return the coefficients (6,) of wind and drift, or None; InputError without hull data."""
         if not self.depends_on_ship:
             return None
@@ -182,35 +190,39 @@ class Environment:
             if vessel.windage is None:
                 allowed = "wind areas and coefficients, because the weather has wind"
                 raise InputError(vessel.where, "windage", "none", allowed)
-            coefficients[WIND_U:DRIFT_U] = vessel.windage.coefficients(vessel.length_m)
+            coefficients[WIND_U:DRIFT_U] = vessel.windage.wind_force_coefficients(vessel.length_m)
         if self.drift is not None:
             if vessel.reflection is None:
                 allowed = "a breadth and wave reflection, because the weather has wave drift"
                 raise InputError(vessel.where, "reflection", "none", allowed)
-            coefficients[DRIFT_U:] = vessel.reflection.coefficients(vessel.length_m, self.drift.sea)
+            coefficients[DRIFT_U:] = vessel.reflection.wave_drift_coefficients(
+                vessel.length_m, self.drift.sea
+            )
         return coefficients
 
-    def measured_motion(self, samples: int, sample_s: float) -> Matrix:
+    def wave_frequency_motion_at_samples(self, samples: int, sample_s: float) -> Matrix:
         """Return wave-frequency motion [n, e, ψ] and its rate at the samples: (samples, 6), SI."""
         if self.motion is None:
             return np.zeros((samples, STATE))
         t = sample_s * np.arange(samples, dtype=np.float64)
-        return self.motion.table(t, self.seed)
+        return self.motion.motion_and_rates_at_times(t, self.seed)
 
-    def noise_table(self, samples: int) -> Matrix:
+    def draw_measurement_noise(self, samples: int) -> Matrix:
         """Return the noise (samples, 3) [m, m, rad] of the measured position and heading."""
         if self.noise is None:
             return np.zeros((samples, AXES))
-        return self.noise.table(samples, self.seed)
+        return self.noise.draw_noise_table(samples, self.seed)
 
 
-def _stage_times(steps: int, sample_s: float, substeps: int) -> tuple[Vector, Vector]:
+def _compute_sample_and_stage_times(
+    steps: int, sample_s: float, substeps: int
+) -> tuple[Vector, Vector]:
     """Return the sample times (steps,) and the Runge-Kutta stage times after each sample [s]."""
     start = sample_s * np.arange(steps, dtype=np.float64)
     return start, np.linspace(0.0, sample_s, 2 * substeps + 1)
 
 
-def _vectors_towards(length: Matrix, to_rad: float) -> Matrix:
+def _make_vectors_in_direction(length: Matrix, to_rad: float) -> Matrix:
     """Return horizontal vectors (..., 2), north and east, of given lengths in one direction."""
     vectors: Matrix = np.multiply.outer(length, np.array([np.cos(to_rad), np.sin(to_rad)]))
     return vectors

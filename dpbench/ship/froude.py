@@ -20,29 +20,35 @@ class Froude:
     ratio: float = 1.0
 
     @property
-    def length(self) -> float:
+    def length_factor(self) -> float:
         """Froude scale factor of lengths, model over full size."""
         return 1.0 / self.ratio
 
     @property
-    def time(self) -> float:
+    def time_and_speed_factor(self) -> float:
         """Froude scale factor of times, which is also that of speeds."""
         return 1.0 / math.sqrt(self.ratio)
 
     @property
-    def force(self) -> Vector:
+    def force_and_moment_factors(self) -> Vector:
         """Froude scale factors (3,) of surge force, sway force and yaw moment."""
         return np.array([self.ratio**-3, self.ratio**-3, self.ratio**-4])
 
     @property
-    def velocity(self) -> Vector:
+    def velocity_factors(self) -> Vector:
         """Froude scale factors (3,) of surge speed, sway speed and yaw rate."""
-        return np.array([self.time, self.time, 1.0 / self.time])
+        return np.array(
+            [
+                self.time_and_speed_factor,
+                self.time_and_speed_factor,
+                1.0 / self.time_and_speed_factor,
+            ]
+        )
 
     @property
-    def pose(self) -> Vector:
+    def pose_factors(self) -> Vector:
         """Froude scale factors (3,) of north, east and heading."""
-        return np.array([self.length, self.length, 1.0])
+        return np.array([self.length_factor, self.length_factor, 1.0])
 
 
 FULL_SIZE = Froude()

@@ -6,7 +6,7 @@ In wind, current or wave drift the damping acts on the velocity through the wate
 the loads of `wind` and `waves` join the force. A vessel with drag meets that of `drag` in place of
 D (ν − ν_c). State (6,) = [u, v, r, n, e, ψ] in m/s, m/s, rad/s,
 m, m, rad; ψ is never wrapped here. The force τ is held over the sample; the weather is read at the
-stage times from a table (`Environment.stage_table`).
+stage times from a table (`Environment.build_weather_table_at_stages`).
 
     k1 = f(t, s),   k2 = f(t + h/2, s + h/2 k1),   k3 = f(t + h/2, s + h/2 k2),
     k4 = f(t + h, s + h k3),   s ← s + h/6 (k1 + 2 k2 + 2 k3 + k4)
@@ -29,7 +29,7 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.kernel_cache import njit
 from dpbench.ship.actuators import Actuators, CommandedThrusters
-from dpbench.ship.drag_kernel import write_drag
+from dpbench.ship.drag_kernel import write_drag_force
 from dpbench.ship.environment import Environment
 from dpbench.ship.layout import (
     AIR_EAST,
@@ -71,21 +71,21 @@ SUBSTEPS = 10
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _write_midpoint(s, k, h, mid):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+def _write_runge_kutta_midpoint(s, k, h, mid):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Write the intermediate state s + h k (6,) of a Runge-Kutta step to mid."""
     for j in range(STATE):
         mid[j] = s[j] + h * k[j]
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _combine_slopes(s, k, h):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+def _advance_by_mean_slope_in_place(s, k, h):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Advance s (6,) in place by the weighted mean of four Runge-Kutta slopes k."""
     for j in range(STATE):
         s[j] += h / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _write_derivative(s, c, sn, f0, f1, f2, u, v, Minv, MinvD, out):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+def _write_state_derivative(s, c, sn, f0, f1, f2, u, v, Minv, MinvD, out):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Write the state derivative (6,) for a body force and a velocity through the water to out."""
     for i in range(AXES):
         acceleration = Minv[i, 0] * f0 + Minv[i, 1] * f1 + Minv[i, 2] * f2
@@ -99,17 +99,17 @@ def _write_derivative(s, c, sn, f0, f1, f2, u, v, Minv, MinvD, out):  # type: ig
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _derivative_in_calm(s, tau, b, Minv, MinvD, out):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+def _write_derivative_in_calm(s, tau, b, Minv, MinvD, out):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Write the state derivative (6,) under thrust tau and slow forces b alone to out."""
     c, sn = np.cos(s[HEADING]), np.sin(s[HEADING])
     f0 = tau[0] + c * b[FORCE_NORTH] + sn * b[FORCE_EAST]
     f1 = tau[1] - sn * b[FORCE_NORTH] + c * b[FORCE_EAST]
     f2 = tau[2] + b[FORCE_YAW]
-    _write_derivative(s, c, sn, f0, f1, f2, s[U], s[V], Minv, MinvD, out)
+    _write_state_derivative(s, c, sn, f0, f1, f2, s[U], s[V], Minv, MinvD, out)
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _derivative_in_weather(s, tau, b, Minv, MinvD, loads, out):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+def _write_derivative_in_weather(s, tau, b, Minv, MinvD, loads, out):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Write the state derivative (6,) under thrust, wind, current and wave drift to out."""
     c, sn = np.cos(s[HEADING]), np.sin(s[HEADING])
     air_u = c * b[AIR_NORTH] + sn * b[AIR_EAST] - s[U]
@@ -126,73 +126,73 @@ def _derivative_in_weather(s, tau, b, Minv, MinvD, loads, out):  # type: ignore[
     f1 = f1 + loads[WIND_V] * air * air_v + loads[DRIFT_V] * wave * wave_v
     turning = loads[WIND_R] * air_u * air_v + loads[DRIFT_R] * wave_u * wave_v
     f2 = tau[2] + b[FORCE_YAW] - 2.0 * turning
-    _write_derivative(s, c, sn, f0, f1, f2, s[U] - water_u, s[V] - water_v, Minv, MinvD, out)
+    _write_state_derivative(s, c, sn, f0, f1, f2, s[U] - water_u, s[V] - water_v, Minv, MinvD, out)
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _derivative_with_drag(s, tau, b, Minv, undamped, loads, D, hull, out):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+def _write_derivative_with_drag(s, tau, b, Minv, undamped, loads, D, hull, out):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Write the state derivative (6,) in all weather to out, with drag in place of damping."""
     c, sn = np.cos(s[HEADING]), np.sin(s[HEADING])
     u = s[U] - (c * b[WATER_NORTH] + sn * b[WATER_EAST])
     v = s[V] - (c * b[WATER_EAST] - sn * b[WATER_NORTH])
     # The last entries of out are free until the weather writes them.
     force = out[NORTH:]
-    write_drag(u, v, s[R], D, hull, force)
+    write_drag_force(u, v, s[R], D, hull, force)
     f0, f1, f2 = force[U], force[V], force[R]
-    _derivative_in_weather(s, tau, b, Minv, undamped, loads, out)
+    _write_derivative_in_weather(s, tau, b, Minv, undamped, loads, out)
     for i in range(AXES):
         out[i] -= Minv[i, 0] * f0 + Minv[i, 1] * f1 + Minv[i, 2] * f2
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def advance(s, tau, b, Minv, MinvD, h, work):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+def advance_state_in_calm(s, tau, b, Minv, MinvD, h, work):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Advance the ship state s (6,) in place by one sample under thrust and slow forces b."""
     if b.shape[1] != PLAIN:
         raise ValueError("a stage table of 3 columns is for weather that ignores the ship")
     mid = work[STAGES]
     for i in range(b.shape[0] // 2):
-        _derivative_in_calm(s, tau, b[2 * i], Minv, MinvD, work[0])
-        _write_midpoint(s, work[0], 0.5 * h, mid)
-        _derivative_in_calm(mid, tau, b[2 * i + 1], Minv, MinvD, work[1])
-        _write_midpoint(s, work[1], 0.5 * h, mid)
-        _derivative_in_calm(mid, tau, b[2 * i + 1], Minv, MinvD, work[2])
-        _write_midpoint(s, work[2], h, mid)
-        _derivative_in_calm(mid, tau, b[2 * i + 2], Minv, MinvD, work[3])
-        _combine_slopes(s, work, h)
+        _write_derivative_in_calm(s, tau, b[2 * i], Minv, MinvD, work[0])
+        _write_runge_kutta_midpoint(s, work[0], 0.5 * h, mid)
+        _write_derivative_in_calm(mid, tau, b[2 * i + 1], Minv, MinvD, work[1])
+        _write_runge_kutta_midpoint(s, work[1], 0.5 * h, mid)
+        _write_derivative_in_calm(mid, tau, b[2 * i + 1], Minv, MinvD, work[2])
+        _write_runge_kutta_midpoint(s, work[2], h, mid)
+        _write_derivative_in_calm(mid, tau, b[2 * i + 2], Minv, MinvD, work[3])
+        _advance_by_mean_slope_in_place(s, work, h)
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def advance_in_weather(s, tau, b, Minv, MinvD, loads, h, work):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+def advance_state_in_weather(s, tau, b, Minv, MinvD, loads, h, work):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Advance the ship state s (6,) in place by one sample under thrust, wind, current, waves."""
     if b.shape[1] != LOADED:
         raise ValueError("a stage table of 9 columns is for weather that moves with the ship")
     mid = work[STAGES]
     for i in range(b.shape[0] // 2):
-        _derivative_in_weather(s, tau, b[2 * i], Minv, MinvD, loads, work[0])
-        _write_midpoint(s, work[0], 0.5 * h, mid)
-        _derivative_in_weather(mid, tau, b[2 * i + 1], Minv, MinvD, loads, work[1])
-        _write_midpoint(s, work[1], 0.5 * h, mid)
-        _derivative_in_weather(mid, tau, b[2 * i + 1], Minv, MinvD, loads, work[2])
-        _write_midpoint(s, work[2], h, mid)
-        _derivative_in_weather(mid, tau, b[2 * i + 2], Minv, MinvD, loads, work[3])
-        _combine_slopes(s, work, h)
+        _write_derivative_in_weather(s, tau, b[2 * i], Minv, MinvD, loads, work[0])
+        _write_runge_kutta_midpoint(s, work[0], 0.5 * h, mid)
+        _write_derivative_in_weather(mid, tau, b[2 * i + 1], Minv, MinvD, loads, work[1])
+        _write_runge_kutta_midpoint(s, work[1], 0.5 * h, mid)
+        _write_derivative_in_weather(mid, tau, b[2 * i + 1], Minv, MinvD, loads, work[2])
+        _write_runge_kutta_midpoint(s, work[2], h, mid)
+        _write_derivative_in_weather(mid, tau, b[2 * i + 2], Minv, MinvD, loads, work[3])
+        _advance_by_mean_slope_in_place(s, work, h)
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def advance_with_drag(s, tau, b, Minv, undamped, loads, D, hull, h, work):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+def advance_state_with_drag(s, tau, b, Minv, undamped, loads, D, hull, h, work):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Advance the ship state s (6,) in place by one sample in all weather, with nonlinear drag."""
     if b.shape[1] != LOADED:
         raise ValueError("a stage table of 9 columns is for a ship with drag")
     mid = work[STAGES]
     for i in range(b.shape[0] // 2):
-        _derivative_with_drag(s, tau, b[2 * i], Minv, undamped, loads, D, hull, work[0])
-        _write_midpoint(s, work[0], 0.5 * h, mid)
-        _derivative_with_drag(mid, tau, b[2 * i + 1], Minv, undamped, loads, D, hull, work[1])
-        _write_midpoint(s, work[1], 0.5 * h, mid)
-        _derivative_with_drag(mid, tau, b[2 * i + 1], Minv, undamped, loads, D, hull, work[2])
-        _write_midpoint(s, work[2], h, mid)
-        _derivative_with_drag(mid, tau, b[2 * i + 2], Minv, undamped, loads, D, hull, work[3])
-        _combine_slopes(s, work, h)
+        _write_derivative_with_drag(s, tau, b[2 * i], Minv, undamped, loads, D, hull, work[0])
+        _write_runge_kutta_midpoint(s, work[0], 0.5 * h, mid)
+        _write_derivative_with_drag(mid, tau, b[2 * i + 1], Minv, undamped, loads, D, hull, work[1])
+        _write_runge_kutta_midpoint(s, work[1], 0.5 * h, mid)
+        _write_derivative_with_drag(mid, tau, b[2 * i + 1], Minv, undamped, loads, D, hull, work[2])
+        _write_runge_kutta_midpoint(s, work[2], h, mid)
+        _write_derivative_with_drag(mid, tau, b[2 * i + 2], Minv, undamped, loads, D, hull, work[3])
+        _advance_by_mean_slope_in_place(s, work, h)
 
 
 class Plant:
@@ -200,7 +200,7 @@ class Plant:
 
     state : (6,) initial [u, v, r, n, e, ψ], copied.
     substeps : Runge-Kutta steps per sample.
-    loads : (6,) or None, from `Environment.load_coefficients`.
+    loads : (6,) or None, from `Environment.wind_and_drift_coefficients`.
     actuators : losses and delays, or thrusters, between the command and the hull.
     """
 
@@ -219,33 +219,33 @@ class Plant:
         self._MinvD: Matrix = np.ascontiguousarray(np.linalg.solve(vessel.M, vessel.D))
         self._D, self._hull = np.ascontiguousarray(vessel.D), None
         if vessel.drag is not None:
-            self._hull, self._MinvD = vessel.drag.to_array(), np.zeros_like(vessel.D)
+            self._hull, self._MinvD = vessel.drag.to_kernel_array(), np.zeros_like(vessel.D)
             loads = np.zeros(COEFFICIENTS) if loads is None else loads
         self._loads = None if loads is None else np.array(loads, dtype=np.float64)
-        self._thrust = None if actuators is None else actuators.start()
+        self._thrust = None if actuators is None else actuators.make_state_at_rest()
         self._h = sample_s / substeps
         self._work = np.empty((STAGES + 1, STATE))
 
-    def advance(self, tau: Vector, stages: Matrix) -> None:
+    def advance_by_one_sample(self, tau: Vector, stages: Matrix) -> None:
         """Advance the ship by one sample under a force (3,) or thruster forces (n_f,).
 
         Raises ValueError unless the weather has 9 columns where the plant has loads or drag, and 3
         elsewhere.
         """
         if self._thrust is not None:
-            tau = self._thrust.deliver(tau)
+            tau = self._thrust.force_on_hull_for_command(tau)
         s, Minv, MinvD, h, work = self.state, self._Minv, self._MinvD, self._h, self._work
         loads, hull = self._loads, self._hull
         if loads is None:
-            advance(s, tau, stages, Minv, MinvD, h, work)
+            advance_state_in_calm(s, tau, stages, Minv, MinvD, h, work)
         elif hull is None:
-            advance_in_weather(s, tau, stages, Minv, MinvD, loads, h, work)
+            advance_state_in_weather(s, tau, stages, Minv, MinvD, loads, h, work)
         else:
-            advance_with_drag(s, tau, stages, Minv, MinvD, loads, self._D, hull, h, work)
+            advance_state_with_drag(s, tau, stages, Minv, MinvD, loads, self._D, hull, h, work)
 
 
 @njit(cache=True)
-def _write_measurement(state, motion, noise, measured):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+def _write_measured_state(state, motion, noise, measured):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Write the measured state (6,): the true one plus wave motion (6,) and noise (3,)."""
     c, s = np.cos(state[HEADING]), np.sin(state[HEADING])
     measured[U] = state[U] + c * motion[RATE_NORTH] + s * motion[RATE_EAST]
@@ -260,13 +260,13 @@ class Sensors:
 
     def __init__(self, environment: Environment, samples: int, sample_s: float) -> None:
         self._ideal = environment.motion is None and environment.noise is None
-        self._motion = environment.measured_motion(samples, sample_s)
-        self._noise = environment.noise_table(samples)
+        self._motion = environment.wave_frequency_motion_at_samples(samples, sample_s)
+        self._noise = environment.draw_measurement_noise(samples)
         self._measured = np.empty(STATE)
 
-    def sense(self, state: Vector, k: int) -> Vector:
+    def measure_state(self, state: Vector, k: int) -> Vector:
         """Return the measured state [u, v, r, n, e, ψ] of sample k; overwritten next time."""
         if self._ideal:
             return state
-        _write_measurement(state, self._motion[k], self._noise[k], self._measured)
+        _write_measured_state(state, self._motion[k], self._noise[k], self._measured)
         return self._measured

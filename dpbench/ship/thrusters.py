@@ -31,7 +31,7 @@ ETA_1 = {"open": 800.0, "nozzle": 1200.0, "tunnel": 900.0}
 MECHANICAL_EFFICIENCY = 0.93  # η_m of DNV-ST-0111 level 1
 
 
-def nominal_thrust_N(power_kW: float, diameter_m: float, propeller: Propeller) -> float:
+def compute_nominal_thrust_N(power_kW: float, diameter_m: float, propeller: Propeller) -> float:
     """Return the bollard pull ahead [N] of a propeller by DNV-ST-0111 level 1."""
     return float(ETA_1[propeller] * (MECHANICAL_EFFICIENCY * power_kW * diameter_m) ** (2.0 / 3.0))
 
@@ -83,12 +83,12 @@ class Thruster:
                 raise InputError(f"thruster {self.name}", "sector_deg", found, allowed)
 
     @property
-    def components(self) -> int:
+    def component_count(self) -> int:
         """Number of force components: 2 for an azimuth thruster, 1 for any other."""
         return 2 if self.kind == "azimuth" else 1
 
     @property
-    def columns(self) -> Matrix:
+    def configuration_columns(self) -> Matrix:
         """Columns (3, components) of this thruster in the configuration matrix T_e."""
         along, across = (1.0, 0.0, -self.y_m), (0.0, 1.0, self.x_m)
         parts = {"azimuth": (along, across), "tunnel": (across,), "main": (along,)}
@@ -119,83 +119,91 @@ class ThrusterSet:
     @cached_property
     def T_e(self) -> Matrix:
         """Extended thruster configuration matrix (3, n_f), from forces f to τ = T_e f."""
-        parts = [thruster.columns for thruster in self.thrusters]
+        parts = [thruster.configuration_columns for thruster in self.thrusters]
         return np.ascontiguousarray(np.hstack(parts)) if parts else np.zeros((AXES, 0))
 
     @cached_property
     def n_f(self) -> int:
         """Number of force components of all thrusters."""
-        return sum(thruster.components for thruster in self.thrusters)
+        return sum(thruster.component_count for thruster in self.thrusters)
 
     @cached_property
-    def slices(self) -> tuple[slice, ...]:
+    def slices_in_force_vector(self) -> tuple[slice, ...]:
         """Slice of each thruster's components in the force vector f."""
-        ends = np.cumsum([thruster.components for thruster in self.thrusters]).tolist()
+        ends = np.cumsum([thruster.component_count for thruster in self.thrusters]).tolist()
         return tuple(slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True))
 
-    def per_entry(self, values: Sequence[float] | Vector) -> Vector:
+    def repeat_for_each_force_entry(self, values: Sequence[float] | Vector) -> Vector:
         """Repeat one value per thruster (p,) for each of its force components (n_f,)."""
-        return np.repeat(np.asarray(values), [thruster.components for thruster in self.thrusters])
+        return np.repeat(
+            np.asarray(values), [thruster.component_count for thruster in self.thrusters]
+        )
 
     @cached_property
-    def thrust_N(self) -> Vector:
+    def largest_thrusts_N(self) -> Vector:
         """Largest thrust of each thruster (p,) [N]."""
         return np.array([thruster.thrust_N for thruster in self.thrusters])
 
-    def step_max(self, sample_s: float) -> Vector:
+    def largest_force_changes_per_sample(self, sample_s: float) -> Vector:
         """Return the largest change of each force component (n_f,) [N] in one sample."""
         rise_s = np.array([thruster.rise_s for thruster in self.thrusters])
-        return self.per_entry(self.thrust_N * sample_s / rise_s)
+        return self.repeat_for_each_force_entry(self.largest_thrusts_N * sample_s / rise_s)
 
-    def find_entries(self, indices: Collection[int]) -> Indices:
+    def find_force_entries_of_thrusters(self, indices: Collection[int]) -> Indices:
         """Return the entries of the force vector f that belong to thrusters given by index."""
         belongs = [float(i in indices) for i in range(len(self.thrusters))]
-        return np.flatnonzero(self.per_entry(belongs))
+        return np.flatnonzero(self.repeat_for_each_force_entry(belongs))
 
-    def magnitudes(self, f: Matrix) -> Matrix:
+    def thruster_force_magnitudes(self, f: Matrix) -> Matrix:
         """Return the magnitude of each thruster's force (..., p), for forces f (..., n_f) [N]."""
-        sizes = [np.sqrt((f[..., place] ** 2).sum(axis=-1)) for place in self.slices]
+        sizes = [
+            np.sqrt((f[..., place] ** 2).sum(axis=-1)) for place in self.slices_in_force_vector
+        ]
         return np.stack(sizes, axis=-1)
 
-    def support(self, direction: Vector) -> float:
+    def largest_force_along(self, direction: Vector) -> float:
         """Return the largest force of all thrusters along a direction (3,): max of direction·τ."""
         slopes = direction @ self.T_e
         return float(
             sum(
-                _thrust_support(t, slopes[at])
-                for t, at in zip(self.thrusters, self.slices, strict=True)
+                _largest_thrust_along(t, slopes[at])
+                for t, at in zip(self.thrusters, self.slices_in_force_vector, strict=True)
             )
         )
 
-    def limits(self) -> tuple[Vector, Vector]:
+    def least_and_largest_force_by_axis(self) -> tuple[Vector, Vector]:
         """Return the least and largest force (3,) [N, N, N·m] in each axis by itself."""
         axes = np.eye(AXES)
-        least = np.array([-self.support(-axis) for axis in axes])
-        return least, np.array([self.support(axis) for axis in axes])
+        least = np.array([-self.largest_force_along(-axis) for axis in axes])
+        return least, np.array([self.largest_force_along(axis) for axis in axes])
 
-    def rate(self) -> Vector:
+    def largest_force_rate_by_axis(self) -> Vector:
         """Return the fastest change of force (3,) [N/s, N/s, N·m/s] in each axis by itself."""
-        largest: Vector = np.abs(self.T_e) @ self.step_max(1.0)
+        largest: Vector = np.abs(self.T_e) @ self.largest_force_changes_per_sample(1.0)
         return largest
 
     @cached_property
-    def groups(self) -> dict[str, tuple[int, ...]]:
+    def indices_by_failure_group(self) -> dict[str, tuple[int, ...]]:
         """Indices of the thrusters in each failure group, by name of the group."""
         members: dict[str, list[int]] = {}
         for i, thruster in enumerate(self.thrusters):
             members.setdefault(thruster.group or thruster.name, []).append(i)
         return {name: tuple(numbers) for name, numbers in members.items()}
 
-    def find_indices(self, names: Sequence[str], where: str, key: str) -> set[int]:
+    def find_indices_of_thrusters_or_groups(
+        self, names: Sequence[str], where: str, key: str
+    ) -> set[int]:
         """Return the indices of thrusters given by name, or by name of their failure group."""
-        known = {thruster.name: (i,) for i, thruster in enumerate(self.thrusters)} | self.groups
+        known = {
+            thruster.name: (i,) for i, thruster in enumerate(self.thrusters)
+        } | self.indices_by_failure_group
         for name in names:
             if name not in known:
                 raise InputError(where, key, repr(name), format_allowed_names(name, list(known)))
         return {i for name in names for i in known[name]}
 
 
-def _thrust_support(thruster: Thruster, slope: Vector) -> float:
+def _largest_thrust_along(thruster: Thruster, slope: Vector) -> float:
     """Return the largest value of slope·f over the forces f that one thruster can give."""
     if thruster.kind != "azimuth":
         low, high = -thruster.astern * thruster.thrust_N, thruster.thrust_N

@@ -116,7 +116,7 @@ def draw_realisations(
     for number in numbers:
         for at in range(seed, seed + count):
             env = put_in_sea(scenario, Realisation(number, at)).environment
-            drawn = env.precompute_weather(steps, scenario.sample_s, SUBSTEPS)
+            drawn = env.draw_wind_and_waves_at_stages(steps, scenario.sample_s, SUBSTEPS)
             found.append(Realisation(number, at, drawn))
     return found
 

@@ -107,7 +107,7 @@ def test_thrusters_show_what_they_make_together(monkeypatch: pytest.MonkeyPatch)
     up_to(monkeypatch, 1.0)
     mains = [Thruster(f"main {y}", "main", -30.0, y, 200e3, 10.0, astern=0.5) for y in (-4.0, 4.0)]
     thrusters = ThrusterSet((*mains, Thruster("bow", "tunnel", 18.0, 0.0, 200e3, 10.0)))
-    low, high = thrusters.limits()
+    low, high = thrusters.least_and_largest_force_by_axis()
     ship = replace(load_vessel("osv"), thrusters=thrusters, tau_min=low, tau_max=high)
     text = check_ship.vessel_text(problem_path("vessels", "osv"), ship)
     assert "\nlargest force         -200..400 kN       ±44.4 kN           ±800 kN·m\n" in text

@@ -49,10 +49,10 @@ def test_two_mains_two_tunnels_and_an_azimuth_on_two_boards(
     assert "lost after 180 s: board A; not board B, without which" in said
     vessel, scenario = load_vessel(FILES[0]), load_scenario(FILES[2])
     assert vessel.thrusters is not None
-    low, high = vessel.thrusters.limits()
+    low, high = vessel.thrusters.least_and_largest_force_by_axis()
     np.testing.assert_allclose(vessel.tau_min, low)
     np.testing.assert_allclose(vessel.tau_max, high)
-    assert vessel.thrusters.groups == {"board A": (0, 2), "board B": (1, 3, 4)}
+    assert vessel.thrusters.indices_by_failure_group == {"board A": (0, 2), "board B": (1, 3, 4)}
     tunnel = vessel.thrusters.thrusters[2].screw
     assert tunnel is not None
     assert 800.0 / tunnel.diameter_m**2 == pytest.approx(LOADING_KW_PER_M2["tunnel"], rel=1e-2)
@@ -150,7 +150,7 @@ def test_thrusters_are_asked_for(
     thrusters = load_vessel(FILES[0]).thrusters
     assert thrusters is not None
     assert [t.name for t in thrusters.thrusters] == ["azimuth 1", "azimuth 2"]
-    assert thrusters.thrust_N[0] == 2e5
+    assert thrusters.largest_thrusts_N[0] == 2e5
     assert "thruster 3, kind" in capsys.readouterr().err
 
 

@@ -61,18 +61,21 @@ def steer(data: ControllerData, controller: SteppedController, steps: int) -> Ma
     """Return the commands (K, n_u) of a compiled controller that steers the simulated ship."""
     scenario = data.scenario.truncate(steps)
     weather, sample_s = scenario.environment, scenario.sample_s
-    loads, actuators = weather.load_coefficients(scenario.vessel), scenario.actuators
+    loads, actuators = weather.wind_and_drift_coefficients(scenario.vessel), scenario.actuators
     ship = scenario.true_ship
     plant = Plant(ship, scenario.first_state, sample_s, loads=loads, actuators=actuators)
-    sea, sensors = weather.stage_table(steps, sample_s, SUBSTEPS), Sensors(weather, steps, sample_s)
+    sea, sensors = (
+        weather.build_weather_table_at_stages(steps, sample_s, SUBSTEPS),
+        Sensors(weather, steps, sample_s),
+    )
     reference = scenario.build_reference_table(steps)
     limits = stack_limits(scenario.controller.limits(steps))
     lost = lost_at_samples(scenario.controller, steps)
     state = np.hstack(limits) if data.thrusters is None else lost
     commands = np.zeros((steps, len(data.du_max)))
     for k in range(steps):
-        measured = sensors.sense(plant.state, k)
+        measured = sensors.measure_state(plant.state, k)
         numbers = np.concatenate([measured, reference[k], state[k]])
         commands[k], _ = controller.step(numbers)
-        plant.advance(commands[k], sea[k])
+        plant.advance_by_one_sample(commands[k], sea[k])
     return commands

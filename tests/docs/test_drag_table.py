@@ -67,9 +67,9 @@ def test_a_row_of_the_table_is_what_dpbench_computes(name: str) -> None:
     if hull is None:
         table = CapabilityTable(breadth_m=breadth, draught_m=draught)
         hull = table.build_hull(ship.length_m, Windage(1.0, 1.0))
-    drag = HullDrag.of(hull)
+    drag = HullDrag.from_hull(hull)
     for speed, cell in zip(SPEEDS, cells, strict=True):
-        force = drag.force(ship.D, np.array([0.0, speed / math.sqrt(ratio), 0.0]))[1]
+        force = drag.compute_drag_force(ship.D, np.array([0.0, speed / math.sqrt(ratio), 0.0]))[1]
         assert float(cell) == pytest.approx(force * ratio**3 / 1e3, rel=6e-3)
 
 

@@ -11,7 +11,7 @@ import quadprog
 from numpy.typing import NDArray
 
 from dpbench.mpc.condense import ControlProblem
-from dpbench.mpc.model import StateSpace, augment, build_prediction_model
+from dpbench.mpc.model import StateSpace, augment_to_incremental_model, build_prediction_model
 from dpbench.qp.program import QuadraticProgram
 from dpbench.scenario.scenario import load_vessel
 
@@ -92,7 +92,7 @@ def ship_problem(
 ) -> ControlProblem:
     """A vessel of the collection under tuning `paper`, or `robust`, in its own scale."""
     ship = load_vessel(name)
-    du_max = ship.step_max(sample_of(name))
+    du_max = ship.largest_force_change_per_sample(sample_of(name))
     model = build_prediction_model(ship.M, ship.D, psi0_rad, sample_of(name))
     Q = np.diag([1.0, 1.0, 3000.0 if robust else 100.0])
     R = np.diag(0.1 / du_max**2) if robust else np.diag([1e-10, 1e-10, 1e-14])
@@ -114,7 +114,7 @@ def random_problem(seed: int, n_u: int, n_y: int, N_p: int, N_c: int) -> Control
     weights = root_Q @ root_Q.T + 0.1 * np.eye(n_y), root_R @ root_R.T + 0.5 * np.eye(n_u)
     limits = (rng.uniform(*ends, n_u) for ends in ((0.5, 2.0), (0.5, 2.0), (0.1, 0.6)))
     low, high, move = limits
-    return ControlProblem(augment(plant), N_p, N_c, *weights, -low, high, move)
+    return ControlProblem(augment_to_incremental_model(plant), N_p, N_c, *weights, -low, high, move)
 
 
 @dataclass

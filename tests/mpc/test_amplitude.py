@@ -139,8 +139,10 @@ def test_soft_variables_and_rows_shift_by_one_number() -> None:
     for name in ("lb", "ub"):
         np.testing.assert_array_equal(getattr(qp, name)[6:], getattr(shorter, name))
     moves = np.random.default_rng(0).normal(size=(5, 3)) * problem.du_max
-    np.testing.assert_allclose(builder.moves(builder.plan(moves)), moves, rtol=1e-14)
-    assert not blocks(builder, builder.plan(moves))[1].any()
+    np.testing.assert_allclose(
+        builder.moves(builder.convert_increments_to_variables(moves)), moves, rtol=1e-14
+    )
+    assert not blocks(builder, builder.convert_increments_to_variables(moves))[1].any()
 
 
 def test_slacks_leave_the_cost_of_the_moves_and_the_condition_of_it_alone() -> None:

@@ -10,9 +10,9 @@ from dpbench.errors import InputError, ShapeError
 from dpbench.mpc.condense import (
     ControlProblem,
     build_affine_map,
-    condense_matrices,
-    scaled_rows,
-    summed_rows,
+    build_rows_of_summed_increments,
+    condense_mpc_matrices,
+    scale_amplitude_limit_rows,
 )
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.model import StateSpace
@@ -27,7 +27,7 @@ def test_predicted_outputs_are_those_of_the_stepped_model(case: Any) -> None:
     for du in (*moves, *np.zeros((problem.N_p - problem.N_c, problem.model.n_u))):
         state = problem.model.A @ state + problem.model.B @ du
         outputs.append(problem.model.C @ state)
-    matrices = condense_matrices(problem)
+    matrices = condense_mpc_matrices(problem)
     assert_close(matrices.F @ case.x + matrices.Phi @ moves.reshape(-1), np.concatenate(outputs))
 
 
@@ -35,7 +35,7 @@ def test_matrices_agree_with_the_naive_construction(case: Any) -> None:
     """F, Φ, E and the linear cost of eq. 15-24 agree with the ones written out block by block."""
     expected = naive_build(case.problem, case.x, case.held, case.u_prev)
     eye, N_p = np.eye(case.problem.model.n_y), case.problem.N_p
-    found = condense_matrices(case.problem)
+    found = condense_mpc_matrices(case.problem)
     for name in ("F", "Phi", "E"):
         assert_close(getattr(found, name), getattr(expected, name))
     np.testing.assert_array_equal(found.E, found.E.T)
@@ -70,8 +70,8 @@ def test_objective_and_constant_are_the_predicted_cost(case: Any, units: Any) ->
     moves = case.rng.uniform(-1, 1, (problem.N_c, problem.model.n_u)) * problem.du_max
     for y_ref, Y_d in ((case.y_ref, case.held), ((preview := case.preview()), preview)):
         step = builder.emit(case.x, y_ref, case.u_prev)
-        cost = builder.problem(step).objective(builder.plan(moves))
-        cost += builder.constant_cost(case.x, y_ref)
+        cost = builder.problem(step).objective(builder.convert_increments_to_variables(moves))
+        cost += builder.constant_part_of_cost(case.x, y_ref)
         # All three terms are below the cost at ΔU = 0, which sizes the rounding.
         size = rolled_out_cost(problem, case.x, Y_d, 0 * moves) + rolled_out_cost(
             problem, case.x, Y_d, moves
@@ -84,7 +84,7 @@ def test_many_moves_condense_like_the_naive_construction(N_c: int) -> None:
     """n = 33, 66, 105: just above one and two tiles of the kernel, and not a multiple of them."""
     problem = ship_problem("supply_fs99", N_p=40, N_c=N_c)
     expected = naive_build(problem, np.zeros(9), np.zeros((40, 3)), np.zeros(3))
-    found = condense_matrices(problem)
+    found = condense_mpc_matrices(problem)
     assert_close(found.E, expected.E)
     np.testing.assert_array_equal(found.E, found.E.T)
     assert_close(found.F_x, expected.Phi.T @ expected.Q_bar @ expected.F)
@@ -130,7 +130,7 @@ def test_other_forms_are_refused() -> None:
 
 def test_any_number_of_moves_up_to_the_horizon_is_allowed() -> None:
     for N_p, N_c in ((1, 1), (3, 3), (3, 1)):
-        matrices = condense_matrices(replace(small_thrusters(), N_p=N_p, N_c=N_c))
+        matrices = condense_mpc_matrices(replace(small_thrusters(), N_p=N_p, N_c=N_c))
         assert matrices.Phi.shape == (N_p, 2 * N_c)
 
 
@@ -149,24 +149,24 @@ def test_rows_of_thrusters_by_hand() -> None:
     unit = np.sqrt(73.0)
     np.testing.assert_array_equal(problem.G, [[0.6, 0.8], [0.0, 1.0]])
     np.testing.assert_allclose(problem.row_max, [unit, 10.0], rtol=1e-15)
-    np.testing.assert_array_equal(scaled_rows(problem, "si"), problem.G)
+    np.testing.assert_array_equal(scale_amplitude_limit_rows(problem, "si"), problem.G)
     expected = [[3.0 / unit, 8.0 / unit], [0.0, 1.0]]
-    np.testing.assert_allclose(scaled_rows(problem, "scaled"), expected, rtol=1e-15)
+    np.testing.assert_allclose(scale_amplitude_limit_rows(problem, "scaled"), expected, rtol=1e-15)
     # Both forces of the second move are those of the first one and its own.
     both = [[0.6, 0.8, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.6, 0.8, 0.6, 0.8], [0.0, 1.0, 0.0, 1.0]]
-    np.testing.assert_array_equal(summed_rows(2, problem.G), both)
+    np.testing.assert_array_equal(build_rows_of_summed_increments(2, problem.G), both)
 
 
 def test_without_thrusters_the_rows_are_the_forces() -> None:
     problem = ship_problem("supply_fs99")
     for units in ("scaled", "si"):
-        np.testing.assert_array_equal(scaled_rows(problem, units), np.eye(3))
+        np.testing.assert_array_equal(scale_amplitude_limit_rows(problem, units), np.eye(3))
     assert problem.row_max is problem.du_max
 
 
 def test_a_small_problem_by_hand() -> None:
     """x⁺ = x + f1 + 2 f2: outputs after the first move see it thrice, after the second twice."""
-    matrices = condense_matrices(small_thrusters())
+    matrices = condense_mpc_matrices(small_thrusters())
     h, zero = [1.0, 2.0], [0.0, 0.0]
     np.testing.assert_array_equal(matrices.Phi, [[*h, *zero], [*h, *h], [*h, *h]])
     expected = np.kron([[3.0, 2.0], [2.0, 2.0]], np.outer(h, h)) + np.diag([7.0, 11.0] * 2)
@@ -182,7 +182,7 @@ def test_a_weight_of_the_forces_by_hand() -> None:
     """½ Σ fᵀ W f of two moves: the first one counts in both forces, the second in the last."""
     problem = small_thrusters()
     W = np.array([[2.0, 1.0], [1.0, 5.0]])
-    plain, weighed = condense_matrices(problem), condense_matrices(replace(problem, W=W))
+    plain, weighed = condense_mpc_matrices(problem), condense_mpc_matrices(replace(problem, W=W))
     np.testing.assert_array_equal(weighed.E - plain.E, np.kron([[2.0, 1.0], [1.0, 1.0]], W))
     np.testing.assert_array_equal(weighed.F_u, np.kron([[2.0], [1.0]], W))
     np.testing.assert_array_equal(weighed.F_x, plain.F_x)
@@ -193,7 +193,7 @@ def test_the_affine_map_by_hand(units: Any, unit: tuple[float, float]) -> None:
     """q of θ = [x; y_ref; f; 1] in the units of the moves, l and u in those of the rows."""
     W = np.diag([2.0, 5.0])
     problem = replace(small_thrusters(), W=W)
-    Z = build_affine_map(problem, condense_matrices(problem), units)
+    Z = build_affine_map(problem, condense_mpc_matrices(problem), units)
     row = np.array([1.0, 1.0]) if units == "si" else np.array([np.sqrt(73.0), 10.0])
     linear = np.array([3.0, 6.0, 2.0, 4.0])
     of_force = [[4.0, 0.0], [0.0, 10.0], [2.0, 0.0], [0.0, 5.0]]

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench.errors import InputError
-from dpbench.mpc.condense import summed_rows
+from dpbench.mpc.condense import build_rows_of_summed_increments
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.relinearised import RelinearisedQP
@@ -80,7 +80,9 @@ def test_a_previewed_constant_reference_is_the_held_one(case: Any) -> None:
     held = builder.emit(case.x, case.y_ref, case.u_prev)
     previewed = builder.emit(case.x, case.held, case.u_prev)
     np.testing.assert_array_equal(pieces(previewed), pieces(held))
-    assert builder.constant_cost(case.x, case.held) == builder.constant_cost(case.x, case.y_ref)
+    assert builder.constant_part_of_cost(case.x, case.held) == builder.constant_part_of_cost(
+        case.x, case.y_ref
+    )
 
 
 def test_a_preview_of_another_length_is_refused() -> None:
@@ -93,7 +95,9 @@ def test_moves_and_plan_are_inverse(case: Any) -> None:
     scaled, si = CondensedQP(case.problem), CondensedQP(case.problem, units="si")
     z = case.rng.normal(size=scaled.n)
     for builder in (scaled, si):
-        np.testing.assert_allclose(builder.plan(builder.moves(z)), z, rtol=1e-15)
+        np.testing.assert_allclose(
+            builder.convert_increments_to_variables(builder.moves(z)), z, rtol=1e-15
+        )
     expected = z.reshape(case.problem.N_c, -1) * case.problem.du_max
     np.testing.assert_allclose(scaled.moves(z), expected, rtol=1e-15)
     np.testing.assert_array_equal(si.moves(z), z.reshape(case.problem.N_c, -1))
@@ -132,7 +136,7 @@ def test_reachable_limits_always_leave_a_feasible_plan(case: Any) -> None:
         target = np.clip(force, limits.low, limits.high)
         moves.append(np.clip(target - force, -problem.du_max, problem.du_max))
         force = force + moves[-1]
-    rows = builder.A @ builder.plan(np.array(moves))
+    rows = builder.A @ builder.convert_increments_to_variables(np.array(moves))
     assert (rows <= step.u + 1e-9).all() and (rows >= step.l - 1e-9).all()
 
 
@@ -166,7 +170,7 @@ def test_amplitude_rows_beyond_the_control_horizon_change_nothing(name: str) -> 
     z, y, _ = solve_by_quadprog(qp)
     assert np.abs(y).max() > 0.0
     np.testing.assert_allclose(solve_by_quadprog(longer)[0], z, rtol=0, atol=1e-9)
-    np.testing.assert_array_equal(longer.A[:15], summed_rows(5, np.eye(3)))
+    np.testing.assert_array_equal(longer.A[:15], build_rows_of_summed_increments(5, np.eye(3)))
 
 
 UNLIKE = np.array([[1.0, 0.3, 2.0], [0.3, 4.0, 0.0], [2.0, 0.0, 300.0]])
@@ -287,7 +291,9 @@ def test_constant_cost_and_matrices_are_those_of_the_heading() -> None:
     step = builder.emit(x, preview, u_prev)
     there = replace(ship_problem("supply_fs99", psi0_rad=1.9), Q=UNLIKE)
     moves = np.random.default_rng(1).uniform(-1, 1, (5, 3)) * there.du_max
-    cost = builder.problem(step).objective(builder.plan(moves)) + builder.constant_cost(x, preview)
+    cost = builder.problem(step).objective(
+        builder.convert_increments_to_variables(moves)
+    ) + builder.constant_part_of_cost(x, preview)
     assert cost == pytest.approx(rolled_out_cost(there, x, preview, moves), rel=1e-11)
 
 

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from dpbench.errors import InputError
-from dpbench.mpc.condense import ControlProblem, condense_matrices
+from dpbench.mpc.condense import ControlProblem, condense_mpc_matrices
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.law import (
-    build_closed_loop,
+    build_closed_loop_matrix,
     compute_closed_loop_eigenvalues,
-    gains,
-    unconstrained_plan,
+    compute_state_feedback_gains,
+    compute_unconstrained_increments,
 )
-from dpbench.mpc.model import StateSpace, augment, build_prediction_model
+from dpbench.mpc.model import StateSpace, augment_to_incremental_model, build_prediction_model
 from dpbench.qp.stacked import convert_qp_to_one_sided_rows
 from dpbench.scenario.scenario import load_vessel
 from tests.mpc.conftest import VESSELS, naive_build, sample_of, ship_problem, solve_by_quadprog
@@ -35,11 +35,11 @@ def least_squares_plan(problem: Any, x: np.ndarray, Y_d: np.ndarray) -> np.ndarr
 
 def test_unconstrained_plan_is_the_least_squares_plan(case: Any) -> None:
     """Eq. 27 minimises the cost, held or previewed, as a least-squares solver finds it."""
-    matrices = condense_matrices(case.problem)
+    matrices = condense_mpc_matrices(case.problem)
     du = np.tile(case.problem.du_max, case.problem.N_c)
     for Y_d in (case.held, case.preview()):
         expected = least_squares_plan(case.problem, case.x, Y_d) / du
-        found = unconstrained_plan(matrices, case.x, Y_d.reshape(-1)) / du
+        found = compute_unconstrained_increments(matrices, case.x, Y_d.reshape(-1)) / du
         # Normal equations square the condition number, up to about 1e4 here in scaled units.
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
 
@@ -47,10 +47,12 @@ def test_unconstrained_plan_is_the_least_squares_plan(case: Any) -> None:
 def test_gains_give_the_first_move_of_the_plan(case: Any) -> None:
     """Eq. 33: K_y y_d − K_mpc x is the first block of the unconstrained plan."""
     problem = case.problem
-    law = gains(problem)
+    law = compute_state_feedback_gains(problem)
     assert law.K_y.shape == (problem.model.n_u, problem.model.n_y)
     assert law.K_mpc.shape == (problem.model.n_u, problem.model.n_x)
-    plan = unconstrained_plan(condense_matrices(problem), case.x, case.held.reshape(-1))
+    plan = compute_unconstrained_increments(
+        condense_mpc_matrices(problem), case.x, case.held.reshape(-1)
+    )
     first = law.K_y @ case.y_ref - law.K_mpc @ case.x
     expected = plan[: problem.model.n_u]
     size = np.abs(law.K_y @ case.y_ref) + np.abs(law.K_mpc @ case.x)
@@ -59,7 +61,7 @@ def test_gains_give_the_first_move_of_the_plan(case: Any) -> None:
 
 def test_the_output_part_of_the_state_gain_is_the_reference_gain(case: Any) -> None:
     """K_mpc = [K_x K_y]: an offset of the output and one of the reference weigh the same."""
-    law, n_y = gains(case.problem), case.problem.model.n_y
+    law, n_y = compute_state_feedback_gains(case.problem), case.problem.model.n_y
     size = np.abs(law.K_y).max(axis=1, keepdims=True)
     np.testing.assert_allclose(law.K_mpc[:, -n_y:] / size, law.K_y / size, rtol=0, atol=1e-12)
 
@@ -72,7 +74,7 @@ def test_the_output_part_of_the_state_gain_is_the_reference_gain(case: Any) -> N
 )
 def test_the_unconstrained_loop_is_stable(robust: bool, radius: float) -> None:
     problem = ship_problem("supply_fs99", robust=robust, **HORIZONS[robust])
-    model, law = problem.model, gains(problem)
+    model, law = problem.model, compute_state_feedback_gains(problem)
     roots = compute_closed_loop_eigenvalues(model, law)
     target = np.zeros((problem.N_p, 3))
     columns = []
@@ -89,9 +91,9 @@ def test_the_unconstrained_loop_is_stable(robust: bool, radius: float) -> None:
 
 def test_closed_loop_matrix_is_one_step_of_the_loop(case: Any) -> None:
     """Eq. 34: (A − B K_mpc) x + B K_y y_d is the model stepped under the law of eq. 33."""
-    model, law = case.problem.model, gains(case.problem)
+    model, law = case.problem.model, compute_state_feedback_gains(case.problem)
     du = law.K_y @ case.y_ref - law.K_mpc @ case.x
-    after = build_closed_loop(model, law) @ case.x + model.B @ law.K_y @ case.y_ref
+    after = build_closed_loop_matrix(model, law) @ case.x + model.B @ law.K_y @ case.y_ref
     np.testing.assert_allclose(after, model.A @ case.x + model.B @ du, rtol=1e-9, atol=1e-9)
 
 
@@ -111,7 +113,7 @@ def test_constrained_plan_is_the_unconstrained_one_less_the_correction(case: Any
     free = np.linalg.solve(qp.P, -qp.q)
     size = 1e-9 * (1.0 + np.abs(free).max())
     np.testing.assert_allclose(free - K0, z, rtol=0, atol=size)
-    law = gains(case.problem)
+    law = compute_state_feedback_gains(case.problem)
     move = law.K_y @ y_ref - law.K_mpc @ x - case.problem.du_max * K0[:n_u]
     np.testing.assert_allclose(move / case.problem.du_max, z[:n_u], rtol=0, atol=10 * size)
     M, gamma = stacked.A[active], stacked.u[active]
@@ -154,14 +156,17 @@ def test_with_a_terminal_cost_the_law_is_the_regulator_at_any_horizon(name: str,
     """With N_c = N_p moves the gain of eq. 33 is the LQR gain, whatever the horizon."""
     problem = replace(ship_problem(name, psi0_rad=0.5, N_p=N, N_c=N), terminal="riccati")
     expected = regulator(problem)
-    found = gains(problem).K_mpc / problem.du_max[:, np.newaxis]
+    found = compute_state_feedback_gains(problem).K_mpc / problem.du_max[:, np.newaxis]
     # Each column is a gain per unit of one state; the equation and E are solved to about 1e-10.
     size = np.abs(expected).max(axis=0)
     np.testing.assert_allclose(found / size, expected / size, rtol=0, atol=1e-7)
-    law = gains(problem)
+    law = compute_state_feedback_gains(problem)
     axis = np.abs(law.K_y).max(axis=1, keepdims=True)
     np.testing.assert_allclose(law.K_mpc[:, 6:] / axis, law.K_y / axis, rtol=0, atol=1e-9)
-    paper = gains(replace(problem, terminal="none")).K_mpc / problem.du_max[:, np.newaxis]
+    paper = (
+        compute_state_feedback_gains(replace(problem, terminal="none")).K_mpc
+        / problem.du_max[:, np.newaxis]
+    )
     assert np.abs(paper - expected).max() > 1e-3 * np.abs(expected).max()
 
 
@@ -190,19 +195,21 @@ def test_the_terminal_cost_is_what_the_regulator_still_has_to_pay(N_p: int, N_c:
             J += 0.5 * float(error @ problem.Q @ error + du @ problem.R @ du)
         builder = CondensedQP(problem)
         step = builder.emit(x, given, np.zeros(3))
-        cost = builder.problem(step).objective(builder.plan(moves))
-        assert cost + builder.constant_cost(x, given) == pytest.approx(J, rel=1e-8)
+        cost = builder.problem(step).objective(builder.convert_increments_to_variables(moves))
+        assert cost + builder.constant_part_of_cost(x, given) == pytest.approx(J, rel=1e-8)
 
 
 def test_the_plan_under_a_terminal_cost_has_no_gradient() -> None:
     """Eq. 26 holds with the terminal cost in E, F_x and F_y alike, held or previewed."""
     problem = replace(ship_problem("supply_tmr", psi0_rad=0.7), terminal="riccati")
-    builder, matrices = CondensedQP(problem), condense_matrices(problem)
+    builder, matrices = CondensedQP(problem), condense_mpc_matrices(problem)
     rng = np.random.default_rng(9)
     x, preview = rng.normal(size=9), rng.normal(size=(30, 3))
     for y_ref, Y_d in ((preview[0], np.tile(preview[0], 30)), (preview, preview.reshape(-1))):
         q = builder.emit(x, y_ref, np.zeros(3)).q
-        z = builder.plan(unconstrained_plan(matrices, x, Y_d).reshape(5, 3))
+        z = builder.convert_increments_to_variables(
+            compute_unconstrained_increments(matrices, x, Y_d).reshape(5, 3)
+        )
         np.testing.assert_allclose(builder.P @ z + q, 0.0, atol=1e-9 * np.abs(q).max())
     np.testing.assert_array_equal(builder.P, builder.P.T)
 
@@ -214,7 +221,15 @@ def test_a_plant_that_cannot_be_stabilised_is_refused_by_name() -> None:
     )
     one = np.ones(2)
     problem = ControlProblem(
-        augment(plant), 5, 2, np.eye(3), np.eye(2), -one, one, one, terminal="riccati"
+        augment_to_incremental_model(plant),
+        5,
+        2,
+        np.eye(3),
+        np.eye(2),
+        -one,
+        one,
+        one,
+        terminal="riccati",
     )
     with pytest.raises(InputError, match="riccati"):
         CondensedQP(problem)

@@ -10,7 +10,11 @@ from hypothesis import strategies as st
 
 from dpbench.errors import ShapeError
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.model import discretise, linearise, rotation_matrix
+from dpbench.mpc.model import (
+    build_rotation_matrix,
+    discretise_zero_order_hold,
+    linearise_ship_at_heading,
+)
 from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.relinearised import RelinearisedQP
 from dpbench.mpc.soft_limits import Penalty
@@ -80,7 +84,7 @@ def test_output_rows_are_the_sides_of_the_polygons_of_the_stepped_model(
     step = builder.emit(x, y_ref, u_prev)
     rng = np.random.default_rng(seed)
     moves = rng.uniform(-1, 1, (N_c, 3)) * problem.du_max
-    plan = builder.plan(moves).reshape(N_c, -1)
+    plan = builder.convert_increments_to_variables(moves).reshape(N_c, -1)
     number = sides * ((radius_m is not None) + (speed_mps is not None))
     slack = rng.uniform(0, 1, (N_c, number))
     plan[:, -number:] = slack
@@ -109,7 +113,10 @@ def test_the_circle_moves_with_a_previewed_reference(amplitude: Any, units: Any)
     )
     bounds = OutputBounds(SAMPLE_S, 2.0, 0.2)
     builder = CondensedQP(problem, units=units, outputs=bounds, amplitude=amplitude)
-    lacking = builder.A @ builder.plan(moves) - builder.emit(x, preview, u_prev).u
+    lacking = (
+        builder.A @ builder.convert_increments_to_variables(moves)
+        - builder.emit(x, preview, u_prev).u
+    )
     si = CondensedQP(problem, units="si", outputs=bounds, amplitude=amplitude)
     found = (lacking * (1.0 if units == "si" else si.scale.row)).reshape(5, -1)[:, -16:]
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)
@@ -221,8 +228,8 @@ def test_a_constant_disturbance_leaves_no_steady_error(variant: str) -> None:
     problem = ship_problem("supply_fs99", psi0_rad=PSI0)
     builder = builder_of(problem, VARIANTS[variant])
     referee = Referee(builder.P, builder.A, builder.lb, builder.ub)
-    plant = discretise(linearise(vessel.M, vessel.D, PSI0), 0.3)
-    push = rotation_matrix(PSI0).T @ DISTURBANCE
+    plant = discretise_zero_order_hold(linearise_ship_at_heading(vessel.M, vessel.D, PSI0), 0.3)
+    push = build_rotation_matrix(PSI0).T @ DISTURBANCE
     state = np.array([0.0, 0.0, 0.0, 0.5, -0.4, PSI0])
     y_ref = np.array([0.2, 0.1, PSI0 + 0.02])
     before, u, limited = state, np.zeros(3), 0

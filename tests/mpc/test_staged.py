@@ -103,7 +103,7 @@ def test_the_condensed_optimum_rolled_out_is_optimal_in_stages(
     answer = rolled_out(problem, unit, (case.x, case.u_prev), case.held, found)
     qp = builder.problem(builder.emit(case.x, case.y_ref, case.u_prev))
     assert_optimal(qp, answer)
-    back = builder.condensed(answer)
+    back = builder.convert_solution_to_condensed(answer)
     for name_ in ("z", "y", "y_box"):
         np.testing.assert_array_equal(getattr(back, name_), getattr(found, name_))
 
@@ -126,7 +126,9 @@ def distance(condensed: CondensedQP, staged: StagedQP, *theta: Any, **limits: An
         workspace.solve()
         found = workspace.read()
         if found.status is Status.SOLVED:
-            errors.append(float(np.abs(staged.condensed(found).z - optimum.z).max()))
+            errors.append(
+                float(np.abs(staged.convert_solution_to_condensed(found).z - optimum.z).max())
+            )
     return min(errors)
 
 
@@ -160,7 +162,9 @@ def test_the_referee_certifies_the_same_moves(what: str) -> None:
     expected = certify(qp)
     found = certify(staged.problem(staged.emit(case.x, y_ref, u_prev, limits=limits)))
     assert expected.bound < 1e-10 and found.bound < SAME
-    back = staged.condensed(Solution(Status.SOLVED, found.z, found.y, found.y_box))
+    back = staged.convert_solution_to_condensed(
+        Solution(Status.SOLVED, found.z, found.y, found.y_box)
+    )
     np.testing.assert_allclose(back.z, expected.z, rtol=0, atol=SAME)
     error, size = residuals(qp, back), np.abs(qp.q).max()
     assert error.primal < SAME and max(error.dual, error.complementarity) < SAME * size
@@ -192,7 +196,7 @@ def test_a_proof_of_infeasibility_is_one_of_the_condensed_problem() -> None:
     found = certify(staged.problem(staged.emit(case.x, case.y_ref, u_prev, limits=limits)))
     assert found.kind == "infeasible"
     answer = Solution(Status.PRIMAL_INFEASIBLE, found.z, found.y, found.y_box)
-    back = staged.condensed(answer)
+    back = staged.convert_solution_to_condensed(answer)
     qp = condensed.problem(condensed.emit(case.x, case.y_ref, u_prev, limits=limits))
     assert is_farkas_vector_proof(qp, back.y, back.y_box)
     assert back.status is Status.PRIMAL_INFEASIBLE and np.isnan(back.z).all()

@@ -7,7 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpbench.mpc.thruster_rows import LimitRampDown, Limits, ThrusterRows, thruster_rows
+from dpbench.mpc.thruster_rows import (
+    LimitRampDown,
+    Limits,
+    ThrusterRows,
+    build_limit_rows_of_thrusters,
+)
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
 T = 2e5
@@ -29,7 +34,7 @@ def inside(rows: ThrusterRows, f: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("sides", [4, 6, 8, 16, 30])
 def test_the_polygon_has_its_corners_on_the_circle_and_one_of_them_ahead(sides: int) -> None:
-    rows = thruster_rows(one_azimuth(), sides)
+    rows = build_limit_rows_of_thrusters(one_azimuth(), sides)
     angle = 2 * math.pi * np.arange(sides) / sides
     corner = T * np.column_stack((np.cos(angle), np.sin(angle)))
     side = np.roll(corner, -1, axis=0) - corner
@@ -46,11 +51,11 @@ def test_the_polygon_has_its_corners_on_the_circle_and_one_of_them_ahead(sides: 
 
 
 def test_other_thrusters_have_one_row_each_and_all_limits_are_finite() -> None:
-    rows = thruster_rows(one_azimuth(), 8)
+    rows = build_limit_rows_of_thrusters(one_azimuth(), 8)
     np.testing.assert_allclose(rows.low[-2:], [-8e4, -1.2e5])
     np.testing.assert_allclose(rows.high[-2:], [8e4, 3e5])
     assert np.isfinite(rows.low).all() and np.isfinite(rows.high).all()
-    low, high, _ = rows.limits_after_loss({0, 2})
+    low, high, _ = rows.limits_after_loss_of_thrusters({0, 2})
     assert high[4] == 8e4
     f = np.random.default_rng(0).uniform(-1e5, 1e5, (1000, 4))
     f[:200, [0, 1, 3]] = 0.0
@@ -62,7 +67,7 @@ def test_other_thrusters_have_one_row_each_and_all_limits_are_finite() -> None:
 def test_a_sector_keeps_the_directions_it_allows(width_deg: float) -> None:
     start = math.radians(-30.0)
     end = start + math.radians(width_deg)
-    rows = thruster_rows(one_azimuth(sector_rad=(start, end)), 16)
+    rows = build_limit_rows_of_thrusters(one_azimuth(sector_rad=(start, end)), 16)
     angle, zero = np.linspace(start - 1.0, end + 1.0, 101), np.zeros(101)
     f = 0.5 * T * np.column_stack((np.cos(angle), np.sin(angle), zero, zero))
     within = (angle >= start - 1e-9) & (angle <= end + 1e-9)
@@ -70,8 +75,10 @@ def test_a_sector_keeps_the_directions_it_allows(width_deg: float) -> None:
 
 
 def test_a_lost_azimuth_is_held_at_zero_by_two_rows_alone() -> None:
-    rows = thruster_rows(one_azimuth(sector_rad=(math.radians(-40.0), math.radians(100.0))), 16)
-    low, high, _ = rows.limits_after_loss({0})
+    rows = build_limit_rows_of_thrusters(
+        one_azimuth(sector_rad=(math.radians(-40.0), math.radians(100.0))), 16
+    )
+    low, high, _ = rows.limits_after_loss_of_thrusters({0})
     own = rows.thruster == 0
     touched = own & ((low == 0.0) | (high == 0.0))
     assert np.count_nonzero(touched) == 2
@@ -93,17 +100,22 @@ def test_the_straight_way_back_keeps_to_the_rate_and_to_what_the_rows_become(
     share: float, angle: float, tunnel: float, lost: set[int], sample_s: float
 ) -> None:
     thrusters = one_azimuth()
-    rows, du_max = thruster_rows(thrusters, 16), thrusters.step_max(sample_s)
+    rows, du_max = (
+        build_limit_rows_of_thrusters(thrusters, 16),
+        thrusters.largest_force_changes_per_sample(sample_s),
+    )
     row_max = np.sqrt(((rows.G * du_max) ** 2).sum(axis=1))
     size = share * T * math.cos(math.pi / 16)
     f = np.array([size * math.cos(angle), size * math.sin(angle), 8e4 * tunnel, -1.2e5 * share])
     N_c = 6
     ramp_down = LimitRampDown(rows, du_max, row_max, N_c)
-    least, most = ramp_down.compute_limits(f, rows.limits_after_loss(lost))
+    least, most = ramp_down.compute_gradually_tightened_limits(
+        f, rows.limits_after_loss_of_thrusters(lost)
+    )
     before = f
     for i in range(N_c):
         now = f.copy()
-        for number, at in enumerate(thrusters.slices):
+        for number, at in enumerate(thrusters.slices_in_force_vector):
             if number in lost:
                 steps = float((np.abs(f[at]) / du_max[at]).max())
                 left = steps - 0.9 * (i + 1)
@@ -127,10 +139,13 @@ def test_limits_close_in_as_the_formula_says_wherever_they_are_written(
     parts: list[float], lost: set[int], left: float, behind: int
 ) -> None:
     thrusters, N_c = one_azimuth(), 3
-    rows, du_max = thruster_rows(thrusters, 8), thrusters.step_max(1.0)
-    row_max, f = rows.row_units(du_max), T * np.array(parts)
+    rows, du_max = (
+        build_limit_rows_of_thrusters(thrusters, 8),
+        thrusters.largest_force_changes_per_sample(1.0),
+    )
+    row_max, f = rows.largest_row_changes_per_step(du_max), T * np.array(parts)
     r, factor = len(row_max), np.linspace(0.5, 2.0, len(row_max))
-    limits = rows.limits_after_loss(lost)
+    limits = rows.limits_after_loss_of_thrusters(lost)
     low, high = left * limits.low, left * limits.high
     stride = r + behind
     l, u = np.full(N_c * stride, 7.0), np.full(N_c * stride, 8.0)  # noqa: E741 - as in the program

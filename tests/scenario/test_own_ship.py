@@ -22,7 +22,7 @@ from dpbench.scenario.own_ship import (
     scale_vessel,
 )
 from dpbench.scenario.scenario import load_vessel
-from dpbench.ship.characteristics import axis_time_constants_s
+from dpbench.ship.characteristics import compute_axis_time_constants_s
 from dpbench.ship.froude import Froude
 from dpbench.ship.weather.waves import WATER_DENSITY
 
@@ -52,19 +52,30 @@ def test_a_library_vessel_at_its_own_size_is_itself(name: str) -> None:
 @given(name=st.sampled_from(sorted(LIBRARY)), factor=st.floats(0.05, 20.0))
 def test_a_larger_ship_of_one_form_follows_froudes_law(name: str, factor: float) -> None:
     vessel, ship, law = load_vessel(name), LIBRARY[name], Froude(1.0 / factor)
-    thrust = ThrustLimits(vessel.tau_max[0] * law.force[0])
+    thrust = ThrustLimits(vessel.tau_max[0] * law.force_and_moment_factors[0])
     large = scale_vessel(name, own_size(ship, factor), thrust)
     small = scale_vessel(name, own_size(ship), ThrustLimits(vessel.tau_max[0]))
-    arm = np.array([1.0, 1.0, law.length])
-    by_mass = law.length**3 * np.outer(arm, arm)
+    arm = np.array([1.0, 1.0, law.length_factor])
+    by_mass = law.length_factor**3 * np.outer(arm, arm)
     np.testing.assert_allclose(large.M, by_mass * vessel.M, rtol=1e-9)
-    np.testing.assert_allclose(large.D, by_mass * small.D / law.time, rtol=1e-9)
-    np.testing.assert_allclose(large.tau_max, law.force * vessel.tau_max, rtol=1e-9)
-    np.testing.assert_allclose(large.tau_min, law.force * vessel.tau_min, rtol=1e-9)
-    np.testing.assert_allclose(large.rate_max, law.force / law.time * vessel.rate_max, rtol=1e-9)
-    times = axis_time_constants_s(large), law.time * axis_time_constants_s(small)
+    np.testing.assert_allclose(large.D, by_mass * small.D / law.time_and_speed_factor, rtol=1e-9)
+    np.testing.assert_allclose(
+        large.tau_max, law.force_and_moment_factors * vessel.tau_max, rtol=1e-9
+    )
+    np.testing.assert_allclose(
+        large.tau_min, law.force_and_moment_factors * vessel.tau_min, rtol=1e-9
+    )
+    np.testing.assert_allclose(
+        large.rate_max,
+        law.force_and_moment_factors / law.time_and_speed_factor * vessel.rate_max,
+        rtol=1e-9,
+    )
+    times = (
+        compute_axis_time_constants_s(large),
+        law.time_and_speed_factor * compute_axis_time_constants_s(small),
+    )
     np.testing.assert_allclose(*times, rtol=1e-7)
-    gain = large.reachable_acceleration() / vessel.reachable_acceleration()
+    gain = large.accelerations_at_force_limits() / vessel.accelerations_at_force_limits()
     np.testing.assert_allclose(gain[:, :2], 1.0, rtol=1e-9)
     np.testing.assert_allclose(gain[:, 2], 1.0 / factor, rtol=1e-9)
     assert large.windage is not None and vessel.windage is not None
@@ -98,9 +109,11 @@ def test_the_model_and_the_drag_agree_at_the_fitted_speed() -> None:
     speed = fitted_speed_mps(110.0)
     assert speed == pytest.approx(0.591, abs=1e-3)
     assert ship.D[1, 1] == pytest.approx(165e3, rel=0.01)
-    drag = ship.damping_force(np.array([0.0, speed, 0.0]))[1]
+    drag = ship.force_to_keep_velocity(np.array([0.0, speed, 0.0]))[1]
     assert drag == pytest.approx(ship.D[1, 1] * speed, rel=0.02)
-    assert ship.damping_force(np.array([0.0, 1.0, 0.0]))[1] == pytest.approx(278e3, rel=0.01)
+    assert ship.force_to_keep_velocity(np.array([0.0, 1.0, 0.0]))[1] == pytest.approx(
+        278e3, rel=0.01
+    )
 
 
 def test_forces_that_are_given_are_taken() -> None:

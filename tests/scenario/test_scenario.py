@@ -92,7 +92,9 @@ def test_full_scale_vessels_have_the_limits_of_the_paper(name: str) -> None:
     ship, (low, high, step) = load_vessel(name), FULL_LIMITS
     np.testing.assert_array_equal(ship.tau_min, low)
     np.testing.assert_array_equal(ship.tau_max, high)
-    np.testing.assert_allclose(ship.step_max(PAPER_SAMPLE_S), step, rtol=1e-14)
+    np.testing.assert_allclose(
+        ship.largest_force_change_per_sample(PAPER_SAMPLE_S), step, rtol=1e-14
+    )
     # In every axis the rate is 2.64 % of the positive amplitude a sample.
     np.testing.assert_allclose(np.array(step) / high, 0.0264, rtol=1e-3)
 
@@ -102,7 +104,7 @@ def test_the_model_ship_has_froude_scaled_limits() -> None:
     ship = load_vessel("cybership2")
     np.testing.assert_allclose(ship.tau_min, [-2.857, -1.2157, -0.7497], rtol=1e-4)
     np.testing.assert_allclose(ship.tau_max, [3.615, 1.2157, 0.7497], rtol=1e-4)
-    step = ship.step_max(MODEL_SAMPLE_S)
+    step = ship.largest_force_change_per_sample(MODEL_SAMPLE_S)
     np.testing.assert_allclose(step, [0.09544, 0.03209, 0.019792], rtol=2e-4)
 
 
@@ -117,7 +119,7 @@ def test_vessels_without_published_matrices_have_scaled_ones(name: str) -> None:
     np.testing.assert_allclose(ship.M, M, rtol=5e-5)
     np.testing.assert_allclose(ship.D, D, rtol=5e-5)
     assert ship.thrusters is not None
-    np.testing.assert_array_equal(ship.tau_max, ship.thrusters.limits()[1])
+    np.testing.assert_array_equal(ship.tau_max, ship.thrusters.least_and_largest_force_by_axis()[1])
 
 
 def test_nothing_but_the_tabled_problems_is_shipped_untested() -> None:
@@ -182,7 +184,10 @@ def test_a_scenario_comes_back_from_its_documents(name: str) -> None:
     np.testing.assert_array_equal(first.P, second.P)
     np.testing.assert_array_equal(first.Z, second.Z)
     t_s = np.linspace(0.0, 120.0, 7)
-    np.testing.assert_array_equal(scenario.environment.force(t_s), again.environment.force(t_s))
+    np.testing.assert_array_equal(
+        scenario.environment.compute_slow_forces_and_squalls(t_s),
+        again.environment.compute_slow_forces_and_squalls(t_s),
+    )
 
 
 def test_a_scenario_can_be_cut_to_its_first_steps() -> None:

@@ -158,7 +158,7 @@ def test_a_vessel_with_drag_has_it_in_every_scenario(write: Callable[..., Path])
     plain, scenario = load_scenario(f"calm@{path}"), load_scenario("calm@osv")
     assert scenario.true_ship.drag is not None and plain.true_ship.drag is None
     still = np.zeros(6)
-    table = scenario.environment.stage_table(2, 0.3, 10)
+    table = scenario.environment.build_weather_table_at_stages(2, 0.3, 10)
     np.testing.assert_array_equal(table[..., 3:], np.broadcast_to(still, (2, 21, 6)))
     np.testing.assert_array_equal(scenario.problem.model.A, plain.problem.model.A)
     assert "drag" not in plain.files["vessel"] and scenario.files["vessel"]["drag"] == "cross_flow"

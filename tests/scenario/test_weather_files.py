@@ -50,7 +50,9 @@ def test_the_scenario_chooses_the_estimator(name: str, kind: type) -> None:
 
 def test_an_estimator_starts_where_the_ship_starts() -> None:
     scenario = changed("waves", lambda s: s["start"].update(north_m=3.0, heading_deg=20.0))
-    estimate = scenario.estimator().update(np.append(np.zeros(3), scenario.start), np.zeros(3))
+    estimate = scenario.estimator().update_and_return_state(
+        np.append(np.zeros(3), scenario.start), np.zeros(3)
+    )
     np.testing.assert_allclose(estimate, [0, 0, 0, 3.0, 0.0, np.radians(20.0)], atol=1e-12)
 
 

@@ -49,8 +49,10 @@ def weather_force() -> Callable[..., np.ndarray]:
         start = np.zeros(6) if nu is None else np.concatenate([nu, np.zeros(3)])
         start[5] = heading_rad
         instant = 1e-5
-        plant = Plant(ship, start, instant, 1, loads=weather.load_coefficients(ship))
-        plant.advance(np.zeros(3), weather.stage_table(1, instant, 1)[0])
+        plant = Plant(ship, start, instant, 1, loads=weather.wind_and_drift_coefficients(ship))
+        plant.advance_by_one_sample(
+            np.zeros(3), weather.build_weather_table_at_stages(1, instant, 1)[0]
+        )
         return ship.M @ (plant.state[:3] - start[:3]) / instant + ship.D @ start[:3]
 
     return force

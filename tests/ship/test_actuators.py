@@ -9,7 +9,9 @@ from dpbench.ship.environment import Environment
 from dpbench.ship.plant import SUBSTEPS, Plant
 
 ZERO = np.zeros(3)
-STAGES = Environment(ZERO, ZERO, np.ones(3), ZERO).stage_table(1, 0.3, SUBSTEPS)[0]
+STAGES = Environment(ZERO, ZERO, np.ones(3), ZERO).build_weather_table_at_stages(1, 0.3, SUBSTEPS)[
+    0
+]
 
 
 def commands(steps: int) -> np.ndarray:
@@ -21,7 +23,7 @@ def track(tau: np.ndarray, actuators: Actuators | None) -> np.ndarray:
     plant = Plant(load_vessel("supply_fs99"), np.zeros(6), 0.3, actuators=actuators)
     states = []
     for command in tau:
-        plant.advance(command, STAGES)
+        plant.advance_by_one_sample(command, STAGES)
         states.append(plant.state.copy())
     return np.array(states)
 
@@ -54,5 +56,5 @@ def test_the_command_is_left_as_it_was() -> None:
     plant = Plant(
         load_vessel("supply_fs99"), np.zeros(6), 0.3, actuators=Actuators(np.full(3, 0.5), 1)
     )
-    plant.advance(tau, STAGES)
+    plant.advance_by_one_sample(tau, STAGES)
     np.testing.assert_array_equal(tau, before)

@@ -11,9 +11,9 @@ from scipy.integrate import solve_ivp
 
 from dpbench.scenario.scenario import load_scenario, load_vessel
 from dpbench.ship.capability.conditions import Condition
-from dpbench.ship.capability.loads import mean_loads
-from dpbench.ship.characteristics import mean_load
-from dpbench.ship.drag import HullDrag, cross_flow_coefficient
+from dpbench.ship.capability.loads import compute_mean_environmental_loads
+from dpbench.ship.characteristics import compute_mean_weather_force
+from dpbench.ship.drag import HullDrag, compute_cross_flow_drag_coefficient
 from dpbench.ship.froude import Froude
 from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.ship.vessel import Vessel
@@ -31,7 +31,7 @@ def with_drag() -> Vessel:
     vessel = load_vessel("ratownik")
     assert vessel.capability is not None
     couplings = np.array([[0.0, 3e4, 2e6], [5e4, 0.0, -4e6], [-1e6, -3e6, 0.0]])
-    return replace(vessel, D=vessel.D + couplings, drag=HullDrag.of(vessel.capability))
+    return replace(vessel, D=vessel.D + couplings, drag=HullDrag.from_hull(vessel.capability))
 
 
 def sum_strips(D: np.ndarray, u: float, v: float, r: float) -> np.ndarray:
@@ -59,7 +59,7 @@ def test_the_force_is_that_of_the_strips(u: float, v: float, r: float) -> None:
     """Ahead, astern, to either side and in either turn; 0.6637 has four digits of C_d."""
     ship, velocity = with_drag(), np.array([u, v, r])
     np.testing.assert_allclose(
-        ship.damping_force(velocity), sum_strips(ship.D, u, v, r), rtol=2e-4, atol=1.0
+        ship.force_to_keep_velocity(velocity), sum_strips(ship.D, u, v, r), rtol=2e-4, atol=1.0
     )
 
 
@@ -80,7 +80,7 @@ def test_a_library_ship_meets_the_drag_of_its_strips_in_a_current_abeam(
     sway_mps = 0.5 / math.sqrt(scale)
     strips = np.full(200, 0.5 * 1026.0 * coefficient * area_m2 / length_m * sway_mps**2)
     expected = strips.sum() * length_m / len(strips)
-    force = load_vessel(name).damping_force(np.array([0.0, sway_mps, 0.0]))[1]
+    force = load_vessel(name).force_to_keep_velocity(np.array([0.0, sway_mps, 0.0]))[1]
     assert force == pytest.approx(expected, rel=0.3)
 
 
@@ -89,7 +89,9 @@ def test_the_ship_of_the_paper_meets_its_published_damping() -> None:
     for name in ("paper", "paper_tight"):
         ship = load_scenario(name).true_ship
         assert ship.drag is None
-        assert ship.damping_force(np.array([0.0, 0.5, 0.0]))[1] == pytest.approx(0.5 * 2.7229e5)
+        assert ship.force_to_keep_velocity(np.array([0.0, 0.5, 0.0]))[1] == pytest.approx(
+            0.5 * 2.7229e5
+        )
 
 
 @pytest.mark.slow
@@ -99,7 +101,9 @@ def test_the_force_is_that_of_many_strips(u: float, v: float, r: float) -> None:
     ship = with_drag()
     expected = sum_strips(ship.D, u, v, r)
     scale = 1.0 + math.hypot(u, v, 48.0 * r) ** 2
-    error = (ship.damping_force(np.array([u, v, r])) - expected) / np.array([1.0, 1.0, 48.0])
+    error = (ship.force_to_keep_velocity(np.array([u, v, r])) - expected) / np.array(
+        [1.0, 1.0, 48.0]
+    )
     assert np.abs(error).max() <= 20.0 * scale
 
 
@@ -110,17 +114,17 @@ def test_drag_takes_power_from_any_motion(u: float, v: float, r: float) -> None:
     ship, velocity = with_drag(), np.array([u, v, r])
     D = ship.D.copy()
     D[1, 2] = D[2, 1] = 0.99 * math.sqrt(D[1, 1] * D[2, 2])
-    assert replace(ship, D=D).damping_force(velocity) @ velocity >= 0.0
+    assert replace(ship, D=D).force_to_keep_velocity(velocity) @ velocity >= 0.0
 
 
 def test_slow_motion_meets_the_linear_damping() -> None:
     """At 0.1 mm/s and as slow a turn; at ten times V_0 nothing of it is left but in yaw."""
     ship = with_drag()
     slow = np.array([1e-4, -1e-4, 2e-6])
-    np.testing.assert_allclose(ship.damping_force(slow), ship.D @ slow, rtol=3e-3)
+    np.testing.assert_allclose(ship.force_to_keep_velocity(slow), ship.D @ slow, rtol=3e-3)
     without = replace(ship, D=1e-6 * ship.D)
     fast = np.array([0.8, -0.9, 0.0])
-    force, drag = ship.damping_force(fast), without.damping_force(fast)
+    force, drag = ship.force_to_keep_velocity(fast), without.force_to_keep_velocity(fast)
     np.testing.assert_allclose(force[:2], drag[:2], rtol=3e-3)
     # Couplings fade with the root.
     assert force[2] == pytest.approx(drag[2], rel=0.03)
@@ -136,7 +140,9 @@ def test_slow_motion_meets_the_linear_damping() -> None:
 )
 def test_the_coefficient_is_hoerners(half_ratio: float, published: float) -> None:
     """Within 2 % of the curve as MSS has it digitised, `Hoerner.m`."""
-    assert cross_flow_coefficient(2.0 * half_ratio, 1.0) == pytest.approx(published, rel=0.02)
+    assert compute_cross_flow_drag_coefficient(2.0 * half_ratio, 1.0) == pytest.approx(
+        published, rel=0.02
+    )
 
 
 def test_the_force_of_a_current_is_near_that_of_the_standard() -> None:
@@ -145,13 +151,15 @@ def test_the_force_of_a_current_is_near_that_of_the_standard() -> None:
     assert ship.capability is not None
     still = replace(ship, D=1e-9 * ship.D)
     ahead, abeam = (
-        mean_loads(ship.capability, Condition(0.0, 0.0, 3.5, 0.75), from_rad)[1]
+        compute_mean_environmental_loads(ship.capability, Condition(0.0, 0.0, 3.5, 0.75), from_rad)[
+            1
+        ]
         for from_rad in (0.0, math.pi / 2)
     )
     np.testing.assert_allclose(
-        mean_load(still, flowing(0.75, math.pi)), ahead, rtol=1e-6, atol=1e-3
+        compute_mean_weather_force(still, flowing(0.75, math.pi)), ahead, rtol=1e-6, atol=1e-3
     )
-    felt = mean_load(still, flowing(0.75, -math.pi / 2))
+    felt = compute_mean_weather_force(still, flowing(0.75, -math.pi / 2))
     np.testing.assert_allclose(felt[1:], abeam[1:] * 0.6637 / 0.6, rtol=1e-3)
 
 
@@ -171,9 +179,9 @@ def test_the_plant_agrees_with_an_adaptive_integrator() -> None:
         force += R.T @ gust_N * np.sin(2.0 * np.pi * t / period_s)
         return np.concatenate([np.linalg.solve(ship.M, force), R @ s[:3]])
 
-    plant = Plant(ship, START, 0.3, loads=sea.load_coefficients(ship))
-    for stages in sea.stage_table(40, 0.3, SUBSTEPS):
-        plant.advance(0.2 * ship.tau_max, stages)
+    plant = Plant(ship, START, 0.3, loads=sea.wind_and_drift_coefficients(ship))
+    for stages in sea.build_weather_table_at_stages(40, 0.3, SUBSTEPS):
+        plant.advance_by_one_sample(0.2 * ship.tau_max, stages)
     theirs = solve_ivp(derivative, (0.0, 12.0), START, method="DOP853", rtol=1e-10, atol=1e-11)
     # C_d above has four digits.
     np.testing.assert_allclose(plant.state, theirs.y[:, -1], rtol=2e-4)
@@ -184,24 +192,31 @@ def test_a_model_ship_with_drag_moves_as_its_full_size_ship() -> None:
     ship, law = with_drag(), Froude(70.0)
     assert ship.capability is not None
     lengths = ("length_m", "breadth_m", "draught_m", "submerged_length_m", "current_x_m")
-    smaller = {key: getattr(ship.capability, key) * law.length for key in lengths}
-    area = ship.capability.submerged_m2 * law.length**2
-    arm = np.array([1.0, 1.0, law.length])
-    by_mass = law.length**3 * np.outer(arm, arm)
+    smaller = {key: getattr(ship.capability, key) * law.length_factor for key in lengths}
+    area = ship.capability.submerged_m2 * law.length_factor**2
+    arm = np.array([1.0, 1.0, law.length_factor])
+    by_mass = law.length_factor**3 * np.outer(arm, arm)
     model = replace(
         ship,
-        length_m=ship.length_m * law.length,
+        length_m=ship.length_m * law.length_factor,
         M=by_mass * ship.M,
-        D=by_mass * ship.D / law.time,
-        drag=HullDrag.of(replace(ship.capability, submerged_m2=area, **smaller)),
+        D=by_mass * ship.D / law.time_and_speed_factor,
+        drag=HullDrag.from_hull(replace(ship.capability, submerged_m2=area, **smaller)),
     )
-    at_full_size = np.concatenate([law.velocity, law.pose])
+    at_full_size = np.concatenate([law.velocity_factors, law.pose_factors])
     states = []
     for each, scale, start in ((ship, Froude(), START), (model, law, START * at_full_size)):
-        sea = flowing(0.6 * scale.time, 2.0)
-        plant = Plant(each, start, 0.3 * scale.time, loads=sea.load_coefficients(each))
-        for stages in sea.stage_table(200, 0.3 * scale.time, SUBSTEPS):
-            plant.advance(0.2 * ship.tau_max * scale.force, stages)
+        sea = flowing(0.6 * scale.time_and_speed_factor, 2.0)
+        plant = Plant(
+            each,
+            start,
+            0.3 * scale.time_and_speed_factor,
+            loads=sea.wind_and_drift_coefficients(each),
+        )
+        for stages in sea.build_weather_table_at_stages(
+            200, 0.3 * scale.time_and_speed_factor, SUBSTEPS
+        ):
+            plant.advance_by_one_sample(0.2 * ship.tau_max * scale.force_and_moment_factors, stages)
         states.append(plant.state)
     np.testing.assert_allclose(states[1], states[0] * at_full_size, rtol=1e-11)
 
@@ -209,10 +224,10 @@ def test_a_model_ship_with_drag_moves_as_its_full_size_ship() -> None:
 def test_a_free_ship_with_drag_ends_up_drifting_with_the_current() -> None:
     """Carried along until the water around it is at rest."""
     ship, sea = with_drag(), flowing(0.75, 2.0)
-    plant = Plant(ship, np.zeros(6), 1.0, loads=sea.load_coefficients(ship))
-    stages = sea.stage_table(1, 1.0, SUBSTEPS)[0]
+    plant = Plant(ship, np.zeros(6), 1.0, loads=sea.wind_and_drift_coefficients(ship))
+    stages = sea.build_weather_table_at_stages(1, 1.0, SUBSTEPS)[0]
     for _ in range(5000):
-        plant.advance(ZERO, stages)
+        plant.advance_by_one_sample(ZERO, stages)
     u, v, r, *_, psi = plant.state
     north, east = np.cos(psi) * u - np.sin(psi) * v, np.sin(psi) * u + np.cos(psi) * v
     np.testing.assert_allclose([north, east], 0.75 * np.array([np.cos(2), np.sin(2)]), atol=1e-6)
@@ -223,9 +238,11 @@ def test_the_mean_load_is_what_the_plant_feels() -> None:
     """By the momentum that an enormous mass takes up in a current from the quarter."""
     ship, sea = with_drag(), flowing(0.75, -2.2)
     still = replace(ship, M=1e9 * ship.M)
-    plant = Plant(still, np.zeros(6), 1.0, loads=sea.load_coefficients(ship))
-    plant.advance(ZERO, sea.stage_table(1, 1.0, SUBSTEPS)[0])
-    np.testing.assert_allclose(still.M @ plant.state[:3], mean_load(ship, sea), rtol=1e-6)
+    plant = Plant(still, np.zeros(6), 1.0, loads=sea.wind_and_drift_coefficients(ship))
+    plant.advance_by_one_sample(ZERO, sea.build_weather_table_at_stages(1, 1.0, SUBSTEPS)[0])
+    np.testing.assert_allclose(
+        still.M @ plant.state[:3], compute_mean_weather_force(ship, sea), rtol=1e-6
+    )
 
 
 def test_a_mismatch_of_damping_is_one_of_drag_too() -> None:
@@ -233,8 +250,8 @@ def test_a_mismatch_of_damping_is_one_of_drag_too() -> None:
     ship = with_drag()
     for velocity in ([1e-3, 1e-3, 1e-5], [0.5, 1.0, 0.01]):
         force, more = (
-            one.damping_force(np.array(velocity))
-            for one in (ship, ship.with_mismatch(damping_percent=20.0))
+            one.force_to_keep_velocity(np.array(velocity))
+            for one in (ship, ship.copy_with_model_mismatch(damping_percent=20.0))
         )
         np.testing.assert_allclose(more, 1.2 * force, rtol=1e-12)
 
@@ -243,4 +260,4 @@ def test_a_ship_with_drag_needs_the_weather_that_moves_with_it() -> None:
     """Three columns have no velocity of the water."""
     plant = Plant(with_drag(), START, 0.3)
     with pytest.raises(ValueError, match="9 columns"):
-        plant.advance(ZERO, np.zeros((2 * SUBSTEPS + 1, 3)))
+        plant.advance_by_one_sample(ZERO, np.zeros((2 * SUBSTEPS + 1, 3)))

@@ -12,24 +12,28 @@ from dpbench.ship.froude import Froude
 def test_factors_of_a_model_of_one_to_four() -> None:
     """The factors are 1/4 of lengths, 1/2 of times, 1/4³ of forces and 1/4⁴ of moments."""
     scale = Froude(4.0)
-    assert (scale.length, scale.time) == (0.25, 0.5)
-    assert scale.force.tolist() == [1 / 64, 1 / 64, 1 / 256]
-    assert scale.velocity.tolist() == [0.5, 0.5, 2.0]
-    assert scale.pose.tolist() == [0.25, 0.25, 1.0]
+    assert (scale.length_factor, scale.time_and_speed_factor) == (0.25, 0.5)
+    assert scale.force_and_moment_factors.tolist() == [1 / 64, 1 / 64, 1 / 256]
+    assert scale.velocity_factors.tolist() == [0.5, 0.5, 2.0]
+    assert scale.pose_factors.tolist() == [0.25, 0.25, 1.0]
 
 
 @settings(derandomize=True, max_examples=50)
 @given(st.floats(0.1, 200.0))
 def test_factors_agree_with_one_another(ratio: float) -> None:
     scale = Froude(ratio)
-    acceleration = scale.velocity / scale.time
+    acceleration = scale.velocity_factors / scale.time_and_speed_factor
     assert acceleration[:2] == pytest.approx([1.0, 1.0])
-    assert scale.velocity[:2] == pytest.approx([scale.length / scale.time] * 2)
-    assert scale.force[:2] == pytest.approx([scale.length**3] * 2)
-    assert scale.force[2] == pytest.approx(scale.force[0] * scale.length)
+    assert scale.velocity_factors[:2] == pytest.approx(
+        [scale.length_factor / scale.time_and_speed_factor] * 2
+    )
+    assert scale.force_and_moment_factors[:2] == pytest.approx([scale.length_factor**3] * 2)
+    assert scale.force_and_moment_factors[2] == pytest.approx(
+        scale.force_and_moment_factors[0] * scale.length_factor
+    )
     # Moment of inertia, mass times length², times an angular acceleration in 1/time².
-    inertia = scale.length**5
-    assert scale.force[2] == pytest.approx(inertia * acceleration[2])
+    inertia = scale.length_factor**5
+    assert scale.force_and_moment_factors[2] == pytest.approx(inertia * acceleration[2])
 
 
 def test_the_model_ship_meets_the_weather_of_the_full_ship() -> None:

@@ -36,17 +36,17 @@ def simulate(
     ship: Vessel, sea: Environment, steps: int, sample_s: float, substeps: int
 ) -> np.ndarray:
     """The state after the given samples under a third of the limits."""
-    plant = Plant(ship, START, sample_s, substeps, loads=sea.load_coefficients(ship))
-    for stages in sea.stage_table(steps, sample_s, substeps):
-        plant.advance(0.3 * ship.tau_max, stages)
+    plant = Plant(ship, START, sample_s, substeps, loads=sea.wind_and_drift_coefficients(ship))
+    for stages in sea.build_weather_table_at_stages(steps, sample_s, substeps):
+        plant.advance_by_one_sample(0.3 * ship.tau_max, stages)
     return plant.state
 
 
 def test_the_loaded_plant_agrees_with_an_adaptive_integrator(hull: Vessel) -> None:
     sea = weather("none")
-    waves, beam = WAVES.harmonics(9), hull.reflection
+    waves, beam = WAVES.draw_wave_harmonics(9), hull.reflection
     assert beam is not None
-    drift = beam.coefficients(hull.length_m, WAVES)
+    drift = beam.wave_drift_coefficients(hull.length_m, WAVES)
     turns = np.array([-1.0, 2.0, 0.4])
 
     def derivative(t: float, s: np.ndarray) -> np.ndarray:
@@ -57,11 +57,15 @@ def test_the_loaded_plant_agrees_with_an_adaptive_integrator(hull: Vessel) -> No
         )
         u, v = s[:2] - air[:2]
         gamma, pressure = -np.arctan2(v, u), 0.5 * 1.226 * (u * u + v * v)
-        power = np.abs(waves.at(np.array([t]), np.zeros(1))[0, 0]) ** 2
+        power = np.abs(waves.evaluate_process_at_times(np.array([t]), np.zeros(1))[0, 0]) ** 2
         side = turns[2] - s[5]
         blown = [-203.0 * np.cos(gamma), 630.0 * np.sin(gamma), 66.5 * 76.2 * np.sin(2 * gamma)]
         drifted = drift * [np.cos(side), np.sin(side), -np.sin(2 * side)]
-        force = 0.3 * hull.tau_max + R.T @ sea.force(t) + pressure * np.array(blown)
+        force = (
+            0.3 * hull.tau_max
+            + R.T @ sea.compute_slow_forces_and_squalls(t)
+            + pressure * np.array(blown)
+        )
         force = force + power * drifted - hull.D @ (s[:3] - water)
         return np.concatenate([np.linalg.solve(hull.M, force), R @ s[:3]])
 
@@ -95,12 +99,12 @@ def test_port_and_starboard_are_alike_in_all_weather(hull: Vessel) -> None:
         drift=WaveDrift(replace(WAVES, to_rad=-WAVES.to_rad)),
     )
     tau, both = 0.3 * hull.tau_max, np.concatenate([flip, flip])
-    loads = sea.load_coefficients(hull)
+    loads = sea.wind_and_drift_coefficients(hull)
     plant, other = (Plant(hull, start, 0.3, loads=loads) for start in (START, both * START))
-    tables = (of.stage_table(60, 0.3, SUBSTEPS) for of in (sea, mirrored))
+    tables = (of.build_weather_table_at_stages(60, 0.3, SUBSTEPS) for of in (sea, mirrored))
     for stages, mirrored_stages in zip(*tables, strict=True):
-        plant.advance(tau, stages)
-        other.advance(flip * tau, mirrored_stages)
+        plant.advance_by_one_sample(tau, stages)
+        other.advance_by_one_sample(flip * tau, mirrored_stages)
     assert abs(plant.state[4] - START[4]) > 1.0
     # The same operations but for signs, so that not even rounding differs but in cos and sin.
     np.testing.assert_allclose(other.state, both * plant.state, rtol=1e-12)
@@ -123,20 +127,20 @@ def test_a_table_of_another_width_is_refused(hull: Vessel, columns: int) -> None
     for width, loads in ((3, None), (9, np.zeros(6))):
         plant = Plant(hull, START, 0.3, loads=loads)
         if columns == width:
-            plant.advance(np.zeros(3), stages)
+            plant.advance_by_one_sample(np.zeros(3), stages)
         else:
             with pytest.raises(ValueError, match=f"{width} columns"):
-                plant.advance(np.zeros(3), stages)
+                plant.advance_by_one_sample(np.zeros(3), stages)
 
 
 @pytest.mark.parametrize("name", ["supply_fs99", "supply_mss", "supply_tmr"])
 def test_a_free_ship_ends_up_drifting_with_the_current(name: str) -> None:
     ship, weather = load_vessel(name), flowing(0.75, 2.0)
-    plant = Plant(ship, np.zeros(6), 3.0, loads=weather.load_coefficients(ship))
+    plant = Plant(ship, np.zeros(6), 3.0, loads=weather.wind_and_drift_coefficients(ship))
     # 12 000 s are 100 of the longest time constants; the table of one sample serves for all.
-    stages = weather.stage_table(1, 3.0, SUBSTEPS)[0]
+    stages = weather.build_weather_table_at_stages(1, 3.0, SUBSTEPS)[0]
     for _ in range(4000):
-        plant.advance(np.zeros(3), stages)
+        plant.advance_by_one_sample(np.zeros(3), stages)
     u, v, r, *_, psi = plant.state
     north, east = np.cos(psi) * u - np.sin(psi) * v, np.sin(psi) * u + np.cos(psi) * v
     np.testing.assert_allclose([north, east], 0.75 * np.array([np.cos(2), np.sin(2)]), atol=1e-9)

@@ -37,10 +37,10 @@ def simulate(
 ) -> np.ndarray:
     """States (steps + 1, 6) at the samples."""
     plant = Plant(ship, state, sample_s, substeps)
-    table = sea.stage_table(steps, sample_s, substeps)
+    table = sea.build_weather_table_at_stages(steps, sample_s, substeps)
     states = [plant.state.copy()]
     for stages in table:
-        plant.advance(tau, stages)
+        plant.advance_by_one_sample(tau, stages)
         states.append(plant.state.copy())
     return np.array(states)
 
@@ -104,7 +104,7 @@ def test_kinetic_energy_changes_by_work_less_dissipation(name: str) -> None:
     states = simulate(ship, turning(ship), tau, sea, steps, fine_s, 1)
     t = fine_s * np.arange(steps + 1)
     nu, psi = states[:, :3], states[:, 5]
-    b = sea.force(t)
+    b = sea.compute_slow_forces_and_squalls(t)
     w = b.copy()
     w[:, 0] = np.cos(psi) * b[:, 0] + np.sin(psi) * b[:, 1]
     w[:, 1] = -np.sin(psi) * b[:, 0] + np.cos(psi) * b[:, 1]
@@ -126,9 +126,9 @@ def test_the_plant_has_no_preferred_compass_direction(angle_rad: float) -> None:
     turned_start[3:] = R @ start[3:]
     turned_start[5] += angle_rad
     turned = Plant(ship, turned_start, SAMPLE_S)
-    for stages in weather(ship).stage_table(100, SAMPLE_S, SUBSTEPS):
-        straight.advance(tau, stages)
-        turned.advance(tau, np.ascontiguousarray(stages @ R.T))
+    for stages in weather(ship).build_weather_table_at_stages(100, SAMPLE_S, SUBSTEPS):
+        straight.advance_by_one_sample(tau, stages)
+        turned.advance_by_one_sample(tau, np.ascontiguousarray(stages @ R.T))
     # Only rounding differs, grown over 1000 sub-steps.
     np.testing.assert_allclose(turned.state[:3], straight.state[:3], rtol=0, atol=1e-11)
     np.testing.assert_allclose(turned.state[3:5], R[:2, :2] @ straight.state[3:5], atol=1e-10)
@@ -143,7 +143,7 @@ def test_the_plant_agrees_with_an_adaptive_integrator(name: str) -> None:
     sea = weather(ship, 20.0 * scale, 6.0 * scale)
     tau, start = 0.3 * ship.tau_max, turning(ship)
     ours = simulate(ship, start, tau, sea, steps, sample_s)
-    derivative = equations_of_motion(ship, tau, sea.force)
+    derivative = equations_of_motion(ship, tau, sea.compute_slow_forces_and_squalls)
     # The ramp has a kink at 6 s, a sample's end; the reference is restarted there.
     state = start
     for begin, end in ((0.0, 6.0 * scale), (6.0 * scale, sample_s * steps)):
@@ -167,9 +167,9 @@ def test_a_sample_has_ten_sub_steps_unless_stated() -> None:
     """A plant that states none takes 21 rows of weather a sample, as one with ten does."""
     ship = linear_vessel("osv")
     default, ten = Plant(ship, turning(ship), SAMPLE_S), Plant(ship, turning(ship), SAMPLE_S, 10)
-    stages = weather(ship).stage_table(1, SAMPLE_S, 10)[0]
+    stages = weather(ship).build_weather_table_at_stages(1, SAMPLE_S, 10)[0]
     for plant in (default, ten):
-        plant.advance(0.3 * ship.tau_max, stages)
+        plant.advance_by_one_sample(0.3 * ship.tau_max, stages)
     np.testing.assert_array_equal(default.state, ten.state)
 
 
@@ -177,7 +177,9 @@ def test_the_start_state_is_copied() -> None:
     ship = load_vessel("supply_fs99")
     start = np.zeros(6)
     plant = Plant(ship, start, SAMPLE_S)
-    plant.advance(ship.tau_max, CALM.stage_table(1, SAMPLE_S, SUBSTEPS)[0])
+    plant.advance_by_one_sample(
+        ship.tau_max, CALM.build_weather_table_at_stages(1, SAMPLE_S, SUBSTEPS)[0]
+    )
     np.testing.assert_array_equal(start, 0.0)
     assert plant.state[0] > 0.0
 
@@ -197,7 +199,9 @@ def measured_weather(**more: object) -> Environment:
 
 def test_ideal_sensors_show_the_state() -> None:
     state = np.arange(6.0)
-    np.testing.assert_array_equal(Sensors(measured_weather(), 4, 0.3).sense(state, 2), state)
+    np.testing.assert_array_equal(
+        Sensors(measured_weather(), 4, 0.3).measure_state(state, 2), state
+    )
 
 
 def test_wave_motion_and_noise_are_added_to_pose_and_speed() -> None:
@@ -207,8 +211,11 @@ def test_wave_motion_and_noise_are_added_to_pose_and_speed() -> None:
     sky = measured_weather(motion=motion, noise=SensorNoise(np.array([0.1, 0.2, 0.003])))
     state = np.array([0.5, -0.2, 0.01, 3.0, 4.0, np.radians(40.0)])
     k, sample_s = 7, 0.3
-    moved, noise = sky.measured_motion(10, sample_s)[k], sky.noise_table(10)[k]
-    found = Sensors(sky, 10, sample_s).sense(state, k)
+    moved, noise = (
+        sky.wave_frequency_motion_at_samples(10, sample_s)[k],
+        sky.draw_measurement_noise(10)[k],
+    )
+    found = Sensors(sky, 10, sample_s).measure_state(state, k)
     speed = state[:3] + rotation(state[5]).T @ moved[3:]
     np.testing.assert_allclose(found[:3], speed, rtol=0, atol=1e-14)
     np.testing.assert_allclose(found[3:], state[3:] + moved[:3] + noise, rtol=0, atol=1e-14)
@@ -219,7 +226,7 @@ def test_measured_speed_is_the_rate_of_the_measured_pose() -> None:
     sky = measured_weather(motion=FirstOrderMotion(Sea(2.0, 8.5, 0.5), 0.6, 0.2, 0.01))
     sample_s = 1e-3
     sensors, rest = Sensors(sky, 3, sample_s), np.zeros(6)
-    before, here, after = (sensors.sense(rest, k).copy() for k in range(3))
+    before, here, after = (sensors.measure_state(rest, k).copy() for k in range(3))
     slope = (after[3:] - before[3:]) / (2 * sample_s)
     # A central difference over 2 ms of motion with ω up to 3.7 rad/s: ω³h²/6 of a metre.
     np.testing.assert_allclose(here[:3], slope, rtol=0, atol=1e-4)

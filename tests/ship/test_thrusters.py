@@ -21,7 +21,7 @@ def test_the_vessel_file_of_ratownik_has_the_published_thrusts() -> None:
     thrusters = load_vessel("ratownik").thrusters
     assert thrusters is not None
     published_kN = [195.3, 195.3, 146.6, 116.0, 116.0]
-    np.testing.assert_allclose(thrusters.thrust_N / 1e3, published_kN, rtol=0.005)
+    np.testing.assert_allclose(thrusters.largest_thrusts_N / 1e3, published_kN, rtol=0.005)
 
 
 def azimuth(x_m: float, y_m: float, thrust_N: float = 1e5, **other: object) -> Thruster:
@@ -42,7 +42,7 @@ def test_force_and_moment_are_those_of_the_lever(
     thrusters = ship(azimuth(x_m, y_m, thrust_N))
     force = thrust_N * np.array([math.cos(angle), math.sin(angle), 0.0])
     f = np.zeros(thrusters.n_f)
-    f[thrusters.slices[1]] = force[:2]
+    f[thrusters.slices_in_force_vector[1]] = force[:2]
     moment = np.cross([x_m, y_m, 0.0], force)[2]
     np.testing.assert_allclose(thrusters.T_e @ f, [force[0], force[1], moment], atol=1e-6)
 
@@ -50,7 +50,7 @@ def test_force_and_moment_are_those_of_the_lever(
 def allowed_forces(thrusters: ThrusterSet, rng: np.random.Generator, count: int) -> np.ndarray:
     """Random f within the limits, many at the edge."""
     f = np.zeros((count, thrusters.n_f))
-    for thruster, at in zip(thrusters.thrusters, thrusters.slices, strict=True):
+    for thruster, at in zip(thrusters.thrusters, thrusters.slices_in_force_vector, strict=True):
         if thruster.kind == "azimuth":
             start, end = thruster.sector_rad or (0.0, 2 * math.pi)
             angle = rng.uniform(start, end, count)
@@ -69,7 +69,7 @@ def test_the_support_is_reached_and_never_exceeded(sector: tuple[float, float] |
     rng = np.random.default_rng(4)
     tau = allowed_forces(thrusters, rng, 20_000) @ thrusters.T_e.T
     for direction in rng.normal(size=(40, 3)) * [1.0, 1.0, 1 / 40.0]:
-        most = thrusters.support(direction)
+        most = thrusters.largest_force_along(direction)
         reached = (tau @ direction).max()
         assert reached <= most * (1 + 1e-12)
         assert reached >= 0.8 * most
@@ -78,12 +78,12 @@ def test_the_support_is_reached_and_never_exceeded(sector: tuple[float, float] |
 def test_limits_of_a_ship_are_those_of_each_axis_by_itself() -> None:
     """By hand: two azimuths of 100 kN, a tunnel of 80 kN at 30 m, a main of 200 kN."""
     thrusters = ship(azimuth(-35.0, -6.0), azimuth(-35.0, 6.0))
-    low, high = thrusters.limits()
+    low, high = thrusters.least_and_largest_force_by_axis()
     lever = 1e5 * math.hypot(35, 6)
     np.testing.assert_allclose(low, [-(2e5 + 1.2e5), -2.8e5, -(2 * lever + 2.4e6 + 1e6)])
     np.testing.assert_allclose(high, [4e5, 2.8e5, 2 * lever + 2.4e6 + 6e5])
-    np.testing.assert_allclose(thrusters.rate()[:2], [2e4 + 1e4, 2e4 + 1e4])
-    assert thrusters.groups["board A"] == (0, 3)
+    np.testing.assert_allclose(thrusters.largest_force_rate_by_axis()[:2], [2e4 + 1e4, 2e4 + 1e4])
+    assert thrusters.indices_by_failure_group["board A"] == (0, 3)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,9 @@ def test_limits_of_a_ship_are_those_of_each_axis_by_itself() -> None:
         (lambda: ThrusterSet((azimuth(0, 0),)), "forces in surge, sway and yaw"),
         (lambda: azimuth(0, 0, sector_rad=(0.0, 3.5)), "above 0 and up to 180"),
         (
-            lambda: ship(azimuth(-30, 0)).find_indices(["bow"], "my.toml", "faults"),
+            lambda: ship(azimuth(-30, 0)).find_indices_of_thrusters_or_groups(
+                ["bow"], "my.toml", "faults"
+            ),
             "my.toml: faults.*one of tunnel",
         ),
     ],

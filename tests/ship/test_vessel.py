@@ -6,7 +6,7 @@ from scipy.linalg import expm
 
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_vessel
-from dpbench.ship.vessel import Vessel, descale_bis, descale_bis_damping
+from dpbench.ship.vessel import Vessel, convert_bis_damping_to_si, convert_bis_inertia_to_si
 
 GOOD = {
     "M": np.diag([5e6, 8e6, 4e9]),
@@ -49,7 +49,7 @@ def test_bis_scaling_follows_from_the_units_of_each_entry() -> None:
     m, L, g = 6e6, 76.2, 9.81
     rng = np.random.default_rng(1)
     Mb, Db = rng.normal(size=(2, 3, 3))
-    M, D = descale_bis(Mb, m, L), descale_bis_damping(Db, m, L, g)
+    M, D = convert_bis_inertia_to_si(Mb, m, L), convert_bis_damping_to_si(Db, m, L, g)
     for i in range(3):
         for j in range(3):
             lever = L ** ((i == 2) + (j == 2))
@@ -64,14 +64,16 @@ def test_time_constants_of_the_default_ship_by_hand() -> None:
     D23 D32 = 1.93011e13: λ² − 0.1447271 λ + 3.0548e-3 = 0, so λ = 0.1190, 0.02567 1/s.
     """
     np.testing.assert_allclose(
-        load_vessel("supply_fs99").time_constants_s(), [8.403, 38.96, 105.73], rtol=1e-3
+        load_vessel("supply_fs99").linear_model_time_constants_s(),
+        [8.403, 38.96, 105.73],
+        rtol=1e-3,
     )
 
 
 @pytest.mark.parametrize("name", ["supply_fs99", "supply_mss", "supply_tmr", "osv", "cybership2"])
 def test_a_mode_decays_by_its_time_constant(name: str) -> None:
     ship = load_vessel(name)
-    slow = ship.time_constants_s()[-1]
+    slow = ship.linear_model_time_constants_s()[-1]
     decay = expm(-slow * np.linalg.solve(ship.M, ship.D))
     # e⁻¹ is the largest factor of the free motion over one such time.
     assert np.abs(np.linalg.eigvals(decay)).max() == pytest.approx(np.exp(-1.0), rel=1e-9)
@@ -79,6 +81,6 @@ def test_a_mode_decays_by_its_time_constant(name: str) -> None:
 
 def test_reachable_accelerations_are_force_over_mass() -> None:
     """The default ship reaches 0.233 m/s² ahead, 0.184 m/s² astern, 0.0503 m/s² sideways."""
-    reach = load_vessel("supply_fs99").reachable_acceleration()
+    reach = load_vessel("supply_fs99").accelerations_at_force_limits()
     np.testing.assert_allclose(reach[1], [0.23343, 0.050344, 4.8059e-3], rtol=1e-4)
     np.testing.assert_allclose(reach[0], [-0.18448, -0.050344, -4.8059e-3], rtol=1e-4)

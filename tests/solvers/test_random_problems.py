@@ -30,7 +30,7 @@ def answers(problem, policy, solver="paper_active_set", settings="default"):
     for k in range(len(sequence)):
         answer = solve_next(workspace, sequence.step(k))
         yield sequence.problem(k), answer
-        if not answer.status.is_answer_applied:
+        if not answer.status.is_usable:
             workspace.reset()
 
 

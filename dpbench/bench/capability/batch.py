@@ -71,7 +71,9 @@ def build_allocation_sequence(frontier: CapabilityPlot, points: Sequence[Point])
         weather = frontier.weather(point.from_rad, point.wind_mps)
         _, chosen = frontier.find_least_use_and_pieces(point.case, point.from_rad, point.wind_mps)
         lost = frontier.find_unusable_thrusters(point.case)
-        problems.append(allocation.build_qp(weather.load, weather.shares, chosen, lost))
+        problems.append(
+            allocation.build_qp_for_static_load(weather.load, weather.shares, chosen, lost)
+        )
     q, low, high = (np.array([getattr(qp, name) for qp in problems]) for name in ("q", "l", "u"))
     rows = np.array([qp.A for qp in problems])
     changed = None if (rows == rows[0]).all() else rows

@@ -13,9 +13,9 @@ from dpbench.bench.capability.utilisation import Choices, Combination, Utilisati
 from dpbench.bench.progress import Progress, Silent
 from dpbench.errors import InputError
 from dpbench.ship.capability import losses
-from dpbench.ship.capability.conditions import DP_CONDITIONS, interpolate_condition
-from dpbench.ship.capability.loads import DYNAMIC_FACTOR, mean_loads
-from dpbench.ship.capability.shapes import Piece, convex_pieces
+from dpbench.ship.capability.conditions import DP_CONDITIONS, interpolate_condition_at_wind_speed
+from dpbench.ship.capability.loads import DYNAMIC_FACTOR, compute_mean_environmental_loads
+from dpbench.ship.capability.shapes import Piece, split_force_set_into_convex_pieces
 from dpbench.ship.vessel import Vessel
 
 DIRECTIONS = 36
@@ -82,7 +82,7 @@ class CapabilityPlot:
     @property
     def intact_and_failure_cases(self) -> list[Case]:
         """The intact ship, then the loss of each group of thrusters that fail together."""
-        groups = self.thrusters.groups.items()
+        groups = self.thrusters.indices_by_failure_group.items()
         return [
             Case(INTACT, frozenset()),
             *(Case(name, frozenset(numbers)) for name, numbers in groups),
@@ -90,10 +90,10 @@ class CapabilityPlot:
 
     def _compute_load_and_usable_shares(self, from_rad: float, wind_mps: float) -> Weather:
         """Return load and usable shares of thrust in wind, waves and current from `from_rad`."""
-        condition = interpolate_condition(wind_mps)
-        loads = mean_loads(self.hull, condition, from_rad)
+        condition = interpolate_condition_at_wind_speed(wind_mps)
+        loads = compute_mean_environmental_loads(self.hull, condition, from_rad)
         vented = [
-            losses.thrust_share_when_vented(thruster, self.hull, condition, from_rad)
+            losses.compute_thrust_share_when_vented(thruster, self.hull, condition, from_rad)
             for thruster in self.thrusters.thrusters
         ]
         return Weather(DYNAMIC_FACTOR * loads.sum(axis=0), losses.MISCELLANEOUS * np.array(vented))
@@ -107,11 +107,11 @@ class CapabilityPlot:
         return [
             [Piece()]
             if thruster.kind != "azimuth" or i in case.lost
-            else convex_pieces(
+            else split_force_set_into_convex_pieces(
                 thruster.sector_rad,
-                losses.forbidden_zones(thruster, working),
-                losses.dead_losses(thruster, dead),
-                losses.skeg_losses(thruster, self.hull),
+                losses.find_forbidden_thrust_directions(thruster, working),
+                losses.list_losses_at_dead_thrusters(thruster, dead),
+                losses.list_losses_at_skegs(thruster, self.hull),
                 step,
             )
             for i, thruster in enumerate(every)

@@ -8,7 +8,7 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.bench.capability.choices import find_least_use_and_pieces
 from dpbench.bench.capability.utilisation import Utilisation
-from dpbench.ship.capability.shapes import Piece, convex_pieces
+from dpbench.ship.capability.shapes import Piece, split_force_set_into_convex_pieces
 from dpbench.ship.layout import AXES
 from dpbench.ship.thrusters import ThrusterSet
 
@@ -26,7 +26,7 @@ class ThrusterReach:
         self._utilisation = Utilisation(thrusters)
         self._shares = np.ones(len(thrusters.thrusters))
         self._list_piece_choices = tuple(
-            tuple(convex_pieces(thruster.sector_rad, [], [], [], _CHORD_RAD))
+            tuple(split_force_set_into_convex_pieces(thruster.sector_rad, [], [], [], _CHORD_RAD))
             if thruster.kind == "azimuth"
             else (Piece(),)
             for thruster in thrusters.thrusters

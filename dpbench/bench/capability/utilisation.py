@@ -99,7 +99,9 @@ class Utilisation:
         cones = self._cones[key]
         if not cones.entries.size:
             return np.inf if load.any() else 0.0, unused
-        balance = (self._thrusters.per_entry(shares) * self._balance)[:, cones.entries]
+        balance = (self._thrusters.repeat_for_each_force_entry(shares) * self._balance)[
+            :, cones.entries
+        ]
         wanted = -load / self._units
         if not _is_in_span(balance, wanted):
             return np.inf, unused
@@ -153,13 +155,14 @@ class _Cones:
         alive = [i for i in range(len(choices)) if i not in lost]
         several = [i for i in alive if len(choices[i]) > 1]
         width = 1 + sum(
-            len(choices[i]) * (thrusters.thrusters[i].components + (i in several)) for i in alive
+            len(choices[i]) * (thrusters.thrusters[i].component_count + (i in several))
+            for i in alive
         )
         rows = _ConeRows(width)
         self.sizes = [np.zeros(len(pieces), dtype=np.intp) for pieces in choices]
         entries: list[int] = []
         for i in alive:
-            thruster, own = thrusters.thrusters[i], thrusters.slices[i]
+            thruster, own = thrusters.thrusters[i], thrusters.slices_in_force_vector[i]
             is_round = thruster.kind == "azimuth" and sides is None
             for k, piece in enumerate(choices[i]):
                 entries += range(own.start, own.stop)

@@ -266,8 +266,8 @@ def _make_allocation_columns(
     answers, second, second_own = log.allocation, scaled.allocation, own.allocation
     if answers is None or second is None or second_own is None:
         return columns
-    base = second.base()
-    own_base = base if own is scaled else second_own.base()
+    base = second.make_qp_of_zero_demand()
+    own_base = base if own is scaled else second_own.make_qp_of_zero_demand()
 
     def rebuilt(k: int) -> tuple[QPStep, QPStep]:
         recorded = k, log.demand, log.thrust

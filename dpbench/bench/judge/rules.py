@@ -37,7 +37,7 @@ the last nothing is proven.
 NO_ANSWER_CLAIMS = tuple(status.name for status in Status if status.claims_no_optimum_exists)
 """Status names of the claims that there is no optimum."""
 _UNFINISHED = tuple(status.name for status in Status if status.is_applied_though_unfinished)
-_NO_USE = tuple(status.name for status in Status if not status.is_answer_applied)
+_NO_USE = tuple(status.name for status in Status if not status.is_usable)
 
 
 def has_comparable_times(concurrency: float, machine_id: str, of_folder: str) -> bool:

@@ -25,7 +25,7 @@ def compute_used_thrust_and_power_shares(scenario: Scenario, f: Matrix) -> dict[
     if control is None:
         return {}
     thrusters = control.thrusters
-    size, most = thrusters.magnitudes(f), thrusters.thrust_N
+    size, most = thrusters.thruster_force_magnitudes(f), thrusters.largest_thrusts_N
     power: Vector = (size**1.5).sum(axis=1) / (most**1.5).sum()
     return {"thrust_share": size.sum(axis=1) / most.sum(), "power_share": power}
 
@@ -36,11 +36,11 @@ def compute_thruster_metrics(
     """Return thrust, power, wear and limit metrics of the thruster forces f (K, n_f) [N]."""
     control = scenario.controller.commanded
     assert control is not None, "a controller of thrusters"
-    step_max = control.thrusters.step_max(scenario.sample_s)
+    step_max = control.thrusters.largest_force_changes_per_sample(scenario.sample_s)
     before = np.array([control.force_before(f, k) for k in range(len(f))])
     change = f - before
     shares = compute_used_thrust_and_power_shares(scenario, f)
-    per_entry = control.thrusters.per_entry(control.thrusters.thrust_N)
+    per_entry = control.thrusters.repeat_for_each_force_entry(control.thrusters.largest_thrusts_N)
     turned_deg, reversals = _azimuth_travel_and_reversals(control, f, before)
     at_rate = np.abs(change) >= (1.0 - AT_LIMIT) * step_max
     at_limit, violated = _limit_share_and_violations(control, step_max, f, before, limits)
@@ -61,12 +61,12 @@ def _azimuth_travel_and_reversals(
 ) -> tuple[float, float]:
     """Return how far azimuth thrusters turned [°], and how often fixed thrusters reversed."""
     turned, reversals = 0.0, 0
-    parts = zip(control.thrusters.thrusters, control.thrusters.slices, strict=True)
+    parts = zip(control.thrusters.thrusters, control.thrusters.slices_in_force_vector, strict=True)
     for thruster, at in parts:
         now, then = f[:, at], before[:, at]
         least = PUSHING * thruster.thrust_N
         pushing = (np.linalg.norm(now, axis=1) > least) & (np.linalg.norm(then, axis=1) > least)
-        if thruster.components == 2:
+        if thruster.component_count == 2:
             cross = then[:, 0] * now[:, 1] - then[:, 1] * now[:, 0]
             turned += float(np.abs(np.arctan2(cross, (now * then).sum(axis=1)))[pushing].sum())
         else:
@@ -82,7 +82,7 @@ def _limit_share_and_violations(
 
     What the rate leaves of a limit that has just dropped is not beyond it.
     """
-    unit, G = control.rows.row_units(step_max), control.rows.G
+    unit, G = control.rows.largest_row_changes_per_step(step_max), control.rows.G
     low, high = stack_limits(limits[: len(f)])
     lost = np.array([in_force.lost for in_force in limits[: len(f)]])[:, control.rows.thruster]
     along = f @ G.T
@@ -95,7 +95,10 @@ def _limit_share_and_violations(
     violated = int(too_fast.sum())
     for k in np.flatnonzero(beyond & ~too_fast).tolist():
         change = along[k] - G @ before[k]
-        least, most = (side[0] * unit for side in ramp_down.compute_limits(before[k], limits[k]))
+        least, most = (
+            side[0] * unit
+            for side in ramp_down.compute_gradually_tightened_limits(before[k], limits[k])
+        )
         outside = (change > most + 1e-9 * unit) | (change < least - 1e-9 * unit)
         violated += bool(outside.any())
     return float(at_limit.mean()), float(violated)

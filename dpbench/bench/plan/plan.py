@@ -244,7 +244,7 @@ def _consequence_cells(
     sequence = _replay_name(table, scenario, steps)
     return [
         cell
-        for group in thrusters.groups
+        for group in thrusters.indices_by_failure_group
         for cell in replay_cells(
             suite,
             table,

@@ -75,8 +75,14 @@ class Allocator(Actuation):
         super().__init__(np.zeros(len(problem.df_max)), u, log.demand)
         self._builder, self._log, self._solver, self._clock = builder, log, solver, clock
         self._T_e, self._limit = problem.T_e, cascade.control.move_limit(problem.df_max)
-        losses = ((k, problem.pseudo_inverse(limits.lost)) for k, limits in cascade.losses)
-        self._inverses: list[tuple[int, Matrix]] = [(0, problem.pseudo_inverse()), *losses]
+        losses = (
+            (k, problem.compute_weighted_pseudo_inverse(limits.lost))
+            for k, limits in cascade.losses
+        )
+        self._inverses: list[tuple[int, Matrix]] = [
+            (0, problem.compute_weighted_pseudo_inverse()),
+            *losses,
+        ]
 
     def prepare(self) -> None:
         """Set up the allocation solver before the first step."""

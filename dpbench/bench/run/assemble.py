@@ -78,7 +78,7 @@ def closed_loop_setup(
     if builder.allocation is not None and log.allocation is not None:
         # As it is in every formulation: it has no states, and equalities no well-posed one-sided
         # form.
-        second = BoxFormulation(builder.allocation.base())
+        second = BoxFormulation(builder.allocation.make_qp_of_zero_demand())
         setup.allocating = build_solver(
             workspace.open_again(), second, log.allocation, skips=last in twice
         )

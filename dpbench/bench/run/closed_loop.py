@@ -62,7 +62,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     clock, steps = setup.clock, scenario.steps
     plant = _build_plant(scenario)
     weather = scenario.environment
-    sea = weather.stage_table(steps, scenario.sample_s, SUBSTEPS, setup.drawn)
+    sea = weather.build_weather_table_at_stages(steps, scenario.sample_s, SUBSTEPS, setup.drawn)
     sensors, estimator = Sensors(weather, steps, scenario.sample_s), scenario.estimator()
     solver, law, emit = _choose_controller_parts(setup)
     formulate, answer, moves = solver.formulate, solver.answer, builder.condensed.moves
@@ -78,7 +78,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     act, commanded = actuation.apply_step, scenario.controller.commanded
     trips = {} if commanded is None else dict(commanded.trips)
     actuation.prepare()
-    sense, estimate = sensors.sense, estimator.update
+    sense, estimate = sensors.measure_state, estimator.update_and_return_state
     log.counters[:] = np.nan
     log.setup_once_ns[0] = solver.prepare()
     log.theta[:, theta.y_ref], log.theta[:, theta.one] = reference[:steps], 1.0
@@ -110,7 +110,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
         record_answer(log, 0, k, solution, solver.waited_ns)
         # As the overhead is what neither solver takes.
         t3 += act(k)
-        plant.advance(command, sea[k])
+        plant.advance_by_one_sample(command, sea[k])
         log.state[k + 1] = state
         t4 = clock()
         log.times[0, k] = (t2 - t1, *solver.phases_ns, t4 - t0 - (t3 - t2))
@@ -148,6 +148,6 @@ def _build_plant(scenario: Scenario) -> Plant:
         scenario.true_ship,
         scenario.first_state,
         scenario.sample_s,
-        loads=scenario.environment.load_coefficients(scenario.vessel),
+        loads=scenario.environment.wind_and_drift_coefficients(scenario.vessel),
         actuators=scenario.actuators,
     )

@@ -97,7 +97,7 @@ class ExactLoop:
         keep a lost thruster at zero do not count.
     optima : certified, of each step in scaled units.
     demand (K, 3), allocated : of a cascade, the demanded force and the optima of its second QPs.
-    drawn : what all runs in the same weather share, see `Environment.precompute_weather`.
+    drawn : what all runs in the same weather share, drawn by the environment.
     """
 
     theta: Matrix
@@ -186,11 +186,15 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
     workspace, second = ExactWorkspace(), ExactWorkspace()
     clock = time.perf_counter_ns
     timed_solver = TimedSolver(workspace, BoxFormulation(base), clock)
-    drawn = scenario.environment.precompute_weather(scenario.steps, scenario.sample_s, SUBSTEPS)
+    drawn = scenario.environment.draw_wind_and_waves_at_stages(
+        scenario.steps, scenario.sample_s, SUBSTEPS
+    )
     setup = ClosedLoopSetup(scenario, builder, timed_solver, log, DEFAULT_FALLBACK, 2**62, clock)
     setup.drawn = drawn
     if builder.allocation is not None:
-        setup.allocating = TimedSolver(second, BoxFormulation(builder.allocation.base()), clock)
+        setup.allocating = TimedSolver(
+            second, BoxFormulation(builder.allocation.make_qp_of_zero_demand()), clock
+        )
     closed_loop(setup)
     active = _has_active_limits(base, workspace.optima, _rows_without_force(builder))
     loop = log.theta, log.state, log.tau, log.thrust, log.z[0], active, workspace.optima
@@ -206,7 +210,7 @@ def _rows_without_force(builder: QPBuilder) -> list[Flags]:
         fixed = limits.low == limits.high
         if thrusters is not None:
             fixed |= limits.lost[thrusters.thruster]
-        rows.append(condensed.spread_over_moves(fixed))
+        rows.append(condensed.repeat_flags_for_each_move(fixed))
     return rows
 
 
@@ -300,7 +304,7 @@ def _rebuild_sparse_sequence(
     assert staged is not None, "asked for"
     steps = [builder.rebuild(k, row) for k, row in enumerate(theta, first)]
     sequence = QPSequence(name, staged.problem(steps[0]), **_stack_vectors(steps))
-    return SparseEquivalent(sequence, staged.condensed)
+    return SparseEquivalent(sequence, staged.convert_solution_to_condensed)
 
 
 def _stack_vectors(steps: Sequence[QPStep]) -> dict[str, Any]:

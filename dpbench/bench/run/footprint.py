@@ -173,7 +173,7 @@ def measure_step_memory(
     made = [solver.formulate(sequence.step(k)) for k in range(steps)]
 
     def answer(k: int) -> None:
-        if not solver.answer(made[k]).status.is_answer_applied:
+        if not solver.answer(made[k]).status.is_usable:
             solver.reset()
 
     growth = []
@@ -192,7 +192,7 @@ def measure_step_memory(
         solution = solver.answer(made[k])
         blocks[k] += sys.getallocatedblocks()
         peaks[k] += tracemalloc.get_traced_memory()[1]
-        if not solution.status.is_answer_applied:
+        if not solution.status.is_usable:
             solver.reset()
         # Or the next step would free this answer while its own are counted.
         del solution

@@ -166,7 +166,9 @@ def loop_formulation(
     model = builder.staged.control.model
     at_rest = np.zeros(model.n_x), np.zeros(model.n_y), np.zeros(model.n_u)
     staged = builder.staged
-    return SparseFormulation(staged.problem(staged.emit(*at_rest)), staged.condensed)
+    return SparseFormulation(
+        staged.problem(staged.emit(*at_rest)), staged.convert_solution_to_condensed
+    )
 
 
 def replay_formulation(

@@ -72,10 +72,10 @@ def _measure_offsets(
     wanted = scenario.build_reference_table(len(state))
     north, east, turn = (state[:, POSE] - wanted).T
     offset, heading = np.hypot(north, east), np.degrees(np.abs(turn))
-    radius_m = RADIUS_M * scale.length
+    radius_m = RADIUS_M * scale.length_factor
     distance = np.maximum(offset / radius_m, heading / HEADING_DEG)
     moved = (np.diff(wanted, axis=0, prepend=wanted[:1]) != 0.0).any(axis=1)
-    hold = round(ARRIVAL_S * scale.time / scenario.sample_s)
+    hold = round(ARRIVAL_S * scale.time_and_speed_factor / scenario.sample_s)
     return offset, heading, distance, find_arrivals(distance, moved, hold), radius_m
 
 

@@ -36,7 +36,7 @@ class StepTimeLimitError(TimeoutError):
 
 def is_usable(solution: Solution) -> bool:
     """Return whether a closed loop can apply an answer: by its status, and if z is finite."""
-    return solution.status.is_answer_applied and math.isfinite(solution.z.sum())
+    return solution.status.is_usable and math.isfinite(solution.z.sum())
 
 
 class TimedSolver:

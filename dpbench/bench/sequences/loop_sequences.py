@@ -65,12 +65,12 @@ def build_consequence_sequence(
     thrusters, rows = select_thruster_rows(scenario)
     # What a fault of the run takes shrinks the limits just as the loss does.
     low, high = stack_limits(scenario.controller.thruster_limits(len(tau)))
-    least, most, _ = rows.limits_after_loss(thrusters.groups[group])
+    least, most, _ = rows.limits_after_loss_of_thrusters(thrusters.indices_by_failure_group[group])
     low, high = np.maximum(low, least), np.minimum(high, most)
     allocation = AllocationAfterLoss(thrusters, rows)
     required = margin * filter_force(tau, scenario.sample_s)
-    l, u = allocation.limits(required, low, high)  # noqa: E741 - lower row limits, as in l ≤ Az ≤ u
-    base = allocation.problem(l[0], u[0])
+    l, u = allocation.stack_row_limits_of_demands(required, low, high)  # noqa: E741 - lower row limits, as in l ≤ Az ≤ u
+    base = allocation.make_qp_with_row_limits(l[0], u[0])
     meta: dict[str, str | float | int]
     meta = {"scenario": scenario.name, "group": group, "sample_s": scenario.sample_s}
     name = f"{scenario.name}, {group} lost"

@@ -56,7 +56,7 @@ def record_scenario(
     exact = solve_exactly(scenario)
     exact.require_certificates(scenario.name)
     sequence = rebuild_sequence(scenario, exact, part=part)
-    meta = sequence.meta | scenario.problem.horizons
+    meta = sequence.meta | scenario.problem.horizons_by_name
     sequence = thin_sequence(replace(sequence, meta=meta), None, every)
     builder = QPBuilder(scenario, "si")
     units = builder.condensed.scale

@@ -16,8 +16,8 @@ from dpbench.bench.workers.interrupts import forget_interrupts
 from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.model import build_prediction_model
-from dpbench.mpc.move_limits import limit_move
-from dpbench.mpc.reference import unwrap_pose
+from dpbench.mpc.move_limits import write_limited_command
+from dpbench.mpc.reference import shift_target_heading_near_start
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.ship.drag import HullDrag
@@ -34,9 +34,9 @@ def _compile_kernels() -> None:
     hull = HullDrag(along=1.0, across=1.0, centre_m=0.0, length_m=1.0, fading_mps=1.0)
     for drag, loads, columns in ((None, None, 3), (None, np.zeros(6), 9), (hull, np.zeros(6), 9)):
         plant = Plant(replace(ship, drag=drag), np.zeros(6), 0.1, loads=loads)
-        plant.advance(three, np.zeros((2 * SUBSTEPS + 1, columns)))
-    limit_move(three, three, three, -three, three, np.empty(3))
-    unwrap_pose(three, three)
+        plant.advance_by_one_sample(three, np.zeros((2 * SUBSTEPS + 1, columns)))
+    write_limited_command(three, three, three, -three, three, np.empty(3))
+    shift_target_heading_near_start(three, three)
     model = build_prediction_model(ship.M, ship.D, 0.0, 0.1)
     CondensedQP(ControlProblem(model, 3, 2, np.eye(3), np.eye(3), -three, three, three))
     time_kernels(time.perf_counter_ns)

@@ -220,7 +220,7 @@ def _save_case(path: Path, case: Case, facts: dict[str, Any]) -> None:
             "error_plan": repr(worst.error_plan),
             "status": worst.status.name.lower(),
         }
-    meta = case.sequence.meta | scenario.problem.horizons
+    meta = case.sequence.meta | scenario.problem.horizons_by_name
     meta |= {f"worst_case_{name}": fact for name, fact in facts.items()}
     sequence = replace(case.sequence, meta=meta)
     units = QPBuilder(scenario, "si").condensed.scale

@@ -46,11 +46,15 @@ class SearchSpace:
         self._files, self._steps, self._name = scenario.files, steps, name
         scale = Froude(float(scenario.files["vessel"]["model_scale"]))
         # The documents speak of a full-size ship, the scenario of the one it is run with.
-        self._reference = scenario.reference / scale.pose
-        self._reach = np.maximum(REACH, np.abs(scenario.start - scenario.reference) / scale.pose)
-        self._fastest = np.maximum(SPEED_REACH, np.abs(scenario.velocity) / scale.velocity)
+        self._reference = scenario.reference / scale.pose_factors
+        self._reach = np.maximum(
+            REACH, np.abs(scenario.start - scenario.reference) / scale.pose_factors
+        )
+        self._fastest = np.maximum(SPEED_REACH, np.abs(scenario.velocity) / scale.velocity_factors)
         vessel = scenario.vessel
-        self._force_kN = _KN_PER_N * np.minimum(-vessel.tau_min, vessel.tau_max) / scale.force
+        self._force_kN = (
+            _KN_PER_N * np.minimum(-vessel.tau_min, vessel.tau_max) / scale.force_and_moment_factors
+        )
         faults = scenario.files["scenario"]["faults"]
         self._first_fault_s = min((fault["at_s"] for fault in faults), default=None)
 

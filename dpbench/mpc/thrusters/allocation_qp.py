@@ -2,7 +2,7 @@
 
     min ½ fᵀW f + ½ ΔfᵀR Δf + ½ sᵀΩ s,   f = f_prev + Δf
     s.t. T_e f + s = τ_c                 s, the slack, is the missing part of the demanded force
-         low ≤ G f ≤ high                     polygons of the thrusters (`thruster_rows`)
+         low ≤ G f ≤ high                     polygons of the thrusters (`thruster_rows.py`)
          −Δf_max ≤ Δf ≤ Δf_max
 
 Scaled: z = [Δf/Δf_max; s/Δτ_max], the first rows over Δτ_max, the others over the change of G f by
@@ -49,11 +49,11 @@ class AllocationProblem:
         require_shapes_and_make_contiguous(self, shapes)
 
     @cached_property
-    def row_max(self) -> Vector:
+    def largest_row_changes_per_step(self) -> Vector:
         """Unit of each thruster-limit row (r,): its change by a full rate-limit step."""
-        return self.rows.row_units(self.df_max)
+        return self.rows.largest_row_changes_per_step(self.df_max)
 
-    def pseudo_inverse(self, lost: Flags = NOTHING_LOST) -> Matrix:
+    def compute_weighted_pseudo_inverse(self, lost: Flags = NOTHING_LOST) -> Matrix:
         """Return the weighted pseudo-inverse (n_f, 3) of T_e, an allocation without limits.
 
         Thrusters that are `lost` (p,) get nothing; where the others cannot make every force,
@@ -77,21 +77,21 @@ class AllocationQP:
 
     def __init__(self, problem: AllocationProblem, *, units: UnitSystem = "scaled") -> None:
         self.allocation, self.units = problem, units
-        n_f, r = len(problem.df_max), len(problem.row_max)
+        n_f, r = len(problem.df_max), len(problem.largest_row_changes_per_step)
         self.n_f, self.n, self.m = n_f, n_f + AXES, AXES + r
         unit = np.concatenate([problem.df_max, problem.step_max])
-        row_unit = np.concatenate([problem.step_max, problem.row_max])
+        row_unit = np.concatenate([problem.step_max, problem.largest_row_changes_per_step])
         si, one = Units(unit, row_unit), Units(np.ones(self.n), np.ones(self.m))
         # What one unit of a variable and of a row is in [N, N·m] is the other of the two.
         self.scale, own = (one, si) if units == "scaled" else (si, one)
         self._unit, self._row_unit = own.z, own.row
-        self._build_matrices()
+        self._build_matrices_and_affine_maps()
         self._theta = np.ones(AXES + n_f + 1)
-        of_limits = problem.row_max / self._row_unit[AXES:]
-        rates = problem.df_max, problem.row_max
+        of_limits = problem.largest_row_changes_per_step / self._row_unit[AXES:]
+        rates = problem.df_max, problem.largest_row_changes_per_step
         self._ramp_down = LimitRampDown(problem.rows, *rates, 1, factor=of_limits)
 
-    def _build_matrices(self) -> None:
+    def _build_matrices_and_affine_maps(self) -> None:
         """Build matrices, bounds and affine maps of the QP that allocates a force to thrusters."""
         problem, n_f, n, m = self.allocation, self.n_f, self.n, self.m
         unit, row_unit = self._unit, self._row_unit[:, np.newaxis]
@@ -128,7 +128,7 @@ class AllocationQP:
             self._ramp_down.write_limits(f_prev, limits, step.l[AXES:], step.u[AXES:])
         return step
 
-    def base(self) -> QuadraticProgram:
+    def make_qp_of_zero_demand(self) -> QuadraticProgram:
         """Return the QP of zero force and zero demand, to set up a solver's workspace."""
         return self.problem(self.emit(np.zeros(AXES), np.zeros(self.n_f)))
 

@@ -35,7 +35,7 @@ class AttainableSet:
     normals: Matrix
     corners: tuple[Matrix, ...]
 
-    def limits(self, lost: Collection[int]) -> Limits:
+    def facet_limits_after_loss(self, lost: Collection[int]) -> Limits:
         """Return the facets' limits after a loss; all force is lost where the set is empty."""
         low, high = np.zeros(len(self.normals)), np.zeros(len(self.normals))
         for i, corners in enumerate(self.corners):
@@ -45,28 +45,32 @@ class AttainableSet:
                 high += along.max(axis=1)
         return Limits(low, high, np.array([(low == high).any()]))
 
-    def rows(self) -> ThrusterRows:
+    def to_linear_limit_rows(self) -> ThrusterRows:
         """Return the polytope of attainable forces as linear limits on force and moment."""
-        low, high, _ = self.limits(())
+        low, high, _ = self.facet_limits_after_loss(())
         one_group = (np.zeros(size, dtype=np.intp) for size in (len(low), AXES))
         return ThrusterRows(self.normals, low, high, *one_group)
 
 
-def attainable_set(thrusters: ThrusterSet, sides: int) -> AttainableSet:
+def build_attainable_force_polytope(thrusters: ThrusterSet, sides: int) -> AttainableSet:
     """Return the polytope of attainable forces, circles as polygons; InputError for a sector."""
-    corners = ((t, _thruster_corners(t, sides, thrusters.where)) for t in thrusters.thrusters)
-    parts = [along @ thruster.columns.T for thruster, along in corners]
+    corners = (
+        (t, _list_force_corners_of_thruster(t, sides, thrusters.where)) for t in thrusters.thrusters
+    )
+    parts = [along @ thruster.configuration_columns.T for thruster, along in corners]
     # In metres of arm, moments weigh as forces do, and edges can be compared.
     arm = np.array([1.0, 1.0, 1.0 / thrusters.longest_arm_m])
-    edges = np.vstack([_edge_directions(part * arm) for part in parts])
+    edges = np.vstack([_list_unit_edge_directions(part * arm) for part in parts])
     pairs = np.triu_indices(len(edges), 1)
     crossed = np.cross(edges[pairs[0]], edges[pairs[1]])
     size = np.linalg.norm(crossed, axis=1)
-    normals = _remove_parallel(crossed[size > _PARALLEL] / size[size > _PARALLEL, np.newaxis])
+    normals = _remove_parallel_directions(
+        crossed[size > _PARALLEL] / size[size > _PARALLEL, np.newaxis]
+    )
     return AttainableSet(np.ascontiguousarray(normals * arm), tuple(parts))
 
 
-def _thruster_corners(thruster: Thruster, sides: int, where: str) -> Matrix:
+def _list_force_corners_of_thruster(thruster: Thruster, sides: int, where: str) -> Matrix:
     """Return the corner forces (v, components) of one thruster's limits, in order."""
     if thruster.sector_rad is not None:
         found = f"a sector of {thruster.name}"
@@ -77,13 +81,13 @@ def _thruster_corners(thruster: Thruster, sides: int, where: str) -> Matrix:
     return thruster.thrust_N * np.column_stack((np.cos(angle), np.sin(angle)))
 
 
-def _edge_directions(corners: Matrix) -> Matrix:
+def _list_unit_edge_directions(corners: Matrix) -> Matrix:
     """Return the unit directions (e, 3) of a polygon's edges, parallel ones once."""
     along = np.roll(corners, -1, axis=0) - corners
-    return _remove_parallel(along / np.linalg.norm(along, axis=1, keepdims=True))
+    return _remove_parallel_directions(along / np.linalg.norm(along, axis=1, keepdims=True))
 
 
-def _remove_parallel(directions: Matrix) -> Matrix:
+def _remove_parallel_directions(directions: Matrix) -> Matrix:
     """Return unit vectors (k, 3) without those parallel to an earlier one."""
     first = np.argmax(np.abs(directions) > 1e-6, axis=1)
     sign = np.sign(directions[np.arange(len(directions)), first])

@@ -41,9 +41,9 @@ class AzimuthTurning:
     least_N: Vector
 
     @classmethod
-    def of(cls, thrusters: ThrusterSet, sample_s: float) -> AzimuthTurning:
+    def select_from_thrusters(cls, thrusters: ThrusterSet, sample_s: float) -> AzimuthTurning:
         """Select the thrusters of a ship that have a known turning rate."""
-        pairs = zip(thrusters.thrusters, thrusters.slices, strict=True)
+        pairs = zip(thrusters.thrusters, thrusters.slices_in_force_vector, strict=True)
         turning = [(t, at) for t, at in pairs if t.turning_radps is not None]
         rates = [t.turning_radps or 0.0 for t, _ in turning]
         return cls(
@@ -52,15 +52,17 @@ class AzimuthTurning:
             np.array([LEAST * t.thrust_N for t, _ in turning]),
         )
 
-    def directions(self, f: Vector) -> tuple[Vector, Vector, Vector]:
+    def force_directions_and_side_limits(self, f: Vector) -> tuple[Vector, Vector, Vector]:
         """Return each azimuth's direction (cos, sin) and largest sideways change per sample [N]."""
         parts = zip(f[self.x], f[self.x + 1], self.arc, self.least_N, strict=True)
-        c, s, most = np.array([_azimuth_direction(*part) for part in parts]).reshape(-1, 3).T
+        c, s, most = (
+            np.array([_force_direction_and_side_limit(*part) for part in parts]).reshape(-1, 3).T
+        )
         return c, s, most
 
-    def limit_move(self, f: Vector, move: Vector, du_max: Vector) -> Vector:
+    def clip_force_changes_to_rates(self, f: Vector, move: Vector, du_max: Vector) -> Vector:
         """Return the force changes (n_f,) cut to the limits of thrust rate and turning rate."""
-        c, s, most = self.directions(f)
+        c, s, most = self.force_directions_and_side_limits(f)
         x, y, unit = move[self.x], move[self.x + 1], du_max[self.x]
         radial = np.clip(c * x + s * y, -unit, unit)
         tangential = np.clip(c * y - s * x, -most, most)
@@ -81,13 +83,15 @@ class TurningLimit(ThrusterLimit):
         super().__init__(rows, du_max)
         self._turning = turning
 
-    def _limit_rate(self, u: Vector, du: Vector) -> Vector:
+    def _clip_to_force_rate(self, u: Vector, du: Vector) -> Vector:
         """Return the force changes du (n_f,) cut to the limits of thrust rate and turning rate."""
-        return self._turning.limit_move(u, super()._limit_rate(u, du), self._du_max)
+        return self._turning.clip_force_changes_to_rates(
+            u, super()._clip_to_force_rate(u, du), self._du_max
+        )
 
 
 @njit(cache=True, error_model="numpy")
-def _azimuth_direction(along, across, arc, least_N):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+def _force_direction_and_side_limit(along, across, arc, least_N):  # type: ignore[no-untyped-def] # compiled: numba finds the types
     """Return an azimuth's force direction (cos, sin) and its largest sideways force change [N]."""
     size = np.sqrt(along * along + across * across)
     most = max(size, least_N) * arc
@@ -113,7 +117,7 @@ class TurningQP(CondensedQP):
         first = rows - 2 * a + 2 * np.arange(a)
         self._table: Matrix = np.vstack([turning.x, *limits, first]).astype(np.float64)
 
-    def _extra_blocks(self) -> list[ConstraintBlock]:
+    def _list_extra_constraint_blocks(self) -> list[ConstraintBlock]:
         """Return two constraints per azimuth on force change along and across it at zero force."""
         problem, turning = self.control, self.turning
         N_c, n_u, a = problem.N_c, problem.model.n_u, len(turning.x)
@@ -133,22 +137,25 @@ class TurningQP(CondensedQP):
         """Return one step's QP, with azimuth turning constraints set by the last forces."""
         step = super().emit(x, y_ref, u_prev, limits=limits)
         A: Matrix = self.A.copy()
-        _write_turning_rows(self._table, u_prev, A, step.l, step.u, self.control.N_c)
+        _write_turning_constraint_matrix(self._table, u_prev, A, step.l, step.u, self.control.N_c)
         step.A = A
         return step
 
 
-# Rows of the table of `_write_turning_rows`, a column an azimuth; FIRST is the first of its rows.
+# Rows of the table of `_write_turning_constraint_matrix`, a column an azimuth;
+# FIRST is the first of its rows.
 X, ARC, LEAST_N, RADIAL, UNIT, FIRST = range(6)
 
 
 @njit(cache=True, error_model="numpy")
-def _write_turning_rows(table, f, A, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; of l ≤ Az ≤ u
+def _write_turning_constraint_matrix(table, f, A, l, u, N_c):  # type: ignore[no-untyped-def] # noqa: E741 - compiled: numba finds the types; of l ≤ Az ≤ u
     """Write the rows that limit each azimuth's force change along and across its direction."""
     rows, block = A.shape[0] // N_c, A.shape[1] // N_c
     for j in range(table.shape[1]):
         at, radial = int(table[X, j]), table[RADIAL, j]
-        c, s, most = _azimuth_direction(f[at], f[at + 1], table[ARC, j], table[LEAST_N, j])
+        c, s, most = _force_direction_and_side_limit(
+            f[at], f[at + 1], table[ARC, j], table[LEAST_N, j]
+        )
         across = most / table[UNIT, j]
         for i in range(N_c):
             r, x = i * rows + int(table[FIRST, j]), i * block + at

@@ -5,7 +5,7 @@
 Scaled: z = f/T with the nominal thrusts T, the balance over ΣT and ΣT·arm. The rows are
 
     balance (3)    T_e T z = −load                     as equalities
-    thrusters      of `thruster_rows`, ± β_i           circles as polygons with `sides` sides
+    thrusters      of `thruster_rows.py`, ± β_i           circles as polygons with `sides` sides
     sectors        0 ≤ n·z_i ≤ 2                       of an azimuth's piece, two each
     chords         −2 ≤ n·z_i ≤ β_i h                  in which losses cut the circle
 
@@ -21,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.mpc.thruster_rows import ThrusterRows, thruster_rows
+from dpbench.mpc.thruster_rows import ThrusterRows, build_limit_rows_of_thrusters
 from dpbench.qp.program import QuadraticProgram
 from dpbench.ship.capability.shapes import Piece
 from dpbench.ship.thrusters import ThrusterSet
@@ -42,13 +42,13 @@ class StaticAllocation:
     ) -> None:
         round_ones = tuple(replace(t, sector_rad=None) for t in thrusters.thrusters)
         self._thrusters = thrusters
-        self._rows = thruster_rows(ThrusterSet(round_ones, thrusters.where), sides)
+        self._rows = build_limit_rows_of_thrusters(ThrusterSet(round_ones, thrusters.where), sides)
         self._extra = [2 * int(has) + count for has, count in zip(sectors, chords, strict=True)]
         self._sectors = list(sectors)
         self.units = compute_balance_units(thrusters)
         self._balance = build_balance_matrix(thrusters)
 
-    def build_qp(
+    def build_qp_for_static_load(
         self, load: Vector, shares: Vector, chosen: Sequence[Piece], lost: frozenset[int]
     ) -> QuadraticProgram:
         """Return the QP that allocates a static load to thrusters, each in one convex force region.
@@ -56,11 +56,13 @@ class StaticAllocation:
         load : (3,) mean load times its factor [N, N, N·m]; chosen : (p,) a piece of each thruster;
         shares : (p,) effective over nominal thrust; lost : indices of those that give nothing.
         """
-        T, rows = self._thrusters.thrust_N, self._rows
+        T, rows = self._thrusters.largest_thrusts_N, self._rows
         given = [i not in lost for i in range(len(T))]
         over = shares[rows.thruster] / T[rows.thruster]
-        blocks = [self._sector_and_chord_rows(i, chosen[i], shares[i]) for i in range(len(T))]
-        balance = self._balance * self._thrusters.per_entry(np.array(given, dtype=np.float64))
+        blocks = [self._build_sector_and_chord_rows(i, chosen[i], shares[i]) for i in range(len(T))]
+        balance = self._balance * self._thrusters.repeat_for_each_force_entry(
+            np.array(given, dtype=np.float64)
+        )
         A = np.vstack([balance, rows.G, *(block[0] for block in blocks)])
         right = -load / self.units
         low = np.concatenate([right, rows.low * over, *(block[1] for block in blocks)])
@@ -68,7 +70,7 @@ class StaticAllocation:
         n = self._thrusters.n_f
         return QuadraticProgram(np.eye(n), np.zeros(n), A, low, high, -np.ones(n), np.ones(n))
 
-    def _sector_and_chord_rows(
+    def _build_sector_and_chord_rows(
         self, i: int, piece: Piece, share: float
     ) -> tuple[Matrix, Vector, Vector]:
         """Return rows, low and high that keep an azimuth in its sector and inside loss chords."""
@@ -84,7 +86,7 @@ class StaticAllocation:
         normals[cut], high[cut] = piece.chords[:, :2], share * piece.chords[:, 2]
         A = np.zeros((count, self._thrusters.n_f))
         if count:
-            A[:, self._thrusters.slices[i]] = normals
+            A[:, self._thrusters.slices_in_force_vector[i]] = normals
         return A, low, high
 
 
@@ -99,15 +101,17 @@ class AllocationAfterLoss:
 
     def __init__(self, thrusters: ThrusterSet, rows: ThrusterRows) -> None:
         self._units = compute_balance_units(thrusters)
-        self._thrust = thrusters.thrust_N[rows.thruster]
+        self._thrust = thrusters.largest_thrusts_N[rows.thruster]
         self._A = np.vstack([build_balance_matrix(thrusters), rows.G])
 
-    def limits(self, force: Matrix, low: Matrix, high: Matrix) -> tuple[Matrix, Matrix]:
+    def stack_row_limits_of_demands(
+        self, force: Matrix, low: Matrix, high: Matrix
+    ) -> tuple[Matrix, Matrix]:
         """Return QP row limits (K, 3 + r) for K demanded forces and thruster limits (K, r) [N]."""
         balance = force / self._units
         return (np.hstack([balance, low / self._thrust]), np.hstack([balance, high / self._thrust]))
 
-    def problem(self, l: Vector, u: Vector) -> QuadraticProgram:  # noqa: E741 - of l ≤ Az ≤ u
+    def make_qp_with_row_limits(self, l: Vector, u: Vector) -> QuadraticProgram:  # noqa: E741 - of l ≤ Az ≤ u
         """Return the allocation QP with row limits l and u (3 + r,)."""
         n = self._A.shape[1]
         return QuadraticProgram(np.eye(n), np.zeros(n), self._A, l, u, -np.ones(n), np.ones(n))
@@ -120,12 +124,12 @@ def compute_sector_normals(start: float, end: float) -> Matrix:
 
 def compute_balance_units(thrusters: ThrusterSet) -> Vector:
     """Return the units (3,) of the force balance: ΣT [N], ΣT [N], ΣT times longest arm [N·m]."""
-    total = float(thrusters.thrust_N.sum())
+    total = float(thrusters.largest_thrusts_N.sum())
     return np.array([total, total, total * thrusters.longest_arm_m])
 
 
 def build_balance_matrix(thrusters: ThrusterSet) -> Matrix:
     """Return the scaled matrix (3, n_f) from relative thruster forces to force and moment."""
-    thrust = thrusters.per_entry(thrusters.thrust_N)
+    thrust = thrusters.repeat_for_each_force_entry(thrusters.largest_thrusts_N)
     matrix: Matrix = thrusters.T_e * thrust / compute_balance_units(thrusters)[:, np.newaxis]
     return matrix

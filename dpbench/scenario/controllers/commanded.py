@@ -7,7 +7,7 @@ import numpy as np
 from dpbench.arrays import Flags, Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.mpc.move_limits import MoveLimit, ThrusterLimit
-from dpbench.mpc.thruster_rows import ThrusterRows, thruster_rows
+from dpbench.mpc.thruster_rows import ThrusterRows, build_limit_rows_of_thrusters
 from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning, TurningLimit
 from dpbench.scenario.controllers.specification import ControllerSpec
 from dpbench.ship.thrusters import ThrusterSet, Trips
@@ -58,7 +58,9 @@ class TurningThrusterControl(ThrusterControl):
         too_fast = super().exceeds_rate(f, before, df_max)
         for k in np.flatnonzero(~too_fast).tolist():
             change = f[k] - before[k]
-            away = np.abs(self.turning.limit_move(before[k], change, df_max) - change)
+            away = np.abs(
+                self.turning.clip_force_changes_to_rates(before[k], change, df_max) - change
+            )
             too_fast[k] = bool((away > 1e-6 * df_max).any())
         return too_fast
 
@@ -67,15 +69,18 @@ def build_thruster_control(spec: ControllerSpec) -> ThrusterControl:
     """Build a controller's commanded thrusters; InputError without any, or for wrong turning."""
     table, where = spec.thruster_table, spec.where
     thrusters = spec.require_thrusters("kind", spec.table.kind, "forces")
-    W = np.diag(table.thrust_weight_relative / thrusters.per_entry(thrusters.thrust_N) ** 2)
-    rows = thruster_rows(thrusters, table.polygon_sides)
+    W = np.diag(
+        table.thrust_weight_relative
+        / thrusters.repeat_for_each_force_entry(thrusters.largest_thrusts_N) ** 2
+    )
+    rows = build_limit_rows_of_thrusters(thrusters, table.polygon_sides)
     if not table.azimuth_turning:
         return ThrusterControl(thrusters, rows, W, trips=spec.trips)
     key = "controller.thrusters.azimuth_turning"
     if spec.table.linearisation == "each_step":
         allowed = 'false where controller.linearisation is "each_step"'
         raise InputError(where, key, "true", allowed)
-    turning = AzimuthTurning.of(thrusters, spec.sample_s)
+    turning = AzimuthTurning.select_from_thrusters(thrusters, spec.sample_s)
     if not len(turning.x):
         allowed = f"false, or turning_degps of an azimuth in the file of vessel {spec.vessel.id}"
         raise InputError(where, key, "true", allowed)

@@ -13,7 +13,7 @@ from dpbench.arrays import Matrix
 from dpbench.errors import InputError
 from dpbench.mpc.condense import ControlProblem, UnitSystem
 from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
-from dpbench.mpc.move_limits import MoveLimit, move_limit
+from dpbench.mpc.move_limits import MoveLimit, make_increment_limiter
 from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.staged_qp import StagedQP
 from dpbench.mpc.thruster_rows import Limits
@@ -102,7 +102,7 @@ class Controller(ABC):
 
     def move_limit(self) -> MoveLimit:
         """Return the limiter of control increments between the plan and the applied force."""
-        return move_limit(self.problem)
+        return make_increment_limiter(self.problem)
 
     @property
     def built_in_limits(self) -> Limits | None:

@@ -9,7 +9,7 @@ import numpy as np
 from dpbench.arrays import Matrix, Vector
 from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.thruster_rows import Limits
-from dpbench.mpc.thrusters.attainable_set import attainable_set
+from dpbench.mpc.thrusters.attainable_set import build_attainable_force_polytope
 from dpbench.scenario.controllers.controller import Changes, Controller, MetricGroup
 from dpbench.scenario.controllers.specification import ControllerSpec
 
@@ -46,7 +46,7 @@ class JointForceController(ForceController):
 def build_force_plan(spec: ControllerSpec) -> tuple[ControlProblem, Changes]:
     """Return the MPC problem of a planned force, and the changes of its limits by faults."""
     ship = spec.vessel
-    R, du_max = np.diag(_move_weights(spec)), ship.step_max(spec.sample_s)
+    R, du_max = np.diag(_move_weights(spec)), ship.largest_force_change_per_sample(spec.sample_s)
     if spec.table.limits == "box":
         rows, limits = None, Limits(ship.tau_min, ship.tau_max)
         changes = tuple(
@@ -55,10 +55,10 @@ def build_force_plan(spec: ControllerSpec) -> tuple[ControlProblem, Changes]:
         )
     else:
         thrusters = spec.require_thrusters("limits", "attainable", "box")
-        attainable = attainable_set(thrusters, spec.table.attainable_sides)
-        rows = attainable.rows()
+        attainable = build_attainable_force_polytope(thrusters, spec.table.attainable_sides)
+        rows = attainable.to_linear_limit_rows()
         limits = rows.intact
-        changes = tuple((k, attainable.limits(lost)) for k, lost in spec.losses)
+        changes = tuple((k, attainable.facet_limits_after_loss(lost)) for k, lost in spec.losses)
     return spec.build_problem(limits, du_max, R, rows=rows), changes
 
 
@@ -66,6 +66,9 @@ def _move_weights(spec: ControllerSpec) -> Vector:
     """Return the weights R (3,) of the control increments, in SI units."""
     table = spec.table
     if table.move_weight_relative is not None:
-        return np.array(table.move_weight_relative) / spec.vessel.step_max(spec.sample_s) ** 2
+        return (
+            np.array(table.move_weight_relative)
+            / spec.vessel.largest_force_change_per_sample(spec.sample_s) ** 2
+        )
     assert table.move_weight is not None, "the table demands one of the two"
-    return np.array(table.move_weight) / spec.scale.force**2
+    return np.array(table.move_weight) / spec.scale.force_and_moment_factors**2

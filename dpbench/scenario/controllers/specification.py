@@ -110,7 +110,7 @@ class ControllerSpec:
         if T_e is not None:
             model = StateSpace(model.A, model.B @ T_e, model.C)
         horizons = table.prediction_horizon, table.control_horizon
-        Q = np.diag(np.array(table.output_weight) / self.scale.pose**2)
+        Q = np.diag(np.array(table.output_weight) / self.scale.pose_factors**2)
         sides = limits.low, limits.high, du_max
         return ControlProblem(model, *horizons, Q, R, *sides, table.terminal, rows, W)
 
@@ -127,8 +127,8 @@ class ControllerSpec:
             return None
         return OutputBounds(
             self.sample_s,
-            None if table.radius_m is None else table.radius_m * self.scale.length,
-            None if table.speed_mps is None else table.speed_mps * self.scale.time,
+            None if table.radius_m is None else table.radius_m * self.scale.length_factor,
+            None if table.speed_mps is None else table.speed_mps * self.scale.time_and_speed_factor,
         )
 
     def require_thrusters(self, key: str, value: str, otherwise: str) -> ThrusterSet:
@@ -164,7 +164,9 @@ class ControllerSpec:
             if fault.lost is not None:
                 assert self.vessel.thrusters is not None, "known by now"
                 key = f"faults.{i}.lost"
-                lost = lost | self.vessel.thrusters.find_indices(fault.lost, self.where, key)
+                lost = lost | self.vessel.thrusters.find_indices_of_thrusters_or_groups(
+                    fault.lost, self.where, key
+                )
                 losses.append((k, lost))
         return losses
 
@@ -174,8 +176,10 @@ class ControllerSpec:
         thrusters, trips = self.vessel.thrusters, []
         for i, (k, fault) in enumerate(self._sorted_faults):
             if fault.loss == "trip" and fault.lost is not None and thrusters is not None:
-                lost = thrusters.find_indices(fault.lost, self.where, f"faults.{i}.lost")
-                trips.append((k, thrusters.find_entries(lost)))
+                lost = thrusters.find_indices_of_thrusters_or_groups(
+                    fault.lost, self.where, f"faults.{i}.lost"
+                )
+                trips.append((k, thrusters.find_force_entries_of_thrusters(lost)))
         return tuple(trips)
 
     def refuse_trips(self) -> None:

@@ -47,11 +47,11 @@ class ThrusterController(Controller):
         if isinstance(control, TurningThrusterControl):
             planning["linearisation"] = turning_rows(control.turning)
         thrusters, rows = control.thrusters, control.rows
-        df_max = thrusters.step_max(spec.sample_s)
+        df_max = thrusters.largest_force_changes_per_sample(spec.sample_s)
         R = np.diag(spec.thruster_table.move_weight_relative / df_max**2)
         T_e = thrusters.T_e
         problem = spec.build_problem(rows.intact, df_max, R, rows=rows, T_e=T_e, W=control.W)
-        changes = tuple((k, rows.limits_after_loss(lost)) for k, lost in spec.losses)
+        changes = tuple((k, rows.limits_after_loss_of_thrusters(lost)) for k, lost in spec.losses)
         return cls(problem=problem, changes=changes, control=control, **planning)
 
     @property
@@ -98,7 +98,7 @@ class CascadeController(ForceController):
         spec.check_faults(lost=True, limit_share=spec.table.limits == "box")
         problem, changes = build_force_plan(spec)
         thrusters, rows = control.thrusters, control.rows
-        df_max, step_max = thrusters.step_max(spec.sample_s), problem.du_max
+        df_max, step_max = thrusters.largest_force_changes_per_sample(spec.sample_s), problem.du_max
         assert table.slack_weight_relative is not None, "the table demands it"
         R = np.diag(table.move_weight_relative / df_max**2)
         slack = np.diag(table.slack_weight_relative / step_max**2)
@@ -110,7 +110,7 @@ class CascadeController(ForceController):
                 thrusters.T_e, rows, control.W, R, slack, df_max, step_max
             ),
             by_qp=table.allocation != "pseudo_inverse",
-            losses=tuple((k, rows.limits_after_loss(lost)) for k, lost in spec.losses),
+            losses=tuple((k, rows.limits_after_loss_of_thrusters(lost)) for k, lost in spec.losses),
             **spec.planning,
         )
 

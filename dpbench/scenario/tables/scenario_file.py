@@ -255,7 +255,9 @@ class ReferenceTable(PoseTable):
         # To read a file takes none of the compiled modules.
         from dpbench.mpc.reference import ReferenceFilter
 
-        return ReferenceFilter(self.filter.period_s * scale.time, self.filter.damping)
+        return ReferenceFilter(
+            self.filter.period_s * scale.time_and_speed_factor, self.filter.damping
+        )
 
 
 class ScenarioFile(FileModel):

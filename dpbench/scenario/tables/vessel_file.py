@@ -14,8 +14,8 @@ from dpbench.scenario.problem_files import FileModel
 from dpbench.scenario.tables import key_types as keys
 from dpbench.ship.capability.loads import CapabilityHull
 from dpbench.ship.drag import HullDrag
-from dpbench.ship.thrusters import Screw, Thruster, ThrusterSet, nominal_thrust_N
-from dpbench.ship.vessel import Vessel, descale_bis, descale_bis_damping
+from dpbench.ship.thrusters import Screw, Thruster, ThrusterSet, compute_nominal_thrust_N
+from dpbench.ship.vessel import Vessel, convert_bis_damping_to_si, convert_bis_inertia_to_si
 from dpbench.ship.weather.waves import WATER_DENSITY, WaveReflection
 from dpbench.ship.weather.wind import Windage
 
@@ -112,7 +112,7 @@ class ThrusterTable(FileModel):
             thrust_N = 1e3 * self.thrust_kN
         else:
             assert self.power_kW and self.diameter_m and self.propeller, "the validator demands it"
-            thrust_N = nominal_thrust_N(self.power_kW, self.diameter_m, self.propeller)
+            thrust_N = compute_nominal_thrust_N(self.power_kW, self.diameter_m, self.propeller)
             screw = Screw(self.diameter_m, self.propeller, self.height_m)
         sector = None
         if self.sector_deg is not None:
@@ -239,8 +239,8 @@ class VesselFile(FileModel):
             M, D = np.array(self.inertia), np.array(self.damping)
         else:
             assert self.mass_kg is not None, "the validator demands it beside inertia_bis"
-            M = descale_bis(np.array(self.inertia_bis), self.mass_kg, self.length_m)
-            D = descale_bis_damping(np.array(self.damping_bis), self.mass_kg, self.length_m)
+            M = convert_bis_inertia_to_si(np.array(self.inertia_bis), self.mass_kg, self.length_m)
+            D = convert_bis_damping_to_si(np.array(self.damping_bis), self.mass_kg, self.length_m)
         thrusters = self._build_thrusters(where)
         low, high, rate = self._force_limits(thrusters)
         air, water = self.windage, self.reflection
@@ -249,7 +249,7 @@ class VesselFile(FileModel):
         hull = None
         if self.capability and windage:
             hull = self.capability.build_hull(self.length_m, windage)
-        drag = HullDrag.of(hull) if hull and self.drag == "cross_flow" else None
+        drag = HullDrag.from_hull(hull) if hull and self.drag == "cross_flow" else None
         ship = (name, self.title, self.source, self.length_m, M, D, low, high, rate, where)
         try:
             vessel = Vessel(*ship, windage, reflection, thrusters, hull, drag)
@@ -282,7 +282,10 @@ class VesselFile(FileModel):
         """Return the lower, upper and rate limits of the control force, (3,) each."""
         if self.limits is None:
             assert thrusters is not None, "the validator demands one of the two"
-            return *thrusters.limits(), thrusters.rate()
+            return (
+                *thrusters.least_and_largest_force_by_axis(),
+                thrusters.largest_force_rate_by_axis(),
+            )
         ranges = np.array([self.limits.surge_N, self.limits.sway_N, self.limits.yaw_Nm])
         low, high = np.ascontiguousarray(ranges.T)
         return low, high, np.array(self.limits.rate_max_N_per_s)

@@ -16,7 +16,7 @@ from dpbench.scenario.tables import key_types as keys
 from dpbench.ship.environment import Current, Environment, SensorNoise, Squall
 from dpbench.ship.froude import Froude
 from dpbench.ship.weather.waves import FirstOrderMotion, Sea, WaveDrift
-from dpbench.ship.weather.wind import Wind, towards_rad
+from dpbench.ship.weather.wind import Wind, convert_from_deg_to_towards_rad
 
 _PER_KN = 1000.0
 
@@ -47,11 +47,11 @@ class SquallTable(FileModel):
     def build_squall(self, scale: Froude) -> Squall:
         """Build the squall of a scenario file's table in SI units, Froude-scaled."""
         return Squall(
-            self.start_s * scale.time,
-            self.rise_s * scale.time,
-            self.hold_until_s * scale.time,
-            self.decay_s * scale.time,
-            _PER_KN * np.array(self.force_kN) * scale.force,
+            self.start_s * scale.time_and_speed_factor,
+            self.rise_s * scale.time_and_speed_factor,
+            self.hold_until_s * scale.time_and_speed_factor,
+            self.decay_s * scale.time_and_speed_factor,
+            _PER_KN * np.array(self.force_kN) * scale.force_and_moment_factors,
         )
 
 
@@ -67,7 +67,12 @@ class WindTable(FileModel):
 
     def build_wind(self, scale: Froude) -> Wind:
         """Build the wind of a scenario file's table in SI units, Froude-scaled."""
-        return Wind(self.speed_mps * scale.time, towards_rad(self.from_deg), self.gusts, scale)
+        return Wind(
+            self.speed_mps * scale.time_and_speed_factor,
+            convert_from_deg_to_towards_rad(self.from_deg),
+            self.gusts,
+            scale,
+        )
 
 
 class CurrentTable(FileModel):
@@ -80,7 +85,7 @@ class CurrentTable(FileModel):
 
     def build_current(self, scale: Froude) -> Current:
         """Build the current of a scenario file's table in SI units, Froude-scaled."""
-        return Current(self.speed_mps * scale.time, math.radians(self.towards_deg))
+        return Current(self.speed_mps * scale.time_and_speed_factor, math.radians(self.towards_deg))
 
 
 class MotionTable(FileModel):
@@ -112,23 +117,32 @@ class WavesTable(FileModel):
 
     def build_sea(self, scale: Froude) -> Sea:
         """Build the sea of a scenario file's table in SI units, Froude-scaled."""
-        to_rad = towards_rad(self.from_deg)
-        return Sea(self.hs_m * scale.length, self.tp_s * scale.time, to_rad, self.gamma, scale)
+        to_rad = convert_from_deg_to_towards_rad(self.from_deg)
+        return Sea(
+            self.hs_m * scale.length_factor,
+            self.tp_s * scale.time_and_speed_factor,
+            to_rad,
+            self.gamma,
+            scale,
+        )
 
     def build_motion(self, scale: Froude) -> FirstOrderMotion | None:
         """Return the wave-frequency motion in SI units; None where the measurement shows none."""
         motion = self.motion
         if motion is None:
             return None
-        sea, turn = self.build_sea(scale), math.radians(motion.heading_deg_per_m) / scale.length
+        sea, turn = (
+            self.build_sea(scale),
+            math.radians(motion.heading_deg_per_m) / scale.length_factor,
+        )
         return FirstOrderMotion(sea, motion.along_m_per_m, motion.across_m_per_m, turn)
 
     def motion_std(self, scale: Froude) -> Vector:
         """Return the standard deviation (3,) [m, m, rad] of the wave-frequency motion."""
         motion = self.motion or MotionTable()
-        elevation = 0.25 * self.hs_m * scale.length
+        elevation = 0.25 * self.hs_m * scale.length_factor
         widest = max(abs(motion.along_m_per_m), abs(motion.across_m_per_m))
-        turn = abs(math.radians(motion.heading_deg_per_m)) / scale.length
+        turn = abs(math.radians(motion.heading_deg_per_m)) / scale.length_factor
         return elevation * np.array([widest, widest, turn])
 
 
@@ -142,7 +156,7 @@ class NoiseTable(FileModel):
 
     def std(self, scale: Froude) -> Vector:
         """Return the standard deviations (3,) [m, m, rad] of the sensor noise."""
-        metres = self.position_m * scale.length
+        metres = self.position_m * scale.length_factor
         return np.array([metres, metres, math.radians(self.heading_deg)])
 
 
@@ -183,11 +197,11 @@ class EnvironmentTable(FileModel):
         """Build all weather of a scenario file's table in SI units, Froude-scaled."""
         sea = self.waves.build_sea(scale) if self.waves else None
         return Environment(
-            _PER_KN * np.array(self.mean_kN) * scale.force,
-            _PER_KN * np.array(self.amplitude_kN) * scale.force,
-            np.array(self.period_s) * scale.time,
+            _PER_KN * np.array(self.mean_kN) * scale.force_and_moment_factors,
+            _PER_KN * np.array(self.amplitude_kN) * scale.force_and_moment_factors,
+            np.array(self.period_s) * scale.time_and_speed_factor,
             np.array(self.phase_rad),
-            self.ramp_s * scale.time,
+            self.ramp_s * scale.time_and_speed_factor,
             squalls=tuple(squall.build_squall(scale) for squall in self.squalls),
             wind=self.wind.build_wind(scale) if self.wind else None,
             current=self.current.build_current(scale) if self.current else None,

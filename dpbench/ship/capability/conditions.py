@@ -43,7 +43,7 @@ class Condition:
         return self.tp_s / 1.4049
 
 
-def interpolate_condition(wind_mps: float) -> Condition:
+def interpolate_condition_at_wind_speed(wind_mps: float) -> Condition:
     """Return the waves and current for a wind speed; interpolation in the table is ours."""
     columns = (float(np.interp(wind_mps, _TABLE[:, 0], column)) for column in _TABLE.T[1:])
     return Condition(wind_mps, *columns)

@@ -22,7 +22,7 @@ import numpy as np
 
 from dpbench.arrays import Matrix
 from dpbench.ship.capability.conditions import Condition
-from dpbench.ship.weather.waves import GRAVITY, WATER_DENSITY, period_factor
+from dpbench.ship.weather.waves import GRAVITY, WATER_DENSITY, compute_drift_factor_of_period
 from dpbench.ship.weather.wind import AIR_DENSITY
 
 DYNAMIC_FACTOR = 1.25  # By which thrust has to exceed the mean loads (3.2.2)
@@ -60,22 +60,24 @@ class CapabilityHull:
     assumed: tuple[str, ...] = ()
 
 
-def fold_angle(from_rad: float) -> float:
+def mirror_angle_to_one_side(from_rad: float) -> float:
     """Return the angle from which weather comes, mirrored to one side of the ship: 0 to π."""
     return abs(math.remainder(from_rad, 2.0 * math.pi))
 
 
-def mean_loads(hull: CapabilityHull, condition: Condition, from_rad: float) -> Matrix:
+def compute_mean_environmental_loads(
+    hull: CapabilityHull, condition: Condition, from_rad: float
+) -> Matrix:
     """Return the mean loads of wind, current and waves in surge, sway [N] and yaw [N·m]: (3, 3)."""
     along, across = math.cos(from_rad), math.sin(from_rad)
-    side = fold_angle(from_rad) / math.pi
+    side = mirror_angle_to_one_side(from_rad) / math.pi
     L = hull.length_m
     air = 0.5 * AIR_DENSITY * condition.wind_mps**2
     wind_arm = hull.lateral_x_m + 0.3 * (1.0 - 2.0 * side) * L
     water = 0.5 * WATER_DENSITY * condition.current_mps**2
     shift = min(max(0.4 * (1.0 - 2.0 * side), -0.2), 0.25)
     wave_arm = hull.submerged_x_m + (0.05 - 0.14 * side) * hull.submerged_length_m
-    drift_x, drift_y = _wave_drift(hull, condition, from_rad)
+    drift_x, drift_y = _compute_mean_wave_drift_force(hull, condition, from_rad)
     forces = [
         (-0.7 * air * hull.frontal_m2 * along, -0.9 * air * hull.lateral_m2 * across, wind_arm),
         (
@@ -88,14 +90,22 @@ def mean_loads(hull: CapabilityHull, condition: Condition, from_rad: float) -> M
     return np.array([(X, Y, Y * arm) for X, Y, arm in forces])
 
 
-def _wave_drift(hull: CapabilityHull, condition: Condition, from_rad: float) -> tuple[float, float]:
+def _compute_mean_wave_drift_force(
+    hull: CapabilityHull, condition: Condition, from_rad: float
+) -> tuple[float, float]:
     """Return the mean wave drift force in surge and sway [N]."""
     pressure = 0.09 * 0.5 * WATER_DENSITY * GRAVITY * condition.hs_m**2
-    Tz, turned = condition.zero_crossing_s, fold_angle(from_rad)
+    Tz, turned = condition.zero_crossing_s, mirror_angle_to_one_side(from_rad)
     ahead = 0.8 * hull.bow_angle_rad**0.45
     astern = 0.7 * min(max(hull.aft_fullness, 0.85), 1.15) ** 2
     h1 = ahead + turned / math.pi * (astern - ahead)
     h2 = 0.05 + 0.95 * math.atan(1.45 * (turned - 1.75))
-    surge = pressure * hull.breadth_m * h1 * h2 * period_factor(Tz / (0.9 * hull.length_m**0.33))
-    beam = period_factor(Tz / (0.75 * math.sqrt(hull.breadth_m)))
+    surge = (
+        pressure
+        * hull.breadth_m
+        * h1
+        * h2
+        * compute_drift_factor_of_period(Tz / (0.9 * hull.length_m**0.33))
+    )
+    beam = compute_drift_factor_of_period(Tz / (0.75 * math.sqrt(hull.breadth_m)))
     return surge, -pressure * hull.submerged_length_m * math.sin(from_rad) * beam

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 from dpbench.ship.capability.conditions import Condition
-from dpbench.ship.capability.loads import CapabilityHull, fold_angle
+from dpbench.ship.capability.loads import CapabilityHull, mirror_angle_to_one_side
 from dpbench.ship.thrusters import Thruster
 
 MISCELLANEOUS = 0.9  # β_misc
@@ -27,14 +27,14 @@ FLUSHING_DIAMETERS = 15.0
 TURN = 2.0 * math.pi
 
 
-def thrust_share_when_vented(
+def compute_thrust_share_when_vented(
     thruster: Thruster, hull: CapabilityHull, condition: Condition, from_rad: float
 ) -> float:
     """Return the share of thrust left when waves let the propeller draw air (β_vent)."""
     screw = thruster.screw
     if screw is None or screw.height_m is None:
         return 1.0
-    turned = fold_angle(from_rad)
+    turned = mirror_angle_to_one_side(from_rad)
     abeam = 1.0 + 0.38 * min(turned, math.pi - turned) / math.pi
     aft = 1.0 + 0.4 * min(thruster.x_m, 0.0) / hull.length_m
     period = min(0.64 * math.sqrt(hull.length_m) / condition.zero_crossing_s, 1.0)
@@ -54,13 +54,15 @@ class Loss:
     end: float
     share: Callable[[float], float]
 
-    def share_at(self, direction: float) -> float:
+    def thrust_share_in_direction(self, direction: float) -> float:
         """Return the share of thrust left in a direction [rad]; 1 outside the range of loss."""
         inside = self.start + (direction - self.start) % TURN
         return self.share(inside) if inside < self.end else 1.0
 
 
-def forbidden_zones(thruster: Thruster, working: Sequence[Thruster]) -> list[tuple[float, float]]:
+def find_forbidden_thrust_directions(
+    thruster: Thruster, working: Sequence[Thruster]
+) -> list[tuple[float, float]]:
     """Return directions [rad] in which an azimuth's propeller race would hit a working thruster."""
     screw = thruster.screw
     if thruster.kind != "azimuth" or screw is None:
@@ -72,12 +74,12 @@ def forbidden_zones(thruster: Thruster, working: Sequence[Thruster]) -> list[tup
             continue
         if 0.0 < distance < FLUSHING_DIAMETERS * screw.diameter_m:
             half = math.atan(0.1 + screw.diameter_m / distance)
-            centre = _direction_away(thruster, other)
+            centre = _direction_hitting_other_thruster(thruster, other)
             zones.append((centre - half, centre + half))
     return zones
 
 
-def dead_losses(thruster: Thruster, dead: Sequence[Thruster]) -> list[Loss]:
+def list_losses_at_dead_thrusters(thruster: Thruster, dead: Sequence[Thruster]) -> list[Loss]:
     """Return the losses of an azimuth that hits a dead thruster: straight lines from β to 1."""
     screw = thruster.screw
     if thruster.kind != "azimuth" or screw is None:
@@ -91,16 +93,20 @@ def dead_losses(thruster: Thruster, dead: Sequence[Thruster]) -> list[Loss]:
             continue
         half = math.atan(spread / diameters)
         beta = 1.0 - 1.0 / (0.02 * diameters**2 + 0.25 * diameters + 1.2)
-        losses.append(_dead_thruster_loss(_direction_away(thruster, other), half, beta))
+        losses.append(
+            _make_loss_of_one_dead_thruster(
+                _direction_hitting_other_thruster(thruster, other), half, beta
+            )
+        )
     return losses
 
 
-def _direction_away(thruster: Thruster, other: Thruster) -> float:
+def _direction_hitting_other_thruster(thruster: Thruster, other: Thruster) -> float:
     """Return the direction [rad] of thrust that sends a thruster's race onto another thruster."""
     return math.atan2(thruster.y_m - other.y_m, thruster.x_m - other.x_m)
 
 
-def _dead_thruster_loss(centre: float, half: float, beta: float) -> Loss:
+def _make_loss_of_one_dead_thruster(centre: float, half: float, beta: float) -> Loss:
     """Return a thrust loss by a dead thruster: share `beta` left at the centre, 1 at the edges."""
 
     def share(direction: float) -> float:
@@ -110,7 +116,7 @@ def _dead_thruster_loss(centre: float, half: float, beta: float) -> Loss:
     return Loss(centre - half, centre, centre + half, share)
 
 
-def skeg_losses(thruster: Thruster, hull: CapabilityHull) -> list[Loss]:
+def list_losses_at_skegs(thruster: Thruster, hull: CapabilityHull) -> list[Loss]:
     """Return the thrust losses of an azimuth whose propeller race hits a skeg.
 
     Tables 3-7 and 3-8 are mirror images, so they are one in the angle towards the thruster's side.
@@ -127,11 +133,11 @@ def skeg_losses(thruster: Thruster, hull: CapabilityHull) -> list[Loss]:
         distance = math.hypot(ahead, aside) if ahead > 0.0 else aside
         if aside > 0.0 and distance < reach * screw.diameter_m:
             jet = math.atan(0.6 * screw.diameter_m / distance)
-            losses.append(_skeg_loss(ahead, aside, jet, thruster.y_m < y_m))
+            losses.append(_make_loss_of_one_skeg(ahead, aside, jet, thruster.y_m < y_m))
     return losses
 
 
-def _skeg_loss(ahead: float, aside: float, jet: float, to_port: bool) -> Loss:
+def _make_loss_of_one_skeg(ahead: float, aside: float, jet: float, to_port: bool) -> Loss:
     """Return an azimuth's thrust loss by one skeg, `ahead` and `aside` [m] of it."""
     flush = 0.5 * math.pi + math.atan(ahead / aside)
     worst = min(max(flush + jet, 0.5 * math.pi), math.pi)

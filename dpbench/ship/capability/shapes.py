@@ -36,7 +36,7 @@ class Piece:
     chords: Matrix = field(default_factory=lambda: np.zeros((0, 3)))
 
 
-def convex_pieces(
+def split_force_set_into_convex_pieces(
     sector: tuple[float, float] | None,
     zones: Sequence[tuple[float, float]],
     dead: Sequence[Loss],
@@ -53,8 +53,8 @@ def convex_pieces(
     if sector is None and not zones and not edge.kinks:
         return [Piece()]
     allowed: list[Piece] = []
-    for start, end in _allowed_arcs(sector, zones, edge):
-        allowed += edge.cut(start, end, step_rad)
+    for start, end in _find_allowed_direction_ranges(sector, zones, edge):
+        allowed += edge.cut_sector_into_convex_pieces(start, end, step_rad)
     return allowed
 
 
@@ -66,19 +66,22 @@ class _ThrustEdge:
         losses = [*dead, *skegs]
         self.kinks = [angle for loss in losses for angle in (loss.start, loss.worst, loss.end)]
 
-    def share(self, direction: float) -> float:
+    def thrust_share_in_direction(self, direction: float) -> float:
         """Return the share of thrust left in a direction [rad] after all losses."""
         dead, skegs = (
-            min((loss.share_at(direction) for loss in losses), default=1.0) for losses in self._both
+            min((loss.thrust_share_in_direction(direction) for loss in losses), default=1.0)
+            for losses in self._both
         )
         return dead * skegs
 
-    def cut(self, start: float, end: float, step_rad: float) -> list[Piece]:
+    def cut_sector_into_convex_pieces(
+        self, start: float, end: float, step_rad: float
+    ) -> list[Piece]:
         """Cut an azimuth's attainable forces between two directions [rad] into convex pieces."""
-        corners = self._corner_directions(start, end, step_rad)
-        points = [self._edge_point(corner) for corner in corners]
+        corners = self._choose_polygon_corner_directions(start, end, step_rad)
+        points = [self._largest_thrust_vector_in_direction(corner) for corner in corners]
         sides = zip(pairwise(corners), pairwise(points), strict=True)
-        tangents = [self._end_tangents(a, b, p, q) for (a, b), (p, q) in sides]
+        tangents = [self._compute_end_tangents_and_chord(a, b, p, q) for (a, b), (p, q) in sides]
         cuts, first = [], 0
         for i in range(1, len(tangents)):
             wide = corners[i + 1] - corners[first] > math.pi + _ROUNDING
@@ -90,34 +93,43 @@ class _ThrustEdge:
         chords = [[chord for _, _, chord in tangents[a:b] if chord] for a, b in cuts]
         for (a, b), rows in zip(cuts, chords, strict=True):
             if len(rows) == b - a and min(row[2] for row in rows) < _THROUGH_ORIGIN:
-                rows.append(_outer_row(0.5 * (corners[a] + corners[b]), points[a : b + 1]))
+                rows.append(
+                    _compute_supporting_halfplane(
+                        0.5 * (corners[a] + corners[b]), points[a : b + 1]
+                    )
+                )
         return [
             Piece((corners[a], corners[b]), np.array(rows, dtype=np.float64).reshape(-1, 3))
             for (a, b), rows in zip(cuts, chords, strict=True)
         ]
 
-    def _corner_directions(self, start: float, end: float, step_rad: float) -> list[float]:
+    def _choose_polygon_corner_directions(
+        self, start: float, end: float, step_rad: float
+    ) -> list[float]:
         """Return directions [rad] of polygon corners that approximate the thrust limit."""
         between = {start + (kink - start) % TURN for kink in self.kinks}
         main = [start, *sorted(a for a in between if start + _ROUNDING < a < end - _ROUNDING), end]
         corners = [start]
         for a, b in pairwise(main):
-            lossy = self.share(0.5 * (a + b)) < 1.0
+            lossy = self.thrust_share_in_direction(0.5 * (a + b)) < 1.0
             count = math.ceil((b - a) / (step_rad if lossy else math.pi) - _ROUNDING)
             corners += np.linspace(a, b, max(count, 1) + 1)[1:].tolist()
         return corners
 
-    def _edge_point(self, direction: float) -> tuple[float, float]:
+    def _largest_thrust_vector_in_direction(self, direction: float) -> tuple[float, float]:
         """Return the largest thrust vector in a direction [rad], relative to nominal thrust."""
         # At a kink where a loss ends abruptly the lesser thrust counts.
-        share = min(self.share(direction - _ROUNDING), self.share(direction + _ROUNDING))
+        share = min(
+            self.thrust_share_in_direction(direction - _ROUNDING),
+            self.thrust_share_in_direction(direction + _ROUNDING),
+        )
         return share * math.cos(direction), share * math.sin(direction)
 
-    def _end_tangents(
+    def _compute_end_tangents_and_chord(
         self, a: float, b: float, p: tuple[float, float], q: tuple[float, float]
     ) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float, float] | None]:
         """Return tangents at both ends of a thrust-limit segment; its chord if thrust is lost."""
-        if self.share(0.5 * (a + b)) >= 1.0:
+        if self.thrust_share_in_direction(0.5 * (a + b)) >= 1.0:
             return (-math.sin(a), math.cos(a)), (-math.sin(b), math.cos(b)), None
         length = math.hypot(q[0] - p[0], q[1] - p[1])
         along = (q[0] - p[0]) / length, (q[1] - p[1]) / length
@@ -125,7 +137,7 @@ class _ThrustEdge:
         return along, along, (*normal, normal[0] * p[0] + normal[1] * p[1])
 
 
-def _outer_row(
+def _compute_supporting_halfplane(
     direction: float, points: Sequence[tuple[float, float]]
 ) -> tuple[float, float, float]:
     """Return n_x, n_y and h of the closest row n·f ≤ h on points, n in a direction [rad]."""
@@ -133,23 +145,25 @@ def _outer_row(
     return (*normal, max(normal[0] * x + normal[1] * y for x, y in points))
 
 
-def _allowed_arcs(
+def _find_allowed_direction_ranges(
     sector: tuple[float, float] | None, zones: Sequence[tuple[float, float]], edge: _ThrustEdge
 ) -> list[tuple[float, float]]:
     """Return the ranges of directions [rad] inside the sector and outside all forbidden zones."""
     if sector is None:
         # A turn begins at the bottom of a notch, where it is cut anyway, or behind a zone.
-        start = min(edge.kinks, key=edge.share) if not zones else zones[0][1]
+        start = min(edge.kinks, key=edge.thrust_share_in_direction) if not zones else zones[0][1]
         sector = start, start + TURN
     left = [sector]
     for low, high in zones:
         for turn in (-2, -1, 0, 1, 2):
             at = low + turn * TURN, high + turn * TURN
-            left = [part for arc in left for part in _subtract_arc(arc, at)]
+            left = [part for arc in left for part in _subtract_zone_from_direction_range(arc, at)]
     return left
 
 
-def _subtract_arc(arc: tuple[float, float], zone: tuple[float, float]) -> list[tuple[float, float]]:
+def _subtract_zone_from_direction_range(
+    arc: tuple[float, float], zone: tuple[float, float]
+) -> list[tuple[float, float]]:
     """Return the parts of a range of directions that lie outside a forbidden zone."""
     parts = (arc[0], min(arc[1], zone[0])), (max(arc[0], zone[1]), arc[1])
     return [part for part in parts if part[1] - part[0] > _ROUNDING]

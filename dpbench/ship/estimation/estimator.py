@@ -20,7 +20,7 @@ TURN = 2.0 * math.pi
 
 
 @njit(cache=True)
-def nearest_turn(heading_rad, near_rad):  # type: ignore[no-untyped-def] # compiled by numba
+def shift_heading_near(heading_rad, near_rad):  # type: ignore[no-untyped-def] # compiled by numba
     """Return heading_rad shifted by whole turns to within π of near_rad."""
     return heading_rad + TURN * np.rint((near_rad - heading_rad) / TURN)
 
@@ -28,8 +28,8 @@ def nearest_turn(heading_rad, near_rad):  # type: ignore[no-untyped-def] # compi
 class Estimator(ABC):
     """Estimator of the ship's low-frequency state from measured position and heading.
 
-    Order in the loop: `start` with the state at t_0, then one `update` per sample, the first with
-    the measurement at t_0 itself: it advances nothing, and its τ is not read.
+    Order in the loop: `start_from_state` at t_0, then one `update_and_return_state` per sample, the
+    first with the measurement at t_0 itself: it advances nothing, and its τ is not read.
     """
 
     change: Vector
@@ -40,11 +40,11 @@ class Estimator(ABC):
     """
 
     @abstractmethod
-    def start(self, state: Vector) -> None:
+    def start_from_state(self, state: Vector) -> None:
         """Set the estimate to the state (6,) = [u, v, r, n, e, ψ] at the start of a run."""
 
     @abstractmethod
-    def update(self, measured: Vector, tau: Vector) -> Vector:
+    def update_and_return_state(self, measured: Vector, tau: Vector) -> Vector:
         """Return the low-frequency state (6,), estimated from measurement and applied force.
 
         measured : (6,) [u, v, r, n, e, ψ] or (3,) [n, e, ψ], wave motion and noise included; ψ may
@@ -60,13 +60,13 @@ class MeasuredState(Estimator):
         self._estimate, self.change = np.zeros(STATE), np.zeros(STATE)
         self._first = True
 
-    def start(self, state: Vector) -> None:
+    def start_from_state(self, state: Vector) -> None:
         """Set the last measured state to the state (6,) at the start of a run."""
         self._estimate[...] = state
         self.change[...] = 0.0
         self._first = True
 
-    def update(self, measured: Vector, tau: Vector) -> Vector:
+    def update_and_return_state(self, measured: Vector, tau: Vector) -> Vector:
         """Return the measurement as the estimate; store its change since the last one."""
         if measured.shape != (STATE,):
             raise ShapeError.from_shapes("MeasuredState", "measured", measured.shape, "shape (6,)")

@@ -45,7 +45,7 @@ p = p − p²/(p + 1) + 1, that is p² = p + 1, so p = (1 + √5)/2 = 1.618, s =
 k = p/s = 1/p = 0.618, the share of the innovation that enters the estimate.
 
 >>> one = np.eye(3)
->>> P, S, K = _solve_riccati(one, one, one, "random walk")
+>>> P, S, K = _solve_for_covariances_and_gain(one, one, one, "random walk")
 >>> golden = (1 + math.sqrt(5)) / 2
 >>> [bool(np.allclose(X, x * one)) for X, x in ((P, golden), (S, golden + 1), (K, 1 / golden))]
 [True, True, True]
@@ -62,7 +62,7 @@ from scipy.linalg import LinAlgError, expm, solve_discrete_are
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.kernel_cache import njit
-from dpbench.ship.estimation.estimator import nearest_turn
+from dpbench.ship.estimation.estimator import shift_heading_near
 from dpbench.ship.estimation.observer import (
     BIAS,
     ETA,
@@ -73,7 +73,7 @@ from dpbench.ship.estimation.observer import (
     XI2,
     ModelObserver,
     WaveModel,
-    model_change,
+    write_model_change_of_sample,
 )
 from dpbench.ship.layout import AXES
 from dpbench.ship.vessel import Vessel
@@ -113,7 +113,7 @@ class KalmanTuning:
     where: str = "KalmanTuning"
 
     @classmethod
-    def of_ship(
+    def choose_for_ship(
         cls,
         ship: Vessel,
         waves: WaveModel,
@@ -163,14 +163,14 @@ def build_kalman_model(ship: Vessel, tuning: KalmanTuning, sample_s: float) -> K
 
     Raises InputError when the noise leaves no steady state that rounding can tell.
     """
-    A, B, E, C = _continuous_model(ship, tuning)
-    unit = _state_units(ship, tuning, len(A))
+    A, B, E, C = _build_continuous_model_matrices(ship, tuning)
+    unit = _choose_state_units(ship, tuning, len(A))
     sigma = tuning.measurement_std
-    Phi, Gamma, Q = discretise(
+    Phi, Gamma, Q = discretise_model_and_noise(
         A * unit / unit[:, None], B / unit[:, None], E / unit[:, None], sample_s
     )
     Cs = C * unit / sigma[:, None]
-    P, S, K = _solve_riccati(Phi, Cs, Q, tuning.where)
+    P, S, K = _solve_for_covariances_and_gain(Phi, Cs, Q, tuning.where)
     outer = np.outer(unit, unit)
     return KalmanModel(
         Phi=np.ascontiguousarray(Phi * unit[:, None] / unit),
@@ -184,7 +184,9 @@ def build_kalman_model(ship: Vessel, tuning: KalmanTuning, sample_s: float) -> K
     )
 
 
-def discretise(A: Matrix, B: Matrix, E: Matrix, h: float) -> tuple[Matrix, Matrix, Matrix]:
+def discretise_model_and_noise(
+    A: Matrix, B: Matrix, E: Matrix, h: float
+) -> tuple[Matrix, Matrix, Matrix]:
     """Return Φ, Γ and noise covariance Q of ẋ = A x + B u + E w, discretised exactly.
 
     w : white noise of intensity 1. Source: Van Loan, IEEE TAC 23.
@@ -197,7 +199,9 @@ def discretise(A: Matrix, B: Matrix, E: Matrix, h: float) -> tuple[Matrix, Matri
     return Phi, Gamma, 0.5 * (Q + Q.T)
 
 
-def _solve_riccati(Phi: Matrix, C: Matrix, Q: Matrix, where: str) -> tuple[Matrix, Matrix, Matrix]:
+def _solve_for_covariances_and_gain(
+    Phi: Matrix, C: Matrix, Q: Matrix, where: str
+) -> tuple[Matrix, Matrix, Matrix]:
     """Solve the Riccati equation for covariance P, innovation covariance S and gain K."""
     n, one = len(Phi), np.eye(AXES)
     allowed = "noises of comparable effect"
@@ -218,7 +222,9 @@ def _solve_riccati(Phi: Matrix, C: Matrix, Q: Matrix, where: str) -> tuple[Matri
     return P, S, K
 
 
-def _continuous_model(ship: Vessel, tuning: KalmanTuning) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+def _build_continuous_model_matrices(
+    ship: Vessel, tuning: KalmanTuning
+) -> tuple[Matrix, Matrix, Matrix, Matrix]:
     """Return matrices A, B, C, E of the filter's linear model in continuous time."""
     n = WITHOUT_WAVES if tuning.waves is None else WITH_WAVES
     Minv = np.linalg.inv(ship.M)
@@ -234,7 +240,7 @@ def _continuous_model(ship: Vessel, tuning: KalmanTuning) -> tuple[Matrix, Matri
     A[nu, nu] = -Minv @ ship.D
     E[b, on_bias], E[nu, on_speed] = np.diag(tuning.bias_noise), Minv * tuning.force_noise
     if tuning.waves is not None:
-        omega0 = tuning.waves.omega0_radps
+        omega0 = tuning.waves.natural_frequencies_radps
         A[xi1, xi2] = C[:, xi2] = one
         A[xi2, xi1] = -np.diag(omega0**2)
         A[xi2, xi2] = -np.diag(2 * tuning.waves.damping * omega0)
@@ -242,7 +248,7 @@ def _continuous_model(ship: Vessel, tuning: KalmanTuning) -> tuple[Matrix, Matri
     return A, B, E, C
 
 
-def _state_units(ship: Vessel, tuning: KalmanTuning, n: int) -> Vector:
+def _choose_state_units(ship: Vessel, tuning: KalmanTuning, n: int) -> Vector:
     """Return a unit (n,) for each state, so that the Riccati equation is well scaled.
 
     Lengths are in σ of the sensor; times in 1/ω0 with a wave filter, else in the time in which the
@@ -252,14 +258,14 @@ def _state_units(ship: Vessel, tuning: KalmanTuning, n: int) -> Vector:
     if tuning.waves is None:
         time = (mass * sigma / tuning.bias_noise) ** 0.4
     else:
-        time = 1 / tuning.waves.omega0_radps
+        time = 1 / tuning.waves.natural_frequencies_radps
     unit = np.concatenate([sigma, mass * sigma / time**2, sigma / time, sigma * time, sigma])
     scaled: Vector = unit[:n]
     return scaled
 
 
 @njit(cache=True)
-def _rotate_state(x, c, s):  # type: ignore[no-untyped-def] # compiled by numba
+def _rotate_state_in_place(x, c, s):  # type: ignore[no-untyped-def] # compiled by numba
     """Rotate the north-east parts of a state in place, by cosine c and sine s."""
     for first in (ETA, BIAS, XI1, XI2):
         if first < len(x):
@@ -269,14 +275,14 @@ def _rotate_state(x, c, s):  # type: ignore[no-untyped-def] # compiled by numba
 
 
 @njit(cache=True)
-def _filter_step(  # type: ignore[no-untyped-def] # compiled by numba
+def _advance_filter_by_one_sample(  # type: ignore[no-untyped-def] # compiled by numba
     x, measured, tau, Phi, Gamma, K, J, advance, epsilon, estimate, change
 ):
     """Predict and correct the filter state by one sample; write innovation, estimate and change."""
     n, pose = len(x), len(measured) - AXES
-    heading = nearest_turn(measured[pose + 2], x[ETA + 2])
+    heading = shift_heading_near(measured[pose + 2], x[ETA + 2])
     c, s = np.cos(heading), np.sin(heading)
-    _rotate_state(x, c, -s)
+    _rotate_state_in_place(x, c, -s)
     predicted = x.copy()
     if advance:
         for i in range(n):
@@ -295,12 +301,12 @@ def _filter_step(  # type: ignore[no-untyped-def] # compiled by numba
             epsilon[j] -= predicted[XI2 + j]
     for i in range(n):
         x[i] = predicted[i] + K[i, 0] * epsilon[0] + K[i, 1] * epsilon[1] + K[i, 2] * epsilon[2]
-    _rotate_state(x, c, s)
+    _rotate_state_in_place(x, c, s)
     for j in range(AXES):
         estimate[j] = x[NU + j]
         estimate[AXES + j] = x[ETA + j]
     if advance:
-        model_change(J, estimate, tau, x[BIAS:NU], change)
+        write_model_change_of_sample(J, estimate, tau, x[BIAS:NU], change)
 
 
 class KalmanFilter(ModelObserver):
@@ -313,9 +319,9 @@ class KalmanFilter(ModelObserver):
         self.innovation: Vector = np.zeros(AXES)
         """ε (3,) of the last update, in vessel-parallel axes [m, m, rad]; overwritten."""
 
-    def update(self, measured: Vector, tau: Vector) -> Vector:
+    def update_and_return_state(self, measured: Vector, tau: Vector) -> Vector:
         """Predict with the applied force, correct by the measurement; return the state (6,)."""
         out = self.innovation, self._estimate, self.change
-        _filter_step(self._x, measured, tau, *self._matrices, self._advance, *out)
+        _advance_filter_by_one_sample(self._x, measured, tau, *self._matrices, self._advance, *out)
         self._advance = True
         return self._estimate

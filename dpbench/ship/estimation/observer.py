@@ -57,12 +57,12 @@ class WaveModel:
     std: Vector
 
     @classmethod
-    def of_sea(cls, peak_period_s: float, std: Vector) -> WaveModel:
+    def from_peak_period(cls, peak_period_s: float, std: Vector) -> WaveModel:
         """Build the wave model of a peak period [s], with the same damping in every axis."""
         return cls(np.full(AXES, peak_period_s), np.full(AXES, JONSWAP_DAMPING), std)
 
     @property
-    def omega0_radps(self) -> Vector:
+    def natural_frequencies_radps(self) -> Vector:
         """Natural frequencies ω0 (3,) [rad/s] of the wave oscillators."""
         omega0: Vector = 2 * np.pi / self.peak_period_s
         return omega0
@@ -70,11 +70,11 @@ class WaveModel:
     @property
     def K_w(self) -> Vector:
         """Gains (3,) of the driving white noise [m/s^1.5, m/s^1.5, rad/s^1.5]."""
-        gain: Vector = 2 * self.std * np.sqrt(self.damping * self.omega0_radps)
+        gain: Vector = 2 * self.std * np.sqrt(self.damping * self.natural_frequencies_radps)
         return gain
 
 
-def change_matrix(ship: Vessel, sample_s: float) -> Matrix:
+def build_matrix_of_sample_change(ship: Vessel, sample_s: float) -> Matrix:
     """Return the matrix (6, 6) from velocity and force to a sample's change of velocity and pose.
 
     With the state [∫ν; ν] advanced by [[I, F_p], [0, F_v]] and [G_p; G_v] f over the sample, and
@@ -96,7 +96,7 @@ def change_matrix(ship: Vessel, sample_s: float) -> Matrix:
 
 
 @njit(cache=True)
-def model_change(J, estimate, tau, b, change):  # type: ignore[no-untyped-def] # compiled by numba
+def write_model_change_of_sample(J, estimate, tau, b, change):  # type: ignore[no-untyped-def] # compiled by numba
     """Write the ship model's change of velocity and pose (6,) in one sample to `change`."""
     c, s = np.cos(estimate[HEADING]), np.sin(estimate[HEADING])
     f0 = tau[0] + c * b[0] + s * b[1]
@@ -117,12 +117,12 @@ class ModelObserver(Estimator):
     """Observer base class with a ship model, a bias force and optional wave states."""
 
     def __init__(self, ship: Vessel, sample_s: float, states: int) -> None:
-        self._J: Matrix = change_matrix(ship, sample_s)
+        self._J: Matrix = build_matrix_of_sample_change(ship, sample_s)
         self._x: Vector = np.zeros(states)
         self._estimate, self.change = np.zeros(STATE), np.zeros(STATE)
         self._advance = False
 
-    def start(self, state: Vector) -> None:
+    def start_from_state(self, state: Vector) -> None:
         """Set the observer to the state (6,) at the start of a run, without bias or wave motion."""
         self._x[...] = 0.0
         self._x[ETA:BIAS], self._x[NU:XI1] = state[POSE], state[VELOCITY]
@@ -131,6 +131,6 @@ class ModelObserver(Estimator):
         self._advance = False
 
     @property
-    def bias(self) -> Vector:
+    def estimated_bias_force(self) -> Vector:
         """Estimated bias force (3,), north, east, yaw [N, N, N·m]."""
         return self._x[BIAS:NU].copy()

@@ -25,7 +25,7 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.kernel_cache import njit
-from dpbench.ship.estimation.estimator import nearest_turn
+from dpbench.ship.estimation.estimator import shift_heading_near
 from dpbench.ship.estimation.observer import (
     BIAS,
     ETA,
@@ -35,7 +35,7 @@ from dpbench.ship.estimation.observer import (
     XI2,
     ModelObserver,
     WaveModel,
-    model_change,
+    write_model_change_of_sample,
 )
 from dpbench.ship.layout import AXES, POSE
 from dpbench.ship.vessel import Vessel
@@ -69,9 +69,11 @@ class PassiveTuning:
     wave_filter: bool = True
 
     @classmethod
-    def of_ship(cls, ship: Vessel, waves: WaveModel, *, wave_filter: bool = True) -> PassiveTuning:
+    def choose_for_ship(
+        cls, ship: Vessel, waves: WaveModel, *, wave_filter: bool = True
+    ) -> PassiveTuning:
         """Choose observer gains in proportion to the ship's inertia and the wave period."""
-        omega0 = waves.omega0_radps
+        omega0 = waves.natural_frequencies_radps
         return cls(
             waves,
             np.ones(AXES),
@@ -83,9 +85,9 @@ class PassiveTuning:
         )
 
     @property
-    def gains(self) -> tuple[Vector, Vector, Vector, Vector, Vector]:
+    def gain_vectors(self) -> tuple[Vector, Vector, Vector, Vector, Vector]:
         """Gain vectors K11, K12, K2, K3 and K4 of the passive observer, (3,) each."""
-        omega0, on = self.waves.omega0_radps, float(self.wave_filter)
+        omega0, on = self.waves.natural_frequencies_radps, float(self.wave_filter)
         rise: Vector = on * 2 * (self.notch_damping - self.waves.damping)
         K3: Vector = self.bias_rate_radps * self.K4
         return -rise * self.cutoff_radps / omega0, rise * omega0, self.cutoff_radps, K3, self.K4
@@ -99,7 +101,7 @@ _K11, _K12, _K2, _K3, _K4, _STIFF, _DAMP, _LEAK = range(8)
 
 
 @njit(cache=True)
-def _write_derivative(x, y, tau, Minv, MinvD, rows, out):  # type: ignore[no-untyped-def] # compiled by numba
+def _write_observer_derivative(x, y, tau, Minv, MinvD, rows, out):  # type: ignore[no-untyped-def] # compiled by numba
     """Write the derivative of the observer state (15,) at a measured pose y (3,) to `out`."""
     c, s = np.cos(y[2]), np.sin(y[2])
     e = (y[0] - x[ETA] - x[XI2], y[1] - x[ETA + 1] - x[XI2 + 1], y[2] - x[ETA + 2] - x[XI2 + 2])
@@ -124,7 +126,7 @@ def _write_derivative(x, y, tau, Minv, MinvD, rows, out):  # type: ignore[no-unt
 
 
 @njit(cache=True)
-def _observer_step(  # type: ignore[no-untyped-def] # compiled by numba
+def _advance_observer_by_one_sample(  # type: ignore[no-untyped-def] # compiled by numba
     x, before, measured, tau, Minv, MinvD, rows, J, h, substeps, estimate, change
 ):
     """Advance the observer state x (15,) by one sample of Runge-Kutta sub-steps."""
@@ -133,32 +135,32 @@ def _observer_step(  # type: ignore[no-untyped-def] # compiled by numba
     rise = (
         measured[pose] - before[0],
         measured[pose + 1] - before[1],
-        nearest_turn(measured[pose + 2], before[2]) - before[2],
+        shift_heading_near(measured[pose + 2], before[2]) - before[2],
     )
     for step in range(substeps):
         for j in range(AXES):
             y[j] = before[j] + rise[j] * step / substeps
-        _write_derivative(x, y, tau, Minv, MinvD, rows, k1)
+        _write_observer_derivative(x, y, tau, Minv, MinvD, rows, k1)
         for j in range(AXES):
             y[j] = before[j] + rise[j] * (step + 0.5) / substeps
         for j in range(WITH_WAVES):
             mid[j] = x[j] + 0.5 * h * k1[j]
-        _write_derivative(mid, y, tau, Minv, MinvD, rows, k2)
+        _write_observer_derivative(mid, y, tau, Minv, MinvD, rows, k2)
         for j in range(WITH_WAVES):
             mid[j] = x[j] + 0.5 * h * k2[j]
-        _write_derivative(mid, y, tau, Minv, MinvD, rows, k3)
+        _write_observer_derivative(mid, y, tau, Minv, MinvD, rows, k3)
         for j in range(AXES):
             y[j] = before[j] + rise[j] * (step + 1) / substeps
         for j in range(WITH_WAVES):
             mid[j] = x[j] + h * k3[j]
-        _write_derivative(mid, y, tau, Minv, MinvD, rows, k4)
+        _write_observer_derivative(mid, y, tau, Minv, MinvD, rows, k4)
         for j in range(WITH_WAVES):
             x[j] += h / 6.0 * (k1[j] + 2.0 * k2[j] + 2.0 * k3[j] + k4[j])
     for j in range(AXES):
         before[j] += rise[j]
         estimate[j], estimate[AXES + j] = x[NU + j], x[ETA + j]
     if substeps > 0:
-        model_change(J, estimate, tau, x[BIAS:NU], change)
+        write_model_change_of_sample(J, estimate, tau, x[BIAS:NU], change)
 
 
 class PassiveObserver(ModelObserver):
@@ -173,9 +175,9 @@ class PassiveObserver(ModelObserver):
     ) -> None:
         super().__init__(ship, sample_s, WITH_WAVES)
         waves = tuning.waves
-        omega0 = waves.omega0_radps
+        omega0 = waves.natural_frequencies_radps
         rows: Matrix = np.array(
-            [*tuning.gains, omega0**2, 2 * waves.damping * omega0, 1 / tuning.bias_time_s]
+            [*tuning.gain_vectors, omega0**2, 2 * waves.damping * omega0, 1 / tuning.bias_time_s]
         )
         Minv, MinvD = np.linalg.inv(ship.M), np.linalg.solve(ship.M, ship.D)
         inertia = np.ascontiguousarray(Minv), np.ascontiguousarray(MinvD)
@@ -183,15 +185,15 @@ class PassiveObserver(ModelObserver):
         self._h, self._substeps = sample_s / substeps, substeps
         self._pose = np.zeros(AXES)
 
-    def start(self, state: Vector) -> None:
+    def start_from_state(self, state: Vector) -> None:
         """Set the observer to the state (6,) at the start of a run, without bias or wave motion."""
-        super().start(state)
+        super().start_from_state(state)
         self._pose[...] = state[POSE]
 
-    def update(self, measured: Vector, tau: Vector) -> Vector:
+    def update_and_return_state(self, measured: Vector, tau: Vector) -> Vector:
         """Advance the observer by one sample and return the estimated state (6,)."""
         substeps = self._substeps if self._advance else 0
         inputs, out = (self._pose, measured, tau), (self._estimate, self.change)
-        _observer_step(self._x, *inputs, *self._matrices, self._h, substeps, *out)
+        _advance_observer_by_one_sample(self._x, *inputs, *self._matrices, self._h, substeps, *out)
         self._advance = True
         return self._estimate

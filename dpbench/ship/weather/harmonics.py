@@ -29,7 +29,7 @@ _GRID = 4000
 _ROWS = 1024
 
 
-def random_stream(seed: int, name: str) -> np.random.Generator:
+def make_random_generator(seed: int, name: str) -> np.random.Generator:
     """Return a generator of a seed and a named source, independent of what others there are."""
     # NumPy may change its default generator.
     key = np.random.SeedSequence(seed, spawn_key=tuple(name.encode()))
@@ -44,7 +44,9 @@ class Harmonics:
     omega: Vector
     phase: Vector
 
-    def at(self, start_s: Vector, offset_s: Vector, derivative: int = 0) -> NDArray[np.complex128]:
+    def evaluate_process_at_times(
+        self, start_s: Vector, offset_s: Vector, derivative: int = 0
+    ) -> NDArray[np.complex128]:
         """Return the complex process, or a derivative, at times start_s (K,) + offset_s (M,)."""
         # Times in two parts factor the sum into K·N and M·N exponentials. It is summed without
         # BLAS, so that no thread count changes its last bits.
@@ -58,7 +60,7 @@ class Harmonics:
         return z
 
 
-def draw_harmonics(
+def draw_harmonics_of_spectrum(
     density: Callable[[Vector], Vector],
     band: tuple[float, float],
     count: int,
@@ -77,7 +79,7 @@ def draw_harmonics(
     )
 
 
-def norsok_gust(f_Hz: Vector, mean_mps: float) -> Vector:
+def norsok_gust_spectrum(f_Hz: Vector, mean_mps: float) -> Vector:
     """Return the NORSOK spectral density of wind gusts [(m/s)²/Hz] at 10 m height.
 
     Source: Andersen & Løvseth 2006, Marine Structures 19; NORSOK N-003; ISO 19901-1.
@@ -88,7 +90,7 @@ def norsok_gust(f_Hz: Vector, mean_mps: float) -> Vector:
     return density
 
 
-def harris_gust(f_Hz: Vector, mean_mps: float) -> Vector:
+def harris_gust_spectrum(f_Hz: Vector, mean_mps: float) -> Vector:
     """Return the Harris spectral density of wind gusts [(m/s)²/Hz].
 
     Source: Harris 1971; Faltinsen 1990, eq. 2.40, who advises against it below 0.01 Hz.
@@ -99,7 +101,7 @@ def harris_gust(f_Hz: Vector, mean_mps: float) -> Vector:
     return density
 
 
-def jonswap(omega: Vector, hs_m: float, tp_s: float, gamma: float) -> Vector:
+def jonswap_wave_spectrum(omega: Vector, hs_m: float, tp_s: float, gamma: float) -> Vector:
     """Return the JONSWAP spectral density of the wave elevation [m²·s/rad].
 
     Source: DNV-RP-C205, section 3.5.5. A_γ is a fit: the integral is Hs²/16 within 1 % up to γ = 5.

@@ -16,7 +16,12 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.ship.froude import FULL_SIZE, Froude
-from dpbench.ship.weather.harmonics import Harmonics, draw_harmonics, jonswap, random_stream
+from dpbench.ship.weather.harmonics import (
+    Harmonics,
+    draw_harmonics_of_spectrum,
+    jonswap_wave_spectrum,
+    make_random_generator,
+)
 
 WATER_DENSITY = 1026.0
 GRAVITY = 9.81
@@ -42,14 +47,14 @@ class Sea:
     gamma: float = 3.3
     scale: Froude = FULL_SIZE
 
-    def harmonics(self, seed: int) -> Harmonics:
+    def draw_wave_harmonics(self, seed: int) -> Harmonics:
         """Draw the wave components of a seed; their significant wave height is exact."""
         omega_p = 2 * np.pi / self.tp_s
-        return draw_harmonics(
-            lambda omega: jonswap(omega, 1.0, self.tp_s, self.gamma),
+        return draw_harmonics_of_spectrum(
+            lambda omega: jonswap_wave_spectrum(omega, 1.0, self.tp_s, self.gamma),
             (_BAND[0] * omega_p, _BAND[1] * omega_p),
             _COMPONENTS,
-            random_stream(seed, "waves"),
+            make_random_generator(seed, "waves"),
             self.hs_m**2 / 16.0,
         )
 
@@ -60,9 +65,11 @@ class WaveDrift:
 
     sea: Sea
 
-    def envelope(self, start_s: Vector, offset_s: Vector, seed: int) -> Matrix:
+    def wave_envelope_at_times(self, start_s: Vector, offset_s: Vector, seed: int) -> Matrix:
         """Return the envelope of the wave elevation [m] at times start_s (K,) + offset_s (M,)."""
-        return np.abs(self.sea.harmonics(seed).at(start_s, offset_s))
+        return np.abs(
+            self.sea.draw_wave_harmonics(seed).evaluate_process_at_times(start_s, offset_s)
+        )
 
 
 @dataclass(frozen=True)
@@ -83,11 +90,11 @@ class WaveReflection:
     beam: float = 0.72
     yaw: float = 0.018
 
-    def coefficients(self, length_m: float, sea: Sea) -> Vector:
+    def wave_drift_coefficients(self, length_m: float, sea: Sea) -> Vector:
         """Return the wave drift coefficients (3,) [N/m², N/m², N/m] of surge, sway and yaw."""
-        tz_s, smaller = sea.tp_s / sea.scale.time / 1.4049, sea.scale.length
-        ahead = period_factor(tz_s / (0.9 * (length_m / smaller) ** 0.33))
-        abeam = period_factor(tz_s / (0.75 * (self.breadth_m / smaller) ** 0.5))
+        tz_s, smaller = sea.tp_s / sea.scale.time_and_speed_factor / 1.4049, sea.scale.length_factor
+        ahead = compute_drift_factor_of_period(tz_s / (0.9 * (length_m / smaller) ** 0.33))
+        abeam = compute_drift_factor_of_period(tz_s / (0.75 * (self.breadth_m / smaller) ** 0.5))
         widths = [
             self.breadth_m * self.head * ahead,
             length_m * self.beam * abeam,
@@ -96,7 +103,7 @@ class WaveReflection:
         return 0.5 * WATER_DENSITY * GRAVITY * np.array(widths)
 
 
-def period_factor(t_prime: float) -> float:
+def compute_drift_factor_of_period(t_prime: float) -> float:
     """Return the factor by which wave drift falls in long waves, from the relative period T'."""
     cubed = max(t_prime, 1.0) ** -3
     return float(cubed * np.exp(1.0 - cubed))
@@ -116,13 +123,13 @@ class FirstOrderMotion:
     across: float = 0.0
     heading_rad_per_m: float = 0.0
 
-    def table(self, t_s: Vector, seed: int) -> Matrix:
+    def motion_and_rates_at_times(self, t_s: Vector, seed: int) -> Matrix:
         """Return wave-frequency motion [n, e, ψ] and its rate at times t_s (K,): (K, 6), SI."""
-        harmonics, here = self.sea.harmonics(seed), np.zeros(1)
+        harmonics, here = self.sea.draw_wave_harmonics(seed), np.zeros(1)
         c, s = np.cos(self.sea.to_rad), np.sin(self.sea.to_rad)
         columns = []
         for derivative in (0, 1):
-            Z = harmonics.at(t_s, here, derivative)[:, 0]
+            Z = harmonics.evaluate_process_at_times(t_s, here, derivative)[:, 0]
             along, across = self.along * Z.imag, self.across * Z.real
             columns += [c * along - s * across, s * along + c * across]
             columns.append(self.heading_rad_per_m * Z.real)

@@ -19,18 +19,23 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.ship.froude import FULL_SIZE, Froude
-from dpbench.ship.weather.harmonics import draw_harmonics, harris_gust, norsok_gust, random_stream
+from dpbench.ship.weather.harmonics import (
+    draw_harmonics_of_spectrum,
+    harris_gust_spectrum,
+    make_random_generator,
+    norsok_gust_spectrum,
+)
 
 AIR_DENSITY = 1.226  # kg/m³ (DNV-ST-0111, section 3.5)
 
 GUST_BAND_HZ = (1.0 / 600.0, 0.5)
 """Slower changes are the mean of a ten-minute run; faster ones do not reach a whole hull."""
 
-_GUSTS = {"norsok": norsok_gust, "harris": harris_gust}
+_GUSTS = {"norsok": norsok_gust_spectrum, "harris": harris_gust_spectrum}
 _COMPONENTS = 200
 
 
-def towards_rad(from_deg: float) -> float:
+def convert_from_deg_to_towards_rad(from_deg: float) -> float:
     """Convert a compass direction that wind comes from [°] to the direction it blows to [rad]."""
     return math.radians(math.remainder(from_deg + 180.0, 360.0))
 
@@ -49,19 +54,19 @@ class Wind:
     gusts: Literal["norsok", "harris", "none"] = "norsok"
     scale: Froude = FULL_SIZE
 
-    def speed(self, start_s: Vector, offset_s: Vector, seed: int) -> Matrix:
+    def wind_speed_at_times(self, start_s: Vector, offset_s: Vector, seed: int) -> Matrix:
         """Return the wind speed [m/s] at times start_s (K,) + offset_s (M,): (K, M)."""
         if self.gusts == "none" or self.speed_mps == 0.0:
             return np.full((start_s.size, offset_s.size), self.speed_mps)
-        spectrum, turn, slower = _GUSTS[self.gusts], 2 * np.pi, self.scale.time
+        spectrum, turn, slower = _GUSTS[self.gusts], 2 * np.pi, self.scale.time_and_speed_factor
         low, high = GUST_BAND_HZ
-        gust = draw_harmonics(
+        gust = draw_harmonics_of_spectrum(
             lambda omega: spectrum(omega / turn, self.speed_mps / slower) / turn,
             (turn * low, turn * high),
             _COMPONENTS,
-            random_stream(seed, "wind"),
+            make_random_generator(seed, "wind"),
         )
-        gusts = gust.at(start_s / slower, offset_s / slower).real
+        gusts = gust.evaluate_process_at_times(start_s / slower, offset_s / slower).real
         speed: Matrix = self.speed_mps + slower * gusts
         return speed
 
@@ -80,7 +85,7 @@ class Windage:
     c_y: float = 0.9
     c_n: float = 0.095
 
-    def coefficients(self, length_m: float) -> Vector:
+    def wind_force_coefficients(self, length_m: float) -> Vector:
         """Return the wind force coefficients (3,) [kg/m, kg/m, kg] of surge, sway and yaw."""
         side = self.lateral_m2
         areas = [self.c_x * self.frontal_m2, self.c_y * side, self.c_n * side * length_m]

@@ -205,7 +205,7 @@ class NativeWorkspace(Workspace):
             return Solution.without_point(self._n, self._m, Status.ERROR, NOT_SOLVED)
         status, iterations, reported_ns, detail = self._read_reported_status()
         detail = "" if status is SOLVED else detail
-        point = self._read_solution_vectors() if status.is_answer_applied else None
+        point = self._read_solution_vectors() if status.is_usable else None
         if point is None:
             counters = iterations, reported_ns
             solution = Solution.without_point(self._n, self._m, status, detail, counters)
@@ -215,7 +215,7 @@ class NativeWorkspace(Workspace):
             self._unread = False
             # The square of z is finite if z has neither a NaN nor an infinity.
             z = solution.z
-            self._unusable = not (solution.status.is_answer_applied and isfinite(z.dot(z)))
+            self._unusable = not (solution.status.is_usable and isfinite(z.dot(z)))
             if self._warm and not self._unusable:
                 self._store_start(solution)
         return solution

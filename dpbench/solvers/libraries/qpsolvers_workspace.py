@@ -122,7 +122,7 @@ class QpsolversWorkspace(Workspace):
         z = np.array(answer.x, dtype=np.float64)
         pair = self._form.convert_qpsolvers_multipliers(answer.z, answer.y, answer.z_box)
         y, y_box = (np.full(m, np.nan), np.full(n, np.nan)) if pair is None else pair
-        if self.policy == "warm" and status.is_answer_applied and np.isfinite(z).all():
+        if self.policy == "warm" and status.is_usable and np.isfinite(z).all():
             self._last = z.copy()
         return Solution(status, z, y, y_box, iterations, reported_ns, detail)
 

@@ -35,7 +35,7 @@ def build_ship(own: Particulars, azimuth_kN: float, tunnel_kN: float) -> Vessel:
             Thruster("bow 2", "tunnel", 0.46 * L, 0.0, 1e3 * tunnel_kN, 10.0),
         )
     )
-    ahead_N, _, yaw_Nm = thrusters.limits()[1]
+    ahead_N, _, yaw_Nm = thrusters.least_and_largest_force_by_axis()[1]
     bow, stern = (2e3 * tunnel_kN, 0.445 * L), (2e3 * azimuth_kN, 0.47 * L)
     sway_N = min(one[0] * (1.0 + one[1] / other[1]) for one, other in ((bow, stern), (stern, bow)))
     ship = scale_vessel(nearest_ship(own), own, ThrustLimits(ahead_N, sway_N, yaw_Nm))
@@ -92,6 +92,6 @@ def test_the_number_of_a_library_ship_is_within_one(name: str) -> None:
     """By what its thrusters make; `osv` has limits of the paper's ship besides."""
     ship = load_vessel(name)
     assert ship.thrusters is not None
-    low, high = ship.thrusters.limits()
+    low, high = ship.thrusters.least_and_largest_force_by_axis()
     number = largest_sea(replace(ship, tau_min=low, tau_max=high))
     assert abs(number - capability_number(ship)) <= 1

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dpbench.bench.capability.reach import ThrusterReach
-from dpbench.mpc.thrusters.attainable_set import attainable_set
+from dpbench.mpc.thrusters.attainable_set import build_attainable_force_polytope
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
@@ -26,7 +26,7 @@ def test_the_share_is_that_of_the_attainable_polytope() -> None:
     direction."""
     thrusters = load_vessel("ratownik").thrusters
     assert thrusters is not None
-    rows = attainable_set(thrusters, 48).rows()
+    rows = build_attainable_force_polytope(thrusters, 48).to_linear_limit_rows()
     reach, rng = ThrusterReach(thrusters), np.random.default_rng(3)
     for direction in rng.normal(size=(20, 3)) * [1e5, 1e5, 1e6]:
         along = rows.G @ direction

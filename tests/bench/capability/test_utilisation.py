@@ -59,7 +59,7 @@ def least_use(
     """The least use, as weights of corners that sum to at most u for each thruster."""
     alive = [i for i in range(len(ship.thrusters)) if i not in lost]
     parts = [
-        shares[i] * ship.thrusters[i].thrust_N * corner @ ship.thrusters[i].columns.T
+        shares[i] * ship.thrusters[i].thrust_N * corner @ ship.thrusters[i].configuration_columns.T
         for i in alive
         for corner in [corners(ship.thrusters[i], sides, outside)]
     ]
@@ -98,7 +98,9 @@ def test_random_layouts_have_the_use_of_a_linear_program(first: int) -> None:
         count = len(ship.thrusters)
         lost = {i for i in range(count) if rng.random() < 0.3}
         shares = rng.uniform(0.05, 1.0, count)
-        load = ship.T_e @ (rng.normal(size=ship.n_f) * ship.per_entry(ship.thrust_N))
+        load = ship.T_e @ (
+            rng.normal(size=ship.n_f) * ship.repeat_for_each_force_entry(ship.largest_thrusts_N)
+        )
         load *= rng.choice([0.01, 1.0], 3)
         chosen = tuple(Piece(thruster.sector_rad) for thruster in ship.thrusters)
         posed = load, shares, chosen, frozenset(lost)

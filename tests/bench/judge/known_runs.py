@@ -45,7 +45,14 @@ def round_ship(sample_s: float = SAMPLE_S, **changes: Any) -> Scenario:
     )
     problem = replace(
         calm.problem,
-        **({"Q": np.eye(3), "R": np.eye(3), "du_max": ship.step_max(sample_s)} | changes),
+        **(
+            {
+                "Q": np.eye(3),
+                "R": np.eye(3),
+                "du_max": ship.largest_force_change_per_sample(sample_s),
+            }
+            | changes
+        ),
     )
     controller = replace(calm.controller, problem=problem)
     return replace(calm, sample_s=sample_s, vessel=ship, controller=controller)
@@ -66,7 +73,7 @@ def thruster_ship(control: ThrusterControl, R: np.ndarray | None = None) -> Scen
         R=np.eye(thrusters.n_f) if R is None else R,
         u_min=rows.low,
         u_max=rows.high,
-        du_max=thrusters.step_max(SAMPLE_S),
+        du_max=thrusters.largest_force_changes_per_sample(SAMPLE_S),
         thrusters=rows,
         W=control.W,
     )

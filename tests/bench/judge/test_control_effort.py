@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dpbench.bench.record.schema import FORCES
-from dpbench.mpc.thruster_rows import thruster_rows
+from dpbench.mpc.thruster_rows import build_limit_rows_of_thrusters
 from dpbench.mpc.thrusters.attainable_set import AttainableSet
 from dpbench.scenario.controllers.commanded import ThrusterControl
 from dpbench.scenario.controllers.forces import JointForceController
@@ -94,7 +94,9 @@ def with_thrusters() -> Scenario:
         )
     )
     W = np.diag([1.0, 2.0, 4.0])
-    return thruster_ship(ThrusterControl(thrusters, thruster_rows(thrusters, 4), W), R)
+    return thruster_ship(
+        ThrusterControl(thrusters, build_limit_rows_of_thrusters(thrusters, 4), W), R
+    )
 
 
 def test_cost_of_steered_thrusters_has_their_weight() -> None:
@@ -248,7 +250,7 @@ def set_metrics(u: Rows, shares: list[float]) -> dict[str, float]:
     """
     high = np.multiply.outer(shares, HIGH)
     limits = (-high).tolist(), high.tolist()
-    rows = BOX.rows()
+    rows = BOX.to_linear_limit_rows()
     problem = replace(round_ship().problem, thrusters=rows, u_min=rows.low, u_max=rows.high)
     ship = with_controller(JointForceController, problem)
     return metrics_of([STILL] * (len(u) + 1), u, limits=limits, scenario=ship)

@@ -10,7 +10,7 @@ from dpbench.bench.judge.thruster_metrics import (
     compute_thruster_metrics,
     compute_used_thrust_and_power_shares,
 )
-from dpbench.mpc.thruster_rows import Limits, thruster_rows
+from dpbench.mpc.thruster_rows import Limits, build_limit_rows_of_thrusters
 from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning
 from dpbench.scenario.controllers.commanded import ThrusterControl, TurningThrusterControl
 from dpbench.scenario.scenario import Scenario
@@ -26,7 +26,7 @@ THRUSTERS = ThrusterSet(
     )
 )
 # With four sides the azimuth is limited by |X| + |Y| ≤ 100 N.
-ROWS = thruster_rows(THRUSTERS, 4)
+ROWS = build_limit_rows_of_thrusters(THRUSTERS, 4)
 BOW, MAIN = 2, 3
 """Rows of the tunnel and the main thruster, behind the two rows of the azimuth."""
 Forces = Sequence[Sequence[float]]
@@ -101,7 +101,7 @@ def test_travel_of_all_azimuths_is_added_up() -> None:
     names = ("port", "starboard", "bow")
     arms = zip(names, (-5.0, 5.0, 0.0), strict=True)
     three = ThrusterSet(tuple(Thruster(n, "azimuth", 9.0, y, 100.0, 10.0) for n, y in arms))
-    control = ThrusterControl(three, thruster_rows(three, 4), np.eye(6))
+    control = ThrusterControl(three, build_limit_rows_of_thrusters(three, 4), np.eye(6))
     f = np.array([[10.0, 0, 0, 10, 5, 0], [0, 10, 10, 0, 5, 0], [0, 10, 0, -10, 5, 0]])
     limits = [Limits(np.full(6, -1e3), np.full(6, 1e3), np.zeros(3, dtype=bool))] * 3
     found = compute_thruster_metrics(thruster_ship(control), f, limits)
@@ -143,7 +143,7 @@ def test_share_of_steps_at_a_side_of_a_limit() -> None:
 
 
 def test_a_lost_thruster_is_at_no_limit() -> None:
-    limits = [ROWS.limits_after_loss({1})] * 2
+    limits = [ROWS.limits_after_loss_of_thrusters({1})] * 2
     for main, share in ((0.0, 0.0), (400.0, 0.5)):
         run = np.array([[0, 0, 0, main], [0, 0, 0, 0]])
         assert compute_thruster_metrics(ship(), run, limits)["at_limit_thrusters"] == share

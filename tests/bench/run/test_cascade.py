@@ -102,7 +102,10 @@ def allocated_forces(case: Scenario, demand: np.ndarray, f: np.ndarray) -> np.nd
     table = case.files["scenario"]["controller"]["thrusters"]
     thrusters, rows = case.controller.commanded.thrusters, case.controller.commanded.rows
     n_f = thrusters.n_f
-    T, step = thrusters.per_entry(thrusters.thrust_N), thrusters.step_max(case.sample_s)
+    T, step = (
+        thrusters.repeat_for_each_force_entry(thrusters.largest_thrusts_N),
+        thrusters.largest_force_changes_per_sample(case.sample_s),
+    )
     unit = np.concatenate([step, case.force_step_max])
     H, g = np.zeros((n_f + 3, n_f + 3)), np.zeros(n_f + 3)
     weight = table["thrust_weight_relative"] * (step / T) ** 2
@@ -125,7 +128,7 @@ def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) 
     assert case.controller.commanded is not None
     T_e = case.controller.commanded.thrusters.T_e
     plant = Plant(case.true_ship, case.first_state, case.sample_s)
-    sea = case.environment.stage_table(case.steps, case.sample_s, SUBSTEPS)
+    sea = case.environment.build_weather_table_at_stages(case.steps, case.sample_s, SUBSTEPS)
     f, previous = np.zeros(6), case.first_state
     for k in range(12):
         x = np.concatenate([plant.state - previous, plant.state[3:]])
@@ -136,7 +139,7 @@ def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) 
         np.testing.assert_allclose(exact.demand[k], demand, rtol=1e-8, atol=1e-2)
         np.testing.assert_allclose(exact.thrust[k], f, rtol=1e-8, atol=1e-2)
         np.testing.assert_allclose(exact.tau[k], T_e @ f, rtol=1e-8, atol=0.1)
-        plant.advance(T_e @ f, sea[k])
+        plant.advance_by_one_sample(T_e @ f, sea[k])
         np.testing.assert_allclose(exact.state[k + 1], plant.state, atol=1e-9)
 
 
@@ -223,7 +226,7 @@ def test_both_kinds_of_faults_hold_in_a_cascade() -> None:
     np.testing.assert_array_equal(builder.limits[5].high, 0.5 * vessel.tau_max)
     np.testing.assert_array_equal(builder.limits[10].high, 0.5 * vessel.tau_max)
     in_force = builder.thruster_limits
-    assert (in_force[9].high[0], in_force[10].high[0]) == (thrusters.thrust_N[0], 0.0)
+    assert (in_force[9].high[0], in_force[10].high[0]) == (thrusters.largest_thrusts_N[0], 0.0)
 
 
 def only_the_controller(qp: QuadraticProgram, **_: object) -> Solution:

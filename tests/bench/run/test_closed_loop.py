@@ -17,7 +17,7 @@ from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.bench.run.run_delay import RunDelay
 from dpbench.errors import CertificateError
-from dpbench.mpc.law import UnconstrainedLaw, gains
+from dpbench.mpc.law import UnconstrainedLaw, compute_state_feedback_gains
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.referee import Referee
@@ -99,7 +99,9 @@ def test_an_estimator_knows_how_the_ship_starts(scenario: Scenario, kind: str) -
     files["scenario"]["estimator"] |= {"kind": kind, "peak_period_s": 8.0}
     moving = build_scenario(files)
     truth = np.array([0.8, -0.3, np.radians(0.5), 1.2, 1.3, 0.0])
-    np.testing.assert_allclose(moving.estimator().update(truth, np.zeros(3)), truth, atol=1e-12)
+    np.testing.assert_allclose(
+        moving.estimator().update_and_return_state(truth, np.zeros(3)), truth, atol=1e-12
+    )
 
 
 def test_increments_are_differences_of_the_measured_state(scenario: Scenario) -> None:
@@ -185,7 +187,7 @@ def test_hold_keeps_the_force(scenario: Scenario) -> None:
 def test_clip_is_the_unconstrained_law(scenario: Scenario) -> None:
     """Fallback `clip` demands K_y y_d − K_mpc x (eq. 33) and the loop clips it."""
     log, _, _ = run(scenario, failing_from(0), "clip")
-    law = gains(scenario.problem)
+    law = compute_state_feedback_gains(scenario.problem)
     demanded = log.theta[:, 9:12] @ law.K_y.T - log.theta[:, :9] @ law.K_mpc.T
     np.testing.assert_allclose(
         log.command - log.theta[:, 12:15],

@@ -206,7 +206,7 @@ def test_three_forces_are_the_easier_problem_in_the_same_weather() -> None:
     assert forces.files["vessel"] == thrusters.files["vessel"]
     environments = [s.files["scenario"]["environment"] for s in (forces, thrusters)]
     assert environments[0] == environments[1]
-    assert forces.problem.horizons == thrusters.problem.horizons
+    assert forces.problem.horizons_by_name == thrusters.problem.horizons_by_name
     most = [
         max(int((np.abs(np.r_[o.y, o.y_box]) > 1e-9).sum()) for o in exact(s.name).optima)
         for s in (forces, thrusters)

@@ -9,8 +9,8 @@ from dpbench import load_scenario
 from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.law import UnconstrainedLaw
-from dpbench.mpc.move_limits import ThrusterLimit, limit_move
-from dpbench.mpc.thruster_rows import Limits, thruster_rows
+from dpbench.mpc.move_limits import ThrusterLimit, write_limited_command
+from dpbench.mpc.thruster_rows import Limits, build_limit_rows_of_thrusters
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
@@ -46,7 +46,7 @@ def limited(
     """Return the applied force for Δu_max = 10, and whether the move was clipped."""
     applied = np.full(len(u), np.nan)
     vectors = (np.array(vector, dtype=float) for vector in (u, du, low, high))
-    clipped = limit_move(np.full(len(u), 10.0), *vectors, applied)
+    clipped = write_limited_command(np.full(len(u), 10.0), *vectors, applied)
     return applied.tolist(), bool(clipped)
 
 
@@ -76,7 +76,7 @@ THRUSTERS = ThrusterSet(
         Thruster("stern", "tunnel", -10.0, 0.0, 50.0, 5.0),
     )
 )
-ROWS = thruster_rows(THRUSTERS, 4)
+ROWS = build_limit_rows_of_thrusters(THRUSTERS, 4)
 
 
 @pytest.mark.parametrize(
@@ -105,8 +105,10 @@ def test_every_thruster_is_limited_as_a_whole(
     f: list[float], df: list[float], lost: set[int], applied: list[float]
 ) -> None:
     found, move = np.full(3, np.nan), np.array(df, dtype=float)
-    limit = ThrusterLimit(ROWS, THRUSTERS.step_max(0.5))
-    clipped = limit(np.array(f, dtype=float), move, ROWS.limits_after_loss(lost), found)
+    limit = ThrusterLimit(ROWS, THRUSTERS.largest_force_changes_per_sample(0.5))
+    clipped = limit(
+        np.array(f, dtype=float), move, ROWS.limits_after_loss_of_thrusters(lost), found
+    )
     np.testing.assert_allclose(found, applied, atol=1e-6)
     assert clipped is (applied != [a + b for a, b in zip(f, df, strict=True)])
 
@@ -137,10 +139,10 @@ AZIMUTH = ThrusterSet(
 def test_an_azimuth_is_cut_along_its_move(
     f: list[float], df: list[float], lost: set[int], applied: list[float]
 ) -> None:
-    rows, found = thruster_rows(AZIMUTH, 4), np.full(3, np.nan)
-    limit = ThrusterLimit(rows, AZIMUTH.step_max(0.5))
+    rows, found = build_limit_rows_of_thrusters(AZIMUTH, 4), np.full(3, np.nan)
+    limit = ThrusterLimit(rows, AZIMUTH.largest_force_changes_per_sample(0.5))
     move = np.array(df, dtype=float)
-    assert limit(np.array(f, dtype=float), move, rows.limits_after_loss(lost), found)
+    assert limit(np.array(f, dtype=float), move, rows.limits_after_loss_of_thrusters(lost), found)
     np.testing.assert_allclose(found, applied, atol=1e-6)
 
 

@@ -18,7 +18,7 @@ from dpbench.bench.run.exact_loop import solve_exactly
 from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.bench.run.slow_computer import ComputationalDelay, SlowComputer
 from dpbench.errors import InputError
-from dpbench.mpc.law import gains
+from dpbench.mpc.law import compute_state_feedback_gains
 from dpbench.qp.solution import Status
 from dpbench.scenario.controllers.controller import stack_limits
 from dpbench.scenario.scenario import Scenario
@@ -100,7 +100,7 @@ def test_hold_waits_with_the_force_it_has(scenario: Scenario) -> None:
 def test_clip_steers_by_the_unconstrained_law_meanwhile(scenario: Scenario) -> None:
     """Fallback `clip` demands K_y y_d − K_mpc x (eq. 33) in every step without an answer."""
     log = run(scenario, Planned(lambda i: 1e6), fallback="clip")
-    law = gains(scenario.problem)
+    law = compute_state_feedback_gains(scenario.problem)
     demanded = log.theta[:, 9:12] @ law.K_y.T - log.theta[:, :9] @ law.K_mpc.T
     np.testing.assert_allclose(
         log.command - log.theta[:, 12:15],

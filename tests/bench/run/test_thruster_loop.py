@@ -78,7 +78,7 @@ def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) 
     T_e, G = case.controller.commanded.thrusters.T_e, case.controller.commanded.rows.G
     model, du, n_f, N_c = control.model, control.du_max, 7, 3
     plant = Plant(case.true_ship, case.first_state, case.sample_s)
-    sea = plain.environment.stage_table(case.steps, case.sample_s, SUBSTEPS)
+    sea = plain.environment.build_weather_table_at_stages(case.steps, case.sample_s, SUBSTEPS)
     f, previous = np.zeros(n_f), case.first_state
     for k in range(12):
         x = np.concatenate([plant.state - previous, plant.state[3:]])
@@ -109,7 +109,7 @@ def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) 
         f = f + z[:n_f] * du
         np.testing.assert_allclose(exact.thrust[k], f, atol=1e-4)
         np.testing.assert_allclose(exact.tau[k], T_e @ f, atol=1e-2)
-        plant.advance(T_e @ f, sea[k])
+        plant.advance_by_one_sample(T_e @ f, sea[k])
         np.testing.assert_allclose(exact.state[k + 1], plant.state, atol=1e-10)
 
 
@@ -167,14 +167,19 @@ def test_a_tripped_group_gives_nothing_at_once(case: Scenario) -> None:
 
 def test_a_tripped_thruster_loses_what_is_under_way() -> None:
     """Neither commands delayed by two samples nor the lag's remainder reach the hull any more."""
-    trips = ((4, SHIP.find_entries({0, 3})),)
+    trips = ((4, SHIP.find_force_entries_of_thrusters({0, 3})),)
     plain, tripping = (
-        CommandedThrusters(SHIP, 0.5, 2.0, Actuators(delay_samples=2), trips=given).start()
+        CommandedThrusters(
+            SHIP, 0.5, 2.0, Actuators(delay_samples=2), trips=given
+        ).make_state_at_rest()
         for given in ((), trips)
     )
     goal = np.array([3e3, 4e3, 1e3, 0.0, 5e3, 0.0, 2e3])
     for k in range(8):
-        whole, tau = plain.deliver(goal).copy(), tripping.deliver(goal)
+        whole, tau = (
+            plain.force_on_hull_for_command(goal).copy(),
+            tripping.force_on_hull_for_command(goal),
+        )
         if k < 4:
             np.testing.assert_array_equal(tau, whole)
             continue
@@ -198,7 +203,7 @@ def test_without_answers_the_fallback_keeps_to_all_limits(fallback: str) -> None
 COMMANDED = scenario().controller.commanded
 assert COMMANDED is not None
 SHIP, ROWS = COMMANDED.thrusters, COMMANDED.rows
-STEP = SHIP.step_max(0.3)
+STEP = SHIP.largest_force_changes_per_sample(0.3)
 LIMIT = scenario().controller.move_limit()
 
 
@@ -209,9 +214,9 @@ LIMIT = scenario().controller.move_limit()
     st.sets(st.integers(0, 3)),
 )
 def test_applied_forces_keep_limits(share: list[float], moves: list[float], lost: set[int]) -> None:
-    f = np.array(share) * SHIP.per_entry(SHIP.thrust_N)
+    f = np.array(share) * SHIP.repeat_for_each_force_entry(SHIP.largest_thrusts_N)
     f /= max(1.0, float((np.abs(ROWS.G @ f) / ROWS.high).max()))
-    limits = low, high, _ = ROWS.limits_after_loss(lost)
+    limits = low, high, _ = ROWS.limits_after_loss_of_thrusters(lost)
     df, applied = np.array(moves) * STEP, np.empty(7)
     clipped = LIMIT(f, df, limits, applied)
     assert (np.abs(applied - f) <= STEP * (1 + 1e-9)).all()
@@ -229,15 +234,17 @@ def test_applied_forces_keep_limits(share: list[float], moves: list[float], lost
 
 def test_slow_thrusters_follow_with_their_lag_and_never_leave_their_circles() -> None:
     lag_s, sample_s = 2.0, 0.5
-    thrusters = CommandedThrusters(SHIP, sample_s, lag_s, Actuators()).start()
+    thrusters = CommandedThrusters(SHIP, sample_s, lag_s, Actuators()).make_state_at_rest()
     goal = np.array([3e3, 4e3, 0.0, 0.0, 0.0, 0.0, 2e3])
     for k in range(1, 9):
-        tau = thrusters.deliver(goal)
+        tau = thrusters.force_on_hull_for_command(goal)
         t = k * sample_s
         np.testing.assert_allclose(thrusters.f, goal * (1 - math.exp(-t / lag_s)), rtol=1e-12)
         decay = lag_s / sample_s * (math.exp(sample_s / lag_s) - 1) * math.exp(-t / lag_s)
         np.testing.assert_allclose(tau, SHIP.T_e @ (goal * (1 - decay)), rtol=1e-9, atol=1e-6)
     for _ in range(100):
-        thrusters.deliver(np.full(7, 1e6))
-    assert (SHIP.magnitudes(thrusters.f)[:3] <= SHIP.thrust_N[:3] * (1 + 1e-12)).all()
-    assert SHIP.magnitudes(thrusters.f)[0] > 0.99 * SHIP.thrust_N[0]
+        thrusters.force_on_hull_for_command(np.full(7, 1e6))
+    assert (
+        SHIP.thruster_force_magnitudes(thrusters.f)[:3] <= SHIP.largest_thrusts_N[:3] * (1 + 1e-12)
+    ).all()
+    assert SHIP.thruster_force_magnitudes(thrusters.f)[0] > 0.99 * SHIP.largest_thrusts_N[0]

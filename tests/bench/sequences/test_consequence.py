@@ -25,7 +25,7 @@ from dpbench.bench.sequences.loop_sequences import (
 )
 from dpbench.bench.sequences.source import log_size, read_replay
 from dpbench.errors import InputError
-from dpbench.mpc.thruster_rows import thruster_rows
+from dpbench.mpc.thruster_rows import build_limit_rows_of_thrusters
 from dpbench.mpc.thrusters.static_allocation import AllocationAfterLoss
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify
@@ -39,11 +39,13 @@ assert RATOWNIK is not None
 
 
 def qp_of(thrusters: ThrusterSet, force: np.ndarray, group: str) -> QuadraticProgram:
-    rows = thruster_rows(thrusters, SIDES)
-    low, high, _ = rows.limits_after_loss(set(thrusters.groups[group]))
+    rows = build_limit_rows_of_thrusters(thrusters, SIDES)
+    low, high, _ = rows.limits_after_loss_of_thrusters(
+        set(thrusters.indices_by_failure_group[group])
+    )
     allocation = AllocationAfterLoss(thrusters, rows)
-    l, u = allocation.limits(force[None], low[None], high[None])  # noqa: E741 - as in the program
-    return allocation.problem(l[0], u[0])
+    l, u = allocation.stack_row_limits_of_demands(force[None], low[None], high[None])  # noqa: E741 - as in the program
+    return allocation.make_qp_with_row_limits(l[0], u[0])
 
 
 def corners(thruster: Thruster) -> np.ndarray:
@@ -56,9 +58,9 @@ def corners(thruster: Thruster) -> np.ndarray:
 def largest_share(thrusters: ThrusterSet, force: np.ndarray, group: str) -> float:
     """Return the largest multiple of a force that the rest can give: a linear program in shares of
     corners."""
-    lost = thrusters.groups[group]
+    lost = thrusters.indices_by_failure_group[group]
     kept = [t for i, t in enumerate(thrusters.thrusters) if i not in lost]
-    forces = np.hstack([t.columns @ corners(t) for t in kept])
+    forces = np.hstack([t.configuration_columns @ corners(t) for t in kept])
     sums = block_diag(*(np.ones(corners(t).shape[1]) for t in kept))
     balance = np.column_stack((forces, -force)) / np.array([[1e5], [1e5], [1e7]])
     shares = np.column_stack((sums, np.zeros(len(kept))))
@@ -84,9 +86,14 @@ def test_held_losses_reach_the_corners(group: str, direction: tuple[float, float
     force = np.array(direction) * [3e5, 3e5, 6e6]
     edge = largest_share(RATOWNIK, force, group)
     inside = certify(qp_of(RATOWNIK, (1.0 - 1e-6) * edge * force, group))
-    f = inside.z * RATOWNIK.per_entry(RATOWNIK.thrust_N)
+    f = inside.z * RATOWNIK.repeat_for_each_force_entry(RATOWNIK.largest_thrusts_N)
     np.testing.assert_allclose(RATOWNIK.T_e @ f, (1.0 - 1e-6) * edge * force, atol=1e-2)
-    lost = RATOWNIK.per_entry([i in RATOWNIK.groups[group] for i in range(5)]) > 0.0
+    lost = (
+        RATOWNIK.repeat_for_each_force_entry(
+            [i in RATOWNIK.indices_by_failure_group[group] for i in range(5)]
+        )
+        > 0.0
+    )
     np.testing.assert_allclose(f[lost], 0.0, atol=1e-6)
     assert certify(qp_of(RATOWNIK, (1.0 + 1e-6) * edge * force, group)).kind == "infeasible"
 
@@ -165,7 +172,10 @@ def test_what_the_run_has_lost_stays_lost() -> None:
     assert case.controller.commanded is not None
     thrusters = case.controller.commanded.thrusters
     entries = {
-        group: thrusters.per_entry([i in thrusters.groups[group] for i in range(5)]) > 0.0
+        group: thrusters.repeat_for_each_force_entry(
+            [i in thrusters.indices_by_failure_group[group] for i in range(5)]
+        )
+        > 0.0
         for group in GROUPS
     }
     tau = np.tile([1e3, 0.0, 0.0], (case.steps, 1))
@@ -184,7 +194,7 @@ def test_a_cascade_has_an_analysis_too() -> None:
     assert case.controller.commanded is not None
     thrusters = case.controller.commanded.thrusters
     tau = np.array([np.zeros(3), [1e9, 0.0, 0.0]])
-    for group in thrusters.groups:
+    for group in thrusters.indices_by_failure_group:
         sequence = build_consequence_sequence(case, tau, group, 1.0)
         assert sequence.base.n == thrusters.n_f
         kinds = [certify(sequence.problem(k)).kind == "infeasible" for k in range(2)]

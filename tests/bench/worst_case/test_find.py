@@ -236,7 +236,9 @@ def test_a_case_is_what_its_point_says(point: Any) -> None:
     sinusoid = own.environment
     begins = 0.5 * (1.0 + point[12]) * 19 * 0.3
     early, late = (
-        scenario.environment.force(t) - sinusoid.force(t) for t in (begins, begins + 0.3)
+        scenario.environment.compute_slow_forces_and_squalls(t)
+        - sinusoid.compute_slow_forces_and_squalls(t)
+        for t in (begins, begins + 0.3)
     )
     np.testing.assert_allclose(early, point[6:9] * limit, atol=1e-6)
     np.testing.assert_allclose(late - early, 2.0 * point[9:12] * limit, atol=1e-3)

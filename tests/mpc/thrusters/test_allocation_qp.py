@@ -9,7 +9,7 @@ import pytest
 import quadprog
 from scipy.optimize import linprog
 
-from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE, thruster_rows
+from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE, build_limit_rows_of_thrusters
 from dpbench.mpc.thrusters.allocation_qp import AllocationProblem, AllocationQP
 from dpbench.mpc.thrusters.static_allocation import StaticAllocation
 from dpbench.qp.program import QuadraticProgram
@@ -34,11 +34,11 @@ def problem(
     ship: ThrusterSet = SHIP, *, thrust: float = 1.0, move: float = 0.01, slack: float = 100.0
 ) -> AllocationProblem:
     """Weights in multiples of 1/T², 1/Δf_max² and 1/Δτ_max²."""
-    step = ship.step_max(SAMPLE_S)
+    step = ship.largest_force_changes_per_sample(SAMPLE_S)
     return AllocationProblem(
         ship.T_e,
-        thruster_rows(ship, 12),
-        np.diag(thrust / ship.per_entry(ship.thrust_N) ** 2),
+        build_limit_rows_of_thrusters(ship, 12),
+        np.diag(thrust / ship.repeat_for_each_force_entry(ship.largest_thrusts_N) ** 2),
         np.diag(move / step**2),
         np.diag(slack / STEP_MAX**2),
         step,
@@ -48,8 +48,8 @@ def problem(
 
 def situation(seed: int, reach: float = 1.5) -> tuple[np.ndarray, np.ndarray]:
     """A demand some way off what the thrusters give now, and what they give: within all limits."""
-    rng, rows = np.random.default_rng(seed), thruster_rows(SHIP, 12)
-    f = rng.uniform(-1.0, 1.0, SHIP.n_f) * SHIP.per_entry(SHIP.thrust_N)
+    rng, rows = np.random.default_rng(seed), build_limit_rows_of_thrusters(SHIP, 12)
+    f = rng.uniform(-1.0, 1.0, SHIP.n_f) * SHIP.repeat_for_each_force_entry(SHIP.largest_thrusts_N)
     f[4:6] = np.abs(f[4]) * np.array([1.0, 0.8])
     along, unlike = rows.G @ f, np.where(rows.low < 0.0, rows.low, -np.inf)
     over = np.maximum(along / rows.high, along / unlike)
@@ -60,7 +60,11 @@ def situation(seed: int, reach: float = 1.5) -> tuple[np.ndarray, np.ndarray]:
 
 def by_forces(case: AllocationProblem, tau: np.ndarray, f_prev: np.ndarray) -> np.ndarray:
     """f of the same problem, with f itself as the variables and τ_c − T_e f for the slack."""
-    rows, eye, unit = case.rows, np.eye(len(f_prev)), SHIP.per_entry(SHIP.thrust_N)
+    rows, eye, unit = (
+        case.rows,
+        np.eye(len(f_prev)),
+        SHIP.repeat_for_each_force_entry(SHIP.largest_thrusts_N),
+    )
     H = case.W + case.R + case.T_e.T @ case.slack @ case.T_e
     g = -case.R @ f_prev - case.T_e.T @ case.slack @ tau
     C = np.vstack((rows.G, -rows.G, eye, -eye)) * unit / 1e5
@@ -133,7 +137,7 @@ def test_without_limits_it_becomes_the_pseudo_inverse() -> None:
     """β = 0, no limit in reach: the distance to the pseudo-inverse falls as 1/Ω."""
     tau = np.array([3e3, -2e3, 5e4])
     ship = replace(SHIP, thrusters=(*SHIP.thrusters[:2], SHIP.thrusters[3]))
-    wanted = problem(ship).pseudo_inverse() @ tau
+    wanted = problem(ship).compute_weighted_pseudo_inverse() @ tau
     np.testing.assert_allclose(ship.T_e @ wanted, tau, rtol=1e-9)
     away = []
     for slack in (1e2, 1e4, 1e6):
@@ -148,10 +152,18 @@ def test_without_limits_it_becomes_the_pseudo_inverse() -> None:
 
 def test_the_pseudo_inverse_without_lost_thrusters() -> None:
     case, tau = problem(), np.array([5e4, -3e4, 8e5])
-    f = case.pseudo_inverse(case.rows.limits_after_loss({1, 4}).lost) @ tau
+    f = (
+        case.compute_weighted_pseudo_inverse(case.rows.limits_after_loss_of_thrusters({1, 4}).lost)
+        @ tau
+    )
     assert (f[[2, 3, 7]] == 0.0).all()
     np.testing.assert_allclose(SHIP.T_e @ f, tau, rtol=1e-9)
-    tunnel_alone = case.pseudo_inverse(case.rows.limits_after_loss({0, 1, 2, 4}).lost) @ tau
+    tunnel_alone = (
+        case.compute_weighted_pseudo_inverse(
+            case.rows.limits_after_loss_of_thrusters({0, 1, 2, 4}).lost
+        )
+        @ tau
+    )
     scaled = SHIP.T_e[:, 6] / STEP_MAX
     assert tunnel_alone[6] == pytest.approx(scaled @ (tau / STEP_MAX) / (scaled @ scaled))
 
@@ -163,7 +175,11 @@ def test_the_mirrored_ship_does_the_mirrored_thing() -> None:
     mirror = np.zeros((5, 5))
     mirror[[0, 1, 2, 3, 4], [2, 3, 0, 1, 4]] = [1.0, -1.0, 1.0, -1.0, -1.0]
     for _ in range(10):
-        f = 0.6 * rng.uniform(-1.0, 1.0, 5) * ship.per_entry(ship.thrust_N)
+        f = (
+            0.6
+            * rng.uniform(-1.0, 1.0, 5)
+            * ship.repeat_for_each_force_entry(ship.largest_thrusts_N)
+        )
         tau = ship.T_e @ f + 2.0 * rng.uniform(-1.0, 1.0, 3) * STEP_MAX
         there = builder.moves(certify(builder.problem(builder.emit(tau, f))).z)
         tau_mirrored, f_mirrored = tau * [1.0, -1.0, -1.0], mirror @ f
@@ -183,7 +199,7 @@ def test_equalities_have_two_equal_sides(units: Any) -> None:
 
 def test_a_lost_thruster_is_soon_at_nothing_and_every_step_has_an_answer() -> None:
     case, lost = problem(), {0, 3}
-    builder, limits = AllocationQP(case), case.rows.limits_after_loss(lost)
+    builder, limits = AllocationQP(case), case.rows.limits_after_loss_of_thrusters(lost)
     for seed in range(4):
         tau, f = situation(seed)
         for _ in range(int(np.ceil(8.0 / SAMPLE_S / RAMP_DOWN_SHARE)) + 1):
@@ -215,15 +231,20 @@ def forces(thrusters: ThrusterSet, qp: QuadraticProgram) -> np.ndarray:
     """The certified optimum in N."""
     optimum = certify(qp)
     assert optimum.kind != "infeasible"
-    return optimum.z * thrusters.per_entry(thrusters.thrust_N)
+    return optimum.z * thrusters.repeat_for_each_force_entry(thrusters.largest_thrusts_N)
 
 
 def test_the_optimum_balances_the_load_with_the_least_effort(thrusters: ThrusterSet) -> None:
     """T_e f = −load, and f is the weighted pseudo-inverse where no limit is met."""
     load = np.array([-4e4, 3e4, -2e5])
-    f = forces(thrusters, allocation(thrusters).build_qp(load, FULL, WHOLE, NONE_LOST))
+    f = forces(
+        thrusters, allocation(thrusters).build_qp_for_static_load(load, FULL, WHOLE, NONE_LOST)
+    )
     np.testing.assert_allclose(thrusters.T_e @ f, -load, rtol=1e-9, atol=1e-6)
-    W_inverse, T_e = np.diag(thrusters.per_entry(thrusters.thrust_N) ** 2), thrusters.T_e
+    W_inverse, T_e = (
+        np.diag(thrusters.repeat_for_each_force_entry(thrusters.largest_thrusts_N) ** 2),
+        thrusters.T_e,
+    )
     expected = W_inverse @ T_e.T @ np.linalg.solve(T_e @ W_inverse @ T_e.T, -load)
     np.testing.assert_allclose(f, expected, rtol=1e-9, atol=1e-6)
 
@@ -234,13 +255,17 @@ def test_the_most_ahead_is_full_thrust_times_its_share(thrusters: ThrusterSet, s
     shares = np.array([0.9, 0.9, 0.5])
     program = allocation(thrusters, sides=sides)
     for load_N, kind in ((1.8e5 * (1 - 1e-9), False), (1.8e5 * (1 + 1e-9), True)):
-        qp = program.build_qp(np.array([-load_N, 0.0, 0.0]), shares, WHOLE, NONE_LOST)
+        qp = program.build_qp_for_static_load(
+            np.array([-load_N, 0.0, 0.0]), shares, WHOLE, NONE_LOST
+        )
         assert (certify(qp).kind == "infeasible") is kind
 
 
 def test_what_is_lost_gives_nothing(thrusters: ThrusterSet) -> None:
     load = np.array([-4e4, 0.0, 0.0])
-    f = forces(thrusters, allocation(thrusters).build_qp(load, FULL, WHOLE, frozenset({0})))
+    f = forces(
+        thrusters, allocation(thrusters).build_qp_for_static_load(load, FULL, WHOLE, frozenset({0}))
+    )
     np.testing.assert_allclose(f[:2], 0.0, atol=1e-9)
     np.testing.assert_allclose(thrusters.T_e @ f, -load, rtol=1e-9, atol=1e-6)
 
@@ -250,7 +275,10 @@ def test_a_piece_keeps_a_force_in_its_sector_and_behind_its_chord(thrusters: Thr
     chord = np.array([[math.cos(-0.5), math.sin(-0.5), 0.4]])
     chosen = Piece((-1.0, -0.2), chord), Piece(), Piece()
     load = np.array([-1.2e5, 0.0, 0.0])
-    f = forces(thrusters, allocation(thrusters, room=True).build_qp(load, FULL, chosen, NONE_LOST))
+    f = forces(
+        thrusters,
+        allocation(thrusters, room=True).build_qp_for_static_load(load, FULL, chosen, NONE_LOST),
+    )
     angle, size = math.atan2(f[1], f[0]), math.hypot(f[0], f[1])
     assert -1.0 - 1e-9 <= angle <= -0.2 + 1e-9
     assert size * math.cos(angle + 0.5) <= 0.4e5 * (1 + 1e-9)
@@ -260,6 +288,8 @@ def test_a_piece_keeps_a_force_in_its_sector_and_behind_its_chord(thrusters: Thr
 def test_room_for_pieces_changes_the_shape_and_not_the_answer(thrusters: ThrusterSet) -> None:
     load = np.array([-1.5e5, 4e4, 1e6])
     builders = (allocation(thrusters, room=room) for room in (False, True))
-    narrow, wide = (builder.build_qp(load, FULL, WHOLE, NONE_LOST) for builder in builders)
+    narrow, wide = (
+        builder.build_qp_for_static_load(load, FULL, WHOLE, NONE_LOST) for builder in builders
+    )
     assert wide.m == narrow.m + 2 * (2 + 3)
     np.testing.assert_allclose(certify(wide).z, certify(narrow).z, atol=1e-12)

@@ -17,8 +17,8 @@ from dpbench.bench.run.formulation import QPBuilder
 from dpbench.errors import InputError
 from dpbench.mpc.condense import UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.thruster_rows import thruster_rows
-from dpbench.mpc.thrusters.attainable_set import attainable_set
+from dpbench.mpc.thruster_rows import build_limit_rows_of_thrusters
+from dpbench.mpc.thrusters.attainable_set import build_attainable_force_polytope
 from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning, TurningQP
 from dpbench.qp.referee.referee import certify
 from dpbench.scenario.scenario import Scenario, build_scenario, condense, load_scenario, load_vessel
@@ -38,7 +38,7 @@ def arcs(case: Scenario, f: np.ndarray, move: np.ndarray) -> tuple[np.ndarray, n
     assert case.controller.commanded is not None
     thrusters = case.controller.commanded.thrusters
     along, across = [], []
-    for thruster, at in zip(thrusters.thrusters, thrusters.slices, strict=True):
+    for thruster, at in zip(thrusters.thrusters, thrusters.slices_in_force_vector, strict=True):
         if thruster.kind != "azimuth":
             continue
         size = float(np.hypot(*f[at]))
@@ -64,7 +64,7 @@ def test_the_rows_of_a_step_are_arc_and_rate_of_its_directions(case: Scenario, u
     seen = set()
     for _ in range(100):
         plan = 1.5 * rng.uniform(-1, 1, (case.problem.N_c, 8)) * case.problem.du_max
-        rows = qp.A @ builder.plan(plan)
+        rows = qp.A @ builder.convert_increments_to_variables(plan)
         kept = ((rows <= qp.u) & (rows >= qp.l)).reshape(shape)[:, -6:]
         for found, move in zip(kept, plan, strict=True):
             expected = (np.array(arcs(case, f, move)) <= 1.0).T.reshape(-1)
@@ -94,11 +94,15 @@ def test_what_is_cut_keeps_to_everything_and_what_keeps_to_it_is_not_cut(
     assert case.controller.commanded is not None
     du_max = case.problem.du_max
     f, move = 1e5 * np.array(share), 2.0 * np.array(moves) * du_max
-    turning = AzimuthTurning.of(case.controller.commanded.thrusters, case.sample_s)
-    cut = turning.limit_move(f, np.clip(move, -du_max, du_max), du_max)
+    turning = AzimuthTurning.select_from_thrusters(
+        case.controller.commanded.thrusters, case.sample_s
+    )
+    cut = turning.clip_force_changes_to_rates(f, np.clip(move, -du_max, du_max), du_max)
     assert (np.abs(cut) <= du_max * (1 + 1e-12)).all()
     assert (np.array(arcs(case, f, cut)) <= 1 + 1e-9).all()
-    np.testing.assert_allclose(turning.limit_move(f, cut, du_max), cut, atol=1e-9 * du_max.max())
+    np.testing.assert_allclose(
+        turning.clip_force_changes_to_rates(f, cut, du_max), cut, atol=1e-9 * du_max.max()
+    )
 
 
 def test_a_run_keeps_to_the_turning_rate_and_uses_it(case: Scenario) -> None:
@@ -128,7 +132,7 @@ def thrusters_of(name: str) -> ThrusterSet:
 
 def reach_by_linprog(thrusters: ThrusterSet, sides: int, tau: np.ndarray, lost: set[int]) -> float:
     """The largest s for which the thrusters make s τ, by a linear program over f."""
-    rows, kN = thruster_rows(thrusters, sides), 1e-3
+    rows, kN = build_limit_rows_of_thrusters(thrusters, sides), 1e-3
     gone = np.isin(rows.entry, sorted(lost))
     # f in kN, s such that s τ is in N: T_e f = s τ kN.
     scale = np.array([1.0, 1.0, 1.0 / 40.0])[:, np.newaxis]
@@ -150,8 +154,8 @@ def test_the_edge_of_the_set_is_where_no_thrust_is_left(
 ) -> None:
     """In 20 random directions: how far the rows let a force grow, and how far linprog does."""
     thrusters = thrusters_of(name)
-    found = attainable_set(thrusters, sides)
-    low, high, _ = found.limits(lost)
+    found = build_attainable_force_polytope(thrusters, sides)
+    low, high, _ = found.facet_limits_after_loss(lost)
     rng = np.random.default_rng(sides)
     for _ in range(20):
         tau = rng.normal(size=3) * [1e5, 1e5, 4e6]
@@ -163,7 +167,7 @@ def test_the_edge_of_the_set_is_where_no_thrust_is_left(
 
 
 def test_no_row_is_there_twice() -> None:
-    normals = attainable_set(thrusters_of("ratownik"), 8).normals
+    normals = build_attainable_force_polytope(thrusters_of("ratownik"), 8).normals
     unit = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     close = np.abs(unit @ unit.T) > 1 - 1e-12
     assert close.sum() == len(unit)
@@ -221,4 +225,4 @@ def test_what_cannot_be_is_said_in_one_line() -> None:
     first, *others = thrusters_of("osv").thrusters[::-1]
     others[0] = replace(others[0], sector_rad=(0.0, 1.0))
     with pytest.raises(InputError, match="sector_deg"):
-        attainable_set(ThrusterSet((first, *others)), 8)
+        build_attainable_force_polytope(ThrusterSet((first, *others)), 8)

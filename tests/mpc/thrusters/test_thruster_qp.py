@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import scipy.sparse
 
-from dpbench.mpc.condense import ControlProblem, condense_matrices
+from dpbench.mpc.condense import ControlProblem, condense_mpc_matrices
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.model import StateSpace, build_prediction_model
 from dpbench.mpc.staged_qp import StagedQP
-from dpbench.mpc.thruster_rows import thruster_rows
+from dpbench.mpc.thruster_rows import build_limit_rows_of_thrusters
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.residuals import residuals
@@ -37,10 +37,13 @@ PLAIN = build_prediction_model(SHIP.M, SHIP.D, 0.3, SAMPLE_S)
 def problem(
     sides: int = 8, N_p: int = 12, N_c: int = 3, model: StateSpace = PLAIN
 ) -> ControlProblem:
-    rows, du_max = thruster_rows(THRUSTERS, sides), THRUSTERS.step_max(SAMPLE_S)
+    rows, du_max = (
+        build_limit_rows_of_thrusters(THRUSTERS, sides),
+        THRUSTERS.largest_force_changes_per_sample(SAMPLE_S),
+    )
     commanded = StateSpace(model.A, model.B @ THRUSTERS.T_e, model.C)
     R = np.diag(0.3 / du_max**2)
-    W = np.diag(1e-2 / THRUSTERS.per_entry(THRUSTERS.thrust_N) ** 2)
+    W = np.diag(1e-2 / THRUSTERS.repeat_for_each_force_entry(THRUSTERS.largest_thrusts_N) ** 2)
     return ControlProblem(
         commanded, N_p, N_c, Q, R, rows.low, rows.high, du_max, thrusters=rows, W=W
     )
@@ -51,7 +54,11 @@ def situation(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     x = rng.normal(size=9) * np.tile([1.0, 1.0, 0.03], 3) * np.repeat([0.02, 0.02, 2.0], 3)
     y_ref = np.array([1.0, -2.0, 0.02])
-    f = 0.5 * THRUSTERS.per_entry(THRUSTERS.thrust_N) * rng.uniform(-1, 1, THRUSTERS.n_f)
+    f = (
+        0.5
+        * THRUSTERS.repeat_for_each_force_entry(THRUSTERS.largest_thrusts_N)
+        * rng.uniform(-1, 1, THRUSTERS.n_f)
+    )
     return x, y_ref, f
 
 
@@ -79,9 +86,13 @@ def test_the_cost_is_that_of_a_simulation(units: Any, seed: int) -> None:
     x, y_ref, f = situation(seed)
     qp = builder.problem(builder.emit(x, y_ref, f))
     plan = np.random.default_rng(seed).uniform(-1, 1, (control.N_c, len(f))) * control.du_max
-    cost = qp.objective(builder.plan(plan)) + builder.constant_cost(x, y_ref, f)
+    cost = qp.objective(
+        builder.convert_increments_to_variables(plan)
+    ) + builder.constant_part_of_cost(x, y_ref, f)
     assert cost == pytest.approx(simulated_cost(control, plan, seed), rel=1e-9)
-    np.testing.assert_allclose(builder.moves(builder.plan(plan)), plan, rtol=1e-12)
+    np.testing.assert_allclose(
+        builder.moves(builder.convert_increments_to_variables(plan)), plan, rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize("units", ["scaled", "si"])
@@ -98,7 +109,7 @@ def test_the_rows_are_the_forces_that_a_plan_adds_up_to(units: Any) -> None:
         plan = 12 * rng.uniform(-1, 1, (control.N_c, len(f))) * control.du_max
         along = (f + np.cumsum(plan, axis=0)) @ control.G.T
         allowed = ((along <= control.u_max) & (along >= control.u_min)).reshape(-1)
-        rows = qp.A @ builder.plan(plan)
+        rows = qp.A @ builder.convert_increments_to_variables(plan)
         np.testing.assert_array_equal((rows <= qp.u) & (rows >= qp.l), allowed)
         seen |= set(allowed.tolist())
     assert seen == {True, False}
@@ -108,12 +119,12 @@ def test_matrices_are_the_paper_s_expanded_by_the_configuration_matrix() -> None
     """P = (I ⊗ T_e)ᵀ E (I ⊗ T_e) + C2ᵀ W̄ C2 + R̄ with E of the three forces and no weight R."""
     control = problem()
     nothing, three = np.zeros((3, 3)), np.ones(3)
-    paper = condense_matrices(ControlProblem(PLAIN, 12, 3, Q, nothing, -three, three, three))
+    paper = condense_mpc_matrices(ControlProblem(PLAIN, 12, 3, Q, nothing, -three, three, three))
     expand = np.kron(np.eye(3), THRUSTERS.T_e)
     sums = np.kron(np.tri(3), np.eye(7))
     W, R = np.kron(np.eye(3), control.W), np.kron(np.eye(3), control.R)
     E = expand.T @ paper.E @ expand + sums.T @ W @ sums + R
-    matrices = condense_matrices(control)
+    matrices = condense_mpc_matrices(control)
     np.testing.assert_allclose(matrices.E, E, rtol=1e-9, atol=1e-12 * np.abs(E).max())
     np.testing.assert_allclose(matrices.F_x, expand.T @ paper.F_x, rtol=1e-9, atol=1e-13)
     first = np.kron(np.ones((3, 1)), np.eye(7))
@@ -125,7 +136,7 @@ def test_matrices_are_the_paper_s_expanded_by_the_configuration_matrix() -> None
 def test_all_forms_of_the_problem_have_one_optimum(seed: int, lost: set[int]) -> None:
     control = problem()
     assert control.thrusters is not None
-    limits = control.thrusters.limits_after_loss(lost) if lost else None
+    limits = control.thrusters.limits_after_loss_of_thrusters(lost) if lost else None
     x, y_ref, f = situation(seed)
     builder = CondensedQP(control)
     qp = builder.problem(builder.emit(x, y_ref, f, limits=limits))
@@ -137,7 +148,9 @@ def test_all_forms_of_the_problem_have_one_optimum(seed: int, lost: set[int]) ->
     staged = StagedQP(control)
     sparse = staged.problem(staged.emit(x, y_ref, f, limits=limits))
     exact = certify(sparse)
-    answer = staged.condensed(Solution(Status.SOLVED, exact.z, exact.y, exact.y_box))
+    answer = staged.convert_solution_to_condensed(
+        Solution(Status.SOLVED, exact.z, exact.y, exact.y_box)
+    )
     np.testing.assert_allclose(answer.z, optimum.z, atol=1e-7)
     error = residuals(qp, answer)
     assert max(error.primal, error.dual, error.complementarity) < 1e-6
@@ -152,7 +165,7 @@ def test_softened_limits_change_nothing_where_they_can_be_kept() -> None:
     assert (softened.block, softened.n, softened.m) == (7 + 4, 3 * 11, 3 * 26)
     np.testing.assert_allclose(soft.moves(certify(softened).z), hard.moves(exact.z), atol=1e-3)
     assert control.thrusters is not None
-    gone = control.thrusters.limits_after_loss({0})
+    gone = control.thrusters.limits_after_loss_of_thrusters({0})
     lost = certify(soft.problem(soft.emit(x, y_ref, f, limits=gone)))
     slack = lost.z.reshape(3, 11)[:, 7:]
     assert lost.bound < 1e-9 and slack[0, 0] > 0.1 and np.abs(slack[:, 1:]).max() < 1e-9
@@ -181,11 +194,11 @@ def least_cost_within_circles(
     rows, right, cones = [np.eye(n), -np.eye(n)], [np.ones(n), np.ones(n)], []
     cones.append(clarabel.NonnegativeConeT(2 * n))
     for i in range(N_c):
-        for thruster, at in zip(THRUSTERS.thrusters, THRUSTERS.slices, strict=True):
+        for thruster, at in zip(THRUSTERS.thrusters, THRUSTERS.slices_in_force_vector, strict=True):
             of = sums[i * n_f + at.start : i * n_f + at.stop]
             rows.append(np.vstack([np.zeros((1, n)), -of]) / thruster.thrust_N)
             right.append(np.concatenate([[1.0], f[at] / thruster.thrust_N]))
-            cones.append(clarabel.SecondOrderConeT(thruster.components + 1))
+            cones.append(clarabel.SecondOrderConeT(thruster.component_count + 1))
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     A = scipy.sparse.csc_matrix(np.vstack(rows))
@@ -202,7 +215,7 @@ def test_polygons_converge_to_circles_with_the_square_of_their_sides() -> None:
     fast = replace(problem(8), Q=50.0 * Q, du_max=10.0 * problem(8).du_max)
     builders = []
     for s in sides:
-        rows = thruster_rows(THRUSTERS, s)
+        rows = build_limit_rows_of_thrusters(THRUSTERS, s)
         builders.append(CondensedQP(replace(fast, u_min=rows.low, u_max=rows.high, thrusters=rows)))
     for seed in range(12):
         theta = situation(seed)

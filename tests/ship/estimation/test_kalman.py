@@ -29,7 +29,7 @@ from tests.ship.estimation.conftest import (
     response,
 )
 
-TUNING = KalmanTuning.of_ship(SHIP, WAVES)
+TUNING = KalmanTuning.choose_for_ship(SHIP, WAVES)
 
 
 def continuous(ship: Vessel, tuning: KalmanTuning) -> tuple[np.ndarray, ...]:
@@ -62,13 +62,15 @@ def innovations(tuning: KalmanTuning, steps: int, seed: int) -> tuple[KalmanFilt
     root = scale[:, None] * np.linalg.cholesky(Q / np.outer(scale, scale))
     rng = np.random.default_rng(seed)
     kalman = KalmanFilter(SHIP, tuning, SAMPLE_S)
-    kalman.start(np.zeros(6))
+    kalman.start_from_state(np.zeros(6))
     x, tau, found = np.zeros(15), np.zeros(3), np.empty((steps, 3))
     mass = np.diag(SHIP.M)
     for k in range(steps):
-        estimate = kalman.update(C @ x + TUNING.measurement_std * rng.normal(size=3), tau)
+        estimate = kalman.update_and_return_state(
+            C @ x + TUNING.measurement_std * rng.normal(size=3), tau
+        )
         found[k] = kalman.innovation
-        tau = -mass * (0.01 * estimate[3:] + 0.2 * estimate[:3]) - kalman.bias
+        tau = -mass * (0.01 * estimate[3:] + 0.2 * estimate[:3]) - kalman.estimated_bias_force
         x = Phi @ x + Gamma @ tau + root @ rng.normal(size=15)
     return kalman, found
 
@@ -115,8 +117,10 @@ def test_the_filter_forgets_its_start_for_every_vessel(name: str, wave_filter: b
     ship = load_vessel(name)
     length, time = (70.0, math.sqrt(70.0)) if name == "cybership2" else (1.0, 1.0)
     lengths = np.array([length, length, 1.0])
-    waves = WaveModel.of_sea(8.5 / time, WAVES.std / lengths)
-    tuning = KalmanTuning.of_ship(ship, waves, SENSOR_STD / lengths, wave_filter=wave_filter)
+    waves = WaveModel.from_peak_period(8.5 / time, WAVES.std / lengths)
+    tuning = KalmanTuning.choose_for_ship(
+        ship, waves, SENSOR_STD / lengths, wave_filter=wave_filter
+    )
     model = build_kalman_model(ship, tuning, SAMPLE_S / time)
     forgets = (np.eye(len(model.K)) - model.K @ model.C) @ model.Phi
     radius = np.abs(np.linalg.eigvals(forgets)).max()
@@ -130,7 +134,7 @@ def test_innovations_are_white_on_matched_noise() -> None:
     lags, limit = 41, int(binom.ppf(0.997, 120, 0.05))
     _, found = innovations(TUNING, 20_500, seed=20)
     assert outside_bounds(found[500:], lags) <= limit
-    unfiltered = KalmanTuning.of_ship(SHIP, WAVES, wave_filter=False)
+    unfiltered = KalmanTuning.choose_for_ship(SHIP, WAVES, wave_filter=False)
     _, coloured = innovations(unfiltered, 20_500, seed=20)
     assert outside_bounds(coloured[500:], lags) > 60
 
@@ -165,20 +169,20 @@ def test_wave_motion_at_the_peak_period_is_taken_out(axis: int) -> None:
 def test_a_turn_of_the_ship_does_not_turn_the_sea() -> None:
     """At a turn by 90° from one sample to the next the wave motion is predicted on its course."""
     kalman = KalmanFilter(SHIP, TUNING, SAMPLE_S)
-    kalman.start(np.zeros(6))
+    kalman.start_from_state(np.zeros(6))
     measured, before = np.zeros(3), 0.0
     for k in range(1001):
         before = np.abs(kalman.innovation[:2]).max()
         angle = OMEGA0 * SAMPLE_S * k
         measured[:2] = 0.5 * math.sin(angle), 0.3 * math.cos(angle)
         measured[2] = math.pi / 2 if k == 1000 else 0.0
-        kalman.update(measured, np.zeros(3))
+        kalman.update_and_return_state(measured, np.zeros(3))
     # What is left is the estimated drift of centimetres per second, which turns with the ship.
     assert np.abs(kalman.innovation[:2]).max() < before + 0.02
 
 
 def test_without_wave_filter_the_motion_counts_as_sensor_noise() -> None:
-    tuning = KalmanTuning.of_ship(SHIP, WAVES, wave_filter=False)
+    tuning = KalmanTuning.choose_for_ship(SHIP, WAVES, wave_filter=False)
     kalman, found = innovations(tuning, 4500, seed=22)
     ratio = found[500:].std(axis=0) / np.sqrt(np.diag(kalman.model.S))
     # The waves are coloured, so the sizes agree, not the statistics.

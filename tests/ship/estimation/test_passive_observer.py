@@ -22,12 +22,12 @@ from tests.ship.estimation.conftest import (
     response,
 )
 
-TUNING = PassiveTuning.of_ship(SHIP, WAVES)
+TUNING = PassiveTuning.choose_for_ship(SHIP, WAVES)
 
 
 def linear(ship: Vessel, tuning: PassiveTuning) -> tuple[np.ndarray, np.ndarray]:
     """A and B of ẋ = A x + B y at heading zero, x = [η̂, b̂, ν̂, ξ̂1, ξ̂2]."""
-    K11, K12, K2, K3, K4 = (np.diag(gain) for gain in tuning.gains)
+    K11, K12, K2, K3, K4 = (np.diag(gain) for gain in tuning.gain_vectors)
     B = np.vstack([K2, K3, np.linalg.inv(ship.M) @ K4, K11, K12])
     return model_matrix(ship, 1 / tuning.bias_time_s, tuning.waves) - B @ OUTPUT, B
 
@@ -43,7 +43,7 @@ def test_the_gains_follow_the_published_rules() -> None:
         np.full(3, 0.1),
         np.full(3, 1000.0),
     )
-    K11, K12, K2, K3, K4 = tuning.gains
+    K11, K12, K2, K3, K4 = tuning.gain_vectors
     np.testing.assert_allclose(K11, -2.2059, atol=5e-5)
     np.testing.assert_allclose(K12, 1.6157, atol=5e-5)
     np.testing.assert_array_equal(K2, 1.1)
@@ -54,11 +54,11 @@ def test_the_gains_follow_the_published_rules() -> None:
 def test_the_defaults_are_passive_for_every_vessel(name: str) -> None:
     ship = load_vessel(name)
     scale = math.sqrt(70.0) if name == "cybership2" else 1.0
-    waves = WaveModel.of_sea(8.5 / scale, WAVES.std)
-    tuning = PassiveTuning.of_ship(ship, waves)
-    K11, K12, K2, K3, K4 = tuning.gains
-    s = 1j * np.logspace(-6, 3, 4000)[:, None] * waves.omega0_radps
-    w0, lam, leak = waves.omega0_radps, waves.damping, 1 / tuning.bias_time_s
+    waves = WaveModel.from_peak_period(8.5 / scale, WAVES.std)
+    tuning = PassiveTuning.choose_for_ship(ship, waves)
+    K11, K12, K2, K3, K4 = tuning.gain_vectors
+    s = 1j * np.logspace(-6, 3, 4000)[:, None] * waves.natural_frequencies_radps
+    w0, lam, leak = waves.natural_frequencies_radps, waves.damping, 1 / tuning.bias_time_s
     wave = s**2 + 2 * lam * w0 * s + w0**2
     pose = (s + K2) * wave + s * (K12 * s - K11 * w0**2)
     H = wave / pose * K4 * (s + leak + K3 / K4) / (s + leak)
@@ -70,7 +70,7 @@ def test_the_defaults_are_passive_for_every_vessel(name: str) -> None:
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_wave_motion_at_the_peak_period_is_taken_out(axis: int) -> None:
     """Motion at the peak loses 20 dB on its way to the pose, as the transfer function says."""
-    tunings = (PassiveTuning.of_ship(SHIP, WAVES, wave_filter=on) for on in (True, False))
+    tunings = (PassiveTuning.choose_for_ship(SHIP, WAVES, wave_filter=on) for on in (True, False))
     reached = [response(PassiveObserver(SHIP, tuning, SAMPLE_S), axis) for tuning in tunings]
     A, B = linear(SHIP, TUNING)
     H = np.linalg.solve(1j * OMEGA0 * np.eye(15) - A, B)
@@ -82,8 +82,8 @@ def test_wave_motion_at_the_peak_period_is_taken_out(axis: int) -> None:
 
 def test_the_step_is_the_solution_of_the_differential_equations() -> None:
     observer = PassiveObserver(SHIP, TUNING, SAMPLE_S)
-    K11, K12, K2, K3, K4 = TUNING.gains
-    w0, lam = WAVES.omega0_radps, WAVES.damping
+    K11, K12, K2, K3, K4 = TUNING.gain_vectors
+    w0, lam = WAVES.natural_frequencies_radps, WAVES.damping
     Minv = np.linalg.inv(SHIP.M)
     steps = 200
     t = SAMPLE_S * np.arange(steps)
@@ -91,8 +91,8 @@ def test_the_step_is_the_solution_of_the_differential_equations() -> None:
     poses = np.column_stack([3 + 0.1 * t, -2 + 0.05 * t, 1.5 + 0.02 * t]) + swing
     taus = SHIP.tau_max * np.cos(0.1 * t[:, None] + [0.0, 1.0, 2.0]) * 0.3
     start = np.concatenate([[0.1, 0.05, 0.01], poses[0]])
-    observer.start(start)
-    observer.update(poses[0], taus[0])
+    observer.start_from_state(start)
+    observer.update_and_return_state(poses[0], taus[0])
     x = np.concatenate([poses[0], np.zeros(3), start[:3], np.zeros(6)])
     for k in range(1, steps):
 
@@ -114,7 +114,7 @@ def test_the_step_is_the_solution_of_the_differential_equations() -> None:
         x = solve_ivp(equations, (0.0, SAMPLE_S), x, method="DOP853", rtol=1e-10, atol=1e-9).y[
             :, -1
         ]
-        estimate = observer.update(poses[k], taus[k])
+        estimate = observer.update_and_return_state(poses[k], taus[k])
         # Two Runge-Kutta steps a sample leave less than a hundredth of a millimetre.
         np.testing.assert_allclose(estimate[3:], x[0:3], rtol=0, atol=1e-5)
         np.testing.assert_allclose(estimate[:3], x[6:9], rtol=0, atol=1e-5)

@@ -43,7 +43,7 @@ def weather(dp: int, to_rad: float) -> Environment:
 def mean_loads_kN(ship: Vessel, dp: int) -> np.ndarray:
     """Head-on and beam-on force and quartering moment of wind and drift at rest: (3,) kN, kN·m."""
     wind_mps, hs_m, _, _, _ = TABLE[dp]
-    loads = weather(dp, 0.0).load_coefficients(ship)
+    loads = weather(dp, 0.0).wind_and_drift_coefficients(ship)
     assert loads is not None
     # The law takes V² and |Z|², whose mean is Hs²/8.
     return (loads[:3] * wind_mps**2 + loads[3:] * hs_m**2 / 8) / 1000

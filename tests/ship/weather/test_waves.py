@@ -24,32 +24,36 @@ def drifting(sea: Sea, seed: int = 0) -> Environment:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_wave_height_is_four_standard_deviations_of_the_elevation(seed: int) -> None:
-    elevation = SEA.harmonics(seed).at(101.7 * np.arange(20_000), NOW)[:, 0].real
+    elevation = (
+        SEA.draw_wave_harmonics(seed)
+        .evaluate_process_at_times(101.7 * np.arange(20_000), NOW)[:, 0]
+        .real
+    )
     # The standard deviation of 20 000 independent values is known to 0.5 %; five of those.
     assert 4 * elevation.std() == pytest.approx(SEA.hs_m, rel=0.025)
 
 
 def test_the_zero_crossing_period_is_that_of_the_spectrum() -> None:
     """A Pierson-Moskowitz sea crosses zero every Tp/1.4049, less the tail left out above 5 ω_p."""
-    omega = Sea(2.0, 10.0, 0.0, 1.0).harmonics(0).omega
+    omega = Sea(2.0, 10.0, 0.0, 1.0).draw_wave_harmonics(0).omega
     # The tail holds 5 % of the second moment, so the period comes out 2.6 % long.
     assert 2 * np.pi / np.sqrt(np.mean(omega**2)) == pytest.approx(10.0 / 1.4049, rel=0.035)
 
 
 def test_the_drift_is_newmans_double_sum_over_difference_frequencies() -> None:
     """|Z|² = Σ Σ a² cos((ω_i − ω_j) t + ε_i − ε_j): slow, without sum frequencies."""
-    waves, t = SEA.harmonics(4), np.array([0.0, 13.7, 250.0])
+    waves, t = SEA.draw_wave_harmonics(4), np.array([0.0, 13.7, 250.0])
     difference = np.subtract.outer(waves.omega, waves.omega)
     phase = np.subtract.outer(waves.phase, waves.phase)
     expected = [waves.amplitude**2 * np.cos(difference * x + phase).sum() for x in t]
-    found = WaveDrift(SEA).envelope(t, NOW, 4)[:, 0] ** 2
+    found = WaveDrift(SEA).wave_envelope_at_times(t, NOW, 4)[:, 0] ** 2
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)
 
 
 def test_the_mean_drift_force_is_that_of_maruo(hull: Vessel) -> None:
     """Over a long record abeam the mean of the force is (1/16) ρ g L R² Hs²."""
-    height = WaveDrift(SEA).envelope(211.3 * np.arange(20_000), NOW, 1)
-    coefficient = WaveReflection(18.0).coefficients(hull.length_m, SEA)[1]
+    height = WaveDrift(SEA).wave_envelope_at_times(211.3 * np.arange(20_000), NOW, 1)
+    coefficient = WaveReflection(18.0).wave_drift_coefficients(hull.length_m, SEA)[1]
     tz = 8.5 / 1.4049
     short = tz / (0.75 * math.sqrt(18.0))
     R_squared = 0.72 * short**-3 * math.exp(1 - short**-3)
@@ -62,7 +66,7 @@ def test_short_waves_are_reflected_whole_and_long_ones_pass() -> None:
     """R² is R₀² for waves shorter than the hull's scale and falls with the cube of the period."""
     hull = WaveReflection(18.0)
     short, shorter, longer, longest = (
-        hull.coefficients(76.2, Sea(1.0, tp_s, 0.0)) for tp_s in (3.0, 2.0, 30.0, 60.0)
+        hull.wave_drift_coefficients(76.2, Sea(1.0, tp_s, 0.0)) for tp_s in (3.0, 2.0, 30.0, 60.0)
     )
     np.testing.assert_array_equal(short, shorter)
     half = 0.5 * 1026 * 9.81
@@ -80,8 +84,8 @@ def test_drift_on_a_turned_ship_follows_the_waves_in_body_axes(
     """X ∝ cos, Y ∝ sin and N ∝ −sin of twice the waves' direction in body axes."""
     psi = math.radians(heading_deg)
     weather = drifting(SEA, 2)
-    power = WaveDrift(SEA).envelope(NOW, NOW, 2)[0, 0] ** 2
-    b_x, b_y, b_n = WaveReflection(18.0).coefficients(hull.length_m, SEA)
+    power = WaveDrift(SEA).wave_envelope_at_times(NOW, NOW, 2)[0, 0] ** 2
+    b_x, b_y, b_n = WaveReflection(18.0).wave_drift_coefficients(hull.length_m, SEA)
     beta = SEA.to_rad - psi
     expected = power * np.array(
         [b_x * math.cos(beta), b_y * math.sin(beta), -b_n * math.sin(2 * beta)]
@@ -95,7 +99,9 @@ def test_drift_on_a_turned_ship_follows_the_waves_in_body_axes(
 def test_motion_lies_along_the_waves_with_the_given_amplitude() -> None:
     """Waves to the east move the ship east and west by X·Hs/4 rms, and turn it by its operator."""
     sea = Sea(2.0, 8.5, np.pi / 2)
-    motion = FirstOrderMotion(sea, 0.6, 0.0, 0.01).table(103.1 * np.arange(20_000), 3)
+    motion = FirstOrderMotion(sea, 0.6, 0.0, 0.01).motion_and_rates_at_times(
+        103.1 * np.arange(20_000), 3
+    )
     np.testing.assert_allclose(motion[:, [0, 3]], 0.0, atol=1e-15)
     assert motion[:, 1].std() == pytest.approx(0.6 * 2.0 / 4, rel=0.025)
     assert motion[:, 2].std() == pytest.approx(0.01 * 2.0 / 4, rel=0.025)
@@ -104,7 +110,9 @@ def test_motion_lies_along_the_waves_with_the_given_amplitude() -> None:
 @pytest.mark.parametrize("to_rad", [0.4, -2.0, 3.1])
 def test_turning_the_sea_turns_the_motion(to_rad: float) -> None:
     north, turned = (
-        FirstOrderMotion(Sea(2.0, 8.5, angle), 0.6, 0.2, 0.01).table(np.linspace(0, 50, 9), 5)
+        FirstOrderMotion(Sea(2.0, 8.5, angle), 0.6, 0.2, 0.01).motion_and_rates_at_times(
+            np.linspace(0, 50, 9), 5
+        )
         for angle in (0.0, to_rad)
     )
     R = rotation(to_rad)
@@ -115,10 +123,10 @@ def test_turning_the_sea_turns_the_motion(to_rad: float) -> None:
 @pytest.mark.slow
 def test_the_motion_along_the_waves_is_the_waters_own() -> None:
     sea = Sea(2.0, 8.5, 0.0)
-    waves = sea.harmonics(6)
+    waves = sea.draw_wave_harmonics(6)
     t = np.linspace(0.0, 600.0, 40_001)
-    elevation = waves.at(t, NOW)[:, 0].real
-    motion = FirstOrderMotion(sea, 1.0).table(t, 6)
+    elevation = waves.evaluate_process_at_times(t, NOW)[:, 0].real
+    motion = FirstOrderMotion(sea, 1.0).motion_and_rates_at_times(t, 6)
     velocity = motion[:, 3]
     # In deep water both components are in phase; the spectrum's width leaves less than one.
     assert np.corrcoef(elevation, velocity)[0, 1] > 0.9
@@ -127,6 +135,6 @@ def test_the_motion_along_the_waves_is_the_waters_own() -> None:
 
 def test_drift_and_motion_belong_to_the_same_waves() -> None:
     t = np.linspace(0.0, 100.0, 21)
-    motion = FirstOrderMotion(Sea(3.1, 8.5, 0.0), 1.0, 1.0).table(t, 8)
-    envelope = WaveDrift(Sea(3.1, 8.5, 0.0)).envelope(t, NOW, 8)[:, 0]
+    motion = FirstOrderMotion(Sea(3.1, 8.5, 0.0), 1.0, 1.0).motion_and_rates_at_times(t, 8)
+    envelope = WaveDrift(Sea(3.1, 8.5, 0.0)).wave_envelope_at_times(t, NOW, 8)[:, 0]
     np.testing.assert_allclose(np.hypot(motion[:, 0], motion[:, 1]), envelope, rtol=1e-12)

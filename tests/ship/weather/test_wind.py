@@ -10,8 +10,8 @@ from scipy.integrate import quad
 
 from dpbench.ship.environment import Environment
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.harmonics import harris_gust, norsok_gust
-from dpbench.ship.weather.wind import Wind, towards_rad
+from dpbench.ship.weather.harmonics import harris_gust_spectrum, norsok_gust_spectrum
+from dpbench.ship.weather.wind import Wind, convert_from_deg_to_towards_rad
 from tests.ship.conftest import CALM, rotation
 
 Felt = Callable[..., np.ndarray]
@@ -24,7 +24,7 @@ def blowing(speed_mps: float, to_rad: float) -> Environment:
 
 @pytest.mark.parametrize(("come", "go"), [(0, 180), (90, -90), (180, 0), (270, 90), (405, -135)])
 def test_a_wind_from_one_side_goes_to_the_other(come: float, go: float) -> None:
-    assert math.degrees(towards_rad(come)) == pytest.approx(go, abs=1e-12)
+    assert math.degrees(convert_from_deg_to_towards_rad(come)) == pytest.approx(go, abs=1e-12)
 
 
 @pytest.mark.parametrize("heading_deg", range(-180, 180, 25))
@@ -52,7 +52,8 @@ def test_wind_on_a_turned_moving_ship_is_the_force_of_fossen(
 
 def test_signs_are_those_a_sailor_expects(hull: Vessel, weather_force: Felt) -> None:
     ahead, starboard, bow = (
-        weather_force(hull, blowing(15.0, towards_rad(come_deg))) for come_deg in (0, 90, 45)
+        weather_force(hull, blowing(15.0, convert_from_deg_to_towards_rad(come_deg)))
+        for come_deg in (0, 90, 45)
     )
     assert ahead[0] < -1e4
     assert starboard[1] < -5e4
@@ -61,12 +62,16 @@ def test_signs_are_those_a_sailor_expects(hull: Vessel, weather_force: Felt) -> 
     np.testing.assert_allclose([ahead[1], starboard[0]], 0.0, atol=1.0)
 
 
-@pytest.mark.parametrize(("gusts", "density"), [("norsok", norsok_gust), ("harris", harris_gust)])
+@pytest.mark.parametrize(
+    ("gusts", "density"), [("norsok", norsok_gust_spectrum), ("harris", harris_gust_spectrum)]
+)
 def test_gusts_have_the_mean_and_variance_of_their_spectrum(
     gusts: str, density: Callable[..., float]
 ) -> None:
     """The wind has its mean speed and the variance ∫S df between 1/600 and 0.5 Hz."""
-    speed = Wind(17.1, 0.0, gusts).speed(1013.0 * np.arange(20_000), np.zeros(1), 5)[:, 0]  # type: ignore[arg-type] # the name comes from a table
+    speed = Wind(17.1, 0.0, gusts).wind_speed_at_times(1013.0 * np.arange(20_000), np.zeros(1), 5)[
+        :, 0
+    ]  # type: ignore[arg-type] # the name comes from a table
     variance = quad(density, 1 / 600, 0.5, args=(17.1,), limit=200)[0]
     # Independent values: a relative 1 % on the variance, σ/√20000 on the mean; five of each.
     assert speed.var() == pytest.approx(variance, rel=0.05)
@@ -76,4 +81,4 @@ def test_gusts_have_the_mean_and_variance_of_their_spectrum(
 def test_a_wind_without_gusts_is_steady() -> None:
     t = 0.3 * np.arange(50)
     for wind in (Wind(12.0, 1.0, "none"), Wind(0.0, 1.0, "norsok")):
-        np.testing.assert_array_equal(wind.speed(t, np.zeros(2), 0), wind.speed_mps)
+        np.testing.assert_array_equal(wind.wind_speed_at_times(t, np.zeros(2), 0), wind.speed_mps)
