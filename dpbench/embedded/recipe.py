@@ -66,8 +66,6 @@ class RecipeFile(_Table):
     """Folders of headers there, or in the library."""
     defines: list[str] = []
     """Flags of the compiler."""
-    targets: list[str] = []
-    """Targets that it compiles for; none given: all."""
     float_defines: list[str] | None = None
     """Further flags in single precision; none given: the solver has no single precision."""
     matrices: bool = True
@@ -157,8 +155,6 @@ class Recipe:
         if self.missing:
             raise SituationError(self.solver, self.missing)
         file = self.file
-        if file.targets and target.name not in file.targets:
-            raise InputError(self.solver, "--target", target.name, ", ".join(file.targets))
         (folder / "problem.h").write_text(_problem_header(sequence, self.with_settings(settings)))
         origins = self._open_origins()
         if file.generator:
