@@ -28,7 +28,7 @@ so that row 2 comes first and λ₂ = 3.5 s. Three more iterations end at x = (1
 >>> found, ending = method._find_most_violated_row_and_side(), method._activate_violated_row(2, 1.0)
 >>> found, ending, bool(np.isclose(method._lam[2], 3.5 * s))
 ((2, 1.0), None, True)
->>> outcome = method.run()
+>>> outcome = method.run_from_active_set()
 >>> outcome.multipliers.round(12).tolist(), outcome.iterations
 ([2.0, 2.0, 0.0], 4)
 """

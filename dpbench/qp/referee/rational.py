@@ -22,9 +22,9 @@ G = (3, 0), z = (⅓, ½) and λ = 2/9, both exact. Rounded once, ⅓ is off by 
 >>> from dpbench.qp.program import QuadraticProgram
 >>> free = np.full(2, np.inf)
 >>> row = [[3, 0]], [-np.inf], [1], -free, free
->>> problem = JointQP.of(QuadraticProgram(np.eye(2), [-1, -0.5], *row))
->>> exact = ExactMatrices.of(problem.P, problem.C)
->>> qp, no_guess = _IntegerQP.of(problem, exact), np.zeros(3, dtype=np.int8)
+>>> problem = JointQP.from_qp(QuadraticProgram(np.eye(2), [-1, -0.5], *row))
+>>> exact = ExactMatrices.from_float_matrices(problem.P, problem.C)
+>>> qp, no_guess = _IntegerQP.from_joint_qp(problem, exact), np.zeros(3, dtype=np.int8)
 >>> active, at = _build_dual_feasible_start(qp, no_guess)
 >>> unit = Fraction(2) ** qp.z_exponent
 >>> [str(Fraction(z, at.denominator) * unit) for z in at.point]
@@ -32,7 +32,7 @@ G = (3, 0), z = (⅓, ½) and λ = 2/9, both exact. Rounded once, ⅓ is off by 
 >>> proof = _add_violated_limit_or_return_farkas_vector(qp, active, 0, 1)
 >>> _find_most_violated_row_and_sign(qp, at), proof, active.rows
 ((0, 1), None, [0])
->>> at = active.solve(np.zeros(2, dtype=object))
+>>> at = active.solve_kkt_exactly(np.zeros(2, dtype=object))
 >>> [str(Fraction(z, at.denominator) * unit) for z in at.point[:2]]
 ['1/3', '1/2']
 >>> str(Fraction(at.point[2], at.denominator) * Fraction(2) ** qp.y_exponent)
