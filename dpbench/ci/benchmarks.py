@@ -1,8 +1,10 @@
 """JSON files of pytest-benchmark: times, exact measures, the machine's state, tests that failed."""
 
 import json
+import sys
+import sysconfig
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,8 @@ from dpbench.errors import InputError
 
 FAILED = "dpbench_failed"
 """Key of a JSON file: the reason of each benchmark that failed, by name."""
+IMPORTED = "dpbench_imported"
+"""Key of a JSON file: the files of imported modules that are not in site-packages."""
 WRONG_ANSWERS = "wrong answers"
 """Beginning of the reason where a replay does not meet its requirements."""
 ALLOWED = "a JSON file of pytest-benchmark, written by --benchmark-json"
@@ -78,10 +82,14 @@ def _estimate_error(
 
 @dataclass(frozen=True)
 class BenchmarkRun:
-    """The benchmarks of one run of pytest by name, and the reasons of those that failed."""
+    """The benchmarks of one run of pytest by name, and the reasons of those that failed.
+
+    imported : files of the modules that `list_imported_files` found.
+    """
 
     benchmarks: dict[str, Benchmark] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
+    imported: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, entries: Iterable[Mapping[str, Any]], failed: Mapping[str, str]) -> "BenchmarkRun":
@@ -95,11 +103,25 @@ class BenchmarkRun:
         return {*self.benchmarks, *self.failed}
 
 
+def list_imported_files() -> list[str]:
+    """Return the files of imported modules, without the standard library and site-packages."""
+    standard = [Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib")]
+    names = {getattr(module, "__file__", None) for module in list(sys.modules.values())}
+    files = {Path(name).resolve() for name in names if isinstance(name, str)}
+    return sorted(
+        str(file)
+        for file in files
+        if not {"site-packages", "dist-packages"}.intersection(file.parts)
+        and not any(file.is_relative_to(folder.resolve()) for folder in standard)
+    )
+
+
 def load_run(path: Path) -> BenchmarkRun:
     """Read the benchmarks in a JSON file; InputError for a file that has none."""
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
         run = BenchmarkRun.of(stored["benchmarks"], stored.get(FAILED, {}))
+        run = replace(run, imported=tuple(map(str, stored.get(IMPORTED, ()))))
     except OSError as error:
         raise InputError(str(path), "", error.strerror or "unreadable", ALLOWED) from error
     except (ValueError, TypeError, AttributeError) as error:

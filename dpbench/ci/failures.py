@@ -1,4 +1,4 @@
-"""The benchmarks of a pytest session that failed, in its JSON file beside those that were timed."""
+"""What a pytest session adds to its JSON file: benchmarks that failed, and imported files."""
 
 import json
 from collections.abc import Generator
@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.ci.benchmarks import FAILED
+from dpbench.ci.benchmarks import FAILED, IMPORTED, list_imported_files
 
 
 class FailedBenchmarks:
@@ -31,8 +31,8 @@ class FailedBenchmarks:
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_benchmark_update_json(self, output_json: dict[str, Any]) -> None:
-        """Add the failures to the JSON file."""
-        output_json[FAILED] = self.reasons
+        """Add the failures and the imported files to the JSON file."""
+        output_json |= self._additions()
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionfinish(self) -> None:
@@ -44,5 +44,9 @@ class FailedBenchmarks:
             return
         # Older releases of pytest-benchmark have opened the file.
         path = Path(getattr(target, "name", "")) if hasattr(target, "write") else Path(target)
-        content = json.dumps({"benchmarks": [], FAILED: self.reasons})
+        content = json.dumps({"benchmarks": []} | self._additions())
         path.write_text(content, encoding="utf-8")
+
+    def _additions(self) -> dict[str, Any]:
+        """Return what is stored beside the benchmarks that were timed."""
+        return {FAILED: self.reasons, IMPORTED: list_imported_files()}

@@ -5,7 +5,7 @@
 BASE and HEAD are working trees. pytest runs in each by turns, with `.venv/bin/python` of the tree
 where there is one. Pairs of runs that other load disturbed are repeated, each once at most. Exit 0:
 no regression shown, or a base without benchmarks; 1: a regression, wrong answers, a benchmark that
-failed or is gone; 2: bad input.
+failed or is gone; 2: bad input, or a tree whose benchmarks import files of the other.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from dpbench.ci import MARGIN
 from dpbench.ci.benchmarks import BenchmarkRun, load_run
 from dpbench.ci.comparison import compare_runs
 from dpbench.ci.verdicts import NOT_TIMED, Row, RunComparison
-from dpbench.errors import InputError
+from dpbench.errors import InputError, SituationError
 from dpbench.files.writing import write_bytes_to_file_or_pipe
 from dpbench.report.formats import plural
 
@@ -66,12 +66,29 @@ def measure_tree(tree: Path, arguments: Sequence[str]) -> Measured:
             return Measured(BenchmarkRun(), reason)
 
 
+def check_imports(trees: tuple[Path, Path], runs: tuple[BenchmarkRun, BenchmarkRun]) -> None:
+    """Raise SituationError where a run of one tree has imported a file of the other.
+
+    A file is of the innermost tree, as one tree may lie in the other.
+    """
+    folders = [tree.resolve() for tree in trees]
+    for side, other, own, run in zip(
+        ("base", "head"), reversed(folders), folders, runs, strict=True
+    ):
+        for file in map(Path, run.imported):
+            owners = [one for one in folders if file.is_relative_to(one)]
+            if owners and max(owners, key=lambda one: len(one.parts)) == other != own:
+                remedy = 'give each tree a .venv, or pytest `pythonpath = ["src"]`'
+                raise SituationError(side, f"imports {file}: {remedy}")
+
+
 def measure_by_turns(
     trees: tuple[Path, Path], count: int, arguments: Sequence[str]
 ) -> list[tuple[Measured, Measured]]:
     """Measure both trees by turns until so many pairs are undisturbed, at most twice as many.
 
     One pair is enough where the base has no benchmark or the head has one that fails.
+    InputError where a tree is measured with files of the other.
     """
     pairs: list[tuple[Measured, Measured]] = []
     while len(pairs) < 2 * count and sum(a.is_quiet and b.is_quiet for a, b in pairs) < count:
@@ -80,6 +97,7 @@ def measure_by_turns(
         measured = {turn: measure_tree(trees[turn], arguments) for turn in turns}
         pairs.append((measured[0], measured[1]))
         base, head = pairs[-1]
+        check_imports(trees, (base.run, head.run))
         if not base.run.benchmarks or not head.run.benchmarks or head.run.failed:
             break
     return pairs

@@ -1,12 +1,14 @@
 """Two working trees measured by turns, with tests that need no solver."""
 
+import os
 from pathlib import Path
 
 import pytest
 
-from dpbench.ci import revisions
+from dpbench.ci import plugin, revisions
 from dpbench.ci.benchmarks import BenchmarkRun
-from dpbench.ci.revisions import Measured, main, measure_by_turns
+from dpbench.ci.revisions import Measured, check_imports, main, measure_by_turns
+from dpbench.errors import InputError
 
 pytest.importorskip("pytest_benchmark", reason="is of the extra ci")
 
@@ -99,3 +101,40 @@ def test_a_tree_is_measured_by_its_own_tests(
     found = revisions.measure_tree(trees[1], quick)
     assert set(found.run.benchmarks) == {"test_it.py::test_it"}
     assert "exit code 5" in revisions.measure_tree(trees[0], quick).reason
+
+
+def test_a_file_is_of_the_innermost_tree(trees: tuple[Path, Path]) -> None:
+    """A worktree of the base may lie in the head; one tree may be compared with itself."""
+    head, base = trees[1], trees[1] / "old"
+    files = (str(base / "src" / "it.py"),)
+    check_imports((base, head), (BenchmarkRun(imported=files), BenchmarkRun()))
+    check_imports((base, base), (BenchmarkRun(imported=files), BenchmarkRun(imported=files)))
+    with pytest.raises(InputError, match=r"head: imports .*it\.py: give each tree"):
+        check_imports((base, head), (BenchmarkRun(), BenchmarkRun(imported=files)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("installed", "misled"), [(1, "base"), (0, "head")])
+def test_a_tree_measured_with_the_package_of_the_other_is_bad_input(
+    trees: tuple[Path, Path],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    installed: int,
+    misled: str,
+) -> None:
+    """An editable package of one tree is imported in both, until each has its `pythonpath`."""
+    monkeypatch.delenv("PYTEST_XDIST_WORKER", raising=False)
+    for tree in trees:
+        (tree / "src").mkdir()
+        (tree / "src" / "mysolver.py").write_text("def solve():\n    return 1\n", encoding="utf-8")
+        test = "from mysolver import solve\ndef test_it(benchmark):\n    benchmark(solve)\n"
+        (tree / "test_it.py").write_text(test, encoding="utf-8")
+    source = trees[installed] / "src"
+    monkeypatch.setenv("PYTHONPATH", str(source), prepend=os.pathsep)
+    quick = ["--benchmark-min-rounds=2", "--benchmark-max-time=0.01"]
+    loaded = ["-p", "no:xdist", "-p", "no:dpbench", "-p", plugin.__name__]
+    given = [*map(str, trees), "--pairs", "1", "--", *quick, *loaded]
+    assert main(given) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"revisions: {misled}: imports {source / 'mysolver.py'}")
+    assert main([*given, "-o", "pythonpath=src"]) == 0
