@@ -34,7 +34,7 @@ force of 1 moves it by h²/2 = 2 and makes it faster by h = 2, and white noise l
 h³/3 = 8/3 of p, h = 2 of v and h²/2 = 2 between them.
 
 >>> A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
->>> Phi, Gamma, Q = discretise(A, B, B, 2.0)
+>>> Phi, Gamma, Q = discretise_model_and_noise(A, B, B, 2.0)
 >>> bool(np.allclose(Phi, [[1, 2], [0, 1]]) and np.allclose(Gamma, [[2], [2]]))
 True
 >>> bool(np.allclose(Q, [[8 / 3, 2], [2, 2]]))
