@@ -91,13 +91,17 @@ def _judge(name: str, pairs: Pairs, time: Assessment, complaints: Sequence[str])
     ]
     # What is exact may still have noise of memory: the pair that grew least counts.
     exact = min((find_exact_changes(*pair) for pair in both), key=len)
-    ratio, verdict, remarks = time.ratio, NO_CHANGE, list(exact)
+    ratio: Interval | None = time.ratio
+    verdict, remarks = NO_CHANGE, list(exact)
     if complaints:
         verdict = DISTURBED
         remarks += complaints
         # A single pair shows nothing of the noise that load makes.
-        ratio = Interval(ratio.value, 0.0, np.inf) if len(both) == 1 else ratio
-    elif not np.isfinite(ratio.high):
+        ratio = Interval(time.ratio.value, 0.0, np.inf) if len(both) == 1 else time.ratio
+        # Nor do several without one quiet run.
+        if all(one.complaints for pair in both for one in pair):
+            ratio = None
+    elif not np.isfinite(time.ratio.high):
         verdict = NO_KERNEL
     elif time.verdict == "slower":
         verdict = SLOWER

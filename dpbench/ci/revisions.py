@@ -5,23 +5,26 @@
 BASE and HEAD are working trees. pytest runs in each by turns, with `.venv/bin/python` of the tree
 where there is one. Pairs of runs that other load disturbed are repeated, each once at most. Exit 0:
 no regression shown, or a base without benchmarks; 1: a regression, wrong answers, a benchmark that
-failed or is gone; 2: bad input, or a tree whose benchmarks import files of the other.
+failed or is gone, with --fail-disturbed also a disturbed one; 2: bad input, or a tree whose
+benchmarks import files of the other.
 """
 
 import argparse
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 
+from dpbench.bench.workers.interrupts import first_signal_only
 from dpbench.ci import MARGIN
 from dpbench.ci.benchmarks import BenchmarkRun, load_run
 from dpbench.ci.comparison import compare_runs
-from dpbench.ci.verdicts import NOT_TIMED, Row, RunComparison
+from dpbench.ci.verdicts import DISTURBED, NOT_TIMED, Row, RunComparison
 from dpbench.errors import InputError, SituationError
 from dpbench.files.writing import write_bytes_to_file_or_pipe
 from dpbench.report.formats import plural
@@ -91,16 +94,35 @@ def measure_by_turns(
     InputError where a tree is measured with files of the other.
     """
     pairs: list[tuple[Measured, Measured]] = []
-    while len(pairs) < 2 * count and sum(a.is_quiet and b.is_quiet for a, b in pairs) < count:
+    while len(pairs) < 2 * count and _count_quiet(pairs) < count:
         # Neither is always the second.
         turns = (0, 1) if len(pairs) % 2 == 0 else (1, 0)
-        measured = {turn: measure_tree(trees[turn], arguments) for turn in turns}
+        pair = f"pair {1 + _count_quiet(pairs)} of {count}"
+        measured: dict[int, Measured] = {}
+        for turn in turns:
+            start_s = time.monotonic()
+            measured[turn] = measure_tree(trees[turn], arguments)
+            seconds = time.monotonic() - start_s
+            _print_progress(f"{pair}, {('base', 'head')[turn]}: {seconds:.0f} s")
         pairs.append((measured[0], measured[1]))
         base, head = pairs[-1]
         check_imports(trees, (base.run, head.run))
         if not base.run.benchmarks or not head.run.benchmarks or head.run.failed:
             break
+        if not (base.is_quiet and head.is_quiet):
+            again = "repeated" if len(pairs) < 2 * count else "no repeat left"
+            _print_progress(f"{pair} disturbed: {again}")
     return pairs
+
+
+def _count_quiet(pairs: Sequence[tuple[Measured, Measured]]) -> int:
+    """Count the pairs of runs that nothing disturbed."""
+    return sum(base.is_quiet and head.is_quiet for base, head in pairs)
+
+
+def _print_progress(line: str) -> None:
+    """Print a line on standard error at once."""
+    print(line, file=sys.stderr, flush=True)
 
 
 def compare_trees(
@@ -132,8 +154,8 @@ def compare_trees(
     return found, lines
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Measure both trees, print and write the comparison; return the exit code."""
+def _build_parser() -> argparse.ArgumentParser:
+    """Return the parser of the arguments before --."""
     parser = argparse.ArgumentParser(
         prog="dpbench.ci.revisions",
         description=__doc__.splitlines()[0],
@@ -149,10 +171,18 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--allow-gone", action="store_true", help="pass where a benchmark of the base is gone"
     )
+    parser.add_argument(
+        "--fail-disturbed", action="store_true", help="exit with 1 where load took a verdict"
+    )
+    return parser
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Measure both trees, print and write the comparison; return the exit code."""
     given = sys.argv[1:] if argv is None else argv
     # argparse does not take the rest of a line behind options and positional arguments.
     end = given.index("--") if "--" in given else len(given)
-    arguments = parser.parse_args(given[:end])
+    arguments = _build_parser().parse_args(given[:end])
     trees = arguments.base, arguments.head
     try:
         for tree in trees:
@@ -171,8 +201,19 @@ def main(argv: list[str] | None = None) -> int:
     found.print(Console() if sys.stdout.isatty() else Console(width=200), lines)
     if arguments.markdown is not None:
         write_bytes_to_file_or_pipe(arguments.markdown, found.markdown(lines).encode())
-    return int(found.worse)
+    is_disturbed = any(row.verdict == DISTURBED for row in found.rows)
+    return int(found.worse or (arguments.fail_disturbed and is_disturbed))
+
+
+def run() -> int:
+    """Run `main`; Ctrl-C or SIGTERM ends its pytest first, exit code 128 and the signal."""
+    with first_signal_only() as interruption:
+        try:
+            return main()
+        except KeyboardInterrupt:
+            _print_progress("revisions: interrupted")
+            return 128 + interruption.signal
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(run())

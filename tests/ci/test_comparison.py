@@ -120,6 +120,15 @@ def test_disturbed_pairs_are_left_out_where_three_others_remain() -> None:
     assert compare_runs(pairs(3)).verdict == "disturbed"
 
 
+@pytest.mark.parametrize("count", [1, 3])
+def test_without_a_quiet_run_there_is_no_ratio(count: int) -> None:
+    """Load on both sides shows nothing of the factor between them."""
+    loud = QUIET | {"steal_s": 0.5}
+    pair = run_of(entry(machine=loud)), run_of(entry(seconds=2e-3, machine=loud))
+    (row,) = compare_runs([pair] * count).rows
+    assert (row.verdict, row.cells["ratio"]) == ("disturbed", "–")
+
+
 def test_the_interval_of_pairs_covers_what_runs_scatter() -> None:
     """Unchanged code whose runs scatter by 30 %: the truth is in nearly every interval."""
     rng, covered, wide = np.random.default_rng(5), 0, []

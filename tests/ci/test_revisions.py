@@ -1,6 +1,9 @@
 """Two working trees measured by turns, with tests that need no solver."""
 
 import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -44,12 +47,17 @@ def trees(tmp_path: Path) -> tuple[Path, Path]:
 
 
 def test_turns_alternate_and_disturbed_pairs_are_repeated(
-    monkeypatch: pytest.MonkeyPatch, trees: tuple[Path, Path]
+    monkeypatch: pytest.MonkeyPatch,
+    trees: tuple[Path, Path],
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Three undisturbed pairs are wanted; with load that stays, twice as many are the most."""
     order = stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=3)
     assert len(measure_by_turns(trees, 3, [])) == 5
     assert order[:4] == ["base", "head", "head", "base"]
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[2:4] == ["pair 1 of 3 disturbed: repeated", "pair 1 of 3, head: 0 s"]
+    assert len(lines) == 12
     stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=99)
     assert len(measure_by_turns(trees, 3, [])) == 6
 
@@ -135,6 +143,41 @@ def test_a_tree_measured_with_the_package_of_the_other_is_bad_input(
     loaded = ["-p", "no:xdist", "-p", "no:dpbench", "-p", plugin.__name__]
     given = [*map(str, trees), "--pairs", "1", "--", *quick, *loaded]
     assert main(given) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    *progress, line = capsys.readouterr().err.splitlines()
+    assert len(progress) == 2
     assert line.startswith(f"revisions: {misled}: imports {source / 'mysolver.py'}")
     assert main([*given, "-o", "pythonpath=src"]) == 0
+
+
+@pytest.mark.parametrize(("options", "code"), [([], 0), (["--fail-disturbed"], 1)])
+def test_a_disturbed_comparison_fails_on_request(
+    monkeypatch: pytest.MonkeyPatch, trees: tuple[Path, Path], options: list[str], code: int
+) -> None:
+    """A check that must end with a verdict does not pass without one."""
+    stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=99)
+    assert main([*map(str, trees), "--pairs", "1", *options]) == code
+
+
+@pytest.mark.slow
+def test_sigterm_ends_the_pytest_that_it_has_started(trees: tuple[Path, Path]) -> None:
+    """Nothing goes on measuring behind a job that was cancelled."""
+    fifo = trees[0] / "started"
+    os.mkfifo(fifo)
+    test = (
+        "import os, pathlib, time\n"
+        "pathlib.Path('started').write_text(str(os.getpid()))\n"
+        "def test_it(benchmark):\n    time.sleep(600)\n"
+    )
+    (trees[0] / "test_it.py").write_text(test, encoding="utf-8")
+    command = [sys.executable, "-m", "dpbench.ci.revisions", *map(str, trees), "--"]
+    command += [
+        "-p",
+        "no:xdist",
+    ]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        child = int(fifo.read_text(encoding="utf-8"))
+        process.terminate()
+        assert process.communicate()[1].splitlines()[-1] == "revisions: interrupted"
+    assert process.returncode == 128 + signal.SIGTERM
+    with pytest.raises(ProcessLookupError):
+        os.kill(child, 0)
