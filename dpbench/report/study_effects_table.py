@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.suites.study import Study
+from dpbench.analysis.suites.study import NOTHING, Study
 from dpbench.analysis.suites.study_effects import (
     MEASURES,
     STEP_TIME,
@@ -25,8 +25,9 @@ _HEADS = {
 _KEYS = ("factor", "levels", "configuration")
 _WHAT = {"raw_p99_ns": "p99 step time", "raw_p50_ns": "median step time"}
 COLUMNS = (
-    *("study", "configuration", "factor", "levels", "measure", "unit"),
-    *("effect", "low", "high", "pairs", "points"),
+    *("study", "configuration", "factor", "levels", "from", "to", "measure", "unit"),
+    *("effect", "low", "high", "interval", "median", "same_sign", "realisations"),
+    *("pairs", "points"),
 )
 
 
@@ -35,7 +36,10 @@ def build_effects_table(studies: Sequence[Study]) -> pd.DataFrame:
     rows = [
         (
             *(study.name, effect.configuration, effect.factor, effect.levels),
+            *(effect.measured.change.start, effect.measured.change.end),
             *(_name_measure(effect.measure, study), effect.measure.unit, *effect_numbers(effect)),
+            *(_interval_text(effect), effect.measure.convert(effect.measured.median)),
+            *(effect.measured.same_sign, _count_units(effect)),
             *(effect.difference.pairs, effect.difference.points),
         )
         for study in studies
@@ -46,11 +50,12 @@ def build_effects_table(studies: Sequence[Study]) -> pd.DataFrame:
 
 def tabulate_effects(study: Study) -> Table | None:
     """Return the table of what each factor changes, a row per configuration and change."""
+    units = "realisations" if study.replicates > 1 else "points"
     rows: dict[tuple[str, str, str], dict[str, str]] = {}
     for effect in study_effects(study):
         key = (effect.factor, effect.levels, effect.configuration)
         row = rows.setdefault(key, dict(zip(_KEYS, key, strict=True)))
-        row[head_of_measure(effect.measure, study)] = _effect_text(effect)
+        row[head_of_measure(effect.measure, study)] = _effect_text(effect, units)
     if not rows:
         return None
     heads = [*_KEYS, *(head_of_measure(one, study) for one in MEASURES)]
@@ -61,7 +66,8 @@ def tabulate_effects(study: Study) -> Table | None:
         "Change from the first value to the second, of runs that differ in nothing else and share "
         "the realisation; a slope is the least-squares change over the range, all points of a "
         "realisation together. Intervals hold at 95 % for each cell alone; the units are the "
-        "realisations, or the points where each is run once. Step times are of closed loops, which "
+        "realisations, or the points where each is run once; in 10 of 10: all have one sign. "
+        "Step times are of closed loops, which "
         "are measured beside each other: take a difference of a few percent from a replay."
     )
     if len(whole) > MOST_ROWS:
@@ -81,18 +87,39 @@ def head_of_measure(measure: Measure, study: Study) -> str:
 
 
 def effect_numbers(effect: Effect) -> tuple[float, float, float]:
-    """Return an effect and the ends of its interval in the unit of its measure; NaN for none."""
+    """Return an effect and the ends of its interval in the unit of its measure; NaN for none.
+
+    An effect that is the same in every realisation has no interval: its width would be that of
+    `NOTHING`.
+    """
     mean, convert = effect.difference.mean, effect.measure.convert
-    if not (np.isfinite(mean.low) and np.isfinite(mean.high)):
+    if effect.difference.is_constant:
+        value = 0.0 if abs(mean.value) <= NOTHING else mean.value
+        return convert(value), np.nan, np.nan
+    if not np.isfinite(mean.low):
         return convert(mean.value), np.nan, np.nan
     return convert(mean.value), convert(mean.low), convert(mean.high)
 
 
-def _effect_text(effect: Effect) -> str:
-    """Format an effect with its interval in the unit of its measure."""
+def _interval_text(effect: Effect) -> str:
+    """Return whether an effect has an interval, and if it has none, why."""
+    if not np.isfinite(effect.difference.mean.low):
+        return "none"
+    return "in every realisation" if effect.difference.is_constant else "95 %"
+
+
+def _count_units(effect: Effect) -> int:
+    """Return how many realisations an interval is over, or points where each is run once."""
+    return len(effect.measured.units) or effect.difference.points
+
+
+def _effect_text(effect: Effect, units: str) -> str:
+    """Format an effect with its interval in the unit of its measure, and if all `units` agree."""
     value, low, high = (significant(0.0 if abs(n) < 1e-4 else n, 2) for n in effect_numbers(effect))
     if not np.isfinite(effect.difference.mean.low):
         return f"{value} (no interval)"
     if effect.difference.is_constant:
         return f"{value} in every realisation"
-    return f"{value} [{low}, {high}]"
+    count = len(effect.measured.units)
+    agreed = f" in {count} of {count} {units}" if effect.measured.same_sign == count else ""
+    return f"{value} [{low}, {high}]{agreed}"

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -51,17 +52,66 @@ MEASURES = (STEP_TIME, ERROR, OUTSIDE, UNTRUE)
 
 
 @dataclass(frozen=True)
+class Change:
+    """Two values of the first key of a factor; with `is_slope`, the ends of its range."""
+
+    start: Any
+    end: Any
+    is_slope: bool = False
+
+    @property
+    def text(self) -> str:
+        """The change as the page shows it."""
+        if self.is_slope:
+            return f"{self.start:.3g} → {self.end:.3g}, slope"
+        return f"{_value_text(self.start)} → {_value_text(self.end)}"
+
+
+@dataclass(frozen=True)
+class MeasuredChange:
+    """Mean difference over a change of a factor, and the differences that it is the mean of.
+
+    units : of each realisation, the mean over its points, or its slope; of points that are run
+    once, of each point; empty of a single slope.
+    """
+
+    change: Change
+    difference: PairedDifference
+    units: tuple[float, ...]
+
+    @property
+    def median(self) -> float:
+        """Median over units; NaN without any."""
+        return float(np.median(self.units)) if self.units else math.nan
+
+    @property
+    def same_sign(self) -> float:
+        """Number of units with the sign of the median; within `NOTHING` it is 0. NaN: no units."""
+        sign = _sign(self.median)
+        return float(sum(_sign(one) == sign for one in self.units)) if self.units else math.nan
+
+
+@dataclass(frozen=True)
 class Effect:
     """Change of one measure of a configuration from one value of a factor to another.
 
-    factor : its keys; those of a `zip` change together. levels : the two values, or the range.
+    factor : its keys; those of a `zip` change together.
     """
 
     configuration: str
     factor: str
-    levels: str
     measure: Measure
-    difference: PairedDifference
+    measured: MeasuredChange
+
+    @property
+    def levels(self) -> str:
+        """The two values, or the range, as a text."""
+        return self.measured.change.text
+
+    @property
+    def difference(self) -> PairedDifference:
+        """The mean difference with its interval."""
+        return self.measured.difference
 
 
 @lru_cache(maxsize=4)
@@ -77,14 +127,14 @@ def study_effects(study: Study) -> tuple[Effect, ...]:
     for configuration in study.configurations:
         for measure, values in _measure_values(study, configuration.name).items():
             found = {
-                factor: [(change, _level_effect(values, *at)) for change, *at in pairings[factor]]
+                factor: [_level_effect(values, *change) for change in pairings[factor]]
                 for factor in factors
             } | _range_effects(study.points, values, ranged)
             effects += [
-                Effect(configuration.name, ", ".join(factor), change, measure, difference)
+                Effect(configuration.name, ", ".join(factor), measure, measured)
                 for factor in factors
-                for change, difference in found[factor]
-                if difference.pairs
+                for measured in found[factor]
+                if measured.difference.pairs
             ]
     return tuple(effects)
 
@@ -113,7 +163,7 @@ def _is_number(study: Study, factor: tuple[str, ...]) -> bool:
 
 def _pair_levels(
     points: pd.DataFrame, factor: tuple[str, ...]
-) -> list[tuple[str, pd.Series, pd.Series]]:
+) -> list[tuple[Change, pd.Series, pd.Series]]:
     """Return each change from the first level of a factor, with the points on either side.
 
     A side maps its points to their groups, of points that differ in nothing else.
@@ -129,7 +179,7 @@ def _pair_levels(
     least = group[first == levels[0]]
     pairs = [(level, group[first == level]) for level in levels[1:]]
     return [
-        (f"{_value_text(levels[0])} → {_value_text(level)}", least, other)
+        (Change(levels[0], level), least, other)
         for level, other in pairs
         if other.isin(least).any()
     ]
@@ -153,9 +203,20 @@ def _measure_values(study: Study, configuration: str) -> Mapping[Measure, pd.Ser
     }
 
 
-def _level_effect(values: pd.Series, least: pd.Series, other: pd.Series) -> PairedDifference:
+def _sign(value: float) -> int:
+    """Return 1 or -1, or 0 within `NOTHING`."""
+    return int(value > NOTHING) - int(value < -NOTHING)
+
+
+def _level_effect(
+    values: pd.Series, change: Change, least: pd.Series, other: pd.Series
+) -> MeasuredChange:
     """Return the mean change from one level to another over pairs in the same realisation."""
-    return paired_difference(_of_side(values, other), _of_side(values, least))
+    sides = _of_side(values, other), _of_side(values, least)
+    pairs = (sides[0] - sides[1]).dropna()
+    points, seas = (pairs.index.get_level_values(level) for level in (0, 1))
+    units = pairs.groupby(seas).mean() if points.duplicated().any() else pairs
+    return MeasuredChange(change, paired_difference(*sides), tuple(units.tolist()))
 
 
 def _of_side(values: pd.Series, side: pd.Series) -> pd.Series:
@@ -168,7 +229,7 @@ def _of_side(values: pd.Series, side: pd.Series) -> pd.Series:
 
 def _range_effects(
     points: pd.DataFrame, values: pd.Series, ranged: list[tuple[str, ...]]
-) -> dict[tuple[str, ...], list[tuple[str, PairedDifference]]]:
+) -> dict[tuple[str, ...], list[MeasuredChange]]:
     """Return the least-squares change over the range of each factor that is drawn from one."""
     if not ranged or values.empty:
         return {factor: [] for factor in ranged}
@@ -179,15 +240,16 @@ def _range_effects(
     across = np.column_stack([np.ones(len(shares)), shares])
     results = table.to_numpy(dtype=np.float64)
     fits = list(_fit_slopes(across, results))
-    same = bool(np.nanmax(results) - np.nanmin(results) <= NOTHING)
+    count = sum(fit.points for fit in fits)
     found = {}
     for i, factor in enumerate(ranged):
-        change = f"{low.iloc[i]:.3g} → {high.iloc[i]:.3g}, slope"
+        units = tuple(float(fit.slopes[i + 1]) for fit in fits) if len(fits) > 1 else ()
+        # A single slope is the same everywhere if all results are.
+        same = np.ptp(units or results[np.isfinite(results)]) <= NOTHING
         slope = _combine_slopes(fits, i + 1)
-        count = sum(fit.points for fit in fits)
-        found[factor] = [
-            (change, PairedDifference(slope, count, len(table), math.nan, is_constant=same))
-        ]
+        difference = PairedDifference(slope, count, len(table), math.nan, is_constant=bool(same))
+        change = Change(float(low.iloc[i]), float(high.iloc[i]), is_slope=True)
+        found[factor] = [MeasuredChange(change, difference, units)]
     return found
 
 

@@ -145,3 +145,22 @@ def test_other_measures_are_of_all_runs() -> None:
         (effect,) = _effects(study, measure).values()
         assert measure.convert(effect.difference.mean.value) == pytest.approx(change)
     assert study.step_time == "raw_p99_ns"
+
+
+def test_a_slope_that_no_sea_changes_is_constant() -> None:
+    """The seas differ by metres, the wind changes nothing: no interval of a rounding error."""
+    points = [{WIND: float(w)} for w in range(12)]
+    errors = np.ones((12, 1)) * np.arange(8.0)
+    (effect,) = _effects(_study(points, errors)).values()
+    assert effect.difference.is_constant and effect.measured.same_sign == 8.0
+    assert effect.difference.mean.value == pytest.approx(0.0, abs=1e-12)
+
+
+def test_units_are_means_over_points_or_the_points_themselves() -> None:
+    """Changes of 1 and 3 m at two offsets, twice that in the second sea; then in one sea alone."""
+    points = [{HORIZON: n, EAST: east} for east in (0.0, 3.0) for n in (20, 60)]
+    errors = np.array([[0.0, 5.0], [1.0, 7.0], [0.0, 4.0], [3.0, 10.0]])
+    for seas, units in ((2, (2.0, 4.0)), (1, (1.0, 3.0))):
+        effect = _effects(_study(points, errors, seas=seas))[HORIZON, "20 → 60"]
+        assert effect.measured.units == units
+        assert effect.measured.median == sum(units) / 2

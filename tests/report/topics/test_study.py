@@ -12,7 +12,7 @@ from dpbench.analysis.suites import study_pictures
 from dpbench.analysis.suites.study import find_studies
 from dpbench.analysis.suites.study_tables import tabulate_behind, tabulate_points
 from dpbench.report.charts.render import compile_vega
-from dpbench.report.study_effects_table import build_effects_table
+from dpbench.report.study_effects_table import build_effects_table, tabulate_effects
 from dpbench.report.table import csv_bytes
 from dpbench.report.topics import study as topic
 
@@ -153,5 +153,55 @@ def test_each_factor_has_a_slope_in_table_figure_and_file(records: Any) -> None:
     assert rows[WIND, "osqp"][1].endswith(", slope") and "[" in rows[WIND, "osqp"][4]
     assert {row["configuration"] for row in compile_rows(figure)} == {"daqp", "osqp"}
     whole = build_effects_table(find_studies(records.view()))
-    assert len(whole) == 2 * 2 * 4 and (whole["low"] < whole["high"]).all()
+    assert len(whole) == 2 * 2 * 4
+    varies = whole["measure"].eq("median step time")
+    varies |= whole["configuration"].eq("osqp") & whole["measure"].eq("95 % radial error")
+    assert (whole["low"] < whole["high"]).tolist() == varies.tolist()
+    constant = whole["interval"] == "in every realisation"
+    assert constant.tolist() == (~varies).tolist() and whole["low"].isna().equals(constant)
+    assert whole[constant]["effect"].eq(0.0).all()
     assert set(whole["measure"]) >= {"median step time", "95 % radial error"}
+
+
+def test_one_sea_that_carries_a_mean_is_visible(records: Any) -> None:
+    """From 0 to 3 m the error falls by 1 cm in five seas of daqp and grows by 65 cm in the sixth.
+
+    Mean (65 - 5) / 6 = 10 cm, median -1 cm. That of piqp grows by 1 to 6 cm; that of osqp is equal.
+    """
+    changes = {
+        "daqp": [-0.01] * 5 + [0.65],
+        "piqp": [0.01, 0.02, 0.03, 0.04, 0.05, 0.06],
+        "osqp": [0.0] * 6,
+    }
+    for solver, seas in changes.items():
+        for sea, change in enumerate(seas):
+            for point, east in enumerate((0.0, 3.0)):
+                study = {"point": point, "replicate": sea, "x": {EAST: east}}
+                records.loop(
+                    solver,
+                    done=0,
+                    cell=json.dumps({"study": {"name": "seas", **study}}),
+                    study="seas",
+                    study_point=point,
+                    replicate=sea,
+                    r_95_m=0.5 + 0.1 * sea + point * change,
+                )
+    (study,) = find_studies(records.view())
+    whole = build_effects_table([study])
+    rows = whole[whole["measure"] == "95 % radial error"].set_index("configuration")
+    assert rows[["from", "to"]].to_numpy().tolist() == [[0.0, 3.0]] * 3
+    assert (rows["realisations"] == 6).all() and (rows["pairs"] == 6).all()
+    cells = rows[["effect", "median", "same_sign"]]
+    assert cells.loc["daqp"].tolist() == pytest.approx([10.0, -1.0, 5.0])
+    assert cells.loc["piqp"].tolist() == pytest.approx([3.5, 3.5, 6.0])
+    assert cells.loc["osqp"].tolist() == pytest.approx([0.0, 0.0, 6.0])
+    assert rows["interval"].to_dict() == {
+        "daqp": "95 %",
+        "piqp": "95 %",
+        "osqp": "in every realisation",
+    }
+    table = tabulate_effects(study)
+    assert table is not None
+    texts = {row[2]: row[4] for row in table.rows}
+    assert texts["piqp"].endswith("] in 6 of 6 realisations")
+    assert texts["daqp"].endswith("]") and texts["osqp"] == "0 in every realisation"
