@@ -8,7 +8,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import load_scenario
-from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
+from dpbench.bench.run.exact_loop import ExactLoop, solve_loop_exactly
 from dpbench.ci.machine_state import watch_machine
 from dpbench.mpc.condense import ControlProblem
 from dpbench.scenario.scenario import Scenario
@@ -29,7 +29,7 @@ def problem(scenario: Scenario) -> ControlProblem:
 @pytest.fixture(scope="session")
 def exact(scenario: Scenario) -> ExactLoop:
     """Its exactly solved loop."""
-    return solve_exactly(scenario)
+    return solve_loop_exactly(scenario)
 
 
 @pytest.fixture(autouse=True)

@@ -28,13 +28,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import load_suite
+from dpbench.bench.plan.plan import plan_suite
+from dpbench.bench.plan.suite import load_path_and_suite
 from dpbench.bench.record.cell import HARNESS_VERSION
 from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.record.result_folder import load_results
-from dpbench.bench.record.step_table import STEPS_SCHEMA, Row, batch_part
+from dpbench.bench.record.step_table import STEPS_SCHEMA, Row, make_batch_part
 from dpbench.bench.workers.jobs import BATCH_CELLS
 from dpbench.solvers.table import check_availability
 
@@ -201,7 +201,7 @@ def made_folder(out: Path, cells: int, steps: int) -> Path:
     rng, store = np.random.default_rng(1), CellStore(out / "results")
     factors: dict[tuple[int, int], float] = {}
     batches: dict[str, dict[str, tuple[Row, pa.RecordBatch]]] = {}
-    for planned in plan(load_suite(suite)[1], beside=out):
+    for planned in plan_suite(load_path_and_suite(suite)[1], beside=out):
         study = planned.cell.study
         row, batch = real[planned.cell.settings, study.point]
         sea = study.point, study.replicate
@@ -211,9 +211,9 @@ def made_folder(out: Path, cells: int, steps: int) -> Path:
         waiting = batches.setdefault(planned.cell.settings, {})
         waiting[run_id] = own, _changed(batch, factor, rng)
         if len(waiting) == BATCH_CELLS:
-            store.add_part(batch_part(batches.pop(planned.cell.settings)))
+            store.write_part_file(make_batch_part(batches.pop(planned.cell.settings)))
     for waiting in batches.values():
-        store.add_part(batch_part(waiting))
+        store.write_part_file(make_batch_part(waiting))
     return suite
 
 

@@ -28,8 +28,8 @@ from dpbench import load_scenario, open_workspace, run_campaign
 from dpbench.bench.progress import Silent
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import Layout, RawLog
-from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
-from dpbench.bench.run.closed_loop import closed_loop
+from dpbench.bench.run.assemble import NO_LIMIT_NS, build_closed_loop_setup
+from dpbench.bench.run.closed_loop import record_closed_loop
 from dpbench.solvers.contract import Policy
 from dpbench.solvers.table import TABLE, check_availability
 
@@ -108,7 +108,9 @@ def loops(solver: str, policy: Policy, steps: int) -> list[int]:
     resident = []
     for _ in range(max(20, steps // scenario.steps)):
         workspace = open_workspace(solver, route=route, policy=policy)
-        closed_loop(closed_loop_setup(cell, scenario, workspace, same_log, NO_LIMIT_NS))
+        record_closed_loop(
+            build_closed_loop_setup(cell, scenario, workspace, same_log, NO_LIMIT_NS)
+        )
         del workspace
         gc.collect()
         resident.append(resident_bytes())

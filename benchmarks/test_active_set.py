@@ -8,7 +8,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import load_scenario, open_workspace
-from dpbench.bench.run.exact_loop import ExactLoop, rebuild_sequence, solve_exactly
+from dpbench.bench.run.exact_loop import ExactLoop, rebuild_sequence, solve_loop_exactly
 from dpbench.embedded.count import count_sequence
 from dpbench.embedded.recipe import select_recipes
 from dpbench.embedded.targets import TARGETS
@@ -25,7 +25,7 @@ CORES = ("m7", "x86")
 def loop(request: pytest.FixtureRequest) -> tuple[Scenario, ExactLoop]:
     """The first 200 steps of a scenario, solved exactly."""
     scenario = load_scenario(request.param).truncate(200)
-    return scenario, solve_exactly(scenario)
+    return scenario, solve_loop_exactly(scenario)
 
 
 @pytest.fixture(scope="module")

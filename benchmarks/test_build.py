@@ -11,7 +11,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import load_scenario
-from dpbench.bench.run.exact_loop import base_problem
+from dpbench.bench.run.exact_loop import build_problem_at_rest
 from dpbench.bench.run.formulation import BoxFormulation, QPBuilder
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.mpc.condense import ControlProblem, build_affine_map, condense_mpc_matrices
@@ -124,7 +124,11 @@ def test_emit(
 @pytest.mark.benchmark(group="emit one step")
 def test_emit_as_timed(benchmark: BenchmarkFixture, scenario: Scenario) -> None:
     builder = QPBuilder(scenario)
-    box, x, u_prev = BoxFormulation(base_problem(builder.condensed)), np.full(9, 0.1), np.ones(3)
+    box, x, u_prev = (
+        BoxFormulation(build_problem_at_rest(builder.condensed)),
+        np.full(9, 0.1),
+        np.ones(3),
+    )
     benchmark(lambda: box.step(builder.emit(0, x, u_prev)))
 
 

@@ -9,9 +9,14 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import open_workspace
 from dpbench.bench.plan.configurations import BASELINE_LAW
-from dpbench.bench.record.raw_log import RawLog, loop_layout
-from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
-from dpbench.bench.run.exact_loop import ExactLoop, ExactWorkspace, base_problem, rebuild_sequence
+from dpbench.bench.record.raw_log import RawLog, make_loop_layout
+from dpbench.bench.run.closed_loop import ClosedLoopSetup, record_closed_loop
+from dpbench.bench.run.exact_loop import (
+    ExactLoop,
+    ExactWorkspace,
+    build_problem_at_rest,
+    rebuild_sequence,
+)
 from dpbench.bench.run.formulation import BoxFormulation, QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPStep, QuadraticProgram
@@ -82,11 +87,11 @@ class _Stored(Workspace):
 def test_closed_loop(benchmark: BenchmarkFixture, scenario: Scenario, kind: str) -> None:
     """Plant, emit, records and bookkeeping of 120 steps; divide by 120 for a step."""
     builder = QPBuilder(scenario)
-    log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes))
+    log = RawLog.in_memory(make_loop_layout(scenario.steps, *builder.sizes))
     workspace = _Stored() if kind == "harness alone" else ExactWorkspace()
-    base = base_problem(builder.condensed)
+    base = build_problem_at_rest(builder.condensed)
     timed_solver = TimedSolver(workspace, BoxFormulation(base), time.perf_counter_ns)
     setup = ClosedLoopSetup(
         scenario, builder, timed_solver, log, "hold", 2**62, time.perf_counter_ns
     )
-    benchmark(closed_loop, setup)
+    benchmark(record_closed_loop, setup)

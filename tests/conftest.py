@@ -18,7 +18,11 @@ import pytest
 from dpbench import open_workspace, run_closed_loop
 from dpbench.analysis.records.records import Records
 from dpbench.bench.record.result_folder import Results
-from dpbench.bench.record.schema import SCHEMA_VERSION, as_runs, as_steps
+from dpbench.bench.record.schema import (
+    SCHEMA_VERSION,
+    convert_to_run_columns,
+    convert_to_step_columns,
+)
 from dpbench.errors import SolverUnavailableError
 from dpbench.report.report import Report
 from dpbench.scenario.scenario import Scenario, load_scenario
@@ -285,7 +289,7 @@ class MadeRecords:
         for i, axis in enumerate(("x_N", "y_N", "n_Nm")):
             frame[f"tau_{axis}"] = force[:, i]
             frame[f"dtau_{axis}"] = change[:, i]
-        return as_steps(frame)
+        return convert_to_step_columns(frame)
 
     def replay(
         self,
@@ -348,7 +352,7 @@ class MadeRecords:
         frame["error_move"], frame["fallback"] = error, frame["k"].isin(lost)
         if setup:
             frame["setup_ns"], frame["update_ns"] = frame["update_ns"], pd.NA
-        self._steps.append(as_steps(frame))
+        self._steps.append(convert_to_step_columns(frame))
 
     def _rounds(self, run_id: str, total: np.ndarray) -> pd.DataFrame:
         """The warm-up round and those that count, with their times (rounds, steps) [ns]."""
@@ -371,10 +375,12 @@ class MadeRecords:
 
     def results(self) -> Results:
         """The records so far."""
-        steps = self._steps or [as_steps(pd.DataFrame({"run_id": pd.Series([], dtype="str")}))]
+        steps = self._steps or [
+            convert_to_step_columns(pd.DataFrame({"run_id": pd.Series([], dtype="str")}))
+        ]
         runs = pd.DataFrame(self._runs or {"run_id": pd.Series([], dtype="str")})
         frame = pd.concat(steps, ignore_index=True)
-        return Results(as_runs(runs), StepsInMemory(frame), MACHINE, self.suite)
+        return Results(convert_to_run_columns(runs), StepsInMemory(frame), MACHINE, self.suite)
 
     def view(self) -> Records:
         """The view of the records so far."""

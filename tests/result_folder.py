@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from dpbench.bench.record.recorded_steps import ALL_COLUMNS, StepsOnDisk, row_ranges_by_run
+from dpbench.bench.record.recorded_steps import ALL_COLUMNS, StepsOnDisk, find_row_ranges_by_label
 from dpbench.bench.record.result_folder import Results, write_json
-from dpbench.bench.record.schema import as_runs, as_steps
+from dpbench.bench.record.schema import convert_to_run_columns, convert_to_step_columns
 
 
 class StepsInMemory(StepsOnDisk):
@@ -35,18 +35,21 @@ class StepsInMemory(StepsOnDisk):
         first, end = self._run_rows.get(run_id, (0, 0))
         return self._frame.iloc[first:end][list(columns)]
 
-    def read_all(self) -> pd.DataFrame:
+    def read_all_steps(self) -> pd.DataFrame:
         return self._frame
 
     @cached_property
     def _run_rows(self) -> dict[str, tuple[int, int]]:
-        return row_ranges_by_run(self._frame["run_id"])
+        return find_row_ranges_by_label(self._frame["run_id"])
 
 
 def write_results(out: Path, results: Results) -> None:
     """Write its four files, their columns in the order and of the types of a campaign."""
     out.mkdir(parents=True, exist_ok=True)
-    for name, frame in (("runs", as_runs(results.runs)), ("steps", as_steps(results.steps))):
+    for name, frame in (
+        ("runs", convert_to_run_columns(results.runs)),
+        ("steps", convert_to_step_columns(results.steps)),
+    ):
         frame.to_parquet(out / f"{name}.parquet", index=False, compression="zstd")
     rows = {"run_rows": len(results.runs), "step_rows": len(results.steps)}
     write_json(out / "machine.json", results.machine)

@@ -1,6 +1,6 @@
 """Reference of the vessels, scenarios and suites of the package, from their files."""
 
-from dpbench.bench.plan.suite import load_suite
+from dpbench.bench.plan.suite import load_path_and_suite
 from dpbench.scenario.problem_files import problem_names
 from dpbench.scenario.scenario import load_scenario, load_vessel
 from sitegen.markup import code, prose, table
@@ -19,7 +19,7 @@ def pages() -> dict[str, str]:
 
 
 def _suites() -> str:
-    titles = ((name, load_suite(name)[1].title) for name in problem_names("suites"))
+    titles = ((name, load_path_and_suite(name)[1].title) for name in problem_names("suites"))
     return table(("suite", "question"), ((code(name), prose(title)) for name, title in titles))
 
 

@@ -22,19 +22,19 @@ from dpbench.bench.engines.engine import Engine, SourceFiles, TlsFiles
 from dpbench.bench.engines.open_engine import open_engine
 from dpbench.bench.engines.shards import WHOLE, Shard, ShardRecord
 from dpbench.bench.plan.cells import PlannedCell
-from dpbench.bench.plan.configurations import library_identity
+from dpbench.bench.plan.configurations import identify_libraries_of_cell
 from dpbench.bench.plan.run_request import Plan, RunRequest
 from dpbench.bench.plan.suite import name_file_in_errors
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, CapabilitySource, Outcome
 from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.machine import append_revision, current_revision
+from dpbench.bench.record.machine import append_revision, find_running_revision
 from dpbench.bench.record.result_folder import (
     MachineDescription,
     Revision,
-    load_descriptions,
+    load_machine_and_suite,
     lock_result_folder,
-    read_suite,
+    read_suite_description,
     write_json,
 )
 from dpbench.bench.sequences.capability_boundary import read_capability_plot
@@ -94,7 +94,7 @@ class Campaign:
     def _make_job_of_planned_cell(self, planned: PlannedCell) -> CellJob:
         """Return a planned run with its run_id and the version of its solver's library."""
         library = self._libraries[planned.cell.solver]
-        identity = library_identity(planned.cell, library)
+        identity = identify_libraries_of_cell(planned.cell, library)
         run_id = planned.cell.run_id(identity, self.machine["id"], HARNESS_VERSION)
         return CellJob(planned, run_id, library, self.machine["id"])
 
@@ -139,7 +139,7 @@ class Campaign:
         if result.part is None:
             return
         try:
-            self.store.add_part(result.part)
+            self.store.write_part_file(result.part)
         except OSError as error:
             job.outcome = Outcome("lost", f"it could not be kept: {error}")
 
@@ -157,7 +157,7 @@ class Campaign:
     def _has_written_results(self) -> bool:
         """Return whether the result folder has all tables that this campaign would write."""
         try:
-            found = load_descriptions(self._out)[1]
+            found = load_machine_and_suite(self._out)[1]
         except ResultsError:
             return False
         asked = json.loads(json.dumps(self._describe_request_for_suite_json()))
@@ -177,13 +177,13 @@ class Campaign:
         previous = self._out / "suite.json"
         if self._fresh or not previous.is_file():
             return []
-        return list(read_suite(self._out).get("revisions", []))
+        return list(read_suite_description(self._out).get("revisions", []))
 
     def _describe_changed_keys(self) -> str:
         """Name the keys of all cells that the suite had with other values in this folder; or ""."""
         if self._fresh or not (self._out / "suite.json").is_file():
             return ""
-        found: Mapping[str, Any] = dict(read_suite(self._out))
+        found: Mapping[str, Any] = dict(read_suite_description(self._out))
         asked = self._describe_request_for_suite_json()
         changed = [k for k in CELL_KEYS if k in found and found[k] != asked[k]]
         return ", ".join(f"{key} {found[key]} → {asked[key]}" for key in changed)
@@ -202,7 +202,7 @@ class Campaign:
         suite: dict[str, Any] = {
             **self._describe_request_for_suite_json(),
             "revisions": made_by
-            or append_revision(self._read_earlier_revisions(), current_revision()),
+            or append_revision(self._read_earlier_revisions(), find_running_revision()),
             "started_utc": started.isoformat(timespec="seconds"),
             "wall_s": round(wall_s, 1),
             **_count_lost_runs_and_studies(runs, self.designs, remarks),
@@ -353,7 +353,7 @@ def run_campaign(
     )
     if wait_s is not None and not 0.0 <= wait_s < math.inf:
         raise InputError("`wait_s`", "", wait_s, "a number of seconds, 0 or more")
-    plan, some = asked.plan(), Shard.from_text(shard)
+    plan, some = asked.make_plan(), Shard.from_text(shard)
     designs = plan_stability_studies(plan) if some.index == 1 else []
     counts = plan_embedded_counts(plan) if some.index == 1 else []
     folder = choose_result_folder(plan, out)

@@ -21,8 +21,8 @@ from dpbench.bench.engines.dispatcher import Dispatcher
 from dpbench.bench.plan.suite import DesignTable
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
-from dpbench.bench.record.result_folder import parse_document, read_json, write_json
-from dpbench.bench.run.exact_loop import solve_exactly
+from dpbench.bench.record.result_folder import check_document_as_type, read_json, write_json
+from dpbench.bench.run.exact_loop import solve_loop_exactly
 from dpbench.bench.workers.worker import disable_gc_and_warnings, pin_to_core, write_outcome
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
 from dpbench.mpc.law import compute_closed_loop_eigenvalues, compute_state_feedback_gains
@@ -179,7 +179,7 @@ def can_recover_from_offset(
     for sign in sides:
         start = np.array([0.0, sign * offset_m * scale.length_factor, 0.0])
         try:
-            exact = solve_exactly(replace(scenario, start=start, velocity=np.zeros(AXES)))
+            exact = solve_loop_exactly(replace(scenario, start=start, velocity=np.zeros(AXES)))
             exact.require_certificates(scenario.name)
         except CertificateError:
             return False
@@ -347,4 +347,4 @@ def _read_stability_file(path: Path) -> Designs:
     if document.get("schema") != DESIGN_SCHEMA:
         schema = f"schema {document.get('schema')}"
         raise ResultsError(str(path), "schema", schema, f"schema {DESIGN_SCHEMA}; run again")
-    return parse_document(document, Designs, path)
+    return check_document_as_type(document, Designs, path)

@@ -18,7 +18,7 @@ from dpbench.bench.plan.suite import EmbeddedTable
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.result_folder import UncountedSolver
-from dpbench.bench.run.exact_loop import rebuild_sequence, solve_exactly
+from dpbench.bench.run.exact_loop import rebuild_sequence, solve_loop_exactly
 from dpbench.bench.workers.worker import disable_gc_and_warnings, pin_to_core, write_outcome
 from dpbench.embedded.recipe import find_recipes, select_recipes
 from dpbench.embedded.step_counts import StepCounts
@@ -64,7 +64,7 @@ class PlannedCount:
 
         last = self.first + self.steps
         scenario = cached_scenario(self.files)
-        exact = solve_exactly(scenario.truncate(last))
+        exact = solve_loop_exactly(scenario.truncate(last))
         exact.require_certificates(self.scenario)
         sequence = rebuild_sequence(scenario, exact, first=self.first, count=self.steps)
         return count_sequence(

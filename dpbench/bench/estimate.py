@@ -195,7 +195,7 @@ def estimate_campaign(
     """Return a campaign's expected duration and table size on this machine, without running it."""
     if engine != "local":
         raise InputError("--dry-run", "", f"engine {engine}", "engine local")
-    plan = RunRequest(None if suite is None else str(suite), **asked).plan()
+    plan = RunRequest(None if suite is None else str(suite), **asked).make_plan()
     rates = read_measured_rates(choose_result_folder(plan, out))
     return replace(
         estimate_time_and_size(plan.cells, count_slots(jobs), rates), remarks=plan.remarks

@@ -24,7 +24,7 @@ from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.record.result_folder import (
     MachineDescription,
     lock_result_folder,
-    read_suite,
+    read_suite_description,
 )
 from dpbench.bench.record.step_table import DAMAGE
 from dpbench.bench.tabulate import refuse_other_selection
@@ -83,7 +83,9 @@ def join_result_folders(
         for folder, record in shards.items():
             if record.shard.index == 1:
                 campaign.set_stability_studies(designs, record.machine["id"])
-                campaign.counts.take_over_reasons(read_suite(folder).get("not_counted", ()))
+                campaign.counts.take_over_reasons(
+                    read_suite_description(folder).get("not_counted", ())
+                )
         said = {
             cell: outcome
             for folder in shards
@@ -121,7 +123,7 @@ def _make_common_plan(
     asked = replace(asked, solver_module=None if solver_module is None else str(solver_module))
     if not asked.has_suite:
         raise InputError(_WHERE, "", f"no file {asked.suite}", "the suite's, by --suite")
-    plan = asked.plan()
+    plan = asked.make_plan()
     if plan.digest != first.digest:
         found = f"{plan.path} changed since {where} was run from it"
         allowed = "the suite as it was, by --suite, and a plug-in at the path it had"
@@ -148,14 +150,16 @@ def _copy_finished_runs(
         for folder in folders:
             stack.enter_context(lock_result_folder(folder, name))
         store, others = CellStore(out), [CellStore(folder) for folder in folders]
-        _refuse_mixed_versions(pd.concat([one.finished_runs() for one in (store, *others)]))
+        _refuse_mixed_versions(pd.concat([one.read_finished_runs() for one in (store, *others)]))
         for other in others:
-            store.copy_cells(other)
+            store.copy_runs_of_other_folder(other)
             for path in other.folder.iterdir():
                 # No link to other files.
                 if _EXTRA_FILE.fullmatch(path.name) and stat.S_ISREG(path.lstat().st_mode):
                     write_bytes_atomically(store.folder / path.name, path.read_bytes())
-        return store.finished_runs(), [line for one in (store, *others) for line in one.remarks]
+        return store.read_finished_runs(), [
+            line for one in (store, *others) for line in one.remarks
+        ]
 
 
 def _refuse_mixed_versions(rows: pd.DataFrame) -> None:

@@ -22,7 +22,7 @@ class Progress(Protocol):
 class Silent:
     """A progress receiver that shows nothing."""
 
-    def _ignore(self, *_: object, **__: object) -> None:
+    def _ignore_report(self, *_: object, **__: object) -> None:
         """Show nothing, whatever progress or remark a campaign reports."""
 
-    start = advance = remark = waiting = _ignore
+    start = advance = remark = waiting = _ignore_report

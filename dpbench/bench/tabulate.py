@@ -9,22 +9,26 @@ import pyarrow as pa
 from dpbench.bench.judge.answer_caching import add_loop_ratios
 from dpbench.bench.judge.rows import make_run_row
 from dpbench.bench.plan.cells import PlannedCell
-from dpbench.bench.plan.configurations import library_identity
+from dpbench.bench.plan.configurations import identify_libraries_of_cell
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
 from dpbench.bench.record.cell_store import (
     CellStore,
     PublicTables,
     Source,
     StepFile,
-    filter_rows,
-    select_stepless,
+    filter_runs_by_run_id,
+    select_runs_without_steps,
 )
-from dpbench.bench.record.schema import RUN_COLUMNS, as_runs, study_columns
+from dpbench.bench.record.schema import (
+    RUN_COLUMNS,
+    convert_to_run_columns,
+    make_study_value_columns,
+)
 from dpbench.bench.record.step_table import (
     DAMAGE,
     FILE_SCHEMA,
-    filter_steps,
-    rename_steps,
+    filter_and_rename_run_ids,
+    filter_steps_by_run_id,
     runs_from_frame,
     runs_to_frame,
 )
@@ -41,8 +45,8 @@ class RequestedRuns:
         for job in work:
             self.jobs[job.run_id] = job, job.cell.settings
             for settings in job.planned.alias_settings:
-                cell = job.cell.with_settings(settings)
-                identity = library_identity(cell, job.library)
+                cell = job.cell.with_settings_name(settings)
+                identity = identify_libraries_of_cell(cell, job.library)
                 run_id = cell.run_id(identity, job.machine_id, HARNESS_VERSION)
                 self.jobs[run_id] = job, settings
 
@@ -55,17 +59,21 @@ class RequestedRuns:
             for run_id, job in self.jobs.items()
             if run_id not in own.index and run_id not in aliases
         ]
-        tables = [own, self._alias_rows(finished, aliases), as_runs(pd.DataFrame(others))]
+        tables = [
+            own,
+            self._alias_rows(finished, aliases),
+            convert_to_run_columns(pd.DataFrame(others)),
+        ]
         filled = [table.set_index("run_id", drop=False) for table in tables if len(table)]
         if not filled:
-            return as_runs(pd.DataFrame())
+            return convert_to_run_columns(pd.DataFrame())
         return pd.concat(filled).loc[list(self.jobs)].reset_index(drop=True)
 
     def _alias_rows(self, finished: pd.DataFrame, aliases: Mapping[str, str]) -> pd.DataFrame:
         """Repeat finished runs' rows of `runs.parquet` under the run ids of their aliases."""
         settings = [self.jobs[run_id][1] for run_id in aliases]
         cells = [
-            self.jobs[run_id][0].cell.with_settings(self.jobs[run_id][1]) for run_id in aliases
+            self.jobs[run_id][0].cell.with_settings_name(self.jobs[run_id][1]) for run_id in aliases
         ]
         return finished.loc[list(aliases.values())].assign(
             run_id=list(aliases), settings=settings, cell=[cell.to_json() for cell in cells]
@@ -76,7 +84,7 @@ class RequestedRuns:
         outcome = job.outcome or Outcome("lost", "it was not run")
         if outcome.outcome not in ("refused", "lost", "invalid"):
             outcome = Outcome("lost", "its record is damaged or gone")
-        cell = job.cell.with_settings(settings)
+        cell = job.cell.with_settings_name(settings)
         return make_run_row(run_id, cell, outcome, job.library, job.machine_id, None, None)
 
     def find_aliases(self, finished: pd.DataFrame) -> dict[str, str]:
@@ -126,13 +134,13 @@ def is_tabulated(work: Sequence[CellJob], store: CellStore) -> bool:
     """Return whether the result tables already have exactly the requested runs."""
     wanted = list(RequestedRuns(work).jobs)
     in_parts = {name for part in store.parts for name in part.read_rows()["run_id"].to_pylist()}
-    return wanted == store.public.run_ids() and not set(wanted) & in_parts
+    return wanted == store.public.read_run_ids() and not set(wanted) & in_parts
 
 
 def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, int]:
     """Write a campaign's `runs.parquet` and `steps.parquet`; return runs and number of steps."""
     wanted, old = RequestedRuns(work), list(store.parts)
-    stored, sources = store.collect_rows()
+    stored, sources = store.collect_rows_and_sources()
     finished = runs_to_frame(stored)
     steps = StepFile(store.public.steps.with_suffix(".parquet.part"))
     try:
@@ -141,12 +149,12 @@ def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, i
         # What cannot be read any more is not finished.
         finished = finished[finished.index.isin(read) | (finished["steps_done"] == 0)]
         rows = add_loop_ratios(wanted.make_rows(finished)[list(RUN_COLUMNS)])
-        runs = as_runs(rows.assign(**study_columns(rows)))
+        runs = convert_to_run_columns(rows.assign(**make_study_value_columns(rows)))
         store.public.write(runs_from_frame(runs), steps)
     finally:
         steps.close()
         steps.path.unlink(missing_ok=True)
-    store.remove_parts(old)
+    store.delete_parts(old)
     return runs, steps.rows
 
 
@@ -160,19 +168,21 @@ def _split_steps(
 ) -> set[str]:
     """Write the steps of requested runs to one file, others to batch files; return run_ids read."""
     read: set[str] = set()
-    for group in store.find_groups(sources):
+    for group in store.yield_step_groups(sources):
         here = {new: made_of for new, made_of in aliases.items() if made_of in group.names}
         others = [name for name in group.names if name not in wanted]
-        if here or others or not steps.copy_group(group):
+        if here or others or not steps.copy_group_if_possible(group):
             try:
                 table = group.read_table()
             except DAMAGE:
                 continue
-            steps.add(filter_steps(table, set(group.names) - set(others)))
-            store.add_rows(filter_rows(runs, others), table)
+            steps.add(filter_steps_by_run_id(table, set(group.names) - set(others)))
+            store.write_rows_and_steps(filter_runs_by_run_id(runs, others), table)
             for new, made_of in here.items():
-                steps.add(rename_steps(table, {made_of: new}))
+                steps.add(filter_and_rename_run_ids(table, {made_of: new}))
         read |= set(group.names)
-    unasked = select_stepless(runs, read.union(name for name in sources if name in wanted))
-    store.add_rows(unasked, FILE_SCHEMA.empty_table())
+    unasked = select_runs_without_steps(
+        runs, read.union(name for name in sources if name in wanted)
+    )
+    store.write_rows_and_steps(unasked, FILE_SCHEMA.empty_table())
     return read

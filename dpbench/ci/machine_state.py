@@ -11,8 +11,12 @@ from typing import Any, Protocol
 import numpy as np
 
 from dpbench.bench.judge.rules import mask_disturbed_rounds
-from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S, Disturbance, read_counters
-from dpbench.bench.run.replay import time_kernels
+from dpbench.bench.record.disturbance import (
+    MAX_SWITCHES_PER_S,
+    Disturbance,
+    read_disturbance_counters,
+)
+from dpbench.bench.run.replay import time_speed_and_load_tests
 
 LEAST_PROCESSOR_SHARE = 0.95
 """Least share of the wall time that a process computes, unless it gives up the processor itself."""
@@ -70,13 +74,13 @@ class MachineState:
 @contextmanager
 def watch_machine(benchmark: HasInfo) -> Iterator[None]:
     """Note the machine's state over the block, and the shorter time of its kernel [ns]."""
-    time_kernels(time.perf_counter_ns)
-    kernel_before_ns = time_kernels(time.perf_counter_ns)
-    counters, processor_s = read_counters(), time.process_time()
+    time_speed_and_load_tests(time.perf_counter_ns)
+    kernel_before_ns = time_speed_and_load_tests(time.perf_counter_ns)
+    counters, processor_s = read_disturbance_counters(), time.process_time()
     yield
     processor_s = time.process_time() - processor_s
-    wall_s, voluntary, involuntary, steal_s, throttled, _ = read_counters() - counters
-    kernel_after_ns = time_kernels(time.perf_counter_ns)
+    wall_s, voluntary, involuntary, steal_s, throttled, _ = read_disturbance_counters() - counters
+    kernel_after_ns = time_speed_and_load_tests(time.perf_counter_ns)
     state = MachineState(
         *(float(wall_s), processor_s, float(voluntary), float(involuntary)),
         *(float(steal_s), float(throttled), float(kernel_before_ns), float(kernel_after_ns)),

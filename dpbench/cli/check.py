@@ -109,23 +109,23 @@ def _check_scenario(name: str | Path, progress: Progress | None) -> str:
 
 def _check_suite(file: Path, document: dict[str, Any]) -> str:
     """Validate a file that describes a suite of solver runs; return their number, time and size."""
-    from dpbench.bench.plan.suite import SuiteFile, load_suite, name_file_in_errors
+    from dpbench.bench.plan.suite import SuiteFile, load_path_and_suite, name_file_in_errors
 
-    of_suite = SuiteFile.list_cell_tables()
+    of_suite = SuiteFile.list_names_of_run_tables()
     if not any(table in document for table in of_suite):
         allowed = (
             "[limits] or [[thrusters]] (a vessel), [controller] and [environment] (a scenario), "
             f"or {', '.join(f'[[{table}]]' for table in of_suite)} (a suite)"
         )
         raise InputError(str(file), "", f"tables {', '.join(document) or '(none)'}", allowed)
-    suite_path, suite = load_suite(file)
+    suite_path, suite = load_path_and_suite(file)
     from dpbench.bench.design import pair_controllers_with_vessels
     from dpbench.bench.embedded_counts import pair_sequences_with_cores
     from dpbench.bench.engines.open_engine import count_slots
     from dpbench.bench.estimate import estimate_time_and_size, read_measured_rates
     from dpbench.bench.plan.run_request import RunRequest
 
-    plan = RunRequest(str(file)).plan()
+    plan = RunRequest(str(file)).make_plan()
     with name_file_in_errors(suite_path):
         if suite.design:
             pair_controllers_with_vessels(suite.design, suite_path.parent)

@@ -57,14 +57,14 @@ def _list_scenarios() -> RenderableType:
 
 def _list_suites() -> RenderableType:
     """Make a table of all stored suites: number of cells and question."""
-    from dpbench.bench.plan.plan import plan
-    from dpbench.bench.plan.suite import load_suite
+    from dpbench.bench.plan.plan import plan_suite
+    from dpbench.bench.plan.suite import load_path_and_suite
     from dpbench.scenario import problem_files as problems
 
     table = make_small_table("name", "cells", "question")
     for name in problems.problem_names("suites"):
-        path, suite = load_suite(name)
-        table.add_row(name, str(len(plan(suite, beside=path.parent))), suite.title)
+        path, suite = load_path_and_suite(name)
+        table.add_row(name, str(len(plan_suite(suite, beside=path.parent))), suite.title)
     return table
 
 

@@ -201,9 +201,9 @@ def _run_suite(arguments: argparse.Namespace) -> int:
 
 def _print_accidents(out: Path) -> int:
     """Print failures of the benchmark itself, one per line; return 1 if runs were lost."""
-    from dpbench.bench.record.result_folder import read_accidents
+    from dpbench.bench.record.result_folder import read_lost_count_and_remarks
 
-    lost, remarks = read_accidents(out)
+    lost, remarks = read_lost_count_and_remarks(out)
     for line in remarks:
         print(f"dpbench: {line}", file=sys.stderr)
     return int(lost > 0)

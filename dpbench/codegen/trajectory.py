@@ -9,8 +9,8 @@ import numpy as np
 from dpbench.arrays import Matrix
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
-from dpbench.bench.run.closed_loop import closed_loop
+from dpbench.bench.run.assemble import NO_LIMIT_NS, build_closed_loop_setup
+from dpbench.bench.run.closed_loop import record_closed_loop
 from dpbench.codegen.controller_data import ControllerData, lost_at_samples
 from dpbench.scenario.controllers.controller import stack_limits
 from dpbench.ship.plant import Sensors
@@ -42,8 +42,8 @@ def record_trajectory(
     K, controller = scenario.steps, scenario.controller
     workspace = open_workspace(solver, policy="warm", settings=settings)
     cell = Cell("closed_loop", scenario.files, solver, "native", "warm", settings, K)
-    setup = closed_loop_setup(cell, scenario, workspace, RawLog.in_memory, NO_LIMIT_NS)
-    closed_loop(setup)
+    setup = build_closed_loop_setup(cell, scenario, workspace, RawLog.in_memory, NO_LIMIT_NS)
+    record_closed_loop(setup)
     log = setup.log
     sensors = Sensors(scenario.environment, K, scenario.sample_s)
     measured = np.array([sensors.measure_state(log.state[k], k).copy() for k in range(K)])

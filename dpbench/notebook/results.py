@@ -86,7 +86,7 @@ class Results(result_folder.Results):
     def steps(self) -> pd.DataFrame:
         """All steps as a data frame, some 500 bytes each; use `recorded` for large folders."""
         self._require_steps()
-        return self.recorded.read_all()
+        return self.recorded.read_all_steps()
 
     def verdict(self) -> pd.DataFrame:
         """Return a table of verdicts: a row per solver and settings, with reason and main numbers.

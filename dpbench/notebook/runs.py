@@ -23,10 +23,15 @@ from dpbench.bench.judge.rows import make_run_row, make_step_rows
 from dpbench.bench.judge.step_columns import make_step_columns
 from dpbench.bench.record.cell import DEFAULT_FALLBACK, FORMULATIONS, Cell, Formulation, Outcome
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.record.schema import as_runs
-from dpbench.bench.run.assemble import NO_LIMIT_NS, clock, closed_loop_setup, replay_parts
-from dpbench.bench.run.closed_loop import closed_loop
-from dpbench.bench.run.exact_loop import solve_exactly
+from dpbench.bench.record.schema import convert_to_run_columns
+from dpbench.bench.run.assemble import (
+    NO_LIMIT_NS,
+    build_closed_loop_setup,
+    build_sequence_solver_and_log,
+    clock,
+)
+from dpbench.bench.run.closed_loop import record_closed_loop
+from dpbench.bench.run.exact_loop import solve_loop_exactly
 from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
@@ -234,9 +239,9 @@ def run_closed_loop(
         slowdown=slowdown,
         deadline_s=deadline_s,
     )
-    setup = closed_loop_setup(cell, scenario, workspace, RawLog.in_memory, NO_LIMIT_NS)
-    closed_loop(setup)
-    evaluated = evaluate_loop_log(cell, setup.log, solve_exactly(scenario))
+    setup = build_closed_loop_setup(cell, scenario, workspace, RawLog.in_memory, NO_LIMIT_NS)
+    record_closed_loop(setup)
+    evaluated = evaluate_loop_log(cell, setup.log, solve_loop_exactly(scenario))
     return _make_run(cell, workspace, setup.solver, evaluated, scenario)
 
 
@@ -274,7 +279,9 @@ def replay(
     require_integer_at_least("repeats", repeats, 1)
     require_integer_at_least("warmup_steps", warmup_steps, 0)
     warmup_steps = min(warmup_steps, len(sequence))
-    steps, solver, log = replay_parts(sequence, workspace, formulation, repeats, RawLog.in_memory)
+    steps, solver, log = build_sequence_solver_and_log(
+        sequence, workspace, formulation, repeats, RawLog.in_memory
+    )
     replaying = ReplayRun(
         steps, solver, log, warmup_steps=warmup_steps, limit_ns=NO_LIMIT_NS, clock=clock
     )
@@ -331,4 +338,8 @@ def _make_run(
     steps = make_step_columns(cell, evaluated)
     outcome = Outcome("finished", "", workspace.form, *timed_solver.size)
     row = make_run_row("in-process", cell, outcome, Availability(True), "", evaluated, steps)
-    return Run(make_step_rows("in-process", steps), as_runs(pd.DataFrame([row])).iloc[0], scenario)
+    return Run(
+        make_step_rows("in-process", steps),
+        convert_to_run_columns(pd.DataFrame([row])).iloc[0],
+        scenario,
+    )

@@ -12,7 +12,7 @@ from dpbench.bench.campaign import run_campaign
 from dpbench.bench.design import Designs, compute_linear_record
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.machine import describe_version
-from dpbench.bench.record.result_folder import Results, load_results, read_accidents
+from dpbench.bench.record.result_folder import Results, load_results, read_lost_count_and_remarks
 from dpbench.files.writing import write_bytes_atomically, write_text_atomically
 from dpbench.report.charts.render import encode_figure
 from dpbench.report.formats import plural, strip_markdown
@@ -74,7 +74,7 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
     # How far off the ship is brought back from takes a quarter of a minute more: suite `standard`.
     designs = Designs((compute_linear_record(scenario),)) if scenario is not None else None
     topic = paper_topic(records, designs)
-    lost, remarks = read_accidents(runs)
+    lost, remarks = read_lost_count_and_remarks(runs)
     if topic is None or scenario is None:
         nothing = f"nothing is reproduced: no loop of the paper's case was finished; see {runs}"
         return Reproduction((nothing,), tuple(remarks), complete=False)

@@ -13,9 +13,9 @@ import numpy as np
 from dpbench.bench.judge.control_metrics import compute_force_travel
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
-from dpbench.bench.run.closed_loop import closed_loop
-from dpbench.bench.run.station import station_share
+from dpbench.bench.run.assemble import NO_LIMIT_NS, build_closed_loop_setup
+from dpbench.bench.run.closed_loop import record_closed_loop
+from dpbench.bench.run.station import compute_largest_offset_share
 from dpbench.scenario.own_ship import sea_state
 from dpbench.scenario.scenario import Scenario
 from dpbench.scenario.variation import replace_values
@@ -158,10 +158,12 @@ def _run_loop(scenario: Scenario, drawn: WeatherDraw) -> tuple[float, float]:
         settings="",
         steps=scenario.steps,
     )
-    setup = closed_loop_setup(cell, scenario, workspace, RawLog.in_memory, NO_LIMIT_NS)
+    setup = build_closed_loop_setup(cell, scenario, workspace, RawLog.in_memory, NO_LIMIT_NS)
     setup.drawn = drawn
-    closed_loop(setup)
-    return station_share(scenario, setup.log.state), compute_force_travel(scenario, setup.log.tau)
+    record_closed_loop(setup)
+    return compute_largest_offset_share(scenario, setup.log.state), compute_force_travel(
+        scenario, setup.log.tau
+    )
 
 
 def find_front(trials: Sequence[Trial[LoopScore]]) -> list[Trial[LoopScore]]:

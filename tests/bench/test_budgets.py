@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import pytest
 
 from dpbench import load_scenario, record_sequence
-from dpbench.bench.record.raw_log import RawLog, replay_layout
+from dpbench.bench.record.raw_log import RawLog, make_replay_layout
 from dpbench.bench.record.result_folder import Results, load_results
-from dpbench.bench.run.formulation import replay_formulation
+from dpbench.bench.run.formulation import formulate_sequence
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.run_delay import RunDelay
 from dpbench.bench.run.timed_solver import TimedSolver
@@ -47,8 +47,8 @@ def test_a_slow_configuration_has_fewer_rounds_and_is_finished(results: Results)
 def test_both_kernels_are_timed_around_every_round() -> None:
     sequence = record_sequence(load_scenario("paper").truncate(3))
     now = iter(range(10**9))
-    log = RawLog.in_memory(replay_layout(3, 3, sequence.base.n, sequence.base.m))
-    made, formulated = replay_formulation("condensed_box", sequence)
+    log = RawLog.in_memory(make_replay_layout(3, 3, sequence.base.n, sequence.base.m))
+    made, formulated = formulate_sequence("condensed_box", sequence)
     timed_solver = TimedSolver(open_calibration(NO_OP), formulated, lambda: next(now))
     configuration = ReplayRun(
         made, timed_solver, log, warmup_steps=1, limit_ns=10**9, clock=lambda: next(now), preroll=0
@@ -70,8 +70,8 @@ def test_a_round_that_is_run_again_costs_a_configuration_nothing(
         return next(ticks)
 
     def configuration_of(limit_ns: int) -> Iterator[bool]:
-        log = RawLog.in_memory(replay_layout(3, 3, sequence.base.n, sequence.base.m))
-        made, formulated = replay_formulation("condensed_box", sequence)
+        log = RawLog.in_memory(make_replay_layout(3, 3, sequence.base.n, sequence.base.m))
+        made, formulated = formulate_sequence("condensed_box", sequence)
         timed_solver = TimedSolver(open_calibration(NO_OP), formulated, clock)
         configuration = ReplayRun(
             made, timed_solver, log, warmup_steps=1, limit_ns=limit_ns, clock=clock, preroll=0

@@ -17,11 +17,11 @@ from dpbench.bench.judge.calibration import (
     is_within_tolerance,
     time_dummy_solvers,
 )
-from dpbench.bench.record.disturbance import disturbance_metrics
-from dpbench.bench.record.raw_log import RawLog, replay_layout
+from dpbench.bench.record.disturbance import compute_disturbance_metrics
+from dpbench.bench.record.raw_log import RawLog, make_replay_layout
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.bench.record.schema import ACCURACY_COLUMNS
-from dpbench.bench.run.formulation import replay_formulation
+from dpbench.bench.run.formulation import formulate_sequence
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.bench.sequences.sequence_file import save_sequence
@@ -101,15 +101,15 @@ def test_the_report_and_the_last_lines_speak_of_them(folder: Path) -> None:
 
 
 def test_a_round_begun_twice_was_run_again(sequence: QPSequence) -> None:
-    log = RawLog.in_memory(replay_layout(3, STEPS, sequence.base.n, sequence.base.m))
-    made, formulated = replay_formulation("condensed_box", sequence)
+    log = RawLog.in_memory(make_replay_layout(3, STEPS, sequence.base.n, sequence.base.m))
+    made, formulated = formulate_sequence("condensed_box", sequence)
     clock = time.perf_counter_ns
     timed_solver = TimedSolver(open_calibration(NO_OP), formulated, clock)
     configuration = ReplayRun(made, timed_solver, log, warmup_steps=2, limit_ns=10**12, clock=clock)
     for r in (0, 1, 1, 2):
         configuration.run_round(r)
     assert log.attempts.tolist() == [1, 2, 1]
-    found = disturbance_metrics(log)
+    found = compute_disturbance_metrics(log)
     assert found["rerun_rounds"] == 1
     assert found["replay_s"] == pytest.approx(log.counters[1:, 0].sum())
 

@@ -32,7 +32,7 @@ from dpbench.bench.engines.engine import SourceFiles
 from dpbench.bench.engines.local import LocalEngine
 from dpbench.bench.plan.suite import DesignTable
 from dpbench.bench.progress import Silent
-from dpbench.bench.run.exact_loop import solve_exactly
+from dpbench.bench.run.exact_loop import solve_loop_exactly
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
 from dpbench.qp.referee.referee import certify
 from dpbench.scenario.problem_files import problems_root
@@ -79,7 +79,7 @@ def still() -> Scenario:
 
 
 def test_what_it_does_not_hold_ends_in_a_limit_cycle_of_some_five_metres(still: Scenario) -> None:
-    state = solve_exactly(replace(still, start=np.array([0.0, 1.8, 0.0]))).state
+    state = solve_loop_exactly(replace(still, start=np.array([0.0, 1.8, 0.0]))).state
     away = np.hypot(state[-200:, 3], state[-200:, 4])
     assert 5.0 < away.max() < 6.0
 
@@ -116,7 +116,7 @@ def test_uncertified_steps_are_not_held(still: Scenario, monkeypatch: pytest.Mon
     def refuse(scenario: Scenario) -> None:
         raise CertificateError(f"{scenario.name}: step 0 has no certified optimum")
 
-    monkeypatch.setattr(region, "solve_exactly", refuse)
+    monkeypatch.setattr(region, "solve_loop_exactly", refuse)
     assert not can_recover_from_offset(still, 1.0)
 
 

@@ -10,8 +10,8 @@ from dpbench import load_results
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.random_claims import RandomClaims
 from dpbench.bench.plan.cells import SEMIDEFINITE_REFUSAL
-from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import RandomTable, ReplayTable, SuiteFile, load_suite
+from dpbench.bench.plan.plan import plan_suite
+from dpbench.bench.plan.suite import RandomTable, ReplayTable, SuiteFile, load_path_and_suite
 from dpbench.bench.record.result_folder import Results
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import FAMILIES
@@ -123,14 +123,14 @@ def suite(**tables: object) -> SuiteFile:
 def test_a_choice_of_scenarios_leaves_random_problems_out() -> None:
     random = [RandomTable(families=["plain"], sizes=[[4, 6]])]
     both = suite(random=random, replay=[ReplayTable(scenario="paper", steps=20)])
-    assert len(plan(both)) == 4
-    assert {planned.cell.sequence for planned in plan(both, scenarios=["paper"])} == {"paper"}
+    assert len(plan_suite(both)) == 4
+    assert {planned.cell.sequence for planned in plan_suite(both, scenarios=["paper"])} == {"paper"}
     with pytest.raises(InputError, match="none, the suite has no scenario"):
-        plan(suite(random=random), scenarios=["paper"])
+        plan_suite(suite(random=random), scenarios=["paper"])
 
 
 def test_a_solver_that_needs_a_definite_cost_is_refused_a_semidefinite_one() -> None:
-    planned = plan(suite(random=[RandomTable(families=["semidefinite"], sizes=[[4, 6]])]))
+    planned = plan_suite(suite(random=[RandomTable(families=["semidefinite"], sizes=[[4, 6]])]))
     assert {p.cell.solver: p.refused for p in planned} == {
         "quadprog": SEMIDEFINITE_REFUSAL,
         "daqp": "",
@@ -140,15 +140,15 @@ def test_a_solver_that_needs_a_definite_cost_is_refused_a_semidefinite_one() -> 
 def test_an_impossible_recipe_of_a_suite_is_refused_before_anything_runs(tmp_path: Path) -> None:
     for families, sizes in ((["plane"], [[4, 6]]), (["degenerate"], [[8, 4]])):
         with pytest.raises(InputError, match="random recipe"):
-            plan(suite(random=[RandomTable(families=families, sizes=sizes)]))
+            plan_suite(suite(random=[RandomTable(families=families, sizes=sizes)]))
 
 
 def test_the_random_suite_has_all_families_and_sizes() -> None:
-    _, shipped = load_suite("random")
-    recipes = [recipe for table in shipped.random for recipe in table.list_recipes()]
+    _, shipped = load_path_and_suite("random")
+    recipes = [recipe for table in shipped.random for recipe in table.list_random_recipes()]
     assert {recipe.family for recipe in recipes} == set(FAMILIES)
     assert {2, 120} <= {recipe.n for recipe in recipes}
     assert {0, 300} <= {recipe.m for recipe in recipes}
-    cells = plan(shipped)
+    cells = plan_suite(shipped)
     keys = [planned.cell.to_json() for planned in cells]
     assert len(keys) == len(set(keys))

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import load_suite
+from dpbench.bench.plan.plan import plan_suite
+from dpbench.bench.plan.suite import load_path_and_suite
 from dpbench.cli.main import main
 from dpbench.cli.own_ship import OwnShip, scenario_text, suite_text, vessel_text
 from dpbench.scenario.hull_files import read_mss
@@ -52,8 +52,8 @@ def test_the_three_files_are_of_one_ship(capsys: pytest.CaptureFixture[str]) -> 
     vessel, scenario = load_vessel(FILES[0]), load_scenario(FILES[1])
     assert vessel.length_m == 80.0 and vessel.tau_max[0] == 3e5
     np.testing.assert_array_equal(scenario.vessel.M, vessel.M)
-    path, suite = load_suite(FILES[2])
-    cells = plan(suite, beside=path.parent)
+    path, suite = load_path_and_suite(FILES[2])
+    cells = plan_suite(suite, beside=path.parent)
     assert {cell.cell.solver for cell in cells} >= {"daqp", "quadprog", "osqp"}
     assert suite.requirements.deadline_ms == pytest.approx(1000 * scenario.sample_s)
 
@@ -107,8 +107,8 @@ def test_any_ship_that_is_allowed_becomes_files_that_are(
         np.testing.assert_allclose(getattr(read, key), getattr(vessel, key), rtol=1e-5)
     assert read.windage is not None and vessel.windage is not None
     assert read.windage.lateral_m2 == pytest.approx(vessel.windage.lateral_m2, rel=1e-5)
-    path, suite = load_suite(folder / "suite.toml")
-    assert plan(suite, beside=path.parent)
+    path, suite = load_path_and_suite(folder / "suite.toml")
+    assert plan_suite(suite, beside=path.parent)
     assert load_scenario(folder / "sea.toml").steps == 1000
 
 
@@ -147,7 +147,9 @@ def test_the_same_ship_in_another_sea(capsys: pytest.CaptureFixture[str]) -> Non
     scenario = load_scenario("my_ship_sea6.toml")
     assert scenario.environment.wind is not None
     assert scenario.environment.wind.speed_mps == 13.8
-    assert load_suite("my_ship_sea6_suite.toml")[1].replay[0].scenario == "my_ship_sea6.toml"
+    assert (
+        load_path_and_suite("my_ship_sea6_suite.toml")[1].replay[0].scenario == "my_ship_sea6.toml"
+    )
     assert "cannot hold" in capsys.readouterr().out
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import load_suite
+from dpbench.bench.plan.plan import plan_suite
+from dpbench.bench.plan.suite import load_path_and_suite
 from dpbench.cli.main import main
 from dpbench.scenario.controllers.forces import JointForceController
 from dpbench.scenario.own_ship import load_share
@@ -61,8 +61,8 @@ def test_two_mains_two_tunnels_and_an_azimuth_on_two_boards(
     assert fault["lost"] == ["board A"] and fault["loss"] == "trip"
     forces = load_scenario(FILES[1]).controller
     assert isinstance(forces, JointForceController)
-    path, suite = load_suite(FILES[3])
-    cells = plan(suite, solvers=["daqp"], beside=path.parent)
+    path, suite = load_path_and_suite(FILES[3])
+    cells = plan_suite(suite, solvers=["daqp"], beside=path.parent)
     assert {cell.cell.mode for cell in cells} == {"closed_loop", "replay"}
     assert {"reuse", "warm"} <= {cell.cell.policy for cell in cells}
     assert any(table.consequence for table in suite.replay)

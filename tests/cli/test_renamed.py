@@ -6,7 +6,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from dpbench.bench.plan.suite import load_suite
+from dpbench.bench.plan.suite import load_path_and_suite
 from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.record.schema import SCHEMA_VERSION
 from dpbench.cli.main import main
@@ -20,7 +20,7 @@ def test_an_old_key_of_a_suite_means_the_new_one(tmp_path: Path) -> None:
     path = tmp_path / "old.toml"
     path.write_text(SUITE)
     with pytest.warns(RenamedWarning, match=r"old\.toml: contrast is now called baseline_law"):
-        assert load_suite(path)[1].baseline_law is False
+        assert load_path_and_suite(path)[1].baseline_law is False
 
 
 def test_both_words_at_once_are_a_mistake(tmp_path: Path, refuse: Say) -> None:
@@ -31,7 +31,7 @@ def test_both_words_at_once_are_a_mistake(tmp_path: Path, refuse: Say) -> None:
 
 def test_the_old_name_of_a_suite_is_read() -> None:
     with pytest.warns(RenamedWarning, match="ladder is now called levels"):
-        assert load_suite("ladder")[0].name == "levels.toml"
+        assert load_path_and_suite("ladder")[0].name == "levels.toml"
 
 
 @pytest.mark.parametrize("schema", [SCHEMA_VERSION - 1, SCHEMA_VERSION + 1])

@@ -14,7 +14,7 @@ from dpbench.bench.design import load_stability_records
 from dpbench.bench.engines.shards import ShardRecord
 from dpbench.bench.record.npz import open_arrays
 from dpbench.bench.record.recorded_steps import StepsOnDisk
-from dpbench.bench.record.result_folder import load_descriptions, load_results, read_json
+from dpbench.bench.record.result_folder import load_machine_and_suite, load_results, read_json
 from dpbench.bench.sequences.qpsolvers_files import read_problem
 from dpbench.bench.sequences.recording import hash_sequence_files
 from dpbench.bench.sequences.sequence_file import load_recorded
@@ -39,7 +39,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "digest.npz": hash_sequence_files,
     "kept.npz": _kept,
     "suite.json": read_json,
-    "machine.json": lambda path: load_descriptions(path.parent),
+    "machine.json": lambda path: load_machine_and_suite(path.parent),
     "shard.json": lambda path: ShardRecord.read(path.parent),
     "design.json": lambda path: load_stability_records(path.parent),
     CAPABILITY_FILE: lambda path: load_capability_plots(path.parent),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dpbench import load_scenario
-from dpbench.bench.run.exact_loop import solve_exactly
+from dpbench.bench.run.exact_loop import solve_loop_exactly
 from dpbench.errors import DpbenchError
 from dpbench.scenario.controllers.controller import stack_limits
 from dpbench.scenario.scenario import Scenario, build_scenario
@@ -126,7 +126,7 @@ def test_a_model_ship_sails_the_full_size_run_at_its_scale(
 
     model = changed(name, change, shrink)
     assert model.sample_s == pytest.approx(0.3 / math.sqrt(70.0))
-    large, small = solve_exactly(full), solve_exactly(model)
+    large, small = solve_loop_exactly(full), solve_loop_exactly(model)
     # The loop amplifies rounding by what it does not damp; a nanometre of a metre is plenty.
     np.testing.assert_allclose(
         small.state[:, 3:] * [ratio, ratio, 1.0], large.state[:, 3:], rtol=0, atol=1e-7

@@ -12,13 +12,13 @@ import numpy as np
 from dpbench.bench.capability.table import COLUMNS, load_capability_plots, write_capability_plots
 from dpbench.bench.design import load_stability_records
 from dpbench.bench.engines.shards import SHARD_FILE, Shard, ShardRecord
-from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.run_request import RunRequest
-from dpbench.bench.plan.suite import load_suite
+from dpbench.bench.plan.suite import load_path_and_suite
 from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.record.recorded_steps import ALL_COLUMNS
-from dpbench.bench.record.result_folder import load_results, read_accidents
-from dpbench.bench.record.step_table import batch_part, step_batch
+from dpbench.bench.record.result_folder import load_results, read_lost_count_and_remarks
+from dpbench.bench.record.step_table import make_batch_part, make_step_record_batch
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.bench.sequences.shipped import load_rules
 from dpbench.embedded.table import EMBEDDED_FILE, load_counts, write_steps
@@ -81,9 +81,9 @@ class Toml(Soaked):
         elif name.startswith("sequences"):
             load_rules(path)
         else:
-            path, suite = load_suite(path)
+            path, suite = load_path_and_suite(path)
             if rng.random() < 0.2:
-                plan(suite, beside=path.parent)
+                plan_suite(suite, beside=path.parent)
 
 
 class Sequences(Soaked):
@@ -138,7 +138,7 @@ class Results(Soaked):
         results = load_results(folder)
         designs, plots = load_stability_records(folder), load_capability_plots(folder)
         counts = load_counts(folder)
-        read_accidents(folder)
+        read_lost_count_and_remarks(folder)
         for table in results.recorded.scan(ALL_COLUMNS):
             len(table)
         if rng.random() < REPORTED:
@@ -163,9 +163,9 @@ class Shards(Soaked):
         out = folder / "shard"
         store = CellStore(out)
         rows = json.loads(results.runs.to_json(orient="records"))
-        steps = step_batch({"k": np.arange(5)})
-        store.add_part(batch_part({row["run_id"]: (row, steps) for row in rows[:2]}))
-        store.add_part(batch_part({rows[2]["run_id"]: (rows[2], steps)}))
+        steps = make_step_record_batch({"k": np.arange(5)})
+        store.write_part_file(make_batch_part({row["run_id"]: (row, steps) for row in rows[:2]}))
+        store.write_part_file(make_batch_part({rows[2]["run_id"]: (rows[2], steps)}))
         about = {"id": "abc", "cpu_model": "x"}
         ShardRecord(RunRequest(suite="smoke"), Shard(1, 2), "0" * 16, about).write(out)
         self.files = _contents(out, "*.*")
@@ -184,8 +184,8 @@ class Shards(Soaked):
             sound = f"{path.name[:10]}-{zlib.crc32(path.read_bytes()):08x}.parquet"
             path.rename(path.with_name(sound))
         store = CellStore(folder)
-        store.finished_runs()
-        CellStore(folder / "gathered").copy_cells(store)
+        store.read_finished_runs()
+        CellStore(folder / "gathered").copy_runs_of_other_folder(store)
 
 
 class Hulls(Soaked):

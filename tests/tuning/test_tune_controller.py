@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.run.station import station_metrics
+from dpbench.bench.run.exact_loop import solve_loop_exactly
+from dpbench.bench.run.station import compute_station_metrics
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_scenario
@@ -60,7 +60,7 @@ def test_a_larger_increment_weight_wears_less_in_the_same_sea() -> None:
     seas = draw_realisations(scenario, [], 0, 1, 200)
     own = own_options(scenario)
     first = rate_controller(scenario, own, seas, 200)
-    exact = station_metrics(scenario, solve_exactly(scenario.truncate(200)), 200)
+    exact = compute_station_metrics(scenario, solve_loop_exactly(scenario.truncate(200)), 200)
     assert first.share == pytest.approx(
         max(exact["exact_offset_max_m"] / 5.0, exact["exact_heading_max_deg"] / 5.0), rel=1e-4
     )

@@ -28,7 +28,7 @@ class Pair:
         """Name of the paired runs' solver configuration, with both versions where they differ."""
         old, new = (f"{run.solver_version} {run.build}".strip() for run in (self.a, self.b))
         versions = "" if old == new else f" {old} → {new}"
-        label = self.a.configuration.label_of(f"{self.a.solver}{versions}")
+        label = self.a.configuration.make_label_with_name(f"{self.a.solver}{versions}")
         return f"{label} with {change}" if (change := self.options_change) else label
 
     @property

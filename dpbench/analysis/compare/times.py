@@ -25,7 +25,7 @@ from dpbench.analysis.statistics import resampled_error
 from dpbench.analysis.times.machine import disturbed_sequences
 from dpbench.arrays import Floats, Ints
 from dpbench.bench.judge.rules import median_of_known
-from dpbench.bench.record.configuration import settings_level
+from dpbench.bench.record.configuration import sort_key_of_settings
 from dpbench.errors import UnknownNameError, format_allowed_names
 
 BLOCK_STEPS, LEAST_BLOCKS = 20, 4
@@ -185,7 +185,7 @@ def reference_rows(timings: Sequence[Timing], solver: str) -> Ints:
 
 def usual_first_key(run: RunRecord) -> tuple[Any, ...]:
     """Return a sort key of a run: scaled units, default settings, cold start first."""
-    settings = settings_level(run.settings)
+    settings = sort_key_of_settings(run.settings)
     return run.units != "scaled", settings, run.policy != "fresh", run.route, run.formulation
 
 

@@ -18,7 +18,7 @@ from dpbench.analysis.records.step_times import (
 )
 from dpbench.bench.judge.rules import has_comparable_times
 from dpbench.bench.record.configuration import COMMON_FORMULATION
-from dpbench.bench.record.recorded_steps import ALL_COLUMNS, row_ranges_by_run
+from dpbench.bench.record.recorded_steps import ALL_COLUMNS, find_row_ranges_by_label
 from dpbench.bench.record.result_folder import Results
 from dpbench.scenario.scenario import Scenario, build_scenario
 from dpbench.solvers.calibration import CALIBRATION
@@ -85,7 +85,7 @@ class Records:
         """Yield per run its id, its steps merged over repetitions, and the unmerged step rows."""
         asked = tuple(dict.fromkeys([*COUNTING_COLUMNS, *columns]))
         for table in self.scan(runs, asked):
-            rows, places = table[list(columns)], row_ranges_by_run(table["run_id"])
+            rows, places = table[list(columns)], find_row_ranges_by_label(table["run_id"])
             for run_id, steps in run_steps(counting_rows(table)):
                 first, end = places[run_id]
                 yield run_id, steps, rows.iloc[first:end]

@@ -21,7 +21,7 @@ from dpbench.bench.record.cell import (
     RandomSource,
     RecordedSource,
     Units,
-    parse_source,
+    parse_qp_source,
 )
 from dpbench.bench.record.configuration import COMMON_FORMULATION, Configuration
 from dpbench.bench.record.schema import RUN_COLUMNS
@@ -330,7 +330,7 @@ def _read_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
     key = f"source {read.source!r}"
     if key not in shared:
         try:
-            shared[key] = parse_source(read.source)
+            shared[key] = parse_qp_source(read.source)
         except ValueError as error:
             raise _description_error("cell.source", error) from error
     same = {name: getattr(read, name) for name in ("first", "fallback", "backup")}

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Floats, Ints
 from dpbench.bench.judge.rules import mask_decided_steps, mask_failed_steps
-from dpbench.bench.record.recorded_steps import row_ranges_by_run
+from dpbench.bench.record.recorded_steps import find_row_ranges_by_label
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class CountingRows:
     @cached_property
     def bounds(self) -> dict[str, tuple[int, int]]:
         """First and one-past-last row index of each run, by run id."""
-        return row_ranges_by_run(self.run_id)
+        return find_row_ranges_by_label(self.run_id)
 
     def of(self, run_id: str) -> CountingRows:
         """Return the step arrays of one run only; empty where it has none."""

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from dpbench.arrays import Flags, Floats, Ints
-from dpbench.bench.record.recorded_steps import row_ranges_by_run
+from dpbench.bench.record.recorded_steps import find_row_ranges_by_label
 
 TIME_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns")
 
@@ -49,7 +49,7 @@ def _counting_rows(
     counting = steps[steps["counts"]]
     repeat, k = (counting[name].to_numpy(dtype=np.int64) for name in ("repeat", "k"))
     columns = [counting[name].to_numpy(dtype=np.float64, na_value=np.nan) for name in times]
-    for run_id, (first, end) in row_ranges_by_run(counting["run_id"]).items():
+    for run_id, (first, end) in find_row_ranges_by_label(counting["run_id"]).items():
         own = slice(first, end)
         yield run_id, repeat[own], k[own], [column[own] for column in columns]
 

@@ -75,7 +75,7 @@ def find_step_value(records: Records, worst: WorstStep, configuration: Configura
     place = worst.run.mode, worst.run.problem, worst.run.units
     for run in records.runs:
         same = (run.mode, run.problem, run.units) == place
-        if not same or run.configuration.in_common_formulation != configuration:
+        if not same or run.configuration.moved_to_common_formulation != configuration:
             continue
         for _, steps, _ in records.run_steps([run]):
             at = np.flatnonzero(steps.k == worst.k)

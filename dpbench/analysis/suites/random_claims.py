@@ -20,7 +20,7 @@ from dpbench.bench.judge.rules import (
     mask_decided_steps,
     mask_true_not_claimed,
 )
-from dpbench.bench.record.configuration import settings_level
+from dpbench.bench.record.configuration import sort_key_of_settings
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def _merge_equal_runs(runs: Sequence[RunRecord]) -> list[RunRecord]:
     for own in group_by(runs, lambda run: replace(run.configuration, settings="")).values():
         by_level = group_by(own, lambda run: run.settings)
         for alike in group_by(by_level.items(), lambda level: _measurement_key(level[1])).values():
-            shown = ", ".join(sorted((settings for settings, _ in alike), key=settings_level))
+            shown = ", ".join(sorted((settings for settings, _ in alike), key=sort_key_of_settings))
             kept += [replace(run, settings=shown) for run in alike[0][1]]
     return kept
 

@@ -26,7 +26,7 @@ from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import median_of_known
-from dpbench.bench.record.configuration import settings_level
+from dpbench.bench.record.configuration import sort_key_of_settings
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def find_faster_inconclusive(
 def _find_step_times(records: Records, sequence: str, verdict: Verdict) -> StepTimes | None:
     """Return a judged configuration's step times on a QP sequence; None without a replay."""
     for run in records.replays(sequence):
-        if run.configuration.in_common_formulation == verdict.configuration:
+        if run.configuration.moved_to_common_formulation == verdict.configuration:
             return records.times(run)
     return None
 
@@ -196,7 +196,7 @@ def compare_routes(records: Records, sequence: str) -> list[RouteGain]:
 
 def find_right_levels(records: Records, requirements: Requirements) -> dict[str, list[str]]:
     """Return, by solver, the tolerance settings at which it is right on every step."""
-    runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
+    runs = sorted(records.runs, key=lambda run: sort_key_of_settings(run.settings))
     levels: dict[str, list[str]] = {run.solver: [] for run in runs}
     for (solver, level), own in group_by(runs, lambda run: (run.solver, run.settings)).items():
         if all(is_right(run, requirements) for run in own):
@@ -213,7 +213,7 @@ def count_fastest_forms(records: Records, requirements: Requirements) -> Counter
     for run in records.all_runs:
         times = records.times(run) if run.mode == "replay" and not run.has_topic else None
         if times is not None and is_right(run, requirements):
-            case = run.sequence, run.units, run.configuration.in_common_formulation.label
+            case = run.sequence, run.units, run.configuration.moved_to_common_formulation.label
             by_case.setdefault(case, {})[run.formulation] = median_of_known(times.algo_ns)
     cases = [forms for forms in by_case.values() if len(forms) > 1]
     return Counter(min(forms, key=lambda form: forms[form]) for forms in cases)
@@ -228,7 +228,7 @@ def match_replays(
             rivals = (
                 other
                 for other in records.replays(sequence, solver=second)
-                if other.configuration.label_of(first) == run.configuration.label
+                if other.configuration.make_label_with_name(first) == run.configuration.label
             )
             rival = next(rivals, None)
             here, there = records.times(run), None if rival is None else records.times(rival)

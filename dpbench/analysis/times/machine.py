@@ -84,7 +84,7 @@ def total_disturbance(runs: Sequence[RunRecord]) -> Disturbance:
         )
         for run in runs
     ]
-    return Disturbance.total(parts)
+    return Disturbance.from_parts(parts)
 
 
 def disturbed_sequences(records: Records) -> dict[str, Disturbance]:

@@ -25,7 +25,7 @@ from dpbench.analysis.verdict.findings import STATES
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.judge.rules import has_enough_samples_for_percentile, percentile_or_nan
-from dpbench.bench.record.configuration import Configuration, settings_level
+from dpbench.bench.record.configuration import Configuration, sort_key_of_settings
 from dpbench.solvers.own_settings import decode_options, describe_options
 
 LARGEST_ERROR = 1e3
@@ -185,7 +185,7 @@ def level_table(matrix: RunMatrix) -> pd.DataFrame:
     for point in chain.from_iterable(levels.values()):
         if not point.error_move < LARGEST_ERROR or isnan(point.p50_ns):
             continue
-        judged = point.configuration.in_common_formulation
+        judged = point.configuration.moved_to_common_formulation
         columns = {
             "id": str(matrix.index(judged)),
             "family": solver_family(judged.solver),
@@ -266,14 +266,14 @@ def level_points(
     """
     replays = records.select(mode="replay", units="scaled", sequence=tuple(sequences))
     wanted = [run for run in replays if (run.route, run.policy) == modes.get(run.solver)]
-    configurations = group_by(wanted, lambda run: run.configuration.in_common_formulation)
+    configurations = group_by(wanted, lambda run: run.configuration.moved_to_common_formulation)
     points = [
         point
         for configuration, runs in configurations.items()
         if len({run.sequence for run in runs}) == len(sequences)
         and (point := _build_level_point(records, configuration, runs)) is not None
     ]
-    points.sort(key=lambda point: settings_level(point.configuration.settings))
+    points.sort(key=lambda point: sort_key_of_settings(point.configuration.settings))
     return group_by(points, lambda point: point.configuration.solver)
 
 

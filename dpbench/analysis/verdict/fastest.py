@@ -12,7 +12,7 @@ import numpy as np
 from dpbench.analysis.records.run_record import group_by
 from dpbench.analysis.verdict.findings import STATES
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
-from dpbench.bench.record.configuration import settings_level
+from dpbench.bench.record.configuration import sort_key_of_settings
 from dpbench.errors import UnknownNameError
 from dpbench.solvers.record import SolverRecord
 from dpbench.solvers.table import find_record
@@ -76,7 +76,7 @@ def _prefer_usual_settings(own: Sequence[Verdict]) -> Verdict:
 
 def _settings_key(verdict: Verdict) -> tuple[int, str]:
     """Return a sort key of a verdict: the tolerance level of its settings."""
-    return settings_level(verdict.configuration.settings)
+    return sort_key_of_settings(verdict.configuration.settings)
 
 
 def _ranking_time_ns(verdict: Verdict) -> float:

@@ -18,7 +18,7 @@ from dpbench.analysis.records.run_record import RunRecord, first_by
 from dpbench.analysis.verdict.requirements import Requirements, has_survived
 from dpbench.analysis.verdict.speed_margin import SpeedMargin, speed_margins
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, judge_configuration
-from dpbench.bench.record.configuration import Configuration, settings_level
+from dpbench.bench.record.configuration import Configuration, sort_key_of_settings
 from dpbench.scenario.scenario import Scenario, build_scenario
 
 
@@ -126,7 +126,7 @@ class RunMatrix:
     def levels(self) -> list[str]:
         """Names of the solver settings run outside studies, the most usual first."""
         run = [self.configurations[c] for c, p in self.runs if not self.experiments[p].study]
-        return sorted(dict.fromkeys(c.settings for c in run), key=settings_level)
+        return sorted(dict.fromkeys(c.settings for c in run), key=sort_key_of_settings)
 
     @property
     def judged_experiments(self) -> list[int]:
@@ -201,4 +201,4 @@ class RunMatrix:
 
 def common_configuration(run: RunRecord) -> Configuration:
     """Return a run's solver configuration, as if in scaled units and the common QP form."""
-    return replace(run.configuration.in_common_formulation, units="scaled")
+    return replace(run.configuration.moved_to_common_formulation, units="scaled")

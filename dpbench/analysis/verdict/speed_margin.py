@@ -63,7 +63,7 @@ def speed_margins(
 ) -> Mapping[Configuration, SpeedMargin]:
     """Compute, for each timed configuration, how much slower a computer may be."""
     replays = [run for run in records.select(mode="replay", units="scaled") if run.has_steps]
-    of_configuration = group_by(replays, lambda run: run.configuration.in_common_formulation)
+    of_configuration = group_by(replays, lambda run: run.configuration.moved_to_common_formulation)
     bounds: dict[Configuration, tuple[RunRecord, RunRecord]] = {}
     for configuration, runs in of_configuration.items():
         algo = {run: times.algo_ns for run in runs if (times := records.times(run)) is not None}

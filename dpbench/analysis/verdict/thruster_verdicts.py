@@ -78,7 +78,9 @@ def thruster_control_loops(records: Records, requirements: Requirements) -> Thru
     right.sort(key=lambda run: (run.scenario, -run.steps_done, run.dev_position_max_m))
     best = first_by(right, lambda run: run.scenario)
     known = (run for run in runs if run.scenario in best)
-    configurations = group_by(known, lambda run: run.configuration.in_common_formulation.label)
+    configurations = group_by(
+        known, lambda run: run.configuration.moved_to_common_formulation.label
+    )
     return ThrusterControlLoops(best, configurations)
 
 

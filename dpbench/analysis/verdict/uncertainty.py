@@ -38,7 +38,7 @@ class Uncertainty:
     def of(self, run: RunRecord) -> float:
         """Return the factor within which a run's step times are uncertain."""
         own = self.middle if run.mode == "replay" else self.slow
-        return max(self.usual, own.get(run.configuration.in_common_formulation, 0.0))
+        return max(self.usual, own.get(run.configuration.moved_to_common_formulation, 0.0))
 
 
 def estimate_uncertainty(records: Records) -> Uncertainty:
@@ -50,7 +50,7 @@ def estimate_uncertainty(records: Records) -> Uncertainty:
         if times is None or len(times.rounds_ns) < 2 or run.window_of:
             continue
         quantiles = np.quantile(times.rounds_ns, (0.5, 0.75, 1.0)) / times.rounds_ns.min()
-        factors.setdefault(run.configuration.in_common_formulation, []).append(quantiles)
+        factors.setdefault(run.configuration.moved_to_common_formulation, []).append(quantiles)
     largest = {key: np.max(own, axis=0).tolist() for key, own in factors.items()}
     middle, slow, slowest = ({key: own[i] for key, own in largest.items()} for i in range(3))
     usual = max(LEAST, factor_quantile(middle.values())) if middle else UNKNOWN

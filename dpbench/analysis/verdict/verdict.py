@@ -30,7 +30,7 @@ from dpbench.analysis.verdict.findings import (
 )
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.judge.rules import maximum_of_known
-from dpbench.bench.record.configuration import Configuration, settings_level
+from dpbench.bench.record.configuration import Configuration, sort_key_of_settings
 from dpbench.solvers.record import POLICIES
 
 
@@ -121,7 +121,9 @@ def judge_solvers(
     judged = [run for run in runs if run.units == "scaled" and not run.is_baseline_law]
     verdicts: dict[str, list[Verdict]] = {}
     for solver, of_solver in group_by(judged, lambda run: run.solver).items():
-        by_configuration = group_by(of_solver, lambda run: run.configuration.in_common_formulation)
+        by_configuration = group_by(
+            of_solver, lambda run: run.configuration.moved_to_common_formulation
+        )
         longest = {it: _select_longest(runs) for it, runs in by_configuration.items()}
         ordered = sorted(longest.items(), key=lambda item: _reference_key(*item))
         asked = [run for run in ordered[0][1] if run.outcome != "refused"]
@@ -144,7 +146,7 @@ def _reference_key(configuration: Configuration, runs: Sequence[RunRecord]) -> t
     kinds = len({run.mode for run in ran})
     default = any(run.default_route for run in runs)
     return (
-        settings_level(configuration.settings) if ran else (99, ""),
+        sort_key_of_settings(configuration.settings) if ran else (99, ""),
         -kinds,
         not default,
         list(POLICIES).index(configuration.policy),

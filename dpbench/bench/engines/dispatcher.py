@@ -122,7 +122,8 @@ class Dispatcher:
             self._blocked.append(self._waiting.popleft())
             self._being_made.update(new)
             self._open_steps |= {
-                key: find_cell_with_most_steps(self._of_key[key]).last_step for key in new
+                key: find_cell_with_most_steps(self._of_key[key]).steps_needed_in_file
+                for key in new
             }
             keys += new
         self._ready.extend(self._yield_source_batches(keys))
@@ -264,7 +265,7 @@ class Dispatcher:
 
 def find_cell_with_most_steps(jobs: Sequence[CellJob]) -> Cell:
     """Return that of the runs on one file of QPs which needs the most steps of it."""
-    return max((job.cell for job in jobs), key=lambda cell: cell.last_step)
+    return max((job.cell for job in jobs), key=lambda cell: cell.steps_needed_in_file)
 
 
 def _yield_kinds_and_jobs(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[CellJob]]]:

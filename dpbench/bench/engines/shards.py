@@ -12,11 +12,11 @@ from pydantic import BaseModel, ConfigDict
 
 from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell import HARNESS_VERSION
-from dpbench.bench.record.machine import current_revision
+from dpbench.bench.record.machine import find_running_revision
 from dpbench.bench.record.result_folder import (
     MachineDescription,
     Revision,
-    parse_document,
+    check_document_as_type,
     read_json,
     write_json,
 )
@@ -118,7 +118,7 @@ class ShardRecord:
     digest: str
     machine: MachineDescription
     harness_version: str = HARNESS_VERSION
-    revision: Revision | None = field(default_factory=current_revision)
+    revision: Revision | None = field(default_factory=find_running_revision)
 
     def write(self, folder: Path) -> None:
         """Write `shard.json` into a result folder."""
@@ -131,7 +131,7 @@ class ShardRecord:
         if not path.exists():
             found, allowed = f"{folder} without a shard", "a folder of `dpbench cells`"
             raise InputError("gather", "", found, allowed)
-        read = parse_document(read_json(path), _ShardFile, path)
+        read = check_document_as_type(read_json(path), _ShardFile, path)
         return cls(**{name: getattr(read, name) for name in _ShardFile.model_fields})
 
 

@@ -17,7 +17,7 @@ import pandas as pd
 from dpbench.arrays import Floats, Ints
 from dpbench.bench.judge.rules import count_explained_late_timings
 from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
-from dpbench.bench.record.raw_log import COUNTERS, RawLog, sum_step_ns
+from dpbench.bench.record.raw_log import COUNTERS, RawLog, sum_phases_by_step_ns
 
 FEWEST_VISITS = 20
 """First visits, each with a later one, below which the figures are NaN."""
@@ -51,7 +51,7 @@ def compute_caching_metrics(log: RawLog) -> dict[str, float]:
     visits less twice that of any later round and less what switches explain: a memory of hard steps
     alone leaves the median as it is.
     """
-    total = sum_step_ns(log.times)
+    total = sum_phases_by_step_ns(log.times)
     warm_up, steps = int(log.done[0]), len(log.first_ns)
     number = np.arange(steps)
     for r, group in ((1, number >= warm_up), (0, number < warm_up)):

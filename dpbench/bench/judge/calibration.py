@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from dpbench.bench.judge.rules import mask_disturbed_rounds
-from dpbench.bench.record.disturbance import Disturbance, disturbance_metrics
-from dpbench.bench.record.raw_log import RawLog, sum_step_ns
-from dpbench.bench.run.assemble import NO_LIMIT_NS, clock, replay_parts
+from dpbench.bench.record.disturbance import Disturbance, compute_disturbance_metrics
+from dpbench.bench.record.raw_log import RawLog, sum_phases_by_step_ns
+from dpbench.bench.run.assemble import NO_LIMIT_NS, build_sequence_solver_and_log, clock
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.solvers.calibration import CALIBRATION, NO_OP, WAITS_NS, open_calibration
@@ -55,7 +55,7 @@ def time_dummy_solvers() -> Calibration:
         if collecting:
             gc.enable()
     medians = {name: p50 for name, (p50, _) in runs.items()}
-    return Calibration(medians, Disturbance.total([part for _, part in runs.values()]))
+    return Calibration(medians, Disturbance.from_parts([part for _, part in runs.values()]))
 
 
 def _build_sequence() -> QPSequence:
@@ -68,7 +68,7 @@ def _build_sequence() -> QPSequence:
 
 def _time_dummy_solver(name: str) -> tuple[float, Disturbance]:
     """Replay made-up QPs with a dummy solver; return its median step time [ns] and disturbance."""
-    steps, timed_solver, log = replay_parts(
+    steps, timed_solver, log = build_sequence_solver_and_log(
         _build_sequence(), open_calibration(name), "condensed_box", _ROUNDS, RawLog.in_memory
     )
     replaying = ReplayRun(
@@ -76,8 +76,8 @@ def _time_dummy_solver(name: str) -> tuple[float, Disturbance]:
     )
     replaying.run_all_rounds()
     slowed = mask_disturbed_rounds(log.reference_kernel_ns)[1:]  # the warm-up does not count
-    seen = disturbance_metrics(log)
-    return float(np.median(sum_step_ns(log.times[1:]))), Disturbance(
+    seen = compute_disturbance_metrics(log)
+    return float(np.median(sum_phases_by_step_ns(log.times[1:]))), Disturbance(
         rounds=_ROUNDS,
         disturbed=float(slowed.sum()),
         rerun=0.0,

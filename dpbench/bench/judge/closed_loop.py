@@ -23,10 +23,10 @@ from dpbench.bench.judge.thruster_metrics import (
 )
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import COUNTERS, PHASES, AnswerLog, RawLog
-from dpbench.bench.run.assemble import with_cell_formulation
-from dpbench.bench.run.exact_loop import ExactLoop, base_problem
+from dpbench.bench.run.assemble import adapt_scenario_to_cell
+from dpbench.bench.run.exact_loop import ExactLoop, build_problem_at_rest
 from dpbench.bench.run.formulation import QPBuilder
-from dpbench.bench.run.station import station_metrics
+from dpbench.bench.run.station import compute_station_metrics
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
 from dpbench.qp.referee.referee import (
@@ -201,7 +201,7 @@ def read_recorded_answer(log: AnswerLog, r: int, k: int) -> Solution:
 
 def evaluate_loop_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCell:
     """Evaluate a closed loop's raw log; return its step columns and control metrics."""
-    scenario = with_cell_formulation(cell, cached_scenario(cell.scenario).truncate(cell.steps))
+    scenario = adapt_scenario_to_cell(cell, cached_scenario(cell.scenario).truncate(cell.steps))
     scaled = QPBuilder(scenario)
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
     done = int(log.done[0])
@@ -232,7 +232,7 @@ def evaluate_loop_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCel
     metrics = compute_control_metrics(scenario, columns["state"], applied, scaled.reference, exact)
     for group in scenario.controller.metric_groups:
         metrics |= METRICS[group](scenario, scaled, columns, thrust)
-    metrics |= station_metrics(scenario, exact, cell.steps)
+    metrics |= compute_station_metrics(scenario, exact, cell.steps)
     metrics |= {"sample_s": scenario.sample_s, "first_sample": 0.0, "every_sample": 1.0}
     metrics["matrix_steps"] = float(matrix_steps)
     metrics |= dict(zip(COUNTERS, log.counters[0].tolist(), strict=True))
@@ -243,8 +243,8 @@ def _make_evaluator_and_rebuilder(
     scaled: QPBuilder, own: QPBuilder, log: RawLog
 ) -> tuple[StepEvaluator, RebuildStep]:
     """Return an evaluator of a controller's QPs, and a function that rebuilds each step's QP."""
-    base = base_problem(scaled.condensed)
-    own_base = base if own is scaled else base_problem(own.condensed)
+    base = build_problem_at_rest(scaled.condensed)
+    own_base = base if own is scaled else build_problem_at_rest(own.condensed)
 
     def rebuilt(k: int) -> tuple[QPStep, QPStep]:
         step = scaled.rebuild(k, log.theta[k])

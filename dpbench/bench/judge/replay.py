@@ -15,7 +15,7 @@ from dpbench.bench.judge.closed_loop import (
     make_answer_columns,
     read_recorded_answer,
 )
-from dpbench.bench.record.disturbance import disturbance_metrics
+from dpbench.bench.record.disturbance import compute_disturbance_metrics
 from dpbench.bench.record.raw_log import FOOTPRINT, RawLog
 from dpbench.qp.program import QPSequence, Units
 from dpbench.qp.referee.optimum import Optimum
@@ -48,7 +48,7 @@ def evaluate_replay_log(
     for kernel in ("reference_kernel_ns", "load_kernel_ns"):
         columns[kernel] = getattr(log, kernel)[rounds].copy()
     metrics = {"sample_s": sample_s, "first_sample": float(first), "every_sample": float(every)}
-    metrics |= measure_repeatability(log, units.z) | disturbance_metrics(log)
+    metrics |= measure_repeatability(log, units.z) | compute_disturbance_metrics(log)
     metrics |= dict(zip(FOOTPRINT, log.footprint.tolist(), strict=True))
     return EvaluatedCell(columns, metrics | compute_caching_metrics(log))
 

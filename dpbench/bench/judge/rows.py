@@ -11,7 +11,12 @@ from dpbench.bench.judge.closed_loop import EvaluatedCell
 from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
-from dpbench.bench.record.schema import MISSING_INT, SCHEMA_VERSION, STEP_COLUMNS, as_steps
+from dpbench.bench.record.schema import (
+    MISSING_INT,
+    SCHEMA_VERSION,
+    STEP_COLUMNS,
+    convert_to_step_columns,
+)
 from dpbench.scenario.scenario import cached_scenario
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.table import Availability
@@ -25,7 +30,7 @@ def make_step_rows(run_id: str, steps: StepColumns) -> pd.DataFrame:
     for name, column in steps.items():
         whole = STEP_COLUMNS[name][0] == "Int64"
         columns[name] = pd.arrays.IntegerArray(column, column == MISSING_INT) if whole else column
-    return as_steps(pd.DataFrame(columns))
+    return convert_to_step_columns(pd.DataFrame(columns))
 
 
 def make_run_row(

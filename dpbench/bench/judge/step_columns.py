@@ -26,7 +26,7 @@ from dpbench.bench.judge.timing import find_disturbed_rounds, make_deadline_colu
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import PHASES, SOLVER_PHASES
 from dpbench.bench.record.schema import AXIS_FORCES, MISSING_INT
-from dpbench.bench.run.slow_computer import find_delay
+from dpbench.bench.run.slow_computer import make_delay_of_cell
 from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import cached_scenario
 
@@ -56,7 +56,7 @@ def make_step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
             "fallback": rules.mask_unusable_steps(steps),
         }
     steps["counts"] = np.ones(len(steps["k"]), dtype=np.bool_)
-    delay = find_delay(cell, cached_scenario(cell.scenario).sample_s)
+    delay = make_delay_of_cell(cell, cached_scenario(cell.scenario).sample_s)
     steps |= _backup_columns(columns)
     waited_ns: Ints = steps["total_ns"]
     if "backup" in steps:

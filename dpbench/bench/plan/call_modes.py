@@ -37,7 +37,7 @@ def check_call_modes(suite: SuiteFile, solvers: Sequence[str], has_routes: bool)
     records = {name: find_record(name) for name in sorted(names)}
     modes = {
         (route, policy)
-        for key in SuiteFile.list_cell_tables()
+        for key in SuiteFile.list_names_of_run_tables()
         for table in getattr(suite, key)
         for route in table.routes
         for policy in table.policies

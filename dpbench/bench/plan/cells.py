@@ -10,9 +10,9 @@ from dpbench.bench.capability.frontier import DIRECTIONS, CapabilityPlot
 from dpbench.bench.plan.configurations import (
     BASELINE_LAW,
     Table,
-    find_refusal,
+    find_plugin_file,
+    find_reason_to_refuse,
     list_configurations,
-    plugin_file,
 )
 from dpbench.bench.plan.suite import (
     CapabilityTable,
@@ -61,7 +61,7 @@ class PlannedCell:
     merged_settings: tuple[str, ...] = ()
 
 
-def plan_cell(
+def plan_run_of_configuration(
     configuration: Configuration,
     suite: SuiteFile,
     table: Table,
@@ -83,19 +83,22 @@ def plan_cell(
         options=configuration.options,
         formulation="none" if baseline_law else configuration.formulation,
         units=configuration.units,
-        limit_s=(own_limit_s or suite.cell_limit_s) + _intended_wait_s(configuration, **fields),
-        solver_module=plugin_file(configuration.solver),
+        limit_s=(own_limit_s or suite.cell_limit_s)
+        + _compute_dummy_wait_s(configuration, **fields),
+        solver_module=find_plugin_file(configuration.solver),
         memory_gb=suite.cell_memory_gb,
         **fields,
     )
-    planned = PlannedCell(cell, find_refusal(configuration), configuration.alias)
+    planned = PlannedCell(cell, find_reason_to_refuse(configuration), configuration.alias)
     if cell.formulation != "sparse":
         return planned
     # States cost nothing along most of their directions, so P is only semidefinite.
-    return _refuse_semidefinite(replace(planned, refused=planned.refused or why_no_sparse_form))
+    return _mark_refused_if_semidefinite(
+        replace(planned, refused=planned.refused or why_no_sparse_form)
+    )
 
 
-def replay_cells(
+def plan_replay_per_configuration(
     suite: SuiteFile,
     table: ReplayTable | RecordedTable | RandomTable | CapabilityTable,
     solvers: Sequence[str],
@@ -118,7 +121,7 @@ def replay_cells(
         }
     most = suite.warmup_steps if share == 1.0 else min(suite.warmup_steps, WINDOW_WARMUP_STEPS)
     return [
-        plan_cell(
+        plan_run_of_configuration(
             configuration,
             suite,
             table,
@@ -135,12 +138,14 @@ def replay_cells(
     ]
 
 
-def _intended_wait_s(configuration: Configuration, steps: int, rounds: int = 0, **_: Any) -> float:
+def _compute_dummy_wait_s(
+    configuration: Configuration, steps: int, rounds: int = 0, **_: Any
+) -> float:
     """Return how long a dummy solver of known duration waits on purpose [s]; 0 for real ones."""
     return 2e-9 * WAITS_NS.get(configuration.solver, 0) * steps * (rounds + 1)
 
 
-def recorded_cells(
+def plan_recorded_replays(
     suite: SuiteFile, solvers: Sequence[str], beside: Path | None, taken: Sequence[str]
 ) -> list[PlannedCell]:
     """Plan the replays of all recorded sequences of QPs that a suite in folder `beside` names.
@@ -159,14 +164,16 @@ def recorded_cells(
             allowed = "sequences and scenarios of different names, which tell their results apart"
             raise InputError(str(path), "name", f"another called {sequence.name!r}", allowed)
         source = RecordedSource(sequence.name, origin, sha256)
-        planned = replay_cells(suite, table, solvers, len(sequence), scenario={}, source=source)
+        planned = plan_replay_per_configuration(
+            suite, table, solvers, len(sequence), scenario={}, source=source
+        )
         matrices = [sequence.base.P] if sequence.P is None else list(sequence.P)
         strict = all(is_proven_positive_definite(P) for P in matrices)
-        cells += planned if strict else map(_refuse_semidefinite, planned)
+        cells += planned if strict else map(_mark_refused_if_semidefinite, planned)
     return cells
 
 
-def capability_cells(
+def plan_capability_replays(
     suite: SuiteFile, table: CapabilityTable, solvers: Sequence[str], beside: Path | None
 ) -> list[PlannedCell]:
     """Plan the runs that solve a capability plot's QPs; InputError without thrusters or hull."""
@@ -176,26 +183,28 @@ def capability_cells(
     name = f"{files['vessel_name']} capability, {table.sides} sides"
     source = CapabilitySource(name, table.sides, **files)
     steps = POINTS * DIRECTIONS * len(cases)
-    cells = replay_cells(suite, table, own, steps, scenario={}, source=source)
+    cells = plan_replay_per_configuration(suite, table, own, steps, scenario={}, source=source)
     # What a solver claims of a QP does not change from round to round.
     return [replace(planned, cell=replace(planned.cell, rounds=1)) for planned in cells]
 
 
-def _refuse_semidefinite(planned: PlannedCell) -> PlannedCell:
+def _mark_refused_if_semidefinite(planned: PlannedCell) -> PlannedCell:
     """Return a planned run, marked as refused if its solver needs P > 0 in the QP's cost."""
     needs = find_record(planned.cell.solver).needs_strict_convexity
     return replace(planned, refused=planned.refused or SEMIDEFINITE_REFUSAL) if needs else planned
 
 
-def random_cells(suite: SuiteFile, table: RandomTable, solvers: Sequence[str]) -> list[PlannedCell]:
+def plan_random_replays(
+    suite: SuiteFile, table: RandomTable, solvers: Sequence[str]
+) -> list[PlannedCell]:
     """Plan the runs that solve the random QPs of a suite table."""
     # What depends on the configuration alone is found out once: a table may make thousands of
     # cells.
-    blanks = replay_cells(suite, table, solvers, table.steps, scenario={})
+    blanks = plan_replay_per_configuration(suite, table, solvers, table.steps, scenario={})
     cells: list[PlannedCell] = []
-    for recipe in table.list_recipes():
+    for recipe in table.list_random_recipes():
         source = RandomSource(name=recipe.sequence_name, recipe=recipe)
         planned = [replace(blank, cell=replace(blank.cell, source=source)) for blank in blanks]
         semidefinite = FAMILIES[recipe.family].semidefinite
-        cells += map(_refuse_semidefinite, planned) if semidefinite else planned
+        cells += map(_mark_refused_if_semidefinite, planned) if semidefinite else planned
     return cells

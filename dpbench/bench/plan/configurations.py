@@ -5,9 +5,9 @@ from itertools import product
 from pathlib import Path
 
 from dpbench.bench.plan.solver_settings import (
-    check_own_settings,
-    check_settings_names,
-    list_settings,
+    list_settings_of_choice,
+    refuse_invalid_own_settings,
+    refuse_unknown_settings_names,
 )
 from dpbench.bench.plan.suite import (
     CapabilityTable,
@@ -45,7 +45,7 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
         key = f"{kind}.solvers"
         for table in tables:
             wanted = _resolve_solvers(key, table.solvers)
-            if wanted and not any(_is_among(choice, wanted) for choice in named):
+            if wanted and not any(_is_choice_among(choice, wanted) for choice in named):
                 found = ", ".join(table.solvers)
                 allowed = f"a solver of the suite: {format_allowed_names(found, named)}"
                 raise InputError("suite", key, found, allowed)
@@ -54,16 +54,16 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     if baseline is not None and baseline not in solvers:
         allowed = f"a solver of the suite: {format_allowed_names(baseline, solvers)}"
         raise InputError("suite", "report.baseline", repr(baseline), allowed)
-    chosen = _expand_names(only) if only else named
+    chosen = _expand_solver_choices(only) if only else named
     if not only and suite.baseline_law:
         chosen.append(BASELINE_LAW)
     if not only and suite.calibration:
         chosen += CALIBRATION
-    check_own_settings(suite, chosen, "`solvers`" if only else "suite: solvers")
+    refuse_invalid_own_settings(suite, chosen, "`solvers`" if only else "suite: solvers")
     return list(dict.fromkeys(chosen))
 
 
-def _is_among(choice: str, names: Sequence[str]) -> bool:
+def _is_choice_among(choice: str, names: Sequence[str]) -> bool:
     """Return whether a choice such as `osqp[rho=1.6]`, or its solver, is one of `names`."""
     return choice in names or split_choice(choice)[0] in names
 
@@ -71,13 +71,13 @@ def _is_among(choice: str, names: Sequence[str]) -> bool:
 def _resolve_solvers(key: str, names: Sequence[str]) -> list[str]:
     """Return the solvers that an entry of the suite names; an InputError names the entry."""
     try:
-        return _expand_names(names)
+        return _expand_solver_choices(names)
     except InputError as error:
         place = f"{key}: {error.key}" if error.key else key
         raise type(error)("suite", place, error.found, error.allowed) from error
 
 
-def _expand_names(names: Sequence[str]) -> list[str]:
+def _expand_solver_choices(names: Sequence[str]) -> list[str]:
     """Return choices of solvers without repeats, with "all" and grids of settings expanded."""
     chosen: list[str] = []
     for name in names:
@@ -94,7 +94,7 @@ def _is_default_solver(solver: str) -> bool:
     return find_record(solver).extra not in ("jax", "casadi") or check_availability(solver).ok
 
 
-def check_backup(name: str) -> tuple[str, str]:
+def find_backup_and_refusal(name: str) -> tuple[str, str]:
     """Return the backup solver of a closed loop, and why it cannot be opened; "" for neither.
 
     UnknownNameError for an unknown solver; InputError for a plug-in of a file, which the workers of
@@ -104,21 +104,21 @@ def check_backup(name: str) -> tuple[str, str]:
         return "", ""
     one = name != "all" and "[" not in name
     (solver,) = _resolve_solvers("closed_loop.backup", [name]) if one else ("",)
-    if not solver or plugin_file(solver) or solver in CALIBRATION:
+    if not solver or find_plugin_file(solver) or solver in CALIBRATION:
         allowed = "one solver of `list_solvers()`, or of an installed plug-in"
         raise InputError("suite", "closed_loop.backup", repr(name), allowed)
     here = check_availability(solver)
     return solver, "" if here.ok else f"backup {solver}: {here.reason}"
 
 
-def library_identity(cell: Cell, library: Availability) -> str:
+def identify_libraries_of_cell(cell: Cell, library: Availability) -> str:
     """Return version and build of the libraries of a run's solver and backup solver."""
     if not cell.backup:
         return library.identity
     return f"{library.identity}, backup {check_availability(cell.backup).identity}"
 
 
-def plugin_file(solver: str) -> str:
+def find_plugin_file(solver: str) -> str:
     """Return the Python plug-in file that a solver is loaded from; "" for other solvers."""
     plugin = None if solver in TABLE else find_plugin(solver)
     return plugin.origin if plugin is not None and Path(plugin.origin).is_file() else ""
@@ -135,7 +135,7 @@ def list_configurations(
     solvers = _select_solvers(solvers, table)
     if not solvers:
         return []
-    check_settings_names(suite, table, solvers)
+    refuse_unknown_settings_names(suite, table, solvers)
     own = [name for name in solvers if name in CALIBRATION]
     solvers = [name for name in solvers if name not in CALIBRATION]
     configurations: list[Configuration] = []
@@ -148,7 +148,7 @@ def list_configurations(
             continue
         configurations += [
             Configuration(row.name, route, policy, name, units, formulation, options, alias)
-            for name, options, alias in list_settings(choice, table, suite)
+            for name, options, alias in list_settings_of_choice(choice, table, suite)
         ]
     timed = isinstance(table, ReplayTable | RecordedTable)
     return configurations + [Configuration(name, "native", "reuse") for name in own if timed]
@@ -158,14 +158,16 @@ def _select_solvers(solvers: Sequence[str], table: Table) -> list[str]:
     """Return the suite's solvers that take part in a table, by its `solvers` and `without`."""
     if not isinstance(table, ScenarioRunsTable):
         return list(solvers)
-    named = _expand_names(table.solvers) if table.solvers else solvers
-    without = _expand_names(table.without)
+    named = _expand_solver_choices(table.solvers) if table.solvers else solvers
+    without = _expand_solver_choices(table.without)
     return [
-        choice for choice in solvers if _is_among(choice, named) and not _is_among(choice, without)
+        choice
+        for choice in solvers
+        if _is_choice_among(choice, named) and not _is_choice_among(choice, without)
     ]
 
 
-def find_refusal(configuration: Configuration) -> str:
+def find_reason_to_refuse(configuration: Configuration) -> str:
     """Return why a solver configuration cannot run on this machine; "" where it can."""
     here = check_availability(configuration.solver)
     if not here.ok:

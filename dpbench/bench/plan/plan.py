@@ -6,19 +6,19 @@ from pathlib import Path
 
 from dpbench.bench.plan.cells import (
     PlannedCell,
-    capability_cells,
-    plan_cell,
-    random_cells,
-    recorded_cells,
-    replay_cells,
+    plan_capability_replays,
+    plan_random_replays,
+    plan_recorded_replays,
+    plan_replay_per_configuration,
+    plan_run_of_configuration,
 )
 from dpbench.bench.plan.configurations import (
     BASELINE_LAW,
-    check_backup,
     choose_solvers,
+    find_backup_and_refusal,
     list_configurations,
 )
-from dpbench.bench.plan.study_cells import study_cells
+from dpbench.bench.plan.study_cells import plan_study_loops
 from dpbench.bench.plan.suite import ClosedLoopTable, ReplayTable, SuiteFile
 from dpbench.bench.record.cell import CONTROLLER, ConsequenceSource, HardestSource, QPSource
 from dpbench.bench.sequences.loop_sequences import select_thruster_rows
@@ -30,7 +30,7 @@ from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.own_settings import normalise_options
 
 
-def plan(
+def plan_suite(
     suite: SuiteFile,
     *,
     solvers: Sequence[str] | None = None,
@@ -59,20 +59,20 @@ def plan(
     for closed in suite.closed_loop:
         for name in closed.scenario_list:
             if name in wanted:
-                cells += _closed_loop_cells(suite, closed, loaded[name], chosen)
+                cells += _plan_closed_loops(suite, closed, loaded[name], chosen)
     if not scenarios:
-        cells += study_cells(suite, chosen, beside)
+        cells += plan_study_loops(suite, chosen, beside)
     for replay in suite.replay:
         for pair in replay.horizon_pairs if replay.scenario in wanted else ():
             name = replay.scenario
             scenario = loaded[name] if pair is None else swept[name, pair]
-            cells += _replay_cells(suite, replay, scenario, chosen)
+            cells += _plan_scenario_replays(suite, replay, scenario, chosen)
     if not scenarios:
-        cells += recorded_cells(suite, chosen, beside, taken=stems)
+        cells += plan_recorded_replays(suite, chosen, beside, taken=stems)
     for table in suite.random if not scenarios else ():
-        cells += random_cells(suite, table, chosen)
+        cells += plan_random_replays(suite, table, chosen)
     for plot in suite.capability if not scenarios else ():
-        cells += capability_cells(suite, plot, chosen, beside)
+        cells += plan_capability_replays(suite, plot, chosen, beside)
     if not cells:
         allowed = "[[closed_loop]] or another table of runs, with a solver to run"
         raise InputError("suite", "", "nothing to run", allowed)
@@ -134,7 +134,7 @@ def _merge_equal_cells(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
     return list(once.values())
 
 
-def _closed_loop_cells(
+def _plan_closed_loops(
     suite: SuiteFile, table: ClosedLoopTable, scenario: Scenario, solvers: Sequence[str]
 ) -> list[PlannedCell]:
     """Plan the closed loops of a scenario, one per solver configuration and computer slow-down."""
@@ -142,12 +142,12 @@ def _closed_loop_cells(
     if table.deadline_s > scenario.sample_s:
         where, allowed = f"suite: closed loop of {scenario.name}", f"at most {scenario.sample_s:g}"
         raise InputError(where, "deadline_s", table.deadline_s, f"{allowed}, its sample")
-    backup, missing = check_backup(table.backup)
+    backup, missing = find_backup_and_refusal(table.backup)
     # The baseline law does not look at units or settings: it runs where the default configurations
     # do.
     plain = ("scaled", "default", "fresh")
     cells = [
-        plan_cell(
+        plan_run_of_configuration(
             configuration,
             suite,
             table,
@@ -173,7 +173,7 @@ def _closed_loop_cells(
     ]
 
 
-def _replay_cells(
+def _plan_scenario_replays(
     suite: SuiteFile, table: ReplayTable, scenario: Scenario, solvers: Sequence[str]
 ) -> list[PlannedCell]:
     """Plan replays of a scenario's QPs: along the exact loop, its hardest steps, or failures."""
@@ -183,20 +183,20 @@ def _replay_cells(
         )
     steps = min(table.steps or scenario.steps, scenario.steps - table.first)
     if table.hardest:
-        _check_window(table, scenario)
+        _refuse_impossible_window(table, scenario)
     if "margin" in table.model_fields_set and not table.consequence:
         where = f"suite: replay of {scenario.name}"
         raise InputError(where, "margin", table.margin, "nothing without consequence = true")
     if table.consequence:
-        return _consequence_cells(suite, table, scenario, solvers, steps)
+        return _plan_consequence_replays(suite, table, scenario, solvers, steps)
     source: QPSource = CONTROLLER
     if table.hardest:
         # A scenario given in place of the suite's own may have fewer steps.
         of, steps = steps, min(table.hardest, steps)
-        source = HardestSource(f"{_replay_name(table, scenario, of)} hardest {steps}", of)
+        source = HardestSource(f"{_name_replay(table, scenario, of)} hardest {steps}", of)
         # The machine is measured in the replays that are long enough for it.
         solvers = [name for name in solvers if name not in CALIBRATION]
-    return replay_cells(
+    return plan_replay_per_configuration(
         suite,
         table,
         solvers,
@@ -208,7 +208,7 @@ def _replay_cells(
     )
 
 
-def _check_window(table: ReplayTable, scenario: Scenario) -> None:
+def _refuse_impossible_window(table: ReplayTable, scenario: Scenario) -> None:
     """Raise InputError where a suite table has an impossible window of hardest steps."""
     allowed = ""
     if table.steps and table.hardest > table.steps:
@@ -222,13 +222,13 @@ def _check_window(table: ReplayTable, scenario: Scenario) -> None:
         raise InputError(where, "hardest", table.hardest, allowed)
 
 
-def _replay_name(table: ReplayTable, scenario: Scenario, steps: int) -> str:
+def _name_replay(table: ReplayTable, scenario: Scenario, steps: int) -> str:
     """Return the name of a replayed part of a scenario, with its steps unless from the start."""
     window = "" if table.first == 0 else f"[{table.first}:{table.first + steps}]"
     return f"{scenario.name}{window}"
 
 
-def _consequence_cells(
+def _plan_consequence_replays(
     suite: SuiteFile,
     table: ReplayTable,
     scenario: Scenario,
@@ -241,11 +241,11 @@ def _consequence_cells(
         where = f"suite: consequence analysis of {scenario.name}"
         raise InputError(where, "units", ", ".join(table.units), "scaled, its only units")
     own = [name for name in solvers if name not in CALIBRATION]
-    sequence = _replay_name(table, scenario, steps)
+    sequence = _name_replay(table, scenario, steps)
     return [
         cell
         for group in thrusters.indices_by_failure_group
-        for cell in replay_cells(
+        for cell in plan_replay_per_configuration(
             suite,
             table,
             own,

@@ -16,11 +16,11 @@ from dpbench.bench.judge.rules import has_enough_samples_for_percentile
 from dpbench.bench.plan.call_modes import check_call_modes, check_mode_names
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.configurations import choose_solvers
-from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import (
     SuiteFile,
     build_sequence_suite,
-    load_suite,
+    load_path_and_suite,
     name_file_in_errors,
 )
 from dpbench.bench.sequences.recording import read_sequence
@@ -70,7 +70,7 @@ class RunRequest:
     steps: int | None = None
     solver_module: str | None = None
 
-    def plan(self) -> Plan:
+    def make_plan(self) -> Plan:
         """Return the plan of all requested runs; InputError for what cannot be run."""
         if self.solver_module is not None:
             load_solver_module(self.solver_module)
@@ -78,14 +78,14 @@ class RunRequest:
         check_mode_names(self.routes, self.policies)
         chosen = {"settings": self.settings, "routes": self.routes, "policies": self.policies}
         keys = {key: list(names) for key, names in chosen.items() if names}
-        document = select_part(document, scenarios=self.scenarios, steps=self.steps, **keys)
+        document = reduce_suite(document, scenarios=self.scenarios, steps=self.steps, **keys)
         with name_file_in_errors(path, chosen=bool(self.settings)):
             remarks: list[str] = []
             choices = self.solvers or document.solvers
             if self.routes or self.policies:
                 solvers = choose_solvers(document, self.solvers)
                 remarks = check_call_modes(document, solvers, "routes" in keys)
-            cells = plan(
+            cells = plan_suite(
                 document, solvers=self.solvers, scenarios=self.scenarios, beside=path.parent
             )
         part = bool(self.solvers or self.scenarios or keys or self.steps is not None)
@@ -110,7 +110,7 @@ class RunRequest:
     def _load_suite(self) -> tuple[str, Path, SuiteFile]:
         """Return name, file and content of the requested suite, or of one for a sequence."""
         if self.suite is not None and self.sequence is None:
-            path, document = load_suite(self.suite)
+            path, document = load_path_and_suite(self.suite)
             return path.stem, path, document
         if self.sequence is not None and self.suite is None:
             meta = read_sequence(sequence_path(self.sequence)).sequence.meta
@@ -121,7 +121,7 @@ class RunRequest:
         raise InputError("run", "", found, "a suite or a sequence")
 
 
-def select_part(
+def reduce_suite(
     suite: SuiteFile,
     *,
     scenarios: Sequence[str] | None = None,
@@ -139,21 +139,27 @@ def select_part(
         require_integer_at_least("`steps`", steps, 1)
     asked = list(scenarios or ())
     tables: dict[str, list[Any]] = {
-        key: list(getattr(suite, key)) for key in SuiteFile.list_cell_tables()
+        key: list(getattr(suite, key)) for key in SuiteFile.list_names_of_run_tables()
     }
     if not set(asked) <= set(suite.scenario_names):
         tables["closed_loop"] = [
-            _copy_with(t, scenarios=asked, vessels=[], steps=0) for t in suite.closed_loop
+            _copy_table_with(t, scenarios=asked, vessels=[], steps=0) for t in suite.closed_loop
         ]
         tables["replay"] = [
-            _copy_with(t, scenario=name, first=0, steps=0) for t in suite.replay for name in asked
+            _copy_table_with(t, scenario=name, first=0, steps=0)
+            for t in suite.replay
+            for name in asked
         ]
     for key, own in tables.items():
-        tables[key] = [_copy_with(t, **calls) for t in own]
+        tables[key] = [_copy_table_with(t, **calls) for t in own]
     if steps is not None:
         for key in ("closed_loop", "replay", "study"):
-            tables[key] = [_copy_with(t, steps=min(steps, t.steps or steps)) for t in tables[key]]
-        tables["replay"] = [_copy_with(t, hardest=min(steps, t.hardest)) for t in tables["replay"]]
+            tables[key] = [
+                _copy_table_with(t, steps=min(steps, t.steps or steps)) for t in tables[key]
+            ]
+        tables["replay"] = [
+            _copy_table_with(t, hardest=min(steps, t.hardest)) for t in tables["replay"]
+        ]
     if not (scenarios or calls or steps is not None):
         return suite
     # Tables may have become equal.
@@ -161,13 +167,13 @@ def select_part(
         key: [table for i, table in enumerate(own) if table not in own[:i]]
         for key, own in tables.items()
     }
-    return _copy_with(suite, **once)
+    return _copy_table_with(suite, **once)
 
 
 Model = TypeVar("Model", bound=BaseModel)
 
 
-def _copy_with(model: Model, **update: object) -> Model:
+def _copy_table_with(model: Model, **update: object) -> Model:
     """Return a copy of a table of a suite with some of its keys changed."""
     return model.model_copy(update=update)
 

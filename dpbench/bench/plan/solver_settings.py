@@ -40,7 +40,7 @@ class NamedSettings(NamedTuple):
     alias: tuple[str, ...] = ()
 
 
-def list_settings(choice: str, table: RunsTable, suite: SuiteFile) -> list[NamedSettings]:
+def list_settings_of_choice(choice: str, table: RunsTable, suite: SuiteFile) -> list[NamedSettings]:
     """Return the settings that a choice such as `osqp` or `osqp[rho=1.6]` runs with in a table."""
     solver, text = split_choice(choice)
     if text:
@@ -72,7 +72,9 @@ def _list_own_settings(suite: SuiteFile, name: str, solver: str) -> list[NamedSe
     ]
 
 
-def check_settings_names(suite: SuiteFile, table: RunsTable, choices: Sequence[str]) -> None:
+def refuse_unknown_settings_names(
+    suite: SuiteFile, table: RunsTable, choices: Sequence[str]
+) -> None:
     """Raise SettingsError for a name in a table that neither suite nor any of its solvers has."""
     solvers = [split_choice(choice)[0] for choice in choices if split_choice(choice)[0] == choice]
     for name in table.settings if solvers else ():
@@ -83,7 +85,7 @@ def check_settings_names(suite: SuiteFile, table: RunsTable, choices: Sequence[s
             raise SettingsError("settings", "", repr(name), allowed)
 
 
-def check_own_settings(suite: SuiteFile, choices: Iterable[str], where: str) -> None:
+def refuse_invalid_own_settings(suite: SuiteFile, choices: Iterable[str], where: str) -> None:
     """Check settings of one's own against the options of the solvers that are installed.
 
     where : the place of the choices of solvers.
@@ -97,7 +99,7 @@ def check_own_settings(suite: SuiteFile, choices: Iterable[str], where: str) -> 
     for choice in choices:
         solver, _ = split_choice(choice)
         try:
-            _check_options(solver, parse_choice(choice))
+            _refuse_unaccepted_options(solver, parse_choice(choice))
         except SettingsError as error:
             key = f"{solver}[{error.key}]"
             raise SettingsError(where, key, error.found, error.allowed) from error
@@ -107,7 +109,7 @@ def check_own_settings(suite: SuiteFile, choices: Iterable[str], where: str) -> 
             try:
                 has_preset = has_setting(find_record(solver).name, name)
                 for point in expand_grid(options, where):
-                    _check_options(solver, point)
+                    _refuse_unaccepted_options(solver, point)
             except (SettingsError, UnknownNameError) as error:
                 raise type(error)(where, error.key, error.found, error.allowed) from error
             if has_preset:
@@ -115,7 +117,7 @@ def check_own_settings(suite: SuiteFile, choices: Iterable[str], where: str) -> 
                 raise InputError(where, "", "the name of a preset", "a name of its own")
 
 
-def _check_options(solver: str, options: Options) -> None:
+def _refuse_unaccepted_options(solver: str, options: Options) -> None:
     """Raise SettingsError for options that the solver accepts through none of its interfaces."""
     if not options or not check_availability(solver).ok:
         return

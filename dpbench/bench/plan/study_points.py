@@ -66,7 +66,7 @@ class DesignOfPointsTable(FileModel):
     """Least and largest value of each key, by its dotted name."""
 
     @model_validator(mode="after")
-    def _check_points(self) -> DesignOfPointsTable:
+    def _refuse_bad_size_or_range(self) -> DesignOfPointsTable:
         """Raise ValueError for a Sobol size that is no power of two, or a range without growth."""
         if self.kind == "sobol" and self.points & (self.points - 1):
             raise ValueError("a power of two points for sobol: 64, 128, 256, ...")
@@ -118,7 +118,7 @@ class StudyTable(RunsTable):
     """The same points again in other seas; once by default."""
 
     @model_validator(mode="after")
-    def _check_keys(self) -> StudyTable:
+    def _refuse_repeated_or_unequal_keys(self) -> StudyTable:
         """Raise ValueError for parameters that appear twice, or paired lists of unequal length."""
         lengths = {len(values) for values in self.zip.values()}
         if len(lengths) > 1:
@@ -156,7 +156,7 @@ class StudyPoint:
     of_replicate: Point
 
 
-def list_points(table: StudyTable, own: Mapping[str, object]) -> list[StudyPoint]:
+def list_study_points(table: StudyTable, own: Mapping[str, object]) -> list[StudyPoint]:
     """Return all parameter points of a study, each with all its repetitions.
 
     Draws are rounded where the base scenario's `own` value of the key is a whole number.

@@ -31,32 +31,34 @@ OptionsTable = Annotated[
 FormulationName = Literal["condensed_box", "condensed_stacked", "sparse"]
 
 
-def _check_slowdown(value: float) -> float:
+def _require_slowdown_0_or_from_1(value: float) -> float:
     """Check a slow-down of the ship's computer; ValueError outside 0 and 1 to `SLOWEST`."""
     if value != 0.0 and not 1.0 <= value <= SLOWEST:
         raise ValueError(f"0 (off), or 1 to {SLOWEST:g}")
     return value
 
 
-def _check_fallback(name: str) -> str:
+def _require_known_fallback(name: str) -> str:
     """Check the name of a policy for steps without an answer; ValueError for an unknown one."""
     if name not in FALLBACKS:
         raise ValueError(" | ".join(map(repr, FALLBACKS)))
     return name
 
 
-def _check_target(name: str) -> str:
+def _require_known_core(name: str) -> str:
     """Check the name of an embedded core; ValueError for an unknown one."""
     if name not in TARGETS:
         raise ValueError(" | ".join(map(repr, TARGETS)))
     return name
 
 
-TargetName = Annotated[str, AfterValidator(_check_target), WithJsonSchema({"enum": list(TARGETS)})]
-Fallback = Annotated[
-    str, AfterValidator(_check_fallback), WithJsonSchema({"enum": list(FALLBACKS)})
+TargetName = Annotated[
+    str, AfterValidator(_require_known_core), WithJsonSchema({"enum": list(TARGETS)})
 ]
-Slowdown = Annotated[float, AfterValidator(_check_slowdown)]
+Fallback = Annotated[
+    str, AfterValidator(_require_known_fallback), WithJsonSchema({"enum": list(FALLBACKS)})
+]
+Slowdown = Annotated[float, AfterValidator(_require_slowdown_0_or_from_1)]
 
 
 class RequirementsTable(FileModel):
@@ -163,7 +165,7 @@ class RandomTable(RunsTable):
     cond: NotNegative = 0.0
     """Condition number of P, 1 to 1e8; 0: that of the family."""
 
-    def list_recipes(self) -> list[RandomRecipe]:
+    def list_random_recipes(self) -> list[RandomRecipe]:
         """Return family, size and seed of all random sequences of QPs; InputError if impossible."""
         return [
             RandomRecipe(family, n, m, seed, self.steps, self.block, self.cond)
@@ -291,7 +293,7 @@ class SuiteFile(FileModel):
     """Capability plots, and the QPs at their edge through every solver."""
 
     @classmethod
-    def list_cell_tables(cls) -> list[str]:
+    def list_names_of_run_tables(cls) -> list[str]:
         """Return the names of the suite's tables that become runs."""
         return [name for name, field in cls.model_fields.items() if field.default == []]
 
@@ -327,7 +329,7 @@ _OTHER_FILES = {"limits": "a vessel", "environment": "a scenario", "controller":
 """Tables that a suite does not have, with the file that does."""
 
 
-def load_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
+def load_path_and_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
     """Return path and content of a suite, by name or TOML path; InputError if it is bad."""
     path = problem_path("suites", name_or_path)
     document = read_toml(path)
@@ -363,13 +365,13 @@ def build_sequence_suite(path: str | Path, meta: Mapping[str, object] | None = N
         for name, known in zip(worst_case.values(), _MODE_VALUES.values(), strict=True)
     ):
         calls.append({_TABLE_KEY[key]: [str(name)] for key, name in worst_case.items()})
-        report = _read_worst_case_step(meta)
+        report = _make_report_table_of_worst_step(meta)
     tables = [RecordedTable.model_validate({"sequence": str(path)} | call) for call in calls]
     title = f"Recorded sequence {Path(path).name}"
     return SuiteFile(title=title, baseline_law=False, recorded=tables, report=report)
 
 
-def _read_worst_case_step(meta: Mapping[str, object]) -> ReportTable:
+def _make_report_table_of_worst_step(meta: Mapping[str, object]) -> ReportTable:
     """Return report settings that show the worst-case step noted in a sequence of QPs, if any."""
     step, solver = meta.get("worst_case_step"), meta.get("worst_case_solver")
     if not isinstance(step, int) or step < 0 or not isinstance(solver, str):

@@ -123,7 +123,7 @@ _KINDS = (RandomSource, RecordedSource, HardestSource, ConsequenceSource, Capabi
 SOURCES: Mapping[str, type[QPSource]] = {source.kind: source for source in _KINDS}
 
 
-def parse_source(values: Mapping[str, Any]) -> QPSource:
+def parse_qp_source(values: Mapping[str, Any]) -> QPSource:
     """Return the origin of a replay's QPs that a JSON object describes; an error if it is bad."""
     if not values:
         return CONTROLLER
@@ -243,12 +243,12 @@ class Cell:
         return self.mode == "replay" and self.source.is_timed
 
     @property
-    def is_window(self) -> bool:
+    def is_hardest_window(self) -> bool:
         """Return whether the run replays only the hardest steps of a sequence."""
         return isinstance(self.source, HardestSource)
 
     @property
-    def last_step(self) -> int:
+    def steps_needed_in_file(self) -> int:
         """Number of steps that the file of the run's QPs must have."""
         return self.first + self.source.count_stretch_steps(self.steps)
 
@@ -285,12 +285,12 @@ class Cell:
     def from_json(cls, text: str) -> Cell:
         """Return the description of a run from JSON text, as `to_json` wrote it."""
         values = json.loads(text)
-        values["source"] = parse_source(values.get("source", {}))
+        values["source"] = parse_qp_source(values.get("source", {}))
         if "study" in values:
             values["study"] = StudyRealisation(**values["study"])
         return cls(**values)
 
-    def with_settings(self, name: str) -> Cell:
+    def with_settings_name(self, name: str) -> Cell:
         """Return this run under another name of its solver settings."""
         return replace(self, settings=name)
 

@@ -32,13 +32,13 @@ from dpbench.bench.record.step_table import (
     FILE_SCHEMA,
     NO_RUNS,
     BatchPart,
+    add_missing_run_columns,
+    add_missing_step_columns,
     build_runs_table,
-    complete_runs,
-    complete_steps,
     encode_part,
-    encode_steps,
-    filter_steps,
-    read_part_runs,
+    encode_steps_as_parquet,
+    filter_steps_by_run_id,
+    parse_runs_of_part,
     runs_to_frame,
     write_runs,
 )
@@ -91,7 +91,7 @@ class StepGroup:
 
     def read_table(self) -> pa.Table:
         """Return the steps of these runs as an Arrow table; an error of `DAMAGE` if unreadable."""
-        return filter_steps(complete_steps(self.read()), set(self.names))
+        return filter_steps_by_run_id(add_missing_step_columns(self.read()), set(self.names))
 
 
 class Source(ABC):
@@ -104,7 +104,7 @@ class Source(ABC):
         """Yield rows of finished runs as Arrow tables; an error of `DAMAGE` if damaged."""
 
     @abstractmethod
-    def is_sound(self) -> bool:
+    def is_undamaged(self) -> bool:
         """Return whether the file of steps is undamaged, by its checksum."""
 
     @abstractmethod
@@ -121,7 +121,7 @@ class Source(ABC):
         except DAMAGE:
             return none
 
-    def outcomes(self) -> dict[str, str]:
+    def read_outcomes_by_run_id(self) -> dict[str, str]:
         """Return the outcome of finished runs by run_id, without runs whose steps are damaged."""
         finished: dict[str, str] = {}
         try:
@@ -130,14 +130,14 @@ class Source(ABC):
                 finished |= dict(zip(*key, strict=True))
         except DAMAGE:
             return {}
-        if not finished or self.is_sound():
+        if not finished or self.is_undamaged():
             return finished
-        read = {name for group in self.find_groups(finished) for name in group.names}
+        read = {name for group in self.yield_step_groups(finished) for name in group.names}
         return {name: outcome for name, outcome in finished.items() if name in read}
 
-    def find_groups(self, names: Collection[str]) -> Iterator[StepGroup]:
+    def yield_step_groups(self, names: Collection[str]) -> Iterator[StepGroup]:
         """Yield the readable Parquet row groups with steps of the runs `names`."""
-        footer = _read_sound_footer(self.steps) if self.is_sound() else None
+        footer = _read_footer_or_none(self.steps) if self.is_undamaged() else None
         with suppress(*DAMAGE), open_untrusted_parquet_table(self.steps) as file:
             for index in range(file.num_row_groups):
                 try:
@@ -167,9 +167,9 @@ class PublicTables(Source):
             # descriptions of cells are long. Threads would cost more than they save.
             for batch in file.iter_batches(batch_size=CHECKED_ROWS, use_threads=False):
                 table = decode_dictionary_columns_to_text(pa.Table.from_batches([batch]), self.runs)
-                yield _select_finished(complete_runs(table))
+                yield _select_finished_rows(add_missing_run_columns(table))
 
-    def run_ids(self) -> list[str]:
+    def read_run_ids(self) -> list[str]:
         """Return the run_ids of all rows of `runs.parquet`, in order."""
         try:
             with open_untrusted_parquet_table(self.runs) as file:
@@ -177,13 +177,13 @@ class PublicTables(Source):
         except DAMAGE:
             return []
 
-    def is_sound(self) -> bool:
+    def is_undamaged(self) -> bool:
         """Return whether `steps.parquet` has the checksum noted in `runs.parquet`."""
         try:
             metadata = pq.read_metadata(self.runs).metadata or {}
         except DAMAGE:
             return False
-        return metadata.get(_CHECKSUM_KEY.encode()) == b"%08x" % _file_checksum(self.steps)
+        return metadata.get(_CHECKSUM_KEY.encode()) == b"%08x" % _compute_crc32_of_file(self.steps)
 
     def write(self, rows: pa.Table, steps: StepFile) -> None:
         """Move a finished file of steps to `steps.parquet`, then write `runs.parquet`."""
@@ -206,29 +206,29 @@ class Part(Source):
 
     def iterate_rows(self) -> Iterator[pa.Table]:
         """Yield the rows of finished runs in a batch's file; ValueError if it is damaged."""
-        if not self.is_sound():
+        if not self.is_undamaged():
             raise ValueError("a damaged part")
         if self._rows is None:
             with open_regular_file(self.steps) as file:
-                columns = read_part_runs(pq.read_metadata(file).metadata)
+                columns = parse_runs_of_part(pq.read_metadata(file).metadata)
             self._cells = len(columns["run_id"])
-            self._rows = _select_finished(_parse_runs(columns))
+            self._rows = _select_finished_rows(_parse_runs_of_batch(columns))
         yield self._rows
 
-    def is_sound(self) -> bool:
+    def is_undamaged(self) -> bool:
         """Return whether a batch's file has the checksum in its name."""
         named = _PART.fullmatch(self.steps.name)
-        return named is not None and int(named["crc32"], 16) == _file_checksum(self.steps)
+        return named is not None and int(named["crc32"], 16) == _compute_crc32_of_file(self.steps)
 
-    def find_groups(self, names: Collection[str]) -> Iterator[StepGroup]:
+    def yield_step_groups(self, names: Collection[str]) -> Iterator[StepGroup]:
         """Yield the one row group with the steps in a batch's file, if it has any rows."""
         # It was sound when its rows were read, which tell the runs in its only row group.
-        footer = _read_sound_footer(self.steps)
+        footer = _read_footer_or_none(self.steps)
         if footer is not None and footer.row_count:
             may_copy = len(names) == self._cells and footer.row_count >= COPIED_ROWS
-            yield StepGroup(self.steps, 0, list(names), may_copy, footer, self._read_row_group)
+            yield StepGroup(self.steps, 0, list(names), may_copy, footer, self._read_steps_as_table)
 
-    def _read_row_group(self) -> pa.Table:
+    def _read_steps_as_table(self) -> pa.Table:
         """Return the steps in a batch's file as an Arrow table."""
         with open_untrusted_parquet_table(self.steps) as file:
             return file.read_row_group(0)
@@ -238,7 +238,7 @@ class Part(Source):
         self.steps.unlink(missing_ok=True)
 
 
-def _read_sound_footer(path: Path) -> Footer | None:
+def _read_footer_or_none(path: Path) -> Footer | None:
     """Return the footer of a Parquet file; None where it is damaged."""
     try:
         with open_regular_file(path) as file:
@@ -247,14 +247,14 @@ def _read_sound_footer(path: Path) -> Footer | None:
         return None
 
 
-def _parse_runs(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
+def _parse_runs_of_batch(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
     """Return a batch file's runs as an Arrow table, without rows of wrong types."""
     try:
         runs = build_runs_table(columns)
     except (ValueError, TypeError, OverflowError):
         each = range(len(columns["run_id"]))
         alone = [{name: [column[at]] for name, column in columns.items()} for at in each]
-        single = [_parse_runs(one) for one in alone if len(alone) > 1]
+        single = [_parse_runs_of_batch(one) for one in alone if len(alone) > 1]
         return pa.concat_tables([NO_RUNS, *single])
     described = [_is_json_object(text) for text in runs["cell"].to_pylist()]
     return runs if all(described) else runs.filter(pa.array(described))
@@ -268,7 +268,7 @@ def _is_json_object(text: str | None) -> bool:
         return False
 
 
-def _select_finished(runs: pa.Table) -> pa.Table:
+def _select_finished_rows(runs: pa.Table) -> pa.Table:
     """Return the rows of finished runs of the current schema version."""
     became = pc.is_in(runs["outcome"], pa.array(_FINISHED))
     wanted = pc.and_(became, pc.equal(runs["schema"], SCHEMA_VERSION))
@@ -278,7 +278,7 @@ def _select_finished(runs: pa.Table) -> pa.Table:
     return runs if pc.all(wanted, min_count=0, skip_nulls=False).as_py() else runs.filter(wanted)
 
 
-def _file_checksum(path: Path) -> int:
+def _compute_crc32_of_file(path: Path) -> int:
     """Return the CRC-32 of a file; of a missing one, that of no bytes."""
     check = 0
     with suppress(OSError, InputError), open_regular_file(path) as file:
@@ -305,7 +305,7 @@ class StepFile:
         """CRC-32 of the file of steps, once it is closed."""
         return self._writer.crc32
 
-    def copy_group(self, group: StepGroup) -> bool:
+    def copy_group_if_possible(self, group: StepGroup) -> bool:
         """Copy a Parquet row group of steps unchanged; return False where that is impossible."""
         if not group.may_copy or group.footer is None:
             return False
@@ -321,20 +321,20 @@ class StepFile:
         self._waiting.append(table)
         self._count += table.num_rows
         if self._count >= GROUP_ROWS:
-            self._flush()
+            self._write_row_group()
 
-    def _flush(self) -> None:
+    def _write_row_group(self) -> None:
         """Write the added steps as one row group of the Parquet file."""
         if self._count:
-            file = io.BytesIO(encode_steps(pa.concat_tables(self._waiting)))
+            file = io.BytesIO(encode_steps_as_parquet(pa.concat_tables(self._waiting)))
             self._writer.copy_row_group(file, read_parquet_footer(file), 0)
         self._waiting, self._count = [], 0
 
     def close(self) -> None:
         """Write the steps that are left and the Parquet footer; nothing the second time."""
-        self._flush()
+        self._write_row_group()
         self._writer.write_footer_and_close(
-            read_parquet_footer(io.BytesIO(encode_steps(FILE_SCHEMA.empty_table())))
+            read_parquet_footer(io.BytesIO(encode_steps_as_parquet(FILE_SCHEMA.empty_table())))
         )
 
 
@@ -349,7 +349,7 @@ class CellStore:
         out.mkdir(parents=True, exist_ok=True)
         make_folder_if_missing(self.folder)
         self._stale: set[str] = set()
-        self._remove_leftovers()
+        self._delete_unfinished_files()
         numbers = {
             path: int(named["number"])
             for path in self.folder.iterdir()
@@ -363,9 +363,9 @@ class CellStore:
         self._latest = b""
         self.finished: dict[str, str] = {}
         for source in (self.public, *self.parts):
-            self.finished |= source.outcomes()
+            self.finished |= source.read_outcomes_by_run_id()
 
-    def _remove_leftovers(self) -> None:
+    def _delete_unfinished_files(self) -> None:
         """Remove the unfinished files of an earlier run from the result folder."""
         for path in (self.public.runs, self.public.steps):
             path.with_name(f"{path.name}.part").unlink(missing_ok=True)
@@ -389,7 +389,7 @@ class CellStore:
         for run_id in self._stale:
             self.finished.pop(run_id, None)
 
-    def add_part(self, part: BatchPart) -> None:
+    def write_part_file(self, part: BatchPart) -> None:
         """Write the file of a batch's finished runs, once; OSError where there is no room."""
         if part.data == self._latest:
             return
@@ -399,27 +399,27 @@ class CellStore:
         self._next, self._latest = self._next + 1, part.data
         self.finished |= part.outcomes
 
-    def add_rows(self, rows: pa.Table, steps: pa.Table) -> None:
+    def write_rows_and_steps(self, rows: pa.Table, steps: pa.Table) -> None:
         """Write finished runs and their steps, read from other files, as new batch files."""
         for first in range(0, len(rows), PART_CELLS):
             columns = rows.slice(first, PART_CELLS).to_pydict()
-            some = filter_steps(steps, set(columns["run_id"])) if len(steps) else steps
-            self.add_part(encode_part(columns, some))
+            some = filter_steps_by_run_id(steps, set(columns["run_id"])) if len(steps) else steps
+            self.write_part_file(encode_part(columns, some))
 
-    def copy_cells(self, other: CellStore) -> None:
+    def copy_runs_of_other_folder(self, other: CellStore) -> None:
         """Copy the readable finished runs of another result folder into this one."""
-        rows, sources = other.collect_rows()
+        rows, sources = other.collect_rows_and_sources()
         read: set[str] = set()
-        for group in other.find_groups(sources):
+        for group in other.yield_step_groups(sources):
             try:
                 table = group.read_table()
             except DAMAGE:
                 continue
-            self.add_rows(filter_rows(rows, group.names), table)
+            self.write_rows_and_steps(filter_runs_by_run_id(rows, group.names), table)
             read |= set(group.names)
-        self.add_rows(select_stepless(rows, read), FILE_SCHEMA.empty_table())
+        self.write_rows_and_steps(select_runs_without_steps(rows, read), FILE_SCHEMA.empty_table())
 
-    def collect_rows(self) -> tuple[pa.Table, dict[str, Source]]:
+    def collect_rows_and_sources(self) -> tuple[pa.Table, dict[str, Source]]:
         """Return the rows of all finished runs, and by run id the file with its latest copy."""
         tables, sources = [NO_RUNS], dict[str, Source]()
         for source in (self.public, *self.parts):
@@ -435,31 +435,31 @@ class CellStore:
             rows = rows.take(pa.array(sorted(last.values())))
         return rows, sources
 
-    def finished_runs(self) -> pd.DataFrame:
+    def read_finished_runs(self) -> pd.DataFrame:
         """Return the rows of all finished runs as a data frame, by run_id."""
-        return runs_to_frame(self.collect_rows()[0])
+        return runs_to_frame(self.collect_rows_and_sources()[0])
 
-    def find_groups(self, sources: Mapping[str, Source]) -> Iterator[StepGroup]:
+    def yield_step_groups(self, sources: Mapping[str, Source]) -> Iterator[StepGroup]:
         """Yield the Parquet row groups with the steps of finished runs, from the given files."""
         names: dict[Source, set[str]] = {}
         for name, source in sources.items():
             names.setdefault(source, set()).add(name)
         for source, own in names.items():
-            yield from source.find_groups(own)
+            yield from source.yield_step_groups(own)
 
-    def remove_parts(self, parts: Iterable[Part]) -> None:
+    def delete_parts(self, parts: Iterable[Part]) -> None:
         """Delete batch files whose runs are now stored in the result tables."""
         for part in list(parts):
             part.remove()
             self.parts.remove(part)
 
 
-def select_stepless(runs: pa.Table, read: Collection[str]) -> pa.Table:
+def select_runs_without_steps(runs: pa.Table, read: Collection[str]) -> pa.Table:
     """Return the rows of runs that recorded no steps, except those in `read`."""
     none = runs.filter(pc.equal(runs["steps_done"], 0))
-    return filter_rows(none, set(none["run_id"].to_pylist()) - set(read))
+    return filter_runs_by_run_id(none, set(none["run_id"].to_pylist()) - set(read))
 
 
-def filter_rows(runs: pa.Table, names: Collection[str]) -> pa.Table:
+def filter_runs_by_run_id(runs: pa.Table, names: Collection[str]) -> pa.Table:
     """Return the rows of a table of runs whose run_id is in `names`."""
     return runs.filter(pc.is_in(runs["run_id"], pa.array(sorted(names), pa.string())))

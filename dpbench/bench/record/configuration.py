@@ -55,9 +55,9 @@ class Configuration:
     @property
     def label(self) -> str:
         """Solver and options as text, such as `osqp (native warm, high, si, sparse)`."""
-        return self.label_of(self.solver)
+        return self.make_label_with_name(self.solver)
 
-    def label_of(self, solver: str) -> str:
+    def make_label_with_name(self, solver: str) -> str:
         """Return the label with another name of the solver, such as one with its version."""
         units = "" if self.units == "scaled" else f", {self.units}"
         formulated = self.formulation not in (COMMON_FORMULATION, "none")
@@ -65,12 +65,12 @@ class Configuration:
         return f"{solver} ({self.call_text}{units}{formulation})"
 
     @property
-    def in_common_formulation(self) -> Configuration:
+    def moved_to_common_formulation(self) -> Configuration:
         """The configuration moved to the condensed formulation, in which results are compared."""
         return replace(self, formulation=COMMON_FORMULATION)
 
 
-def settings_level(settings: str) -> tuple[int, str]:
+def sort_key_of_settings(settings: str) -> tuple[int, str]:
     """Return a sort key of a settings name: default and tolerance presets first, in order."""
     known = settings in LEVELS
     level = LEVELS.index(settings) if known else len(LEVELS)

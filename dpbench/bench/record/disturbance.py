@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from dpbench.arrays import Floats
-from dpbench.bench.record.raw_log import COUNTERS, RawLog, sum_step_ns
+from dpbench.bench.record.raw_log import COUNTERS, RawLog, sum_phases_by_step_ns
 
 _STEAL = 8
 """Place of the steal time in a line of /proc/stat (proc(5)), behind the name of the core."""
@@ -37,7 +37,7 @@ QUIET_RULE = (
 )
 
 
-def read_counters() -> Floats:
+def read_disturbance_counters() -> Floats:
     """Read the counters (6,) of `COUNTERS`, counted so far, of this process and its core.
 
     Steal time [s] and throttle events are means over its cores, where there are several; thread
@@ -52,14 +52,14 @@ def read_counters() -> Floats:
             time.perf_counter(),
             used.ru_nvcsw,
             used.ru_nivcsw,
-            _read_steal_s(cores),
-            _count_throttling(cores),
+            _read_mean_steal_time_s(cores),
+            _average_throttle_events(cores),
             1e-9 * (all_ns - alone_ns),
         ]
     )
 
 
-def _read_steal_s(cores: set[int]) -> float:
+def _read_mean_steal_time_s(cores: set[int]) -> float:
     """Return the mean time [s] a virtual machine's host took from some cores; NaN if hidden."""
     try:
         lines = Path("/proc/stat").read_text(encoding="ascii").splitlines()
@@ -70,7 +70,7 @@ def _read_steal_s(cores: set[int]) -> float:
     return sum(ticks) / len(ticks) / os.sysconf("SC_CLK_TCK")
 
 
-def _count_throttling(cores: set[int]) -> float:
+def _average_throttle_events(cores: set[int]) -> float:
     """Return the thermal throttle events of some cores, averaged; NaN where hidden."""
     seen = []
     for core in cores:
@@ -83,7 +83,7 @@ def _count_throttling(cores: set[int]) -> float:
     return sum(seen) / len(cores) if seen else float("nan")
 
 
-def disturbance_metrics(log: RawLog) -> dict[str, float]:
+def compute_disturbance_metrics(log: RawLog) -> dict[str, float]:
     """Return a replay's context switches, time taken by the host, throttling, in counted rounds.
 
     Of repeated rounds the last attempt counts. `solve_s` is the time of the steps of these rounds,
@@ -93,7 +93,7 @@ def disturbance_metrics(log: RawLog) -> dict[str, float]:
     metrics = {"rerun_rounds": float((log.attempts[whole] > 1).sum())}
     measured = [r for r in whole if np.isfinite(log.counters[r, 0])]
     sums = log.counters[measured].sum(axis=0) if measured else np.full(len(COUNTERS), np.nan)
-    own_ns = sum_step_ns(log.times[measured]) - np.maximum(log.waited_ns[measured], 0)
+    own_ns = sum_phases_by_step_ns(log.times[measured]) - np.maximum(log.waited_ns[measured], 0)
     metrics["solve_s"] = 1e-9 * float(own_ns.sum()) if measured else np.nan
     return metrics | dict(zip(COUNTERS, sums.tolist(), strict=True))
 
@@ -115,7 +115,7 @@ class Disturbance:
     throttled: float
 
     @classmethod
-    def total(cls, parts: Sequence[Disturbance]) -> Disturbance:
+    def from_parts(cls, parts: Sequence[Disturbance]) -> Disturbance:
         """Return the disturbances summed over several replays; a sum unknown in all is NaN."""
         rows = np.array([list(vars(part).values()) for part in parts]).reshape(-1, len(fields(cls)))
         seen = np.isfinite(rows).any(axis=0)

@@ -35,13 +35,13 @@ THREAD_VARIABLES = (
 """Set to 1 in a worker's environment before NumPy loads, so that no library starts threads."""
 
 
-def pin_threads() -> None:
+def limit_libraries_to_one_thread() -> None:
     """Limit numerical libraries that are loaded later to one thread, by the environment."""
     for variable in THREAD_VARIABLES:
         os.environ[variable] = "1"
 
 
-def clock_read_ns() -> tuple[float, int]:
+def measure_clock_cost_and_resolution_ns() -> tuple[float, int]:
     """Return the clock's median cost of a reading and its smallest nonzero difference [ns]."""
     clock = time.perf_counter_ns
     reads = [clock() for _ in range(20_000)]
@@ -54,20 +54,20 @@ def describe_machine() -> MachineDescription:
 
     A solver's own version is part of each cell's key instead.
     """
-    (read_cost, resolution), clock = clock_read_ns(), psutil.cpu_freq()
+    (read_cost, resolution), clock = measure_clock_cost_and_resolution_ns(), psutil.cpu_freq()
     lasting: ComparedMachine = {
         "cpu_model": _read_cpu_model(),
         "cores": os.cpu_count() or 1,
         "memory_GiB": round(psutil.virtual_memory().total / 2**30),
         "kernel": f"{platform.system()} {platform.release()}",
         "python": f"{platform.python_implementation()} {platform.python_version()}",
-        "versions": {name: _installed_version(name) for name in LIBRARIES},
+        "versions": {name: _find_installed_version(name) for name in LIBRARIES},
     }
     digest = hashlib.sha256(json.dumps(lasting, sort_keys=True).encode()).hexdigest()
     return {
         "id": digest[:12],
         **lasting,  # type: ignore[typeddict-item] # it has no other keys than those written above
-        "governor": _read_governor(),
+        "governor": _read_frequency_governor(),
         "frequency_MHz": round(clock.current) if clock and clock.current else "not visible",
         "blas": _list_blas(),
         "throttle_counters": "visible" if (_CPU / "thermal_throttle").is_dir() else "not visible",
@@ -78,7 +78,7 @@ def describe_machine() -> MachineDescription:
     }
 
 
-def _installed_version(distribution: str) -> str:
+def _find_installed_version(distribution: str) -> str:
     """Return the version of an installed distribution, or "not installed"."""
     try:
         return importlib.metadata.version(distribution)
@@ -86,7 +86,7 @@ def _installed_version(distribution: str) -> str:
         return "not installed"
 
 
-def _read_governor() -> str:
+def _read_frequency_governor() -> str:
     """Return the frequency governor of the processor, or "not visible"."""
     try:
         return (_CPU / "cpufreq" / "scaling_governor").read_text(encoding="ascii").strip()
@@ -120,12 +120,12 @@ WAIT_S = 10.0
 
 
 @cache
-def current_revision() -> Revision | None:
+def find_running_revision() -> Revision | None:
     """Return the git revision of the running dpbench package; None where unknown."""
-    return checkout_revision(Path(__file__).parents[2]) or installed_revision()
+    return read_git_revision(Path(__file__).parents[2]) or read_installed_revision()
 
 
-def checkout_revision(package: Path) -> Revision | None:
+def read_git_revision(package: Path) -> Revision | None:
     """Return a package's git commit and whether its files are unchanged; None if unknown."""
     commit = _run_git(package, "rev-parse", "HEAD")
     # An environment may lie in the checkout of another project, which ignores it.
@@ -136,7 +136,7 @@ def checkout_revision(package: Path) -> Revision | None:
     return Revision(commit=commit, clean=changes == "")
 
 
-def installed_revision() -> Revision | None:
+def read_installed_revision() -> Revision | None:
     """Return the commit that dpbench was installed from, by its installer's note (PEP 610)."""
     try:
         noted = importlib.metadata.distribution("dpbench").read_text("direct_url.json")

@@ -64,7 +64,7 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
             archive.writestr(info, member.getvalue(), zipfile.ZIP_DEFLATED, LEVEL)
 
 
-def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+def write_arrays_uncompressed(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write arrays to a file in dpbench's own uncompressed format, whole or not at all."""
     layout = {name: (array.dtype.str, array.shape) for name, array in arrays.items()}
     parts = [json.dumps(layout).encode(), *(array.tobytes() for array in arrays.values())]
@@ -99,7 +99,7 @@ def open_arrays(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
                 yield _parse_arrays(np.fromfile(file, np.uint8))
                 return
             with zipfile.ZipFile(file) as archive:
-                _check_members(archive, path)
+                _list_safe_members(archive, path)
             file.seek(0)
             with np.load(file, allow_pickle=False) as arrays:
                 yield arrays
@@ -111,19 +111,19 @@ def open_arrays(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
         raise ResultsError(str(path), "", words, allowed) from error
 
 
-def read_npz(path: Path, what: str) -> tuple[Arrays, dict[str, bytes]]:
+def read_arrays_and_pickles(path: Path, what: str) -> tuple[Arrays, dict[str, bytes]]:
     """Return the arrays of a `.npz` file, and its pickled objects unread; InputError if damaged."""
     arrays: Arrays = {}
     objects: dict[str, bytes] = {}
     with open_regular_file(path, what) as file:
         try:
             with zipfile.ZipFile(file) as archive:
-                for member in _check_members(archive, path):
+                for member in _list_safe_members(archive, path):
                     key = member.filename.removesuffix(".npy")
-                    if _read_member_type(archive, member).hasobject:
+                    if _read_dtype_of_member(archive, member).hasobject:
                         objects[key] = archive.read(member)
                     else:
-                        arrays[key] = _read_member(archive, member)
+                        arrays[key] = _read_array_of_member(archive, member)
         except DAMAGE as error:
             if isinstance(error, InputError):
                 raise
@@ -134,7 +134,7 @@ def read_npz(path: Path, what: str) -> tuple[Arrays, dict[str, bytes]]:
     return arrays, objects
 
 
-def _check_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInfo]:
+def _list_safe_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInfo]:
     """Return the members of a zip file; InputError for unsafe sizes or compression."""
     members = archive.infolist()
     for member in members:
@@ -148,7 +148,7 @@ def _check_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.ZipInfo
     return members
 
 
-def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
+def _read_array_of_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
     """Return the array in a zip member; ValueError for trailing bytes or invalid characters."""
     with archive.open(member) as stream:
         # An array read from the stream itself: its check sum is compared at the end.
@@ -163,7 +163,7 @@ def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[A
     return array
 
 
-def _read_member_type(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.dtype[Any]:
+def _read_dtype_of_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.dtype[Any]:
     """Return the type of the array in a zip member; ValueError for an untrue size."""
     with archive.open(member) as stream:
         version = np.lib.format.read_magic(stream)
@@ -229,7 +229,7 @@ def read_stored_text(arrays: Arrays, where: str, name: str) -> str:
     return str(array)
 
 
-def read_count_array(arrays: Arrays, where: str, name: str) -> int:
+def read_stored_count(arrays: Arrays, where: str, name: str) -> int:
     """Return the whole number (≥ 0) stored as the array `name`; InputError without one."""
     array = arrays.get(name)
     if array is None or array.dtype.kind not in "iu" or array.shape or array < 0:

@@ -59,7 +59,7 @@ FOOTPRINT = (
 measured."""
 
 
-def loop_layout(
+def make_loop_layout(
     steps: int,
     n: int,
     m: int,
@@ -75,7 +75,7 @@ def loop_layout(
     allocation : n and m of the second QP of a cascade, (0, 0) where it has none; None for no
         cascade.
     """
-    layout = _answer_layout(1, steps, n, m) | {
+    layout = _make_answer_layout(1, steps, n, m) | {
         "theta": ("f8", (steps, n_theta)),
         "state": ("f8", (steps + 1, 6)),
         "tau": ("f8", (steps, 3)),
@@ -86,19 +86,19 @@ def loop_layout(
         "counters": ("f8", (1, len(COUNTERS))),
     }
     if backup:
-        of_backup = _answer_layout(1, steps, n, m)
+        of_backup = _make_answer_layout(1, steps, n, m)
         of_backup |= {"acted": ("u1", (steps,)), "ready_ns": ("i8", (steps,))}
         layout |= {f"{BACKUP}{name}": array for name, array in of_backup.items()}
     if allocation is None:
         return layout
-    second = _answer_layout(1, steps, *allocation) if any(allocation) else {}
+    second = _make_answer_layout(1, steps, *allocation) if any(allocation) else {}
     of_second = {f"{ALLOCATION}{name}": array for name, array in second.items()}
     return layout | {"demand": ("f8", (steps, 3))} | of_second
 
 
-def replay_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
+def make_replay_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
     """Return type and shape of every array that records a replay; round 0 is the warm-up."""
-    return _answer_layout(rounds, steps, n, m) | {
+    return _make_answer_layout(rounds, steps, n, m) | {
         "reference_kernel_ns": ("f8", (rounds, 2)),
         "load_kernel_ns": ("f8", (rounds, 2, LOAD_PASSES)),
         "attempts": ("i8", (rounds,)),
@@ -109,7 +109,7 @@ def replay_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
     }
 
 
-def _answer_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
+def _make_answer_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
     """Return type and shape of the arrays that hold a solver's answers and times."""
     return {
         "done": ("i8", (rounds,)),
@@ -200,7 +200,7 @@ class RawLog(AnswerLog):
     @classmethod
     def in_memory(cls, layout: Layout) -> RawLog:
         """Return a new record of a run in this process's memory."""
-        return cls(layout, bytearray(log_bytes(layout)))
+        return cls(layout, bytearray(compute_log_bytes(layout)))
 
     @classmethod
     def create(cls, path: Path, layout: Layout) -> RawLog:
@@ -212,7 +212,7 @@ class RawLog(AnswerLog):
         path.with_suffix(".layout").write_text(json.dumps(layout), encoding="ascii")
         blank = path.with_suffix(".blank")
         try:
-            _allocate_file(blank, log_bytes(layout))
+            _allocate_file(blank, compute_log_bytes(layout))
             blank.replace(path)
         finally:
             blank.unlink(missing_ok=True)
@@ -230,18 +230,18 @@ class RawLog(AnswerLog):
         np.frombuffer(self._buffer, np.uint8)[:: mmap.PAGESIZE].max(initial=0)
 
 
-def sum_step_ns(times: Ints) -> Ints:
+def sum_phases_by_step_ns(times: Ints) -> Ints:
     """Return each step's solver time [ns] (...) from the times of its phases (..., 6)."""
     total: Ints = np.maximum(times[..., _OWN], 0).sum(axis=-1)
     return total
 
 
-def sum_phases_ns(phases_ns: Iterable[int]) -> int:
+def sum_phases_of_step_ns(phases_ns: Iterable[int]) -> int:
     """Return the sum of one step's solver phases [ns]; negative ones did not take place."""
     return sum(ns for ns in phases_ns if ns > 0)
 
 
-def log_bytes(layout: Layout) -> int:
+def compute_log_bytes(layout: Layout) -> int:
     """Return the size [B] of the file that a run is recorded in, from its arrays' layout."""
     sizes = [math.prod(shape) * np.dtype(dtype).itemsize for dtype, shape in layout.values()]
     return sum(-(-size // _ALIGN) * _ALIGN for size in sizes)
@@ -259,7 +259,7 @@ def _allocate_file(path: Path, size: int) -> None:
         file.write(bytes(size))
 
 
-def is_writable_log(path: Path) -> bool:
+def is_log_full_size_and_writable(path: Path) -> bool:
     """Return whether the file that a run is recorded in has its full size and can be written.
 
     Otherwise writing to it through memory is a SIGBUS. A file system that copies on write shows a
@@ -268,7 +268,7 @@ def is_writable_log(path: Path) -> bool:
     try:
         layout = json.loads(path.with_suffix(".layout").read_text(encoding="ascii"))
         with path.open("r+b", buffering=0) as file:
-            size = log_bytes(layout)
+            size = compute_log_bytes(layout)
             if os.fstat(file.fileno()).st_size != size:
                 return False
             for at in range(0, size, mmap.PAGESIZE):
@@ -278,7 +278,7 @@ def is_writable_log(path: Path) -> bool:
     return True
 
 
-def remove_log(path: Path) -> None:
+def delete_log_and_layout(path: Path) -> None:
     """Delete the file that a run was recorded in, and the file with its layout."""
     path.unlink(missing_ok=True)
     path.with_suffix(".layout").unlink(missing_ok=True)

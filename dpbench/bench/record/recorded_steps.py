@@ -17,13 +17,13 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from dpbench.bench.record.schema import STEP_COLUMNS, as_columns, as_steps
+from dpbench.bench.record.schema import STEP_COLUMNS, convert_to_columns, convert_to_step_columns
 from dpbench.bench.record.step_table import (
     FILE_SCHEMA,
     STRING_COLUMNS,
-    absent_column,
-    filter_steps,
-    plain_frame,
+    convert_to_nullable_frame,
+    filter_steps_by_run_id,
+    make_placeholder_column,
 )
 from dpbench.errors import ResultsError
 from dpbench.files.tables import open_untrusted_parquet_table
@@ -44,87 +44,106 @@ class StepsOnDisk:
     def __init__(self, folder: Path, *, is_optional: bool = False) -> None:
         self._path, self.is_missing = folder / "steps.parquet", False
         if is_optional and not self._path.exists():
-            self.rows, self._run_rows, self.is_missing = 0, [], True
+            self.rows, self._row_ranges_by_group_and_run, self.is_missing = 0, [], True
             return
         with (
-            table_errors(self._path),
+            convert_table_errors(self._path),
             open_untrusted_parquet_table(self._path, error=ResultsError) as file,
         ):
             schema, self.rows = file.schema_arrow, file.metadata.num_rows
         self._stored = set(schema.names)
-        self._check_schema(schema)
+        self._refuse_wrong_columns(schema)
         self._read = lru_cache(maxsize=CACHED_GROUPS)(
-            lambda group, columns: _to_frame(self._read_group(group, columns), columns)
+            lambda group, columns: _convert_table_to_frame(
+                self._read_group(group, columns), columns
+            )
         )
 
-    def scan_tables(
+    def yield_tables(
         self, columns: Sequence[str], run_ids: Container[str] | None = None
     ) -> Iterator[pa.Table]:
         """Yield the wanted columns of some runs as Arrow tables, one per row group."""
-        for group, places in enumerate(self._run_rows):
+        for group, places in enumerate(self._row_ranges_by_group_and_run):
             names = places if run_ids is None else [name for name in places if name in run_ids]
             if names:
                 table = self._read_group(group, columns)
                 if len(names) < len(places):
-                    table = filter_steps(table, set(names))
+                    table = filter_steps_by_run_id(table, set(names))
                 yield table.select(list(columns))
 
     def scan(
         self, columns: Sequence[str], run_ids: Container[str] | None = None
     ) -> Iterator[pd.DataFrame]:
         """Yield columns of some runs (None: all) as data frames; ResultsError if damaged."""
-        for table in self.scan_tables(columns, run_ids):
-            yield _to_frame(table, columns)
+        for table in self.yield_tables(columns, run_ids):
+            yield _convert_table_to_frame(table, columns)
 
     def read_run(self, run_id: str, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
         """Return the steps of one run; its row group stays in memory for the next call."""
-        group = self._groups_by_run.get(run_id)
+        group = self._group_index_by_run.get(run_id)
         if group is None:
-            return as_columns(pd.DataFrame(), {name: STEP_COLUMNS[name] for name in columns})
-        first, end = self._run_rows[group][run_id]
+            return convert_to_columns(
+                pd.DataFrame(), {name: STEP_COLUMNS[name] for name in columns}
+            )
+        first, end = self._row_ranges_by_group_and_run[group][run_id]
         return self._read(group, tuple(columns)).iloc[first:end]
 
-    def read_all(self) -> pd.DataFrame:
+    def read_all_steps(self) -> pd.DataFrame:
         """Return the steps of all runs as one data frame."""
-        tables = [_to_frame(table, ALL_COLUMNS) for table in self.scan_tables(ALL_COLUMNS)]
-        return as_steps(pd.concat(tables, ignore_index=True) if tables else pd.DataFrame())
+        tables = [
+            _convert_table_to_frame(table, ALL_COLUMNS) for table in self.yield_tables(ALL_COLUMNS)
+        ]
+        return convert_to_step_columns(
+            pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
+        )
 
-    def _check_schema(self, schema: pa.Schema) -> None:
+    def _refuse_wrong_columns(self, schema: pa.Schema) -> None:
         """Raise ResultsError if a key column is missing or any known column has a wrong type."""
         missing = sorted(KEY_COLUMNS - self._stored)
         if missing:
-            raise missing_columns_error(self._path, missing)
+            raise make_missing_columns_error(self._path, missing)
         for name in STEP_COLUMNS.keys() & self._stored:
-            if not _is_compatible(schema.field(name).type, name):
-                raise wrong_type_error(self._path, f"{name}: {schema.field(name).type}")
+            if not _is_type_readable_as_column(schema.field(name).type, name):
+                raise make_wrong_type_error(self._path, f"{name}: {schema.field(name).type}")
 
     @cached_property
-    def _run_rows(self) -> list[dict[str, tuple[int, int]]]:
+    def _row_ranges_by_group_and_run(self) -> list[dict[str, tuple[int, int]]]:
         """Each run's first row, and the row after its last, per row group of `steps.parquet`."""
         with (
-            table_errors(self._path),
+            convert_table_errors(self._path),
             pq.ParquetFile(self._path, read_dictionary=["run_id"]) as file,
         ):
             groups = [
                 file.read_row_group(group, columns=["run_id"])["run_id"]
                 for group in range(file.num_row_groups)
             ]
-            return [row_ranges_by_run(names.combine_chunks().to_pandas()) for names in groups]
+            return [
+                find_row_ranges_by_label(names.combine_chunks().to_pandas()) for names in groups
+            ]
 
     @cached_property
-    def _groups_by_run(self) -> dict[str, int]:
+    def _group_index_by_run(self) -> dict[str, int]:
         """Index of the Parquet row group that holds each run's steps, by run_id."""
-        return {name: group for group, places in enumerate(self._run_rows) for name in places}
+        return {
+            name: group
+            for group, places in enumerate(self._row_ranges_by_group_and_run)
+            for name in places
+        }
 
     def _read_group(self, group: int, columns: Sequence[str]) -> pa.Table:
         """Return columns of a row group of `steps.parquet` as an Arrow table, absent ones empty."""
         asked = list(dict.fromkeys(["run_id", *columns]))
         stored = [name for name in asked if name in self._stored]
         strings = [name for name in STRING_COLUMNS if name in stored]
-        with table_errors(self._path), pq.ParquetFile(self._path, read_dictionary=strings) as file:
+        with (
+            convert_table_errors(self._path),
+            pq.ParquetFile(self._path, read_dictionary=strings) as file,
+        ):
             table = file.read_row_group(group, columns=stored)
         for name in [name for name in asked if name not in self._stored]:
-            table = table.append_column(name, absent_column(STEP_COLUMNS[name][0], len(table)))
+            table = table.append_column(
+                name, make_placeholder_column(STEP_COLUMNS[name][0], len(table))
+            )
         return table.select(asked)
 
 
@@ -144,7 +163,7 @@ def scan_steps(
     ------
     ResultsError : naming the file, when it is missing or damaged, or has no such column.
     """
-    yield from StepsOnDisk(Path(out)).scan_tables(columns, run_ids)
+    yield from StepsOnDisk(Path(out)).yield_tables(columns, run_ids)
 
 
 def read_steps(
@@ -158,7 +177,7 @@ def read_steps(
 
 
 @contextmanager
-def table_errors(path: Path) -> Iterator[None]:
+def convert_table_errors(path: Path) -> Iterator[None]:
     """Turn errors of reading a Parquet table within the block into `ResultsError`."""
     try:
         yield
@@ -170,29 +189,29 @@ def table_errors(path: Path) -> Iterator[None]:
         ) from error
 
 
-def missing_columns_error(path: Path, columns: Sequence[str]) -> ResultsError:
+def make_missing_columns_error(path: Path, columns: Sequence[str]) -> ResultsError:
     """Return the `ResultsError` for a table that lacks columns."""
     named = ", ".join(columns[:3]) + (", …" if len(columns) > 3 else "")
     return ResultsError(str(path), named, "no such columns", "the columns of schema.py")
 
 
-def wrong_type_error(path: Path, which: str) -> ResultsError:
+def make_wrong_type_error(path: Path, which: str) -> ResultsError:
     """Return the `ResultsError` for a table with a column of another type."""
     return ResultsError(
         str(path), "", f"a column of another type ({which})", "the types of schema.py"
     )
 
 
-def row_ranges_by_run(labels: pd.Series[Any] | np.ndarray) -> dict[str, tuple[int, int]]:
+def find_row_ranges_by_label(labels: pd.Series[Any] | np.ndarray) -> dict[str, tuple[int, int]]:
     """Return the first row of each label in sorted labels (N,), and the row after its last."""
     codes, names = pd.factorize(labels)
     ends = np.append(np.flatnonzero(np.diff(codes)) + 1, len(codes)).tolist() if len(codes) else []
     return dict(zip(map(str, names), zip([0, *ends], ends, strict=False), strict=True))
 
 
-def _to_frame(table: pa.Table, columns: Sequence[str]) -> pd.DataFrame:
+def _convert_table_to_frame(table: pa.Table, columns: Sequence[str]) -> pd.DataFrame:
     """Return columns of an Arrow table as a data frame with the schema's types."""
-    frame = plain_frame(table.select(list(columns)))
+    frame = convert_to_nullable_frame(table.select(list(columns)))
     types = {
         name: STEP_COLUMNS[name][0]
         for name in columns
@@ -201,7 +220,7 @@ def _to_frame(table: pa.Table, columns: Sequence[str]) -> pd.DataFrame:
     return frame.astype({n: t for n, t in types.items() if frame[n].dtype != t})
 
 
-def _is_compatible(stored: pa.DataType, name: str) -> bool:
+def _is_type_readable_as_column(stored: pa.DataType, name: str) -> bool:
     """Return whether a stored type can be read as a column's; integers may be floats."""
     number = (pa.types.is_integer, pa.types.is_floating)
     kinds = {

@@ -26,12 +26,12 @@ from typing_extensions import TypedDict
 from dpbench.bench.record.cell import FORMULATIONS, OUTCOMES, Units
 from dpbench.bench.record.recorded_steps import (
     StepsOnDisk,
-    missing_columns_error,
-    table_errors,
-    wrong_type_error,
+    convert_table_errors,
+    make_missing_columns_error,
+    make_wrong_type_error,
 )
 from dpbench.bench.record.schema import SCHEMA_VERSION, STUDY_PREFIX
-from dpbench.bench.record.step_table import complete_runs, runs_to_frame
+from dpbench.bench.record.step_table import add_missing_run_columns, runs_to_frame
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.documents import read_json_object
 from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
@@ -136,7 +136,7 @@ class SuiteDescription(TypedDict, total=False):
     study: list[StudyDescription]
 
 
-def parse_document(document: dict[str, Any], kind: type[_Kind], path: Path) -> _Kind:
+def check_document_as_type(document: dict[str, Any], kind: type[_Kind], path: Path) -> _Kind:
     """Return a JSON object checked as a type; ResultsError, naming the key, for a mismatch."""
     try:
         # As JSON: a list is a tuple there, and a whole number a float.
@@ -163,9 +163,9 @@ _LEAST = {"steps_planned": 0, "steps_done": 0, "rounds": 0, "N_p": 1, "N_c": 1, 
 """The least number of a column, where it is not missing."""
 
 
-def check_runs(runs: pd.DataFrame, path: Path) -> None:
+def refuse_impossible_runs(runs: pd.DataFrame, path: Path) -> None:
     """Raise ResultsError, naming column and row, for rows that no campaign writes."""
-    for column, is_bad, allowed in _run_rules(runs):
+    for column, is_bad, allowed in _yield_columns_and_invalid_masks(runs):
         if is_bad.any():
             row = int(is_bad.to_numpy().argmax())
             value = runs[column].iloc[row]
@@ -173,7 +173,9 @@ def check_runs(runs: pd.DataFrame, path: Path) -> None:
             raise ResultsError(str(path), f"{column}[{row}]", found, f"{allowed}; run again")
 
 
-def _run_rules(runs: pd.DataFrame) -> Iterator[tuple[str, pd.Series[Any], str]]:
+def _yield_columns_and_invalid_masks(
+    runs: pd.DataFrame,
+) -> Iterator[tuple[str, pd.Series[Any], str]]:
     """Yield a column of `runs.parquet`, a mask of its invalid values, and the allowed ones."""
     for column, words in _WORDS.items():
         yield column, ~runs[column].isin(words), " | ".join(words)
@@ -199,7 +201,7 @@ class Results:
     @cached_property
     def steps(self) -> pd.DataFrame:
         """All steps as a data frame, some 500 bytes each; use `recorded` for large folders."""
-        return self.recorded.read_all()
+        return self.recorded.read_all_steps()
 
 
 @contextmanager
@@ -264,9 +266,9 @@ def write_json(path: Path, document: Mapping[str, object]) -> None:
     write_text_atomically(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
 
 
-def read_accidents(out: Path) -> tuple[int, list[str]]:
+def read_lost_count_and_remarks(out: Path) -> tuple[int, list[str]]:
     """Return the number of lost runs and stability studies, and the remarks, in `suite.json`."""
-    suite = read_suite(out)
+    suite = read_suite_description(out)
     lost = int(suite.get("lost_cells", 0)) + int(suite.get("lost_designs", 0))
     return lost, [str(line) for line in suite.get("remarks", [])]
 
@@ -290,8 +292,8 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
         allowed = "a folder written by `run_campaign()` or `dpbench run`"
         raise ResultsError(str(folder), "", "no such folder", allowed)
     no_steps = without_steps and not (folder / "steps.parquet").exists()
-    runs, steps = _read_runs(folder), StepsOnDisk(folder, is_optional=without_steps)
-    results = Results(runs, steps, *load_descriptions(folder))
+    runs, steps = _read_checked_runs(folder), StepsOnDisk(folder, is_optional=without_steps)
+    results = Results(runs, steps, *load_machine_and_suite(folder))
     for name, rows in {"run_rows": len(runs), "step_rows": steps.rows}.items():
         promised = results.suite.get(name)
         if promised != rows and not (no_steps and name == "step_rows"):
@@ -300,37 +302,39 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
     return results
 
 
-def load_descriptions(folder: Path) -> tuple[MachineDescription, SuiteDescription]:
+def load_machine_and_suite(folder: Path) -> tuple[MachineDescription, SuiteDescription]:
     """Return `machine.json` and `suite.json` of a result folder; ResultsError if damaged."""
     path = folder / "machine.json"
-    return parse_document(read_json(path), MachineDescription, path), read_suite(folder)
+    return check_document_as_type(
+        read_json(path), MachineDescription, path
+    ), read_suite_description(folder)
 
 
-def read_suite(folder: Path) -> SuiteDescription:
+def read_suite_description(folder: Path) -> SuiteDescription:
     """Return `suite.json` of a result folder; ResultsError if damaged."""
     path = folder / "suite.json"
-    return parse_document(read_json(path), SuiteDescription, path)
+    return check_document_as_type(read_json(path), SuiteDescription, path)
 
 
-def _read_runs(folder: Path) -> pd.DataFrame:
+def _read_checked_runs(folder: Path) -> pd.DataFrame:
     """Return `runs.parquet` of a result folder, checked; ResultsError if damaged."""
     path = folder / "runs.parquet"
-    with table_errors(path), open_untrusted_parquet_table(path, error=ResultsError) as file:
+    with convert_table_errors(path), open_untrusted_parquet_table(path, error=ResultsError) as file:
         table = decode_dictionary_columns_to_text(file.read(), path, error=ResultsError)
     if missing := sorted({"run_id", "schema"} - set(table.column_names)):
-        raise missing_columns_error(path, missing)
+        raise make_missing_columns_error(path, missing)
     others = sorted(set(table["schema"].unique().to_pylist()) - {SCHEMA_VERSION}, key=str)
     if others:
         # Before its columns are read: another schema has others.
         found, allowed = f"schema {others}", f"schema {SCHEMA_VERSION}; run again"
         raise ResultsError(str(path), "schema", found, allowed)
     try:
-        runs = runs_to_frame(complete_runs(table)).reset_index(drop=True)
+        runs = runs_to_frame(add_missing_run_columns(table)).reset_index(drop=True)
         keys = [name for name in table.column_names if name.startswith(STUDY_PREFIX)]
         runs = runs.join(table.select(keys).replace_schema_metadata(None).to_pandas())
     except (ValueError, TypeError, KeyError, pa.ArrowException) as error:
-        raise wrong_type_error(path, str(error)[:80]) from error
-    check_runs(runs, path)
+        raise make_wrong_type_error(path, str(error)[:80]) from error
+    refuse_impossible_runs(runs, path)
     # `report --for` writes files named after solvers.
     for name in runs["solver"].unique():
         if not is_plain_file_name(str(name)):

@@ -29,7 +29,7 @@ MISSING_INT = -1
 """A whole number that is not there, in arrays that cannot say null."""
 
 
-def _read_columns() -> dict[str, Columns]:
+def _read_tables_of_schema() -> dict[str, Columns]:
     """Return the tables of `schema.toml`, by name."""
     text = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
     tables: dict[str, dict[str, tuple[DType, str]]] = tomllib.loads(text)
@@ -46,7 +46,7 @@ def _read_columns() -> dict[str, Columns]:
     TIMING_COLUMNS,
     MACHINE_COLUMNS,
     CONTROL_COLUMNS,
-) = _read_columns().values()
+) = _read_tables_of_schema().values()
 RUN_COLUMNS = (
     IDENTITY_COLUMNS | ACCURACY_COLUMNS | TIMING_COLUMNS | MACHINE_COLUMNS | CONTROL_COLUMNS
 )
@@ -54,7 +54,7 @@ RUN_COLUMNS = (
 _PANDAS = {dtype: pd.api.types.pandas_dtype(dtype) for dtype in get_args(DType)}
 
 
-def as_columns(frame: pd.DataFrame, columns: Columns) -> pd.DataFrame:
+def convert_to_columns(frame: pd.DataFrame, columns: Columns) -> pd.DataFrame:
     """Give a data frame exactly these columns and types; absent ones have no values."""
     # Most runs lack most columns: what is absent is made once for each type, not for each column.
     fillers: dict[str, object] = {"str": "", "bool": False, "int32": 0, "int64": 0, "Int64": pd.NA}
@@ -75,19 +75,19 @@ def _convert_column(column: pd.Series[Any], dtype: DType) -> Any:
     return column.array if column.dtype == _PANDAS[dtype] else column.astype(dtype).array
 
 
-def as_steps(frame: pd.DataFrame) -> pd.DataFrame:
+def convert_to_step_columns(frame: pd.DataFrame) -> pd.DataFrame:
     """Give a data frame the columns and types of `steps.parquet`; absent ones have no values."""
-    return as_columns(frame, STEP_COLUMNS)
+    return convert_to_columns(frame, STEP_COLUMNS)
 
 
-def as_runs(frame: pd.DataFrame) -> pd.DataFrame:
+def convert_to_run_columns(frame: pd.DataFrame) -> pd.DataFrame:
     """Give a data frame the columns and types of `runs.parquet`, then its study parameters."""
-    runs = as_columns(frame, RUN_COLUMNS)
+    runs = convert_to_columns(frame, RUN_COLUMNS)
     keys = [name for name in frame.columns if name.startswith(STUDY_PREFIX)]
     return runs.join(frame[keys]) if keys else runs
 
 
-def study_columns(runs: pd.DataFrame) -> pd.DataFrame:
+def make_study_value_columns(runs: pd.DataFrame) -> pd.DataFrame:
     """Return study name, point, repetition and parameter values of runs (N), as columns.
 
     They are `study`, `study_point` and `replicate`, and an `x_<key>` for each key, a number where
@@ -97,12 +97,15 @@ def study_columns(runs: pd.DataFrame) -> pd.DataFrame:
     of_study = cells.str.contains('"study": {', regex=False)
     if not of_study.any():
         return pd.DataFrame(index=runs.index)
-    rows = {i: _study_row(json.loads(cell)["study"]) for i, cell in cells[of_study].items()}
+    rows = {
+        i: _make_study_values_by_column(json.loads(cell)["study"])
+        for i, cell in cells[of_study].items()
+    }
     table = pd.DataFrame.from_dict(rows, orient="index").reindex(runs.index)
     return table.assign(study=table["study"].fillna(""))
 
 
-def _study_row(study: dict[str, Any]) -> dict[str, Any]:
+def _make_study_values_by_column(study: dict[str, Any]) -> dict[str, Any]:
     """Return a run's study name, point, repetition and parameter values, by column."""
     values = {
         f"{STUDY_PREFIX}{key}": json.dumps(value) if isinstance(value, list) else value

@@ -25,7 +25,7 @@ from dpbench.bench.record.schema import (
     STEP_COLUMNS,
     Columns,
     DType,
-    as_runs,
+    convert_to_run_columns,
 )
 from dpbench.files.writing import create_empty_file, rename_durably
 
@@ -54,7 +54,7 @@ _FILLERS: dict[DType, object] = {"str": "", "bool": False, "int32": 0, "int64": 
 _WHOLE_NUMBERS = [n for n, (dtype, _) in RUN_COLUMNS.items() if dtype in ("int32", "int64")]
 
 
-def absent_column(dtype: DType, rows: int) -> pa.Array:
+def make_placeholder_column(dtype: DType, rows: int) -> pa.Array:
     """Return an Arrow column of placeholders: null, or "", False, 0 where a type has no null."""
     return pa.repeat(pa.scalar(_FILLERS.get(dtype), _ARROW[dtype]), rows)
 
@@ -76,19 +76,21 @@ def build_runs_table(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
         for name, (dtype, _) in RUN_COLUMNS.items()
         if name in columns
     }
-    return _check_whole_numbers(_complete_columns(arrays, len(columns["run_id"]), RUN_COLUMNS))
+    return _refuse_missing_numbers(
+        _make_table_of_all_columns(arrays, len(columns["run_id"]), RUN_COLUMNS)
+    )
 
 
-def _complete_columns(arrays: Mapping[str, Any], rows: int, columns: Columns) -> pa.Table:
+def _make_table_of_all_columns(arrays: Mapping[str, Any], rows: int, columns: Columns) -> pa.Table:
     """Return an Arrow table with all `columns`, from given arrays; absent ones have no values."""
-    absent = {dtype: absent_column(dtype, rows) for dtype in get_args(DType)}
+    absent = {dtype: make_placeholder_column(dtype, rows) for dtype in get_args(DType)}
     full = [
         arrays[name] if name in arrays else absent[dtype] for name, (dtype, _) in columns.items()
     ]
     return pa.Table.from_arrays(full, list(columns))
 
 
-def _check_whole_numbers(runs: pa.Table) -> pa.Table:
+def _refuse_missing_numbers(runs: pa.Table) -> pa.Table:
     """Raise ValueError for a table of runs that lacks a number which every run has."""
     for name in _WHOLE_NUMBERS:
         if runs[name].null_count:
@@ -96,26 +98,26 @@ def _check_whole_numbers(runs: pa.Table) -> pa.Table:
     return runs
 
 
-def step_batch(steps: Mapping[str, NDArray[Any]]) -> pa.RecordBatch:
+def make_step_record_batch(steps: Mapping[str, NDArray[Any]]) -> pa.RecordBatch:
     """Return the steps of one run as an Arrow record batch, from (N,) arrays by `STEP_COLUMNS`.
 
     A missing whole number is `MISSING_INT`; an absent column has no value in any row.
     """
     rows = len(steps["k"])
-    arrays = [_step_array(name, steps, rows) for name in STEPS_SCHEMA.names]
+    arrays = [_make_step_column(name, steps, rows) for name in STEPS_SCHEMA.names]
     return pa.RecordBatch.from_arrays(arrays, schema=STEPS_SCHEMA)
 
 
-def no_steps() -> pa.RecordBatch:
+def make_empty_record_batch() -> pa.RecordBatch:
     """Return an Arrow record batch of steps without rows."""
-    return step_batch({"k": np.zeros(0, np.int32)})
+    return make_step_record_batch({"k": np.zeros(0, np.int32)})
 
 
-def _step_array(name: str, steps: Mapping[str, NDArray[Any]], rows: int) -> pa.Array:
+def _make_step_column(name: str, steps: Mapping[str, NDArray[Any]], rows: int) -> pa.Array:
     """Return one column of steps as an Arrow array; missing numbers become null."""
     dtype = STEP_COLUMNS[name][0]
     if name not in steps:
-        return absent_column(dtype, rows)
+        return make_placeholder_column(dtype, rows)
     values = steps[name]
     if dtype == "Int64":
         return pa.array(values, pa.int64(), mask=values == MISSING_INT)
@@ -125,7 +127,7 @@ def _step_array(name: str, steps: Mapping[str, NDArray[Any]], rows: int) -> pa.A
     return pa.array(numbers, mask=np.isnan(numbers))
 
 
-def concat_steps(batches: Mapping[str, pa.RecordBatch]) -> pa.Table:
+def join_steps_of_runs(batches: Mapping[str, pa.RecordBatch]) -> pa.Table:
     """Return the steps of several runs, by run_id, as one Arrow table."""
     steps = pa.Table.from_batches(batches.values(), STEPS_SCHEMA)
     counts = [batch.num_rows for batch in batches.values()]
@@ -137,7 +139,7 @@ def concat_steps(batches: Mapping[str, pa.RecordBatch]) -> pa.Table:
     return steps.add_column(0, "run_id", names).unify_dictionaries()
 
 
-def encode_steps(table: pa.Table, metadata: Mapping[str, str] | None = None) -> bytes:
+def encode_steps_as_parquet(table: pa.Table, metadata: Mapping[str, str] | None = None) -> bytes:
     """Return steps as the bytes of a Parquet file of one row group, with page checksums."""
     sink = pa.BufferOutputStream()
     with pq.ParquetWriter(
@@ -160,7 +162,7 @@ def encode_steps(table: pa.Table, metadata: Mapping[str, str] | None = None) -> 
     return data
 
 
-def complete_steps(table: pa.Table) -> pa.Table:
+def add_missing_step_columns(table: pa.Table) -> pa.Table:
     """Complete a table of steps to all columns of `steps.parquet`; ValueError if wrong types."""
     return _cast_columns(table, STEP_COLUMNS, FILE_SCHEMA)
 
@@ -168,7 +170,7 @@ def complete_steps(table: pa.Table) -> pa.Table:
 def _cast_columns(table: pa.Table, columns: Columns, schema: pa.Schema) -> pa.Table:
     """Return an Arrow table with exactly these columns, cast to a schema; absent ones empty."""
     arrays = {name: table[name] for name in table.column_names if name in columns}
-    return _complete_columns(arrays, len(table), columns).cast(schema)
+    return _make_table_of_all_columns(arrays, len(table), columns).cast(schema)
 
 
 def write_runs(path: Path, runs: pa.Table, metadata: Mapping[str, str]) -> None:
@@ -184,18 +186,18 @@ def write_runs(path: Path, runs: pa.Table, metadata: Mapping[str, str]) -> None:
 
 def runs_from_frame(frame: pd.DataFrame) -> pa.Table:
     """Convert a data frame of runs to an Arrow table, its study columns last."""
-    runs = as_runs(frame).reset_index(drop=True)
+    runs = convert_to_run_columns(frame).reset_index(drop=True)
     keys = pa.Schema.from_pandas(runs[[name for name in runs if name not in RUN_COLUMNS]])
     schema = pa.schema([*RUNS_SCHEMA, *keys])
     return pa.Table.from_pandas(runs, schema, preserve_index=False)
 
 
-def complete_runs(table: pa.Table) -> pa.Table:
+def add_missing_run_columns(table: pa.Table) -> pa.Table:
     """Complete a table of runs to all columns of `runs.parquet`; ValueError if wrong types."""
-    return _check_whole_numbers(_cast_columns(table, RUN_COLUMNS, RUNS_SCHEMA))
+    return _refuse_missing_numbers(_cast_columns(table, RUN_COLUMNS, RUNS_SCHEMA))
 
 
-def plain_frame(table: pa.Table) -> pd.DataFrame:
+def convert_to_nullable_frame(table: pa.Table) -> pd.DataFrame:
     """Return an Arrow table as a data frame with nullable whole numbers."""
     whole = {pa.int64(): pd.Int64Dtype()}
     frame: pd.DataFrame = table.replace_schema_metadata(None).to_pandas(
@@ -209,13 +211,13 @@ def runs_to_frame(table: pa.Table) -> pd.DataFrame:
     for at, (name, (dtype, _)) in enumerate(RUN_COLUMNS.items()):
         if dtype == "bool" and table[name].null_count:
             table = table.set_column(at, name, pc.fill_null(table[name], False))
-    runs = plain_frame(table)
+    runs = convert_to_nullable_frame(table)
     for name in _WHOLE_NUMBERS:
         runs[name] = runs[name].astype("int64")
     return runs.set_index("run_id", drop=False)
 
 
-def filter_steps(table: pa.Table, names: Container[str]) -> pa.Table:
+def filter_steps_by_run_id(table: pa.Table, names: Container[str]) -> pa.Table:
     """Return the rows of a table of steps whose run_id is in `names`."""
     coded = table["run_id"].combine_chunks()
     wanted = np.array([name in names for name in coded.dictionary.to_pylist()], dtype=np.bool_)
@@ -225,9 +227,9 @@ def filter_steps(table: pa.Table, names: Container[str]) -> pa.Table:
     return table if wanted.all() else table.filter(pa.array(wanted[coded.indices.to_numpy()]))
 
 
-def rename_steps(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
+def filter_and_rename_run_ids(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
     """Return the rows of a table of steps whose run_id is in `names`, under new run_ids."""
-    some = filter_steps(table, names)
+    some = filter_steps_by_run_id(table, names)
     coded = some["run_id"].combine_chunks()
     new = pa.array([names.get(name, name) for name in coded.dictionary.to_pylist()], pa.string())
     renamed = pa.DictionaryArray.from_arrays(coded.indices, new).cast(_CODED_STRING)
@@ -242,7 +244,7 @@ DAMAGE = (OSError, ValueError, KeyError, TypeError, IndexError, pa.ArrowExceptio
 """Exceptions that reading a damaged record or table raises."""
 
 
-def _json_value(value: object) -> object:
+def _convert_to_json_value(value: object) -> object:
     """Convert a NumPy number to a Python one for JSON, a missing one to None; TypeError else."""
     if value is pd.NA:
         return None
@@ -259,9 +261,9 @@ class BatchPart:
     data: bytes
 
 
-def batch_part(cells: Mapping[str, tuple[Row, pa.RecordBatch]]) -> BatchPart:
+def make_batch_part(cells: Mapping[str, tuple[Row, pa.RecordBatch]]) -> BatchPart:
     """Return the Parquet file, as bytes, of a batch's finished runs with their steps."""
-    steps = concat_steps({name: batch for name, (_, batch) in cells.items()})
+    steps = join_steps_of_runs({name: batch for name, (_, batch) in cells.items()})
     return encode_part(rows_to_columns([row for row, _ in cells.values()]), steps)
 
 
@@ -269,17 +271,18 @@ def encode_part(columns: Mapping[str, Sequence[Any]], steps: pa.Table) -> BatchP
     """Return the Parquet file, as bytes, of runs given by columns and all their steps."""
     outcomes = dict(zip(columns["run_id"], columns["outcome"], strict=True))
     return BatchPart(
-        outcomes, encode_steps(steps, {RUNS: json.dumps(columns, default=_json_value)})
+        outcomes,
+        encode_steps_as_parquet(steps, {RUNS: json.dumps(columns, default=_convert_to_json_value)}),
     )
 
 
-def read_part(data: bytes) -> BatchPart:
+def parse_batch_part(data: bytes) -> BatchPart:
     """Return a batch's finished runs from its file's bytes; an error of `DAMAGE` if damaged."""
-    columns = read_part_runs(pq.read_metadata(pa.BufferReader(data)).metadata)
+    columns = parse_runs_of_part(pq.read_metadata(pa.BufferReader(data)).metadata)
     return BatchPart(dict(zip(columns["run_id"], columns["outcome"], strict=True)), data)
 
 
-def read_part_runs(metadata: Mapping[bytes, bytes] | None) -> dict[str, list[Any]]:
+def parse_runs_of_part(metadata: Mapping[bytes, bytes] | None) -> dict[str, list[Any]]:
     """Return the runs, by column, in a batch file's metadata; raise one of `DAMAGE` without any."""
     try:
         columns = json.loads((metadata or {})[RUNS.encode()])

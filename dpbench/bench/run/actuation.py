@@ -29,10 +29,10 @@ class Actuation:
     def prepare(self) -> None:
         """Set up the allocation solver, if any, before the first step."""
 
-    def trip(self, entries: Indices) -> None:
+    def set_tripped_forces_to_zero(self, entries: Indices) -> None:
         """Set the commands of thrusters that stop at once to zero, and the force they made."""
 
-    def apply_step(self, k: int) -> int:
+    def apply_input_of_step(self, k: int) -> int:
         """Set command and force from step k's limited u; return the allocation's time [ns]."""
         return 0
 
@@ -44,11 +44,11 @@ class ThrusterActuation(Actuation):
         super().__init__(u, np.zeros(AXES), log.thrust)
         self._T_e, self._log = control.thrusters.T_e, log
 
-    def trip(self, entries: Indices) -> None:
+    def set_tripped_forces_to_zero(self, entries: Indices) -> None:
         """Set the commanded forces u of thrusters that stop at once to zero."""
         self.command[entries] = 0.0
 
-    def apply_step(self, k: int) -> int:
+    def apply_input_of_step(self, k: int) -> int:
         """Set the force on the ship to T_e u, from the thruster forces u of step k."""
         self._T_e.dot(self.command, out=self.tau)
         self._log.tau[k] = self.tau
@@ -58,8 +58,8 @@ class ThrusterActuation(Actuation):
 class Allocator(Actuation):
     """Thrust allocation of a cascade: distributes force u (3,) to thrusters.
 
-    A pseudo-inverse acts without a `solver`, or a usable answer of it. After `apply_step` u is what
-    the thrusters make of it.
+    A pseudo-inverse acts without a `solver`, or a usable answer of it. After
+    `apply_input_of_step` u is what the thrusters make of it.
     """
 
     def __init__(
@@ -90,21 +90,21 @@ class Allocator(Actuation):
         if self._solver is not None and answers is not None:
             answers.setup_once_ns[0] = self._solver.prepare()
 
-    def trip(self, entries: Indices) -> None:
+    def set_tripped_forces_to_zero(self, entries: Indices) -> None:
         """Set the forces of thrusters that stop to zero, and u to what the others give."""
         self.command[entries] = 0.0
         self._T_e.dot(self.command, out=self.tau)
 
-    def apply_step(self, k: int) -> int:
+    def apply_input_of_step(self, k: int) -> int:
         """Allocate force u to the thrusters, set u to what they make; return the QP's time [ns]."""
         log, f, demand, spent_ns = self._log, self.command, self.tau, 0
         missing = unfinished = False
         if self._solver is None:
-            move = self._pseudo_inverse_move(k, demand)
+            move = self._allocate_by_pseudo_inverse(k, demand)
         else:
             answer, unfinished, spent_ns = self._solve_allocation(k, demand, self._solver)
             missing = answer is None
-            move = self._pseudo_inverse_move(k, demand) if answer is None else answer
+            move = self._allocate_by_pseudo_inverse(k, demand) if answer is None else answer
         clipped = self._limit(f, move, self._builder.thruster_limits[k], log.thrust[k])
         f[...] = log.thrust[k]
         log.flags[k] |= np.array((missing, unfinished, clipped), dtype=np.uint8)
@@ -131,7 +131,7 @@ class Allocator(Actuation):
         solver.reset()
         return None, False, spent_ns
 
-    def _pseudo_inverse_move(self, k: int, demand: Vector) -> Vector:
+    def _allocate_by_pseudo_inverse(self, k: int, demand: Vector) -> Vector:
         """Return the change Δf (n_f,) to thruster forces allocated by pseudo-inverse, unlimited."""
         inverse = [inverse for since, inverse in self._inverses if since <= k][-1]
         move: Vector = inverse @ demand - self.command

@@ -5,17 +5,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from dpbench.bench.record.cell import Cell, Formulation
-from dpbench.bench.record.raw_log import AnswerLog, Layout, RawLog, loop_layout, replay_layout
+from dpbench.bench.record.raw_log import (
+    AnswerLog,
+    Layout,
+    RawLog,
+    make_loop_layout,
+    make_replay_layout,
+)
 from dpbench.bench.run.backup import Backup
 from dpbench.bench.run.closed_loop import ClosedLoopSetup
-from dpbench.bench.run.exact_loop import base_problem
+from dpbench.bench.run.exact_loop import build_problem_at_rest
 from dpbench.bench.run.formulation import (
     BoxFormulation,
     QPBuilder,
-    loop_formulation,
-    replay_formulation,
+    build_loop_formulation,
+    formulate_sequence,
 )
-from dpbench.bench.run.slow_computer import find_delay, read_process_usage
+from dpbench.bench.run.slow_computer import make_delay_of_cell, read_process_usage
 from dpbench.bench.run.timed_solver import STEP_SHARE, ResumedSolver, TimedSolver
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence
@@ -29,7 +35,7 @@ NewLog = Callable[[Layout], RawLog]
 clock = time.perf_counter_ns
 
 
-def closed_loop_setup(
+def build_closed_loop_setup(
     cell: Cell,
     scenario: Scenario,
     workspace: Workspace,
@@ -44,15 +50,17 @@ def closed_loop_setup(
     there twice, the backup and the second solver of a cascade hung too. InputError for "sparse"
     without stages, an impossible delay, or a backup or second workspace that cannot be opened.
     """
-    scenario = with_cell_formulation(cell, scenario)
-    delay = find_delay(cell, scenario.sample_s)
+    scenario = adapt_scenario_to_cell(cell, scenario)
+    delay = make_delay_of_cell(cell, scenario.sample_s)
     why = scenario.controller.why_no_delay
     if delay.is_simulated and why:
         raise InputError("closed loop", "slowdown", cell.slowdown, f"0 ({why})")
     builder = QPBuilder(scenario, cell.units, sparse=cell.formulation == "sparse")
-    layout = loop_layout(scenario.steps, *builder.sizes, backup=bool(cell.backup))
+    layout = make_loop_layout(scenario.steps, *builder.sizes, backup=bool(cell.backup))
     log = new_log(layout)
-    formulated = loop_formulation(cell.formulation, builder, base_problem(builder.condensed))
+    formulated = build_loop_formulation(
+        cell.formulation, builder, build_problem_at_rest(builder.condensed)
+    )
     last = hung[-1] if hung else None
     twice = [k for k in hung if hung.count(k) > 1]
 
@@ -71,7 +79,7 @@ def closed_loop_setup(
     )
     if log.backup is not None:
         limit_s = None if limit_ns == NO_LIMIT_NS else STEP_SHARE * limit_ns * 1e-9
-        second_solver = TimedSolver(open_backup(cell.backup, limit_s), formulated, clock)
+        second_solver = TimedSolver(open_backup_workspace(cell.backup, limit_s), formulated, clock)
         setup.backup = Backup(
             second_solver, builder.condensed.moves, log.backup, hung=twice, limit_ns=limit_ns
         )
@@ -87,7 +95,7 @@ def closed_loop_setup(
     return setup
 
 
-def open_backup(solver: str, step_limit_s: float | None) -> Workspace:
+def open_backup_workspace(solver: str, step_limit_s: float | None) -> Workspace:
     """Return the workspace of a backup solver, set up anew at each step; InputError without one."""
     route: Route = "native" if "native" in find_record(solver).routes else "qpsolvers"
     workspace = open_workspace(solver, route=route, step_limit_s=step_limit_s)
@@ -95,14 +103,14 @@ def open_backup(solver: str, step_limit_s: float | None) -> Workspace:
     return workspace
 
 
-def with_cell_formulation(cell: Cell, scenario: Scenario) -> Scenario:
+def adapt_scenario_to_cell(cell: Cell, scenario: Scenario) -> Scenario:
     """Return the scenario, with the unconstrained law as controller where the run requests it."""
     if cell.formulation != "none":
         return scenario
     return replace(scenario, controller=scenario.controller.as_baseline_law())
 
 
-def replay_parts(
+def build_sequence_solver_and_log(
     sequence: QPSequence,
     workspace: Workspace,
     formulation: Formulation,
@@ -110,6 +118,6 @@ def replay_parts(
     new_log: NewLog,
 ) -> tuple[QPSequence, TimedSolver, RawLog]:
     """Return a replay's QPs in the solver's formulation, the timed solver, and a new raw log."""
-    log = new_log(replay_layout(rounds + 1, len(sequence), sequence.base.n, sequence.base.m))
-    steps, formulated = replay_formulation(formulation, sequence)
+    log = new_log(make_replay_layout(rounds + 1, len(sequence), sequence.base.n, sequence.base.m))
+    steps, formulated = formulate_sequence(formulation, sequence)
     return steps, TimedSolver(workspace, formulated, clock), log

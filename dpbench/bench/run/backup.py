@@ -44,9 +44,9 @@ class Backup:
         """Let the backup solve some unrecorded QPs, so that the first real one is not slow."""
         self.solver.warm_up(WARM_UP_SOLVES)
 
-    def solve_step(self, k: int, step: QPStep) -> Matrix | None:
+    def solve_to_moves_or_none(self, k: int, step: QPStep) -> Matrix | None:
         """Solve the QP of step k and return its moves (N_c, n_u); None without a usable answer."""
-        return self.log_answer(k, self.answer(k, step))
+        return self.log_answer_and_return_moves(k, self.answer(k, step))
 
     def answer(self, k: int, step: QPStep) -> Solution:
         """Return the backup solver's answer to step k; none where it hung in an earlier process."""
@@ -54,7 +54,7 @@ class Backup:
             return self.solver.answer_hung_step(self._limit_ns)
         return self.solver.answer(step)
 
-    def log_answer(self, k: int, answer: Solution) -> Matrix | None:
+    def log_answer_and_return_moves(self, k: int, answer: Solution) -> Matrix | None:
         """Record the backup's answer to step k; return its moves (N_c, n_u), None if unusable."""
         record_answer(self.log, 0, k, answer, self.solver.waited_ns)
         self.log.times[0, k] = (-1, *self.solver.phases_ns, -1)
@@ -107,7 +107,9 @@ class LoopWithBackup:
     def answer(self, step: QPStep) -> Solution:
         """Return the main solver's answer; if it is unusable, let the backup solve the step."""
         solution = self._solver.answer(step)
-        self._plan = None if is_usable(solution) else self._backup.solve_step(self._k, step)
+        self._plan = (
+            None if is_usable(solution) else self._backup.solve_to_moves_or_none(self._k, step)
+        )
         return solution
 
     def remember(self, plan: Matrix) -> Vector:

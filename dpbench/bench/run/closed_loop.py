@@ -18,7 +18,12 @@ from dpbench.bench.run.backup import Backup, LoopWithBackup
 from dpbench.bench.run.fallback_policies import FALLBACKS, FallbackPolicy
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.run.run_delay import RunLimit
-from dpbench.bench.run.slow_computer import ComputationalDelay, SlowComputer, Usage, never_preempted
+from dpbench.bench.run.slow_computer import (
+    ComputationalDelay,
+    SlowComputer,
+    Usage,
+    return_zero_usage,
+)
 from dpbench.bench.run.timed_solver import Clock, TimedSolver, is_usable, record_answer
 from dpbench.mpc.law import UnconstrainedLaw
 from dpbench.qp.program import QPStep
@@ -50,13 +55,13 @@ class ClosedLoopSetup:
     limit_ns: int
     clock: Clock
     delay: ComputationalDelay | None = None
-    usage: Usage = never_preempted
+    usage: Usage = return_zero_usage
     allocating: TimedSolver | None = None
     drawn: WeatherDraw | None = None
     backup: Backup | None = None
 
 
-def closed_loop(setup: ClosedLoopSetup) -> bool:
+def record_closed_loop(setup: ClosedLoopSetup) -> bool:
     """Run a closed loop and record every step; return False when the time limit stopped it."""
     scenario, builder, log = setup.scenario, setup.builder, setup.log
     clock, steps = setup.clock, scenario.steps
@@ -64,7 +69,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     weather = scenario.environment
     sea = weather.build_weather_table_at_stages(steps, scenario.sample_s, SUBSTEPS, setup.drawn)
     sensors, estimator = Sensors(weather, steps, scenario.sample_s), scenario.estimator()
-    solver, law, emit = _choose_controller_parts(setup)
+    solver, law, emit = _choose_solver_fallback_and_emitter(setup)
     formulate, answer, moves = solver.formulate, solver.answer, builder.condensed.moves
     state, reference = plant.state, builder.reference
     model = builder.condensed.control.model
@@ -75,7 +80,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     limit, limits = scenario.controller.move_limit(), builder.limits
     actuation = build_actuation(scenario.controller, builder, log, setup.allocating, clock, u)
     tau, command, applied = actuation.tau, actuation.command, actuation.applied
-    act, commanded = actuation.apply_step, scenario.controller.commanded
+    act, commanded = actuation.apply_input_of_step, scenario.controller.commanded
     trips = {} if commanded is None else dict(commanded.trips)
     actuation.prepare()
     sense, estimate = sensors.measure_state, estimator.update_and_return_state
@@ -90,7 +95,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
         x[pose] = estimate(sense(state, k), tau)[POSE]
         x[change] = estimator.change
         if k in trips:
-            actuation.trip(trips[k])
+            actuation.set_tripped_forces_to_zero(trips[k])
         log.theta[k, at_x], log.theta[k, at_u] = x, u
         t1 = clock()
         step = formulate(emit(k, x, u))
@@ -121,7 +126,7 @@ def closed_loop(setup: ClosedLoopSetup) -> bool:
     return True
 
 
-def _choose_controller_parts(
+def _choose_solver_fallback_and_emitter(
     setup: ClosedLoopSetup,
 ) -> tuple[TimedSolver | SolverReplacement, FallbackPolicy | SolverReplacement, Emit]:
     """Return what solves the QPs, what moves without an answer, and what makes each QP."""

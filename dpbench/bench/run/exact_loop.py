@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Floats, Matrix
 from dpbench.bench.record.cell import DEFAULT_FALLBACK
-from dpbench.bench.record.npz import open_arrays, write_arrays
-from dpbench.bench.record.raw_log import RawLog, loop_layout
-from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
+from dpbench.bench.record.npz import open_arrays, write_arrays_uncompressed
+from dpbench.bench.record.raw_log import RawLog, make_loop_layout
+from dpbench.bench.run.closed_loop import ClosedLoopSetup, record_closed_loop
 from dpbench.bench.run.formulation import BoxFormulation, QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.errors import CertificateError, InputError, ResultsError
@@ -127,14 +127,14 @@ class ExactLoop:
         if self.allocated:
             arrays |= _optima_to_arrays(self.allocated, ALLOCATED)
         arrays |= {f"{_DRAWN}{name}": array for name, array in self.drawn.items()}
-        write_arrays(path, arrays)
+        write_arrays_uncompressed(path, arrays)
 
     @classmethod
     def load(cls, path: Path, *, with_optima: bool = True) -> ExactLoop:
         """Return the exactly solved loop in a file; ResultsError where it is damaged or gone."""
         with open_arrays(path) as stored:
             arrays = {name: stored[name] for name in _OF_LOOP}
-            demand, drawn = stored.get("demand"), read_stored_weather(stored)
+            demand, drawn = stored.get("demand"), parse_stored_weather(stored)
             names = ("optimum", ALLOCATED) if with_optima else ()
             optima, second = (
                 _arrays_to_optima(stored, name) if name in names and f"{name}_z" in stored else []
@@ -143,7 +143,7 @@ class ExactLoop:
         return cls(**arrays, optima=optima, demand=demand, allocated=second, drawn=drawn)
 
 
-def read_stored_weather(stored: Mapping[str, NDArray[Any]]) -> WeatherDraw:
+def parse_stored_weather(stored: Mapping[str, NDArray[Any]]) -> WeatherDraw:
     """Return the precomputed weather in the arrays of a stored loop."""
     names = [name for name in stored if name.startswith(_DRAWN)]
     return {name.removeprefix(_DRAWN): stored[name] for name in names}
@@ -175,14 +175,14 @@ def _arrays_to_optima(stored: Mapping[str, NDArray[Any]], name: str) -> list[Opt
     ]
 
 
-def solve_exactly(scenario: Scenario) -> ExactLoop:
+def solve_loop_exactly(scenario: Scenario) -> ExactLoop:
     """Run a closed loop of a scenario with the certified optimum of every step.
 
     Where a step has no feasible point, or nothing can be proven, the loop follows its last plan.
     """
     builder = QPBuilder(scenario)
-    log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes))
-    base = base_problem(builder.condensed)
+    log = RawLog.in_memory(make_loop_layout(scenario.steps, *builder.sizes))
+    base = build_problem_at_rest(builder.condensed)
     workspace, second = ExactWorkspace(), ExactWorkspace()
     clock = time.perf_counter_ns
     timed_solver = TimedSolver(workspace, BoxFormulation(base), clock)
@@ -195,14 +195,16 @@ def solve_exactly(scenario: Scenario) -> ExactLoop:
         setup.allocating = TimedSolver(
             second, BoxFormulation(builder.allocation.make_qp_of_zero_demand()), clock
         )
-    closed_loop(setup)
-    active = _has_active_limits(base, workspace.optima, _rows_without_force(builder))
+    record_closed_loop(setup)
+    active = _mask_steps_with_active_limits(
+        base, workspace.optima, _mask_rows_without_force_by_step(builder)
+    )
     loop = log.theta, log.state, log.tau, log.thrust, log.z[0], active, workspace.optima
     demand = log.demand if scenario.controller.allocates else None
     return ExactLoop(*loop, demand, second.optima, drawn)
 
 
-def _rows_without_force(builder: QPBuilder) -> list[Flags]:
+def _mask_rows_without_force_by_step(builder: QPBuilder) -> list[Flags]:
     """Return at each step the rows (m,) of lost thrusters and of axes without any force."""
     condensed, rows = builder.condensed, []
     thrusters = condensed.control.thrusters
@@ -214,7 +216,7 @@ def _rows_without_force(builder: QPBuilder) -> list[Flags]:
     return rows
 
 
-def _has_active_limits(
+def _mask_steps_with_active_limits(
     qp: QuadraticProgram, optima: Sequence[Optimum], without_force: Sequence[Flags]
 ) -> Flags:
     """Return in which steps (K,) a limit is active, or no feasible point exists.
@@ -234,7 +236,7 @@ def _has_active_limits(
     )
 
 
-def base_problem(builder: CondensedQP) -> QuadraticProgram:
+def build_problem_at_rest(builder: CondensedQP) -> QuadraticProgram:
     """Return the QP of a ship at rest at its setpoint without force, for a solver's set-up."""
     problem = builder.control
     zero = np.zeros
@@ -275,7 +277,7 @@ def rebuild_sequence(
         base=base,
         P=_stack_matrices([step.P for step in emitted]),
         A=_stack_matrices([step.A for step in emitted]),
-        **_stack_vectors(emitted),
+        **_stack_q_l_u(emitted),
         units=None if scaled is None else scale,
         scaled=scaled,
         meta={"scenario": scenario.name, "sample_s": scenario.sample_s, "first": first},
@@ -303,11 +305,11 @@ def _rebuild_sparse_sequence(
     staged = builder.staged
     assert staged is not None, "asked for"
     steps = [builder.rebuild(k, row) for k, row in enumerate(theta, first)]
-    sequence = QPSequence(name, staged.problem(steps[0]), **_stack_vectors(steps))
+    sequence = QPSequence(name, staged.problem(steps[0]), **_stack_q_l_u(steps))
     return SparseEquivalent(sequence, staged.convert_solution_to_condensed)
 
 
-def _stack_vectors(steps: Sequence[QPStep]) -> dict[str, Any]:
+def _stack_q_l_u(steps: Sequence[QPStep]) -> dict[str, Any]:
     """Return the QP vectors q (K, n), l (K, m) and u (K, m) of K steps, by name."""
     return {name: np.array([getattr(step, name) for step in steps]) for name in ("q", "l", "u")}
 
@@ -332,6 +334,6 @@ def record_sequence(
     <QPSequence paper: 5 QPs of 15 variables, 15 rows, constant matrices>
     """
     scenario = as_scenario(scenario)
-    exact = solve_exactly(scenario)
+    exact = solve_loop_exactly(scenario)
     exact.require_certificates(scenario.name)
     return rebuild_sequence(scenario, exact, units=units, part=part)

@@ -19,7 +19,7 @@ import numpy as np
 import psutil
 from threadpoolctl import threadpool_info
 
-from dpbench.bench.record.raw_log import RawLog, sum_step_ns
+from dpbench.bench.record.raw_log import RawLog, sum_phases_by_step_ns
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence
 
@@ -35,7 +35,7 @@ _MEMORY_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.lim
 """Files with a container's own limit, for both versions of control groups."""
 
 
-def _read_status(key: str, process: int | str = "self") -> float:
+def _read_proc_status(key: str, process: int | str = "self") -> float:
     """Return an entry of /proc/<process>/status [B or count]; NaN where there is none."""
     with suppress(OSError):
         text = Path(f"/proc/{process}/status").read_text(encoding="utf-8", errors="replace")
@@ -55,7 +55,7 @@ def reset_peak_memory() -> None:
 
 def process_peak_bytes(process: int | str = "self") -> float:
     """Return the peak resident memory of a process [B]; NaN where it is gone."""
-    return _read_status("VmHWM", process)
+    return _read_proc_status("VmHWM", process)
 
 
 @cache
@@ -68,12 +68,12 @@ def machine_memory_bytes() -> int:
     return min(sizes)
 
 
-def limit_memory(size: int) -> None:
+def limit_further_memory(size: int) -> None:
     """Limit the data of this process, and of each that it starts, to `size` bytes more than now.
 
     RLIMIT_AS would refuse libraries, which reserve far more address space than they use.
     """
-    hard, size_now = resource.getrlimit(resource.RLIMIT_DATA)[1], _read_status("VmData")
+    hard, size_now = resource.getrlimit(resource.RLIMIT_DATA)[1], _read_proc_status("VmData")
     most = size + (0 if isnan(size_now) else int(size_now))
     if hard != resource.RLIM_INFINITY:
         most = min(most, hard)
@@ -95,37 +95,37 @@ class MemoryWatch:
 
     def __init__(self) -> None:
         reset_peak_memory()
-        self._at_birth = _read_status("VmRSS")
+        self._at_birth = _read_proc_status("VmRSS")
         self._peak_of_import = self._imported = self._harness = float("nan")
         self._left = 0.0
 
     def begin_replay(self) -> None:
         """Start measuring another replay's memory in this process, without that of earlier ones."""
         reset_peak_memory()
-        self._left = _read_status("VmRSS") - self._imported
+        self._left = _read_proc_status("VmRSS") - self._imported
 
-    def record_setup(self) -> None:
+    def record_memory_after_setup(self) -> None:
         """Record memory use after the solver's library is loaded, before QPs and log are."""
         if isnan(self._imported):
-            self._peak_of_import = _read_status("VmHWM") - self._at_birth
-            self._imported = _read_status("VmRSS")
-        self._harness = -_read_status("VmRSS")
+            self._peak_of_import = _read_proc_status("VmHWM") - self._at_birth
+            self._imported = _read_proc_status("VmRSS")
+        self._harness = -_read_proc_status("VmRSS")
 
-    def record_load(self, log: RawLog) -> None:
+    def record_memory_after_loading(self, log: RawLog) -> None:
         """Record memory use after QPs and log are loaded, with the log's pages mapped."""
         log.touch_pages()
-        self._harness += _read_status("VmRSS")
+        self._harness += _read_proc_status("VmRSS")
 
     def peak_bytes(self) -> float:
         """Return the solver's peak memory until now [B]."""
-        since = _read_status("VmHWM") - self._at_birth - self._left - max(0.0, self._harness)
+        since = _read_proc_status("VmHWM") - self._at_birth - self._left - max(0.0, self._harness)
         return max(self._peak_of_import, since)
 
 
-def count_threads() -> tuple[float, float]:
+def count_own_and_library_threads() -> tuple[float, float]:
     """Return the threads of this process, and the most a loaded BLAS or OpenMP would use."""
     pools = [int(pool["num_threads"]) for pool in threadpool_info()]
-    return _read_status("Threads"), float(max(pools, default=1))
+    return _read_proc_status("Threads"), float(max(pools, default=1))
 
 
 class _HeapInfo(ctypes.Structure):
@@ -146,7 +146,7 @@ def _load_mallinfo2() -> Callable[[], _HeapInfo] | None:
     return cast(Callable[[], _HeapInfo], function)
 
 
-def heap_bytes() -> float:
+def heap_bytes_in_use() -> float:
     """Return the bytes in use of the C heap; NaN without glibc 2.33."""
     read = _load_mallinfo2()
     if read is None:
@@ -157,7 +157,7 @@ def heap_bytes() -> float:
 
 def count_affordable_steps(log: RawLog) -> int:
     """Return for how many steps memory can be measured within `LIMIT_NS`, by the slowest so far."""
-    slowest = sum_step_ns(log.times).max()
+    slowest = sum_phases_by_step_ns(log.times).max()
     return int(min(MOST_STEPS, log.times.shape[1], LIMIT_NS / _PASSES / max(1.0, slowest)))
 
 
@@ -178,10 +178,10 @@ def measure_step_memory(
 
     growth = []
     for _ in range(_PASSES - 1):
-        before = heap_bytes()
+        before = heap_bytes_in_use()
         for k in range(steps):
             answer(k)
-        growth.append((heap_bytes() - before) / steps)
+        growth.append((heap_bytes_in_use() - before) / steps)
     # Arrays, because a list of counts would be counted as well.
     blocks, peaks = np.zeros(steps, dtype=np.int64), np.zeros(steps, dtype=np.int64)
     tracemalloc.start()

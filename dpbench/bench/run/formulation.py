@@ -157,12 +157,12 @@ class SparseFormulation(BoxFormulation):
         return self._condensed(answer)
 
 
-def loop_formulation(
+def build_loop_formulation(
     formulation: Formulation, builder: QPBuilder, base: QuadraticProgram
 ) -> BoxFormulation:
     """Return the formulation, box, stacked or sparse, in which a loop's QPs go to the solver."""
     if builder.staged is None:
-        return _formulate_condensed(formulation, base)
+        return _build_condensed_formulation(formulation, base)
     model = builder.staged.control.model
     at_rest = np.zeros(model.n_x), np.zeros(model.n_y), np.zeros(model.n_u)
     staged = builder.staged
@@ -171,18 +171,20 @@ def loop_formulation(
     )
 
 
-def replay_formulation(
+def formulate_sequence(
     formulation: Formulation, sequence: QPSequence
 ) -> tuple[QPSequence, BoxFormulation]:
     """Return the QPs to replay and their formulation; InputError for "sparse" without a model."""
     if formulation != "sparse":
-        return sequence, _formulate_condensed(formulation, sequence.base)
+        return sequence, _build_condensed_formulation(formulation, sequence.base)
     if sequence.sparse_equivalent is None:
         raise InputError(f"sequence {sequence.name}", "formulation", "'sparse'", NO_MODEL)
     sparse = sequence.sparse_equivalent()
     return sparse.sequence, SparseFormulation(sparse.sequence.base, sparse.condensed)
 
 
-def _formulate_condensed(formulation: Formulation, base: QuadraticProgram) -> BoxFormulation:
+def _build_condensed_formulation(
+    formulation: Formulation, base: QuadraticProgram
+) -> BoxFormulation:
     """Return the formulation of a condensed QP: one-sided rows only, or rows and a box."""
     return StackedFormulation(base) if formulation == "condensed_stacked" else BoxFormulation(base)

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from dpbench.arrays import Floats
-from dpbench.bench.record.disturbance import read_counters
-from dpbench.bench.record.raw_log import RawLog, sum_phases_ns
+from dpbench.bench.record.disturbance import read_disturbance_counters
+from dpbench.bench.record.raw_log import RawLog, sum_phases_of_step_ns
 from dpbench.bench.run.run_delay import RunLimit
 from dpbench.bench.run.timed_solver import Clock, TimedSolver, is_usable, record_answer
 from dpbench.kernel_cache import njit
@@ -43,7 +43,7 @@ def _increment(value: int) -> int:
     return value + 1
 
 
-def _load_kernel() -> None:
+def _run_load_test() -> None:
     """Run the machine-load test: some 60 µs of Python calls, small NumPy calls, a LAPACK inverse.
 
     Over 40 runs under other load the slow-down that 14 configurations had in common correlated at
@@ -58,7 +58,7 @@ def _load_kernel() -> None:
     np.linalg.inv(_LOAD_MATRIX)
 
 
-def time_kernels(clock: Clock, load_kernel_ns: Floats | None = None) -> int:
+def time_speed_and_load_tests(clock: Clock, load_kernel_ns: Floats | None = None) -> int:
     """Time the machine-speed test, return its shortest time [ns]; write the load test's times."""
     best, turn = 2**62, 0 if load_kernel_ns is None else KERNEL_REPEATS // len(load_kernel_ns)
     for i in range(KERNEL_REPEATS):
@@ -67,7 +67,7 @@ def time_kernels(clock: Clock, load_kernel_ns: Floats | None = None) -> int:
         best = min(best, clock() - started)
         if load_kernel_ns is not None and i % turn == 0:
             started = clock()
-            _load_kernel()
+            _run_load_test()
             load_kernel_ns[i // turn] = clock() - started
     return best
 
@@ -134,8 +134,8 @@ class ReplayRun:
         log.counters[r] = np.nan
         self._spent_ns[r] = 0
         limit_ns = self._limit_ns - int(self._spent_ns.sum())
-        before = read_counters()
-        log.reference_kernel_ns[r, 0] = time_kernels(clock, log.load_kernel_ns[r, 0])
+        before = read_disturbance_counters()
+        log.reference_kernel_ns[r, 0] = time_speed_and_load_tests(clock, log.load_kernel_ns[r, 0])
         run_limit = RunLimit(clock(), limit_ns)
         self._warm_caches(steps)
         updates_before, hung = solver.matrix_updates, self._hung
@@ -150,14 +150,14 @@ class ReplayRun:
                 solver.reset()
             times[k] = (-1, *solver.phases_ns, -1)
             if log.first_ns[k] == 0:
-                log.first_ns[k] = sum_phases_ns(solver.phases_ns)
+                log.first_ns[k] = sum_phases_of_step_ns(solver.phases_ns)
             log.matrix_updates[r] = solver.matrix_updates - updates_before
             log.done[r] = k + 1
             if run_limit.is_exceeded(clock()):
                 return False
         self._spent_ns[r] = run_limit.spent_ns(clock())
-        log.reference_kernel_ns[r, 1] = time_kernels(clock, log.load_kernel_ns[r, 1])
+        log.reference_kernel_ns[r, 1] = time_speed_and_load_tests(clock, log.load_kernel_ns[r, 1])
         if log.attempts[r] == 1:
             log.first_reference_kernel_ns[r] = log.reference_kernel_ns[r].max()
-        np.subtract(read_counters(), before, out=log.counters[r])
+        np.subtract(read_disturbance_counters(), before, out=log.counters[r])
         return True

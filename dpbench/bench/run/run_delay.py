@@ -34,7 +34,7 @@ class RunDelay:
             self._file = -1
             return UNKNOWN
 
-    def since_last(self) -> int:
+    def read_wait_since_last_call_ns(self) -> int:
         """Return how long the thread waited for its core since the last call [ns]; −1: unknown."""
         before_ns, now_ns = self._before_ns, self.read_total_ns()
         self._before_ns = now_ns
@@ -42,12 +42,12 @@ class RunDelay:
 
     @property
     def pending_ns(self) -> int:
-        """Wait for the core since the last call of `since_last` [ns]; 0 if unknown."""
+        """Wait for the core since `read_wait_since_last_call_ns` [ns]; 0 if unknown."""
         return max(self.read_total_ns() - self._before_ns, 0)
 
 
 @cache
-def _cached_run_delay(thread: int) -> RunDelay:
+def _cache_run_delay_of_thread(thread: int) -> RunDelay:
     """Return the meter of a thread's waits for its core, one object for each thread."""
     return RunDelay()
 
@@ -55,7 +55,7 @@ def _cached_run_delay(thread: int) -> RunDelay:
 def get_run_delay() -> RunDelay:
     """Return the meter of the calling thread's waits for its core, shared by its solvers."""
     # The identifier of a forked child is its own, so that it opens a file of its own.
-    return _cached_run_delay(threading.get_native_id())
+    return _cache_run_delay_of_thread(threading.get_native_id())
 
 
 def read_process_wait_s(process: int) -> float:

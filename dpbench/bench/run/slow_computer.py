@@ -22,7 +22,7 @@ import numpy as np
 
 from dpbench.arrays import Ints, Matrix, Vector
 from dpbench.bench.record.cell import SLOWEST, Cell
-from dpbench.bench.record.raw_log import sum_phases_ns
+from dpbench.bench.record.raw_log import sum_phases_of_step_ns
 from dpbench.bench.run.backup import WARM_UP_SOLVES, Backup
 from dpbench.bench.run.fallback_policies import FallbackPolicy
 from dpbench.bench.run.formulation import QPBuilder
@@ -51,7 +51,7 @@ class ComputationalDelay:
         """Return whether a slow computer is simulated, whose answers may arrive late."""
         return self.slowdown > 0.0
 
-    def latency_ns(self, spent_ns: int) -> int:
+    def simulate_latency_ns(self, spent_ns: int) -> int:
         """Return the simulated latency [ns] of an answer computed here in `spent_ns` [ns]."""
         return round(min(self.slowdown * spent_ns, 2.0**62))
 
@@ -68,12 +68,12 @@ def read_process_usage() -> tuple[int, int]:
     return usage.ru_nivcsw, round(1e9 * (usage.ru_utime + usage.ru_stime))
 
 
-def never_preempted() -> tuple[int, int]:
+def return_zero_usage() -> tuple[int, int]:
     """Return (0, 0), the usage of a process that is never interrupted."""
     return 0, 0
 
 
-def find_delay(cell: Cell, sample_s: float) -> ComputationalDelay:
+def make_delay_of_cell(cell: Cell, sample_s: float) -> ComputationalDelay:
     """Return a closed-loop run's computer slow-down and deadline; InputError if impossible."""
     slowdown, deadline_s = cell.slowdown, cell.deadline_s
     if not (slowdown == 0.0 or 1.0 <= slowdown <= SLOWEST):
@@ -181,14 +181,16 @@ class SlowComputer:
         switches, used_ns = self._usage()
         solution = answer(step)
         switches_after, used_after_ns = self._usage()
-        step_ns = sum_phases_ns(solver.phases_ns)
+        step_ns = sum_phases_of_step_ns(solver.phases_ns)
         if solver.repeated:
             recorded_ns = int(self._recorded_ns[self._k])
             # The step that hung has none yet; it took its whole limit.
-            return solution, recorded_ns if recorded_ns >= 0 else self._delay.latency_ns(step_ns)
+            return solution, recorded_ns if recorded_ns >= 0 else self._delay.simulate_latency_ns(
+                step_ns
+            )
         if switches_after > switches:
             step_ns = min(step_ns, used_after_ns - used_ns)
-        return solution, self._delay.latency_ns(step_ns)
+        return solution, self._delay.simulate_latency_ns(step_ns)
 
     def _solve_by_backup(self, backup: Backup, step: QPStep, begins_ns: int) -> None:
         """Let the backup solve the step from `begins_ns` after t_k to the sample's end."""
@@ -198,7 +200,7 @@ class SlowComputer:
             # The step that hung has none yet.
             recorded_ns = int(backup.recorded_ready_ns[self._k])
         ready_ns = recorded_ns if recorded_ns >= 0 else begins_ns + latency_ns
-        plan = backup.log_answer(self._k, answer)
+        plan = backup.log_answer_and_return_moves(self._k, answer)
         backup.log.ready_ns[self._k] = ready_ns
         self._stopped, self._free = self._late, self._k + 1
         if plan is None or ready_ns > self._delay.sample_ns:

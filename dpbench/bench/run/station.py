@@ -16,7 +16,7 @@ DRIFT = 1.0
 """Growth of a distance, in multiples of the limits, that is no part of a transfer."""
 
 
-def station_metrics(scenario: Scenario, exact: ExactLoop, steps: int) -> dict[str, float]:
+def compute_station_metrics(scenario: Scenario, exact: ExactLoop, steps: int) -> dict[str, float]:
     """Return where the exactly solved loop's ship is in `steps` steps, and how often limits act.
 
     The ship is on station within `RADIUS_M` and `HEADING_DEG` of its setpoint, lengths and times
@@ -24,7 +24,9 @@ def station_metrics(scenario: Scenario, exact: ExactLoop, steps: int) -> dict[st
     loss of thrusters or limits those from the arrival on.
     """
     K = min(steps, len(exact.tau))
-    offset, heading, distance, arrived, radius_m = _measure_offsets(scenario, exact.state[: K + 1])
+    offset, heading, distance, arrived, radius_m = _measure_offsets_and_arrivals(
+        scenario, exact.state[: K + 1]
+    )
     left = arrived & ~(distance <= 1.0)
     counted = arrived if arrived.any() else ~arrived
     largest = int(np.argmax(np.where(counted, offset, -1.0)))
@@ -55,16 +57,17 @@ def _first_loss_sample(scenario: Scenario) -> float:
     return min((round(fault["at_s"] / scenario.sample_s) for fault in faults), default=np.inf)
 
 
-def station_share(scenario: Scenario, state: Matrix) -> float:
+def compute_largest_offset_share(scenario: Scenario, state: Matrix) -> float:
     """Return the largest offset of a ship on station, in multiples of the station's limits.
 
-    state : (K + 1, 6) at the samples. Offsets count as in `station_metrics`; NaN where one is.
+    state : (K + 1, 6) at the samples. Offsets count as in `compute_station_metrics`; NaN where
+    one is.
     """
-    _, _, distance, arrived, _ = _measure_offsets(scenario, state)
+    _, _, distance, arrived, _ = _measure_offsets_and_arrivals(scenario, state)
     return float(distance[arrived if arrived.any() else ~arrived].max())
 
 
-def _measure_offsets(
+def _measure_offsets_and_arrivals(
     scenario: Scenario, state: Matrix
 ) -> tuple[Vector, Vector, Vector, Flags, float]:
     """Return offset [m], heading error [°], distance [limits], arrivals (K,) and radius [m]."""
@@ -76,10 +79,10 @@ def _measure_offsets(
     distance = np.maximum(offset / radius_m, heading / HEADING_DEG)
     moved = (np.diff(wanted, axis=0, prepend=wanted[:1]) != 0.0).any(axis=1)
     hold = round(ARRIVAL_S * scale.time_and_speed_factor / scenario.sample_s)
-    return offset, heading, distance, find_arrivals(distance, moved, hold), radius_m
+    return offset, heading, distance, mask_arrived_samples(distance, moved, hold), radius_m
 
 
-def find_arrivals(distance: Vector, moved: Flags, hold: int) -> Flags:
+def mask_arrived_samples(distance: Vector, moved: Flags, hold: int) -> Flags:
     """Return at which samples (K,) the ship has arrived at its setpoint, be it still there or not.
 
     It has from the start, or after `hold` samples within the limits, until the setpoint moves out

@@ -97,7 +97,7 @@ class TimedSolver:
         workspace, clock, formulated = self._workspace, self._clock, self._formulated
         t1 = t2 = t3 = t0 = -1
         setup_every_step, (n, m) = workspace.setup_every_step, self.size
-        qp = self._restore_problem().at(step) if setup_every_step else self._given
+        qp = self._restore_overwritten_problem().at(step) if setup_every_step else self._given
         try:
             t0 = clock()
             if setup_every_step:
@@ -123,17 +123,17 @@ class TimedSolver:
             detail = f"{type(error).__name__}: {error}"
             solution = Solution.without_point(n, m, Status.ERROR, detail)
         # Behind the clock. A wait before t0 counts too, which makes no step look slower.
-        self.waited_ns = min(self._run_delay.since_last(), t3 - t0)
+        self.waited_ns = min(self._run_delay.read_wait_since_last_call_ns(), t3 - t0)
         prepared = t1 - t0
         handed_over = (prepared, -1) if setup_every_step else (-1, prepared)
         self.phases_ns = (*handed_over, t2 - t1, t3 - t2)
         if self.interrupted:
             solution = Solution.without_point(n, m, Status.TIME_LIMIT, self.interrupted)
         if solution.detail:
-            self._count_detail(solution.detail)
+            self._count_status_detail(solution.detail)
         return formulated.solution(solution)
 
-    def _restore_problem(self) -> QuadraticProgram:
+    def _restore_overwritten_problem(self) -> QuadraticProgram:
         """Return the solver's copy of the QP, with what the solver overwrote restored."""
         if self._formulated.base is not self._whole:
             self._whole = self._formulated.base
@@ -157,18 +157,18 @@ class TimedSolver:
         try:
             self._workspace.reset()
         except Exception as error:
-            self._count_detail(f"reset: {type(error).__name__}: {error}")
+            self._count_status_detail(f"reset: {type(error).__name__}: {error}")
 
     def set_up_again(self) -> None:
         """Set the solver up from nothing, with the current QP matrices."""
         if self._workspace.setup_every_step:
             return
         try:
-            self._workspace.setup(self._restore_problem())
+            self._workspace.setup(self._restore_overwritten_problem())
         except Exception as error:
-            self._count_detail(f"setup: {type(error).__name__}: {error}")
+            self._count_status_detail(f"setup: {type(error).__name__}: {error}")
 
-    def _count_detail(self, detail: str) -> None:
+    def _count_status_detail(self, detail: str) -> None:
         """Count one more solver answer with this detail of its status."""
         self.details[detail] = self.details.get(detail, 0) + 1
 
@@ -177,7 +177,7 @@ class TimedSolver:
         self.phases_ns, self.waited_ns = (-1, 0, limit_ns, 0), 0
         n, m = self.size
         answer = Solution.without_point(n, m, Status.TIME_LIMIT, HANG_DETAIL)
-        self._count_detail(HANG_DETAIL)
+        self._count_status_detail(HANG_DETAIL)
         return self._formulated.solution(answer)
 
 
@@ -221,7 +221,7 @@ class ResumedSolver(TimedSolver):
 
     def answer(self, step: QPStep) -> Solution:
         """Return the recorded answer up to the step that hung, the solver's own after it."""
-        k, answers = self._next_step(), self._answers
+        k, answers = self._find_next_step_index(), self._answers
         self.repeated = k < self._at or (k == self._at and self._skips)
         if k == self._at:
             self.set_up_again()
@@ -241,7 +241,7 @@ class ResumedSolver(TimedSolver):
             int(answers.reported_ns[0, k]),
         )
 
-    def _next_step(self) -> int:
+    def _find_next_step_index(self) -> int:
         """Return the index of the step to answer, beyond those a slow computer skipped."""
         self._k += 1
         while self._k < self._at and (self._answers.times[0, self._k, _OWN] < 0).all():
@@ -261,7 +261,7 @@ class ResumedSolver(TimedSolver):
 
 
 @contextmanager
-def step_alarm(limit_s: float, clock: Clock) -> Iterator[None]:
+def raise_at_step_limit(limit_s: float, clock: Clock) -> Iterator[None]:
     """Raise `StepTimeLimitError` in any solver call in the block that takes over `limit_s` [s].
 
     It reaches what runs Python. No alarm goes off in a run that ends before; a step that began

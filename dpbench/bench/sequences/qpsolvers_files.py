@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.bench.record.npz import DAMAGE, Arrays, read_float_array, read_npz
+from dpbench.bench.record.npz import DAMAGE, Arrays, read_arrays_and_pickles, read_float_array
 from dpbench.errors import InputError
 from dpbench.files.opening import open_regular_file
 from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, require_or_make_symmetric
@@ -73,7 +73,7 @@ def read_problems(place: Path) -> QPSequence:
 def read_problem(path: Path) -> QuadraticProgram:
     """Return the QP of a qpsolvers problem file in two-sided form; InputError for a bad file."""
     where = str(path)
-    arrays, objects = read_npz(path, WHAT)
+    arrays, objects = read_arrays_and_pickles(path, WHAT)
     for name, packed in objects.items():
         # None is saved as an object, and so is a sparse matrix, which qpsolvers then fails to load.
         if b"scipy" in packed:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.bench.run.exact_loop import Part, rebuild_sequence, solve_exactly
+from dpbench.bench.run.exact_loop import Part, rebuild_sequence, solve_loop_exactly
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.sequences import qpsolvers_files as problem_files
 from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
@@ -53,7 +53,7 @@ def record_scenario(
         if not 1 <= steps <= scenario.steps:
             raise InputError("`steps`", "", steps, f"1 to {scenario.steps} of {scenario.name}")
         scenario = scenario.truncate(steps)
-    exact = solve_exactly(scenario)
+    exact = solve_loop_exactly(scenario)
     exact.require_certificates(scenario.name)
     sequence = rebuild_sequence(scenario, exact, part=part)
     meta = sequence.meta | scenario.problem.horizons_by_name

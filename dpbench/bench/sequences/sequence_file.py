@@ -32,9 +32,9 @@ from numpy.typing import NDArray
 
 from dpbench.bench.record.npz import (
     Arrays,
-    read_count_array,
+    read_arrays_and_pickles,
     read_float_array,
-    read_npz,
+    read_stored_count,
     read_stored_text,
     write_npz,
 )
@@ -190,13 +190,13 @@ def as_sequence(given: object) -> QPSequence:
 def load_recorded(path: str | Path) -> Recorded:
     """Return the QPs and certified optima in a dpbench sequence file; InputError if bad."""
     where = str(path)
-    arrays, objects = read_npz(Path(path), WHAT)
+    arrays, objects = read_arrays_and_pickles(Path(path), WHAT)
     for name in objects:
         raise InputError(where, name, "Python objects", "numbers or text")
     texts = {name: read_stored_text(arrays, where, name) for name in _TEXTS}
     if texts["format"] != FORMAT:
         raise InputError(where, "format", repr(texts["format"]), repr(FORMAT))
-    if (version := read_count_array(arrays, where, "version")) != FORMAT_VERSION:
+    if (version := read_stored_count(arrays, where, "version")) != FORMAT_VERSION:
         raise InputError(where, "version", version, f"{FORMAT_VERSION}; or a newer dpbench")
     q, A = _read_matrix(arrays, where, "q"), _read_matrix(arrays, where, "A")
     sizes = q.shape[0], q.shape[1], A.shape[0]
@@ -226,7 +226,7 @@ def _read_sequence(
     matrices = {key: read(key, key, shapes[key]) for key in CONSTANT}
     names = {key: f"{key}_steps" for key in CONSTANT if f"{key}_steps" in arrays}
     steps = {key: read(key, name, (K, *shapes[key])) for key, name in names.items()}
-    block, moves = (read_count_array(arrays, where, key) for key in ("block", "moves"))
+    block, moves = (read_stored_count(arrays, where, key) for key in ("block", "moves"))
     try:
         first = {key: vector[0] for key, vector in vectors.items()}
         base = QuadraticProgram(**matrices, **first, block=block, moves=moves)

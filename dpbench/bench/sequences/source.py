@@ -21,14 +21,14 @@ from dpbench.bench.record.cell import (
     RecordedSource,
 )
 from dpbench.bench.record.npz import open_arrays
-from dpbench.bench.record.raw_log import log_bytes, loop_layout, replay_layout
+from dpbench.bench.record.raw_log import compute_log_bytes, make_loop_layout, make_replay_layout
 from dpbench.bench.run.exact_loop import (
     ExactLoop,
     read_allocation_sizes,
     rebuild_sequence,
-    solve_exactly,
+    solve_loop_exactly,
 )
-from dpbench.bench.run.station import station_metrics
+from dpbench.bench.run.station import compute_station_metrics
 from dpbench.bench.sequences.capability_boundary import write_capability_boundary
 from dpbench.bench.sequences.loop_sequences import (
     build_consequence_sequence,
@@ -51,7 +51,8 @@ from dpbench.ship.layout import AXES
 class ReplayInput:
     """The QPs of a replay, the time between them [s], and their certified optima if known.
 
-    station : of QPs along an exactly solved loop, its station keeping, see `station_metrics`.
+    station : of QPs along an exactly solved loop, its station keeping, see
+    `compute_station_metrics`.
     """
 
     sequence: QPSequence
@@ -89,8 +90,8 @@ def log_size(cell: Cell, path: Path) -> int:
         if cell.mode == "closed_loop":
             n_theta, n_f = stored["theta"].shape[1], stored["thrust"].shape[1]
             sizes = n, m, n_theta, n_f, read_allocation_sizes(stored)
-            return log_bytes(loop_layout(cell.steps, *sizes, backup=bool(cell.backup)))
-    return log_bytes(replay_layout(cell.rounds + 1, cell.steps, n, m))
+            return compute_log_bytes(make_loop_layout(cell.steps, *sizes, backup=bool(cell.backup)))
+    return compute_log_bytes(make_replay_layout(cell.rounds + 1, cell.steps, n, m))
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,23 +102,27 @@ class _LoopFile:
 
     def make(self, path: Path) -> None:
         """Solve the run's scenario exactly and write the closed loop to `path`."""
-        solve_exactly(cached_scenario(self.cell.scenario).truncate(self.cell.last_step)).save(path)
+        solve_loop_exactly(
+            cached_scenario(self.cell.scenario).truncate(self.cell.steps_needed_in_file)
+        ).save(path)
 
     def load(self, path: Path) -> ReplayInput:
         """Return the QPs of the replay along the loop in the file, with their optima."""
         cell = self.cell
         scenario, exact = cached_scenario(cell.scenario), ExactLoop.load(path)
         first, steps = cell.first, cell.steps
-        if cell.is_window:
-            first = find_hardest_window(exact.optima, first, cell.last_step - first, steps)
+        if cell.is_hardest_window:
+            first = find_hardest_window(
+                exact.optima, first, cell.steps_needed_in_file - first, steps
+            )
         sequence = rebuild_sequence(scenario, exact, units=cell.units, first=first, count=steps)
         optima = exact.optima[first : first + steps]
-        station = station_metrics(scenario, exact, cell.last_step)
+        station = compute_station_metrics(scenario, exact, cell.steps_needed_in_file)
         return ReplayInput(sequence, scenario.sample_s, optima, station)
 
     def check(self, path: Path) -> None:
         """Read the whole file of a loop; ResultsError where it is damaged or has too few steps."""
-        stored, needed = len(ExactLoop.load(path).theta), self.cell.last_step
+        stored, needed = len(ExactLoop.load(path).theta), self.cell.steps_needed_in_file
         if stored < needed:
             raise ResultsError(str(path), "theta", f"{stored} steps", f"{needed} of them")
 
@@ -146,7 +151,7 @@ class _ConsequenceFile(_LoopFile):
             meta=whole.meta | {"first": cell.first},
             **{name: getattr(whole, name)[cell.first : last] for name in ("q", "l", "u")},
         )
-        station = station_metrics(scenario, exact, cell.last_step)
+        station = compute_station_metrics(scenario, exact, cell.steps_needed_in_file)
         return ReplayInput(sequence, scenario.sample_s, None, station)
 
     def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:

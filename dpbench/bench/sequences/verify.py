@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from dpbench.bench.progress import Progress, Silent
-from dpbench.bench.record.npz import read_npz
+from dpbench.bench.record.npz import read_arrays_and_pickles
 from dpbench.bench.sequences.recording import describe_sequence, read_sequence
 from dpbench.bench.sequences.sequence_file import WHAT, active_set
 from dpbench.errors import InputError
@@ -46,7 +46,7 @@ def verify_sequence(path: Path, progress: Progress | None = None) -> str:
 
 def _check_active_sets(path: Path, claims: list[Optimum]) -> None:
     """Raise InputError where stored active sets differ from those of the stored multipliers."""
-    stored = read_npz(path, WHAT)[0].get("active")
+    stored = read_arrays_and_pickles(path, WHAT)[0].get("active")
     wanted = np.array([active_set(optimum) for optimum in claims])
     if stored is None or stored.shape != wanted.shape or stored.dtype != np.int8:
         found = "nothing" if stored is None else f"{stored.dtype}, shape {stored.shape}"

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.raw_log import remove_log
-from dpbench.bench.record.step_table import DAMAGE, BatchPart, read_part
+from dpbench.bench.record.raw_log import delete_log_and_layout
+from dpbench.bench.record.step_table import DAMAGE, BatchPart, parse_batch_part
 from dpbench.bench.workers.child import GRACE_S, Child
 from dpbench.bench.workers.jobs import CellBatch, FileBatch, Result, Target
 from dpbench.bench.workers.shared_status import Phase, set_phase
@@ -125,7 +125,7 @@ class CellRun:
         if child.is_suspect:
             for cell in rest:
                 self.outcomes.pop(cell.name, None)
-                remove_log(self.folder / f"{cell.name}.raw")
+                delete_log_and_layout(self.folder / f"{cell.name}.raw")
             rest = []
         if self._to_run and not rest:
             self._to_run = False
@@ -159,7 +159,7 @@ class CellRun:
         judged = [cell for cell in cells if cell.name in ended and cell.name not in lost]
         path = self.folder / f"{cells[0].name}.judged"
         try:
-            self.parts.append(read_part(path.read_bytes()))
+            self.parts.append(parse_batch_part(path.read_bytes()))
             judged = []
         except DAMAGE as error:
             if len(judged) == len(cells):

@@ -19,8 +19,8 @@ from types import ModuleType
 from typing import Any
 
 from dpbench.bench.record.cell import Outcome
-from dpbench.bench.record.machine import THREAD_VARIABLES, pin_threads
-from dpbench.bench.record.raw_log import RawLog, is_writable_log
+from dpbench.bench.record.machine import THREAD_VARIABLES, limit_libraries_to_one_thread
+from dpbench.bench.record.raw_log import RawLog, is_log_full_size_and_writable
 from dpbench.bench.run.footprint import process_peak_bytes
 from dpbench.bench.run.run_delay import read_process_wait_s
 from dpbench.bench.workers import shared_status
@@ -85,7 +85,7 @@ def _running_forkserver() -> Iterator[None]:
     """Start Python's fork server with one thread per library, and restore the environment after."""
     with _STARTING:
         before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
-        pin_threads()
+        limit_libraries_to_one_thread()
         try:
             # This lets Ctrl-C through when it starts its own process, and does nothing the second
             # time.
@@ -257,7 +257,11 @@ class Child:
         code = self.process.exitcode or 0
         if -code == signal.SIGKILL and self._memory_ran_out():
             return Outcome("lost", _BY_MEMORY)
-        if -code == signal.SIGBUS and self.raw_path.exists() and not is_writable_log(self.raw_path):
+        if (
+            -code == signal.SIGBUS
+            and self.raw_path.exists()
+            and not is_log_full_size_and_writable(self.raw_path)
+        ):
             return Outcome("lost", "killed by SIGBUS: its log lost its room on the file system")
         if by_solver:
             return Outcome("crashed", self._describe_end(code))

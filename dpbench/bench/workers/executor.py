@@ -18,8 +18,8 @@ from typing import Generic, TypeVar
 from dpbench.bench.judge.rows import make_run_row
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.raw_log import remove_log
-from dpbench.bench.record.step_table import BatchPart, batch_part, no_steps
+from dpbench.bench.record.raw_log import delete_log_and_layout
+from dpbench.bench.record.step_table import BatchPart, make_batch_part, make_empty_record_batch
 from dpbench.bench.sequences.source import log_size
 from dpbench.bench.workers.batch import CellRun, FileRun
 from dpbench.bench.workers.child import FORKSERVER_DIED, KILLED_FORKSERVER, Child
@@ -256,7 +256,7 @@ class CellExecutor(ExitStack):
         rounds = max(cell.rounds for _, cell in cells)
         share = sum(count_steps(cell) for _, cell in cells) // (rounds + 1)
         for run_id, _ in cells:
-            remove_log(folder / f"{run_id}.raw")
+            delete_log_and_layout(folder / f"{run_id}.raw")
         group = ReplayGroup(self._idle, folder, source, cells, alone=alone)
         how = EXCLUSIVE if self._concurrency == 1 else SHARED
         with self._lock_machine(how) as held, _avoid_core(core):
@@ -331,15 +331,15 @@ class CellExecutor(ExitStack):
                 concurrency = self._concurrency if job.cell.is_timed else None
                 without_steps[job.run_id] = (
                     make_run_row(*about, concurrency=concurrency),
-                    no_steps(),
+                    make_empty_record_batch(),
                 )
-            remove_log(folder / f"{job.run_id}.raw")
+            delete_log_and_layout(folder / f"{job.run_id}.raw")
             for suffix in ("json", "judged", "evaluated.json"):
                 # What somebody else put in a file's place goes with the folder.
                 with suppress(OSError):
                     (folder / f"{job.run_id}.{suffix}").unlink()
         if without_steps:
-            kept |= dict.fromkeys(without_steps, batch_part(without_steps))
+            kept |= dict.fromkeys(without_steps, make_batch_part(without_steps))
         turn = {part: i for i, part in enumerate(kept.values())}
         results = [
             Result(job.run_id, outcome, None if outcome.outcome == "lost" else kept[job.run_id])

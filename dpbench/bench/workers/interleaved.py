@@ -61,7 +61,7 @@ class ReplayWorker:
     def is_budget_exhausted(self) -> bool:
         """Return whether the replay's time budget is used up after enough undisturbed rounds."""
         budget_s = self.cell.budget_s
-        fewest = FEWEST_OF_WINDOW if self.cell.is_window else FEWEST_ROUNDS
+        fewest = FEWEST_OF_WINDOW if self.cell.is_hardest_window else FEWEST_ROUNDS
         return 0.0 < budget_s <= self.spent_s and self.clean_rounds >= fewest
 
 

@@ -22,27 +22,27 @@ from dpbench.bench.judge.replay import evaluate_replay_log
 from dpbench.bench.judge.rows import make_run_row
 from dpbench.bench.judge.step_columns import make_step_columns
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.disturbance import read_counters
+from dpbench.bench.record.disturbance import read_disturbance_counters
 from dpbench.bench.record.npz import open_arrays
 from dpbench.bench.record.raw_log import Layout, RawLog
 from dpbench.bench.record.result_folder import write_json
-from dpbench.bench.record.step_table import Row, batch_part, step_batch
-from dpbench.bench.run.assemble import clock, closed_loop_setup, replay_parts
-from dpbench.bench.run.closed_loop import closed_loop
-from dpbench.bench.run.exact_loop import ExactLoop, read_stored_weather
+from dpbench.bench.record.step_table import Row, make_batch_part, make_step_record_batch
+from dpbench.bench.run.assemble import build_closed_loop_setup, build_sequence_solver_and_log, clock
+from dpbench.bench.run.closed_loop import record_closed_loop
+from dpbench.bench.run.exact_loop import ExactLoop, parse_stored_weather
 from dpbench.bench.run.footprint import (
     MEMORY_SHARE,
     MemoryWatch,
     count_affordable_steps,
-    count_threads,
-    limit_memory,
+    count_own_and_library_threads,
+    limit_further_memory,
     machine_memory_bytes,
     measure_step_memory,
     process_peak_bytes,
     reset_peak_memory,
 )
 from dpbench.bench.run.replay import PREROLL, ReplayRun
-from dpbench.bench.run.timed_solver import MOST_HANGS, STEP_SHARE, TimedSolver, step_alarm
+from dpbench.bench.run.timed_solver import MOST_HANGS, STEP_SHARE, TimedSolver, raise_at_step_limit
 from dpbench.bench.sequences.source import is_readable, read_replay, source_file
 from dpbench.bench.workers.orphans import has_children
 from dpbench.bench.workers.shared_status import Phase, discard_output, set_phase, truncation_note
@@ -143,7 +143,9 @@ def _open_workspace(cell: Cell, *, settled: bool = False) -> Workspace:
         disable_gc_and_warnings()
     set_phase(Phase.OPENING)
     if not settled:
-        limit_memory(round(cell.memory_gb * 1e9) or round(MEMORY_SHARE * machine_memory_bytes()))
+        limit_further_memory(
+            round(cell.memory_gb * 1e9) or round(MEMORY_SHARE * machine_memory_bytes())
+        )
         if cell.solver_module:
             load_solver_module(cell.solver_module, tried=True)
         isolate(cell.solver, *filter(None, [cell.backup]))
@@ -206,19 +208,19 @@ def _run_closed_loop(
     scenario = cached_scenario(cell.scenario).truncate(cell.steps)
     limit_ns, new_log = round(cell.limit_s * 1e9), _log_factory(raw, hung)
     try:
-        setup = closed_loop_setup(
+        setup = build_closed_loop_setup(
             cell, scenario, workspace, new_log, limit_ns, hung=[k for _, k in hung]
         )
     except InputError as error:
         return Outcome("refused", str(error))
     with open_arrays(source) as stored:
-        setup.drawn = read_stored_weather(stored)
-    before = read_counters()
+        setup.drawn = parse_stored_weather(stored)
+    before = read_disturbance_counters()
     set_phase(Phase.SOLVER)
-    with step_alarm(STEP_SHARE * cell.limit_s, clock):
-        complete = closed_loop(setup)
+    with raise_at_step_limit(STEP_SHARE * cell.limit_s, clock):
+        complete = record_closed_loop(setup)
     set_phase(Phase.HARNESS)
-    np.subtract(read_counters(), before, out=setup.log.counters[0])
+    np.subtract(read_disturbance_counters(), before, out=setup.log.counters[0])
     stopped = "" if complete else f"with {int(setup.log.done[0])} steps"
     return _make_outcome(cell, workspace, setup.solver, stopped)
 
@@ -233,7 +235,7 @@ def _replay_untimed(
         cell, workspace, raw, sequence, preroll=0, hung=hung
     )
     begin = hung[-1][0] if hung else 0
-    with step_alarm(STEP_SHARE * cell.limit_s, clock):
+    with raise_at_step_limit(STEP_SHARE * cell.limit_s, clock):
         complete = all(configuration.run_round(r) for r in range(begin, cell.rounds + 1))
     set_phase(Phase.HARNESS)
     return _make_outcome(
@@ -308,7 +310,7 @@ def _serve_replay(
     workspace = _open_or_refuse(cell, folder, name, settled=settled)
     if workspace is None:
         return False
-    memory.record_setup()
+    memory.record_memory_after_setup()
     sequence = source_file(cell).load(order.source).sequence
     configuration, timed_solver, log = _prepare_replay(
         cell, workspace, folder / f"{name}.raw", sequence, memory=memory, hung=order.hung
@@ -318,18 +320,18 @@ def _serve_replay(
     orders.send(True)
     complete = True
     while (r := orders.recv()) is not None:
-        with step_alarm(STEP_SHARE * cell.limit_s, clock):
+        with raise_at_step_limit(STEP_SHARE * cell.limit_s, clock):
             complete = configuration.run_round(r)
         orders.send(complete)
     set_phase(Phase.HARNESS)
-    log.footprint[:3] = (memory.peak_bytes(), *count_threads())
+    log.footprint[:3] = (memory.peak_bytes(), *count_own_and_library_threads())
     verdict = _make_outcome(
         cell, workspace, timed_solver, "" if complete else _describe_last_round(log)
     )
     write_outcome(folder / f"{name}.json", verdict)
     # The verdict stands unless the solver ends the process: how long this takes is no part of the
     # replay. It takes as long as four rounds, and shows the same in every replay of a process.
-    if complete and not (settled or cell.is_window):
+    if complete and not (settled or cell.is_hardest_window):
         steps = count_affordable_steps(log)
         set_phase(Phase.SOLVER)
         log.footprint[3:] = measure_step_memory(configuration.sequence, timed_solver, steps)
@@ -348,11 +350,11 @@ def _prepare_replay(
     hung: Sequence[Hang] = (),
 ) -> tuple[ReplayRun, TimedSolver, RawLog]:
     """Set up a replay; return it ready for its rounds, with its timed solver and raw log."""
-    steps, timed_solver, log = replay_parts(
+    steps, timed_solver, log = build_sequence_solver_and_log(
         sequence, workspace, cell.formulation, cell.rounds, _log_factory(raw, hung)
     )
     if memory is not None:
-        memory.record_load(log)
+        memory.record_memory_after_loading(log)
     set_phase(Phase.SOLVER)
     configuration = ReplayRun(
         steps,
@@ -420,7 +422,7 @@ def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
         judged[batch_cell.name] = _judge_cell(batch_cell, log)
         if i + 1 == len(cells):
             # Before the last verdict, so that a cell is to blame if this ends the process.
-            (folder / f"{cells[0].name}.judged").write_bytes(batch_part(judged).data)
+            (folder / f"{cells[0].name}.judged").write_bytes(make_batch_part(judged).data)
         write_outcome(folder / f"{batch_cell.name}.evaluated.json", Outcome("finished", ""))
 
 
@@ -432,7 +434,7 @@ def _judge_cell(batch_cell: BatchCell, log: RawLog) -> tuple[Row, pa.RecordBatch
     steps = make_step_columns(cell, evaluated)
     about = batch_cell.name, cell, outcome, batch_cell.library, batch_cell.machine_id
     row = make_run_row(*about, evaluated, steps, concurrency=batch_cell.concurrency)
-    return row, step_batch(steps)
+    return row, make_step_record_batch(steps)
 
 
 def _evaluate_log(cell: Cell, source: Path, log: RawLog) -> EvaluatedCell:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from dpbench.bench.plan.configurations import plugin_file
+from dpbench.bench.plan.configurations import find_plugin_file
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.run.formulation import QPBuilder
@@ -179,7 +179,7 @@ def _make_baseline_cell(
         steps=base.steps,
         rounds=1,
         warmup_steps=WARMUP_STEPS,
-        solver_module=plugin_file(solver),
+        solver_module=find_plugin_file(solver),
     )
 
 

@@ -14,7 +14,12 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, StringConstraints
 
 from dpbench.bench.capability.table import CAPABILITY_FILE, load_capability_plots
-from dpbench.bench.record.result_folder import Results, hash_files, load_results, read_suite
+from dpbench.bench.record.result_folder import (
+    Results,
+    hash_files,
+    load_results,
+    read_suite_description,
+)
 from dpbench.embedded.table import EMBEDDED_FILE, load_counts
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.opening import read_bytes
@@ -153,7 +158,7 @@ def prepare_sent_folder(folder: Path, target: Path) -> None:
     for name in _files_to_send(folder):
         with write_file_atomically(target / name) as part:
             shutil.copyfile(folder / name, part)
-    started = str(read_suite(folder).get("started_utc", ""))[:10]
+    started = str(read_suite_description(folder).get("started_utc", ""))[:10]
     if not (target / SENDER).is_file():
         when = started or datetime.datetime.now(datetime.UTC).date().isoformat()
         write_text_atomically(target / SENDER, _BLANK.format(when=when))

@@ -19,7 +19,7 @@ from dpbench.analysis.times.contrasts import (
 )
 from dpbench.analysis.verdict.requirements import Requirements, is_right, is_right_to_the_end
 from dpbench.bench.judge.rules import median_of_known, percentile_or_nan
-from dpbench.bench.record.configuration import settings_level
+from dpbench.bench.record.configuration import sort_key_of_settings
 from dpbench.report.formats import (
     MISSING,
     and_list,
@@ -75,7 +75,7 @@ def formulations_topic(records: Records, requirements: Requirements) -> Topic | 
         requirements,
         [run for run in records.all_runs if not run.has_topic],
         varied=lambda run: run.formulation,
-        kept=lambda run: run.configuration.in_common_formulation.label,
+        kept=lambda run: run.configuration.moved_to_common_formulation.label,
     )
     if not tables:
         return None
@@ -91,7 +91,7 @@ def formulations_topic(records: Records, requirements: Requirements) -> Topic | 
 
 def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
     """Build the report's part on solvers' tolerance settings; None if only one was run."""
-    runs = sorted(records.runs, key=lambda run: settings_level(run.settings))
+    runs = sorted(records.runs, key=lambda run: sort_key_of_settings(run.settings))
     tables = _median_tables(
         records,
         requirements,
@@ -232,7 +232,7 @@ def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
     """Build the report's part on solvers in closed loop; None without such runs."""
     loops = records.select(mode="closed_loop")
     steered = [run for run in loops if not run.is_baseline_law and run.outcome != "refused"]
-    by_name = group_by(steered, lambda run: run.configuration.in_common_formulation.label)
+    by_name = group_by(steered, lambda run: run.configuration.moved_to_common_formulation.label)
     if not by_name:
         return None
     whole = {

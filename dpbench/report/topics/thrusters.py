@@ -180,7 +180,7 @@ def _offset_after_loss_sentences(
     for run in records.select(mode="closed_loop", units="scaled"):
         lost, own = (
             late_losses(run),
-            run.configuration.in_common_formulation == chosen.configuration,
+            run.configuration.moved_to_common_formulation == chosen.configuration,
         )
         if own and lost and isfinite(run.r_tail_max_m) and is_right_to_the_end(run, requirements):
             opening = f"After the loss of {and_list(lost)} ({run.scenario}) the ship"

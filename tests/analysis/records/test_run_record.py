@@ -14,7 +14,7 @@ from dpbench.analysis.records.run_record import Count, RunRecord, build_records
 from dpbench.bench.judge.rules import mask_counted_rows
 from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.record.result_folder import Results
-from dpbench.bench.record.schema import RUN_COLUMNS, as_runs
+from dpbench.bench.record.schema import RUN_COLUMNS, convert_to_run_columns
 from tests.result_folder import StepsInMemory
 
 TYPES = {"str": str, "bool": bool, "int64": int, "Int64": Count, "float64": float}
@@ -31,7 +31,7 @@ DERIVED = [
 
 
 def _record(**columns: Any) -> RunRecord:
-    (record,) = build_records(as_runs(pd.DataFrame([columns])))
+    (record,) = build_records(convert_to_run_columns(pd.DataFrame([columns])))
     return record
 
 

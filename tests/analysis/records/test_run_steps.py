@@ -14,7 +14,7 @@ from dpbench.analysis.records.run_steps import (
     find_hardest_steps,
     run_steps,
 )
-from dpbench.bench.record.schema import as_steps
+from dpbench.bench.record.schema import convert_to_step_columns
 
 
 def _several(records: Any) -> pd.DataFrame:
@@ -73,7 +73,7 @@ def test_a_warm_up_counts_nowhere(records: Any) -> None:
     steps = records.results().steps.copy()
     warm_up = steps["warmup"].to_numpy(dtype=bool)
     steps.loc[warm_up, "total_ns"] = 1
-    (run,) = _by_run(as_steps(steps)).values()
+    (run,) = _by_run(convert_to_step_columns(steps)).values()
     assert run.time_ns.min() > 1 and run.rounds == 2
 
 
@@ -88,7 +88,7 @@ def test_planted_hard_steps_are_found_hardest_first(records: Any, measure: Measu
     }[measure]
     for k, value in planted.items():
         steps.loc[steps["k"] == k, column] = value
-    (run,) = _by_run(as_steps(steps)).values()
+    (run,) = _by_run(convert_to_step_columns(steps)).values()
     found = find_hardest_steps(run, measure)
     assert len(found) == 5
     values = run.values(measure)[found].tolist()
@@ -111,7 +111,7 @@ def test_the_status_is_what_was_said_where_the_error_is_largest(records: Any) ->
     worst = (steps["k"] == 1) & (steps["repeat"] == 2)
     steps.loc[worst, "error_move"] = 0.3
     steps.loc[worst, "status"] = "MAX_ITERATIONS"
-    (run,) = _by_run(as_steps(steps)).values()
+    (run,) = _by_run(convert_to_step_columns(steps)).values()
     assert run.status.tolist() == ["SOLVED", "MAX_ITERATIONS", "SOLVED"]
 
 
@@ -120,7 +120,7 @@ def test_an_answer_whose_right_one_is_not_known_is_not_untrue(records: Any) -> N
     steps = records.results().steps.copy()
     steps["true"] = False
     steps.loc[steps["k"] == 1, "certificate"] = "none"
-    (run,) = _by_run(as_steps(steps)).values()
+    (run,) = _by_run(convert_to_step_columns(steps)).values()
     assert run.true.tolist() == [False, True, False]
 
 

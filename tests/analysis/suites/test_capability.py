@@ -9,7 +9,7 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.capability import Answers, capability_plots, count_answers
 from dpbench.bench.record.result_folder import Results
-from dpbench.bench.record.schema import as_runs, as_steps
+from dpbench.bench.record.schema import convert_to_run_columns, convert_to_step_columns
 from dpbench.report.topics.capability import capability_topic
 from tests.result_folder import StepsInMemory
 
@@ -17,7 +17,7 @@ TRUE = {"true": True, "true_1e4": True, "true_1e6": True}
 REFUSED = {"status": "PRIMAL_INFEASIBLE", "claimed": False}
 EMPTY = {"certificate": "infeasible"}
 SILENT = {"status": "UNKNOWN", "claimed": False}
-NOBODY = as_runs(pd.DataFrame({"run_id": pd.Series([], dtype="str")}))
+NOBODY = convert_to_run_columns(pd.DataFrame({"run_id": pd.Series([], dtype="str")}))
 
 
 def results_of(records: Any, said: dict[str, list[dict[str, Any]]]) -> Results:
@@ -33,7 +33,9 @@ def results_of(records: Any, said: dict[str, list[dict[str, Any]]]) -> Results:
             {"run_id": run_id, "k": k, "total_ns": 1000 * (k + 1)} | usual | answer
             for k, answer in enumerate(answers)
         ]
-    return Results(records.results().runs, StepsInMemory(as_steps(pd.DataFrame(rows))), {}, {})
+    return Results(
+        records.results().runs, StepsInMemory(convert_to_step_columns(pd.DataFrame(rows))), {}, {}
+    )
 
 
 def asked(results: Results) -> list[Answers]:

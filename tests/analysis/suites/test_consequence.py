@@ -9,7 +9,7 @@ import pytest
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.consequence import HELD, LOST, UNKNOWN, consequence_analyses
 from dpbench.bench.record.result_folder import Results
-from dpbench.bench.record.schema import as_steps
+from dpbench.bench.record.schema import convert_to_step_columns
 from dpbench.report.capability_text import unanswered_text
 from dpbench.report.topics.capability import consequence_topic
 from tests.result_folder import StepsInMemory
@@ -60,7 +60,12 @@ def view(records: Any, said: dict[str, dict[str, list[list[dict[str, Any]]]]]) -
                 for k, answer in enumerate(answers)
             ]
     return Records(
-        Results(records.results().runs, StepsInMemory(as_steps(pd.DataFrame(rows))), {}, {})
+        Results(
+            records.results().runs,
+            StepsInMemory(convert_to_step_columns(pd.DataFrame(rows))),
+            {},
+            {},
+        )
     )
 
 

@@ -9,7 +9,7 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.random_claims import RandomClaims
 from dpbench.bench.record.result_folder import Results
-from dpbench.bench.record.schema import as_steps
+from dpbench.bench.record.schema import convert_to_step_columns
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.report.topics.random import random_topic
 from tests.result_folder import StepsInMemory
@@ -34,7 +34,9 @@ def records_of(records: Any, *steps: dict[str, Any], **columns: Any) -> Records:
     results = records.results()
     run_id = results.runs["run_id"].iloc[-1]
     rows = [{"run_id": run_id, "k": k} | usual | step for k, step in enumerate(steps)]
-    return Records(Results(results.runs, StepsInMemory(as_steps(pd.DataFrame(rows))), {}, {}))
+    return Records(
+        Results(results.runs, StepsInMemory(convert_to_step_columns(pd.DataFrame(rows))), {}, {})
+    )
 
 
 def test_each_step_counts_as_what_it_is(records: Any) -> None:
@@ -75,7 +77,11 @@ def test_settings_without_effect_are_counted_once(records: Any) -> None:
     results = records.results()
     rows = [{"run_id": run_id, "k": 0, "counts": True} | lie for run_id in results.runs["run_id"]]
     claims = RandomClaims(
-        Records(Results(results.runs, StepsInMemory(as_steps(pd.DataFrame(rows))), {}, {}))
+        Records(
+            Results(
+                results.runs, StepsInMemory(convert_to_step_columns(pd.DataFrame(rows))), {}, {}
+            )
+        )
     )
     found = {
         configuration: tally.false_claims
@@ -110,7 +116,9 @@ def test_the_topic_puts_who_lies_first(records: Any) -> None:
         for k, step in enumerate(own):
             rows.append({"run_id": ids[solver], "k": k, "primal": 0.0} | usual | step)
     found = records.results()
-    view = Records(Results(found.runs, StepsInMemory(as_steps(pd.DataFrame(rows))), {}, {}))
+    view = Records(
+        Results(found.runs, StepsInMemory(convert_to_step_columns(pd.DataFrame(rows))), {}, {})
+    )
     topic = random_topic(view)
     assert [row[:4] for row in topic.tables[0].rows] == [
         ("osqp", "2", "0", "2"),

@@ -15,8 +15,8 @@ from dpbench.analysis.times.solver_tables import (
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import judge_solvers
-from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import load_suite
+from dpbench.bench.plan.plan import plan_suite
+from dpbench.bench.plan.suite import load_path_and_suite
 from dpbench.solvers.calibration import COPY_ONLY
 from dpbench.solvers.settings import has_tolerance_levels, setting_names
 from dpbench.solvers.table import find_record
@@ -201,10 +201,10 @@ def test_a_solver_on_one_sequence_of_two_has_no_point(records: Any) -> None:
 def test_the_levels_suite_runs_every_level_of_every_solver(sequence: str) -> None:
     """Each solver whose settings matter is replayed at each of its four levels, long enough for
     a p99; the others run once and stand under all names."""
-    _, suite = load_suite("levels")
+    _, suite = load_path_and_suite("levels")
     levels = ("default", "low", "mid", "high")
     found: dict[str, set[str]] = {}
-    for planned in plan(suite):
+    for planned in plan_suite(suite):
         cell = planned.cell
         if cell.sequence.partition("[")[0] == sequence:
             assert cell.steps >= 1000

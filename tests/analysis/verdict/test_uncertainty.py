@@ -82,7 +82,7 @@ def test_the_factor_of_a_run(records: Any) -> None:
     records.loop("daqp")
     records.loop("scs")
     replay, loop, other = records.view().runs
-    known = replay.configuration.in_common_formulation
+    known = replay.configuration.moved_to_common_formulation
     found = Uncertainty({known: 1.25}, {known: 1.5}, {known: 9.0}, usual=1.125)
     assert [found.of(run) for run in (replay, loop, other)] == [1.25, 1.5, 1.125]
     larger = Uncertainty({known: 1.25}, {known: 1.5}, {known: 9.0}, usual=1.375)

@@ -11,8 +11,8 @@ from dpbench.analysis.suites.capability import capability_plots
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.capability import batch, table
 from dpbench.bench.capability.frontier import FROM_DEG, Capability, CapabilityPlot, Case, WindLimit
-from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import CapabilityTable, SuiteFile, load_suite
+from dpbench.bench.plan.plan import plan_suite
+from dpbench.bench.plan.suite import CapabilityTable, SuiteFile, load_path_and_suite
 from dpbench.bench.record.cell import CapabilitySource
 from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.sequences.capability_boundary import write_capability_suite
@@ -111,7 +111,9 @@ def test_a_plot_of_a_suite_is_a_row_a_qp(frontier: CapabilityPlot, tmp_path: Pat
 @pytest.mark.slow
 def test_a_batch_runs_as_a_suite(frontier: CapabilityPlot, tmp_path: Path) -> None:
     capability = made_up(frontier)
-    path, suite = load_suite(write_capability_suite(frontier, capability, tmp_path / "new"))
+    path, suite = load_path_and_suite(
+        write_capability_suite(frontier, capability, tmp_path / "new")
+    )
     assert path.parent == tmp_path / "new"
     assert suite.recorded[0].sequence == "capability.npz"
     recorded = load_recorded(path.parent / "capability.npz")
@@ -131,7 +133,7 @@ def suite_of(**keys: object) -> SuiteFile:
 
 def test_a_solver_has_a_cell_of_four_qps_a_direction_and_case() -> None:
     suite = suite_of(vessel="osv").model_copy(update={"calibration": True})
-    (planned,) = plan(suite, solvers=["quadprog"])
+    (planned,) = plan_suite(suite, solvers=["quadprog"])
     cell = planned.cell
     assert (cell.steps, cell.rounds, cell.scenario) == (4 * 36 * 3, 1, {})
     assert cell.sequence == "osv capability, 16 sides"
@@ -144,7 +146,7 @@ def test_a_solver_has_a_cell_of_four_qps_a_direction_and_case() -> None:
 )
 def test_a_vessel_that_has_no_plot_is_refused(keys: dict[str, object], said: str) -> None:
     with pytest.raises(InputError, match=said):
-        plan(suite_of(**keys), solvers=["quadprog"])
+        plan_suite(suite_of(**keys), solvers=["quadprog"])
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ import pytest
 from dpbench import load_results, run_campaign
 from dpbench.analysis.records.records import Records
 from dpbench.bench.progress import Silent
-from dpbench.bench.record.result_folder import read_accidents
+from dpbench.bench.record.result_folder import read_lost_count_and_remarks
 from dpbench.bench.workers import jobs
 from dpbench.cli.main import main
 from tests.bench.deterministic import assert_same, run_suite, suite_file, suite_toml
@@ -216,7 +216,7 @@ def test_a_connection_that_breaks_and_comes_back_loses_nothing(
     watching = Watching(3, _break_connection)
     run_campaign(suite, out, engine="dask", scheduler=scheduler[0], progress=watching)
     assert set(load_results(out).runs["outcome"]) == {"finished"}
-    assert read_accidents(out)[0] == 0
+    assert read_lost_count_and_remarks(out)[0] == 0
 
 
 def test_without_its_scheduler_cells_are_lost_until_there_is_one(
@@ -232,7 +232,7 @@ def test_without_its_scheduler_cells_are_lost_until_there_is_one(
     address, process = scheduler
     watching = Watching(3, process.kill)
     run_campaign(suite, out, engine="dask", scheduler=address, progress=watching)
-    lost, remarks = read_accidents(out)
+    lost, remarks = read_lost_count_and_remarks(out)
     runs = load_results(out).runs
     assert set(runs["outcome"]) == {"finished", "lost"}
     assert lost == (runs["outcome"] == "lost").sum()

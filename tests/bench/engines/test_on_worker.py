@@ -64,7 +64,7 @@ def test_what_a_killed_worker_left_goes_with_the_next_task(place: Path) -> None:
 
 @pytest.fixture
 def jobs(suite: Path) -> list[CellJob]:
-    planned = RunRequest(suite=str(suite), solvers=["daqp"]).plan().cells
+    planned = RunRequest(suite=str(suite), solvers=["daqp"]).make_plan().cells
     return [CellJob(p, p.cell.key, check_availability("daqp"), "machine") for p in planned]
 
 

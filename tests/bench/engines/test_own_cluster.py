@@ -104,7 +104,7 @@ def pressed_before(owner, name):
 if __name__ == "__main__":
     # A shell that runs the tests in the background has it ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    moments = {"starting": (Nanny, "instantiate"), "running": (CellStore, "add_part")}
+    moments = {"starting": (Nanny, "instantiate"), "running": (CellStore, "write_part_file")}
     pressed_before(*moments[sys.argv[1]])
     pressed_before(SpecCluster, "close")
     raise SystemExit(main(sys.argv[2:]))

@@ -16,9 +16,9 @@ from dpbench.bench.judge.control_metrics import (
 )
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
-from dpbench.bench.run.closed_loop import closed_loop
-from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
+from dpbench.bench.run.assemble import NO_LIMIT_NS, build_closed_loop_setup
+from dpbench.bench.run.closed_loop import record_closed_loop
+from dpbench.bench.run.exact_loop import ExactLoop, solve_loop_exactly
 from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.model import StateSpace
 from dpbench.mpc.thruster_rows import Limits
@@ -145,8 +145,8 @@ def judged_loop(
     given: dict[str, Any] = {"units": units, "backup": backup}
     cell = Cell("closed_loop", case.files, "daqp", "native", "reuse", "high", steps, **given)
     workspace = open_workspace("daqp", route="native", policy="reuse", settings="high")
-    setup = closed_loop_setup(cell, case, workspace, RawLog.in_memory, NO_LIMIT_NS)
-    assert closed_loop(setup)
+    setup = build_closed_loop_setup(cell, case, workspace, RawLog.in_memory, NO_LIMIT_NS)
+    assert record_closed_loop(setup)
     if change is not None:
         change(setup.log)
-    return evaluate_loop_log(cell, setup.log, solve_exactly(case)), setup.log, cell
+    return evaluate_loop_log(cell, setup.log, solve_loop_exactly(case)), setup.log, cell

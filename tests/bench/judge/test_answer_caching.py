@@ -13,8 +13,8 @@ import pytest
 
 from dpbench import load_results, load_scenario, record_sequence
 from dpbench.bench.judge.answer_caching import compute_caching_metrics, is_answer_cached
-from dpbench.bench.record.raw_log import RawLog, replay_layout
-from dpbench.bench.run.formulation import replay_formulation
+from dpbench.bench.record.raw_log import RawLog, make_replay_layout
+from dpbench.bench.run.formulation import formulate_sequence
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
@@ -139,8 +139,8 @@ def replayed(
     """The log of a replay on a simulated clock, each round tried so often."""
     clock = Clock()
     base, steps = sequence.base, len(sequence)
-    log = RawLog.in_memory(replay_layout(len(attempts), steps, base.n, base.m))
-    made, formulated = replay_formulation("condensed_box", sequence)
+    log = RawLog.in_memory(make_replay_layout(len(attempts), steps, base.n, base.m))
+    made, formulated = formulate_sequence("condensed_box", sequence)
     timed_solver = TimedSolver(make(clock), formulated, clock)
     configuration = ReplayRun(
         made, timed_solver, log, warmup_steps=warm_up, limit_ns=2**62, clock=clock

@@ -75,13 +75,13 @@ def test_a_quick_calibration_times_the_rounds_after_the_warm_up(clock: list[RawL
 def test_made_up_qps_have_a_solution(clock: list[RawLog], monkeypatch: pytest.MonkeyPatch) -> None:
     """Dummy solvers do not solve them, but any solver could: ½‖z‖² in all limits is least at 0."""
     seen: list[QPSequence] = []
-    assemble = calibration.replay_parts
+    assemble = calibration.build_sequence_solver_and_log
 
     def parts(sequence: QPSequence, *others: Any) -> Any:
         seen.append(sequence)
         return assemble(sequence, *others)
 
-    monkeypatch.setattr(calibration, "replay_parts", parts)
+    monkeypatch.setattr(calibration, "build_sequence_solver_and_log", parts)
     time_dummy_solvers()
     (sequence,) = seen
     base = sequence.base

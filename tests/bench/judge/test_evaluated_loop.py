@@ -7,7 +7,7 @@ from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_loop_log
 from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.judge.step_columns import make_step_columns
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.raw_log import PHASES, RawLog, loop_layout
+from dpbench.bench.record.raw_log import PHASES, RawLog, make_loop_layout
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.scenario.scenario import build_scenario
 from tests.bench.judge.known_runs import exact_loop
@@ -30,7 +30,7 @@ def judged() -> tuple[EvaluatedCell, StepColumns, Cell]:
         "duration_s": 0.3 * STEPS,
     }
     case = build_scenario(calm | {"scenario": calm["scenario"] | changes})
-    log = RawLog.in_memory(loop_layout(STEPS, *QPBuilder(case).sizes))
+    log = RawLog.in_memory(make_loop_layout(STEPS, *QPBuilder(case).sizes))
     log.done[0] = DONE
     log.state[:, 3] = NORTH
     log.state[:, 0] = [0.5, 0.0, 1.0, 50.0, 50.0]
@@ -73,7 +73,7 @@ def test_figures_of_a_written_log(
 
 def test_a_ship_that_follows_a_filtered_reference_has_no_error() -> None:
     case = load_scenario("move_filtered").truncate(STEPS)
-    log = RawLog.in_memory(loop_layout(STEPS, *QPBuilder(case).sizes))
+    log = RawLog.in_memory(make_loop_layout(STEPS, *QPBuilder(case).sizes))
     log.done[0] = STEPS
     log.state[:, 3:] = case.build_reference_table(STEPS + 1)
     assert log.state[1, 3:].any()

@@ -14,9 +14,9 @@ from dpbench.bench.judge.closed_loop import EVALUATION
 from dpbench.bench.judge.replay import evaluate_replay_log
 from dpbench.bench.judge.timing import window_p99_ns
 from dpbench.bench.record.cell import CONTROLLER, Formulation, HardestSource
-from dpbench.bench.record.raw_log import RawLog, replay_layout
+from dpbench.bench.record.raw_log import RawLog, make_replay_layout
 from dpbench.bench.run.exact_loop import ExactWorkspace
-from dpbench.bench.run.formulation import replay_formulation
+from dpbench.bench.run.formulation import formulate_sequence
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
@@ -140,10 +140,10 @@ def _replayed(sequence: QPSequence, workspace: Workspace, formulation: Formulati
 
 @pytest.mark.parametrize("name", MALFORMED)
 def test_a_malformed_answer_is_one_failed_step_of_a_round(name: str, recorded: QPSequence) -> None:
-    formulated = replay_formulation("condensed_box", recorded)[1]
+    formulated = formulate_sequence("condensed_box", recorded)[1]
     spoil, words = MALFORMED[name]
     timed_solver = TimedSolver(Planted(spoil), formulated, time.perf_counter_ns)
-    log = RawLog.in_memory(replay_layout(2, STEPS, 15, 15))
+    log = RawLog.in_memory(make_replay_layout(2, STEPS, 15, 15))
     configuration = ReplayRun(
         recorded,
         timed_solver,
@@ -220,7 +220,7 @@ def _sequence(steps: int = 4) -> QPSequence:
 
 def test_the_status_is_part_of_an_answer() -> None:
     sequence = _sequence(1)
-    log = RawLog.in_memory(replay_layout(3, 1, 3, 3))
+    log = RawLog.in_memory(make_replay_layout(3, 1, 3, 3))
     log.z[:], log.y[:], log.y_box[:] = -sequence.q, 0.0, 0.0
     log.status[:, 0] = (Status.SOLVED, Status.SOLVED, Status.PRIMAL_INFEASIBLE)
     log.done[:] = 1

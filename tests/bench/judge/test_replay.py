@@ -7,7 +7,7 @@ import pytest
 
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
 from dpbench.bench.judge.replay import evaluate_replay_log, measure_repeatability
-from dpbench.bench.record.raw_log import RawLog, replay_layout
+from dpbench.bench.record.raw_log import RawLog, make_replay_layout
 from dpbench.qp.program import QPSequence, QuadraticProgram, Units
 from dpbench.qp.referee.referee import certify
 
@@ -24,7 +24,7 @@ def sequence(unit: float = 1.0) -> QPSequence:
 
 
 def log_of(answers: list[list[float]]) -> RawLog:
-    log = RawLog.in_memory(replay_layout(len(answers), STEPS, 1, 1))
+    log = RawLog.in_memory(make_replay_layout(len(answers), STEPS, 1, 1))
     for r, row in enumerate(answers):
         log.done[r] = len(row)
         log.z[r, : len(row), 0] = row
@@ -119,7 +119,7 @@ ONES = np.ones(2)
 
 
 def alike(rounds: int = 3, steps: int = 4) -> RawLog:
-    log = RawLog.in_memory(replay_layout(rounds, steps, 2, 1))
+    log = RawLog.in_memory(make_replay_layout(rounds, steps, 2, 1))
     log.z[:] = np.arange(2.0 * steps).reshape(steps, 2)
     log.iterations[:] = np.arange(steps)
     log.done[:] = steps

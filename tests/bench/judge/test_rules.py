@@ -14,8 +14,8 @@ from dpbench.bench.judge.replay import evaluate_replay_log
 from dpbench.bench.judge.rows import make_run_row, make_step_rows
 from dpbench.bench.judge.step_columns import make_step_columns
 from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.raw_log import PHASES, RawLog, replay_layout
-from dpbench.bench.record.schema import as_runs
+from dpbench.bench.record.raw_log import PHASES, RawLog, make_replay_layout
+from dpbench.bench.record.schema import convert_to_run_columns
 from dpbench.bench.run.exact_loop import ExactWorkspace
 from dpbench.bench.worst_case.goal import find_worst_step
 from dpbench.qp.program import QPSequence, QuadraticProgram
@@ -28,7 +28,7 @@ CALM, SLOWED = 5e4, 9e4
 
 def _log(kernel_ns: list[float], statuses: list[Status] | None = None) -> RawLog:
     """A warm-up and full rounds with the reference kernel as given, every answer the optimum 0."""
-    log = RawLog.in_memory(replay_layout(len(kernel_ns), STEPS, N, N))
+    log = RawLog.in_memory(make_replay_layout(len(kernel_ns), STEPS, N, N))
     log.done[:] = [WARM_UP_STEPS] + [STEPS] * (len(kernel_ns) - 1)
     log.reference_kernel_ns[:] = np.array(kernel_ns)[:, None]
     log.times[:] = -1
@@ -51,7 +51,7 @@ def _tables(evaluated: EvaluatedCell) -> tuple[pd.DataFrame, Any]:
     steps = make_step_columns(cell, evaluated)
     outcome, library = Outcome("finished", ""), Availability(True)
     row = make_run_row("planted", cell, outcome, library, "", evaluated, steps)
-    return make_step_rows("planted", steps), as_runs(pd.DataFrame([row])).iloc[0]
+    return make_step_rows("planted", steps), convert_to_run_columns(pd.DataFrame([row])).iloc[0]
 
 
 def _judged(log: RawLog) -> EvaluatedCell:

@@ -9,10 +9,10 @@ import pytest
 
 from dpbench import load_scenario
 from dpbench.bench.judge.rows import make_run_row
-from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import ClosedLoopTable, RandomTable, ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell, HardestSource, Outcome
-from dpbench.bench.run.slow_computer import find_delay
+from dpbench.bench.run.slow_computer import make_delay_of_cell
 from dpbench.bench.workers.interleaved import FEWEST_ROUNDS, ReplayWorker
 from dpbench.errors import InputError
 from dpbench.solvers.table import Availability
@@ -20,7 +20,7 @@ from dpbench.solvers.table import Availability
 
 def cells_of(**tables: Any) -> list[Cell]:
     suite = SuiteFile(title="x", solvers=["daqp"], baseline_law=False, **tables)
-    return [planned.cell for planned in plan(suite)]
+    return [planned.cell for planned in plan_suite(suite)]
 
 
 def loop(scenario: str = "calm", **fields: Any) -> Cell:
@@ -106,7 +106,7 @@ def test_a_spent_budget_ends_a_window(clean_rounds: int, is_budget_exhausted: bo
 )
 def test_without_a_deadline_a_step_has_its_sample(deadline_s: float, budget_ns: int) -> None:
     cell = loop(slowdown=2.0, deadline_s=deadline_s)
-    delay = find_delay(cell, 0.3)
+    delay = make_delay_of_cell(cell, 0.3)
     assert (delay.budget_ns, delay.sample_ns, delay.slowdown) == (budget_ns, 300_000_000, 2.0)
     assert recorded_deadline_s(cell) == pytest.approx(budget_ns / 1e9)
 
@@ -125,7 +125,7 @@ def test_the_deadline_of_a_model_ship_is_its_shorter_sample() -> None:
 @pytest.mark.parametrize("deadline_s", [-0.001, 0.3001])
 def test_a_deadline_beyond_the_sample_is_refused(deadline_s: float) -> None:
     with pytest.raises(InputError, match=r"deadline_s: found .*; allowed: .* sample of 0\.3 s"):
-        find_delay(loop(deadline_s=deadline_s), 0.3)
+        make_delay_of_cell(loop(deadline_s=deadline_s), 0.3)
 
 
 @pytest.mark.parametrize(
@@ -133,6 +133,6 @@ def test_a_deadline_beyond_the_sample_is_refused(deadline_s: float) -> None:
     [(100, 0), (101, 1), (300, 1), (301, 2), (600, 2), (601, 3), (0, 0)],
 )
 def test_a_late_answer_arrives_at_the_next_sample(latency_ns: int, samples: int) -> None:
-    delay = find_delay(loop(slowdown=3.0, deadline_s=100e-9), 300e-9)
+    delay = make_delay_of_cell(loop(slowdown=3.0, deadline_s=100e-9), 300e-9)
     assert delay.count_samples_late(latency_ns) == samples
-    assert delay.latency_ns(50) == 150
+    assert delay.simulate_latency_ns(50) == 150

@@ -30,7 +30,7 @@ def suite(tmp_path: Path) -> str:
 
 
 def test_a_chosen_call_mode_replaces_those_of_every_table(suite: str) -> None:
-    plan = RunRequest(suite, routes=["native"], policies=["warm"]).plan()
+    plan = RunRequest(suite, routes=["native"], policies=["warm"]).make_plan()
     found = {
         (p.cell.mode, p.cell.solver, p.cell.route, p.cell.policy, bool(p.refused))
         for p in plan.cells
@@ -45,7 +45,9 @@ def test_a_chosen_call_mode_replaces_those_of_every_table(suite: str) -> None:
 
 
 def test_a_policy_alone_keeps_the_routes_of_the_suite(suite: str) -> None:
-    cells = [p.cell for p in RunRequest(suite, solvers=["osqp"], policies=["warm"]).plan().cells]
+    cells = [
+        p.cell for p in RunRequest(suite, solvers=["osqp"], policies=["warm"]).make_plan().cells
+    ]
     assert {(cell.route, cell.policy) for cell in cells} == {("qpsolvers", "warm")}
 
 
@@ -68,4 +70,4 @@ def test_a_call_mode_that_does_not_exist_is_refused(
     suite: str, chosen: dict[str, list[str]], message: str
 ) -> None:
     with pytest.raises(PolicyError, match=message):
-        RunRequest(suite, **chosen).plan()  # type: ignore[arg-type] # mypy cannot type ** of one type
+        RunRequest(suite, **chosen).make_plan()  # type: ignore[arg-type] # mypy cannot type ** of one type

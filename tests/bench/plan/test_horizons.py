@@ -8,9 +8,9 @@ import pytest
 
 from dpbench import load_results, load_scenario, open_workspace, record_sequence, replay
 from dpbench import run_campaign as run
-from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.suite import ReplayTable, SuiteFile, load_suite
-from dpbench.bench.run.exact_loop import ExactLoop, rebuild_sequence, solve_exactly
+from dpbench.bench.plan.plan import plan_suite
+from dpbench.bench.plan.suite import ReplayTable, SuiteFile, load_path_and_suite
+from dpbench.bench.run.exact_loop import ExactLoop, rebuild_sequence, solve_loop_exactly
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.cli.main import main
 from dpbench.errors import InputError
@@ -33,7 +33,7 @@ def _suite(*horizons: str, scenario: str = "paper") -> SuiteFile:
 
 
 def test_each_pair_of_horizons_is_a_problem_of_its_own() -> None:
-    cells = [planned.cell for planned in plan(_suite("30/5", "60/10", "40/10"))]
+    cells = [planned.cell for planned in plan_suite(_suite("30/5", "60/10", "40/10"))]
     assert [cell.sequence for cell in cells] == ["paper-30-5", "paper-60-10", "paper-40-10"]
     made = [build_scenario(cell.scenario) for cell in cells]
     assert [(s.problem.N_p, s.problem.N_c) for s in made] == [(30, 5), (60, 10), (40, 10)]
@@ -44,10 +44,10 @@ def test_each_pair_of_horizons_is_a_problem_of_its_own() -> None:
 def test_without_horizons_those_of_the_tuning_hold_under_the_plain_name() -> None:
     plain, swept = ReplayTable(scenario="paper"), ReplayTable(scenario="paper", horizons=["9/3"])
     suite = SuiteFile(title="x", solvers=["daqp"], baseline_law=False, replay=[plain, swept])
-    cells = [planned.cell for planned in plan(suite)]
+    cells = [planned.cell for planned in plan_suite(suite)]
     assert [cell.sequence for cell in cells] == ["paper", "paper-9-3"]
     assert cells[0].scenario == load_scenario("paper").files
-    only = [planned.cell.sequence for planned in plan(suite, scenarios=["paper"])]
+    only = [planned.cell.sequence for planned in plan_suite(suite, scenarios=["paper"])]
     assert only == ["paper", "paper-9-3"]
 
 
@@ -65,9 +65,9 @@ def test_bad_horizons(tmp_path: Path, text: str, capsys: pytest.CaptureFixture[s
 
 def test_the_same_horizons_twice_and_too_long_ones_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="twice"):
-        load_suite(_written(tmp_path, "30/5", "030/05"))
+        load_path_and_suite(_written(tmp_path, "30/5", "030/05"))
     with pytest.raises(InputError, match=r"paper with horizons 2000/5.*prediction_horizon"):
-        plan(_suite("2000/5"))
+        plan_suite(_suite("2000/5"))
 
 
 def test_names_of_sweeps_must_differ_from_those_of_scenarios(tmp_path: Path) -> None:
@@ -77,7 +77,7 @@ def test_names_of_sweeps_must_differ_from_those_of_scenarios(tmp_path: Path) -> 
     tables = [*_suite("60/10").replay, ReplayTable(scenario=str(theirs), steps=12)]
     suite = SuiteFile(title="x", solvers=["daqp"], baseline_law=False, replay=tables)
     with pytest.raises(InputError, match=r"two scenarios called 'paper-60-10'"):
-        plan(suite)
+        plan_suite(suite)
 
 
 @pytest.mark.slow
@@ -106,7 +106,7 @@ def test_stacked_form_is_counted_as_the_solver_gets_it() -> None:
 )
 def test_loops_keep_their_optima(tmp_path: Path, name: str, pair: tuple[int, int]) -> None:
     scenario = with_horizons(load_scenario(name), *pair).truncate(6)
-    exact = solve_exactly(scenario)
+    exact = solve_loop_exactly(scenario)
     exact.save(tmp_path / "exact.npz")
     kept = ExactLoop.load(tmp_path / "exact.npz").optima
     sequence = rebuild_sequence(scenario, exact)

@@ -6,13 +6,13 @@ import pytest
 
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.plan.configurations import BASELINE_LAW, choose_solvers
-from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import (
     ClosedLoopTable,
     ReplayTable,
     ReportTable,
     SuiteFile,
-    load_suite,
+    load_path_and_suite,
 )
 from dpbench.bench.record.cell import Cell
 from dpbench.cli.check import check_file
@@ -27,15 +27,15 @@ def test_a_cell_asked_for_twice_keeps_all_names_of_its_settings() -> None:
         ReplayTable(scenario="paper", steps=20, routes=["native"]),
     ]
     suite = SuiteFile(title="x", solvers=["paper_active_set"], baseline_law=False, replay=tables)
-    (planned,) = plan(suite)
+    (planned,) = plan_suite(suite)
     assert planned.cell.settings == "default"
     assert planned.alias_settings == ("high",)
 
 
 def test_the_standard_suite_runs_what_its_verdict_needs() -> None:
-    _, suite = load_suite("standard")
+    _, suite = load_path_and_suite("standard")
     places: dict[str, dict[tuple[str, str, str], dict[tuple[str, str], int]]] = {}
-    for planned in plan(suite):
+    for planned in plan_suite(suite):
         cell = planned.cell
         if planned.refused or cell.units == "si" or cell.solver in {*CALIBRATION, BASELINE_LAW}:
             continue
@@ -59,11 +59,11 @@ def test_a_table_of_loops_may_ask_only_some_solvers_of_its_suite() -> None:
         ClosedLoopTable(scenarios=["rough"], steps=5, without=["daqp"]),
     ]
     suite = SuiteFile(title="x", solvers=["daqp", "osqp"], baseline_law=False, closed_loop=tables)
-    cells = [(p.cell.scenario_name, p.cell.solver) for p in plan(suite)]
+    cells = [(p.cell.scenario_name, p.cell.solver) for p in plan_suite(suite)]
     assert cells == [("calm", "daqp"), ("rough", "osqp")]
     wrong = SuiteFile(title="x", solvers=["osqp"], baseline_law=False, closed_loop=tables)
     with pytest.raises(InputError, match=r"closed_loop\.solvers"):
-        plan(wrong)
+        plan_suite(wrong)
 
 
 def test_a_fallback_is_one_of_the_policies_by_name() -> None:
@@ -76,7 +76,7 @@ def test_vessels_multiply_the_scenarios_and_fallbacks_tell_rows_apart() -> None:
         scenarios=["calm", "rough"], vessels=["osv", "cybership2"], fallback="hold", steps=5
     )
     suite = SuiteFile(title="x", solvers=["daqp"], baseline_law=False, closed_loop=[table])
-    cells = [planned.cell for planned in plan(suite)]
+    cells = [planned.cell for planned in plan_suite(suite)]
     assert [cell.scenario_name for cell in cells] == [
         "calm@osv (hold)",
         "calm@cybership2 (hold)",
@@ -103,7 +103,7 @@ def test_the_harness_own_configurations_run_once_per_timed_sequence_and_never_st
 
     def own(*only: str, **more: object) -> list[Cell]:
         suite = SuiteFile.model_validate(document | more)
-        cells = [planned.cell for planned in plan(suite, solvers=only or None)]
+        cells = [planned.cell for planned in plan_suite(suite, solvers=only or None)]
         return [cell for cell in cells if cell.solver in CALIBRATION]
 
     assert own() == [] and own(solvers=["all"]) == []
@@ -122,7 +122,7 @@ def test_a_replay_may_ask_only_some_solvers_of_its_suite() -> None:
     def solvers_of(*names: str) -> list[str]:
         table = ReplayTable(scenario="paper", steps=5, solvers=list(names))
         suite = SuiteFile(title="x", solvers=["daqp", "osqp"], baseline_law=False, replay=[table])
-        return [planned.cell.solver for planned in plan(suite)]
+        return [planned.cell.solver for planned in plan_suite(suite)]
 
     assert solvers_of() == ["daqp", "osqp"]
     assert solvers_of("osqp", "piqp") == ["osqp"]

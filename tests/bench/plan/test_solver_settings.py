@@ -41,7 +41,7 @@ def describe(cells: list[PlannedCell]) -> list[tuple[str, str, object]]:
 
 def test_a_suite_names_settings_of_its_own(suite: str) -> None:
     """A solver without options in `[settings.NAME]` does not run at that name."""
-    assert describe(RunRequest(suite).plan().cells) == [
+    assert describe(RunRequest(suite).make_plan().cells) == [
         ("osqp", "default", "default"),
         ("osqp", "mine", {"rho": 1.6, "eps_abs": 1e-5}),
         ("daqp", "default", "default"),
@@ -49,7 +49,7 @@ def test_a_suite_names_settings_of_its_own(suite: str) -> None:
 
 
 def test_only_settings_of_ones_own_can_be_chosen(suite: str) -> None:
-    plan = RunRequest(suite, settings=["grid"]).plan()
+    plan = RunRequest(suite, settings=["grid"]).make_plan()
     assert describe(plan.cells) == [
         ("osqp", "grid[rho=0.1]", {"rho": 0.1, "max_iter": 900}),
         ("osqp", "grid[rho=1.0]", {"rho": 1.0, "max_iter": 900}),
@@ -61,7 +61,7 @@ def test_only_settings_of_ones_own_can_be_chosen(suite: str) -> None:
 def test_a_solver_is_chosen_with_settings_on_the_command_line(suite: str) -> None:
     """Beside the solver alone it runs as well; in place of the table's settings."""
     solvers = ["osqp[rho=[0.5,2],eps_abs=1e-5]", "daqp"]
-    assert describe(RunRequest(suite, solvers=solvers).plan().cells) == [
+    assert describe(RunRequest(suite, solvers=solvers).make_plan().cells) == [
         ("osqp", "eps_abs=1e-5,rho=0.5", {"rho": 0.5, "eps_abs": 1e-5}),
         ("osqp", "eps_abs=1e-5,rho=2", {"rho": 2, "eps_abs": 1e-5}),
         ("daqp", "default", "default"),
@@ -74,7 +74,7 @@ def test_settings_with_the_same_options_are_one_cell(suite: str) -> None:
     again = '[[replay]]\nscenario = "calm"\nsteps = 5\nsettings = ["twin"]\n'
     twin = "[settings.twin]\nosqp = { rho = 1.6, eps_abs = 0.00001 }\n"
     Path(suite).write_text(f"{text}\n{again}\n{twin}")
-    plan = RunRequest(suite).plan()
+    plan = RunRequest(suite).make_plan()
     own = [(p.cell.scenario_name, p.cell.settings) for p in plan.cells if p.cell.options]
     assert own == [("paper", "mine"), ("calm", "mine")]
     assert plan.remarks[0] == (
@@ -84,7 +84,7 @@ def test_settings_with_the_same_options_are_one_cell(suite: str) -> None:
 
 def test_a_whole_number_equals_a_decimal_one(suite: str) -> None:
     solvers = ["osqp[rho=1]", "osqp[rho=1.0]", "osqp[rho=2]", "osqp[rho=2]"]
-    plan = RunRequest(suite, solvers=solvers).plan()
+    plan = RunRequest(suite, solvers=solvers).make_plan()
     assert [p.cell.settings for p in plan.cells] == ["rho=1", "rho=2"]
     assert list(plan.remarks[:2]) == [
         "osqp[rho=2] is given 2 times: one row",
@@ -94,12 +94,12 @@ def test_a_whole_number_equals_a_decimal_one(suite: str) -> None:
 
 def test_options_are_part_of_what_a_cell_is(suite: str) -> None:
     """Cells of presets keep their identity; other options under one name are another cell."""
-    cells = [p.cell for p in RunRequest(suite, settings=["default", "mine"]).plan().cells]
+    cells = [p.cell for p in RunRequest(suite, settings=["default", "mine"]).make_plan().cells]
     assert "options" not in cells[0].to_json()
     assert Cell.from_json(cells[1].to_json()) == cells[1]
     text = Path(suite).read_text().replace("rho = 1.6", "rho = 1.7")
     Path(suite).write_text(text)
-    again = [p.cell for p in RunRequest(suite, settings=["default", "mine"]).plan().cells]
+    again = [p.cell for p in RunRequest(suite, settings=["default", "mine"]).make_plan().cells]
     assert [a.key == b.key for a, b in zip(cells, again, strict=True)] == [True, False, True]
 
 
@@ -111,7 +111,7 @@ def test_the_tables_of_a_suite_may_name_a_choice_or_its_solver(suite: str) -> No
         ('without = ["daqp", "osqp[rho=1]"]', ["rho=2"]),
     ):
         Path(suite).write_text(f"{text}{table}\n".replace('"default", "mine"', '"default"'))
-        assert [p.cell.settings for p in RunRequest(suite).plan().cells] == expected
+        assert [p.cell.settings for p in RunRequest(suite).make_plan().cells] == expected
 
 
 @pytest.mark.parametrize(
@@ -135,7 +135,7 @@ def test_a_mistake_in_a_suite_is_named(
 ) -> None:
     Path(suite).write_text(Path(suite).read_text().replace(old, new))
     with pytest.raises(kind, match=rf"own\.toml: .*{message}"):
-        RunRequest(suite).plan()
+        RunRequest(suite).make_plan()
 
 
 @pytest.mark.parametrize(
@@ -148,11 +148,11 @@ def test_a_mistake_in_a_suite_is_named(
 )
 def test_a_mistake_in_a_choice_is_named(suite: str, choice: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        RunRequest(suite, solvers=[choice]).plan()
+        RunRequest(suite, solvers=[choice]).make_plan()
 
 
 def test_a_backup_has_no_settings_of_its_own(suite: str) -> None:
     loop = '[[closed_loop]]\nscenarios = ["calm"]\nbackup = "daqp[primal_tol=[1e-7,1e-8]]"\n'
     Path(suite).write_text(f"{Path(suite).read_text()}{loop}")
     with pytest.raises(InputError, match=r"closed_loop\.backup: found 'daqp\["):
-        RunRequest(suite).plan()
+        RunRequest(suite).make_plan()

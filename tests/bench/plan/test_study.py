@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.run_request import select_part
-from dpbench.bench.plan.study_points import StudyTable, list_points
+from dpbench.bench.plan.plan import plan_suite
+from dpbench.bench.plan.run_request import reduce_suite
+from dpbench.bench.plan.study_points import StudyTable, list_study_points
 from dpbench.bench.plan.suite import SuiteFile
-from dpbench.bench.record.schema import study_columns
+from dpbench.bench.record.schema import make_study_value_columns
 from dpbench.errors import InputError
 from dpbench.scenario.problem_files import parse_model
 from dpbench.scenario.scenario import build_scenario
@@ -43,7 +43,7 @@ def test_points_of_a_product(sizes: list[int], zipped: int, drawn: int, replicat
         design={"kind": "sobol", "points": drawn, "ranges": {"c": [0.0, 1.0]}},
         replicates={"key": "seed", "count": replicates, "first": 5},
     )
-    points = list_points(table, {})
+    points = list_study_points(table, {})
     assert len(points) == prod(sizes) * zipped * drawn * replicates
     assert len({(p.index, p.replicate) for p in points}) == len(points)
     assert len({tuple(p.values.items()) for p in points}) * replicates == len(points)
@@ -58,7 +58,7 @@ def test_each_interval_of_a_latin_hypercube_has_one_point(points: int, seed: int
     design = {"kind": "latin_hypercube", "points": points, "seed": seed, "ranges": ranges}
     table = StudyTable(base="x", design=design)
     for key, (low, high) in ranges.items():
-        drawn = np.array([p.values[key] for p in list_points(table, {})])
+        drawn = np.array([p.values[key] for p in list_study_points(table, {})])
         cells = np.floor((drawn - low) / (high - low) * points).astype(int)
         assert sorted(cells) == list(range(points))
 
@@ -66,7 +66,7 @@ def test_each_interval_of_a_latin_hypercube_has_one_point(points: int, seed: int
 def test_whole_numbers_stay_whole() -> None:
     ranges = {HORIZON: [30.0, 60.0], WIND: [5.0, 18.0]}
     table = StudyTable(base="x", design={"kind": "sobol", "points": 8, "ranges": ranges})
-    drawn = [p.values for p in list_points(table, {HORIZON: 60, WIND: 10.7})]
+    drawn = [p.values for p in list_study_points(table, {HORIZON: 60, WIND: 10.7})]
     assert all(isinstance(p[HORIZON], int) and 30 <= p[HORIZON] <= 60 for p in drawn)
     assert len({p[WIND] for p in drawn}) == 8
 
@@ -79,7 +79,7 @@ def test_cells_of_a_study_are_the_scenarios_they_say() -> None:
         "product": {HORIZON: [30, 60]},
         "zip": {HS: [1, 2.5, 3.0], TP: [6, 7.0, 8.0]},
     }
-    cells = [p.cell for p in plan(_suite(study))]
+    cells = [p.cell for p in plan_suite(_suite(study))]
     assert len(cells) == 2 * 3 * 2 * 2 * 2
     for cell in cells:
         assert cell.study is not None
@@ -93,9 +93,9 @@ def test_cells_of_a_study_are_the_scenarios_they_say() -> None:
 
 
 def test_columns_of_a_study_in_the_table_of_runs() -> None:
-    cells = [p.cell for p in plan(_suite({"steps": 9, "product": {WIND: [5.0, 9.0]}}))]
+    cells = [p.cell for p in plan_suite(_suite({"steps": 9, "product": {WIND: [5.0, 9.0]}}))]
     runs = pd.DataFrame({"cell": ["{}", *(cell.to_json() for cell in cells)]})
-    columns = study_columns(runs)
+    columns = make_study_value_columns(runs)
     assert columns["study"].tolist() == ["", *["weather"] * 4]
     assert columns["study_point"].tolist()[1:] == [0, 0, 1, 1]
     assert columns[f"x_{WIND}"].tolist()[1:] == [5.0, 5.0, 9.0, 9.0]
@@ -115,7 +115,7 @@ def test_columns_of_a_study_in_the_table_of_runs() -> None:
 )
 def test_an_impossible_study_is_refused(study: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=said):
-        plan(_suite(study))
+        plan_suite(_suite(study))
 
 
 @pytest.mark.parametrize(
@@ -134,6 +134,6 @@ def test_a_table_that_contradicts_itself(study: dict[str, Any]) -> None:
 
 
 def test_choices_of_the_command_line_hold_for_studies() -> None:
-    suite = select_part(_suite({"steps": 30}), settings=["1e-5"], steps=7)
-    (cell,) = [p.cell for p in plan(suite, solvers=["osqp"])]
+    suite = reduce_suite(_suite({"steps": 30}), settings=["1e-5"], steps=7)
+    (cell,) = [p.cell for p in plan_suite(suite, solvers=["osqp"])]
     assert (cell.solver, cell.settings, cell.steps) == ("osqp", "1e-5", 7)

@@ -23,19 +23,19 @@ from dpbench.bench.record.schema import (
     RUN_COLUMNS,
     SCHEMA_VERSION,
     STEP_COLUMNS,
-    as_runs,
-    as_steps,
+    convert_to_run_columns,
+    convert_to_step_columns,
 )
 from dpbench.bench.record.step_table import (
     BatchPart,
-    batch_part,
+    add_missing_step_columns,
     build_runs_table,
-    complete_steps,
-    concat_steps,
-    filter_steps,
-    no_steps,
+    filter_steps_by_run_id,
+    join_steps_of_runs,
+    make_batch_part,
+    make_empty_record_batch,
+    make_step_record_batch,
     rows_to_columns,
-    step_batch,
 )
 from dpbench.bench.tabulate import RequestedRuns, tabulate
 
@@ -67,9 +67,9 @@ def row_of(name: str, **changes: Any) -> dict[str, Any]:
 
 
 def part(*names: str, seed: int = 0, **changes: Any) -> BatchPart:
-    return batch_part(
+    return make_batch_part(
         {
-            name: (row_of(name, **changes), step_batch(steps_of(seed + i)))
+            name: (row_of(name, **changes), make_step_record_batch(steps_of(seed + i)))
             for i, name in enumerate(names)
         }
     )
@@ -79,7 +79,7 @@ def filled(out: Path, *names: str) -> CellStore:
     """A store with those cells, each in a part of its own."""
     store = CellStore(out)
     for seed, name in enumerate(names):
-        store.add_part(part(name, seed=seed))
+        store.write_part_file(part(name, seed=seed))
     return store
 
 
@@ -87,16 +87,18 @@ def write_public(out: Path, *names: str) -> None:
     store = CellStore(out)
     steps = StepFile(out / "steps.part")
     for seed, name in enumerate(names):
-        steps.add(concat_steps({name: step_batch(steps_of(seed))}))
+        steps.add(join_steps_of_runs({name: make_step_record_batch(steps_of(seed))}))
     store.public.write(build_runs_table(rows_to_columns([row_of(name) for name in names])), steps)
 
 
 def tables_of(store: CellStore) -> list[pa.Table]:
-    _, sources = store.collect_rows()
-    tables = [group.read_table() for group in store.find_groups(sources)]
+    _, sources = store.collect_rows_and_sources()
+    tables = [group.read_table() for group in store.yield_step_groups(sources)]
     names = [name for table in tables for name in table["run_id"].unique().to_pylist()]
     assert len(names) == len(set(names))
-    return [filter_steps(t, {n}) for t in tables for n in t["run_id"].unique().to_pylist()]
+    return [
+        filter_steps_by_run_id(t, {n}) for t in tables for n in t["run_id"].unique().to_pylist()
+    ]
 
 
 def names_in(store: CellStore) -> list[str]:
@@ -106,9 +108,9 @@ def names_in(store: CellStore) -> list[str]:
 def test_steps_come_back_bit_for_bit(tmp_path: Path) -> None:
     steps = steps_of(2)
     file = StepFile(tmp_path / "steps.parquet")
-    file.add(concat_steps({"a": step_batch(steps)}))
+    file.add(join_steps_of_runs({"a": make_step_record_batch(steps)}))
     file.close()
-    found = as_steps(read_steps(tmp_path, list(STEP_COLUMNS)).to_pandas())
+    found = convert_to_step_columns(read_steps(tmp_path, list(STEP_COLUMNS)).to_pandas())
     pd.testing.assert_frame_equal(found, make_step_rows("a", steps), check_exact=True)
 
 
@@ -116,7 +118,7 @@ def test_only_the_runs_and_columns_that_are_asked_for(tmp_path: Path, monkeypatc
     monkeypatch.setattr(cell_store, "GROUP_ROWS", 10)
     file, names = StepFile(tmp_path / "steps.parquet"), ["a", "b", "c", "d", "e"]
     for seed, name in enumerate(names):
-        file.add(concat_steps({name: step_batch(steps_of(seed))}))
+        file.add(join_steps_of_runs({name: make_step_record_batch(steps_of(seed))}))
     file.close()
     tables = list(scan_steps(tmp_path, ["run_id", "dtau_x_N", "t_s"]))
     assert [table.num_rows for table in tables] == [14, 14, 7]
@@ -129,17 +131,19 @@ def test_only_the_runs_and_columns_that_are_asked_for(tmp_path: Path, monkeypatc
 
 
 def test_of_no_runs_nothing_is_held() -> None:
-    table = concat_steps({"a": step_batch(steps_of(0)), "b": step_batch(steps_of(1))})
-    assert filter_steps(table, {"b"})["run_id"].unique().to_pylist() == ["b"]
-    nothing = filter_steps(table, {"c"})
+    table = join_steps_of_runs(
+        {"a": make_step_record_batch(steps_of(0)), "b": make_step_record_batch(steps_of(1))}
+    )
+    assert filter_steps_by_run_id(table, {"b"})["run_id"].unique().to_pylist() == ["b"]
+    nothing = filter_steps_by_run_id(table, {"c"})
     assert nothing.schema.equals(table.schema) and len(nothing) == 0
     assert nothing.get_total_buffer_size() < 100 < table.get_total_buffer_size()
 
 
 def test_what_another_schema_left_is_not_finished(tmp_path: Path) -> None:
     store = CellStore(tmp_path)
-    store.add_part(part("old", schema=SCHEMA_VERSION - 1))
-    store.add_part(part("new", seed=1))
+    store.write_part_file(part("old", schema=SCHEMA_VERSION - 1))
+    store.write_part_file(part("new", seed=1))
     again = CellStore(tmp_path)
     assert again.finished == {"new": "finished"} and names_in(again) == ["new"]
 
@@ -150,11 +154,16 @@ def test_what_another_schema_left_is_not_finished(tmp_path: Path) -> None:
 )
 def test_a_row_of_other_types_is_not_finished(tmp_path: Path, wrong: dict[str, Any]) -> None:
     rows = {"a": row_of("a"), "b": row_of("b") | wrong, "c": row_of("c")}
-    steps = step_batch(steps_of(0))
-    CellStore(tmp_path).add_part(batch_part({name: (row, steps) for name, row in rows.items()}))
+    steps = make_step_record_batch(steps_of(0))
+    CellStore(tmp_path).write_part_file(
+        make_batch_part({name: (row, steps) for name, row in rows.items()})
+    )
     store = CellStore(tmp_path)
     assert (
-        list(store.finished) == list(store.finished_runs().index) == ["a", "c"] == names_in(store)
+        list(store.finished)
+        == list(store.read_finished_runs().index)
+        == ["a", "c"]
+        == names_in(store)
     )
 
 
@@ -167,7 +176,7 @@ def test_a_damaged_part_costs_itself_alone(tmp_path: Path, at: int, how: str) ->
     data[at] ^= 1
     path.write_bytes({"flipped": data, "cut": data[:at], "empty": b""}[how])
     for seen in (store, CellStore(tmp_path)):
-        assert list(seen.finished_runs().index) == names_in(seen) == ["a", "c"]
+        assert list(seen.read_finished_runs().index) == names_in(seen) == ["a", "c"]
     assert list(CellStore(tmp_path).finished) == ["a", "c"]
 
 
@@ -181,16 +190,16 @@ def test_a_part_without_room_leaves_the_others(tmp_path: Path, monkeypatch: Any)
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", full)
         with pytest.raises(OSError, match="no room"):
-            store.add_part(part("b", seed=1))
+            store.write_part_file(part("b", seed=1))
     assert len(list((tmp_path / "cells").iterdir())) == 1
-    store.add_part(part("c", seed=2))
+    store.write_part_file(part("c", seed=2))
     assert list(store.finished) == ["a", "c"] == list(CellStore(tmp_path).finished)
 
 
 def test_a_batch_is_one_file(tmp_path: Path) -> None:
     store, batch = CellStore(tmp_path), part("a", "b")
     for _ in range(2):
-        store.add_part(batch)
+        store.write_part_file(batch)
     (path,) = (tmp_path / "cells").iterdir()
     assert path.read_bytes() == batch.data
     steps = pq.read_table(path)
@@ -200,9 +209,13 @@ def test_a_batch_is_one_file(tmp_path: Path) -> None:
 
 def test_cells_without_steps_are_finished(tmp_path: Path) -> None:
     store = CellStore(tmp_path)
-    crashed = row_of("c", outcome="crashed", steps_done=0), no_steps()
-    store.add_part(batch_part({"a": (row_of("a"), step_batch(steps_of(0))), "c": crashed}))
-    store.add_part(batch_part({"d": (row_of("d", steps_done=0), no_steps())}))
+    crashed = row_of("c", outcome="crashed", steps_done=0), make_empty_record_batch()
+    store.write_part_file(
+        make_batch_part({"a": (row_of("a"), make_step_record_batch(steps_of(0))), "c": crashed})
+    )
+    store.write_part_file(
+        make_batch_part({"d": (row_of("d", steps_done=0), make_empty_record_batch())})
+    )
     assert CellStore(tmp_path).finished == {"a": "finished", "c": "crashed", "d": "finished"}
     assert names_in(store) == ["a"]
 
@@ -211,33 +224,37 @@ def test_cells_without_steps_are_finished(tmp_path: Path) -> None:
 def test_joining_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, copied_rows: int) -> None:
     monkeypatch.setattr(cell_store, "COPIED_ROWS", copied_rows)
     store = filled(tmp_path, "a", "b", "c")
-    rows, sources = store.collect_rows()
+    rows, sources = store.collect_rows_and_sources()
     file = StepFile(tmp_path / "steps.part")
-    for group in store.find_groups(sources):
+    for group in store.yield_step_groups(sources):
         assert group.may_copy == (copied_rows == 1)
-        if not file.copy_group(group):
+        if not file.copy_group_if_possible(group):
             file.add(group.read_table())
     store.public.write(rows, file)
     assert file.rows == 21
     groups = pq.ParquetFile(tmp_path / "steps.parquet", page_checksum_verification=True)
     assert groups.num_row_groups == (3 if copied_rows == 1 else 1)
-    found = complete_steps(groups.read())
-    batches = {name: step_batch(steps_of(seed)) for seed, name in enumerate("abc")}
-    assert found.equals(complete_steps(concat_steps(batches)))
-    assert store.public.is_sound() and list(store.public.outcomes()) == ["a", "b", "c"]
+    found = add_missing_step_columns(groups.read())
+    batches = {name: make_step_record_batch(steps_of(seed)) for seed, name in enumerate("abc")}
+    assert found.equals(add_missing_step_columns(join_steps_of_runs(batches)))
+    assert store.public.is_undamaged() and list(store.public.read_outcomes_by_run_id()) == [
+        "a",
+        "b",
+        "c",
+    ]
 
 
 @pytest.fixture
 def twice(tmp_path: Path) -> Iterator[CellStore]:
     """A cell in two parts, as after a kill while parts were being put together."""
-    CellStore(tmp_path).add_part(part("a", "b"))
-    CellStore(tmp_path).add_part(part("b", seed=9, steps_done=9))
+    CellStore(tmp_path).write_part_file(part("a", "b"))
+    CellStore(tmp_path).write_part_file(part("b", seed=9, steps_done=9))
     yield CellStore(tmp_path)
 
 
 def test_a_cell_in_two_places_is_there_once(twice: CellStore) -> None:
     assert names_in(twice) == ["a", "b"]
-    assert twice.finished_runs().loc["b", "steps_done"] == 9
+    assert twice.read_finished_runs().loc["b", "steps_done"] == 9
     last = tables_of(twice)[1]
     assert last["gap"].to_pylist()[1:] == steps_of(9)["gap"].tolist()[1:]
 
@@ -246,8 +263,8 @@ def test_what_is_forgotten_is_there_only_if_it_comes_again(tmp_path: Path) -> No
     filled(tmp_path, "a", "b", "c")
     store = CellStore(tmp_path)
     store.mark_unfinished(["a", "b"])
-    store.add_part(part("b", seed=9))
-    assert set(store.finished) == set(store.finished_runs().index) == {"b", "c"}
+    store.write_part_file(part("b", seed=9))
+    assert set(store.finished) == set(store.read_finished_runs().index) == {"b", "c"}
     assert sorted(names_in(store)) == ["b", "c"]
 
 
@@ -255,20 +272,24 @@ def test_readable_groups_of_a_damaged_file_count(tmp_path: Path, monkeypatch: An
     monkeypatch.setattr(cell_store, "GROUP_ROWS", 1)
     write_public(tmp_path, *"abc")
     public = CellStore(tmp_path).public
-    assert list(public.outcomes()) == ["a", "b", "c"]
+    assert list(public.read_outcomes_by_run_id()) == ["a", "b", "c"]
     group = pq.ParquetFile(public.steps).metadata.row_group(1).column(10)
     data = bytearray(public.steps.read_bytes())
     data[group.data_page_offset + group.total_compressed_size - 3] ^= 1
     public.steps.write_bytes(data)
-    assert list(public.outcomes()) == ["a", "c"] == names_in(CellStore(tmp_path))
+    assert list(public.read_outcomes_by_run_id()) == ["a", "c"] == names_in(CellStore(tmp_path))
 
 
 def test_public_steps_that_are_newer_than_their_runs_cost_nothing(tmp_path: Path) -> None:
     write_public(tmp_path, "a")
     store = CellStore(tmp_path)
-    store.add_part(part("b", seed=1))
+    store.write_part_file(part("b", seed=1))
     both = StepFile(tmp_path / "steps.parquet")
-    both.add(concat_steps({name: step_batch(steps_of(i)) for i, name in enumerate("ab")}))
+    both.add(
+        join_steps_of_runs(
+            {name: make_step_record_batch(steps_of(i)) for i, name in enumerate("ab")}
+        )
+    )
     both.close()
     store = CellStore(tmp_path)
     assert list(store.finished) == ["a", "b"] and names_in(store) == ["a", "b"]
@@ -280,14 +301,14 @@ COPIES += ("part-00001{}.sync-conflict-20261122-101500-ABCDEFG.parquet",)
 
 
 def test_copies_that_sync_tools_leave_are_ignored_and_named(tmp_path: Path) -> None:
-    CellStore(tmp_path).add_part(part("a", "b"))
+    CellStore(tmp_path).write_part_file(part("a", "b"))
     (source,) = (tmp_path / "cells").iterdir()
     copies = [source.with_name(name.format(source.stem[10:])) for name in COPIES]
     for copy in copies:
         copy.write_bytes(source.read_bytes())
     store = CellStore(tmp_path)
     assert list(store.finished) == ["a", "b"] and names_in(store) == ["a", "b"]
-    store.add_part(part("c"))
+    store.write_part_file(part("c"))
     assert [one.steps.name[:11] for one in store.parts] == ["part-00001-", "part-00002-"]
     (remark,) = store.remarks
     assert "ignored 'part-00001-" in remark and " and 5 more" in remark
@@ -341,5 +362,7 @@ def test_tables_are_synced_before_parts_go(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_a_shard_without_cells_has_a_table_without_rows() -> None:
-    rows = RequestedRuns([]).make_rows(as_runs(pd.DataFrame()).set_index("run_id", drop=False))
+    rows = RequestedRuns([]).make_rows(
+        convert_to_run_columns(pd.DataFrame()).set_index("run_id", drop=False)
+    )
     assert len(rows) == 0 and set(RUN_COLUMNS) <= set(rows)

@@ -14,10 +14,10 @@ from dpbench.bench.record.disturbance import (
     MAX_STEAL_SHARE,
     MAX_SWITCHES_PER_S,
     Disturbance,
-    disturbance_metrics,
-    read_counters,
+    compute_disturbance_metrics,
+    read_disturbance_counters,
 )
-from dpbench.bench.record.raw_log import COUNTERS, PHASES, RawLog, replay_layout
+from dpbench.bench.record.raw_log import COUNTERS, PHASES, RawLog, make_replay_layout
 
 # What the kernel counts on a core is to come from the test.
 pytestmark = pytest.mark.alone
@@ -34,10 +34,10 @@ QUIET = Disturbance(
 
 
 def test_a_process_that_waits_switches_of_its_own_will() -> None:
-    before = read_counters()
+    before = read_disturbance_counters()
     for _ in range(10):
         time.sleep(0.001)
-    change = dict(zip(COUNTERS, read_counters() - before, strict=True))
+    change = dict(zip(COUNTERS, read_disturbance_counters() - before, strict=True))
     assert change["voluntary_switches"] >= 10
     assert change["replay_s"] >= 0.01
 
@@ -49,7 +49,7 @@ def test_steal_time_is_that_of_the_own_core() -> None:
     try:
         with open("/proc/stat", encoding="ascii") as stat:
             (line,) = [text for text in stat if text.startswith(f"cpu{core} ")]
-        found = read_counters()[COUNTERS.index("steal_s")]
+        found = read_disturbance_counters()[COUNTERS.index("steal_s")]
     finally:
         os.sched_setaffinity(0, allowed)
     user, nice, system, idle, iowait, irq, softirq, steal, *_ = map(int, line.split()[1:])
@@ -58,11 +58,11 @@ def test_steal_time_is_that_of_the_own_core() -> None:
 
 
 def test_sums_are_over_the_rounds_that_count() -> None:
-    log = RawLog.in_memory(replay_layout(4, 2, 1, 1))
+    log = RawLog.in_memory(make_replay_layout(4, 2, 1, 1))
     log.done[:] = (2, 2, 2, 0)
     log.attempts[:] = (1, 2, 1, 0)
     log.counters[:] = np.arange(1.0, 5.0)[:, None] * [1.0, 10.0, 100.0, 1000.0, np.nan, 1e4]
-    found = disturbance_metrics(log)
+    found = compute_disturbance_metrics(log)
     assert found["rerun_rounds"] == 1
     assert [found[name] for name in COUNTERS[:4]] == [5.0, 50.0, 500.0, 5000.0]
     assert math.isnan(found["throttle_events"])
@@ -70,14 +70,14 @@ def test_sums_are_over_the_rounds_that_count() -> None:
 
 
 def test_the_time_of_steps_is_of_the_same_rounds() -> None:
-    log = RawLog.in_memory(replay_layout(4, 2, 1, 1))
+    log = RawLog.in_memory(make_replay_layout(4, 2, 1, 1))
     log.times[:] = -1
     log.done[:] = (2, 2, 2, 1)
     log.counters[:3] = 1.0
     log.counters[3] = np.nan
     log.times[:, :, PHASES.index("solve")] = np.array([[7], [100], [2000], [9]])
     log.times[:, :, PHASES.index("emit")] = 10**6
-    assert disturbance_metrics(log)["solve_s"] == pytest.approx(4200e-9)
+    assert compute_disturbance_metrics(log)["solve_s"] == pytest.approx(4200e-9)
 
 
 def test_the_time_of_other_threads_is_theirs_alone() -> None:
@@ -87,7 +87,7 @@ def test_the_time_of_other_threads_is_theirs_alone() -> None:
             hashlib.sha256(bytes(10**6))
 
     def thread_s() -> float:
-        return float(read_counters()[COUNTERS.index("thread_s")])
+        return float(read_disturbance_counters()[COUNTERS.index("thread_s")])
 
     before = thread_s()
     work()
@@ -119,9 +119,9 @@ def test_each_disturbance_is_named(field: str, value: float, word: str) -> None:
 
 def test_a_total_is_a_sum_and_what_nobody_saw_stays_unknown() -> None:
     blind = Disturbance(**{**vars(QUIET), "throttled": math.nan, "steal_s": math.nan})
-    both = Disturbance.total([blind, QUIET])
+    both = Disturbance.from_parts([blind, QUIET])
     assert (both.rounds, both.seconds, both.throttled) == (200.0, 20.0, 0.0)
-    hidden = Disturbance.total([blind, blind])
+    hidden = Disturbance.from_parts([blind, blind])
     assert math.isnan(hidden.throttled) and math.isnan(hidden.steal_share)
     assert hidden.complaints() == []
-    assert Disturbance.total([]).complaints() == []
+    assert Disturbance.from_parts([]).complaints() == []

@@ -8,7 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpbench.bench.record.npz import open_arrays, read_npz, write_arrays, write_npz
+from dpbench.bench.record.npz import (
+    open_arrays,
+    read_arrays_and_pickles,
+    write_arrays_uncompressed,
+    write_npz,
+)
 from dpbench.errors import InputError, ResultsError
 
 ARRAYS = {
@@ -20,7 +25,7 @@ ARRAYS = {
 }
 
 
-@pytest.mark.parametrize("write", [write_arrays, write_npz])
+@pytest.mark.parametrize("write", [write_arrays_uncompressed, write_npz])
 def test_arrays_come_back_bit_for_bit(write: Callable[..., None], tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     write(path, ARRAYS)
@@ -37,7 +42,7 @@ def test_arrays_come_back_bit_for_bit(write: Callable[..., None], tmp_path: Path
 @pytest.mark.slow
 def test_every_changed_byte_is_seen(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
-    write_arrays(path, ARRAYS)
+    write_arrays_uncompressed(path, ARRAYS)
     whole = path.read_bytes()
     for at in range(len(whole)):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
@@ -77,7 +82,7 @@ def zipped(path: Path, member: bytes, method: int = zipfile.ZIP_DEFLATED) -> Pat
 )
 def test_strange_arrays_are_refused(member: bytes, method: int, found: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=found) as caught:
-        read_npz(zipped(tmp_path / "a.npz", member, method), "a sequence")
+        read_arrays_and_pickles(zipped(tmp_path / "a.npz", member, method), "a sequence")
     assert "\n" not in str(caught.value)
 
 
@@ -90,4 +95,4 @@ def test_a_member_that_unpacks_to_more_than_it_declares(tmp_path: Path) -> None:
     assert declared in data
     path.write_bytes(data.replace(declared, less))
     with pytest.raises(InputError, match="CRC"):
-        read_npz(path, "a sequence")
+        read_arrays_and_pickles(path, "a sequence")

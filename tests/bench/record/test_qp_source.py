@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.bench.record.cell import CONTROLLER, SOURCES, Cell, parse_source
+from dpbench.bench.record.cell import CONTROLLER, SOURCES, Cell, parse_qp_source
 from dpbench.errors import InputError
 
 CELL = Cell("replay", {"name": "turn"}, "daqp", "native", "fresh", "default", 20, first=100)
@@ -30,13 +30,13 @@ KINDS: list[tuple[dict[str, Any], bool, bool]] = [
 
 @pytest.mark.parametrize(("described", "timed", "judged"), KINDS)
 def test_descriptions_of_sources(described: dict[str, Any], timed: bool, judged: bool) -> None:
-    source = parse_source(described)
+    source = parse_qp_source(described)
     assert source.to_dict() == described
     assert (source.is_timed, source.is_judged) == (timed, judged)
     cell = replace(CELL, source=source)
     assert Cell.from_json(cell.to_json()) == cell and cell.sequence == described["name"]
     assert cell.is_timed is timed
-    assert cell.last_step == 100 + described.get("of", 20)
+    assert cell.steps_needed_in_file == 100 + described.get("of", 20)
 
 
 def test_every_kind_is_described_above() -> None:
@@ -44,11 +44,11 @@ def test_every_kind_is_described_above() -> None:
 
 
 def test_the_controller_needs_no_description() -> None:
-    assert parse_source({}) is CONTROLLER
+    assert parse_qp_source({}) is CONTROLLER
     assert '"source"' not in CELL.to_json()
-    assert (CELL.sequence, CELL.last_step) == ("turn[100:120]", 120)
+    assert (CELL.sequence, CELL.steps_needed_in_file) == ("turn[100:120]", 120)
 
 
 def test_an_unknown_kind_is_refused() -> None:
     with pytest.raises(InputError, match="dice"):
-        parse_source({"kind": "dice"})
+        parse_qp_source({"kind": "dice"})

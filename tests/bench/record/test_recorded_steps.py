@@ -14,7 +14,7 @@ from dpbench.bench.record import cell_store
 from dpbench.bench.record.cell_store import StepFile
 from dpbench.bench.record.recorded_steps import StepsOnDisk
 from dpbench.bench.record.schema import MISSING_INT, STEP_COLUMNS
-from dpbench.bench.record.step_table import concat_steps, step_batch
+from dpbench.bench.record.step_table import join_steps_of_runs, make_step_record_batch
 from dpbench.errors import ResultsError
 from tests.bench.record.test_cell_store import steps_of
 from tests.result_folder import StepsInMemory
@@ -29,7 +29,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(cell_store, "GROUP_ROWS", 14)
     file = StepFile(tmp_path / "steps.parquet")
     for seed, name in enumerate(NAMES):
-        file.add(concat_steps({name: step_batch(steps_of(seed))}))
+        file.add(join_steps_of_runs({name: make_step_record_batch(steps_of(seed))}))
     file.close()
     return tmp_path
 
@@ -43,7 +43,7 @@ def _same(one: pd.DataFrame, other: pd.DataFrame) -> None:
 
 def test_a_file_answers_as_a_table_in_memory_does(folder: Path) -> None:
     file = StepsOnDisk(folder)
-    memory = StepsInMemory(file.read_all())
+    memory = StepsInMemory(file.read_all_steps())
     assert file.rows == memory.rows == 7 * len(NAMES)
 
     def together(table: StepsOnDisk, wanted: set[str] | None) -> pd.DataFrame:
@@ -87,7 +87,7 @@ def test_a_column_that_is_in_no_file_is_missing(folder: Path) -> None:
     path = folder / "steps.parquet"
     table = pq.read_table(path)
     pq.write_table(table.drop_columns(["gap", "latency_ns", "status", "late"]), path)
-    found = StepsOnDisk(folder).read_all()
+    found = StepsOnDisk(folder).read_all_steps()
     assert list(found.columns) == list(STEP_COLUMNS)
     assert found["gap"].isna().all() and found["latency_ns"].isna().all()
     assert (found["status"] == "").all() and not found["late"].any()
@@ -109,10 +109,10 @@ def test_every_documented_column_is_in_the_file(folder: Path) -> None:
 
 
 def test_what_pandas_noted_is_not_followed(folder: Path) -> None:
-    path, wanted = folder / "steps.parquet", StepsOnDisk(folder).read_all()
+    path, wanted = folder / "steps.parquet", StepsOnDisk(folder).read_all_steps()
     noted = pq.read_table(path).replace_schema_metadata({"pandas": '{"index_columns": ["'})
     pq.write_table(noted, path)
-    pd.testing.assert_frame_equal(StepsOnDisk(folder).read_all(), wanted)
+    pd.testing.assert_frame_equal(StepsOnDisk(folder).read_all_steps(), wanted)
 
 
 def test_damage_is_said_where_it_is_read(folder: Path) -> None:

@@ -10,9 +10,9 @@ import pytest
 
 from dpbench.bench.record.machine import (
     append_revision,
-    checkout_revision,
     describe_revisions,
-    installed_revision,
+    read_git_revision,
+    read_installed_revision,
 )
 
 
@@ -33,28 +33,28 @@ def package(tmp_path: Path) -> Path:
 
 
 def test_a_checkout_tells_its_commit_and_whether_it_is_clean(package: Path) -> None:
-    clean = checkout_revision(package)
+    clean = read_git_revision(package)
     assert len(clean["commit"]) == 40 and clean["clean"] is True
     (package.parent / "notes.txt").write_text("beside", encoding="utf-8")
-    assert checkout_revision(package) == clean
+    assert read_git_revision(package) == clean
     (package / "__init__.py").write_text("x = 2\n", encoding="utf-8")
-    assert checkout_revision(package) == clean | {"clean": False}
+    assert read_git_revision(package) == clean | {"clean": False}
 
 
 def test_a_package_inside_the_checkout_of_another_is_not_of_its_commit(package: Path) -> None:
     other = package.parent / "environment"
     other.mkdir()
     (other / "__init__.py").write_text("", encoding="utf-8")
-    assert checkout_revision(other) is None
+    assert read_git_revision(other) is None
 
 
 def test_an_installer_tells_the_commit_it_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     noted: dict[str, str | None] = {"text": json.dumps({"vcs_info": {"commit_id": "ab" * 20}})}
     there = SimpleNamespace(read_text=lambda name: noted["text"])
     monkeypatch.setattr(importlib.metadata, "distribution", lambda name: there)
-    assert installed_revision() == {"commit": "ab" * 20, "clean": True}
+    assert read_installed_revision() == {"commit": "ab" * 20, "clean": True}
     noted["text"] = None
-    assert installed_revision() is None
+    assert read_installed_revision() is None
 
 
 def test_a_folder_that_was_taken_up_again_names_all_commits() -> None:

@@ -8,11 +8,11 @@ import numpy as np
 
 from dpbench.bench.judge.thruster_metrics import compute_thruster_metrics
 from dpbench.bench.record.cell import Formulation
-from dpbench.bench.record.raw_log import RawLog, loop_layout
+from dpbench.bench.record.raw_log import RawLog, make_loop_layout
 from dpbench.bench.run.backup import WARM_UP_SOLVES, Backup
-from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
-from dpbench.bench.run.exact_loop import base_problem
-from dpbench.bench.run.formulation import QPBuilder, loop_formulation
+from dpbench.bench.run.closed_loop import ClosedLoopSetup, record_closed_loop
+from dpbench.bench.run.exact_loop import build_problem_at_rest
+from dpbench.bench.run.formulation import QPBuilder, build_loop_formulation
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
@@ -71,14 +71,18 @@ def run_loop(
     **given: Any,
 ) -> tuple[RawLog, bool]:
     builder = QPBuilder(scenario, sparse=formulation == "sparse")
-    log = RawLog.in_memory(loop_layout(scenario.steps, *builder.sizes, backup=backup is not None))
-    formulated = loop_formulation(formulation, builder, base_problem(builder.condensed))
+    log = RawLog.in_memory(
+        make_loop_layout(scenario.steps, *builder.sizes, backup=backup is not None)
+    )
+    formulated = build_loop_formulation(
+        formulation, builder, build_problem_at_rest(builder.condensed)
+    )
     solver = TimedSolver(workspace, formulated, clock)
     setup = ClosedLoopSetup(scenario, builder, solver, log, fallback, limit_ns, clock, **given)
     if backup is not None and log.backup is not None:
         second = TimedSolver(backup, formulated, clock)
         setup.backup = Backup(second, builder.condensed.moves, log.backup)
-    return log, closed_loop(setup)
+    return log, record_closed_loop(setup)
 
 
 def surge_steps(log: RawLog, scenario: Scenario) -> list[float]:

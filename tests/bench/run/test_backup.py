@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
-from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
-from dpbench.bench.record.raw_log import BackupLog, RawLog, loop_layout
+from dpbench.bench.record.raw_log import BackupLog, RawLog, make_loop_layout
 from dpbench.bench.run.backup import WARM_UP_SOLVES, Backup
 from dpbench.bench.run.slow_computer import ComputationalDelay
 from dpbench.errors import InputError, UnknownNameError
@@ -97,7 +97,7 @@ def test_no_backup_by_default(scenario: Scenario, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(Backup, "__init__", None)
     run = run_closed_loop(scenario, FailingAt({3}))
     assert not run.steps["backup"].any() and run.summary["backup_asked"] is pd.NA
-    assert not any(name.startswith("backup.") for name in loop_layout(3, 15, 15, 16))
+    assert not any(name.startswith("backup.") for name in make_loop_layout(3, 15, 15, 16))
 
 
 def slow(
@@ -158,8 +158,8 @@ def suite(**keys: object) -> SuiteFile:
 
 
 def test_a_suite_names_its_backup() -> None:
-    (plain,) = plan(suite(), solvers=["quadprog"])
-    (backed,) = plan(suite(backup="daqp", fallback="hold"), solvers=["quadprog"])
+    (plain,) = plan_suite(suite(), solvers=["quadprog"])
+    (backed,) = plan_suite(suite(backup="daqp", fallback="hold"), solvers=["quadprog"])
     assert backed.cell.backup == "daqp" and "backup" not in plain.cell.to_json()
     assert backed.cell.scenario_name == "paper (backup daqp, hold)"
     assert backed.cell.key != plain.cell.key
@@ -169,12 +169,14 @@ def test_an_unknown_backup_is_one_line() -> None:
     with pytest.raises(
         UnknownNameError, match=r"closed_loop.backup: found 'dapq'; allowed: daqp, "
     ):
-        plan(suite(backup="dapq"))
+        plan_suite(suite(backup="dapq"))
 
 
 def test_a_backup_from_a_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from dpbench.bench.plan import configurations
 
-    monkeypatch.setattr(configurations, "plugin_file", lambda solver: str(tmp_path / "mine.py"))
+    monkeypatch.setattr(
+        configurations, "find_plugin_file", lambda solver: str(tmp_path / "mine.py")
+    )
     with pytest.raises(InputError, match=r"closed_loop.backup: found 'daqp'"):
-        plan(suite(backup="daqp"))
+        plan_suite(suite(backup="daqp"))

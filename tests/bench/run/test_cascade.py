@@ -15,10 +15,19 @@ import quadprog
 from dpbench import open_workspace, run_closed_loop
 from dpbench.bench.judge.replay import evaluate_replay_log
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.raw_log import RawLog, log_bytes, loop_layout
-from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup, replay_parts
-from dpbench.bench.run.closed_loop import ClosedLoopSetup, closed_loop
-from dpbench.bench.run.exact_loop import ExactLoop, ExactWorkspace, rebuild_sequence, solve_exactly
+from dpbench.bench.record.raw_log import RawLog, compute_log_bytes, make_loop_layout
+from dpbench.bench.run.assemble import (
+    NO_LIMIT_NS,
+    build_closed_loop_setup,
+    build_sequence_solver_and_log,
+)
+from dpbench.bench.run.closed_loop import ClosedLoopSetup, record_closed_loop
+from dpbench.bench.run.exact_loop import (
+    ExactLoop,
+    ExactWorkspace,
+    rebuild_sequence,
+    solve_loop_exactly,
+)
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.sequences.source import log_size
@@ -51,8 +60,8 @@ def cell(case: Scenario, solver: str = "daqp", **fields: Any) -> Cell:
 
 def steered_by(case: Scenario, workspace: Workspace, **fields: Any) -> ClosedLoopSetup:
     described = cell(case, workspace.solver, **fields)
-    setup = closed_loop_setup(described, case, workspace, RawLog.in_memory, NO_LIMIT_NS)
-    assert closed_loop(setup)
+    setup = build_closed_loop_setup(described, case, workspace, RawLog.in_memory, NO_LIMIT_NS)
+    assert record_closed_loop(setup)
     return setup
 
 
@@ -67,7 +76,7 @@ def case() -> Scenario:
 
 @pytest.fixture(scope="module")
 def exact(case: Scenario) -> ExactLoop:
-    return solve_exactly(case)
+    return solve_loop_exactly(case)
 
 
 def planned_force(case: Scenario, x: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -183,7 +192,7 @@ def test_a_tripped_board_gives_nothing_at_once_and_its_allocations_are_rebuilt()
     """The second QPs start from the forces that are left, in the loop and in its sequence."""
     fault = {"at_s": 6.0, "lost": ["board A"], "loss": "trip"}
     case = scenario(30, tables={"faults": [fault]})
-    exact = solve_exactly(case)
+    exact = solve_loop_exactly(case)
     np.testing.assert_allclose(exact.thrust[20:, [0, 2, 3]], 0.0, atol=1e-6)
     assert np.abs(exact.thrust[19, [0, 2, 3]]).max() > 1e3
     sequence = rebuild_sequence(case, exact, part="allocation", first=18, count=5)
@@ -276,12 +285,14 @@ def test_the_time_of_both_solvers_is_no_overhead(case: Scenario) -> None:
         steered = scenario(5, allocation=allocation)
         workspace = daqp()
         described = cell(steered)
-        setup = closed_loop_setup(described, steered, workspace, RawLog.in_memory, NO_LIMIT_NS)
+        setup = build_closed_loop_setup(
+            described, steered, workspace, RawLog.in_memory, NO_LIMIT_NS
+        )
         setup.clock = itertools.count().__next__
         for solver in (setup.solver, setup.allocating):
             if solver is not None:
                 solver._clock = setup.clock
-        assert closed_loop(setup)
+        assert record_closed_loop(setup)
         counts.append(setup.log.times[0, :, 5].tolist())
         if setup.log.allocation is not None:
             assert (setup.log.allocation.times[0, :, 3] == 1).all()
@@ -291,7 +302,7 @@ def test_the_time_of_both_solvers_is_no_overhead(case: Scenario) -> None:
 
 def test_stored_loops_have_allocations(case: Scenario, exact: ExactLoop, tmp_path: Path) -> None:
     path = tmp_path / "loop.npz"
-    for loop in (exact, solve_exactly(scenario(3, allocation="pseudo_inverse"))):
+    for loop in (exact, solve_loop_exactly(scenario(3, allocation="pseudo_inverse"))):
         loop.save(path)
         read = ExactLoop.load(path)
         assert read.demand is not None and loop.demand is not None
@@ -300,8 +311,8 @@ def test_stored_loops_have_allocations(case: Scenario, exact: ExactLoop, tmp_pat
             optimum.z.tolist() for optimum in loop.allocated
         ]
     exact.save(path)
-    layout = loop_layout(case.steps, *QPBuilder(case).sizes)
-    assert log_size(cell(case), path) == log_bytes(layout)
+    layout = make_loop_layout(case.steps, *QPBuilder(case).sizes)
+    assert log_size(cell(case), path) == compute_log_bytes(layout)
 
 
 @pytest.mark.parametrize("units", ["scaled", "si"])
@@ -310,7 +321,9 @@ def test_the_allocations_are_a_sequence(case: Scenario, exact: ExactLoop, units:
     assert (sequence.name, len(sequence)) == ("thrusters_cascade-allocation[7:27]", 20)
     assert sequence.sparse_equivalent is None
     workspace = open_workspace("daqp", route="native", policy="warm", settings="high")
-    steps, solver, log = replay_parts(sequence, workspace, "condensed_box", 1, RawLog.in_memory)
+    steps, solver, log = build_sequence_solver_and_log(
+        sequence, workspace, "condensed_box", 1, RawLog.in_memory
+    )
     run = ReplayRun(
         steps, solver, log, warmup_steps=5, limit_ns=NO_LIMIT_NS, clock=time.perf_counter_ns
     )
@@ -324,7 +337,7 @@ def test_the_allocations_are_a_sequence(case: Scenario, exact: ExactLoop, units:
 def test_other_scenarios_have_no_allocations(case: Scenario) -> None:
     for other in (load_scenario("calm").truncate(2), scenario(2, allocation="pseudo_inverse")):
         with pytest.raises(InputError, match="a cascade with allocation"):
-            rebuild_sequence(other, solve_exactly(other), part="allocation")
+            rebuild_sequence(other, solve_loop_exactly(other), part="allocation")
 
 
 def test_a_cascade_waits_for_its_answers_and_opens_its_solver_twice(case: Scenario) -> None:

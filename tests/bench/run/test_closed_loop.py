@@ -13,7 +13,7 @@ import pytest
 from dpbench import load_scenario
 from dpbench.bench.record.cell import DEFAULT_FALLBACK
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.run.exact_loop import solve_exactly
+from dpbench.bench.run.exact_loop import solve_loop_exactly
 from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.bench.run.run_delay import RunDelay
 from dpbench.errors import CertificateError
@@ -169,7 +169,7 @@ def test_a_step_without_certificate(scenario: Scenario, monkeypatch: pytest.Monk
         return Optimum(*(np.full(size, np.nan) for size in (n, m, n)), np.inf, "none")
 
     monkeypatch.setattr(Referee, "certify_vectors", fail_at_five)
-    exact = solve_exactly(scenario.truncate(8))
+    exact = solve_loop_exactly(scenario.truncate(8))
     assert [optimum.kind == "none" for optimum in exact.optima] == [k == 5 for k in range(8)]
     du_max = scenario.problem.du_max
     np.testing.assert_allclose(

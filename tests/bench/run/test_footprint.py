@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.bench.record.raw_log import RawLog, replay_layout
+from dpbench.bench.record.raw_log import RawLog, make_replay_layout
 from dpbench.bench.run import footprint
-from dpbench.bench.run.formulation import replay_formulation
+from dpbench.bench.run.formulation import formulate_sequence
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
 from dpbench.solvers.calibration import COPY_ONLY, NO_OP, NoOpWorkspace, open_calibration
@@ -27,7 +27,7 @@ def _sequence(n: int = 3, steps: int = 12) -> QPSequence:
 
 
 def _measured(workspace: Workspace, n: int = 3) -> tuple[float, float, float]:
-    made, formulated = replay_formulation("condensed_box", _sequence(n))
+    made, formulated = formulate_sequence("condensed_box", _sequence(n))
     timed_solver = TimedSolver(workspace, formulated, time.perf_counter_ns)
     timed_solver.prepare()
     return footprint.measure_step_memory(made, timed_solver, 10)
@@ -48,7 +48,7 @@ def test_the_peak_within_a_step_holds_arrays_that_are_gone_after_it() -> None:
     assert MEGABYTE <= peak < MEGABYTE + 10_000
 
 
-@pytest.mark.skipif(math.isnan(footprint.heap_bytes()), reason="glibc 2.33 shows its heap")
+@pytest.mark.skipif(math.isnan(footprint.heap_bytes_in_use()), reason="glibc 2.33 shows its heap")
 def test_a_library_that_leaks_is_seen() -> None:
     """5000 bytes of `malloc` a step that nobody frees: glibc rounds them up to 5008."""
     libc = ctypes.CDLL(None)
@@ -69,7 +69,7 @@ def test_a_library_that_leaks_is_seen() -> None:
 
 
 def test_nothing_is_measured_without_a_step() -> None:
-    log = RawLog.in_memory(replay_layout(2, 30, 3, 3))
+    log = RawLog.in_memory(make_replay_layout(2, 30, 3, 3))
     log.times[:] = -1
     assert footprint.count_affordable_steps(log) == 30
     log.times[1, 7, 3] = 10_000_000
@@ -87,10 +87,10 @@ def test_nothing_is_measured_without_a_step() -> None:
 def test_peak_memory_counts_the_solver_and_not_the_log() -> None:
     """64 MB that the solver takes and gives back count; 32 MB of QPs and the log do not."""
     watch = footprint.MemoryWatch()
-    watch.record_setup()
-    log = RawLog.in_memory(replay_layout(1, 2, 2 * MEGABYTE // 4, 1))
+    watch.record_memory_after_setup()
+    log = RawLog.in_memory(make_replay_layout(1, 2, 2 * MEGABYTE // 4, 1))
     held = np.ones(8 * MEGABYTE // 2, dtype=np.float64)
-    watch.record_load(log)
+    watch.record_memory_after_loading(log)
     before = watch.peak_bytes()
     spent = np.ones(8 * MEGABYTE, dtype=np.float64)
     size = spent.nbytes
@@ -100,20 +100,20 @@ def test_peak_memory_counts_the_solver_and_not_the_log() -> None:
 
 
 def test_threads_are_counted() -> None:
-    running, allowed = footprint.count_threads()
+    running, allowed = footprint.count_own_and_library_threads()
     assert running >= 1 and allowed >= 1
 
 
 def test_a_later_replay_of_a_process_counts_its_own_memory() -> None:
-    log = RawLog.in_memory(replay_layout(1, 2, 1, 1))
+    log = RawLog.in_memory(make_replay_layout(1, 2, 1, 1))
     memory = footprint.MemoryWatch()
-    memory.record_setup()
-    memory.record_load(log)
+    memory.record_memory_after_setup()
+    memory.record_memory_after_loading(log)
     left = np.ones(64 * MEGABYTE, dtype=np.uint8)
     assert memory.peak_bytes() > 60 * MEGABYTE
     memory.begin_replay()
-    memory.record_setup()
-    memory.record_load(log)
+    memory.record_memory_after_setup()
+    memory.record_memory_after_loading(log)
     assert memory.peak_bytes() < 32 * MEGABYTE
     taken = np.ones(128 * MEGABYTE, dtype=np.uint8)
     assert 96 * MEGABYTE < memory.peak_bytes() < 160 * MEGABYTE

@@ -18,9 +18,9 @@ from dpbench import (
 )
 from dpbench.bench.plan import suite
 from dpbench.bench.plan.cells import NO_MODEL, SEMIDEFINITE_REFUSAL
-from dpbench.bench.plan.plan import plan
-from dpbench.bench.run.exact_loop import solve_exactly
-from dpbench.bench.run.formulation import QPBuilder, replay_formulation
+from dpbench.bench.plan.plan import plan_suite
+from dpbench.bench.run.exact_loop import solve_loop_exactly
+from dpbench.bench.run.formulation import QPBuilder, formulate_sequence
 from dpbench.bench.sequences.recording import with_horizons
 from dpbench.cli.main import main
 from dpbench.errors import InputError
@@ -106,7 +106,7 @@ def test_the_twin_in_newtons_is_the_scaled_one_in_other_units() -> None:
 def test_the_steps_of_a_sparse_replay_are_those_of_its_closed_loop() -> None:
     scenario = with_horizons(early_loss(), 6, 3).truncate(24)
     assert scenario.controller.changes[0][0] == 20
-    exact, sequence = solve_exactly(scenario), record_sequence(scenario)
+    exact, sequence = solve_loop_exactly(scenario), record_sequence(scenario)
     assert sequence.sparse_equivalent is not None
     sparse_equivalent, builder = sequence.sparse_equivalent(), QPBuilder(scenario, sparse=True)
     for k in range(len(sequence)):
@@ -123,13 +123,13 @@ def test_formulations_are_an_axis_of_the_tables() -> None:
     three = ["condensed_box", "condensed_stacked", "sparse"]
     table = suite.ReplayTable(scenario="paper", steps=10, formulations=three)
     loops = suite.ClosedLoopTable(scenarios=["paper"], steps=10, formulations=three)
-    cells = [p.cell for p in plan(_suite(replay=[table], closed_loop=[loops]))]
+    cells = [p.cell for p in plan_suite(_suite(replay=[table], closed_loop=[loops]))]
     assert [(c.mode, c.formulation) for c in cells] == [
         *(("closed_loop", name) for name in three),
         *(("replay", name) for name in three),
     ]
     assert len({cell.problem_key for cell in cells}) == 2
-    usual = plan(_suite(replay=[suite.ReplayTable(scenario="paper", steps=10)]))
+    usual = plan_suite(_suite(replay=[suite.ReplayTable(scenario="paper", steps=10)]))
     assert [p.cell.formulation for p in usual] == ["condensed_box"]
 
 
@@ -150,7 +150,7 @@ def _suite(solvers: tuple[str, ...] = ("daqp",), **tables: object) -> suite.Suit
 )
 def test_a_scenario_without_stages_is_a_refused_row(scenario: str, why: str) -> None:
     table = suite.ReplayTable(scenario=scenario, steps=5, formulations=["condensed_box", "sparse"])
-    box, sparse = plan(_suite(replay=[table]))
+    box, sparse = plan_suite(_suite(replay=[table]))
     assert box.refused == ""
     assert why in sparse.refused and bool(why) == bool(sparse.refused)
     assert load_scenario(scenario).controller.why_no_sparse_form == sparse.refused
@@ -165,7 +165,7 @@ def test_a_solver_that_needs_a_definite_cost_is_refused_the_states() -> None:
     )
     refused = {
         (p.cell.solver, p.cell.formulation): p.refused
-        for p in plan(_suite(("quadprog", "daqp"), replay=[table]))
+        for p in plan_suite(_suite(("quadprog", "daqp"), replay=[table]))
     }
     assert refused == {
         ("quadprog", "condensed_stacked"): "",
@@ -178,7 +178,7 @@ def test_a_solver_that_needs_a_definite_cost_is_refused_the_states() -> None:
 def test_a_recorded_sequence_has_no_states_to_keep(tmp_path: Path) -> None:
     assert main(["export", "paper", "--steps", "3", "--out", str(tmp_path / "short.npz")]) == 0
     table = suite.RecordedTable(sequence="short.npz", formulations=["condensed_box", "sparse"])
-    planned = plan(_suite(recorded=[table]), beside=tmp_path)
+    planned = plan_suite(_suite(recorded=[table]), beside=tmp_path)
     assert [p.refused for p in planned] == ["", NO_MODEL]
     one = np.ones(1)
     base = QuadraticProgram(np.eye(1), one, np.eye(1), -one, one, -one, one)
@@ -225,8 +225,8 @@ def test_a_campaign_shows_formulations_side_by_side(tmp_path: Path) -> None:
 
 
 def test_the_suite_of_formulations_plans_all_three_and_none_twice() -> None:
-    _, shipped = suite.load_suite("formulations")
-    cells = [planned.cell for planned in plan(shipped)]
+    _, shipped = suite.load_path_and_suite("formulations")
+    cells = [planned.cell for planned in plan_suite(shipped)]
     assert {cell.formulation for cell in cells} == {"condensed_box", "condensed_stacked", "sparse"}
     assert len({cell.to_json() for cell in cells}) == len(cells)
 
@@ -261,7 +261,7 @@ STEPS = {"hpipm": 5}
 def test_exact_solvers(solver: str, scenario: str, horizons: tuple[int, int], steps: int) -> None:
     case = with_horizons(load_scenario(scenario), *horizons).truncate(STEPS.get(solver, steps))
     condensed = record_sequence(case)
-    sequence, form = replay_formulation("sparse", condensed)
+    sequence, form = formulate_sequence("sparse", condensed)
     workspace = open_workspace(solver, route="native", policy="reuse", settings=SETTINGS[solver])
     workspace.setup(sequence.base)
     for k in range(len(sequence)):

@@ -12,7 +12,7 @@ from dpbench import load_scenario, open_workspace, run_closed_loop
 from dpbench.bench.capability.frontier import CapabilityPlot
 from dpbench.bench.judge.control_metrics import compute_axis_limit_metrics, compute_control_metrics
 from dpbench.bench.judge.thruster_metrics import compute_thruster_metrics
-from dpbench.bench.run.exact_loop import ExactLoop, rebuild_sequence, solve_exactly
+from dpbench.bench.run.exact_loop import ExactLoop, rebuild_sequence, solve_loop_exactly
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.scenario.controllers.specification import FIXED_MODEL
@@ -28,7 +28,7 @@ NAMES = problem_names("scenarios")
 
 @cache
 def exact(name: str) -> ExactLoop:
-    return solve_exactly(load_scenario(name))
+    return solve_loop_exactly(load_scenario(name))
 
 
 def measured(scenario: Scenario, loop: ExactLoop) -> dict[str, float]:
@@ -108,7 +108,7 @@ def test_a_previewed_reference_filter_keeps_the_move_off_the_limits() -> None:
 def test_without_preview_the_ship_follows_later() -> None:
     scenario = replace(load_scenario("move_filtered"), preview=False)
     assert (
-        measured(scenario, solve_exactly(scenario))["r_rms_m"]
+        measured(scenario, solve_loop_exactly(scenario))["r_rms_m"]
         > 2 * metrics("move_filtered")["r_rms_m"]
     )
 
@@ -119,7 +119,7 @@ def test_turn_needs_a_model_that_turns() -> None:
     np.testing.assert_allclose(np.degrees(loop.state[-1, 5]), 90.0, atol=0.1)
     assert np.hypot(*loop.state[-1, 3:5]) < 0.1
     once = replace(scenario.controller, linearisation=FIXED_MODEL)
-    fixed = solve_exactly(replace(scenario, controller=once))
+    fixed = solve_loop_exactly(replace(scenario, controller=once))
     assert np.hypot(fixed.state[-200:, 3], fixed.state[-200:, 4]).max() > 10.0
 
 
@@ -178,7 +178,7 @@ def test_an_estimator_with_a_wave_filter_keeps_waves_out_of_the_limits() -> None
 def test_waves_in_a_controller_without_estimator_keep_the_rate_limits_active() -> None:
     scenario = load_scenario("waves")
     bare = replace(scenario, estimation=replace(scenario.estimation, waves=None))
-    assert at_rate(measured(bare, solve_exactly(bare))) > 0.6
+    assert at_rate(measured(bare, solve_loop_exactly(bare))) > 0.6
 
 
 def test_weather_is_held_within_a_quarter_of_a_metre() -> None:
@@ -196,7 +196,7 @@ def test_a_ship_that_is_not_the_model_is_still_held() -> None:
     assert metrics("mismatch")["r_max_m"] < 0.15
     matched = load_scenario("mismatch")
     matched = replace(matched, true_ship=matched.vessel, actuators=None)
-    away = np.abs(solve_exactly(matched).state - exact("mismatch").state)
+    away = np.abs(solve_loop_exactly(matched).state - exact("mismatch").state)
     assert away[:, 3:5].max() > 1e-3
 
 
@@ -241,7 +241,7 @@ def test_watch_circle_limits_the_speed_of_a_transfer() -> None:
     """Speed over ground stays near 0.15 m/s where it would be twice that without the bound."""
     scenario, loop = load_scenario("watch_circle"), exact("watch_circle")
     unbounded = replace(scenario.controller, outputs=None)
-    free = solve_exactly(replace(scenario, controller=unbounded))
+    free = solve_loop_exactly(replace(scenario, controller=unbounded))
     # Softened, and held at ten instants of the horizon only.
     assert top_speed(scenario, loop) < 0.17
     assert top_speed(scenario, free) > 0.3
@@ -272,7 +272,7 @@ def test_a_cascade_holds_where_its_pseudo_inverse_does_not() -> None:
     files = copy.deepcopy(scenario.files)
     files["scenario"]["controller"]["thrusters"]["allocation"] = "pseudo_inverse"
     clipped = build_scenario(files)
-    assert 5.0 < measured(clipped, solve_exactly(clipped))["r_max_m"] < 7.0
+    assert 5.0 < measured(clipped, solve_loop_exactly(clipped))["r_max_m"] < 7.0
 
 
 def clipped(scenario: Scenario) -> pd.DataFrame:
@@ -331,7 +331,7 @@ def assert_same(one: Optimum, other: Optimum) -> None:
 @pytest.mark.parametrize("name", KINDS)
 def test_a_shorter_exact_loop_is_the_beginning_of_a_longer_one(name: str) -> None:
     scenario = load_scenario(name)
-    short, long = (solve_exactly(scenario.truncate(steps)) for steps in (SHORT, LONG))
+    short, long = (solve_loop_exactly(scenario.truncate(steps)) for steps in (SHORT, LONG))
     states = len(short.state)
     assert (len(long.theta), len(short.theta), states) == (LONG, SHORT, SHORT + 1)
     np.testing.assert_array_equal(short.state, long.state[:states])

@@ -40,7 +40,7 @@ def test_a_shared_core_is_waited_for(one_core: None) -> None:
         assert other.stdout is not None and other.stdout.readline() == b"\n"
         delay, began_ns, used_ns = RunDelay(), time.perf_counter_ns(), time.thread_time_ns()
         _work_ms(100.0)
-        waited_ns = delay.since_last()
+        waited_ns = delay.read_wait_since_last_call_ns()
         passed_ns = time.perf_counter_ns() - began_ns
         used_ns = time.thread_time_ns() - used_ns
     finally:
@@ -55,9 +55,9 @@ def test_sleep_is_no_wait_for_the_core() -> None:
     delay = RunDelay()
     waits_ms = []
     for _ in range(5):
-        delay.since_last()
+        delay.read_wait_since_last_call_ns()
         time.sleep(0.02)
-        waits_ms.append(1e-6 * delay.since_last())
+        waits_ms.append(1e-6 * delay.read_wait_since_last_call_ns())
     assert 0.0 <= min(waits_ms) < 10.0
 
 
@@ -75,13 +75,13 @@ def test_where_the_kernel_does_not_show_it_it_is_unknown(monkeypatch: pytest.Mon
         raise FileNotFoundError(path)
 
     monkeypatch.setattr(os, "open", missing)
-    assert RunDelay().since_last() == -1
+    assert RunDelay().read_wait_since_last_call_ns() == -1
     monkeypatch.undo()
     delay = RunDelay()
     monkeypatch.setattr(os, "pread", lambda file, size, at: b"12")
-    assert delay.since_last() == -1
+    assert delay.read_wait_since_last_call_ns() == -1
     monkeypatch.undo()
-    assert delay.since_last() == -1
+    assert delay.read_wait_since_last_call_ns() == -1
 
 
 def test_waits_for_the_core_use_up_no_limit(monkeypatch: pytest.MonkeyPatch) -> None:

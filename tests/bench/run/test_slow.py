@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
 from dpbench.bench.judge.closed_loop import EVALUATION, evaluate_loop_log
-from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
 from dpbench.bench.record.cell import SLOWEST, Cell
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.run.exact_loop import solve_exactly
+from dpbench.bench.run.exact_loop import solve_loop_exactly
 from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.bench.run.slow_computer import ComputationalDelay, SlowComputer
 from dpbench.errors import InputError
@@ -214,14 +214,14 @@ def test_slowdowns_are_an_axis_of_a_suite_and_leave_other_cells_alone() -> None:
     table = ClosedLoopTable(scenarios=["paper"], slowdowns=[0, 1, 100], deadline_s=0.1, steps=9)
     plain = ClosedLoopTable(scenarios=["paper"], steps=9)
     suite = SuiteFile(title="x", solvers=["daqp"], baseline_law=False, closed_loop=[table, plain])
-    cells = [planned.cell for planned in plan(suite)]
+    cells = [planned.cell for planned in plan_suite(suite)]
     assert [cell.slowdown for cell in cells] == [0.0, 1.0, 100.0, 0.0]
     assert [cell.deadline_s for cell in cells] == [0.1, 0.1, 0.1, 0.0]
     assert all(Cell.from_json(cell.to_json()) == cell for cell in cells)
     assert not {"slowdown", "deadline_s"} & set(cells[3].to_json().replace('"', " ").split())
     late = ClosedLoopTable(scenarios=["paper"], deadline_s=0.4)
     with pytest.raises(InputError, match="deadline_s"):
-        plan(SuiteFile(title="x", solvers=["daqp"], baseline_law=False, closed_loop=[late]))
+        plan_suite(SuiteFile(title="x", solvers=["daqp"], baseline_law=False, closed_loop=[late]))
 
 
 def test_ordinary_loops_do_without_it(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -266,7 +266,7 @@ def test_a_model_that_turns_is_judged_on_the_steps_that_were_computed() -> None:
     cell = Cell(
         "closed_loop", scenario.files, "quadprog", "qpsolvers", "fresh", "", 150, slowdown=1.0
     )
-    evaluated = evaluate_loop_log(cell, log, solve_exactly(scenario))
+    evaluated = evaluate_loop_log(cell, log, solve_loop_exactly(scenario))
     move = evaluated.columns["evaluations"][:, EVALUATION.index("error_move")]
     assert (move[began] < 1e-9).all() and np.isnan(np.delete(move, began)).all()
     assert evaluated.metrics["matrix_steps"] > 1

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
-from dpbench.bench.run.station import find_arrivals, station_metrics
+from dpbench.bench.run.exact_loop import ExactLoop, solve_loop_exactly
+from dpbench.bench.run.station import compute_station_metrics, mask_arrived_samples
 from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.scenario.variation import replace_values
 
@@ -24,7 +24,7 @@ def loop_along(scenario: Scenario, east_m: Any, active: Any = False) -> ExactLoo
 def test_a_ship_that_drifts_off_leaves_at_the_first_sample_outside() -> None:
     calm = load_scenario("calm")
     east = np.append(np.linspace(0.0, 10.0, 11), [37.0, 36.0])
-    found = station_metrics(calm, loop_along(calm, east, np.arange(12) % 4 == 0), 12)
+    found = compute_station_metrics(calm, loop_along(calm, east, np.arange(12) % 4 == 0), 12)
     assert found["exact_left_s"] == pytest.approx(6 * calm.sample_s)
     assert found["exact_offset_max_m"] == 37.0 and found["exact_offset_end_m"] == 36.0
     assert found["exact_offset_max_s"] == pytest.approx(11 * calm.sample_s)
@@ -33,7 +33,7 @@ def test_a_ship_that_drifts_off_leaves_at_the_first_sample_outside() -> None:
 
 def test_only_the_steps_asked_for_count() -> None:
     calm = load_scenario("calm")
-    found = station_metrics(calm, loop_along(calm, np.linspace(0.0, 10.0, 11)), 4)
+    found = compute_station_metrics(calm, loop_along(calm, np.linspace(0.0, 10.0, 11)), 4)
     assert found["exact_steps"] == 4.0 and found["exact_offset_max_m"] == 4.0
     assert np.isnan(found["exact_left_s"])
 
@@ -41,21 +41,21 @@ def test_only_the_steps_asked_for_count() -> None:
 def test_a_transfer_is_no_departure_and_its_overshoot_neither() -> None:
     """It starts 25 m off, overshoots by 10.8 m, and then stays: offsets count from its arrival."""
     move = load_scenario("move")
-    found = station_metrics(move, solve_exactly(move), move.steps)
+    found = compute_station_metrics(move, solve_loop_exactly(move), move.steps)
     assert np.isnan(found["exact_left_s"])
     assert found["exact_offset_max_m"] < 1.0 and found["exact_offset_end_m"] < 0.1
 
 
 def test_a_squall_that_carries_the_ship_off_for_a_while_is_a_departure() -> None:
     squall = load_scenario("squall")
-    found = station_metrics(squall, solve_exactly(squall), squall.steps)
+    found = compute_station_metrics(squall, solve_loop_exactly(squall), squall.steps)
     assert 100.0 < found["exact_left_s"] < found["exact_offset_max_s"] < 130.0
     assert found["exact_offset_max_m"] > 5.0 > found["exact_offset_end_m"]
 
 
 def test_a_model_ship_has_a_station_of_its_own_size() -> None:
     model = load_scenario("squall@cybership2")
-    found = station_metrics(model, loop_along(model, [0.0, 0.05, 0.08]), 2)
+    found = compute_station_metrics(model, loop_along(model, [0.0, 0.05, 0.08]), 2)
     assert found["station_radius_m"] == pytest.approx(5.0 / 70.0, rel=0.05)
     assert found["exact_left_s"] == pytest.approx(2 * model.sample_s)
 
@@ -64,7 +64,7 @@ def test_a_model_ship_has_a_station_of_its_own_size() -> None:
 def test_slacks_at_rest_are_no_active_limits() -> None:
     """In still water at its setpoint the ship with soft limits has none that is active."""
     circle = load_scenario("watch_circle")
-    active = solve_exactly(circle).active
+    active = solve_loop_exactly(circle).active
     assert active[0] and not active[circle.steps // 2 :].any()
 
 
@@ -72,7 +72,7 @@ def test_a_lost_thruster_is_no_active_limit() -> None:
     """In a weak current the other thrusters never reach a limit, before the loss and after it."""
     values = {"environment": {"current": {"speed_mps": 0.2, "towards_deg": 220.0}, "ramp_s": 60.0}}
     weak = replace_values(load_scenario("thrusters_loss").truncate(400), values, "weak current")
-    exact = solve_exactly(weak)
+    exact = solve_loop_exactly(weak)
     assert np.abs(exact.thrust[-1]).max() > 1e3
     assert not exact.active.any()
     assert any(np.abs(optimum.y).max() > 1e-9 for optimum in exact.optima[301:])
@@ -95,7 +95,7 @@ def test_when_a_ship_has_arrived(
 ) -> None:
     """Beyond 1 it is outside; it arrives by two samples inside, or by drifting off."""
     jumps = np.isin(np.arange(5), moved)
-    found = find_arrivals(np.array(distance, dtype=float), jumps, 2)
+    found = mask_arrived_samples(np.array(distance, dtype=float), jumps, 2)
     np.testing.assert_array_equal(found, np.array(arrived, dtype=bool))
 
 
@@ -105,8 +105,12 @@ def test_offsets_after_a_loss_count_from_it_on() -> None:
     east = [4.0, 0.0, 0.0, 0.0, 1.0, 3.0, 2.0]
     faults = [{"at_s": 1.2, "limit_share": [1.0, 0.5, 1.0]}]
     lossy = replace_values(calm, {"faults": faults}, "a loss")
-    found = station_metrics(lossy, loop_along(lossy, east), 6)
+    found = compute_station_metrics(lossy, loop_along(lossy, east), 6)
     assert found["exact_loss_offset_max_m"] == 3.0 and found["exact_offset_max_m"] == 4.0
     assert found["exact_loss_heading_max_deg"] == 0.0
-    assert np.isnan(station_metrics(lossy, loop_along(lossy, east), 3)["exact_loss_offset_max_m"])
-    assert np.isnan(station_metrics(calm, loop_along(calm, east), 6)["exact_loss_offset_max_m"])
+    assert np.isnan(
+        compute_station_metrics(lossy, loop_along(lossy, east), 3)["exact_loss_offset_max_m"]
+    )
+    assert np.isnan(
+        compute_station_metrics(calm, loop_along(calm, east), 6)["exact_loss_offset_max_m"]
+    )

@@ -12,7 +12,7 @@ from qpsolvers import solve_qp
 
 from dpbench.bench.record.cell import Formulation
 from dpbench.bench.record.raw_log import RawLog
-from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
+from dpbench.bench.run.exact_loop import ExactLoop, solve_loop_exactly
 from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE
 from dpbench.scenario.scenario import Scenario, build_scenario, load_scenario
@@ -69,7 +69,7 @@ def case() -> Scenario:
 
 @pytest.fixture(scope="module")
 def exact(case: Scenario) -> ExactLoop:
-    return solve_exactly(case)
+    return solve_loop_exactly(case)
 
 
 def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) -> None:

@@ -11,16 +11,16 @@ import pytest
 
 from dpbench import load_scenario, open_workspace
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.raw_log import Layout, RawLog, loop_layout
-from dpbench.bench.run.assemble import NO_LIMIT_NS, closed_loop_setup
+from dpbench.bench.record.raw_log import Layout, RawLog, make_loop_layout
+from dpbench.bench.run.assemble import NO_LIMIT_NS, build_closed_loop_setup
 from dpbench.bench.run.backup import WARM_UP_SOLVES
-from dpbench.bench.run.closed_loop import closed_loop
+from dpbench.bench.run.closed_loop import record_closed_loop
 from dpbench.bench.run.formulation import BoxFormulation
-from dpbench.bench.run.slow_computer import never_preempted
+from dpbench.bench.run.slow_computer import return_zero_usage
 from dpbench.bench.run.timed_solver import (
     HANG_DETAIL,
     TimedSolver,
-    step_alarm,
+    raise_at_step_limit,
 )
 from dpbench.bench.workers.worker import find_hang
 from dpbench.qp.program import QPStep, QuadraticProgram
@@ -71,7 +71,7 @@ def test_what_runs_python_is_interrupted_and_set_up_anew(catches: bool) -> None:
     workspace = Spinning(catches=catches)
     solver = timed(workspace)
     solver.prepare()
-    with step_alarm(LIMIT_S, time.perf_counter_ns):
+    with raise_at_step_limit(LIMIT_S, time.perf_counter_ns):
         answer = solver.answer(STEP)
         assert answer.status is Status.TIME_LIMIT and "limit of 0.05 s" in answer.detail
         assert sum(ns for ns in solver.phases_ns if ns > 0) >= LIMIT_S * 1e9
@@ -82,7 +82,7 @@ def test_what_runs_python_is_interrupted_and_set_up_anew(catches: bool) -> None:
 
 def test_an_alarm_outside_of_a_step_is_none() -> None:
     solver = timed(Spinning(catches=False))
-    with step_alarm(0.01, time.perf_counter_ns):
+    with raise_at_step_limit(0.01, time.perf_counter_ns):
         until = time.monotonic() + 0.05
         while time.monotonic() < until:
             pass
@@ -156,17 +156,17 @@ def goes_on(
     for fails in (True, False):
         workspace = leaving(opened(), fails)
         workspace.reopen = opened
-        setup = closed_loop_setup(cell, scenario, workspace, new_log, NO_LIMIT_NS)
-        setup.usage = never_preempted
+        setup = build_closed_loop_setup(cell, scenario, workspace, new_log, NO_LIMIT_NS)
+        setup.usage = return_zero_usage
         with nullcontext() if fails else pytest.raises(SystemExit):
-            assert closed_loop(setup)
+            assert record_closed_loop(setup)
     expected, log = logs
     assert log.done[0] == at
     ready_ns = None if log.backup is None else log.backup.ready_ns[:at].copy()
-    again = closed_loop_setup(cell, scenario, opened(), lambda _: log, limit_ns, hung=[at])
-    again.limit_ns, again.usage = NO_LIMIT_NS, never_preempted
+    again = build_closed_loop_setup(cell, scenario, opened(), lambda _: log, limit_ns, hung=[at])
+    again.limit_ns, again.usage = NO_LIMIT_NS, return_zero_usage
     late_ns = log.latency_ns.copy()
-    assert closed_loop(again)
+    assert record_closed_loop(again)
     for array in ("state", "tau", "status", "flags", "iterations"):
         np.testing.assert_array_equal(getattr(log, array), getattr(expected, array))
     np.testing.assert_array_equal(log.latency_ns[:at], late_ns[:at])
@@ -215,6 +215,6 @@ def test_a_killed_loop_of_a_slow_computer_goes_on(tmp_path: Path) -> None:
         slowdown=2.0,
         backup="quadprog",
     )
-    log = RawLog.create(tmp_path / "a.raw", loop_layout(9, 3, 3, 3))
+    log = RawLog.create(tmp_path / "a.raw", make_loop_layout(9, 3, 3, 3))
     log.started[0], log.done[0] = 1, 4
     assert find_hang(cell, tmp_path / "a.raw", []) == (0, 4)

@@ -13,11 +13,11 @@ from scipy.linalg import block_diag
 from scipy.optimize import linprog
 
 from dpbench import load_scenario
-from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.raw_log import log_bytes, replay_layout
-from dpbench.bench.run.exact_loop import solve_exactly
+from dpbench.bench.record.raw_log import compute_log_bytes, make_replay_layout
+from dpbench.bench.run.exact_loop import solve_loop_exactly
 from dpbench.bench.sequences.loop_sequences import (
     FILTER_S,
     build_consequence_sequence,
@@ -163,7 +163,7 @@ def test_a_margin_belongs_to_a_consequence_analysis() -> None:
     table = ReplayTable(scenario="thrusters", margin=1.1)
     suite = SuiteFile(title="", solvers=["daqp"], cell_limit_s=1.0, replay=[table])
     with pytest.raises(InputError, match=r"margin: found 1\.1; allowed: nothing without conseq"):
-        plan(suite)
+        plan_suite(suite)
 
 
 def test_what_the_run_has_lost_stays_lost() -> None:
@@ -209,12 +209,12 @@ def suite_of(scenario: str = "thrusters_loss", **keys: Any) -> SuiteFile:
 def test_each_group_is_a_cell_of_its_own_beside_one_loop() -> None:
     suite = suite_of(first=100, steps=50)
     suite = suite.model_copy(update={"calibration": True})
-    cells = [planned.cell for planned in plan(suite)]
+    cells = [planned.cell for planned in plan_suite(suite)]
     names = [f"thrusters_loss[100:150], {group} lost" for group in GROUPS]
     assert [cell.sequence for cell in cells] == names
     assert {cell.solver for cell in cells} == {"daqp"}
     assert len({cell.problem_key for cell in cells}) == 3
-    (loop,) = plan(
+    (loop,) = plan_suite(
         suite_of().model_copy(update={"replay": [ReplayTable(scenario="thrusters_loss")]})
     )
     keys = {cell.source_key("1") for cell in (*cells, loop.cell)}
@@ -224,17 +224,17 @@ def test_each_group_is_a_cell_of_its_own_beside_one_loop() -> None:
 
 def test_what_has_no_consequence_analysis_is_refused_in_one_line() -> None:
     with pytest.raises(InputError, match=r"consequence analysis of paper: controller\.kind"):
-        plan(suite_of("paper"))
+        plan_suite(suite_of("paper"))
     with pytest.raises(InputError, match="units"):
-        plan(suite_of(units=["si"]))
+        plan_suite(suite_of(units=["si"]))
 
 
 def test_the_window_of_a_cell_is_that_of_the_run(tmp_path: Path) -> None:
     """A replay from step 3 on sees the QPs that the whole run has there, its mean included."""
     case = load_scenario("thrusters").truncate(9)
-    exact = solve_exactly(case)
+    exact = solve_loop_exactly(case)
     exact.save(tmp_path / "loop.npz")
-    cells = [planned.cell for planned in plan(suite_of("thrusters", first=3, steps=5))]
+    cells = [planned.cell for planned in plan_suite(suite_of("thrusters", first=3, steps=5))]
     for cell, group in zip(cells, GROUPS, strict=True):
         found = read_replay(cell, tmp_path / "loop.npz")
         whole = build_consequence_sequence(case, exact.tau, group, 1.25)
@@ -242,5 +242,5 @@ def test_the_window_of_a_cell_is_that_of_the_run(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found.sequence.base.u, whole.u[3])
         assert (found.sequence.name, found.sample_s) == (cell.sequence, 0.3)
         assert found.optima is not None and len(found.optima) == 5
-        size = log_bytes(replay_layout(cell.rounds + 1, 5, whole.base.n, whole.base.m))
+        size = compute_log_bytes(make_replay_layout(cell.rounds + 1, 5, whole.base.n, whole.base.m))
         assert log_size(cell, tmp_path / "loop.npz") == size

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpbench.bench.plan.plan import plan
-from dpbench.bench.plan.run_request import select_part
+from dpbench.bench.plan.plan import plan_suite
+from dpbench.bench.plan.run_request import reduce_suite
 from dpbench.bench.plan.suite import ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell, HardestSource
-from dpbench.bench.run.exact_loop import ExactLoop, solve_exactly
-from dpbench.bench.run.station import station_metrics
+from dpbench.bench.run.exact_loop import ExactLoop, solve_loop_exactly
+from dpbench.bench.run.station import compute_station_metrics
 from dpbench.bench.sequences.loop_sequences import (
     find_active_limits,
     find_hardest_window,
@@ -86,7 +86,7 @@ def suite_of(**table: object) -> SuiteFile:
 
 
 def cell(**table: object) -> Cell:
-    (planned,) = plan(suite_of(**table))
+    (planned,) = plan_suite(suite_of(**table))
     return planned.cell
 
 
@@ -96,7 +96,7 @@ def test_a_window_is_a_timed_replay_of_its_scenario() -> None:
     assert window.sequence == "turn hardest 50"
     assert window.is_timed
     assert window.source_key("") == whole.source_key("")
-    assert window.last_step == whole.last_step == 450
+    assert window.steps_needed_in_file == whole.steps_needed_in_file == 450
     assert Cell.from_json(window.to_json()) == window
     assert cell(first=100, steps=200, hardest=20).sequence == "turn[100:300] hardest 20"
 
@@ -111,18 +111,20 @@ def test_a_window_is_a_timed_replay_of_its_scenario() -> None:
 )
 def test_a_window_that_cannot_be_is_refused(table: dict[str, object], words: str) -> None:
     with pytest.raises(InputError, match=f"replay of .*hardest.*{words}") as caught:
-        plan(suite_of(**table))
+        plan_suite(suite_of(**table))
     assert "\n" not in str(caught.value)
 
 
 def test_fewer_steps_cut_the_window_and_its_stretch() -> None:
     """`--steps` is the most of every replay; a scenario of one's own may be shorter too."""
-    cut = select_part(suite_of(steps=450, hardest=50), steps=20)
-    assert [p.cell.steps for p in plan(cut)] == [20]
-    wide = select_part(suite_of(steps=450, hardest=50), steps=100)
-    assert [(p.cell.steps, p.cell.last_step) for p in plan(wide)] == [(50, 100)]
-    other = select_part(suite_of(first=100, steps=450, hardest=5000), scenarios=["paper"])
-    assert [(p.cell.steps, p.cell.last_step) for p in plan(other)] == [(1000, 1000)]
+    cut = reduce_suite(suite_of(steps=450, hardest=50), steps=20)
+    assert [p.cell.steps for p in plan_suite(cut)] == [20]
+    wide = reduce_suite(suite_of(steps=450, hardest=50), steps=100)
+    assert [(p.cell.steps, p.cell.steps_needed_in_file) for p in plan_suite(wide)] == [(50, 100)]
+    other = reduce_suite(suite_of(first=100, steps=450, hardest=5000), scenarios=["paper"])
+    assert [(p.cell.steps, p.cell.steps_needed_in_file) for p in plan_suite(other)] == [
+        (1000, 1000)
+    ]
 
 
 @pytest.mark.slow
@@ -159,14 +161,14 @@ def test_an_infeasible_step_is_in_the_window(tmp_path: Path) -> None:
 
 def test_a_replay_carries_the_ship_of_its_loop_up_to_its_end(tmp_path: Path) -> None:
     scenario = load_scenario("squall")
-    path, exact = tmp_path / "loop.npz", solve_exactly(scenario)
+    path, exact = tmp_path / "loop.npz", solve_loop_exactly(scenario)
     exact.save(path)
     for first, steps, left in ((0, 300, False), (200, 200, True)):
         replayed = Cell(
             "replay", scenario.files, "daqp", "native", "fresh", "default", steps, first=first
         )
         found = read_replay(replayed, path).station
-        assert found == station_metrics(scenario, exact, first + steps)
+        assert found == compute_station_metrics(scenario, exact, first + steps)
         assert np.isfinite(found["exact_left_s"]) == left
 
 
@@ -174,7 +176,7 @@ def test_a_window_has_its_share_of_the_budgets_and_a_short_warm_up() -> None:
     suite = suite_of(steps=300, hardest=30).model_copy(
         update={"replay_budget_s": 0.6, "repeat_budget_s": 0.2}
     )
-    (planned,) = plan(suite)
+    (planned,) = plan_suite(suite)
     assert planned.cell.budget_s == pytest.approx(0.06)
     assert planned.cell.repeat_budget_s == pytest.approx(0.02)
     assert planned.cell.warmup_steps == 5

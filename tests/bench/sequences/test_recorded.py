@@ -12,7 +12,7 @@ from scipy.sparse import csc_matrix
 
 from dpbench import InputError, load_results, load_scenario, run_campaign, save_sequence
 from dpbench.bench.plan.cells import SEMIDEFINITE_REFUSAL
-from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import RecordedTable, SuiteFile, build_sequence_suite
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.sequences.qpsolvers_files import read_problems
@@ -183,24 +183,24 @@ def test_a_lie_in_a_file_is_not_believed(tmp_path: Path) -> None:
 
 def test_a_file_changed_since_the_cell_was_planned_is_another(folder: Path) -> None:
     suite = build_sequence_suite(folder)
-    before = plan(suite, solvers=["daqp"])[0].cell
+    before = plan_suite(suite, solvers=["daqp"])[0].cell
     assert Cell.from_json(before.to_json()).to_json() == before.to_json()
     hand_made(3.0).save(str(folder / "step_11.npz"))
-    after = plan(suite, solvers=["daqp"])[0].cell
+    after = plan_suite(suite, solvers=["daqp"])[0].cell
     assert before.source != after.source
     assert before.problem_key != after.problem_key
 
 
 def test_a_suite_names_a_sequence_beside_it(folder: Path) -> None:
     suite = SuiteFile(title="x", solvers=["daqp"], recorded=[RecordedTable(sequence="robot")])
-    (planned,) = plan(suite, beside=folder.parent)
+    (planned,) = plan_suite(suite, beside=folder.parent)
     assert (planned.cell.sequence, planned.cell.steps) == ("robot", 3)
     sparse_equivalent = folder.parent / "sparse_equivalent" / "robot"
     sparse_equivalent.mkdir(parents=True)
     hand_made(3.0).save(str(sparse_equivalent / "0.npz"))
     both = [RecordedTable(sequence="robot"), RecordedTable(sequence=str(sparse_equivalent))]
     with pytest.raises(InputError, match="'robot'"):
-        plan(SuiteFile(title="x", solvers=["daqp"], recorded=both), beside=folder.parent)
+        plan_suite(SuiteFile(title="x", solvers=["daqp"], recorded=both), beside=folder.parent)
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import pytest
 import quadprog
 
 from dpbench import InputError, load_sequence
-from dpbench.bench.plan.plan import plan
+from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import RecordedTable, SuiteFile
 from dpbench.bench.record.npz import write_npz
 from dpbench.bench.sequences.sequence_file import active_set, load_recorded
@@ -203,7 +203,7 @@ def test_a_lie_is_one_line(
 def test_a_suite_names_stored_sequences() -> None:
     """`[[recorded]]` with a name; a folder beside the suite that has the name is not meant."""
     tables = [RecordedTable(sequence=name) for name in SMALL]
-    cells = plan(SuiteFile(title="x", solvers=["daqp"], recorded=tables))
+    cells = plan_suite(SuiteFile(title="x", solvers=["daqp"], recorded=tables))
     assert [vars(planned.cell.source)["path"] for planned in cells] == list(SMALL)
     lengths = [len(arrays_of(sequence_path(name))["q"]) for name in SMALL]
     assert [planned.cell.steps for planned in cells] == lengths

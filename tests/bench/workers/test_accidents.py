@@ -20,8 +20,8 @@ from dpbench.bench.engines.dispatcher import Dispatcher
 from dpbench.bench.progress import Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell
 from dpbench.bench.record.cell_store import CellStore
-from dpbench.bench.record.raw_log import RawLog, is_writable_log, replay_layout
-from dpbench.bench.record.result_folder import read_accidents
+from dpbench.bench.record.raw_log import RawLog, is_log_full_size_and_writable, make_replay_layout
+from dpbench.bench.record.result_folder import read_lost_count_and_remarks
 from dpbench.bench.record.step_table import BatchPart
 from dpbench.bench.sequences.source import source_file
 from dpbench.bench.workers import child as supervise
@@ -49,7 +49,7 @@ def suite(tmp_path: Path) -> Path:
 
 
 def run(suite: Path, out: Path) -> int:
-    return read_accidents(run_campaign(suite, out))[0]
+    return read_lost_count_and_remarks(run_campaign(suite, out))[0]
 
 
 def outcomes(out: Path) -> list[str]:
@@ -257,7 +257,7 @@ def test_a_removed_scratch(suite: Path, tmp_path: Path, monkeypatch: pytest.Monk
     runs = load_results(out).runs
     lost = (runs["mode"] == "replay") & (runs["scenario"] != "")
     assert runs["outcome"].tolist() == ["lost" if gone else "finished" for gone in lost]
-    assert read_accidents(out)[0] == lost.sum() == 2
+    assert read_lost_count_and_remarks(out)[0] == lost.sum() == 2
     kept = runs.loc[~lost, "raw_max_ns"].tolist()
     assert run(suite, out) == 0
     assert set(outcomes(out)) == {"finished"}
@@ -394,7 +394,7 @@ def test_a_referee_that_fails_loses_the_cell(copied: Path, monkeypatch: pytest.M
 
 
 def test_a_part_without_room(suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    out, add = tmp_path / "out", CellStore.add_part
+    out, add = tmp_path / "out", CellStore.write_part_file
 
     def full(self: CellStore, part: BatchPart) -> None:
         refused.add(part.data)
@@ -404,7 +404,7 @@ def test_a_part_without_room(suite: Path, tmp_path: Path, monkeypatch: pytest.Mo
 
     refused: set[bytes] = set()
     with monkeypatch.context() as patch:
-        patch.setattr(CellStore, "add_part", full)
+        patch.setattr(CellStore, "write_part_file", full)
         assert run(suite, out) == 1
     runs = load_results(out).runs
     assert sorted(runs["outcome"]) == ["finished", "finished", "lost"]
@@ -414,13 +414,13 @@ def test_a_part_without_room(suite: Path, tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_a_log_has_its_room_or_is_none(tmp_path: Path) -> None:
     path = tmp_path / "a.raw"
-    RawLog.create(path, replay_layout(1, 50, 3, 3))
+    RawLog.create(path, make_replay_layout(1, 50, 3, 3))
     size = path.stat().st_size
-    assert 512 * path.stat().st_blocks >= size and is_writable_log(path)
+    assert 512 * path.stat().st_blocks >= size and is_log_full_size_and_writable(path)
     os.truncate(path, size - 1)
-    assert not is_writable_log(path)
+    assert not is_log_full_size_and_writable(path)
     with pytest.raises(OSError, match=r"."):
         RawLog.create(
-            tmp_path / "b.raw", replay_layout(2**20, 2**20, 8, 8) | {"done": ("i8", (1,))}
+            tmp_path / "b.raw", make_replay_layout(2**20, 2**20, 8, 8) | {"done": ("i8", (1,))}
         )
     assert not list(tmp_path.glob("b.raw")) and not list(tmp_path.glob("*.blank"))

@@ -55,8 +55,8 @@ def undisturbed(suite: Path) -> Path:
 @pytest.mark.parametrize(
     ("moment", "finished"),
     [
-        ("CellStore.add_part:1", 1),
-        ("CellStore.add_part:5", 5),
+        ("CellStore.write_part_file:1", 1),
+        ("CellStore.write_part_file:5", 5),
         # The public steps are written, and in no place yet; the parts are.
         ("StepFile.close:1", CELLS),
         # The public steps are in their place, without their runs.
@@ -75,7 +75,7 @@ def test_what_was_killed_goes_on_as_if_nothing_was(
     before = CellStore(out)
     # The last batch that was stored may have had two cells.
     assert finished <= len(before.finished) <= finished + 1
-    times = before.finished_runs()["raw_max_ns"].to_dict()
+    times = before.read_finished_runs()["raw_max_ns"].to_dict()
     run_campaign(suite, out)
     results = load_results(out)
     assert_same(out, undisturbed)

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from dpbench import load_results, run_campaign
-from dpbench.bench.record.result_folder import read_accidents
+from dpbench.bench.record.result_folder import read_lost_count_and_remarks
 from dpbench.bench.workers import batch, scratch
 from dpbench.bench.workers.child import KILLED_FORKSERVER
 from dpbench.bench.workers.scratch import Scratch
@@ -69,11 +69,11 @@ def test_what_goes_away_between_judging_and_keeping_is_lost(
 
     with monkeypatch.context() as patch:
         patch.setattr(batch._ItemProcess, "split_items", tidied)
-        assert read_accidents(run_campaign(suite, out, jobs=1))[0] == 3
+        assert read_lost_count_and_remarks(run_campaign(suite, out, jobs=1))[0] == 3
     runs = load_results(out).runs
     assert set(runs["outcome"]) == {"lost"}
     assert runs["outcome_detail"].str.contains("went away").all()
-    assert read_accidents(run_campaign(suite, out))[0] == 0
+    assert read_lost_count_and_remarks(run_campaign(suite, out))[0] == 0
     assert set(load_results(out).runs["steps_done"]) == {STEPS}
 
 

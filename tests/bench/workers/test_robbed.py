@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.raw_log import LOAD_PASSES, RawLog, replay_layout
+from dpbench.bench.record.raw_log import LOAD_PASSES, RawLog, make_replay_layout
 from dpbench.bench.workers.interleaved import (
     ROBBED_FACTOR,
     find_most_loaded_round,
@@ -38,7 +38,7 @@ def configuration(name: str, budget_s: float) -> Replayed:
 
 def recorded(*busy: int) -> RawLog:
     """A log of finished rounds, in those of `busy` the load kernel is slow."""
-    log = RawLog.in_memory(replay_layout(ROUNDS + 1, 2, 1, 1))
+    log = RawLog.in_memory(make_replay_layout(ROUNDS + 1, 2, 1, 1))
     log.done[:] = 2
     log.load_kernel_ns[:] = QUIET_NS
     log.load_kernel_ns[list(busy)] = BUSY_NS

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dpbench.bench.record.cell import Outcome
-from dpbench.bench.record.raw_log import RawLog, replay_layout
+from dpbench.bench.record.raw_log import RawLog, make_replay_layout
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.workers.child import (
     FORKSERVER_DIED,
@@ -90,7 +90,7 @@ def test_a_log_that_lost_its_room_is_no_crash_of_the_solver(
     size: int | None, outcome: str, context: ForkServerContext, tmp_path: Path
 ) -> None:
     raw = tmp_path / "cell.raw"
-    RawLog.create(raw, replay_layout(1, 4, 2, 2))
+    RawLog.create(raw, make_replay_layout(1, 4, 2, 2))
     if size is not None:
         os.truncate(raw, size)
     assert ended(context, tmp_path, SOLVER + "signal.raise_signal(signal.SIGBUS)")[0] == outcome
@@ -108,7 +108,7 @@ def test_a_hanging_call_is_killed_and_its_steps_stay(
     context: ForkServerContext, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(supervise, "GRACE_S", 0.1)
-    log = RawLog.create(tmp_path / "cell.raw", replay_layout(1, 4, 2, 2))
+    log = RawLog.create(tmp_path / "cell.raw", make_replay_layout(1, 4, 2, 2))
     log.z[0, 0] = [1.0, 2.0]
     log.done[0] = 1
     log.started[0] = 1
@@ -124,7 +124,7 @@ def test_a_wait_for_the_core_is_no_run_time(
     context: ForkServerContext, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(supervise, "GRACE_S", 0.1)
-    RawLog.create(tmp_path / "cell.raw", replay_layout(1, 4, 2, 2)).started[0] = 1
+    RawLog.create(tmp_path / "cell.raw", make_replay_layout(1, 4, 2, 2)).started[0] = 1
     child = Child(context, exec, (SOLVER + "time.sleep(600.0)",), tmp_path, "cell", limit_s=0.2)
     monkeypatch.setattr(supervise, "read_process_wait_s", lambda process: 600.0)
     assert not child.kill_if_overdue()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from dpbench.bench.judge.control_metrics import compute_joint_limit_metrics
-from dpbench.bench.run.exact_loop import solve_exactly
+from dpbench.bench.run.exact_loop import solve_loop_exactly
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.errors import InputError
 from dpbench.mpc.condense import UnitSystem
@@ -106,7 +106,7 @@ def test_what_is_cut_keeps_to_everything_and_what_keeps_to_it_is_not_cut(
 
 
 def test_a_run_keeps_to_the_turning_rate_and_uses_it(case: Scenario) -> None:
-    thrust = solve_exactly(case).thrust
+    thrust = solve_loop_exactly(case).thrust
     most = np.array([arcs(case, before, now - before)[1] for before, now in pairwise(thrust)])
     assert most.max() == pytest.approx(1.0, abs=1e-6)
 
@@ -119,7 +119,7 @@ def test_every_step_around_the_loss_of_an_azimuth_with_a_sector_is_certified(
     files = copy.deepcopy(load_scenario("thrusters_loss").files)
     files["vessel"]["thrusters"][0]["sector_deg"] = sector_deg
     files["scenario"]["faults"] = [{"at_s": 6.0, "lost": lost}]
-    exact = solve_exactly(build_scenario(files).truncate(50))
+    exact = solve_loop_exactly(build_scenario(files).truncate(50))
     assert {optimum.kind for optimum in exact.optima} <= {"linear", "gap"}
     np.testing.assert_allclose(exact.thrust[-1, :2], 0.0, atol=1e-9)
 
@@ -207,7 +207,7 @@ def test_a_force_on_a_facet_leaves_no_slack_in_its_row(units: UnitSystem) -> Non
 
 def test_a_run_uses_what_there_is_and_no_more() -> None:
     scenario = force_case(150)
-    tau = solve_exactly(scenario).tau
+    tau = solve_loop_exactly(scenario).tau
     thrusters = thrusters_of("ratownik")
     reach = [reach_by_linprog(thrusters, 4, force, set()) for force in tau[60::10]]
     assert min(reach) >= 1 - 1e-7

@@ -14,7 +14,7 @@ from dpbench import InputError, compare
 from dpbench.analysis.compare.pairs import Pair
 from dpbench.analysis.records.run_record import build_records
 from dpbench.bench.record.result_folder import Results
-from dpbench.bench.record.schema import as_runs, as_steps
+from dpbench.bench.record.schema import convert_to_run_columns, convert_to_step_columns
 from dpbench.cli.main import main
 from dpbench.report.compare.comparison import _merge_verdicts
 from dpbench.report.compare.page import lead_sentences, write_comparison
@@ -85,8 +85,8 @@ def make(tmp_path: Path) -> Make:
         if loop is not None:
             runs.append(identity("closed_loop", "daqp", loop))
         described = {"id": machine_id, "kernel": f"Linux of {machine_id}"}
-        recorded = StepsInMemory(as_steps(pd.concat(steps, ignore_index=True)))
-        table = as_runs(pd.DataFrame(runs))
+        recorded = StepsInMemory(convert_to_step_columns(pd.concat(steps, ignore_index=True)))
+        table = convert_to_run_columns(pd.DataFrame(runs))
         write_results(tmp_path / name, Results(table, recorded, described, {"name": "synthetic"}))
         return tmp_path / name
 
@@ -500,7 +500,7 @@ def test_a_configuration_that_met_another_neighbour_is_not_blamed_for_it(make: M
 def test_another_build_of_the_same_version_is_said() -> None:
     builds = ("BLASFEO generic", "BLASFEO AVX2 FMA")
     rows = [identity("replay", "hpipm", {"build": build}) for build in builds]
-    generic, fast = build_records(as_runs(pd.DataFrame(rows)))
+    generic, fast = build_records(convert_to_run_columns(pd.DataFrame(rows)))
     assert Pair(generic, generic).label.startswith("hpipm (")
     output = "hpipm 1.0 BLASFEO generic → 1.0 BLASFEO AVX2 FMA ("
     assert Pair(generic, fast).label.startswith(output)

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from dpbench.bench.record.result_folder import Results
-from dpbench.bench.record.schema import as_runs, as_steps
+from dpbench.bench.record.schema import convert_to_run_columns, convert_to_step_columns
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.report.compare.releases import releases, write_releases
@@ -48,7 +48,10 @@ def make(tmp_path: Path) -> Make:
             for solver, time in times_us.items()
         ]
         folder = tmp_path / name
-        runs, steps = as_runs(pd.DataFrame(rows)), as_steps(pd.DataFrame())
+        runs, steps = (
+            convert_to_run_columns(pd.DataFrame(rows)),
+            convert_to_step_columns(pd.DataFrame()),
+        )
         machine_json = {"id": machine, "cpu_model": f"CPU {machine}"}
         results = Results(runs, StepsInMemory(steps), machine_json, {"name": "releases"})
         write_results(folder, results)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dpbench.bench.judge.closed_loop import METRICS
-from dpbench.bench.run.exact_loop import solve_exactly
+from dpbench.bench.run.exact_loop import solve_loop_exactly
 from dpbench.mpc.move_limits import AxisLimit, MoveLimit
 from dpbench.mpc.thruster_rows import Limits
 from dpbench.scenario.controllers.controller import MetricGroup, limits_at_samples, stack_limits
@@ -58,6 +58,6 @@ def test_a_class_of_its_own_steers_a_run(monkeypatch: pytest.MonkeyPatch) -> Non
     made = build_scenario(usual.files).truncate(8)
     assert type(made.controller) is Gentle
     for scenario, share in ((usual, 1.0), (made, 1.0 / 3.0)):
-        change = np.diff(solve_exactly(scenario).tau, axis=0, prepend=np.zeros((1, 3)))
+        change = np.diff(solve_loop_exactly(scenario).tau, axis=0, prepend=np.zeros((1, 3)))
         largest = np.abs(change / usual.problem.du_max).max()
         assert largest == pytest.approx(share, rel=1e-9)

@@ -8,7 +8,7 @@ from math import isnan
 import numpy as np
 import pytest
 
-from dpbench.bench.run.footprint import heap_bytes
+from dpbench.bench.run.footprint import heap_bytes_in_use
 from dpbench.errors import DpbenchError
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.referee import certify
@@ -183,7 +183,7 @@ def test_arrays_given_before_are_known_and_new_ones_are_taken(sequence):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(isnan(heap_bytes()), reason="only glibc 2.33 and later shows its heap")
+@pytest.mark.skipif(isnan(heap_bytes_in_use()), reason="only glibc 2.33 and later shows its heap")
 @pytest.mark.parametrize("solver", ["osqp", "qoco"])
 def test_a_step_leaves_no_memory_behind(solver, sequence):
     """Not even the 32 B of an answer that the interface of a library makes and forgets."""
@@ -191,10 +191,10 @@ def test_a_step_leaves_no_memory_behind(solver, sequence):
     growth = []
     # A leak grows in each window, what is allocated once in some.
     for _ in range(5):
-        before = heap_bytes()
+        before = heap_bytes_in_use()
         answers(workspace, sequence.base, steps)
         gc.collect()
-        growth.append(heap_bytes() - before)
+        growth.append(heap_bytes_in_use() - before)
     assert min(growth) < 8 * len(steps), growth
 
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench import load_scenario, run_closed_loop
-from dpbench.bench.run.exact_loop import rebuild_sequence, solve_exactly
+from dpbench.bench.run.exact_loop import rebuild_sequence, solve_loop_exactly
 from dpbench.bench.sequences.sequence_file import load_sequence
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.referee import Referee
@@ -45,7 +45,7 @@ def test_in_newtons_every_step_is_claimed_too():
 def test_every_step_of_a_scenario_is_the_certified_optimum(name):
     """Along the exactly solved loop every answer is the optimum to 1e-9 of a rate-limit step."""
     scenario = load_scenario(name)
-    exact = solve_exactly(scenario)
+    exact = solve_loop_exactly(scenario)
     count = {}
     for policy in POLICIES[1:]:
         found = answers(opened(policy), rebuild_sequence(scenario, exact))
