@@ -131,8 +131,8 @@ def test_without_any_process_the_command_ends_in_one_line(
 HOLD = """
 import sys, time
 from pathlib import Path
-from dpbench.temporary_folders import temporary_folder
-with temporary_folder(Path(sys.argv[1])) as folder:
+from dpbench.temporary_folders import make_temporary_folder_for_block
+with make_temporary_folder_for_block(Path(sys.argv[1])) as folder:
     (folder / "log").write_bytes(b"a log")
     print(folder, flush=True)
     time.sleep(600)
