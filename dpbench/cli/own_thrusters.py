@@ -213,9 +213,11 @@ def describe_losses(held: HeldSea, number: int, at_s: float, file: Path) -> list
     else:
         missing = held.worst
         lines.append("no loss is simulated: after each of them the thrusters hold no sea")
+    # Beside another loss it would be the loss of both groups.
+    how = "add to" if lost is None else "replace the [[faults]] in"
     return [
         *lines,
-        f"To simulate the loss of {missing}, add to {file}:",
+        f"To simulate the loss of {missing}, {how} {file}:",
         *("  [[faults]]", f"  at_s = {at_s:g}", f"  lost = [{json.dumps(missing)}]"),
         '  loss = "trip"',
     ]

@@ -120,6 +120,17 @@ def test_a_sea_beyond_the_thrusters_is_named_and_so_is_the_loss_that_is_left_out
     assert fault["lost"] == ["board A"] and fault["loss"] == "trip"
 
 
+def test_another_loss_takes_the_place_of_the_one_in_the_file(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Beside it both boards would be lost. The first table: board B leaves no sea to hold."""
+    assert init(TABLE) == 0
+    (fault,) = load_scenario(FILES[2]).files["scenario"]["faults"]
+    assert fault["lost"] == ["board A"]
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"To simulate the loss of board B, replace the [[faults]] in {FILES[2]}:" in said
+
+
 def test_a_force_that_the_thrusters_cannot_make_is_no_share_of_the_limits(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
