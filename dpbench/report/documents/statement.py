@@ -23,7 +23,11 @@ from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.errors import InputError
 from dpbench.files.writing import write_bytes_to_file_or_pipe
-from dpbench.report.capability_text import describe_capability, describe_losses_held
+from dpbench.report.capability_text import (
+    describe_capability,
+    describe_losses_held,
+    unanswered_text,
+)
 from dpbench.report.charts.style import FAIL, INK, LINE, SOFT
 from dpbench.report.documents.loop_picture import LoopPicture, find_loop_picture
 from dpbench.report.documents.scenario_words import describe_scenario, describe_thrusters
@@ -168,6 +172,7 @@ def _fill_statement(
         or "the library's own",
         aboard=deployment_facts(c.solver),
         requirements=requirements_text(data.requirements),
+        unanswered=unanswered_text(records, c.solver),
         stopped=stopped_runs_text(records.runs),
         slower=speed_margin_text(data, chosen),
         ships=[f"{vessel.title} ({vessel.id})" for vessel in vessels.values()],

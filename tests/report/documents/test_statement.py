@@ -82,7 +82,7 @@ def test_it_has_the_verdict_where_it_is_valid_and_what_is_not(drawn: str, writte
         *("Synthetic CPU", "0123456789ab", "Its state: quiet", "does not cover other vessels"),
         *("DNV-ST-0111", "IMCA M 220", "This statement is none of these"),
         *("Compared: daqp 1.0 pass", "ecos 1.0 fail", "Author ___", "Date ___", "Signature ___"),
-        "Not tested: a problem without a feasible point, a loss of thrusters",
+        "Not met in a closed loop: a problem without a feasible point, a loss of thrusters",
     ):
         assert figure in text, figure
     for name in ("runs.parquet", "steps.parquet", "machine.json", "suite.json"):
