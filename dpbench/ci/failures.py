@@ -1,4 +1,4 @@
-"""What a pytest session adds to its JSON file: benchmarks that failed, and imported files."""
+"""Additions of a pytest session to its JSON file: failed benchmarks and imported files."""
 
 import json
 from collections.abc import Generator
