@@ -192,7 +192,7 @@ def usual_first_key(run: RunRecord) -> tuple[Any, ...]:
 def compare_to_reference(
     timings: Sequence[Timing], margin: float, alpha: float, rows: Ints
 ) -> list[ComparedTimes]:
-    """Judge each solver's step time ratio B/A after division by a reference solver's ratio.
+    """Judge each solver's step time ratio B/A, divided by the reference solver's, at `rows`.
 
     rows : (N,) as of `reference_rows`; the timings they name have no verdict.
     """

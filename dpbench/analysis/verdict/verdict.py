@@ -239,7 +239,7 @@ def _find_gaps(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Fi
 
 
 def _find_wrong_answers(runs: Sequence[RunRecord], requirements: Requirements) -> list[Finding]:
-    """List findings on missing, inaccurate and failed answers, beyond the requirements."""
+    """List findings on answers missing, inaccurate or failed by more than requirements allow."""
     off = [run for run in runs if run.error_move_max > requirements.error_move]
     silent = tuple(run for run in off if math.isinf(run.error_move_max))
     wrong = [run for run in off if math.isfinite(run.error_move_max)]

@@ -55,7 +55,7 @@ class MadeFile:
 
 @cache
 def describe_worker() -> WorkerInfo:
-    """Return a cluster worker's dpbench version, machine and whether it may start processes."""
+    """Return dpbench version, machine and leave to start processes of the worker it runs on."""
     may_start = not multiprocessing.current_process().daemon
     return WorkerInfo(HARNESS_VERSION, may_start, describe_machine())
 

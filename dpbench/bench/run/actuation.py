@@ -132,7 +132,7 @@ class Allocator(Actuation):
         return None, False, spent_ns
 
     def _allocate_by_pseudo_inverse(self, k: int, demand: Vector) -> Vector:
-        """Return the change Δf (n_f,) to thruster forces allocated by pseudo-inverse, unlimited."""
+        """Return Δf (n_f,): pseudo-inverse forces for a demand (3,), less the last command."""
         inverse = [inverse for since, inverse in self._inverses if since <= k][-1]
         move: Vector = inverse @ demand - self.command
         return move

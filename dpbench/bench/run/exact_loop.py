@@ -66,7 +66,7 @@ class ExactWorkspace(Workspace):
         self._step = QPStep(qp.q, qp.l, qp.u)
 
     def update(self, step: QPStep) -> None:
-        """Store the vectors of a step's QP, and its matrices where they have changed."""
+        """Take a step's QP as the next to solve; set up anew where its matrices have changed."""
         assert self._base is not None, "setup comes first"
         if self._base.changed_by(step):
             self.setup(self._base.at(step))
@@ -253,7 +253,7 @@ def rebuild_sequence(
     count: int | None = None,
     part: Part = "controller",
 ) -> QPSequence:
-    """Return the MPC QPs of `count` steps from `first` on along an exactly solved loop."""
+    """Return the MPC QPs of `count` steps from `first` on of a loop already solved exactly."""
     last = len(exact.theta) if count is None else first + count
     if not 0 <= first < last <= len(exact.theta):
         where, allowed = f"sequence of {scenario.name}", f"steps within 0:{len(exact.theta)}"

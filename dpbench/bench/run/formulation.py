@@ -114,7 +114,7 @@ class BoxFormulation:
         return self._base
 
     def step(self, step: QPStep) -> QPStep:
-        """Return a step's QP as the solver gets it, with arrays of its own."""
+        """Return a step's QP for the solver: itself, or a copy once new matrices are noted."""
         # This is a part of emitting: asking the flag `refresh` takes half a microsecond, and a new
         # `base` three.
         if not (step.P is None and step.A is None and step.lb is None and step.ub is None):

@@ -171,7 +171,7 @@ class _SequenceFile:
         return ReplayInput(recorded.sequence, sample_s, recorded.optima)
 
     def check(self, path: Path) -> None:
-        """Read the whole file of QPs; InputError where it is damaged."""
+        """Raise InputError where a file of QPs is damaged; the whole of it is read."""
         load_recorded(path)
 
     def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:

@@ -88,7 +88,7 @@ def _list_unit_edge_directions(corners: Matrix) -> Matrix:
 
 
 def _remove_parallel_directions(directions: Matrix) -> Matrix:
-    """Return unit vectors (k, 3) without those parallel to an earlier one."""
+    """Return those of the unit vectors (k, 3) not parallel to another; signs may turn."""
     first = np.argmax(np.abs(directions) > 1e-6, axis=1)
     sign = np.sign(directions[np.arange(len(directions)), first])
     turned = directions * sign[:, np.newaxis]

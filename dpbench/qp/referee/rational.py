@@ -119,7 +119,7 @@ class _ActiveSet:
         del self.rows[position], self.side[position]
 
     def solve_kkt_exactly(self, gradient: Whole) -> _ExactPoint | None:
-        """Solve the KKT system of the held rows exactly; None where it is singular."""
+        """Solve the held rows' KKT system exactly, and a new row's gradient; None if singular."""
         qp, n, w = self.qp, len(self.qp.q), len(self.rows)
         G = qp.C[self.rows]
         K = np.zeros((n + w, n + w), dtype=object)

@@ -126,7 +126,7 @@ def step_panels(runs: Sequence[Law], error_limit: float) -> list[Panel]:
 def _axis_panels(
     laws: Sequence[Law], column: str, sign: str, low: Vector, high: Vector
 ) -> list[Panel]:
-    """Tabulate force or its change over time for each axis, with limits (3,) or a note on them."""
+    """Make a panel per axis: force, or its change a step, over time; with limits or a note."""
     panels = []
     for (name, key, unit, scale, shown), *limits in zip(DRAWN_FORCES, low, high, strict=True):
         field = f"{column}_{key}_{unit}"

@@ -138,7 +138,7 @@ def list_losses_at_skegs(thruster: Thruster, hull: CapabilityHull) -> list[Loss]
 
 
 def _make_loss_of_one_skeg(ahead: float, aside: float, jet: float, to_port: bool) -> Loss:
-    """Return an azimuth's thrust loss by one skeg, `ahead` and `aside` [m] of it."""
+    """Return an azimuth's thrust loss, by direction, to a skeg `ahead` and `aside` [m] of it."""
     flush = 0.5 * math.pi + math.atan(ahead / aside)
     worst = min(max(flush + jet, 0.5 * math.pi), math.pi)
     start, end = max(flush - jet, 0.0), min(worst + 4.0 * jet, math.pi)

@@ -144,7 +144,7 @@ def _select_rows_with_exact_weights(problem: JointQP, y: Vector) -> tuple[Indice
 
 
 def find_farkas_vector_by_magnified_lps(qp: QuadraticProgram) -> tuple[Vector, Vector] | None:
-    """Find a Farkas vector by linear programs on magnified residuals, or return None."""
+    """Find a Farkas vector (y, y_box) by linear programs on magnified residuals, or return None."""
     problem = JointQP.from_qp(qp)
     upper, lower = compute_reference_sizes_of_limits(problem)
     for point in _yield_less_violating_points(problem, upper, lower):
