@@ -13,8 +13,8 @@ from dpbench.temporary_folders import PREFIX, make_temporary_folder_for_block
 HOLD = """
 import sys, time
 from pathlib import Path
-from dpbench.temporary_folders import temporary_folder
-with temporary_folder(Path(sys.argv[1])) as folder:
+from dpbench.temporary_folders import make_temporary_folder_for_block
+with make_temporary_folder_for_block(Path(sys.argv[1])) as folder:
     (folder / "log").write_bytes(b"a log")
     print(folder, flush=True)
     time.sleep(600)

@@ -102,7 +102,7 @@ def _format_duration(seconds: float) -> str:
     for size, unit in ((86_400.0, "days"), (3600.0, "h"), (60.0, "min")):
         if seconds >= 2 * size:
             return f"{float(f'{seconds / size:.2g}'):g} {unit}"
-    return f"{seconds:.2g} s"
+    return f"{float(f'{seconds:.2g}'):g} s"
 
 
 def count_step_rows_of_cell(cell: Cell) -> int:

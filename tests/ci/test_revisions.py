@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -161,21 +162,30 @@ def test_a_disturbed_comparison_fails_on_request(
 @pytest.mark.slow
 def test_sigterm_ends_the_pytest_that_it_has_started(trees: tuple[Path, Path]) -> None:
     """Nothing goes on measuring behind a job that was cancelled."""
-    fifo = trees[0] / "started"
-    os.mkfifo(fifo)
+    started = trees[0] / "started"
     test = (
         "import os, pathlib, time\n"
-        "pathlib.Path('started').write_text(str(os.getpid()))\n"
+        "pathlib.Path('pid').write_text(str(os.getpid()))\n"
+        "pathlib.Path('pid').rename('started')\n"
         "def test_it(benchmark):\n    time.sleep(600)\n"
     )
     (trees[0] / "test_it.py").write_text(test, encoding="utf-8")
-    command = [sys.executable, "-m", "dpbench.ci.revisions", *map(str, trees), "--"]
-    command += [
+    command = [
+        sys.executable,
+        "-m",
+        "dpbench.ci.revisions",
+        *map(str, trees),
+        "--",
         "-p",
         "no:xdist",
     ]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-        child = int(fifo.read_text(encoding="utf-8"))
+    # Of a session that runs side by side, in which nothing is timed.
+    inherited = {name: x for name, x in os.environ.items() if not name.startswith("PYTEST_XDIST")}
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=inherited) as process:
+        while not started.exists():
+            assert process.poll() is None, process.communicate()[1]
+            time.sleep(0.05)
+        child = int(started.read_text(encoding="utf-8"))
         process.terminate()
         assert process.communicate()[1].splitlines()[-1] == "revisions: interrupted"
     assert process.returncode == 128 + signal.SIGTERM
