@@ -16,7 +16,7 @@ from dpbench.errors import InputError
 FAILED = "dpbench_failed"
 """Key of a JSON file: the reason of each benchmark that failed, by name."""
 IMPORTED = "dpbench_imported"
-"""Key of a JSON file: the files of imported modules that are not in site-packages."""
+"""Key of a JSON file: the files of imported modules, of site-packages only top-level ones."""
 WRONG_ANSWERS = "wrong answers"
 """Beginning of the reason where a replay does not meet its requirements."""
 ALLOWED = "a JSON file of pytest-benchmark, written by --benchmark-json"
@@ -104,16 +104,27 @@ class BenchmarkRun:
 
 
 def list_imported_files() -> list[str]:
-    """Return the files of imported modules, without the standard library and site-packages."""
-    standard = [Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib")]
-    names = {getattr(module, "__file__", None) for module in list(sys.modules.values())}
-    files = {Path(name).resolve() for name in names if isinstance(name, str)}
-    return sorted(
-        str(file)
-        for file in files
-        if not {"site-packages", "dist-packages"}.intersection(file.parts)
-        and not any(file.is_relative_to(folder.resolve()) for folder in standard)
-    )
+    """Return the files of imported modules, without the standard library.
+
+    Of site-packages only those of top-level modules and packages.
+    """
+    standard = [Path(sysconfig.get_path(name)).resolve() for name in ("stdlib", "platstdlib")]
+    found = set()
+    for module, name in [(one, getattr(one, "__file__", None)) for one in [*sys.modules.values()]]:
+        if not isinstance(name, str):
+            continue
+        file = Path(name).resolve()
+        if is_installed(file):
+            if "." not in module.__name__:
+                found.add(file)
+        elif not any(file.is_relative_to(folder) for folder in standard):
+            found.add(file)
+    return sorted(map(str, found))
+
+
+def is_installed(file: Path) -> bool:
+    """Return True if a file is in site-packages."""
+    return not {"site-packages", "dist-packages"}.isdisjoint(file.parts)
 
 
 def load_run(path: Path) -> BenchmarkRun:

@@ -22,13 +22,15 @@ from rich.console import Console
 
 from dpbench.bench.workers.interrupts import first_signal_only
 from dpbench.ci import MARGIN
-from dpbench.ci.benchmarks import BenchmarkRun, load_run
+from dpbench.ci.benchmarks import BenchmarkRun, is_installed, load_run
 from dpbench.ci.comparison import compare_runs
 from dpbench.ci.verdicts import DISTURBED, NOT_TIMED, Row, RunComparison
 from dpbench.errors import InputError, SituationError
 from dpbench.files.writing import write_bytes_to_file_or_pipe
 from dpbench.report.formats import plural
 
+REMEDY = 'give each tree a .venv, or pytest `pythonpath = ["src"]`'
+"""Ways to have a tree measured with its own files."""
 SHOWN_LINES = 5
 """Last lines of a pytest run that has no benchmarks."""
 
@@ -70,9 +72,10 @@ def measure_tree(tree: Path, arguments: Sequence[str]) -> Measured:
 
 
 def check_imports(trees: tuple[Path, Path], runs: tuple[BenchmarkRun, BenchmarkRun]) -> None:
-    """Raise SituationError where a run of one tree has imported a file of the other.
+    """Raise SituationError where both trees were not measured with files of their own.
 
-    A file is of the innermost tree, as one tree may lie in the other.
+    That is where a run of one has imported a file of the other (a file is of the innermost tree,
+    as one tree may lie in the other), or both the same installed copy of a package of both.
     """
     folders = [tree.resolve() for tree in trees]
     for side, other, own, run in zip(
@@ -81,8 +84,17 @@ def check_imports(trees: tuple[Path, Path], runs: tuple[BenchmarkRun, BenchmarkR
         for file in map(Path, run.imported):
             owners = [one for one in folders if file.is_relative_to(one)]
             if owners and max(owners, key=lambda one: len(one.parts)) == other != own:
-                remedy = 'give each tree a .venv, or pytest `pythonpath = ["src"]`'
-                raise SituationError(side, f"imports {file}: {remedy}")
+                raise SituationError(side, f"imports {file}: {REMEDY}")
+    if folders[0] != folders[1]:
+        for file in map(Path, sorted({*runs[0].imported}.intersection(runs[1].imported))):
+            if is_installed(file) and all(_has_module(one, file) for one in folders):
+                raise SituationError("base and head", f"both import {file}: {REMEDY}")
+
+
+def _has_module(tree: Path, installed: Path) -> bool:
+    """Return True if a tree has the source of an installed top-level module or package."""
+    name = installed.parts[-2:] if installed.stem == "__init__" else installed.parts[-1:]
+    return any((tree / folder).joinpath(*name).exists() for folder in (".", "src"))
 
 
 def measure_by_turns(
@@ -91,7 +103,7 @@ def measure_by_turns(
     """Measure both trees by turns until so many pairs are undisturbed, at most twice as many.
 
     One pair is enough where the base has no benchmark or the head has one that fails.
-    InputError where a tree is measured with files of the other.
+    SituationError where a tree is not measured with its own files.
     """
     pairs: list[tuple[Measured, Measured]] = []
     while len(pairs) < 2 * count and _count_quiet(pairs) < count:

@@ -1,5 +1,6 @@
 """Two working trees measured by turns, with tests that need no solver."""
 
+import json
 import os
 import signal
 import subprocess
@@ -7,10 +8,11 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dpbench.ci import plugin, revisions
-from dpbench.ci.benchmarks import BenchmarkRun
+from dpbench.ci.benchmarks import BenchmarkRun, list_imported_files
 from dpbench.ci.revisions import Measured, check_imports, main, measure_by_turns
 from dpbench.errors import InputError
 
@@ -120,6 +122,32 @@ def test_a_file_is_of_the_innermost_tree(trees: tuple[Path, Path]) -> None:
     check_imports((base, base), (BenchmarkRun(imported=files), BenchmarkRun(imported=files)))
     with pytest.raises(InputError, match=r"head: imports .*it\.py: give each tree"):
         check_imports((base, head), (BenchmarkRun(), BenchmarkRun(imported=files)))
+
+
+def test_of_installed_packages_only_the_top_is_listed() -> None:
+    """The file of a package, not those of its modules; nothing of the standard library."""
+    listed = list_imported_files()
+    assert [name for name in listed if "numpy" in Path(name).parts] == [np.__file__]
+    assert {json.__file__, __file__}.intersection(listed) == {__file__}
+
+
+@pytest.mark.parametrize("folder", [".", "src"])
+def test_one_installed_copy_for_both_trees_is_bad_input(
+    trees: tuple[Path, Path], folder: str
+) -> None:
+    """The package is in both trees, and neither's is measured; other packages may be shared."""
+    site = trees[0].parent / "lib" / "site-packages"
+    both = BenchmarkRun(
+        imported=(str(site / "numpy" / "__init__.py"), str(site / "it" / "__init__.py"))
+    )
+    check_imports(trees, (both, both))
+    for tree in trees:
+        check_imports(trees, (both, both))
+        (tree / folder / "it").mkdir(parents=True)
+        (tree / folder / "it" / "__init__.py").touch()
+    with pytest.raises(InputError, match=r"both import .*it/__init__\.py: give each tree"):
+        check_imports(trees, (both, both))
+    check_imports(trees, (both, BenchmarkRun(imported=both.imported[:1])))
 
 
 @pytest.mark.slow
