@@ -88,7 +88,7 @@ def test_who_has_no_name_among_the_points_is_named_below_when_chosen(opened: Any
     assert "has no point here" in page.inner_text("#accuracy figcaption")
 
 
-@pytest.mark.parametrize("width", [320, 390, 768, 1400])
+@pytest.mark.parametrize("width", [320, 390, 768, 1024, 1280, 1400])
 def test_nothing_scrolls_sideways(opened: Any, width: int) -> None:
     page = opened(CHOSEN, size=(width, 844))
     assert page.evaluate("document.documentElement.scrollWidth") <= width
