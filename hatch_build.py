@@ -31,7 +31,7 @@ if BuildHookInterface is not None:
 
         def initialize(self, version: str, build_data: dict[str, Any]) -> None:
             """Compile the library and name the wheel after the platform."""
-            library = load_compiling(Path(self.root)).compile_library()
+            library = load_compiling(Path(self.root)).compile_own_library_if_missing()
             platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
             build_data["pure_python"] = False
             build_data["tag"] = f"py3-none-{platform}"
@@ -39,4 +39,4 @@ if BuildHookInterface is not None:
 
 
 if __name__ == "__main__":
-    print(load_compiling(Path(__file__).parent).compile_library())
+    print(load_compiling(Path(__file__).parent).compile_own_library_if_missing())

@@ -72,13 +72,13 @@ def states(faults: Sequence[str], folder: Path) -> dict[str, tuple[str, str]]:
     from dpbench.analysis.verdict.fastest import best_verdict_by_solver
     from dpbench.report.report import Report
     from dpbench.report.verdict_text import describe_findings
-    from dpbench.solvers.table import load_solver_module
+    from dpbench.solvers.table import load_plugin_solver_from_file
 
     shutil.rmtree(Path(tempfile.gettempdir()) / f"dpbench-dishonest-{os.getuid()}", True)
     for fault in faults:
         module = folder / f"{fault}.py"
         shutil.copyfile(Path(__file__).with_name("dishonest_solver.py"), module)
-        load_solver_module(module)
+        load_plugin_solver_from_file(module)
     loops = LOOP.format(policy="warm", solvers=_list([*faults, TWIN]))
     loops += LOOP.format(policy="reuse", solvers=_list(BESIDE))
     suite = folder / "dishonest.toml"

@@ -36,7 +36,7 @@ from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.record.step_table import STEPS_SCHEMA, Row, make_batch_part
 from dpbench.bench.workers.jobs import BATCH_CELLS
-from dpbench.solvers.table import check_availability
+from dpbench.solvers.table import find_solver_availability
 
 EMPTY = Path(__file__).parent / "empty_solver.py"
 CONFIGURATIONS = 12
@@ -197,7 +197,10 @@ def made_folder(out: Path, cells: int, steps: int) -> Path:
     suite, small = suite_in(out, -(-cells // (4 * len(LEVELS)))), suite_in(out / "real", 1)
     campaign(small, out / "real" / "results")
     real = _real_cells(out / "real" / "results")
-    identity, machine = check_availability("daqp").identity, describe_machine()["id"]
+    identity, machine = (
+        find_solver_availability("daqp").version_and_build_text,
+        describe_machine()["id"],
+    )
     rng, store = np.random.default_rng(1), CellStore(out / "results")
     factors: dict[tuple[int, int], float] = {}
     batches: dict[str, dict[str, tuple[Row, pa.RecordBatch]]] = {}

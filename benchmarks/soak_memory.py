@@ -31,7 +31,7 @@ from dpbench.bench.record.raw_log import Layout, RawLog
 from dpbench.bench.run.assemble import NO_LIMIT_NS, build_closed_loop_setup
 from dpbench.bench.run.closed_loop import record_closed_loop
 from dpbench.solvers.contract import Policy
-from dpbench.solvers.table import TABLE, check_availability
+from dpbench.solvers.table import TABLE, find_solver_availability
 
 STEPS, CELLS = 200_000, 5_000
 LOOPS, LONGEST = 40, 1000
@@ -151,14 +151,16 @@ def main() -> int:
     parser.add_argument("--skip-campaign", action="store_true", help="run the loops alone")
     asked = parser.parse_args()
     steps, cells = round(asked.share * STEPS), max(20, round(asked.share * CELLS))
-    solvers = asked.solver or [name for name in TABLE if check_availability(name).ok]
+    solvers = asked.solver or [name for name in TABLE if find_solver_availability(name).ok]
     found = []
     # A process of its own for each: what a library keeps is its own.
     with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
         for solver in solvers:
             row = TABLE[solver]
             route = "native" if "native" in row.routes else "qpsolvers"
-            found.append(pool.apply(of_solver, ((solver, row.policies[route][-1], steps),)))
+            found.append(
+                pool.apply(of_solver, ((solver, row.policies_by_route[route][-1], steps),))
+            )
             print(found[-1], flush=True)
     if not asked.skip_campaign:
         found.append(of_campaign(cells))

@@ -23,10 +23,12 @@ from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario
 from dpbench.solvers.contract import Workspace
-from dpbench.solvers.table import check_availability, solver_names
+from dpbench.solvers.table import find_solver_availability, list_all_solver_names
 
 INSTALLED = [
-    name for name in solver_names() if check_availability(name).ok and name != BASELINE_LAW
+    name
+    for name in list_all_solver_names()
+    if find_solver_availability(name).ok and name != BASELINE_LAW
 ]
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from dpbench.errors import InputError, SituationError, SolverUnavailableError, format_allowed_names
 from dpbench.solvers import table
-from dpbench.solvers.table import Availability, check_available
+from dpbench.solvers.table import Availability, require_solver_available
 
 NAMES = ("calm", "rough", "squall", "swell", "turn", "turning", "waves")
 
@@ -58,6 +58,8 @@ def test_a_missing_solver_is_named_with_its_remedy(
     reason: str, text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The command that installs it, once."""
-    monkeypatch.setattr(table, "check_availability", lambda name: Availability(False, "", reason))
+    monkeypatch.setattr(
+        table, "find_solver_availability", lambda name: Availability(False, "", reason)
+    )
     with pytest.raises(SolverUnavailableError, match=f"^solver osqp: {text}$"):
-        check_available("osqp")
+        require_solver_available("osqp")

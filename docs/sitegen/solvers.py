@@ -5,7 +5,11 @@ from pathlib import Path
 
 from dpbench.solvers.contract import Route
 from dpbench.solvers.record import NOT_OFFERED, POLICIES, RouteRecord, SolverRecord
-from dpbench.solvers.settings import has_tolerance_levels, level_options, setting_names
+from dpbench.solvers.settings import (
+    find_options_of_preset,
+    has_distinct_tolerance_presets,
+    list_preset_names,
+)
 from dpbench.solvers.table import TABLE
 from sitegen.markup import code, prose, table
 
@@ -76,7 +80,7 @@ def _facts(row: SolverRecord) -> str:
         ("comes", f"{install}{EXTRAS[row.extra]}", ""),
         ("matrices", {"dense": "dense", "csc": "sparse, by columns"}[row.form], ""),
         ("P has to be positive definite", _yes(row.needs_strict_convexity), ""),
-        ("may be deployed on a ship as it is", _unless(row.deployment_blocker), ""),
+        ("may be deployed on a ship as it is", _unless(row.reason_not_deployable), ""),
     ]
     stated = {
         "licence": row.project.licence,
@@ -102,7 +106,10 @@ def _unless(reason: str) -> str:
 
 def _abilities(row: SolverRecord, route: Route, can: RouteRecord) -> str:
     rows = [
-        (f"policy {code(policy)}: {text}", _unless(row.refusal(route, policy)))
+        (
+            f"policy {code(policy)}: {text}",
+            _unless(row.state_why_policy_is_unavailable(route, policy)),
+        )
         for policy, text in POLICIES.items()
     ]
     rows += [
@@ -125,11 +132,11 @@ def _faults(can: RouteRecord) -> list[str]:
 
 
 def _settings(row: SolverRecord) -> str:
-    if not has_tolerance_levels(row.name):
+    if not has_distinct_tolerance_presets(row.name):
         return "It has no tolerance to set: all levels are the same.\n"
     rows = []
-    for name in setting_names(row.name):
-        keys = level_options(name, row.name).items()
+    for name in list_preset_names(row.name):
+        keys = find_options_of_preset(name, row.name).items()
         options = ", ".join(code(f"{key}={value!r}") for key, value in keys)
         rows.append((code(name), options or "the library's own defaults"))
     return table(("settings", "what they set"), rows)

@@ -45,7 +45,7 @@ from dpbench.bench.workers.scratch import clear_scratch_folders
 from dpbench.bench.workers.worker import make_source
 from dpbench.errors import InputError, ResultsError, require_lists_of_names
 from dpbench.locks import WaitLimit
-from dpbench.solvers.table import check_availability
+from dpbench.solvers.table import find_solver_availability
 
 CELL_KEYS = (
     *("cell_limit_s", "cell_memory_gb", "rounds", "warmup_steps", "replay_budget_s"),
@@ -73,7 +73,7 @@ class Campaign:
         self.set_stability_studies(designs, machine["id"], fresh=fresh)
         self.counts = EmbeddedCounts(counts, self.store.folder, fresh=fresh)
         solvers = {p.cell.solver for p in plan.cells}
-        self._libraries = {solver: check_availability(solver) for solver in solvers}
+        self._libraries = {solver: find_solver_availability(solver) for solver in solvers}
         self.work = shard.select_jobs([self._make_job_of_planned_cell(p) for p in plan.cells])
         self._fresh = fresh
         if fresh:

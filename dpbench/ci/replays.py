@@ -23,7 +23,7 @@ from dpbench.notebook.runs import REMEMBERED, Run, replay
 from dpbench.qp.program import ARRAYS, QPSequence, QPStep, QuadraticProgram
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import load_solver_module
+from dpbench.solvers.table import load_plugin_solver_from_file
 
 Given = TypeVar("Given")
 
@@ -117,7 +117,7 @@ def _open_solver(solver: Workspace | str | Path, options: dict[str, Any]) -> Wor
         return solver
     if isinstance(solver, Path) or solver.endswith(".py"):
         try:
-            solver = load_solver_module(solver).name
+            solver = load_plugin_solver_from_file(solver).name
         except InputError as error:
             if isinstance(error.__cause__, ModuleNotFoundError) and error.__cause__.name:
                 package = error.__cause__.name.partition(".")[0]

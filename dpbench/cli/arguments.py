@@ -72,9 +72,9 @@ def _list_stored_files(kind: str, **_: object) -> list[str]:
 
 def _list_solvers(**_: object) -> list[str]:
     """List the names of all solvers, to complete words in a shell."""
-    from dpbench.solvers.table import solver_names
+    from dpbench.solvers.table import list_all_solver_names
 
-    return list(solver_names())
+    return list(list_all_solver_names())
 
 
 def _add_option(command: Command, name: str, value: str, meaning: str, **keywords: Any) -> None:

@@ -30,7 +30,7 @@ from dpbench.report.formats import time_text
 from dpbench.scenario.own_ship import DP_NUMBERS
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.vessel import Vessel
-from dpbench.solvers.table import check_available
+from dpbench.solvers.table import require_solver_available
 
 SIDES = 24
 """Default sides of polygons: they lose 0.9 % of the thrust; de Wit (2009) recommends up to 1 %."""
@@ -47,7 +47,7 @@ def capability_text(arguments: argparse.Namespace) -> str:
         raise InputError("--figure", "", arguments.figure, allowed)
     for name in arguments.solver or ():
         if name != "all":
-            check_available(name)
+            require_solver_available(name)
     vessel = load_vessel(arguments.vessel)
     frontier = CapabilityPlot(vessel, arguments.sides)
     quiet = arguments.json

@@ -6,7 +6,7 @@ from dpbench.bench.record.machine import describe_machine
 from dpbench.cli.terminal import wrap_paragraph
 from dpbench.report import machine_verdict as verdict
 from dpbench.report.formats import MISSING
-from dpbench.solvers.table import check_availability, solver_names
+from dpbench.solvers.table import find_solver_availability, list_all_solver_names
 
 _WIDTH = 32
 
@@ -15,7 +15,7 @@ def doctor_lines() -> list[str]:
     """Describe this machine, how quiet it is, and whether solve times are measured correctly."""
     machine = describe_machine()
     harness = time_dummy_solvers()
-    available = ((name, check_availability(name)) for name in solver_names())
+    available = ((name, find_solver_availability(name)) for name in list_all_solver_names())
     builds = [f"{name} {here.build.text}" for name, here in available if here.build.text]
     loads = ", ".join(f"{load:.2f}" for load in machine["load_average"])
     facts = [

@@ -93,19 +93,23 @@ def _list_sequences() -> RenderableType:
 
 def _list_solvers() -> RenderableType:
     """List all solvers with their descriptions."""
-    from dpbench.solvers.table import solver_names
+    from dpbench.solvers.table import list_all_solver_names
 
-    return unstyled_text("\n".join(map(_describe_solver, solver_names())))
+    return unstyled_text("\n".join(map(_describe_solver, list_all_solver_names())))
 
 
 def _describe_solver(name: str) -> str:
     """Describe a solver: version, method, form, policies and tolerance levels."""
-    from dpbench.solvers.settings import describe_levels
-    from dpbench.solvers.table import check_availability, find_record
+    from dpbench.solvers.settings import describe_option_presets
+    from dpbench.solvers.table import find_solver_availability, find_solver_record
 
     # Importing all libraries takes longer than all the rest.
-    row, library = find_record(name), check_availability(name, imported=False)
+    row, library = find_solver_record(name), find_solver_availability(name, imported=False)
     version = library.version or "" if library.ok else f"not installed: {library.reason}"
-    policies = "; ".join(f"{route}: {', '.join(p)}" for route, p in row.policies.items())
-    about = [row.method, f"form {row.form}; {policies}", *describe_levels(name).splitlines()]
+    policies = "; ".join(f"{route}: {', '.join(p)}" for route, p in row.policies_by_route.items())
+    about = [
+        row.method,
+        f"form {row.form}; {policies}",
+        *describe_option_presets(name).splitlines(),
+    ]
     return format_entry(f"{name} {version}".rstrip(), about)

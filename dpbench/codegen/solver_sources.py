@@ -17,7 +17,7 @@ from dpbench.embedded.fetch import fetch_sources
 from dpbench.embedded.recipe import RECIPES, Recipe
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.solvers.own import compiling
-from dpbench.solvers.own.library import ActiveSet, Problem, open_library
+from dpbench.solvers.own.library import ActiveSet, Problem, load_own_c_library
 from dpbench.temporary_folders import make_temporary_folder_for_block, process_temporary_folder
 
 OSQP_SETTINGS = {"eps_abs": 1e-6, "eps_rel": 0.0, "rho": 0.03, "max_iter": 20_000}
@@ -59,7 +59,7 @@ def make_active_set_sources(qp: CondensedQP) -> SolverSources:
     problem = Problem(qp.n, qp.m)
     problem.P[:], problem.A[:] = qp.P, qp.A
     arrays = problem.P_pointer, problem.A_pointer
-    refused = open_library().active_set_factorise(problem.pointer, *arrays)
+    refused = load_own_c_library().active_set_factorise(problem.pointer, *arrays)
     assert refused == 0, "a controller's P is positive definite"
     meanings = {
         "P": "the Hessian, row after row",
@@ -74,7 +74,7 @@ def make_active_set_sources(qp: CondensedQP) -> SolverSources:
         "sizes": "at the first variable of a part: how many it has",
         "blocks": "P⁻¹ of each part",
     }
-    constants = problem.constants()
+    constants = problem.copy_arrays_that_depend_on_matrices()
     tables = tuple(make_table(name, constants[name], meaning) for name, meaning in meanings.items())
     reals = (field[0] for field in ActiveSet._fields_ if field[1] is ctypes.c_double)
     scalars = {name: number_text(getattr(problem.head, name)) for name in reals}

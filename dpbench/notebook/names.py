@@ -2,7 +2,11 @@
 
 from dpbench.display import make_html_table
 from dpbench.scenario.problem_files import SEQUENCES, problem_names
-from dpbench.solvers.table import check_availability, find_record, solver_names
+from dpbench.solvers.table import (
+    find_solver_availability,
+    find_solver_record,
+    list_all_solver_names,
+)
 
 _HEADS = ("solver", "version", "kind", "licence", "call modes")
 
@@ -23,9 +27,9 @@ class SolverNames(list[str]):
 def _describe_solver(name: str) -> tuple[str, ...]:
     """Describe a solver by a row of cells below `_HEADS`."""
     # Importing all libraries takes longer than all the rest.
-    row, library = find_record(name), check_availability(name, imported=False)
+    row, library = find_solver_record(name), find_solver_availability(name, imported=False)
     version = library.version if library.ok else "not installed"
-    modes = "; ".join(f"{route}: {', '.join(p)}" for route, p in row.policies.items())
+    modes = "; ".join(f"{route}: {', '.join(p)}" for route, p in row.policies_by_route.items())
     return name, version, row.family, row.project.licence.value, modes
 
 
@@ -37,7 +41,7 @@ def list_solvers() -> SolverNames:
     >>> {"daqp", "osqp", "paper_active_set"} <= set(list_solvers())
     True
     """
-    return SolverNames(solver_names())
+    return SolverNames(list_all_solver_names())
 
 
 def list_scenarios() -> list[str]:

@@ -54,7 +54,7 @@ from dpbench.report.ship_text import ShipSummary, summarise_ships
 from dpbench.scenario.scenario import Scenario, as_scenario
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.own_settings import describe_options, encode_options
+from dpbench.solvers.own_settings import encode_options_as_json, format_options_as_toml
 from dpbench.solvers.table import Availability
 
 UNNAMED = ("", "default")  # Settings that a label leaves out
@@ -320,8 +320,8 @@ def _make_cell(workspace: Workspace, **fields: Any) -> Cell:
     """Describe a solver's run in this process: its scenario or QPs, policy and settings."""
     settings, options = workspace.requested_settings, ""
     if not isinstance(settings, str):
-        options = encode_options(settings)
-        settings = describe_options(settings) or "default"
+        options = encode_options_as_json(settings)
+        settings = format_options_as_toml(settings) or "default"
     fields |= {"settings": settings, "options": options}
     route, policy = workspace.route, workspace.policy
     return Cell(solver=workspace.solver, route=route, policy=policy, **fields)

@@ -13,7 +13,7 @@ from dpbench.analysis.verdict.fastest import (
     SolverChoice,
     best_verdict_by_solver,
     fastest_first,
-    find_solver_record,
+    find_solver_record_or_none,
 )
 from dpbench.analysis.verdict.findings import STATES, Finding, State
 from dpbench.analysis.verdict.requirements import Requirements
@@ -30,7 +30,7 @@ from dpbench.report.formats import (
     time_text,
 )
 from dpbench.report.words import read_words
-from dpbench.solvers.own_settings import decode_options, list_options
+from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
 
 MOST_OWN = 12
 """Settings of one's own that are listed."""
@@ -138,7 +138,7 @@ def best_of_grids(own: Sequence[Verdict]) -> list[str]:
 
 def _option_values(verdict: Verdict) -> dict[str, str]:
     """Return the options of a verdict's configuration as text, by name."""
-    return list_options(decode_options(verdict.configuration.options))
+    return format_each_option_as_toml(decode_options_from_json(verdict.configuration.options))
 
 
 def _best_of_grid(points: Sequence[Verdict]) -> str:
@@ -186,7 +186,7 @@ def name_counts(counts: Sequence[tuple[str, int]]) -> str:
 
 def deployment_facts(solver: str) -> str:
     """State a solver's licence, its language, and whether it generates C code."""
-    known = find_solver_record(solver)
+    known = find_solver_record_or_none(solver)
     if known is None:
         return "Its licence and language are not known here."
     project = known.project

@@ -1,7 +1,7 @@
 """The adapter of one library, on route native and on route qpsolvers.
 
-A module of `libraries/` that holds an adapter is found by `find_adapters`: to write the file is to
-register the solver.
+A module of `libraries/` that holds an adapter is found by `import_all_adapters`: to write the file
+is to register the solver.
 """
 
 import pkgutil
@@ -55,7 +55,7 @@ ReadStatus = Callable[[Any, Options], Claim]
 NO_REASON = ClaimedStatus(Status.UNKNOWN, detail="not found; qpsolvers does not pass the reason on")
 
 
-def read_solved_flag(answer: Any, options: Options) -> Claim:
+def read_solved_flag_as_claim(answer: Any, options: Options) -> Claim:
     """Read from a qpsolvers solution only whether it is solved; the status is else unknown."""
     return ClaimedStatus(Status.SOLVED) if answer.found else NO_REASON
 
@@ -64,7 +64,7 @@ InfoReader = Callable[[Any, float, Options], Claim]
 """Reads a claim from a library's `info`, the solve time in its own unit, and the options."""
 
 
-def make_info_reader(
+def make_reader_of_library_info(
     statuses: Mapping[Any, Status],
     unit_ns: float,
     *,
@@ -87,7 +87,7 @@ def make_info_reader(
     return read_info
 
 
-def make_status_reader(read_info: InfoReader) -> ReadStatus:
+def make_reader_of_qpsolvers_status(read_info: InfoReader) -> ReadStatus:
     """Make a function that reads status, iterations and time from a qpsolvers solution's `info`."""
 
     def read_status(answer: Any, options: Options) -> Claim:
@@ -130,11 +130,11 @@ class QpsolversAdapter:
         """The solver's name in the qpsolvers package."""
         return self.qpsolvers_name or self.record.name
 
-    def make_native(self, workspace: OpenWorkspace) -> NativeAdapter:
+    def make_native_adapter(self, workspace: OpenWorkspace) -> NativeAdapter:
         """Return the adapter of this solver's own interface, with the same facts and options."""
         return NativeAdapter(self.record, workspace, self.list_options, self.make_settings)
 
-    def read_claimed_status(self, answer: Any, options: Options) -> Claim:
+    def read_claim_from_qpsolvers_solution(self, answer: Any, options: Options) -> Claim:
         """Read the status, iterations and time that a `qpsolvers.Solution` reports."""
         if answer.extras:
             return self.read_status(answer, options)
@@ -142,19 +142,19 @@ class QpsolversAdapter:
         return ClaimedStatus(Status.SOLVED) if answer.found else self.not_found
 
 
-def list_attributes(settings: Any) -> list[str]:
+def list_public_settings_attributes(settings: Any) -> list[str]:
     """List the public, non-callable attributes of a settings object, except `verbose`."""
     names = (name for name in dir(settings) if not name.startswith("_"))
     return [n for n in names if n != "verbose" and not callable(getattr(settings, n))]
 
 
-def list_keywords(module: str, name: str, *besides: str) -> list[str]:
+def list_keyword_parameters(module: str, name: str, *besides: str) -> list[str]:
     """List the keyword parameters of a library's function or class, except those in `besides`."""
     function = attrgetter(name)(import_module(module))
     return [key for key in signature(function).parameters if key not in besides]
 
 
-def find_adapters(
+def import_all_adapters(
     package: str, besides: Iterable[str]
 ) -> tuple[dict[str, NativeAdapter], dict[str, QpsolversAdapter]]:
     """Import all modules of a package; return its native and qpsolvers interfaces by solver.

@@ -16,7 +16,7 @@ import numpy as np
 
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Workspace, check_step, missing_setup_error
+from dpbench.solvers.contract import Workspace, check_step, make_error_for_missing_setup
 from dpbench.solvers.record import NO_PROJECT_FACTS, RouteRecord, SolverRecord
 
 NO_OP, COPY_ONLY = "no_op", "copy_only"
@@ -31,7 +31,7 @@ _steady_ns: Callable[[], int] = (
 )
 
 
-def _make_record(name: str, method: str) -> SolverRecord:
+def _make_calibration_solver_record(name: str, method: str) -> SolverRecord:
     """Make the record of a calibration solver, which has no library."""
     return SolverRecord(
         name=name,
@@ -55,9 +55,14 @@ def _make_record(name: str, method: str) -> SolverRecord:
 
 
 CALIBRATION: dict[str, SolverRecord] = {
-    NO_OP: _make_record(NO_OP, "none: every method returns at once"),
-    COPY_ONLY: _make_record(COPY_ONLY, "none: copies q, l, u in and an answer out"),
-    **{n: _make_record(n, f"none: waits {ns // 1000} µs in solve") for n, ns in WAITS_NS.items()},
+    NO_OP: _make_calibration_solver_record(NO_OP, "none: every method returns at once"),
+    COPY_ONLY: _make_calibration_solver_record(
+        COPY_ONLY, "none: copies q, l, u in and an answer out"
+    ),
+    **{
+        n: _make_calibration_solver_record(n, f"none: waits {ns // 1000} µs in solve")
+        for n, ns in WAITS_NS.items()
+    },
 }
 """Records of the calibration solvers by name, in the order of display; none is a solver of the
 table."""
@@ -83,7 +88,7 @@ class NoOpWorkspace(Workspace):
     def read(self) -> Solution:
         """Return the stored answer without numbers."""
         if self._answer is None:
-            raise missing_setup_error("read")
+            raise make_error_for_missing_setup("read")
         return self._answer
 
 
@@ -118,7 +123,7 @@ class CopyOnlyWorkspace(Workspace):
     def update(self, step: QPStep) -> None:
         """Check the shapes of q, l, u and copy them."""
         if self._size is None:
-            raise missing_setup_error("update")
+            raise make_error_for_missing_setup("update")
         check_step(step, *self._size)
         self.q[:] = step.q
         self.l[:] = step.l
@@ -130,11 +135,11 @@ class CopyOnlyWorkspace(Workspace):
     def read(self) -> Solution:
         """Return a copy of an answer without numbers."""
         if self._size is None:
-            raise missing_setup_error("read")
+            raise make_error_for_missing_setup("read")
         return Solution(Status.UNKNOWN, self._z.copy(), self._y.copy(), self._z.copy())
 
 
-def open_calibration(name: str) -> Workspace:
+def open_calibration_solver(name: str) -> Workspace:
     """Open a dummy solver by name, to test time measurement: no_op, copy_only, busy_wait_<t>us."""
     if name in WAITS_NS:
         return BusyWaitWorkspace(name, WAITS_NS[name])

@@ -84,7 +84,7 @@ class Workspace(ABC):
     def read(self) -> Solution:
         """Return a copy of the answer: status, solution z and multipliers."""
 
-    def open_again(self) -> Workspace:
+    def open_again_with_equal_settings(self) -> Workspace:
         """Open the same solver again with equal settings; SituationError unless opened by name."""
         if self.reopen is None:
             sentence = "a cascade needs two workspaces; open this one by open_workspace"
@@ -108,14 +108,14 @@ def check_step(step: QPStep, n: int, m: int) -> None:
             raise ShapeError.from_shapes("QPStep", name, array.shape, f"shape {shape}")
 
 
-def describe_exception(error: BaseException) -> str:
+def describe_exception_unless_interrupt(error: BaseException) -> str:
     """Return class and message of a solver library's exception as text; re-raise an interrupt."""
     if isinstance(error, (KeyboardInterrupt, SystemExit)):
         raise error
     return f"{type(error).__name__}: {error}"
 
 
-def missing_setup_error(call: str) -> DpbenchError:
+def make_error_for_missing_setup(call: str) -> DpbenchError:
     """Return the error for calling a solver's method before its set-up."""
     return DpbenchError(f"{call} before setup: call setup with the whole problem first")
 

@@ -10,8 +10,8 @@ from dpbench.solvers.contract import (
     Policy,
     Workspace,
     check_step,
-    describe_exception,
-    missing_setup_error,
+    describe_exception_unless_interrupt,
+    make_error_for_missing_setup,
 )
 
 Solve = Callable[Concatenate[QuadraticProgram, ...], Solution]
@@ -34,7 +34,7 @@ class FunctionWorkspace(Workspace):
     def update(self, step: QPStep) -> None:
         """Store a copy of the QP with the arrays that this step changes."""
         if self._qp is None:
-            raise missing_setup_error("update")
+            raise make_error_for_missing_setup("update")
         check_step(step, self._qp.n, self._qp.m)
         self.matrix_updates += step.refresh is not Refresh.VECTORS
         self.setup(self._qp.at(step))
@@ -51,13 +51,15 @@ class FunctionWorkspace(Workspace):
         except MemoryError:
             raise
         except Exception as error:
-            self._solution = self._make_error_solution(describe_exception(error))
+            self._solution = self._make_solution_of_status_error(
+                describe_exception_unless_interrupt(error)
+            )
 
     def read(self) -> Solution:
         """Return a copy of the answer that the user's function gave."""
         answer = self._solution
         if answer is None:
-            return self._make_error_solution("read before solve")
+            return self._make_solution_of_status_error("read before solve")
         try:
             z, y, y_box = answer.z.copy(), answer.y.copy(), answer.y_box.copy()
         except AttributeError:
@@ -68,7 +70,7 @@ class FunctionWorkspace(Workspace):
             answer.status, z, y, y_box, answer.iterations, answer.reported_ns, answer.detail
         )
 
-    def _make_error_solution(self, detail: str) -> Solution:
+    def _make_solution_of_status_error(self, detail: str) -> Solution:
         """Return an answer without numbers, of status ERROR, with an explanation."""
         assert self._qp is not None, "setup comes first"
         return Solution.without_point(self._qp.n, self._qp.m, Status.ERROR, detail)

@@ -28,19 +28,19 @@ class LimitSides:
         self.upper: Indices = np.flatnonzero(~equal & (high != np.inf))
         self.lower: Indices = np.flatnonzero(~equal & (low != -np.inf))
         self.full = self.upper.size == self.lower.size == self.size
-        self._pattern = self.encode_pattern(low, high)
+        self._pattern = self.encode_equal_and_infinite_limits(low, high)
 
     @staticmethod
-    def encode_pattern(low: Vector, high: Vector) -> bytes:
+    def encode_equal_and_infinite_limits(low: Vector, high: Vector) -> bytes:
         """Encode as bytes which rows are equalities and which limits are infinite, to compare."""
         parts: tuple[Flags, ...] = (low == high, high == np.inf, low == -np.inf)
         return b"".join(part.tobytes() for part in parts)
 
-    def has_same_pattern(self, low: Vector, high: Vector) -> bool:
+    def has_same_equal_and_infinite_limits(self, low: Vector, high: Vector) -> bool:
         """Return whether the same limits are equal or infinite as when the rows were sorted."""
-        return self.encode_pattern(low, high) == self._pattern
+        return self.encode_equal_and_infinite_limits(low, high) == self._pattern
 
-    def fill(self, low: Vector, high: Vector, h: Vector, b: Vector) -> None:
+    def write_limits_as_one_sided(self, low: Vector, high: Vector, h: Vector, b: Vector) -> None:
         """Write two-sided limits as one-sided: [upper; −lower] into `h`, equalities' into `b`."""
         if self.full:
             h[: self.size] = high
@@ -51,18 +51,18 @@ class LimitSides:
         np.negative(low[self.lower], out=h[count:])
         b[:] = high[self.equal]
 
-    def rows(self, M: Matrix) -> tuple[Matrix, Matrix]:
+    def split_into_one_sided_rows(self, M: Matrix) -> tuple[Matrix, Matrix]:
         """Return rows [M; −M] with a finite limit, as inequalities, and the equality rows of M."""
         return np.vstack([M[self.upper], -M[self.lower]]), M[self.equal]
 
-    def split_multipliers(self, y: Vector, z: Vector, y_equal: Vector) -> None:
+    def write_multipliers_as_one_sided(self, y: Vector, z: Vector, y_equal: Vector) -> None:
         """Split multipliers of two-sided rows into those of inequalities, ≥ 0, and equalities."""
         count = self.upper.size
         np.maximum(y[self.upper], 0.0, out=z[:count])
         np.maximum(-y[self.lower], 0.0, out=z[count:])
         y_equal[:] = y[self.equal]
 
-    def merge_multipliers(self, z: Vector, y: Vector) -> Vector:
+    def merge_multipliers_to_two_sided(self, z: Vector, y: Vector) -> Vector:
         """Merge multipliers of inequalities and equalities into those of two-sided rows."""
         if self.full:
             return z[: self.size] - z[self.size :]
@@ -85,7 +85,7 @@ class OneSidedForm:
     def __init__(self, qp: QuadraticProgram, form: Form, box: Box) -> None:
         self._m, self._n = qp.m, qp.n
         self._sides = LimitSides(qp.l, qp.u)
-        G, A = self._sides.rows(qp.A)
+        G, A = self._sides.split_into_one_sided_rows(qp.A)
         self._rows, self._equalities = G.shape[0], A.shape[0]
         self._box: LimitSides | None = None
         bounded = bool(np.isfinite(qp.lb).any() or np.isfinite(qp.ub).any())
@@ -93,14 +93,16 @@ class OneSidedForm:
         self.ub = qp.ub.copy() if bounded and box == "native" else None
         if box == "rows":
             self._box = LimitSides(qp.lb, qp.ub)
-            G_box, A_box = self._box.rows(np.eye(qp.n))
+            G_box, A_box = self._box.split_into_one_sided_rows(np.eye(qp.n))
             G, A = np.vstack([G, G_box]), np.vstack([A, A_box])
         # One array [b; h] for a library that stacks equalities on inequalities.
         self.bh = np.empty(A.shape[0] + G.shape[0])
         b, h = self.bh[: A.shape[0]], self.bh[A.shape[0] :]
         self._h, self._b = h[: self._rows], b[: self._equalities]
         if self._box is not None:
-            self._box.fill(qp.lb, qp.ub, h[self._rows :], b[self._equalities :])
+            self._box.write_limits_as_one_sided(
+                qp.lb, qp.ub, h[self._rows :], b[self._equalities :]
+            )
         self.q = np.empty(qp.n)
         convert: Any = scipy.sparse.csc_matrix if form == "csc" else np.array
         self.P = convert(qp.P)
@@ -108,47 +110,51 @@ class OneSidedForm:
         self.A: Any = convert(A) if b.size else None
         self.h, self.b = h if h.size else None, b if b.size else None
 
-    def has_same_pattern(self, l: Vector, u: Vector) -> bool:  # noqa: E741 - l ≤ Az ≤ u, the name of the field
+    def has_same_equal_and_infinite_limits(self, l: Vector, u: Vector) -> bool:  # noqa: E741 - l ≤ Az ≤ u, the name of the field
         """Return whether the same row limits are equal or infinite as in the QP first given."""
-        return self._sides.has_same_pattern(l, u)
+        return self._sides.has_same_equal_and_infinite_limits(l, u)
 
-    def fill(self, q: Vector, l: Vector, u: Vector) -> None:  # noqa: E741 - as above
+    def write_step_vectors_as_one_sided(self, q: Vector, l: Vector, u: Vector) -> None:  # noqa: E741 - as above
         """Write a step's q and two-sided row limits l, u into the one-sided QP's q, h and b."""
         self.q[:] = q
-        self._sides.fill(l, u, self._h, self._b)
+        self._sides.write_limits_as_one_sided(l, u, self._h, self._b)
 
-    def two_sided(self, z: Vector, y: Vector) -> tuple[Vector, Vector]:
+    def convert_multipliers_to_two_sided(self, z: Vector, y: Vector) -> tuple[Vector, Vector]:
         """Return y and y_box of two-sided rows and bounds from multipliers of G z ≤ h, A z = b."""
         assert self._box is not None, "bounds have to be rows"
-        rows = self._sides.merge_multipliers(z[: self._rows], y[: self._equalities])
-        return rows, self._box.merge_multipliers(z[self._rows :], y[self._equalities :])
+        rows = self._sides.merge_multipliers_to_two_sided(z[: self._rows], y[: self._equalities])
+        return rows, self._box.merge_multipliers_to_two_sided(
+            z[self._rows :], y[self._equalities :]
+        )
 
-    def split_multipliers(self, y: Vector, y_box: Vector, dual: Vector) -> None:
+    def write_multipliers_as_one_sided(self, y: Vector, y_box: Vector, dual: Vector) -> None:
         """Write multipliers of two-sided rows and bounds into `dual` as one-sided."""
         count = self.bh.size - (0 if self.h is None else self.h.size)
         equal, z = dual[:count], dual[count:]
-        self._sides.split_multipliers(y, z[: self._rows], equal[: self._equalities])
+        self._sides.write_multipliers_as_one_sided(y, z[: self._rows], equal[: self._equalities])
         if self._box is not None:
-            self._box.split_multipliers(y_box, z[self._rows :], equal[self._equalities :])
+            self._box.write_multipliers_as_one_sided(
+                y_box, z[self._rows :], equal[self._equalities :]
+            )
 
     def convert_qpsolvers_multipliers(
         self, z: Any, y: Any, z_box: Any
     ) -> tuple[Vector, Vector] | None:
         """Return y and y_box of two-sided rows and bounds from qpsolvers' multipliers, or None."""
-        z = _as_vector_of_size(z, 0 if self.h is None else self.h.size)
-        y = _as_vector_of_size(y, 0 if self.b is None else self.b.size)
+        z = _convert_to_vector_of_size_or_none(z, 0 if self.h is None else self.h.size)
+        y = _convert_to_vector_of_size_or_none(y, 0 if self.b is None else self.b.size)
         if z is None or y is None:
             return None
         if self._box is not None:
-            return self.two_sided(z, y)
-        rows = self._sides.merge_multipliers(z[: self._rows], y[: self._equalities])
-        bounds = _as_vector_of_size(z_box, 0 if self.lb is None else self._n)
+            return self.convert_multipliers_to_two_sided(z, y)
+        rows = self._sides.merge_multipliers_to_two_sided(z[: self._rows], y[: self._equalities])
+        bounds = _convert_to_vector_of_size_or_none(z_box, 0 if self.lb is None else self._n)
         if bounds is None:
             return None
         return rows, bounds.copy() if bounds.size else np.zeros(self._n)
 
 
-def _as_vector_of_size(value: Any, size: int) -> Vector | None:
+def _convert_to_vector_of_size_or_none(value: Any, size: int) -> Vector | None:
     """Return `value` as a float64 vector of this size; None if it has another size."""
     if size == 0:
         return np.empty(0)

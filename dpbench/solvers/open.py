@@ -7,8 +7,13 @@ from functools import partial
 from dpbench.errors import PolicyError
 from dpbench.solvers.contract import Options, Policy, Route, Settings, Workspace
 from dpbench.solvers.record import POLICIES, SolverRecord
-from dpbench.solvers.settings import resolve_options
-from dpbench.solvers.table import check_available, find_record, native_adapter, qpsolvers_adapter
+from dpbench.solvers.settings import resolve_settings_to_options
+from dpbench.solvers.table import (
+    find_solver_record,
+    get_native_adapter,
+    get_qpsolvers_adapter,
+    require_solver_available,
+)
 
 
 def open_workspace(
@@ -49,16 +54,16 @@ def open_workspace(
     if not isinstance(settings, (str, Mapping)):
         allowed = "a name such as 'high', or a mapping of options"
         raise TypeError(f"settings: found {settings!r}; allowed: {allowed}")
-    row = find_record(solver)
+    row = find_solver_record(solver)
     route = row.default_route if route is None else route
-    _check_policy(row, route, policy)
-    make = partial(_make_workspace, row, route, policy, settings, step_limit_s)
+    _require_route_and_policy(row, route, policy)
+    make = partial(_make_workspace_of_route, row, route, policy, settings, step_limit_s)
     workspace = make()
     workspace.reopen, workspace.requested_settings = make, settings
     return workspace
 
 
-def _make_workspace(
+def _make_workspace_of_route(
     row: SolverRecord,
     route: Route,
     policy: Policy,
@@ -67,14 +72,16 @@ def _make_workspace(
 ) -> Workspace:
     """Make the workspace of a solver by route, policy, settings and time limit per step [s]."""
     solver = row.name
-    check_available(solver)
+    require_solver_available(solver)
     limited = row.time_limit and step_limit_s is not None
     limits: Options = {row.time_limit: step_limit_s} if limited else {}
     if route == "native":
-        native = native_adapter(solver)
-        return native.workspace(row, policy, {**limits, **resolve_options(settings, native)})
-    adapter = qpsolvers_adapter(solver)
-    options = {**limits, **resolve_options(settings, adapter)}
+        native = get_native_adapter(solver)
+        return native.workspace(
+            row, policy, {**limits, **resolve_settings_to_options(settings, native)}
+        )
+    adapter = get_qpsolvers_adapter(solver)
+    options = {**limits, **resolve_settings_to_options(settings, adapter)}
     if adapter.prepare is not None:
         adapter.prepare()
     # qpsolvers imports every library it finds, so it is imported only when needed.
@@ -85,14 +92,16 @@ def _make_workspace(
     return QpsolversWorkspace(adapter, policy, options)
 
 
-def _check_policy(row: SolverRecord, route: Route, policy: Policy) -> None:
+def _require_route_and_policy(row: SolverRecord, route: Route, policy: Policy) -> None:
     """Raise PolicyError if a solver lacks this interface or this way of starting each solve."""
     where = f"solver {row.name}"
     if route not in row.routes:
         raise PolicyError(where, "route", repr(route), " | ".join(row.routes))
-    runs = " | ".join(f"{name}: {POLICIES[name]}" for name in row.on(route).policies)
+    runs = " | ".join(f"{name}: {POLICIES[name]}" for name in row.get_route_record(route).policies)
     if policy not in POLICIES:
-        raise PolicyError(where, "policy", repr(policy), " | ".join(row.on(route).policies))
-    reason = row.refusal(route, policy)
+        raise PolicyError(
+            where, "policy", repr(policy), " | ".join(row.get_route_record(route).policies)
+        )
+    reason = row.state_why_policy_is_unavailable(route, policy)
     if reason:
         raise PolicyError(where, f"route {route}: policy", repr(policy), f"{runs} ({reason})")

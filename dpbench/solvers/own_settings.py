@@ -22,27 +22,27 @@ MOST_POINTS = 1000
 LONGEST_TEXT, LARGEST_INTEGER = 200, 2**63
 
 
-def split_choice(choice: str) -> tuple[str, str]:
+def split_into_solver_and_options_text(choice: str) -> tuple[str, str]:
     """Split `osqp[rho=1.6]` into solver and options as text; "" for a solver alone."""
     solver, bracket, rest = choice.partition("[")
     return (solver, rest.removesuffix("]")) if bracket else (choice, "")
 
 
-def expand_choice(choice: str) -> list[str]:
+def expand_choice_over_option_grid(choice: str) -> list[str]:
     """Return a choice of solver and options, such as `osqp[rho=[1,2]]`, for each grid point.
 
     The options of each are sorted and written alike; InputError for a text that is no such choice.
     """
-    solver, _ = split_choice(choice)
+    solver, _ = split_into_solver_and_options_text(choice)
     if solver == choice:
         return [choice]
-    points = expand_grid(parse_choice(choice), f"solver {solver}")
-    return [f"{solver}[{describe_options(options)}]" for options in points]
+    points = expand_option_grid(parse_options_of_choice(choice), f"solver {solver}")
+    return [f"{solver}[{format_options_as_toml(options)}]" for options in points]
 
 
-def parse_choice(choice: str) -> Options:
+def parse_options_of_choice(choice: str) -> Options:
     """Parse the options of a choice such as `osqp[rho=1.6]`; {} for a solver alone."""
-    solver, text = split_choice(choice)
+    solver, text = split_into_solver_and_options_text(choice)
     if solver == choice:
         return {}
     try:
@@ -56,37 +56,42 @@ def parse_choice(choice: str) -> Options:
     return dict(options)
 
 
-def expand_grid(options: Options, where: str) -> list[Options]:
+def expand_option_grid(options: Options, where: str) -> list[Options]:
     """Return the options of each point of a grid, in which a list has one value for each point.
 
     InputError, at `where`, for a list without values or a grid of more than `MOST_POINTS` points.
     """
-    pairs = list(_flatten_groups(options))
+    pairs = list(_yield_dotted_names_and_values(options))
     axes = [value if isinstance(value, list) else [value] for _, value in pairs]
     count = 1
     for (key, _), axis in zip(pairs, axes, strict=True):
         count *= len(axis)
-        bad = [value for value in axis if not _is_option_value(value)]
+        bad = [value for value in axis if not _is_allowed_option_value(value)]
         if bad or not axis:
             found = repr(bad[0])[:80] if bad else "[]"
             raise InputError(where, key, found, "a number, text, true or false, or a list of them")
         if count > MOST_POINTS:
             raise InputError(where, key, f"a grid of {count} points", f"at most {MOST_POINTS}")
     keys = [key for key, _ in pairs]
-    return [_nest_groups(dict(zip(keys, point, strict=True))) for point in product(*axes)]
+    return [
+        _nest_dotted_option_names(dict(zip(keys, point, strict=True))) for point in product(*axes)
+    ]
 
 
-def describe_options(options: Options) -> str:
+def format_options_as_toml(options: Options) -> str:
     """Return options as text in TOML, sorted by name, such as `eps_abs=1e-5,rho=1.6`."""
-    return ",".join(f"{key}={value}" for key, value in list_options(options).items())
+    return ",".join(f"{key}={value}" for key, value in format_each_option_as_toml(options).items())
 
 
-def list_options(options: Options) -> dict[str, str]:
+def format_each_option_as_toml(options: Options) -> dict[str, str]:
     """Return the value of each option as text in TOML, sorted by name."""
-    return {key: _format_option_value(value) for key, value in sorted(_flatten_groups(options))}
+    return {
+        key: _format_option_value(value)
+        for key, value in sorted(_yield_dotted_names_and_values(options))
+    }
 
 
-def encode_options(options: Options) -> str:
+def encode_options_as_json(options: Options) -> str:
     """Return options as JSON, equal for equal options; "" for none."""
     # In a notebook a value may be of a library's own type.
     return json.dumps(options, sort_keys=True, ensure_ascii=False, default=str) if options else ""
@@ -98,8 +103,8 @@ def normalise_options(text: str) -> str:
     return json.dumps(json.loads(text, parse_int=float), sort_keys=True) if text else ""
 
 
-def decode_options(text: str) -> Options:
-    """Return the options that `encode_options` made a text of; ResultsError for another text."""
+def decode_options_from_json(text: str) -> Options:
+    """Return the options in a text of `encode_options_as_json`; ResultsError for another text."""
     try:
         options = parse_json(text) if text else {}
     except ValueError:
@@ -109,7 +114,7 @@ def decode_options(text: str) -> Options:
     return options
 
 
-def _is_option_value(value: object) -> bool:
+def _is_allowed_option_value(value: object) -> bool:
     """Return whether an option may have this value: true, false, a short text, a finite number."""
     if isinstance(value, str):
         return len(value) <= LONGEST_TEXT
@@ -118,16 +123,18 @@ def _is_option_value(value: object) -> bool:
     return isinstance(value, float) and isfinite(value)
 
 
-def _flatten_groups(options: Options, prefix: str = "") -> Iterator[tuple[str, object]]:
+def _yield_dotted_names_and_values(
+    options: Options, prefix: str = ""
+) -> Iterator[tuple[str, object]]:
     """Yield name and value of each option; an option of a group is named `group.name`."""
     for key, value in options.items():
         if isinstance(value, Mapping):
-            yield from _flatten_groups(value, f"{prefix}{key}.")
+            yield from _yield_dotted_names_and_values(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
 
 
-def _nest_groups(options: Options) -> Options:
+def _nest_dotted_option_names(options: Options) -> Options:
     """Return options with those named `group.name` in a mapping of each group."""
     nested: dict[str, object] = {}
     for key, value in options.items():

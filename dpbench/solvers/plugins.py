@@ -7,8 +7,8 @@ A plug-in is a module (or any object) with
     LEVELS                   optional: the options of "low", "mid" and "high"
 
 An installed distribution names it by an entry point of the group `dpbench.solvers` with the name of
-the solver; a file is loaded by `table.load_solver_module`. RECORD names the module of its library,
-so that it can be measured alone in a process.
+the solver; a file is loaded by `table.load_plugin_solver_from_file`. RECORD names the module of its
+library, so that it can be measured alone in a process.
 """
 
 import hashlib
@@ -43,16 +43,16 @@ from dpbench.solvers.record import (
 )
 
 GROUP = "dpbench.solvers"
-TRIAL_S = 60.0  # Time limit of a plug-in's file in `try_file`
-# The last line that the process of `try_file` prints.
+TRIAL_S = 60.0  # Time limit of a plug-in's file in `try_plugin_file_in_child`
+# The last line that the process of `try_plugin_file_in_child` prints.
 _RAN = b"\ndpbench: ran\n"
 _TRIAL = f"""
 import json, os, sys
 sys.path[:], where, file = json.loads(sys.argv[1])
-from dpbench.solvers.plugins import run_quietly
+from dpbench.solvers.plugins import run_plugin_file_ignoring_exceptions
 out = os.dup(1)
 os.dup2(2, 1)
-run_quietly(where, file)
+run_plugin_file_ignoring_exceptions(where, file)
 os.write(out, {_RAN!r})
 os._exit(0)
 """
@@ -112,17 +112,17 @@ def solver_record(
     )
 
 
-def load_file(path: str | Path, taken: Collection[str]) -> SolverRecord:
+def load_solver_from_file(path: str | Path, taken: Collection[str]) -> SolverRecord:
     """Load a solver from a Python file; InputError if it fails or its name is in `taken`."""
-    where, file = _check_file_exists(path)
-    module = _import_file(where, file)
+    where, file = _require_plugin_file_and_label(path)
+    module = _import_plugin_file(where, file)
     version = hashlib.sha256(getsource(module).encode()).hexdigest()[:12]
-    return _register_plugin(where, module, version, str(file), taken).record
+    return _check_and_register_plugin(where, module, version, str(file), taken).record
 
 
-def try_file(path: str | Path) -> None:
+def try_plugin_file_in_child(path: str | Path) -> None:
     """Try a plug-in's file in a child process; InputError if it is missing, crashes or hangs."""
-    where, file = _check_file_exists(path)
+    where, file = _require_plugin_file_and_label(path)
     command = [sys.executable, "-c", _TRIAL, json.dumps([sys.path, where, str(file)])]
     null = subprocess.DEVNULL
     process = subprocess.Popen(
@@ -145,13 +145,13 @@ def try_file(path: str | Path) -> None:
         raise InputError(where, "", found, "a file that runs")
 
 
-def run_quietly(where: str, file: str) -> None:
+def run_plugin_file_ignoring_exceptions(where: str, file: str) -> None:
     """Run a plug-in's file in a trial process, ignoring exceptions: only a crash matters."""
     with suppress(InputError):
-        _import_file(where, Path(file))
+        _import_plugin_file(where, Path(file))
 
 
-def _check_file_exists(path: str | Path) -> tuple[str, Path]:
+def _require_plugin_file_and_label(path: str | Path) -> tuple[str, Path]:
     """Return a plug-in file's label for errors and its full path; InputError if missing."""
     where, file = f"solver module {path}", Path(path).resolve()
     if not file.is_file():
@@ -159,7 +159,7 @@ def _check_file_exists(path: str | Path) -> tuple[str, Path]:
     return where, file
 
 
-def _import_file(where: str, file: Path) -> ModuleType:
+def _import_plugin_file(where: str, file: Path) -> ModuleType:
     """Execute a plug-in's Python file as a new module; turn any exception into an InputError."""
     digest = hashlib.sha256(str(file).encode()).hexdigest()[:12]
     spec = importlib.util.spec_from_file_location(f"dpbench_plugin_{digest}", file)
@@ -173,18 +173,20 @@ def _import_file(where: str, file: Path) -> ModuleType:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a stranger's code may raise anything; it becomes an InputError
-        raise InputError(where, "", _describe_raised(error), "a file that runs") from error
+        raise InputError(
+            where, "", _describe_exception_on_one_line(error), "a file that runs"
+        ) from error
     return module
 
 
-def _describe_raised(error: BaseException) -> str:
+def _describe_exception_on_one_line(error: BaseException) -> str:
     """Return class and message of an exception, on one line of limited length."""
     text = " ".join(str(error).split())[:300]
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 @cache
-def _entry_points() -> dict[str, metadata.EntryPoint]:
+def _find_plugin_entry_points() -> dict[str, metadata.EntryPoint]:
     """Return the entry points of installed packages that bring a solver, by name."""
     return {point.name: point for point in metadata.entry_points(group=GROUP)}
 
@@ -193,7 +195,7 @@ def find_plugin(name: str) -> Plugin | None:
     """Return a plug-in solver by name; None if there is none, InputError if it fails to load."""
     if name in _LOADED:
         return _LOADED[name]
-    point = _entry_points().get(name)
+    point = _find_plugin_entry_points().get(name)
     if point is None:
         return None
     where = f"entry point {point.name} = {point.value}"
@@ -202,20 +204,22 @@ def find_plugin(name: str) -> Plugin | None:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a stranger's code may raise anything; it becomes an InputError
-        raise InputError(where, "", _describe_raised(error), "an object that loads") from error
+        raise InputError(
+            where, "", _describe_exception_on_one_line(error), "an object that loads"
+        ) from error
     version = point.dist.version if point.dist is not None else ""
-    plugin = _register_plugin(where, module, version, point.value)
+    plugin = _check_and_register_plugin(where, module, version, point.value)
     if plugin.record.name != name:
         raise InputError(where, "RECORD.name", repr(plugin.record.name), repr(name))
     return plugin
 
 
-def plugin_names() -> set[str]:
+def list_plugin_names() -> set[str]:
     """Return the names of plug-in solvers, loaded or in an installed package."""
-    return {*_LOADED, *_entry_points()}
+    return {*_LOADED, *_find_plugin_entry_points()}
 
 
-def _register_plugin(
+def _check_and_register_plugin(
     where: str, module: Any, version: str, origin: str, taken: Collection[str] = ()
 ) -> Plugin:
     """Check a loaded plug-in's RECORD and open(), and add it to the known solvers."""
@@ -234,20 +238,22 @@ def _register_plugin(
         raise InputError(where, "RECORD.routes", sorted(record.routes), "route native alone")
     if record.family not in get_args(Family):
         raise InputError(where, "RECORD.family", repr(record.family), " | ".join(get_args(Family)))
-    row = replace(record, extra="plugin", levels=_read_levels(where, module, record))
-    plugin = Plugin(NativeAdapter(row, _wrap_opener(opener), None), version, origin)
+    row = replace(
+        record, extra="plugin", levels=_read_tolerance_levels_of_plugin(where, module, record)
+    )
+    plugin = Plugin(NativeAdapter(row, _wrap_opener_to_check_result(opener), None), version, origin)
     _LOADED[row.name] = plugin
     return plugin
 
 
-def _read_levels(where: str, module: Any, record: SolverRecord) -> Levels:
+def _read_tolerance_levels_of_plugin(where: str, module: Any, record: SolverRecord) -> Levels:
     """Return the tolerance levels that a plug-in states, or those of its record."""
     if not hasattr(module, "LEVELS") and hasattr(module, "LADDER"):
         warn_of_outdated_name(where, "LADDER", "LEVELS")
     return dict(getattr(module, "LEVELS", getattr(module, "LADDER", record.levels)))
 
 
-def _wrap_opener(opener: Callable[[Policy, Options], Workspace]) -> OpenWorkspace:
+def _wrap_opener_to_check_result(opener: Callable[[Policy, Options], Workspace]) -> OpenWorkspace:
     """Wrap a plug-in's open() so that InputError is raised if it does not return a solver."""
 
     def open_plugin(record: SolverRecord, policy: Policy, options: Options) -> Workspace:

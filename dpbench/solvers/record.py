@@ -52,7 +52,9 @@ LEVELS = (DEFAULT, *TOLERANCES)
 """The tolerance levels: the library's own choice, then those of `TOLERANCES`."""
 
 
-def by_tolerance(*criteria: str, always: Options | None = None, **constant: object) -> Levels:
+def make_tolerance_presets(
+    *criteria: str, always: Options | None = None, **constant: object
+) -> Levels:
     """Make option presets default, low, mid and high, from the names of tolerance options.
 
     criteria : options that are the tolerance at the levels of `TOLERANCES`.
@@ -81,7 +83,7 @@ BUILDS = {"_avx512": "AVX-512", "_avx2": "AVX2", "": "no AVX"}
 """Instruction sets by the end of a module's name."""
 
 
-def vectorised_build(module: str) -> Build:
+def find_instruction_set_of_library(module: str) -> Build:
     """Return the CPU instruction set that the loaded library `module` was compiled for."""
     built = (text for end, text in BUILDS.items() if sys.modules.get(f"{module}{end}") is not None)
     return Build(next(built, ""))
@@ -126,7 +128,7 @@ class Project:
     c_settings: CSettings | None = field(default=None, kw_only=True)
 
 
-def project_facts(
+def make_project_facts(
     *,
     licence: tuple[str, str] | None,
     language: tuple[str, str] | None,
@@ -140,7 +142,7 @@ def project_facts(
     return Project(*(Fact(*(fact or UNKNOWN_FACT)) for fact in facts), c_settings=c_settings)
 
 
-NO_PROJECT_FACTS = project_facts(licence=None, language=None)
+NO_PROJECT_FACTS = make_project_facts(licence=None, language=None)
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,7 @@ class SolverRecord:
         none.
     form : the form of its matrices, its own fastest.
     routes : the first is the default.
-    levels : see `by_tolerance`; {} without a tolerance to set.
+    levels : see `make_tolerance_presets`; {} without a tolerance to set.
     needs_strict_convexity : whether P has to be positive definite.
     needs_modules : further libraries that it imports, which isolation must not hide.
     build : reads how the installed library was built, where that decides its speed.
@@ -208,18 +210,18 @@ class SolverRecord:
         return next(iter(self.routes))
 
     @property
-    def policies(self) -> dict[Route, tuple[Policy, ...]]:
+    def policies_by_route(self) -> dict[Route, tuple[Policy, ...]]:
         """Ways of starting each solve (fresh, reuse, warm) offered, by interface to the library."""
         return {route: can.policies for route, can in self.routes.items()}
 
     @property
-    def remedy(self) -> str:
+    def install_command(self) -> str:
         """Shell command that installs the solver."""
         # Not through an extra of dpbench: the package index knows another project by that name.
         return f"pip install {self.distribution}" if self.distribution else "install it"
 
     @property
-    def deployment_blocker(self) -> str:
+    def reason_not_deployable(self) -> str:
         """Reason why the solver cannot run on a ship's controller; "" if it can.
 
         Compiled code whose language the project documents is deployable.
@@ -229,11 +231,11 @@ class SolverRecord:
             return "its language is not stated"
         return f"written in {language.value}" if language.value.startswith("Python") else ""
 
-    def on(self, route: Route) -> RouteRecord:
+    def get_route_record(self, route: Route) -> RouteRecord:
         """Return what the solver can do through an interface; KeyError if it does not have it."""
         return self.routes[route]
 
-    def refusal(self, route: Route, policy: Policy) -> str:
+    def state_why_policy_is_unavailable(self, route: Route, policy: Policy) -> str:
         """Return why an interface lacks a way of starting each solve; "" if it offers it."""
         can = self.routes[route]
         if policy in can.policies:

@@ -19,9 +19,9 @@ from dpbench.errors import (
     format_allowed_names,
 )
 from dpbench.solvers import plugins
-from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, read_solved_flag
-from dpbench.solvers.calibration import CALIBRATION, open_calibration
-from dpbench.solvers.contract import Policy, describe_exception
+from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, read_solved_flag_as_claim
+from dpbench.solvers.calibration import CALIBRATION, open_calibration_solver
+from dpbench.solvers.contract import Policy, describe_exception_unless_interrupt
 from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
 from dpbench.solvers.own.adapters import OWN
 from dpbench.solvers.record import NO_PROJECT_FACTS, Build, RouteRecord, SolverRecord
@@ -56,17 +56,17 @@ class Availability:
     build: Build = field(default_factory=Build)
 
     @property
-    def identity(self) -> str:
+    def version_and_build_text(self) -> str:
         """Version of the solver's library and instruction set it was built for, as one text."""
         return f"{self.version} {self.build.text}".strip()
 
 
-def solver_names() -> tuple[str, ...]:
+def list_all_solver_names() -> tuple[str, ...]:
     """List the names of all known solvers, installed or not, plug-ins included, alphabetically."""
-    return tuple(sorted({*TABLE, *plugins.plugin_names()}))
+    return tuple(sorted({*TABLE, *plugins.list_plugin_names()}))
 
 
-def find_record(name: str) -> SolverRecord:
+def find_solver_record(name: str) -> SolverRecord:
     """Return the facts about a solver by its name; UnknownNameError if there is none."""
     row = TABLE.get(name) or CALIBRATION.get(name)
     if row is not None:
@@ -74,37 +74,39 @@ def find_record(name: str) -> SolverRecord:
     plugin = plugins.find_plugin(name)
     if plugin is not None:
         return plugin.record
-    if _is_served_by_qpsolvers(name):
-        return _make_generic_adapter(name).record
+    if _is_solver_of_qpsolvers(name):
+        return _make_generic_qpsolvers_adapter(name).record
     raise UnknownNameError(
         "solver",
         "",
         repr(name),
-        format_allowed_names(name, solver_names(), listing="list_solvers()"),
+        format_allowed_names(name, list_all_solver_names(), listing="list_solvers()"),
     )
 
 
-def native_adapter(name: str) -> NativeAdapter:
+def get_native_adapter(name: str) -> NativeAdapter:
     """Return how to call a solver by its own interface; KeyError if it has none."""
     if name in CALIBRATION:
         return NativeAdapter(
-            CALIBRATION[name], lambda record, policy, options: open_calibration(name), lambda: ()
+            CALIBRATION[name],
+            lambda record, policy, options: open_calibration_solver(name),
+            lambda: (),
         )
-    plugin = _find_plugin(name)
+    plugin = _find_plugin_unless_built_in(name)
     return _ON_NATIVE[name] if plugin is None else plugin.adapter
 
 
-def qpsolvers_adapter(name: str) -> QpsolversAdapter:
+def get_qpsolvers_adapter(name: str) -> QpsolversAdapter:
     """Return how to call a solver through qpsolvers, in a generic way if dpbench lacks it."""
-    return THROUGH_QPSOLVERS.get(name) or _make_generic_adapter(name)
+    return THROUGH_QPSOLVERS.get(name) or _make_generic_qpsolvers_adapter(name)
 
 
-def _find_plugin(name: str) -> plugins.Plugin | None:
+def _find_plugin_unless_built_in(name: str) -> plugins.Plugin | None:
     """Return the plug-in solver of a name; None if dpbench has a solver of it or there is none."""
     return None if name in TABLE else plugins.find_plugin(name)
 
 
-def _is_served_by_qpsolvers(name: str) -> bool:
+def _is_solver_of_qpsolvers(name: str) -> bool:
     """Return whether qpsolvers has a solver of this name, without importing it."""
     loaded = sys.modules.get("qpsolvers")
     if loaded is not None and name in loaded.available_solvers:
@@ -114,7 +116,7 @@ def _is_served_by_qpsolvers(name: str) -> bool:
     return name.isidentifier() and PathFinder.find_spec(f"{name}_", folders) is not None
 
 
-def _make_generic_adapter(name: str) -> QpsolversAdapter:
+def _make_generic_qpsolvers_adapter(name: str) -> QpsolversAdapter:
     """Describe how to call a solver that only qpsolvers has; its settings go unchecked."""
     refused: dict[Policy, str] = {"warm": "whether it takes a start is not known"}
     can = RouteRecord(("fresh",), detects_infeasibility=False, refused=refused)
@@ -130,41 +132,43 @@ def _make_generic_adapter(name: str) -> QpsolversAdapter:
         levels={},
         project=NO_PROJECT_FACTS,
     )
-    return QpsolversAdapter(record, "native", read_solved_flag)
+    return QpsolversAdapter(record, "native", read_solved_flag_as_claim)
 
 
-def load_solver_module(path: str | Path, *, tried: bool = False) -> SolverRecord:
+def load_plugin_solver_from_file(path: str | Path, *, tried: bool = False) -> SolverRecord:
     """Load a plug-in solver from a Python file into this process; return the facts about it.
 
     tried : whether the file is known not to end the process that runs it, or may do so.
     InputError : the file is missing, fails when run, is no plug-in, or takes a name of the table.
     """
     if not tried:
-        plugins.try_file(path)
-    return plugins.load_file(path, {**TABLE, **CALIBRATION})
+        plugins.try_plugin_file_in_child(path)
+    return plugins.load_solver_from_file(path, {**TABLE, **CALIBRATION})
 
 
 # Parsing takes 2 ms, and a suite calls this thousands of times.
 @cache
-def _installed_version(distribution: str) -> str:
+def _get_installed_package_version(distribution: str) -> str:
     """Return the installed version of a Python package; PackageNotFoundError if missing."""
     return metadata.version(distribution)
 
 
-def check_availability(name: str, *, imported: bool = True) -> Availability:
+def find_solver_availability(name: str, *, imported: bool = True) -> Availability:
     """Return whether a solver's library is installed and, if `imported`, can be imported."""
-    row = find_record(name)
+    row = find_solver_record(name)
     if row.extra == "own":
-        return Availability(True, _installed_version("dpbench"))
+        return Availability(True, _get_installed_package_version("dpbench"))
     if row.extra == "qpsolvers":
-        return _check_qpsolvers_availability(name)
-    plugin = _find_plugin(name)
+        return _find_qpsolvers_availability(name)
+    plugin = _find_plugin_unless_built_in(name)
     if plugin is not None:
         return Availability(True, plugin.version)
     try:
-        version = _installed_version(row.distribution)
+        version = _get_installed_package_version(row.distribution)
     except metadata.PackageNotFoundError:
-        return Availability(False, "", f"{row.distribution} is not installed: {row.remedy}")
+        return Availability(
+            False, "", f"{row.distribution} is not installed: {row.install_command}"
+        )
     if not imported:
         return Availability(True, version)
     try:
@@ -174,20 +178,20 @@ def check_availability(name: str, *, imported: bool = True) -> Availability:
             importlib.import_module(row.module)
             build = row.build()
     except BaseException as error:
-        reason = f"importing {row.module} failed: {describe_exception(error)}"
+        reason = f"importing {row.module} failed: {describe_exception_unless_interrupt(error)}"
         return Availability(False, version, " ".join(reason.split()))
     return Availability(True, version, build=build)
 
 
-def check_available(name: str) -> None:
+def require_solver_available(name: str) -> None:
     """Raise SolverUnavailableError, with the install command, if a solver cannot be used."""
-    here, remedy = check_availability(name), find_record(name).remedy
+    here, remedy = find_solver_availability(name), find_solver_record(name).install_command
     if not here.ok:
         advice = "" if remedy in here.reason else f"; {remedy}"
         raise SolverUnavailableError(f"solver {name}", f"{here.reason}{advice}")
 
 
-def _check_qpsolvers_availability(name: str) -> Availability:
+def _find_qpsolvers_availability(name: str) -> Availability:
     """Return whether qpsolvers finds the library of a solver that dpbench does not have."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -195,9 +199,9 @@ def _check_qpsolvers_availability(name: str) -> Availability:
     if name not in served:
         return Availability(False, "", f"qpsolvers does not find it: pip install qpsolvers[{name}]")
     try:
-        return Availability(True, _installed_version(name))
+        return Availability(True, _get_installed_package_version(name))
     except metadata.PackageNotFoundError:
-        return Availability(True, f"qpsolvers {_installed_version('qpsolvers')}")
+        return Availability(True, f"qpsolvers {_get_installed_package_version('qpsolvers')}")
 
 
 class HiddenModules(MetaPathFinder):
@@ -212,7 +216,7 @@ class HiddenModules(MetaPathFinder):
             raise ModuleNotFoundError(f"{fullname} is hidden in this process", name=fullname)
 
 
-def isolate(*solvers: str) -> None:
+def block_imports_of_other_solvers(*solvers: str) -> None:
     """Block imports of all solver libraries but those of given solvers, for this whole process.
 
     `import qpsolvers` imports every solver library it finds, which costs time and memory, starts
@@ -221,7 +225,7 @@ def isolate(*solvers: str) -> None:
     Raises UnknownNameError : there is no such solver.
     DpbenchError : qpsolvers was imported before, so it is too late.
     """
-    rows = [find_record(solver) for solver in solvers]
+    rows = [find_solver_record(solver) for solver in solvers]
     if "qpsolvers" in sys.modules:
         raise DpbenchError("isolate comes too late: qpsolvers has been imported in this process")
     used = {module for row in rows for module in (row.module, *row.needs_modules)}

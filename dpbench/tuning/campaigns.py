@@ -14,7 +14,7 @@ from dpbench.bench.progress import Progress
 from dpbench.bench.record.result_folder import load_results
 from dpbench.files.writing import write_text_atomically
 from dpbench.solvers.contract import Options
-from dpbench.solvers.own_settings import describe_options
+from dpbench.solvers.own_settings import format_options_as_toml
 from dpbench.tuning.search import Score
 from dpbench.tuning.sequences import TunedProblem
 
@@ -64,7 +64,7 @@ def suite_text(
     presets: Sequence[str],
 ) -> str:
     """Return a suite as TOML: the solver with presets and other settings on some sequences."""
-    choices = [solver.name, *(f"{solver.name}[{describe_options(own)}]" for own in settings)]
+    choices = [solver.name, *(f"{solver.name}[{format_options_as_toml(own)}]" for own in settings)]
     lines = [
         f"title = {json.dumps(f'Settings of {solver.name}')}",
         f"solvers = {json.dumps(choices, ensure_ascii=False)}",
@@ -121,7 +121,7 @@ def score_settings(
 ) -> list[Score]:
     """Return the score of each of some settings, from runs by the name of their settings."""
     return [
-        score_runs(runs.get(describe_options(own), ()), runs[DEFAULT], requirements)
+        score_runs(runs.get(format_options_as_toml(own), ()), runs[DEFAULT], requirements)
         for own in settings
     ]
 

@@ -10,7 +10,7 @@ from scipy.stats import qmc
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.solvers.contract import Options
-from dpbench.solvers.own_settings import describe_options
+from dpbench.solvers.own_settings import format_options_as_toml
 from dpbench.tuning.space import SearchSpace
 
 BATCH = 8
@@ -58,7 +58,7 @@ class Trial(Generic[_Score]):
     @property
     def name(self) -> str:
         """Name of the trial: its options as text."""
-        return describe_options(self.options)
+        return format_options_as_toml(self.options)
 
 
 Evaluate = Callable[[Sequence[Options]], Sequence[_Score]]
@@ -105,7 +105,7 @@ class TrialSearch(Generic[_Score]):
         known = {trial.name for trial in self.trials}
         new: dict[str, tuple[Options, Vector]] = {}
         for options, point in [*given, *((self._space.options_at(p), p) for p in points)]:
-            name = describe_options(options)
+            name = format_options_as_toml(options)
             if name not in known:
                 new.setdefault(name, (options, point))
         if not new:

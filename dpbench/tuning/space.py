@@ -13,8 +13,8 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.errors import InputError
 from dpbench.solvers.contract import Options
-from dpbench.solvers.own_settings import describe_options, parse_choice
-from dpbench.solvers.table import find_record
+from dpbench.solvers.own_settings import format_options_as_toml, parse_options_of_choice
+from dpbench.solvers.table import find_solver_record
 
 LOGARITHMIC_FROM = 20.0
 """A range whose ends differ by this factor is searched on a logarithmic scale."""
@@ -78,7 +78,7 @@ class OptionRange:
             low = max(low - width, min(low, int(self.is_whole)))
         if (low, high) == (self.low, self.high):
             return ""
-        wider = describe_options({self.name: [low, round(high) if self.is_whole else high]})
+        wider = format_options_as_toml({self.name: [low, round(high) if self.is_whole else high]})
         return f"{self.name} = {value:g}: widen it by --widen '{wider}'"
 
 
@@ -141,7 +141,7 @@ def make_space(
     UnknownNameError : there is no such solver.
     InputError : for a text that is no range, or a solver without stated ranges and none given.
     """
-    record = find_record(solver)
+    record = find_solver_record(solver)
     found: dict[str, OptionRange] = {}
     if not ranges:
         stated = _stated_ranges()
@@ -152,7 +152,7 @@ def make_space(
         found = {name: OptionRange(name, *ends) for name, ends in (usual or {}).items()}
     for option, texts in (("--range", ranges), ("--widen", widened)):
         for text in texts:
-            given = parse_choice(f"{solver}[{text}]")
+            given = parse_options_of_choice(f"{solver}[{text}]")
             found |= {name: _check_range(option, name, ends) for name, ends in given.items()}
     fixed = {name: value for name, value in (own or {}).items() if name not in found}
     return SearchSpace(tuple(found.values()), fixed)

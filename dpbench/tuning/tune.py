@@ -21,19 +21,23 @@ from dpbench.report.formats import and_list, error_text, significant, time_text
 from dpbench.report.table import Table
 from dpbench.solvers.contract import Options, Policy, Route
 from dpbench.solvers.own_settings import (
-    describe_options,
-    expand_grid,
-    parse_choice,
-    split_choice,
+    expand_option_grid,
+    format_options_as_toml,
+    parse_options_of_choice,
+    split_into_solver_and_options_text,
 )
 from dpbench.solvers.record import HIGH
-from dpbench.solvers.settings import has_setting, has_tolerance_levels, resolve_options
+from dpbench.solvers.settings import (
+    has_distinct_tolerance_presets,
+    has_preset_or_tolerance,
+    resolve_settings_to_options,
+)
 from dpbench.solvers.table import (
-    check_available,
-    find_record,
-    load_solver_module,
-    native_adapter,
-    qpsolvers_adapter,
+    find_solver_record,
+    get_native_adapter,
+    get_qpsolvers_adapter,
+    load_plugin_solver_from_file,
+    require_solver_available,
 )
 from dpbench.tuning.campaigns import (
     DEFAULT,
@@ -210,11 +214,11 @@ def tune_solver(
         missing or has no stated ranges.
     """
     if solver_module is not None:
-        load_solver_module(solver_module)
+        load_plugin_solver_from_file(solver_module)
     _check_numbers(trials, steps, seed, error_move)
     solver, given = _read_start(solver)
     tuned = _choose_call(solver, route, policy, Requirements(error_move=error_move), solver_module)
-    if has_setting(solver, name) or not re.fullmatch(r"[\w-]{1,80}", name, re.ASCII):
+    if has_preset_or_tolerance(solver, name) or not re.fullmatch(r"[\w-]{1,80}", name, re.ASCII):
         allowed = f"letters, digits, _ and -; no preset of {solver}"
         raise InputError("--name", "", repr(name)[:90], allowed)
     space = make_space(solver, ranges, widened, given)
@@ -243,8 +247,8 @@ def tune_solver(
 
 def _read_start(choice: str) -> tuple[str, Options]:
     """Return solver and options of a choice such as `osqp[rho=1.6]`; InputError for a grid."""
-    solver, _ = split_choice(choice)
-    points = expand_grid(parse_choice(choice), f"solver {solver}")
+    solver, _ = split_into_solver_and_options_text(choice)
+    points = expand_option_grid(parse_options_of_choice(choice), f"solver {solver}")
     if len(points) != 1:
         allowed = "one value an option; --range or --widen 'OPTION=[LEAST,LARGEST]' for a range"
         raise InputError("tune-solver", "", choice[:90], allowed)
@@ -276,7 +280,7 @@ def _measure_roles(
     progress: Progress,
 ) -> tuple[TunedRole, ...]:
     """Time presets, the settings to start from and the best ones side by side."""
-    presets = [DEFAULT, HIGH] if has_tolerance_levels(tuned.name) else [DEFAULT]
+    presets = [DEFAULT, HIGH] if has_distinct_tolerance_presets(tuned.name) else [DEFAULT]
     named = ({} if start is None else {YOURS: start}) | {BEST: best}
     runs = measure_settings(
         tuned, [*training, *test], list(named.values()), folder / "final", progress, presets
@@ -284,7 +288,7 @@ def _measure_roles(
     roles = []
     for title, problems in (("training", training), ("test", test)):
         found = runs_by_settings(runs, problems)
-        own = {name: found[describe_options(options)] for name, options in named.items()}
+        own = {name: found[format_options_as_toml(options)] for name, options in named.items()}
         roles.append(TunedRole(title, {name: found[name] for name in presets} | own))
     return tuple(roles)
 
@@ -306,14 +310,14 @@ def _choose_call(
     solver_module: str | None,
 ) -> TunedSolver:
     """Return the solver with its call mode; an error where it is missing or lacks the mode."""
-    row = find_record(solver)
-    check_available(solver)
+    row = find_solver_record(solver)
+    require_solver_available(solver)
     own: Route = "native" if "native" in row.routes else row.default_route
     chosen = route or own
     if chosen not in row.routes:
         raise PolicyError(f"solver {solver}", "route", repr(chosen), " | ".join(row.routes))
-    if reason := row.refusal(chosen, policy):
-        runs = " | ".join(row.on(chosen).policies)
+    if reason := row.state_why_policy_is_unavailable(chosen, policy):
+        runs = " | ".join(row.get_route_record(chosen).policies)
         raise PolicyError(f"solver {solver}", "policy", repr(policy), f"{runs} ({reason})")
     return TunedSolver(solver, chosen, policy, requirements, solver_module)
 
@@ -321,10 +325,10 @@ def _choose_call(
 def _check_options(tuned: TunedSolver, space: SearchSpace, start: Options | None) -> None:
     """Raise SettingsError where the solver lacks an option, or refuses one or an end of a range."""
     native = tuned.route == "native"
-    adapter = native_adapter(tuned.name) if native else qpsolvers_adapter(tuned.name)
+    adapter = get_native_adapter(tuned.name) if native else get_qpsolvers_adapter(tuned.name)
     for share in (0.0, 1.0):
-        resolve_options(space.options_at(np.full(len(space.ranges), share)), adapter)
-    resolve_options(start or {}, adapter)
+        resolve_settings_to_options(space.options_at(np.full(len(space.ranges), share)), adapter)
+    resolve_settings_to_options(start or {}, adapter)
 
 
 def _search_settings(
@@ -362,6 +366,6 @@ def _settings_toml(tuning: Tuning, name: str) -> str:
             for role in tuning.roles
         ),
     ]
-    options = describe_options(tuning.best.options).replace(",", ", ").replace("=", " = ")
+    options = format_options_as_toml(tuning.best.options).replace(",", ", ").replace("=", " = ")
     head = "".join(f"# {line}\n" for line in comments)
     return f"{head}[settings.{name}]\n{solver.name} = {{ {options} }}\n"

@@ -25,7 +25,7 @@ from dpbench.scenario.own_ship import DP_NUMBERS
 from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.scenario.writing import save_scenario
 from dpbench.solvers.contract import Options
-from dpbench.solvers.own_settings import describe_options
+from dpbench.solvers.own_settings import format_options_as_toml
 from dpbench.tuning.controllers import (
     LoopScore,
     Realisation,
@@ -194,7 +194,7 @@ def tune_controller(
     bar.start((batches * BATCH + 3) * len(searched) * steps)
 
     def rate(options: Options, at: Sequence[Realisation], role: str) -> LoopScore:
-        name = f"{role}{describe_options(options)}"
+        name = f"{role}{format_options_as_toml(options)}"
         score = kept.find(name)
         if score is None:
             score = rate_controller(base, options, at, steps)

@@ -12,7 +12,7 @@ from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.run_delay import RunDelay
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.bench.workers.interleaved import FEWEST_ROUNDS
-from dpbench.solvers.calibration import NO_OP, open_calibration
+from dpbench.solvers.calibration import NO_OP, open_calibration_solver
 from tests.bench.deterministic import run_suite, suite_toml
 
 # A budget of 0.04 s, in which a machine to itself does few rounds.
@@ -49,7 +49,7 @@ def test_both_kernels_are_timed_around_every_round() -> None:
     now = iter(range(10**9))
     log = RawLog.in_memory(make_replay_layout(3, 3, sequence.base.n, sequence.base.m))
     made, formulated = formulate_sequence("condensed_box", sequence)
-    timed_solver = TimedSolver(open_calibration(NO_OP), formulated, lambda: next(now))
+    timed_solver = TimedSolver(open_calibration_solver(NO_OP), formulated, lambda: next(now))
     configuration = ReplayRun(
         made, timed_solver, log, warmup_steps=1, limit_ns=10**9, clock=lambda: next(now), preroll=0
     )
@@ -72,7 +72,7 @@ def test_a_round_that_is_run_again_costs_a_configuration_nothing(
     def configuration_of(limit_ns: int) -> Iterator[bool]:
         log = RawLog.in_memory(make_replay_layout(3, 3, sequence.base.n, sequence.base.m))
         made, formulated = formulate_sequence("condensed_box", sequence)
-        timed_solver = TimedSolver(open_calibration(NO_OP), formulated, clock)
+        timed_solver = TimedSolver(open_calibration_solver(NO_OP), formulated, clock)
         configuration = ReplayRun(
             made, timed_solver, log, warmup_steps=1, limit_ns=limit_ns, clock=clock, preroll=0
         )

@@ -28,7 +28,7 @@ from dpbench.bench.sequences.sequence_file import save_sequence
 from dpbench.cli.main import main
 from dpbench.qp.program import QPSequence
 from dpbench.report.write import write_report, write_report_with_summary
-from dpbench.solvers.calibration import CALIBRATION, NO_OP, open_calibration
+from dpbench.solvers.calibration import CALIBRATION, NO_OP, open_calibration_solver
 from tests.bench.deterministic import run_suite, suite_toml
 
 # Waits of 5 to 1000 µs are measured.
@@ -104,7 +104,7 @@ def test_a_round_begun_twice_was_run_again(sequence: QPSequence) -> None:
     log = RawLog.in_memory(make_replay_layout(3, STEPS, sequence.base.n, sequence.base.m))
     made, formulated = formulate_sequence("condensed_box", sequence)
     clock = time.perf_counter_ns
-    timed_solver = TimedSolver(open_calibration(NO_OP), formulated, clock)
+    timed_solver = TimedSolver(open_calibration_solver(NO_OP), formulated, clock)
     configuration = ReplayRun(made, timed_solver, log, warmup_steps=2, limit_ns=10**12, clock=clock)
     for r in (0, 1, 1, 2):
         configuration.run_round(r)

@@ -31,7 +31,7 @@ from dpbench.bench.workers.jobs import CELL_S
 from dpbench.cli.main import main
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.scenario.scenario import load_scenario
-from dpbench.solvers.table import find_record
+from dpbench.solvers.table import find_solver_record
 from tests.bench.deterministic import suite_file, suite_toml
 
 
@@ -88,7 +88,7 @@ def test_the_stated_table_holds_solvers_that_exist() -> None:
     table = tomllib.loads(path.read_text(encoding="utf-8"))
     for name, times in table["times"].items():
         solver, route = name.split(" ")
-        assert route in find_record(solver).routes and len(times) == len(table["sizes"])
+        assert route in find_solver_record(solver).routes and len(times) == len(table["sizes"])
     assert estimate_step_s("osqp", "native", 60) == pytest.approx(
         1e-6 * table["times"]["osqp native"][1]
     )

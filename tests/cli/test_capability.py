@@ -127,7 +127,7 @@ def test_a_solver_that_is_not_installed_is_named(
     refuse: Say, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     missing = Availability(False, reason="not installed")
-    monkeypatch.setattr(table, "check_availability", lambda solver: missing)
+    monkeypatch.setattr(table, "find_solver_availability", lambda solver: missing)
     line = refuse("capability", "osv", "--solver", "quadprog")
     assert line.endswith("solver quadprog: not installed; pip install quadprog")
     assert list(Path().iterdir()) == []

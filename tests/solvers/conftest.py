@@ -16,8 +16,8 @@ from dpbench.qp.solution import Solution
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.record import Family, RouteRecord
-from dpbench.solvers.settings import level_options
-from dpbench.solvers.table import TABLE, check_availability
+from dpbench.solvers.settings import find_options_of_preset
+from dpbench.solvers.table import TABLE, find_solver_availability
 
 INF = np.inf
 
@@ -58,12 +58,12 @@ class Configuration(NamedTuple):
     @property
     def limit_key(self) -> str:
         """The option that limits its iterations; "" where none is known."""
-        named = (key for key in level_options("high", self.solver) if "iter" in key)
+        named = (key for key in find_options_of_preset("high", self.solver) if "iter" in key)
         return "" if self.solver in UNLIMITED else LIMIT_KEY.get(self.solver, next(named, ""))
 
     @property
     def record(self) -> RouteRecord:
-        return TABLE[self.solver].on(self.route)
+        return TABLE[self.solver].get_route_record(self.route)
 
     @property
     def exact_again(self) -> bool:
@@ -76,16 +76,16 @@ class Configuration(NamedTuple):
         if settings is None:
             settings = TIGHTEST.get(self.solver, "high")
         if further:
-            settings = {**level_options(str(settings), self.solver), **further}
+            settings = {**find_options_of_preset(str(settings), self.solver), **further}
         return open_workspace(self.solver, route=self.route, policy=self.policy, settings=settings)
 
 
 # The baseline law solves another problem and has tests of its own.
-INSTALLED = [n for n in TABLE if n != "unconstrained_clipped" and check_availability(n).ok]
+INSTALLED = [n for n in TABLE if n != "unconstrained_clipped" and find_solver_availability(n).ok]
 ARMS = [
     Configuration(name, route, policy)
     for name in INSTALLED
-    for route, policies in TABLE[name].policies.items()
+    for route, policies in TABLE[name].policies_by_route.items()
     for policy in policies
 ]
 

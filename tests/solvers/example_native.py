@@ -9,8 +9,8 @@ from dpbench.solvers.record import (
     NAN_FAULTS,
     RouteRecord,
     SolverRecord,
-    by_tolerance,
-    project_facts,
+    make_project_facts,
+    make_tolerance_presets,
 )
 
 RECORD = SolverRecord(
@@ -28,8 +28,8 @@ RECORD = SolverRecord(
             faults=NAN_FAULTS,
         )
     },
-    levels=by_tolerance("precision", always={"care": 1}),
-    project=project_facts(
+    levels=make_tolerance_presets("precision", always={"care": 1}),
+    project=make_project_facts(
         licence=("MIT", "the example"),
         language=("C", "the example"),
         c_code=("yes, all of it", "the example"),

@@ -13,7 +13,7 @@ import pytest
 
 import dpbench
 from dpbench.errors import DpbenchError
-from dpbench.solvers.adapter import find_adapters
+from dpbench.solvers.adapter import import_all_adapters
 
 HERE, ROOT = Path(__file__).parent, Path(dpbench.__file__).parents[1]
 (TEXT,) = re.findall(
@@ -52,19 +52,21 @@ def test_a_file_is_all_that_a_solver_takes(copied: Path) -> None:
     program = f"""
 import json
 from dpbench.report.charts.style import FAMILY_COLOURS
-from dpbench.solvers.settings import describe_levels, resolve_options, setting_names
-from dpbench.solvers.table import TABLE, check_availability, native_adapter
+from dpbench.solvers.settings import describe_option_presets, list_preset_names
+from dpbench.solvers.settings import resolve_settings_to_options
+from dpbench.solvers.table import TABLE, find_solver_availability, get_native_adapter
 facts = {{}}
 for name in {NEWCOMERS}:
     row = TABLE[name]
     facts[name] = dict(
-        routes=row.policies, ok=check_availability(name).ok,
-        levels=describe_levels(name).splitlines(),
+        routes=row.policies_by_route, ok=find_solver_availability(name).ok,
+        levels=describe_option_presets(name).splitlines(),
         licence=row.project.licence.value, language=row.project.language.value,
-        c_code=row.project.c_code.value, aboard=row.deployment_blocker == "",
-        refusal=row.refusal(row.default_route, "reuse"), family=row.family,
+        c_code=row.project.c_code.value, aboard=row.reason_not_deployable == "",
+        refusal=row.state_why_policy_is_unavailable(row.default_route, "reuse"), family=row.family,
         coloured=row.family in FAMILY_COLOURS)
-facts["own key"] = dict(resolve_options({{"precision": 0.5}}, native_adapter("newcomer")))
+adapter = get_native_adapter("newcomer")
+facts["own key"] = dict(resolve_settings_to_options({{"precision": 0.5}}, adapter))
 print(json.dumps(facts))
 """
     facts: dict[str, Any] = json.loads(_run(copied, "-c", program))
@@ -107,10 +109,10 @@ def test_a_file_without_an_adapter_is_an_error(
         (folder / f"{name}.py").write_text((HERE / "example_native.py").read_text())
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(DpbenchError, match=r"two_solvers.helper holds no adapter"):
-        find_adapters("two_solvers", besides=())
+        import_all_adapters("two_solvers", besides=())
     with pytest.raises(DpbenchError, match=r"two_solvers.two: solver newcomer is there twice"):
-        find_adapters("two_solvers", besides=("helper",))
-    native, wrapped = find_adapters("two_solvers", besides=("helper", "two"))
+        import_all_adapters("two_solvers", besides=("helper",))
+    native, wrapped = import_all_adapters("two_solvers", besides=("helper", "two"))
     assert list(native) == ["newcomer"] and not wrapped
 
 

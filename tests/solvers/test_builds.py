@@ -8,9 +8,9 @@ from types import ModuleType
 
 import pytest
 
-from dpbench.solvers.libraries.hpipm import read_blasfeo_build
-from dpbench.solvers.record import Build, vectorised_build
-from dpbench.solvers.table import Availability, check_availability
+from dpbench.solvers.libraries.hpipm import read_instruction_set_of_blasfeo
+from dpbench.solvers.record import Build, find_instruction_set_of_library
+from dpbench.solvers.table import Availability, find_solver_availability
 
 AVX2, FMA = 0x2, 0x4
 
@@ -39,23 +39,23 @@ class Blasfeo:
 def test_a_blasfeo_is_generic_where_it_needs_no_vector_instruction(
     library: object, build: Build
 ) -> None:
-    assert read_blasfeo_build(library) == build
+    assert read_instruction_set_of_blasfeo(library) == build
 
 
-@pytest.mark.skipif(not check_availability("hpipm").ok, reason="casadi is not installed")
+@pytest.mark.skipif(not find_solver_availability("hpipm").ok, reason="casadi is not installed")
 @pytest.mark.parametrize("solver", ["hpipm", "hpipm_ocp"])
 def test_the_build_of_hpipm_is_that_of_the_headers_beside_it(solver: str) -> None:
     header = Path(str(import_module("casadi").__file__)).parent / "include" / "blasfeo_target.h"
     target = "#define TARGET_GENERIC" in header.read_text(encoding="utf-8")
-    assert check_availability(solver).build.generic is target
-    assert not check_availability("qpoases").build.generic
+    assert find_solver_availability(solver).build.generic is target
+    assert not find_solver_availability("qpoases").build.generic
 
 
 @pytest.mark.parametrize(
     ("solver", "loaded"), [("piqp", "piqp_python"), ("proxqp", "proxsuite_pywrap")]
 )
 def test_a_build_chosen_at_import_is_the_one_in_memory(solver: str, loaded: str) -> None:
-    text = check_availability(solver).build.text
+    text = find_solver_availability(solver).build.text
     end = {"AVX-512": "_avx512", "AVX2": "_avx2", "no AVX": ""}[text]
     maps = Path("/proc/self/maps").read_text(encoding="utf-8")
     mapped = {Path(line.split()[-1]).name for line in maps.splitlines()}
@@ -66,12 +66,12 @@ def test_a_build_chosen_at_import_is_the_one_in_memory(solver: str, loaded: str)
 def test_a_lesser_processor_has_a_lesser_build(
     end: str, text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert vectorised_build("absent.library") == Build()
+    assert find_instruction_set_of_library("absent.library") == Build()
     monkeypatch.setitem(sys.modules, f"absent.library{end}", ModuleType("library"))
-    assert vectorised_build("absent.library") == Build(text)
+    assert find_instruction_set_of_library("absent.library") == Build(text)
 
 
 def test_results_of_one_build_are_not_those_of_another() -> None:
     versions = [Availability(True, "1.0", build=Build(text)) for text in ("", "AVX2", "AVX-512")]
-    assert len({each.identity for each in versions}) == 3
-    assert versions[0].identity == "1.0"
+    assert len({each.version_and_build_text for each in versions}) == 3
+    assert versions[0].version_and_build_text == "1.0"

@@ -17,7 +17,11 @@ from dpbench.solvers.calibration import (
     CopyOnlyWorkspace,
 )
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import find_record, load_solver_module, solver_names
+from dpbench.solvers.table import (
+    find_solver_record,
+    list_all_solver_names,
+    load_plugin_solver_from_file,
+)
 from tests.solvers.conftest import solve_next
 
 
@@ -30,17 +34,17 @@ def qp() -> QuadraticProgram:
 
 
 def test_they_have_names_but_are_no_solvers() -> None:
-    assert not set(CALIBRATION) & set(solver_names())
-    assert all(find_record(name).name == name for name in CALIBRATION)
+    assert not set(CALIBRATION) & set(list_all_solver_names())
+    assert all(find_solver_record(name).name == name for name in CALIBRATION)
     with pytest.raises(UnknownNameError):
-        find_record("busy_wait_30us")
+        find_solver_record("busy_wait_30us")
 
 
 def test_no_plug_in_takes_their_name(tmp_path) -> None:
     text = Path(__file__).with_name("example_plugin.py").read_text(encoding="utf-8")
     (tmp_path / "mine.py").write_text(text.replace('"admm", m', f'"{NO_OP}", m'), encoding="utf-8")
     with pytest.raises(InputError, match=NO_OP):
-        load_solver_module(tmp_path / "mine.py")
+        load_plugin_solver_from_file(tmp_path / "mine.py")
 
 
 @pytest.mark.parametrize("name", CALIBRATION)

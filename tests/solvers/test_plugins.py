@@ -13,8 +13,13 @@ from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Status
 from dpbench.solvers import plugins
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.settings import describe_levels, has_tolerance_levels
-from dpbench.solvers.table import check_availability, find_record, load_solver_module, solver_names
+from dpbench.solvers.settings import describe_option_presets, has_distinct_tolerance_presets
+from dpbench.solvers.table import (
+    find_solver_availability,
+    find_solver_record,
+    list_all_solver_names,
+    load_plugin_solver_from_file,
+)
 from tests.solvers.conftest import solve_qp
 
 EXAMPLE = Path(__file__).with_name("example_plugin.py")
@@ -25,9 +30,9 @@ TEXT = EXAMPLE.read_text()
 def nothing_loaded(monkeypatch):
     """Each test starts without plug-ins and leaves none behind."""
     monkeypatch.setattr(plugins, "_LOADED", {})
-    plugins._entry_points.cache_clear()
+    plugins._find_plugin_entry_points.cache_clear()
     yield
-    plugins._entry_points.cache_clear()
+    plugins._find_plugin_entry_points.cache_clear()
 
 
 def test_the_example_is_short():
@@ -35,9 +40,13 @@ def test_the_example_is_short():
 
 
 def test_a_file_adds_a_solver(sequence):
-    row = load_solver_module(EXAMPLE)
+    row = load_plugin_solver_from_file(EXAMPLE)
     assert (row.name, row.extra) == ("admm", "plugin")
-    assert "admm" in solver_names() and find_record("admm") is row and check_availability("admm").ok
+    assert (
+        "admm" in list_all_solver_names()
+        and find_solver_record("admm") is row
+        and find_solver_availability("admm").ok
+    )
     workspace = open_workspace("admm", settings="high")
     assert workspace.route == "native" and workspace.setup_every_step
     for step, answer in zip(sequence.steps, sequence.answers(workspace), strict=True):
@@ -52,15 +61,15 @@ def test_a_files_version_is_its_content(tmp_path):
     file, versions = tmp_path / "mine.py", []
     for text in (TEXT, TEXT, TEXT + "# changed\n"):
         file.write_text(text)
-        load_solver_module(file)
-        versions.append(check_availability("admm").version)
+        load_plugin_solver_from_file(file)
+        versions.append(find_solver_availability("admm").version)
     assert versions[0] == versions[1] != versions[2]
 
 
 def test_the_levels_of_a_plugin_reaches_it(sequence):
-    load_solver_module(EXAMPLE)
-    assert has_tolerance_levels("admm")
-    assert "high: tolerance=1e-09" in describe_levels("admm")
+    load_plugin_solver_from_file(EXAMPLE)
+    assert has_distinct_tolerance_presets("admm")
+    assert "high: tolerance=1e-09" in describe_option_presets("admm")
     workspaces = (open_workspace("admm", settings=s) for s in ({"tolerance": 0.1}, "low", "high"))
     few, more, most = (solve_qp(workspace, sequence.base).iterations for workspace in workspaces)
     assert few < more < most
@@ -76,15 +85,15 @@ def test_a_plugin_of_yesterday_is_read(tmp_path):
     refused = 'refused={("native", "warm"): "it has no start"}'
     file.write_text(old.replace("detects_infeasibility=False", refused))
     with pytest.warns(FutureWarning, match=r"old.py: LADDER is now called LEVELS$"):
-        row = load_solver_module(file)
+        row = load_plugin_solver_from_file(file)
     assert row.family == "not stated"
-    assert "high: tolerance=1e-09" in describe_levels("admm")
-    assert row.refusal("native", "warm") == "it has no start"
-    assert row.refusal("native", "reuse") == "not offered"
+    assert "high: tolerance=1e-09" in describe_option_presets("admm")
+    assert row.state_why_policy_is_unavailable("native", "warm") == "it has no start"
+    assert row.state_why_policy_is_unavailable("native", "reuse") == "not offered"
 
 
 def test_what_a_plugin_raises_is_an_answer(sequence):
-    load_solver_module(EXAMPLE)
+    load_plugin_solver_from_file(EXAMPLE)
     workspace = open_workspace("admm", settings={"tolerances": 1.0})
     workspace.setup(sequence.base)
     assert workspace.read().detail == "read before solve"
@@ -129,7 +138,7 @@ def test_what_is_no_plugin_is_refused(tmp_path, text, words):
     if text is not None:
         file.write_text(text)
     with pytest.raises(InputError, match=words) as caught:
-        load_solver_module(file)
+        load_plugin_solver_from_file(file)
     assert "mine.py" in str(caught.value) and "\n" not in str(caught.value)
 
 
@@ -139,16 +148,16 @@ def test_an_import_without_end_is_refused(tmp_path, monkeypatch):
     file = tmp_path / "mine.py"
     file.write_text("while True:\n    pass\n")
     with pytest.raises(InputError, match=r"mine.py: found an import that takes more than 1 s"):
-        load_solver_module(file)
+        load_plugin_solver_from_file(file)
 
 
 @pytest.mark.slow
 def test_two_files_cannot_have_one_name(tmp_path):
-    load_solver_module(EXAMPLE)
+    load_plugin_solver_from_file(EXAMPLE)
     copy = tmp_path / "other.py"
     copy.write_text(TEXT)
     with pytest.raises(InputError, match="example_plugin"):
-        load_solver_module(copy)
+        load_plugin_solver_from_file(copy)
 
 
 def test_an_entry_point_adds_a_solver(monkeypatch, tmp_path):
@@ -160,8 +169,8 @@ def test_an_entry_point_adds_a_solver(monkeypatch, tmp_path):
         "[dpbench.solvers]\nadmm = their_solver\nbroken = their_solver:nothing\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    assert {"admm", "broken"} <= set(solver_names())
-    assert check_availability("admm").version == "2.5"
+    assert {"admm", "broken"} <= set(list_all_solver_names())
+    assert find_solver_availability("admm").version == "2.5"
     assert open_workspace("admm").solver == "admm"
     with pytest.raises(InputError, match=r"entry point broken.*nothing"):
         open_workspace("broken")
@@ -172,8 +181,10 @@ def test_a_solver_that_only_qpsolvers_knows_works_by_its_name(monkeypatch, seque
     inner = qpsolvers.solvers.solve_function["quadprog"]
     monkeypatch.setitem(qpsolvers.solvers.solve_function, "brandnew", inner)
     monkeypatch.setattr(qpsolvers, "available_solvers", [*qpsolvers.available_solvers, "brandnew"])
-    assert find_record("brandnew").policies == {"qpsolvers": ("fresh",)}
-    assert check_availability("brandnew").version == f"qpsolvers {metadata.version('qpsolvers')}"
+    assert find_solver_record("brandnew").policies_by_route == {"qpsolvers": ("fresh",)}
+    assert (
+        find_solver_availability("brandnew").version == f"qpsolvers {metadata.version('qpsolvers')}"
+    )
     workspace = open_workspace("brandnew")
     answer = solve_qp(workspace, sequence.base)
     assert answer.status is Status.SOLVED
@@ -181,7 +192,7 @@ def test_a_solver_that_only_qpsolvers_knows_works_by_its_name(monkeypatch, seque
 
 
 def test_a_solver_that_qpsolvers_serves_but_does_not_find_says_so():
-    assert not check_availability("gurobi").ok
-    assert "pip install qpsolvers[gurobi]" in check_availability("gurobi").reason
+    assert not find_solver_availability("gurobi").ok
+    assert "pip install qpsolvers[gurobi]" in find_solver_availability("gurobi").reason
     with pytest.raises(UnknownNameError):
-        find_record("gurobii")
+        find_solver_record("gurobii")

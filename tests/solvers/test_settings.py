@@ -10,11 +10,11 @@ from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.record import LEVELS, TOLERANCES
 from dpbench.solvers.settings import (
-    describe_levels,
-    has_tolerance_levels,
-    level_options,
-    resolve_options,
-    setting_names,
+    describe_option_presets,
+    find_options_of_preset,
+    has_distinct_tolerance_presets,
+    list_preset_names,
+    resolve_settings_to_options,
 )
 from dpbench.solvers.table import TABLE
 from tests.solvers.conftest import solve_qp
@@ -40,10 +40,10 @@ def solve(solver, settings, qp):
 
 @pytest.mark.parametrize("name", LEVELS)
 def test_every_level_is_accepted_by_the_library(installed, name, sequence):
-    options = level_options(name, installed)
+    options = find_options_of_preset(name, installed)
     for adapters in (THROUGH_QPSOLVERS, NATIVE):
         if installed in adapters:
-            assert resolve_options(dict(options), adapters[installed]) == options
+            assert resolve_settings_to_options(dict(options), adapters[installed]) == options
     expected = UNREACHED.get((installed, name), Status.SOLVED)
     assert solve(installed, name, sequence.base).status is expected
 
@@ -55,11 +55,11 @@ def test_high_is_more_accurate_than_default(installed, sequence):
         for name in ("default", "high")
     )
     # DAQP visits the same active sets at both and is exact at both: rounding may differ.
-    assert high <= default if has_tolerance_levels(installed) else high == default
+    assert high <= default if has_distinct_tolerance_presets(installed) else high == default
 
 
 def test_settings_matter_where_there_are_levels():
-    without = {name for name in TABLE if not has_tolerance_levels(name)}
+    without = {name for name in TABLE if not has_distinct_tolerance_presets(name)}
     own = {"paper_active_set", "unconstrained_clipped"}
     assert without >= {*own, "pyqpmad", "qpoases", "quadprog"}
     assert not without & {"daqp", "hildreth", "osqp", "piqp_sparse"}
@@ -68,19 +68,21 @@ def test_settings_matter_where_there_are_levels():
 @pytest.mark.parametrize("solver", TABLE)
 def test_a_stated_tolerance_lies_among_the_levels(solver):
     for level, tolerance in TOLERANCES.items():
-        assert level_options(f"{tolerance:g}", solver) == level_options(level, solver)
-    between = level_options("2e-5", solver)
-    if has_tolerance_levels(solver):
+        assert find_options_of_preset(f"{tolerance:g}", solver) == find_options_of_preset(
+            level, solver
+        )
+    between = find_options_of_preset("2e-5", solver)
+    if has_distinct_tolerance_presets(solver):
         assert 2e-5 in between.values()
-        assert between not in [level_options(level, solver) for level in LEVELS]
+        assert between not in [find_options_of_preset(level, solver) for level in LEVELS]
     else:
-        assert between == level_options("default", solver)
+        assert between == find_options_of_preset("default", solver)
 
 
 @pytest.mark.parametrize("name", ["1e-4.", "-1e-4", "0", "nan", "inf", "1", "1e-4x", ""])
 def test_what_is_no_tolerance_is_no_name_of_settings(name):
     with pytest.raises(SettingsError, match="a tolerance such as 1e-4"):
-        level_options(name, "osqp")
+        find_options_of_preset(name, "osqp")
 
 
 def error(solver, route, settings, qp):
@@ -95,7 +97,7 @@ def test_a_tolerance_decides_how_exact_an_answer_is(route, sequence):
 
 
 @pytest.mark.parametrize("route", ["qpsolvers", "native"])
-@pytest.mark.parametrize("name", sorted(set(setting_names("osqp")) - set(LEVELS)))
+@pytest.mark.parametrize("name", sorted(set(list_preset_names("osqp")) - set(LEVELS)))
 def test_polishing_is_a_setting_of_its_own(route, name, sequence):
     # A polished answer solves the KKT system of its active set to rounding, here some 1e-15.
     assert error("osqp", route, name, sequence.base) <= 1e-13
@@ -103,19 +105,25 @@ def test_polishing_is_a_setting_of_its_own(route, name, sequence):
 
 
 def test_the_levels_are_described_in_words(installed):
-    lines = describe_levels(installed).splitlines()
-    assert [line.split(":")[0] for line in lines] == list(setting_names(installed))
-    if has_tolerance_levels(installed):
+    lines = describe_option_presets(installed).splitlines()
+    assert [line.split(":")[0] for line in lines] == list(list_preset_names(installed))
+    if has_distinct_tolerance_presets(installed):
         assert "1e-09" in lines[3]
     else:
         assert "no tolerance to set" in lines[3]
 
 
 def test_osqp_adapts_its_penalty_by_iterations_at_every_level():
-    for name in setting_names("osqp"):
-        assert "adaptive_rho_interval=50" in describe_levels("osqp").splitlines()[0]
-        assert resolve_options(name, THROUGH_QPSOLVERS["osqp"])["adaptive_rho_interval"] == 50
-    assert resolve_options({"eps_abs": 1e-5}, NATIVE["osqp"])["adaptive_rho_interval"] == 50
+    for name in list_preset_names("osqp"):
+        assert "adaptive_rho_interval=50" in describe_option_presets("osqp").splitlines()[0]
+        assert (
+            resolve_settings_to_options(name, THROUGH_QPSOLVERS["osqp"])["adaptive_rho_interval"]
+            == 50
+        )
+    assert (
+        resolve_settings_to_options({"eps_abs": 1e-5}, NATIVE["osqp"])["adaptive_rho_interval"]
+        == 50
+    )
 
 
 @pytest.mark.parametrize("key", ["eps_absolut", "verbose", "initvals", "backend"])
@@ -172,4 +180,4 @@ def test_a_setting_reaches_the_library(solver, loose, sequence):
 def test_a_number_that_does_not_fit_is_refused(value):
     """Clarabel's limit of iterations is an unsigned integer of 32 bits."""
     with pytest.raises(SettingsError, match=r"settings of clarabel: max_iter: found .*: a int"):
-        resolve_options({"max_iter": value}, NATIVE["clarabel"])
+        resolve_settings_to_options({"max_iter": value}, NATIVE["clarabel"])

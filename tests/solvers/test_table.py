@@ -18,11 +18,11 @@ from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import (
     TABLE,
-    check_availability,
-    find_record,
-    isolate,
-    qpsolvers_adapter,
-    solver_names,
+    block_imports_of_other_solvers,
+    find_solver_availability,
+    find_solver_record,
+    get_qpsolvers_adapter,
+    list_all_solver_names,
 )
 from tests.solvers.conftest import run_program
 
@@ -35,8 +35,8 @@ PROMISED = (
 def test_every_promised_solver_is_in_the_table():
     own = [name for name, row in TABLE.items() if row.extra == "own"]
     assert {"paper_active_set", "unconstrained_clipped"} <= set(own)
-    assert {*PROMISED.split(), *own} <= set(TABLE) <= set(solver_names())
-    assert list(solver_names()) == sorted(solver_names())
+    assert {*PROMISED.split(), *own} <= set(TABLE) <= set(list_all_solver_names())
+    assert list(list_all_solver_names()) == sorted(list_all_solver_names())
 
 
 def test_no_adapter_is_hidden_by_another():
@@ -56,11 +56,13 @@ def test_a_distribution_is_declared_where_its_record_says():
 
 
 def test_an_installed_solver_has_name_version_and_form_of_its_record(installed):
-    row = find_record(installed)
+    row = find_solver_record(installed)
     if "qpsolvers" in row.routes:
-        assert qpsolvers_adapter(installed).qpsolvers_key in qpsolvers.available_solvers
+        assert get_qpsolvers_adapter(installed).qpsolvers_key in qpsolvers.available_solvers
     if row.extra != "own":
-        assert check_availability(installed).version == importlib.metadata.version(row.distribution)
+        assert find_solver_availability(installed).version == importlib.metadata.version(
+            row.distribution
+        )
     assert open_workspace(installed).form == row.form
 
 
@@ -69,9 +71,9 @@ def test_a_missing_distribution_is_listed_with_reason_and_remedy(monkeypatch):
     def missing(name):
         raise importlib.metadata.PackageNotFoundError(name)
 
-    monkeypatch.setattr(table, "_installed_version", missing)
-    assert check_availability("hpipm").reason == "casadi is not installed: pip install casadi"
-    assert check_availability("daqp").reason.endswith("pip install daqp")
+    monkeypatch.setattr(table, "_get_installed_package_version", missing)
+    assert find_solver_availability("hpipm").reason == "casadi is not installed: pip install casadi"
+    assert find_solver_availability("daqp").reason.endswith("pip install daqp")
     with pytest.raises(SolverUnavailableError, match=r"qpax is not installed.*pip install qpax"):
         open_workspace("qpax")
 
@@ -81,7 +83,7 @@ def test_a_library_that_fails_to_import_is_listed_with_its_words(monkeypatch, tm
     (tmp_path / "daqp.py").write_text(f"raise {raised}('no such  instruction')\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "daqp", raising=False)
-    daqp = check_availability("daqp")
+    daqp = find_solver_availability("daqp")
     assert not daqp.ok
     assert daqp.reason == f"importing daqp failed: {raised}: no such instruction"
 
@@ -147,7 +149,7 @@ def test_settings_in_c_have_the_names_of_the_options():
 def test_isolation_comes_before_qpsolvers():
     open_workspace("daqp")
     with pytest.raises(DpbenchError, match="too late"):
-        isolate("daqp")
+        block_imports_of_other_solvers("daqp")
 
 
 @pytest.mark.slow
@@ -159,8 +161,8 @@ def test_an_isolated_process_loads_one_library(solver, loaded):
     program = f"""
 import sys
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import TABLE, isolate, load_solver_module
-load_solver_module({str(Path(__file__).with_name("example_plugin.py"))!r})
+from dpbench.solvers.table import TABLE, isolate, load_plugin_solver_from_file
+load_plugin_solver_from_file({str(Path(__file__).with_name("example_plugin.py"))!r})
 from dpbench.qp.program import QuadraticProgram
 isolate({solver!r})
 import scipy.linalg

@@ -11,7 +11,7 @@ from dpbench.analysis.records.run_record import RunRecord, build_records
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.plan.suite import SuiteFile
 from dpbench.bench.record.schema import convert_to_run_columns
-from dpbench.solvers.own_settings import parse_choice
+from dpbench.solvers.own_settings import parse_options_of_choice
 from dpbench.tuning.campaigns import FAILED, TunedSolver, score_settings, suite_text
 from dpbench.tuning.sequences import TunedProblem
 
@@ -70,7 +70,7 @@ def test_the_suite_has_all_settings_on_all_sequences() -> None:
     options = {"mode": "ROBUST", "mu0": 1e-5}
     text = suite_text(SOLVER, PROBLEMS, [options], ["default", "high"])
     suite = SuiteFile.model_validate(tomllib.loads(text))
-    assert suite.solvers[0] == "hpipm" and parse_choice(suite.solvers[1]) == options
+    assert suite.solvers[0] == "hpipm" and parse_options_of_choice(suite.solvers[1]) == options
     assert suite.recorded[0].sequence == 'C:\\"a"é.npz'
     assert (suite.replay[0].steps, suite.replay[0].policies) == (9, ["warm"])
     assert suite.replay[0].settings == ["default", "high"]

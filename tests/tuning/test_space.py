@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from dpbench.errors import InputError
-from dpbench.solvers.settings import resolve_options
+from dpbench.solvers.settings import resolve_settings_to_options
 from dpbench.solvers.table import (
     TABLE,
-    check_availability,
-    find_record,
-    native_adapter,
-    qpsolvers_adapter,
+    find_solver_availability,
+    find_solver_record,
+    get_native_adapter,
+    get_qpsolvers_adapter,
 )
 from dpbench.tuning.space import OptionRange, make_space
 
@@ -66,14 +66,14 @@ def _solvers_with_ranges() -> list[Any]:
 @pytest.mark.parametrize(("solver", "space"), _solvers_with_ranges(), ids=lambda x: str(x)[:20])
 def test_every_stated_range_is_of_an_option_of_the_solver(solver: str, space: Any) -> None:
     """A library accepts both ends; a renamed option would be found here."""
-    if not check_availability(solver).ok:
+    if not find_solver_availability(solver).ok:
         pytest.skip(f"{solver} is not installed")
-    native = "native" in find_record(solver).routes
-    adapter = native_adapter(solver) if native else qpsolvers_adapter(solver)
+    native = "native" in find_solver_record(solver).routes
+    adapter = get_native_adapter(solver) if native else get_qpsolvers_adapter(solver)
     for share in (0.0, 1.0):
         options = space.options_at(np.full(len(space.ranges), share))
         assert all(math.isfinite(value) for value in options.values())
-        assert resolve_options(options, adapter).items() >= options.items()
+        assert resolve_settings_to_options(options, adapter).items() >= options.items()
 
 
 def test_a_wider_range_keeps_the_other_stated_ones() -> None:

@@ -8,7 +8,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
 from dpbench.errors import ResultsError
-from dpbench.solvers.own_settings import decode_options, list_options
+from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
 
 KEY = ("mode", "scenario", "sequence", *CONFIGURATION_COLUMNS, "steps_planned")
 """Columns that two cells share when they ask the same question of the same configuration."""
@@ -34,7 +34,10 @@ class Pair:
     @property
     def options_change(self) -> str:
         """Options of settings of one's own that differ, such as `rho 1.6 → 0.01`; "" for none."""
-        old, new = (list_options(decode_options(run.options)) for run in (self.a, self.b))
+        old, new = (
+            format_each_option_as_toml(decode_options_from_json(run.options))
+            for run in (self.a, self.b)
+        )
         return ", ".join(
             f"{name} {old.get(name, 'not set')} → {new.get(name, 'not set')}"
             for name in sorted({*old, *new})

@@ -29,10 +29,10 @@ from scipy.stats import t as student
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.statistics import LEAST_SKEW_DF, TAILS, Interval, MeanEstimate, adjust_holm
-from dpbench.analysis.verdict.fastest import find_solver_record
+from dpbench.analysis.verdict.fastest import find_solver_record_or_none
 from dpbench.arrays import Floats
 from dpbench.solvers.record import TOLERANCES
-from dpbench.solvers.settings import has_tolerance_levels, parse_tolerance
+from dpbench.solvers.settings import has_distinct_tolerance_presets, parse_tolerance_preset_name
 
 SMALL_M = 0.01
 """Difference in the 95 % radial error that a tolerance may cost [m]."""
@@ -351,9 +351,9 @@ def find_studies(records: Records) -> list[Study]:
 
 def _find_tolerance(solver: str, settings: str) -> float | None:
     """Return the tolerance that a solver's settings state; None if default or without one."""
-    if find_solver_record(solver) is None or not has_tolerance_levels(solver):
+    if find_solver_record_or_none(solver) is None or not has_distinct_tolerance_presets(solver):
         return None
-    return TOLERANCES.get(settings) or parse_tolerance(settings)
+    return TOLERANCES.get(settings) or parse_tolerance_preset_name(settings)
 
 
 def _exactness_key(solver: str, settings: str) -> tuple[int, float]:
@@ -364,6 +364,8 @@ def _exactness_key(solver: str, settings: str) -> tuple[int, float]:
     tolerance = _find_tolerance(solver, settings)
     if solver in EXACT_FIRST:
         return 0, EXACT_FIRST.index(solver) + (tolerance or 0.0)
-    if find_solver_record(solver) is not None and not has_tolerance_levels(solver):
+    if find_solver_record_or_none(solver) is not None and not has_distinct_tolerance_presets(
+        solver
+    ):
         return 1, 0.0
     return (3, 0.0) if tolerance is None else (2, tolerance)

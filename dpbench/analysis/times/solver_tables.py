@@ -26,7 +26,7 @@ from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.judge.rules import has_enough_samples_for_percentile, percentile_or_nan
 from dpbench.bench.record.configuration import Configuration, sort_key_of_settings
-from dpbench.solvers.own_settings import decode_options, describe_options
+from dpbench.solvers.own_settings import decode_options_from_json, format_options_as_toml
 
 LARGEST_ERROR = 1e3
 """Answers that are farther off are none, and have no point beside others."""
@@ -35,7 +35,7 @@ LARGEST_ERROR = 1e3
 def configuration_columns(configuration: Configuration) -> dict[str, str]:
     """Return a configuration's solver, interface, warm start, settings and options by column."""
     names = ("solver", "route", "policy", "settings")
-    options = describe_options(decode_options(configuration.options))
+    options = format_options_as_toml(decode_options_from_json(configuration.options))
     return {name: getattr(configuration, name) for name in names} | {"options": options}
 
 

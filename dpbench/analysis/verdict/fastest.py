@@ -15,7 +15,7 @@ from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.bench.record.configuration import sort_key_of_settings
 from dpbench.errors import UnknownNameError
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.table import find_record
+from dpbench.solvers.table import find_solver_record
 
 ALIKE = 0.03
 """Settings whose figures differ by less are equally fast: another day may swap them."""
@@ -114,23 +114,23 @@ def choose_solver(verdicts: Verdicts) -> SolverChoice:
     return SolverChoice(chosen, deployable[1] if deployable[1:] else None, faster, because)
 
 
-def find_solver_record(solver: str) -> SolverRecord | None:
+def find_solver_record_or_none(solver: str) -> SolverRecord | None:
     """Return the description of a solver by its name; None if it is not known here."""
     try:
-        return find_record(solver)
+        return find_solver_record(solver)
     except UnknownNameError:
         return None
 
 
 def solver_family(solver: str) -> str:
     """Return a solver's method family, as "active set"; "not stated" if unknown."""
-    return str(getattr(find_solver_record(solver), "family", "not stated"))
+    return str(getattr(find_solver_record_or_none(solver), "family", "not stated"))
 
 
 def deployment_blocker(solver: str) -> str:
     """Return why a solver cannot be deployed on a ship as it is; "" where it can."""
-    known = find_solver_record(solver)
-    return "not in the table of this installation" if known is None else known.deployment_blocker
+    known = find_solver_record_or_none(solver)
+    return "not in the table of this installation" if known is None else known.reason_not_deployable
 
 
 def best_verdict_by_solver(verdicts: Verdicts) -> list[Verdict]:

@@ -25,7 +25,7 @@ from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Res
 from dpbench.bench.workers.scratch import Scratch
 from dpbench.errors import DpbenchError
 from dpbench.locks import hold_free_core_lock
-from dpbench.solvers.table import check_availability
+from dpbench.solvers.table import find_solver_availability
 from dpbench.temporary_folders import make_temporary_folder_for_block
 
 
@@ -171,7 +171,7 @@ def _yield_lost_for_other_versions(jobs: Sequence[CellJob]) -> Iterator[Result]:
     """Yield a "lost" result for each run whose solver has another version here than planned."""
     node = os.uname().nodename
     for job in jobs:
-        wanted = job.library.identity
+        wanted = job.library.version_and_build_text
         # A plug-in comes with the cells.
         identity = (
             wanted if job.cell.solver_module else _find_library_version_and_build(job.cell.solver)
@@ -185,7 +185,7 @@ def _yield_lost_for_other_versions(jobs: Sequence[CellJob]) -> Iterator[Result]:
 @cache
 def _find_library_version_and_build(solver: str) -> str:
     """Return version and build of a solver's library on this worker."""
-    return check_availability(solver).identity
+    return find_solver_availability(solver).version_and_build_text
 
 
 _get_forkserver = cache(start_forkserver)

@@ -12,7 +12,7 @@ from dpbench.bench.record.raw_log import RawLog, sum_phases_by_step_ns
 from dpbench.bench.run.assemble import NO_LIMIT_NS, build_sequence_solver_and_log, clock
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.qp.program import QPSequence, QuadraticProgram
-from dpbench.solvers.calibration import CALIBRATION, NO_OP, WAITS_NS, open_calibration
+from dpbench.solvers.calibration import CALIBRATION, NO_OP, WAITS_NS, open_calibration_solver
 
 BAR_NS, BAR_SHARE = 1000.0, 0.01
 """A known wait is measured within either of them; doing nothing takes at most the first."""
@@ -69,7 +69,7 @@ def _build_sequence() -> QPSequence:
 def _time_dummy_solver(name: str) -> tuple[float, Disturbance]:
     """Replay made-up QPs with a dummy solver; return its median step time [ns] and disturbance."""
     steps, timed_solver, log = build_sequence_solver_and_log(
-        _build_sequence(), open_calibration(name), "condensed_box", _ROUNDS, RawLog.in_memory
+        _build_sequence(), open_calibration_solver(name), "condensed_box", _ROUNDS, RawLog.in_memory
     )
     replaying = ReplayRun(
         steps, timed_solver, log, warmup_steps=_STEPS, limit_ns=NO_LIMIT_NS, clock=clock

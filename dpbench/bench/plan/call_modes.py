@@ -9,9 +9,9 @@ from dpbench.bench.plan.suite import SuiteFile
 from dpbench.errors import PolicyError
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Policy, Route
-from dpbench.solvers.own_settings import split_choice
+from dpbench.solvers.own_settings import split_into_solver_and_options_text
 from dpbench.solvers.record import SolverRecord
-from dpbench.solvers.table import find_record
+from dpbench.solvers.table import find_solver_record
 
 
 def check_mode_names(routes: Sequence[str] | None, policies: Sequence[str] | None) -> None:
@@ -33,8 +33,11 @@ def check_call_modes(suite: SuiteFile, solvers: Sequence[str], has_routes: bool)
 
     Raises PolicyError if no solver has one of the call modes.
     """
-    names = {split_choice(choice)[0] for choice in solvers} - {BASELINE_LAW, *CALIBRATION}
-    records = {name: find_record(name) for name in sorted(names)}
+    names = {split_into_solver_and_options_text(choice)[0] for choice in solvers} - {
+        BASELINE_LAW,
+        *CALIBRATION,
+    }
+    records = {name: find_solver_record(name) for name in sorted(names)}
     modes = {
         (route, policy)
         for key in SuiteFile.list_names_of_run_tables()
@@ -59,7 +62,7 @@ def _explain_lack(
     wanted: set[tuple[Route, Policy]] = {
         (row.default_route if route == "default" else route, p) for route, p in modes
     }
-    offered = {(route, p) for route in row.routes for p in row.on(route).policies}
+    offered = {(route, p) for route in row.routes for p in row.get_route_record(route).policies}
     if wanted & offered:
         return None
     return _join_modes(wanted), _join_modes(offered)

@@ -38,7 +38,7 @@ from dpbench.qp.referee.kkt import is_proven_positive_definite
 from dpbench.scenario.problem_files import is_stored, sequence_path
 from dpbench.scenario.scenario import build_vessel, read_vessel_documents
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
-from dpbench.solvers.table import find_record
+from dpbench.solvers.table import find_solver_record
 
 SEMIDEFINITE_REFUSAL = "P is only semidefinite, and the solver needs P > 0"
 WINDOW_WARMUP_STEPS = 5
@@ -190,7 +190,7 @@ def plan_capability_replays(
 
 def _mark_refused_if_semidefinite(planned: PlannedCell) -> PlannedCell:
     """Return a planned run, marked as refused if its solver needs P > 0 in the QP's cost."""
-    needs = find_record(planned.cell.solver).needs_strict_convexity
+    needs = find_solver_record(planned.cell.solver).needs_strict_convexity
     return replace(planned, refused=planned.refused or SEMIDEFINITE_REFUSAL) if needs else planned
 
 

@@ -24,9 +24,18 @@ from dpbench.errors import InputError, format_allowed_names
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Route
 from dpbench.solvers.own.adapters import UNCONSTRAINED_CLIPPED
-from dpbench.solvers.own_settings import expand_choice, split_choice
+from dpbench.solvers.own_settings import (
+    expand_choice_over_option_grid,
+    split_into_solver_and_options_text,
+)
 from dpbench.solvers.plugins import find_plugin
-from dpbench.solvers.table import TABLE, Availability, check_availability, find_record, solver_names
+from dpbench.solvers.table import (
+    TABLE,
+    Availability,
+    find_solver_availability,
+    find_solver_record,
+    list_all_solver_names,
+)
 
 BASELINE_LAW = UNCONSTRAINED_CLIPPED.name
 Table = ClosedLoopTable | ReplayTable | RandomTable | RecordedTable | CapabilityTable
@@ -50,7 +59,7 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
                 allowed = f"a solver of the suite: {format_allowed_names(found, named)}"
                 raise InputError("suite", key, found, allowed)
     baseline = suite.report.baseline
-    solvers = [split_choice(choice)[0] for choice in named]
+    solvers = [split_into_solver_and_options_text(choice)[0] for choice in named]
     if baseline is not None and baseline not in solvers:
         allowed = f"a solver of the suite: {format_allowed_names(baseline, solvers)}"
         raise InputError("suite", "report.baseline", repr(baseline), allowed)
@@ -65,7 +74,7 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
 
 def _is_choice_among(choice: str, names: Sequence[str]) -> bool:
     """Return whether a choice such as `osqp[rho=1.6]`, or its solver, is one of `names`."""
-    return choice in names or split_choice(choice)[0] in names
+    return choice in names or split_into_solver_and_options_text(choice)[0] in names
 
 
 def _resolve_solvers(key: str, names: Sequence[str]) -> list[str]:
@@ -82,16 +91,21 @@ def _expand_solver_choices(names: Sequence[str]) -> list[str]:
     chosen: list[str] = []
     for name in names:
         if name == "all":
-            chosen += [s for s in solver_names() if s != BASELINE_LAW and _is_default_solver(s)]
+            chosen += [
+                s for s in list_all_solver_names() if s != BASELINE_LAW and _is_default_solver(s)
+            ]
         else:
-            find_record(split_choice(name)[0])
-            chosen += expand_choice(name)
+            find_solver_record(split_into_solver_and_options_text(name)[0])
+            chosen += expand_choice_over_option_grid(name)
     return list(dict.fromkeys(chosen))
 
 
 def _is_default_solver(solver: str) -> bool:
     """Return whether "all solvers" includes one: it is no optional extra, or is installed."""
-    return find_record(solver).extra not in ("jax", "casadi") or check_availability(solver).ok
+    return (
+        find_solver_record(solver).extra not in ("jax", "casadi")
+        or find_solver_availability(solver).ok
+    )
 
 
 def find_backup_and_refusal(name: str) -> tuple[str, str]:
@@ -107,15 +121,16 @@ def find_backup_and_refusal(name: str) -> tuple[str, str]:
     if not solver or find_plugin_file(solver) or solver in CALIBRATION:
         allowed = "one solver of `list_solvers()`, or of an installed plug-in"
         raise InputError("suite", "closed_loop.backup", repr(name), allowed)
-    here = check_availability(solver)
+    here = find_solver_availability(solver)
     return solver, "" if here.ok else f"backup {solver}: {here.reason}"
 
 
 def identify_libraries_of_cell(cell: Cell, library: Availability) -> str:
     """Return version and build of the libraries of a run's solver and backup solver."""
     if not cell.backup:
-        return library.identity
-    return f"{library.identity}, backup {check_availability(cell.backup).identity}"
+        return library.version_and_build_text
+    backup = find_solver_availability(cell.backup)
+    return f"{library.version_and_build_text}, backup {backup.version_and_build_text}"
 
 
 def find_plugin_file(solver: str) -> str:
@@ -142,9 +157,9 @@ def list_configurations(
     for units, formulation, policy, wanted, choice in product(
         table.units, table.formulations, table.policies, table.routes, solvers
     ):
-        row = find_record(split_choice(choice)[0])
+        row = find_solver_record(split_into_solver_and_options_text(choice)[0])
         route: Route = row.default_route if wanted == "default" else wanted
-        if route not in row.policies:
+        if route not in row.policies_by_route:
             continue
         configurations += [
             Configuration(row.name, route, policy, name, units, formulation, options, alias)
@@ -169,9 +184,11 @@ def _select_solvers(solvers: Sequence[str], table: Table) -> list[str]:
 
 def find_reason_to_refuse(configuration: Configuration) -> str:
     """Return why a solver configuration cannot run on this machine; "" where it can."""
-    here = check_availability(configuration.solver)
+    here = find_solver_availability(configuration.solver)
     if not here.ok:
         return here.reason
     policy = configuration.policy
-    reason = find_record(configuration.solver).refusal(configuration.route, policy)
+    reason = find_solver_record(configuration.solver).state_why_policy_is_unavailable(
+        configuration.route, policy
+    )
     return f"policy {policy}: {reason}" if reason else ""

@@ -26,8 +26,8 @@ from dpbench.bench.plan.suite import (
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.errors import InputError, require_integer_at_least
 from dpbench.scenario.problem_files import sequence_path
-from dpbench.solvers.own_settings import expand_choice
-from dpbench.solvers.table import load_solver_module
+from dpbench.solvers.own_settings import expand_choice_over_option_grid
+from dpbench.solvers.table import load_plugin_solver_from_file
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class RunRequest:
     def make_plan(self) -> Plan:
         """Return the plan of all requested runs; InputError for what cannot be run."""
         if self.solver_module is not None:
-            load_solver_module(self.solver_module)
+            load_plugin_solver_from_file(self.solver_module)
         name, path, document = self._load_suite()
         check_mode_names(self.routes, self.policies)
         chosen = {"settings": self.settings, "routes": self.routes, "policies": self.policies}
@@ -183,7 +183,9 @@ def _list_remarks(planned: Sequence[PlannedCell], choices: Sequence[str]) -> lis
 
     choices : of solvers, as the suite or the request has them.
     """
-    texts = Counter(text for one in choices if "[" in one for text in expand_choice(one))
+    texts = Counter(
+        text for one in choices if "[" in one for text in expand_choice_over_option_grid(one)
+    )
     remarks = [f"{text} is given {n} times: one row" for text, n in texts.items() if n > 1]
     remarks += dict.fromkeys(
         f"{p.cell.solver}: settings {', '.join(p.merged_settings)} are the same options as "

@@ -12,23 +12,23 @@ from dpbench.bench.plan.suite import SuiteFile
 from dpbench.errors import InputError, SettingsError, UnknownNameError
 from dpbench.solvers.contract import Options
 from dpbench.solvers.own_settings import (
-    describe_options,
-    encode_options,
-    expand_grid,
-    parse_choice,
-    split_choice,
+    encode_options_as_json,
+    expand_option_grid,
+    format_options_as_toml,
+    parse_options_of_choice,
+    split_into_solver_and_options_text,
 )
 from dpbench.solvers.settings import (
-    has_setting,
-    has_tolerance_levels,
-    resolve_options,
-    setting_names,
+    has_distinct_tolerance_presets,
+    has_preset_or_tolerance,
+    list_preset_names,
+    resolve_settings_to_options,
 )
 from dpbench.solvers.table import (
-    check_availability,
-    find_record,
-    native_adapter,
-    qpsolvers_adapter,
+    find_solver_availability,
+    find_solver_record,
+    get_native_adapter,
+    get_qpsolvers_adapter,
 )
 
 
@@ -42,14 +42,14 @@ class NamedSettings(NamedTuple):
 
 def list_settings_of_choice(choice: str, table: RunsTable, suite: SuiteFile) -> list[NamedSettings]:
     """Return the settings that a choice such as `osqp` or `osqp[rho=1.6]` runs with in a table."""
-    solver, text = split_choice(choice)
+    solver, text = split_into_solver_and_options_text(choice)
     if text:
-        return [NamedSettings(text, encode_options(parse_choice(choice)))]
+        return [NamedSettings(text, encode_options_as_json(parse_options_of_choice(choice)))]
     own = [
         settings for name in table.settings for settings in _list_own_settings(suite, name, solver)
     ]
-    names = [name for name in table.settings if has_setting(solver, name)]
-    if has_tolerance_levels(solver) or not names:
+    names = [name for name in table.settings if has_preset_or_tolerance(solver, name)]
+    if has_distinct_tolerance_presets(solver) or not names:
         return [*map(NamedSettings, names), *own]
     return [NamedSettings(names[0], alias=tuple(names[1:])), *own]
 
@@ -59,14 +59,14 @@ def _list_own_settings(suite: SuiteFile, name: str, solver: str) -> list[NamedSe
     options = suite.settings.get(name, {}).get(solver)
     if options is None:
         return []
-    points = expand_grid(options, f"suite: settings.{name}.{solver}")
+    points = expand_option_grid(options, f"suite: settings.{name}.{solver}")
     if len(points) == 1:
-        return [NamedSettings(name, encode_options(points[0]))]
+        return [NamedSettings(name, encode_options_as_json(points[0]))]
     varied = {key for key, value in options.items() if points[0].get(key) != value}
     return [
         NamedSettings(
-            f"{name}[{describe_options({k: v for k, v in point.items() if k in varied})}]",
-            encode_options(point),
+            f"{name}[{format_options_as_toml({k: v for k, v in point.items() if k in varied})}]",
+            encode_options_as_json(point),
         )
         for point in points
     ]
@@ -76,10 +76,16 @@ def refuse_unknown_settings_names(
     suite: SuiteFile, table: RunsTable, choices: Sequence[str]
 ) -> None:
     """Raise SettingsError for a name in a table that neither suite nor any of its solvers has."""
-    solvers = [split_choice(choice)[0] for choice in choices if split_choice(choice)[0] == choice]
+    solvers = [
+        split_into_solver_and_options_text(choice)[0]
+        for choice in choices
+        if split_into_solver_and_options_text(choice)[0] == choice
+    ]
     for name in table.settings if solvers else ():
-        if not any(name in suite.settings or has_setting(solver, name) for solver in solvers):
-            presets = [preset for solver in solvers for preset in setting_names(solver)]
+        if not any(
+            name in suite.settings or has_preset_or_tolerance(solver, name) for solver in solvers
+        ):
+            presets = [preset for solver in solvers for preset in list_preset_names(solver)]
             known = dict.fromkeys((*presets, *suite.settings))
             allowed = f"{' | '.join(known)} | a tolerance such as 1e-4"
             raise SettingsError("settings", "", repr(name), allowed)
@@ -97,9 +103,9 @@ def refuse_invalid_own_settings(suite: SuiteFile, choices: Iterable[str], where:
     UnknownNameError : for an unknown solver.
     """
     for choice in choices:
-        solver, _ = split_choice(choice)
+        solver, _ = split_into_solver_and_options_text(choice)
         try:
-            _refuse_unaccepted_options(solver, parse_choice(choice))
+            _refuse_unaccepted_options(solver, parse_options_of_choice(choice))
         except SettingsError as error:
             key = f"{solver}[{error.key}]"
             raise SettingsError(where, key, error.found, error.allowed) from error
@@ -107,8 +113,8 @@ def refuse_invalid_own_settings(suite: SuiteFile, choices: Iterable[str], where:
         for solver, options in solvers.items():
             where = f"suite: settings.{name}.{solver}"
             try:
-                has_preset = has_setting(find_record(solver).name, name)
-                for point in expand_grid(options, where):
+                has_preset = has_preset_or_tolerance(find_solver_record(solver).name, name)
+                for point in expand_option_grid(options, where):
                     _refuse_unaccepted_options(solver, point)
             except (SettingsError, UnknownNameError) as error:
                 raise type(error)(where, error.key, error.found, error.allowed) from error
@@ -119,14 +125,16 @@ def refuse_invalid_own_settings(suite: SuiteFile, choices: Iterable[str], where:
 
 def _refuse_unaccepted_options(solver: str, options: Options) -> None:
     """Raise SettingsError for options that the solver accepts through none of its interfaces."""
-    if not options or not check_availability(solver).ok:
+    if not options or not find_solver_availability(solver).ok:
         return
     refused: list[SettingsError] = []
-    routes = find_record(solver).routes
+    routes = find_solver_record(solver).routes
     for route in routes:
         try:
-            adapter = native_adapter(solver) if route == "native" else qpsolvers_adapter(solver)
-            resolve_options(options, adapter)
+            adapter = (
+                get_native_adapter(solver) if route == "native" else get_qpsolvers_adapter(solver)
+            )
+            resolve_settings_to_options(options, adapter)
         except SettingsError as error:
             refused.append(error)
     if len(refused) == len(routes):

@@ -20,7 +20,7 @@ from dpbench.errors import InputError
 from dpbench.qp.random_recipe import RandomRecipe
 from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.solvers.contract import Policy, Route, Settings
-from dpbench.solvers.own_settings import decode_options
+from dpbench.solvers.own_settings import decode_options_from_json
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ class Cell:
     @property
     def solver_settings(self) -> Settings:
         """Settings to open the solver with: options of one's own, or the name of a preset."""
-        return decode_options(self.options) or self.settings
+        return decode_options_from_json(self.options) or self.settings
 
     @property
     def scenario_name(self) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from dpbench.bench.record.cell import Formulation, Units
 from dpbench.solvers.contract import Policy, Route, Settings
-from dpbench.solvers.own_settings import decode_options, describe_options
+from dpbench.solvers.own_settings import decode_options_from_json, format_options_as_toml
 from dpbench.solvers.record import LEVELS
 
 COMMON_FORMULATION: Formulation = "condensed_box"
@@ -38,12 +38,12 @@ class Configuration:
     @property
     def solver_settings(self) -> Settings:
         """Settings to open the solver with: options of one's own, or the name of a preset."""
-        return decode_options(self.options) or self.settings
+        return decode_options_from_json(self.options) or self.settings
 
     @property
     def options_text(self) -> str:
         """Options of settings of one's own, where their name does not show them; "" else."""
-        text = describe_options(decode_options(self.options))
+        text = format_options_as_toml(decode_options_from_json(self.options))
         return "" if text == self.settings else text
 
     @property

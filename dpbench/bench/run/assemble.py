@@ -28,7 +28,7 @@ from dpbench.qp.program import QPSequence
 from dpbench.scenario.scenario import Scenario
 from dpbench.solvers.contract import Route, Workspace
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import find_record
+from dpbench.solvers.table import find_solver_record
 
 NO_LIMIT_NS = 2**62
 NewLog = Callable[[Layout], RawLog]
@@ -88,7 +88,7 @@ def build_closed_loop_setup(
         # form.
         second = BoxFormulation(builder.allocation.make_qp_of_zero_demand())
         setup.allocating = build_solver(
-            workspace.open_again(), second, log.allocation, skips=last in twice
+            workspace.open_again_with_equal_settings(), second, log.allocation, skips=last in twice
         )
         # Failures are counted together, whichever of the two QPs they occur in.
         setup.allocating.details = solver.details
@@ -97,7 +97,7 @@ def build_closed_loop_setup(
 
 def open_backup_workspace(solver: str, step_limit_s: float | None) -> Workspace:
     """Return the workspace of a backup solver, set up anew at each step; InputError without one."""
-    route: Route = "native" if "native" in find_record(solver).routes else "qpsolvers"
+    route: Route = "native" if "native" in find_solver_record(solver).routes else "qpsolvers"
     workspace = open_workspace(solver, route=route, step_limit_s=step_limit_s)
     workspace.setup_every_step = True
     return workspace

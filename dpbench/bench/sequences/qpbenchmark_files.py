@@ -102,7 +102,7 @@ def to_qpsolvers_arrays(qp: QuadraticProgram) -> dict[str, Any]:
     Rows with l = u become equalities; of the others the upper sides come first.
     """
     form = OneSidedForm(qp, "dense", "native")
-    form.fill(qp.q, qp.l, qp.u)
+    form.write_step_vectors_as_one_sided(qp.q, qp.l, qp.u)
     return {key: getattr(form, key) for key in KEYS}
 
 

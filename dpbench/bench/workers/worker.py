@@ -52,7 +52,11 @@ from dpbench.scenario.scenario import cached_scenario
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import Availability, isolate, load_solver_module
+from dpbench.solvers.table import (
+    Availability,
+    block_imports_of_other_solvers,
+    load_plugin_solver_from_file,
+)
 
 Hang = tuple[int, int]  # Round, 0 in a closed loop, and step in which a process hung
 MOST_FAILURES = 3
@@ -147,8 +151,8 @@ def _open_workspace(cell: Cell, *, settled: bool = False) -> Workspace:
             round(cell.memory_gb * 1e9) or round(MEMORY_SHARE * machine_memory_bytes())
         )
         if cell.solver_module:
-            load_solver_module(cell.solver_module, tried=True)
-        isolate(cell.solver, *filter(None, [cell.backup]))
+            load_plugin_solver_from_file(cell.solver_module, tried=True)
+        block_imports_of_other_solvers(cell.solver, *filter(None, [cell.backup]))
     workspace = open_workspace(
         cell.solver,
         route=cell.route,

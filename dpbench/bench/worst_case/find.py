@@ -25,7 +25,11 @@ from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.errors import InputError, require_integer_at_least
 from dpbench.scenario.scenario import MAX_STEPS, Scenario, load_scenario
 from dpbench.solvers.contract import Policy, Route
-from dpbench.solvers.table import check_availability, find_record, load_solver_module
+from dpbench.solvers.table import (
+    find_solver_availability,
+    find_solver_record,
+    load_plugin_solver_from_file,
+)
 
 BUDGET = 300
 STEPS = 60
@@ -118,7 +122,7 @@ def find_worst_case(
     InputError : for bad input, or a configuration that cannot run.
     """
     if solver_module is not None:
-        load_solver_module(solver_module)
+        load_plugin_solver_from_file(solver_module)
     _check_options(goal, budget, steps, seed)
     path = Path("worst-cases") / f"{solver}-{goal}.npz" if out is None else Path(out)
     if path.suffix != ".npz":
@@ -166,9 +170,9 @@ def _make_baseline_cell(
     solver: str, route: Route | None, policy: Policy, settings: str, base: Scenario
 ) -> Cell:
     """Return the run that replays the QPs of the unchanged scenario with the solver."""
-    row = find_record(solver)
+    row = find_solver_record(solver)
     # Many libraries count their iterations, and qpsolvers does not pass the count on.
-    own: Route = "native" if "native" in row.policies else row.default_route
+    own: Route = "native" if "native" in row.policies_by_route else row.default_route
     return Cell(
         mode="replay",
         scenario=base.files,
@@ -189,7 +193,7 @@ def _save_findings(worst_case: WorstCase, seed: int) -> WorstCase:
     facts = {
         "goal": worst_case.goal,
         "solver": cell.solver,
-        "solver_version": check_availability(cell.solver).version,
+        "solver_version": find_solver_availability(cell.solver).version,
         "route": cell.route,
         "policy": cell.policy,
         "settings": cell.settings,

@@ -44,7 +44,7 @@ from dpbench.report.verdict_text import (
     stopped_runs_text,
 )
 from dpbench.report.words import render_document
-from dpbench.solvers.settings import all_options
+from dpbench.solvers.settings import resolve_settings_with_fixed_options
 
 MOST_SHIPS = 5
 WIDTH, HEIGHT, MARGIN = 595, 842, 48
@@ -135,7 +135,7 @@ def _fill_statement(
     known = [s for s in map(records.scenario, records.scenarios) if s is not None]
     ships = [ship for ship in data.ships if not ship.run.study]
     ships.sort(key=lambda ship: not ship.has_left)
-    options = all_options(c.solver_settings, c.solver)
+    options = resolve_settings_with_fixed_options(c.solver_settings, c.solver)
     by_solver = results.runs.groupby("solver")["solver_version"]
     versions = {name: ", ".join(sorted({str(v) for v in own if v})) for name, own in by_solver}
     vessels = {s.vessel.id: s.vessel for s in known}

@@ -7,7 +7,7 @@ from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.times.solver_tables import configuration_columns
 from dpbench.analysis.verdict.fastest import (
     best_verdict_by_solver,
-    find_solver_record,
+    find_solver_record_or_none,
     solver_family,
 )
 from dpbench.analysis.verdict.run_matrix import Experiment
@@ -42,7 +42,7 @@ def page_document(
         "solvers": {
             name: {"family": solver_family(name), "method": known.method if known else ""}
             for name in dict.fromkeys(c.solver for c in data.configurations)
-            for known in [find_solver_record(name)]
+            for known in [find_solver_record_or_none(name)]
         },
         "configurations": columns_by_name(rows),
         "experiments": [

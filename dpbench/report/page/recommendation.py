@@ -12,7 +12,7 @@ from dpbench.analysis.verdict.fastest import (
     SolverChoice,
     choose_solver,
     fastest_configuration,
-    find_solver_record,
+    find_solver_record_or_none,
 )
 from dpbench.analysis.verdict.speed_margin import SlowStep, largest_stall_ns
 from dpbench.analysis.verdict.verdict import Verdict
@@ -42,7 +42,7 @@ from dpbench.report.verdict_text import (
     stopped_runs_text,
     usual_time_text,
 )
-from dpbench.solvers.settings import all_options, has_setting
+from dpbench.solvers.settings import has_preset_or_tolerance, resolve_settings_with_fixed_options
 
 MOST_CHIPS = 16
 """More experiments are counted by state, and named only where they are at most `FEW`."""
@@ -319,10 +319,10 @@ def python_call_text(c: Configuration) -> str:
         f'solver = dpbench.open_workspace("{c.solver}", route="{c.route}", policy="{c.policy}", '
         f"settings={settings})"
     )
-    known = find_solver_record(c.solver) is not None
-    if not known or not (c.options or has_setting(c.solver, c.settings)):
+    known = find_solver_record_or_none(c.solver) is not None
+    if not known or not (c.options or has_preset_or_tolerance(c.solver, c.settings)):
         return call
-    options = all_options(c.solver_settings, c.solver)
+    options = resolve_settings_with_fixed_options(c.solver_settings, c.solver)
     keys = ", ".join(f"{key}={value!r}" for key, value in options.items())
     return f"{call}\n# that is, {keys or 'as the library has them'}"
 
@@ -330,8 +330,8 @@ def python_call_text(c: Configuration) -> str:
 def _make_snippets(c: Configuration) -> Iterator[tuple[str, str]]:
     """Yield language and code to paste that opens a solver: Python, and C if known."""
     yield "Python", python_call_text(c)
-    options = all_options(c.solver_settings, c.solver)
-    known = find_solver_record(c.solver)
+    options = resolve_settings_with_fixed_options(c.solver_settings, c.solver)
+    known = find_solver_record_or_none(c.solver)
     names = known.project.c_settings if known else None
     if names is None:
         return

@@ -1,8 +1,8 @@
 """The libraries; to write a module with their adapters is to register them."""
 
-from dpbench.solvers.adapter import find_adapters
+from dpbench.solvers.adapter import import_all_adapters
 
-NATIVE, THROUGH_QPSOLVERS = find_adapters(
+NATIVE, THROUGH_QPSOLVERS = import_all_adapters(
     __name__, besides=("native_workspace", "qpsolvers_workspace")
 )
 """Adapters by the name of the solver."""

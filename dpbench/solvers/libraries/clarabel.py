@@ -10,7 +10,12 @@ from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, QpsolversAdapter
 from dpbench.solvers.contract import Options
 from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
-from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, project_facts
+from dpbench.solvers.record import (
+    RouteRecord,
+    SolverRecord,
+    make_project_facts,
+    make_tolerance_presets,
+)
 
 RECORD = SolverRecord(
     name="clarabel",
@@ -29,8 +34,8 @@ RECORD = SolverRecord(
             refused={"warm": "Clarabel has no interface for a start"},
         ),
     },
-    levels=by_tolerance("tol_gap_abs", "tol_gap_rel", "tol_feas", max_iter=500),
-    project=project_facts(
+    levels=make_tolerance_presets("tol_gap_abs", "tol_gap_rel", "tol_feas", max_iter=500),
+    project=make_project_facts(
         licence=("Apache-2.0", "Clarabel, metadata of its distribution"),
         language=("Rust", "Clarabel, metadata of its distribution"),
         single_precision=("yes, generic in its float type", "Clarabel.rs source, algebra/floats"),
@@ -53,21 +58,23 @@ STATUS = {
 }
 
 
-def make_claim(status: Any, iterations: int, solve_s: float) -> Claim:
+def convert_clarabel_result_to_claim(status: Any, iterations: int, solve_s: float) -> Claim:
     """Convert Clarabel's status, iterations and time [s] to the common status and time [ns]."""
     name = str(status)
     return STATUS.get(name, Status.UNKNOWN), iterations, round(solve_s * 1e9), name
 
 
-def read_status(answer: Any, options: Options) -> Claim:
+def read_clarabel_status_from_qpsolvers(answer: Any, options: Options) -> Claim:
     """Read Clarabel's status and time from a qpsolvers solution, which lacks iterations."""
-    return make_claim(answer.extras["status"], -1, answer.extras["solve_time"])
+    return convert_clarabel_result_to_claim(
+        answer.extras["status"], -1, answer.extras["solve_time"]
+    )
 
 
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "rows",
-    read_status,
+    read_clarabel_status_from_qpsolvers,
     make_settings=lambda: import_module("clarabel").DefaultSettings(),
 )
 
@@ -75,9 +82,9 @@ THROUGH_QPSOLVERS = QpsolversAdapter(
 class ClarabelWorkspace(OneSidedWorkspace):
     """Clarabel as QP solver, with cones: [A; G] z + s = [b; h], s zero or nonnegative."""
 
-    def _prepare_form_matrices(self) -> None:
+    def _prepare_one_sided_matrices(self) -> None:
         """Store P, stacked rows (equalities first) as sparse matrices, and Clarabel's cones."""
-        rows, equalities, inequalities = self._stack_form_rows()
+        rows, equalities, inequalities = self._stack_equality_and_inequality_rows()
         self._P_upper = scipy.sparse.triu(self._P, format="csc")
         self._matrix = scipy.sparse.csc_matrix(rows)
         zero, nonnegative = self._library.ZeroConeT, self._library.NonnegativeConeT
@@ -85,30 +92,34 @@ class ClarabelWorkspace(OneSidedWorkspace):
         self._cones = [cone(size) for cone, size in sizes if size]
         self._equalities = equalities
 
-    def _create_solver_from_form(self) -> None:
+    def _create_one_sided_library_solver(self) -> None:
         """Make a Clarabel solver for the QP, without presolve."""
         settings = self._library.DefaultSettings()
         # Presolve would drop rows, and with them the right to update.
         settings.verbose, settings.presolve_enable = False, False
-        self._apply_options(settings)
+        self._set_options_on_library_settings(settings)
         form = self._form
         self._solver = self._library.DefaultSolver(
             self._P_upper, form.q, self._matrix, form.bh, self._cones, settings
         )
 
-    def _send_form_vectors(self) -> None:
+    def _send_one_sided_vectors_to_library(self) -> None:
         """Pass the linear cost and right-hand sides to Clarabel."""
         self._solver.update(q=self._form.q, b=self._form.bh)
 
-    def _read_reported_status(self) -> Claim:
+    def _read_status_iterations_and_time(self) -> Claim:
         """Read Clarabel's status, iterations and solve time."""
         result = self._result
-        return make_claim(result.status, int(result.iterations), result.solve_time)
+        return convert_clarabel_result_to_claim(
+            result.status, int(result.iterations), result.solve_time
+        )
 
-    def _read_solution_vectors(self) -> Point:
+    def _copy_solution_and_multipliers(self) -> Point:
         """Return copies of Clarabel's solution and multipliers."""
         dual, count = np.array(self._result.z), self._equalities
-        return np.array(self._result.x), *self._form.two_sided(dual[count:], dual[:count])
+        return np.array(self._result.x), *self._form.convert_multipliers_to_two_sided(
+            dual[count:], dual[:count]
+        )
 
 
-NATIVE = THROUGH_QPSOLVERS.make_native(ClarabelWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native_adapter(ClarabelWorkspace)

@@ -13,8 +13,8 @@ from dpbench.solvers.adapter import (
     Claim,
     NativeAdapter,
     QpsolversAdapter,
-    list_keywords,
-    read_solved_flag,
+    list_keyword_parameters,
+    read_solved_flag_as_claim,
 )
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.libraries.native_workspace import SOLVED, NativeWorkspace, Point
@@ -23,8 +23,8 @@ from dpbench.solvers.record import (
     CSettings,
     RouteRecord,
     SolverRecord,
-    by_tolerance,
-    project_facts,
+    make_project_facts,
+    make_tolerance_presets,
 )
 
 RECORD = SolverRecord(
@@ -55,8 +55,8 @@ RECORD = SolverRecord(
     },
     # dual_tol stays at DAQP's own 1e-12, which is tighter.
     # A semidefinite P it solves by proximal steps, which end by a tolerance of their own.
-    levels=by_tolerance("primal_tol", "eta_prox"),
-    project=project_facts(
+    levels=make_tolerance_presets("primal_tol", "eta_prox"),
+    project=make_project_facts(
         licence=("MIT", "DAQP, metadata of its distribution"),
         language=("C, library-free", "DAQP README"),
         c_code=("yes, it writes its workspace as C", "DAQP source, codegen"),
@@ -73,7 +73,10 @@ RECORD = SolverRecord(
 DATA = ("H", "f", "A", "bupper", "blower", "sense", "break_points", "is_avi")
 STARTS = ("primal_start", "dual_start")
 THROUGH_QPSOLVERS = QpsolversAdapter(
-    RECORD, "native", read_solved_flag, lambda: list_keywords("daqp", "solve", *DATA, *STARTS)
+    RECORD,
+    "native",
+    read_solved_flag_as_claim,
+    lambda: list_keyword_parameters("daqp", "solve", *DATA, *STARTS),
 )
 STATUS = {
     1: Status.SOLVED,
@@ -96,7 +99,7 @@ class DaqpWorkspace(NativeWorkspace):
         self._refused = 0
         self._result = (None, 0.0, 0, {})
 
-    def _convert_matrices(self) -> None:
+    def _prepare_matrices_for_library(self) -> None:
         """Allocate DAQP's buffers of bounds, rows and the kinds of constraints."""
         n, m = self._n, self._m
         # DAQP looks at these buffers, so they live as long as the model does.
@@ -112,7 +115,7 @@ class DaqpWorkspace(NativeWorkspace):
         self._low_view: Any = self._low_rows.data
         self._high_view: Any = self._high_rows.data
 
-    def _build_solver(self) -> None:
+    def _create_library_solver(self) -> None:
         """Make a new DAQP model and pass it all data."""
         self._f[:], self._low_rows[:], self._high_rows[:] = self._q, self._l, self._u
         self._model = self._library.Model()
@@ -141,7 +144,7 @@ class DaqpWorkspace(NativeWorkspace):
         self._done = False
         self._refused = self._update(*self._vectors)
 
-    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _send_step_vectors_to_library(self, q: Vector, low: Vector, high: Vector) -> None:
         """Write a step's cost and row limits into the buffers and have DAQP update them."""
         self._f[:], self._low_rows[:], self._high_rows[:] = q, low, high
         self._refused = self._update(*self._vectors)
@@ -154,7 +157,7 @@ class DaqpWorkspace(NativeWorkspace):
         self._done = self._unread = self._used = True
         self._result = self._solve()
 
-    def _run_solver(self) -> None:
+    def _call_library_solve(self) -> None:
         """Call DAQP; keep the error code if DAQP did not accept the problem."""
         if self._refused:
             self._result = (None, 0.0, self._refused, {"iterations": -1, "solve_time": 0.0})
@@ -171,13 +174,13 @@ class DaqpWorkspace(NativeWorkspace):
         reported_ns = int(info["solve_time"] * 1e9)
         return Solution(SOLVED, z.copy(), dual[n:], dual[:n], info["iterations"], reported_ns)
 
-    def _read_reported_status(self) -> Claim:
+    def _read_status_iterations_and_time(self) -> Claim:
         """Read DAQP's exit flag, iterations and solve time."""
         _, _, flag, info = self._result
         status, reported_ns = STATUS.get(flag, Status.UNKNOWN), int(info["solve_time"] * 1e9)
         return status, info["iterations"], reported_ns, f"exit flag {flag}"
 
-    def _read_solution_vectors(self) -> Point | None:
+    def _copy_solution_and_multipliers(self) -> Point | None:
         """Return solution z and multipliers y, y_box of DAQP's result; None without a point."""
         z, _, _, info = self._result
         if z is None:

@@ -9,14 +9,14 @@ import scipy
 from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Claim, QpsolversAdapter, read_solved_flag
+from dpbench.solvers.adapter import Claim, QpsolversAdapter, read_solved_flag_as_claim
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
 from dpbench.solvers.record import (
     NAN_IGNORED,
     RouteRecord,
     SolverRecord,
-    by_tolerance,
-    project_facts,
+    make_project_facts,
+    make_tolerance_presets,
 )
 
 TIME_LIMIT = "time_limit"
@@ -41,10 +41,10 @@ RECORD = SolverRecord(
             },
         ),
     },
-    levels=by_tolerance(
+    levels=make_tolerance_presets(
         "primal_feasibility_tolerance", "dual_feasibility_tolerance", qp_regularization_value=0.0
     ),
-    project=project_facts(
+    project=make_project_facts(
         licence=("MIT", "HiGHS, metadata of its distribution"),
         language=("C++, C interface", "HiGHS documentation, front page"),
     ),
@@ -56,7 +56,7 @@ RECORD = SolverRecord(
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "native",
-    read_solved_flag,
+    read_solved_flag_as_claim,
     make_settings=lambda: import_module("highspy").HighsOptions(),
     iterate_when_not_found=False,
 )
@@ -79,7 +79,7 @@ STATUS |= {f"k{name}": Status.ERROR for name in _ERRORS.split()}
 class HighsWorkspace(NativeWorkspace):
     """HiGHS as QP solver, with two-sided rows, bounds and a sparse Hessian."""
 
-    def _convert_matrices(self) -> None:
+    def _prepare_matrices_for_library(self) -> None:
         """Build a HiGHS model with Hessian, rows and bounds."""
         n, m, library = self._n, self._m, self._library
         lower, rows = scipy.sparse.tril(self._P, format="csc"), scipy.sparse.csc_matrix(self._A)
@@ -96,7 +96,7 @@ class HighsWorkspace(NativeWorkspace):
         self._model = model
         self._columns, self._row_numbers = (np.arange(k, dtype=np.int32) for k in (n, m))
 
-    def _build_solver(self) -> None:
+    def _create_library_solver(self) -> None:
         """Make a new HiGHS solver with the model and all options."""
         lp = self._model.lp_
         lp.col_cost_, lp.row_lower_, lp.row_upper_ = self._q, self._l, self._u
@@ -105,21 +105,23 @@ class HighsWorkspace(NativeWorkspace):
         for name, value in self._options.items():
             solver.setOptionValue(name, value)
         self._solver = solver
-        self._raise_on_error(solver.passModel(self._model))
+        self._raise_on_highs_error(solver.passModel(self._model))
 
-    def _raise_on_error(self, outcome: Any) -> None:
+    def _raise_on_highs_error(self, outcome: Any) -> None:
         """Raise DpbenchError if a HiGHS call returned an error."""
         if outcome == self._library.HighsStatus.kError:
             raise DpbenchError("HiGHS refuses the model")
 
-    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _send_step_vectors_to_library(self, q: Vector, low: Vector, high: Vector) -> None:
         """Pass a step's costs and row limits to HiGHS."""
         solver = self._solver
-        self._raise_on_error(solver.changeColsCost(self._n, self._columns, q))
+        self._raise_on_highs_error(solver.changeColsCost(self._n, self._columns, q))
         if self._m:
-            self._raise_on_error(solver.changeRowsBounds(self._m, self._row_numbers, low, high))
+            self._raise_on_highs_error(
+                solver.changeRowsBounds(self._m, self._row_numbers, low, high)
+            )
 
-    def _run_solver(self) -> None:
+    def _call_library_solve(self) -> None:
         """Run HiGHS; its time limit is raised by the run time of earlier solves."""
         if TIME_LIMIT in self._options:
             # HiGHS compares the limit with the run time of all solves of the object so far.
@@ -127,13 +129,13 @@ class HighsWorkspace(NativeWorkspace):
             self._solver.setOptionValue(TIME_LIMIT, self._solver.getRunTime() + limit_s)
         self._solver.run()
 
-    def _read_reported_status(self) -> Claim:
+    def _read_status_iterations_and_time(self) -> Claim:
         """Read the model status and iterations of HiGHS, which reports no time."""
         name = str(self._solver.getModelStatus().name)
         iterations = int(self._solver.getInfo().qp_iteration_count)
         return STATUS.get(name, Status.UNKNOWN), iterations, -1, name
 
-    def _read_solution_vectors(self) -> Point | None:
+    def _copy_solution_and_multipliers(self) -> Point | None:
         """Return HiGHS's solution z and multipliers, with their signs turned; None if none."""
         solution = self._solver.getSolution()
         if not solution.value_valid:
@@ -146,4 +148,4 @@ class HighsWorkspace(NativeWorkspace):
         return np.array(solution.col_value), y, y_box
 
 
-NATIVE = THROUGH_QPSOLVERS.make_native(HighsWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native_adapter(HighsWorkspace)

@@ -17,9 +17,19 @@ from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, NativeAdapter
 from dpbench.solvers.contract import Options, Policy
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stack_bound_rows
+from dpbench.solvers.libraries.native_workspace import (
+    NativeWorkspace,
+    Point,
+    append_identity_rows_for_bounds,
+)
 from dpbench.solvers.one_sided import LimitSides
-from dpbench.solvers.record import Build, RouteRecord, SolverRecord, by_tolerance, project_facts
+from dpbench.solvers.record import (
+    Build,
+    RouteRecord,
+    SolverRecord,
+    make_project_facts,
+    make_tolerance_presets,
+)
 
 MODES = ("SPEED_ABS", "SPEED", "BALANCE", "ROBUST")
 TOLERANCE_NAMES = ("tol_stat", "tol_eq", "tol_ineq", "tol_comp")
@@ -37,12 +47,12 @@ STATUS = {
 TEXT_BYTES = 256
 
 
-def _load_casadi_library(name: str) -> ctypes.CDLL:
+def _load_shared_library_of_casadi(name: str) -> ctypes.CDLL:
     """Load a shared library that comes with CasADi."""
     return ctypes.CDLL(str(Path(str(import_module("casadi").__file__)).parent / name))
 
 
-def read_blasfeo_build(library: Any) -> Build:
+def read_instruction_set_of_blasfeo(library: Any) -> Build:
     """Return the instruction set of a loaded BLASFEO; an empty build if it states none."""
     if not hasattr(library, "blasfeo_processor_library_features"):
         return Build()
@@ -73,8 +83,8 @@ RECORD = SolverRecord(
     },
     # It meets equalities by a Schur complement by default, which takes a positive definite cost;
     # by the null space (0) it takes any convex one.
-    levels=by_tolerance(*TOLERANCE_NAMES, iter_max=200, always={"kkt_fact_alg": 0}),
-    project=project_facts(
+    levels=make_tolerance_presets(*TOLERANCE_NAMES, iter_max=200, always={"kkt_fact_alg": 0}),
+    project=make_project_facts(
         licence=("BSD-2-Clause", "HPIPM source, head of each file"),
         language=("C, on BLASFEO", "HPIPM reference guide, Introduction"),
         c_code=("it is C to embed", "HPIPM reference guide, Introduction"),
@@ -84,7 +94,7 @@ RECORD = SolverRecord(
         ),
         single_precision=("yes, routines s_*", "HPIPM source, s_dense_qp_ipm"),
     ),
-    build=lambda: read_blasfeo_build(_load_casadi_library("libblasfeo.so")),
+    build=lambda: read_instruction_set_of_blasfeo(_load_shared_library_of_casadi("libblasfeo.so")),
 )
 
 
@@ -106,58 +116,63 @@ class HpipmStructures:
     ) -> None:
         self._library, self._kind = library, f"d_{kind}"
         self._memory: list[Any] = []
-        self.dim = self._create_structure("_dim", *stages)
-        self.look_up_function("dim_set_all")(*sizes, self.dim)
+        self.dim = self._create_c_structure("_dim", *stages)
+        self.look_up_hpipm_function("dim_set_all")(*sizes, self.dim)
         self.qp, self.sol, self.arg = (
-            self._create_structure(k, self.dim) for k in ("", "_sol", "_ipm_arg")
+            self._create_c_structure(k, self.dim) for k in ("", "_sol", "_ipm_arg")
         )
-        self._write_arguments(dict(options))
+        self._write_mode_and_options(dict(options))
         # Its size depends on the arguments.
-        self.ws = self._create_structure("_ipm_ws", self.dim, self.arg)
-        self._solve = self.look_up_function("ipm_solve")
-        self._set_warm_start = self.look_up_function("ipm_arg_set_warm_start")
+        self.ws = self._create_c_structure("_ipm_ws", self.dim, self.arg)
+        self._solve = self.look_up_hpipm_function("ipm_solve")
+        self._set_warm_start = self.look_up_hpipm_function("ipm_arg_set_warm_start")
         self._warm_flags = [ctypes.byref(ctypes.c_int(flag)) for flag in (0, 1)]
         self._flag, self._count = ctypes.c_int(), ctypes.c_int()
         self._getters = [
-            (self.look_up_function("ipm_get_status"), ctypes.byref(self._flag)),
-            (self.look_up_function("ipm_get_iter"), ctypes.byref(self._count)),
+            (self.look_up_hpipm_function("ipm_get_status"), ctypes.byref(self._flag)),
+            (self.look_up_hpipm_function("ipm_get_iter"), ctypes.byref(self._count)),
         ]
 
-    def look_up_function(self, name: str) -> Any:
+    def look_up_hpipm_function(self, name: str) -> Any:
         """Return HPIPM's C function of this name, for dense or stage-wise QPs."""
         return getattr(self._library, f"{self._kind}_{name}")
 
-    def list_array_calls(self, verb: str, arrays: dict[str, Vector]) -> list[tuple[Any, Any]]:
+    def pair_arrays_with_hpipm_functions(
+        self, verb: str, arrays: dict[str, Vector]
+    ) -> list[tuple[Any, Any]]:
         """Pair each nonempty array's address with the HPIPM function that sets or gets it."""
         named = [(name, array) for name, array in arrays.items() if array.size]
         return [
-            (self.look_up_function(f"{verb}_{name}"), array_pointer(array)) for name, array in named
+            (self.look_up_hpipm_function(f"{verb}_{name}"), make_c_pointer_to_array(array))
+            for name, array in named
         ]
 
-    def start_warm(self, given: bool) -> None:
+    def select_warm_start(self, given: bool) -> None:
         """Select whether HPIPM's next solve starts from the values in its solution structure."""
         self._set_warm_start(self._warm_flags[given], self.arg)
 
-    def solve(self) -> None:
+    def run_hpipm(self) -> None:
         """Run HPIPM on the QP in its structures."""
         self._solve(self.qp, self.sol, self.arg, self.ws)
 
-    def read_reported_status(self) -> Claim:
+    def read_status_and_iterations(self) -> Claim:
         """Read status and iterations of HPIPM's last solve."""
         for function, target in self._getters:
             function(self.ws, target)
         flag = self._flag.value
         return STATUS.get(flag, Status.UNKNOWN), self._count.value, -1, f"status {flag}"
 
-    def _write_arguments(self, options: dict[str, Any]) -> None:
+    def _write_mode_and_options(self, options: dict[str, Any]) -> None:
         """Write HPIPM's mode and options into its argument structure."""
         mode = MODES.index(str(options.pop("mode", "SPEED")))
-        self.look_up_function("ipm_arg_set_default")(mode, self.arg)
+        self.look_up_hpipm_function("ipm_arg_set_default")(mode, self.arg)
         for name, value in options.items():
             number: Any = ctypes.c_int if name in INTEGERS else ctypes.c_double
-            self.look_up_function(f"ipm_arg_set_{name}")(ctypes.byref(number(value)), self.arg)
+            self.look_up_hpipm_function(f"ipm_arg_set_{name}")(
+                ctypes.byref(number(value)), self.arg
+            )
 
-    def _create_structure(self, kind: str, *parts: Any) -> Any:
+    def _create_c_structure(self, kind: str, *parts: Any) -> Any:
         """Allocate and create one C structure of HPIPM of a kind, such as a solution."""
         library, prefix = self._library, f"{self._kind}{kind}"
         sizes = [getattr(library, f"{prefix}_{name}") for name in ("strsize", "memsize")]
@@ -170,7 +185,7 @@ class HpipmStructures:
         return structure
 
 
-def array_pointer(array: NDArray[Any]) -> Any:
+def make_c_pointer_to_array(array: NDArray[Any]) -> Any:
     """Return the memory address of an array as a C void pointer."""
     return ctypes.c_void_p(array.ctypes.data)
 
@@ -186,42 +201,42 @@ class HpipmWorkspace(NativeWorkspace):
         # libhpipm needs libblasfeo loaded first. Its names stay its own: PIQP's factorisation by
         # stages brings another BLASFEO of the same names, and would call this one and corrupt
         # memory.
-        _load_casadi_library("libblasfeo.so")
-        self._library = _load_casadi_library("libhpipm.so")
+        _load_shared_library_of_casadi("libblasfeo.so")
+        self._library = _load_shared_library_of_casadi("libhpipm.so")
 
     @abstractmethod
-    def _send_vectors(self, q: Vector) -> None:
+    def _send_cost_and_limits_to_hpipm(self, q: Vector) -> None:
         """Pass the linear cost q and the stored limits to HPIPM."""
 
     @abstractmethod
-    def _write_start(self) -> None:
+    def _write_shifted_answer_as_start(self) -> None:
         """Write the previous answer, shifted by a control increment, as HPIPM's start."""
 
-    def _convert_matrices(self) -> None:
+    def _prepare_matrices_for_library(self) -> None:
         """Allocate limits of rows and bounds together, (m + n,)."""
-        self._low, self._high = self._allocate_joint_limits()
+        self._low, self._high = self._allocate_limits_of_rows_and_bounds()
 
-    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _send_step_vectors_to_library(self, q: Vector, low: Vector, high: Vector) -> None:
         """Pass q, limits and warm start on; make new structures if other limits are infinite."""
-        if LimitSides.encode_pattern(low, high) != self._pattern:
-            self._build_solver_for_step(q, low, high)
+        if LimitSides.encode_equal_and_infinite_limits(low, high) != self._pattern:
+            self._create_library_solver_for_step(q, low, high)
             return
         m = self._m
         self._low[:m], self._high[:m] = low, high
-        self._send_vectors(q)
+        self._send_cost_and_limits_to_hpipm(q)
         if self._warm:
-            given = self._start.advance()
+            given = self._start.shift_stored_answer_if_any()
             if given:
-                self._write_start()
-            self._parts.start_warm(given)
+                self._write_shifted_answer_as_start()
+            self._parts.select_warm_start(given)
 
-    def _run_solver(self) -> None:
+    def _call_library_solve(self) -> None:
         """Call HPIPM's solve function."""
-        self._parts.solve()
+        self._parts.run_hpipm()
 
-    def _read_reported_status(self) -> Claim:
+    def _read_status_iterations_and_time(self) -> Claim:
         """Read HPIPM's status and iterations."""
-        return self._parts.read_reported_status()
+        return self._parts.read_status_and_iterations()
 
 
 class DenseLimits:
@@ -243,7 +258,7 @@ class DenseLimits:
         self.low, self.high = np.empty(self.sides.size), np.empty(self.sides.size)
         self.infinite = [np.flatnonzero(np.isinf(limit[self.sides])) for limit in (low, high)]
 
-    def fill(self, low: Vector, high: Vector) -> None:
+    def fill_from_step_limits(self, low: Vector, high: Vector) -> None:
         """Copy a step's limits into the arrays of equalities, bounds and rows, 0 where infinite."""
         low.take(self.sides, out=self.low)
         high.take(self.sides, out=self.high)
@@ -253,7 +268,7 @@ class DenseLimits:
         if self.b.size:
             high.take(self.equal, out=self.b)
 
-    def infinite_side_masks(self) -> list[Vector]:
+    def list_masks_of_finite_sides(self) -> list[Vector]:
         """Return which lower and which upper limits of general rows are finite, as 1 or 0."""
         masks = [np.ones(self.sides.size) for _ in range(2)]
         for mask, infinite in zip(masks, self.infinite, strict=True):
@@ -264,20 +279,20 @@ class DenseLimits:
 class DenseWorkspace(HpipmWorkspace):
     """HPIPM's dense QP solver with bounds, two-sided general rows and equalities."""
 
-    def _convert_matrices(self) -> None:
+    def _prepare_matrices_for_library(self) -> None:
         """Allocate the limits and stack A and I, so that bounds can be rows."""
-        super()._convert_matrices()
-        self._rows = stack_bound_rows(self._A, self._n)
+        super()._prepare_matrices_for_library()
+        self._rows = append_identity_rows_for_bounds(self._A, self._n)
 
-    def _build_solver(self) -> None:
+    def _create_library_solver(self) -> None:
         """Make new structures of HPIPM's dense solver and write all data into them."""
         n, m, library = self._n, self._m, self._library
         self._low[:m], self._high[:m] = self._l, self._u
-        self._pattern = LimitSides.encode_pattern(self._l, self._u)
+        self._pattern = LimitSides.encode_equal_and_infinite_limits(self._l, self._u)
         limits = self._limits = DenseLimits(self._low, self._high, m)
         sizes = (n, limits.equal.size, limits.bounds.size, limits.rows.size, 0)
         self._parts = parts = HpipmStructures(library, "dense_qp", sizes, self._options)
-        lower, upper = limits.infinite_side_masks()
+        lower, upper = limits.list_masks_of_finite_sides()
         constants: dict[str, NDArray[Any]] = {
             "H": self._P,
             "A": np.asfortranarray(self._rows[limits.equal]),
@@ -287,11 +302,11 @@ class DenseWorkspace(HpipmWorkspace):
             "ug_mask": upper,
         }
         for name, array in constants.items():
-            parts.look_up_function(f"set_{name}")(array_pointer(array), parts.qp)
-        self._allocate_buffers(limits)
-        self._send_vectors(self._q)
+            parts.look_up_hpipm_function(f"set_{name}")(make_c_pointer_to_array(array), parts.qp)
+        self._allocate_hpipm_buffers(limits)
+        self._send_cost_and_limits_to_hpipm(self._q)
 
-    def _allocate_buffers(self, limits: DenseLimits) -> None:
+    def _allocate_hpipm_buffers(self, limits: DenseLimits) -> None:
         """Allocate arrays for vectors, limits and answers, and look up HPIPM's access functions."""
         n_bounds = limits.bounds.size
         self._g, self._z = np.empty(self._n), np.empty(self._n)
@@ -304,22 +319,22 @@ class DenseWorkspace(HpipmWorkspace):
         ):
             inputs |= {f"{side}b": limit[:n_bounds], f"{side}g": limit[n_bounds:]}
             outputs |= {f"lam_{side}b": dual[:n_bounds], f"lam_{side}g": dual[n_bounds:]}
-        self._setters = self._parts.list_array_calls("set", inputs)
-        self._getters = self._parts.list_array_calls("sol_get", outputs)
+        self._setters = self._parts.pair_arrays_with_hpipm_functions("set", inputs)
+        self._getters = self._parts.pair_arrays_with_hpipm_functions("sol_get", outputs)
 
-    def _send_vectors(self, q: Vector) -> None:
+    def _send_cost_and_limits_to_hpipm(self, q: Vector) -> None:
         """Pass the linear cost and limits to HPIPM's dense QP."""
         self._g[:] = q
-        self._limits.fill(self._low, self._high)
+        self._limits.fill_from_step_limits(self._low, self._high)
         qp = self._parts.qp
         for function, address in self._setters:
             function(address, qp)
 
-    def _write_start(self) -> None:
+    def _write_shifted_answer_as_start(self) -> None:
         """Pass the previous solution to HPIPM as the start."""
-        self._library.d_dense_qp_sol_set_v(array_pointer(self._start.z), self._parts.sol)
+        self._library.d_dense_qp_sol_set_v(make_c_pointer_to_array(self._start.z), self._parts.sol)
 
-    def _read_solution_vectors(self) -> Point:
+    def _copy_solution_and_multipliers(self) -> Point:
         """Return solution and multipliers of HPIPM's dense QP."""
         m, sol = self._m, self._parts.sol
         for function, address in self._getters:

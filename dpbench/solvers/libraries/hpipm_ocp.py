@@ -21,17 +21,17 @@ from numpy.typing import NDArray
 from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.solvers.adapter import NativeAdapter
 from dpbench.solvers.libraries import hpipm
-from dpbench.solvers.libraries.hpipm import HpipmStructures, HpipmWorkspace, array_pointer
+from dpbench.solvers.libraries.hpipm import HpipmStructures, HpipmWorkspace, make_c_pointer_to_array
 from dpbench.solvers.libraries.native_workspace import Point
 from dpbench.solvers.one_sided import LimitSides
-from dpbench.solvers.record import by_tolerance
+from dpbench.solvers.record import make_tolerance_presets
 
 RECORD = replace(
     hpipm.RECORD,
     name="hpipm_ocp",
     method="primal-dual interior point, factorised stage by stage",
     form="csc",
-    levels=by_tolerance(*hpipm.TOLERANCE_NAMES, iter_max=200),
+    levels=make_tolerance_presets(*hpipm.TOLERANCE_NAMES, iter_max=200),
 )
 NOTHING: Indices = np.empty(0, dtype=np.intp)
 
@@ -51,12 +51,12 @@ class Stage:
     rows: Indices
 
     @property
-    def variables(self) -> Indices:
+    def variable_indices(self) -> Indices:
         """Indices in the QP of the stage's variables: inputs, then states."""
         return np.concatenate([self.inputs, self.states])
 
 
-def split_stages(
+def split_qp_into_stages(
     sizes: Sequence[tuple[int, int]], P: Matrix, A: Matrix, equal: Flags
 ) -> list[Stage]:
     """Split a QP into the stages of an optimal control problem; one stage if that is not possible.
@@ -114,7 +114,7 @@ class StageLimits:
     """
 
     def __init__(self, stage: Stage, A: Matrix, low: Vector, high: Vector) -> None:
-        numbers = np.concatenate([stage.rows, A.shape[0] + stage.variables])
+        numbers = np.concatenate([stage.rows, A.shape[0] + stage.variable_indices])
         numbers = numbers[~((low[numbers] == -np.inf) & (high[numbers] == np.inf))]
         rows = select_limit_rows(A, numbers)
         single = (np.count_nonzero(rows, axis=1) == 1) & (rows.sum(axis=1) == 1.0)
@@ -125,19 +125,19 @@ class StageLimits:
             rows[candidates].argmax(axis=1), numbers[candidates], strict=True
         ):
             bound_of.setdefault(int(variable), int(number))
-        bounded = [i for i, v in enumerate(stage.variables.tolist()) if v in bound_of]
+        bounded = [i for i, v in enumerate(stage.variable_indices.tolist()) if v in bound_of]
         self.positions = np.array(bounded, dtype=np.intc)
         self.bounds: Indices = np.array(
-            [bound_of[v] for v in stage.variables[bounded].tolist()], dtype=np.intp
+            [bound_of[v] for v in stage.variable_indices[bounded].tolist()], dtype=np.intp
         )
         self.rows: Indices = np.setdiff1d(numbers, self.bounds)
 
     @property
-    def sides(self) -> Indices:
+    def limit_row_numbers(self) -> Indices:
         """Numbers of the stage's limits as rows of [A; I]: bounds, then general rows."""
         return np.concatenate([self.bounds, self.rows])
 
-    def infinite_side_masks(self, low: Vector, high: Vector) -> dict[str, Vector]:
+    def make_masks_of_finite_sides(self, low: Vector, high: Vector) -> dict[str, Vector]:
         """Return 1 for finite and 0 for infinite limits, by HPIPM's names; only with a 0."""
         # A NaN is a limit like any other.
         masks = {
@@ -164,14 +164,18 @@ class StageData:
             stages = [*stages, Stage(NOTHING, NOTHING, NOTHING, NOTHING)]
         self.stages = stages
         self.limits = [StageLimits(stage, A, low, high) for stage in stages]
-        self.order = np.concatenate([stage.variables for stage in stages])
+        self.order = np.concatenate([stage.variable_indices for stage in stages])
         self.dynamics = np.concatenate([stage.dynamics for stage in stages])
-        self.sides = np.concatenate([limits.sides for limits in self.limits])
+        self.sides = np.concatenate([limits.limit_row_numbers for limits in self.limits])
         states = np.concatenate([stage.states for stage in stages])
         self.pivots: Vector = A[self.dynamics, states]
-        self.matrices = [self._stage_matrices(k, P, A) for k in range(len(stages))]
+        self.matrices = [
+            self._make_stage_matrices_by_hpipm_name(k, P, A) for k in range(len(stages))
+        ]
 
-    def _stage_matrices(self, k: int, P: Matrix, A: Matrix) -> dict[str, NDArray[Any]]:
+    def _make_stage_matrices_by_hpipm_name(
+        self, k: int, P: Matrix, A: Matrix
+    ) -> dict[str, NDArray[Any]]:
         """Return the cost and constraint matrices of stage k by HPIPM's names."""
         stage, limits = self.stages[k], self.limits[k]
         u, x, general = stage.inputs, stage.states, select_limit_rows(A, limits.rows)
@@ -191,7 +195,7 @@ class StageData:
         return matrices | {"idxb": limits.positions}
 
     @property
-    def sizes(self) -> list[NDArray[np.intc]]:
+    def size_arrays_for_hpipm(self) -> list[NDArray[np.intc]]:
         """Numbers of states, inputs, bounds and rows in each stage, as arrays for HPIPM."""
         inputs = np.array([stage.inputs.size for stage in self.stages])
         on_inputs = [
@@ -228,15 +232,15 @@ class StagedVector:
             self._calls.append([])
             for name, size in stage:
                 if size:
-                    address = array_pointer(self.values[at : at + size])
-                    self._calls[-1].append((parts.look_up_function(f"set_{name}"), address))
+                    address = make_c_pointer_to_array(self.values[at : at + size])
+                    self._calls[-1].append((parts.look_up_hpipm_function(f"set_{name}"), address))
                 at += size
 
-    def gather(self, source: Vector, numbers: Indices) -> Vector:
-        """Select entries of a QP vector in stage order, to be passed to HPIPM by `send`."""
+    def gather_entries_in_stage_order(self, source: Vector, numbers: Indices) -> Vector:
+        """Select entries of a QP vector in stage order, to be sent to HPIPM later."""
         return source.take(numbers, out=self._new)
 
-    def send(self, everything: bool = False) -> None:
+    def send_gathered_entries_to_hpipm(self, everything: bool = False) -> None:
         """Pass the selected entries to HPIPM, for stages where they changed or for all."""
         changed = np.not_equal(self._new, self.values, out=self._changed)
         if not (everything or changed.any()):
@@ -247,7 +251,7 @@ class StagedVector:
                 function(k, address, self._qp)
 
 
-def piece_addresses(array: Vector, sizes: Iterable[int]) -> NDArray[np.uintp]:
+def list_addresses_of_array_pieces(array: Vector, sizes: Iterable[int]) -> NDArray[np.uintp]:
     """Return the memory addresses of consecutive pieces of an array, given their sizes."""
     first = np.concatenate([[0], np.cumsum(list(sizes), dtype=np.intp)[:-1]])
     return (array.ctypes.data + array.itemsize * first).astype(np.uintp)
@@ -256,42 +260,49 @@ def piece_addresses(array: Vector, sizes: Iterable[int]) -> NDArray[np.uintp]:
 class OcpWorkspace(HpipmWorkspace):
     """HPIPM's stage-wise optimal control solver, for a QP in which stages are found."""
 
-    def _convert_matrices(self) -> None:
+    def _prepare_matrices_for_library(self) -> None:
         """Allocate the limits; have the stages of the QP found again."""
-        super()._convert_matrices()
+        super()._prepare_matrices_for_library()
         self._pattern = None
 
-    def _build_solver(self) -> None:
+    def _create_library_solver(self) -> None:
         """Make new structures of HPIPM's OCP solver and write the data of all stages into them."""
         m = self._m
         self._low[:m], self._high[:m] = self._l, self._u
-        pattern = LimitSides.encode_pattern(self._l, self._u)
+        pattern = LimitSides.encode_equal_and_infinite_limits(self._l, self._u)
         if pattern != self._pattern:
             self._pattern = pattern
-            stages = split_stages(self._stages, self._P, self._A, self._l == self._u)
+            stages = split_qp_into_stages(self._stages, self._P, self._A, self._l == self._u)
             self._data = StageData(stages, self._P, self._A, self._low, self._high)
         data = self._data
-        sizes, last = tuple(map(array_pointer, data.sizes)), len(data.stages) - 1
+        sizes, last = (
+            tuple(map(make_c_pointer_to_array, data.size_arrays_for_hpipm)),
+            len(data.stages) - 1,
+        )
         parts = self._parts = HpipmStructures(self._library, "ocp_qp", sizes, self._options, last)
         for k, matrices in enumerate(data.matrices):
             for name, array in matrices.items():
                 if array.size:
-                    parts.look_up_function(f"set_{name}")(k, array_pointer(array), parts.qp)
+                    parts.look_up_hpipm_function(f"set_{name}")(
+                        k, make_c_pointer_to_array(array), parts.qp
+                    )
         self._mask_infinite_sides()
-        self._allocate_buffers()
-        self._send_vectors(self._q, everything=True)
+        self._allocate_hpipm_buffers()
+        self._send_cost_and_limits_to_hpipm(self._q, everything=True)
 
     def _mask_infinite_sides(self) -> None:
         """Have HPIPM ignore infinite limits, which it cannot take as numbers."""
         sides, parts = self._data.sides, self._parts
         self._infinite = [np.flatnonzero(np.isinf(a[sides])) for a in (self._low, self._high)]
         for k, limits in enumerate(self._data.limits):
-            for name, mask in limits.infinite_side_masks(self._low, self._high).items():
-                parts.look_up_function(f"set_{name}")(k, array_pointer(mask), parts.qp)
+            for name, mask in limits.make_masks_of_finite_sides(self._low, self._high).items():
+                parts.look_up_hpipm_function(f"set_{name}")(
+                    k, make_c_pointer_to_array(mask), parts.qp
+                )
 
-    def _allocate_buffers(self) -> None:
+    def _allocate_hpipm_buffers(self) -> None:
         """Allocate arrays for vectors, limits and answers of all stages."""
-        nx, nu, nbx, nbu, ng, _ = self._data.sizes
+        nx, nu, nbx, nbu, ng, _ = self._data.size_arrays_for_hpipm
         nb, parts = nbx + nbu, self._parts
         by_stage = list(zip(nu.tolist(), nx.tolist(), nb.tolist(), ng.tolist(), strict=True))
         self._cost = StagedVector(parts, [[("r", u), ("q", x)] for u, x, _, _ in by_stage])
@@ -305,40 +316,40 @@ class OcpWorkspace(HpipmWorkspace):
         self._lower, self._upper = np.empty(data.sides.size), np.empty(data.sides.size)
         variables = np.stack([nu, nx], axis=1).reshape(-1)
         limits = np.stack([nb, ng], axis=1).reshape(-1)
-        at_z = piece_addresses(self._z, variables).reshape(-1, 2)
-        at_lower = piece_addresses(self._lower, limits).reshape(-1, 2)
-        at_upper = piece_addresses(self._upper, limits).reshape(-1, 2)
+        at_z = list_addresses_of_array_pieces(self._z, variables).reshape(-1, 2)
+        at_lower = list_addresses_of_array_pieces(self._lower, limits).reshape(-1, 2)
+        at_upper = list_addresses_of_array_pieces(self._upper, limits).reshape(-1, 2)
         none = np.zeros(nx.size, dtype=np.uintp)
-        at_pi = piece_addresses(self._pi, nx[1:])
+        at_pi = list_addresses_of_array_pieces(self._pi, nx[1:])
         tables = [*at_z.T, none, none, at_pi]
         tables += [at_lower[:, 0], at_upper[:, 0], at_lower[:, 1], at_upper[:, 1], none, none]
         self._tables = [np.ascontiguousarray(table) for table in tables]
-        self._pieces = [array_pointer(table) for table in self._tables]
+        self._pieces = [make_c_pointer_to_array(table) for table in self._tables]
         self._get, self._set = (
-            parts.look_up_function("sol_get_all"),
-            parts.look_up_function("sol_set_all"),
+            parts.look_up_hpipm_function("sol_get_all"),
+            parts.look_up_hpipm_function("sol_set_all"),
         )
 
-    def _send_vectors(self, q: Vector, everything: bool = False) -> None:
+    def _send_cost_and_limits_to_hpipm(self, q: Vector, everything: bool = False) -> None:
         """Pass cost, dynamics and limits to HPIPM: only what changed, or `everything`."""
         data = self._data
-        self._cost.gather(q, data.order)
-        b = self._b.gather(self._high, data.dynamics)
+        self._cost.gather_entries_in_stage_order(q, data.order)
+        b = self._b.gather_entries_in_stage_order(self._high, data.dynamics)
         b /= data.pivots
         both = zip(self._limits, (self._low, self._high), self._infinite, strict=True)
         for part, limits, infinite in both:
-            gathered = part.gather(limits, data.sides)
+            gathered = part.gather_entries_in_stage_order(limits, data.sides)
             if infinite.size:
                 gathered[infinite] = 0.0
         for part in (self._cost, self._b, *self._limits):
-            part.send(everything)
+            part.send_gathered_entries_to_hpipm(everything)
 
-    def _write_start(self) -> None:
+    def _write_shifted_answer_as_start(self) -> None:
         """Write the previous z, shifted by a control increment, as HPIPM's start."""
         self._start.z.take(self._data.order, out=self._z)
         self._set(*self._pieces, self._parts.sol)
 
-    def _read_solution_vectors(self) -> Point:
+    def _copy_solution_and_multipliers(self) -> Point:
         """Return solution and multipliers of all stages in the order of the QP."""
         data, m = self._data, self._m
         self._get(self._parts.sol, *self._pieces)

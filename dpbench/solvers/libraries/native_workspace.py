@@ -26,8 +26,8 @@ from dpbench.solvers.contract import (
     Policy,
     Workspace,
     check_step,
-    describe_exception,
-    missing_setup_error,
+    describe_exception_unless_interrupt,
+    make_error_for_missing_setup,
     shift_into,
 )
 from dpbench.solvers.one_sided import OneSidedForm
@@ -59,7 +59,7 @@ class NativeWorkspace(Workspace):
         self._library: Any = import_module(record.module)
         self.setup_every_step = policy == "fresh"
         self._warm = policy == "warm"
-        self._given_start = self._warm and record.on("native").start != "active set"
+        self._given_start = self._warm and record.get_route_record("native").start != "active set"
         self._options = dict(options)
         self._n, self._m, self._block = -1, -1, 0
         self._stages: tuple[tuple[int, int], ...] = ()
@@ -68,68 +68,68 @@ class NativeWorkspace(Workspace):
         self._done = self._unread = self._unusable = False
         self._failure = ""
 
-    def _convert_matrices(self) -> None:
+    def _prepare_matrices_for_library(self) -> None:
         """Convert new matrices P, A and bounds lb, ub into the library's form."""
 
     @abstractmethod
-    def _build_solver(self) -> None:
+    def _create_library_solver(self) -> None:
         """Make a new library object from the converted matrices, linear cost and limits."""
 
     @abstractmethod
-    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _send_step_vectors_to_library(self, q: Vector, low: Vector, high: Vector) -> None:
         """Pass a step's linear cost q and row limits to the library, in place."""
 
-    def _run_solver(self) -> None:
+    def _call_library_solve(self) -> None:
         """Call the library's solve function."""
         self._result = self._solver.solve()
 
     @abstractmethod
-    def _read_reported_status(self) -> Claim:
+    def _read_status_iterations_and_time(self) -> Claim:
         """Read status, iterations and time [ns] that the library reports."""
 
     @abstractmethod
-    def _read_solution_vectors(self) -> Point | None:
+    def _copy_solution_and_multipliers(self) -> Point | None:
         """Return copies of solution z and multipliers y, y_box; None if there are none."""
 
-    def _apply_options(self, settings: Any) -> None:
+    def _set_options_on_library_settings(self, settings: Any) -> None:
         """Set each option as an attribute of the library's settings."""
         for name, value in self._options.items():
             setattr(settings, name, value)
 
-    def _allocate_joint_limits(self) -> tuple[Vector, Vector]:
+    def _allocate_limits_of_rows_and_bounds(self) -> tuple[Vector, Vector]:
         """Allocate limits (m + n,) of rows and bounds together, with the bounds written in."""
         rows = np.empty(self._m)
         return np.concatenate([rows, self._lb]), np.concatenate([rows, self._ub])
 
-    def _build_solver_for_step(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _create_library_solver_for_step(self, q: Vector, low: Vector, high: Vector) -> None:
         """Store a step's vectors and make a new library object from them."""
         self._q[:], self._l[:], self._u[:] = q, low, high
-        self._build_with_empty_start()
+        self._create_library_solver_unstarted()
 
-    def _build_with_empty_start(self) -> None:
+    def _create_library_solver_unstarted(self) -> None:
         """Discard the warm start and make a new library object."""
         if self._given_start:
             self._start = WarmStart(self._n, self._m, self._block)
-        self._build_solver()
+        self._create_library_solver()
 
-    def _advance_start(self) -> bool:
+    def _shift_warm_start_if_any(self) -> bool:
         """Shift the stored warm start by a control increment; return whether there is one."""
-        return self._given_start and self._start.advance()
+        return self._given_start and self._start.shift_stored_answer_if_any()
 
     def setup(self, qp: QuadraticProgram) -> None:
         """Copy the QP, make a new library object and discard earlier answers."""
         self._clear_answer_state()
         self._q, self._l, self._u = qp.q.copy(), qp.l.copy(), qp.u.copy()
         order = (self._block, self._stages) == (qp.block, qp.stages)
-        if not (self._converted and order and self._has_same_matrices(qp)):
+        if not (self._converted and order and self._has_same_matrices_and_bounds(qp)):
             self._n, self._m, self._block, self._stages = qp.n, qp.m, qp.block, qp.stages
             self._P, self._A = qp.P.copy(), qp.A.copy()
             self._lb, self._ub = qp.lb.copy(), qp.ub.copy()
             self._matrices_given = qp.P, qp.A, qp.lb, qp.ub
             self._converted = False
-        self._rebuild_solver()
+        self._recreate_solver_or_record_failure()
 
-    def _has_same_matrices(self, qp: QuadraticProgram) -> bool:
+    def _has_same_matrices_and_bounds(self, qp: QuadraticProgram) -> bool:
         """Return whether P, A, lb and ub of `qp` equal those already stored."""
         old, new = self._matrices_given, (qp.P, qp.A, qp.lb, qp.ub)
         if old and all(a is b and not b.flags.writeable for a, b in zip(old, new, strict=True)):
@@ -144,7 +144,7 @@ class NativeWorkspace(Workspace):
         """Pass new vectors to the library; make a new library object for new matrices."""
         n, m = self._n, self._m
         if n < 0:
-            raise missing_setup_error("update")
+            raise make_error_for_missing_setup("update")
         q, low, high = step.q, step.l, step.u
         matrices = not (step.P is None and step.A is None and step.lb is None and step.ub is None)
         if matrices or q.shape != (n,) or low.shape != (m,) or high.shape != (m,):
@@ -161,28 +161,28 @@ class NativeWorkspace(Workspace):
                     setattr(self, f"_{name}", np.array(value, dtype=np.float64, order="C"))
         if matrices or self._unusable or self.setup_every_step:
             self._q[:], self._l[:], self._u[:] = q, low, high
-            self._rebuild_solver()
+            self._recreate_solver_or_record_failure()
             return
         try:
-            self._update_vectors(q, low, high)
+            self._send_step_vectors_to_library(q, low, high)
         except BaseException as error:
-            self._record_failure(error)
+            self._record_exception_and_mark_unusable(error)
 
-    def _rebuild_solver(self) -> None:
+    def _recreate_solver_or_record_failure(self) -> None:
         """Make a new library object; store an exception of the library as the solve's failure."""
         self._unusable = self._used = False
         self._failure = ""
         try:
             if not self._converted:
-                self._convert_matrices()
+                self._prepare_matrices_for_library()
                 self._converted = True
-            self._build_with_empty_start()
+            self._create_library_solver_unstarted()
         except BaseException as error:
-            self._record_failure(error)
+            self._record_exception_and_mark_unusable(error)
 
-    def _record_failure(self, error: BaseException) -> None:
+    def _record_exception_and_mark_unusable(self, error: BaseException) -> None:
         """Store an exception's text and mark the library object as unusable."""
-        self._failure, self._unusable = describe_exception(error), True
+        self._failure, self._unusable = describe_exception_unless_interrupt(error), True
 
     def solve(self) -> None:
         """Call the library's solver; store an exception, for `read` to report."""
@@ -190,22 +190,22 @@ class NativeWorkspace(Workspace):
             return
         self._done = self._unread = self._used = True
         try:
-            self._run_solver()
+            self._call_library_solve()
         except BaseException as error:
-            self._record_failure(error)
+            self._record_exception_and_mark_unusable(error)
 
     def read(self) -> Solution:
         """Return the solver's answer; after a failure, have a new library object made next."""
         if self._n < 0:
-            raise missing_setup_error("read")
+            raise make_error_for_missing_setup("read")
         if self._failure:
             self._unread = False
             return Solution.without_point(self._n, self._m, Status.ERROR, self._failure)
         if not self._done:
             return Solution.without_point(self._n, self._m, Status.ERROR, NOT_SOLVED)
-        status, iterations, reported_ns, detail = self._read_reported_status()
+        status, iterations, reported_ns, detail = self._read_status_iterations_and_time()
         detail = "" if status is SOLVED else detail
-        point = self._read_solution_vectors() if status.is_usable else None
+        point = self._copy_solution_and_multipliers() if status.is_usable else None
         if point is None:
             counters = iterations, reported_ns
             solution = Solution.without_point(self._n, self._m, status, detail, counters)
@@ -217,20 +217,20 @@ class NativeWorkspace(Workspace):
             z = solution.z
             self._unusable = not (solution.status.is_usable and isfinite(z.dot(z)))
             if self._warm and not self._unusable:
-                self._store_start(solution)
+                self._store_answer_as_warm_start(solution)
         return solution
 
-    def _store_start(self, solution: Solution) -> None:
+    def _store_answer_as_warm_start(self, solution: Solution) -> None:
         """Store an answer as the next warm start, unless the library keeps it itself."""
         if self._given_start:
-            self._start.remember(solution)
+            self._start.store_copy_of_answer(solution)
 
     def reset(self) -> None:
         """Discard the warm start by making a new library object, unless it has not been used."""
         stale = self._used or self._unusable
         self._clear_answer_state()
         if stale and not self.setup_every_step:
-            self._rebuild_solver()
+            self._recreate_solver_or_record_failure()
 
     def _clear_answer_state(self) -> None:
         """Discard the state of the latest answer and its failure."""
@@ -244,40 +244,40 @@ class OneSidedWorkspace(NativeWorkspace):
     _form: OneSidedForm
 
     @abstractmethod
-    def _create_solver_from_form(self) -> None:
+    def _create_one_sided_library_solver(self) -> None:
         """Make a new library object from the QP with A z = b, G z ≤ h."""
 
     @abstractmethod
-    def _send_form_vectors(self) -> None:
+    def _send_one_sided_vectors_to_library(self) -> None:
         """Pass the linear cost q and right-hand sides b, h to the library."""
 
-    def _prepare_form_matrices(self) -> None:
+    def _prepare_one_sided_matrices(self) -> None:
         """Convert P, A and G of a QP with A z = b, G z ≤ h for the library."""
 
-    def _convert_matrices(self) -> None:
+    def _prepare_matrices_for_library(self) -> None:
         """Convert the QP with two-sided limits into A z = b, G z ≤ h."""
         qp = QuadraticProgram(
             self._P, self._q, self._A, self._l, self._u, self._lb, self._ub, self._block
         )
         self._form = OneSidedForm(qp, "dense", "rows")
-        self._prepare_form_matrices()
+        self._prepare_one_sided_matrices()
 
-    def _build_solver(self) -> None:
+    def _create_library_solver(self) -> None:
         """Make a new library object; convert the QP again if other limits are infinite."""
-        if not self._form.has_same_pattern(self._l, self._u):
-            self._convert_matrices()
-        self._form.fill(self._q, self._l, self._u)
-        self._create_solver_from_form()
+        if not self._form.has_same_equal_and_infinite_limits(self._l, self._u):
+            self._prepare_matrices_for_library()
+        self._form.write_step_vectors_as_one_sided(self._q, self._l, self._u)
+        self._create_one_sided_library_solver()
 
-    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _send_step_vectors_to_library(self, q: Vector, low: Vector, high: Vector) -> None:
         """Pass on a step's vectors; make a new library object if other limits are infinite."""
-        if self._form.has_same_pattern(low, high):
-            self._form.fill(q, low, high)
-            self._send_form_vectors()
+        if self._form.has_same_equal_and_infinite_limits(low, high):
+            self._form.write_step_vectors_as_one_sided(q, low, high)
+            self._send_one_sided_vectors_to_library()
         else:
-            self._build_solver_for_step(q, low, high)
+            self._create_library_solver_for_step(q, low, high)
 
-    def _stack_form_rows(self) -> tuple[Matrix, int, int]:
+    def _stack_equality_and_inequality_rows(self) -> tuple[Matrix, int, int]:
         """Return equality and inequality rows stacked, [A; G], and the number of each."""
         parts = [M for M in (self._form.A, self._form.G) if M is not None]
         rows = np.vstack(parts) if parts else np.empty((0, self._n))
@@ -297,14 +297,14 @@ class WarmStart:
         self._last = [(array, array.copy(), by) for array, by in shifted]
         self.known = False
 
-    def remember(self, solution: Solution) -> None:
+    def store_copy_of_answer(self, solution: Solution) -> None:
         """Store a copy of an answer's solution and multipliers for the next warm start."""
         answer = (solution.z, solution.y, solution.y_box)
         for (_, last, _), value in zip(self._last, answer, strict=True):
             last[:] = value
         self.known = True
 
-    def advance(self) -> bool:
+    def shift_stored_answer_if_any(self) -> bool:
         """Shift the stored answer by one control increment; return whether there is one."""
         if self.known:
             for target, last, by in self._last:
@@ -312,6 +312,6 @@ class WarmStart:
         return self.known
 
 
-def stack_bound_rows(A: Matrix, n: int) -> Matrix:
+def append_identity_rows_for_bounds(A: Matrix, n: int) -> Matrix:
     """Return [A; I] (m + n, n): bounds as rows, for a library without bounds."""
     return np.vstack([A, np.eye(n)])

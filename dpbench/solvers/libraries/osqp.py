@@ -9,9 +9,18 @@ import scipy
 from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Claim, QpsolversAdapter, make_info_reader, make_status_reader
+from dpbench.solvers.adapter import (
+    Claim,
+    QpsolversAdapter,
+    make_reader_of_library_info,
+    make_reader_of_qpsolvers_status,
+)
 from dpbench.solvers.contract import Options, Policy
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stack_bound_rows
+from dpbench.solvers.libraries.native_workspace import (
+    NativeWorkspace,
+    Point,
+    append_identity_rows_for_bounds,
+)
 from dpbench.solvers.record import (
     DEFAULT,
     HIGH,
@@ -19,12 +28,12 @@ from dpbench.solvers.record import (
     CSettings,
     RouteRecord,
     SolverRecord,
-    by_tolerance,
-    project_facts,
+    make_project_facts,
+    make_tolerance_presets,
 )
 
 # OSQP 1.x adapts ρ by iterations by default, earlier releases did by the clock.
-_LEVELS = by_tolerance(
+_LEVELS = make_tolerance_presets(
     "eps_abs",
     eps_rel=0.0,
     max_iter=200_000,
@@ -53,7 +62,7 @@ RECORD = SolverRecord(
         ),
     },
     levels={**_LEVELS, **_POLISHED},
-    project=project_facts(
+    project=make_project_facts(
         licence=("Apache-2.0", "OSQP, metadata of its distribution"),
         language=("C, library-free", "OSQP web site, Features"),
         c_code=("yes, generates code for a problem", "OSQP web site, Features: Embeddable"),
@@ -79,10 +88,10 @@ STATUS = {
     9: Status.NUMERICAL_ERROR,
     10: Status.ERROR,
 }
-read_info = make_info_reader(STATUS, 1e9, number=lambda info: int(info.status_val))
+read_info = make_reader_of_library_info(STATUS, 1e9, number=lambda info: int(info.status_val))
 
 
-def make_settings() -> Any:
+def make_default_settings_of_library() -> Any:
     """Return OSQP's default settings."""
     library = import_module("osqp.ext_builtin")
     settings = library.OSQPSettings()
@@ -94,8 +103,8 @@ def make_settings() -> Any:
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "rows",
-    make_status_reader(read_info),
-    make_settings=make_settings,
+    make_reader_of_qpsolvers_status(read_info),
+    make_settings=make_default_settings_of_library,
     fixed={"raise_error": False},
 )
 
@@ -110,27 +119,27 @@ class OsqpWorkspace(NativeWorkspace):
         super().__init__(record, policy, options)
         self._library = import_module("osqp.ext_builtin")
 
-    def _convert_matrices(self) -> None:
+    def _prepare_matrices_for_library(self) -> None:
         """Convert P and [A; I], bounds as rows, to sparse for OSQP and allocate limits."""
         csc, n, m = self._library.CSC, self._n, self._m
         self._P_upper = csc(scipy.sparse.triu(self._P, format="csc"))
-        self._rows = csc(scipy.sparse.csc_matrix(stack_bound_rows(self._A, n)))
+        self._rows = csc(scipy.sparse.csc_matrix(append_identity_rows_for_bounds(self._A, n)))
         self._low, self._high = np.empty(m + n), np.empty(m + n)
         np.maximum(self._lb, -INFINITY, out=self._low[m:])
         np.minimum(self._ub, INFINITY, out=self._high[m:])
         self._low_rows, self._high_rows = self._low[:m], self._high[:m]
 
-    def _clip_row_limits(self, low: Vector, high: Vector) -> None:
+    def _write_clipped_row_limits(self, low: Vector, high: Vector) -> None:
         """Write row limits into OSQP's arrays, clipped to ±1e30, which OSQP takes as infinite."""
         np.maximum(low, -INFINITY, out=self._low_rows)
         np.minimum(high, INFINITY, out=self._high_rows)
 
-    def _build_solver(self) -> None:
+    def _create_library_solver(self) -> None:
         """Make a new OSQP solver from all data and options."""
-        settings = make_settings()
+        settings = make_default_settings_of_library()
         settings.verbose, settings.warm_starting = False, self._warm
-        self._apply_options(settings)
-        self._clip_row_limits(self._l, self._u)
+        self._set_options_on_library_settings(settings)
+        self._write_clipped_row_limits(self._l, self._u)
         n, m = self._n, self._m
         self._solver = self._library.OSQPSolver(
             self._P_upper, self._q, self._rows, self._low, self._high, m + n, n, settings
@@ -139,24 +148,24 @@ class OsqpWorkspace(NativeWorkspace):
         # osqp 1.0 never frees.
         self._solution = self._solver.solution
 
-    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _send_step_vectors_to_library(self, q: Vector, low: Vector, high: Vector) -> None:
         """Pass a step's cost, limits and shifted warm start to OSQP."""
-        self._clip_row_limits(low, high)
+        self._write_clipped_row_limits(low, high)
         if self._solver.update_data_vec(q=q, l=self._low, u=self._high):
             raise DpbenchError("OSQP refuses the vectors: a lower limit lies above the upper one")
-        if self._advance_start():
+        if self._shift_warm_start_if_any():
             self._solver.warm_start(self._start.z, self._start.dual)
 
-    def _read_reported_status(self) -> Claim:
+    def _read_status_iterations_and_time(self) -> Claim:
         """Read OSQP's status, iterations and solve time."""
         info = self._solver.info
         return read_info(info, info.solve_time, self._options)
 
-    def _read_solution_vectors(self) -> Point:
+    def _copy_solution_and_multipliers(self) -> Point:
         """Return copies of OSQP's solution and multipliers."""
         solution, m = self._solution, self._m
         z, y = solution.x, solution.y  # copies, made by the library's interface
         return z, y[:m], y[m:]
 
 
-NATIVE = THROUGH_QPSOLVERS.make_native(OsqpWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native_adapter(OsqpWorkspace)

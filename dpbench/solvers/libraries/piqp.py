@@ -10,15 +10,20 @@ import scipy
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Claim, QpsolversAdapter, make_info_reader, make_status_reader
+from dpbench.solvers.adapter import (
+    Claim,
+    QpsolversAdapter,
+    make_reader_of_library_info,
+    make_reader_of_qpsolvers_status,
+)
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
 from dpbench.solvers.record import (
     NAN_IGNORED,
     RouteRecord,
     SolverRecord,
-    by_tolerance,
-    project_facts,
-    vectorised_build,
+    find_instruction_set_of_library,
+    make_project_facts,
+    make_tolerance_presets,
 )
 
 RECORD = SolverRecord(
@@ -39,7 +44,7 @@ RECORD = SolverRecord(
             faults=NAN_IGNORED,
         ),
     },
-    levels=by_tolerance(
+    levels=make_tolerance_presets(
         "eps_abs",
         "eps_duality_gap_abs",
         eps_rel=0.0,
@@ -47,12 +52,12 @@ RECORD = SolverRecord(
         eps_duality_gap_rel=0.0,
         max_iter=1000,
     ),
-    project=project_facts(
+    project=make_project_facts(
         licence=("BSD-2-Clause", "PIQP README, Features"),
         language=("C++14, C interface", "PIQP README, Features and Interfaces"),
         allocation_free=("yes, updates and re-solves", "PIQP README, Features"),
     ),
-    build=lambda: vectorised_build("piqp.piqp_python"),
+    build=lambda: find_instruction_set_of_library("piqp.piqp_python"),
 )
 
 STATUS = {
@@ -63,18 +68,22 @@ STATUS = {
     "PIQP_NUMERICS": Status.NUMERICAL_ERROR,
     "PIQP_INVALID_SETTINGS": Status.ERROR,
 }
-read_info = make_info_reader(STATUS, 1e9, word=attrgetter("status.name"), on_request=True)
+read_info = make_reader_of_library_info(
+    STATUS, 1e9, word=attrgetter("status.name"), on_request=True
+)
 
 
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "native",
-    make_status_reader(read_info),
+    make_reader_of_qpsolvers_status(read_info),
     make_settings=lambda: import_module("piqp").DenseSolver().settings,
 )
 
 
-SPARSE = replace(RECORD, name="piqp_sparse", form="csc", routes={"native": RECORD.on("native")})
+SPARSE = replace(
+    RECORD, name="piqp_sparse", form="csc", routes={"native": RECORD.get_route_record("native")}
+)
 MULTISTAGE = replace(
     SPARSE,
     name="piqp_multistage",
@@ -85,7 +94,7 @@ MULTISTAGE = replace(
 class PiqpWorkspace(NativeWorkspace):
     """PIQP with two-sided rows; those with l = u are equalities, and others make it anew."""
 
-    def _convert_matrices(self) -> None:
+    def _prepare_matrices_for_library(self) -> None:
         """Split rows into equal and unequal ones, dense or as sparse matrices."""
         as_form = scipy.sparse.csc_matrix if self.form == "csc" else np.asfortranarray
         equal = self._l == self._u
@@ -101,21 +110,21 @@ class PiqpWorkspace(NativeWorkspace):
         kind = "SparseSolver" if self.form == "csc" else "DenseSolver"
         return getattr(self._library, kind)()
 
-    def _build_solver(self) -> None:
+    def _create_library_solver(self) -> None:
         """Make and set up a PIQP solver; split the rows again if other rows are equalities."""
         if (self._l == self._u).tobytes() != self._pattern:
-            self._convert_matrices()
+            self._prepare_matrices_for_library()
         solver = self._make_piqp_solver()
         solver.settings.verbose = False
-        self._apply_options(solver.settings)
-        limits = self._row_limit_keywords(self._l, self._u)
+        self._set_options_on_library_settings(solver.settings)
+        limits = self._name_row_limits_as_piqp_arguments(self._l, self._u)
         b, low, high = (limits.get(name) for name in ("b", "h_l", "h_u"))
         solver.setup(
             self._cost, self._q, self._equalities, b, self._rows, low, high, self._lb, self._ub
         )
         self._solver = solver
 
-    def _row_limit_keywords(self, low: Vector, high: Vector) -> dict[str, Vector]:
+    def _name_row_limits_as_piqp_arguments(self, low: Vector, high: Vector) -> dict[str, Vector]:
         """Return row limits by PIQP's names: b of equalities, h_l and h_u of other rows."""
         if not self._equal.size:
             return {"h_l": low, "h_u": high} if self._m else {}
@@ -124,20 +133,20 @@ class PiqpWorkspace(NativeWorkspace):
             limits |= {"h_l": low[self._unequal], "h_u": high[self._unequal]}
         return limits
 
-    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _send_step_vectors_to_library(self, q: Vector, low: Vector, high: Vector) -> None:
         """Update q and row limits; make a new solver if other rows are equalities."""
         if (low == high).tobytes() == self._pattern:
-            self._solver.update(c=q, **self._row_limit_keywords(low, high))
+            self._solver.update(c=q, **self._name_row_limits_as_piqp_arguments(low, high))
             return
-        self._build_solver_for_step(q, low, high)
+        self._create_library_solver_for_step(q, low, high)
 
-    def _read_reported_status(self) -> Claim:
+    def _read_status_iterations_and_time(self) -> Claim:
         """Read PIQP's status, iterations and solve time."""
         self._result = self._solver.result
         info = self._result.info
         return read_info(info, info.solve_time, self._options)
 
-    def _read_solution_vectors(self) -> Point:
+    def _copy_solution_and_multipliers(self) -> Point:
         """Return copies of PIQP's solution and multipliers."""
         result = self._result
         # x is a view of the library's memory.
@@ -158,6 +167,6 @@ class MultistageWorkspace(PiqpWorkspace):
         return solver
 
 
-NATIVE = THROUGH_QPSOLVERS.make_native(PiqpWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native_adapter(PiqpWorkspace)
 NATIVE_SPARSE = replace(NATIVE, record=SPARSE)
 NATIVE_MULTISTAGE = replace(NATIVE, record=MULTISTAGE, workspace=MultistageWorkspace)

@@ -27,19 +27,23 @@ from dpbench.solvers.adapter import (
     Claim,
     NativeAdapter,
     QpsolversAdapter,
-    list_attributes,
-    make_info_reader,
-    make_status_reader,
+    list_public_settings_attributes,
+    make_reader_of_library_info,
+    make_reader_of_qpsolvers_status,
 )
 from dpbench.solvers.contract import Options, Policy, shift_into
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stack_bound_rows
+from dpbench.solvers.libraries.native_workspace import (
+    NativeWorkspace,
+    Point,
+    append_identity_rows_for_bounds,
+)
 from dpbench.solvers.record import (
     NAN_IGNORED,
     RouteRecord,
     SolverRecord,
-    by_tolerance,
-    project_facts,
-    vectorised_build,
+    find_instruction_set_of_library,
+    make_project_facts,
+    make_tolerance_presets,
 )
 
 RECORD = SolverRecord(
@@ -61,18 +65,18 @@ RECORD = SolverRecord(
             faults=NAN_IGNORED,
         ),
     },
-    levels=by_tolerance(
+    levels=make_tolerance_presets(
         "eps_abs",
         "eps_duality_gap_abs",
         eps_rel=0.0,
         check_duality_gap=True,
         eps_duality_gap_rel=0.0,
     ),
-    project=project_facts(
+    project=make_project_facts(
         licence=("BSD-2-Clause", "ProxSuite documentation, What is ProxSuite?"),
         language=("C++14", "ProxSuite README, main features"),
     ),
-    build=lambda: vectorised_build("proxsuite.proxsuite_pywrap"),
+    build=lambda: find_instruction_set_of_library("proxsuite.proxsuite_pywrap"),
 )
 
 # "Closest feasible" means that the problem has no feasible point and a shifted one was solved.
@@ -84,23 +88,27 @@ STATUS = {
     "PROXQP_DUAL_INFEASIBLE": Status.DUAL_INFEASIBLE,
 }
 
-read_info = make_info_reader(STATUS, 1e3, word=attrgetter("status.name"), on_request=True)
+read_info = make_reader_of_library_info(
+    STATUS, 1e3, word=attrgetter("status.name"), on_request=True
+)
 
 DATA = {"H", "g", "A", "b", "C", "l", "u", "l_box", "u_box", "x", "y", "z", "verbose"}
 
 
-def list_proxqp_keywords() -> list[str]:
+def list_qpsolvers_keywords_of_proxqp() -> list[str]:
     """List the option names of `proxqp.dense.solve`, parsed from its docstring."""
     signature = str(import_module("proxsuite").proxqp.dense.solve.__doc__).split("->")[0]
     return [name for name in re.findall(r"[(,] ?(\w+): ", signature) if name not in DATA]
 
 
 THROUGH_QPSOLVERS = QpsolversAdapter(
-    RECORD, "native", make_status_reader(read_info), list_proxqp_keywords
+    RECORD, "native", make_reader_of_qpsolvers_status(read_info), list_qpsolvers_keywords_of_proxqp
 )
 
 
-SPARSE = replace(RECORD, name="proxqp_sparse", form="csc", routes={"native": RECORD.on("native")})
+SPARSE = replace(
+    RECORD, name="proxqp_sparse", form="csc", routes={"native": RECORD.get_route_record("native")}
+)
 
 
 class ProxqpWorkspace(NativeWorkspace):
@@ -110,23 +118,23 @@ class ProxqpWorkspace(NativeWorkspace):
         super().__init__(record, policy, options)
         self._library = self._library.proxqp
 
-    def _convert_matrices(self) -> None:
+    def _prepare_matrices_for_library(self) -> None:
         """Allocate limits; in the sparse form, convert P and [A; I], bounds as rows."""
         n, m = self._n, self._m
         self._sparse = self.form == "csc"
         self._low, self._high = np.empty(m), np.empty(m)
         if self._sparse:
-            self._low, self._high = self._allocate_joint_limits()
+            self._low, self._high = self._allocate_limits_of_rows_and_bounds()
             self._H = scipy.sparse.csc_matrix(self._P)
-            self._C = scipy.sparse.csc_matrix(stack_bound_rows(self._A, n))
+            self._C = scipy.sparse.csc_matrix(append_identity_rows_for_bounds(self._A, n))
 
-    def _build_solver(self) -> None:
+    def _create_library_solver(self) -> None:
         """Make a new ProxQP solver, dense or sparse, from all data and options."""
         n, m, library = self._n, self._m, self._library
         self._low[:m], self._high[:m] = self._l, self._u
         sparse, dense = library.sparse.QP, library.dense.QP
         self._solver = sparse(n, 0, m + n) if self._sparse else dense(n, 0, m, True)
-        self._apply_options(self._solver.settings)
+        self._set_options_on_library_settings(self._solver.settings)
         if self._sparse:
             self._solver.init(self._H, self._q, None, None, self._C, self._low, self._high)
         else:
@@ -134,10 +142,10 @@ class ProxqpWorkspace(NativeWorkspace):
             self._solver.init(self._P, self._q, None, None, self._A, *limits)
         self._shiftable = self._stuck = False
 
-    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _send_step_vectors_to_library(self, q: Vector, low: Vector, high: Vector) -> None:
         """Update q and limits; shift the previous result in place as warm start."""
         if self._stuck:
-            self._build_solver_for_step(q, low, high)
+            self._create_library_solver_for_step(q, low, high)
             return
         m, solver = self._m, self._solver
         self._low[:m], self._high[:m] = low, high
@@ -156,7 +164,7 @@ class ProxqpWorkspace(NativeWorkspace):
                 for part, by in ((x, block), (z[:m], rows), (z[m:], block)):
                     shift_into(part, part.copy(), by)
 
-    def _read_reported_status(self) -> Claim:
+    def _read_status_iterations_and_time(self) -> Claim:
         """Read ProxQP's status and iterations; note a failure after which it must be made anew."""
         self._result = self._solver.results
         info = self._result.info
@@ -164,27 +172,33 @@ class ProxqpWorkspace(NativeWorkspace):
         self._stuck = claimed[0] is not Status.SOLVED
         return claimed
 
-    def _read_solution_vectors(self) -> Point:
+    def _copy_solution_and_multipliers(self) -> Point:
         """Return copies of ProxQP's solution and multipliers."""
         # Both are views of the library's memory.
         results, m = self._result, self._m
         z, y = results.x.copy(), results.z.copy()
         return z, y[:m], y[m:]
 
-    def _store_start(self, solution: Solution) -> None:
+    def _store_answer_as_warm_start(self, solution: Solution) -> None:
         """Note that ProxQP's own last result can be shifted as a warm start."""
         self._shiftable = True
 
 
-def make_settings() -> Any:
+def make_default_settings_of_library() -> Any:
     """Return ProxQP's default settings."""
     return import_module("proxsuite").proxqp.dense.QP(1, 0, 0).settings
 
 
-def list_options() -> list[str]:
+def list_proxqp_settings() -> list[str]:
     """List the names of ProxQP's settings, except the initial guess."""
-    return [name for name in list_attributes(make_settings()) if name != "initial_guess"]
+    return [
+        name
+        for name in list_public_settings_attributes(make_default_settings_of_library())
+        if name != "initial_guess"
+    ]
 
 
-NATIVE = NativeAdapter(RECORD, ProxqpWorkspace, list_options, make_settings)
+NATIVE = NativeAdapter(
+    RECORD, ProxqpWorkspace, list_proxqp_settings, make_default_settings_of_library
+)
 NATIVE_SPARSE = replace(NATIVE, record=SPARSE)

@@ -9,7 +9,12 @@ import scipy
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, NativeAdapter
 from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
-from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, project_facts
+from dpbench.solvers.record import (
+    RouteRecord,
+    SolverRecord,
+    make_project_facts,
+    make_tolerance_presets,
+)
 
 RECORD = SolverRecord(
     name="qoco",
@@ -27,8 +32,8 @@ RECORD = SolverRecord(
             refused={"warm": "QOCO has no interface for a start"},
         )
     },
-    levels=by_tolerance("abstol", "reltol", max_iters=500),
-    project=project_facts(
+    levels=make_tolerance_presets("abstol", "reltol", max_iters=500),
+    project=make_project_facts(
         licence=("BSD-3-Clause", "QOCO README, License"),
         language=("C", "QOCO documentation"),
         c_code=("yes, by QOCOGEN", "QOCOGEN README"),
@@ -47,12 +52,12 @@ STATUS = {
 class QocoWorkspace(OneSidedWorkspace):
     """QOCO as QP solver, on A z = b and G z ≤ h."""
 
-    def _prepare_form_matrices(self) -> None:
+    def _prepare_one_sided_matrices(self) -> None:
         """Convert P, A and G into sparse matrices."""
         form, csc = self._form, scipy.sparse.csc_matrix
         self._matrices = tuple(None if M is None else csc(M) for M in (self._P, form.A, form.G))
 
-    def _create_solver_from_form(self) -> None:
+    def _create_one_sided_library_solver(self) -> None:
         """Make a new QOCO solver from the QP with A z = b, G z ≤ h."""
         P, A, G = self._matrices
         form = self._form
@@ -66,30 +71,30 @@ class QocoWorkspace(OneSidedWorkspace):
         # qoco 0.3 never frees; its own `solve()` looks 14 times.
         self._result = self._solver._solver.solution
 
-    def _send_form_vectors(self) -> None:
+    def _send_one_sided_vectors_to_library(self) -> None:
         """Pass the linear cost and right-hand sides to QOCO."""
         form = self._form
         self._solver.update_vector_data(c=form.q, b=form.b, h=form.h)
 
-    def _run_solver(self) -> None:
+    def _call_library_solve(self) -> None:
         """Call QOCO's solve function."""
         self._solver._solver.solve()
 
-    def _read_reported_status(self) -> Claim:
+    def _read_status_iterations_and_time(self) -> Claim:
         """Read QOCO's status, iterations and solve time."""
         result = self._result
         name = self._solver.solvecodes[result.status]
         took_ns = round(result.solve_time_sec * 1e9)
         return STATUS.get(name, Status.UNKNOWN), int(result.iters), took_ns, name
 
-    def _read_solution_vectors(self) -> Point:
+    def _copy_solution_and_multipliers(self) -> Point:
         """Return copies of QOCO's solution and multipliers."""
         result = self._result
         duals = np.array(result.z), np.array(result.y)
-        return np.array(result.x), *self._form.two_sided(*duals)
+        return np.array(result.x), *self._form.convert_multipliers_to_two_sided(*duals)
 
 
-def make_settings() -> Any:
+def make_default_settings_of_library() -> Any:
     """Return QOCO's default settings."""
     library = import_module("qoco.qoco_ext")
     settings = library.QOCOSettings()
@@ -97,4 +102,4 @@ def make_settings() -> Any:
     return settings
 
 
-NATIVE = NativeAdapter(RECORD, QocoWorkspace, make_settings=make_settings)
+NATIVE = NativeAdapter(RECORD, QocoWorkspace, make_settings=make_default_settings_of_library)

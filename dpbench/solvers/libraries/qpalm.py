@@ -6,9 +6,24 @@ import scipy
 
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import Claim, QpsolversAdapter, make_info_reader, make_status_reader
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point, stack_bound_rows
-from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, project_facts
+from dpbench.solvers.adapter import (
+    Claim,
+    QpsolversAdapter,
+    make_reader_of_library_info,
+    make_reader_of_qpsolvers_status,
+)
+from dpbench.solvers.libraries.native_workspace import (
+    NativeWorkspace,
+    Point,
+    append_identity_rows_for_bounds,
+)
+from dpbench.solvers.record import (
+    CSettings,
+    RouteRecord,
+    SolverRecord,
+    make_project_facts,
+    make_tolerance_presets,
+)
 
 RECORD = SolverRecord(
     name="qpalm",
@@ -37,8 +52,8 @@ RECORD = SolverRecord(
             },
         ),
     },
-    levels=by_tolerance("eps_abs", eps_rel=0.0, max_iter=100_000),
-    project=project_facts(
+    levels=make_tolerance_presets("eps_abs", eps_rel=0.0, max_iter=100_000),
+    project=make_project_facts(
         licence=("LGPL-3.0-or-later", "QPALM, metadata of its distribution"),
         language=("C", "QPALM README, Supported platforms"),
         c_settings=CSettings(
@@ -58,13 +73,13 @@ STATUS = {
     "user cancellation": Status.ERROR,
     "error": Status.ERROR,
 }
-read_info = make_info_reader(STATUS, 1e9)
+read_info = make_reader_of_library_info(STATUS, 1e9)
 
 
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "rows",
-    make_status_reader(read_info),
+    make_reader_of_qpsolvers_status(read_info),
     make_settings=lambda: import_module("qpalm").Settings(),
 )
 
@@ -72,43 +87,43 @@ THROUGH_QPSOLVERS = QpsolversAdapter(
 class QpalmWorkspace(NativeWorkspace):
     """QPALM as QP solver, bounds as rows; without a warm start, a solve begins at zero."""
 
-    def _convert_matrices(self) -> None:
+    def _prepare_matrices_for_library(self) -> None:
         """Convert P and [A; I], bounds as rows, to sparse for QPALM and allocate limits."""
         n, m = self._n, self._m
         self._data = self._library.Data(n, m + n)
         self._data.Q = scipy.sparse.csc_matrix(self._P)
-        self._data.A = scipy.sparse.csc_matrix(stack_bound_rows(self._A, n))
-        self._low, self._high = self._allocate_joint_limits()
+        self._data.A = scipy.sparse.csc_matrix(append_identity_rows_for_bounds(self._A, n))
+        self._low, self._high = self._allocate_limits_of_rows_and_bounds()
 
-    def _build_solver(self) -> None:
+    def _create_library_solver(self) -> None:
         """Make a new QPALM solver from all data and options."""
         m, data = self._m, self._data
         self._low[:m], self._high[:m] = self._l, self._u
         data.q, data.bmin, data.bmax = self._q, self._low, self._high
         settings = self._library.Settings()
         settings.verbose = False
-        self._apply_options(settings)
+        self._set_options_on_library_settings(settings)
         self._solver = self._library.Solver(data, settings)
 
-    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _send_step_vectors_to_library(self, q: Vector, low: Vector, high: Vector) -> None:
         """Pass a step's cost, limits and shifted warm start to QPALM."""
         m, solver = self._m, self._solver
         self._low[:m], self._high[:m] = low, high
         solver.update_q(q)
         solver.update_bounds(self._low, self._high)
-        if self._advance_start():
+        if self._shift_warm_start_if_any():
             solver.warm_start(self._start.z, self._start.dual)
 
-    def _run_solver(self) -> None:
+    def _call_library_solve(self) -> None:
         """Call QPALM's solve function in this thread."""
         self._solver.solve(asynchronous=False)
 
-    def _read_reported_status(self) -> Claim:
+    def _read_status_iterations_and_time(self) -> Claim:
         """Read QPALM's status, iterations and solve time."""
         info = self._solver.info
         return read_info(info, info.solve_time, self._options)
 
-    def _read_solution_vectors(self) -> Point:
+    def _copy_solution_and_multipliers(self) -> Point:
         """Return copies of QPALM's solution and multipliers."""
         # Both are views of the library's memory.
         solution, m = self._solver.solution, self._m
@@ -116,4 +131,4 @@ class QpalmWorkspace(NativeWorkspace):
         return z, y[:m], y[m:]
 
 
-NATIVE = THROUGH_QPSOLVERS.make_native(QpalmWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native_adapter(QpalmWorkspace)

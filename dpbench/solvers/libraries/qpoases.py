@@ -17,7 +17,7 @@ from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, NativeAdapter
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
-from dpbench.solvers.record import RouteRecord, SolverRecord, project_facts
+from dpbench.solvers.record import RouteRecord, SolverRecord, make_project_facts
 
 RECORD = SolverRecord(
     name="qpoases",
@@ -40,7 +40,7 @@ RECORD = SolverRecord(
         )
     },
     levels={},
-    project=project_facts(
+    project=make_project_facts(
         licence=("LGPL-2.1-or-later", "qpOASES source, head of each file"),
         language=("C++", "qpOASES manual, Introduction"),
         single_precision=("yes, __USE_SINGLE_PRECISION__", "qpOASES source, Constants.hpp"),
@@ -62,7 +62,7 @@ FIXED = {"printLevel": "none", "error_on_fail": False}
 class QpoasesWorkspace(NativeWorkspace):
     """Workspace of qpOASES, called through casadi; after the first solve it starts hot."""
 
-    def _convert_matrices(self) -> None:
+    def _prepare_matrices_for_library(self) -> None:
         """Lay out P and A in qpOASES's memory order; allocate its inputs and outputs."""
         n, m = self._n, self._m
         self._inputs = {
@@ -75,7 +75,7 @@ class QpoasesWorkspace(NativeWorkspace):
         outputs = ("x", n), ("cost", 1), ("lam_a", m), ("lam_x", n)
         self._outputs = {name: np.empty(size) for name, size in outputs}
 
-    def _build_solver(self) -> None:
+    def _create_library_solver(self) -> None:
         """Make a new CasADi function of qpOASES and give it the addresses of all arrays."""
         dense, n, m = self._library.Sparsity.dense, self._n, self._m
         shapes = {"h": dense(n, n), "a": dense(m, n)}
@@ -89,18 +89,18 @@ class QpoasesWorkspace(NativeWorkspace):
         for i, name in enumerate(self._function.name_out()):
             if self._outputs[name].size:
                 self._buffer.set_res(i, self._outputs[name].data)
-        self._update_vectors(self._q, self._l, self._u)
+        self._send_step_vectors_to_library(self._q, self._l, self._u)
 
-    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _send_step_vectors_to_library(self, q: Vector, low: Vector, high: Vector) -> None:
         """Write a step's cost and row limits into the arrays that qpOASES reads."""
         inputs = self._inputs
         inputs["g"][:], inputs["lba"][:], inputs["uba"][:] = q, low, high
 
-    def _run_solver(self) -> None:
+    def _call_library_solve(self) -> None:
         """Call qpOASES on its arrays."""
         self._trigger()
 
-    def _read_reported_status(self) -> Claim:
+    def _read_status_iterations_and_time(self) -> Claim:
         """Read qpOASES's status and iterations; a NaN cost counts as failure."""
         flag = int(self._buffer.ret())
         iterations = int(self._buffer.stats()["iter_count"])
@@ -109,7 +109,7 @@ class QpoasesWorkspace(NativeWorkspace):
             return Status.NUMERICAL_ERROR, iterations, -1, "a cost that is no number"
         return STATUS.get(flag, Status.UNKNOWN), iterations, -1, f"return status {flag}"
 
-    def _read_solution_vectors(self) -> Point | None:
+    def _copy_solution_and_multipliers(self) -> Point | None:
         """Return solution z and multipliers y, y_box; None if the status is unknown."""
         # Without a reason for a failure, x may be that of an earlier problem.
         if STATUS.get(int(self._buffer.ret()), Status.UNKNOWN) is Status.UNKNOWN:
@@ -118,10 +118,10 @@ class QpoasesWorkspace(NativeWorkspace):
         return outputs["x"].copy(), outputs["lam_a"].copy(), outputs["lam_x"].copy()
 
 
-def list_options() -> list[str]:
+def list_qpoases_options() -> list[str]:
     """List qpOASES's option names from casadi's documentation text."""
     text = import_module("casadi").doc_conic("qpoases")
     return [name for name in re.findall(r"^\| (\w+) +\| OT_", text, re.M) if name != "printLevel"]
 
 
-NATIVE = NativeAdapter(RECORD, QpoasesWorkspace, list_options)
+NATIVE = NativeAdapter(RECORD, QpoasesWorkspace, list_qpoases_options)

@@ -5,14 +5,19 @@ from importlib import import_module
 from typing import Any
 
 from dpbench.qp.solution import Status
-from dpbench.solvers.adapter import ClaimedStatus, QpsolversAdapter, list_attributes, list_keywords
+from dpbench.solvers.adapter import (
+    ClaimedStatus,
+    QpsolversAdapter,
+    list_keyword_parameters,
+    list_public_settings_attributes,
+)
 from dpbench.solvers.contract import Options
 from dpbench.solvers.record import (
     NAN_FAULTS,
     RouteRecord,
     SolverRecord,
-    by_tolerance,
-    project_facts,
+    make_project_facts,
+    make_tolerance_presets,
 )
 
 # Options of cvxopt and kvxopt, from the user guide of CVXOPT, section "Algorithm parameters", and
@@ -50,8 +55,8 @@ CVXOPT = QpsolversAdapter(
                 faults=NAN_FAULTS,
             )
         },
-        levels=by_tolerance("abstol", "reltol", "feastol", maxiters=200),
-        project=project_facts(
+        levels=make_tolerance_presets("abstol", "reltol", "feastol", maxiters=200),
+        project=make_project_facts(
             licence=("GPL-3.0-or-later", "CVXOPT, Copyright and license"),
             language=("Python and C", "CVXOPT, metadata of its distribution"),
         ),
@@ -68,7 +73,7 @@ KVXOPT = replace(
         name="kvxopt",
         distribution="kvxopt",
         module="kvxopt",
-        project=project_facts(
+        project=make_project_facts(
             licence=("GPL-3.0-or-later", "KVXOPT, metadata of its distribution"),
             language=("Python and C", "KVXOPT, metadata of its distribution"),
         ),
@@ -121,8 +126,8 @@ ECOS = QpsolversAdapter(
         # qpsolvers builds the cone program from dense P and G.
         form="dense",
         routes={"qpsolvers": RouteRecord(("fresh",))},
-        levels=by_tolerance("abstol", "reltol", "feastol", max_iters=500),
-        project=project_facts(
+        levels=make_tolerance_presets("abstol", "reltol", "feastol", max_iters=500),
+        project=make_project_facts(
             licence=("GPL-3.0", "ECOS, metadata of its distribution"),
             language=("C", "ECOS README"),
         ),
@@ -147,7 +152,7 @@ PYQPMAD = QpsolversAdapter(
             "qpsolvers": RouteRecord(("fresh",), detects_infeasibility=False, faults=NAN_FAULTS)
         },
         levels={},
-        project=project_facts(
+        project=make_project_facts(
             licence=("BSD-3-Clause", "pyqpmad, LICENSE of its distribution"),
             language=("C++, header-only on Eigen", "qpmad README"),
             allocation_free=("yes, after reserve", "pyqpmad README, Control Loop Example"),
@@ -195,15 +200,15 @@ QTQP = QpsolversAdapter(
                 },
             )
         },
-        levels=by_tolerance("tol_feas", "tol_gap_abs", "tol_gap_rel", max_iter=500),
-        project=project_facts(
+        levels=make_tolerance_presets("tol_feas", "tol_gap_abs", "tol_gap_rel", max_iter=500),
+        project=make_project_facts(
             licence=("Apache-2.0", "QTQP, metadata of its distribution"),
             language=("Python", "QTQP README"),
         ),
     ),
     "rows",
     read_qtqp_status,
-    lambda: list_keywords("qtqp", "QTQP.solve", "self", "verbose", "warm_start"),
+    lambda: list_keyword_parameters("qtqp", "QTQP.solve", "self", "verbose", "warm_start"),
 )
 
 
@@ -234,10 +239,14 @@ def list_sip_options() -> list[str]:
     settings = import_module("sip_qp_python").Settings()
     # qpsolvers reads the first three before it looks at SIP's own settings.
     names = ["eps_abs", "eps_rel", "time_limit"]
-    names += [n for n in list_attributes(settings.sip) if n not in SIP_GROUPS and n != "logging"]
+    names += [
+        n
+        for n in list_public_settings_attributes(settings.sip)
+        if n not in SIP_GROUPS and n != "logging"
+    ]
     for group in SIP_GROUPS:
         members = getattr(settings if hasattr(settings, group) else settings.sip, group)
-        names += [f"{group}.{name}" for name in list_attributes(members)]
+        names += [f"{group}.{name}" for name in list_public_settings_attributes(members)]
     return names
 
 
@@ -253,8 +262,8 @@ SIP = QpsolversAdapter(
         routes={
             "qpsolvers": RouteRecord(("fresh", "warm"), start="primal", detects_infeasibility=False)
         },
-        levels=by_tolerance("eps_abs", eps_rel=0.0),
-        project=project_facts(
+        levels=make_tolerance_presets("eps_abs", eps_rel=0.0),
+        project=make_project_facts(
             licence=("MIT", "SIP, metadata of its distribution"),
             language=("C++", "SIP QP README"),
             allocation_free=("yes, with Workspace::mem_assign", "SIP QP README"),
@@ -294,8 +303,8 @@ QPAX = QpsolversAdapter(
         form="dense",
         routes={"qpsolvers": RouteRecord(("fresh",), detects_infeasibility=False)},
         # qpax 0.1.4 stalls short of 1e-7 in its own measure: exact answers that it does not claim.
-        levels=by_tolerance("solver_tol", max_iter=100),
-        project=project_facts(
+        levels=make_tolerance_presets("solver_tol", max_iter=100),
+        project=make_project_facts(
             licence=("MIT", "qpax README"), language=("Python on JAX", "qpax README")
         ),
         needs_modules=("jax",),
@@ -336,12 +345,12 @@ JAXOPT = replace(
         method="operator splitting (ADMM) on JAX",
         distribution="jaxopt",
         module="jaxopt",
-        levels=by_tolerance("tol", maxiter=100_000),
-        project=project_facts(
+        levels=make_tolerance_presets("tol", maxiter=100_000),
+        project=make_project_facts(
             licence=("Apache-2.0", "JAXopt README"), language=("Python on JAX", "JAXopt README")
         ),
     ),
     read_status=read_jaxopt_status,
-    list_options=lambda: list_keywords("jaxopt", "BoxOSQP", *JAXOPT_STRUCTURE),
+    list_options=lambda: list_keyword_parameters("jaxopt", "BoxOSQP", *JAXOPT_STRUCTURE),
     qpsolvers_name="jaxopt_osqp",
 )

@@ -19,8 +19,8 @@ from dpbench.solvers.contract import (
     Policy,
     Workspace,
     check_step,
-    describe_exception,
-    missing_setup_error,
+    describe_exception_unless_interrupt,
+    make_error_for_missing_setup,
     shift_into,
 )
 from dpbench.solvers.one_sided import OneSidedForm
@@ -45,36 +45,38 @@ class QpsolversWorkspace(Workspace):
     def setup(self, qp: QuadraticProgram) -> None:
         """Convert a QP into the library's form and discard earlier answers."""
         self.reset()
-        self._convert_problem(qp.copy())
+        self._store_qp_as_one_sided(qp.copy())
 
-    def _convert_problem(self, qp: QuadraticProgram) -> None:
+    def _store_qp_as_one_sided(self, qp: QuadraticProgram) -> None:
         """Store a QP and convert its two-sided limits to G z ≤ h, A z = b."""
         self._base = qp
         self._form = OneSidedForm(qp, self.form, self._adapter.box)
-        self._build_qpsolvers_problem(qp.q, qp.l, qp.u)
+        self._create_qpsolvers_problem_of_step(qp.q, qp.l, qp.u)
 
-    def _build_qpsolvers_problem(self, q: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+    def _create_qpsolvers_problem_of_step(
+        self, q: np.ndarray, low: np.ndarray, high: np.ndarray
+    ) -> None:
         """Make a new problem of qpsolvers from a step's vectors."""
         form = self._form
-        form.fill(q, low, high)
+        form.write_step_vectors_as_one_sided(q, low, high)
         self._problem = Problem(form.P, form.q, form.G, form.h, form.A, form.b, form.lb, form.ub)
 
     def update(self, step: QPStep) -> None:
         """Take over a step's vectors; convert again if matrices or infinite limits change."""
         base = self._base
         if base is None:
-            raise missing_setup_error("update")
+            raise make_error_for_missing_setup("update")
         check_step(step, base.n, base.m)
         if self.policy == "warm":
-            self._start = self._shift_last_answer(base.block)
+            self._start = self._shift_last_point_as_start(base.block)
         vectors_only = step.refresh is Refresh.VECTORS
         self.matrix_updates += not vectors_only
-        if vectors_only and self._form.has_same_pattern(step.l, step.u):
-            self._build_qpsolvers_problem(step.q, step.l, step.u)
+        if vectors_only and self._form.has_same_equal_and_infinite_limits(step.l, step.u):
+            self._create_qpsolvers_problem_of_step(step.q, step.l, step.u)
         else:
-            self._convert_problem(base.at(step).copy())
+            self._store_qp_as_one_sided(base.at(step).copy())
 
-    def _shift_last_answer(self, block: int) -> np.ndarray | None:
+    def _shift_last_point_as_start(self, block: int) -> np.ndarray | None:
         """Return the previous z shifted by one control increment, as a start; None without one."""
         if self._unread:
             self.read()
@@ -90,28 +92,28 @@ class QpsolversWorkspace(Workspace):
         try:
             # Where all warnings are ignored already, as in a worker, a context costs time.
             if warnings.filters[:1] == [IGNORE_ALL]:
-                self._answer = self._run_solver()
+                self._answer = self._call_library_solve()
             else:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
-                    self._answer = self._run_solver()
+                    self._answer = self._call_library_solve()
         except BaseException as error:
-            self._failure = describe_exception(error)
+            self._failure = describe_exception_unless_interrupt(error)
 
-    def _run_solver(self) -> Any:
+    def _call_library_solve(self) -> Any:
         """Call `solve_problem` of qpsolvers with the start and all options."""
         return solve_problem(self._problem, self._name, initvals=self._start, **self._options)
 
     def read(self) -> Solution:
         """Return the answer, with multipliers converted to those of two-sided limits."""
         if self._base is None:
-            raise missing_setup_error("read")
+            raise make_error_for_missing_setup("read")
         n, m = self._base.n, self._base.m
         self._last, self._unread = None, False
         answer = self._answer
         if answer is None:
             return Solution.without_point(n, m, Status.ERROR, self._failure)
-        status, iterations, reported_ns, detail = self._adapter.read_claimed_status(
+        status, iterations, reported_ns, detail = self._adapter.read_claim_from_qpsolvers_solution(
             answer, self._options
         )
         if status is Status.SOLVED:

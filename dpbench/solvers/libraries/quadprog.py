@@ -9,7 +9,7 @@ from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, ClaimedStatus, QpsolversAdapter
 from dpbench.solvers.contract import Options, Policy
 from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
-from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, project_facts
+from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, make_project_facts
 
 RECORD = SolverRecord(
     name="quadprog",
@@ -28,7 +28,7 @@ RECORD = SolverRecord(
         ),
     },
     levels={},
-    project=project_facts(
+    project=make_project_facts(
         licence=("GPL-2.0-or-later", "quadprog, metadata of its distribution"),
         language=("C, from Fortran", "quadprog, its source"),
     ),
@@ -36,7 +36,7 @@ RECORD = SolverRecord(
 )
 
 
-def read_status(answer: Any, options: Options) -> ClaimedStatus:
+def read_quadprog_claim_from_qpsolvers(answer: Any, options: Options) -> ClaimedStatus:
     """Read quadprog's iterations from a qpsolvers solution, which only solved ones have."""
     return ClaimedStatus(Status.SOLVED, int(answer.extras["iterations"][0]))
 
@@ -46,7 +46,7 @@ def read_status(answer: Any, options: Options) -> ClaimedStatus:
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
     "rows",
-    read_status,
+    read_quadprog_claim_from_qpsolvers,
     lambda: (),
     not_found=ClaimedStatus(Status.PRIMAL_INFEASIBLE, detail="constraints are inconsistent"),
 )
@@ -68,15 +68,15 @@ class QuadprogWorkspace(OneSidedWorkspace):
         self._linalg = import_module("scipy.linalg")
         self._status, self._words = Status.UNKNOWN, ""
 
-    def _prepare_form_matrices(self) -> None:
+    def _prepare_one_sided_matrices(self) -> None:
         """Stack equality and inequality rows, transposed and signed as quadprog takes them."""
-        rows, equalities, _ = self._stack_form_rows()
+        rows, equalities, _ = self._stack_equality_and_inequality_rows()
         rows[equalities:] *= -1.0
         self._C = np.asfortranarray(rows.T) if rows.size else None
         self._b = np.empty(rows.shape[0]) if rows.size else None
         self._equalities, self._a = equalities, np.empty(self._n)
 
-    def _create_solver_from_form(self) -> None:
+    def _create_one_sided_library_solver(self) -> None:
         """Invert the Cholesky factor of P, unless every solve is to start from nothing."""
         self._factorized = self.policy != "fresh"
         self._matrix = self._P
@@ -84,9 +84,9 @@ class QuadprogWorkspace(OneSidedWorkspace):
             upper = self._linalg.cholesky(self._P, lower=False)
             inverse = self._linalg.solve_triangular(upper, np.eye(self._n), lower=False)
             self._matrix = np.asfortranarray(inverse)
-        self._send_form_vectors()
+        self._send_one_sided_vectors_to_library()
 
-    def _send_form_vectors(self) -> None:
+    def _send_one_sided_vectors_to_library(self) -> None:
         """Write the linear cost and right-hand sides with quadprog's signs."""
         form, count = self._form, self._equalities
         np.negative(form.q, out=self._a)
@@ -94,7 +94,7 @@ class QuadprogWorkspace(OneSidedWorkspace):
             self._b[:count] = form.bh[:count]
             np.negative(form.bh[count:], out=self._b[count:])
 
-    def _run_solver(self) -> None:
+    def _call_library_solve(self) -> None:
         """Call quadprog; convert its ValueError into a status."""
         self._result = None
         try:
@@ -105,19 +105,19 @@ class QuadprogWorkspace(OneSidedWorkspace):
             self._words = str(error)
             self._status = STATUS.get(self._words, Status.UNKNOWN)
 
-    def _read_reported_status(self) -> Claim:
+    def _read_status_iterations_and_time(self) -> Claim:
         """Read quadprog's status and iterations; it reports no time."""
         if self._result is None:
             return self._status, -1, -1, self._words
         return Status.SOLVED, int(self._result[3][0]), -1, ""
 
-    def _read_solution_vectors(self) -> Point | None:
+    def _copy_solution_and_multipliers(self) -> Point | None:
         """Return solution z and multipliers y, y_box of quadprog's result; None after an error."""
         if self._result is None:
             return None
         z, _, _, _, dual, _ = self._result
         count = self._equalities
-        return z.copy(), *self._form.two_sided(dual[count:], -dual[:count])
+        return z.copy(), *self._form.convert_multipliers_to_two_sided(dual[count:], -dual[:count])
 
 
-NATIVE = THROUGH_QPSOLVERS.make_native(QuadprogWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native_adapter(QuadprogWorkspace)

@@ -11,7 +11,13 @@ from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, QpsolversAdapter
 from dpbench.solvers.contract import Options
 from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
-from dpbench.solvers.record import CSettings, RouteRecord, SolverRecord, by_tolerance, project_facts
+from dpbench.solvers.record import (
+    CSettings,
+    RouteRecord,
+    SolverRecord,
+    make_project_facts,
+    make_tolerance_presets,
+)
 
 RECORD = SolverRecord(
     name="scs",
@@ -31,8 +37,8 @@ RECORD = SolverRecord(
             start="primal and dual",
         ),
     },
-    levels=by_tolerance("eps_abs", eps_rel=0.0, max_iters=1_000_000),
-    project=project_facts(
+    levels=make_tolerance_presets("eps_abs", eps_rel=0.0, max_iters=1_000_000),
+    project=make_project_facts(
         licence=("MIT", "SCS, metadata of its distribution"),
         language=("C", "SCS documentation, front page"),
         single_precision=("yes, a flag of its build", "SCS source, scs.mk"),
@@ -69,7 +75,7 @@ OPTION_NAMES = (
 )
 
 
-def make_claim(info: Mapping[str, Any], took_ms: float) -> Claim:
+def convert_scs_info_to_claim(info: Mapping[str, Any], took_ms: float) -> Claim:
     """Convert SCS's status, iterations and time to the common form; name the limit reached."""
     status = STATUS.get(int(info["status_val"]), Status.UNKNOWN)
     # An inaccurate answer names the limit that stopped it in its text.
@@ -80,21 +86,23 @@ def make_claim(info: Mapping[str, Any], took_ms: float) -> Claim:
     return status, int(info["iter"]), round(took_ms * 1e6), str(info["status"])
 
 
-def read_status(answer: Any, options: Options) -> Claim:
+def read_scs_status_from_qpsolvers(answer: Any, options: Options) -> Claim:
     """Read SCS's status, iterations and time with set-up from a qpsolvers solution."""
     info = answer.extras
-    return make_claim(info, info["setup_time"] + info["solve_time"])
+    return convert_scs_info_to_claim(info, info["setup_time"] + info["solve_time"])
 
 
-THROUGH_QPSOLVERS = QpsolversAdapter(RECORD, "rows", read_status, lambda: OPTION_NAMES)
+THROUGH_QPSOLVERS = QpsolversAdapter(
+    RECORD, "rows", read_scs_status_from_qpsolvers, lambda: OPTION_NAMES
+)
 
 
 class ScsWorkspace(OneSidedWorkspace):
     """SCS as QP solver, in conic form [A; G] z + s = [b; h]; `warm` gives z, multipliers and s."""
 
-    def _prepare_form_matrices(self) -> None:
+    def _prepare_one_sided_matrices(self) -> None:
         """Convert P and stacked rows [A; G] to sparse for SCS, with a zero row if there is none."""
-        rows, equalities, inequalities = self._stack_form_rows()
+        rows, equalities, inequalities = self._stack_equality_and_inequality_rows()
         self._empty = not rows.size
         if self._empty:
             # It wants a cone: one row 0 z ≤ 0 limits nothing.
@@ -106,46 +114,46 @@ class ScsWorkspace(OneSidedWorkspace):
         self._b = np.zeros(1) if self._empty else self._form.bh
         self._y, self._s = np.zeros(rows.shape[0]), np.zeros(rows.shape[0])
 
-    def _create_solver_from_form(self) -> None:
+    def _create_one_sided_library_solver(self) -> None:
         """Make a new SCS solver from the QP with A z = b, G z ≤ h."""
         data = {"P": self._P_upper, "A": self._matrix, "b": self._b, "c": self._form.q}
         self._solver = self._library.SCS(data, self._cone, verbose=False, **self._options)
         self._given = False
 
-    def _update_vectors(self, q: Vector, low: Vector, high: Vector) -> None:
+    def _send_step_vectors_to_library(self, q: Vector, low: Vector, high: Vector) -> None:
         """Pass a step's vectors to SCS; convert the warm start into its multipliers and slacks."""
-        super()._update_vectors(q, low, high)
-        if not self._advance_start():
+        super()._send_step_vectors_to_library(q, low, high)
+        if not self._shift_warm_start_if_any():
             return
         self._given, start = True, self._start
         if not self._empty:
-            self._form.split_multipliers(start.y, start.y_box, self._y)
+            self._form.write_multipliers_as_one_sided(start.y, start.y_box, self._y)
             np.subtract(self._b, self._dense_rows @ start.z, out=self._s)
             np.maximum(self._s, 0.0, out=self._s)
             self._s[: self._equalities] = 0.0
 
-    def _send_form_vectors(self) -> None:
+    def _send_one_sided_vectors_to_library(self) -> None:
         """Pass the linear cost and right-hand sides to SCS."""
         self._solver.update(b=self._b, c=self._form.q)
 
-    def _run_solver(self) -> None:
+    def _call_library_solve(self) -> None:
         """Call SCS with a warm start if there is one."""
         if self._given:
             self._result = self._solver.solve(True, self._start.z, self._y, self._s)
         else:
             self._result = self._solver.solve(False)
 
-    def _read_reported_status(self) -> Claim:
+    def _read_status_iterations_and_time(self) -> Claim:
         """Read SCS's status, iterations and solve time."""
         info = self._result["info"]
-        return make_claim(info, info["solve_time"])
+        return convert_scs_info_to_claim(info, info["solve_time"])
 
-    def _read_solution_vectors(self) -> Point:
+    def _copy_solution_and_multipliers(self) -> Point:
         """Return copies of SCS's solution and multipliers."""
         z, y, count = self._result["x"].copy(), self._result["y"], self._equalities
         if self._empty:
             return z, np.zeros(self._m), np.zeros(self._n)
-        return z, *self._form.two_sided(y[count:], y[:count])
+        return z, *self._form.convert_multipliers_to_two_sided(y[count:], y[:count])
 
 
-NATIVE = THROUGH_QPSOLVERS.make_native(ScsWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native_adapter(ScsWorkspace)

@@ -4,7 +4,12 @@ from dataclasses import replace
 
 from dpbench.solvers.adapter import NativeAdapter
 from dpbench.solvers.contract import Options, Policy, Workspace
-from dpbench.solvers.record import RouteRecord, SolverRecord, by_tolerance, project_facts
+from dpbench.solvers.record import (
+    RouteRecord,
+    SolverRecord,
+    make_project_facts,
+    make_tolerance_presets,
+)
 
 LICENCE = "Apache-2.0", "dpbench, pyproject.toml"
 PAPER_ACTIVE_SET = SolverRecord(
@@ -21,7 +26,7 @@ PAPER_ACTIVE_SET = SolverRecord(
         )
     },
     levels={},
-    project=project_facts(
+    project=make_project_facts(
         licence=LICENCE,
         language=("C99, library-free, part of dpbench itself", "dpbench, solvers/own/active_set.h"),
         c_code=("yes, it is C", "dpbench, solvers/own/active_set.h"),
@@ -35,16 +40,16 @@ HILDRETH = replace(
     name="hildreth",
     family="first order",
     method="dual coordinate ascent (Hildreth 1957), stopped as in Wang's textbook (2009)",
-    routes={"native": replace(PAPER_ACTIVE_SET.on("native"), start="dual")},
+    routes={"native": replace(PAPER_ACTIVE_SET.get_route_record("native"), start="dual")},
     # Sweeps are cheap, and there are problems that take tens of thousands.
-    levels=by_tolerance("eps_row", max_iter=1_000_000),
+    levels=make_tolerance_presets("eps_row", max_iter=1_000_000),
 )
 UNCONSTRAINED_CLIPPED = replace(
     PAPER_ACTIVE_SET,
     name="unconstrained_clipped",
     family="baseline law",
     method="unconstrained law z = −P⁻¹q (paper eq. 27), to be clipped by the loop",
-    project=project_facts(licence=LICENCE, language=("Python", "dpbench, source")),
+    project=make_project_facts(licence=LICENCE, language=("Python", "dpbench, source")),
     routes={
         "native": RouteRecord(
             ("fresh", "reuse"),
@@ -56,21 +61,25 @@ UNCONSTRAINED_CLIPPED = replace(
 )
 
 
-def _open_paper_active_set(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
+def _open_paper_active_set_solver(
+    record: SolverRecord, policy: Policy, options: Options
+) -> Workspace:
     """Open dpbench's solver by the paper's active-set method, which has no options."""
     from dpbench.solvers.own.paper_active_set import PaperActiveSetWorkspace
 
     return PaperActiveSetWorkspace(record.name, "native", policy)
 
 
-def _open_hildreth(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
+def _open_hildreth_solver(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
     """Open dpbench's solver by Hildreth's dual method, with the given options."""
     from dpbench.solvers.own.hildreth import HildrethSettings, HildrethWorkspace
 
     return HildrethWorkspace(record.name, "native", policy, HildrethSettings.from_options(options))
 
 
-def _open_unconstrained(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
+def _open_solver_ignoring_constraints(
+    record: SolverRecord, policy: Policy, options: Options
+) -> Workspace:
     """Open dpbench's solver that ignores all constraints and has no options."""
     from dpbench.solvers.own.unconstrained import UnconstrainedWorkspace
 
@@ -80,9 +89,11 @@ def _open_unconstrained(record: SolverRecord, policy: Policy, options: Options) 
 OWN = {
     adapter.record.name: adapter
     for adapter in (
-        NativeAdapter(PAPER_ACTIVE_SET, _open_paper_active_set, lambda: ()),
-        NativeAdapter(HILDRETH, _open_hildreth, lambda: ("max_iter", "eps_change", "eps_row")),
-        NativeAdapter(UNCONSTRAINED_CLIPPED, _open_unconstrained, lambda: ()),
+        NativeAdapter(PAPER_ACTIVE_SET, _open_paper_active_set_solver, lambda: ()),
+        NativeAdapter(
+            HILDRETH, _open_hildreth_solver, lambda: ("max_iter", "eps_change", "eps_row")
+        ),
+        NativeAdapter(UNCONSTRAINED_CLIPPED, _open_solver_ignoring_constraints, lambda: ()),
     )
 }
 """Adapters by the name of the solver."""

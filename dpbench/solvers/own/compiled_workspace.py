@@ -10,7 +10,13 @@ import numpy as np
 
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy, Route, Workspace, check_step, missing_setup_error
+from dpbench.solvers.contract import (
+    Policy,
+    Route,
+    Workspace,
+    check_step,
+    make_error_for_missing_setup,
+)
 from dpbench.solvers.own.library import (
     CROSSED,
     FAILED,
@@ -18,7 +24,7 @@ from dpbench.solvers.own.library import (
     NOT_FINITE,
     REFUSALS,
     Problem,
-    open_library,
+    load_own_c_library,
 )
 
 SOLVED = Status.SOLVED
@@ -31,7 +37,7 @@ class CompiledWorkspace(Workspace):
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:
         super().__init__(solver, route, policy)
         self.setup_every_step = policy == "fresh"
-        self._library = open_library()
+        self._library = load_own_c_library()
         self._problem: Problem | None = None
         self._refusal = 0
         self._ending = self._ready = NOT_SOLVED_YET
@@ -54,14 +60,14 @@ class CompiledWorkspace(Workspace):
         problem.low[:n], problem.high[:n] = qp.lb, qp.ub
         self._q[:], self._low[:], self._high[:] = qp.q, qp.l, qp.u
         problem.head.stale = 1
-        self._factorise(problem)
+        self._factorise_or_store_refusal(problem)
 
-    def _factorise(self, problem: Problem) -> None:
+    def _factorise_or_store_refusal(self, problem: Problem) -> None:
         """Have the C library factorise a QP's matrices; keep its refusal, if any."""
         arrays = problem.P_pointer, problem.A_pointer
-        self._store_refusal(self._library.active_set_factorise(self._pointer, *arrays))
+        self._store_refusal_by_code(self._library.active_set_factorise(self._pointer, *arrays))
 
-    def _store_refusal(self, code: int) -> None:
+    def _store_refusal_by_code(self, code: int) -> None:
         """Store why the C library refused a QP, by its code; 0 for none."""
         self._refusal = code
         self._ending = self._ready = REFUSED if code else NOT_SOLVED_YET
@@ -76,13 +82,13 @@ class CompiledWorkspace(Workspace):
                 return
             except (AttributeError, ValueError, TypeError):
                 pass
-        self._update_slowly(step)
+        self._update_with_shape_checks(step)
 
-    def _update_slowly(self, step: QPStep) -> None:
+    def _update_with_shape_checks(self, step: QPStep) -> None:
         """Write a step that brings matrices, bounds or other kinds of arrays; check its shapes."""
         problem = self._problem
         if problem is None:
-            raise missing_setup_error("update")
+            raise make_error_for_missing_setup("update")
         n = len(self._q)
         pairs = (self._q, step.q), (self._low, step.l), (self._high, step.u), (problem.P, step.P)
         others = (problem.A, step.A), (problem.low[:n], step.lb), (problem.high[:n], step.ub)
@@ -92,17 +98,17 @@ class CompiledWorkspace(Workspace):
                     check_step(step, n, len(self._low))
                 array[:] = new
         if step.refresh is not Refresh.VECTORS:
-            self._update_matrices(step, problem)
+            self._write_new_matrices_into_library(step, problem)
         self._ending = self._ready
 
-    def _update_matrices(self, step: QPStep, problem: Problem) -> None:
+    def _write_new_matrices_into_library(self, step: QPStep, problem: Problem) -> None:
         """Have the library take over new matrices; where P is that of before, its factor stays."""
         self.matrix_updates += 1
         if step.P is not None or self._refusal:
-            self._factorise(problem)
+            self._factorise_or_store_refusal(problem)
         elif step.A is not None:
             replace_rows = self._library.active_set_replace_rows
-            self._store_refusal(replace_rows(self._pointer, problem.A_pointer))
+            self._store_refusal_by_code(replace_rows(self._pointer, problem.A_pointer))
 
     def read(self) -> Solution:
         """Return the last solve's answer, copied, with a status that says how it ended."""
@@ -110,36 +116,36 @@ class CompiledWorkspace(Workspace):
         if ending >= 0:
             return Solution(SOLVED, self._z.copy(), self._y.copy(), self._y_box.copy(), ending)
         if self._problem is None:
-            raise missing_setup_error("read")
+            raise make_error_for_missing_setup("read")
         if ending == NOT_SOLVED_YET:
-            return self._make_empty_solution(Status.ERROR, "read before solve")
+            return self._make_solution_without_point(Status.ERROR, "read before solve")
         if ending == REFUSED:
-            return self._make_empty_solution(Status.ERROR, REFUSALS[self._refusal])
+            return self._make_solution_without_point(Status.ERROR, REFUSALS[self._refusal])
         if ending == NOT_FINITE:
-            return self._make_empty_solution(Status.ERROR, "q is not finite")
+            return self._make_solution_without_point(Status.ERROR, "q is not finite")
         if ending == CROSSED:
-            return self._make_crossed_limits_solution()
+            return self._make_solution_of_bad_limits()
         if ending == INFEASIBLE:
-            answer = self._make_empty_solution(
+            answer = self._make_solution_without_point(
                 Status.PRIMAL_INFEASIBLE, "y and y_box are a Farkas ray"
             )
             answer.y, answer.y_box = self._y.copy(), self._y_box.copy()
             return answer
         if ending == FAILED:
             sentence = "rounding leaves no point near the optimality conditions"
-            return self._make_empty_solution(Status.NUMERICAL_ERROR, sentence)
-        return self._make_unfinished_solution(
+            return self._make_solution_without_point(Status.NUMERICAL_ERROR, sentence)
+        return self._make_solution_of_unfinished_solve(
             self._z.copy(), self._y.copy(), self._y_box.copy(), self._problem.head.iterations
         )
 
-    def _make_unfinished_solution(
+    def _make_solution_of_unfinished_solve(
         self, z: np.ndarray, y: np.ndarray, y_box: np.ndarray, iterations: int
     ) -> Solution:
         """Return the answer of a solve that ended near an optimum, as INACCURATE."""
         detail = "where the optimum is depends on rounding"
         return Solution(Status.INACCURATE, z, y, y_box, iterations, detail=detail)
 
-    def _make_crossed_limits_solution(self) -> Solution:
+    def _make_solution_of_bad_limits(self) -> Solution:
         """Return PRIMAL_INFEASIBLE with a proof for limits that cross, ERROR for NaN limits."""
         assert self._problem is not None
         n = len(self._q)
@@ -147,9 +153,9 @@ class CompiledWorkspace(Workspace):
             np.concatenate([a[n:], a[:n]]) for a in (self._problem.low, self._problem.high)
         )
         if np.isnan(low).any() or np.isnan(high).any():
-            return self._make_empty_solution(Status.ERROR, "a limit is NaN")
+            return self._make_solution_without_point(Status.ERROR, "a limit is NaN")
         row = np.flatnonzero((low > high) | (low == np.inf) | (high == -np.inf))[0]
-        answer = self._make_empty_solution(
+        answer = self._make_solution_without_point(
             Status.PRIMAL_INFEASIBLE, f"the limits of row {row} of [A; I] cross"
         )
         proof = np.zeros(low.size)
@@ -157,7 +163,7 @@ class CompiledWorkspace(Workspace):
         answer.y, answer.y_box = proof[:-n], proof[-n:]
         return answer
 
-    def _make_empty_solution(self, status: Status, detail: str) -> Solution:
+    def _make_solution_without_point(self, status: Status, detail: str) -> Solution:
         """Return an answer without a point, with a status and its detail."""
         return Solution.without_point(len(self._q), len(self._low), status, detail)
 

@@ -27,7 +27,7 @@ FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-shared", "-fPIC")
 REMEDY = "install ziglang, or name a C compiler by DPBENCH_CC=cc"
 
 
-def library_name() -> str:
+def make_library_file_name() -> str:
     """Return the library's file name, with a checksum of sources and flags."""
     checksum = zlib.crc32(" ".join(FLAGS).encode())
     for name in SOURCES:
@@ -35,7 +35,7 @@ def library_name() -> str:
     return f"_own_{checksum:08x}{SUFFIX}"
 
 
-def compiler_command() -> list[str]:
+def find_c_compiler_command() -> list[str]:
     """Return the command of a C compiler; RuntimeError if there is none."""
     named = os.environ.get("DPBENCH_CC", "")
     if named:
@@ -48,19 +48,19 @@ def compiler_command() -> list[str]:
     raise RuntimeError(f"no C compiler was found: {REMEDY}")
 
 
-def compile_library(folder: Path = FOLDER) -> Path:
+def compile_own_library_if_missing(folder: Path = FOLDER) -> Path:
     """Compile the library into a folder, unless it is there; RuntimeError if that fails.
 
     Libraries of other sources in that folder are removed.
     """
-    target = folder / library_name()
+    target = folder / make_library_file_name()
     if target.exists():
         return target
     folder.mkdir(parents=True, exist_ok=True)
     partial = folder / f"{target.name}.{os.getpid()}"
     # It includes the others.
     source = str(FOLDER / "hildreth.c")
-    command = [*compiler_command(), *FLAGS, "-o", str(partial), source]
+    command = [*find_c_compiler_command(), *FLAGS, "-o", str(partial), source]
     try:
         subprocess.run(command, check=True, capture_output=True, text=True)
     except (OSError, subprocess.CalledProcessError) as error:

@@ -15,7 +15,7 @@ import numpy as np
 
 from dpbench.errors import SettingsError
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy, Route, missing_setup_error
+from dpbench.solvers.contract import Policy, Route, make_error_for_missing_setup
 from dpbench.solvers.own.compiled_workspace import REFUSED, CompiledWorkspace
 
 
@@ -62,14 +62,14 @@ class HildrethWorkspace(CompiledWorkspace):
         if self._ending == REFUSED:
             return
         if self._problem is None:
-            raise missing_setup_error("solve")
+            raise make_error_for_missing_setup("solve")
         if self._change.size != self._problem.lam.size:
             self._change = np.zeros_like(self._problem.lam)
             self._change_pointer = self._change.ctypes.data
         solve = self._library.hildreth_solve
         self._ending = solve(self._pointer, *self._criteria, self._change_pointer)
 
-    def _make_unfinished_solution(
+    def _make_solution_of_unfinished_solve(
         self, z: np.ndarray, y: np.ndarray, y_box: np.ndarray, iterations: int
     ) -> Solution:
         """Return what the sweeps have reached, as MAX_ITERATIONS."""

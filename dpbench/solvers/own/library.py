@@ -15,7 +15,11 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Vector
 from dpbench.errors import SolverUnavailableError
-from dpbench.solvers.own.compiling import FOLDER, compile_library, library_name
+from dpbench.solvers.own.compiling import (
+    FOLDER,
+    compile_own_library_if_missing,
+    make_library_file_name,
+)
 
 REAL, INTEGER, POINTER = ctypes.c_double, ctypes.c_int, ctypes.c_void_p
 NOT_FINITE, CROSSED, INFEASIBLE, INACCURATE, FAILED = -1, -2, -3, -4, -5
@@ -32,7 +36,7 @@ _FUNCTIONS = {
 }
 
 
-def _name_fields(kind: type, names: str) -> list[tuple[str, type]]:
+def _pair_field_names_with_type(kind: type, names: str) -> list[tuple[str, type]]:
     """Return name and type of each field of one kind of a C structure."""
     return [(name, kind) for name in names.split()]
 
@@ -47,26 +51,33 @@ class ActiveSet(ctypes.Structure):
     """The structure `active_set` of `active_set.h`."""
 
     _fields_ = [
-        *_name_fields(INTEGER, "n m warm block stale count iterations"),
-        *_name_fields(
+        *_pair_field_names_with_type(INTEGER, "n m warm block stale count iterations"),
+        *_pair_field_names_with_type(
             POINTER, "q low high z lam P G unit a column first parent rest order sizes blocks"
         ),
-        *_name_fields(INTEGER, "coupled"),
-        *_name_fields(REAL, "longest steepest largest widest loss"),
-        *_name_fields(POINTER, "base L active side R T r e z_low lam_low r_low from to"),
+        *_pair_field_names_with_type(INTEGER, "coupled"),
+        *_pair_field_names_with_type(REAL, "longest steepest largest widest loss"),
+        *_pair_field_names_with_type(
+            POINTER, "base L active side R T r e z_low lam_low r_low from to"
+        ),
         ("found", View),
-        *_name_fields(POINTER, "refine"),
+        *_pair_field_names_with_type(POINTER, "refine"),
     ]
 
 
 @cache
-def open_library() -> Any:
+def load_own_c_library() -> Any:
     """Load the library, compiled first if missing; SolverUnavailableError where that fails."""
-    own, cached = FOLDER / library_name(), _cache_folder() / library_name()
+    own, cached = (
+        FOLDER / make_library_file_name(),
+        _find_writable_library_folder() / make_library_file_name(),
+    )
     path = own if own.exists() or not cached.exists() else cached
     try:
         if not path.exists():
-            path = compile_library(FOLDER if os.access(FOLDER, os.W_OK) else _cache_folder())
+            path = compile_own_library_if_missing(
+                FOLDER if os.access(FOLDER, os.W_OK) else _find_writable_library_folder()
+            )
         library = ctypes.PyDLL(str(path))
     except (OSError, RuntimeError) as error:
         raise SolverUnavailableError("dpbench's own solvers", str(error)) from None
@@ -76,7 +87,7 @@ def open_library() -> Any:
     return library
 
 
-def _cache_folder() -> Path:
+def _find_writable_library_folder() -> Path:
     """Return the folder for a library whose sources stand where nothing can be written."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dpbench"
 
@@ -96,17 +107,25 @@ class Problem:
         self.head = ActiveSet()
         self.pointer = ctypes.c_void_p(ctypes.addressof(self.head))
         data = (array.ctypes.data for array in (self._reals, self._integers))
-        open_library().active_set_place(self.pointer, n, m, *data)
-        views = self.view("low", N), self.view("high", N), self.view("z", n), self.view("lam", N)
+        load_own_c_library().active_set_place(self.pointer, n, m, *data)
+        views = (
+            self.view_vector_of_c_structure("low", N),
+            self.view_vector_of_c_structure("high", N),
+            self.view_vector_of_c_structure("z", n),
+            self.view_vector_of_c_structure("lam", N),
+        )
         self.low, self.high, self.z, self.lam = views
-        self.q = self.view("q", n)
+        self.q = self.view_vector_of_c_structure("q", n)
         self.P, self.A = np.zeros((n, n)), np.zeros((m, n))
         self.P_pointer, self.A_pointer = self.P.ctypes.data, self.A.ctypes.data
 
-    def constants(self) -> dict[str, NDArray[Any]]:
+    def copy_arrays_that_depend_on_matrices(self) -> dict[str, NDArray[Any]]:
         """Return what P and A determine, by the names of the structure's arrays."""
         n, m = self.A.shape[1], self.A.shape[0]
-        first, sizes = self._integer_view("first", m + 1), self._integer_view("sizes", n)
+        first, sizes = (
+            self._view_integers_of_c_structure("first", m + 1),
+            self._view_integers_of_c_structure("sizes", n),
+        )
         entries, start, blocks = int(first[-1]), 0, 0
         while start < self.head.coupled:
             blocks += sizes[start] ** 2
@@ -114,15 +133,19 @@ class Problem:
         reals = {"P": n * n, "G": (n + m) * n, "unit": n + m, "a": entries, "blocks": blocks}
         integers = {"column": entries, "first": m + 1, "parent": m, "rest": m}
         integers |= {"order": n, "sizes": n}
-        found = {name: self.view(name, length) for name, length in reals.items()}
-        return found | {name: self._integer_view(name, k) for name, k in integers.items()}
+        found = {
+            name: self.view_vector_of_c_structure(name, length) for name, length in reals.items()
+        }
+        return found | {
+            name: self._view_integers_of_c_structure(name, k) for name, k in integers.items()
+        }
 
-    def _integer_view(self, name: str, length: int) -> NDArray[np.intc]:
+    def _view_integers_of_c_structure(self, name: str, length: int) -> NDArray[np.intc]:
         """Return integers of the C structure as an array that shares their memory."""
         start = (getattr(self.head, name) - self._integers.ctypes.data) // self._integers.itemsize
         return self._integers[start : start + length]
 
-    def view(self, name: str, length: int) -> Vector:
+    def view_vector_of_c_structure(self, name: str, length: int) -> Vector:
         """Return a vector of the C structure as an array that shares its memory."""
         start = (getattr(self.head, name) - self._reals.ctypes.data) // self._reals.itemsize
         return self._reals[start : start + length]

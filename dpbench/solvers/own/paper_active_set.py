@@ -4,7 +4,7 @@ The paper's E, F, M, γ are P, q, the signed rows of [I; A] and their limits. Th
 and an example to follow by hand are in `active_set.c`.
 """
 
-from dpbench.solvers.contract import Policy, Route, missing_setup_error
+from dpbench.solvers.contract import Policy, Route, make_error_for_missing_setup
 from dpbench.solvers.own.compiled_workspace import REFUSED, CompiledWorkspace
 
 
@@ -20,5 +20,5 @@ class PaperActiveSetWorkspace(CompiledWorkspace):
         if self._ending == REFUSED:
             return
         if self._problem is None:
-            raise missing_setup_error("solve")
+            raise make_error_for_missing_setup("solve")
         self._ending = self._solve(self._pointer)

@@ -11,7 +11,13 @@ import scipy.linalg
 from dpbench.arrays import Vector
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Policy, Route, Workspace, check_step, missing_setup_error
+from dpbench.solvers.contract import (
+    Policy,
+    Route,
+    Workspace,
+    check_step,
+    make_error_for_missing_setup,
+)
 
 
 class UnconstrainedWorkspace(Workspace):
@@ -36,7 +42,7 @@ class UnconstrainedWorkspace(Workspace):
     def update(self, step: QPStep) -> None:
         """Take over the linear cost q; factorise P again if matrices changed."""
         if self._base is None:
-            raise missing_setup_error("update")
+            raise make_error_for_missing_setup("update")
         check_step(step, self._base.n, self._base.m)
         if step.refresh is Refresh.VECTORS:
             self._q[:] = step.q
@@ -53,7 +59,7 @@ class UnconstrainedWorkspace(Workspace):
     def read(self) -> Solution:
         """Return the unconstrained optimum with zero multipliers and status UNKNOWN."""
         if self._base is None:
-            raise missing_setup_error("read")
+            raise make_error_for_missing_setup("read")
         n, m = self._base.n, self._base.m
         if self._factor is None:
             return Solution.without_point(n, m, Status.ERROR, "P is not positive definite")

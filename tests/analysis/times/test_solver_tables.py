@@ -18,8 +18,8 @@ from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import load_path_and_suite
 from dpbench.solvers.calibration import COPY_ONLY
-from dpbench.solvers.settings import has_tolerance_levels, setting_names
-from dpbench.solvers.table import find_record
+from dpbench.solvers.settings import has_distinct_tolerance_presets, list_preset_names
+from dpbench.solvers.table import find_solver_record
 
 
 def _matrix(records: Any) -> RunMatrix:
@@ -208,10 +208,10 @@ def test_the_levels_suite_runs_every_level_of_every_solver(sequence: str) -> Non
         cell = planned.cell
         if cell.sequence.partition("[")[0] == sequence:
             assert cell.steps >= 1000
-            assert cell.route == find_record(cell.solver).default_route
+            assert cell.route == find_solver_record(cell.solver).default_route
             names = (cell.settings, *planned.alias_settings)
             found.setdefault(cell.solver, set()).update(names)
     assert {"daqp", "osqp", "piqp", "quadprog"} <= set(found)
     for solver, names in found.items():
-        assert names == set(levels) & set(setting_names(solver))
-    assert any(not has_tolerance_levels(solver) for solver in found)
+        assert names == set(levels) & set(list_preset_names(solver))
+    assert any(not has_distinct_tolerance_presets(solver) for solver in found)

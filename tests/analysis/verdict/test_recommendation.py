@@ -11,7 +11,7 @@ from dpbench.analysis.verdict.fastest import (
     deployment_blocker,
     fastest_configuration,
     fastest_first,
-    find_solver_record,
+    find_solver_record_or_none,
     rank_configurations,
     rank_solvers,
     solver_family,
@@ -182,10 +182,10 @@ def test_a_better_verdict_precedes_a_time(states: tuple[str, str, str], chosen: 
 
 
 def test_a_solver_that_is_not_known_here() -> None:
-    assert find_solver_record("nobody") is None
+    assert find_solver_record_or_none("nobody") is None
     assert solver_family("nobody") == "not stated"
     assert deployment_blocker("nobody") == "not in the table of this installation"
-    assert find_solver_record("daqp") is not None and solver_family("daqp") == "active set"
+    assert find_solver_record_or_none("daqp") is not None and solver_family("daqp") == "active set"
     assert {deployment_blocker(name) for name in ("daqp", "osqp", "clarabel")} == {""}
     assert deployment_blocker("qtqp") == "written in Python"
     assert deployment_blocker(PYTHON_CODE).startswith("written in Python")

@@ -23,7 +23,7 @@ from dpbench.bench.engines.on_worker import (
 from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.workers.child import start_forkserver
 from dpbench.bench.workers.jobs import CellBatch, CellJob, Result
-from dpbench.solvers.table import check_availability
+from dpbench.solvers.table import find_solver_availability
 from dpbench.temporary_folders import PREFIX, make_temporary_folder_for_block
 
 pytestmark = pytest.mark.slow
@@ -65,7 +65,7 @@ def test_what_a_killed_worker_left_goes_with_the_next_task(place: Path) -> None:
 @pytest.fixture
 def jobs(suite: Path) -> list[CellJob]:
     planned = RunRequest(suite=str(suite), solvers=["daqp"]).make_plan().cells
-    return [CellJob(p, p.cell.key, check_availability("daqp"), "machine") for p in planned]
+    return [CellJob(p, p.cell.key, find_solver_availability("daqp"), "machine") for p in planned]
 
 
 def results_of(jobs: list[CellJob]) -> list[Result]:

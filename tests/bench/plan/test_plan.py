@@ -18,7 +18,7 @@ from dpbench.bench.record.cell import Cell
 from dpbench.cli.check import check_file
 from dpbench.errors import InputError, UnknownNameError
 from dpbench.solvers.calibration import CALIBRATION
-from dpbench.solvers.table import find_record
+from dpbench.solvers.table import find_solver_record
 
 
 def test_a_cell_asked_for_twice_keeps_all_names_of_its_settings() -> None:
@@ -44,10 +44,14 @@ def test_the_standard_suite_runs_what_its_verdict_needs() -> None:
             ways = places.setdefault(cell.solver, {})
             ways.setdefault((cell.route, cell.policy, settings), {})[place] = cell.steps
     for solver, ways in places.items():
-        row = find_record(solver)
+        row = find_solver_record(solver)
         usual = ways[row.default_route, "fresh", "default"]
         assert ways[row.default_route, "fresh", "high"] == usual, solver
-        kept = {policy for policy in ("reuse", "warm") if policy in row.policies.get("native", ())}
+        kept = {
+            policy
+            for policy in ("reuse", "warm")
+            if policy in row.policies_by_route.get("native", ())
+        }
         for settings in ("default", "high"):
             whole = [p for p in kept if ways["native", p, settings] == usual]
             assert bool(whole) == bool(kept), (solver, settings)

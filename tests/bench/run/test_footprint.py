@@ -14,7 +14,7 @@ from dpbench.bench.run import footprint
 from dpbench.bench.run.formulation import formulate_sequence
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram
-from dpbench.solvers.calibration import COPY_ONLY, NO_OP, NoOpWorkspace, open_calibration
+from dpbench.solvers.calibration import COPY_ONLY, NO_OP, NoOpWorkspace, open_calibration_solver
 from dpbench.solvers.contract import Workspace
 
 MEGABYTE = 2**20
@@ -34,7 +34,7 @@ def _measured(workspace: Workspace, n: int = 3) -> tuple[float, float, float]:
 
 
 def test_no_op_holds_nothing_and_copy_only_an_answer() -> None:
-    idle, copied = (_measured(open_calibration(name)) for name in (NO_OP, COPY_ONLY))
+    idle, copied = (_measured(open_calibration_solver(name)) for name in (NO_OP, COPY_ONLY))
     assert (idle[0], copied[0]) == (0.0, 4.0)
 
 

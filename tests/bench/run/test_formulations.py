@@ -29,7 +29,7 @@ from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution
 from dpbench.scenario.scenario import Scenario, build_scenario
 from dpbench.solvers.contract import Policy, Workspace
-from dpbench.solvers.table import check_availability
+from dpbench.solvers.table import find_solver_availability
 from tests.bench.deterministic import run_suite, suite_toml
 
 SOLVER = "piqp_multistage"
@@ -253,7 +253,7 @@ SETTINGS: dict[str, Any] = {"piqp_multistage": PIQP, "hpipm_ocp": HPIPM, "hpipm"
 STEPS = {"hpipm": 5}
 
 
-@pytest.mark.parametrize("solver", [name for name in SETTINGS if check_availability(name).ok])
+@pytest.mark.parametrize("solver", [name for name in SETTINGS if find_solver_availability(name).ok])
 @pytest.mark.parametrize(
     ("scenario", "horizons", "steps"),
     [("paper", (30, 5), 40), ("paper_tight", (30, 5), 40), ("rough", (60, 10), 15)],

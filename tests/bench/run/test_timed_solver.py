@@ -25,7 +25,7 @@ from dpbench.bench.run.timed_solver import (
 from dpbench.bench.workers.worker import find_hang
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Workspace, describe_exception
+from dpbench.solvers.contract import Workspace, describe_exception_unless_interrupt
 
 LIMIT_S = 0.05
 
@@ -51,7 +51,7 @@ class Spinning(Workspace):
         except BaseException as error:
             if not self._catches:
                 raise
-            self._words = describe_exception(error)
+            self._words = describe_exception_unless_interrupt(error)
 
     def read(self) -> Solution:
         return Solution(Status.SOLVED, np.ones(1), np.zeros(1), np.zeros(1))

@@ -9,13 +9,13 @@ from dpbench.arrays import Flags, Matrix
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.libraries.hpipm_ocp import Stage, split_stages
+from dpbench.solvers.libraries.hpipm_ocp import Stage, split_qp_into_stages
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import check_availability
+from dpbench.solvers.table import find_solver_availability
 from tests.solvers.conftest import run_program, solve_next
 
 needs_casadi = pytest.mark.skipif(
-    not check_availability("hpipm_ocp").ok, reason="casadi is not installed"
+    not find_solver_availability("hpipm_ocp").ok, reason="casadi is not installed"
 )
 
 TIGHT = {
@@ -140,7 +140,7 @@ for answer in answers[1:]:
 
 def assert_complete(stages: list[Stage], P: Matrix, A: Matrix, equal: Flags) -> None:
     """Each variable and each row is in one stage, and no entry is lost between them."""
-    variables = np.concatenate([stage.variables for stage in stages])
+    variables = np.concatenate([stage.variable_indices for stage in stages])
     dynamics = np.concatenate([stage.dynamics for stage in stages])
     rows = np.concatenate([dynamics, *(stage.rows for stage in stages)])
     np.testing.assert_array_equal(np.sort(variables), np.arange(P.shape[0]))
@@ -148,12 +148,12 @@ def assert_complete(stages: list[Stage], P: Matrix, A: Matrix, equal: Flags) -> 
     assert stages[0].states.size == 0 and equal[dynamics].all()
     cost, linear = np.zeros_like(P), np.zeros_like(A)
     for k, stage in enumerate(stages):
-        here = stage.variables
+        here = stage.variable_indices
         cost[np.ix_(here, here)] = P[np.ix_(here, here)]
         linear[np.ix_(stage.rows, here)] = A[np.ix_(stage.rows, here)]
         for row, state in zip(stage.dynamics, stage.states, strict=True):
             linear[row, state] = A[row, state]
-            linear[row, stages[k - 1].variables] = A[row, stages[k - 1].variables]
+            linear[row, stages[k - 1].variable_indices] = A[row, stages[k - 1].variable_indices]
     np.testing.assert_array_equal(cost, P)
     np.testing.assert_array_equal(linear, A)
 
@@ -165,7 +165,7 @@ def test_stages_are_those_of_the_builder_and_lose_no_entry(seed: int, coupling: 
     order = rng.permutation(qp.m)
     A, equal = qp.A[order], (qp.l == qp.u)[order]
     A[rng.uniform(size=A.shape) < coupling] = 0.3
-    stages = split_stages(qp.stages, qp.P, A, equal)
+    stages = split_qp_into_stages(qp.stages, qp.P, A, equal)
     if not coupling or len(stages) > 1:
         assert tuple((s.states.size, s.inputs.size) for s in stages) == qp.stages
     assert_complete(stages, qp.P, A, equal)
@@ -174,6 +174,8 @@ def test_stages_are_those_of_the_builder_and_lose_no_entry(seed: int, coupling: 
 def test_sizes_that_do_not_fit_leave_a_single_stage() -> None:
     A, equal = np.array([[1.0, -1.0], [2.0, -1.0]]), np.array([True, True])
     for sizes in ([], [(0, 1)], [(1, 0), (1, 0)], [(0, 1), (1, 0)]):
-        stages = split_stages(sizes, np.eye(2), A, equal if sizes != [(0, 1), (1, 0)] else ~equal)
+        stages = split_qp_into_stages(
+            sizes, np.eye(2), A, equal if sizes != [(0, 1), (1, 0)] else ~equal
+        )
         assert [stage.inputs.tolist() for stage in stages] == [[0, 1]]
         assert stages[0].rows.tolist() == [0, 1]

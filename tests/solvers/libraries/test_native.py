@@ -16,16 +16,16 @@ from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.libraries import NATIVE
 from dpbench.solvers.libraries.native_workspace import WarmStart
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import TABLE, check_availability
+from dpbench.solvers.table import TABLE, find_solver_availability
 from tests.solvers.conftest import Sequence, solve_next, solve_qp
 
-HERE = [name for name in NATIVE if check_availability(name).ok]
-WARM = [name for name in HERE if "warm" in TABLE[name].on("native").policies]
+HERE = [name for name in NATIVE if find_solver_availability(name).ok]
+WARM = [name for name in HERE if "warm" in TABLE[name].get_route_record("native").policies]
 
 
 def opened(solver, policy="", settings="default"):
     """A workspace that keeps something from step to step."""
-    policy = policy or TABLE[solver].on("native").policies[1]
+    policy = policy or TABLE[solver].get_route_record("native").policies[1]
     return open_workspace(solver, route="native", policy=policy, settings=settings)
 
 
@@ -53,9 +53,9 @@ def test_a_start_is_the_previous_answer_one_move_later():
         (0, (z, y, y_box)),
     ):
         start = WarmStart(6, 3, block)
-        assert not start.advance()
-        start.remember(Solution(Status.SOLVED, z, y, y_box))
-        assert start.advance()
+        assert not start.shift_stored_answer_if_any()
+        start.store_copy_of_answer(Solution(Status.SOLVED, z, y, y_box))
+        assert start.shift_stored_answer_if_any()
         for shifted, wanted in zip((start.z, start.y, start.y_box), expected, strict=True):
             np.testing.assert_array_equal(shifted, wanted)
         np.testing.assert_array_equal(start.dual, np.concatenate([start.y, start.y_box]))
@@ -71,7 +71,7 @@ STATELESS = {
 
 @pytest.mark.parametrize("solver", sorted(STATELESS))
 def test_what_a_kept_workspace_carries_on_is_what_the_table_says(solver, sequence):
-    assert TABLE[solver].on("native").keeps
+    assert TABLE[solver].get_route_record("native").keeps
     for settings, same in ((STATELESS[solver], True), ("default", False)):
         kept = answers(opened(solver, "reuse", settings), sequence.base, sequence.steps)
         problems = map(sequence.base.at, sequence.steps)
@@ -81,7 +81,7 @@ def test_what_a_kept_workspace_carries_on_is_what_the_table_says(solver, sequenc
 
 @pytest.mark.parametrize("solver", HERE)
 def test_limits_that_cross_are_never_solved(solver, sequence):
-    blind = "solved despite limits that cross" in TABLE[solver].on("native").faults
+    blind = "solved despite limits that cross" in TABLE[solver].get_route_record("native").faults
     base, step = sequence.base, sequence.steps[0]
     low = step.l.copy()
     low[0] = step.u[0] + 1.0
@@ -98,8 +98,11 @@ class Panic(BaseException):
     """As raised by Rust libraries, which do not derive theirs from Exception."""
 
 
-CALLS = [("native", method) for method in ("_build_solver", "_update_vectors", "_run_solver")]
-CALLS.append(("qpsolvers", "_run_solver"))
+CALLS = [
+    ("native", method)
+    for method in ("_create_library_solver", "_send_step_vectors_to_library", "_call_library_solve")
+]
+CALLS.append(("qpsolvers", "_call_library_solve"))
 """Methods that call the library, on each route."""
 
 
@@ -113,7 +116,7 @@ def test_what_a_library_raises_is_an_answer(monkeypatch, sequence, route, method
         raise error
 
     def run():
-        if method == "_build_solver":
+        if method == "_create_library_solver":
             return solve_qp(workspace, sequence.base)
         return solve_next(workspace, sequence.steps[0])
 
@@ -201,8 +204,8 @@ def test_a_step_leaves_no_memory_behind(solver, sequence):
 LIMITED = [
     (name, route, policy)
     for name, row in TABLE.items()
-    if row.time_limit and check_availability(name).ok
-    for route, policies in row.policies.items()
+    if row.time_limit and find_solver_availability(name).ok
+    for route, policies in row.policies_by_route.items()
     for policy in policies
 ]
 """Configurations of libraries that end a solve after a time by themselves."""

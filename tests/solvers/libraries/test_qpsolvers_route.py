@@ -13,10 +13,10 @@ from dpbench.solvers.libraries import THROUGH_QPSOLVERS
 from dpbench.solvers.libraries import qpsolvers_workspace as qpsolvers_route
 from dpbench.solvers.one_sided import OneSidedForm
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import TABLE, check_availability
+from dpbench.solvers.table import TABLE, find_solver_availability
 from tests.solvers.conftest import Configuration, solve_qp
 
-THROUGH = [name for name in THROUGH_QPSOLVERS if check_availability(name).ok]
+THROUGH = [name for name in THROUGH_QPSOLVERS if find_solver_availability(name).ok]
 
 
 @pytest.mark.parametrize("solver", THROUGH)
@@ -25,7 +25,7 @@ def test_warm_is_offered_where_a_start_matters_and_only_there(solver, sequence):
     row = adapter.record
     name = adapter.qpsolvers_key
     form = OneSidedForm(sequence.base, row.form, adapter.box)
-    form.fill(sequence.base.q, sequence.base.l, sequence.base.u)
+    form.write_step_vectors_as_one_sided(sequence.base.q, sequence.base.l, sequence.base.u)
     qp = Problem(form.P, form.q, form.G, form.h, form.A, form.b, form.lb, form.ub)
     rng = np.random.default_rng(3)
     with warnings.catch_warnings():
@@ -36,7 +36,7 @@ def test_warm_is_offered_where_a_start_matters_and_only_there(solver, sequence):
             np.array_equal(solve_problem(qp, name, initvals=x, **adapter.fixed).x, without)
             for x in starts
         ]
-    assert all(same) == ("warm" not in row.policies["qpsolvers"])
+    assert all(same) == ("warm" not in row.policies_by_route["qpsolvers"])
 
 
 @pytest.mark.parametrize("block", [0, 2])

@@ -5,7 +5,7 @@ import numpy as np
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Solution
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.own.library import Problem, open_library
+from dpbench.solvers.own.library import Problem, load_own_c_library
 from tests.solvers.conftest import solve_qp
 
 INF = np.inf
@@ -33,7 +33,7 @@ def proves_infeasible(qp, y, y_box) -> bool:
     problem = Problem(qp.n, qp.m)
     problem.P[:], problem.A[:] = qp.P, qp.A
     problem.low[:], problem.high[:] = np.append(qp.lb, qp.l), np.append(qp.ub, qp.u)
-    library = open_library()
+    library = load_own_c_library()
     library.active_set_factorise(problem.pointer, problem.P_pointer, problem.A_pointer)
     problem.lam[:] = np.append(y_box, y)
     return bool(library.active_set_is_proof(problem.pointer))

@@ -136,7 +136,7 @@ def test_it_compiles_without_a_warning_and_solves_the_example_of_its_head(
     precision: tuple[str, ...], tmp_path: Path
 ) -> None:
     try:
-        compiler = compiling.compiler_command()
+        compiler = compiling.find_c_compiler_command()
     except RuntimeError as error:
         pytest.skip(str(error))
     main, program = tmp_path / "main.c", tmp_path / "main"
@@ -168,13 +168,17 @@ def test_a_missing_library_without_a_compiler_is_one_line_with_the_remedy(
 ) -> None:
     monkeypatch.setenv("DPBENCH_CC", "no-such-compiler")
     for module in (compiling, library):
-        monkeypatch.setattr(module, "library_name", lambda: "_own_missing.so")
+        monkeypatch.setattr(module, "make_library_file_name", lambda: "_own_missing.so")
     with pytest.raises(SolverUnavailableError, match=re.escape(compiling.REMEDY)) as error:
-        library.open_library.__wrapped__()
+        library.load_own_c_library.__wrapped__()
     assert "\n" not in str(error.value)
 
 
 @pytest.mark.slow
 def test_a_folder_without_the_library_gets_it(tmp_path: Path) -> None:
-    path = compiling.compile_library(tmp_path / "new")
-    assert [path.name] == [each.name for each in path.parent.iterdir()] == [library.library_name()]
+    path = compiling.compile_own_library_if_missing(tmp_path / "new")
+    assert (
+        [path.name]
+        == [each.name for each in path.parent.iterdir()]
+        == [library.make_library_file_name()]
+    )

@@ -7,7 +7,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from dpbench.qp.program import QPSequence, QuadraticProgram
-from dpbench.solvers.own.library import Problem, open_library
+from dpbench.solvers.own.library import Problem, load_own_c_library
 
 FOLDER = Path(__file__).parent
 SCALARS = ("coupled", "longest", "steepest", "largest", "widest", "loss")
@@ -28,8 +28,8 @@ def _write_constants(qp: QuadraticProgram, *, refined: bool) -> str:
     """Return the constants of a QP's matrices as text of a C header."""
     problem = Problem(qp.n, qp.m)
     problem.P[:], problem.A[:] = qp.P, qp.A
-    open_library().active_set_factorise(problem.pointer, problem.P_pointer, problem.A_pointer)
-    constants = problem.constants()
+    load_own_c_library().active_set_factorise(problem.pointer, problem.P_pointer, problem.A_pointer)
+    constants = problem.copy_arrays_that_depend_on_matrices()
     lines = [] if refined else ["#define P_ 0 /* the refinement alone reads P */"]
     if not refined:
         del constants["P"]
