@@ -224,6 +224,8 @@ def _add_check_arguments(check: Command) -> None:
         "step is certified anew; or a folder of results/community"
     )
     check.add_argument("file", help=file)
+    quick = "of a ship or scenario: simulate no offsets; the output names what is left out"
+    check.add_argument("--quick", action="store_true", help=quick)
 
 
 def _add_init_arguments(init: Command) -> None:

@@ -31,24 +31,27 @@ NONE_PASSES = (
 )
 
 
-def check_file(name: str, progress: Progress | None = None) -> str:
-    """Check a stored name or file of a ship, scenario, suite or QPs; return its description."""
+def check_file(name: str, progress: Progress | None = None, *, quick: bool = False) -> str:
+    """Check a stored name or file of a ship, scenario, suite or QPs; return its description.
+
+    quick : try no offsets of a ship; a suite and QPs are checked as without.
+    """
     if problems.is_stored(name):
         return _check_sequence(problems.sequence_path(name), progress)
     # A scenario and a suite may have one name.
     kinds = [kind for kind in problems.KINDS if name in problems.problem_names(kind)]
     paths = [problems.problem_path(kind, name) for kind in kinds]
     if paths:
-        return "\n".join(_check_document(path, progress) for path in paths)
+        return "\n".join(_check_document(path, progress, quick=quick) for path in paths)
     # Unlike Path.exists, these are False for a name that is too long to exist.
     if os.path.isdir(name):
         return _check_folder(Path(name), progress)
     if name.endswith(".npz"):
         return _check_sequence(Path(name), progress)
     if os.path.isfile(name):
-        return _check_document(Path(name), progress)
+        return _check_document(Path(name), progress, quick=quick)
     if "@" in name:
-        return _check_scenario(name, progress)
+        return _check_scenario(name, progress, quick=quick)
     if name.endswith(".toml") or "/" in name:
         raise InputError(name, "", "no such file or folder", CHECKED)
     raise _unknown_name_error(name)
@@ -80,31 +83,31 @@ def _check_sequence(path: Path, progress: Progress | None) -> str:
     return verify_sequence(path, progress)
 
 
-def _check_document(file: Path, progress: Progress | None) -> str:
+def _check_document(file: Path, progress: Progress | None, *, quick: bool) -> str:
     """Check a TOML file of a vessel, scenario or suite, recognised by its tables; describe it."""
     document = problems.read_toml(file)
     if "limits" in document or "thrusters" in document:
-        return _check_vessel(file, progress)
+        return _check_vessel(file, progress, quick=quick)
     if "controller" in document or "environment" in document:
         problems.parse_model(document, ScenarioFile, str(file))
-        return _check_scenario(file, progress)
+        return _check_scenario(file, progress, quick=quick)
     return _check_suite(file, document)
 
 
-def _check_vessel(file: Path, progress: Progress | None) -> str:
+def _check_vessel(file: Path, progress: Progress | None, *, quick: bool) -> str:
     """Validate a vessel file; return the ship's properties as text."""
     vessel = problems.read_model(file, VesselFile).build_vessel(file.stem, str(file))
     from dpbench.cli.check_ship import vessel_text
 
-    return vessel_text(file, vessel, progress)
+    return vessel_text(file, vessel, progress, quick=quick)
 
 
-def _check_scenario(name: str | Path, progress: Progress | None) -> str:
+def _check_scenario(name: str | Path, progress: Progress | None, *, quick: bool) -> str:
     """Load a scenario, which validates it; return its ship, weather and controller as text."""
     from dpbench.cli.check_ship import scenario_text
     from dpbench.scenario.scenario import load_scenario
 
-    return scenario_text(name, load_scenario(name), progress)
+    return scenario_text(name, load_scenario(name), progress, quick=quick)
 
 
 def _check_suite(file: Path, document: dict[str, Any]) -> str:

@@ -423,7 +423,7 @@ def _check_named_file(arguments: argparse.Namespace) -> None:
     from dpbench.cli.terminal import ProgressBar, print_wrapped
 
     with ProgressBar(transient=True) as bar:
-        text = check_file(arguments.file, bar)
+        text = check_file(arguments.file, bar, quick=arguments.quick)
     print_wrapped(text.splitlines())
 
 

@@ -272,7 +272,7 @@ def _summary_lines(
     lines += [line for remark in remarks for line in textwrap.wrap(remark, WIDTH)]
     wind_mps = scaling.DP_NUMBERS[number][0]
     sea = f"sea: DP number {number}, wind {wind_mps:g} m/s"
-    lines.append(f"{sea}; its mean force takes {share:.0%} of {whole}")
+    lines.append(f"{sea}; its level-1 mean force takes {share:.0%} of {whole}")
     if share > 1.0:
         forces = "--sway-thrust and --yaw-moment" if vessel.thrusters is None else "--thrusters"
         lines.append(f"This ship cannot hold there: see --sea, {forces}.")
@@ -290,7 +290,7 @@ def _suggest_harder_sea(
     where = "" if folder == Path() else f" --out {folder}"
     return [
         f"harder: dpbench init {vessel.id} --sea {harder}{where}",
-        f"      (its mean force takes {share:.0%} of {whole}: limits are active more often)",
+        f"      (its level-1 mean force takes {share:.0%} of {whole}: limits active more often)",
     ]
 
 

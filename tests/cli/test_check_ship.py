@@ -12,6 +12,7 @@ from dpbench.bench.design import (
     find_bracket_of_recovery,
 )
 from dpbench.cli import check_ship
+from dpbench.cli.check import check_file
 from dpbench.scenario.problem_files import problem_names, problem_path
 from dpbench.scenario.scenario import Scenario, load_scenario, load_vessel
 from dpbench.ship.thrusters import Thruster, ThrusterSet
@@ -41,6 +42,21 @@ def test_a_vessel_fits_a_dozen_lines_of_a_terminal(
     assert max(map(len, lines)) <= 80
     for line in lines[2:7]:
         assert all(line[at - 1] == " " and line[at] != " " for at in (22, 41, 60)), line
+
+
+def test_quick_simulates_nothing_and_names_what_is_left_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The rest of the text is the same."""
+    up_to(monkeypatch, 1.7)
+    whole = {}
+    for name in ("osv", "rough@osv"):
+        whole[name] = check_file(name).splitlines()
+    monkeypatch.setattr(check_ship, "can_recover_from_offset", None)
+    for name, lines in whole.items():
+        *same, last = check_file(name, quick=True).splitlines()
+        assert same == [line for line in lines if not line.startswith("tuning ")]
+        assert last == "left out by --quick: the sideways offsets that each tuning recovers from"
 
 
 @pytest.mark.parametrize("name", problem_names("scenarios"))
@@ -91,7 +107,7 @@ def test_a_weather_that_is_too_much_is_named(
 ) -> None:
     """417 kN of sway force: a mean of 330 kN is 79 % of it, one of 500 kN cannot be held."""
     up_to(monkeypatch, 1.0)
-    assert "weather: 11%, 79%, 14% of the limits\n" in check_ship.scenario_text(
+    assert "simulated mean force: 11%, 79%, 14% of the limits\n" in check_ship.scenario_text(
         "extreme", load_scenario("extreme")
     )
     text = problem_path("scenarios", "extreme").read_text(encoding="utf-8")
