@@ -117,7 +117,12 @@ def _add_suite_arguments(run: Command) -> None:
     option("--jobs", "J", "loops or random configurations at a time", type=int)
     option("--solver-module", "FILE.py", "a plug-in that brings a solver")
     run.add_argument("--fresh", action="store_true", help="run finished cells again too")
-    wait = run.add_mutually_exclusive_group()
+    _add_wait_arguments(run)
+
+
+def _add_wait_arguments(command: Command) -> None:
+    """Add the options on how long to wait for another campaign."""
+    wait = command.add_mutually_exclusive_group()
     longest = "the longest wait for another campaign on this machine (no limit)"
     _add_option(wait, "--wait", "SECONDS", longest, type=float, dest="wait_s")
     never = "exit with 2 where another campaign would be waited for"
@@ -349,6 +354,7 @@ def _add_tune_solver_arguments(tune: Command) -> None:
     option("--name", "NAME", "of the settings found (tuned)", default="tuned")
     option("--out", "DIR", "folder (results/tune-SOLVER)")
     option("--solver-module", "FILE.py", "a plug-in that brings the solver")
+    _add_wait_arguments(tune)
 
 
 def _add_tune_arguments(tune: Command) -> None:

@@ -43,6 +43,8 @@ def measure_settings(
     folder: Path,
     progress: Progress,
     presets: Sequence[str] = (DEFAULT,),
+    *,
+    wait_s: float | None = None,
 ) -> list[RunRecord]:
     """Time settings of a solver and some of its presets side by side; return the runs.
 
@@ -52,7 +54,12 @@ def measure_settings(
     folder.parent.mkdir(parents=True, exist_ok=True)
     write_text_atomically(suite, suite_text(solver, problems, settings, presets))
     run_campaign(
-        suite, folder, may_leave_out=True, progress=progress, solver_module=solver.solver_module
+        suite,
+        folder,
+        may_leave_out=True,
+        progress=progress,
+        solver_module=solver.solver_module,
+        wait_s=wait_s,
     )
     return list(Records(load_results(folder)).all_runs)
 
@@ -82,9 +89,22 @@ def suite_text(
     return "\n".join(lines) + "\n"
 
 
-def step_time_ns(run: RunRecord) -> float:
-    """Return the p99 step time of a run, or its largest one where it is too short for a p99."""
-    return run.algo_max_ns if math.isnan(run.algo_p99_ns) else run.algo_p99_ns
+def step_times_ns(run: RunRecord) -> dict[str, float]:
+    """Return the step times of a run that are known by name, the one to rank it by first.
+
+    A percentile has ten steps beyond it; only a run of fewer than 20 steps is left to its largest.
+    """
+    times = {"p99": run.algo_p99_ns, "p95": run.algo_p95_ns, "p50": run.algo_p50_ns}
+    return {name: ns for name, ns in times.items() if not math.isnan(ns)} | {
+        "largest": run.algo_max_ns
+    }
+
+
+def _time_ratio(run: RunRecord, default: RunRecord) -> float:
+    """Return a run's step time over that with the default settings, both of the same name."""
+    ours, theirs = step_times_ns(run), step_times_ns(default)
+    name = next(name for name in ours if name in theirs)
+    return ours[name] / theirs[name]
 
 
 def runs_by_settings(
@@ -105,8 +125,8 @@ def score_runs(
     """Return the score of runs with the same settings, beside those with default settings."""
     wrong = [run for run in runs if not is_right(run, requirements)]
     missing = len(defaults) - len(runs)
-    default_ns = {run.sequence: step_time_ns(run) for run in defaults}
-    logs = [math.log(step_time_ns(run) / default_ns[run.sequence]) for run in runs if not wrong]
+    default = {run.sequence: run for run in defaults}
+    logs = [math.log(_time_ratio(run, default[run.sequence])) for run in runs if not wrong]
     return Score(
         len(wrong) + missing,
         sum(_error_excess(run, requirements) for run in wrong) + FAILED * missing,

@@ -28,7 +28,7 @@ class Score:
 
     wrong : sequences on which the accuracy requirement is missed.
     excess : log10 of error over requirement, summed over these; a failure counts `FAILED`.
-    ratio : geometric mean over the sequences of p99 step time over that of the default settings.
+    ratio : geometric mean over the sequences of step time over that of the default settings.
     """
 
     wrong: int
@@ -67,6 +67,15 @@ Choose = Callable[[Sequence[Trial[_Score]]], Sequence[Trial[_Score]]]
 """The best of the trials so far, near which the next ones are drawn."""
 
 
+def split_into_batches(trials: int) -> list[int]:
+    """Return the sizes of the batches of a search: two or more, each of at most `BATCH`.
+
+    Of up to `BATCH` trials one half is a batch of its own, so that these, too, go near the best.
+    """
+    first = -(-trials // 2) if trials <= BATCH else BATCH
+    return [min(first, trials - done) for done in range(0, trials, first)]
+
+
 class TrialSearch(Generic[_Score]):
     """A search with a budget of trials; the first half of them spread over all ranges.
 
@@ -80,22 +89,23 @@ class TrialSearch(Generic[_Score]):
         self._rng = np.random.default_rng(seed)
         self.trials: list[Trial[_Score]] = []
 
-    def run(self, batches: int, start: Options | None = None) -> None:
-        """Try so many batches of options: a half of them spread, the others near the best.
+    def run(self, trials: int, start: Options | None = None) -> None:
+        """Try so many options: a half of the batches spread, the others near the best.
 
-        start : options that are tried with the first batch.
+        start : options that are tried with the first batch, beside the others.
         """
-        spread = math.ceil(batches / 2)
+        sizes = split_into_batches(trials)
+        spread = math.ceil(len(sizes) / 2)
         dimensions = len(self._space.ranges)
         sample = qmc.Sobol(dimensions, seed=self._rng)
         first = [] if start is None else [(start, self._space.point_of(start))]
-        for _ in range(spread):
-            self._try_points(sample.random(BATCH), first)
+        for size in sizes[:spread]:
+            self._try_points(sample.random(BATCH)[:size], first)
         radius = FIRST_RADIUS
-        for _ in range(batches - spread):
+        for size in sizes[spread:]:
             before = self._choose(self.trials)
-            centres = np.array([before[i % len(before)].point for i in range(BATCH)])
-            near = qmc.Sobol(dimensions, seed=self._rng).random(BATCH)
+            centres = np.array([before[i % len(before)].point for i in range(size)])
+            near = qmc.Sobol(dimensions, seed=self._rng).random(BATCH)[:size]
             self._try_points(np.clip(centres + radius * (2.0 * near - 1.0), 0.0, 1.0))
             if self._choose(self.trials) == before:
                 radius /= 2.0

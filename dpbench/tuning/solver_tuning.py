@@ -9,7 +9,7 @@ from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.report.formats import error_text, significant, time_text
 from dpbench.report.table import Table
 from dpbench.solvers.own_settings import format_options_as_toml
-from dpbench.tuning.campaigns import TunedSolver, score_runs, step_time_ns
+from dpbench.tuning.campaigns import TunedSolver, score_runs, step_times_ns
 from dpbench.tuning.search import Score, Trial
 
 YOURS, BEST = "yours", "best"
@@ -70,7 +70,7 @@ class Tuning:
                 role.title,
                 run.sequence,
                 name,
-                time_text(step_time_ns(run)),
+                _step_time_text(run),
                 error_text(run.error_move_max),
                 "yes" if is_right(run, limit) else "no",
             )
@@ -80,8 +80,9 @@ class Tuning:
         ]
         heads = ("", "sequence", "settings", "time", "error", "accurate")
         note = (
-            "Time: p99 step time, or the largest where a sequence is too short for a p99. Error: "
-            f"of the first move, at most {limit.error_move:g} of a rate-limit step."
+            "Time: p99 of the steps, each the fastest of its rounds; where a sequence is too short "
+            "for it the p95 or p50, named beside it. Error: of the first move, at most "
+            f"{limit.error_move:g} of a rate-limit step."
         )
         return Table(heads, tuple(rows), f"Settings of {self.solver.name}", note, text_columns=3)
 
@@ -99,6 +100,12 @@ class Tuning:
         for role in self.roles:
             lines.append(f"{role.title} sequences: {role.summary(self.solver.requirements)}")
         return [*lines, f"settings: {self.path}; runs: {self.folder / 'final'}"]
+
+
+def _step_time_text(run: RunRecord) -> str:
+    """Format the step time that a run is ranked by, with its name unless it is the p99."""
+    name, time_ns = next(iter(step_times_ns(run).items()))
+    return time_text(time_ns) if name == "p99" else f"{name} {time_text(time_ns)}"
 
 
 def settings_toml(tuning: Tuning, name: str) -> str:

@@ -44,7 +44,7 @@ from dpbench.tuning.campaigns import (
     runs_by_settings,
     score_settings,
 )
-from dpbench.tuning.search import BATCH, Score, SettingsSearch
+from dpbench.tuning.search import Score, SettingsSearch, split_into_batches
 from dpbench.tuning.sequences import TunedProblem, load_problem, refuse_overlap
 from dpbench.tuning.solver_tuning import BEST, YOURS, TunedRole, Tuning, settings_toml
 from dpbench.tuning.space import SearchSpace, make_space
@@ -99,6 +99,7 @@ def tune_solver(
     name: str = "tuned",
     out: str | Path | None = None,
     solver_module: str | None = None,
+    wait_s: float | None = None,
     progress: Progress | None = None,
 ) -> Tuning:
     """Search a solver's settings on training sequences and measure the best on test sequences.
@@ -114,14 +115,17 @@ def tune_solver(
     widened : such texts beside the other ranges.
     route, policy : of the solver; no route is native where it has that.
     error_move : the accuracy requirement, largest error of the first move [rate-limit steps].
-    trials : settings to try, rounded up to whole batches; steps : of a scenario, 0 for all.
+    trials : settings to try, beside one's own; steps : of a scenario, 0 for all.
     name : of the settings in the TOML file that is written.
     out : folder; by default `results/tune-SOLVER`.
+    wait_s : the longest wait of a batch for another campaign on this machine; None without a
+        limit, 0 for none.
 
     Raises
     ------
     InputError : for bad input, training and test sequences that overlap, or a solver that is
         missing or has no stated ranges.
+    BusyError : the machine was busy longer than `wait_s`; finished runs are kept.
     """
     if solver_module is not None:
         load_plugin_solver_from_file(solver_module)
@@ -138,18 +142,17 @@ def tune_solver(
     other = [load_problem(one, steps) for one in test or TEST]
     refuse_overlap(learned, other)
     folder = Path(out) if out is not None else Path("results") / f"tune-{solver}"
-    batches = max(2, -(-trials // BATCH))
-    bar = _BatchProgress(progress or Silent(), batches + 1)
+    bar = _BatchProgress(progress or Silent(), len(split_into_batches(trials)) + 1)
     for remark in _list_remarks(policy, [*learned, *other], space, start):
         bar.remark(remark)
-    search = _search_settings(tuned, learned, space, folder, batches, seed, bar, start)
+    search = _search_settings(tuned, learned, space, folder, trials, seed, bar, start, wait_s)
     best = search.best
     tuning = Tuning(
         tuned, best, len(search.trials), space.describe_edges(best.options), (), folder, None
     )
     if not best.score.is_right:
         return tuning
-    roles = _measure_roles(tuned, best.options, start, learned, other, folder, bar)
+    roles = _measure_roles(tuned, best.options, start, learned, other, folder, bar, wait_s)
     tuning = replace(tuning, roles=roles, path=folder / f"{name}.toml")
     write_text_atomically(folder / f"{name}.toml", settings_toml(tuning, name))
     return tuning
@@ -188,12 +191,19 @@ def _measure_roles(
     test: Sequence[TunedProblem],
     folder: Path,
     progress: Progress,
+    wait_s: float | None,
 ) -> tuple[TunedRole, ...]:
     """Time presets, the settings to start from and the best ones side by side."""
     presets = [DEFAULT, HIGH] if has_distinct_tolerance_presets(tuned.name) else [DEFAULT]
     named = ({} if start is None else {YOURS: start}) | {BEST: best}
     runs = measure_settings(
-        tuned, [*training, *test], list(named.values()), folder / "final", progress, presets
+        tuned,
+        [*training, *test],
+        list(named.values()),
+        folder / "final",
+        progress,
+        presets,
+        wait_s=wait_s,
     )
     roles = []
     for title, problems in (("training", training), ("test", test)):
@@ -246,19 +256,20 @@ def _search_settings(
     problems: Sequence[TunedProblem],
     space: SearchSpace,
     folder: Path,
-    batches: int,
+    trials: int,
     seed: int,
     progress: Progress,
     start: Options | None,
+    wait_s: float | None,
 ) -> SettingsSearch:
     """Run the search on the training sequences, one campaign for each batch; return it."""
     numbers = count(1)
 
     def evaluate(settings: Sequence[Options]) -> list[Score]:
         place = folder / f"batch-{next(numbers):02d}"
-        runs = measure_settings(tuned, problems, settings, place, progress)
+        runs = measure_settings(tuned, problems, settings, place, progress, wait_s=wait_s)
         return score_settings(settings, runs_by_settings(runs, problems), tuned.requirements)
 
     search = SettingsSearch(space, evaluate, seed)
-    search.run(batches, start)
+    search.run(trials, start)
     return search

@@ -38,7 +38,7 @@ from dpbench.tuning.controllers import (
     put_in_sea,
     rate_controller,
 )
-from dpbench.tuning.search import BATCH, Trial, TrialSearch
+from dpbench.tuning.search import Trial, TrialSearch
 
 TRIALS, REALISATIONS, MARGIN = 48, 2, 0.7
 NO_PROMISE = (
@@ -169,7 +169,7 @@ def tune_controller(
     ----------
     scenario : by name or a TOML file.
     seas : DP numbers such as "4,5"; "" for the scenario's own weather.
-    trials : controllers to try, rounded up to whole batches; realisations : of each sea.
+    trials : controllers to try; realisations : of each sea.
     margin : largest offset wanted, as a share of the station's limits.
     steps : of each loop, 0 for all of the scenario; seed : of the search.
     out : folder; by default `results/tune-SCENARIO`.
@@ -187,11 +187,10 @@ def tune_controller(
     for number in numbers:
         put_in_sea(base, Realisation(number, 0))
     kept = _KeptTrials(folder / "trials.jsonl", _search_digest(base, numbers, realisations, steps))
-    batches = max(2, -(-trials // BATCH))
     bar = progress or Silent()
     searched = draw_realisations(base, numbers, 0, realisations, steps)
     other = draw_realisations(base, numbers, realisations, realisations, steps)
-    bar.start((batches * BATCH + 3) * len(searched) * steps)
+    bar.start((trials + 3) * len(searched) * steps)
 
     def rate(options: Options, at: Sequence[Realisation], role: str) -> LoopScore:
         name = f"{role}{format_options_as_toml(options)}"
@@ -210,7 +209,7 @@ def tune_controller(
         find_front,
         seed,
     )
-    search.run(batches)
+    search.run(trials)
     found = [first, *search.trials]
     chosen = choose_controller(found, margin)
     fresh, own_fresh = (rate(options, other, "fresh: ") for options in (chosen.options, own))

@@ -3,6 +3,8 @@
 import math
 from collections.abc import Sequence
 
+import pytest
+
 from dpbench.solvers.contract import Options
 from dpbench.tuning.search import BATCH, Score, SettingsSearch
 from dpbench.tuning.space import OptionRange, SearchSpace
@@ -27,7 +29,7 @@ def _evaluate(settings: Sequence[Options]) -> list[Score]:
 
 def test_the_batches_near_the_best_improve_it() -> None:
     search = SettingsSearch(SPACE, _evaluate, seed=1)
-    search.run(8)
+    search.run(8 * BATCH)
     spread = search.trials[: 4 * BATCH]
     assert search.best.score.is_right
     assert search.best not in spread
@@ -40,9 +42,23 @@ def test_the_same_seed_tries_the_same_settings() -> None:
     trials = []
     for seed in (3, 3, 4):
         search = SettingsSearch(SPACE, _evaluate, seed)
-        search.run(2)
+        search.run(2 * BATCH)
         trials.append([trial.name for trial in search.trials])
     assert trials[0] == trials[1] != trials[2]
+
+
+@pytest.mark.parametrize("trials", [1, 2, 3, 8, 11, 20])
+def test_as_many_settings_are_tried_as_asked(trials: int) -> None:
+    """In batches of at most 8; from two trials on some are near the best."""
+    batches: list[int] = []
+
+    def evaluate(settings: Sequence[Options]) -> list[Score]:
+        batches.append(len(settings))
+        return _evaluate(settings)
+
+    SettingsSearch(SPACE, evaluate, seed=1).run(trials)
+    assert sum(batches) == trials and max(batches) <= BATCH
+    assert len(batches) >= min(2, trials)
 
 
 def test_accuracy_comes_before_time() -> None:
@@ -64,7 +80,7 @@ def test_the_search_tries_the_start_first() -> None:
     """As it is given, also between the points of the ranges, and goes on near it."""
     start = {"a": 10.001, "b": 0.7}
     search = SettingsSearch(SPACE, _evaluate, seed=1)
-    search.run(2, start)
+    search.run(2 * BATCH, start)
     assert search.trials[0].options == start
     assert search.best.score.ratio < 1.0001
     near = [trial.point for trial in search.trials[-BATCH:]]

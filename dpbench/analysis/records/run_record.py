@@ -94,6 +94,7 @@ class RunRecord:
     reference_kernel_ns: float
     load_kernel_ns: float
     algo_p50_ns: float
+    algo_p95_ns: float
     algo_p99_ns: float
     algo_max_ns: float
     raw_p50_ns: float
