@@ -267,6 +267,7 @@ def describe_finding(finding: Finding) -> str:
         share=share_text(finding.value),
         timings=plural(finding.steps, "timing"),
         machine=share_text(finding.machine),
+        net=time_text(finding.machine),
         also=f" (also in {also})" if also else "",
         some_also=f" (some also in {also})" if also else "",
         also_over=f" (over the requirements also in {also})" if also else "",

@@ -12,7 +12,7 @@ import pandas as pd
 from dpbench.arrays import Flags, Floats, Ints
 from dpbench.bench.record.recorded_steps import find_row_ranges_by_label
 
-TIME_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns")
+TIME_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns", "waited_ns")
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,12 +20,14 @@ class StepTimes:
     """Step times of one replay: the fastest repetition of each step, and the largest timing.
 
     k : (K,) steps, rising; algo_ns : (K,) least over the rounds, the algorithmic time.
+    net_ns : (K,) least timing less its wait for the core; None where a wait is unknown.
     timings : (K,) timings of each step that count.
     rounds_ns : (R,) median of the samples of each round: how far they differ is the machine's part.
     """
 
     k: Ints
     algo_ns: Floats
+    net_ns: Floats | None
     timings: Ints
     raw_max_ns: float
     rounds_ns: Floats
@@ -33,13 +35,20 @@ class StepTimes:
 
 def times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
     """Convert a table of steps to step times: yield each run's id and its times."""
-    for run_id, repeat, k, (total_ns,) in _counting_rows(steps, "total_ns"):
-        best = np.full(int(k.max()) + 1, np.inf)
-        np.minimum.at(best, k, total_ns)
+    for run_id, repeat, k, (total_ns, waited_ns) in _counting_rows(steps, "total_ns", "waited_ns"):
+        best = _least_by_step(k, total_ns)
         done = np.flatnonzero(np.isfinite(best))
-        rounds = [float(np.median(total_ns[repeat == r])) for r in np.unique(repeat)]
+        net = None if np.isnan(waited_ns).any() else _least_by_step(k, total_ns - waited_ns)[done]
+        rounds = np.array([float(np.median(total_ns[repeat == r])) for r in np.unique(repeat)])
         timings = np.bincount(k)[done].astype(np.int64)
-        yield run_id, StepTimes(done, best[done], timings, float(total_ns.max()), np.array(rounds))
+        yield run_id, StepTimes(done, best[done], net, timings, float(total_ns.max()), rounds)
+
+
+def _least_by_step(k: Ints, times_ns: Floats) -> Floats:
+    """Return the least time of each step from 0 to the largest of `k`; inf without a time."""
+    least = np.full(int(k.max()) + 1, np.inf)
+    np.minimum.at(least, k, times_ns)
+    return least
 
 
 def _counting_rows(
@@ -129,9 +138,7 @@ def find_delays(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> D
     rounds, index = np.unique(repeat, return_inverse=True)
     middle = float(np.median(total_ns)) if len(total_ns) else np.nan
     if len(rounds) > 1:
-        fastest = np.full(int(k.max()) + 1, np.inf)
-        np.minimum.at(fastest, k, total_ns)
-        base = fastest[k]
+        base = _least_by_step(k, total_ns)[k]
         delayed = total_ns > DELAYED * base
     else:
         base = np.full(len(total_ns), middle)

@@ -33,7 +33,10 @@ Doubt = Literal[
     "not alone",
     "no step",
     "no p99",
+    "p99 waits",
+    "deadline waits",
     "few timings",
+    "few deadline timings",
     "short slow loop",
     "late at random",
     "late when disturbed",
@@ -59,7 +62,8 @@ class Finding:
     runs : the runs it was found in, the worst first.
     value : an error, a time [ns], a share of timings, or steps, by kind.
     steps : the steps or timings of the figure.
-    machine : of a share of late timings, the share that the machine explains.
+    machine : of a share of late timings, the share that the machine explains; of a time with waits
+        for the processor core, the time without them [ns].
     """
 
     kind: Cause | Doubt | Near | Gap

@@ -133,8 +133,7 @@ def find_late_timings(
     delays: dict[str, Delays] = {}
     for run in (*replays, *loops, *arms):
         own = found[run.run_id]
-        # Of a solver that waits so often its own threads may have had the core.
-        has_threads = run.voluntary_switches >= THREAD_WAITS * float(own.samples.sum())
+        has_threads = waits_for_threads(run, int(own.samples.sum()))
         delays[run.run_id] = own.without_waits if has_threads else own
     repeated = [run for run in replays if len(delays[run.run_id].samples) > 1]
     once = [*loops, *(run for run in replays if run not in repeated)]
@@ -153,6 +152,11 @@ def find_late_timings(
     }
     adjusted = (test for family in tests.values() for test in adjust_p_values(family))
     return group_by((test for test in adjusted if test.p <= DOUBTFUL), lambda test: test.run.run_id)
+
+
+def waits_for_threads(run: RunRecord, samples: int) -> bool:
+    """Return whether a run waits so often in its timings that its own threads may have the core."""
+    return run.voluntary_switches >= THREAD_WAITS * samples
 
 
 def adjust_p_values(tests: Sequence[LateTimings]) -> list[LateTimings]:

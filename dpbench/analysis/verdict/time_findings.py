@@ -14,7 +14,11 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.verdict.findings import Cause, Doubt, Finding, Near, finding_on_worst
-from dpbench.analysis.verdict.lateness import LateTimings, find_late_timings
+from dpbench.analysis.verdict.lateness import (
+    LateTimings,
+    find_late_timings,
+    waits_for_threads,
+)
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.uncertainty import Uncertainty, estimate_uncertainty
 from dpbench.arrays import Floats
@@ -23,8 +27,8 @@ from dpbench.bench.judge.rules import percentile_or_nan
 LOOP_TIMINGS = 200
 """Timings of a closed loop from which its median is a plain answer."""
 ENOUGH_TIMINGS = 3
-"""Timings of a step from which one interrupt of the machine is not its fastest; a replay gets so
-many rounds unless its time limit stops it."""
+"""Timings of a step from which one interrupt of the machine is not its fastest. A replay has fewer
+where its suite asks for fewer, a time limit stops it, or disturbed rounds do not count."""
 HIDDEN = 1.1
 """Processor time of other threads over that of the timed calls from which work is hidden: a library
 that solves in a thread of its own stays below 1."""
@@ -130,24 +134,24 @@ def judge_times(
         times = records.times(run)
         if times is not None:
             figures.append(_ReplayTimes.of(run, times))
-            findings += _check_limits(figures[-1], times.algo_ns, requirements, uncertainty.of(run))
+            findings += _check_limits(figures[-1], requirements, uncertainty.of(run))
         elif run.outcome == "finished":
             findings.append(Finding("no step", (run,)))
     if not figures:
         return findings, {}
     whole = [one for one in figures if not one.run.window_of] or figures
-    known = [one for one in whole if math.isfinite(one.p99_ns)]
-    worst = max(known or whole, key=lambda one: one.p99_ns if known else one.p50_ns)
-    p99 = max(figures, key=lambda one: np.nan_to_num(one.p99_ns))
+    known = [one for one in whole if math.isfinite(one.algo.p99_ns)]
+    worst = max(known or whole, key=lambda one: one.algo.p99_ns if known else one.algo.p50_ns)
+    p99 = max(figures, key=lambda one: np.nan_to_num(one.algo.p99_ns))
     return findings, {
-        "p50_ns": worst.p50_ns,
-        "p99_ns": p99.p99_ns,
+        "p50_ns": worst.algo.p50_ns,
+        "p99_ns": p99.algo.p99_ns,
         "p99_run": p99.run,
         "timed_on": worst.run.sequence,
         "rounds_ns": worst.rounds_ns,
-        "replay_p99_ns": worst.p99_ns,
+        "replay_p99_ns": worst.algo.p99_ns,
         "raw_p99_ns": worst.run.raw_p99_ns,
-        "algo_max_ns": max(one.max_ns for one in figures),
+        "algo_max_ns": max(one.algo.max_ns for one in figures),
         "raw_max_ns": max(one.raw_max_ns for one in figures),
     }
 
@@ -163,65 +167,116 @@ def p99_ns(run: RunRecord, algo_ns: Floats) -> float:
     return float(np.sort(algo_ns)[::-1][min(beyond, len(algo_ns) - 1)])
 
 
+def find_own_times_ns(run: RunRecord, times: StepTimes) -> Floats:
+    """Return the parts of a replay's step times (K,) that other programs cannot have caused [ns].
+
+    Where waits for the core are recorded, these are the times without them. Otherwise they are the
+    algorithmic times; of fewer than `ENOUGH_TIMINGS` timings, each of so many of the slowest steps
+    as context switches can have hit in every timing counts with the median.
+    """
+    if times.net_ns is not None and not waits_for_threads(run, int(times.timings.sum())):
+        return times.net_ns
+    timings = int(np.median(times.timings))
+    if timings >= ENOUGH_TIMINGS:
+        return times.algo_ns
+    # A round that a time limit stopped has no count of its switches.
+    switches = run.involuntary_switches if run.outcome == "finished" else math.nan
+    own = np.sort(times.algo_ns)
+    # `max` returns 0 where the switches are unknown.
+    own[math.ceil(max(0.0, len(own) - switches / timings)) :] = np.median(own)
+    return own
+
+
+@dataclass(frozen=True)
+class _Percentiles:
+    """Median, p95, p99 and maximum of step times [ns]; NaN for too few steps."""
+
+    p50_ns: float
+    p95_ns: float
+    p99_ns: float
+    max_ns: float
+
+    @classmethod
+    def of(cls, run: RunRecord, times_ns: Floats) -> _Percentiles:
+        """Compute the percentiles of a replay's step times (K,) [ns]."""
+        p95, p99 = percentile_or_nan(times_ns, 95), p99_ns(run, times_ns)
+        return cls(float(np.median(times_ns)), p95, p99, float(times_ns.max()))
+
+    @property
+    def high_ns(self) -> float:
+        """The p99, or the p95 where there are too few steps for it."""
+        return self.p95_ns if math.isnan(self.p99_ns) else self.p99_ns
+
+
 @dataclass(frozen=True)
 class _ReplayTimes:
-    """Median, p95, p99 and maxima of one replay's step times [ns]; NaN if too few steps.
+    """Percentiles of one replay's step times, and those that the solver itself caused for sure.
 
     timings : of the median step.
     """
 
     run: RunRecord
-    p50_ns: float
-    p95_ns: float
-    p99_ns: float
-    max_ns: float
+    algo: _Percentiles
+    own: _Percentiles
+    has_waits: bool
     raw_max_ns: float
     rounds_ns: tuple[float, float]
     timings: int
+    steps: int
 
     @classmethod
     def of(cls, run: RunRecord, times: StepTimes) -> _ReplayTimes:
         """Compute the percentiles and extremes of one replay's step times."""
-        algo, rounds = times.algo_ns, times.rounds_ns
-        p95, p99 = percentile_or_nan(algo, 95), p99_ns(run, algo)
-        ends = float(rounds.min()), float(rounds.max())
-        p50, timings = float(np.median(algo)), int(np.median(times.timings))
-        return cls(run, p50, p95, p99, float(algo.max()), times.raw_max_ns, ends, timings)
+        own_ns = find_own_times_ns(run, times)
+        return cls(
+            run,
+            _Percentiles.of(run, times.algo_ns),
+            _Percentiles.of(run, own_ns),
+            own_ns is times.net_ns,
+            times.raw_max_ns,
+            (float(times.rounds_ns.min()), float(times.rounds_ns.max())),
+            int(np.median(times.timings)),
+            len(times.k),
+        )
 
-    @property
-    def is_cut(self) -> bool:
-        """True if the run's time limit left most steps fewer than `ENOUGH_TIMINGS`."""
-        return self.run.outcome == "timed_out" and self.timings < ENOUGH_TIMINGS
+    def doubt(self, waits: Doubt, few: Doubt, time_ns: float, own_ns: float) -> Finding:
+        """Return the finding on a time beyond a limit that other programs may have caused."""
+        if self.has_waits:
+            return Finding(waits, (self.run,), time_ns, machine=own_ns)
+        return Finding(few, (self.run,), time_ns, self.timings)
 
 
 def _check_limits(
-    figures: _ReplayTimes, algo_ns: Floats, requirements: Requirements, factor: float
+    figures: _ReplayTimes, requirements: Requirements, factor: float
 ) -> list[Finding]:
     """Compare a replay's times with p99 limit and deadline; return findings if late or near.
 
-    Of a cut replay only the median proves a miss of the p99: a higher percentile may be the
-    machine's. Its single timings are tested against the machine in `lateness.py`.
+    A time is late if the solver's own part of it is beyond the limit, too: see `find_own_times_ns`.
+    Single timings are tested against the machine in `lateness.py`.
     """
-    run, findings = (figures.run,), list[Finding]()
-    if figures.max_ns > factor * requirements.deadline_ns:
-        findings.append(Finding("deadline late", run, figures.max_ns))
-    elif figures.max_ns >= requirements.deadline_ns / factor:
-        findings.append(Finding("deadline borderline", run, figures.max_ns))
+    run, findings, algo, own = (figures.run,), list[Finding](), figures.algo, figures.own
+    late_ns = factor * requirements.deadline_ns
+    if own.max_ns <= late_ns < algo.max_ns:
+        kinds: tuple[Doubt, Doubt] = ("deadline waits", "few deadline timings")
+        findings.append(figures.doubt(*kinds, algo.max_ns, own.max_ns))
+    elif algo.max_ns > late_ns:
+        findings.append(Finding("deadline late", run, algo.max_ns))
+    elif algo.max_ns >= requirements.deadline_ns / factor:
+        findings.append(Finding("deadline borderline", run, algo.max_ns))
     limits = requirements.p99_ns / factor, requirements.p99_ns * factor
-    high_ns = figures.p95_ns if math.isnan(figures.p99_ns) else figures.p99_ns
-    if figures.is_cut and figures.p50_ns <= limits[1] < high_ns:
-        findings.append(Finding("few timings", run, high_ns, figures.timings))
-    elif figures.p99_ns > limits[1]:
+    if own.high_ns <= limits[1] < algo.high_ns:
+        findings.append(figures.doubt("p99 waits", "few timings", algo.high_ns, own.high_ns))
+    elif algo.p99_ns > limits[1]:
         kind: Cause = "window late" if figures.run.window_of else "p99 late"
-        findings.append(Finding(kind, run, figures.p99_ns))
-    elif figures.p99_ns >= limits[0]:
-        findings.append(Finding("p99 borderline", run, figures.p99_ns))
-    elif not math.isnan(figures.p99_ns):
+        findings.append(Finding(kind, run, algo.p99_ns))
+    elif algo.p99_ns >= limits[0]:
+        findings.append(Finding("p99 borderline", run, algo.p99_ns))
+    elif not math.isnan(algo.p99_ns):
         return findings
-    elif figures.p95_ns > limits[1]:
-        findings.append(Finding("p95 late", run, figures.p95_ns))
-    elif figures.max_ns > requirements.p99_ns:
-        findings.append(Finding("no p99", run, figures.max_ns, len(algo_ns)))
-    elif figures.p95_ns >= limits[0]:
-        findings.append(Finding("p95 borderline", run, figures.p95_ns))
+    elif algo.p95_ns > limits[1]:
+        findings.append(Finding("p95 late", run, algo.p95_ns))
+    elif algo.max_ns > requirements.p99_ns:
+        findings.append(Finding("no p99", run, algo.max_ns, figures.steps))
+    elif algo.p95_ns >= limits[0]:
+        findings.append(Finding("p95 borderline", run, algo.p95_ns))
     return findings

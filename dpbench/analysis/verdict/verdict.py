@@ -6,7 +6,8 @@ than they allow, the p99 of its algorithmic step time stays below their limit in
 sequence, and its single timings are no later than the machine explains (`lateness.py`).
 
 It *fails* by a wrong or failed step or a process that crashed, and is *late* by time alone: a late
-step, or a call that did not return. It is *inconclusive* where it was not run, could not be
+step, or a call that did not return. No time proves it that other programs may have caused
+(`find_own_times_ns`). It is *inconclusive* where it was not run, could not be
 measured, or may be late. It is *borderline* where nothing of that holds and a time is within its
 uncertainty of a limit (`uncertainty.py`).
 """

@@ -138,6 +138,23 @@ def test_a_wait_for_the_core_is_the_machine(records: Any, waited_ns: float, stat
     assert _verdict(records, "ecos").state == "pass"
 
 
+@pytest.mark.parametrize(("waited_ns", "state"), [(12_000_000, "inconclusive"), (0, "late")])
+def test_two_rounds_on_a_busy_machine(records: Any, waited_ns: float, state: str) -> None:
+    """Both timings of 40 steps took 13.9 ms: by waits a quick solver is not late, nor does it pass.
+
+    The limit is 3 ms; a slow solver without waits remains late.
+    """
+    for solver in ("daqp", *HONEST):
+        records.loop(solver)
+        records.replay(solver, rounds=2, median_us=20.0, spread=0.0, involuntary_switches=900)
+        frame = records._steps[-1]
+        if solver == "daqp":
+            frame.loc[frame["k"] < 40, "total_ns"] = 13_900_000
+        frame["waited_ns"] = np.where(frame["total_ns"] == 13_900_000, waited_ns, 0)
+    assert _verdict(records).state == state
+    assert _verdict(records, "ecos").state == "pass"
+
+
 @pytest.mark.parametrize(("switches", "state"), [(2499, "inconclusive"), (2500, "pass")])
 def test_waits_of_threads_are_unknown(records: Any, switches: int, state: str) -> None:
     """A solver that waits in half of its 5000 calls waits for threads, whose wait for the core is
