@@ -14,7 +14,7 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.bench.capability.table import CAPABILITY_FILE, write_capability_plots
+from dpbench.bench.capability.edge_qps import CAPABILITY_FILE, write_capability_plots
 from dpbench.bench.design import Design, DesignStudy, pair_controllers_with_vessels
 from dpbench.bench.embedded_counts import EmbeddedCounts, PlannedCount, pair_sequences_with_cores
 from dpbench.bench.engines.dispatcher import Dispatcher, find_cell_with_most_steps

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.bench.capability.reach import ThrusterReach
+from dpbench.bench.capability.utilisation import ThrusterReach
 from dpbench.bench.design import (
     OFFSETS_M,
     Bracket,

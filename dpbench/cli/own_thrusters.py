@@ -13,7 +13,7 @@ from dpbench.bench.capability.frontier import (
     CapabilityPlot,
     compute_capability,
 )
-from dpbench.bench.capability.reach import ThrusterReach
+from dpbench.bench.capability.utilisation import ThrusterReach
 from dpbench.cli.capability import save_rose_figure
 from dpbench.cli.terminal import ProgressBar
 from dpbench.errors import InputError, SituationError

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from dpbench.analysis.verdict.fastest import best_verdict_by_solver
-from dpbench.bench.capability.table import load_capability_plots
+from dpbench.bench.capability.edge_qps import load_capability_plots
 from dpbench.bench.design import load_stability_records
 from dpbench.bench.record import result_folder
 from dpbench.display import make_html_table

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from dpbench.bench.capability.table import load_capability_plots
+from dpbench.bench.capability.edge_qps import load_capability_plots
 from dpbench.bench.design import load_stability_records
 from dpbench.bench.record.result_folder import load_results, lock_for_writing
 from dpbench.embedded.table import load_counts

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.bench.capability.table import CAPABILITY_FILE, load_capability_plots
+from dpbench.bench.capability.edge_qps import CAPABILITY_FILE, load_capability_plots
 from dpbench.bench.design import load_stability_records
 from dpbench.bench.engines.shards import ShardRecord
 from dpbench.bench.record.npz import open_arrays

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dpbench.bench.capability.table import COLUMNS, load_capability_plots, write_capability_plots
+from dpbench.bench.capability.edge_qps import COLUMNS, load_capability_plots, write_capability_plots
 from dpbench.bench.design import load_stability_records
 from dpbench.bench.engines.shards import SHARD_FILE, Shard, ShardRecord
 from dpbench.bench.plan.plan import plan_suite

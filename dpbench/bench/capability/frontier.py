@@ -8,8 +8,12 @@ import numpy as np
 from scipy.optimize import brentq
 
 from dpbench.arrays import Vector
-from dpbench.bench.capability.choices import find_least_use_and_pieces
-from dpbench.bench.capability.utilisation import Choices, Combination, Utilisation
+from dpbench.bench.capability.utilisation import (
+    Choices,
+    Combination,
+    Utilisation,
+    find_least_use_and_pieces,
+)
 from dpbench.bench.progress import Progress, Silent
 from dpbench.errors import InputError
 from dpbench.ship.capability import losses

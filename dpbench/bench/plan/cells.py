@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from dpbench.bench.capability.batch import POINTS
+from dpbench.bench.capability.edge_qps import POINTS
 from dpbench.bench.capability.frontier import DIRECTIONS, CapabilityPlot
 from dpbench.bench.plan.configurations import (
     BASELINE_LAW,

@@ -3,9 +3,12 @@
 from pathlib import Path
 from typing import Any
 
-from dpbench.bench.capability.batch import build_allocation_sequence, list_points_at_all_limits
+from dpbench.bench.capability.edge_qps import (
+    build_allocation_sequence,
+    list_points_at_all_limits,
+    make_capability_columns,
+)
 from dpbench.bench.capability.frontier import Capability, CapabilityPlot, compute_capability
-from dpbench.bench.capability.table import make_capability_columns
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.errors import InputError
 from dpbench.ship.vessel import Vessel

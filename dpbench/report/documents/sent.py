@@ -13,7 +13,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, StringConstraints
 
-from dpbench.bench.capability.table import CAPABILITY_FILE, load_capability_plots
+from dpbench.bench.capability.edge_qps import CAPABILITY_FILE, load_capability_plots
 from dpbench.bench.record.result_folder import (
     Results,
     hash_files,

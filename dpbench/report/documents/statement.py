@@ -18,7 +18,7 @@ from dpbench.analysis.suites.consequence import consequence_analyses
 from dpbench.analysis.times.machine import timed_runs, total_disturbance
 from dpbench.analysis.verdict.fastest import best_verdict_by_solver, choose_solver
 from dpbench.analysis.verdict.verdict import Verdict
-from dpbench.bench.capability.table import load_capability_plots
+from dpbench.bench.capability.edge_qps import load_capability_plots
 from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.errors import InputError

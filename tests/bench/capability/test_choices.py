@@ -7,9 +7,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from dpbench.bench.capability.choices import find_least_use_and_pieces
 from dpbench.bench.capability.frontier import CapabilityPlot
-from dpbench.bench.capability.utilisation import Choices
+from dpbench.bench.capability.utilisation import Choices, find_least_use_and_pieces
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.capability.shapes import Piece
 from dpbench.ship.thrusters import Screw, Thruster, ThrusterSet

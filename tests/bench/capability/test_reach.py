@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dpbench.bench.capability.reach import ThrusterReach
+from dpbench.bench.capability.utilisation import ThrusterReach
 from dpbench.mpc.thrusters.attainable_set import build_attainable_force_polytope
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.thrusters import Thruster, ThrusterSet

@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from dpbench.bench.capability.table import (
+from dpbench.bench.capability.edge_qps import (
     CAPABILITY_FILE,
     COLUMNS,
     load_capability_plots,

@@ -9,7 +9,7 @@ import pytest
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.capability import capability_plots
 from dpbench.bench.campaign import run_campaign
-from dpbench.bench.capability import batch, table
+from dpbench.bench.capability import edge_qps
 from dpbench.bench.capability.frontier import FROM_DEG, Capability, CapabilityPlot, Case, WindLimit
 from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import CapabilityTable, SuiteFile, load_path_and_suite
@@ -33,42 +33,42 @@ def frontier() -> CapabilityPlot:
 
 
 @pytest.fixture(scope="module")
-def points(frontier: CapabilityPlot) -> list[batch.Point]:
+def points(frontier: CapabilityPlot) -> list[edge_qps.Point]:
     return [
         point
         for case in frontier.intact_and_failure_cases
         for from_rad in map(math.radians, SOME)
-        for point in batch.list_points_at_limit(
+        for point in edge_qps.list_points_at_limit(
             case, from_rad, frontier.find_wind_limit(case, from_rad)
         )
     ]
 
 
 def test_a_direction_has_four_points_around_its_edge() -> None:
-    points = batch.list_points_at_limit(Case("intact", frozenset()), 0.1, WindLimit(15.0, 6))
+    points = edge_qps.list_points_at_limit(Case("intact", frozenset()), 0.1, WindLimit(15.0, 6))
     winds = [
         DP_CONDITIONS[6][0],
-        (1 - batch.EDGE) * 15.0,
-        (1 + batch.EDGE) * 15.0,
+        (1 - edge_qps.EDGE) * 15.0,
+        (1 + edge_qps.EDGE) * 15.0,
         DP_CONDITIONS[7][0],
     ]
     assert [point.wind_mps for point in points] == winds
     assert [point.held for point in points] == [True, True, False, False]
-    top = batch.list_points_at_limit(Case("intact", frozenset()), 0.1, WindLimit(32.6, 11))
+    top = edge_qps.list_points_at_limit(Case("intact", frozenset()), 0.1, WindLimit(32.6, 11))
     assert [point.wind_mps for point in top] == [DP_CONDITIONS[row][0] for row in (8, 9, 10, 11)]
     assert all(point.held for point in top)
-    nothing = batch.list_points_at_limit(Case("intact", frozenset()), 0.1, WindLimit(1.0, 0))
+    nothing = edge_qps.list_points_at_limit(Case("intact", frozenset()), 0.1, WindLimit(1.0, 0))
     assert [point.wind_mps for point in nothing] == [
         0.5,
-        1 - batch.EDGE,
-        1 + batch.EDGE,
+        1 - edge_qps.EDGE,
+        1 + edge_qps.EDGE,
         DP_CONDITIONS[1][0],
     ]
 
 
 @pytest.mark.slow
-def test_the_referee_agrees(frontier: CapabilityPlot, points: list[batch.Point]) -> None:
-    sequence = batch.build_allocation_sequence(frontier, points)
+def test_the_referee_agrees(frontier: CapabilityPlot, points: list[edge_qps.Point]) -> None:
+    sequence = edge_qps.build_allocation_sequence(frontier, points)
     assert len(sequence) == len(points) == 4 * len(SOME) * 4
     for point, optimum in zip(points, certify_all_steps(sequence), strict=True):
         assert (optimum.kind == "infeasible") is not point.held
@@ -86,14 +86,14 @@ def made_up(frontier: CapabilityPlot) -> Capability:
 @pytest.mark.slow
 def test_a_plot_of_a_suite_is_a_row_a_qp(frontier: CapabilityPlot, tmp_path: Path) -> None:
     capability = made_up(frontier)
-    points = batch.list_points_at_all_limits(frontier, capability)
-    assert table.load_capability_plots(tmp_path) is None
-    table.write_capability_plots(
-        tmp_path, [table.make_capability_columns("some name", capability, points)]
+    points = edge_qps.list_points_at_all_limits(frontier, capability)
+    assert edge_qps.load_capability_plots(tmp_path) is None
+    edge_qps.write_capability_plots(
+        tmp_path, [edge_qps.make_capability_columns("some name", capability, points)]
     )
-    found = table.load_capability_plots(tmp_path)
+    found = edge_qps.load_capability_plots(tmp_path)
     assert found is not None
-    assert list(found) == list(table.COLUMNS)
+    assert list(found) == list(edge_qps.COLUMNS)
     assert found["k"].tolist() == list(range(len(points)))
     assert found["wind_mps"].tolist() == [point.wind_mps for point in points]
     assert found["from_deg"].iloc[:8].tolist() == 4 * [0.0] + 4 * [10.0]
@@ -102,10 +102,10 @@ def test_a_plot_of_a_suite_is_a_row_a_qp(frontier: CapabilityPlot, tmp_path: Pat
     for column, value in (("case", "bow 1"), ("edge_mps", math.nan)):
         found.assign(**{column: value}).to_parquet(path)
         with pytest.raises(ResultsError, match=column):
-            table.load_capability_plots(tmp_path)
+            edge_qps.load_capability_plots(tmp_path)
     path.write_bytes(b"nothing")
     with pytest.raises(ResultsError, match=r"capability\.parquet"):
-        table.load_capability_plots(tmp_path)
+        edge_qps.load_capability_plots(tmp_path)
 
 
 @pytest.mark.slow
@@ -153,7 +153,7 @@ def test_a_vessel_that_has_no_plot_is_refused(keys: dict[str, object], said: str
 def test_a_run_leaves_the_plot_and_answers_that_the_referee_judged(tmp_path: Path) -> None:
     suite, out = suite_file(tmp_path, SUITE), tmp_path / "out"
     run_campaign(suite, out, solvers=["quadprog"])
-    table_of_run = table.load_capability_plots(out)
+    table_of_run = edge_qps.load_capability_plots(out)
     assert table_of_run is not None
     (plot,) = capability_plots(Records(load_results(out)), table_of_run)
     (answers,) = plot.answers
@@ -163,7 +163,7 @@ def test_a_run_leaves_the_plot_and_answers_that_the_referee_judged(tmp_path: Pat
     assert len(plot.edges) == 36 * 3 and not plot.edges["untrue"].any()
     (out / "capability.parquet").unlink()
     run_campaign(suite, out, solvers=["quadprog"])
-    assert table.load_capability_plots(out) is not None
+    assert edge_qps.load_capability_plots(out) is not None
     page = write_report(out).read_text(encoding="utf-8")
     assert 'id="answer"' in page and "1 of 1 solver answers all 432 QPs" in page
     assert (out / "figures" / "capability-osv.svg").is_file()
