@@ -29,7 +29,7 @@ from dpbench.bench.design import (
 )
 from dpbench.bench.engines.dispatcher import Dispatcher
 from dpbench.bench.engines.engine import SourceFiles
-from dpbench.bench.engines.local import LocalEngine
+from dpbench.bench.engines.open_engine import LocalEngine
 from dpbench.bench.plan.suite import DesignTable
 from dpbench.bench.progress import Silent
 from dpbench.bench.run.exact_loop import solve_loop_exactly

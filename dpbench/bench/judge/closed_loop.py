@@ -16,8 +16,6 @@ from dpbench.bench.judge.control_metrics import (
     compute_axis_limit_metrics,
     compute_control_metrics,
     compute_joint_limit_metrics,
-)
-from dpbench.bench.judge.thruster_metrics import (
     compute_thruster_metrics,
     compute_used_thrust_and_power_shares,
 )

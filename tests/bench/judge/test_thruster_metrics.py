@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from dpbench.bench.judge.thruster_metrics import (
+from dpbench.bench.judge.control_metrics import (
     compute_thruster_metrics,
     compute_used_thrust_and_power_shares,
 )

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.bench.judge.thruster_metrics import compute_thruster_metrics
+from dpbench.bench.judge.control_metrics import compute_thruster_metrics
 from dpbench.bench.record.cell import Formulation
 from dpbench.bench.record.raw_log import RawLog, make_loop_layout
 from dpbench.bench.run.backup import WARM_UP_SOLVES, Backup

@@ -10,8 +10,11 @@ import pytest
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
 from dpbench.bench.capability.frontier import CapabilityPlot
-from dpbench.bench.judge.control_metrics import compute_axis_limit_metrics, compute_control_metrics
-from dpbench.bench.judge.thruster_metrics import compute_thruster_metrics
+from dpbench.bench.judge.control_metrics import (
+    compute_axis_limit_metrics,
+    compute_control_metrics,
+    compute_thruster_metrics,
+)
 from dpbench.bench.run.exact_loop import ExactLoop, rebuild_sequence, solve_loop_exactly
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.qp.referee.optimum import Optimum
