@@ -102,7 +102,9 @@ def ship_lines(vessel: Vessel) -> list[str]:
     find_share = None if reach is None else reach.find_least_thrust_share
     current_mps = ships.find_largest_current_abeam_mps(vessel, find_share)
     lines = [line.rstrip() for line in table]
-    return [*lines, _sideways_line(pure, current_mps, unit, per), *_drag_lines(vessel, unit, per)]
+    lines.append(_sideways_line(pure, current_mps, unit, per))
+    sectors = [] if vessel.thrusters is None else vessel.thrusters.sector_descriptions
+    return [*lines, *_drag_lines(vessel, unit, per), *sectors]
 
 
 def _limit_to_pure_forces(vessel: Vessel, reach: ThrusterReach) -> Vessel:

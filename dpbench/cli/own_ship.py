@@ -120,6 +120,7 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
         vessel, remarks = ship.vessel, list_cautions(ship)
         if ship.thrusters is not None:
             remarks.append(f"assumed of the thrusters: {' '.join(ship.thrusters.assumed)}")
+            remarks += ship.thrusters.thrusters.sector_descriptions
     else:
         if sea is None:
             instead = f"give --sea, 1 to {max(scaling.DP_NUMBERS)}, or describe the ship anew"

@@ -24,6 +24,7 @@ from dpbench.scenario.own_thrusters import (
     ASSUMED,
     Berth,
     complete_thrusters,
+    list_assumed_diameters,
     list_assumptions,
     read_thruster_rows,
 )
@@ -63,6 +64,11 @@ class OwnThrusters:
     def assumed(self) -> list[str]:
         """Sentences on the values that the rows leave out."""
         return list_assumptions(self.rows, self.tables)
+
+    @property
+    def assumed_diameters(self) -> str:
+        """Diameters that the rows leave out, with their thrusters; "" without any."""
+        return list_assumed_diameters(self.rows, self.tables)
 
     @property
     def tables_with_assumed(self) -> list[tuple[ThrusterTable, list[str]]]:

@@ -4,8 +4,9 @@
     main,-38,-4,2000,board A
     tunnel,32,,800,board B
 
-The columns are keys of `[[thrusters]]` of a vessel file, a sector as sector_from_deg and
-sector_to_deg; an empty cell is a key that is left out.
+The columns are keys of `[[thrusters]]` of a vessel file, but for the directions of an azimuth:
+sector_from_deg and sector_to_deg, or barred_from_deg and barred_to_deg. An empty cell is a key that
+is left out.
 """
 
 import math
@@ -21,8 +22,15 @@ from dpbench.scenario.tables.vessel_file import ThrusterTable
 from dpbench.ship.thrusters import ThrusterSet
 
 TEXTS = ("name", "kind", "propeller", "group")
-SECTOR = ("sector_from_deg", "sector_to_deg")
-COLUMNS = tuple(key for key in ThrusterTable.model_fields if key != "sector_deg") + SECTOR
+SECTORS = {
+    "sector_deg": ("sector_from_deg", "sector_to_deg"),
+    "barred_deg": ("barred_from_deg", "barred_to_deg"),
+}
+"""Columns of the directions in which an azimuth may push, and of those in which it may not."""
+COLUMNS = (
+    *(key for key in ThrusterTable.model_fields if key != "sector_deg"),
+    *(column for columns in SECTORS.values() for column in columns),
+)
 REQUIRED = ("kind", "x_m")
 MOST_ROWS = 100
 LOADING_KW_PER_M2 = {"open": 138.0, "nozzle": 323.0, "tunnel": 297.0}
@@ -83,12 +91,24 @@ def complete_thrusters(
             for name, text in row.items()
         }
         keys = {"name": f"{keys.get('kind', '')} {number}", "rise_s": berth.rise_s} | keys
-        if any(name in keys for name in SECTOR):
-            keys["sector_deg"] = [keys.pop(name, 0.0) for name in SECTOR]
+        _join_sector_columns(keys, at)
         _assume_propeller(keys)
         tables.append(parse_model(keys, ThrusterTable, at))
         _check_place(tables[-1], berth, at)
     return tuple(tables), ThrusterSet(tuple(table.build_thruster() for table in tables), where)
+
+
+def _join_sector_columns(keys: dict[str, Any], where: str) -> None:
+    """Replace the two columns of a sector by its key; InputError where one of them is empty."""
+    for key, columns in SECTORS.items():
+        if not any(column in keys for column in columns):
+            continue
+        for column in columns:
+            if column not in keys:
+                raise InputError(
+                    where, column, "nothing", f"a number beside {' and '.join(columns)}"
+                )
+        keys[key] = [keys.pop(column) for column in columns]
 
 
 def _assume_propeller(keys: dict[str, Any]) -> None:
@@ -126,7 +146,7 @@ def list_assumptions(
     named = list(zip(rows, tables, strict=True))
     by_power = [(row, table) for row, table in named if "power_kW" in row]
     mains = [(row, table) for row, table in named if table.kind == "main"]
-    sizes = _list_left_out(by_power, "diameter_m", " m")
+    sizes = list_assumed_diameters(rows, tables)
     rises = _list_left_out(named, "rise_s", " s")
     propellers = _list_left_out(by_power, "propeller")
     astern = _list_left_out(mains, "astern")
@@ -142,6 +162,15 @@ def list_assumptions(
         "A thruster without a group fails alone.": any("group" not in row for row in rows),
     }
     return [sentence for sentence, is_needed in sentences.items() if is_needed]
+
+
+def list_assumed_diameters(
+    rows: Sequence[Mapping[str, str]], tables: Sequence[ThrusterTable]
+) -> str:
+    """List the diameters that follow from power alone, with their thrusters; "" without any."""
+    named = zip(rows, tables, strict=True)
+    by_power = [(row, table) for row, table in named if "power_kW" in row]
+    return _list_left_out(by_power, "diameter_m", " m")
 
 
 def _list_left_out(

@@ -31,6 +31,12 @@ ETA_1 = {"open": 800.0, "nozzle": 1200.0, "tunnel": 900.0}
 MECHANICAL_EFFICIENCY = 0.93  # η_m of DNV-ST-0111 level 1
 
 
+def describe_sector(start_deg: float, end_deg: float) -> str:
+    """State the directions in which a sector lets an azimuth push the ship, and those barred."""
+    start, end = (f"{round(edge, 2) % 360.0:g}°" for edge in (start_deg, end_deg))
+    return f"pushes {start} to {end}, barred {end} to {start}"
+
+
 def compute_nominal_thrust_N(power_kW: float, diameter_m: float, propeller: Propeller) -> float:
     """Return the bollard pull ahead [N] of a propeller by DNV-ST-0111 level 1."""
     return float(ETA_1[propeller] * (MECHANICAL_EFFICIENCY * power_kW * diameter_m) ** (2.0 / 3.0))
@@ -80,6 +86,12 @@ class Thruster:
             if self.kind != "azimuth" or not 0.0 < width <= np.pi:
                 found = f"{np.degrees(width):g} degrees of a thruster of kind {self.kind}"
                 allowed = "for an azimuth, from a to b with b − a above 0 and up to 180"
+                if self.kind == "azimuth" and width > np.pi:
+                    middle = float(np.degrees(sum(self.sector_rad))) / 2.0
+                    allowed += (
+                        ", as the forces in a wider one are no convex set: give the half turn that "
+                        f"is needed most, such as from {middle - 90:g} to {middle + 90:g}"
+                    )
                 raise InputError(f"thruster {self.name}", "sector_deg", found, allowed)
 
     @property
@@ -138,6 +150,15 @@ class ThrusterSet:
         return np.repeat(
             np.asarray(values), [thruster.component_count for thruster in self.thrusters]
         )
+
+    @property
+    def sector_descriptions(self) -> list[str]:
+        """Sentence on each azimuth with a sector: where it may push the ship, and where not."""
+        return [
+            f"{thruster.name} {describe_sector(*np.degrees(thruster.sector_rad).tolist())}"
+            for thruster in self.thrusters
+            if thruster.sector_rad is not None
+        ]
 
     @cached_property
     def largest_thrusts_N(self) -> Vector:

@@ -84,7 +84,8 @@ def test_what_is_assumed_of_thrusters_is_printed_and_marked(
     assert "diameter_m = 3.2\n" in first and "astern = 0.6\n" in first
     assert "diameter_m = 3.81  # assumed\n" in second and "astern = 0.79  # assumed\n" in second
     source = tomllib.loads(Path(FILES[0]).read_text(encoding="utf-8"))["source"]
-    assert "section IV" not in source and source.endswith("; limits: vessel file")
+    assert "section IV" not in source
+    assert source.endswith(f"; limits: vessel file; diameters assumed: {sizes}")
 
 
 def test_the_worst_group_is_lost_where_the_others_hold(capsys: pytest.CaptureFixture[str]) -> None:
@@ -151,6 +152,35 @@ def test_thrusters_with_a_sector_are_limited_axis_by_axis() -> None:
     assert not isinstance(load_scenario(FILES[1]).controller, JointForceController)
 
 
+def test_barred_directions_leave_the_sector_and_both_are_printed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """By `init`, `check` and the comment of the file: none can take one for the other."""
+    rows = TABLE.replace("power_kW,group", "power_kW,group,barred_from_deg,barred_to_deg")
+    assert init(rows.rstrip("\n") + ",150,30\n") == 0
+    said = "azimuth 5 pushes 30° to 150°, barred 150° to 30°"
+    assert said in capsys.readouterr().out.splitlines()
+    text = Path(FILES[0]).read_text(encoding="utf-8")
+    assert "sector_deg = [30.0, 150.0]  # pushes, from and to" in text
+    barred = text.replace("sector_deg = [30.0, 150.0]", "barred_deg = [150, 30]")
+    wrapped = text.replace("sector_deg = [30.0, 150.0]", "sector_deg = [390, 150]")
+    sectors = []
+    for same in (text, barred, wrapped):
+        Path("same.toml").write_text(same, encoding="utf-8")
+        thrusters = load_vessel("same.toml").thrusters
+        assert thrusters is not None
+        sectors.append(np.degrees(thrusters.thrusters[-1].sector_rad).tolist())
+        assert main(["check", "same.toml", "--quick"]) == 0
+        assert said in capsys.readouterr().out.splitlines()
+    np.testing.assert_allclose(sectors, [[30.0, 150.0], [30.0, 150.0], [390.0, 510.0]])
+    for wrong, found in (("barred_deg = [150]", "of two numbers"), (None, "either sector_deg or")):
+        both = "barred_deg = [150, 30]\nsector_deg = [30.0, 150.0]"
+        spoilt = text.replace("sector_deg = [30.0, 150.0]", wrong or both)
+        Path("same.toml").write_text(spoilt, encoding="utf-8")
+        assert main(["check", "same.toml", "--quick"]) == 2
+        assert found in capsys.readouterr().err
+
+
 def test_thrusters_are_asked_for(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -185,6 +215,22 @@ def test_thrusters_are_asked_for(
             "azimuth,-30,100,-60,60\nazimuth,30,100,-60,60\n",
             (),
             "to one side of an axis only",
+        ),
+        (
+            TABLE.replace("group\n", "group,barred_from_deg,barred_to_deg\n").replace(
+                "-30,0,1200,board B", "-30,0,1200,board B,150,"
+            ),
+            (),
+            "thruster 5: barred_to_deg: found nothing",
+        ),
+        (
+            TABLE.replace("group\n", "group,barred_from_deg,barred_to_deg\n").replace(
+                "-30,0,1200,board B", "-30,0,1200,board B,150,210"
+            ),
+            (),
+            "found 300 degrees of a thruster of kind azimuth; allowed: for an azimuth, from a to b "
+            "with b − a above 0 and up to 180, as the forces in a wider one are no convex set: "
+            "give the half turn that is needed most, such as from 270 to 450",
         ),
         (TABLE, ("--thrust", "300"), "--thrusters and --thrust exclude each other"),
         (TABLE + "main,1,2,3,board A,more\n", (), "thruster 6: found 6 cells"),

@@ -7,6 +7,7 @@ from dpbench.analysis.records.run_record import group_by
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.report.formats import and_list
 from dpbench.report.ship_text import describe_ship, list_losses
+from dpbench.ship.thrusters import describe_sector
 
 
 def describe_scenario(ship: ShipResult) -> Iterator[str]:
@@ -44,6 +45,8 @@ def describe_thrusters(thrusters: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _thruster_text(thruster: Mapping[str, Any]) -> str:
-    """Name a thruster with its power, where that is known."""
-    power_kW = thruster.get("power_kW")
-    return str(thruster["name"]) + (f" ({power_kW:g} kW)" if power_kW else "")
+    """Name a thruster with its power and the directions it pushes in, where they are known."""
+    power_kW, sector_deg = thruster.get("power_kW"), thruster.get("sector_deg")
+    facts = [f"{power_kW:g} kW"] if power_kW else []
+    facts += [describe_sector(*sector_deg)] if sector_deg else []
+    return str(thruster["name"]) + (f" ({', '.join(facts)})" if facts else "")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -87,12 +87,28 @@ class ThrusterTable(FileModel):
     astern: keys.Share = 1.0
     """Thrust astern of a main propeller as a share of that ahead."""
     sector_deg: keys.Two | None = None
-    """Directions in which an azimuth may push, from and to, clockwise from ahead [°]; at most half
-    a turn wide. All round by default."""
+    """Directions in which an azimuth may push the ship, from and to, clockwise from ahead [°]; at
+    most half a turn wide. All round by default. In its place: `barred_deg`, from and to, the
+    directions in which it may not push."""
     turning_degps: keys.Positive | None = None
     """Fastest turning of an azimuth [°/s]; needed where a controller limits it."""
     group: str = ""
     """Failure group, as of one switchboard; by default it fails alone."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _convert_barred_to_allowed(cls, keys: Any) -> Any:
+        """Replace the barred directions of a table by the sector that they leave."""
+        if not isinstance(keys, dict) or "barred_deg" not in keys:
+            return keys
+        barred = keys["barred_deg"]
+        if keys.get("sector_deg") is not None:
+            raise ValueError("either sector_deg or barred_deg")
+        edges = barred if isinstance(barred, list) else []
+        if len(edges) != 2 or not all(isinstance(edge, int | float) for edge in edges):
+            raise ValueError("barred_deg of two numbers, from and to")
+        others = {key: value for key, value in keys.items() if key != "barred_deg"}
+        return others | {"sector_deg": edges[::-1]}
 
     @model_validator(mode="after")
     def _check_one_thrust(self) -> ThrusterTable:
@@ -116,7 +132,10 @@ class ThrusterTable(FileModel):
             screw = Screw(self.diameter_m, self.propeller, self.height_m)
         sector = None
         if self.sector_deg is not None:
-            sector = math.radians(self.sector_deg[0]), math.radians(self.sector_deg[1])
+            start, end = self.sector_deg
+            # From 330 to 30 goes by way of 0.
+            end = end if end >= start else start + (end - start) % 360.0
+            sector = math.radians(start), math.radians(end)
         place = self.name, self.kind, self.x_m, self.y_m
         rest = self.astern, sector, self.group, screw
         turning = None if self.turning_degps is None else math.radians(self.turning_degps)

@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import pytest
 
 from dpbench.cli.main import main
+from dpbench.report.documents.scenario_words import describe_thrusters
 from dpbench.report.documents.statement import HEIGHT, MARGIN, WIDTH, statement_svg
 from dpbench.report.formats import error_text, time_text
 from dpbench.report.page.recommendation import speed_margin_text
@@ -91,6 +92,13 @@ def test_it_has_the_verdict_where_it_is_valid_and_what_is_not(drawn: str, writte
     for p, experiment in enumerate(facts.experiments):
         if facts.state(facts.index(first), p) == "pass":
             assert experiment.label in text
+
+
+def test_a_sector_is_listed_with_its_thruster() -> None:
+    """Both what it pushes towards and what is barred; without power and sector the name alone."""
+    azimuth = {"name": "azimuth", "power_kW": 1200.0, "group": "A", "sector_deg": [-30.0, 60.0]}
+    said = describe_thrusters([azimuth, {"name": "bow", "group": "A", "sector_deg": None}])
+    assert said == "A: azimuth (1200 kW, pushes 330° to 60°, barred 60° to 330°), bow"
 
 
 def test_it_names_the_commit_where_the_record_has_one(written: Any) -> None:
