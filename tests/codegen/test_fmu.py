@@ -1,6 +1,10 @@
 """The controller as an FMU: valid, and it steers the ship as the Python loop does."""
 
 import importlib.util
+import os
+import shutil
+import subprocess
+import sys
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -139,6 +143,39 @@ def test_a_restored_state_goes_on_as_before(
     controller.close()
     assert np.array_equal(first, second)
     assert not np.array_equal(first[0], first[-1])
+
+
+@pytest.mark.skipif(shutil.which("wine") is None, reason="there is no wine here")
+@pytest.mark.parametrize("built", [(2, "paper"), (3, "paper")], indirect=True)
+def test_the_library_for_windows_gives_the_same_commands(
+    built: tuple[Path, ControllerData], tmp_path: Path
+) -> None:
+    """Loaded by a program of Windows, its commands are those of the Python loop."""
+    import fmpy
+
+    path, data = built
+    expected = record_trajectory(data, "paper_active_set", STEPS)
+    fmpy.extract(str(path), unzipdir=str(tmp_path))
+    model = fmpy.read_model_description(str(path))
+    version = int(model.fmiVersion[0])
+    target = ["-target", "x86_64-windows-gnu"]
+    source = Path(__file__).with_name("fmu_host.c")
+    host = [sys.executable, "-m", "ziglang", "cc", "-std=c99", str(source), *target]
+    subprocess.run([*host, "-o", "host.exe"], cwd=tmp_path, check=True)
+    np.ascontiguousarray(expected.inputs).tofile(tmp_path / "inputs")
+    place = next(place for place, _, ending in SYSTEMS[version] if ending == ".dll")
+    words = [version, f"binaries/{place}/{model.coSimulation.modelIdentifier}.dll", model.guid]
+    words += [
+        data.scenario.sample_s,
+        "inputs",
+        "commands",
+        *(x.shape[1] for x in (expected.inputs, expected.commands)),
+    ]
+    settings = {"WINEDEBUG": "-all", "WINEPREFIX": str(tmp_path / "wine")}
+    command = ["wine", "host.exe", *map(str, words)]
+    subprocess.run(command, cwd=tmp_path, check=True, env={**os.environ, **settings})
+    commands = np.fromfile(tmp_path / "commands").reshape(expected.commands.shape)
+    assert np.abs((commands - expected.commands) / data.du_max).max() < 1e-9
 
 
 def test_a_version_that_does_not_exist_is_refused(
