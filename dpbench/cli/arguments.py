@@ -330,8 +330,8 @@ def _add_tune_solver_arguments(tune: Command) -> None:
     """Add the options and arguments of `dpbench tune-solver` to its parser."""
     tune.description = (
         "Find the fastest settings of a solver that are accurate on the training sequences, and "
-        "measure them on test sequences of other loops. Give the same command again after an "
-        "interruption."
+        "measure them on test sequences of other loops. Ctrl-C writes the best so far; give the "
+        "same command again to go on."
     )
     add, option = tune.add_argument, partial(_add_option, tune)
     repeated = partial(option, action="append", default=[])
@@ -414,7 +414,8 @@ _COMMANDS: dict[str, tuple[Callable[[Command], None], str, str | None]] = {
     "tune-solver": (
         _add_tune_solver_arguments,
         "search for a solver's fastest accurate settings",
-        "Exit code: 0 settings found; 1 none is accurate on every training sequence; 2 bad input.",
+        "Exit code: 0 settings found; 1 none is accurate on every training sequence; 2 bad input; "
+        "130 interrupted.",
     ),
     "embedded": (
         _add_embedded_arguments,

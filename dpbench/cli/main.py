@@ -356,6 +356,8 @@ def _tune_solver(arguments: argparse.Namespace) -> int:
         screen.print(make_report_table(tuning.table, screen))
         screen.print()
     print_wrapped(tuning.lines)
+    if tuning.is_interrupted:
+        return _print_interrupted(arguments)
     return 0 if tuning.path is not None else 1
 
 

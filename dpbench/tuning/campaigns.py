@@ -2,6 +2,7 @@
 
 import json
 import math
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,8 +11,12 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.bench.campaign import run_campaign
+from dpbench.bench.plan.cells import PlannedCell
+from dpbench.bench.plan.plan import plan_suite
+from dpbench.bench.plan.suite import SuiteFile
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.result_folder import load_results
+from dpbench.bench.workers.jobs import count_steps
 from dpbench.files.writing import write_text_atomically
 from dpbench.solvers.contract import Options
 from dpbench.solvers.own_settings import format_options_as_toml
@@ -34,6 +39,22 @@ class TunedSolver:
     policy: str
     requirements: Requirements
     solver_module: str | None = None
+
+
+def plan_settings(
+    solver: TunedSolver,
+    problems: Sequence[TunedProblem],
+    settings: Sequence[Options],
+    presets: Sequence[str] = (DEFAULT,),
+) -> list[PlannedCell]:
+    """Return the planned runs of `measure_settings`."""
+    document = tomllib.loads(suite_text(solver, problems, settings, presets))
+    return plan_suite(SuiteFile.model_validate(document))
+
+
+def count_steps_of_settings(solver: TunedSolver, problems: Sequence[TunedProblem]) -> int:
+    """Return the steps that settings of a solver take on some sequences, for the progress bar."""
+    return sum(count_steps(planned.cell) for planned in plan_settings(solver, problems, ()))
 
 
 def measure_settings(

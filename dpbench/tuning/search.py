@@ -79,7 +79,8 @@ def split_into_batches(trials: int) -> list[int]:
 class TrialSearch(Generic[_Score]):
     """A search with a budget of trials; the first half of them spread over all ranges.
 
-    `trials` are in the order of trial; equal options are tried once.
+    `trials` are in the order of trial; equal options are tried once. `drawn` counts the options of
+    all batches that were evaluated, equal ones and without those given.
     """
 
     def __init__(
@@ -88,6 +89,7 @@ class TrialSearch(Generic[_Score]):
         self._space, self._evaluate, self._choose = space, evaluate, choose
         self._rng = np.random.default_rng(seed)
         self.trials: list[Trial[_Score]] = []
+        self.drawn = 0
 
     def run(self, trials: int, start: Options | None = None) -> None:
         """Try so many options: a half of the batches spread, the others near the best.
@@ -118,13 +120,13 @@ class TrialSearch(Generic[_Score]):
             name = format_options_as_toml(options)
             if name not in known:
                 new.setdefault(name, (options, point))
-        if not new:
-            return
-        scores = self._evaluate([options for options, _ in new.values()])
-        self.trials += [
-            Trial(options, point, score)
-            for (options, point), score in zip(new.values(), scores, strict=True)
-        ]
+        if new:
+            scores = self._evaluate([options for options, _ in new.values()])
+            self.trials += [
+                Trial(options, point, score)
+                for (options, point), score in zip(new.values(), scores, strict=True)
+            ]
+        self.drawn += len(points)
 
 
 class SettingsSearch(TrialSearch[Score]):

@@ -6,13 +6,12 @@ from pathlib import Path
 
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.requirements import Requirements, is_right
-from dpbench.report.formats import error_text, significant, time_text
+from dpbench.report.formats import and_list, error_text, significant, time_text
 from dpbench.report.table import Table
 from dpbench.solvers.own_settings import format_options_as_toml
 from dpbench.tuning.campaigns import TunedSolver, score_runs, step_times_ns
+from dpbench.tuning.request import BEST, SearchRequest
 from dpbench.tuning.search import Score, Trial
-
-YOURS, BEST = "yours", "best"
 
 
 @dataclass(frozen=True)
@@ -47,19 +46,29 @@ class TunedRole:
 
 @dataclass(frozen=True)
 class Tuning:
-    """Result of a search: the best trial, its runs on training and test sequences, its file.
+    """Result of a search: the best trial, and its runs on training and test sequences.
 
-    edges : options whose best value is at the edge of its range. folder : of the runs; path : of
-    the settings as TOML, None where no trial met the requirement.
+    trials : settings that were tried; drawn : of these and equal ones, those of the search's own
+    choice. roles : none where no trial met the requirement, or the search was interrupted.
     """
 
-    solver: TunedSolver
+    request: SearchRequest
     best: Trial[Score]
     trials: int
-    edges: Sequence[str]
+    drawn: int
     roles: tuple[TunedRole, ...]
-    folder: Path
-    path: Path | None
+    is_interrupted: bool = False
+
+    @property
+    def solver(self) -> TunedSolver:
+        """The solver that was tuned."""
+        return self.request.solver
+
+    @property
+    def path(self) -> Path | None:
+        """The file of the best settings; None where no trial met the requirement."""
+        is_right = self.best.score.is_right
+        return self.request.folder / f"{self.request.name}.toml" if is_right else None
 
     @property
     def table(self) -> Table:
@@ -89,37 +98,65 @@ class Tuning:
     @property
     def lines(self) -> list[str]:
         """The result in words: the best settings, and what they gain on either kind of sequence."""
-        edges = [f"the best lies at the edge of the searched range, {text}" for text in self.edges]
+        edges = [
+            f"the best lies at the edge of the searched range, {text}"
+            for text in self.request.space.describe_edges(self.best.options)
+        ]
         if self.path is None:
             return [
                 f"none of {self.trials} settings is accurate on every training sequence; the "
                 f"nearest, {self.best.name}, misses the requirement on {self.best.score.wrong}",
                 *edges,
+                *self.request.searched,
+                *self._not_done,
             ]
-        lines = [f"best of {self.trials} settings: {self.best.name}", *edges]
-        for role in self.roles:
-            lines.append(f"{role.title} sequences: {role.summary(self.solver.requirements)}")
-        return [*lines, f"settings: {self.path}; runs: {self.folder / 'final'}"]
+        found = "best so far, of" if self.is_interrupted else "best of"
+        lines = [f"{found} {self.trials} settings: {self.best.name}", *edges]
+        lines += [*self.request.searched, *self._measured, *self._not_done]
+        runs = f"; runs: {self.request.folder / 'final'}" if self.roles else ""
+        return [*lines, f"settings: {self.path}{runs}"]
+
+    @property
+    def _measured(self) -> list[str]:
+        """Accuracy and time of the best settings: in the end, or else in their batch."""
+        if not self.roles:
+            ratio = significant(self.best.score.ratio)
+            names = ", ".join(problem.name for problem in self.request.training)
+            return [
+                f"training sequences ({names}): accurate; {ratio} times the step time of default"
+            ]
+        return [
+            f"{role.title} sequences ({', '.join(run.sequence for run in role.runs[BEST])}): "
+            f"{role.summary(self.solver.requirements)}"
+            for role in self.roles
+        ]
+
+    @property
+    def _not_done(self) -> list[str]:
+        """What an interrupted search has not done."""
+        left = self.request.trials - self.drawn
+        parts = [f"{left} of {self.request.trials} settings to try"] if left else []
+        parts.append("the measurement on test sequences, beside the presets")
+        go_on = "the same command goes on"
+        return [f"interrupted, not done: {and_list(parts)}; {go_on}"] * self.is_interrupted
+
+    @property
+    def toml(self) -> str:
+        """The table `[settings.NAME]` of a suite, with what was measured in its comments."""
+        solver, name = self.solver, self.request.name
+        comments = [
+            f"Settings of {solver.name}, route {solver.route}, policy {solver.policy}; found by "
+            "`dpbench tune-solver`.",
+            *self.request.searched,
+            *self._measured,
+            *self._not_done,
+        ]
+        options = format_options_as_toml(self.best.options).replace(",", ", ").replace("=", " = ")
+        head = "".join(f"# {line}\n" for line in comments)
+        return f"{head}[settings.{name}]\n{solver.name} = {{ {options} }}\n"
 
 
 def _step_time_text(run: RunRecord) -> str:
     """Format the step time that a run is ranked by, with its name unless it is the p99."""
     name, time_ns = next(iter(step_times_ns(run).items()))
     return time_text(time_ns) if name == "p99" else f"{name} {time_text(time_ns)}"
-
-
-def settings_toml(tuning: Tuning, name: str) -> str:
-    """Return `[settings.NAME]` of a suite, with what was measured in its comments."""
-    solver = tuning.solver
-    comments = [
-        f"Settings of {solver.name}, route {solver.route}, policy {solver.policy}; found by "
-        "`dpbench tune-solver`.",
-        *(
-            f"{role.title} sequences ({', '.join(run.sequence for run in role.runs[BEST])}): "
-            f"{role.summary(solver.requirements)}"
-            for role in tuning.roles
-        ),
-    ]
-    options = format_options_as_toml(tuning.best.options).replace(",", ", ").replace("=", " = ")
-    head = "".join(f"# {line}\n" for line in comments)
-    return f"{head}[settings.{name}]\n{solver.name} = {{ {options} }}\n"

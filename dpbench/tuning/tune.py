@@ -4,69 +4,49 @@ The search sees the training sequences alone. In the end the best settings and t
 timed anew side by side, on these and on the test sequences.
 """
 
-import re
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
-import numpy as np
-
 from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.bench.plan.run_request import NO_P99
 from dpbench.bench.progress import Progress, Silent
-from dpbench.errors import InputError, PolicyError, require_integer_at_least
 from dpbench.files.writing import write_text_atomically
-from dpbench.report.formats import and_list
 from dpbench.solvers.contract import Options, Policy, Route
-from dpbench.solvers.own_settings import (
-    expand_option_grid,
-    format_options_as_toml,
-    parse_options_of_choice,
-    split_into_solver_and_options_text,
-)
-from dpbench.solvers.record import HIGH
-from dpbench.solvers.settings import (
-    has_distinct_tolerance_presets,
-    has_preset_or_tolerance,
-    resolve_settings_to_options,
-)
-from dpbench.solvers.table import (
-    find_solver_record,
-    get_native_adapter,
-    get_qpsolvers_adapter,
-    load_plugin_solver_from_file,
-    require_solver_available,
-)
+from dpbench.solvers.own_settings import format_options_as_toml
 from dpbench.tuning.campaigns import (
-    DEFAULT,
-    TunedSolver,
+    count_steps_of_settings,
     measure_settings,
     runs_by_settings,
     score_settings,
 )
+from dpbench.tuning.request import TRIALS, SearchRequest, make_request
 from dpbench.tuning.search import Score, SettingsSearch, split_into_batches
-from dpbench.tuning.sequences import TunedProblem, load_problem, refuse_overlap
-from dpbench.tuning.solver_tuning import BEST, YOURS, TunedRole, Tuning, settings_toml
-from dpbench.tuning.space import SearchSpace, make_space
-
-TRAINING = ("paper", "rough", "turn")
-TEST = ("move", "extreme", "weather")
-TRIALS = 48
+from dpbench.tuning.solver_tuning import TunedRole, Tuning
 
 
-class _BatchProgress:
-    """The progress of several campaigns as that of one, with the batch in front of each text."""
+class _SearchProgress:
+    """The progress of all campaigns of a search as that of one, with the batch before each text."""
 
-    def __init__(self, progress: Progress, batches: int) -> None:
-        self._progress, self._batches = progress, batches
-        self._batch = 0
+    def __init__(self, progress: Progress, request: SearchRequest) -> None:
+        self._progress, self._batch, self._planned = progress, 0, 0
+        self._batches = len(split_into_batches(request.trials)) + 1
+        self._training = count_steps_of_settings(request.solver, request.training)
+        self._all = self._training + count_steps_of_settings(request.solver, request.test)
+        in_end = len(request.presets) + len(request.name_settings({}))
+        started = request.trials + (request.start is not None) + self._batches - 1
         self._remarks: set[str] = set()
+        progress.start(started * self._training + in_end * self._all)
+
+    def plan(self, settings: int, *, with_test: bool = False) -> None:
+        """Announce a campaign with so many settings, presets included."""
+        self._batch += 1
+        self._planned = settings * (self._all if with_test else self._training)
 
     def start(self, work: int) -> None:
-        """Begin the next campaign; the first one sets the total work of all of them."""
-        self._batch += 1
-        if self._batch == 1:
-            self._progress.start(work * self._batches)
+        """Begin the campaign; what it has not to do any more is finished."""
+        if work < self._planned:
+            self.advance(self._planned - work, "finished before")
 
     def advance(self, work: int, what: str) -> None:
         """Add finished work [steps] of this campaign."""
@@ -74,7 +54,7 @@ class _BatchProgress:
 
     def remark(self, text: str) -> None:
         """Show a remark of the campaigns once, even if several make it."""
-        if text not in self._remarks:
+        if text not in self._remarks and not text.startswith(NO_P99):
             self._remarks.add(text)
             self._progress.remark(text)
 
@@ -104,13 +84,14 @@ def tune_solver(
 ) -> Tuning:
     """Search a solver's settings on training sequences and measure the best on test sequences.
 
-    Finished runs are kept: the same call goes on after an interruption.
+    Finished runs are kept: the same call goes on after an interruption. Ctrl-C ends the search with
+    the best settings of its finished batches, if there are any.
 
     Parameters
     ----------
     solver : a name, or with settings of one's own as `osqp[rho=1.6]`: the search starts with these,
         keeps those of their options that it does not search, and measures them beside the best.
-    training, test : recorded sequences or scenarios; by default `TRAINING` and `TEST`.
+    training, test : recorded sequences or scenarios; by default those in `request.py`.
     ranges : texts such as `rho=[1e-3,10]`, in place of the stated ranges of the solver.
     widened : such texts beside the other ranges.
     route, policy : of the solver; no route is native where it has that.
@@ -127,149 +108,75 @@ def tune_solver(
         missing or has no stated ranges.
     BusyError : the machine was busy longer than `wait_s`; finished runs are kept.
     """
-    if solver_module is not None:
-        load_plugin_solver_from_file(solver_module)
-    _check_numbers(trials, steps, seed, error_move)
-    solver, given = _read_start(solver)
-    tuned = _choose_call(solver, route, policy, Requirements(error_move=error_move), solver_module)
-    if has_preset_or_tolerance(solver, name) or not re.fullmatch(r"[\w-]{1,80}", name, re.ASCII):
-        allowed = f"letters, digits, _ and -; no preset of {solver}"
-        raise InputError("--name", "", repr(name)[:90], allowed)
-    space = make_space(solver, ranges, widened, given)
-    start = space.with_types(given) if given else None
-    _check_options(tuned, space, start)
-    learned = [load_problem(one, steps) for one in training or TRAINING]
-    other = [load_problem(one, steps) for one in test or TEST]
-    refuse_overlap(learned, other)
-    folder = Path(out) if out is not None else Path("results") / f"tune-{solver}"
-    bar = _BatchProgress(progress or Silent(), len(split_into_batches(trials)) + 1)
-    for remark in _list_remarks(policy, [*learned, *other], space, start):
-        bar.remark(remark)
-    search = _search_settings(tuned, learned, space, folder, trials, seed, bar, start, wait_s)
-    best = search.best
-    tuning = Tuning(
-        tuned, best, len(search.trials), space.describe_edges(best.options), (), folder, None
+    request = make_request(
+        solver,
+        training=training,
+        test=test,
+        ranges=ranges,
+        widened=widened,
+        route=route,
+        policy=policy,
+        error_move=error_move,
+        trials=trials,
+        steps=steps,
+        seed=seed,
+        name=name,
+        out=out,
+        solver_module=solver_module,
     )
-    if not best.score.is_right:
-        return tuning
-    roles = _measure_roles(tuned, best.options, start, learned, other, folder, bar, wait_s)
-    tuning = replace(tuning, roles=roles, path=folder / f"{name}.toml")
-    write_text_atomically(folder / f"{name}.toml", settings_toml(tuning, name))
+    bar = _SearchProgress(progress or Silent(), request)
+    for remark in request.remarks:
+        bar.remark(remark)
+    search = _make_search(request, bar, wait_s)
+    roles: tuple[TunedRole, ...] = ()
+    is_interrupted = False
+    try:
+        search.run(request.trials, request.start)
+        if search.best.score.is_right:
+            roles = _measure_roles(request, search.best.options, bar, wait_s)
+    except KeyboardInterrupt:
+        if not search.trials:
+            raise
+        is_interrupted = True
+    tuning = Tuning(request, search.best, len(search.trials), search.drawn, roles, is_interrupted)
+    if tuning.path is not None:
+        write_text_atomically(tuning.path, tuning.toml)
     return tuning
 
 
-def _read_start(choice: str) -> tuple[str, Options]:
-    """Return solver and options of a choice such as `osqp[rho=1.6]`; InputError for a grid."""
-    solver, _ = split_into_solver_and_options_text(choice)
-    points = expand_option_grid(parse_options_of_choice(choice), f"solver {solver}")
-    if len(points) != 1:
-        allowed = "one value an option; --range or --widen 'OPTION=[LEAST,LARGEST]' for a range"
-        raise InputError("tune-solver", "", choice[:90], allowed)
-    return solver, points[0]
+def _make_search(
+    request: SearchRequest, progress: _SearchProgress, wait_s: float | None
+) -> SettingsSearch:
+    """Make the search on the training sequences, one campaign for each batch."""
+    numbers, tuned, problems = count(1), request.solver, request.training
 
+    def evaluate(settings: Sequence[Options]) -> list[Score]:
+        place = request.folder / f"batch-{next(numbers):02d}"
+        progress.plan(len(settings) + 1)
+        runs = measure_settings(tuned, problems, settings, place, progress, wait_s=wait_s)
+        return score_settings(settings, runs_by_settings(runs, problems), tuned.requirements)
 
-def _list_remarks(
-    policy: Policy, problems: Sequence[TunedProblem], space: SearchSpace, start: Options | None
-) -> list[str]:
-    """Return remarks on a warm start from a distant step, and on a start at the edge of a range."""
-    thinned = [f"{one.name} (one step of {one.every})" for one in problems if one.every > 1]
-    remarks = []
-    if policy == "warm" and thinned:
-        remarks.append(
-            f"warm starts on {and_list(thinned)} begin far from the solution, and their times are "
-            "not those of a control loop; name scenarios, as --train paper --steps 300"
-        )
-    edges = space.describe_edges(start or {})
-    return remarks + [f"your settings lie at the edge of the searched range, {e}" for e in edges]
+    return SettingsSearch(request.space, evaluate, request.seed)
 
 
 def _measure_roles(
-    tuned: TunedSolver,
-    best: Options,
-    start: Options | None,
-    training: Sequence[TunedProblem],
-    test: Sequence[TunedProblem],
-    folder: Path,
-    progress: Progress,
-    wait_s: float | None,
+    request: SearchRequest, best: Options, progress: _SearchProgress, wait_s: float | None
 ) -> tuple[TunedRole, ...]:
     """Time presets, the settings to start from and the best ones side by side."""
-    presets = [DEFAULT, HIGH] if has_distinct_tolerance_presets(tuned.name) else [DEFAULT]
-    named = ({} if start is None else {YOURS: start}) | {BEST: best}
+    presets, named = request.presets, request.name_settings(best)
+    progress.plan(len(presets) + len(named), with_test=True)
     runs = measure_settings(
-        tuned,
-        [*training, *test],
+        request.solver,
+        [*request.training, *request.test],
         list(named.values()),
-        folder / "final",
+        request.folder / "final",
         progress,
         presets,
         wait_s=wait_s,
     )
     roles = []
-    for title, problems in (("training", training), ("test", test)):
+    for title, problems in (("training", request.training), ("test", request.test)):
         found = runs_by_settings(runs, problems)
         own = {name: found[format_options_as_toml(options)] for name, options in named.items()}
         roles.append(TunedRole(title, {name: found[name] for name in presets} | own))
     return tuple(roles)
-
-
-def _check_numbers(trials: int, steps: int, seed: int, error_move: float) -> None:
-    """Raise InputError for an impossible number of trials, steps, seed or error limit."""
-    require_integer_at_least("--trials", trials, 1)
-    require_integer_at_least("--steps", steps, 0)
-    require_integer_at_least("--seed", seed, 0)
-    if not 0.0 < error_move < float("inf"):
-        raise InputError("--error", "", error_move, "a number above 0")
-
-
-def _choose_call(
-    solver: str,
-    route: Route | None,
-    policy: Policy,
-    requirements: Requirements,
-    solver_module: str | None,
-) -> TunedSolver:
-    """Return the solver with its call mode; an error where it is missing or lacks the mode."""
-    row = find_solver_record(solver)
-    require_solver_available(solver)
-    own: Route = "native" if "native" in row.routes else row.default_route
-    chosen = route or own
-    if chosen not in row.routes:
-        raise PolicyError(f"solver {solver}", "route", repr(chosen), " | ".join(row.routes))
-    if reason := row.state_why_policy_is_unavailable(chosen, policy):
-        runs = " | ".join(row.get_route_record(chosen).policies)
-        raise PolicyError(f"solver {solver}", "policy", repr(policy), f"{runs} ({reason})")
-    return TunedSolver(solver, chosen, policy, requirements, solver_module)
-
-
-def _check_options(tuned: TunedSolver, space: SearchSpace, start: Options | None) -> None:
-    """Raise SettingsError where the solver lacks an option, or refuses one or an end of a range."""
-    native = tuned.route == "native"
-    adapter = get_native_adapter(tuned.name) if native else get_qpsolvers_adapter(tuned.name)
-    for share in (0.0, 1.0):
-        resolve_settings_to_options(space.options_at(np.full(len(space.ranges), share)), adapter)
-    resolve_settings_to_options(start or {}, adapter)
-
-
-def _search_settings(
-    tuned: TunedSolver,
-    problems: Sequence[TunedProblem],
-    space: SearchSpace,
-    folder: Path,
-    trials: int,
-    seed: int,
-    progress: Progress,
-    start: Options | None,
-    wait_s: float | None,
-) -> SettingsSearch:
-    """Run the search on the training sequences, one campaign for each batch; return it."""
-    numbers = count(1)
-
-    def evaluate(settings: Sequence[Options]) -> list[Score]:
-        place = folder / f"batch-{next(numbers):02d}"
-        runs = measure_settings(tuned, problems, settings, place, progress, wait_s=wait_s)
-        return score_settings(settings, runs_by_settings(runs, problems), tuned.requirements)
-
-    search = SettingsSearch(space, evaluate, seed)
-    search.run(trials, start)
-    return search

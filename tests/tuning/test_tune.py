@@ -1,14 +1,24 @@
 """`dpbench tune-solver` from its arguments to the settings it writes."""
 
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 from dpbench import load_results
+from dpbench.analysis.records.run_record import RunRecord, build_records
+from dpbench.bench.progress import Progress, Silent
+from dpbench.bench.record.schema import convert_to_run_columns
 from dpbench.cli.main import main
 from dpbench.errors import InputError, SettingsError
+from dpbench.solvers.contract import Options
+from dpbench.solvers.own_settings import format_options_as_toml
+from dpbench.tuning import tune
+from dpbench.tuning.request import make_request
+from dpbench.tuning.sequences import TunedProblem
 from dpbench.tuning.tune import tune_solver
 
 
@@ -36,6 +46,114 @@ def test_a_mistake_is_found_before_anything_runs(
     assert not (tmp_path / "out").exists()
 
 
+class _Campaigns:
+    """Campaigns in which every setting is accurate and faster than the one before it."""
+
+    def __init__(self, *, interrupted_at: int) -> None:
+        self.batches = list[int]()
+        self._interrupted_at, self._runs = interrupted_at, 0
+
+    def __call__(
+        self,
+        solver: object,
+        problems: Sequence[TunedProblem],
+        settings: Sequence[Options],
+        folder: Path,
+        progress: Progress,
+        presets: Sequence[str] = ("default",),
+        *,
+        wait_s: float | None = None,
+    ) -> list[RunRecord]:
+        self.batches.append(len(settings))
+        if len(self.batches) == self._interrupted_at:
+            raise KeyboardInterrupt
+        progress.start(0)
+        folder.mkdir(parents=True)
+        done = {"mode": "replay", "outcome": "finished", "steps_planned": 75, "steps_done": 75}
+        rows = []
+        for name in [*presets, *map(format_options_as_toml, settings)]:
+            self._runs += 1
+            run = {"settings": name, "run_id": name, "algo_p50_ns": 1e6 / self._runs}
+            accurate = {"failed_steps": 0, "error_move_max": 1e-9}
+            rows += [done | run | accurate | {"sequence": one.name} for one in problems]
+        return build_records(convert_to_run_columns(pd.DataFrame(rows)))
+
+
+@pytest.mark.parametrize(("at", "tried", "left"), [(2, 8, "4 of 12 settings to try"), (3, 12, "")])
+def test_an_interrupted_search_writes_the_best_so_far(
+    at: int,
+    tried: int,
+    left: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Exit code 130; text and file name what was not done."""
+    monkeypatch.setattr(tune, "measure_settings", _Campaigns(interrupted_at=at))
+    words = "--train calm-30-5 --test move-30-5 --trials 12"
+    assert main(["tune-solver", "osqp", *words.split(), "--out", str(tmp_path)]) == 130
+    said = capsys.readouterr()
+    shown, text = " ".join(said.out.split()), (tmp_path / "tuned.toml").read_text()
+    assert f"best so far, of {tried} settings: " in shown
+    for written in (shown, text):
+        assert "accurate; 0.111 times the step time of default" in written
+        assert f"interrupted, not done: {left}" in written
+        assert "the measurement on test sequences" in written
+    assert "dpbench: interrupted; finished cells are kept" in said.err
+    assert set(tomllib.loads(text)["settings"]["tuned"]) == {"osqp"}
+
+
+class _CountingProgress(Silent):
+    """Progress that counts the work that was planned and finished."""
+
+    def __init__(self) -> None:
+        self.planned = self.finished = 0
+
+    def start(self, work: int) -> None:
+        self.planned += work
+
+    def advance(self, work: int, what: str) -> None:
+        self.finished += work
+
+
+@pytest.mark.parametrize("solver", ["osqp", "osqp[rho=1.6]"])
+def test_finished_batches_are_progress(
+    solver: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A search whose campaigns have nothing to do any more ends at 100 %."""
+    monkeypatch.setattr(tune, "measure_settings", _Campaigns(interrupted_at=0))
+    bar = _CountingProgress()
+    words = {"training": ["calm-30-5"], "test": ["move-30-5"], "trials": 11}
+    tune_solver(solver, out=tmp_path, progress=bar, **words)  # type: ignore[arg-type] # mixed values
+    assert bar.finished == bar.planned > 0
+
+
+def test_a_search_interrupted_in_its_first_batch_has_no_best(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(tune, "measure_settings", _Campaigns(interrupted_at=1))
+    words = "--train calm-30-5 --test move-30-5"
+    assert main(["tune-solver", "osqp", *words.split(), "--out", str(tmp_path)]) == 130
+    assert capsys.readouterr().out.count("best") == 0
+    assert not (tmp_path / "tuned.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("solver", "ranges", "lines"),
+    [
+        ("osqp", [], ["not searched: max_iter (4000); a step that needs more iterations fails"]),
+        ("osqp[max_iter=77]", [], ["not searched: max_iter (77); a step that needs"]),
+        ("osqp", ["max_iter=[10,99]"], ["searched: max_iter 10 to 99", "max_iter: a step that"]),
+        ("daqp", [], ["not searched: iter_limit (as in the library); a step that"]),
+    ],
+)
+def test_iteration_limits_are_named(solver: str, ranges: list[str], lines: list[str]) -> None:
+    request = make_request(solver, training=["calm-30-5"], test=["move-30-5"], ranges=ranges)
+    assert request.searched[0].startswith("searched: ")
+    for line in lines:
+        assert any(text.startswith(line) for text in request.searched)
+
+
 @pytest.mark.slow
 def test_settings_are_found_measured_and_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -49,8 +167,8 @@ def test_settings_are_found_measured_and_written(
     (options,) = tomllib.loads(Path("out/tuned.toml").read_text())["settings"]["tuned"].values()
     assert set(options) == {"max_iter", "eps_abs"}
     assert f"max_iter={options['max_iter']}" in said
-    assert "training sequences: accurate; " in said
-    assert "test sequences: " in said
+    assert "training sequences (calm-60-10[:300:8]): accurate; " in " ".join(said.split())
+    assert "test sequences (move-60-10[:300:8]): " in " ".join(said.split())
     runs = load_results(Path("out/final")).runs
     assert set(runs["sequence"]) == {"calm-60-10[:300:8]", "move-60-10[:300:8]"}
     assert set(runs["settings"]) > {"default", "high"} and len(runs) == 6

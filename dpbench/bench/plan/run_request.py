@@ -35,6 +35,9 @@ from dpbench.solvers.own_settings import (
 from dpbench.solvers.record import SolverRecord
 from dpbench.solvers.table import find_solver_record, load_plugin_solver_from_file
 
+NO_P99 = "no replay has steps enough for a p99"
+"""Beginning of a remark on a plan, of which a search that ranks by other percentiles has no use."""
+
 
 @dataclass(frozen=True, eq=False)
 class Plan:
@@ -202,8 +205,7 @@ def _list_remarks(planned: Sequence[PlannedCell], choices: Sequence[str]) -> lis
     lengths = [p.cell.steps for p in planned if p.cell.is_timed]
     if lengths and not has_enough_samples_for_percentile(max(lengths), 99):
         remarks.append(
-            f"no replay has steps enough for a p99 (the longest has {max(lengths)}): the largest "
-            "step is judged in its place"
+            f"{NO_P99} (the longest has {max(lengths)}): the largest step is judged in its place"
         )
     return remarks
 

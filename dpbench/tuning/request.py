@@ -1,0 +1,208 @@
+"""Request of `dpbench tune-solver`, checked before anything runs."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.errors import InputError, PolicyError, require_integer_at_least
+from dpbench.report.formats import and_list
+from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, list_public_settings_attributes
+from dpbench.solvers.contract import Options, Policy, Route
+from dpbench.solvers.own_settings import (
+    expand_option_grid,
+    parse_options_of_choice,
+    split_into_solver_and_options_text,
+)
+from dpbench.solvers.record import HIGH
+from dpbench.solvers.settings import (
+    has_distinct_tolerance_presets,
+    has_preset_or_tolerance,
+    resolve_settings_to_options,
+    resolve_settings_with_fixed_options,
+)
+from dpbench.solvers.table import (
+    find_solver_record,
+    get_native_adapter,
+    get_qpsolvers_adapter,
+    load_plugin_solver_from_file,
+    require_solver_available,
+)
+from dpbench.tuning.campaigns import DEFAULT, TunedSolver
+from dpbench.tuning.sequences import TunedProblem, load_problem, refuse_overlap
+from dpbench.tuning.space import SearchSpace, make_space
+
+TRAINING = ("paper", "rough", "turn")
+TEST = ("move", "extreme", "weather")
+TRIALS = 48
+YOURS, BEST = "yours", "best"
+_ITERATION_LIMIT = re.compile(
+    r"(inner_)?max_iters?(_in)?|maxiters?|iter_max|iter_limit|qp_iteration_limit"
+)
+"""Names of options that end a solve without an answer, in the libraries."""
+_Adapter = NativeAdapter | QpsolversAdapter
+
+
+@dataclass(frozen=True)
+class SearchRequest:
+    """A search for settings of a solver: where it looks, on which QPs, how long.
+
+    start : the user's settings, None without any; searched : lines on the options that are searched
+    and on limits that are not; remarks : on what makes the result doubtful.
+    """
+
+    solver: TunedSolver
+    space: SearchSpace
+    start: Options | None
+    training: Sequence[TunedProblem]
+    test: Sequence[TunedProblem]
+    trials: int
+    seed: int
+    name: str
+    folder: Path
+    searched: Sequence[str]
+    remarks: Sequence[str]
+
+    @property
+    def presets(self) -> list[str]:
+        """Presets of the solver that the best settings are measured beside."""
+        has_levels = has_distinct_tolerance_presets(self.solver.name)
+        return [DEFAULT, HIGH] if has_levels else [DEFAULT]
+
+    def name_settings(self, best: Options) -> dict[str, Options]:
+        """Return the settings that are measured in the end beside the presets, by name."""
+        return ({} if self.start is None else {YOURS: self.start}) | {BEST: best}
+
+
+def make_request(
+    solver: str,
+    *,
+    training: Sequence[str] = (),
+    test: Sequence[str] = (),
+    ranges: Sequence[str] = (),
+    widened: Sequence[str] = (),
+    route: Route | None = None,
+    policy: Policy = "fresh",
+    error_move: float = Requirements.error_move,
+    trials: int = TRIALS,
+    steps: int = 0,
+    seed: int = 1,
+    name: str = "tuned",
+    out: str | Path | None = None,
+    solver_module: str | None = None,
+) -> SearchRequest:
+    """Return the checked request of a search; parameters and errors as in `tune_solver`."""
+    if solver_module is not None:
+        load_plugin_solver_from_file(solver_module)
+    _check_numbers(trials, steps, seed, error_move)
+    solver, given = _read_start(solver)
+    tuned = _choose_call(solver, route, policy, Requirements(error_move=error_move), solver_module)
+    if has_preset_or_tolerance(solver, name) or not re.fullmatch(r"[\w-]{1,80}", name, re.ASCII):
+        allowed = f"letters, digits, _ and -; no preset of {solver}"
+        raise InputError("--name", "", repr(name)[:90], allowed)
+    space = make_space(solver, ranges, widened, given)
+    start = space.with_types(given) if given else None
+    native = tuned.route == "native"
+    adapter = get_native_adapter(solver) if native else get_qpsolvers_adapter(solver)
+    _check_options(adapter, space, start)
+    learned = [load_problem(one, steps) for one in training or TRAINING]
+    other = [load_problem(one, steps) for one in test or TEST]
+    refuse_overlap(learned, other)
+    return SearchRequest(
+        tuned,
+        space,
+        start,
+        learned,
+        other,
+        trials,
+        seed,
+        name,
+        Path(out) if out is not None else Path("results") / f"tune-{solver}",
+        _describe_searched(adapter, space),
+        _list_remarks(policy, [*learned, *other], space, start),
+    )
+
+
+def _read_start(choice: str) -> tuple[str, Options]:
+    """Return solver and options of a choice such as `osqp[rho=1.6]`; InputError for a grid."""
+    solver, _ = split_into_solver_and_options_text(choice)
+    points = expand_option_grid(parse_options_of_choice(choice), f"solver {solver}")
+    if len(points) != 1:
+        allowed = "one value an option; --range or --widen 'OPTION=[LEAST,LARGEST]' for a range"
+        raise InputError("tune-solver", "", choice[:90], allowed)
+    return solver, points[0]
+
+
+def _list_remarks(
+    policy: Policy, problems: Sequence[TunedProblem], space: SearchSpace, start: Options | None
+) -> list[str]:
+    """Return remarks on a warm start from a distant step, and on a start at the edge of a range."""
+    thinned = [f"{one.name} (one step of {one.every})" for one in problems if one.every > 1]
+    remarks = []
+    if policy == "warm" and thinned:
+        remarks.append(
+            f"warm starts on {and_list(thinned)} begin far from the solution, and their times are "
+            "not those of a control loop; name scenarios, as --train paper --steps 300"
+        )
+    edges = space.describe_edges(start or {})
+    return remarks + [f"your settings lie at the edge of the searched range, {e}" for e in edges]
+
+
+def _check_numbers(trials: int, steps: int, seed: int, error_move: float) -> None:
+    """Raise InputError for an impossible number of trials, steps, seed or error limit."""
+    require_integer_at_least("--trials", trials, 1)
+    require_integer_at_least("--steps", steps, 0)
+    require_integer_at_least("--seed", seed, 0)
+    if not 0.0 < error_move < float("inf"):
+        raise InputError("--error", "", error_move, "a number above 0")
+
+
+def _choose_call(
+    solver: str,
+    route: Route | None,
+    policy: Policy,
+    requirements: Requirements,
+    solver_module: str | None,
+) -> TunedSolver:
+    """Return the solver with its call mode; an error where it is missing or lacks the mode."""
+    row = find_solver_record(solver)
+    require_solver_available(solver)
+    own: Route = "native" if "native" in row.routes else row.default_route
+    chosen = route or own
+    if chosen not in row.routes:
+        raise PolicyError(f"solver {solver}", "route", repr(chosen), " | ".join(row.routes))
+    if reason := row.state_why_policy_is_unavailable(chosen, policy):
+        runs = " | ".join(row.get_route_record(chosen).policies)
+        raise PolicyError(f"solver {solver}", "policy", repr(policy), f"{runs} ({reason})")
+    return TunedSolver(solver, chosen, policy, requirements, solver_module)
+
+
+def _check_options(adapter: _Adapter, space: SearchSpace, start: Options | None) -> None:
+    """Raise SettingsError where the solver lacks an option, or refuses one or an end of a range."""
+    for share in (0.0, 1.0):
+        resolve_settings_to_options(space.options_at(np.full(len(space.ranges), share)), adapter)
+    resolve_settings_to_options(start or {}, adapter)
+
+
+def _describe_searched(adapter: _Adapter, space: SearchSpace) -> list[str]:
+    """Describe the options that are searched, and the iteration limits, searched or not."""
+    target = None if adapter.make_settings is None else adapter.make_settings()
+    names = [] if target is None else list_public_settings_attributes(target)
+    names = names if adapter.list_options is None else [*adapter.list_options()]
+    limits = [name for name in names if _ITERATION_LIMIT.fullmatch(name)]
+    searched = {own.name for own in space.ranges}
+    set_to = resolve_settings_with_fixed_options(space.fixed, adapter.record.name)
+    lines = ["searched: " + ", ".join(f"{r.name} {r.low:g} to {r.high:g}" for r in space.ranges)]
+    kept = [
+        f"{name} ({set_to.get(name, getattr(target, name, 'as in the library'))})"
+        for name in limits
+        if name not in searched
+    ]
+    if kept:
+        lines.append(f"not searched: {and_list(kept)}; a step that needs more iterations fails")
+    if among := [name for name in limits if name in searched]:
+        lines.append(f"{and_list(among)}: a step that needs more iterations fails")
+    return lines
