@@ -150,7 +150,7 @@ def loss(request: pytest.FixtureRequest) -> Scenario:
 @pytest.mark.parametrize("behind", [-1, 1], ids=["intact", "lost"])
 def test_emit_with_thrusters(benchmark: BenchmarkFixture, loss: Scenario, behind: int) -> None:
     builder, fault = QPBuilder(loss), min(k for k, _ in loss.controller.changes)
-    x, f = np.full(9, 0.1), np.full(loss.controller.n_f, 5e3)
+    x, f = np.full(9, 0.1), np.full(loss.controller.thruster_force_count, 5e3)
     benchmark(builder.emit, fault + behind, x, f)
 
 

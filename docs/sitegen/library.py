@@ -1,7 +1,7 @@
 """Reference of the vessels, scenarios and suites of the package, from their files."""
 
 from dpbench.bench.plan.suite import load_path_and_suite
-from dpbench.scenario.problem_files import problem_names
+from dpbench.scenario.problem_files import list_shipped_problem_names
 from dpbench.scenario.scenario import load_scenario, load_vessel
 from sitegen.markup import code, prose, table
 
@@ -19,20 +19,22 @@ def pages() -> dict[str, str]:
 
 
 def _suites() -> str:
-    titles = ((name, load_path_and_suite(name)[1].title) for name in problem_names("suites"))
+    titles = (
+        (name, load_path_and_suite(name)[1].title) for name in list_shipped_problem_names("suites")
+    )
     return table(("suite", "question"), ((code(name), prose(title)) for name, title in titles))
 
 
 def _scenarios() -> str:
     rows = []
-    for name in problem_names("scenarios"):
+    for name in list_shipped_problem_names("scenarios"):
         run = load_scenario(name)
-        tuning = run.controller.label
+        tuning = run.controller.tuning_and_horizons_label
         rows.append((code(name), run.vessel.id, tuning, str(run.steps), prose(run.shows)))
     return table(("scenario", "vessel", "tuning", "steps", "what it shows"), rows)
 
 
 def _vessels() -> str:
-    ships = [load_vessel(name) for name in problem_names("vessels")]
+    ships = [load_vessel(name) for name in list_shipped_problem_names("vessels")]
     rows = ((code(ship.id), prose(ship.title), prose(ship.source)) for ship in ships)
     return table(("vessel", "ship", "source"), rows)

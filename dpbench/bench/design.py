@@ -26,8 +26,8 @@ from dpbench.bench.run.exact_loop import solve_loop_exactly
 from dpbench.bench.workers.worker import disable_gc_and_warnings, pin_to_core, write_outcome
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
 from dpbench.mpc.law import compute_closed_loop_eigenvalues, compute_state_feedback_gains
-from dpbench.scenario.problem_files import ScenarioDocuments, problem_path
-from dpbench.scenario.scenario import Scenario, build_scenario, load_scenario
+from dpbench.scenario.problem_files import ScenarioDocuments, find_problem_path
+from dpbench.scenario.scenario import Scenario, build_scenario_from_documents, load_scenario
 from dpbench.ship.characteristics import has_mirror_symmetry
 from dpbench.ship.froude import Froude
 from dpbench.ship.layout import AXES, HEADING, NORTH, YAW
@@ -135,7 +135,7 @@ class Design:
 def pair_controllers_with_vessels(table: DesignTable, beside: Path | None = None) -> list[Design]:
     """Pair each controller of a suite table with each vessel; InputError for a bad file."""
     controllers = [load_scenario(name, beside=beside) for name in table.controllers]
-    vessels = [problem_path("vessels", name, beside) for name in table.vessels]
+    vessels = [find_problem_path("vessels", name, beside) for name in table.vessels]
     given = {"controllers": [c.name for c in controllers], "vessels": [v.stem for v in vessels]}
     for key, names in given.items():
         for name in names:
@@ -160,7 +160,7 @@ def _make_trial_documents(controller: Scenario, vessel: Path) -> ScenarioDocumen
     }
     # Said here, before anything runs: what the two cannot make together.
     design: ScenarioDocuments = {**files, "scenario": trial}
-    build_scenario(design, where=f"suite: design: {controller.name}")
+    build_scenario_from_documents(design, where=f"suite: design: {controller.name}")
     return design
 
 
@@ -212,8 +212,10 @@ def find_bracket_of_recovery(holds: Callable[[float], bool]) -> Bracket:
 
 def study_stability(design: Design) -> DesignRecord:
     """Return a controller's closed-loop eigenvalues and the sway offsets it recovers from."""
-    scenario, documents = build_scenario(design.files), design.files["scenario"]
-    still = build_scenario(design.files | {"scenario": documents | {"environment": {}}})
+    scenario, documents = build_scenario_from_documents(design.files), design.files["scenario"]
+    still = build_scenario_from_documents(
+        design.files | {"scenario": documents | {"environment": {}}}
+    )
     held = {
         STILL: find_bracket_of_recovery(partial(can_recover_from_offset, still)),
         WEATHER: find_bracket_of_recovery(partial(can_recover_from_offset, scenario)),
@@ -243,7 +245,7 @@ def find_bracket_in_still_water(
     own = scenario.files["scenario"]
     kept = ("title", "shows", "vessel", "sample_s", "controller")
     trial = {key: own[key] for key in kept} | {"duration_s": DURATION_S, "environment": {}}
-    still = build_scenario(scenario.files | {"scenario": trial})
+    still = build_scenario_from_documents(scenario.files | {"scenario": trial})
     # In still water port mirrors starboard, where ship and model do.
     mirrored = has_mirror_symmetry(still.vessel) and still.controller.psi0_rad == 0.0
     sides = SIDES[:1] if mirrored else SIDES

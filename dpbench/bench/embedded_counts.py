@@ -27,7 +27,7 @@ from dpbench.embedded.targets import find_target
 from dpbench.embedded.toolchain import installed_compiler, require_extra
 from dpbench.errors import DpbenchError, InputError, ResultsError, format_allowed_names
 from dpbench.scenario.problem_files import ScenarioDocuments
-from dpbench.scenario.scenario import cached_scenario, load_scenario
+from dpbench.scenario.scenario import build_or_reuse_scenario, load_scenario
 
 LIMIT_S = 600.0
 """Longest time of a count; OSQP's 200 steps of `paper` take some 20 s."""
@@ -63,7 +63,7 @@ class PlannedCount:
         from dpbench.embedded.count import count_sequence
 
         last = self.first + self.steps
-        scenario = cached_scenario(self.files)
+        scenario = build_or_reuse_scenario(self.files)
         exact = solve_loop_exactly(scenario.truncate(last))
         exact.require_certificates(self.scenario)
         sequence = rebuild_sequence(scenario, exact, first=self.first, count=self.steps)

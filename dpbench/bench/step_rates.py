@@ -9,8 +9,8 @@ from typing import Any
 
 from dpbench.bench.record.cell import Cell, RandomSource, RecordedSource
 from dpbench.bench.sequences.recording import read_sequence
-from dpbench.scenario.problem_files import sequence_path
-from dpbench.scenario.scenario import build_scenario
+from dpbench.scenario.problem_files import resolve_sequence_path
+from dpbench.scenario.scenario import build_scenario_from_documents
 
 SMALL = 30
 """Size of QPs of thrust allocation, of capability plots and of unknown ones."""
@@ -43,7 +43,7 @@ def measure_qp_size(cell: Cell) -> int:
     names = ("kind", "prediction_horizon", "control_horizon")
     key = (cell.scenario["vessel_name"], *(controller.get(name) for name in names))
     if key not in _SIZES:
-        problem = build_scenario(cell.scenario).controller.problem
+        problem = build_scenario_from_documents(cell.scenario).controller.problem
         _SIZES[key] = problem.N_c * (problem.model.n_u + len(problem.G))
     return _SIZES[key]
 
@@ -55,7 +55,7 @@ _SIZES: dict[tuple[Any, ...], int] = {}
 @cache
 def _measure_recorded_size(path: str) -> int:
     """Return the number of variables and rows of a recorded sequence, by name or file."""
-    base = read_sequence(sequence_path(path)).sequence.base
+    base = read_sequence(resolve_sequence_path(path)).sequence.base
     return base.n + base.m
 
 

@@ -65,9 +65,9 @@ def offer_completions(whole: argparse.ArgumentParser) -> None:
 
 def _list_stored_files(kind: str, **_: object) -> list[str]:
     """List the stored files of a kind by name, to complete words in a shell."""
-    from dpbench.scenario.problem_files import problem_names
+    from dpbench.scenario.problem_files import list_shipped_problem_names
 
-    return problem_names(kind)
+    return list_shipped_problem_names(kind)
 
 
 def _list_solvers(**_: object) -> list[str]:

@@ -36,11 +36,11 @@ def check_file(name: str, progress: Progress | None = None, *, quick: bool = Fal
 
     quick : try no offsets of a ship; a suite and QPs are checked as without.
     """
-    if problems.is_stored(name):
-        return _check_sequence(problems.sequence_path(name), progress)
+    if problems.is_shipped_sequence_name(name):
+        return _check_sequence(problems.resolve_sequence_path(name), progress)
     # A scenario and a suite may have one name.
-    kinds = [kind for kind in problems.KINDS if name in problems.problem_names(kind)]
-    paths = [problems.problem_path(kind, name) for kind in kinds]
+    kinds = [kind for kind in problems.KINDS if name in problems.list_shipped_problem_names(kind)]
+    paths = [problems.find_problem_path(kind, name) for kind in kinds]
     if paths:
         return "\n".join(_check_document(path, progress, quick=quick) for path in paths)
     # Unlike Path.exists, these are False for a name that is too long to exist.
@@ -60,7 +60,7 @@ def check_file(name: str, progress: Progress | None = None, *, quick: bool = Fal
 def _unknown_name_error(name: str) -> InputError:
     """Make the error for a name that `dpbench check` does not find, with the nearest ones."""
     kinds = (*problems.KINDS, problems.SEQUENCES)
-    names = [known for kind in kinds for known in problems.problem_names(kind)]
+    names = [known for kind in kinds for known in problems.list_shipped_problem_names(kind)]
     near = difflib.get_close_matches(name, names, n=3)
     hint = f"e.g. {', '.join(near)}; " if near else ""
     shown = repr(name if len(name) <= 80 else f"{name[:77]}...")
@@ -85,18 +85,18 @@ def _check_sequence(path: Path, progress: Progress | None) -> str:
 
 def _check_document(file: Path, progress: Progress | None, *, quick: bool) -> str:
     """Check a TOML file of a vessel, scenario or suite, recognised by its tables; describe it."""
-    document = problems.read_toml(file)
+    document = problems.read_toml_as_dict(file)
     if "limits" in document or "thrusters" in document:
         return _check_vessel(file, progress, quick=quick)
     if "controller" in document or "environment" in document:
-        problems.parse_model(document, ScenarioFile, str(file))
+        problems.validate_settings_as_model(document, ScenarioFile, str(file))
         return _check_scenario(file, progress, quick=quick)
     return _check_suite(file, document)
 
 
 def _check_vessel(file: Path, progress: Progress | None, *, quick: bool) -> str:
     """Validate a vessel file; return the ship's properties as text."""
-    vessel = problems.read_model(file, VesselFile).build_vessel(file.stem, str(file))
+    vessel = problems.read_toml_as_model(file, VesselFile).build_vessel(file.stem, str(file))
     from dpbench.cli.check_ship import vessel_text
 
     return vessel_text(file, vessel, progress, quick=quick)

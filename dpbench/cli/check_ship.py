@@ -196,7 +196,7 @@ def _try_offsets(tuned: Sequence[Scenario], progress: Progress | None, *, quick:
 
         bracket = find_bracket_in_still_water(scenario, holds)
         progress.advance(_TRIALS - trials, "")
-        controller = scenario.controller.label
+        controller = scenario.controller.tuning_and_horizons_label
         # Offsets are at full size; a model ship's own are printed.
         scale = Froude(float(scenario.files["vessel"]["model_scale"])).length_factor
         lines.append(f"tuning {controller:<14} {_describe_bracket(bracket, scale)}")

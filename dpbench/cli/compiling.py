@@ -6,7 +6,7 @@ import time
 
 from dpbench.bench.workers.child import LOOP, has_compiled_kernels
 from dpbench.notebook.runs import run_closed_loop
-from dpbench.scenario.problem_files import problem_names
+from dpbench.scenario.problem_files import list_shipped_problem_names
 from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.open import open_workspace
 
@@ -19,7 +19,7 @@ def compile_all_kernels() -> None:
     started = time.monotonic()
     subprocess.run([sys.executable, "-c", f"import {LOOP}"], check=False)
     # Observers, thrusters and the like compile when a scenario's first step asks for them.
-    for name in problem_names("scenarios"):
+    for name in list_shipped_problem_names("scenarios"):
         run_closed_loop(load_scenario(name).truncate(2), open_workspace("paper_active_set"))
     print(f"compiled in {time.monotonic() - started:.0f} s")
 

@@ -28,9 +28,9 @@ def _list_vessels() -> RenderableType:
     from dpbench.scenario.tables.vessel_file import VesselFile
 
     entries = []
-    for name in problems.problem_names("vessels"):
-        path = problems.problem_path("vessels", name)
-        vessel = problems.read_model(path, VesselFile).build_vessel(name, str(path))
+    for name in problems.list_shipped_problem_names("vessels"):
+        path = problems.find_problem_path("vessels", name)
+        vessel = problems.read_toml_as_model(path, VesselFile).build_vessel(name, str(path))
         times = ", ".join(f"{t:.3g}" for t in vessel.linear_model_time_constants_s())
         surge, sway, yaw = 1e3 * vessel.accelerations_at_force_limits()[1]
         reached = f"{surge:.3g} and {sway:.3g} mm/s², {yaw:.3g} mrad/s²"
@@ -45,8 +45,10 @@ def _list_scenarios() -> RenderableType:
     from dpbench.scenario.tables.scenario_file import ScenarioFile
 
     entries = []
-    for name in problems.problem_names("scenarios"):
-        scenario = problems.read_model(problems.problem_path("scenarios", name), ScenarioFile)
+    for name in problems.list_shipped_problem_names("scenarios"):
+        scenario = problems.read_toml_as_model(
+            problems.find_problem_path("scenarios", name), ScenarioFile
+        )
         controller = scenario.controller
         horizons = f"{controller.prediction_horizon}/{controller.control_horizon}"
         vessel = Path(scenario.vessel).stem
@@ -62,7 +64,7 @@ def _list_suites() -> RenderableType:
     from dpbench.scenario import problem_files as problems
 
     table = make_small_table("name", "cells", "question")
-    for name in problems.problem_names("suites"):
+    for name in problems.list_shipped_problem_names("suites"):
         path, suite = load_path_and_suite(name)
         table.add_row(name, str(len(plan_suite(suite, beside=path.parent))), suite.title)
     return table
@@ -76,8 +78,8 @@ def _list_sequences() -> RenderableType:
     from dpbench.scenario import problem_files as problems
 
     table = make_small_table("name", "n", "m", "K", "active", "matrices", "samples")
-    for name in problems.problem_names(problems.SEQUENCES):
-        recorded = load_recorded(problems.sequence_path(name))
+    for name in problems.list_shipped_problem_names(problems.SEQUENCES):
+        recorded = load_recorded(problems.resolve_sequence_path(name))
         sequence, meta = recorded.sequence, recorded.sequence.meta
         sets = [active_set(o) for o in recorded.optima or [] if np.isfinite(o.bound)]
         base, every = sequence.base, int(meta.get("every", 1))

@@ -33,7 +33,7 @@ from dpbench.cli.terminal import WIDTH
 from dpbench.errors import InputError, SituationError, format_allowed_names
 from dpbench.report.words import render_document
 from dpbench.scenario import own_ship as scaling
-from dpbench.scenario.hull_files import Hull, read_coefficient_table, read_mss
+from dpbench.scenario.hull_files import Hull, read_hull_from_csv_table, read_hull_from_mss_file
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather.waves import WATER_DENSITY
@@ -169,9 +169,9 @@ def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None
     hull: Hull | None = None
     if hull_file := options.from_mss or options.from_csv:
         hull = (
-            read_mss(Path(hull_file))
+            read_hull_from_mss_file(Path(hull_file))
             if options.from_mss
-            else read_coefficient_table(Path(hull_file))
+            else read_hull_from_csv_table(Path(hull_file))
         )
     own = _read_particulars(numbers, hull)
     if options.like is not None and options.like not in scaling.LIBRARY:
@@ -181,14 +181,14 @@ def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None
             repr(options.like)[:80],
             format_allowed_names(options.like, list(scaling.LIBRARY)),
         )
-    like = options.like or scaling.nearest_ship(own)
+    like = options.like or scaling.find_most_similar_library_vessel(own)
     own_thrusters = None
     if options.thrusters is None:
         thrust = _read_thrust(numbers, own)
     else:
         own_thrusters = read_own_thrusters(options, numbers, own, like)
         thrust = own_thrusters.as_limits()
-    vessel = scaling.scale_vessel(like, own, thrust, options.name)
+    vessel = scaling.scale_library_vessel_to_own_ship(like, own, thrust, options.name)
     if own_thrusters is not None:
         vessel = own_thrusters.fit(vessel)
     if hull is not None:
@@ -226,7 +226,7 @@ def _read_thrust(
         value = numbers[option]
         if value is None:
             continue
-        share = scaling.thrust_to_weight(own, 1000.0 * value / lever_m)
+        share = scaling.compute_thrust_to_weight_ratio(own, 1000.0 * value / lever_m)
         if not TO_WEIGHT[0] <= share <= TO_WEIGHT[1]:
             weight = value / share
             unit = QUANTITIES[option].unit
@@ -311,8 +311,8 @@ def vessel_text(ship: OwnShip, command: str) -> str:
     """Render the vessel file of a new ship; the command that made it is quoted in comments."""
     vessel = ship.vessel
     assert vessel.windage is not None and vessel.reflection is not None, "as every library vessel"
-    added = np.diag(vessel.M) - scaling.rigid_body_inertia(ship.own)
-    added = added / scaling.regression_added_mass(ship.own)
+    added = np.diag(vessel.M) - scaling.compute_rigid_body_inertia(ship.own)
+    added = added / scaling.estimate_added_mass_by_regression(ship.own)
     return render_document(
         "own_vessel.toml",
         **vars(ship),
@@ -322,7 +322,7 @@ def vessel_text(ship: OwnShip, command: str) -> str:
         quoted=partial(json.dumps, ensure_ascii=False),
         library=load_vessel(ship.like),
         forms=_form_ratios(ship),
-        fitted_mps=scaling.fitted_speed_mps(ship.own.length_m),
+        fitted_mps=scaling.choose_speed_of_damping_fit_mps(ship.own.length_m),
         cautions=list_cautions(ship),
         added=dict(zip(("surge", "sway", "yaw"), added.tolist(), strict=True)),
         ranges=list(zip(vessel.tau_min, vessel.tau_max, strict=True)),
@@ -360,7 +360,7 @@ def list_cautions(ship: OwnShip) -> list[str]:
 
 def choose_sample_s(vessel: Vessel) -> float:
     """Choose a new ship's MPC sample time [s]: 0.3 s, Froude-scaled, in steps of 0.05 s."""
-    slower = scaling.froude_time(vessel.length_m)
+    slower = scaling.compute_froude_time_scale(vessel.length_m)
     return max(0.05, round(round(SAMPLE_S * slower / 0.05) * 0.05, 2))
 
 
@@ -378,7 +378,7 @@ def scenario_text(
     held : what its thrusters hold; chosen : dpbench chose the sea, not the user; steered : the
     controller steers thrusters, and loses the worst group without which they hold that sea.
     """
-    longer = scaling.froude_time(vessel.length_m) ** 2
+    longer = scaling.compute_froude_time_scale(vessel.length_m) ** 2
     wind_mps, hs_m, *_ = scaling.DP_NUMBERS[number]
     step_s = choose_sample_s(vessel)
     lost = choose_loss(held, number) if steered else None
@@ -402,7 +402,7 @@ def scenario_text(
         step_s=step_s,
         steps=STEPS,
         start=[round(metres * longer, 2) for metres in START_M],
-        sea=scaling.sea_state(number),
+        sea=scaling.make_environment_of_dp_number(number),
         # A lever that grows with the ship.
         yaw_weight=float(f"{YAW_WEIGHT * longer**2:.3g}"),
     )

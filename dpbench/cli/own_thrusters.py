@@ -23,10 +23,10 @@ from dpbench.scenario import own_ship as scaling
 from dpbench.scenario.own_thrusters import (
     ASSUMED,
     Berth,
-    complete_thrusters,
+    complete_thruster_values,
+    describe_assumed_values,
     list_assumed_diameters,
-    list_assumptions,
-    read_thruster_rows,
+    read_rows_of_thruster_table,
 )
 from dpbench.scenario.scenario import load_vessel
 from dpbench.scenario.tables.scenario_file import ControllerTable
@@ -63,7 +63,7 @@ class OwnThrusters:
     @property
     def assumed(self) -> list[str]:
         """Sentences on the values that the rows leave out."""
-        return list_assumptions(self.rows, self.tables)
+        return describe_assumed_values(self.rows, self.tables)
 
     @property
     def assumed_diameters(self) -> str:
@@ -113,10 +113,10 @@ def read_own_thrusters(
     rise_s = float(f"{library.tau_max[0] / library.rate_max[0] * longer**0.5:.3g}")
     asked = options.thrusters == "-"
     where = "thrusters" if asked else options.thrusters
-    rows = _ask_for_rows() if asked else read_thruster_rows(Path(where))
+    rows = _ask_for_rows() if asked else read_rows_of_thruster_table(Path(where))
     berth = Berth(own.length_m, own.breadth_m, rise_s)
-    tables, thrusters = complete_thrusters(rows, berth, where)
-    share = scaling.thrust_to_weight(own, float(thrusters.largest_thrusts_N.sum()))
+    tables, thrusters = complete_thruster_values(rows, berth, where)
+    share = scaling.compute_thrust_to_weight_ratio(own, float(thrusters.largest_thrusts_N.sum()))
     if share > MOST_TO_WEIGHT:
         total_kN = thrusters.largest_thrusts_N.sum() / 1e3
         found = f"{total_kN:.3g} kN in all, {share:.2g} of the ship's weight"
@@ -184,7 +184,7 @@ def find_held_sea(vessel: Vessel) -> HeldSea:
 
 def choose_sea(vessel: Vessel, held: HeldSea | None) -> int:
     """Choose the DP number of a new ship's sea by its thrusters, or by its limits without any."""
-    return scaling.largest_sea(vessel) if held is None else held.number
+    return scaling.find_largest_bearable_dp_number(vessel) if held is None else held.number
 
 
 def choose_loss(held: HeldSea | None, number: int) -> str | None:
@@ -242,9 +242,9 @@ def find_hardest_sea(vessel: Vessel, held: HeldSea | None) -> int:
 def find_mean_share(vessel: Vessel, number: int) -> tuple[float, str]:
     """Return the share that the mean force of a DP number takes, and of what: limits or thrust."""
     if vessel.thrusters is None:
-        return scaling.load_share(vessel, number), "the limits"
+        return scaling.compute_limit_share_of_dp_number(vessel, number), "the limits"
     share = ThrusterReach(vessel.thrusters).find_least_thrust_share(
-        -scaling.sea_load(vessel, number)
+        -scaling.compute_mean_force_of_dp_number(vessel, number)
     )
     return share, "the thrust"
 

@@ -89,7 +89,7 @@ def read_controller(scenario: Scenario) -> ControllerData:
     """Return the numbers of a scenario's controller; InputError for one without C code."""
     controller = scenario.controller
     _check_supported(scenario, controller)
-    qp, problem = controller.build_qp(), controller.problem
+    qp, problem = controller.make_condensed_qp_builder(), controller.problem
     tables = None
     if isinstance(controller, ThrusterController):
         rows = controller.control.rows
@@ -119,7 +119,10 @@ def _check_supported(scenario: Scenario, controller: Controller) -> None:
     where = f"scenario {scenario.name}"
     is_force = type(controller) is ForceController
     if not is_force and not isinstance(controller, ThrusterController):
-        found, allowed = controller.description, "a force with limits axis by axis, or thrusters"
+        found, allowed = (
+            controller.tuning_horizons_and_command_text,
+            "a force with limits axis by axis, or thrusters",
+        )
         raise InputError(where, "controller", found, f"{allowed}, without a cascade")
     if controller.linearisation is not FIXED_MODEL:
         found, allowed = (
@@ -212,8 +215,10 @@ def _list_thruster_outputs(thrusters: tuple[Thruster, ...]) -> tuple[Signal, ...
 
 def lost_at_samples(controller: Controller, samples: int) -> Matrix:
     """Return the state of each thruster (samples, p): 0 in service, 1 lost, 2 tripped."""
-    state = np.array([limits.lost for limits in controller.thruster_limits(samples)], dtype=float)
-    control = controller.commanded
+    state = np.array(
+        [limits.lost for limits in controller.list_thruster_limits_by_sample(samples)], dtype=float
+    )
+    control = controller.commanded_thrusters
     for k, entries in () if control is None else control.trips:
         assert control is not None
         state[k:, np.unique(control.rows.entry[entries])] = 2.0

@@ -96,7 +96,9 @@ def build_fmu(data: ControllerData, sources: Mapping[str, bytes], version: int) 
     values: dict[str, Any] = {
         "name": escape(data.scenario.name),
         "identifier": identifier,
-        "description": escape(f"DP controller, {data.scenario.controller.description}"),
+        "description": escape(
+            f"DP controller, {data.scenario.controller.tuning_horizons_and_command_text}"
+        ),
         "sample_s": number_text(data.scenario.sample_s),
         "variables": variables,
         "inputs": data.inputs,

@@ -19,7 +19,7 @@ from dpbench.codegen.trajectory import Trajectory, record_trajectory
 from dpbench.embedded.toolchain import has_extra
 from dpbench.errors import InputError
 from dpbench.files.writing import write_bytes_to_file_or_pipe, write_file_set_into_folder
-from dpbench.scenario.scenario import Scenario, as_scenario
+from dpbench.scenario.scenario import Scenario, resolve_to_scenario
 
 MOST_REPLAYED = 1000
 """Steps of the recorded trajectory."""
@@ -57,7 +57,7 @@ def generate_controller(
         raise InputError("codegen", "solver", repr(solver), ", ".join(SOLVERS))
     if fmi not in SYSTEMS:
         raise InputError("codegen", "fmi", fmi, "2 or 3")
-    data = read_controller(as_scenario(scenario))
+    data = read_controller(resolve_to_scenario(scenario))
     sources = SOLVERS[solver](data.qp)
     if fmu is not None and not sources.copies:
         allowed = "a solver whose memory is the caller's: paper_active_set"
@@ -147,7 +147,7 @@ def render_sources(
     common = {
         "scenario": scenario.name,
         "vessel": scenario.vessel.title,
-        "description": scenario.controller.description,
+        "description": scenario.controller.tuning_horizons_and_command_text,
         "sample_s": number_text(scenario.sample_s),
         "n_u": len(data.du_max),
         "moves": data.qp.control.N_c,

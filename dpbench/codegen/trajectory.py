@@ -12,7 +12,7 @@ from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.assemble import NO_LIMIT_NS, build_closed_loop_setup
 from dpbench.bench.run.closed_loop import record_closed_loop
 from dpbench.codegen.controller_data import ControllerData, lost_at_samples
-from dpbench.scenario.controllers.controller import stack_limits
+from dpbench.scenario.controllers.controller import stack_lower_and_upper_limits
 from dpbench.ship.plant import Sensors
 from dpbench.solvers.open import open_workspace
 
@@ -51,6 +51,8 @@ def record_trajectory(
     if data.thrusters is not None:
         state = lost_at_samples(controller, K)
     else:
-        state = np.hstack(stack_limits(controller.limits(K)))
-    commands = controller.select_applied(log.tau, log.thrust).copy()
+        state = np.hstack(
+            stack_lower_and_upper_limits(controller.list_planned_force_limits_by_sample(K))
+        )
+    commands = controller.select_applied_commands(log.tau, log.thrust).copy()
     return Trajectory(np.hstack([measured, reference, state]), commands, scenario.sample_s)

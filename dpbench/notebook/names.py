@@ -1,7 +1,7 @@
 """Names that the functions of the package take: of solvers, scenarios, suites and sequences."""
 
 from dpbench.display import make_html_table
-from dpbench.scenario.problem_files import SEQUENCES, problem_names
+from dpbench.scenario.problem_files import SEQUENCES, list_shipped_problem_names
 from dpbench.solvers.table import (
     find_solver_availability,
     find_solver_record,
@@ -52,7 +52,7 @@ def list_scenarios() -> list[str]:
     >>> list_scenarios()[:3]
     ['calm', 'extreme', 'mismatch']
     """
-    return problem_names("scenarios")
+    return list_shipped_problem_names("scenarios")
 
 
 def list_suites() -> list[str]:
@@ -63,7 +63,7 @@ def list_suites() -> list[str]:
     >>> "standard" in list_suites()
     True
     """
-    return problem_names("suites")
+    return list_shipped_problem_names("suites")
 
 
 def list_sequences() -> list[str]:
@@ -74,4 +74,4 @@ def list_sequences() -> list[str]:
     >>> "paper-30-5" in list_sequences()
     True
     """
-    return problem_names(SEQUENCES)
+    return list_shipped_problem_names(SEQUENCES)

@@ -51,7 +51,7 @@ from dpbench.report.formats import (
     time_text,
 )
 from dpbench.report.ship_text import ShipSummary, summarise_ships
-from dpbench.scenario.scenario import Scenario, as_scenario
+from dpbench.scenario.scenario import Scenario, resolve_to_scenario
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.own_settings import encode_options_as_json, format_options_as_toml
@@ -224,7 +224,7 @@ def run_closed_loop(
     """
     _check_choice("fallback", fallback, FALLBACKS)
     _check_choice("formulation", formulation, FORMULATIONS)
-    scenario, workspace = as_scenario(scenario), _as_workspace(workspace)
+    scenario, workspace = resolve_to_scenario(scenario), _as_workspace(workspace)
     if steps is not None:
         scenario = scenario.truncate(steps)
     cell = _make_cell(

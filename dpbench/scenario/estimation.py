@@ -31,7 +31,7 @@ class EstimatorChoice:
     sensor_std: Vector
     where: str
 
-    def build_estimator(self, ship: Vessel, sample_s: float) -> Estimator:
+    def build_estimator_for_ship(self, ship: Vessel, sample_s: float) -> Estimator:
         """Build the estimator for a ship and sample time."""
         if self.waves is None:
             return MeasuredState()
@@ -44,23 +44,27 @@ class EstimatorChoice:
         return PassiveObserver(ship, passive, sample_s)
 
 
-def choose_estimator(spec: ScenarioFile, scale: Froude, where: str) -> EstimatorChoice:
+def read_estimator_settings(spec: ScenarioFile, scale: Froude, where: str) -> EstimatorChoice:
     """Return the estimator settings of a scenario file, scaled to the ship."""
     place, table, sea = f"{where}: estimator", spec.estimator, spec.environment
     sensor = SENSOR_STD * scale.pose_factors
     if sea.noise is not None:
-        sensor = np.maximum(sea.noise.std(scale), 0.1 * sensor)
+        sensor = np.maximum(sea.noise.compute_sensor_noise_std(scale), 0.1 * sensor)
     waves = None
     if table.kind != "measured":
         floor = CALM_STD * scale.pose_factors
-        std = floor if sea.waves is None else np.maximum(sea.waves.motion_std(scale), floor)
+        std = (
+            floor
+            if sea.waves is None
+            else np.maximum(sea.waves.compute_wave_frequency_motion_std(scale), floor)
+        )
         waves = WaveModel.from_peak_period(
-            _assumed_peak_period_s(table, spec, place) * scale.time_and_speed_factor, std
+            _require_peak_period_s(table, spec, place) * scale.time_and_speed_factor, std
         )
     return EstimatorChoice(table.kind, table.wave_filter, waves, sensor, place)
 
 
-def _assumed_peak_period_s(table: EstimatorTable, spec: ScenarioFile, where: str) -> float:
+def _require_peak_period_s(table: EstimatorTable, spec: ScenarioFile, where: str) -> float:
     """Return the wave period [s] for the estimator; InputError where none is known."""
     if table.peak_period_s is not None:
         return table.peak_period_s

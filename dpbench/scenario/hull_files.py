@@ -52,16 +52,18 @@ class Hull:
     remarks: list[str] = field(default_factory=list)
 
 
-def read_mss(path: Path) -> Hull:
+def read_hull_from_mss_file(path: Path) -> Hull:
     """Read a hull from a `vessel` structure of the MSS toolbox, a MATLAB file."""
     names, vessel = read_mat_structure_in_child(path, "vessel")
     if not vessel:
         found = ", ".join(names)[:200] or "nothing"
         raise InputError(str(path), "vessel", found, "a structure `vessel` of the MSS toolbox")
-    rigid = _read_field(vessel, path, "MRB")
-    omega = np.atleast_1d(_read_field(vessel, path, "freqs")).ravel()
-    added, potential = (_read_by_frequency(vessel, path, key, omega) for key in ("A", "B"))
-    viscous = _read_viscous_damping(vessel, path, omega)
+    rigid = _read_numeric_field(vessel, path, "MRB")
+    omega = np.atleast_1d(_read_numeric_field(vessel, path, "freqs")).ravel()
+    added, potential = (
+        _read_frequency_dependent_matrices(vessel, path, key, omega) for key in ("A", "B")
+    )
+    viscous = _read_viscous_damping_by_frequency(vessel, path, omega)
     if rigid.shape != (6, 6):
         raise InputError(str(path), "vessel.MRB", f"shape {rigid.shape}", "shape (6, 6)")
     lowest, *others = np.argsort(omega)
@@ -79,10 +81,10 @@ def read_mss(path: Path) -> Hull:
                 f"sway, yaw is {texts} times that at {first}: strip theory may be weak there."
             )
     method = f"M = MRB + A and D = B + Bv of {path.name} at its lowest frequency, {first}"
-    return Hull(M, D, _read_dimensions(vessel), method, remarks)
+    return Hull(M, D, _read_dimensions_and_displacement(vessel), method, remarks)
 
 
-def _read_field(vessel: _Fields, path: Path, key: str) -> Matrix:
+def _read_numeric_field(vessel: _Fields, path: Path, key: str) -> Matrix:
     """Return a hull file's field as finite floats; InputError if it is missing or not numeric."""
     array = vessel.get(f"vessel.{key}", _NOTHING)
     if not array.size:
@@ -94,9 +96,11 @@ def _read_field(vessel: _Fields, path: Path, key: str) -> Matrix:
     return array
 
 
-def _read_by_frequency(vessel: _Fields, path: Path, key: str, omega: Matrix) -> Matrix:
+def _read_frequency_dependent_matrices(
+    vessel: _Fields, path: Path, key: str, omega: Matrix
+) -> Matrix:
     """Return a hull file's frequency-dependent matrices (frequencies, 6, 6) at the first speed."""
-    array = _read_field(vessel, path, key)
+    array = _read_numeric_field(vessel, path, key)
     # One frequency alone loses its axis in MATLAB.
     array = array[:, :, np.newaxis] if array.ndim == 2 else array
     array = array[..., 0] if array.ndim == 4 else array
@@ -106,17 +110,17 @@ def _read_by_frequency(vessel: _Fields, path: Path, key: str, omega: Matrix) -> 
     return np.moveaxis(array, -1, 0)
 
 
-def _read_viscous_damping(vessel: _Fields, path: Path, omega: Matrix) -> Matrix:
+def _read_viscous_damping_by_frequency(vessel: _Fields, path: Path, omega: Matrix) -> Matrix:
     """Return a hull file's viscous damping (frequencies, 6, 6); InputError if it has none."""
     if "vessel.Bv" not in vessel:
         allowed = "viscous damping (MSS: ABCtransform, viscous): at low frequency there is no other"
         raise InputError(str(path), "vessel.Bv", "nothing", allowed)
-    if _read_field(vessel, path, "Bv").ndim == 2:
-        return np.broadcast_to(_read_field(vessel, path, "Bv"), (omega.size, 6, 6))
-    return _read_by_frequency(vessel, path, "Bv", omega)
+    if _read_numeric_field(vessel, path, "Bv").ndim == 2:
+        return np.broadcast_to(_read_numeric_field(vessel, path, "Bv"), (omega.size, 6, 6))
+    return _read_frequency_dependent_matrices(vessel, path, "Bv", omega)
 
 
-def _read_dimensions(vessel: _Fields) -> dict[str, float]:
+def _read_dimensions_and_displacement(vessel: _Fields) -> dict[str, float]:
     """Return the dimensions and displacement that an MSS vessel file states."""
     keys = {"length_m": "Lpp", "breadth_m": "B", "draught_m": "T", "displacement_t": "m"}
     per = {"displacement_t": 1000.0}
@@ -128,9 +132,9 @@ def _read_dimensions(vessel: _Fields) -> dict[str, float]:
     }
 
 
-def read_coefficient_table(path: Path) -> Hull:
+def read_hull_from_csv_table(path: Path) -> Hull:
     """Read a hull from a CSV table of inertia and damping coefficients."""
-    values = _read_coefficients(path)
+    values = _read_coefficients_by_name(path)
     for name in REQUIRED:
         if name not in values:
             needed = f"a row of each of {', '.join(REQUIRED)}"
@@ -144,7 +148,7 @@ def read_coefficient_table(path: Path) -> Hull:
     return Hull(np.array(M, dtype=float), np.array(D, dtype=float), particulars, method)
 
 
-def _read_coefficients(path: Path) -> dict[str, float]:
+def _read_coefficients_by_name(path: Path) -> dict[str, float]:
     """Read the hull coefficients of a CSV table by name; InputError for a bad row."""
     rows = read_csv_rows(path)
     if not rows or [cell.strip() for cell in rows[0][:2]] != ["coefficient", "value"]:
@@ -159,11 +163,11 @@ def _read_coefficients(path: Path) -> dict[str, float]:
             raise InputError(
                 str(path), repr(name)[:80], found, f"each once, {format_allowed_names(name, known)}"
             )
-        values[name] = _parse_coefficient(path, name, rest[0] if rest else "")
+        values[name] = _parse_valid_hull_coefficient(path, name, rest[0] if rest else "")
     return values
 
 
-def _parse_coefficient(path: Path, name: str, text: str) -> float:
+def _parse_valid_hull_coefficient(path: Path, name: str, text: str) -> float:
     """Parse a hull coefficient, finite and, unless a coupling, above zero; InputError otherwise."""
     try:
         value = float(text)

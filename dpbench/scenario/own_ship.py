@@ -97,7 +97,7 @@ class ThrustLimits:
     yaw_Nm: float | None = None
 
 
-def nearest_ship(own: Particulars) -> str:
+def find_most_similar_library_vessel(own: Particulars) -> str:
     """Return the library vessel most similar in length, breadth and displacement."""
 
     def distance(name: str) -> float:
@@ -112,7 +112,7 @@ def nearest_ship(own: Particulars) -> str:
     return min((name for name in LIBRARY if name not in NOT_CHOSEN), key=distance)
 
 
-def scale_matrices(like: str, length_m: float, mass_kg: float) -> tuple[Matrix, Matrix]:
+def scale_inertia_and_damping(like: str, length_m: float, mass_kg: float) -> tuple[Matrix, Matrix]:
     """Return inertia and damping (3, 3) [SI] of a library vessel scaled to a length and mass."""
     vessel, ship = load_vessel(like), LIBRARY[like]
     longer = length_m / ship.length_m
@@ -122,7 +122,9 @@ def scale_matrices(like: str, length_m: float, mass_kg: float) -> tuple[Matrix, 
     return M, D
 
 
-def scale_vessel(like: str, own: Particulars, thrust: ThrustLimits, name: str = "own") -> Vessel:
+def scale_library_vessel_to_own_ship(
+    like: str, own: Particulars, thrust: ThrustLimits, name: str = "own"
+) -> Vessel:
     """Scale a library vessel to the dimensions and thrust of the user's ship, and add its drag.
 
     Forces that are not given keep the library vessel's share of the force ahead, the moment its
@@ -131,7 +133,7 @@ def scale_vessel(like: str, own: Particulars, thrust: ThrustLimits, name: str = 
     """
     vessel, ship = load_vessel(like), LIBRARY[like]
     longer, broader = own.length_m / ship.length_m, own.breadth_m / ship.breadth_m
-    M, D = scale_matrices(like, own.length_m, own.displacement_kg)
+    M, D = scale_inertia_and_damping(like, own.length_m, own.displacement_kg)
     ahead = thrust.ahead_N / vessel.tau_max[0]
     sway = ahead if thrust.sway_N is None else thrust.sway_N / vessel.tau_max[1]
     yaw = sway * longer if thrust.yaw_Nm is None else thrust.yaw_Nm / vessel.tau_max[2]
@@ -144,14 +146,14 @@ def scale_vessel(like: str, own: Particulars, thrust: ThrustLimits, name: str = 
         lateral_m2=windage.lateral_m2 * longer**2,
     )
     hull = CapabilityTable(breadth_m=own.breadth_m, draught_m=own.draught_m)
-    capability = hull.build_hull(own.length_m, windage)
+    capability = hull.build_capability_hull(own.length_m, windage)
     drag = HullDrag.from_hull(capability)
     return replace(
         vessel,
         id=name,
         length_m=own.length_m,
         M=M,
-        D=fit_sway_damping(D, drag, own.length_m),
+        D=fit_sway_damping_to_drag(D, drag, own.length_m),
         tau_min=stronger * vessel.tau_min,
         tau_max=stronger * vessel.tau_max,
         rate_max=stronger * vessel.rate_max / math.sqrt(longer),
@@ -164,20 +166,20 @@ def scale_vessel(like: str, own: Particulars, thrust: ThrustLimits, name: str = 
     )
 
 
-def fitted_speed_mps(length_m: float) -> float:
+def choose_speed_of_damping_fit_mps(length_m: float) -> float:
     """Return the speed v₁ abeam [m/s] at which linear damping is fitted to the drag."""
     return FITTED_FROUDE_NUMBER * math.sqrt(GRAVITY * length_m)
 
 
-def fit_sway_damping(D: Matrix, drag: HullDrag, length_m: float) -> Matrix:
+def fit_sway_damping_to_drag(D: Matrix, drag: HullDrag, length_m: float) -> Matrix:
     """Return damping (3, 3) whose sway force at v₁ is the cross-flow drag; couplings with it."""
     scale = np.ones(len(D))
-    scale[V] = math.sqrt(drag.across * fitted_speed_mps(length_m) / D[V, V])
+    scale[V] = math.sqrt(drag.across * choose_speed_of_damping_fit_mps(length_m) / D[V, V])
     fitted: Matrix = D * np.outer(scale, scale)
     return fitted
 
 
-def regression_added_mass(own: Particulars) -> Vector:
+def estimate_added_mass_by_regression(own: Particulars) -> Vector:
     """Return the added mass (3,) [kg, kg, kg·m²] in surge, sway, yaw by published regressions.
 
     Surge: 2.7 ρ ∇^(5/3)/L² (Söding 1982). Sway and yaw, over ½ρL³ and ½ρL⁵ (Clarke, Gedling &
@@ -199,23 +201,23 @@ def regression_added_mass(own: Particulars) -> Vector:
     )
 
 
-def rigid_body_inertia(own: Particulars) -> Vector:
+def compute_rigid_body_inertia(own: Particulars) -> Vector:
     """Return the rigid-body inertia (3,) [kg, kg, kg·m²] in surge, sway and yaw."""
     m = own.displacement_kg
     return np.array([m, m, m * (0.25 * own.length_m) ** 2])
 
 
-def thrust_to_weight(own: Particulars, force_N: float) -> float:
+def compute_thrust_to_weight_ratio(own: Particulars, force_N: float) -> float:
     """Return the ratio of a force to the ship's weight."""
     return force_N / (own.displacement_kg * GRAVITY)
 
 
-def froude_time(length_m: float) -> float:
+def compute_froude_time_scale(length_m: float) -> float:
     """Return the ratio of this ship's time scale to that of the paper's ship: √(L/L_paper)."""
     return math.sqrt(length_m / LIBRARY[PAPER_SHIP].length_m)
 
 
-def sea_state(number: int) -> EnvironmentTable:
+def make_environment_of_dp_number(number: int) -> EnvironmentTable:
     """Return wind, waves and current of a DP capability number at full size, as settings."""
     wind_mps, hs_m, tp_s, current_mps = DP_NUMBERS[number]
     return EnvironmentTable(
@@ -227,7 +229,7 @@ def sea_state(number: int) -> EnvironmentTable:
     )
 
 
-def sea_load(vessel: Vessel, number: int) -> Vector:
+def compute_mean_force_of_dp_number(vessel: Vessel, number: int) -> Vector:
     """Return the mean force (3,) [N, N, N·m] of a DP number's weather from `FROM_DEG`.
 
     It is that of `dpbench capability`, level 1 of DNV-ST-0111. Raises InputError where the vessel
@@ -243,19 +245,21 @@ def sea_load(vessel: Vessel, number: int) -> Vector:
     return load
 
 
-def load_share(vessel: Vessel, number: int) -> float:
+def compute_limit_share_of_dp_number(vessel: Vessel, number: int) -> float:
     """Return the share of the limits that the mean force of a DP number's weather takes.
 
     The share is that of surge, or of sway and yaw together: the same thrusters at bow and stern
     make both.
     """
-    load = sea_load(vessel, number)
+    load = compute_mean_force_of_dp_number(vessel, number)
     # What pushes astern is met with force ahead.
     limit = np.where(load < 0.0, vessel.tau_max, -vessel.tau_min)
     surge, sway, yaw = np.abs(load) / limit
     return float(max(surge, sway + yaw))
 
 
-def largest_sea(vessel: Vessel) -> int:
+def find_largest_bearable_dp_number(vessel: Vessel) -> int:
     """Return the largest DP number whose mean force takes at most `SPARE` of the limits."""
-    return max((n for n in DP_NUMBERS if load_share(vessel, n) <= SPARE), default=1)
+    return max(
+        (n for n in DP_NUMBERS if compute_limit_share_of_dp_number(vessel, n) <= SPARE), default=1
+    )

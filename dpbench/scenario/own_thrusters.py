@@ -17,7 +17,7 @@ from typing import Any
 
 from dpbench.errors import InputError, format_allowed_names
 from dpbench.files.documents import read_csv_rows
-from dpbench.scenario.problem_files import parse_model
+from dpbench.scenario.problem_files import validate_settings_as_model
 from dpbench.scenario.tables.vessel_file import ThrusterTable
 from dpbench.ship.thrusters import ThrusterSet
 
@@ -52,7 +52,7 @@ class Berth:
     rise_s: float
 
 
-def read_thruster_rows(path: Path) -> list[dict[str, str]]:
+def read_rows_of_thruster_table(path: Path) -> list[dict[str, str]]:
     """Read the rows of a thruster table, by column, without empty cells; InputError if bad."""
     rows = read_csv_rows(path)
     names = [cell.strip() for cell in rows[0]] if rows else []
@@ -75,7 +75,7 @@ def read_thruster_rows(path: Path) -> list[dict[str, str]]:
     ]
 
 
-def complete_thrusters(
+def complete_thruster_values(
     rows: Sequence[Mapping[str, str]], berth: Berth, where: str
 ) -> tuple[tuple[ThrusterTable, ...], ThrusterSet]:
     """Return thrusters with what their rows leave out, as tables and in SI units.
@@ -87,14 +87,14 @@ def complete_thrusters(
     for number, row in enumerate(rows, start=1):
         at = f"{where}, thruster {number}"
         keys: dict[str, Any] = {
-            name: text if name in TEXTS else _parse_number(text, at, name)
+            name: text if name in TEXTS else _parse_number_or_raise_input_error(text, at, name)
             for name, text in row.items()
         }
         keys = {"name": f"{keys.get('kind', '')} {number}", "rise_s": berth.rise_s} | keys
         _join_sector_columns(keys, at)
-        _assume_propeller(keys)
-        tables.append(parse_model(keys, ThrusterTable, at))
-        _check_place(tables[-1], berth, at)
+        _add_assumed_propeller_values(keys)
+        tables.append(validate_settings_as_model(keys, ThrusterTable, at))
+        _require_thruster_inside_ship(tables[-1], berth, at)
     return tuple(tables), ThrusterSet(tuple(table.build_thruster() for table in tables), where)
 
 
@@ -111,7 +111,7 @@ def _join_sector_columns(keys: dict[str, Any], where: str) -> None:
         keys[key] = [keys.pop(column) for column in columns]
 
 
-def _assume_propeller(keys: dict[str, Any]) -> None:
+def _add_assumed_propeller_values(keys: dict[str, Any]) -> None:
     """Add a thruster's propeller, diameter and astern share where its row states none."""
     if keys.get("kind") == "main":
         keys.setdefault("astern", ASTERN)
@@ -123,7 +123,7 @@ def _assume_propeller(keys: dict[str, Any]) -> None:
         keys.setdefault("diameter_m", float(f"{math.sqrt(keys['power_kW'] / loading):.3g}"))
 
 
-def _parse_number(text: str, where: str, name: str) -> float:
+def _parse_number_or_raise_input_error(text: str, where: str, name: str) -> float:
     """Parse a number of a table; InputError for other text."""
     try:
         return float(text)
@@ -131,7 +131,7 @@ def _parse_number(text: str, where: str, name: str) -> float:
         raise InputError(where, name, repr(text)[:80], "a number") from None
 
 
-def _check_place(table: ThrusterTable, berth: Berth, where: str) -> None:
+def _require_thruster_inside_ship(table: ThrusterTable, berth: Berth, where: str) -> None:
     """Raise InputError for a thruster that lies outside the ship."""
     for name, most in (("x_m", MOST_X * berth.length_m), ("y_m", MOST_Y * berth.breadth_m)):
         if abs(getattr(table, name)) > most:
@@ -139,7 +139,7 @@ def _check_place(table: ThrusterTable, berth: Berth, where: str) -> None:
             raise InputError(where, name, f"{getattr(table, name):g}", allowed)
 
 
-def list_assumptions(
+def describe_assumed_values(
     rows: Sequence[Mapping[str, str]], tables: Sequence[ThrusterTable]
 ) -> list[str]:
     """Return a sentence for each kind of value that the table leaves out."""

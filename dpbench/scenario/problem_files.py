@@ -70,19 +70,21 @@ class FileModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-def problems_root() -> Path:
+def find_folder_of_shipped_problems() -> Path:
     """Return the folder of the vessels, scenarios, suites and sequences that dpbench ships."""
     installed = _PACKAGE / "problems"
     return installed if installed.is_dir() else _PACKAGE.parent / "problems"
 
 
-def problem_names(kind: str) -> list[str]:
+def list_shipped_problem_names(kind: str) -> list[str]:
     """Return the names of the shipped vessels, scenarios, suites or sequences."""
     suffix = ".npz" if kind == SEQUENCES else ".toml"
-    return sorted(path.stem for path in (problems_root() / kind).glob(f"*{suffix}"))
+    return sorted(
+        path.stem for path in (find_folder_of_shipped_problems() / kind).glob(f"*{suffix}")
+    )
 
 
-def problem_path(kind: str, name: str | Path, beside: Path | None = None) -> Path:
+def find_problem_path(kind: str, name: str | Path, beside: Path | None = None) -> Path:
     """Return the path of a vessel, scenario or suite given by name or by path.
 
     Raises UnknownNameError, with the nearest names, for a name, and InputError for a path.
@@ -92,10 +94,10 @@ def problem_path(kind: str, name: str | Path, beside: Path | None = None) -> Pat
         warn_of_outdated_name(f"{kind[:-1]} name", text, OLD_NAMES[kind, text])
         text = OLD_NAMES[kind, text]
     if not text.endswith(".toml") and "/" not in text:
-        path = problems_root() / kind / f"{text}.toml"
+        path = find_folder_of_shipped_problems() / kind / f"{text}.toml"
         if os.path.isfile(path):
             return path
-        raise unknown_name(kind, text, "a .toml path")
+        raise make_unknown_problem_name_error(kind, text, "a .toml path")
     for base in ([beside] if beside else []) + [Path()]:
         # Unlike Path.is_file, this is False for a name that is too long to exist.
         if os.path.isfile(base / text):
@@ -104,37 +106,39 @@ def problem_path(kind: str, name: str | Path, beside: Path | None = None) -> Pat
     raise InputError(text, "", instead, f"a readable {kind[:-1]} file in TOML")
 
 
-def sequence_path(name_or_path: str | Path, beside: Path | None = None) -> Path:
+def resolve_sequence_path(name_or_path: str | Path, beside: Path | None = None) -> Path:
     """Return the path of a QP sequence given by name or by path, which may not exist.
 
     Raises UnknownNameError for a name that is neither a stored sequence nor a folder.
     """
     text = str(name_or_path)
-    if is_stored(text):
-        return problems_root() / SEQUENCES / f"{text}.npz"
+    if is_shipped_sequence_name(text):
+        return find_folder_of_shipped_problems() / SEQUENCES / f"{text}.npz"
     for base in ([beside] if beside else []) + [Path()]:
         # Unlike Path.exists, this is False for a name that is too long to exist.
         if os.path.exists(base / text):
             return base / text
     if "/" not in text and not text.endswith(".npz"):
-        raise unknown_name(SEQUENCES, text, "a .npz path or a folder of problems")
+        raise make_unknown_problem_name_error(
+            SEQUENCES, text, "a .npz path or a folder of problems"
+        )
     return Path(text)
 
 
-def is_stored(name: str | Path) -> bool:
+def is_shipped_sequence_name(name: str | Path) -> bool:
     """Return whether a QP sequence of this name is shipped with dpbench."""
-    return str(name) in problem_names(SEQUENCES)
+    return str(name) in list_shipped_problem_names(SEQUENCES)
 
 
-def unknown_name(kind: str, text: str, otherwise: str) -> UnknownNameError:
+def make_unknown_problem_name_error(kind: str, text: str, otherwise: str) -> UnknownNameError:
     """Return an error for an unknown vessel, scenario, suite or sequence name, with near names."""
     listing = "dpbench list vessels" if kind == "vessels" else f"list_{kind}()"
-    allowed = format_allowed_names(text, problem_names(kind), listing=listing)
+    allowed = format_allowed_names(text, list_shipped_problem_names(kind), listing=listing)
     shown = repr(text if len(text) <= 80 else f"{text[:77]}...")
     return UnknownNameError(f"{kind[:-1]} name", "", shown, f"{allowed}; or {otherwise}")
 
 
-def read_toml(path: Path) -> dict[str, Any]:
+def read_toml_as_dict(path: Path) -> dict[str, Any]:
     """Read a TOML document as a dict; InputError where it cannot be read or parsed."""
     where, content = str(path), read_bytes(path, "a readable file", most_bytes=MOST_TEXT_BYTES)
     try:
@@ -155,12 +159,12 @@ def read_toml(path: Path) -> dict[str, Any]:
     return document
 
 
-def read_model(path: Path, model: type[_Model]) -> _Model:
+def read_toml_as_model(path: Path, model: type[_Model]) -> _Model:
     """Read and validate a TOML file as a data model; InputError names the faulty key."""
-    return parse_model(read_toml(path), model, str(path))
+    return validate_settings_as_model(read_toml_as_dict(path), model, str(path))
 
 
-def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _Model:
+def validate_settings_as_model(document: dict[str, Any], model: type[_Model], where: str) -> _Model:
     """Convert settings to a validated data model; InputError names the faulty key and value."""
     for old, new in getattr(model, "old_keys", {}).items():
         if old in document and new not in document:
@@ -177,7 +181,9 @@ def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _M
         if first["type"] == "extra_forbidden":
             if new := getattr(model, "refused_keys", {}).get(key):
                 raise InputError(where, key, "an old name", f"{new}, its name now") from error
-            allowed = format_allowed_names(keys[-1], _allowed_keys(model, keys[:-1]))
+            allowed = format_allowed_names(
+                keys[-1], _list_allowed_keys_of_nested_table(model, keys[:-1])
+            )
             raise InputError(where, key, "an unknown key", allowed) from error
         if first["type"] == "missing":
             raise InputError(where, key, "nothing", "this key is required") from error
@@ -187,7 +193,7 @@ def parse_model(document: dict[str, Any], model: type[_Model], where: str) -> _M
         raise InputError(where, key, found, message) from error
 
 
-def _allowed_keys(model: type[BaseModel], keys: list[str]) -> list[str]:
+def _list_allowed_keys_of_nested_table(model: type[BaseModel], keys: list[str]) -> list[str]:
     """Return the keys that a data model allows in the nested table at a path of keys."""
     current: Any = model
     for key in keys:

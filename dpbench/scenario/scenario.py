@@ -20,13 +20,13 @@ from dpbench.scenario.controllers.controller import Controller
 from dpbench.scenario.controllers.forces import ForceController
 from dpbench.scenario.controllers.specification import ControllerSpec
 from dpbench.scenario.controllers.thrusters import CascadeController, ThrusterController
-from dpbench.scenario.estimation import EstimatorChoice, choose_estimator
+from dpbench.scenario.estimation import EstimatorChoice, read_estimator_settings
 from dpbench.scenario.problem_files import (
     ScenarioDocuments,
     VesselDocuments,
-    parse_model,
-    problem_path,
-    read_model,
+    find_problem_path,
+    read_toml_as_model,
+    validate_settings_as_model,
 )
 from dpbench.scenario.tables.scenario_file import ScenarioFile
 from dpbench.scenario.tables.vessel_file import VesselFile
@@ -40,9 +40,9 @@ MAX_STEPS = 1_000_000
 """A run keeps every step in memory; a million of them is 83 hours of the paper's ship."""
 
 CONTROLLERS: dict[str, Callable[[ControllerSpec], Controller]] = {
-    "forces": ForceController.of,
-    "thrusters": ThrusterController.of,
-    "cascade": CascadeController.of,
+    "forces": ForceController.from_specification,
+    "thrusters": ThrusterController.from_specification,
+    "cascade": CascadeController.from_specification,
 }
 """Makers of controllers by `controller.kind`; each raises InputError for a vessel or faults that do
 not fit it."""
@@ -61,7 +61,7 @@ class Scenario:
     start, reference : (3,) poses [n, e, ψ] in m, m, rad.
     velocity : (3,) of the start, [u, v, r] over ground along the ship's axes in m/s, m/s, rad/s.
     smoothed, preview : reference filter, and whether the controller sees the reference coming.
-    files : the documents from which `build_scenario` makes it again.
+    files : the documents from which `build_scenario_from_documents` makes it again.
 
     Examples
     --------
@@ -91,8 +91,9 @@ class Scenario:
     files: ScenarioDocuments
 
     def __repr__(self) -> str:
+        controller = self.controller.tuning_horizons_and_command_text
         return (
-            f"<Scenario {self.name}: {self.vessel.id}, {self.controller.description}, "
+            f"<Scenario {self.name}: {self.vessel.id}, {controller}, "
             f"{self.steps} steps of {self.sample_s:.4g} s>"
         )
 
@@ -102,7 +103,7 @@ class Scenario:
         fields = {
             "shows": self.shows,
             "vessel": f"{self.vessel.title} ({self.vessel.id})",
-            "controller": self.controller.description,
+            "controller": self.controller.tuning_horizons_and_command_text,
             "length": f"{self.steps} steps of {self.sample_s:.4g} s",
             "start": format_numbers_with_units(self.start, units),
             "reference": format_numbers_with_units(self.reference, units),
@@ -135,7 +136,7 @@ class Scenario:
 
     def estimator(self) -> Estimator:
         """Return a new state estimator, started at the ship's state of the first sample."""
-        estimator = self.estimation.build_estimator(self.vessel, self.sample_s)
+        estimator = self.estimation.build_estimator_for_ship(self.vessel, self.sample_s)
         estimator.start_from_state(self.first_state)
         return estimator
 
@@ -157,46 +158,48 @@ def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Sc
     1000
     """
     name, at, other = str(name_or_path).partition("@")
-    path = problem_path("scenarios", name, beside)
-    scenario = read_model(path, ScenarioFile)
+    path = find_problem_path("scenarios", name, beside)
+    scenario = read_toml_as_model(path, ScenarioFile)
     vessel = other if at else scenario.vessel
     try:
-        vessel_path = problem_path("vessels", vessel, beside=path.parent)
+        vessel_path = find_problem_path("vessels", vessel, beside=path.parent)
     except InputError as error:
         raise UnknownNameError(str(path), "vessel", repr(vessel), error.allowed) from error
     files: ScenarioDocuments = {
         "name": f"{path.stem}@{vessel_path.stem}" if other else path.stem,
         "scenario": scenario.model_dump(),
-        **read_vessel_documents(vessel_path),
+        **read_validated_vessel_documents(vessel_path),
     }
-    return build_scenario(files, where=str(path), vessel_where=str(vessel_path))
+    return build_scenario_from_documents(files, where=str(path), vessel_where=str(vessel_path))
 
 
 def load_vessel(name_or_path: str | Path) -> Vessel:
     """Load a vessel by name or from a TOML file."""
-    path = problem_path("vessels", name_or_path)
-    return read_model(path, VesselFile).build_vessel(path.stem, str(path))
+    path = find_problem_path("vessels", name_or_path)
+    return read_toml_as_model(path, VesselFile).build_vessel(path.stem, str(path))
 
 
-def read_vessel_documents(
+def read_validated_vessel_documents(
     name_or_path: str | Path, *, beside: Path | None = None
 ) -> VesselDocuments:
     """Read and validate a vessel file, given by name or path; return its name and plain values."""
-    path = problem_path("vessels", name_or_path, beside)
-    return {"vessel_name": path.stem, "vessel": read_model(path, VesselFile).model_dump()}
+    path = find_problem_path("vessels", name_or_path, beside)
+    return {"vessel_name": path.stem, "vessel": read_toml_as_model(path, VesselFile).model_dump()}
 
 
-def build_vessel(files: VesselDocuments, where: str = "vessel") -> Vessel:
+def build_vessel_from_documents(files: VesselDocuments, where: str = "vessel") -> Vessel:
     """Build a vessel from the contents of its file."""
-    return parse_model(files["vessel"], VesselFile, where).build_vessel(files["vessel_name"], where)
+    return validate_settings_as_model(files["vessel"], VesselFile, where).build_vessel(
+        files["vessel_name"], where
+    )
 
 
-def build_scenario(
+def build_scenario_from_documents(
     files: ScenarioDocuments, where: str = "scenario", vessel_where: str = "vessel"
 ) -> Scenario:
     """Build a scenario from the contents of its files (JSON-compatible)."""
-    spec = parse_model(files["scenario"], ScenarioFile, where)
-    ship_file = parse_model(files["vessel"], VesselFile, vessel_where)
+    spec = validate_settings_as_model(files["scenario"], ScenarioFile, where)
+    ship_file = validate_settings_as_model(files["vessel"], VesselFile, vessel_where)
     vessel = ship_file.build_vessel(files["vessel_name"], vessel_where)
     scale = Froude(ship_file.model_scale)
     plant = spec.plant
@@ -221,53 +224,53 @@ def build_scenario(
         shows=spec.shows,
         vessel=vessel,
         true_ship=true_ship,
-        actuators=_build_actuators(spec, controller, sample_s, scale),
+        actuators=_build_actuators_if_any(spec, controller, sample_s, scale),
         environment=environment,
-        estimation=choose_estimator(spec, scale, where),
+        estimation=read_estimator_settings(spec, scale, where),
         steps=spec.steps,
         sample_s=sample_s,
-        start=spec.start.pose() * scale.pose_factors,
-        velocity=spec.start.velocity() * scale.velocity_factors,
-        reference=spec.reference.pose() * scale.pose_factors,
-        smoothed=spec.reference.build_filter(scale),
+        start=spec.start.to_pose_vector() * scale.pose_factors,
+        velocity=spec.start.to_velocity_vector() * scale.velocity_factors,
+        reference=spec.reference.to_pose_vector() * scale.pose_factors,
+        smoothed=spec.reference.build_reference_filter_if_any(scale),
         preview=spec.reference.preview,
         controller=controller,
         files=files,
     )
 
 
-def cached_scenario(files: ScenarioDocuments) -> Scenario:
+def build_or_reuse_scenario(files: ScenarioDocuments) -> Scenario:
     """Build a scenario from file contents, or take it from a cache; then set the weather's seed."""
     weather = files["scenario"].get("environment", {})
     if not isinstance(weather.get("seed"), int):
-        return _build_from_json(json.dumps(files, sort_keys=True))
+        return _build_cached_scenario_from_json(json.dumps(files, sort_keys=True))
     calm = {**files, "scenario": {**files["scenario"], "environment": {**weather, "seed": 0}}}
-    scenario = _build_from_json(json.dumps(calm, sort_keys=True))
+    scenario = _build_cached_scenario_from_json(json.dumps(calm, sort_keys=True))
     sea = replace(scenario.environment, seed=weather["seed"])
     return replace(scenario, environment=sea, files=files)
 
 
 @lru_cache(maxsize=64)
-def _build_from_json(files: str) -> Scenario:
+def _build_cached_scenario_from_json(files: str) -> Scenario:
     """Build a scenario from its documents as JSON; cached."""
-    return build_scenario(json.loads(files))
+    return build_scenario_from_documents(json.loads(files))
 
 
-def _build_actuators(
+def _build_actuators_if_any(
     spec: ScenarioFile, controller: Controller, sample_s: float, scale: Froude
 ) -> Actuators | CommandedThrusters | None:
     """Return thrust losses, delay and lag between commands and hull; None where there are none."""
     plant = spec.plant
     loss = np.array(plant.thrust_loss_percent)
     losses = Actuators(1.0 - loss / 100.0, plant.delay_samples)
-    if controller.commanded is not None:
+    if controller.commanded_thrusters is not None:
         lag_s = plant.thruster_lag_s * scale.time_and_speed_factor
-        control = controller.commanded
+        control = controller.commanded_thrusters
         return CommandedThrusters(control.thrusters, sample_s, lag_s, losses, control.trips)
     return losses if loss.any() or plant.delay_samples else None
 
 
-def as_scenario(given: object) -> Scenario:
+def resolve_to_scenario(given: object) -> Scenario:
     """Return a scenario that is given as an object, by name or as a TOML file.
 
     Raises TypeError for anything else, and what `load_scenario` raises.
@@ -289,4 +292,4 @@ def condense(scenario: Scenario | str | Path, *, units: UnitSystem = "scaled") -
     >>> condense("paper").P.shape
     (15, 15)
     """
-    return as_scenario(scenario).controller.build_qp(units)
+    return resolve_to_scenario(scenario).controller.make_condensed_qp_builder(units)

@@ -13,7 +13,11 @@ from typing import Any, cast
 
 from dpbench.errors import InputError, format_allowed_names
 from dpbench.scenario.problem_files import ScenarioDocuments
-from dpbench.scenario.scenario import Scenario, build_scenario, read_vessel_documents
+from dpbench.scenario.scenario import (
+    Scenario,
+    build_scenario_from_documents,
+    read_validated_vessel_documents,
+)
 from dpbench.ship.plant import SUBSTEPS
 
 VESSEL = "vessel"
@@ -21,7 +25,7 @@ SEED = "environment.seed"  # Any whole number makes a sea of its own, and change
 _LABELS = {"name": "", "title": "", "shows": "", "files": {}}
 
 
-def replace_values(
+def copy_scenario_with_values(
     scenario: Scenario, values: Mapping[str, object], where: str, *, beside: Path | None = None
 ) -> Scenario:
     """Return a scenario with values replaced, given by dotted keys such as `start.east_m`.
@@ -29,11 +33,11 @@ def replace_values(
     values : by the dotted names of the keys, in the units of the files.
     where : what names the keys in errors; beside : the folder a vessel's file is looked for in.
     """
-    files = replace_document_values(scenario.files, values, where, beside=beside)
-    return build_scenario(files, where=where, vessel_where=f"{where}: vessel")
+    files = copy_documents_with_values(scenario.files, values, where, beside=beside)
+    return build_scenario_from_documents(files, where=where, vessel_where=f"{where}: vessel")
 
 
-def replace_document_values(
+def copy_documents_with_values(
     files: ScenarioDocuments,
     values: Mapping[str, object],
     where: str,
@@ -44,36 +48,40 @@ def replace_document_values(
     changed: dict[str, Any] = {**files}
     for key, value in values.items():
         if key == VESSEL:
-            changed |= read_vessel_documents(str(value), beside=beside)
+            changed |= read_validated_vessel_documents(str(value), beside=beside)
     for key, value in values.items():
         if key != VESSEL:
             parts = key.split(".")
             file = "vessel" if parts[0] == VESSEL else "scenario"
             path_in_file = parts[1:] if file == "vessel" else parts
-            changed[file] = _replace_value(changed[file], path_in_file, value, f"{where}: {key}")
+            changed[file] = _copy_table_with_value(
+                changed[file], path_in_file, value, f"{where}: {key}"
+            )
     return cast(ScenarioDocuments, changed)
 
 
-def read_value(scenario: Scenario, key: str, where: str) -> object:
+def read_value_of_dotted_key(scenario: Scenario, key: str, where: str) -> object:
     """Return the value of a dotted key in a scenario's files; InputError without such a key."""
     if key == VESSEL:
         return scenario.files["vessel_name"]
     parts = key.split(".")
     at = scenario.files["vessel" if parts[0] == VESSEL else "scenario"]
     for part in parts[1:] if parts[0] == VESSEL else parts:
-        at = at[_find_index(at, part, f"{where}: {key}")]
+        at = at[_find_key_or_list_index(at, part, f"{where}: {key}")]
     return at
 
 
-def _replace_value(table: Any, parts: list[str], value: object, where: str) -> Any:
+def _copy_table_with_value(table: Any, parts: list[str], value: object, where: str) -> Any:
     """Return a copy of a TOML table with one value replaced, found by the parts of its key."""
-    place = _find_index(table, parts[0], where)
+    place = _find_key_or_list_index(table, parts[0], where)
     changed = table.copy()
-    changed[place] = _replace_value(table[place], parts[1:], value, where) if parts[1:] else value
+    changed[place] = (
+        _copy_table_with_value(table[place], parts[1:], value, where) if parts[1:] else value
+    )
     return changed
 
 
-def _find_index(table: Any, part: str, where: str) -> Any:
+def _find_key_or_list_index(table: Any, part: str, where: str) -> Any:
     """Return one part of a dotted key as a key or list index; InputError if there is none such."""
     if isinstance(table, dict):
         if part in table:
@@ -89,12 +97,12 @@ def _find_index(table: Any, part: str, where: str) -> Any:
     raise InputError(where, "", f"{found} above {part!r}", "a key of a table of the scenario")
 
 
-def behave_differently(one: Scenario, other: Scenario, steps: int) -> bool:
+def differ_in_behaviour_within_steps(one: Scenario, other: Scenario, steps: int) -> bool:
     """Return whether two scenarios differ in anything that affects a run of `steps` samples."""
-    return _serialise_behaviour(one, steps) != _serialise_behaviour(other, steps)
+    return _serialise_what_affects_run(one, steps) != _serialise_what_affects_run(other, steps)
 
 
-def _serialise_behaviour(scenario: Scenario, steps: int) -> bytes:
+def _serialise_what_affects_run(scenario: Scenario, steps: int) -> bytes:
     """Return all of a scenario that affects a run as bytes, without names and titles."""
     sea, sample_s = scenario.environment, scenario.sample_s
     weather = (

@@ -7,44 +7,46 @@ from pathlib import Path
 from typing import Any
 
 from dpbench.files.writing import write_text_atomically
-from dpbench.scenario.problem_files import ScenarioDocuments, problem_names
-from dpbench.scenario.scenario import read_vessel_documents
+from dpbench.scenario.problem_files import ScenarioDocuments, list_shipped_problem_names
+from dpbench.scenario.scenario import read_validated_vessel_documents
 
 _BARE = re.compile(r"[\w-]+", re.ASCII)
 
 
-def save_scenario(files: ScenarioDocuments, path: Path, comment: str = "") -> list[Path]:
+def write_scenario_and_own_ship_files(
+    files: ScenarioDocuments, path: Path, comment: str = ""
+) -> list[Path]:
     """Write a scenario's documents, and beside it a ship that is not shipped; return the paths.
 
     comment : lines above the scenario, without `#`.
     """
     ship = files["vessel_name"]
-    shipped = ship in problem_names("vessels")
+    shipped = ship in list_shipped_problem_names("vessels")
     paths = [path]
-    if not shipped or read_vessel_documents(ship)["vessel"] != files["vessel"]:
+    if not shipped or read_validated_vessel_documents(ship)["vessel"] != files["vessel"]:
         own = path.with_name(f"{path.stem}_ship.toml")
-        write_text_atomically(own, render_toml(files["vessel"]))
+        write_text_atomically(own, format_as_toml(files["vessel"]))
         paths, ship = [path, own], own.name
     head = "".join(f"# {line}\n" for line in comment.splitlines())
-    write_text_atomically(path, head + render_toml(files["scenario"] | {"vessel": ship}))
+    write_text_atomically(path, head + format_as_toml(files["scenario"] | {"vessel": ship}))
     return paths
 
 
-def render_toml(document: Mapping[str, Any]) -> str:
+def format_as_toml(document: Mapping[str, Any]) -> str:
     """Return plain values as a TOML document; keys whose value is None are left out.
 
     Examples
     --------
-    >>> print(render_toml({"a": 1, "b": {"c": [0.5, 1e-7]}, "d": None}), end="")
+    >>> print(format_as_toml({"a": 1, "b": {"c": [0.5, 1e-7]}, "d": None}), end="")
     a = 1
     <BLANKLINE>
     [b]
     c = [0.5, 1e-07]
     """
-    return "\n".join(_render_table("", document)).lstrip("\n") + "\n"
+    return "\n".join(_yield_lines_of_toml_table("", document)).lstrip("\n") + "\n"
 
 
-def _render_table(name: str, table: Mapping[str, Any]) -> Iterator[str]:
+def _yield_lines_of_toml_table(name: str, table: Mapping[str, Any]) -> Iterator[str]:
     """Yield the lines of a table: its values first, then the tables inside it."""
     inner = []
     for key, value in table.items():
@@ -58,4 +60,4 @@ def _render_table(name: str, table: Mapping[str, Any]) -> Iterator[str]:
             yield f"{shown} = {json.dumps(value, ensure_ascii=False)}"
     for whole, (left, right), part in inner:
         yield f"\n{left}{whole}{right}"
-        yield from _render_table(f"{whole}.", part)
+        yield from _yield_lines_of_toml_table(f"{whole}.", part)

@@ -16,9 +16,9 @@ from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.assemble import NO_LIMIT_NS, build_closed_loop_setup
 from dpbench.bench.run.closed_loop import record_closed_loop
 from dpbench.bench.run.station import compute_largest_offset_share
-from dpbench.scenario.own_ship import sea_state
+from dpbench.scenario.own_ship import make_environment_of_dp_number
 from dpbench.scenario.scenario import Scenario
-from dpbench.scenario.variation import replace_values
+from dpbench.scenario.variation import copy_scenario_with_values
 from dpbench.ship.environment import WeatherDraw
 from dpbench.ship.plant import SUBSTEPS
 from dpbench.solvers.contract import Options
@@ -92,7 +92,7 @@ def change_controller(scenario: Scenario, options: Options) -> Scenario:
     if table.get("kind") == "thrusters":
         key, own = "move_weight_relative", table["thrusters"]["move_weight_relative"]
         values[f"controller.thrusters.{key}"] = _scale_weight(own, increment)
-    return replace_values(scenario, values, f"scenario {scenario.name}")
+    return copy_scenario_with_values(scenario, values, f"scenario {scenario.name}")
 
 
 def _as_number(value: object) -> float:
@@ -125,9 +125,11 @@ def put_in_sea(scenario: Scenario, sea: Realisation) -> Scenario:
     """Return the scenario in one sea; the noise of its sensors stays."""
     weather = scenario.files["scenario"]["environment"]
     if sea.number is not None:
-        weather = sea_state(sea.number).model_dump() | {"noise": weather["noise"]}
+        weather = make_environment_of_dp_number(sea.number).model_dump() | {
+            "noise": weather["noise"]
+        }
     values = {"environment": weather | {"seed": sea.seed}}
-    return replace_values(scenario, values, f"scenario {scenario.name}")
+    return copy_scenario_with_values(scenario, values, f"scenario {scenario.name}")
 
 
 def rate_controller(

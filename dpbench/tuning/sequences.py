@@ -10,7 +10,12 @@ from typing import Any
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.errors import SituationError, UnknownNameError
 from dpbench.qp.program import CONSTANT, QPSequence
-from dpbench.scenario.problem_files import SEQUENCES, is_stored, problem_names, sequence_path
+from dpbench.scenario.problem_files import (
+    SEQUENCES,
+    is_shipped_sequence_name,
+    list_shipped_problem_names,
+    resolve_sequence_path,
+)
 from dpbench.scenario.scenario import load_scenario
 
 _HORIZONS = ("prediction_horizon", "control_horizon")
@@ -41,10 +46,10 @@ def load_problem(name: str, steps: int = 0) -> TunedProblem:
     ------
     InputError : for a bad file. UnknownNameError : there is neither sequence nor scenario.
     """
-    if is_stored(name) or name.endswith(".npz") or Path(name).is_dir():
-        path = sequence_path(name)
+    if is_shipped_sequence_name(name) or name.endswith(".npz") or Path(name).is_dir():
+        path = resolve_sequence_path(name)
         recorded = read_sequence(path)
-        origin = name if is_stored(name) else str(path.resolve())
+        origin = name if is_shipped_sequence_name(name) else str(path.resolve())
         sequence = recorded.sequence
         every = sequence.meta.get("every", 1)
         table: dict[str, Any] = {"kind": "recorded", "sequence": origin}
@@ -58,7 +63,7 @@ def load_problem(name: str, steps: int = 0) -> TunedProblem:
     try:
         scenario = load_scenario(name)
     except UnknownNameError as error:
-        known = [*problem_names("scenarios"), *problem_names(SEQUENCES)]
+        known = [*list_shipped_problem_names("scenarios"), *list_shipped_problem_names(SEQUENCES)]
         allowed = f"{error.allowed}; or one of {len(known)} of `list_sequences()`"
         raise UnknownNameError("tune-solver", "", error.found, allowed) from error
     origin = str(Path(name).resolve()) if name.endswith(".toml") else name

@@ -23,7 +23,7 @@ from dpbench.report.charts.study import draw_tuning_front
 from dpbench.report.formats import plural, significant
 from dpbench.scenario.own_ship import DP_NUMBERS
 from dpbench.scenario.scenario import Scenario, load_scenario
-from dpbench.scenario.writing import save_scenario
+from dpbench.scenario.writing import write_scenario_and_own_ship_files
 from dpbench.solvers.contract import Options
 from dpbench.solvers.own_settings import format_options_as_toml
 from dpbench.tuning.controllers import (
@@ -225,7 +225,7 @@ def _write_tuning(
     """Write the scenario, the table of trials and the figure; return the result with the paths."""
     changed = change_controller(base, tuning.chosen.options)
     comment = "\n".join(("Controller found by `dpbench tune`.", *tuning.lines))
-    paths = save_scenario(changed.files, folder / f"{name}_tuned.toml", comment)
+    paths = write_scenario_and_own_ship_files(changed.files, folder / f"{name}_tuned.toml", comment)
     table = tuning.table
     write_text_atomically(folder / "tune.csv", table.to_csv(index=False))
     drawn = table[["share", "wear_per_h", "kind"]].copy()

@@ -13,7 +13,7 @@ from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import AXIS_FORCES, RUN_COLUMNS, STEP_COLUMNS
 from dpbench.errors import InputError, ResultsError, UnknownNameError
-from dpbench.scenario.problem_files import problem_path
+from dpbench.scenario.problem_files import find_problem_path
 from tests.bench.deterministic import run_suite, suite_toml
 
 pytestmark = pytest.mark.slow
@@ -197,7 +197,7 @@ def test_tables_that_do_not_belong_together_are_refused(folder: Path, tmp_path: 
 
 
 def test_scenarios_of_one_name_are_refused(tmp_path: Path) -> None:
-    text = problem_path("scenarios", "paper").read_text(encoding="utf-8")
+    text = find_problem_path("scenarios", "paper").read_text(encoding="utf-8")
     for part in ("a", "b"):
         (tmp_path / part).mkdir()
         (tmp_path / part / "paper.toml").write_text(text, encoding="utf-8")

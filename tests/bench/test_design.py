@@ -35,8 +35,8 @@ from dpbench.bench.progress import Silent
 from dpbench.bench.run.exact_loop import solve_loop_exactly
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
 from dpbench.qp.referee.referee import certify
-from dpbench.scenario.problem_files import problems_root
-from dpbench.scenario.scenario import Scenario, build_scenario, condense
+from dpbench.scenario.problem_files import find_folder_of_shipped_problems
+from dpbench.scenario.scenario import Scenario, build_scenario_from_documents, condense
 
 pytestmark = pytest.mark.slow
 
@@ -75,7 +75,9 @@ def designs(out: Path) -> Designs:
 @pytest.fixture(scope="module")
 def still() -> Scenario:
     files = pair_controllers_with_vessels(TABLE)[0].files
-    return build_scenario(files | {"scenario": files["scenario"] | {"environment": {}}})
+    return build_scenario_from_documents(
+        files | {"scenario": files["scenario"] | {"environment": {}}}
+    )
 
 
 def test_what_it_does_not_hold_ends_in_a_limit_cycle_of_some_five_metres(still: Scenario) -> None:
@@ -126,7 +128,10 @@ def test_a_model_ship_is_tried_on_its_own_scale() -> None:
         DesignTable(controllers=["paper"], vessels=["cybership2"])
     )[0].files
     linear = {key: value for key, value in files["vessel"].items() if key != "drag"}
-    scenario, without_drag = build_scenario(files), build_scenario(files | {"vessel": linear})
+    scenario, without_drag = (
+        build_scenario_from_documents(files),
+        build_scenario_from_documents(files | {"vessel": linear}),
+    )
     assert scenario.steps == without_drag.steps == 2000
     assert can_recover_from_offset(without_drag, 1.0) and not can_recover_from_offset(
         without_drag, 1.25
@@ -189,7 +194,7 @@ def test_bad_tables_are_refused(controllers: list[str], vessels: list[str], says
 
 
 def test_files_beside_the_suite_are_designs_too(tmp_path: Path) -> None:
-    problems = problems_root()
+    problems = find_folder_of_shipped_problems()
     ship = (problems / "vessels" / "osv.toml").read_text(encoding="utf-8")
     (tmp_path / "mine.toml").write_text(ship, encoding="utf-8")
     text = (problems / "scenarios" / "rough.toml").read_text(encoding="utf-8")
@@ -198,7 +203,7 @@ def test_files_beside_the_suite_are_designs_too(tmp_path: Path) -> None:
     table = DesignTable(controllers=["coarse.toml"], vessels=["mine.toml"])
     (design,) = pair_controllers_with_vessels(table, tmp_path)
     assert (design.controller, design.vessel) == ("coarse", "mine")
-    scenario = build_scenario(design.files)
+    scenario = build_scenario_from_documents(design.files)
     assert (scenario.sample_s, scenario.steps, scenario.controller.tuning) == (0.6, 1000, "robust")
 
 

@@ -9,7 +9,7 @@ from dpbench.bench.capability import frontier
 from dpbench.bench.capability.frontier import FROM_DEG, Capability, WindLimit
 from dpbench.bench.sequences.sequence_file import load_sequence
 from dpbench.cli.capability import table_lines
-from dpbench.scenario.problem_files import problem_path
+from dpbench.scenario.problem_files import find_problem_path
 from dpbench.scenario.scenario import load_vessel
 from dpbench.solvers import table
 from dpbench.solvers.table import Availability
@@ -43,7 +43,9 @@ def test_it_names_the_closed_loop_that_a_static_balance_does_not_replace(say: Sa
         "  dpbench run smoke --scenario thrusters@osv",
     ]
     Path("here").mkdir()
-    Path("here/mine.toml").write_text(problem_path("vessels", "osv").read_text("utf-8"), "utf-8")
+    Path("here/mine.toml").write_text(
+        find_problem_path("vessels", "osv").read_text("utf-8"), "utf-8"
+    )
     text = say("capability", "here/mine.toml")
     number = min(9, int(text.split("capability-L1(")[1].split(",")[0]))
     assert text.splitlines()[-2:] == [
@@ -145,7 +147,7 @@ def test_a_solver_that_is_not_installed_is_named(
     ids=lambda text: text.splitlines()[0] if text else "nothing",
 )
 def test_a_bad_hull_is_named(old: str, new: str, said: str, refuse: Say) -> None:
-    text = problem_path("vessels", "osv").read_text(encoding="utf-8")
+    text = find_problem_path("vessels", "osv").read_text(encoding="utf-8")
     assert old in text
     Path("mine.toml").write_text(text.replace(old, new), encoding="utf-8")
     complaint = refuse("capability", "mine.toml")

@@ -10,7 +10,7 @@ from qpsolvers import Problem
 
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.cli import check_ship
-from dpbench.scenario.problem_files import problem_names, problem_path
+from dpbench.scenario.problem_files import find_problem_path, list_shipped_problem_names
 from tests.cli.conftest import Say
 
 
@@ -29,7 +29,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     save(folder / "step_2.npz")
     save(folder / "step_10.npz", q=-4.0)
     save(tmp_path / "alone.npz", u=50.0)
-    text = problem_path("scenarios", "rough").read_text(encoding="utf-8")
+    text = find_problem_path("scenarios", "rough").read_text(encoding="utf-8")
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
     return tmp_path
 
@@ -62,7 +62,7 @@ def test_check_takes_what_run_takes(asked: str, said: str, place: Path, say: Say
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suite", problem_names("suites"))
+@pytest.mark.parametrize("suite", list_shipped_problem_names("suites"))
 def test_check_takes_every_suite(suite: str, say: Say) -> None:
     text = " ".join(say("check", suite).split())
     about, _, rest = text.partition(": a suite of ")

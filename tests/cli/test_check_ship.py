@@ -13,7 +13,7 @@ from dpbench.bench.design import (
 )
 from dpbench.cli import check_ship
 from dpbench.cli.check import check_file
-from dpbench.scenario.problem_files import problem_names, problem_path
+from dpbench.scenario.problem_files import find_problem_path, list_shipped_problem_names
 from dpbench.scenario.scenario import Scenario, load_scenario, load_vessel
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
@@ -27,10 +27,10 @@ def up_to(monkeypatch: pytest.MonkeyPatch, offset_m: float) -> None:
 
 def read_stored_text(name: str) -> str:
     """Return the text for a library vessel."""
-    return check_ship.vessel_text(problem_path("vessels", name), load_vessel(name))
+    return check_ship.vessel_text(find_problem_path("vessels", name), load_vessel(name))
 
 
-@pytest.mark.parametrize("name", problem_names("vessels"))
+@pytest.mark.parametrize("name", list_shipped_problem_names("vessels"))
 @pytest.mark.parametrize("offset_m", [0.0, 1.7, 100.0])
 def test_a_vessel_fits_a_dozen_lines_of_a_terminal(
     name: str, offset_m: float, monkeypatch: pytest.MonkeyPatch
@@ -59,7 +59,7 @@ def test_quick_simulates_nothing_and_names_what_is_left_out(
         assert last == "left out by --quick: the sideways offsets that each tuning recovers from"
 
 
-@pytest.mark.parametrize("name", problem_names("scenarios"))
+@pytest.mark.parametrize("name", list_shipped_problem_names("scenarios"))
 def test_a_scenario_fits_a_dozen_lines_of_a_terminal(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -97,7 +97,7 @@ def test_a_drift_beyond_linear_damping_has_no_number(monkeypatch: pytest.MonkeyP
     """By D alone MSS osv would drift at 22 m/s ahead and 6 sideways; 0.2 of Froude is 5.7 m/s."""
     up_to(monkeypatch, 1.0)
     ship = replace(load_vessel("osv"), drag=None)
-    text = check_ship.vessel_text(problem_path("vessels", "osv"), ship)
+    text = check_ship.vessel_text(find_problem_path("vessels", "osv"), ship)
     assert "> 5.7 m/s          > 5.7 m/s          0.296 °/s" in text
     assert "holds > 5.7 m/s of current abeam" in text
 
@@ -110,7 +110,7 @@ def test_a_weather_that_is_too_much_is_named(
     assert "simulated mean force: 11%, 79%, 14% of the limits\n" in check_ship.scenario_text(
         "extreme", load_scenario("extreme")
     )
-    text = problem_path("scenarios", "extreme").read_text(encoding="utf-8")
+    text = find_problem_path("scenarios", "extreme").read_text(encoding="utf-8")
     path = tmp_path / "worse.toml"
     path.write_text(text.replace("330.0", "500.0"), encoding="utf-8")
     assert "120%, 14% of the limits - it cannot hold" in check_ship.scenario_text(
@@ -125,7 +125,7 @@ def test_thrusters_show_what_they_make_together(monkeypatch: pytest.MonkeyPatch)
     thrusters = ThrusterSet((*mains, Thruster("bow", "tunnel", 18.0, 0.0, 200e3, 10.0)))
     low, high = thrusters.least_and_largest_force_by_axis()
     ship = replace(load_vessel("osv"), thrusters=thrusters, tau_min=low, tau_max=high)
-    text = check_ship.vessel_text(problem_path("vessels", "osv"), ship)
+    text = check_ship.vessel_text(find_problem_path("vessels", "osv"), ship)
     assert "\nlargest force         -200..400 kN       ±44.4 kN           ±800 kN·m\n" in text
     assert "\nwith other forces     -200..400 kN       ±200 kN            ±" in text
     assert "1 m/s sideways needs 143 kN of 44.4; holds 0.5" in text

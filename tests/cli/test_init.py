@@ -13,8 +13,14 @@ from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import load_path_and_suite
 from dpbench.cli.main import main
 from dpbench.cli.own_ship import OwnShip, scenario_text, suite_text, vessel_text
-from dpbench.scenario.hull_files import read_mss
-from dpbench.scenario.own_ship import DP_NUMBERS, LIBRARY, Particulars, ThrustLimits, scale_vessel
+from dpbench.scenario.hull_files import read_hull_from_mss_file
+from dpbench.scenario.own_ship import (
+    DP_NUMBERS,
+    LIBRARY,
+    Particulars,
+    ThrustLimits,
+    scale_library_vessel_to_own_ship,
+)
 from dpbench.scenario.scenario import load_scenario, load_vessel
 
 CUT = Path(__file__).parents[1] / "scenario" / "mss" / "supply_cut.mat"
@@ -93,7 +99,9 @@ def test_any_ship_that_is_allowed_becomes_files_that_are(
     draught_m = breadth_m / shallow
     mass_kg = block * 1026.0 * length_m * breadth_m * draught_m
     own = Particulars(length_m, breadth_m, draught_m, mass_kg)
-    vessel = scale_vessel(like, own, ThrustLimits(weight_share * mass_kg * 9.81), "own")
+    vessel = scale_library_vessel_to_own_ship(
+        like, own, ThrustLimits(weight_share * mass_kg * 9.81), "own"
+    )
     folder = tmp_path_factory.mktemp("own")
     texts = {
         "own.toml": vessel_text(OwnShip("own", own, vessel, like, None), "a command"),
@@ -116,7 +124,7 @@ def test_any_ship_that_is_allowed_becomes_files_that_are(
 def test_a_hull_of_the_mss_toolbox(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--thrust" in refused(["init", "supply", "--from-mss", str(CUT)], capsys)
     assert main(["init", "supply", "--from-mss", str(CUT), "--thrust", "500"]) == 0
-    vessel, hull = load_vessel("supply.toml"), read_mss(CUT)
+    vessel, hull = load_vessel("supply.toml"), read_hull_from_mss_file(CUT)
     np.testing.assert_allclose(vessel.M, hull.M, rtol=1e-5)
     np.testing.assert_allclose(vessel.D, hull.D, rtol=1e-5)
     assert vessel.length_m == pytest.approx(82.8)

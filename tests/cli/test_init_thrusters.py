@@ -12,7 +12,7 @@ from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import load_path_and_suite
 from dpbench.cli.main import main
 from dpbench.scenario.controllers.forces import JointForceController
-from dpbench.scenario.own_ship import load_share
+from dpbench.scenario.own_ship import compute_limit_share_of_dp_number
 from dpbench.scenario.own_thrusters import LOADING_KW_PER_M2
 from dpbench.scenario.scenario import load_scenario, load_vessel
 
@@ -141,7 +141,7 @@ def test_a_force_that_the_thrusters_cannot_make_is_no_share_of_the_limits(
     said = " ".join(capsys.readouterr().out.split())
     share = re.search(r"mean force takes (\d+)% of the thrust", said)
     assert share is not None
-    assert int(share[1]) > 100 * load_share(load_vessel(FILES[0]), 5)
+    assert int(share[1]) > 100 * compute_limit_share_of_dp_number(load_vessel(FILES[0]), 5)
     assert ("cannot hold there: see --sea, --thrusters" in said) == (int(share[1]) > 100)
 
 

@@ -8,11 +8,11 @@ import pytest
 
 from dpbench import InputError, export_sequence, run_campaign
 from dpbench.cli.main import main
-from dpbench.scenario.problem_files import problem_path
+from dpbench.scenario.problem_files import find_problem_path
 from tests.cli.conftest import Say
 
-VESSEL = problem_path("vessels", "supply_mss").read_text(encoding="utf-8")
-SCENARIO = problem_path("scenarios", "rough").read_text(encoding="utf-8")
+VESSEL = find_problem_path("vessels", "supply_mss").read_text(encoding="utf-8")
+SCENARIO = find_problem_path("scenarios", "rough").read_text(encoding="utf-8")
 HEAD = 'title = "x"\nsolvers = ["daqp"]\n'
 
 

@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from dpbench.scenario.problem_files import problem_path
+from dpbench.scenario.problem_files import find_problem_path
 
 HEAVY = {"pandas", "numba", "scipy.optimize", "scipy.sparse", "osqp"}
 """Packages that take a quarter of a second or more to import."""
@@ -48,7 +48,7 @@ def test_a_quick_command_loads_nothing_heavy() -> None:
 def test_a_mistake_in_a_file_is_answered_before_anything_heavy(tmp_path: Path) -> None:
     commands = []
     for kind, name in (("scenarios", "turn"), ("vessels", "osv")):
-        text = problem_path(kind, name).read_text(encoding="utf-8")
+        text = find_problem_path(kind, name).read_text(encoding="utf-8")
         bad = tmp_path / f"{name}.toml"
         bad.write_text(f"mistake = 1\n{text}", encoding="utf-8")
         commands.append(["check", str(bad)])

@@ -12,7 +12,7 @@ import pytest
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.codegen.controller_data import ControllerData, lost_at_samples
-from dpbench.scenario.controllers.controller import stack_limits
+from dpbench.scenario.controllers.controller import stack_lower_and_upper_limits
 from dpbench.ship.plant import SUBSTEPS, Plant, Sensors
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="there is no gcc here")
@@ -69,7 +69,9 @@ def steer(data: ControllerData, controller: SteppedController, steps: int) -> Ma
         Sensors(weather, steps, sample_s),
     )
     reference = scenario.build_reference_table(steps)
-    limits = stack_limits(scenario.controller.limits(steps))
+    limits = stack_lower_and_upper_limits(
+        scenario.controller.list_planned_force_limits_by_sample(steps)
+    )
     lost = lost_at_samples(scenario.controller, steps)
     state = np.hstack(limits) if data.thrusters is None else lost
     commands = np.zeros((steps, len(data.du_max)))

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpbench.scenario.problem_files import problem_names
+from dpbench.scenario.problem_files import list_shipped_problem_names
 from dpbench.scenario.scenario import load_vessel
 from dpbench.scenario.tables.vessel_file import CapabilityTable
 from dpbench.ship.drag import HullDrag
@@ -31,10 +31,10 @@ def table_rows() -> dict[str, list[str]]:
 
 
 def test_the_table_has_every_ship_of_the_library() -> None:
-    assert set(table_rows()) == set(problem_names("vessels"))
+    assert set(table_rows()) == set(list_shipped_problem_names("vessels"))
 
 
-@pytest.mark.parametrize("name", problem_names("vessels"))
+@pytest.mark.parametrize("name", list_shipped_problem_names("vessels"))
 def test_a_row_of_the_table_is_that_of_the_formulas(name: str) -> None:
     """Cells have three digits, and the two curves of Hoerner differ by up to 2 %."""
     dimensions, linear, *cells, cross_flow, difference = table_rows()[name]
@@ -57,7 +57,7 @@ def test_a_row_of_the_table_is_that_of_the_formulas(name: str) -> None:
     assert ratio_of_cells <= 1.3
 
 
-@pytest.mark.parametrize("name", problem_names("vessels"))
+@pytest.mark.parametrize("name", list_shipped_problem_names("vessels"))
 def test_a_row_of_the_table_is_what_dpbench_computes(name: str) -> None:
     """With the dimensions of the row, and the areas of the file where it has them."""
     dimensions, _, *cells, _, _ = table_rows()[name]
@@ -66,7 +66,7 @@ def test_a_row_of_the_table_is_what_dpbench_computes(name: str) -> None:
     hull = ship.capability
     if hull is None:
         table = CapabilityTable(breadth_m=breadth, draught_m=draught)
-        hull = table.build_hull(ship.length_m, Windage(1.0, 1.0))
+        hull = table.build_capability_hull(ship.length_m, Windage(1.0, 1.0))
     drag = HullDrag.from_hull(hull)
     for speed, cell in zip(SPEEDS, cells, strict=True):
         force = drag.compute_drag_force(ship.D, np.array([0.0, speed / math.sqrt(ratio), 0.0]))[1]

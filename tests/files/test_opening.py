@@ -21,8 +21,8 @@ from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.embedded.table import EMBEDDED_FILE, load_counts
 from dpbench.errors import InputError
 from dpbench.files.opening import open_regular_file, read_bytes
-from dpbench.scenario.hull_files import read_coefficient_table, read_mss
-from dpbench.scenario.problem_files import read_toml
+from dpbench.scenario.hull_files import read_hull_from_csv_table, read_hull_from_mss_file
+from dpbench.scenario.problem_files import read_toml_as_dict
 
 
 def _kept(path: Path) -> None:
@@ -31,9 +31,9 @@ def _kept(path: Path) -> None:
 
 
 READERS: dict[str, Callable[[Path], Any]] = {
-    "ship.toml": read_toml,
-    "hull.csv": read_coefficient_table,
-    "hull.mat": read_mss,
+    "ship.toml": read_toml_as_dict,
+    "hull.csv": read_hull_from_csv_table,
+    "hull.mat": read_hull_from_mss_file,
     "sequence.npz": load_recorded,
     "problem.npz": read_problem,
     "digest.npz": hash_sequence_files,
@@ -96,7 +96,7 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
         file.truncate(10**12)
     with pytest.raises(InputError, match="found 1000000000000 bytes; allowed: at most 1000"):
         read_bytes(path, "a file", most_bytes=1000)
-    for read in (read_toml, read_coefficient_table, read_mss, read_json):
+    for read in (read_toml_as_dict, read_hull_from_csv_table, read_hull_from_mss_file, read_json):
         with pytest.raises(InputError, match="1000000000000 bytes"):
             read(path)
 

@@ -15,8 +15,8 @@ import scipy.io
 from dpbench.errors import InputError
 from dpbench.files import mat, mat_child
 from dpbench.scenario import hull_files
-from dpbench.scenario.hull_files import Hull, read_coefficient_table, read_mss
-from dpbench.scenario.own_ship import Particulars, regression_added_mass
+from dpbench.scenario.hull_files import Hull, read_hull_from_csv_table, read_hull_from_mss_file
+from dpbench.scenario.own_ship import Particulars, estimate_added_mass_by_regression
 from dpbench.scenario.scenario import load_vessel
 
 CUT = Path(__file__).parent / "mss" / "supply_cut.mat"
@@ -37,7 +37,7 @@ def save(path: Path, vessel: dict[str, Any]) -> Path:
 @pytest.fixture(scope="module")
 def hull() -> Hull:
     """The hull of the cut file."""
-    return read_mss(CUT)
+    return read_hull_from_mss_file(CUT)
 
 
 @pytest.fixture
@@ -76,7 +76,7 @@ def test_the_mss_hull_is_the_ship_that_others_published(hull: Hull) -> None:
     np.testing.assert_allclose(np.diag(hull.M), np.diag(published.M), rtol=0.08)
     own = Particulars(82.8, 19.2, 6.0, 6.3622085e6)
     surge = hull.M[0, 0] - own.displacement_kg
-    assert regression_added_mass(own)[0] == pytest.approx(surge, rel=2e-3)
+    assert estimate_added_mass_by_regression(own)[0] == pytest.approx(surge, rel=2e-3)
 
 
 def test_what_the_next_frequency_says_is_said(hull: Hull) -> None:
@@ -95,7 +95,7 @@ def test_order_speeds_and_one_matrix_of_viscous_damping(hull: Hull, tmp_path: Pa
             for key in ("A", "B")
         },
     }
-    found = read_mss(save(tmp_path / "other.mat", other))
+    found = read_hull_from_mss_file(save(tmp_path / "other.mat", other))
     np.testing.assert_array_equal(found.M, hull.M)
     np.testing.assert_array_equal(found.D, hull.D)
 
@@ -104,7 +104,7 @@ def test_order_speeds_and_one_matrix_of_viscous_damping(hull: Hull, tmp_path: Pa
 def test_a_file_of_one_frequency(hull: Hull, tmp_path: Path) -> None:
     vessel = structure()
     alone = vessel | {key: vessel[key][:, :, 0] for key in ("A", "B", "Bv")} | {"freqs": 0.1}
-    found = read_mss(save(tmp_path / "alone.mat", alone))
+    found = read_hull_from_mss_file(save(tmp_path / "alone.mat", alone))
     np.testing.assert_array_equal(found.M, hull.M)
     assert not found.remarks
 
@@ -128,7 +128,7 @@ def test_a_structure_that_lacks_something_is_refused_in_one_line(
     change(vessel)
     path = save(tmp_path / "bad.mat", vessel)
     with pytest.raises(InputError) as caught:
-        read_mss(path)
+        read_hull_from_mss_file(path)
     assert all(part in str(caught.value) for part in [str(path), *parts]), caught.value
 
 
@@ -138,7 +138,7 @@ def test_files_that_are_no_such_structure_are_refused(tmp_path: Path) -> None:
     scipy.io.savemat(tmp_path / "ship.mat", {"ship": 1.0})
     for name, part in (("none", "no such file"), ("text", "save -v7"), ("ship", "found ship")):
         with pytest.raises(InputError, match=part) as caught:
-            read_mss(tmp_path / f"{name}.mat")
+            read_hull_from_mss_file(tmp_path / f"{name}.mat")
         assert "\n" not in str(caught.value)
 
 
@@ -151,7 +151,7 @@ def test_a_file_that_kills_scipy_is_one_line(tmp_path: Path) -> None:
         with pytest.raises(
             InputError, match=r"ship\.mat: found .*; allowed: a \.mat file"
         ) as caught:
-            read_mss(path)
+            read_hull_from_mss_file(path)
         assert "\n" not in str(caught.value)
 
 
@@ -163,11 +163,11 @@ def test_a_reader_that_is_killed_or_does_not_end_is_one_line(
     monkeypatch.setattr(mat, "__file__", str(tmp_path / "mat.py"))
     child.write_text("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "utf-8")
     with pytest.raises(InputError, match=r"a file that SciPy dies of \(SIGSEGV\)"):
-        read_mss(path)
+        read_hull_from_mss_file(path)
     child.write_text("import time; time.sleep(60)", "utf-8")
     monkeypatch.setattr(mat, "WAIT_S", 0.2)
     with pytest.raises(InputError, match=r"nothing in 0\.2 s"):
-        read_mss(path)
+        read_hull_from_mss_file(path)
 
 
 @pytest.mark.parametrize("name", ["supply_fs99", "supply_mss", "osv"])
@@ -179,7 +179,7 @@ def test_a_table_gives_back_what_was_written_into_it(name: str, tmp_path: Path) 
     path = tmp_path / "ship.csv"
     head = ["# a comment", "coefficient,value,remark", "length_m,80"]
     path.write_text("\n".join([*head, *reversed(rows)]), encoding="utf-8")
-    hull = read_coefficient_table(path)
+    hull = read_hull_from_csv_table(path)
     np.testing.assert_allclose(hull.M, ship.M, rtol=1e-15)
     np.testing.assert_allclose(hull.D, ship.D, rtol=1e-15)
     assert hull.particulars == {"length_m": 80.0}
@@ -192,9 +192,9 @@ def test_couplings_may_be_left_out(tmp_path: Path) -> None:
     """They are zero then, and D62 is D26."""
     path = tmp_path / "ship.csv"
     path.write_text(GOOD, encoding="utf-8")
-    np.testing.assert_array_equal(read_coefficient_table(path).M, np.diag([7e6, 8e6, 4e9]))
+    np.testing.assert_array_equal(read_hull_from_csv_table(path).M, np.diag([7e6, 8e6, 4e9]))
     path.write_text(GOOD + "D26,-3e6\n", encoding="utf-8")
-    D = read_coefficient_table(path).D
+    D = read_hull_from_csv_table(path).D
     assert D[1, 2] == D[2, 1] == -3e6
 
 
@@ -215,5 +215,5 @@ def test_a_bad_table_is_refused_in_one_line(text: str, parts: list[str], tmp_pat
     path = tmp_path / "ship.csv"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as caught:
-        read_coefficient_table(path)
+        read_hull_from_csv_table(path)
     assert all(part in str(caught.value) for part in [str(path), *parts]), caught.value

@@ -14,12 +14,12 @@ from dpbench.scenario.own_ship import (
     LibraryShip,
     Particulars,
     ThrustLimits,
-    fitted_speed_mps,
-    largest_sea,
-    load_share,
-    nearest_ship,
-    regression_added_mass,
-    scale_vessel,
+    choose_speed_of_damping_fit_mps,
+    compute_limit_share_of_dp_number,
+    estimate_added_mass_by_regression,
+    find_largest_bearable_dp_number,
+    find_most_similar_library_vessel,
+    scale_library_vessel_to_own_ship,
 )
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.characteristics import compute_axis_time_constants_s
@@ -36,7 +36,7 @@ def own_size(ship: LibraryShip, factor: float = 1.0) -> Particulars:
 @pytest.mark.parametrize("name", LIBRARY)
 def test_a_library_vessel_at_its_own_size_is_itself(name: str) -> None:
     vessel, ship = load_vessel(name), LIBRARY[name]
-    same = scale_vessel(name, own_size(ship), ThrustLimits(vessel.tau_max[0]))
+    same = scale_library_vessel_to_own_ship(name, own_size(ship), ThrustLimits(vessel.tau_max[0]))
     for key in ("M", "tau_min", "tau_max", "rate_max"):
         np.testing.assert_allclose(getattr(same, key), getattr(vessel, key), rtol=1e-12)
     np.testing.assert_allclose(np.diag(same.D)[::2], np.diag(vessel.D)[::2], rtol=1e-12)
@@ -53,8 +53,8 @@ def test_a_library_vessel_at_its_own_size_is_itself(name: str) -> None:
 def test_a_larger_ship_of_one_form_follows_froudes_law(name: str, factor: float) -> None:
     vessel, ship, law = load_vessel(name), LIBRARY[name], Froude(1.0 / factor)
     thrust = ThrustLimits(vessel.tau_max[0] * law.force_and_moment_factors[0])
-    large = scale_vessel(name, own_size(ship, factor), thrust)
-    small = scale_vessel(name, own_size(ship), ThrustLimits(vessel.tau_max[0]))
+    large = scale_library_vessel_to_own_ship(name, own_size(ship, factor), thrust)
+    small = scale_library_vessel_to_own_ship(name, own_size(ship), ThrustLimits(vessel.tau_max[0]))
     arm = np.array([1.0, 1.0, law.length_factor])
     by_mass = law.length_factor**3 * np.outer(arm, arm)
     np.testing.assert_allclose(large.M, by_mass * vessel.M, rtol=1e-9)
@@ -93,7 +93,9 @@ def test_a_heavier_ship_of_one_length_keeps_its_time_constants(
     is of the hull in the water; thrust has no part in either."""
     vessel, ship = load_vessel("supply_mss"), LIBRARY["supply_mss"]
     own = Particulars(ship.length_m, ship.breadth_m, 6.0, heavier * ship.mass_kg)
-    heavy = scale_vessel("supply_mss", own, ThrustLimits(stronger * vessel.tau_max[0]))
+    heavy = scale_library_vessel_to_own_ship(
+        "supply_mss", own, ThrustLimits(stronger * vessel.tau_max[0])
+    )
     np.testing.assert_allclose(heavy.M, heavier * vessel.M, rtol=1e-9)
     np.testing.assert_allclose(np.diag(heavy.D)[::2], heavier * np.diag(vessel.D)[::2], rtol=1e-9)
     # ½ρ C_d L T at B/2T = 1.5, and 0.018 √(gL) = 0.492 m/s.
@@ -105,8 +107,10 @@ def test_a_heavier_ship_of_one_length_keeps_its_time_constants(
 def test_the_model_and_the_drag_agree_at_the_fitted_speed() -> None:
     """For 110 m and 14 000 t by hand: B/2T = 1.57, C_d = 0.705, 278 kN abeam at 1 m/s."""
     own = Particulars(110.0, 22.0, 7.0, 14e6)
-    ship = scale_vessel(nearest_ship(own), own, ThrustLimits(1120e3, 540e3))
-    speed = fitted_speed_mps(110.0)
+    ship = scale_library_vessel_to_own_ship(
+        find_most_similar_library_vessel(own), own, ThrustLimits(1120e3, 540e3)
+    )
+    speed = choose_speed_of_damping_fit_mps(110.0)
     assert speed == pytest.approx(0.591, abs=1e-3)
     assert ship.D[1, 1] == pytest.approx(165e3, rel=0.01)
     drag = ship.force_to_keep_velocity(np.array([0.0, speed, 0.0]))[1]
@@ -118,10 +122,10 @@ def test_the_model_and_the_drag_agree_at_the_fitted_speed() -> None:
 
 def test_forces_that_are_given_are_taken() -> None:
     own = own_size(LIBRARY["supply_fs99"])
-    given_ = scale_vessel("supply_fs99", own, ThrustLimits(3e5, 2e5, 5e6))
+    given_ = scale_library_vessel_to_own_ship("supply_fs99", own, ThrustLimits(3e5, 2e5, 5e6))
     np.testing.assert_allclose(given_.tau_max, [3e5, 2e5, 5e6])
     np.testing.assert_allclose(given_.tau_min[1:], [-2e5, -5e6])
-    half = scale_vessel("supply_fs99", own, ThrustLimits(3e5, 417e3 / 2))
+    half = scale_library_vessel_to_own_ship("supply_fs99", own, ThrustLimits(3e5, 417e3 / 2))
     assert half.tau_max[2] == pytest.approx(9e6)
     rise_s = given_.tau_max / given_.rate_max
     vessel = load_vessel("supply_fs99")
@@ -130,8 +134,8 @@ def test_forces_that_are_given_are_taken() -> None:
 
 @pytest.mark.parametrize("name", [name for name in LIBRARY if name not in NOT_CHOSEN])
 def test_the_nearest_ship_of_a_library_ship_is_itself(name: str) -> None:
-    assert nearest_ship(own_size(LIBRARY[name])) == name
-    assert nearest_ship(own_size(LIBRARY[name], 1.01)) == name
+    assert find_most_similar_library_vessel(own_size(LIBRARY[name])) == name
+    assert find_most_similar_library_vessel(own_size(LIBRARY[name], 1.01)) == name
 
 
 def test_the_regressions_of_a_ship_worked_out_by_hand() -> None:
@@ -140,24 +144,24 @@ def test_the_regressions_of_a_ship_worked_out_by_hand() -> None:
     assert own.block_coefficient == pytest.approx(0.6)
     # Surge: 2.7 · 1026 · 6000^(5/3) / 1e4, and 6000^(5/3) = 1.98116e6.
     by_hand = [5.4881e5, 4.7543e6, 2.3422e9]
-    np.testing.assert_allclose(regression_added_mass(own), by_hand, rtol=1e-4)
+    np.testing.assert_allclose(estimate_added_mass_by_regression(own), by_hand, rtol=1e-4)
 
 
 @pytest.mark.parametrize("name", LIBRARY)
 def test_the_largest_sea_leaves_thrust_to_spare(name: str) -> None:
     """Its mean force is within the share, that of the next beyond it, and loads grow."""
-    vessel = scale_vessel(name, own_size(LIBRARY[name]), ThrustLimits(8e5))
-    shares = [load_share(vessel, number) for number in DP_NUMBERS]
+    vessel = scale_library_vessel_to_own_ship(name, own_size(LIBRARY[name]), ThrustLimits(8e5))
+    shares = [compute_limit_share_of_dp_number(vessel, number) for number in DP_NUMBERS]
     assert shares == sorted(shares)
-    number = largest_sea(vessel)
-    assert load_share(vessel, number) <= SPARE
-    assert load_share(vessel, number + 1) > SPARE
+    number = find_largest_bearable_dp_number(vessel)
+    assert compute_limit_share_of_dp_number(vessel, number) <= SPARE
+    assert compute_limit_share_of_dp_number(vessel, number + 1) > SPARE
 
 
 def test_the_share_of_a_ship_worked_out_by_hand() -> None:
     """Sway in DP number 5 from 30°: wind 10.7 m/s, current 0.75 m/s, waves of 2.1 m and 7.5 s."""
     own = Particulars(76.2, 18.0, 5.0, 4.591e6)
-    ship = scale_vessel("supply_fs99", own, ThrustLimits(1240e3, 417e3))
+    ship = scale_library_vessel_to_own_ship("supply_fs99", own, ThrustLimits(1240e3, 417e3))
     wind = 0.5 * 1.226 * 10.7**2 * 0.9 * 700.0
     current = 0.5 * 1026.0 * 0.75**2 * 0.6 * 76.2 * 5.0
     # T' = 7.5/1.4049/(0.75 √18) = 1.678; T'⁻³ e^(1 − T'⁻³) = 0.466.
@@ -165,18 +169,20 @@ def test_the_share_of_a_ship_worked_out_by_hand() -> None:
     sway = 0.5 * (wind + current + waves)
     # Arms of level 1 at γ'/π = 1/6: 0.3 · 2/3 L, 0.25 L at most, (0.05 − 0.14/6) L.
     moment = 0.5 * 76.2 * (0.2 * wind + 0.25 * current + 0.02667 * waves)
-    assert load_share(ship, 5) == pytest.approx(sway / 417e3 + moment / 18e6, rel=1e-3)
+    assert compute_limit_share_of_dp_number(ship, 5) == pytest.approx(
+        sway / 417e3 + moment / 18e6, rel=1e-3
+    )
 
 
 def test_a_ship_that_no_sea_suits_gets_the_smallest() -> None:
     """A thousandth of the thrust."""
     own = own_size(LIBRARY["supply_fs99"])
-    weak = scale_vessel("supply_fs99", own, ThrustLimits(1e3))
-    assert load_share(weak, 1) > SPARE
-    assert largest_sea(weak) == 1
+    weak = scale_library_vessel_to_own_ship("supply_fs99", own, ThrustLimits(1e3))
+    assert compute_limit_share_of_dp_number(weak, 1) > SPARE
+    assert find_largest_bearable_dp_number(weak) == 1
 
 
 def test_a_vessel_without_a_hull_below_the_water_has_no_share() -> None:
     """As one that was written by hand."""
     with pytest.raises(InputError, match="capability"):
-        load_share(load_vessel("supply_fs99"), 3)
+        compute_limit_share_of_dp_number(load_vessel("supply_fs99"), 3)

@@ -7,12 +7,12 @@ import pytest
 from dpbench.errors import InputError, UnknownNameError
 from dpbench.scenario.problem_files import (
     FileModel,
-    parse_model,
-    problem_names,
-    problem_path,
-    problems_root,
-    read_toml,
-    sequence_path,
+    find_folder_of_shipped_problems,
+    find_problem_path,
+    list_shipped_problem_names,
+    read_toml_as_dict,
+    resolve_sequence_path,
+    validate_settings_as_model,
 )
 
 
@@ -36,13 +36,13 @@ GOOD = {"title": "t", "inner": {"depth_m": 3.0}}
 
 @pytest.mark.parametrize("kind", ["vessels", "scenarios", "suites"])
 def test_every_shipped_name_leads_to_its_file(kind: str) -> None:
-    names = problem_names(kind)
+    names = list_shipped_problem_names(kind)
     assert names
     assert names == sorted(names)
     for name in names:
-        path = problem_path(kind, name)
-        assert path == problems_root() / kind / f"{name}.toml"
-        assert read_toml(path)["title"]
+        path = find_problem_path(kind, name)
+        assert path == find_folder_of_shipped_problems() / kind / f"{name}.toml"
+        assert read_toml_as_dict(path)["title"]
 
 
 def test_a_path_is_taken_beside_the_file_that_names_it_first(
@@ -54,10 +54,10 @@ def test_a_path_is_taken_beside_the_file_that_names_it_first(
         (folder / "ship.toml").write_text("", encoding="utf-8")
     (here / "only.toml").write_text("", encoding="utf-8")
     monkeypatch.chdir(here)
-    assert problem_path("vessels", "ship.toml", beside) == beside / "ship.toml"
-    assert problem_path("vessels", "ship.toml").resolve() == here / "ship.toml"
-    assert problem_path("vessels", "only.toml", beside).resolve() == here / "only.toml"
-    assert problem_path("vessels", beside / "ship.toml", here) == beside / "ship.toml"
+    assert find_problem_path("vessels", "ship.toml", beside) == beside / "ship.toml"
+    assert find_problem_path("vessels", "ship.toml").resolve() == here / "ship.toml"
+    assert find_problem_path("vessels", "only.toml", beside).resolve() == here / "only.toml"
+    assert find_problem_path("vessels", beside / "ship.toml", here) == beside / "ship.toml"
 
 
 def test_a_name_never_means_a_file_in_the_current_folder(
@@ -66,7 +66,10 @@ def test_a_name_never_means_a_file_in_the_current_folder(
     (tmp_path / "paper").write_text("x = 1", encoding="utf-8")
     (tmp_path / "paper.toml").write_text("x = 1", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
-    assert problem_path("scenarios", "paper") == problems_root() / "scenarios" / "paper.toml"
+    assert (
+        find_problem_path("scenarios", "paper")
+        == find_folder_of_shipped_problems() / "scenarios" / "paper.toml"
+    )
 
 
 @pytest.mark.parametrize("content", ["nothing", "folder"])
@@ -76,12 +79,12 @@ def test_a_path_without_a_file_is_refused(tmp_path: Path, content: str) -> None:
         path.mkdir()
     found = "a folder" if content == "folder" else "no such file"
     with pytest.raises(InputError, match=f"{path}: found {found}; .* vessel file in TOML"):
-        problem_path("vessels", path)
+        find_problem_path("vessels", path)
 
 
 def test_a_folder_of_the_right_name_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
-        read_toml(tmp_path)
+        read_toml_as_dict(tmp_path)
     assert caught.value.where == str(tmp_path)
     assert caught.value.found
     assert caught.value.allowed == "a readable file"
@@ -105,7 +108,7 @@ def test_a_file_that_is_no_toml_is_told_with_the_place(
     path = tmp_path / "bad.toml"
     path.write_bytes(content)
     with pytest.raises(InputError) as caught:
-        read_toml(path)
+        read_toml_as_dict(path)
     assert caught.value.where == str(path)
     assert found in str(caught.value.found)
     assert caught.value.allowed == "a TOML document in UTF-8"
@@ -128,7 +131,7 @@ def test_a_document_that_does_not_fit_names_key_found_and_allowed(
     document: dict[str, object], key: str, found: str, allowed: str
 ) -> None:
     with pytest.raises(InputError) as caught:
-        parse_model(document, Outer, "file.toml")
+        validate_settings_as_model(document, Outer, "file.toml")
     error = caught.value
     assert (error.where, error.key) == ("file.toml", key)
     assert found in str(error.found)
@@ -137,14 +140,22 @@ def test_a_document_that_does_not_fit_names_key_found_and_allowed(
 
 def test_a_whole_number_may_stand_for_a_real_one() -> None:
     """TOML's 3 and 3.0 are the same length."""
-    assert parse_model({"title": "t", "inner": {"depth_m": 3}}, Outer, "f").inner.depth_m == 3.0
+    assert (
+        validate_settings_as_model(
+            {"title": "t", "inner": {"depth_m": 3}}, Outer, "f"
+        ).inner.depth_m
+        == 3.0
+    )
 
 
 @pytest.mark.parametrize("name", ["supplyfs99", "nothing like it"])
 def test_an_unknown_name_lists_what_there_is(name: str) -> None:
     with pytest.raises(UnknownNameError) as caught:
-        problem_path("vessels", name)
-    assert caught.value.allowed == f"one of {', '.join(problem_names('vessels'))}; or a .toml path"
+        find_problem_path("vessels", name)
+    assert (
+        caught.value.allowed
+        == f"one of {', '.join(list_shipped_problem_names('vessels'))}; or a .toml path"
+    )
 
 
 def test_a_sequence_is_a_stored_name_or_a_path(
@@ -154,15 +165,17 @@ def test_a_sequence_is_a_stored_name_or_a_path(
     for folder in (beside / "robot", here / "robot", here / "paper-30-5", here / "mine"):
         folder.mkdir(parents=True)
     monkeypatch.chdir(here)
-    stored = problems_root() / "sequences" / "paper-30-5.npz"
-    assert sequence_path("paper-30-5") == sequence_path("paper-30-5", beside) == stored
-    assert sequence_path("robot", beside) == beside / "robot"
-    assert sequence_path("mine", beside).resolve() == here / "mine"
-    assert sequence_path("no/such") == Path("no/such")
+    stored = find_folder_of_shipped_problems() / "sequences" / "paper-30-5.npz"
+    assert (
+        resolve_sequence_path("paper-30-5") == resolve_sequence_path("paper-30-5", beside) == stored
+    )
+    assert resolve_sequence_path("robot", beside) == beside / "robot"
+    assert resolve_sequence_path("mine", beside).resolve() == here / "mine"
+    assert resolve_sequence_path("no/such") == Path("no/such")
     listing = r"more: `list_sequences\(\)`; or a \.npz path"
     for name, near in (("paper-30-6", "allowed: paper-30-5, .*"), ("x" * 300, "")):
         with pytest.raises(UnknownNameError, match=near + listing):
-            sequence_path(name)
+            resolve_sequence_path(name)
 
 
 @pytest.mark.parametrize(
@@ -183,7 +196,7 @@ def test_what_a_parser_would_choke_on_is_refused(text: str, found: str, tmp_path
     path = tmp_path / "ship.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as caught:
-        read_toml(path)
+        read_toml_as_dict(path)
     assert found in str(caught.value) and "\n" not in str(caught.value)
 
 
@@ -193,5 +206,5 @@ def test_dots_that_join_no_key_are_read(tmp_path: Path) -> None:
     text = f'remark = "{"Yes. No. " * 10}"\nrow = [{numbers}]\n{key} = 1\n# {"... " * 99}\n'
     path = tmp_path / "ship.toml"
     path.write_text(text, encoding="utf-8")
-    document = read_toml(path)
+    document = read_toml_as_dict(path)
     assert document["row"] == [0.1] * 100 and document["remark"].count("Yes") == 10

@@ -10,9 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.scenario.own_ship import scale_matrices
-from dpbench.scenario.problem_files import problem_names
-from dpbench.scenario.scenario import build_scenario, condense, load_scenario, load_vessel
+from dpbench.scenario.own_ship import scale_inertia_and_damping
+from dpbench.scenario.problem_files import list_shipped_problem_names
+from dpbench.scenario.scenario import (
+    build_scenario_from_documents,
+    condense,
+    load_scenario,
+    load_vessel,
+)
 
 FULL_LIMITS = (
     [-980e3, -417e3, -18e6],
@@ -115,7 +120,7 @@ SCALED = {"ratownik": ("supply_tmr", 6.5e6)}
 @pytest.mark.parametrize("name", SCALED)
 def test_vessels_without_published_matrices_have_scaled_ones(name: str) -> None:
     ship, (like, mass_kg) = load_vessel(name), SCALED[name]
-    M, D = scale_matrices(like, ship.length_m, mass_kg)
+    M, D = scale_inertia_and_damping(like, ship.length_m, mass_kg)
     np.testing.assert_allclose(ship.M, M, rtol=5e-5)
     np.testing.assert_allclose(ship.D, D, rtol=5e-5)
     assert ship.thrusters is not None
@@ -123,8 +128,8 @@ def test_vessels_without_published_matrices_have_scaled_ones(name: str) -> None:
 
 
 def test_nothing_but_the_tabled_problems_is_shipped_untested() -> None:
-    assert set(problem_names("vessels")) == {*VESSELS, *SCALED}
-    assert set(SCENARIOS) <= set(problem_names("scenarios"))
+    assert set(list_shipped_problem_names("vessels")) == {*VESSELS, *SCALED}
+    assert set(SCENARIOS) <= set(list_shipped_problem_names("scenarios"))
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -178,7 +183,7 @@ def test_condensed_sizes_are_those_of_the_paper() -> None:
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_a_scenario_comes_back_from_its_documents(name: str) -> None:
     scenario = load_scenario(name)
-    again = build_scenario(json.loads(json.dumps(scenario.files)))
+    again = build_scenario_from_documents(json.loads(json.dumps(scenario.files)))
     assert (again.name, again.steps, again.vessel.id) == (name, scenario.steps, scenario.vessel.id)
     first, second = condense(scenario), condense(again)
     np.testing.assert_array_equal(first.P, second.P)

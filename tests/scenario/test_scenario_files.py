@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 from dpbench.errors import InputError, UnknownNameError
-from dpbench.scenario.problem_files import problem_names, problems_root
-from dpbench.scenario.scenario import build_scenario, load_scenario, load_vessel
+from dpbench.scenario.problem_files import (
+    find_folder_of_shipped_problems,
+    list_shipped_problem_names,
+)
+from dpbench.scenario.scenario import build_scenario_from_documents, load_scenario, load_vessel
 
 
 @pytest.fixture
@@ -18,7 +21,9 @@ def write(tmp_path: Path) -> Callable[..., Path]:
     """Writes a shipped file under a new name with one piece of its text replaced."""
 
     def written(kind: str, name: str, old: str = "", new: str = "") -> Path:
-        text = (problems_root() / kind / f"{name}.toml").read_text(encoding="utf-8")
+        text = (find_folder_of_shipped_problems() / kind / f"{name}.toml").read_text(
+            encoding="utf-8"
+        )
         assert old in text
         path = tmp_path / f"my_{kind[:-1]}.toml"
         path.write_text(text.replace(old, new, 1), encoding="utf-8")
@@ -61,14 +66,14 @@ def test_a_start_under_way_is_in_SI_and_scales_with_the_ship(
     np.testing.assert_allclose(model.velocity[:2], ship.velocity[:2] / 70**0.5, rtol=1e-12)
     turn = ship.velocity[2] / ship.velocity[0]
     assert model.velocity[2] / 70 / model.velocity[0] == pytest.approx(turn, rel=1e-12)
-    again = build_scenario(json.loads(json.dumps(ship.files)))
+    again = build_scenario_from_documents(json.loads(json.dumps(ship.files)))
     np.testing.assert_array_equal(again.velocity, ship.velocity)
 
 
 def test_rest_is_not_written() -> None:
     files = load_scenario("paper").files
     assert files["scenario"]["start"] == {"north_m": 1.2, "east_m": 1.3, "heading_deg": 0.0}
-    np.testing.assert_array_equal(build_scenario(files).velocity, 0.0)
+    np.testing.assert_array_equal(build_scenario_from_documents(files).velocity, 0.0)
 
 
 BAD_SCENARIOS = [
@@ -138,7 +143,7 @@ def test_an_unknown_scenario_name_lists_the_nearest(name: str, hint: str) -> Non
         load_scenario(name)
     assert repr(name)[:78] in str(caught.value)
     assert caught.value.allowed.startswith(hint)
-    known = problem_names("scenarios")
+    known = list_shipped_problem_names("scenarios")
     assert sum(word in known for word in re.split("[ ,]+", caught.value.allowed)) == 3
     assert f"… {len(known) - 3} more: `list_scenarios()`" in caught.value.allowed
 

@@ -6,14 +6,24 @@ import numpy as np
 import pytest
 
 from dpbench.errors import InputError
-from dpbench.scenario.problem_files import problems_root
-from dpbench.scenario.scenario import build_scenario, cached_scenario, load_scenario
-from dpbench.scenario.variation import behave_differently, read_value, replace_values
+from dpbench.scenario.problem_files import find_folder_of_shipped_problems
+from dpbench.scenario.scenario import (
+    build_or_reuse_scenario,
+    build_scenario_from_documents,
+    load_scenario,
+)
+from dpbench.scenario.variation import (
+    copy_scenario_with_values,
+    differ_in_behaviour_within_steps,
+    read_value_of_dotted_key,
+)
 
 
 def _by_hand(tmp_path: Path, name: str, *edits: tuple[str, str]) -> Path:
     """A shipped scenario's file with some of its text replaced."""
-    text = (problems_root() / "scenarios" / f"{name}.toml").read_text(encoding="utf-8")
+    text = (find_folder_of_shipped_problems() / "scenarios" / f"{name}.toml").read_text(
+        encoding="utf-8"
+    )
     for old, new in edits:
         assert text.count(old) == 1, f"{old} stands once in {name}"
         text = text.replace(old, new)
@@ -38,16 +48,16 @@ def test_a_varied_scenario_is_the_file_with_these_values(tmp_path: Path) -> None
         ("[1.0, 1.0, 3000.0]", "[1.0, 1.0, 2500.0]"),
     )
     assert (
-        replace_values(load_scenario("weather"), values, "test").files
+        copy_scenario_with_values(load_scenario("weather"), values, "test").files
         == load_scenario(edited).files
     )
 
 
 def test_keys_of_the_vessel_and_another_vessel() -> None:
     base = load_scenario("rough")
-    other = replace_values(base, {"vessel": "supply_mss"}, "test")
+    other = copy_scenario_with_values(base, {"vessel": "supply_mss"}, "test")
     assert other.files["vessel"] == load_scenario("rough@supply_mss").files["vessel"]
-    heavier = replace_values(base, {"vessel.limits.surge_N.1": 5e5}, "test")
+    heavier = copy_scenario_with_values(base, {"vessel.limits.surge_N.1": 5e5}, "test")
     assert heavier.vessel.tau_max[0] == 5e5 and base.vessel.tau_max[0] != 5e5
     np.testing.assert_array_equal(heavier.vessel.M, base.vessel.M)
 
@@ -66,16 +76,16 @@ def test_keys_of_the_vessel_and_another_vessel() -> None:
 )
 def test_what_cannot_be_is_said_in_a_line(values: dict[str, object], said: str) -> None:
     with pytest.raises(InputError, match=said):
-        replace_values(load_scenario("weather"), values, "study")
+        copy_scenario_with_values(load_scenario("weather"), values, "study")
 
 
 def test_own_values_and_what_has_none() -> None:
     base = load_scenario("weather")
-    assert read_value(base, "environment.waves.hs_m", "x") == 2.1
-    assert read_value(base, "vessel", "x") == "supply_fs99"
-    assert read_value(base, "controller.output_weight.1", "x") == 1.0
+    assert read_value_of_dotted_key(base, "environment.waves.hs_m", "x") == 2.1
+    assert read_value_of_dotted_key(base, "vessel", "x") == "supply_fs99"
+    assert read_value_of_dotted_key(base, "controller.output_weight.1", "x") == 1.0
     with pytest.raises(InputError, match="seeed"):
-        read_value(base, "environment.seeed", "x")
+        read_value_of_dotted_key(base, "environment.seeed", "x")
 
 
 @pytest.mark.parametrize(
@@ -95,24 +105,26 @@ def test_whether_a_key_makes_a_difference(
     scenario: str, key: str, pair: tuple[object, object], steps: int, expected: bool
 ) -> None:
     base = load_scenario(scenario)
-    one, other = (replace_values(base, {key: value}, "test") for value in pair)
-    assert behave_differently(one, other, steps) is expected
+    one, other = (copy_scenario_with_values(base, {key: value}, "test") for value in pair)
+    assert differ_in_behaviour_within_steps(one, other, steps) is expected
 
 
 def test_weather_after_the_last_step_makes_no_difference() -> None:
     base = load_scenario("squall")
     key = "environment.squalls.0.start_s"
-    one, other = (replace_values(base, {key: start_s}, "test") for start_s in (10.0, 12.0))
-    assert not behave_differently(one, other, round(5.0 / base.sample_s))
-    assert behave_differently(one, other, round(20.0 / base.sample_s))
+    one, other = (
+        copy_scenario_with_values(base, {key: start_s}, "test") for start_s in (10.0, 12.0)
+    )
+    assert not differ_in_behaviour_within_steps(one, other, round(5.0 / base.sample_s))
+    assert differ_in_behaviour_within_steps(one, other, round(20.0 / base.sample_s))
 
 
 @pytest.mark.parametrize("name", ["weather", "waves", "rough"])
 def test_a_scenario_that_is_made_once_is_made_for_all_seas(name: str) -> None:
     base = load_scenario(name)
     for seed in (5, 0, 6):
-        files = replace_values(base, {"environment.seed": seed}, "test").files
-        once, alone = cached_scenario(files), build_scenario(files)
+        files = copy_scenario_with_values(base, {"environment.seed": seed}, "test").files
+        once, alone = build_or_reuse_scenario(files), build_scenario_from_documents(files)
         assert once.files == files and once.environment.seed == seed
-        assert not behave_differently(once, alone, 50)
-        assert behave_differently(once, base, 50) == base.environment.is_random
+        assert not differ_in_behaviour_within_steps(once, alone, 50)
+        assert differ_in_behaviour_within_steps(once, base, 50) == base.environment.is_random

@@ -11,8 +11,8 @@ import pytest
 from dpbench import load_scenario
 from dpbench.bench.run.exact_loop import solve_loop_exactly
 from dpbench.errors import DpbenchError
-from dpbench.scenario.controllers.controller import stack_limits
-from dpbench.scenario.scenario import Scenario, build_scenario
+from dpbench.scenario.controllers.controller import stack_lower_and_upper_limits
+from dpbench.scenario.scenario import Scenario, build_scenario_from_documents
 from dpbench.ship.estimation.estimator import MeasuredState
 from dpbench.ship.estimation.kalman import KalmanFilter
 from dpbench.ship.estimation.passive_observer import PassiveObserver
@@ -25,7 +25,7 @@ def changed(name: str, change: Change, vessel: Change | None = None) -> Scenario
     change(files["scenario"])
     if vessel is not None:
         vessel(files["vessel"])
-    return build_scenario(files, "my.toml", "ship.toml")
+    return build_scenario_from_documents(files, "my.toml", "ship.toml")
 
 
 def test_sailors_name_wind_and_waves_by_where_they_come_from() -> None:
@@ -59,7 +59,9 @@ def test_an_estimator_starts_where_the_ship_starts() -> None:
 def test_limits_change_at_the_sample_of_the_fault() -> None:
     """Until 121 s the vessel's limits hold, from then on the share the file says."""
     scenario = load_scenario("thruster_loss")
-    low, high = stack_limits(scenario.controller.limits(scenario.steps))
+    low, high = stack_lower_and_upper_limits(
+        scenario.controller.list_planned_force_limits_by_sample(scenario.steps)
+    )
     k = round(121.0 / 0.3)
     np.testing.assert_array_equal(high[k - 1], scenario.vessel.tau_max)
     np.testing.assert_allclose(high[k], [1240e3, 187.65e3, 10.8e6], rtol=1e-12)

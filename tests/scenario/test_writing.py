@@ -5,32 +5,34 @@ from pathlib import Path
 
 import pytest
 
-from dpbench.scenario.problem_files import problem_names
+from dpbench.scenario.problem_files import list_shipped_problem_names
 from dpbench.scenario.scenario import load_scenario
-from dpbench.scenario.variation import replace_values
-from dpbench.scenario.writing import render_toml, save_scenario
+from dpbench.scenario.variation import copy_scenario_with_values
+from dpbench.scenario.writing import format_as_toml, write_scenario_and_own_ship_files
 
 
-@pytest.mark.parametrize("name", problem_names("scenarios"))
+@pytest.mark.parametrize("name", list_shipped_problem_names("scenarios"))
 def test_a_scenario_is_read_as_it_was(name: str, tmp_path: Path) -> None:
     """Its ship is one of the library's, and stays a name."""
     files = load_scenario(name).files
-    assert save_scenario(files, tmp_path / f"{name}.toml", "one\ntwo") == [
+    assert write_scenario_and_own_ship_files(files, tmp_path / f"{name}.toml", "one\ntwo") == [
         tmp_path / f"{name}.toml"
     ]
     assert load_scenario(tmp_path / f"{name}.toml").files == files
 
 
-@pytest.mark.parametrize("ship", problem_names("vessels"))
+@pytest.mark.parametrize("ship", list_shipped_problem_names("vessels"))
 def test_a_ship_that_is_not_shipped_is_written_beside_its_scenario(
     ship: str, tmp_path: Path
 ) -> None:
-    other = replace_values(load_scenario(f"calm@{ship}"), {"vessel.title": "Mine"}, "test")
-    paths = save_scenario(other.files, tmp_path / "mine.toml")
+    other = copy_scenario_with_values(
+        load_scenario(f"calm@{ship}"), {"vessel.title": "Mine"}, "test"
+    )
+    paths = write_scenario_and_own_ship_files(other.files, tmp_path / "mine.toml")
     assert [path.name for path in paths] == ["mine.toml", "mine_ship.toml"]
     assert load_scenario(tmp_path / "mine.toml").files["vessel"] == other.files["vessel"]
 
 
 def test_texts_and_keys_are_quoted_where_needed() -> None:
     document = {"a": 'x "y" \\ z\n', "b c": {"d": [{"e": True}, {"e": False}], "é": {}}, "f": []}
-    assert tomllib.loads(render_toml(document)) == document
+    assert tomllib.loads(format_as_toml(document)) == document

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from dpbench.scenario.problem_files import problem_names
+from dpbench.scenario.problem_files import list_shipped_problem_names
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.characteristics import (
     compute_axis_time_constants_s,
@@ -26,7 +26,7 @@ from tests.ship.conftest import CALM, linear_vessel
 ZERO = np.zeros(3)
 
 
-@pytest.mark.parametrize("name", problem_names("vessels"))
+@pytest.mark.parametrize("name", list_shipped_problem_names("vessels"))
 def test_time_constants_are_those_of_the_eigenvalues(name: str) -> None:
     """All three modes, each once: the generalised eigenvalues of D v = λ M v."""
     vessel = load_vessel(name)
@@ -36,7 +36,7 @@ def test_time_constants_are_those_of_the_eigenvalues(name: str) -> None:
     )
 
 
-@pytest.mark.parametrize("name", problem_names("vessels"))
+@pytest.mark.parametrize("name", list_shipped_problem_names("vessels"))
 def test_the_surge_of_a_ship_dies_away_with_its_time_constant(name: str) -> None:
     """Surge is coupled to nothing in these ships: after T of the model it has 1/e of its speed."""
     vessel = linear_vessel(name)
@@ -82,7 +82,7 @@ def test_the_force_sideways_keeps_the_ship_at_that_speed() -> None:
     np.testing.assert_allclose(plant.state[:3], [0.0, 1.0, 0.0], atol=1e-12)
 
 
-@pytest.mark.parametrize("name", problem_names("vessels"))
+@pytest.mark.parametrize("name", list_shipped_problem_names("vessels"))
 def test_the_largest_current_abeam_takes_all_of_one_axis(name: str) -> None:
     ship = load_vessel(name)
     force = ship.force_to_keep_velocity(np.array([0.0, find_largest_current_abeam_mps(ship), 0.0]))

@@ -23,8 +23,8 @@ from dpbench.bench.sequences.recording import read_sequence
 from dpbench.bench.sequences.shipped import load_rules
 from dpbench.embedded.table import EMBEDDED_FILE, load_counts, write_steps
 from dpbench.report.report import Report
-from dpbench.scenario.hull_files import read_coefficient_table, read_mss
-from dpbench.scenario.problem_files import problems_root
+from dpbench.scenario.hull_files import read_hull_from_csv_table, read_hull_from_mss_file
+from dpbench.scenario.problem_files import find_folder_of_shipped_problems
 from dpbench.scenario.scenario import load_scenario, load_vessel
 from tests.conftest import MadeRecords
 from tests.embedded.made_counts import make_counts
@@ -67,7 +67,7 @@ class Toml(Soaked):
     """Vessels, scenarios and suites as they ship, and the manifest of the sequences."""
 
     def __init__(self, folder: Path) -> None:
-        self.files = _contents(problems_root(), "*.toml")
+        self.files = _contents(find_folder_of_shipped_problems(), "*.toml")
 
     def mutate(self, name: str, data: bytes, rng: random.Random) -> bytes:
         return of_text(data, rng)
@@ -91,7 +91,7 @@ class Sequences(Soaked):
 
     def __init__(self, folder: Path) -> None:
         some = ("paper-30-5", "thruster_loss_soft-30-5", "thrusters_cascade-30-5")
-        sequences = problems_root() / "sequences"
+        sequences = find_folder_of_shipped_problems() / "sequences"
         self.files = {f"{n}.npz": (sequences / f"{n}.npz").read_bytes() for n in some}
         path = folder / "problem.npz"
         np.savez(path, P=np.eye(3), q=np.ones(3), G=np.ones((2, 3)), h=np.ones(2), lb=-np.ones(3))
@@ -204,7 +204,9 @@ class Hulls(Soaked):
         return of_bytes(data, rng) if name.endswith(".mat") else of_text(data, rng)
 
     def read(self, folder: Path, name: str, rng: random.Random) -> None:
-        (read_mss if name.endswith(".mat") else read_coefficient_table)(folder / name)
+        (read_hull_from_mss_file if name.endswith(".mat") else read_hull_from_csv_table)(
+            folder / name
+        )
 
 
 KINDS: dict[str, type[Soaked]] = {

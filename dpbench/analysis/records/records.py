@@ -20,7 +20,7 @@ from dpbench.bench.judge.rules import has_comparable_times
 from dpbench.bench.record.configuration import COMMON_FORMULATION
 from dpbench.bench.record.recorded_steps import ALL_COLUMNS, find_row_ranges_by_label
 from dpbench.bench.record.result_folder import Results
-from dpbench.scenario.scenario import Scenario, build_scenario
+from dpbench.scenario.scenario import Scenario, build_scenario_from_documents
 from dpbench.solvers.calibration import CALIBRATION
 
 
@@ -158,7 +158,7 @@ class Records:
         if name not in self._scenarios:
             carried = (run.scenario_files for run in self.runs if run.scenario == name)
             files = next(filter(None, carried), None)
-            self._scenarios[name] = None if files is None else build_scenario(files)
+            self._scenarios[name] = None if files is None else build_scenario_from_documents(files)
         return self._scenarios[name]
 
 

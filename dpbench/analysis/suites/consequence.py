@@ -21,7 +21,7 @@ from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
 from dpbench.analysis.suites.random_claims import CLAIMS, classify_steps
 from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, percentile_or_nan
 from dpbench.bench.record.cell import ConsequenceSource
-from dpbench.scenario.scenario import cached_scenario
+from dpbench.scenario.scenario import build_or_reuse_scenario
 
 HELD, LOST, UNKNOWN = "can be held", "cannot be held", "not known"
 """Proven states of the loss of a group at a sample."""
@@ -99,7 +99,7 @@ def _build_analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> C
     groups = group_by(runs, lambda run: run.lost_group)
     longest = [max(of_group, key=lambda run: run.steps_done) for of_group in groups.values()]
     files = runs[0].scenario_files
-    sample_s = math.nan if files is None else cached_scenario(files).sample_s
+    sample_s = math.nan if files is None else build_or_reuse_scenario(files).sample_s
     by_configuration = group_by(runs, lambda run: run.name)
     answers = [
         _count_batch_answers(records, own, len(groups), sample_s)

@@ -19,7 +19,7 @@ from dpbench.analysis.verdict.requirements import Requirements, has_survived
 from dpbench.analysis.verdict.speed_margin import SpeedMargin, speed_margins
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, judge_configuration
 from dpbench.bench.record.configuration import Configuration, sort_key_of_settings
-from dpbench.scenario.scenario import Scenario, build_scenario
+from dpbench.scenario.scenario import Scenario, build_scenario_from_documents
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class RunMatrix:
         experiment = Experiment.of(run)
         if experiment not in self._seas:
             files = run.scenario_files
-            self._seas[experiment] = None if files is None else build_scenario(files)
+            self._seas[experiment] = None if files is None else build_scenario_from_documents(files)
         return self._seas[experiment]
 
     def state(self, c: int, p: int) -> str:

@@ -41,7 +41,7 @@ from dpbench.qp.residuals import (
 )
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.controllers.controller import MetricGroup
-from dpbench.scenario.scenario import Scenario, cached_scenario
+from dpbench.scenario.scenario import Scenario, build_or_reuse_scenario
 
 Columns = dict[str, NDArray[Any]]
 """Arrays of several types over the recorded rows of a cell."""
@@ -199,7 +199,9 @@ def read_recorded_answer(log: AnswerLog, r: int, k: int) -> Solution:
 
 def evaluate_loop_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCell:
     """Evaluate a closed loop's raw log; return its step columns and control metrics."""
-    scenario = adapt_scenario_to_cell(cell, cached_scenario(cell.scenario).truncate(cell.steps))
+    scenario = adapt_scenario_to_cell(
+        cell, build_or_reuse_scenario(cell.scenario).truncate(cell.steps)
+    )
     scaled = QPBuilder(scenario)
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
     done = int(log.done[0])
@@ -217,7 +219,7 @@ def evaluate_loop_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCel
         "clipped": log.flags[:done, 2].astype(bool),
         "state": log.state[: done + 1].copy(),
         "tau": log.tau[:done].copy(),
-        "command": scenario.controller.force(log.command[:done]).copy(),
+        "command": scenario.controller.convert_commands_to_ship_force(log.command[:done]).copy(),
     }
     if not done:
         return EvaluatedCell(columns, {})
@@ -226,7 +228,7 @@ def evaluate_loop_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCel
         scenario, scaled, own, log
     )
     columns |= _evaluate_backup_columns(cell, scenario, log)
-    applied = scenario.controller.select_applied(columns["tau"], thrust)
+    applied = scenario.controller.select_applied_commands(columns["tau"], thrust)
     metrics = compute_control_metrics(scenario, columns["state"], applied, scaled.reference, exact)
     for group in scenario.controller.metric_groups:
         metrics |= METRICS[group](scenario, scaled, columns, thrust)

@@ -14,7 +14,7 @@ from dpbench.bench.record.schema import FORCES, POSE_AXES
 from dpbench.bench.run.exact_loop import ExactLoop
 from dpbench.mpc.thruster_rows import LimitRampDown, Limits
 from dpbench.scenario.controllers.commanded import ThrusterControl
-from dpbench.scenario.controllers.controller import stack_limits
+from dpbench.scenario.controllers.controller import stack_lower_and_upper_limits
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.layout import POSE, VELOCITY
 
@@ -33,8 +33,8 @@ def compute_control_metrics(
     reference : at least (K + 1, 3) [n, e, ψ]; exact : the exactly solved loop, at least as long.
     """
     K, controller = len(u), scenario.controller
-    tau = controller.force(u)
-    exact_u = controller.select_applied(exact.tau, exact.thrust)[:K]
+    tau = controller.convert_commands_to_ship_force(u)
+    exact_u = controller.select_applied_commands(exact.tau, exact.thrust)[:K]
     dt = scenario.sample_s
     error = state[:K, POSE] - reference[:K]
     north, east, turn = error.T
@@ -170,7 +170,7 @@ def compute_axis_limit_metrics(
 ) -> dict[str, float]:
     """Return shares of steps at limits of each axis, and violations, of applied tau (K, 3)."""
     du_max, before = scenario.problem.du_max, shift_forces_by_one_step(tau)
-    low, high = stack_limits(limits[: len(tau)])
+    low, high = stack_lower_and_upper_limits(limits[: len(tau)])
     near = AT_LIMIT * du_max
     at_amplitude = (tau >= high - near) | (tau <= low + near)
     # What the rate leaves of a limit that has just dropped is no violation.
@@ -191,7 +191,7 @@ def compute_joint_limit_metrics(
     """Return shares of steps at limits that thrusters set jointly, and the number of violations."""
     problem = scenario.problem
     near = AT_LIMIT * problem.row_max
-    low, high = stack_limits(limits[: len(tau)])
+    low, high = stack_lower_and_upper_limits(limits[: len(tau)])
     along, before = tau @ problem.G.T, shift_forces_by_one_step(tau) @ problem.G.T
     at_limit = ((along >= high - near) | (along <= low + near)).any(axis=1)
     # Outside a set that has shrunk the force must come nearer: a smaller share of the whole set.
@@ -227,7 +227,7 @@ def _mask_steps_over_rate_limit(scenario: Scenario, tau: Matrix) -> Flags:
 
 def compute_used_thrust_and_power_shares(scenario: Scenario, f: Matrix) -> dict[str, Vector]:
     """Return the used shares of full thrust and power (K,) from thruster forces f (K, n_f) [N]."""
-    control = scenario.controller.commanded
+    control = scenario.controller.commanded_thrusters
     if control is None:
         return {}
     thrusters = control.thrusters
@@ -240,10 +240,10 @@ def compute_thruster_metrics(
     scenario: Scenario, f: Matrix, limits: Sequence[Limits]
 ) -> dict[str, float]:
     """Return thrust, power, wear and limit metrics of the thruster forces f (K, n_f) [N]."""
-    control = scenario.controller.commanded
+    control = scenario.controller.commanded_thrusters
     assert control is not None, "a controller of thrusters"
     step_max = control.thrusters.largest_force_changes_per_sample(scenario.sample_s)
-    before = np.array([control.force_before(f, k) for k in range(len(f))])
+    before = np.array([control.get_force_before_step(f, k) for k in range(len(f))])
     change = f - before
     shares = compute_used_thrust_and_power_shares(scenario, f)
     per_entry = control.thrusters.repeat_for_each_force_entry(control.thrusters.largest_thrusts_N)
@@ -289,14 +289,14 @@ def _limit_share_and_violations(
     What the rate leaves of a limit that has just dropped is not beyond it.
     """
     unit, G = control.rows.largest_row_changes_per_step(step_max), control.rows.G
-    low, high = stack_limits(limits[: len(f)])
+    low, high = stack_lower_and_upper_limits(limits[: len(f)])
     lost = np.array([in_force.lost for in_force in limits[: len(f)]])[:, control.rows.thruster]
     along = f @ G.T
     near = AT_LIMIT * unit
     # A thruster that was lost is at nothing, not at a limit.
     at_limit = (((along >= high - near) | (along <= low + near)) & ~lost).any(axis=1)
     beyond = ((along > high) | (along < low)).any(axis=1)
-    too_fast = control.exceeds_rate(f, before, step_max)
+    too_fast = control.exceeds_rate_limits(f, before, step_max)
     ramp_down = LimitRampDown(control.rows, step_max, unit, 1)
     violated = int(too_fast.sum())
     for k in np.flatnonzero(beyond & ~too_fast).tolist():

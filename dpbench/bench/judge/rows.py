@@ -17,7 +17,7 @@ from dpbench.bench.record.schema import (
     STEP_COLUMNS,
     convert_to_step_columns,
 )
-from dpbench.scenario.scenario import cached_scenario
+from dpbench.scenario.scenario import build_or_reuse_scenario
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.table import Availability
 
@@ -92,7 +92,7 @@ def _deadline_of_cell_s(cell: Cell) -> float:
     """Return the time budget of a step [s]; NaN in a replay, which has none."""
     if cell.mode == "replay":
         return float("nan")
-    return cell.deadline_s or cached_scenario(cell.scenario).sample_s
+    return cell.deadline_s or build_or_reuse_scenario(cell.scenario).sample_s
 
 
 def _size_columns(cell: Cell, outcome: Outcome) -> dict[str, Any]:

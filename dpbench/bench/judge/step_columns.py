@@ -28,7 +28,7 @@ from dpbench.bench.record.raw_log import PHASES, SOLVER_PHASES
 from dpbench.bench.record.schema import AXIS_FORCES, MISSING_INT
 from dpbench.bench.run.slow_computer import make_delay_of_cell
 from dpbench.qp.solution import Status
-from dpbench.scenario.scenario import cached_scenario
+from dpbench.scenario.scenario import build_or_reuse_scenario
 
 SOLVER_COLUMNS = tuple(f"{phase}_ns" for phase in SOLVER_PHASES)
 """Columns of the phases of a solver."""
@@ -56,7 +56,7 @@ def make_step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
             "fallback": rules.mask_unusable_steps(steps),
         }
     steps["counts"] = np.ones(len(steps["k"]), dtype=np.bool_)
-    delay = make_delay_of_cell(cell, cached_scenario(cell.scenario).sample_s)
+    delay = make_delay_of_cell(cell, build_or_reuse_scenario(cell.scenario).sample_s)
     steps |= _backup_columns(columns)
     waited_ns: Ints = steps["total_ns"]
     if "backup" in steps:

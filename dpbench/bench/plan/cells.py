@@ -35,8 +35,8 @@ from dpbench.bench.sequences.recording import hash_sequence_files, read_sequence
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import FAMILIES
 from dpbench.qp.referee.kkt import is_proven_positive_definite
-from dpbench.scenario.problem_files import is_stored, sequence_path
-from dpbench.scenario.scenario import build_vessel, read_vessel_documents
+from dpbench.scenario.problem_files import is_shipped_sequence_name, resolve_sequence_path
+from dpbench.scenario.scenario import build_vessel_from_documents, read_validated_vessel_documents
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
 from dpbench.solvers.table import find_solver_record
 
@@ -155,9 +155,9 @@ def plan_recorded_replays(
     cells: list[PlannedCell] = []
     digests: dict[str, str] = {}
     for table in suite.recorded:
-        path = sequence_path(table.sequence, beside)
+        path = resolve_sequence_path(table.sequence, beside)
         # Another installation has a stored sequence in another folder.
-        origin = table.sequence if is_stored(table.sequence) else str(path)
+        origin = table.sequence if is_shipped_sequence_name(table.sequence) else str(path)
         sha256, sequence = hash_sequence_files(path), read_sequence(path).sequence
         known = digests.setdefault(sequence.name, sha256)
         if known != sha256 or sequence.name in taken:
@@ -177,8 +177,10 @@ def plan_capability_replays(
     suite: SuiteFile, table: CapabilityTable, solvers: Sequence[str], beside: Path | None
 ) -> list[PlannedCell]:
     """Plan the runs that solve a capability plot's QPs; InputError without thrusters or hull."""
-    files = read_vessel_documents(table.vessel, beside=beside)
-    cases = CapabilityPlot(build_vessel(files, table.vessel), table.sides).intact_and_failure_cases
+    files = read_validated_vessel_documents(table.vessel, beside=beside)
+    cases = CapabilityPlot(
+        build_vessel_from_documents(files, table.vessel), table.sides
+    ).intact_and_failure_cases
     own = [name for name in solvers if name not in CALIBRATION]
     name = f"{files['vessel_name']} capability, {table.sides} sides"
     source = CapabilitySource(name, table.sides, **files)

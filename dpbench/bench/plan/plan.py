@@ -41,10 +41,10 @@ from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.scenario.tables.key_types import Horizons
 from dpbench.scenario.variation import (
     SEED,
-    behave_differently,
-    read_value,
-    replace_document_values,
-    replace_values,
+    copy_documents_with_values,
+    copy_scenario_with_values,
+    differ_in_behaviour_within_steps,
+    read_value_of_dotted_key,
 )
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.own_settings import normalise_options
@@ -171,7 +171,7 @@ def _plan_closed_loops(
             configuration,
             suite,
             table,
-            why_no_sparse_form=scenario.controller.why_no_sparse_form,
+            why_no_sparse_form=scenario.controller.reason_for_no_sparse_form,
             mode="closed_loop",
             scenario=scenario.files,
             steps=steps,
@@ -221,7 +221,7 @@ def _plan_scenario_replays(
         table,
         solvers,
         steps,
-        why_no_sparse_form=scenario.controller.why_no_sparse_form,
+        why_no_sparse_form=scenario.controller.reason_for_no_sparse_form,
         scenario=scenario.files,
         first=table.first,
         source=source,
@@ -303,7 +303,7 @@ def _plan_loops_of_study(
     """Plan the closed loops of one study: each parameter point with each solver configuration."""
     base = load_scenario(table.base, beside=beside)
     keys = [*table.keys, *([table.replicates.key] if table.replicates.count > 1 else [])]
-    own = {key: read_value(base, key, where) for key in keys}
+    own = {key: read_value_of_dotted_key(base, key, where) for key in keys}
     points = list_study_points(table, own)
     scenarios = _ScenarioCache(base, where, beside)
     _refuse_idle_keys(table, points, scenarios)
@@ -372,12 +372,14 @@ class _ScenarioCache:
             return self._point[1].files, self._point[1].steps
         # A scenario in another sea need not be made to know that it can be.
         known = self._point[1]
-        return replace_document_values(known.files, point.of_replicate, self._where), known.steps
+        return copy_documents_with_values(known.files, point.of_replicate, self._where), known.steps
 
     def build_scenario(self, values: Point) -> Scenario:
         """Return a study's base scenario with the values of some parameters replaced."""
         if values != self._values:
-            self._scenario = replace_values(self._base, values, self._where, beside=self._beside)
+            self._scenario = copy_scenario_with_values(
+                self._base, values, self._where, beside=self._beside
+            )
             self._values = values
         return self._scenario
 
@@ -425,7 +427,7 @@ def _can_scenarios_differ(one: Scenario | None, other: Scenario | None, steps: i
     """Return whether two scenarios can behave differently; None is an invalid scenario."""
     if one is None or other is None or one.steps != other.steps:
         return True
-    return behave_differently(one, other, min(steps or one.steps, one.steps))
+    return differ_in_behaviour_within_steps(one, other, min(steps or one.steps, one.steps))
 
 
 def _pick_two_distinct_values(key: str, points: Sequence[StudyPoint]) -> list[object]:

@@ -25,7 +25,7 @@ from dpbench.bench.plan.suite import (
 )
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.errors import InputError, PolicyError, require_integer_at_least
-from dpbench.scenario.problem_files import sequence_path
+from dpbench.scenario.problem_files import resolve_sequence_path
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Policy, Route
 from dpbench.solvers.own_settings import (
@@ -122,7 +122,7 @@ class RunRequest:
             path, document = load_path_and_suite(self.suite)
             return path.stem, path, document
         if self.sequence is not None and self.suite is None:
-            meta = read_sequence(sequence_path(self.sequence)).sequence.meta
+            meta = read_sequence(resolve_sequence_path(self.sequence)).sequence.meta
             name = f"sequence-{Path(self.sequence).resolve().stem}"
             return name, Path("suite"), build_sequence_suite(self.sequence, meta)
         both = f"suite {self.suite} and sequence {self.sequence}"

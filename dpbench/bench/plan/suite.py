@@ -13,8 +13,17 @@ from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.embedded.targets import TARGETS
 from dpbench.errors import InputError
 from dpbench.qp.random_recipe import RandomRecipe
-from dpbench.scenario.problem_files import FileModel, parse_model, problem_path, read_toml
-from dpbench.scenario.tables.key_types import Horizons, check_distinct_horizons, parse_horizons
+from dpbench.scenario.problem_files import (
+    FileModel,
+    find_problem_path,
+    read_toml_as_dict,
+    validate_settings_as_model,
+)
+from dpbench.scenario.tables.key_types import (
+    Horizons,
+    parse_horizons,
+    require_distinct_horizon_texts,
+)
 from dpbench.ship.capability.loads import DYNAMIC_FACTOR
 from dpbench.solvers.contract import Policy
 from dpbench.solvers.record import LEVELS
@@ -129,7 +138,7 @@ class ReplayTable(ScenarioRunsTable):
     """Consequence analysis along the loop, in place of the controller's own QPs."""
     margin: Annotated[float, Field(ge=1, le=10)] = DYNAMIC_FACTOR
     """Dynamic margin of a consequence analysis: the force to hold is multiplied by it."""
-    horizons: Annotated[list[str], AfterValidator(check_distinct_horizons)] = []
+    horizons: Annotated[list[str], AfterValidator(require_distinct_horizon_texts)] = []
     """Pairs such as 30/5, instead of the scenario's own."""
     first: Count = 0
     """The first step that is replayed."""
@@ -331,14 +340,14 @@ _OTHER_FILES = {"limits": "a vessel", "environment": "a scenario", "controller":
 
 def load_path_and_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
     """Return path and content of a suite, by name or TOML path; InputError if it is bad."""
-    path = problem_path("suites", name_or_path)
-    document = read_toml(path)
+    path = find_problem_path("suites", name_or_path)
+    document = read_toml_as_dict(path)
     kind = next((kind for key, kind in _OTHER_FILES.items() if key in document), None)
     if kind is not None:
         own = "`run_campaign(SUITE, scenarios=[FILE])` or `dpbench run SUITE --scenario FILE`"
         allowed = f"a suite; a scenario of one's own by {own}"
         raise InputError(str(path), "", kind, allowed)
-    return path, parse_model(document, SuiteFile, str(path))
+    return path, validate_settings_as_model(document, SuiteFile, str(path))
 
 
 _MODE_VALUES: dict[str, Collection[str]] = {

@@ -74,7 +74,7 @@ class Allocator(Actuation):
         problem = cascade.allocation
         super().__init__(np.zeros(len(problem.df_max)), u, log.demand)
         self._builder, self._log, self._solver, self._clock = builder, log, solver, clock
-        self._T_e, self._limit = problem.T_e, cascade.control.move_limit(problem.df_max)
+        self._T_e, self._limit = problem.T_e, cascade.control.make_increment_limiter(problem.df_max)
         losses = (
             (k, problem.compute_weighted_pseudo_inverse(limits.lost))
             for k, limits in cascade.losses
@@ -149,6 +149,6 @@ def build_actuation(
     """Return how a controller's output acts on the ship: as force, by thrusters, or allocated."""
     if isinstance(controller, CascadeController):
         return Allocator(controller, builder, log, solver, clock, u)
-    if controller.commanded is not None:
-        return ThrusterActuation(controller.commanded, log, u)
+    if controller.commanded_thrusters is not None:
+        return ThrusterActuation(controller.commanded_thrusters, log, u)
     return Actuation(u, u, log.tau)

@@ -107,7 +107,7 @@ def adapt_scenario_to_cell(cell: Cell, scenario: Scenario) -> Scenario:
     """Return the scenario, with the unconstrained law as controller where the run requests it."""
     if cell.formulation != "none":
         return scenario
-    return replace(scenario, controller=scenario.controller.as_baseline_law())
+    return replace(scenario, controller=scenario.controller.adapt_to_baseline_law())
 
 
 def build_sequence_solver_and_log(

@@ -77,10 +77,10 @@ def record_closed_loop(setup: ClosedLoopSetup) -> bool:
     # The augmented state [Δν, Δη, y]: what changed in the ship's state, and the pose itself.
     change, at_x, at_u = slice(0, pose.start), theta.x, theta.u_prev
     x, u = np.zeros(model.n_x), np.zeros(model.n_u)
-    limit, limits = scenario.controller.move_limit(), builder.limits
+    limit, limits = scenario.controller.make_increment_limiter(), builder.limits
     actuation = build_actuation(scenario.controller, builder, log, setup.allocating, clock, u)
     tau, command, applied = actuation.tau, actuation.command, actuation.applied
-    act, commanded = actuation.apply_input_of_step, scenario.controller.commanded
+    act, commanded = actuation.apply_input_of_step, scenario.controller.commanded_thrusters
     trips = {} if commanded is None else dict(commanded.trips)
     actuation.prepare()
     sense, estimate = sensors.measure_state, estimator.update_and_return_state

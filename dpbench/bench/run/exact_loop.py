@@ -29,7 +29,7 @@ from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, SparseEquiv
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Kind, Optimum
 from dpbench.qp.referee.referee import Referee, get_shared_referee
 from dpbench.qp.solution import Solution, Status
-from dpbench.scenario.scenario import Scenario, as_scenario
+from dpbench.scenario.scenario import Scenario, resolve_to_scenario
 from dpbench.ship.environment import WeatherDraw
 from dpbench.ship.plant import SUBSTEPS
 from dpbench.solvers.contract import Workspace
@@ -333,7 +333,7 @@ def record_sequence(
     >>> record_sequence(load_scenario("paper").truncate(5))
     <QPSequence paper: 5 QPs of 15 variables, 15 rows, constant matrices>
     """
-    scenario = as_scenario(scenario)
+    scenario = resolve_to_scenario(scenario)
     exact = solve_loop_exactly(scenario)
     exact.require_certificates(scenario.name)
     return rebuild_sequence(scenario, exact, units=units, part=part)

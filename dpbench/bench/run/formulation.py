@@ -38,20 +38,20 @@ class QPBuilder:
         self, scenario: Scenario, units: UnitSystem = "scaled", *, sparse: bool = False
     ) -> None:
         controller, steps = scenario.controller, scenario.steps
-        self.condensed: CondensedQP = controller.build_qp(units)
+        self.condensed: CondensedQP = controller.make_condensed_qp_builder(units)
         self.staged: StagedQP | None = None
         if sparse:
-            self.staged = controller.build_sparse_qp(units, f"scenario {scenario.name}")
+            self.staged = controller.make_sparse_qp_builder(units, f"scenario {scenario.name}")
         self._emit = self.condensed.emit if self.staged is None else self.staged.emit
         N_p = controller.problem.N_p
         self.reference: Matrix = scenario.build_reference_table(steps + N_p)
         self._horizon = N_p if scenario.preview else 0
-        self.allocation: AllocationQP | None = controller.build_allocation(units)
-        self.limits = controller.limits(steps)
-        self.thruster_limits = controller.thruster_limits(steps)
-        self._n_f, self._commanded = controller.n_f, controller.commanded
+        self.allocation: AllocationQP | None = controller.make_allocation_qp_builder(units)
+        self.limits = controller.list_planned_force_limits_by_sample(steps)
+        self.thruster_limits = controller.list_thruster_limits_by_sample(steps)
+        self._n_f, self._commanded = controller.thruster_force_count, controller.commanded_thrusters
         # Limits that a builder has built in are not handed over to it again.
-        self._built_in, self._allocates = controller.built_in_limits, controller.allocates
+        self._built_in, self._allocates = controller.limits_built_into_qp, controller.allocates
 
     @property
     def sizes(self) -> tuple[int, int, int, int, tuple[int, int] | None]:
@@ -88,7 +88,7 @@ class QPBuilder:
     def rebuild_allocation(self, k: int, demand: Matrix, thrust: Matrix) -> QPStep:
         """Return the thrust-allocation QP of step k from recorded demand (K, 3) and thrust."""
         assert self._commanded is not None, "a cascade"
-        return self.emit_allocation(k, demand[k], self._commanded.force_before(thrust, k))
+        return self.emit_allocation(k, demand[k], self._commanded.get_force_before_step(thrust, k))
 
 
 NO_MODEL = "the QPs of a scenario; recorded and random ones bring no model whose states to keep"

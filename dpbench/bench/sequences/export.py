@@ -14,8 +14,8 @@ from dpbench.errors import InputError, SituationError
 from dpbench.qp.program import QPSequence
 from dpbench.qp.random_mpc import is_random_mpc_sequence_name
 from dpbench.qp.referee.referee import certify_all_steps
-from dpbench.scenario.problem_files import is_stored, problem_names
-from dpbench.scenario.scenario import Scenario, as_scenario
+from dpbench.scenario.problem_files import is_shipped_sequence_name, list_shipped_problem_names
+from dpbench.scenario.scenario import Scenario, resolve_to_scenario
 from dpbench.scenario.tables.key_types import Horizons, parse_horizons
 
 Format = Literal["npz", "qpbenchmark", "mat", "csv", "qps"]
@@ -106,7 +106,7 @@ def _record_requested(
 ) -> Recorded:
     """Load a stored sequence or record one from a scenario, cut to the requested steps."""
     if _is_scenario(what):
-        scenario = as_scenario(what)
+        scenario = resolve_to_scenario(what)
         record = partial(recording.record_scenario, horizons=horizons, part=part)
         if at is None:
             return record(scenario, steps=steps, every=every)
@@ -135,10 +135,10 @@ def _is_scenario(what: object) -> bool:
     is_file = (
         path.suffix == ".npz"
         or path.is_dir()
-        or is_stored(what)
+        or is_shipped_sequence_name(what)
         or is_random_mpc_sequence_name(what)
     )
-    return str(what) in problem_names("scenarios") or not is_file
+    return str(what) in list_shipped_problem_names("scenarios") or not is_file
 
 
 def _load_recorded(what: str | Path | Scenario | QPSequence) -> Recorded:

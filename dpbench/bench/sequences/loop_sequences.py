@@ -28,7 +28,7 @@ from dpbench.mpc.thruster_rows import ThrusterRows
 from dpbench.mpc.thrusters.static_allocation import AllocationAfterLoss
 from dpbench.qp.program import QPSequence
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
-from dpbench.scenario.controllers.controller import stack_limits
+from dpbench.scenario.controllers.controller import stack_lower_and_upper_limits
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import ThrusterSet
 
@@ -37,7 +37,7 @@ FILTER_S = 60.0  # Time constant of the filter of the force [s]
 
 def select_thruster_rows(scenario: Scenario) -> tuple[ThrusterSet, ThrusterRows]:
     """Return a scenario's commanded thrusters and the rows of their limits; InputError if none."""
-    commanded = scenario.controller.commanded
+    commanded = scenario.controller.commanded_thrusters
     if commanded is None:
         where, allowed = f"consequence analysis of {scenario.name}", '"thrusters" or "cascade"'
         raise InputError(where, "controller.kind", '"forces"', allowed)
@@ -64,7 +64,9 @@ def build_consequence_sequence(
     """
     thrusters, rows = select_thruster_rows(scenario)
     # What a fault of the run takes shrinks the limits just as the loss does.
-    low, high = stack_limits(scenario.controller.thruster_limits(len(tau)))
+    low, high = stack_lower_and_upper_limits(
+        scenario.controller.list_thruster_limits_by_sample(len(tau))
+    )
     least, most, _ = rows.limits_after_loss_of_thrusters(thrusters.indices_by_failure_group[group])
     low, high = np.maximum(low, least), np.minimum(high, most)
     allocation = AllocationAfterLoss(thrusters, rows)

@@ -25,8 +25,8 @@ from dpbench.qp.random_mpc import (
 )
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.referee import certify_all_steps
-from dpbench.scenario.problem_files import sequence_path
-from dpbench.scenario.scenario import Scenario, build_scenario
+from dpbench.scenario.problem_files import resolve_sequence_path
+from dpbench.scenario.scenario import Scenario, build_scenario_from_documents
 
 WHAT = "a sequence by `dpbench export` (.npz), or a problem (.npz) or folder of them by qpsolvers"
 
@@ -71,7 +71,7 @@ def with_horizons(scenario: Scenario, N_p: int, N_c: int) -> Scenario:
     controller = files["scenario"]["controller"]
     controller["prediction_horizon"], controller["control_horizon"] = N_p, N_c
     files["name"] = f"{scenario.name}-{N_p}-{N_c}"
-    return build_scenario(files, where=f"{scenario.name} with horizons {N_p}/{N_c}")
+    return build_scenario_from_documents(files, where=f"{scenario.name} with horizons {N_p}/{N_c}")
 
 
 def thin_sequence(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequence:
@@ -125,7 +125,7 @@ def load_named_sequence(name: str | Path) -> Recorded:
         return Recorded(
             *generate_qps_and_optima_of_random_mpc(RandomMPC.from_sequence_name(str(name)))
         )
-    return read_sequence(sequence_path(name))
+    return read_sequence(resolve_sequence_path(name))
 
 
 def read_sequence(path: Path) -> Recorded:

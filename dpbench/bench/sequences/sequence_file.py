@@ -48,7 +48,7 @@ from dpbench.qp.program import (
     convert_sequence_to_units,
 )
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Kind, Optimum
-from dpbench.scenario.problem_files import sequence_path
+from dpbench.scenario.problem_files import resolve_sequence_path
 
 if TYPE_CHECKING:
     from dpbench.mpc.condense import UnitSystem
@@ -165,7 +165,7 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
     """
     if units not in ("scaled", "si"):
         raise InputError("load_sequence", "units", repr(units), '"scaled" or "si"')
-    path = sequence_path(name_or_path)
+    path = resolve_sequence_path(name_or_path)
     recorded = load_recorded(path)
     if units == "scaled":
         return recorded.sequence

@@ -12,7 +12,12 @@ from dpbench.bench.run.exact_loop import Part
 from dpbench.bench.sequences.recording import record_scenario
 from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.errors import InputError
-from dpbench.scenario.problem_files import SEQUENCES, FileModel, problems_root, read_model
+from dpbench.scenario.problem_files import (
+    SEQUENCES,
+    FileModel,
+    find_folder_of_shipped_problems,
+    read_toml_as_model,
+)
 from dpbench.scenario.scenario import load_scenario
 from dpbench.scenario.tables.key_types import Horizon
 
@@ -80,8 +85,8 @@ class RecordingRule:
 
 def load_rules(path: Path | None = None) -> list[RecordingRule]:
     """Return the rules in a file by which shipped QPs are recorded; InputError if bad."""
-    place = path or problems_root() / SEQUENCES / "manifest.toml"
-    manifest = read_model(place, ManifestFile)
+    place = path or find_folder_of_shipped_problems() / SEQUENCES / "manifest.toml"
+    manifest = read_toml_as_model(place, ManifestFile)
     rules = {rule.name: rule for rule in _expand_rules(manifest)}
     for table in manifest.left_out:
         for name in table.sequences:

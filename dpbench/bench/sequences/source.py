@@ -42,8 +42,8 @@ from dpbench.qp.program import QPSequence
 from dpbench.qp.random_sequence import generate_random_sequence
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.referee import certify_all_steps
-from dpbench.scenario.problem_files import sequence_path
-from dpbench.scenario.scenario import build_vessel, cached_scenario
+from dpbench.scenario.problem_files import resolve_sequence_path
+from dpbench.scenario.scenario import build_or_reuse_scenario, build_vessel_from_documents
 from dpbench.ship.layout import AXES
 
 
@@ -103,13 +103,13 @@ class _LoopFile:
     def make(self, path: Path) -> None:
         """Solve the run's scenario exactly and write the closed loop to `path`."""
         solve_loop_exactly(
-            cached_scenario(self.cell.scenario).truncate(self.cell.steps_needed_in_file)
+            build_or_reuse_scenario(self.cell.scenario).truncate(self.cell.steps_needed_in_file)
         ).save(path)
 
     def load(self, path: Path) -> ReplayInput:
         """Return the QPs of the replay along the loop in the file, with their optima."""
         cell = self.cell
-        scenario, exact = cached_scenario(cell.scenario), ExactLoop.load(path)
+        scenario, exact = build_or_reuse_scenario(cell.scenario), ExactLoop.load(path)
         first, steps = cell.first, cell.steps
         if cell.is_hardest_window:
             first = find_hardest_window(
@@ -139,7 +139,7 @@ class _ConsequenceFile(_LoopFile):
 
     def load(self, path: Path) -> ReplayInput:
         """Return the consequence-analysis QPs of the replay's failure group, without optima."""
-        cell, scenario = self.cell, cached_scenario(self.cell.scenario)
+        cell, scenario = self.cell, build_or_reuse_scenario(self.cell.scenario)
         exact = ExactLoop.load(path)
         group, margin = self.source.group, self.source.margin
         whole = build_consequence_sequence(scenario, exact.tau, group, margin)
@@ -156,7 +156,7 @@ class _ConsequenceFile(_LoopFile):
 
     def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
         """Return n and m of the consequence-analysis QPs."""
-        thrusters, rows = select_thruster_rows(cached_scenario(self.cell.scenario))
+        thrusters, rows = select_thruster_rows(build_or_reuse_scenario(self.cell.scenario))
         return thrusters.n_f, AXES + len(rows.low)
 
 
@@ -200,7 +200,9 @@ class _CapabilityFile(_SequenceFile):
     def make(self, path: Path) -> None:
         """Compute a ship's wind limits and write the plot and its QPs to `path`."""
         source = self.source
-        vessel = build_vessel({"vessel_name": source.vessel_name, "vessel": source.vessel})
+        vessel = build_vessel_from_documents(
+            {"vessel_name": source.vessel_name, "vessel": source.vessel}
+        )
         write_capability_boundary(path, vessel, source.sides, source.name)
 
 
@@ -212,7 +214,7 @@ class _RecordedFile(_SequenceFile):
 
     def make(self, path: Path) -> None:
         """Read recorded QPs, check their SHA-256, certify them and write them to `path`."""
-        origin = sequence_path(self.source.path)
+        origin = resolve_sequence_path(self.source.path)
         actual, planned = hash_sequence_files(origin), self.source.sha256
         if actual != planned:
             allowed = f"the file the cell was planned with, SHA-256 {planned[:12]}…"

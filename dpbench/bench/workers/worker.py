@@ -48,7 +48,7 @@ from dpbench.bench.workers.orphans import has_children
 from dpbench.bench.workers.shared_status import Phase, discard_output, set_phase, truncation_note
 from dpbench.errors import CertificateError, InputError
 from dpbench.qp.program import QPSequence
-from dpbench.scenario.scenario import cached_scenario
+from dpbench.scenario.scenario import build_or_reuse_scenario
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
@@ -209,7 +209,7 @@ def _run_closed_loop(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
     """Run a cell's closed loop to its end or a limit; return its outcome."""
-    scenario = cached_scenario(cell.scenario).truncate(cell.steps)
+    scenario = build_or_reuse_scenario(cell.scenario).truncate(cell.steps)
     limit_ns, new_log = round(cell.limit_s * 1e9), _log_factory(raw, hung)
     try:
         setup = build_closed_loop_setup(

@@ -20,7 +20,7 @@ import copy
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.scenario.scenario import Scenario, build_scenario
+from dpbench.scenario.scenario import Scenario, build_scenario_from_documents
 from dpbench.ship.froude import Froude
 
 REACH = np.array([20.0, 20.0, np.radians(20.0)])
@@ -99,7 +99,7 @@ class SearchSpace:
             later = _scale_to_time(point[_FIRST_FAULT], duration_s, sample_s) - self._first_fault_s
             for fault in table["faults"]:
                 fault["at_s"] = max(0.0, fault["at_s"] + later)
-        return build_scenario(files, where=f"variant of {self._name}")
+        return build_scenario_from_documents(files, where=f"variant of {self._name}")
 
 
 def _scale_to_time(share: float, duration_s: float, sample_s: float) -> float:

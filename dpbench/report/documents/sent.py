@@ -26,7 +26,7 @@ from dpbench.files.opening import read_bytes
 from dpbench.files.writing import write_file_atomically, write_text_atomically
 from dpbench.report.formats import and_list, plural
 from dpbench.report.page.write import FILES
-from dpbench.scenario.problem_files import read_model
+from dpbench.scenario.problem_files import read_toml_as_model
 
 _UNREADABLE = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 """Control characters: an escape switches what the next bytes mean in some encodings."""
@@ -180,7 +180,7 @@ def check_sent_folder(folder: Path) -> str:
         raise ResultsError(
             f"{where}/{strangers[0]}", "", "a file", f"only {and_list([*SENT, *WHERE_THERE])}"
         )
-    sender = read_model(folder / SENDER, Sender)
+    sender = read_toml_as_model(folder / SENDER, Sender)
     load_capability_plots(folder)
     load_counts(folder)
     _check_runs(folder, results)

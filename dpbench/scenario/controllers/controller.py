@@ -55,40 +55,40 @@ class Controller(ABC):
     """Reason why late answers on a slow computer are not simulated; "" where they are."""
 
     @property
-    def label(self) -> str:
+    def tuning_and_horizons_label(self) -> str:
         """Controller tuning and horizons as text, e.g. "robust 60/10"."""
         return f"{self.tuning} {self.problem.N_p}/{self.problem.N_c}"
 
     @property
-    def description(self) -> str:
+    def tuning_horizons_and_command_text(self) -> str:
         """Tuning, horizons and kind of command as text, e.g. "tuning robust 60/10, cascade"."""
-        return f"tuning {self.label}{self.commands}"
+        return f"tuning {self.tuning_and_horizons_label}{self.commands}"
 
     @property
-    def commanded(self) -> ThrusterControl | None:
+    def commanded_thrusters(self) -> ThrusterControl | None:
         """Commanded thrusters; None where a force in surge, sway and yaw is commanded."""
         return None
 
     @property
-    def n_f(self) -> int:
+    def thruster_force_count(self) -> int:
         """Number of commanded thruster force components; 0 where no thrusters are commanded."""
-        return 0 if self.commanded is None else self.commanded.thrusters.n_f
+        return 0 if self.commanded_thrusters is None else self.commanded_thrusters.thrusters.n_f
 
-    def build_qp(self, units: UnitSystem = "scaled") -> CondensedQP:
+    def make_condensed_qp_builder(self, units: UnitSystem = "scaled") -> CondensedQP:
         """Return the builder of this controller's condensed QPs, in scaled or SI units."""
         policy = {"amplitude": self.amplitude, "outputs": self.outputs}
         return self.linearisation.condense(self.problem, units=units, **policy)
 
-    def build_sparse_qp(self, units: UnitSystem, where: str) -> StagedQP:
+    def make_sparse_qp_builder(self, units: UnitSystem, where: str) -> StagedQP:
         """Return the builder of the sparse QPs; InputError where there is no sparse form."""
-        why = self.why_no_sparse_form
+        why = self.reason_for_no_sparse_form
         if why or self.amplitude == "soft":
             allowed = "a scenario without layers and with one model"
             raise InputError(where, "formulation", why, allowed)
         return StagedQP(self.problem, units=units, amplitude=self.amplitude)
 
     @property
-    def why_no_sparse_form(self) -> str:
+    def reason_for_no_sparse_form(self) -> str:
         """Reason why the QPs have no sparse form; "" where they have one."""
         if self.linearisation.why_no_sparse_form:
             return self.linearisation.why_no_sparse_form
@@ -96,41 +96,41 @@ class Controller(ABC):
             return "sparse: soft limits and output bounds are layers on the condensed problem"
         return ""
 
-    def build_allocation(self, units: UnitSystem = "scaled") -> AllocationQP | None:
+    def make_allocation_qp_builder(self, units: UnitSystem = "scaled") -> AllocationQP | None:
         """Return the builder of the thrust-allocation QPs; None without such a second QP."""
         return None
 
-    def move_limit(self) -> MoveLimit:
+    def make_increment_limiter(self) -> MoveLimit:
         """Return the limiter of control increments between the plan and the applied force."""
         return make_increment_limiter(self.problem)
 
     @property
-    def built_in_limits(self) -> Limits | None:
+    def limits_built_into_qp(self) -> Limits | None:
         """Limits that the QP builder already contains; None where limits change at each step."""
         return self.problem.limits
 
-    def limits(self, samples: int) -> list[Limits]:
+    def list_planned_force_limits_by_sample(self, samples: int) -> list[Limits]:
         """Return the limits of the planned force at each of `samples` samples, faults included."""
-        return limits_at_samples(self.problem.limits, self.changes, samples)
+        return list_force_limits_by_sample(self.problem.limits, self.changes, samples)
 
-    def thruster_limits(self, samples: int) -> list[Limits]:
+    def list_thruster_limits_by_sample(self, samples: int) -> list[Limits]:
         """Return the limits of the commanded thrusters at each sample; [] without thrusters."""
         return []
 
     @abstractmethod
-    def force(self, u: Matrix) -> Matrix:
+    def convert_commands_to_ship_force(self, u: Matrix) -> Matrix:
         """Return the force on the ship (..., 3) for commands u (..., n_u)."""
 
     @abstractmethod
-    def select_applied(self, tau: Matrix, thrust: Matrix) -> Matrix:
+    def select_applied_commands(self, tau: Matrix, thrust: Matrix) -> Matrix:
         """Return the applied commands (K, n_u): the forces tau (K, 3) or thrust (K, n_f)."""
 
-    def as_baseline_law(self) -> Controller:
+    def adapt_to_baseline_law(self) -> Controller:
         """Return this controller for the unconstrained law, without a thrust-allocation QP."""
         return self
 
 
-def limits_at_samples(own: Limits, changes: Changes, samples: int) -> list[Limits]:
+def list_force_limits_by_sample(own: Limits, changes: Changes, samples: int) -> list[Limits]:
     """Return force limits at each sample: `own` before the first fault, then the changed ones."""
     limits = [own] * samples
     for k, changed in changes:
@@ -138,7 +138,7 @@ def limits_at_samples(own: Limits, changes: Changes, samples: int) -> list[Limit
     return limits
 
 
-def stack_limits(limits: Iterable[Limits]) -> tuple[Matrix, Matrix]:
+def stack_lower_and_upper_limits(limits: Iterable[Limits]) -> tuple[Matrix, Matrix]:
     """Return lower and upper limits (K, r) of K samples as arrays."""
     low, high, _ = zip(*limits, strict=True)
     return np.array(low), np.array(high)

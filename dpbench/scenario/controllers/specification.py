@@ -38,13 +38,13 @@ class Linearisation:
 FIXED_MODEL = Linearisation(CondensedQP)  # One model for the whole run
 
 
-def relinearised_model(psi0_rad: float) -> Linearisation:
+def make_factory_of_relinearised_qps(psi0_rad: float) -> Linearisation:
     """Return the factory of QPs that are re-linearised at each measured heading."""
     why = "sparse: the model is linearised anew at each step, and its stages with it"
     return Linearisation(partial(RelinearisedQP, psi0_rad=psi0_rad), why)
 
 
-def turning_rows(turning: AzimuthTurning) -> Linearisation:
+def make_factory_of_turning_limited_qps(turning: AzimuthTurning) -> Linearisation:
     """Return a maker of MPC QPs that limit how fast azimuth thrusters turn."""
     why = "sparse: the directions of azimuths are other ones at each step, and so are rows"
     return Linearisation(partial(TurningQP, turning=turning), why)
@@ -71,30 +71,32 @@ class ControllerSpec:
     where: str
 
     @property
-    def table(self) -> ControllerTable:
+    def controller_table(self) -> ControllerTable:
         """Controller settings of the scenario file."""
         return self.file.controller
 
     @property
     def thruster_table(self) -> ThrusterControlTable:
         """Settings of the commanded thrusters in the scenario file."""
-        assert self.table.thrusters is not None, "the table demands it"
-        return self.table.thrusters
+        assert self.controller_table.thrusters is not None, "the table demands it"
+        return self.controller_table.thrusters
 
     @property
-    def planning(self) -> Planning:
+    def planning_settings(self) -> Planning:
         """Controller settings for planning: tuning, linearisation, limit policy, output bounds."""
-        table, psi0_rad = self.table, self._psi0_rad
+        table, psi0_rad = self.controller_table, self._linearisation_heading_rad
         each_step = table.linearisation == "each_step"
         return {
             "tuning": table.tuning,
             "psi0_rad": psi0_rad,
-            "linearisation": relinearised_model(psi0_rad) if each_step else FIXED_MODEL,
+            "linearisation": make_factory_of_relinearised_qps(psi0_rad)
+            if each_step
+            else FIXED_MODEL,
             "amplitude": table.amplitude,
-            "outputs": self._output_bounds,
+            "outputs": self._output_bounds_in_si,
         }
 
-    def build_problem(
+    def build_control_problem(
         self,
         limits: Limits,
         du_max: Vector,
@@ -105,7 +107,7 @@ class ControllerSpec:
         W: Matrix | None = None,
     ) -> ControlProblem:
         """Return the MPC problem with given limits and increment weights R, in SI units."""
-        ship, table, psi0_rad = self.vessel, self.table, self._psi0_rad
+        ship, table, psi0_rad = self.vessel, self.controller_table, self._linearisation_heading_rad
         model = build_prediction_model(ship.M, ship.D, psi0_rad, self.sample_s)
         if T_e is not None:
             model = StateSpace(model.A, model.B @ T_e, model.C)
@@ -115,14 +117,14 @@ class ControllerSpec:
         return ControlProblem(model, *horizons, Q, R, *sides, table.terminal, rows, W)
 
     @property
-    def _psi0_rad(self) -> float:
+    def _linearisation_heading_rad(self) -> float:
         """Heading [rad] at which the controller's model is linearised."""
-        return float(np.radians(self.table.model_heading_deg))
+        return float(np.radians(self.controller_table.model_heading_deg))
 
     @property
-    def _output_bounds(self) -> OutputBounds | None:
+    def _output_bounds_in_si(self) -> OutputBounds | None:
         """Bounds on predicted position and speed, in SI units; None without any."""
-        table = self.table.outputs
+        table = self.controller_table.outputs
         if table is None:
             return None
         return OutputBounds(
@@ -131,16 +133,16 @@ class ControllerSpec:
             None if table.speed_mps is None else table.speed_mps * self.scale.time_and_speed_factor,
         )
 
-    def require_thrusters(self, key: str, value: str, otherwise: str) -> ThrusterSet:
+    def require_thrusters_for_key(self, key: str, value: str, otherwise: str) -> ThrusterSet:
         """Return the vessel's thrusters; InputError if a key needs them and there are none."""
         if self.vessel.thrusters is None:
             allowed = f'"{otherwise}", or thrusters in the file of vessel {self.vessel.id}'
             raise InputError(self.where, f"controller.{key}", f'"{value}"', allowed)
         return self.vessel.thrusters
 
-    def check_faults(self, *, lost: bool, limit_share: bool) -> None:
+    def refuse_unsupported_faults(self, *, lost: bool, limit_share: bool) -> None:
         """Raise InputError for a kind of fault that the controller cannot have."""
-        for i, (_, fault) in enumerate(self._sorted_faults):
+        for i, (_, fault) in enumerate(self._samples_and_faults_in_order):
             if not (lost if fault.lost is not None else limit_share):
                 found = "lost" if fault.lost is not None else "limit_share"
                 allowed = (
@@ -150,17 +152,17 @@ class ControllerSpec:
                 raise InputError(self.where, f"faults.{i}", found, allowed)
 
     @property
-    def limit_shares(self) -> list[tuple[int, Vector]]:
+    def samples_and_shares_of_limit_faults(self) -> list[tuple[int, Vector]]:
         """Sample and remaining share (3,) of the force limits, for each fault that reduces them."""
-        shares = [(k, fault.limit_share) for k, fault in self._sorted_faults]
+        shares = [(k, fault.limit_share) for k, fault in self._samples_and_faults_in_order]
         return [(k, np.array(share)) for k, share in shares if share is not None]
 
     @property
-    def losses(self) -> list[tuple[int, set[int]]]:
+    def samples_and_lost_thrusters_of_faults(self) -> list[tuple[int, set[int]]]:
         """Sample and indices of all thrusters lost so far, for each fault that loses thrusters."""
         losses: list[tuple[int, set[int]]] = []
         lost: set[int] = set()
-        for i, (k, fault) in enumerate(self._sorted_faults):
+        for i, (k, fault) in enumerate(self._samples_and_faults_in_order):
             if fault.lost is not None:
                 assert self.vessel.thrusters is not None, "known by now"
                 key = f"faults.{i}.lost"
@@ -171,10 +173,10 @@ class ControllerSpec:
         return losses
 
     @property
-    def trips(self) -> Trips:
+    def samples_and_entries_of_trips(self) -> Trips:
         """Sample and entries of f of the thrusters that stop at once, for each such fault."""
         thrusters, trips = self.vessel.thrusters, []
-        for i, (k, fault) in enumerate(self._sorted_faults):
+        for i, (k, fault) in enumerate(self._samples_and_faults_in_order):
             if fault.loss == "trip" and fault.lost is not None and thrusters is not None:
                 lost = thrusters.find_indices_of_thrusters_or_groups(
                     fault.lost, self.where, f"faults.{i}.lost"
@@ -182,15 +184,15 @@ class ControllerSpec:
                 trips.append((k, thrusters.find_force_entries_of_thrusters(lost)))
         return tuple(trips)
 
-    def refuse_trips(self) -> None:
+    def refuse_instant_thruster_stops(self) -> None:
         """Raise InputError for a fault that stops thrusters at once, as none are commanded."""
-        for i, (_, fault) in enumerate(self._sorted_faults):
+        for i, (_, fault) in enumerate(self._samples_and_faults_in_order):
             if fault.loss == "trip":
                 allowed = '"ramp_down", or "trip" where thrusters are commanded'
                 raise InputError(self.where, f"faults.{i}.loss", '"trip"', allowed)
 
     @property
-    def _sorted_faults(self) -> list[tuple[int, FaultTable]]:
+    def _samples_and_faults_in_order(self) -> list[tuple[int, FaultTable]]:
         """Sample and settings of each fault, in order of time."""
         in_time = sorted(self.file.faults, key=lambda fault: fault.at_s)
         return [(round(fault.at_s / self.file.sample_s), fault) for fault in in_time]

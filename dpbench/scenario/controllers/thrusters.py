@@ -18,16 +18,19 @@ from dpbench.mpc.thrusters.allocation_qp import AllocationProblem, AllocationQP
 from dpbench.scenario.controllers.commanded import (
     ThrusterControl,
     TurningThrusterControl,
-    build_thruster_control,
+    build_commanded_thrusters,
 )
 from dpbench.scenario.controllers.controller import (
     Changes,
     Controller,
     MetricGroup,
-    limits_at_samples,
+    list_force_limits_by_sample,
 )
-from dpbench.scenario.controllers.forces import ForceController, build_force_plan
-from dpbench.scenario.controllers.specification import ControllerSpec, turning_rows
+from dpbench.scenario.controllers.forces import ForceController, build_force_problem_and_limits
+from dpbench.scenario.controllers.specification import (
+    ControllerSpec,
+    make_factory_of_turning_limited_qps,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,39 +43,44 @@ class ThrusterController(Controller):
     commands: ClassVar[str] = ", thrusters"
 
     @classmethod
-    def of(cls, spec: ControllerSpec) -> ThrusterController:
+    def from_specification(cls, spec: ControllerSpec) -> ThrusterController:
         """Build the thruster controller of a scenario; InputError without fitting thrusters."""
-        control, planning = build_thruster_control(spec), spec.planning
-        spec.check_faults(lost=True, limit_share=False)
+        control, planning = build_commanded_thrusters(spec), spec.planning_settings
+        spec.refuse_unsupported_faults(lost=True, limit_share=False)
         if isinstance(control, TurningThrusterControl):
-            planning["linearisation"] = turning_rows(control.turning)
+            planning["linearisation"] = make_factory_of_turning_limited_qps(control.turning)
         thrusters, rows = control.thrusters, control.rows
         df_max = thrusters.largest_force_changes_per_sample(spec.sample_s)
         R = np.diag(spec.thruster_table.move_weight_relative / df_max**2)
         T_e = thrusters.T_e
-        problem = spec.build_problem(rows.intact, df_max, R, rows=rows, T_e=T_e, W=control.W)
-        changes = tuple((k, rows.limits_after_loss_of_thrusters(lost)) for k, lost in spec.losses)
+        problem = spec.build_control_problem(
+            rows.intact, df_max, R, rows=rows, T_e=T_e, W=control.W
+        )
+        changes = tuple(
+            (k, rows.limits_after_loss_of_thrusters(lost))
+            for k, lost in spec.samples_and_lost_thrusters_of_faults
+        )
         return cls(problem=problem, changes=changes, control=control, **planning)
 
     @property
-    def commanded(self) -> ThrusterControl:
+    def commanded_thrusters(self) -> ThrusterControl:
         """Commanded thrusters, whose forces the MPC plans."""
         return self.control
 
-    def move_limit(self) -> MoveLimit:
+    def make_increment_limiter(self) -> MoveLimit:
         """Return the limiter of thruster force changes, for thrust and turning rates."""
-        return self.control.move_limit(self.problem.du_max)
+        return self.control.make_increment_limiter(self.problem.du_max)
 
-    def thruster_limits(self, samples: int) -> list[Limits]:
+    def list_thruster_limits_by_sample(self, samples: int) -> list[Limits]:
         """Return the limits of the thrusters at each sample, faults included."""
-        return self.limits(samples)
+        return self.list_planned_force_limits_by_sample(samples)
 
-    def force(self, u: Matrix) -> Matrix:
+    def convert_commands_to_ship_force(self, u: Matrix) -> Matrix:
         """Return the force on the ship (..., 3) of thruster forces u (..., n_f)."""
         force: Matrix = u @ self.control.thrusters.T_e.T
         return force
 
-    def select_applied(self, tau: Matrix, thrust: Matrix) -> Matrix:
+    def select_applied_commands(self, tau: Matrix, thrust: Matrix) -> Matrix:
         """Return the thruster forces (K, n_f), which are the commands."""
         return thrust
 
@@ -92,11 +100,11 @@ class CascadeController(ForceController):
     why_no_delay: ClassVar[str] = "slowdown: not of a cascade, whose QPs are two"
 
     @classmethod
-    def of(cls, spec: ControllerSpec) -> CascadeController:
+    def from_specification(cls, spec: ControllerSpec) -> CascadeController:
         """Build a force controller with thrust allocation; InputError without thrusters."""
-        control, table = build_thruster_control(spec), spec.thruster_table
-        spec.check_faults(lost=True, limit_share=spec.table.limits == "box")
-        problem, changes = build_force_plan(spec)
+        control, table = build_commanded_thrusters(spec), spec.thruster_table
+        spec.refuse_unsupported_faults(lost=True, limit_share=spec.controller_table.limits == "box")
+        problem, changes = build_force_problem_and_limits(spec)
         thrusters, rows = control.thrusters, control.rows
         df_max, step_max = thrusters.largest_force_changes_per_sample(spec.sample_s), problem.du_max
         assert table.slack_weight_relative is not None, "the table demands it"
@@ -110,28 +118,31 @@ class CascadeController(ForceController):
                 thrusters.T_e, rows, control.W, R, slack, df_max, step_max
             ),
             by_qp=table.allocation != "pseudo_inverse",
-            losses=tuple((k, rows.limits_after_loss_of_thrusters(lost)) for k, lost in spec.losses),
-            **spec.planning,
+            losses=tuple(
+                (k, rows.limits_after_loss_of_thrusters(lost))
+                for k, lost in spec.samples_and_lost_thrusters_of_faults
+            ),
+            **spec.planning_settings,
         )
 
     @property
-    def commanded(self) -> ThrusterControl:
+    def commanded_thrusters(self) -> ThrusterControl:
         """Commanded thrusters, to which the planned force is allocated."""
         return self.control
 
     @property
-    def built_in_limits(self) -> None:
+    def limits_built_into_qp(self) -> None:
         """None: limits enter each step's QP, as thrusters may miss the planned force."""
         return None
 
-    def build_allocation(self, units: UnitSystem = "scaled") -> AllocationQP | None:
+    def make_allocation_qp_builder(self, units: UnitSystem = "scaled") -> AllocationQP | None:
         """Return the builder of the allocation QPs; None where the pseudo-inverse allocates."""
         return AllocationQP(self.allocation, units=units) if self.by_qp else None
 
-    def thruster_limits(self, samples: int) -> list[Limits]:
+    def list_thruster_limits_by_sample(self, samples: int) -> list[Limits]:
         """Return the thrusters' force limits at each sample, lost thrusters included."""
-        return limits_at_samples(self.control.rows.intact, self.losses, samples)
+        return list_force_limits_by_sample(self.control.rows.intact, self.losses, samples)
 
-    def as_baseline_law(self) -> CascadeController:
+    def adapt_to_baseline_law(self) -> CascadeController:
         """Return this controller with allocation by pseudo-inverse in place of a QP."""
         return replace(self, by_qp=False)

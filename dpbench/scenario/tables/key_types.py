@@ -41,7 +41,7 @@ def parse_horizons(text: str) -> Horizons:
     return N_p, N_c
 
 
-def check_distinct_horizons(texts: list[str]) -> list[str]:
+def require_distinct_horizon_texts(texts: list[str]) -> list[str]:
     """Return `texts` unchanged; ValueError if a pair of horizons is malformed or repeated."""
     seen: set[Horizons] = set()
     for text in texts:

@@ -67,7 +67,7 @@ class FaultTable(FileModel):
     commanded."""
 
     @model_validator(mode="after")
-    def _check_one_kind(self) -> FaultTable:
+    def _require_limit_share_or_lost(self) -> FaultTable:
         """Raise ValueError unless exactly one of limit_share and lost is given."""
         if (self.limit_share is None) == (self.lost is None):
             raise ValueError("exactly one of limit_share and lost")
@@ -85,7 +85,7 @@ class OutputsTable(FileModel):
     """Largest speed over ground [m/s]; none by default."""
 
     @model_validator(mode="after")
-    def _check_any_bound(self) -> OutputsTable:
+    def _require_radius_or_speed_bound(self) -> OutputsTable:
         """Raise ValueError where neither a radius nor a speed is bounded."""
         if self.radius_m is None and self.speed_mps is None:
             raise ValueError("at least one of radius_m and speed_mps")
@@ -158,7 +158,7 @@ class ControllerTable(FileModel):
     """Bounds on predicted position and speed, softened; none by default."""
 
     @model_validator(mode="after")
-    def _check_consistent(self) -> ControllerTable:
+    def _require_keys_of_controller_kind(self) -> ControllerTable:
         """Raise ValueError where keys do not fit the controller's kind."""
         of_forces = (self.move_weight is not None) + (self.move_weight_relative is not None)
         plans_thrusters = self.kind == "thrusters"
@@ -176,10 +176,10 @@ class ControllerTable(FileModel):
         if plans_thrusters and self.terminal != "none":
             raise ValueError('terminal = "none" where thrusters are steered')
         if self.thrusters is not None:
-            self._check_allocation(self.thrusters)
+            self._refuse_unfit_allocation_keys(self.thrusters)
         return self
 
-    def _check_allocation(self, table: ThrusterControlTable) -> None:
+    def _refuse_unfit_allocation_keys(self, table: ThrusterControlTable) -> None:
         """Raise ValueError for allocation keys that do not fit the controller's kind."""
         if self.kind == "thrusters":
             if table.slack_weight_relative is not None or table.allocation is not None:
@@ -191,7 +191,7 @@ class ControllerTable(FileModel):
 
     @field_validator("control_horizon")
     @classmethod
-    def _check_control_horizon(cls, N_c: int, info: ValidationInfo) -> int:
+    def _require_valid_control_horizon(cls, N_c: int, info: ValidationInfo) -> int:
         """Raise ValueError where the control horizon exceeds the prediction horizon."""
         N_p = info.data.get("prediction_horizon", N_c)
         if N_c > N_p:
@@ -209,7 +209,7 @@ class PoseTable(FileModel):
     heading_deg: keys.Degrees = 0.0
     """Heading, clockwise from north [°]."""
 
-    def pose(self) -> Vector:
+    def to_pose_vector(self) -> Vector:
         """Return north, east and heading as the vector [n, e, ψ] in m, m, rad."""
         return np.array([self.north_m, self.east_m, np.radians(self.heading_deg)])
 
@@ -226,7 +226,7 @@ class StartTable(PoseTable):
     yaw_degps: keys.TurnRate = 0.0
     """Rate of turn to starboard [°/s]."""
 
-    def velocity(self) -> Vector:
+    def to_velocity_vector(self) -> Vector:
         """Return the velocity over ground [u, v, r] along the ship's axes, in m/s, m/s, rad/s."""
         return np.array([self.surge_mps, self.sway_mps, np.radians(self.yaw_degps)])
 
@@ -248,7 +248,7 @@ class ReferenceTable(PoseTable):
     preview: bool = False
     """true: the controller sees the reference of the coming samples."""
 
-    def build_filter(self, scale: Froude) -> ReferenceFilter | None:
+    def build_reference_filter_if_any(self, scale: Froude) -> ReferenceFilter | None:
         """Return the reference filter in SI units; None where the reference is not filtered."""
         if self.filter is None:
             return None

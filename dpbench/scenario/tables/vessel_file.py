@@ -111,7 +111,7 @@ class ThrusterTable(FileModel):
         return others | {"sector_deg": edges[::-1]}
 
     @model_validator(mode="after")
-    def _check_one_thrust(self) -> ThrusterTable:
+    def _require_thrust_or_propeller(self) -> ThrusterTable:
         """Raise ValueError unless thrust is given either directly or by power and propeller."""
         made_of = [self.power_kW, self.diameter_m, self.propeller]
         given = [value is not None for value in made_of]
@@ -171,7 +171,7 @@ class CapabilityTable(FileModel):
     skegs: list[keys.Two] = []
     """[x, y] of the aftmost point of each skeg, ahead of L_pp/2 and to starboard [m]."""
 
-    def build_hull(self, length_m: float, windage: Windage) -> CapabilityHull:
+    def build_capability_hull(self, length_m: float, windage: Windage) -> CapabilityHull:
         """Return the hull for capability plots in SI units, with assumed values where left out."""
         assumed = {
             "submerged_length_m": length_m,
@@ -238,7 +238,7 @@ class VesselFile(FileModel):
     """D without dimension in the Bis system."""
 
     @model_validator(mode="after")
-    def _check_complete(self) -> VesselFile:
+    def _require_keys_of_complete_vessel(self) -> VesselFile:
         """Raise ValueError for keys that do not define one complete vessel."""
         systems = ({"inertia", "damping"}, {"mass_kg", "inertia_bis", "damping_bis"})
         given = {key for key in systems[0] | systems[1] if getattr(self, key) is not None}
@@ -260,14 +260,14 @@ class VesselFile(FileModel):
             assert self.mass_kg is not None, "the validator demands it beside inertia_bis"
             M = convert_bis_inertia_to_si(np.array(self.inertia_bis), self.mass_kg, self.length_m)
             D = convert_bis_damping_to_si(np.array(self.damping_bis), self.mass_kg, self.length_m)
-        thrusters = self._build_thrusters(where)
-        low, high, rate = self._force_limits(thrusters)
+        thrusters = self._build_thrusters_if_any(where)
+        low, high, rate = self._compute_force_and_rate_limits(thrusters)
         air, water = self.windage, self.reflection
         windage = Windage(**air.model_dump()) if air else None
         reflection = WaveReflection(**water.model_dump()) if water else None
         hull = None
         if self.capability and windage:
-            hull = self.capability.build_hull(self.length_m, windage)
+            hull = self.capability.build_capability_hull(self.length_m, windage)
         drag = HullDrag.from_hull(hull) if hull and self.drag == "cross_flow" else None
         ship = (name, self.title, self.source, self.length_m, M, D, low, high, rate, where)
         try:
@@ -277,10 +277,10 @@ class VesselFile(FileModel):
             names = {"M": f"inertia{bis}", "D": f"damping{bis}", "tau_min, tau_max": "limits"}
             key = names.get(error.key, error.key)
             raise InputError(where, key, error.found, error.allowed) from error
-        self._check_units(float(M[0, 0]), where)
+        self._refuse_implausible_mass(float(M[0, 0]), where)
         return vessel
 
-    def _check_units(self, surge_kg: float, where: str) -> None:
+    def _refuse_implausible_mass(self, surge_kg: float, where: str) -> None:
         """Raise InputError unless a ship is 0.5 to 5 % of the water in a cube of its length."""
         share = surge_kg / (WATER_DENSITY * self.length_m**3)
         if not 1e-4 <= share <= 1.0:
@@ -288,7 +288,7 @@ class VesselFile(FileModel):
             allowed = "m and kg: an inertia of 1e-4 to 1 times 1026 kg/m³ times the length cubed"
             raise InputError(where, "length_m", found, allowed)
 
-    def _build_thrusters(self, where: str) -> ThrusterSet | None:
+    def _build_thrusters_if_any(self, where: str) -> ThrusterSet | None:
         """Return the thrusters in SI units; None where the file has none."""
         if not self.thrusters:
             return None
@@ -297,7 +297,9 @@ class VesselFile(FileModel):
         except InputError as error:
             raise InputError(where, f"thrusters.{error.key}", error.found, error.allowed) from error
 
-    def _force_limits(self, thrusters: ThrusterSet | None) -> tuple[Vector, Vector, Vector]:
+    def _compute_force_and_rate_limits(
+        self, thrusters: ThrusterSet | None
+    ) -> tuple[Vector, Vector, Vector]:
         """Return the lower, upper and rate limits of the control force, (3,) each."""
         if self.limits is None:
             assert thrusters is not None, "the validator demands one of the two"

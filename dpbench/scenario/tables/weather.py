@@ -37,7 +37,7 @@ class SquallTable(FileModel):
 
     @field_validator("hold_until_s")
     @classmethod
-    def _check_hold_time(cls, hold_until_s: float, info: ValidationInfo) -> float:
+    def _require_hold_end_after_rise(cls, hold_until_s: float, info: ValidationInfo) -> float:
         """Raise ValueError where the squall stops holding before it has risen."""
         risen_s = info.data.get("start_s", 0.0) + info.data.get("rise_s", 0.0)
         if hold_until_s < risen_s:
@@ -126,7 +126,7 @@ class WavesTable(FileModel):
             scale,
         )
 
-    def build_motion(self, scale: Froude) -> FirstOrderMotion | None:
+    def build_wave_frequency_motion_if_any(self, scale: Froude) -> FirstOrderMotion | None:
         """Return the wave-frequency motion in SI units; None where the measurement shows none."""
         motion = self.motion
         if motion is None:
@@ -137,7 +137,7 @@ class WavesTable(FileModel):
         )
         return FirstOrderMotion(sea, motion.along_m_per_m, motion.across_m_per_m, turn)
 
-    def motion_std(self, scale: Froude) -> Vector:
+    def compute_wave_frequency_motion_std(self, scale: Froude) -> Vector:
         """Return the standard deviation (3,) [m, m, rad] of the wave-frequency motion."""
         motion = self.motion or MotionTable()
         elevation = 0.25 * self.hs_m * scale.length_factor
@@ -154,7 +154,7 @@ class NoiseTable(FileModel):
     heading_deg: keys.NotNegative
     """Standard deviation of the noise of the heading [°]."""
 
-    def std(self, scale: Froude) -> Vector:
+    def compute_sensor_noise_std(self, scale: Froude) -> Vector:
         """Return the standard deviations (3,) [m, m, rad] of the sensor noise."""
         metres = self.position_m * scale.length_factor
         return np.array([metres, metres, math.radians(self.heading_deg)])
@@ -206,7 +206,7 @@ class EnvironmentTable(FileModel):
             wind=self.wind.build_wind(scale) if self.wind else None,
             current=self.current.build_current(scale) if self.current else None,
             drift=WaveDrift(sea) if sea and self.waves and self.waves.drift else None,
-            motion=self.waves.build_motion(scale) if self.waves else None,
-            noise=SensorNoise(self.noise.std(scale)) if self.noise else None,
+            motion=self.waves.build_wave_frequency_motion_if_any(scale) if self.waves else None,
+            noise=SensorNoise(self.noise.compute_sensor_noise_std(scale)) if self.noise else None,
             seed=self.seed,
         )

@@ -9,7 +9,7 @@ from dpbench.bench.judge.step_columns import make_step_columns
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import PHASES, RawLog, make_loop_layout
 from dpbench.bench.run.formulation import QPBuilder
-from dpbench.scenario.scenario import build_scenario
+from dpbench.scenario.scenario import build_scenario_from_documents
 from tests.bench.judge.known_runs import exact_loop
 
 STEPS, DONE = 4, 3
@@ -29,7 +29,7 @@ def judged() -> tuple[EvaluatedCell, StepColumns, Cell]:
         "faults": [{"at_s": 0.6, "limit_share": [0.01, 1.0, 1.0]}],
         "duration_s": 0.3 * STEPS,
     }
-    case = build_scenario(calm | {"scenario": calm["scenario"] | changes})
+    case = build_scenario_from_documents(calm | {"scenario": calm["scenario"] | changes})
     log = RawLog.in_memory(make_loop_layout(STEPS, *QPBuilder(case).sizes))
     log.done[0] = DONE
     log.state[:, 3] = NORTH

@@ -15,7 +15,7 @@ from dpbench.bench.sequences.recording import with_horizons
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.qp.referee.referee import certify
-from dpbench.scenario.scenario import build_scenario
+from dpbench.scenario.scenario import build_scenario_from_documents
 from tests.bench.deterministic import suite_file, suite_toml
 
 
@@ -35,7 +35,7 @@ def _suite(*horizons: str, scenario: str = "paper") -> SuiteFile:
 def test_each_pair_of_horizons_is_a_problem_of_its_own() -> None:
     cells = [planned.cell for planned in plan_suite(_suite("30/5", "60/10", "40/10"))]
     assert [cell.sequence for cell in cells] == ["paper-30-5", "paper-60-10", "paper-40-10"]
-    made = [build_scenario(cell.scenario) for cell in cells]
+    made = [build_scenario_from_documents(cell.scenario) for cell in cells]
     assert [(s.problem.N_p, s.problem.N_c) for s in made] == [(30, 5), (60, 10), (40, 10)]
     assert len({cell.problem_key for cell in cells}) == 3
     assert all(cell.steps == 12 for cell in cells)

@@ -16,8 +16,8 @@ from dpbench.bench.plan.study_points import StudyTable, list_study_points
 from dpbench.bench.plan.suite import SuiteFile
 from dpbench.bench.record.schema import make_study_value_columns
 from dpbench.errors import InputError
-from dpbench.scenario.problem_files import parse_model
-from dpbench.scenario.scenario import build_scenario
+from dpbench.scenario.problem_files import validate_settings_as_model
+from dpbench.scenario.scenario import build_scenario_from_documents
 
 HS, TP = "environment.waves.hs_m", "environment.waves.tp_s"
 WIND, SEED = "environment.wind.speed_mps", "environment.seed"
@@ -26,7 +26,9 @@ HORIZON = "controller.prediction_horizon"
 
 def _suite(study: dict[str, Any], **of_suite: Any) -> SuiteFile:
     document = {"title": "x", "solvers": ["daqp", "osqp"], "baseline_law": False} | of_suite
-    return parse_model(document | {"study": [{"base": "weather"} | study]}, SuiteFile, "suite")
+    return validate_settings_as_model(
+        document | {"study": [{"base": "weather"} | study]}, SuiteFile, "suite"
+    )
 
 
 @given(
@@ -83,7 +85,7 @@ def test_cells_of_a_study_are_the_scenarios_they_say() -> None:
     assert len(cells) == 2 * 3 * 2 * 2 * 2
     for cell in cells:
         assert cell.study is not None
-        scenario, x = build_scenario(cell.scenario), cell.study.x
+        scenario, x = build_scenario_from_documents(cell.scenario), cell.study.x
         environment = cell.scenario["scenario"]["environment"]
         assert scenario.problem.N_p == x[HORIZON] and cell.steps == 30
         assert (environment["waves"]["hs_m"], environment["waves"]["tp_s"]) == (x[HS], x[TP])

@@ -36,7 +36,7 @@ from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify_all_steps
 from dpbench.qp.solution import Solution, Status
-from dpbench.scenario.scenario import Scenario, build_scenario, load_scenario
+from dpbench.scenario.scenario import Scenario, build_scenario_from_documents, load_scenario
 from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.function import FunctionWorkspace
@@ -51,7 +51,7 @@ def scenario(steps: int = 60, **changes: Any) -> Scenario:
     own["start"] = {"north_m": 2.0, "east_m": -1.0, "heading_deg": 5.0}
     own["controller"] |= {"prediction_horizon": 30, "control_horizon": 3}
     own["controller"]["thrusters"] |= changes
-    return build_scenario(files)
+    return build_scenario_from_documents(files)
 
 
 def cell(case: Scenario, solver: str = "daqp", **fields: Any) -> Cell:
@@ -107,9 +107,12 @@ def planned_force(case: Scenario, x: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 def allocated_forces(case: Scenario, demand: np.ndarray, f: np.ndarray) -> np.ndarray:
     """The forces of the thrusters, by quadprog on moves and slacks of a problem made here."""
-    assert case.controller.commanded is not None
+    assert case.controller.commanded_thrusters is not None
     table = case.files["scenario"]["controller"]["thrusters"]
-    thrusters, rows = case.controller.commanded.thrusters, case.controller.commanded.rows
+    thrusters, rows = (
+        case.controller.commanded_thrusters.thrusters,
+        case.controller.commanded_thrusters.rows,
+    )
     n_f = thrusters.n_f
     T, step = (
         thrusters.repeat_for_each_force_entry(thrusters.largest_thrusts_N),
@@ -134,8 +137,8 @@ def allocated_forces(case: Scenario, demand: np.ndarray, f: np.ndarray) -> np.nd
 
 
 def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) -> None:
-    assert case.controller.commanded is not None
-    T_e = case.controller.commanded.thrusters.T_e
+    assert case.controller.commanded_thrusters is not None
+    T_e = case.controller.commanded_thrusters.thrusters.T_e
     plant = Plant(case.true_ship, case.first_state, case.sample_s)
     sea = case.environment.build_weather_table_at_stages(case.steps, case.sample_s, SUBSTEPS)
     f, previous = np.zeros(6), case.first_state
@@ -206,7 +209,7 @@ def test_without_commanded_thrusters_none_can_trip() -> None:
     del files["scenario"]["controller"]["thrusters"]
     files["scenario"]["faults"] = [{"at_s": 6.0, "lost": ["board A"], "loss": "trip"}]
     with pytest.raises(InputError, match='loss: found "trip"'):
-        build_scenario(files)
+        build_scenario_from_documents(files)
 
 
 def test_with_the_attainable_set_both_halves_know_what_is_lost() -> None:
@@ -215,7 +218,7 @@ def test_with_the_attainable_set_both_halves_know_what_is_lost() -> None:
         files = copy.deepcopy(load_scenario("thrusters_cascade").files)
         files["scenario"] |= {"duration_s": 36.0, "faults": [{"at_s": 15.0, "lost": ["board B"]}]}
         files["scenario"]["controller"] |= {"limits": limits, "control_horizon": 3}
-        case = build_scenario(files)
+        case = build_scenario_from_documents(files)
         log = steered_by(case, daqp()).log
         assert not log.flags[:, :2].any()
         assert limit_violations(case, log) == 0.0
@@ -272,7 +275,7 @@ def test_without_an_allocation_the_pseudo_inverse_acts_within_all_limits(case: S
 
 def test_the_pseudo_inverse_is_exact_until_a_limit_acts() -> None:
     still = scenario(20, allocation="pseudo_inverse", tables={"environment": {}, "start": {}})
-    moved = build_scenario(copy.deepcopy(still.files))
+    moved = build_scenario_from_documents(copy.deepcopy(still.files))
     log = steered_by(moved, daqp()).log
     free = log.flags[:, 2] == 0
     assert free.any()

@@ -22,7 +22,7 @@ from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.referee import Referee
 from dpbench.qp.solution import Solution, Status
-from dpbench.scenario.scenario import Scenario, build_scenario, condense
+from dpbench.scenario.scenario import Scenario, build_scenario_from_documents, condense
 from dpbench.solvers.contract import Workspace
 from tests.bench.run.loops import run_loop
 
@@ -97,7 +97,7 @@ def test_an_estimator_knows_how_the_ship_starts(scenario: Scenario, kind: str) -
     files = copy.deepcopy(scenario.files)
     files["scenario"]["start"] |= {"surge_mps": 0.8, "sway_mps": -0.3, "yaw_degps": 0.5}
     files["scenario"]["estimator"] |= {"kind": kind, "peak_period_s": 8.0}
-    moving = build_scenario(files)
+    moving = build_scenario_from_documents(files)
     truth = np.array([0.8, -0.3, np.radians(0.5), 1.2, 1.3, 0.0])
     np.testing.assert_allclose(
         moving.estimator().update_and_return_state(truth, np.zeros(3)), truth, atol=1e-12

@@ -27,7 +27,7 @@ from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution
-from dpbench.scenario.scenario import Scenario, build_scenario
+from dpbench.scenario.scenario import Scenario, build_scenario_from_documents
 from dpbench.solvers.contract import Policy, Workspace
 from dpbench.solvers.table import find_solver_availability
 from tests.bench.deterministic import run_suite, suite_toml
@@ -45,7 +45,7 @@ def early_loss() -> Scenario:
     files = deepcopy(load_scenario("thruster_loss").files)
     (fault,) = files["scenario"]["faults"]
     fault["at_s"] = 6.0
-    return build_scenario(files)
+    return build_scenario_from_documents(files)
 
 
 # Steps of the last with a limit that hardly acts leave an interior point 3e-7 from the optimum.
@@ -153,7 +153,7 @@ def test_a_scenario_without_stages_is_a_refused_row(scenario: str, why: str) -> 
     box, sparse = plan_suite(_suite(replay=[table]))
     assert box.refused == ""
     assert why in sparse.refused and bool(why) == bool(sparse.refused)
-    assert load_scenario(scenario).controller.why_no_sparse_form == sparse.refused
+    assert load_scenario(scenario).controller.reason_for_no_sparse_form == sparse.refused
     if why:
         with pytest.raises(InputError, match=why):
             QPBuilder(load_scenario(scenario), sparse=True)

@@ -20,13 +20,13 @@ from dpbench.bench.run.formulation import QPBuilder
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.scenario.controllers.specification import FIXED_MODEL
 from dpbench.scenario.own_ship import DP_NUMBERS
-from dpbench.scenario.problem_files import problem_names
-from dpbench.scenario.scenario import Scenario, build_scenario
+from dpbench.scenario.problem_files import list_shipped_problem_names
+from dpbench.scenario.scenario import Scenario, build_scenario_from_documents
 from dpbench.solvers.contract import Policy
 
 pytestmark = pytest.mark.slow
 
-NAMES = problem_names("scenarios")
+NAMES = list_shipped_problem_names("scenarios")
 
 
 @cache
@@ -36,9 +36,9 @@ def exact(name: str) -> ExactLoop:
 
 def measured(scenario: Scenario, loop: ExactLoop) -> dict[str, float]:
     builder = QPBuilder(scenario)
-    u = scenario.controller.select_applied(loop.tau, loop.thrust)
+    u = scenario.controller.select_applied_commands(loop.tau, loop.thrust)
     of_ship = compute_control_metrics(scenario, loop.state, u, builder.reference, loop)
-    if scenario.controller.commanded is None:
+    if scenario.controller.commanded_thrusters is None:
         return of_ship | compute_axis_limit_metrics(scenario, loop.tau, builder.limits)
     return of_ship | compute_thruster_metrics(scenario, loop.thrust, builder.thruster_limits)
 
@@ -274,7 +274,7 @@ def test_a_cascade_holds_where_its_pseudo_inverse_does_not() -> None:
     assert found["r_max_m"] < 0.3
     files = copy.deepcopy(scenario.files)
     files["scenario"]["controller"]["thrusters"]["allocation"] = "pseudo_inverse"
-    clipped = build_scenario(files)
+    clipped = build_scenario_from_documents(files)
     assert 5.0 < measured(clipped, solve_loop_exactly(clipped))["r_max_m"] < 7.0
 
 

@@ -154,7 +154,10 @@ def scenario() -> Scenario:
 def test_a_controller_of_forces_limits_axis_by_axis(scenario: Scenario) -> None:
     """The largest increments are 32 736 N, 11 008 N and 475 200 N·m."""
     applied = np.empty(3)
-    limits, limit = Limits(np.full(3, -1e9), np.full(3, 1e9)), scenario.controller.move_limit()
+    limits, limit = (
+        Limits(np.full(3, -1e9), np.full(3, 1e9)),
+        scenario.controller.make_increment_limiter(),
+    )
     assert limit(np.zeros(3), np.full(3, -1e8), limits, applied)
     np.testing.assert_allclose(applied, [-32736.0, -11008.0, -475200.0])
 

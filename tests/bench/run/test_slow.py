@@ -20,7 +20,7 @@ from dpbench.bench.run.slow_computer import ComputationalDelay, SlowComputer
 from dpbench.errors import InputError
 from dpbench.mpc.law import compute_state_feedback_gains
 from dpbench.qp.solution import Status
-from dpbench.scenario.controllers.controller import stack_limits
+from dpbench.scenario.controllers.controller import stack_lower_and_upper_limits
 from dpbench.scenario.scenario import Scenario
 from tests.bench.run.loops import SAMPLE_NS, Planned, run_loop, surge_steps
 
@@ -154,7 +154,9 @@ def test_one_processor_and_no_limit_violated(
     began = np.array(asked(log))
     took = np.maximum(1, np.ceil(np.round(np.array(latencies) * SAMPLE_NS) / SAMPLE_NS))
     np.testing.assert_array_equal(np.diff(began), took[: len(began) - 1])
-    low, high = stack_limits(scenario.controller.limits(24))
+    low, high = stack_lower_and_upper_limits(
+        scenario.controller.list_planned_force_limits_by_sample(24)
+    )
     change = np.diff(log.tau, axis=0, prepend=np.zeros((1, 3)))
     assert (np.abs(change) <= scenario.problem.du_max + np.spacing(scenario.vessel.tau_max)).all()
     assert (log.tau <= high).all() and (log.tau >= low).all()

@@ -8,7 +8,7 @@ import pytest
 from dpbench.bench.run.exact_loop import ExactLoop, solve_loop_exactly
 from dpbench.bench.run.station import compute_station_metrics, mask_arrived_samples
 from dpbench.scenario.scenario import Scenario, load_scenario
-from dpbench.scenario.variation import replace_values
+from dpbench.scenario.variation import copy_scenario_with_values
 
 
 def loop_along(scenario: Scenario, east_m: Any, active: Any = False) -> ExactLoop:
@@ -71,7 +71,9 @@ def test_slacks_at_rest_are_no_active_limits() -> None:
 def test_a_lost_thruster_is_no_active_limit() -> None:
     """In a weak current the other thrusters never reach a limit, before the loss and after it."""
     values = {"environment": {"current": {"speed_mps": 0.2, "towards_deg": 220.0}, "ramp_s": 60.0}}
-    weak = replace_values(load_scenario("thrusters_loss").truncate(400), values, "weak current")
+    weak = copy_scenario_with_values(
+        load_scenario("thrusters_loss").truncate(400), values, "weak current"
+    )
     exact = solve_loop_exactly(weak)
     assert np.abs(exact.thrust[-1]).max() > 1e3
     assert not exact.active.any()
@@ -104,7 +106,7 @@ def test_offsets_after_a_loss_count_from_it_on() -> None:
     calm = load_scenario("calm")
     east = [4.0, 0.0, 0.0, 0.0, 1.0, 3.0, 2.0]
     faults = [{"at_s": 1.2, "limit_share": [1.0, 0.5, 1.0]}]
-    lossy = replace_values(calm, {"faults": faults}, "a loss")
+    lossy = copy_scenario_with_values(calm, {"faults": faults}, "a loss")
     found = compute_station_metrics(lossy, loop_along(lossy, east), 6)
     assert found["exact_loss_offset_max_m"] == 3.0 and found["exact_offset_max_m"] == 4.0
     assert found["exact_loss_heading_max_deg"] == 0.0

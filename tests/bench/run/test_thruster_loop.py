@@ -15,7 +15,7 @@ from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.exact_loop import ExactLoop, solve_loop_exactly
 from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE
-from dpbench.scenario.scenario import Scenario, build_scenario, load_scenario
+from dpbench.scenario.scenario import Scenario, build_scenario_from_documents, load_scenario
 from dpbench.ship.actuators import Actuators, CommandedThrusters
 from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.solvers.open import open_workspace
@@ -48,7 +48,7 @@ def scenario(steps: int = 60, **changes: Any) -> Scenario:
             "move_weight_relative": 0.1,
         },
     } | changes.pop("controller", {})
-    return build_scenario(
+    return build_scenario_from_documents(
         plain | {"scenario": own | changes, "vessel": vessel, "name": "thrusters"}
     )
 
@@ -74,8 +74,11 @@ def exact(case: Scenario) -> ExactLoop:
 
 def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) -> None:
     control, plain = case.problem, load_scenario("rough")
-    assert case.controller.commanded is not None
-    T_e, G = case.controller.commanded.thrusters.T_e, case.controller.commanded.rows.G
+    assert case.controller.commanded_thrusters is not None
+    T_e, G = (
+        case.controller.commanded_thrusters.thrusters.T_e,
+        case.controller.commanded_thrusters.rows.G,
+    )
     model, du, n_f, N_c = control.model, control.du_max, 7, 3
     plant = Plant(case.true_ship, case.first_state, case.sample_s)
     sea = plain.environment.build_weather_table_at_stages(case.steps, case.sample_s, SUBSTEPS)
@@ -97,7 +100,7 @@ def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) 
             H += effect.T @ case.problem.Q @ effect
             g += effect.T @ case.problem.Q @ free
         sums = np.kron(np.tri(N_c), np.eye(n_f)) * np.tile(du, N_c)
-        W = np.kron(np.eye(N_c), case.controller.commanded.W)
+        W = np.kron(np.eye(N_c), case.controller.commanded_thrusters.W)
         H += np.diag(np.tile(np.diag(case.problem.R) * du**2, N_c)) + sums.T @ W @ sums
         g += sums.T @ W @ np.tile(f, N_c)
         rows, base = np.kron(np.eye(N_c), G) @ sums / 1e3, np.tile(G @ f, N_c) / 1e3
@@ -129,7 +132,9 @@ def test_every_form_steers_as_the_exact_loop_does(
     away = np.abs(log.state - exact.state).max(axis=0)
     assert (away <= [1e-6, 1e-6, 1e-8, 1e-5, 1e-5, 1e-7]).all(), away
     assert limit_violations(case, log) == 0.0
-    np.testing.assert_allclose(log.tau, case.controller.force(log.thrust), rtol=1e-12)
+    np.testing.assert_allclose(
+        log.tau, case.controller.convert_commands_to_ship_force(log.thrust), rtol=1e-12
+    )
 
 
 def test_a_lost_group_gives_nothing_as_soon_as_its_rate_allows(case: Scenario) -> None:
@@ -158,8 +163,8 @@ def test_a_tripped_group_gives_nothing_at_once(case: Scenario) -> None:
     np.testing.assert_array_equal(log.theta[20, u_prev][[0, 1, 6]], 0.0)
     np.testing.assert_array_equal(log.theta[20, u_prev][2:6], log.thrust[19, 2:6])
     # What the hull feels in that sample is the force of the other thrusters alone.
-    assert tripped.controller.commanded is not None
-    T_e = tripped.controller.commanded.thrusters.T_e
+    assert tripped.controller.commanded_thrusters is not None
+    T_e = tripped.controller.commanded_thrusters.thrusters.T_e
     np.testing.assert_allclose(log.tau[20], T_e[:, 2:6] @ log.thrust[20, 2:6], atol=1e-3)
     away = [np.abs(run.state[21:, 3:5]).max() for run in (log, ramped)]
     assert away[0] != away[1]
@@ -200,11 +205,11 @@ def test_without_answers_the_fallback_keeps_to_all_limits(fallback: str) -> None
     assert limit_violations(case, log) == 0.0
 
 
-COMMANDED = scenario().controller.commanded
+COMMANDED = scenario().controller.commanded_thrusters
 assert COMMANDED is not None
 SHIP, ROWS = COMMANDED.thrusters, COMMANDED.rows
 STEP = SHIP.largest_force_changes_per_sample(0.3)
-LIMIT = scenario().controller.move_limit()
+LIMIT = scenario().controller.make_increment_limiter()
 
 
 @settings(derandomize=True, max_examples=200)

@@ -29,7 +29,7 @@ from dpbench.mpc.thruster_rows import build_limit_rows_of_thrusters
 from dpbench.mpc.thrusters.static_allocation import AllocationAfterLoss
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify
-from dpbench.scenario.scenario import Scenario, build_scenario, load_vessel
+from dpbench.scenario.scenario import Scenario, build_scenario_from_documents, load_vessel
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
 SIDES = 16
@@ -118,7 +118,7 @@ def regrouped(groups: dict[str, str]) -> Scenario:
     files = copy.deepcopy(load_scenario("thrusters").files)
     for table in files["vessel"]["thrusters"]:
         table["group"] = groups.get(table["name"], "")
-    return build_scenario(files)
+    return build_scenario_from_documents(files)
 
 
 def test_a_group_without_which_no_sway_is_left_is_never_held() -> None:
@@ -169,8 +169,8 @@ def test_a_margin_belongs_to_a_consequence_analysis() -> None:
 def test_what_the_run_has_lost_stays_lost() -> None:
     case = load_scenario("thrusters_loss")
     (fault,) = (k for k, _ in case.controller.changes)
-    assert case.controller.commanded is not None
-    thrusters = case.controller.commanded.thrusters
+    assert case.controller.commanded_thrusters is not None
+    thrusters = case.controller.commanded_thrusters.thrusters
     entries = {
         group: thrusters.repeat_for_each_force_entry(
             [i in thrusters.indices_by_failure_group[group] for i in range(5)]
@@ -191,8 +191,8 @@ def test_what_the_run_has_lost_stays_lost() -> None:
 
 def test_a_cascade_has_an_analysis_too() -> None:
     case = load_scenario("thrusters_cascade")
-    assert case.controller.commanded is not None
-    thrusters = case.controller.commanded.thrusters
+    assert case.controller.commanded_thrusters is not None
+    thrusters = case.controller.commanded_thrusters.thrusters
     tau = np.array([np.zeros(3), [1e9, 0.0, 0.0]])
     for group in thrusters.indices_by_failure_group:
         sequence = build_consequence_sequence(case, tau, group, 1.0)

@@ -18,12 +18,16 @@ from dpbench.bench.sequences.sequence_file import active_set, load_recorded
 from dpbench.bench.sequences.shipped import load_rules, record_shipped_sequences
 from dpbench.cli.main import main
 from dpbench.qp.referee.referee import Referee
-from dpbench.scenario.problem_files import problem_names, problems_root, sequence_path
+from dpbench.scenario.problem_files import (
+    find_folder_of_shipped_problems,
+    list_shipped_problem_names,
+    resolve_sequence_path,
+)
 from dpbench.scenario.scenario import load_scenario
 
 Arrays = dict[str, Any]
 RULES = {rule.name: rule for rule in load_rules()}
-NAMES = problem_names("sequences")
+NAMES = list_shipped_problem_names("sequences")
 SMALL = ("paper-30-5", "wrap-30-5")
 CLOSE = 1e-9
 """Largest difference of values between machines."""
@@ -36,15 +40,17 @@ def arrays_of(path: Path) -> Arrays:
 
 def test_the_files_are_those_of_the_manifest() -> None:
     assert set(NAMES) == set(RULES)
-    assert {rule.scenario for rule in RULES.values()} == set(problem_names("scenarios"))
+    assert {rule.scenario for rule in RULES.values()} == set(
+        list_shipped_problem_names("scenarios")
+    )
     horizons = {(rule.N_p, rule.N_c) for rule in RULES.values()}
     assert horizons == {(30, 5), (60, 10), (100, 20), (200, 40)}
-    assert sum(sequence_path(name).stat().st_size for name in NAMES) < 5e6
+    assert sum(resolve_sequence_path(name).stat().st_size for name in NAMES) < 5e6
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_optimum_is_certified_to_1e_9(name: str) -> None:
-    a, rule = arrays_of(sequence_path(name)), RULES[name]
+    a, rule = arrays_of(resolve_sequence_path(name)), RULES[name]
     infeasible = a["certificate"] == "infeasible"
     assert (a["bound"][~infeasible] <= 1e-9).all() and np.isinf(a["bound"][infeasible]).all()
     assert not infeasible.any() or rule.scenario == "thruster_loss_hard"
@@ -55,7 +61,7 @@ def test_every_optimum_is_certified_to_1e_9(name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_a_fresh_record_has_the_same_beginning(name: str) -> None:
     """Shapes and active sets the same, values within 1e-9, wherever this runs."""
-    rule, stored = RULES[name], arrays_of(sequence_path(name))
+    rule, stored = RULES[name], arrays_of(resolve_sequence_path(name))
     fresh = rule.record(steps=rule.every + 1)
     sequence, optima = fresh.sequence, fresh.optima or []
     assert len(sequence) == len(optima) == 2
@@ -75,7 +81,7 @@ def test_a_fresh_record_has_the_same_beginning(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_sampled_optima_are_found_again(name: str) -> None:
-    recorded = load_recorded(sequence_path(name))
+    recorded = load_recorded(resolve_sequence_path(name))
     sequence, optima = recorded.sequence, recorded.optima or []
     for k in (0, len(sequence) // 2, len(sequence) - 1):
         qp, stored = sequence.problem(k), optima[k]
@@ -102,7 +108,10 @@ def test_small_ones_are_regenerated_byte_for_byte(tmp_path: Path) -> None:
     said = record_shipped_sequences(tmp_path / "a", [RULES[name] for name in SMALL])
     assert said.startswith(f"{tmp_path / 'a'}: 2 sequences, ")
     for name in SMALL:
-        made, stored = arrays_of(tmp_path / "a" / f"{name}.npz"), arrays_of(sequence_path(name))
+        made, stored = (
+            arrays_of(tmp_path / "a" / f"{name}.npz"),
+            arrays_of(resolve_sequence_path(name)),
+        )
         assert made.keys() == stored.keys()
         np.testing.assert_array_equal(made["active"], stored["active"])
         for key, array in stored.items():
@@ -128,7 +137,9 @@ def test_all_is_said_with_nothing_beside_it(capsys: pytest.CaptureFixture[str]) 
 
 
 def test_a_manifest_that_leaves_out_what_it_has_not_is_refused(tmp_path: Path) -> None:
-    text = (problems_root() / "sequences" / "manifest.toml").read_text(encoding="utf-8")
+    text = (find_folder_of_shipped_problems() / "sequences" / "manifest.toml").read_text(
+        encoding="utf-8"
+    )
     bad = tmp_path / "manifest.toml"
     bad.write_text(text + '\n[[left_out]]\nsequences = ["papr-30-5"]\nreason = "x"\n', "utf-8")
     with pytest.raises(InputError, match=r"left_out.sequences: found 'papr-30-5'"):
@@ -144,11 +155,11 @@ def test_check_certifies_every_step_again(
     """A stored name or a file, infeasible steps among them: one line, wrapped at 80 columns."""
     assert main(["check", "paper-30-5"]) == 0
     line = " ".join(capsys.readouterr().out.split())
-    a = arrays_of(sequence_path("paper-30-5"))
+    a = arrays_of(resolve_sequence_path("paper-30-5"))
     assert f"{len(a['q'])} QPs, n = 15, m = 15; certificates: " in line
     assert f"largest bound {a['bound'].max():.1e}" in line
     monkeypatch.chdir(tmp_path)
-    Path("mine.npz").write_bytes(sequence_path("thruster_loss_hard-30-5").read_bytes())
+    Path("mine.npz").write_bytes(resolve_sequence_path("thruster_loss_hard-30-5").read_bytes())
     assert main(["check", "mine.npz"]) == 0
     assert " infeasible" in capsys.readouterr().out
 
@@ -191,7 +202,7 @@ def test_a_lie_is_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """A false optimum, data, multiplier, active set or proof: exit 2."""
-    arrays = arrays_of(sequence_path(name))
+    arrays = arrays_of(resolve_sequence_path(name))
     lie(arrays)
     write_npz(tmp_path / "false.npz", arrays)
     assert main(["check", str(tmp_path / "false.npz")]) == 2
@@ -205,7 +216,7 @@ def test_a_suite_names_stored_sequences() -> None:
     tables = [RecordedTable(sequence=name) for name in SMALL]
     cells = plan_suite(SuiteFile(title="x", solvers=["daqp"], recorded=tables))
     assert [vars(planned.cell.source)["path"] for planned in cells] == list(SMALL)
-    lengths = [len(arrays_of(sequence_path(name))["q"]) for name in SMALL]
+    lengths = [len(arrays_of(resolve_sequence_path(name))["q"]) for name in SMALL]
     assert [planned.cell.steps for planned in cells] == lengths
 
 
@@ -216,7 +227,7 @@ def test_the_list_shows_them(capsys: pytest.CaptureFixture[str]) -> None:
     lines = [line for line in capsys.readouterr().out.splitlines()[2:] if line[:1].isalpha()]
     rows = {line.split()[0]: line.replace("│", " ").split() for line in lines if "│" in line}
     assert list(rows) == NAMES
-    a = arrays_of(sequence_path("rough-100-20"))
+    a = arrays_of(resolve_sequence_path("rough-100-20"))
     share = f"{np.count_nonzero(a['active']) / a['active'].size:.1%}"
     assert rows["rough-100-20"][1:5] == ["60", "60", str(len(a["q"])), share]
 

@@ -10,14 +10,14 @@ from dpbench.bench.sequences.export import export_sequence
 from dpbench.bench.sequences.sequence_file import load_recorded, load_sequence
 from dpbench.bench.sequences.text_files import save_qps
 from dpbench.errors import InputError
-from dpbench.scenario.problem_files import sequence_path
+from dpbench.scenario.problem_files import resolve_sequence_path
 from dpbench.scenario.scenario import load_scenario
 
 
 @pytest.mark.parametrize("name", ["paper-30-5", "turn-30-5"])
 def test_a_matlab_file_has_the_arrays(name: str, tmp_path: Path) -> None:
     export_sequence(name, tmp_path / "a.mat", format="mat", steps=3)
-    found, stored = loadmat(tmp_path / "a.mat"), load_recorded(sequence_path(name))
+    found, stored = loadmat(tmp_path / "a.mat"), load_recorded(resolve_sequence_path(name))
     for k in range(3):
         problem = stored.sequence.problem(k)
         P = found["P"] if stored.sequence.P is None else found["P"][k]
@@ -39,7 +39,7 @@ def test_a_matlab_file_has_units_sample_time_scenario_and_version(tmp_path: Path
 
 def test_csv_tables_have_the_arrays_to_the_last_digit(tmp_path: Path) -> None:
     export_sequence("turn-30-5", tmp_path / "tables", format="csv", steps=2)
-    problem = load_recorded(sequence_path("turn-30-5")).sequence.problem(1)
+    problem = load_recorded(resolve_sequence_path("turn-30-5")).sequence.problem(1)
     P = np.loadtxt(tmp_path / "tables" / "P.csv", delimiter=",")[1].reshape(problem.P.shape)
     np.testing.assert_array_equal(P, problem.P)
     l = np.loadtxt(tmp_path / "tables" / "l.csv", delimiter=",")[1]  # noqa: E741 - lower row limits, as in l ≤ Az ≤ u
@@ -50,7 +50,7 @@ def test_csv_tables_have_the_arrays_to_the_last_digit(tmp_path: Path) -> None:
 def test_another_solver_reads_a_qps_file_and_finds_the_optimum(name: str, tmp_path: Path) -> None:
     """HiGHS has a reader of its own. Soft limits have slacks without an upper bound."""
     highspy = pytest.importorskip("highspy", reason="highspy is not installed")
-    recorded = load_recorded(sequence_path(name))
+    recorded = load_recorded(resolve_sequence_path(name))
     save_qps(tmp_path / "qps", recorded)
     k = len(recorded.sequence) // 2
     highs = highspy.Highs()
@@ -72,7 +72,10 @@ def test_a_matlab_file_needs_its_suffix(tmp_path: Path) -> None:
 def test_a_sequence_in_memory_is_written_in_scaled_units(tmp_path: Path) -> None:
     """One in SI has its units in the file, and the QPs of the stored one."""
     export_sequence(load_sequence("turn-30-5", units="si"), tmp_path / "a.npz", steps=3)
-    written, stored = load_recorded(tmp_path / "a.npz"), load_recorded(sequence_path("turn-30-5"))
+    written, stored = (
+        load_recorded(tmp_path / "a.npz"),
+        load_recorded(resolve_sequence_path("turn-30-5")),
+    )
     assert written.units is not None and stored.units is not None
     np.testing.assert_array_equal(written.units.z, stored.units.z)
     np.testing.assert_array_equal(written.sequence.q, stored.sequence.q[:3])

@@ -20,7 +20,7 @@ from dpbench.bench.worst_case.goal import find_worst_step
 from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.cli.main import main
 from dpbench.qp.solution import Status
-from dpbench.scenario.scenario import build_scenario
+from dpbench.scenario.scenario import build_scenario_from_documents
 
 pytestmark = pytest.mark.slow
 
@@ -88,7 +88,7 @@ def test_the_documents_make_the_same_sequence_again(tmp_path: Path) -> None:
     path = tmp_path / "found.npz"
     find_worst_case("daqp", scenario="turn", budget=3, steps=12, out=path)
     saved = load_recorded(path)
-    again = record_scenario(build_scenario(saved.documents))
+    again = record_scenario(build_scenario_from_documents(saved.documents))
     assert again.sequence.P is not None, "each step of a turn has a matrix of its own"
     for name in ("q", "l", "u", "P"):
         np.testing.assert_array_equal(getattr(again.sequence, name), getattr(saved.sequence, name))

@@ -21,7 +21,13 @@ from dpbench.mpc.thruster_rows import build_limit_rows_of_thrusters
 from dpbench.mpc.thrusters.attainable_set import build_attainable_force_polytope
 from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning, TurningQP
 from dpbench.qp.referee.referee import certify
-from dpbench.scenario.scenario import Scenario, build_scenario, condense, load_scenario, load_vessel
+from dpbench.scenario.scenario import (
+    Scenario,
+    build_scenario_from_documents,
+    condense,
+    load_scenario,
+    load_vessel,
+)
 from dpbench.ship.thrusters import ThrusterSet
 
 part = st.floats(-1.0, 1.0)
@@ -35,8 +41,8 @@ def case() -> Scenario:
 def arcs(case: Scenario, f: np.ndarray, move: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the change of each azimuth along and across its direction, in shares of its limits
     (a,)."""
-    assert case.controller.commanded is not None
-    thrusters = case.controller.commanded.thrusters
+    assert case.controller.commanded_thrusters is not None
+    thrusters = case.controller.commanded_thrusters.thrusters
     along, across = [], []
     for thruster, at in zip(thrusters.thrusters, thrusters.slices_in_force_vector, strict=True):
         if thruster.kind != "azimuth":
@@ -91,11 +97,11 @@ def test_what_is_cut_keeps_to_everything_and_what_keeps_to_it_is_not_cut(
     share: list[float], moves: list[float]
 ) -> None:
     case = load_scenario("thrusters_turning")
-    assert case.controller.commanded is not None
+    assert case.controller.commanded_thrusters is not None
     du_max = case.problem.du_max
     f, move = 1e5 * np.array(share), 2.0 * np.array(moves) * du_max
     turning = AzimuthTurning.select_from_thrusters(
-        case.controller.commanded.thrusters, case.sample_s
+        case.controller.commanded_thrusters.thrusters, case.sample_s
     )
     cut = turning.clip_force_changes_to_rates(f, np.clip(move, -du_max, du_max), du_max)
     assert (np.abs(cut) <= du_max * (1 + 1e-12)).all()
@@ -119,7 +125,7 @@ def test_every_step_around_the_loss_of_an_azimuth_with_a_sector_is_certified(
     files = copy.deepcopy(load_scenario("thrusters_loss").files)
     files["vessel"]["thrusters"][0]["sector_deg"] = sector_deg
     files["scenario"]["faults"] = [{"at_s": 6.0, "lost": lost}]
-    exact = solve_loop_exactly(build_scenario(files).truncate(50))
+    exact = solve_loop_exactly(build_scenario_from_documents(files).truncate(50))
     assert {optimum.kind for optimum in exact.optima} <= {"linear", "gap"}
     np.testing.assert_allclose(exact.thrust[-1, :2], 0.0, atol=1e-9)
 
@@ -187,7 +193,7 @@ def force_case(steps: int) -> Scenario:
         "limits": "attainable",
         "attainable_sides": 4,
     }
-    return build_scenario(files | {"scenario": own | {"controller": table}})
+    return build_scenario_from_documents(files | {"scenario": own | {"controller": table}})
 
 
 @pytest.mark.parametrize("units", ["scaled", "si"])
@@ -221,7 +227,9 @@ def test_what_cannot_be_is_said_in_one_line() -> None:
     files = load_scenario("rough").files
     table = files["scenario"]["controller"] | {"limits": "attainable"}
     with pytest.raises(InputError, match=r'controller.limits: found "attainable"; allowed: "box"'):
-        build_scenario(files | {"scenario": files["scenario"] | {"controller": table}})
+        build_scenario_from_documents(
+            files | {"scenario": files["scenario"] | {"controller": table}}
+        )
     first, *others = thrusters_of("osv").thrusters[::-1]
     others[0] = replace(others[0], sector_rad=(0.0, 1.0))
     with pytest.raises(InputError, match="sector_deg"):

@@ -15,7 +15,7 @@ from dpbench.report.page.live import _matrix_text
 from dpbench.report.page.tables import select_tiles
 from dpbench.report.page.terms import describe_experiments
 from dpbench.report.report import Report
-from dpbench.scenario.scenario import build_scenario
+from dpbench.scenario.scenario import build_scenario_from_documents
 from tests.report.conftest import HEIGHTS, LOOSE, OFFSETS, SEAS, of_seas
 
 REQUIREMENTS = Requirements()
@@ -77,7 +77,7 @@ def test_a_ship_with_drag_is_said_to_differ_from_its_model(records: Any) -> None
     files = records.scenario("calm").files
     hull = {"breadth_m": 18.0, "draught_m": 5.0}
     with_drag = files["vessel"] | {"drag": "cross_flow", "capability": hull}
-    records._scenarios["rough"] = build_scenario(files | {"vessel": with_drag})
+    records._scenarios["rough"] = build_scenario_from_documents(files | {"vessel": with_drag})
     for name in ("calm", "rough"):
         records.loop("daqp", name)
     output = {word.term: word.meaning for word in describe_experiments(_facts(records)).values()}

@@ -9,9 +9,13 @@ from dpbench.bench.judge.closed_loop import METRICS
 from dpbench.bench.run.exact_loop import solve_loop_exactly
 from dpbench.mpc.move_limits import AxisLimit, MoveLimit
 from dpbench.mpc.thruster_rows import Limits
-from dpbench.scenario.controllers.controller import MetricGroup, limits_at_samples, stack_limits
+from dpbench.scenario.controllers.controller import (
+    MetricGroup,
+    list_force_limits_by_sample,
+    stack_lower_and_upper_limits,
+)
 from dpbench.scenario.controllers.forces import ForceController
-from dpbench.scenario.scenario import CONTROLLERS, build_scenario, load_scenario
+from dpbench.scenario.scenario import CONTROLLERS, build_scenario_from_documents, load_scenario
 from dpbench.scenario.tables.scenario_file import ControllerTable
 
 
@@ -36,26 +40,26 @@ def test_every_group_of_metrics_is_computed() -> None:
 def test_limits_hold_until_the_next_change(changes: list[tuple[int, int]], high: list[int]) -> None:
     own, *changed = (Limits(np.array([-h]), np.array([h])) for h in (9, *(h for _, h in changes)))
     pairs = tuple(zip((k for k, _ in changes), changed, strict=True))
-    limits = limits_at_samples(own, pairs, 4)
-    np.testing.assert_array_equal(stack_limits(limits)[1][:, 0], high)
-    np.testing.assert_array_equal(stack_limits(limits)[0][:, 0], np.negative(high))
+    limits = list_force_limits_by_sample(own, pairs, 4)
+    np.testing.assert_array_equal(stack_lower_and_upper_limits(limits)[1][:, 0], high)
+    np.testing.assert_array_equal(stack_lower_and_upper_limits(limits)[0][:, 0], np.negative(high))
 
 
 class Gentle(ForceController):
     """A controller of forces that moves at a third of the rate."""
 
-    def move_limit(self) -> MoveLimit:
+    def make_increment_limiter(self) -> MoveLimit:
         return AxisLimit(self.problem.du_max / 3.0)
 
 
 def test_a_class_of_its_own_steers_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def gentle(spec: object) -> ForceController:
-        return Gentle(**vars(ForceController.of(spec)))  # type: ignore[arg-type] # a specification
+        return Gentle(**vars(ForceController.from_specification(spec)))  # type: ignore[arg-type] # a specification
 
     usual = load_scenario("paper").truncate(8)
     monkeypatch.setitem(CONTROLLERS, "forces", gentle)
-    made = build_scenario(usual.files).truncate(8)
+    made = build_scenario_from_documents(usual.files).truncate(8)
     assert type(made.controller) is Gentle
     for scenario, share in ((usual, 1.0), (made, 1.0 / 3.0)):
         change = np.diff(solve_loop_exactly(scenario).tau, axis=0, prepend=np.zeros((1, 3)))
