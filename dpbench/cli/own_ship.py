@@ -9,7 +9,7 @@ import os
 import re
 import shlex
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,10 +19,12 @@ import numpy as np
 from dpbench.cli.own_thrusters import (
     HeldSea,
     OwnThrusters,
+    choose_further_losses,
     choose_limits,
     choose_loss,
     choose_sea,
     describe_losses,
+    describe_losses_left_out,
     find_hardest_sea,
     find_held_sea,
     find_mean_share,
@@ -128,13 +130,15 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
         vessel = load_vessel(vessel_file)
     held = None if vessel.thrusters is None else find_held_sea(vessel)
     number = choose_sea(vessel, held) if sea is None else sea
+    stem = name if sea is None else f"{name}_sea{number}"
     texts |= _render_sea_files(name, vessel, number, held, chosen=sea is None)
     _write_new_files(folder, texts, force=options.force)
     drawn: list[str] = []
     if held is not None:
         drawn = save_held_sea(held, vessel, folder, name)
-        steered = next(file for file in texts if file.endswith("_thrusters.toml"))
-        remarks += describe_losses(held, number, _loss_s(vessel), folder / steered)
+        files = _name_loss_files(stem, held, number)
+        paths = {group: folder / file for group, file in files.items()}
+        remarks += describe_losses(held, number, _loss_s(vessel), paths)
     harder = _suggest_harder_sea(folder, vessel, number, held)
     return [*drawn, *_summary_lines(folder, texts, vessel, number, remarks), *harder]
 
@@ -146,11 +150,31 @@ def _render_sea_files(
     stem = name if chosen else f"{name}_sea{number}"
     weather = f"{name}_weather.toml" if chosen else f"{stem}.toml"
     texts = {weather: scenario_text(name, vessel, number, held, chosen=chosen)}
-    steered = None
+    steered, left_out = [], ""
     if held is not None:
-        steered = f"{stem}_thrusters.toml"
-        texts[steered] = scenario_text(name, vessel, number, held, chosen=chosen, steered=True)
-    return texts | {f"{stem}_suite.toml": suite_text(name, weather, vessel, number, steered)}
+        losses = _name_loss_files(stem, held, number)
+        groups = {file: group for group, file in losses.items()}
+        steered = list(dict.fromkeys([f"{stem}_thrusters.toml", *groups]))
+        for file in steered:
+            texts[file] = scenario_text(
+                name, vessel, number, held, chosen=chosen, steered=True, lost=groups.get(file)
+            )
+        left_out = describe_losses_left_out(held, [*losses])
+    suite = suite_text(name, weather, vessel, number, steered, left_out)
+    return texts | {f"{stem}_suite.toml": suite}
+
+
+def _name_loss_files(stem: str, held: HeldSea, number: int) -> dict[str, str]:
+    """Return the file of the scenario in which each failure group is lost, by group."""
+    lost = choose_loss(held, number)
+    files = {} if lost is None else {lost: f"{stem}_thrusters.toml"}
+    for group in choose_further_losses(held, number):
+        letters = re.sub(r"[^A-Za-z0-9]+", "_", group).strip("_")[:40] or "group"
+        file = f"{stem}_loss_{letters}.toml"
+        # Groups may differ in other letters alone.
+        taken = file in files.values()
+        files[group] = f"{stem}_loss_{letters}_{len(files)}.toml" if taken else file
+    return files
 
 
 def _parse_sea_number(text: str | None) -> int | None:
@@ -372,16 +396,16 @@ def scenario_text(
     *,
     chosen: bool,
     steered: bool = False,
+    lost: str | None = None,
 ) -> str:
     """Render the scenario file of a new ship in the sea of a DP number.
 
     held : what its thrusters hold; chosen : dpbench chose the sea, not the user; steered : the
-    controller steers thrusters, and loses the worst group without which they hold that sea.
+    controller steers thrusters; lost : the group that it loses.
     """
     longer = scaling.compute_froude_time_scale(vessel.length_m) ** 2
     wind_mps, hs_m, *_ = scaling.DP_NUMBERS[number]
     step_s = choose_sample_s(vessel)
-    lost = choose_loss(held, number) if steered else None
     share, _ = find_mean_share(vessel, number)
     return render_document(
         "own_scenario.toml",
@@ -395,6 +419,7 @@ def scenario_text(
         held=held,
         steered=steered,
         fault=lost and {"at_s": _loss_s(vessel), "lost": lost},
+        is_held=lost == choose_loss(held, number),
         limits=choose_limits(vessel),
         wind_mps=wind_mps,
         hs_m=hs_m,
@@ -426,15 +451,24 @@ def _explain_sea_choice(share: float, held: HeldSea | None, *, chosen: bool) -> 
 
 
 def suite_text(
-    name: str, weather: str, vessel: Vessel, number: int, steered: str | None = None
+    name: str,
+    weather: str,
+    vessel: Vessel,
+    number: int,
+    steered: Sequence[str] = (),
+    left_out: str = "",
 ) -> str:
     """Render the file of a suite that compares solvers in a new ship's scenarios.
 
-    steered : file of the scenario whose controller steers thrusters.
+    steered : files of the scenarios whose controller steers thrusters; the first is replayed, too;
+    left_out : the losses that none of them simulates, and why.
     """
     return render_document(
         "own_suite.toml",
         steered=steered,
+        left_out=left_out,
+        comment=_wrap_as_comment,
+        toml_strings=partial(json.dumps, ensure_ascii=False),
         name=name,
         weather=weather,
         number=number,

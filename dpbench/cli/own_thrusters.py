@@ -1,8 +1,8 @@
 """`dpbench init --thrusters`: the thrusters of one's own ship, and the sea that they hold."""
 
 import argparse
-import json
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from dpbench.cli.capability import save_rose_figure
 from dpbench.cli.terminal import ProgressBar
 from dpbench.errors import InputError, SituationError
 from dpbench.mpc.thrusters.attainable_set import build_attainable_force_polytope
-from dpbench.report.formats import rounded_down
+from dpbench.report.formats import and_list, rounded_down
 from dpbench.scenario import own_ship as scaling
 from dpbench.scenario.own_thrusters import (
     ASSUMED,
@@ -38,6 +38,8 @@ WHERE = "init"
 FORCES = ("thrust", "sway-thrust", "yaw-moment")
 MOST_TO_WEIGHT = 0.5
 """Thrust of all thrusters over the ship's weight; beyond it a unit is wrong."""
+MOST_LOSSES = 3
+"""Failure groups whose loss is simulated, each in a scenario of its own."""
 MOST_FACETS = 150
 """Facets of an attainable set, each a row of the QP at every sample of the control horizon."""
 ASKED = ("kind", "x_m", "y_m", "power_kW", "thrust_kN", "group")
@@ -148,14 +150,14 @@ class HeldSea:
     """The DP number that thrusters hold from `FROM_DEG`, after the loss of a group where they can.
 
     lost : the worst group without which a sea is held; None where there is none, and the number is
-        that of the whole ship. worst : the group whose loss leaves the least wind. intact_mps :
-        largest wind [m/s] held without a loss. reason : why this sea, for the scenario's file.
+        that of the whole ship. losses : DP number held without each group, by rising wind.
+    intact_mps : largest wind [m/s] held without a loss. reason : why this sea, for the scenario.
     """
 
     capability: Capability
     number: int
     lost: str | None
-    worst: str
+    losses: dict[str, int]
     intact_mps: float
     reason: str
 
@@ -179,7 +181,8 @@ def find_held_sea(vessel: Vessel) -> HeldSea:
         number, reason = intact.number, f"{largest} intact; without {worst} they hold none"
     else:
         number, reason = 1, "the smallest, as its thrusters hold none by level 1"
-    return HeldSea(capability, min(number, most), lost, worst, intact.wind_mps, reason)
+    numbers = {case: held[case].number for case in losses}
+    return HeldSea(capability, min(number, most), lost, numbers, intact.wind_mps, reason)
 
 
 def choose_sea(vessel: Vessel, held: HeldSea | None) -> int:
@@ -192,8 +195,23 @@ def choose_loss(held: HeldSea | None, number: int) -> str | None:
     return None if held is None or number > held.number else held.lost
 
 
-def describe_losses(held: HeldSea, number: int, at_s: float, file: Path) -> list[str]:
-    """Explain a sea that the thrusters do not hold, and a loss that the files do not simulate."""
+def choose_further_losses(held: HeldSea | None, number: int) -> list[str]:
+    """Choose the groups that are lost in scenarios of their own, the weakest remainder first.
+
+    With that of `choose_loss` they are `MOST_LOSSES` at most.
+    """
+    lost = choose_loss(held, number)
+    others = [] if held is None else [group for group in held.losses if group != lost]
+    return others[: MOST_LOSSES - (lost is not None)]
+
+
+def describe_losses(
+    held: HeldSea, number: int, at_s: float, files: Mapping[str, Path]
+) -> list[str]:
+    """State which losses the files simulate, which not, and what the thrusters do not hold.
+
+    files : the scenario of each group that is lost in one.
+    """
     lines = []
     wind_mps = scaling.DP_NUMBERS[number][0]
     if wind_mps > held.intact_mps:
@@ -202,31 +220,27 @@ def describe_losses(held: HeldSea, number: int, at_s: float, file: Path) -> list
             f"{rounded_down(held.intact_mps)} m/s that the thrusters hold from "
             f"{scaling.FROM_DEG:g}° by level 1."
         )
-    lost = choose_loss(held, number)
-    if lost == held.worst:
-        return lines
-    if lost is not None:
-        missing = held.worst
-        lines.append(
-            f"lost after {at_s:g} s: {lost}; not {missing}, without which the thrusters hold no sea"
-        )
-    elif held.lost is not None:
-        missing = held.lost
-        lines.append(
-            f"no loss is simulated: without {missing} the thrusters hold DP number {held.number} "
-            "at most"
-        )
-    else:
-        missing = held.worst
-        lines.append("no loss is simulated: after each of them the thrusters hold no sea")
-    # Beside another loss it would be the loss of both groups.
-    how = "add to" if lost is None else "replace the [[faults]] in"
-    return [
-        *lines,
-        f"To simulate the loss of {missing}, {how} {file}:",
-        *("  [[faults]]", f"  at_s = {at_s:g}", f"  lost = [{json.dumps(missing)}]"),
-        '  loss = "trip"',
-    ]
+    simulated = ", ".join(f"{group} ({path.name})" for group, path in files.items())
+    lines.append(f"lost after {at_s:g} s, one in each scenario: {simulated}")
+    weak = [group for group, held_number in held.losses.items() if held_number < number]
+    if weak:
+        lines.append(f"CAUTION: by level 1 the thrusters do not hold this sea {_without(weak)}.")
+    if left_out := describe_losses_left_out(held, [*files]):
+        another = f"Name another in `lost` of {next(iter(files.values())).name}."
+        lines.append(f"not simulated: {left_out}. {another}")
+    return lines
+
+
+def describe_losses_left_out(held: HeldSea, simulated: Sequence[str]) -> str:
+    """Name the groups whose loss is not simulated, and why; "" where every one is."""
+    others = [group for group in held.losses if group not in simulated]
+    why = f"the {MOST_LOSSES} losses that leave the least wind are"
+    return f"the loss of {and_list(others)}; {why}" if others else ""
+
+
+def _without(groups: Sequence[str]) -> str:
+    """Name groups that are lost one at a time."""
+    return " or ".join(f"without {group}" for group in groups)
 
 
 def find_hardest_sea(vessel: Vessel, held: HeldSea | None) -> int:

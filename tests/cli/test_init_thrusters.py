@@ -41,12 +41,16 @@ def init(table: str, *more: str) -> int:
 def test_two_mains_two_tunnels_and_an_azimuth_on_two_boards(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Board B leaves a main and a tunnel, which hold no wind; so board A is lost."""
+    """Board B leaves a main and a tunnel, which hold no wind: its loss has its own scenario."""
     assert init(TABLE) == 0
     said = capsys.readouterr().out
     assert all(name in said for name in (*FILES, "my_ship_capability.svg"))
     assert "DP capability-L1(8, 5, 0, 0)" in said
-    assert "lost after 180 s: board A; not board B, without which" in said
+    words = " ".join(said.split())
+    assert "board A (my_ship_thrusters.toml), board B (my_ship_loss_board_B.toml)" in words
+    assert "CAUTION: by level 1 the thrusters do not hold this sea without board B." in words
+    (other,) = load_scenario("my_ship_loss_board_B.toml").files["scenario"]["faults"]
+    assert other["lost"] == ["board B"] and other["loss"] == "trip"
     vessel, scenario = load_vessel(FILES[0]), load_scenario(FILES[2])
     assert vessel.thrusters is not None
     low, high = vessel.thrusters.least_and_largest_force_by_axis()
@@ -65,6 +69,7 @@ def test_two_mains_two_tunnels_and_an_azimuth_on_two_boards(
     cells = plan_suite(suite, solvers=["daqp"], beside=path.parent)
     assert {cell.cell.mode for cell in cells} == {"closed_loop", "replay"}
     assert {"reuse", "warm"} <= {cell.cell.policy for cell in cells}
+    assert suite.closed_loop[1].scenarios == ["my_ship_thrusters.toml", "my_ship_loss_board_B.toml"]
     assert any(table.consequence for table in suite.replay)
     assert Path("my_ship_capability.svg").read_text(encoding="utf-8").startswith("<svg")
 
@@ -92,44 +97,60 @@ def test_the_worst_group_is_lost_where_the_others_hold(capsys: pytest.CaptureFix
     """A second azimuth on the other board: the sea is one that is held without board B."""
     assert init(TABLE + "azimuth,-25,0,1200,board A\n") == 0
     assert "without board" not in Path(FILES[2]).read_text(encoding="utf-8")
-    (fault,) = load_scenario(FILES[2]).files["scenario"]["faults"]
-    assert fault["lost"][0] in ("board A", "board B")
-    capsys.readouterr()
+    lost = [load_scenario(file).files["scenario"]["faults"][0]["lost"] for file in find_losses()]
+    assert sorted(lost) == [["board A"], ["board B"]]
+    assert "do not hold" not in capsys.readouterr().out
     assert main(["init", "my_ship", "--sea", "9"]) == 0
     assert "my_ship_sea9_thrusters.toml" in capsys.readouterr().out
     assert not load_scenario("my_ship_sea9_thrusters.toml").files["scenario"]["faults"]
+    files = sorted(Path().glob("my_ship_sea9_loss_*.toml"))
+    assert [load_scenario(file).files["scenario"]["faults"][0]["lost"] for file in files] == [
+        ["board A"],
+        ["board B"],
+    ]
 
 
-def test_a_sea_beyond_the_thrusters_is_named_and_so_is_the_loss_that_is_left_out(
+def find_losses() -> list[Path]:
+    """Return the scenario files of `my_ship` in which a group is lost."""
+    return [Path(FILES[2]), *Path().glob("my_ship_loss_*.toml")]
+
+
+def test_a_sea_beyond_the_thrusters_is_named_and_losses_are_simulated_there(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The wind of number 9 is 24.4 m/s; the lines to paste make a scenario with that loss."""
+    """The wind of number 9 is 24.4 m/s."""
     assert init(TABLE, "--sea", "9") == 0
     said = " ".join(capsys.readouterr().out.split())
     held_mps = re.search(r"the wind of 24.4 m/s is beyond the (\S+) m/s that the thrusters", said)
     assert held_mps is not None and float(held_mps[1]) < 24.4
-    assert "no loss is simulated: without board A the thrusters hold DP number" in said
-    pasted = re.search(
-        r"add to my_ship_sea9_thrusters.toml: "
-        r"(\[\[faults\]\]) (at_s = \S+) (lost = .*?\]) (loss = \S+)",
-        said,
-    )
-    assert pasted is not None
-    with Path("my_ship_sea9_thrusters.toml").open("a", encoding="utf-8") as file:
-        file.write("\n".join(pasted.groups()) + "\n")
-    (fault,) = load_scenario("my_ship_sea9_thrusters.toml").files["scenario"]["faults"]
-    assert fault["lost"] == ["board A"] and fault["loss"] == "trip"
+    assert "do not hold this sea without board B or without board A." in said
+    suite = load_path_and_suite(Path("my_ship_sea9_suite.toml"))[1]
+    assert suite.closed_loop[1].scenarios == [
+        "my_ship_sea9_thrusters.toml",
+        "my_ship_sea9_loss_board_B.toml",
+        "my_ship_sea9_loss_board_A.toml",
+    ]
 
 
-def test_another_loss_takes_the_place_of_the_one_in_the_file(
+def test_of_many_failure_groups_three_are_lost_and_the_others_named(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Beside it both boards would be lost. The first table: board B leaves no sea to hold."""
-    assert init(TABLE) == 0
-    (fault,) = load_scenario(FILES[2]).files["scenario"]["faults"]
-    assert fault["lost"] == ["board A"]
-    said = " ".join(capsys.readouterr().out.split())
-    assert f"To simulate the loss of board B, replace the [[faults]] in {FILES[2]}:" in said
+    """On the terminal and in the suite. Names that differ in other letters have files each."""
+    rows = ["kind,x_m,y_m,power_kW,name", "main,-38,-4,2000,a", "main,-38,4,2000,b"]
+    rows += ["tunnel,33,,800,bow/1", "tunnel,32,,800,bow 1", "azimuth,-30,0,1200,bow-1"]
+    assert init("\n".join(rows) + "\n") == 0
+    files = find_losses()
+    assert len(files) == 3
+    lost = {load_scenario(file).files["scenario"]["faults"][0]["lost"][0] for file in files}
+    assert len(lost) == 3
+    (said,) = re.findall(
+        r"not simulated: the loss of (\S+|\S+ \S+) and (\S+|\S+ \S+); the 3 losses that leave the "
+        "least wind are",
+        " ".join(capsys.readouterr().out.split()),
+    )
+    assert lost | set(said) == {"a", "b", "bow/1", "bow 1", "bow-1"}
+    comments = " ".join(Path(FILES[3]).read_text(encoding="utf-8").replace("#", "").split())
+    assert f"Not simulated: the loss of {said[0]} and {said[1]}; the 3 losses" in comments
 
 
 def test_a_force_that_the_thrusters_cannot_make_is_no_share_of_the_limits(
