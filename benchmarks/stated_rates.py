@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from dpbench.bench import step_rates
+from dpbench.bench import estimate
 from dpbench.solvers.calibration import CALIBRATION
 
 SIZES = (30, 60, 340)
 """Variables and rows of the QPs: horizons 30/5 and 60/10, and commanded thrusters at 60/10."""
 COLUMNS = ["solver", "route", "mode", "formulation", "n", "m", "rounds", "steps_done", "replay_s"]
-OUT = Path(step_rates.__file__).with_name("stated_rates.toml")
+OUT = Path(estimate.__file__).with_name("stated_rates.toml")
 
 
 def read_step_times(folders: list[str]) -> pd.DataFrame:

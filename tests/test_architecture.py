@@ -96,7 +96,7 @@ EXPLAINED = sorted(
 )
 HARD = {
     "dpbench.qp.referee.kernels",
-    "dpbench.qp.referee.nearby",
+    "dpbench.qp.referee.guesses",
     "dpbench.qp.referee.rational",
     "dpbench.qp.referee.referee",
     "dpbench.ship.estimation.kalman",

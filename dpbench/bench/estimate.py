@@ -11,9 +11,12 @@ stated by the size of the QP. Judging and sources take longer with the size, too
 """
 
 import math
+import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import pyarrow.parquet as pq
@@ -22,13 +25,20 @@ from dpbench.bench.campaign import choose_result_folder
 from dpbench.bench.engines.open_engine import count_slots
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.run_request import RunRequest
-from dpbench.bench.record.cell import CapabilitySource, Cell
-from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
+from dpbench.bench.record.cell import (
+    CONFIGURATION_COLUMNS,
+    CapabilitySource,
+    Cell,
+    RandomSource,
+    RecordedSource,
+)
 from dpbench.bench.record.result_folder import load_results
-from dpbench.bench.step_rates import estimate_step_s, measure_qp_size
+from dpbench.bench.sequences.recording import read_sequence
 from dpbench.bench.workers.interleaved import FEWEST_ROUNDS
 from dpbench.bench.workers.jobs import CELL_S
 from dpbench.errors import InputError, ResultsError
+from dpbench.scenario.problem_files import resolve_sequence_path
+from dpbench.scenario.scenario import build_scenario_from_documents
 
 START_S, TIMED_CELL_S = 1.0, 0.25
 """Start of a campaign; processes, warm-up and kernels of a replay by turns, rounds again [s]."""
@@ -39,6 +49,8 @@ STEP_BYTES, RUN_BYTES = 90.0, 500.0
 (`docs/guide/scale.md`)."""
 _KIND = ["mode", *CONFIGURATION_COLUMNS]
 Kind = tuple[str, ...]
+SMALL = 30
+"""Size of QPs of thrust allocation, of capability plots and of unknown ones."""
 
 
 @dataclass(frozen=True)
@@ -200,3 +212,54 @@ def estimate_campaign(
     return replace(
         estimate_time_and_size(plan.cells, count_slots(jobs), rates), remarks=plan.remarks
     )
+
+
+def estimate_step_s(solver: str, route: str, size: int) -> float:
+    """Return the stated time of a step with all around it [s], by the size of its QP.
+
+    It is a power of the size between two stated ones and beyond the largest. A solver without
+    stated times has the median of the others.
+    """
+    sizes, times = _read_stated_times()
+    own = times.get(f"{solver} {route}") or [median(of) for of in zip(*times.values(), strict=True)]
+    at = max(size, sizes[0])
+    i = next((i for i in range(1, len(sizes)) if at <= sizes[i]), len(sizes) - 1)
+    power = math.log(own[i] / own[i - 1]) / math.log(sizes[i] / sizes[i - 1])
+    return 1e-6 * own[i - 1] * float((at / sizes[i - 1]) ** power)
+
+
+def measure_qp_size(cell: Cell) -> int:
+    """Return the number of variables and rows of a run's QPs, without soft limits."""
+    source = cell.source
+    if isinstance(source, RandomSource):
+        return source.recipe.n + source.recipe.m
+    if isinstance(source, RecordedSource):
+        return _measure_recorded_size(source.path)
+    if not (cell.scenario and (cell.mode == "closed_loop" or source.is_of_controller)):
+        return SMALL
+    controller = cell.scenario["scenario"]["controller"]
+    names = ("kind", "prediction_horizon", "control_horizon")
+    key = (cell.scenario["vessel_name"], *(controller.get(name) for name in names))
+    if key not in _SIZES:
+        problem = build_scenario_from_documents(cell.scenario).controller.problem
+        _SIZES[key] = problem.N_c * (problem.model.n_u + len(problem.G))
+    return _SIZES[key]
+
+
+_SIZES: dict[tuple[Any, ...], int] = {}
+"""Sizes by ship, kind of controller and horizons: a study has many scenarios of one size."""
+
+
+@cache
+def _measure_recorded_size(path: str) -> int:
+    """Return the number of variables and rows of a recorded sequence, by name or file."""
+    base = read_sequence(resolve_sequence_path(path)).sequence.base
+    return base.n + base.m
+
+
+@cache
+def _read_stated_times() -> tuple[list[int], dict[str, list[float]]]:
+    """Read the sizes, and the times [µs] at these by solver and route."""
+    text = Path(__file__).with_name("stated_rates.toml").read_text(encoding="utf-8")
+    table = tomllib.loads(text)
+    return table["sizes"], table["times"]

@@ -20,16 +20,14 @@ from dpbench.mpc.condense import (
 )
 from dpbench.mpc.kernels import write_limits_reachable_at_rate
 from dpbench.mpc.model import HORIZONTAL
-from dpbench.mpc.outputs import (
-    OutputBounds,
-    build_output_constraint_blocks,
-    choose_bounded_prediction_steps,
-)
 from dpbench.mpc.soft_limits import (
     ConstraintBlock,
+    OutputBounds,
     Penalty,
     assemble_qp_of_cost_and_blocks,
     build_amplitude_constraint_block,
+    build_output_constraint_blocks,
+    choose_bounded_prediction_steps,
 )
 from dpbench.mpc.thruster_rows import LimitRampDown, Limits
 from dpbench.qp.program import QPStep, QuadraticProgram, Units, describe_qp_size

@@ -30,8 +30,7 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
-from dpbench.mpc.condense import ControlProblem, UnitSystem
-from dpbench.mpc.terminal import solve_discrete_riccati_of_model
+from dpbench.mpc.condense import ControlProblem, UnitSystem, solve_discrete_riccati_of_model
 from dpbench.mpc.thruster_rows import LimitRampDown, Limits
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution

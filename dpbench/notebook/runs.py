@@ -19,8 +19,7 @@ from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.judge.answer_caching import is_answer_cached
 from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_loop_log
 from dpbench.bench.judge.replay import evaluate_replay_log
-from dpbench.bench.judge.rows import make_run_row, make_step_rows
-from dpbench.bench.judge.step_columns import make_step_columns
+from dpbench.bench.judge.rows import make_run_row, make_step_columns, make_step_rows
 from dpbench.bench.record.cell import DEFAULT_FALLBACK, FORMULATIONS, Cell, Formulation, Outcome
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.record.schema import convert_to_run_columns
@@ -30,9 +29,9 @@ from dpbench.bench.run.assemble import (
     build_sequence_solver_and_log,
     clock,
 )
+from dpbench.bench.run.backup import FALLBACKS
 from dpbench.bench.run.closed_loop import record_closed_loop
 from dpbench.bench.run.exact_loop import solve_loop_exactly
-from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.bench.sequences.sequence_file import as_sequence

@@ -9,8 +9,7 @@ from dpbench.bench.record.raw_log import RawLog, make_replay_layout
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.bench.run.formulation import formulate_sequence
 from dpbench.bench.run.replay import ReplayRun
-from dpbench.bench.run.run_delay import RunDelay
-from dpbench.bench.run.timed_solver import TimedSolver
+from dpbench.bench.run.timed_solver import RunDelay, TimedSolver
 from dpbench.bench.workers.interleaved import FEWEST_ROUNDS
 from dpbench.solvers.calibration import NO_OP, open_calibration_solver
 from tests.bench.deterministic import run_suite, suite_toml

@@ -6,30 +6,32 @@ from pathlib import Path
 import pytest
 
 from dpbench import load_results
-from dpbench.bench import step_rates
+from dpbench.bench import estimate
 from dpbench.bench.estimate import (
     JUDGE_STEP_S,
+    SMALL,
     SOURCE_STEP_S,
     START_S,
     STATED_RATES,
     TIMED_CELL_S,
     Rates,
+    estimate_step_s,
     estimate_time_and_size,
+    measure_qp_size,
     read_measured_rates,
 )
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.record.cell import (
+    CONFIGURATION_COLUMNS,
     CapabilitySource,
     Cell,
     ConsequenceSource,
     RandomSource,
     RecordedSource,
 )
-from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
-from dpbench.bench.step_rates import SMALL, estimate_step_s, measure_qp_size
 from dpbench.bench.workers.jobs import CELL_S
 from dpbench.cli.main import main
-from dpbench.qp.random_recipe import RandomRecipe
+from dpbench.qp.random_sequence import RandomRecipe
 from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.table import find_solver_record
 from tests.bench.deterministic import suite_file, suite_toml
@@ -84,7 +86,7 @@ def test_a_stated_step_takes_longer_in_a_larger_qp(route: str) -> None:
 
 
 def test_the_stated_table_holds_solvers_that_exist() -> None:
-    path = Path(step_rates.__file__).with_name("stated_rates.toml")
+    path = Path(estimate.__file__).with_name("stated_rates.toml")
     table = tomllib.loads(path.read_text(encoding="utf-8"))
     for name, times in table["times"].items():
         solver, route = name.split(" ")

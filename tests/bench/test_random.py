@@ -14,7 +14,7 @@ from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import RandomTable, ReplayTable, SuiteFile, load_path_and_suite
 from dpbench.bench.record.result_folder import Results
 from dpbench.errors import InputError
-from dpbench.qp.random_recipe import FAMILIES
+from dpbench.qp.random_sequence import FAMILIES
 from dpbench.report.write import write_report
 from dpbench.solvers import plugins
 from tests.bench.deterministic import run_suite, suite_toml

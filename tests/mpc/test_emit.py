@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from dpbench.errors import InputError
 from dpbench.mpc.condense import build_rows_of_summed_increments
 from dpbench.mpc.condensed_qp import CondensedQP
-from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.relinearised import RelinearisedQP
+from dpbench.mpc.soft_limits import OutputBounds
 from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from tests.mpc.conftest import (

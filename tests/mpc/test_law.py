@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dpbench.bench.run.formulation import convert_qp_to_one_sided_rows
 from dpbench.errors import InputError
 from dpbench.mpc.condense import ControlProblem, condense_mpc_matrices
 from dpbench.mpc.condensed_qp import CondensedQP
@@ -16,7 +17,6 @@ from dpbench.mpc.law import (
     compute_unconstrained_increments,
 )
 from dpbench.mpc.model import StateSpace, augment_to_incremental_model, build_prediction_model
-from dpbench.qp.stacked import convert_qp_to_one_sided_rows
 from dpbench.scenario.scenario import load_vessel
 from tests.mpc.conftest import VESSELS, naive_build, sample_of, ship_problem, solve_by_quadprog
 

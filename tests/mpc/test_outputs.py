@@ -15,9 +15,8 @@ from dpbench.mpc.model import (
     discretise_zero_order_hold,
     linearise_ship_at_heading,
 )
-from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.relinearised import RelinearisedQP
-from dpbench.mpc.soft_limits import Penalty
+from dpbench.mpc.soft_limits import OutputBounds, Penalty
 from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import Referee, certify

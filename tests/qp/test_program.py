@@ -9,16 +9,16 @@ import pytest
 import quadprog
 import scipy
 
+from dpbench.bench.run.formulation import (
+    convert_qp_to_one_sided_rows,
+    convert_solution_to_two_sided_rows,
+    convert_step_to_one_sided_rows,
+)
 from dpbench.errors import InputError, ShapeError
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Refresh
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution, Status
-from dpbench.qp.stacked import (
-    convert_qp_to_one_sided_rows,
-    convert_solution_to_two_sided_rows,
-    convert_step_to_one_sided_rows,
-)
 from dpbench.scenario.scenario import condense, load_scenario
 
 K, N, M = 4, 6, 4

@@ -8,9 +8,12 @@ import pytest
 from scipy.optimize import linprog
 
 from dpbench.errors import InputError
-from dpbench.qp.random_recipe import FAMILIES, MARGIN, NEAR, RandomRecipe
 from dpbench.qp.random_sequence import (
+    FAMILIES,
+    MARGIN,
+    NEAR,
     PlantedSequence,
+    RandomRecipe,
     generate_random_sequence,
     generate_random_sequence_with_optima,
 )

@@ -19,11 +19,11 @@ from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import State as Verdict
 from dpbench.bench.plan.suite import FormulationName, RouteName
 from dpbench.bench.record.cell import OUTCOMES, Cell, Formulation, Units
-from dpbench.bench.run.fallback_policies import FALLBACKS
+from dpbench.bench.run.backup import FALLBACKS
 from dpbench.cli.check_ship import ship_lines
 from dpbench.cli.doctor import doctor_lines
 from dpbench.cli.listing import list_table
-from dpbench.qp.random_recipe import FAMILIES
+from dpbench.qp.random_sequence import FAMILIES
 from dpbench.qp.referee.optimum import Kind
 from dpbench.qp.solution import Status
 from dpbench.report.compare.comparison import changes_table, solvers_table, times_table

@@ -6,8 +6,12 @@ Truth comes from the planted optimum, which is exact, and from no solver.
 import numpy as np
 import pytest
 
-from dpbench.qp.random_recipe import FAMILIES, RandomRecipe
-from dpbench.qp.random_sequence import PlantedSequence, generate_random_sequence_with_optima
+from dpbench.qp.random_sequence import (
+    FAMILIES,
+    PlantedSequence,
+    RandomRecipe,
+    generate_random_sequence_with_optima,
+)
 from dpbench.qp.referee.feasibility.farkas import is_farkas_vector_proof
 from dpbench.qp.residuals import is_answer_correct, residuals
 from dpbench.qp.solution import Status

@@ -6,7 +6,7 @@ from typing import Any
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
+from dpbench.bench.record.cell import CONFIGURATION_COLUMNS
 from dpbench.errors import ResultsError
 from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
 

@@ -25,7 +25,7 @@ from dpbench.analysis.statistics import resampled_error
 from dpbench.analysis.times.machine import disturbed_sequences
 from dpbench.arrays import Floats, Ints
 from dpbench.bench.judge.rules import median_of_known
-from dpbench.bench.record.configuration import sort_key_of_settings
+from dpbench.bench.record.cell import sort_key_of_settings
 from dpbench.errors import UnknownNameError, format_allowed_names
 
 BLOCK_STEPS, LEAST_BLOCKS = 20, 4

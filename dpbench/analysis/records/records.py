@@ -17,7 +17,7 @@ from dpbench.analysis.records.step_times import (
     times_by_run,
 )
 from dpbench.bench.judge.rules import has_comparable_times
-from dpbench.bench.record.configuration import COMMON_FORMULATION
+from dpbench.bench.record.cell import COMMON_FORMULATION
 from dpbench.bench.record.recorded_steps import ALL_COLUMNS, find_row_ranges_by_label
 from dpbench.bench.record.result_folder import Results
 from dpbench.scenario.scenario import Scenario, build_scenario_from_documents

@@ -12,8 +12,10 @@ from pydantic import BaseModel, ValidationError
 
 from dpbench.bench.judge.answer_caching import is_answer_cached
 from dpbench.bench.record.cell import (
+    COMMON_FORMULATION,
     CONTROLLER,
     CapabilitySource,
+    Configuration,
     ConsequenceSource,
     Formulation,
     HardestSource,
@@ -23,7 +25,6 @@ from dpbench.bench.record.cell import (
     Units,
     parse_qp_source,
 )
-from dpbench.bench.record.configuration import COMMON_FORMULATION, Configuration
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.documents import parse_json

@@ -9,7 +9,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import MEASURES, Measure, RunSteps, find_hardest_steps
 from dpbench.bench.judge.rules import median_of_known
-from dpbench.bench.record.configuration import Configuration
+from dpbench.bench.record.cell import Configuration
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from dpbench.bench.judge.rules import (
     mask_decided_steps,
     mask_true_not_claimed,
 )
-from dpbench.bench.record.configuration import sort_key_of_settings
+from dpbench.bench.record.cell import sort_key_of_settings
 
 
 @dataclass(frozen=True)

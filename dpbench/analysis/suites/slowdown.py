@@ -7,7 +7,7 @@ from itertools import takewhile
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.verdict.requirements import cost_ratio, has_survived
-from dpbench.bench.record.configuration import Configuration
+from dpbench.bench.record.cell import Configuration
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import median_of_known
-from dpbench.bench.record.configuration import sort_key_of_settings
+from dpbench.bench.record.cell import sort_key_of_settings
 
 
 @dataclass(frozen=True)

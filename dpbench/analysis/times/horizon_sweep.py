@@ -15,7 +15,7 @@ from dpbench.analysis.statistics import UNKNOWN, Interval, percentile_interval
 from dpbench.analysis.verdict.requirements import Requirements, is_right
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import percentile_or_nan
-from dpbench.bench.record.configuration import Configuration
+from dpbench.bench.record.cell import Configuration
 from dpbench.bench.record.schema import FORCES
 from dpbench.scenario.tables.key_types import Horizons
 

@@ -25,7 +25,7 @@ from dpbench.analysis.verdict.findings import STATES
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.judge.rules import has_enough_samples_for_percentile, percentile_or_nan
-from dpbench.bench.record.configuration import Configuration, sort_key_of_settings
+from dpbench.bench.record.cell import Configuration, sort_key_of_settings
 from dpbench.solvers.own_settings import decode_options_from_json, format_options_as_toml
 
 LARGEST_ERROR = 1e3

@@ -12,7 +12,7 @@ import numpy as np
 from dpbench.analysis.records.run_record import group_by
 from dpbench.analysis.verdict.findings import STATES
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
-from dpbench.bench.record.configuration import sort_key_of_settings
+from dpbench.bench.record.cell import sort_key_of_settings
 from dpbench.errors import UnknownNameError
 from dpbench.solvers.record import SolverRecord
 from dpbench.solvers.table import find_solver_record

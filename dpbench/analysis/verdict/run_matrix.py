@@ -18,7 +18,7 @@ from dpbench.analysis.records.run_record import RunRecord, first_by
 from dpbench.analysis.verdict.requirements import Requirements, has_survived
 from dpbench.analysis.verdict.speed_margin import SpeedMargin, speed_margins
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, judge_configuration
-from dpbench.bench.record.configuration import Configuration, sort_key_of_settings
+from dpbench.bench.record.cell import Configuration, sort_key_of_settings
 from dpbench.scenario.scenario import Scenario, build_scenario_from_documents
 
 

@@ -17,7 +17,7 @@ from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.time_findings import p99_ns
-from dpbench.bench.record.configuration import Configuration
+from dpbench.bench.record.cell import Configuration
 
 
 @dataclass(frozen=True)

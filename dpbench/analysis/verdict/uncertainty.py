@@ -8,7 +8,7 @@ import numpy as np
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.arrays import Floats
-from dpbench.bench.record.configuration import Configuration
+from dpbench.bench.record.cell import Configuration
 
 QUANTILE = 0.95
 """Share of the configurations whose rounds differ by less than the usual factor."""

@@ -31,7 +31,7 @@ from dpbench.analysis.verdict.findings import (
 )
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.judge.rules import maximum_of_known
-from dpbench.bench.record.configuration import Configuration, sort_key_of_settings
+from dpbench.bench.record.cell import Configuration, sort_key_of_settings
 from dpbench.solvers.record import POLICIES
 
 

@@ -31,7 +31,7 @@ from scipy.optimize import linprog
 from scipy.sparse import csc_matrix
 
 from dpbench.arrays import Indices, Matrix, Vector
-from dpbench.mpc.thrusters.static_allocation import (
+from dpbench.mpc.thrusters.allocation_qp import (
     build_balance_matrix,
     compute_balance_units,
     compute_sector_normals,

@@ -16,7 +16,7 @@ import pandas as pd
 
 from dpbench.arrays import Floats, Ints
 from dpbench.bench.judge.rules import count_explained_late_timings
-from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
+from dpbench.bench.record.cell import CONFIGURATION_COLUMNS
 from dpbench.bench.record.raw_log import COUNTERS, RawLog, sum_phases_by_step_ns
 
 FEWEST_VISITS = 20

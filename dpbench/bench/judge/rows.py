@@ -1,27 +1,180 @@
-"""Rows of `steps.parquet` and `runs.parquet` from the columns of an evaluated cell."""
+"""Rows of `steps.parquet` and `runs.parquet` from an evaluated cell.
 
+Columns of steps are plain arrays, as data frames would take ten times as long as a loop of a
+hundred steps. A column that a run has not is left out; a missing integer is `MISSING_INT`.
+"""
+
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
-from dpbench.arrays import Flags
+from dpbench.arrays import Flags, Ints
 from dpbench.bench.judge import rules, timing
-from dpbench.bench.judge.closed_loop import EvaluatedCell
+from dpbench.bench.judge.closed_loop import (
+    BACKUP_PREFIX,
+    CERTIFICATES,
+    EVALUATION,
+    SECOND_QP_PREFIX,
+    Columns,
+    EvaluatedCell,
+)
+from dpbench.bench.judge.control_metrics import shift_forces_by_one_step
 from dpbench.bench.judge.rules import StepColumns
-from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
+from dpbench.bench.judge.timing import find_disturbed_rounds, make_deadline_columns
+from dpbench.bench.record.cell import CONFIGURATION_COLUMNS, Cell, Outcome
+from dpbench.bench.record.raw_log import PHASES, SOLVER_PHASES
 from dpbench.bench.record.schema import (
+    AXIS_FORCES,
     MISSING_INT,
     SCHEMA_VERSION,
     STEP_COLUMNS,
     convert_to_step_columns,
 )
+from dpbench.bench.run.slow_computer import make_delay_of_cell
+from dpbench.qp.solution import Status
 from dpbench.scenario.scenario import build_or_reuse_scenario
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.table import Availability
 
+SOLVER_COLUMNS = tuple(f"{phase}_ns" for phase in SOLVER_PHASES)
+"""Columns of the phases of a solver."""
+_STATUS_NAMES = np.array([status.name for status in Status])
+_CERTIFICATE_NAMES = np.array(CERTIFICATES)
+_STATE = ("u_mps", "v_mps", "r_radps", "n_m", "e_m", "psi_rad")
+_OF_THRUSTERS = ("thrust_share", "power_share", "undelivered_share")
 _OF_CELL = ("mode", *CONFIGURATION_COLUMNS, "slowdown", "seed")
+
+
+def make_step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
+    """Return the columns of `steps.parquet` for the recorded steps of a run."""
+    columns = evaluated.columns
+    asked = columns["asked"] if cell.slowdown > 0.0 else None
+    steps = _answer_columns(columns, asked)
+    second = _select_columns_by_prefix(columns, SECOND_QP_PREFIX)
+    if second:
+        steps = join_cascade_steps(steps, _answer_columns(second, None))
+    steps |= {"total_ns": sum_step_times_ns(steps), "t_s": columns["t_s"]}
+    if cell.mode == "replay":
+        disturbed = np.isin(columns["repeat"], find_disturbed_rounds(columns))
+        steps["warmup"], steps["disturbed"] = steps["repeat"] == rules.WARM_UP, disturbed
+        steps["counts"] = rules.mask_counted_rows(columns["repeat"], disturbed)
+        return steps | {
+            "unconverged": rules.mask_unfinished_steps(steps),
+            "fallback": rules.mask_unusable_steps(steps),
+        }
+    steps["counts"] = np.ones(len(steps["k"]), dtype=np.bool_)
+    delay = make_delay_of_cell(cell, build_or_reuse_scenario(cell.scenario).sample_s)
+    steps |= _backup_step_columns(columns)
+    waited_ns: Ints = steps["total_ns"]
+    if "backup" in steps:
+        waited_ns = waited_ns + np.maximum(steps["backup_ns"], 0)
+    steps |= make_deadline_columns(delay, columns["latency_ns"], waited_ns)
+    if "backup" in steps and delay.is_simulated:
+        ready_ns = columns[f"{BACKUP_PREFIX}ready_ns"]
+        steps["late"] |= ready_ns > delay.budget_ns
+        steps["backup_failed"] |= ready_ns > delay.sample_ns
+    return steps | _ship_columns(columns)
+
+
+def _select_columns_by_prefix(columns: Columns, prefix: str) -> Columns:
+    """Return the step columns whose names have a prefix, under names without it."""
+    names = [name for name in columns if name.startswith(prefix)]
+    return {name.removeprefix(prefix): columns[name] for name in names}
+
+
+def _backup_step_columns(columns: Columns) -> StepColumns:
+    """Return whether the backup solver acted or failed in each step, its time and error."""
+    own = _select_columns_by_prefix(columns, BACKUP_PREFIX)
+    if not own:
+        return {}
+    answers = _answer_columns(own, own["asked"])
+    return {
+        "backup": own["acted"],
+        "backup_failed": own["asked"] & rules.mask_unusable_steps(answers),
+        "backup_ns": sum_step_times_ns({phase: answers[phase] for phase in SOLVER_COLUMNS}),
+        "backup_error": answers["error_move"],
+    }
+
+
+def _answer_columns(columns: Columns, asked: Flags | None) -> StepColumns:
+    """Return times, status, errors and residuals of answers; empty in steps not `asked` (K,)."""
+    status, times = _STATUS_NAMES[columns["status"].astype(int)], columns["times"]
+    if asked is not None:
+        status = np.where(asked, status, "")
+        times = np.where(asked[:, None] | (np.array(PHASES) == "overhead"), times, MISSING_INT)
+    steps: StepColumns = {
+        "repeat": columns["repeat"],
+        "k": columns["k"],
+        "status": status,
+        "claimed": columns["status"] == Status.SOLVED,
+        "certificate": _CERTIFICATE_NAMES[columns["certificate"].astype(int)],
+    }
+    steps |= {f"{phase}_ns": _as_integers(times[:, i]) for i, phase in enumerate(PHASES)}
+    steps |= {
+        name: _as_integers(columns[name]) for name in ("iterations", "reported_ns", "waited_ns")
+    }
+    for i, figure in enumerate(EVALUATION):
+        values = columns["evaluations"][:, i]
+        steps[figure] = values == 1.0 if figure.startswith("true") else values
+    steps["n_active"] = np.nan_to_num(steps["n_active"]).astype(np.int32)
+    return steps
+
+
+def join_cascade_steps(first: StepColumns, second: StepColumns) -> StepColumns:
+    """Join the step columns of a cascade's two QPs, control and thrust allocation, into one set.
+
+    A step is claimed, and true, only if both answers are; its time is that of both. Status and
+    certificate are those of the first QP, or of the second where the first is solved, or has no
+    feasible point, and the second is not solved; where the right answer to either is not known,
+    that to the step is not. All else is of the first; `allocation_ns` and `allocation_error` are
+    the time and the error of the first move of the second.
+    """
+    both = first.copy()
+    for name in ("claimed", "true", "true_1e4", "true_1e6"):
+        both[name] = first[name] & second[name]
+    of_second = ~second["claimed"] & (first["claimed"] | (first["certificate"] == rules.INFEASIBLE))
+    for name in ("status", "certificate"):
+        both[name] = np.where(of_second, second[name], first[name])
+    for unknown in (rules.UNDECIDED, rules.UNCERTIFIED):
+        either = (first["certificate"] == unknown) | (second["certificate"] == unknown)
+        both["certificate"] = np.where(either, unknown, both["certificate"])
+    waited = first["waited_ns"], second["waited_ns"]
+    both["waited_ns"] = np.where(np.minimum(*waited) > MISSING_INT, sum(waited), MISSING_INT)
+    both["allocation_ns"] = sum_step_times_ns({phase: second[phase] for phase in SOLVER_COLUMNS})
+    both["allocation_error"] = second["error_move"]
+    return both
+
+
+def _as_integers(values: NDArray[Any]) -> Ints:
+    """Return values as int64, with `MISSING_INT` (−1) as the least."""
+    return np.maximum(values.astype(np.int64), MISSING_INT)
+
+
+def _ship_columns(columns: Columns) -> StepColumns:
+    """Return pose, velocity, force and command of the ship in each step of a closed loop."""
+    state, tau = columns["state"][:-1], columns["tau"].astype(np.float64)
+    change = tau - shift_forces_by_one_step(tau)
+    ship = {name: columns[name] for name in ("fallback", "unconverged", "clipped")}
+    ship |= {name: state[:, i] for i, name in enumerate(_STATE)}
+    for i, axis in enumerate(AXIS_FORCES):
+        ship[f"tau_{axis}"] = tau[:, i]
+        ship[f"dtau_{axis}"] = change[:, i]
+        ship[f"cmd_{axis}"] = columns["command"][:, i]
+    return ship | {name: columns[name] for name in _OF_THRUSTERS if name in columns}
+
+
+def sum_step_times_ns(steps: Mapping[str, NDArray[Any]]) -> Ints:
+    """Return each step's solver time [ns] (N,), thrust allocation included; −1 if not solved."""
+    phases = [steps[phase] for phase in SOLVER_COLUMNS]
+    parts = [*phases, steps["allocation_ns"]] if "allocation_ns" in steps else phases
+    total = np.zeros(len(phases[0]), dtype=np.int64)
+    for part in parts:
+        total += np.maximum(part, 0)
+    total[np.maximum.reduce(phases) < 0] = MISSING_INT
+    return total
 
 
 def make_step_rows(run_id: str, steps: StepColumns) -> pd.DataFrame:

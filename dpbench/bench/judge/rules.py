@@ -1,6 +1,6 @@
 """Rules of evaluation and counting, each of them once (method.md sections 1 and 2).
 
-Steps are the columns of `step_columns.py`, or those of `steps.parquet`.
+Steps are the columns of `make_step_columns`, or those of `steps.parquet`.
 """
 
 import math

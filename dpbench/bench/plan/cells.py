@@ -26,14 +26,14 @@ from dpbench.bench.record.cell import (
     CONTROLLER,
     CapabilitySource,
     Cell,
+    Configuration,
     QPSource,
     RandomSource,
     RecordedSource,
 )
-from dpbench.bench.record.configuration import Configuration
 from dpbench.bench.sequences.recording import hash_sequence_files, read_sequence
 from dpbench.errors import InputError
-from dpbench.qp.random_recipe import FAMILIES
+from dpbench.qp.random_sequence import FAMILIES
 from dpbench.qp.referee.kkt import is_proven_positive_definite
 from dpbench.scenario.problem_files import is_shipped_sequence_name, resolve_sequence_path
 from dpbench.scenario.scenario import build_vessel_from_documents, read_validated_vessel_documents

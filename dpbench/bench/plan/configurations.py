@@ -19,8 +19,7 @@ from dpbench.bench.plan.suite import (
     ScenarioRunsTable,
     SuiteFile,
 )
-from dpbench.bench.record.cell import Cell
-from dpbench.bench.record.configuration import Configuration
+from dpbench.bench.record.cell import Cell, Configuration
 from dpbench.errors import InputError, SettingsError, UnknownNameError, format_allowed_names
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Options, Route

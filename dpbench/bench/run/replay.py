@@ -12,8 +12,7 @@ import numpy as np
 from dpbench.arrays import Floats
 from dpbench.bench.record.disturbance import read_disturbance_counters
 from dpbench.bench.record.raw_log import RawLog, sum_phases_of_step_ns
-from dpbench.bench.run.run_delay import RunLimit
-from dpbench.bench.run.timed_solver import Clock, TimedSolver, is_usable, record_answer
+from dpbench.bench.run.timed_solver import Clock, RunLimit, TimedSolver, is_usable, record_answer
 from dpbench.kernel_cache import njit
 from dpbench.qp.program import QPSequence
 

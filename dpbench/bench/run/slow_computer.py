@@ -23,8 +23,7 @@ import numpy as np
 from dpbench.arrays import Ints, Matrix, Vector
 from dpbench.bench.record.cell import SLOWEST, Cell
 from dpbench.bench.record.raw_log import sum_phases_of_step_ns
-from dpbench.bench.run.backup import WARM_UP_SOLVES, Backup
-from dpbench.bench.run.fallback_policies import FallbackPolicy
+from dpbench.bench.run.backup import WARM_UP_SOLVES, Backup, FallbackPolicy
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver, is_usable
 from dpbench.errors import InputError

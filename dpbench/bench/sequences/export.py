@@ -1,27 +1,71 @@
 """`dpbench export`: a scenario or a sequence as a file for others."""
 
+import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from dpbench.arrays import Vector
 from dpbench.bench.run.exact_loop import Part
 from dpbench.bench.sequences import recording
-from dpbench.bench.sequences.qpbenchmark_files import list_steps_with_optimum, save_qpbenchmark
+from dpbench.bench.sequences.qpsolvers_files import KEYS
 from dpbench.bench.sequences.sequence_file import Recorded
-from dpbench.bench.sequences.text_files import save_csv, save_mat, save_qps
 from dpbench.errors import InputError, SituationError
-from dpbench.qp.program import QPSequence
+from dpbench.files.writing import (
+    make_folder_if_missing,
+    write_file_atomically,
+    write_text_atomically,
+)
+from dpbench.qp.program import ARRAYS, QPSequence, QuadraticProgram
 from dpbench.qp.random_mpc import is_random_mpc_sequence_name
 from dpbench.qp.referee.referee import certify_all_steps
 from dpbench.scenario.problem_files import is_shipped_sequence_name, list_shipped_problem_names
 from dpbench.scenario.scenario import Scenario, resolve_to_scenario
 from dpbench.scenario.tables.key_types import Horizons, parse_horizons
+from dpbench.solvers.one_sided import OneSidedForm
 
 Format = Literal["npz", "qpbenchmark", "mat", "csv", "qps"]
 FORMATS: tuple[Format, ...] = get_args(Format)
 FILES: dict[Format, str] = {"npz": ".npz", "mat": ".mat"}  # of the formats that are one file
-WRITERS = {"mat": save_mat, "csv": save_csv, "qps": save_qps}
+_TAKEN = frozenset(sys.stdlib_module_names) | {"qpbenchmark", "qpsolvers", "numpy", "pandas"}
+_TEST_SET = '''"""{title}.
+
+Written by dpbench beside {stem}.parquet; run it with
+
+    qpbenchmark --results-path results.csv {stem}.py run --author NAME
+"""
+
+from pathlib import Path
+
+from qpbenchmark import ParquetTestSet
+
+
+class {class_name}(ParquetTestSet):
+    """{title}."""
+
+    def __init__(self):
+        super().__init__(Path(__file__).with_suffix(".parquet"))
+
+    @property
+    def title(self) -> str:
+        return {title!r}
+
+    @property
+    def description(self) -> str:
+        return {description!r}
+
+    @property
+    def sparse_only(self) -> bool:
+        return False
+'''
+OPTIMUM = ("z", "y", "y_box")
 
 
 def export_sequence(
@@ -72,7 +116,7 @@ def export_sequence(
     if format == "npz":
         recorded.save(target)
         written = str(target)
-    elif write := WRITERS.get(format):
+    elif write := {"mat": save_mat, "csv": save_csv, "qps": save_qps}.get(format):
         written = str(write(target, recorded))
     else:
         written = " and ".join(map(str, save_qpbenchmark(target, recorded)))
@@ -162,3 +206,177 @@ def _parse_horizons(text: str | None) -> Horizons | None:
         return parse_horizons(text)
     except ValueError as error:
         raise InputError("`horizons`", "", repr(text), str(error)) from error
+
+
+def save_qpbenchmark(out: str | Path, recorded: Recorded) -> tuple[Path, Path]:
+    """Write a sequence as a qpbenchmark test set: `<stem>.parquet` and `<stem>.py`.
+
+    Steps without a certified optimum are left out; InputError for a stem that Python cannot import.
+    """
+    path = Path(out)
+    stem = path.stem
+    if not stem.isidentifier() or stem in _TAKEN or path.suffix not in ("", ".py", ".parquet"):
+        allowed = "a Python name no library has, as qpbenchmark imports it, e.g. dp_paper.py"
+        raise InputError("`out`", "", repr(path.name), allowed)
+    sequence = recorded.sequence
+    steps = list_steps_with_optimum(recorded)
+    if not steps:
+        raise InputError(sequence.name, "", "no step with a certified optimum", "one or more")
+    table, code = path.with_suffix(".parquet"), path.with_suffix(".py")
+    part = table.with_name(table.name + ".part")
+    pq.write_table(build_problem_table(sequence, steps), part)
+    part.replace(table)
+    code.write_text(_render_test_set(stem, sequence, len(steps)), encoding="utf-8")
+    return table, code
+
+
+def list_steps_with_optimum(recorded: Recorded) -> list[int]:
+    """Return the indices of a sequence's steps whose optimum is certified."""
+    optima = recorded.optima or []
+    return [k for k, optimum in enumerate(optima) if np.isfinite(optimum.bound)]
+
+
+def build_problem_table(sequence: QPSequence, steps: Sequence[int]) -> pa.Table:
+    """Return some steps of a sequence as a table for `qpbenchmark.ParquetTestSet`."""
+    first, every = (int(sequence.meta.get(*key)) for key in (("first", 0), ("every", 1)))
+    digits = len(str(first + every * (len(sequence) - 1)))
+    # Names tell the step of the run, and go on a command line without quotes.
+    run = sequence.name.partition("[")[0]
+    names = [f"{run}_{first + every * k:0{digits}d}" for k in steps]
+    rows = [to_qpsolvers_arrays(sequence.problem(k)) for k in steps]
+    numbers = pa.list_(pa.float64())
+    columns: dict[str, Any] = {
+        key: pa.array([None if row[key] is None else row[key].ravel() for row in rows], numbers)
+        for key in KEYS
+    }
+    columns["name"] = pa.array(names, pa.string())
+    return pa.table(columns)
+
+
+def to_qpsolvers_arrays(qp: QuadraticProgram) -> dict[str, Any]:
+    """Convert a QP to the arrays P, q, G, h, A, b, lb, ub of qpsolvers; None for empty ones.
+
+    Rows with l = u become equalities; of the others the upper sides come first.
+    """
+    form = OneSidedForm(qp, "dense", "native")
+    form.write_step_vectors_as_one_sided(qp.q, qp.l, qp.u)
+    return {key: getattr(form, key) for key in KEYS}
+
+
+def _render_test_set(stem: str, sequence: QPSequence, count: int) -> str:
+    """Return the Python code of a qpbenchmark test set for a sequence of `count` QPs."""
+    base = sequence.base
+    title = f"dpbench {sequence.name}".replace("\\", "/").replace('"', "'")
+    description = (
+        f"{count} QPs recorded along one run of the MPC of a ship, n = {base.n}, m = {base.m}, in "
+        "scaled units, each with a certified optimum in dpbench."
+    )
+    # The name by which qpbenchmark looks the class up in the file.
+    class_name = stem.title().replace("_", "")
+    return _TEST_SET.format(stem=stem, class_name=class_name, title=title, description=description)
+
+
+def save_mat(path: Path, recorded: Recorded) -> Path:
+    """Write a sequence to a MATLAB file, version 5.
+
+    P, A, lb, ub as in `QuadraticProgram`, with the step as the first axis where they vary; q, l, u
+    (K, ·), the optima z, y, y_box (K, ·) and their error `bound` (K,). `unit_z` (n,) and `unit_row`
+    (m,) are 1 of z and of a row in N or N·m. The structure `meta` has `name`, `scenario`,
+    `sample_s` [s], `first` and `every` sample, the horizons, and the version of dpbench.
+    """
+    from scipy.io import savemat
+
+    with write_file_atomically(path) as part:
+        contents = {**_collect_arrays(recorded), "meta": _collect_meta(recorded)}
+        savemat(str(part), contents, appendmat=False)
+    return path
+
+
+def save_csv(folder: Path, recorded: Recorded) -> Path:
+    """Write a sequence to a folder, each array a CSV table without head, a row per row.
+
+    Arrays of every step have a row per step; a matrix is flattened by rows there.
+    """
+    make_folder_if_missing(folder)
+    for name, array in _collect_arrays(recorded).items():
+        rows = array.reshape(len(array), -1)
+        text = "\n".join(",".join(map(repr, row)) for row in rows.tolist())
+        write_text_atomically(folder / f"{name}.csv", f"{text}\n")
+    return folder
+
+
+def save_qps(folder: Path, recorded: Recorded) -> Path:
+    """Write each QP of a sequence to a folder as a file in QPS format, named by its step.
+
+    The format of the Maros-Meszaros and CUTEst test sets (MPS with a section QUADOBJ, free form).
+    A row with two limits is stored as its upper limit and the range between them.
+    """
+    make_folder_if_missing(folder)
+    sequence = recorded.sequence
+    for k in range(len(sequence)):
+        lines = _qps_lines(sequence.problem(k), f"{sequence.name.partition('[')[0]}_{k}")
+        write_text_atomically(folder / f"{k:06d}.qps", "\n".join(lines) + "\n")
+    return folder
+
+
+def _collect_arrays(recorded: Recorded) -> dict[str, Vector]:
+    """Return the arrays of a sequence and its certified optima by name."""
+    sequence: QPSequence = recorded.sequence
+    own = {name: getattr(sequence, name) for name in ARRAYS}
+    arrays = {name: getattr(sequence.base, name) if a is None else a for name, a in own.items()}
+    optima = recorded.optima or []
+    if optima:
+        arrays |= {name: np.array([getattr(o, name) for o in optima]) for name in OPTIMUM}
+        arrays["bound"] = np.array([o.bound for o in optima])
+    if recorded.units is not None:
+        arrays |= {"unit_z": recorded.units.z, "unit_row": recorded.units.row}
+    return arrays
+
+
+def _collect_meta(recorded: Recorded) -> dict[str, str | int | float]:
+    """Return the name of a sequence, its origin and the version of dpbench, by field."""
+    known = {"name": recorded.sequence.name, "dpbench": version("dpbench")}
+    meta = known | recorded.sequence.meta
+    return {key: value for key, value in meta.items() if isinstance(value, str | int | float)}
+
+
+def _qps_lines(qp: QuadraticProgram, name: str) -> Iterator[str]:
+    """Yield the lines of a QP in QPS format, with variables x0 to xn and rows r0 to rm."""
+    kinds = [_row_kind(low, high) for low, high in zip(qp.l, qp.u, strict=True)]
+    yield f"NAME {name}"
+    yield "ROWS"
+    yield " N cost"
+    yield from (f" {kind} r{i}" for i, kind in enumerate(kinds))
+    yield "COLUMNS"
+    for j in range(qp.n):
+        yield f" x{j} cost {float(qp.q[j])!r}"
+        yield from (f" x{j} r{i} {float(qp.A[i, j])!r}" for i in np.flatnonzero(qp.A[:, j]))
+    yield "RHS"
+    for i, kind in enumerate(kinds):
+        if kind != "N":
+            yield f" rhs r{i} {float(qp.l[i] if kind == 'G' else qp.u[i])!r}"
+    yield "RANGES"
+    for i, kind in enumerate(kinds):
+        if kind == "L" and np.isfinite(qp.l[i]):
+            yield f" range r{i} {float(qp.u[i] - qp.l[i])!r}"
+    yield "BOUNDS"
+    for j in range(qp.n):
+        for kind, infinite, value in (("LO", "MI", qp.lb[j]), ("UP", "PL", qp.ub[j])):
+            yield (
+                f" {kind} bound x{j} {float(value)!r}"
+                if np.isfinite(value)
+                else (f" {infinite} bound x{j}")
+            )
+    yield "QUADOBJ"
+    for j, i in zip(*np.nonzero(np.triu(qp.P)), strict=True):
+        yield f" x{j} x{i} {float(qp.P[i, j])!r}"
+    yield "ENDATA"
+
+
+def _row_kind(low: float, high: float) -> str:
+    """Return the kind of a row in MPS: N free, E equality, L with an upper limit, G without."""
+    if low == high:
+        return "E"
+    if np.isfinite(high):
+        return "L"
+    return "G" if np.isfinite(low) else "N"

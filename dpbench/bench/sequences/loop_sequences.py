@@ -25,7 +25,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from dpbench.arrays import Flags, Floats, Ints, Matrix
 from dpbench.errors import InputError
 from dpbench.mpc.thruster_rows import ThrusterRows
-from dpbench.mpc.thrusters.static_allocation import AllocationAfterLoss
+from dpbench.mpc.thrusters.allocation_qp import AllocationAfterLoss
 from dpbench.qp.program import QPSequence
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
 from dpbench.scenario.controllers.controller import stack_lower_and_upper_limits

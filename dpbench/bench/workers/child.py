@@ -22,7 +22,7 @@ from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.machine import THREAD_VARIABLES, limit_libraries_to_one_thread
 from dpbench.bench.record.raw_log import RawLog, is_log_full_size_and_writable
 from dpbench.bench.run.footprint import process_peak_bytes
-from dpbench.bench.run.run_delay import read_process_wait_s
+from dpbench.bench.run.timed_solver import read_process_wait_s
 from dpbench.bench.workers import shared_status
 from dpbench.bench.workers.interrupts import block_sigint
 from dpbench.bench.workers.orphans import END_S, end_orphans, kill_forkserver, signal_process

@@ -26,8 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.bench.judge.rules import mask_disturbed_rounds
-from dpbench.bench.record.cell import Cell, Outcome
-from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
+from dpbench.bench.record.cell import CONFIGURATION_COLUMNS, Cell, Outcome
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.workers.child import ServingChild
 from dpbench.bench.workers.worker import Hang, ReplayOrder, find_hang, serve_replays

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Literal, TypeVar
 
 from dpbench.bench.plan.cells import PlannedCell
-from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
-from dpbench.bench.record.configuration import CONFIGURATION_COLUMNS
+from dpbench.bench.record.cell import CONFIGURATION_COLUMNS, HARNESS_VERSION, Cell, Outcome
 from dpbench.bench.record.step_table import BatchPart
 from dpbench.solvers.table import Availability
 

@@ -19,8 +19,7 @@ import pyarrow as pa
 
 from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_loop_log
 from dpbench.bench.judge.replay import evaluate_replay_log
-from dpbench.bench.judge.rows import make_run_row
-from dpbench.bench.judge.step_columns import make_step_columns
+from dpbench.bench.judge.rows import make_run_row, make_step_columns
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.disturbance import read_disturbance_counters
 from dpbench.bench.record.npz import open_arrays

@@ -52,6 +52,7 @@ from dpbench.qp.referee.gap import (
     refine_point_and_multipliers_exactly,
     select_independent_active_rows,
 )
+from dpbench.qp.referee.guesses import yield_active_set_guesses
 from dpbench.qp.referee.kernels import OUTWARD, UNIT
 from dpbench.qp.referee.kkt import (
     Geometry,
@@ -61,7 +62,6 @@ from dpbench.qp.referee.kkt import (
     prove_optimum_by_kkt_error_bounds,
 )
 from dpbench.qp.referee.optimum import ExactMatrices, JointQP, Kind, Proof, Signs
-from dpbench.qp.referee.oracle import yield_active_set_guesses
 
 NO_MULTIPLIER = 1e-12  # A multiplier of less than this share of the largest one is no support for M
 LEAST_MULTIPLIER = 2.0 ** (TAU_EXPONENT // 2)  # Moving limits by τ makes them of √τ at most

@@ -74,6 +74,7 @@ from dpbench.qp.referee.gap import (
     prove_optimum_by_duality_gap,
     select_independent_active_rows,
 )
+from dpbench.qp.referee.guesses import guess_active_set_from_last_step, yield_active_set_guesses
 from dpbench.qp.referee.kernels import (
     CROSSED_LIMITS,
     INVALID_DATA,
@@ -86,9 +87,7 @@ from dpbench.qp.referee.kkt import (
     prove_optimum_by_kkt_error_bounds,
 )
 from dpbench.qp.referee.last_resort import LastResort
-from dpbench.qp.referee.nearby import guess_active_set_from_last_step
 from dpbench.qp.referee.optimum import ExactMatrices, JointQP, Kind, Optimum, Proof, Signs
-from dpbench.qp.referee.oracle import yield_active_set_guesses
 from dpbench.qp.referee.rational import prove_optimum_in_exact_arithmetic
 from dpbench.qp.residuals import fit_row_and_bound_multipliers
 from dpbench.qp.solution import Solution, Status

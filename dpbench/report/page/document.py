@@ -12,7 +12,7 @@ from dpbench.analysis.verdict.fastest import (
 )
 from dpbench.analysis.verdict.run_matrix import Experiment
 from dpbench.analysis.verdict.verdict import Verdict
-from dpbench.bench.record.configuration import Configuration
+from dpbench.bench.record.cell import Configuration
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts import style
 from dpbench.report.page.data import PageData, columns_by_name, json_number

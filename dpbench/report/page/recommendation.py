@@ -16,7 +16,7 @@ from dpbench.analysis.verdict.fastest import (
 )
 from dpbench.analysis.verdict.speed_margin import SlowStep, largest_stall_ns
 from dpbench.analysis.verdict.verdict import Verdict
-from dpbench.bench.record.configuration import Configuration
+from dpbench.bench.record.cell import Configuration
 from dpbench.errors import InputError, format_allowed_names
 from dpbench.report.capability_text import unanswered_text
 from dpbench.report.embedded_text import counted_text

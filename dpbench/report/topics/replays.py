@@ -19,7 +19,7 @@ from dpbench.analysis.times.contrasts import (
 )
 from dpbench.analysis.verdict.requirements import Requirements, is_right, is_right_to_the_end
 from dpbench.bench.judge.rules import median_of_known, percentile_or_nan
-from dpbench.bench.record.configuration import sort_key_of_settings
+from dpbench.bench.record.cell import sort_key_of_settings
 from dpbench.report.formats import (
     MISSING,
     and_list,

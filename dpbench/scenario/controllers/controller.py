@@ -14,7 +14,7 @@ from dpbench.errors import InputError
 from dpbench.mpc.condense import ControlProblem, UnitSystem
 from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
 from dpbench.mpc.move_limits import MoveLimit, make_increment_limiter
-from dpbench.mpc.outputs import OutputBounds
+from dpbench.mpc.soft_limits import OutputBounds
 from dpbench.mpc.staged_qp import StagedQP
 from dpbench.mpc.thruster_rows import Limits
 from dpbench.mpc.thrusters.allocation_qp import AllocationQP

@@ -12,8 +12,8 @@ from dpbench.errors import InputError
 from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
 from dpbench.mpc.model import StateSpace, build_prediction_model
-from dpbench.mpc.outputs import OutputBounds
 from dpbench.mpc.relinearised import RelinearisedQP
+from dpbench.mpc.soft_limits import OutputBounds
 from dpbench.mpc.thruster_rows import Limits, ThrusterRows
 from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning, TurningQP
 from dpbench.scenario.tables.scenario_file import (

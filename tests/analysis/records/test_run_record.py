@@ -12,7 +12,7 @@ import pytest
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import Count, RunRecord, build_records
 from dpbench.bench.judge.rules import mask_counted_rows
-from dpbench.bench.record.configuration import Configuration
+from dpbench.bench.record.cell import Configuration
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import RUN_COLUMNS, convert_to_run_columns
 from tests.result_folder import StepsInMemory

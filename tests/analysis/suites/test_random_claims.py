@@ -10,7 +10,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.random_claims import RandomClaims
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_step_columns
-from dpbench.qp.random_recipe import RandomRecipe
+from dpbench.qp.random_sequence import RandomRecipe
 from dpbench.report.topics.random import random_topic
 from tests.result_folder import StepsInMemory
 

@@ -19,7 +19,7 @@ from dpbench.analysis.verdict.fastest import (
 from dpbench.analysis.verdict.findings import Finding
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
-from dpbench.bench.record.configuration import Configuration
+from dpbench.bench.record.cell import Configuration
 
 PYTHON_CODE = "qtqp"
 """A solver that exists only as code of this project."""

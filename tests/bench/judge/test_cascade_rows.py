@@ -7,13 +7,14 @@ import pandas as pd
 import pytest
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
-from dpbench.bench.judge.rows import make_run_row, make_step_rows
-from dpbench.bench.judge.rules import StepColumns, compute_first_move_errors, mask_failed_steps
-from dpbench.bench.judge.step_columns import (
+from dpbench.bench.judge.rows import (
     join_cascade_steps,
+    make_run_row,
     make_step_columns,
+    make_step_rows,
     sum_step_times_ns,
 )
+from dpbench.bench.judge.rules import StepColumns, compute_first_move_errors, mask_failed_steps
 from dpbench.bench.record.cell import Outcome
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.record.schema import MISSING_INT

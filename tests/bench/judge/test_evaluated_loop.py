@@ -4,8 +4,8 @@ import pytest
 
 from dpbench import load_scenario
 from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_loop_log
+from dpbench.bench.judge.rows import make_step_columns
 from dpbench.bench.judge.rules import StepColumns
-from dpbench.bench.judge.step_columns import make_step_columns
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import PHASES, RawLog, make_loop_layout
 from dpbench.bench.run.formulation import QPBuilder

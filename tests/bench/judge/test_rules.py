@@ -11,8 +11,7 @@ from dpbench.analysis.records.step_times import times_by_run
 from dpbench.bench.judge import rules
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
 from dpbench.bench.judge.replay import evaluate_replay_log
-from dpbench.bench.judge.rows import make_run_row, make_step_rows
-from dpbench.bench.judge.step_columns import make_step_columns
+from dpbench.bench.judge.rows import make_run_row, make_step_columns, make_step_rows
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import PHASES, RawLog, make_replay_layout
 from dpbench.bench.record.schema import convert_to_run_columns

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
-from dpbench.bench.judge.step_columns import make_step_columns
+from dpbench.bench.judge.rows import make_step_columns
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import PHASES
 from dpbench.bench.record.schema import MISSING_INT

@@ -13,9 +13,9 @@ import pytest
 from dpbench import load_scenario
 from dpbench.bench.record.cell import DEFAULT_FALLBACK
 from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.backup import FALLBACKS
 from dpbench.bench.run.exact_loop import solve_loop_exactly
-from dpbench.bench.run.fallback_policies import FALLBACKS
-from dpbench.bench.run.run_delay import RunDelay
+from dpbench.bench.run.timed_solver import RunDelay
 from dpbench.errors import CertificateError
 from dpbench.mpc.law import UnconstrainedLaw, compute_state_feedback_gains
 from dpbench.qp.program import QPStep, QuadraticProgram

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dpbench import load_scenario
-from dpbench.bench.run.fallback_policies import FALLBACKS
+from dpbench.bench.run.backup import FALLBACKS
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.law import UnconstrainedLaw
 from dpbench.mpc.move_limits import ThrusterLimit, write_limited_command

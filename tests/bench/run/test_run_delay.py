@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.bench.run.run_delay import (
+from dpbench.bench.run.timed_solver import (
     RunDelay,
     RunLimit,
     get_run_delay,

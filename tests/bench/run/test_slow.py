@@ -14,8 +14,8 @@ from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
 from dpbench.bench.record.cell import SLOWEST, Cell
 from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.backup import FALLBACKS
 from dpbench.bench.run.exact_loop import solve_loop_exactly
-from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.bench.run.slow_computer import ComputationalDelay, SlowComputer
 from dpbench.errors import InputError
 from dpbench.mpc.law import compute_state_feedback_gains

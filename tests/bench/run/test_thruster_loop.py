@@ -12,8 +12,8 @@ from qpsolvers import solve_qp
 
 from dpbench.bench.record.cell import Formulation
 from dpbench.bench.record.raw_log import RawLog
+from dpbench.bench.run.backup import FALLBACKS
 from dpbench.bench.run.exact_loop import ExactLoop, solve_loop_exactly
-from dpbench.bench.run.fallback_policies import FALLBACKS
 from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE
 from dpbench.scenario.scenario import Scenario, build_scenario_from_documents, load_scenario
 from dpbench.ship.actuators import Actuators, CommandedThrusters

@@ -26,7 +26,7 @@ from dpbench.bench.sequences.loop_sequences import (
 from dpbench.bench.sequences.source import log_size, read_replay
 from dpbench.errors import InputError
 from dpbench.mpc.thruster_rows import build_limit_rows_of_thrusters
-from dpbench.mpc.thrusters.static_allocation import AllocationAfterLoss
+from dpbench.mpc.thrusters.allocation_qp import AllocationAfterLoss
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.scenario.scenario import Scenario, build_scenario_from_documents, load_vessel

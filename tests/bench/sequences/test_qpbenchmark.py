@@ -10,13 +10,11 @@ import pandas as pd
 import pytest
 
 from dpbench import InputError, Solution, Status, load_scenario, residuals
-from dpbench.bench.sequences.export import export_sequence
-from dpbench.bench.sequences.qpbenchmark_files import save_qpbenchmark
+from dpbench.bench.sequences.export import export_sequence, save_qpbenchmark
 from dpbench.bench.sequences.recording import record_scenario
 from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
 from dpbench.qp.program import QPSequence, QuadraticProgram
-from dpbench.qp.random_recipe import RandomRecipe
-from dpbench.qp.random_sequence import generate_random_sequence
+from dpbench.qp.random_sequence import RandomRecipe, generate_random_sequence
 from dpbench.qp.referee.referee import certify_all_steps
 
 SOLVERS = ("daqp", "osqp")

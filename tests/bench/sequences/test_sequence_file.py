@@ -25,8 +25,7 @@ from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.bench.sequences.verify import _check_step
 from dpbench.errors import ShapeError
 from dpbench.qp.program import Units, convert_sequence_to_units
-from dpbench.qp.random_recipe import RandomRecipe
-from dpbench.qp.random_sequence import generate_random_sequence
+from dpbench.qp.random_sequence import RandomRecipe, generate_random_sequence
 from dpbench.qp.referee.referee import certify, certify_all_steps
 
 Arrays = dict[str, Any]

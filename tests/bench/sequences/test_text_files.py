@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from dpbench.bench.sequences.export import export_sequence
+from dpbench.bench.sequences.export import export_sequence, save_qps
 from dpbench.bench.sequences.sequence_file import load_recorded, load_sequence
-from dpbench.bench.sequences.text_files import save_qps
 from dpbench.errors import InputError
 from dpbench.scenario.problem_files import resolve_sequence_path
 from dpbench.scenario.scenario import load_scenario

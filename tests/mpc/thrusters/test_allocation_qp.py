@@ -10,8 +10,7 @@ import quadprog
 from scipy.optimize import linprog
 
 from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE, build_limit_rows_of_thrusters
-from dpbench.mpc.thrusters.allocation_qp import AllocationProblem, AllocationQP
-from dpbench.mpc.thrusters.static_allocation import StaticAllocation
+from dpbench.mpc.thrusters.allocation_qp import AllocationProblem, AllocationQP, StaticAllocation
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.ship.capability.shapes import Piece

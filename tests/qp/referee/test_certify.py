@@ -11,7 +11,7 @@ import quadprog
 
 from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.program import ARRAYS, QPStep, QuadraticProgram
-from dpbench.qp.referee import oracle
+from dpbench.qp.referee import guesses
 from dpbench.qp.referee.dyadic import Dyadic, is_integer_matrix_semidefinite
 from dpbench.qp.referee.gap import prove_optimum_by_duality_gap
 from dpbench.qp.referee.kkt import (
@@ -73,7 +73,7 @@ def test_missing_and_false_guesses_do_not_move_the_optimum(
     qp = _random(6, 5, seed)
     known, lie = certify(qp), np.random.default_rng(seed).integers(-1, 2, 11).astype(np.int8)
     for guessers in ((), (lambda problem: lie,) * 2):
-        monkeypatch.setattr(oracle, "GUESSERS", guessers)
+        monkeypatch.setattr(guesses, "GUESSERS", guessers)
         found = certify(qp)
         assert np.abs(found.z - known.z).max() <= found.bound + known.bound <= 1e-9
 

@@ -17,6 +17,7 @@ from dpbench.qp.referee.dyadic import (
     is_integer_matrix_semidefinite,
     solve_integer_system_exactly,
 )
+from dpbench.qp.referee.guesses import guess_active_set_from_last_step
 from dpbench.qp.referee.kernels import (
     CROSSED_LIMITS,
     INVALID_DATA,
@@ -25,7 +26,6 @@ from dpbench.qp.referee.kernels import (
     prove_active_set_optimal,
 )
 from dpbench.qp.referee.kkt import Geometry, KKTSystem, prove_optimum_by_kkt_error_bounds
-from dpbench.qp.referee.nearby import guess_active_set_from_last_step
 from dpbench.qp.referee.optimum import JointQP
 from dpbench.qp.referee.referee import Referee
 

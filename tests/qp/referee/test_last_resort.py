@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.referee import oracle
+from dpbench.qp.referee import guesses
 from dpbench.qp.referee.equilibrated import Scales, is_exact_after_power_of_two_scaling
 from dpbench.qp.referee.feasibility.implied import (
     remove_limits_of_zero_rows,
@@ -255,7 +255,7 @@ def test_circle_of_rows_is_certified(monkeypatch: pytest.MonkeyPatch) -> None:
     assert max(abs(Fraction(z) - Fraction(2, 5)) for z in proof.z.tolist()) <= proof.bound <= 1e-12
     assert np.isnan(proof.y).all()
     # With nobody to guess it is silent.
-    monkeypatch.setattr(oracle, "GUESSERS", ())
+    monkeypatch.setattr(guesses, "GUESSERS", ())
     assert LastResort(problem.P, problem.C, convex=True).prove_optimum(problem) is None
 
 

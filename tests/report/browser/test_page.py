@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from dpbench.analysis.times.contrasts import paired_comparison
-from dpbench.bench.record.configuration import Configuration
+from dpbench.bench.record.cell import Configuration
 from dpbench.report.formats import rounded_down
 from dpbench.report.page.recommendation import python_call_text
 from dpbench.report.write import write_report

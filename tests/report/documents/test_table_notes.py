@@ -1,7 +1,7 @@
 """Notes below a Markdown table of solvers: replays that differ, options of the user's settings."""
 
 from dpbench.analysis.verdict.verdict import Verdict
-from dpbench.bench.record.configuration import Configuration
+from dpbench.bench.record.cell import Configuration
 from dpbench.report.documents.markdown import describe_table
 
 

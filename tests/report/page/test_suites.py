@@ -13,7 +13,7 @@ import pytest
 
 from dpbench.bench.record.result_folder import load_results
 from dpbench.cli.main import main
-from dpbench.qp.random_recipe import RandomRecipe
+from dpbench.qp.random_sequence import RandomRecipe
 from dpbench.report.report import Report
 from dpbench.report.write import write_report, write_report_with_summary
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
