@@ -9,7 +9,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from dpbench import load_scenario, open_workspace
 from dpbench.bench.run.exact_loop import ExactLoop, rebuild_sequence, solve_loop_exactly
-from dpbench.embedded.count import count_sequence
+from dpbench.embedded.count import count_instructions_along_sequence
 from dpbench.embedded.recipe import select_recipes
 from dpbench.embedded.targets import TARGETS
 from dpbench.embedded.toolchain import has_extra
@@ -43,7 +43,10 @@ def count_instructions(solver: str, sequence: QPSequence, exact: ExactLoop) -> d
         return {}
     (recipe,) = select_recipes([solver])
     counts = {
-        name: count_sequence(recipe, sequence, TARGETS[name], optima=exact.optima) for name in CORES
+        name: count_instructions_along_sequence(
+            recipe, sequence, TARGETS[name], optima=exact.optima
+        )
+        for name in CORES
     }
     return {
         f"instructions_{name}": int(one.steps["instructions"].sum()) for name, one in counts.items()

@@ -22,8 +22,13 @@ from dpbench.bench.run.exact_loop import rebuild_sequence, solve_loop_exactly
 from dpbench.bench.workers.worker import disable_gc_and_warnings, pin_to_core, write_outcome
 from dpbench.embedded.recipe import find_recipes, select_recipes
 from dpbench.embedded.step_counts import StepCounts
-from dpbench.embedded.table import EMBEDDED_FILE, read_steps, tabulate_steps, write_steps
-from dpbench.embedded.targets import find_target
+from dpbench.embedded.table import (
+    EMBEDDED_FILE,
+    read_counted_steps_of_file,
+    tabulate_counted_steps,
+    write_counted_steps_atomically,
+)
+from dpbench.embedded.targets import find_target_by_name
 from dpbench.embedded.toolchain import installed_compiler, require_extra
 from dpbench.errors import DpbenchError, InputError, ResultsError, format_allowed_names
 from dpbench.scenario.problem_files import ScenarioDocuments
@@ -60,17 +65,17 @@ class PlannedCount:
     def count_instructions(self) -> StepCounts:
         """Solve the loop exactly, and count the solver's C along its QPs."""
         # The emulator takes a while to load, and every campaign imports this module.
-        from dpbench.embedded.count import count_sequence
+        from dpbench.embedded.count import count_instructions_along_sequence
 
         last = self.first + self.steps
         scenario = build_or_reuse_scenario(self.files)
         exact = solve_loop_exactly(scenario.truncate(last))
         exact.require_certificates(self.scenario)
         sequence = rebuild_sequence(scenario, exact, first=self.first, count=self.steps)
-        return count_sequence(
+        return count_instructions_along_sequence(
             find_recipes()[self.solver],
             replace(sequence, name=self.sequence),
-            find_target(self.target),
+            find_target_by_name(self.target),
             single=self.single,
             optima=exact.optima[self.first : last],
         )
@@ -116,7 +121,9 @@ def run_count_in_process(text: str, folder: Path, name: str, core: int, path: Pa
     disable_gc_and_warnings()
     try:
         require_extra()
-        write_steps(tabulate_steps([PlannedCount(**json.loads(text)).count_instructions()]), path)
+        write_counted_steps_atomically(
+            tabulate_counted_steps([PlannedCount(**json.loads(text)).count_instructions()]), path
+        )
     except DpbenchError as error:
         write_outcome(folder / f"{name}.json", Outcome("invalid", str(error)))
         return
@@ -170,7 +177,9 @@ class EmbeddedCounts:
         stored = {path: _read_stored_count(path) for path in self._counts}
         frames = [frame for frame in stored.values() if frame is not None]
         if frames:
-            write_steps(pd.concat(frames, ignore_index=True), out / EMBEDDED_FILE)
+            write_counted_steps_atomically(
+                pd.concat(frames, ignore_index=True), out / EMBEDDED_FILE
+            )
         else:
             (out / EMBEDDED_FILE).unlink(missing_ok=True)
         return [
@@ -188,6 +197,6 @@ class EmbeddedCounts:
 def _read_stored_count(path: Path) -> pd.DataFrame | None:
     """Return the stored steps of one count; None where they are missing or damaged."""
     try:
-        return read_steps(path) if path.is_file() else None
+        return read_counted_steps_of_file(path) if path.is_file() else None
     except ResultsError:
         return None

@@ -12,12 +12,17 @@ from dpbench.bench.sequences.recording import load_named_sequence, thin_sequence
 from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.cli.embedded_fit import print_fits, read_kilobytes
 from dpbench.cli.terminal import make_console, make_report_table, print_wrapped
-from dpbench.embedded.count import count_sequence
+from dpbench.embedded.count import count_instructions_along_sequence
 from dpbench.embedded.recipe import Recipe, Setting, select_recipes
-from dpbench.embedded.second_opinion import compare_counts
+from dpbench.embedded.second_opinion import compare_counts_with_second_tool
 from dpbench.embedded.step_counts import StepCounts
-from dpbench.embedded.table import SIZES, save_steps, summarise, tabulate_steps
-from dpbench.embedded.targets import TARGETS, Target, find_target
+from dpbench.embedded.table import (
+    SIZES,
+    save_counted_steps_in_folder,
+    summarise_counted_runs,
+    tabulate_counted_steps,
+)
+from dpbench.embedded.targets import TARGETS, Target, find_target_by_name
 from dpbench.embedded.toolchain import compiler_version, require_extra
 from dpbench.errors import DpbenchError, InputError
 from dpbench.report.formats import count_text, error_text
@@ -35,7 +40,7 @@ COMPARED_STEPS = 3
 def print_counts(arguments: argparse.Namespace) -> int:
     """Count as the options ask for; return 1 if a solver could not be counted, or tools differ."""
     require_extra()
-    targets = [find_target(name) for name in arguments.target or ["m7"]]
+    targets = [find_target_by_name(name) for name in arguments.target or ["m7"]]
     sources = _read_sources(arguments.source)
     recipes = select_recipes(arguments.solver, map(Path, arguments.recipe), sources)
     settings = _read_settings(arguments.settings, recipes)
@@ -81,9 +86,17 @@ def _print_counts(
         print(f"dpbench: {text}", file=sys.stderr)
     if not counts:
         return 2
-    path = save_steps(counts, Path(arguments.out))
+    path = save_counted_steps_in_folder(counts, Path(arguments.out))
     if arguments.json:
-        print(json.dumps({"steps": str(path), "runs": summarise(tabulate_steps(counts))}, indent=2))
+        print(
+            json.dumps(
+                {
+                    "steps": str(path),
+                    "runs": summarise_counted_runs(tabulate_counted_steps(counts)),
+                },
+                indent=2,
+            )
+        )
     else:
         _print_tables(counts, path)
     return int(bool(refused))
@@ -103,8 +116,10 @@ def _print_second_opinions(
         rows = []
         for target, recipe in product(targets, recipes):
             own = settings.get(recipe.solver, {})
-            opinion = compare_counts(recipe, recorded.sequence, target, single=single, settings=own)
-            agrees &= opinion.agrees
+            opinion = compare_counts_with_second_tool(
+                recipe, recorded.sequence, target, single=single, settings=own
+            )
+            agrees &= opinion.has_equal_answers_and_counts
             rows.append(
                 {
                     "solver": recipe.solver,
@@ -123,7 +138,9 @@ def _print_second_opinions(
 
 def _count_recipe(recipe: Recipe, recorded: Recorded, target: Target, **options: Any) -> StepCounts:
     """Count the instructions of a solver's C on a recorded sequence, step by step."""
-    return count_sequence(recipe, recorded.sequence, target, optima=recorded.optima, **options)
+    return count_instructions_along_sequence(
+        recipe, recorded.sequence, target, optima=recorded.optima, **options
+    )
 
 
 def _read_sequence(name: str, steps: int) -> Recorded:
@@ -166,7 +183,7 @@ def _read_settings(texts: list[str], recipes: list[Recipe]) -> dict[str, dict[st
 def _print_tables(counts: list[StepCounts], path: Path) -> None:
     """Print a table of counts and one of sizes for each sequence and target."""
     screen = make_console()
-    for table in _make_tables(summarise(tabulate_steps(counts))):
+    for table in _make_tables(summarise_counted_runs(tabulate_counted_steps(counts))):
         screen.print(make_report_table(table, screen))
         screen.print()
     compiler = f"Compiled by ziglang {compiler_version()} with -O2. Steps: {path}"

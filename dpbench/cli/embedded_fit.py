@@ -10,11 +10,17 @@ from typing import Any
 from dpbench.bench.sequences.recording import record_scenario
 from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.cli.terminal import make_console, make_report_table, print_wrapped
-from dpbench.embedded.count import count_sequence
-from dpbench.embedded.fit import KILOBYTE, Fit, Trial, find_largest, summarise_fit
+from dpbench.embedded.count import count_instructions_along_sequence
+from dpbench.embedded.fit import (
+    KILOBYTE,
+    Fit,
+    Trial,
+    find_largest_fitting_horizon,
+    summarise_fit_as_dict,
+)
 from dpbench.embedded.recipe import Recipe, Setting
 from dpbench.embedded.step_counts import StepCounts
-from dpbench.embedded.table import save_steps
+from dpbench.embedded.table import save_counted_steps_in_folder
 from dpbench.embedded.targets import TARGETS, Target
 from dpbench.embedded.toolchain import compiler_version
 from dpbench.errors import DpbenchError, InputError
@@ -47,7 +53,7 @@ class _Trials:
         def try_horizon(N_c: int) -> Trial:
             recorded = self._record(N_c)
             try:
-                counts = count_sequence(
+                counts = count_instructions_along_sequence(
                     recipe,
                     recorded.sequence,
                     target,
@@ -60,7 +66,7 @@ class _Trials:
             self.counts.append(counts)
             return Trial(N_c, counts)
 
-        return [find_largest(try_horizon, size) for size in kilobytes]
+        return [find_largest_fitting_horizon(try_horizon, size) for size in kilobytes]
 
 
 def record_horizon(scenario: Scenario, N_c: int, steps: int) -> Recorded:
@@ -92,14 +98,14 @@ def print_fits(
                 own = settings.get(recipe.solver, {})
                 key = {"scenario": name, "target": target.name, "solver": recipe.solver}
                 found = trials.fit(recipe, target, own, kilobytes)
-                fits += [{**key, **summarise_fit(fit)} for fit in found]
+                fits += [{**key, **summarise_fit_as_dict(fit)} for fit in found]
         counts += trials.counts
     reasons = dict.fromkeys(row["next_reason"] for row in fits if row["next_reason"])
     for reason in reasons:
         print(f"dpbench: {reason}", file=sys.stderr)
     if not counts:
         return 2
-    path = save_steps(counts, out)
+    path = save_counted_steps_in_folder(counts, out)
     if as_json:
         print(json.dumps({"steps": str(path), "fits": fits}, indent=2))
     else:

@@ -24,35 +24,39 @@ class Table:
     bytes: int
 
 
-def number_text(x: float) -> str:
+def format_number_for_c(x: float) -> str:
     """Return a floating-point number as C text, exact.
 
     Examples
     --------
-    >>> number_text(0.1), number_text(3.0), number_text(1e300)
+    >>> format_number_for_c(0.1), format_number_for_c(3.0), format_number_for_c(1e300)
     ('0.1', '3.0', '1e+300')
     """
     return repr(float(x))
 
 
-def make_table(name: str, values: object, meaning: str) -> Table:
+def make_c_table(name: str, values: object, meaning: str) -> Table:
     """Return an array of numbers, of one dimension or two, as a C table; whole numbers as int."""
     array = np.asarray(values)
     whole = array.dtype.kind in "iu"
     if not whole and not np.isfinite(array).all():
         raise ValueError(f"{name}: an entry of a table is not finite")
     shape = "".join(f"[{size}]" for size in array.shape)
-    body = _row_text(array, whole) if array.ndim == 1 else _matrix_text(array, whole)
+    body = (
+        _format_vector_for_c(array, whole)
+        if array.ndim == 1
+        else _format_matrix_rows_for_c(array, whole)
+    )
     size = array.size * (4 if whole else 8)
     return Table(name, meaning, "int" if whole else "double", shape, body, size)
 
 
-def _matrix_text(rows: np.ndarray, whole: bool) -> str:
+def _format_matrix_rows_for_c(rows: np.ndarray, whole: bool) -> str:
     """Format a matrix as the rows of a C array."""
-    return ",\n".join(f"    {{\n{_row_text(row, whole)}}}" for row in rows)
+    return ",\n".join(f"    {{\n{_format_vector_for_c(row, whole)}}}" for row in rows)
 
 
-def _row_text(row: Vector, whole: bool) -> str:
+def _format_vector_for_c(row: Vector, whole: bool) -> str:
     """Format a vector as wrapped lines of a C array."""
-    text = ", ".join(str(int(x)) if whole else number_text(x) for x in row)
+    text = ", ".join(str(int(x)) if whole else format_number_for_c(x) for x in row)
     return textwrap.fill(text, _WIDTH, initial_indent="    ", subsequent_indent="    ")

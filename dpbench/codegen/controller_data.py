@@ -85,19 +85,24 @@ class ControllerData:
     outputs: tuple[Signal, ...]
 
 
-def read_controller(scenario: Scenario) -> ControllerData:
+def read_controller_data_of_scenario(scenario: Scenario) -> ControllerData:
     """Return the numbers of a scenario's controller; InputError for one without C code."""
     controller = scenario.controller
-    _check_supported(scenario, controller)
+    _refuse_unsupported_controller(scenario, controller)
     qp, problem = controller.make_condensed_qp_builder(), controller.problem
     tables = None
     if isinstance(controller, ThrusterController):
         rows = controller.control.rows
-        tables = _read_thrusters(rows, controller.control.thrusters.thrusters, problem.row_max)
+        tables = _tabulate_limits_after_each_loss(
+            rows, controller.control.thrusters.thrusters, problem.row_max
+        )
         outputs = _list_thruster_outputs(controller.control.thrusters.thrusters)
-        inputs = _list_losses(tables.names)
+        inputs = _list_thruster_loss_inputs(tables.names)
     else:
-        outputs, inputs = _list_force_outputs(), _list_limits(problem.u_min, problem.u_max)
+        outputs, inputs = (
+            _list_force_outputs(),
+            _list_force_limit_inputs(problem.u_min, problem.u_max),
+        )
     theta = problem.model.theta
     last = theta.one if problem.W is not None else theta.u_prev.start
     return ControllerData(
@@ -114,7 +119,7 @@ def read_controller(scenario: Scenario) -> ControllerData:
     )
 
 
-def _check_supported(scenario: Scenario, controller: Controller) -> None:
+def _refuse_unsupported_controller(scenario: Scenario, controller: Controller) -> None:
     """Raise InputError for a controller whose QP matrices change, or that needs more than a QP."""
     where = f"scenario {scenario.name}"
     is_force = type(controller) is ForceController
@@ -142,7 +147,7 @@ def _check_supported(scenario: Scenario, controller: Controller) -> None:
         raise InputError(where, "controller.amplitude", '"hard"', '"reachable" for thrusters')
 
 
-def _read_thrusters(
+def _tabulate_limits_after_each_loss(
     rows: ThrusterRows, thrusters: tuple[Thruster, ...], row_max: Vector
 ) -> ThrusterTables:
     """Return the limits of a ship's thrusters, intact and with each one lost, as tables."""
@@ -154,19 +159,19 @@ def _read_thrusters(
         own = slice(int(first_entry[t]), int(first_entry[t + 1]))
         normal[k, : own.stop - own.start] = rows.G[k, own]
     lost = rows.limits_after_loss_of_thrusters(range(p))
-    names = make_names([thruster.name for thruster in thrusters])
+    names = make_unique_c_identifiers([thruster.name for thruster in thrusters])
     first_row = np.searchsorted(rows.thruster, np.arange(p + 1)).tolist()
     limits = rows.low, rows.high, lost.low, lost.high
     return ThrusterTables(names, normal, *limits, first_row, first_entry.tolist(), row_max)
 
 
-def make_names(names: list[str]) -> tuple[str, ...]:
+def make_unique_c_identifiers(names: list[str]) -> tuple[str, ...]:
     """Return names as C identifiers, numbered where two would be the same."""
     plain = [re.sub(r"\W+", "_", name.lower(), flags=re.ASCII).strip("_") or "t" for name in names]
     return tuple(f"{x}_{i + 1}" if plain.count(x) > 1 else x for i, x in enumerate(plain))
 
 
-def _list_limits(low: Vector, high: Vector) -> tuple[Signal, ...]:
+def _list_force_limit_inputs(low: Vector, high: Vector) -> tuple[Signal, ...]:
     """Return the inputs of the generated controller that limit each axis of the force."""
     sides = ("least", "low", low), ("most", "high", high)
     return tuple(
@@ -178,7 +183,7 @@ def _list_limits(low: Vector, high: Vector) -> tuple[Signal, ...]:
     )
 
 
-def _list_losses(names: tuple[str, ...]) -> tuple[Signal, ...]:
+def _list_thruster_loss_inputs(names: tuple[str, ...]) -> tuple[Signal, ...]:
     """Return the inputs of the generated controller that take thrusters out of service."""
     meaning = "0 in service, 1 lost: ramps down, 2 tripped: gives nothing at once"
     return tuple(
@@ -199,7 +204,7 @@ def _list_force_outputs() -> tuple[Signal, ...]:
 
 def _list_thruster_outputs(thrusters: tuple[Thruster, ...]) -> tuple[Signal, ...]:
     """Return the commanded thruster forces as outputs of the generated controller."""
-    names = make_names([thruster.name for thruster in thrusters])
+    names = make_unique_c_identifiers([thruster.name for thruster in thrusters])
     outputs: list[Signal] = []
     parts = {
         "azimuth": (("x", "ahead"), ("y", "to starboard")),
@@ -213,7 +218,7 @@ def _list_thruster_outputs(thrusters: tuple[Thruster, ...]) -> tuple[Signal, ...
     return tuple(outputs)
 
 
-def lost_at_samples(controller: Controller, samples: int) -> Matrix:
+def list_thruster_states_by_sample(controller: Controller, samples: int) -> Matrix:
     """Return the state of each thruster (samples, p): 0 in service, 1 lost, 2 tripped."""
     state = np.array(
         [limits.lost for limits in controller.list_thruster_limits_by_sample(samples)], dtype=float

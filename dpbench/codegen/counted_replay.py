@@ -11,9 +11,9 @@ import numpy as np
 
 from dpbench.arrays import Vector
 from dpbench.codegen.trajectory import Trajectory
-from dpbench.embedded.calibration import calibrate
+from dpbench.embedded.calibration import verify_calibration_counts
 from dpbench.embedded.emulator import DATA, Core
-from dpbench.embedded.program import Program, read_program
+from dpbench.embedded.program import Program, read_program_from_elf_file
 from dpbench.embedded.targets import TARGETS, Target
 from dpbench.embedded.toolchain import compile_program
 from dpbench.errors import SituationError
@@ -84,24 +84,26 @@ def _compile(files: Mapping[str, bytes], target: Target) -> Program:
         for name, text in files.items():
             (folder / name).write_bytes(text)
         sources = sorted(folder / name for name in files if name.endswith(".c"))
-        return read_program(compile_program(sources, target, written=folder, defines=FLAGS))
+        return read_program_from_elf_file(
+            compile_program(sources, target, written=folder, defines=FLAGS)
+        )
 
 
 def _replay(
     target: Target, program: Program, trajectory: Trajectory, step_max: Vector, tolerance: float
 ) -> StepCost:
     """Step the controller along the trajectory on an emulated core and count its steps alone."""
-    calibrate(target)
+    verify_calibration_counts(target)
     core = Core(program, target)
-    core.call("embedded_set_up", DATA)
+    core.call_function_and_count("embedded_set_up", DATA)
     counted, most, left = [], 0.0, MOST_INSTRUCTIONS
     for inputs, recorded in zip(trajectory.inputs, trajectory.commands, strict=True):
-        core.write(DATA, inputs.tobytes())
-        core.call("embedded_read", DATA)
-        counted.append(core.call("embedded_step", DATA)[1])
-        core.write(DATA, recorded.tobytes())
-        core.call("embedded_write", DATA)
-        command = np.frombuffer(core.read(DATA, recorded.nbytes))
+        core.write_memory(DATA, inputs.tobytes())
+        core.call_function_and_count("embedded_read", DATA)
+        counted.append(core.call_function_and_count("embedded_step", DATA)[1])
+        core.write_memory(DATA, recorded.tobytes())
+        core.call_function_and_count("embedded_write", DATA)
+        command = np.frombuffer(core.read_memory(DATA, recorded.nbytes))
         most = max(most, float(np.abs((command - recorded) / step_max).max()))
         left -= counted[-1].instructions
         if left < 0:

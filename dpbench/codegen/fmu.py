@@ -14,9 +14,9 @@ from dataclasses import asdict, dataclass
 from html import escape
 from typing import Any
 
-from dpbench.codegen.c_tables import number_text
-from dpbench.codegen.controller_data import ControllerData, Signal, make_names
-from dpbench.codegen.rendering import render
+from dpbench.codegen.c_tables import format_number_for_c
+from dpbench.codegen.controller_data import ControllerData, Signal, make_unique_c_identifiers
+from dpbench.codegen.rendering import render_c_template
 from dpbench.embedded.toolchain import compile_library
 from dpbench.temporary_folders import make_temporary_folder_for_block, process_temporary_folder
 
@@ -65,7 +65,7 @@ class Variable:
     is_integer: bool
 
 
-def list_variables(data: ControllerData) -> list[Variable]:
+def list_fmu_variables(data: ControllerData) -> list[Variable]:
     """Return the variables of a controller: inputs, commands, then status and iterations."""
     outputs = (*data.outputs, *_OWN_OUTPUTS)
     directions = [("input", s) for s in data.inputs] + [("output", s) for s in outputs]
@@ -77,29 +77,29 @@ def list_variables(data: ControllerData) -> list[Variable]:
             f"{direction}.{signal.field}",
             signal.unit,
             escape(signal.meaning),
-            str(int(signal.start)) if signal.is_integer else number_text(signal.start),
+            str(int(signal.start)) if signal.is_integer else format_number_for_c(signal.start),
             signal.is_integer,
         )
         for reference, (direction, signal) in enumerate(directions)
     ]
 
 
-def build_fmu(data: ControllerData, sources: Mapping[str, bytes], version: int) -> bytes:
+def build_fmu_bytes(data: ControllerData, sources: Mapping[str, bytes], version: int) -> bytes:
     """Return the FMU of a controller; SituationError without ziglang or where it refuses.
 
     sources : the controller's files by name; its example and build files are left out.
     """
-    (identifier,) = make_names([f"dpbench {data.scenario.name}"])
+    (identifier,) = make_unique_c_identifiers([f"dpbench {data.scenario.name}"])
     own = {name: text for name, text in sources.items() if name.endswith((".c", ".h"))}
     del own["main.c"]
-    variables = list_variables(data)
+    variables = list_fmu_variables(data)
     values: dict[str, Any] = {
         "name": escape(data.scenario.name),
         "identifier": identifier,
         "description": escape(
             f"DP controller, {data.scenario.controller.tuning_horizons_and_command_text}"
         ),
-        "sample_s": number_text(data.scenario.sample_s),
+        "sample_s": format_number_for_c(data.scenario.sample_s),
         "variables": variables,
         "inputs": data.inputs,
         "input_count": len(data.inputs),
@@ -116,17 +116,17 @@ def build_fmu(data: ControllerData, sources: Mapping[str, bytes], version: int) 
     lengths, cuts = (8, 4, 4, 4, 12), (0, 8, 12, 16, 20)
     parts = [token[cut : cut + n] for cut, n in zip(cuts, lengths, strict=True)]
     values["token"] = "{" + "-".join(parts) + "}"
-    own["fmu_instance.h"] = render("fmu_instance.h", **values)
-    own["fmu.c"] = render(f"fmi{version}.c", **values)
-    files = {"modelDescription.xml": render(f"fmi{version}.xml", **values)}
+    own["fmu_instance.h"] = render_c_template("fmu_instance.h", **values)
+    own["fmu.c"] = render_c_template(f"fmi{version}.c", **values)
+    files = {"modelDescription.xml": render_c_template(f"fmi{version}.xml", **values)}
     if version == 3:
-        files["sources/buildDescription.xml"] = render("build.xml", **values)
+        files["sources/buildDescription.xml"] = render_c_template("build.xml", **values)
     files |= {f"sources/{name}": text for name, text in own.items()}
-    files |= _compile_libraries(own, identifier, version)
-    return _zip_files(files)
+    files |= _compile_libraries_of_all_systems(own, identifier, version)
+    return _zip_files_reproducibly(files)
 
 
-def _compile_libraries(
+def _compile_libraries_of_all_systems(
     sources: Mapping[str, bytes], identifier: str, version: int
 ) -> dict[str, bytes]:
     """Return the shared library for each system by its path in the FMU."""
@@ -142,7 +142,7 @@ def _compile_libraries(
     return libraries
 
 
-def _zip_files(files: Mapping[str, bytes]) -> bytes:
+def _zip_files_reproducibly(files: Mapping[str, bytes]) -> bytes:
     """Return files as a zip file, the same for the same files."""
     whole = io.BytesIO()
     with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:

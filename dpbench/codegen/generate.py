@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.codegen.c_tables import Table, make_table, number_text
-from dpbench.codegen.controller_data import ControllerData, read_controller
+from dpbench.codegen.c_tables import Table, format_number_for_c, make_c_table
+from dpbench.codegen.controller_data import ControllerData, read_controller_data_of_scenario
 from dpbench.codegen.counted_replay import StepCost, count_replay
-from dpbench.codegen.fmu import SYSTEMS, build_fmu
-from dpbench.codegen.rendering import render
-from dpbench.codegen.solver_sources import SOLVERS, SolverSources, round_up
-from dpbench.codegen.trajectory import Trajectory, record_trajectory
+from dpbench.codegen.fmu import SYSTEMS, build_fmu_bytes
+from dpbench.codegen.rendering import render_c_template
+from dpbench.codegen.solver_sources import SOLVERS, SolverSources, round_up_to_multiple_of_8
+from dpbench.codegen.trajectory import Trajectory, record_closed_loop_trajectory
 from dpbench.embedded.toolchain import has_extra
 from dpbench.errors import InputError
 from dpbench.files.writing import write_bytes_to_file_or_pipe, write_file_set_into_folder
@@ -57,22 +57,22 @@ def generate_controller(
         raise InputError("codegen", "solver", repr(solver), ", ".join(SOLVERS))
     if fmi not in SYSTEMS:
         raise InputError("codegen", "fmi", fmi, "2 or 3")
-    data = read_controller(resolve_to_scenario(scenario))
+    data = read_controller_data_of_scenario(resolve_to_scenario(scenario))
     sources = SOLVERS[solver](data.qp)
     if fmu is not None and not sources.copies:
         allowed = "a solver whose memory is the caller's: paper_active_set"
         raise InputError("codegen --fmu", "solver", solver, allowed)
-    tables = list_tables(data)
+    tables = list_constant_tables(data)
     sizes = {
         "constants": sum(table.bytes for table in (*tables, *sources.tables)),
-        "memory": _count_memory(data, sources),
+        "memory": _count_controller_structure_bytes(data, sources),
     }
-    trajectory = record_trajectory(data, solver, steps, sources.settings)
+    trajectory = record_closed_loop_trajectory(data, solver, steps, sources.settings)
     costs = count_steps(data, sources, tables, trajectory) if counts and has_extra() else []
     facts = {**sizes, "solver": solver, "costs": [cost.row for cost in costs]}
-    files = render_sources(data, sources, tables, **facts)
+    files = render_c_sources(data, sources, tables, **facts)
     names = [signal.name for signal in (*data.inputs, *data.outputs)]
-    files["trajectory.csv"] = trajectory.format_csv(names).encode()
+    files["trajectory.csv"] = trajectory.format_as_csv(names).encode()
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     write_file_set_into_folder(folder, {name: partial(bytes, text) for name, text in files.items()})
@@ -83,7 +83,7 @@ def generate_controller(
     ]
     lines += [f"{cost.summary}." for cost in costs]
     if fmu is not None:
-        whole = build_fmu(data, files, fmi)
+        whole = build_fmu_bytes(data, files, fmi)
         write_bytes_to_file_or_pipe(Path(fmu), whole)
         systems = ", ".join(place for place, _, _ in SYSTEMS[fmi])
         lines.append(
@@ -99,30 +99,35 @@ def count_steps(
     trajectory: Trajectory,
 ) -> list[StepCost]:
     """Return what the steps of a trajectory take on emulated cores."""
-    files = render_sources(data, sources, tables, solver="", constants=0, memory=0, costs=[])
+    files = render_c_sources(data, sources, tables, solver="", constants=0, memory=0, costs=[])
     compiled = {name: files[name] for name in files if Path(name).suffix in (".c", ".h")}
     del compiled["main.c"]
-    compiled["count_step.c"] = render("count_step.c", inputs=data.inputs)
+    compiled["count_step.c"] = render_c_template("count_step.c", inputs=data.inputs)
     return count_replay(compiled, trajectory, data.du_max, sources.tolerance)
 
 
-def _count_memory(data: ControllerData, sources: SolverSources) -> int:
+def _count_controller_structure_bytes(data: ControllerData, sources: SolverSources) -> int:
     """Return the bytes of the structure `controller`, with pointers of 8 bytes."""
     whole = sum(signal.is_integer for signal in data.inputs)
     n_u, moves = len(data.du_max), data.qp.control.N_c
-    own = 8 * (len(data.inputs) - whole) + round_up(4 * whole) + 8 * n_u * (1 + moves) + 8
+    own = (
+        8 * (len(data.inputs) - whole)
+        + round_up_to_multiple_of_8(4 * whole)
+        + 8 * n_u * (1 + moves)
+        + 8
+    )
     return sources.memory + own
 
 
-def list_tables(data: ControllerData) -> tuple[Table, ...]:
+def list_constant_tables(data: ControllerData) -> tuple[Table, ...]:
     """Return the constant tables of the generated control step, from the controller's data."""
-    gradient = make_table("gradient", data.gradient, "q of the QP = gradient θ")
-    du_max = make_table("du_max", data.du_max, "rate limits: the largest change in one step")
+    gradient = make_c_table("gradient", data.gradient, "q of the QP = gradient θ")
+    du_max = make_c_table("du_max", data.du_max, "rate limits: the largest change in one step")
     thrusters = data.thrusters
     if thrusters is None:
         limits = (
-            make_table("intact_low", data.low, "limits of surge, sway [N] and yaw [N·m]"),
-            make_table("intact_high", data.high, "and their other side"),
+            make_c_table("intact_low", data.low, "limits of surge, sway [N] and yaw [N·m]"),
+            make_c_table("intact_high", data.high, "and their other side"),
         )
         return gradient, du_max, *limits
     of_rows = (
@@ -135,10 +140,10 @@ def list_tables(data: ControllerData) -> tuple[Table, ...]:
         ("first_row", np.array(thrusters.first_row), "where the rows of each thruster begin"),
         ("first_entry", np.array(thrusters.first_entry), "where the forces of each thruster begin"),
     )
-    return gradient, du_max, *(make_table(*table) for table in of_rows)
+    return gradient, du_max, *(make_c_table(*table) for table in of_rows)
 
 
-def render_sources(
+def render_c_sources(
     data: ControllerData, sources: SolverSources, tables: Iterable[Table], **facts: Any
 ) -> dict[str, bytes]:
     """Return the C sources of the controller by file name; `facts` are more values of templates."""
@@ -148,7 +153,7 @@ def render_sources(
         "scenario": scenario.name,
         "vessel": scenario.vessel.title,
         "description": scenario.controller.tuning_horizons_and_command_text,
-        "sample_s": number_text(scenario.sample_s),
+        "sample_s": format_number_for_c(scenario.sample_s),
         "n_u": len(data.du_max),
         "moves": data.qp.control.N_c,
         "theta": theta,
@@ -156,13 +161,13 @@ def render_sources(
         "thrusters": thrusters,
         "inputs": data.inputs,
         "outputs": data.outputs,
-        "du_max": [number_text(x) for x in data.du_max],
-        "sources": ["controller.c", "solver.c", *sources.compiled],
+        "du_max": [format_number_for_c(x) for x in data.du_max],
+        "sources": ["controller.c", "solver.c", *sources.c_files_to_compile],
         "n": data.qp.n,
         "m": data.qp.m,
         "origin": sources.origin,
         "heap": sources.heap,
-        "tolerance": number_text(sources.tolerance),
+        "tolerance": format_number_for_c(sources.tolerance),
         **facts,
     }
     defines = [f"THETA {theta}"]
@@ -171,14 +176,14 @@ def render_sources(
     of_step = {"title": "Constants of the control step", "defines": defines, "tables": tables}
     of_solver = {"title": "Constants of the solver", "defines": [], "tables": sources.tables}
     texts = {
-        "README.md": render("README.md", **common),
-        "controller.h": render("controller.h", **common),
-        "controller.c": render("controller.c", **common),
-        "controller_tables.h": render("tables.h", **of_step, **common),
-        "solver.h": render(sources.header, **common, **sources.values),
-        "solver.c": render(sources.source, **common, **sources.values),
-        "solver_tables.h": render("tables.h", **of_solver, **common),
-        "main.c": render("main.c", **common),
-        "CMakeLists.txt": render("CMakeLists.txt", **common),
+        "README.md": render_c_template("README.md", **common),
+        "controller.h": render_c_template("controller.h", **common),
+        "controller.c": render_c_template("controller.c", **common),
+        "controller_tables.h": render_c_template("tables.h", **of_step, **common),
+        "solver.h": render_c_template(sources.header, **common, **sources.values),
+        "solver.c": render_c_template(sources.source, **common, **sources.values),
+        "solver_tables.h": render_c_template("tables.h", **of_solver, **common),
+        "main.c": render_c_template("main.c", **common),
+        "CMakeLists.txt": render_c_template("CMakeLists.txt", **common),
     }
     return texts | sources.files

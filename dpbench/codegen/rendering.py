@@ -8,7 +8,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 
 @cache
-def _template_environment() -> Environment:
+def _make_c_template_environment() -> Environment:
     """Return the Jinja environment of the templates of generated C."""
     made = Environment(
         loader=PackageLoader("dpbench.codegen"),
@@ -21,6 +21,6 @@ def _template_environment() -> Environment:
     return made
 
 
-def render(template: str, **values: Any) -> bytes:
+def render_c_template(template: str, **values: Any) -> bytes:
     """Return a file of the generated controller in UTF-8, from its template."""
-    return _template_environment().get_template(f"{template}.j2").render(values).encode()
+    return _make_c_template_environment().get_template(f"{template}.j2").render(values).encode()

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from dpbench.codegen.c_tables import Table, make_table, number_text
+from dpbench.codegen.c_tables import Table, format_number_for_c, make_c_table
 from dpbench.embedded.fetch import fetch_sources
 from dpbench.embedded.recipe import RECIPES, Recipe
 from dpbench.mpc.condensed_qp import CondensedQP
@@ -49,12 +49,12 @@ class SolverSources:
     copies: bool = True
 
     @property
-    def compiled(self) -> list[str]:
+    def c_files_to_compile(self) -> list[str]:
         """Names of the solver's C files to compile besides those of the controller."""
         return sorted(name for name in self.files if name.endswith(".c"))
 
 
-def make_active_set_sources(qp: CondensedQP) -> SolverSources:
+def make_c_sources_of_active_set(qp: CondensedQP) -> SolverSources:
     """Return the C sources of the paper's method with all constants of a QP's P and A."""
     problem = Problem(qp.n, qp.m)
     problem.P[:], problem.A[:] = qp.P, qp.A
@@ -75,9 +75,11 @@ def make_active_set_sources(qp: CondensedQP) -> SolverSources:
         "blocks": "P⁻¹ of each part",
     }
     constants = problem.copy_arrays_that_depend_on_matrices()
-    tables = tuple(make_table(name, constants[name], meaning) for name, meaning in meanings.items())
+    tables = tuple(
+        make_c_table(name, constants[name], meaning) for name, meaning in meanings.items()
+    )
     reals = (field[0] for field in ActiveSet._fields_ if field[1] is ctypes.c_double)
-    scalars = {name: number_text(getattr(problem.head, name)) for name in reals}
+    scalars = {name: format_number_for_c(getattr(problem.head, name)) for name in reals}
     values = {"scalars": scalars, "block": qp.block, "coupled": problem.head.coupled}
     names = ("active_set.h", "active_set.c", "active_set_care.c")
     header, core, care = (Path(compiling.FOLDER, name).read_bytes() for name in names)
@@ -87,19 +89,19 @@ def make_active_set_sources(qp: CondensedQP) -> SolverSources:
     origin = "active_set.c and active_set.h are part of dpbench, Apache-2.0"
     # The library places the memory of a step first: low … unit, active … first.
     head = problem.head
-    step = head.unit - head.low + round_up(head.first - head.active)
+    step = head.unit - head.low + round_up_to_multiple_of_8(head.first - head.active)
     memory = 4 * 8 + 8 + ctypes.sizeof(ActiveSet) + step
     return SolverSources(
         "solver_active_set.h", "solver_active_set.c", values, tables, files, memory, origin
     )
 
 
-def round_up(count: int) -> int:
+def round_up_to_multiple_of_8(count: int) -> int:
     """Return a number of bytes rounded up to a multiple of 8."""
     return -(-count // 8) * 8
 
 
-def generate_osqp_sources(qp: CondensedQP) -> SolverSources:
+def generate_c_sources_of_osqp(qp: CondensedQP) -> SolverSources:
     """Return the C sources that OSQP's own generator writes for a QP, with ρ frozen."""
     options = {"verbose": False, "adaptive_rho": False, **OSQP_SETTINGS}
     rows = scipy.sparse.csc_matrix(np.vstack([np.eye(qp.n), qp.A]))
@@ -122,7 +124,7 @@ def generate_osqp_sources(qp: CondensedQP) -> SolverSources:
         {"library": "OSQP, generated"},
         (),
         files,
-        _count_fixed(qp),
+        _count_static_solver_memory_bytes(qp),
         origin,
         heap="none; OSQP's workspace is static memory besides",
         tolerance=OSQP_TOLERANCE,
@@ -131,14 +133,14 @@ def generate_osqp_sources(qp: CondensedQP) -> SolverSources:
     )
 
 
-def fetch_daqp_sources(qp: CondensedQP) -> SolverSources:
+def fetch_c_sources_and_tables_of_daqp(qp: CondensedQP) -> SolverSources:
     """Return DAQP's C files, downloaded once, and the QP's P and A as tables; or SituationError."""
     package = Recipe(RECIPES / "daqp").file.package
     assert package is not None, "its C is fetched"
     root = fetch_sources(package.name, package.version, package.sha256)
     tables = (
-        make_table("P", qp.P.reshape(-1), "the Hessian, row after row"),
-        make_table("A", qp.A.reshape(-1), "the rows of amplitude limits, row after row"),
+        make_c_table("P", qp.P.reshape(-1), "the Hessian, row after row"),
+        make_c_table("A", qp.A.reshape(-1), "the rows of amplitude limits, row after row"),
     )
     files = {path.name: path.read_bytes() for path in (root / "csrc").rglob("*.[ch]")}
     files["LICENSE.daqp"] = (root / "LICENSE").read_bytes()
@@ -148,21 +150,21 @@ def fetch_daqp_sources(qp: CondensedQP) -> SolverSources:
         {"library": f"DAQP {package.version}"},
         tables,
         files,
-        _count_fixed(qp),
+        _count_static_solver_memory_bytes(qp),
         f"DAQP's sources are those of its distribution {package.version}, MIT",
         heap="taken once by DAQP, in controller_start",
         copies=False,
     )
 
 
-def _count_fixed(qp: CondensedQP) -> int:
+def _count_static_solver_memory_bytes(qp: CondensedQP) -> int:
     """Return the bytes of `solver_memory` of a solver whose workspace is elsewhere."""
     return 8 * (2 * qp.n + 2 * (qp.n + qp.m)) + 8
 
 
 SOLVERS: dict[str, Callable[[CondensedQP], SolverSources]] = {
-    "paper_active_set": make_active_set_sources,
-    "osqp": generate_osqp_sources,
-    "daqp": fetch_daqp_sources,
+    "paper_active_set": make_c_sources_of_active_set,
+    "osqp": generate_c_sources_of_osqp,
+    "daqp": fetch_c_sources_and_tables_of_daqp,
 }
 """Makers of the C sources by the name of the solver."""

@@ -11,7 +11,7 @@ from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.assemble import NO_LIMIT_NS, build_closed_loop_setup
 from dpbench.bench.run.closed_loop import record_closed_loop
-from dpbench.codegen.controller_data import ControllerData, lost_at_samples
+from dpbench.codegen.controller_data import ControllerData, list_thruster_states_by_sample
 from dpbench.scenario.controllers.controller import stack_lower_and_upper_limits
 from dpbench.ship.plant import Sensors
 from dpbench.solvers.open import open_workspace
@@ -25,7 +25,7 @@ class Trajectory:
     commands: Matrix
     sample_s: float
 
-    def format_csv(self, names: list[str]) -> str:
+    def format_as_csv(self, names: list[str]) -> str:
         """Format the trajectory as CSV text; `names` are those of inputs and commands."""
         lines = [",".join(["time_s", *names])]
         numbers = np.hstack([self.inputs, self.commands])
@@ -34,7 +34,7 @@ class Trajectory:
         return "\n".join(lines) + "\n"
 
 
-def record_trajectory(
+def record_closed_loop_trajectory(
     data: ControllerData, solver: str, steps: int, settings: str = "default"
 ) -> Trajectory:
     """Run a scenario's closed loop with a solver, warm started; return its inputs and outputs."""
@@ -49,7 +49,7 @@ def record_trajectory(
     measured = np.array([sensors.measure_state(log.state[k], k).copy() for k in range(K)])
     reference = scenario.build_reference_table(K)
     if data.thrusters is not None:
-        state = lost_at_samples(controller, K)
+        state = list_thruster_states_by_sample(controller, K)
     else:
         state = np.hstack(
             stack_lower_and_upper_limits(controller.list_planned_force_limits_by_sample(K))

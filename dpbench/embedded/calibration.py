@@ -3,7 +3,7 @@
 from functools import cache
 
 from dpbench.embedded.emulator import DATA, Core, Counts, EmulationError
-from dpbench.embedded.program import read_program
+from dpbench.embedded.program import read_program_from_elf_file
 from dpbench.embedded.targets import Target
 from dpbench.embedded.toolchain import RUNTIME, compile_program
 
@@ -12,9 +12,11 @@ STACK_BYTES = 480  # As in `calibration.c`
 
 
 @cache
-def calibrate(target: Target) -> None:
+def verify_calibration_counts(target: Target) -> None:
     """Run the calibration program of a core; EmulationError unless every count is as known."""
-    core = Core(read_program(compile_program([RUNTIME / "calibration.c"], target)), target)
+    core = Core(
+        read_program_from_elf_file(compile_program([RUNTIME / "calibration.c"], target)), target
+    )
     # A return of x86 loads the address, which the caller has put on the stack.
     popped = 0 if target.link else 1
 
@@ -29,6 +31,6 @@ def calibrate(target: Target) -> None:
         "embedded_stack": expect(4, 0, 1, STACK_BYTES),
     }
     for name, expected in known.items():
-        _, counts = core.call(name, DATA)
+        _, counts = core.call_function_and_count(name, DATA)
         if counts != expected:
             raise EmulationError(f"{target.title}: {name} counts {counts}, and not {expected}")

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Floats, Matrix, Vector
-from dpbench.embedded.calibration import calibrate
+from dpbench.embedded.calibration import verify_calibration_counts
 from dpbench.embedded.emulator import DATA, Core
-from dpbench.embedded.program import Program, read_program
+from dpbench.embedded.program import Program, read_program_from_elf_file
 from dpbench.embedded.recipe import Recipe, Settings
 from dpbench.embedded.step_counts import COUNTED, StepCounts
 from dpbench.embedded.targets import Target
@@ -48,34 +48,34 @@ class Mailbox:
         self._pointers = struct.pack(f"<{len(_ARRAYS)}{word}", *self._places.values())
         self._z_bytes = n * self._type.itemsize
         for name in _ARRAYS[:-1]:
-            self.write(name, getattr(sequence.base, name))
+            self.write_array_to_core(name, getattr(sequence.base, name))
 
-    def write(self, name: str, values: Floats) -> None:
+    def write_array_to_core(self, name: str, values: Floats) -> None:
         """Write an array; in single precision what is beyond it becomes infinite."""
         with np.errstate(over="ignore"):
-            self._core.write(self._places[name], values.astype(self._type).tobytes())
+            self._core.write_memory(self._places[name], values.astype(self._type).tobytes())
 
-    def write_step(self, step: QPStep) -> None:
+    def write_step_to_core(self, step: QPStep) -> None:
         """Write a step's vectors and matrices, and the structure."""
         changed = [name for name in CONSTANT if getattr(step, name) is not None]
         for name in ("q", "l", "u", *changed):
-            self.write(name, getattr(step, name))
+            self.write_array_to_core(name, getattr(step, name))
         self._integers[3] = int(bool(changed))
-        self.write_head()
+        self.write_inputs_and_clear_answer()
 
-    def write_head(self) -> None:
+    def write_inputs_and_clear_answer(self) -> None:
         """Write the program's input structure into the core's memory, and NaN over its answer."""
-        self._core.write(DATA, _INTEGERS.pack(*self._integers) + self._pointers)
-        self.write("z", np.full(self._z_bytes // self._type.itemsize, np.nan))
+        self._core.write_memory(DATA, _INTEGERS.pack(*self._integers) + self._pointers)
+        self.write_array_to_core("z", np.full(self._z_bytes // self._type.itemsize, np.nan))
 
-    def read(self) -> tuple[int, int, int, Vector]:
+    def read_status_iterations_and_answer(self) -> tuple[int, int, int, Vector]:
         """Return status, iterations, active rows and answer that the program left in memory."""
-        numbers = _INTEGERS.unpack(self._core.read(DATA, _INTEGERS.size))
-        z = np.frombuffer(self._core.read(self._places["z"], self._z_bytes), self._type)
+        numbers = _INTEGERS.unpack(self._core.read_memory(DATA, _INTEGERS.size))
+        z = np.frombuffer(self._core.read_memory(self._places["z"], self._z_bytes), self._type)
         return numbers[4], numbers[5], numbers[6], z.astype(np.float64)
 
 
-def count_sequence(
+def count_instructions_along_sequence(
     recipe: Recipe,
     sequence: QPSequence,
     target: Target,
@@ -93,19 +93,21 @@ def count_sequence(
     EmulationError : the core cannot execute it, or the counters are wrong.
     """
     own = settings or {}
-    core, mailbox = open_core(recipe, sequence, target, single=single, settings=own, kind=Core)
-    columns, answers = run_steps(core, mailbox, sequence)
+    core, mailbox = open_core_with_solver_set_up(
+        recipe, sequence, target, single=single, settings=own, kind=Core
+    )
+    columns, answers = run_all_steps_and_count(core, mailbox, sequence)
     certified = certify_all_steps(sequence) if optima is None else optima
     errors = measure_first_move_and_plan_errors_of_many(
         answers, certified, sequence.base.block, sequence.base.moves
     )
     steps = dict(zip(COUNTED, columns, strict=True))
-    sizes = {**core.sizes, "heap": core.heap_bytes()}
+    sizes = {**core.code_and_data_bytes, "heap": core.count_heap_bytes()}
     names = recipe.solver, target.name, sequence.name
     return StepCounts(*names, single, recipe.with_settings(own), steps, answers, *errors, sizes)
 
 
-def open_core(
+def open_core_with_solver_set_up(
     recipe: Recipe,
     sequence: QPSequence,
     target: Target,
@@ -116,37 +118,39 @@ def open_core(
 ) -> tuple[_Core, Mailbox]:
     """Return a core on which the solver of a recipe is set up for a sequence, and its mailbox.
 
-    Errors are those of `count_sequence`.
+    Errors are those of `count_instructions_along_sequence`.
     """
-    calibrate(target)
+    verify_calibration_counts(target)
     with tempfile.TemporaryDirectory(dir=process_temporary_folder()) as folder:
         path = recipe.compile(
             sequence, target, Path(folder), single=single, settings=settings or {}
         )
-        core = kind(read_program(path), target)
+        core = kind(read_program_from_elf_file(path), target)
     mailbox = Mailbox(core, sequence, target, single=single)
-    mailbox.write_head()
-    refused, _ = core.call("embedded_set_up", DATA)
+    mailbox.write_inputs_and_clear_answer()
+    refused, _ = core.call_function_and_count("embedded_set_up", DATA)
     if refused:
         raise SituationError(recipe.solver, f"it refuses {sequence.name} at set-up ({refused})")
     return core, mailbox
 
 
-def run_steps(
+def run_all_steps_and_count(
     core: Core, mailbox: Mailbox, sequence: QPSequence
 ) -> tuple[NDArray[np.int64], Matrix]:
     """Run all steps; return the columns (7, K) of `COUNTED` and the answers (K, n)."""
     columns = np.zeros((len(COUNTED), len(sequence)), dtype=np.int64)
     answers = np.empty((len(sequence), sequence.base.n))
     for k in range(len(sequence)):
-        columns[:, k], answers[k] = _run_step(core, mailbox, sequence.step(k))
+        columns[:, k], answers[k] = _run_step_and_count(core, mailbox, sequence.step(k))
     return columns, answers
 
 
-def _run_step(core: Core, mailbox: Mailbox, step: QPStep) -> tuple[NDArray[np.int64], Vector]:
+def _run_step_and_count(
+    core: Core, mailbox: Mailbox, step: QPStep
+) -> tuple[NDArray[np.int64], Vector]:
     """Run one step; return its column of `COUNTED` and its answer."""
-    mailbox.write_step(step)
-    _, counts = core.call("embedded_step", DATA)
-    status, iterations, active, z = mailbox.read()
+    mailbox.write_step_to_core(step)
+    _, counts = core.call_function_and_count("embedded_step", DATA)
+    status, iterations, active, z = mailbox.read_status_iterations_and_answer()
     executed = counts.instructions, counts.loads, counts.stores, counts.stack
     return np.array([*executed, iterations, active, status]), z

@@ -49,19 +49,19 @@ class Counts:
 
 
 @_cfunc(_CODE, cache=True)
-def _count_instruction(engine, address, size, counts):  # type: ignore[no-untyped-def] # Numba types it by the signature above
+def _count_executed_instruction(engine, address, size, counts):  # type: ignore[no-untyped-def] # Numba types it by the signature above
     """Count one executed instruction in an array that Unicorn's hook hands on."""
     _carray(counts, 3, np.uint64)[_INSTRUCTIONS] += np.uint64(1)
 
 
 @_cfunc(_MEMORY, cache=True)
-def _count_load(engine, kind, address, size, value, counts):  # type: ignore[no-untyped-def] # Numba types it by the signature above
+def _count_memory_load(engine, kind, address, size, value, counts):  # type: ignore[no-untyped-def] # Numba types it by the signature above
     """Count one load from memory in an array that Unicorn's hook hands on."""
     _carray(counts, 3, np.uint64)[_LOADS] += np.uint64(1)
 
 
 @_cfunc(_MEMORY, cache=True)
-def _count_store(engine, kind, address, size, value, counts):  # type: ignore[no-untyped-def] # Numba types it by the signature above
+def _count_memory_store(engine, kind, address, size, value, counts):  # type: ignore[no-untyped-def] # Numba types it by the signature above
     """Count one store to memory in an array that Unicorn's hook hands on."""
     _carray(counts, 3, np.uint64)[_STORES] += np.uint64(1)
 
@@ -88,25 +88,28 @@ class Core:
         for address, data in program.parts:
             self._core.mem_write(address, data)
         for name, value in target.enable_fpu:
-            self._write_register(name, value)
-        self._add_counters()
+            self._write_value_into_register(name, value)
+        self._install_instruction_counters()
 
-    def _register(self, name: str) -> int:
+    def _look_up_register_number(self, name: str) -> int:
         """Return Unicorn's number of a register of the core, by its name."""
         number: int = getattr(self._constants, name)
         return number
 
-    def _write_register(self, name: str, value: int) -> None:
+    def _write_value_into_register(self, name: str, value: int) -> None:
         """Write a value into a register of the core, by its name."""
-        self._core.reg_write(self._register(name), value)
+        self._core.reg_write(self._look_up_register_number(name), value)
 
-    def _add_counters(self) -> None:
+    def _install_instruction_counters(self) -> None:
         """Have Unicorn call the compiled counters directly, and not through Python."""
         library: Any = import_module("unicorn.unicorn_py3.unicorn").uclib
         self._hooks = []
-        counters = {"UC_HOOK_CODE": _count_instruction}
+        counters = {"UC_HOOK_CODE": _count_executed_instruction}
         if self._target.counts_memory:
-            counters |= {"UC_HOOK_MEM_READ": _count_load, "UC_HOOK_MEM_WRITE": _count_store}
+            counters |= {
+                "UC_HOOK_MEM_READ": _count_memory_load,
+                "UC_HOOK_MEM_WRITE": _count_memory_store,
+            }
         for kind, counter in counters.items():
             hook = ctypes.c_size_t()
             error = library.uc_hook_add(
@@ -122,19 +125,19 @@ class Core:
                 raise EmulationError(f"{self._target.name}: Unicorn takes no counter ({error})")
             self._hooks.append(hook)
 
-    def call(self, name: str, argument: int) -> tuple[int, Counts]:
+    def call_function_and_count(self, name: str, argument: int) -> tuple[int, Counts]:
         """Call a function of one pointer on the core; return its result and its counts."""
         target, core = self._target, self._core
         stack, first, result = target.registers
         top = STACK_TOP
         if target.link:
             # A Thumb address has its lowest bit set.
-            self._write_register(target.link, RETURN | (target.name == "m7"))
+            self._write_value_into_register(target.link, RETURN | (target.name == "m7"))
         else:
             top -= 8
             core.mem_write(top, RETURN.to_bytes(8, "little"))
-        self._write_register(stack, top)
-        self._write_register(first, argument)
+        self._write_value_into_register(stack, top)
+        self._write_value_into_register(first, argument)
         self._counts[:] = 0
         core.mem_write(STACK, _PAINT[: top - STACK])
         try:
@@ -148,31 +151,31 @@ class Core:
             loads = stores = -1
         used = np.frombuffer(core.mem_read(STACK, STACK_SIZE), np.uint8) != _PAINT[0]
         depth = STACK_SIZE - int(used.argmax()) if used.any() else 0
-        value = core.reg_read(self._register(result)) & 0xFFFF_FFFF
+        value = core.reg_read(self._look_up_register_number(result)) & 0xFFFF_FFFF
         signed = value - (1 << 32) if value >> 31 else value
         return signed, Counts(instructions, loads, stores, depth)
 
     @property
-    def sizes(self) -> dict[str, int]:
+    def code_and_data_bytes(self) -> dict[str, int]:
         """Bytes of the program's code, constants and static data."""
         return self._program.sizes
 
-    def entry(self, name: str) -> int:
+    def find_address_of_function(self, name: str) -> int:
         """Return the address of a function."""
         return self._program.symbols[name]
 
-    def write(self, address: int, data: bytes) -> None:
+    def write_memory(self, address: int, data: bytes) -> None:
         """Write bytes into the emulated core's memory."""
         self._core.mem_write(address, data)
 
-    def read(self, address: int, size: int) -> bytes:
+    def read_memory(self, address: int, size: int) -> bytes:
         """Read bytes from the emulated core's memory."""
         return bytes(self._core.mem_read(address, size))
 
-    def heap_bytes(self) -> int:
+    def count_heap_bytes(self) -> int:
         """Return how many bytes of heap the program has taken so far."""
         symbols, word = self._program.symbols, self._target.bits // 8
         if "embedded_heap_end" not in symbols:
             return 0
-        end = int.from_bytes(self.read(symbols["embedded_heap_end"], word), "little")
+        end = int.from_bytes(self.read_memory(symbols["embedded_heap_end"], word), "little")
         return end - symbols["heap_start"]

@@ -27,15 +27,15 @@ class Trial:
     reason: str = ""
 
     @property
-    def memory(self) -> int | None:
+    def memory_bytes(self) -> int | None:
         """Bytes of code, constants, static data, heap and deepest stack; None if not counted."""
         if self.counts is None:
             return None
         return sum(self.counts.sizes.values()) + int(self.counts.steps["stack"].max())
 
-    def fits(self, kilobytes: int) -> bool:
+    def fits_in_memory(self, kilobytes: int) -> bool:
         """Return whether the program ran and takes no more than this memory."""
-        return self.memory is not None and self.memory <= kilobytes * KILOBYTE
+        return self.memory_bytes is not None and self.memory_bytes <= kilobytes * KILOBYTE
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,27 +54,27 @@ class Fit:
     following: Trial | None
 
 
-def find_largest(try_horizon: Callable[[int], Trial], kilobytes: int) -> Fit:
+def find_largest_fitting_horizon(try_horizon: Callable[[int], Trial], kilobytes: int) -> Fit:
     """Find the largest control horizon that fits in a memory.
 
     The horizon is doubled from `FIRST` until it does not fit, and the interval is then bisected, so
     that both trials of the result were compiled and run.
     """
     low, high = 0, FIRST
-    while try_horizon(high).fits(kilobytes):
+    while try_horizon(high).fits_in_memory(kilobytes):
         if high == MOST:
             return Fit(kilobytes, try_horizon(MOST), None)
         low, high = high, min(2 * high, MOST)
     while high - low > 1:
         middle = (low + high) // 2
-        if try_horizon(middle).fits(kilobytes):
+        if try_horizon(middle).fits_in_memory(kilobytes):
             low = middle
         else:
             high = middle
     return Fit(kilobytes, try_horizon(low) if low else None, try_horizon(high))
 
 
-def summarise_fit(fit: Fit) -> dict[str, Any]:
+def summarise_fit_as_dict(fit: Fit) -> dict[str, Any]:
     """Return a fit in a few numbers; None where there is none of them."""
     largest, following = fit.largest, fit.following
     counts = largest.counts if largest else None
@@ -82,10 +82,10 @@ def summarise_fit(fit: Fit) -> dict[str, Any]:
         "kilobytes": fit.kilobytes,
         "control_horizon": largest.N_c if largest else None,
         "variables": counts.z.shape[1] if counts else None,
-        "memory_bytes": largest.memory if largest else None,
+        "memory_bytes": largest.memory_bytes if largest else None,
         "instructions_max": int(counts.steps["instructions"].max()) if counts else None,
         "error_move": float(counts.error_move.max()) if counts else None,
         "next_control_horizon": following.N_c if following else None,
-        "next_memory_bytes": following.memory if following else None,
+        "next_memory_bytes": following.memory_bytes if following else None,
         "next_reason": following.reason if following else "",
     }

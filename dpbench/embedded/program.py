@@ -25,7 +25,7 @@ class Program:
     sizes: dict[str, int]
 
 
-def read_program(path: Path) -> Program:
+def read_program_from_elf_file(path: Path) -> Program:
     """Read a compiled program from its ELF file: bytes to load, symbols and sizes."""
     elf_file: Any = import_module("elftools.elf.elffile").ELFFile
     with path.open("rb") as file:

@@ -17,7 +17,7 @@ from typing import IO
 import numpy as np
 
 from dpbench.arrays import Ints
-from dpbench.embedded.count import open_core, run_steps
+from dpbench.embedded.count import open_core_with_solver_set_up, run_all_steps_and_count
 from dpbench.embedded.emulator import DATA, DATA_SIZE, PROGRAM, PROGRAM_SIZE, Core, Counts
 from dpbench.embedded.program import Program
 from dpbench.embedded.recipe import Recipe, Settings
@@ -58,7 +58,7 @@ class SecondOpinion:
     differing_bytes: int
 
     @property
-    def agrees(self) -> bool:
+    def has_equal_answers_and_counts(self) -> bool:
         """Return whether all answers are equal, and all counts: on M7 to within `SKIPPED`."""
         allowed = SKIPPED * self.others if self.tool == TOOLS["m7"] else 0.0
         differences = np.abs(self.instructions - self.others)
@@ -72,30 +72,30 @@ class _RecordingCore(Core):
         super().__init__(program, target)
         self.trace = bytearray()
         for address, data in program.parts:
-            self._add(_WRITE, address, data)
+            self._append_event_to_trace(_WRITE, address, data)
 
-    def _add(self, kind: int, address: int, data: bytes) -> None:
+    def _append_event_to_trace(self, kind: int, address: int, data: bytes) -> None:
         """Append an event, its address and its bytes to the recorded trace."""
         self.trace += struct.pack("<3Q", kind, address, len(data)) + data
 
-    def call(self, name: str, argument: int) -> tuple[int, Counts]:
+    def call_function_and_count(self, name: str, argument: int) -> tuple[int, Counts]:
         """Call a function, and note that."""
-        self.trace += struct.pack("<3Q", _CALL, self.entry(name), argument)
-        return super().call(name, argument)
+        self.trace += struct.pack("<3Q", _CALL, self.find_address_of_function(name), argument)
+        return super().call_function_and_count(name, argument)
 
-    def write(self, address: int, data: bytes) -> None:
+    def write_memory(self, address: int, data: bytes) -> None:
         """Write bytes into the core's memory, and note them."""
-        self._add(_WRITE, address, data)
-        super().write(address, data)
+        self._append_event_to_trace(_WRITE, address, data)
+        super().write_memory(address, data)
 
-    def read(self, address: int, size: int) -> bytes:
+    def read_memory(self, address: int, size: int) -> bytes:
         """Read bytes from the core's memory, and note them."""
-        data = super().read(address, size)
-        self._add(_COMPARE, address, data)
+        data = super().read_memory(address, size)
+        self._append_event_to_trace(_COMPARE, address, data)
         return data
 
 
-def compare_counts(
+def compare_counts_with_second_tool(
     recipe: Recipe,
     sequence: QPSequence,
     target: Target,
@@ -105,24 +105,27 @@ def compare_counts(
 ) -> SecondOpinion:
     """Count the steps of a sequence by Unicorn and by the target's other tool.
 
-    SituationError where that is not installed or fails; else as `count_sequence`.
+    SituationError where that is not installed or fails; others are those of
+    `count_instructions_along_sequence`.
     """
     tool = TOOLS.get(target.name)
     if tool is None or shutil.which(tool) is None:
         found = f"{tool} is not installed" if tool else "there is no other tool"
         raise SituationError(f"second opinion on {target.title}", found)
-    core, mailbox = open_core(
+    core, mailbox = open_core_with_solver_set_up(
         recipe, sequence, target, single=single, settings=settings, kind=_RecordingCore
     )
-    columns, _ = run_steps(core, mailbox, sequence)
+    columns, _ = run_all_steps_and_count(core, mailbox, sequence)
     with tempfile.TemporaryDirectory(dir=process_temporary_folder()) as folder:
         trace = Path(folder, "trace")
         trace.write_bytes(core.trace)
-        loader = _compile_loader(target)
+        loader = _compile_linux_loader(target)
         if tool == "valgrind":
-            others, differing = _run_callgrind(loader, trace, Path(folder))
+            others, differing = _count_steps_by_callgrind(loader, trace, Path(folder))
         else:
-            others, differing = _run_qemu(tool, loader, trace, core.entry("embedded_step"))
+            others, differing = _count_steps_by_qemu(
+                tool, loader, trace, core.find_address_of_function("embedded_step")
+            )
     counted = columns[0]
     if len(others) != len(counted):
         found = f"it counts {len(others)} steps of {len(counted)}"
@@ -130,7 +133,7 @@ def compare_counts(
     return SecondOpinion(tool, counted, np.array(others, dtype=np.int64), differing)
 
 
-def _compile_loader(target: Target) -> Path:
+def _compile_linux_loader(target: Target) -> Path:
     """Compile the loader for Linux on a target's processor, away from the program's addresses."""
     places = {
         "PROGRAM": PROGRAM,
@@ -144,7 +147,7 @@ def _compile_loader(target: Target) -> Path:
     return compile_loader([RUNTIME / "loader.c"], [*flags, *defines], out)
 
 
-def _run_callgrind(loader: Path, trace: Path, folder: Path) -> tuple[list[int], int]:
+def _count_steps_by_callgrind(loader: Path, trace: Path, folder: Path) -> tuple[list[int], int]:
     """Return each step's instructions by callgrind, and the number that the program prints."""
     options = ["--tool=callgrind", f"--callgrind-out-file={folder / 'counts'}", "--quiet"]
     with trace.open("rb") as stream:
@@ -161,7 +164,7 @@ def _run_callgrind(loader: Path, trace: Path, folder: Path) -> tuple[list[int], 
     return [total - totals[0] + 1 for total in totals[2:]], int(done.stdout)
 
 
-def _run_qemu(tool: str, loader: Path, trace: Path, entry: int) -> tuple[list[int], int]:
+def _count_steps_by_qemu(tool: str, loader: Path, trace: Path, entry: int) -> tuple[list[int], int]:
     """Return each step's instructions by QEMU's log, and the number that the program prints."""
     shown = subprocess.run([tool, "-h"], check=False, capture_output=True, text=True).stdout
     single = "-one-insn-per-tb" if "one-insn-per-tb" in shown else "-singlestep"
@@ -174,14 +177,14 @@ def _run_qemu(tool: str, loader: Path, trace: Path, entry: int) -> tuple[list[in
         ) as run,
     ):
         assert run.stderr is not None and run.stdout is not None
-        counts = list(_count_calls(run.stderr, entry & ~1))
+        counts = list(_yield_instructions_of_each_call(run.stderr, entry & ~1))
         answer = run.stdout.read()
     if run.returncode or not answer:
         raise SituationError(f"second opinion by {tool}", f"it ends with {run.returncode}")
     return counts, int(answer)
 
 
-def _count_calls(log: IO[bytes], entry: int) -> Iterator[int]:
+def _yield_instructions_of_each_call(log: IO[bytes], entry: int) -> Iterator[int]:
     """Yield the instructions of each call of a function, from QEMU's log."""
     count = -1
     for line in log:

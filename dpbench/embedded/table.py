@@ -28,7 +28,7 @@ COLUMNS = {
 """Columns of `embedded.parquet` and their types."""
 
 
-def tabulate_steps(counts: Sequence[StepCounts]) -> pd.DataFrame:
+def tabulate_counted_steps(counts: Sequence[StepCounts]) -> pd.DataFrame:
     """Return one row a step: names, what was executed, errors; sizes and settings of the run."""
     frames = []
     for run in counts:
@@ -46,21 +46,21 @@ def tabulate_steps(counts: Sequence[StepCounts]) -> pd.DataFrame:
     return pd.concat(frames, ignore_index=True)
 
 
-def save_steps(counts: Sequence[StepCounts], folder: Path) -> Path:
+def save_counted_steps_in_folder(counts: Sequence[StepCounts], folder: Path) -> Path:
     """Write `embedded.parquet` to a folder, made if missing; return its path."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     path = make_folder_if_missing(folder) / EMBEDDED_FILE
-    write_steps(tabulate_steps(counts), path)
+    write_counted_steps_atomically(tabulate_counted_steps(counts), path)
     return path
 
 
-def write_steps(steps: pd.DataFrame, path: Path) -> None:
+def write_counted_steps_atomically(steps: pd.DataFrame, path: Path) -> None:
     """Write counted steps to a Parquet file, whole or not at all."""
     with write_file_atomically(path) as part:
         steps[list(COLUMNS)].astype(COLUMNS).to_parquet(part, index=False, compression="zstd")
 
 
-def read_steps(path: Path) -> pd.DataFrame:
+def read_counted_steps_of_file(path: Path) -> pd.DataFrame:
     """Return the counted steps in a file; ResultsError where it is damaged or has no rows."""
     try:
         with open_untrusted_parquet_table(path, error=ResultsError) as file:
@@ -81,22 +81,22 @@ def read_steps(path: Path) -> pd.DataFrame:
     return steps
 
 
-def load_counts(folder: Path) -> pd.DataFrame | None:
+def load_counted_steps_of_folder(folder: Path) -> pd.DataFrame | None:
     """Return `embedded.parquet` of a folder, None without one; ResultsError if damaged."""
     path = folder / EMBEDDED_FILE
-    return read_steps(path) if path.exists() else None
+    return read_counted_steps_of_file(path) if path.exists() else None
 
 
-def summarise(steps: pd.DataFrame) -> list[dict[str, Any]]:
+def summarise_counted_runs(steps: pd.DataFrame) -> list[dict[str, Any]]:
     """Return each run of a table in a few numbers: instructions a step, worst step, sizes, errors.
 
-    steps : as of `tabulate_steps`; a run has one solver, core, sequence and precision.
+    steps : as of `tabulate_counted_steps`; a run has one solver, core, sequence and precision.
     """
     runs = steps.groupby(["solver", "target", "sequence", "single"], sort=False)
-    return [_summarise_run(run) for _, run in runs]
+    return [_summarise_counted_run(run) for _, run in runs]
 
 
-def _summarise_run(run: pd.DataFrame) -> dict[str, Any]:
+def _summarise_counted_run(run: pd.DataFrame) -> dict[str, Any]:
     """Return the steps of one run in a few numbers."""
     row = run["instructions"].argmax()
     worst: dict[Any, Any] = run.iloc[row].to_dict()

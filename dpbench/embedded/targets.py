@@ -119,7 +119,7 @@ TARGETS = {
 """Every target by its name on the command line."""
 
 
-def find_target(name: str) -> Target:
+def find_target_by_name(name: str) -> Target:
     """Return the target of a name; UnknownNameError for any other."""
     if name not in TARGETS:
         raise UnknownNameError(

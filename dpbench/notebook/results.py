@@ -15,7 +15,7 @@ from dpbench.bench.capability.edge_qps import load_capability_plots
 from dpbench.bench.design import load_stability_records
 from dpbench.bench.record import result_folder
 from dpbench.display import make_html_table
-from dpbench.embedded.table import load_counts
+from dpbench.embedded.table import load_counted_steps_of_folder
 from dpbench.errors import InputError, ResultsError, format_allowed_names, require_lists_of_names
 from dpbench.files.writing import make_folder_if_missing
 from dpbench.notebook.latex import make_tabular
@@ -182,7 +182,10 @@ class Results(result_folder.Results):
         # The report draws, and Altair takes its time.
         from dpbench.report.report import Report
 
-        capability, counted = load_capability_plots(self.folder), load_counts(self.folder)
+        capability, counted = (
+            load_capability_plots(self.folder),
+            load_counted_steps_of_folder(self.folder),
+        )
         return Report.of(
             self, load_stability_records(self.folder), capability=capability, counted=counted
         )

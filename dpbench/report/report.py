@@ -59,7 +59,8 @@ class Report:
         """Build the report on the results of a folder; write no file.
 
         baseline : solver to compare with; designs, capability, counted : stored tables of the
-        folder, see `load_stability_records`, `load_capability_plots` and `load_counts`.
+        folder, see `load_stability_records`, `load_capability_plots` and
+        `load_counted_steps_of_folder`.
         """
         records, requirements = Records(results), Requirements.of(results.suite)
         data = PageData.of(records, judge_solvers(records, requirements), counted)

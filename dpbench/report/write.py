@@ -7,7 +7,7 @@ from pathlib import Path
 from dpbench.bench.capability.edge_qps import load_capability_plots
 from dpbench.bench.design import load_stability_records
 from dpbench.bench.record.result_folder import load_results, lock_for_writing
-from dpbench.embedded.table import load_counts
+from dpbench.embedded.table import load_counted_steps_of_folder
 from dpbench.errors import InputError
 from dpbench.files.writing import (
     make_folder_if_missing,
@@ -81,7 +81,7 @@ def write_report_with_summary(
             load_stability_records(folder),
             baseline,
             load_capability_plots(folder),
-            load_counts(folder),
+            load_counted_steps_of_folder(folder),
         )
         report = Report.of(load_results(folder), *beside_it)
         comment, worst = ("", []) if solver is None else compare_solver(report, solver, against)

@@ -12,7 +12,7 @@ from dpbench.bench.embedded_counts import pair_sequences_with_cores
 from dpbench.bench.gather import join_result_folders
 from dpbench.bench.plan.suite import EmbeddedTable
 from dpbench.embedded import toolchain
-from dpbench.embedded.table import EMBEDDED_FILE, load_counts
+from dpbench.embedded.table import EMBEDDED_FILE, load_counted_steps_of_folder
 from dpbench.embedded.toolchain import has_extra
 from dpbench.errors import InputError, ResultsError
 
@@ -93,7 +93,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_counts_stand_beside_the_other_results(out: Path) -> None:
-    steps = load_counts(out)
+    steps = load_counted_steps_of_folder(out)
     assert steps is not None
     assert [*steps.groupby(["solver", "sequence"], sort=False).groups] == [
         *COUNTED,
@@ -117,7 +117,7 @@ def test_a_finished_count_is_not_repeated(out: Path) -> None:
     (out / EMBEDDED_FILE).unlink()
     run_campaign(out.parent / "suite.toml", out)
     assert {path: path.stat().st_mtime_ns for path in (out / "cells").glob("embedded-*")} == stored
-    assert load_counts(out) is not None
+    assert load_counted_steps_of_folder(out) is not None
 
 
 @pytest.mark.slow
@@ -125,17 +125,17 @@ def test_shards_are_gathered_with_their_counts_and_reasons(out: Path, tmp_path: 
     suite = out.parent / "suite.toml"
     shards = [run_campaign(suite, tmp_path / f"shard{i}", shard=f"{i}/2") for i in (1, 2)]
     joined = join_result_folders(shards, tmp_path / "joined", suite=suite)
-    steps, whole = load_counts(joined), load_counts(out)
+    steps, whole = load_counted_steps_of_folder(joined), load_counted_steps_of_folder(out)
     assert steps is not None and whole is not None
     assert steps.equals(whole)
-    assert load_counts(shards[1]) is None
+    assert load_counted_steps_of_folder(shards[1]) is None
     found = [json.loads((folder / "suite.json").read_text()) for folder in (joined, out)]
     assert found[0]["not_counted"] == found[1]["not_counted"]
 
 
 @pytest.mark.slow
 def test_a_part_has_the_qps_of_its_steps(out: Path) -> None:
-    steps = load_counts(out)
+    steps = load_counted_steps_of_folder(out)
     assert steps is not None
     (part,) = pair_sequences_with_cores(table("paper:3:4", solvers=["paper_active_set"]))
     (longer,) = pair_sequences_with_cores(table("paper:0:7", solvers=["paper_active_set"]))
@@ -150,5 +150,5 @@ def test_a_damaged_file_is_refused_by_name(out: Path, tmp_path: Path) -> None:
     whole = (out / EMBEDDED_FILE).read_bytes()
     (tmp_path / EMBEDDED_FILE).write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ResultsError, match=r"embedded\.parquet"):
-        load_counts(tmp_path)
-    assert load_counts(tmp_path / "nowhere") is None
+        load_counted_steps_of_folder(tmp_path)
+    assert load_counted_steps_of_folder(tmp_path / "nowhere") is None

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.codegen.controller_data import ControllerData, lost_at_samples
+from dpbench.codegen.controller_data import ControllerData, list_thruster_states_by_sample
 from dpbench.scenario.controllers.controller import stack_lower_and_upper_limits
 from dpbench.ship.plant import SUBSTEPS, Plant, Sensors
 
@@ -72,7 +72,7 @@ def steer(data: ControllerData, controller: SteppedController, steps: int) -> Ma
     limits = stack_lower_and_upper_limits(
         scenario.controller.list_planned_force_limits_by_sample(steps)
     )
-    lost = lost_at_samples(scenario.controller, steps)
+    lost = list_thruster_states_by_sample(scenario.controller, steps)
     state = np.hstack(limits) if data.thrusters is None else lost
     commands = np.zeros((steps, len(data.du_max)))
     for k in range(steps):

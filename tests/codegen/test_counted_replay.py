@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from dpbench.codegen import generate
-from dpbench.codegen.controller_data import read_controller
-from dpbench.codegen.generate import count_steps, generate_controller, list_tables
-from dpbench.codegen.solver_sources import make_active_set_sources
-from dpbench.codegen.trajectory import record_trajectory
+from dpbench.codegen.controller_data import read_controller_data_of_scenario
+from dpbench.codegen.generate import count_steps, generate_controller, list_constant_tables
+from dpbench.codegen.solver_sources import make_c_sources_of_active_set
+from dpbench.codegen.trajectory import record_closed_loop_trajectory
 from dpbench.embedded.toolchain import has_extra
 from dpbench.errors import SituationError
 from dpbench.scenario.scenario import load_scenario
@@ -24,10 +24,12 @@ STEPS = 6
 @pytest.mark.parametrize("name", ["paper", "thrusters_loss"])
 def test_every_step_is_counted_and_does_more_than_its_solve(name: str) -> None:
     """θ and q alone take a product of `gradient` with θ: a multiplication for each entry."""
-    data = read_controller(load_scenario(name))
-    sources = make_active_set_sources(data.qp)
-    trajectory = record_trajectory(data, "paper_active_set", STEPS)
-    first, again = (count_steps(data, sources, list_tables(data), trajectory) for _ in range(2))
+    data = read_controller_data_of_scenario(load_scenario(name))
+    sources = make_c_sources_of_active_set(data.qp)
+    trajectory = record_closed_loop_trajectory(data, "paper_active_set", STEPS)
+    first, again = (
+        count_steps(data, sources, list_constant_tables(data), trajectory) for _ in range(2)
+    )
     for cost, same in zip(first, again, strict=True):
         assert cost.instructions.tolist() == same.instructions.tolist()
         assert len(cost.instructions) == STEPS
@@ -38,12 +40,12 @@ def test_every_step_is_counted_and_does_more_than_its_solve(name: str) -> None:
 @needs_extra
 @pytest.mark.slow
 def test_other_commands_than_recorded_are_refused() -> None:
-    data = read_controller(load_scenario("paper"))
-    sources = make_active_set_sources(data.qp)
-    recorded = record_trajectory(data, "paper_active_set", STEPS)
+    data = read_controller_data_of_scenario(load_scenario("paper"))
+    sources = make_c_sources_of_active_set(data.qp)
+    recorded = record_closed_loop_trajectory(data, "paper_active_set", STEPS)
     shifted = replace(recorded, commands=recorded.commands + 0.01 * data.du_max)
     with pytest.raises(SituationError, match=r"a command differs by 0\.01"):
-        count_steps(data, sources, list_tables(data), shifted)
+        count_steps(data, sources, list_constant_tables(data), shifted)
 
 
 @needs_extra

@@ -14,10 +14,10 @@ import pytest
 
 from dpbench.arrays import Vector
 from dpbench.cli.main import main
-from dpbench.codegen.controller_data import ControllerData, read_controller
-from dpbench.codegen.fmu import SYSTEMS, list_variables
+from dpbench.codegen.controller_data import ControllerData, read_controller_data_of_scenario
+from dpbench.codegen.fmu import SYSTEMS, list_fmu_variables
 from dpbench.codegen.generate import generate_controller
-from dpbench.codegen.trajectory import record_trajectory
+from dpbench.codegen.trajectory import record_closed_loop_trajectory
 from dpbench.scenario.scenario import load_scenario
 from tests.codegen.c_controller import steer
 
@@ -46,7 +46,7 @@ class FmuController:
         self.version = int(model.fmiVersion[0])
         self.fmu: Any = self._open(facts)
         self.k, self._sample_s, self._data = 0, data.scenario.sample_s, data
-        variables = list_variables(data)
+        variables = list_fmu_variables(data)
         self._inputs = [v for v in variables if v.causality == "input"]
         self._commands = [v.reference for v in variables if v.name.startswith("command_")]
         self._status = next(v.reference for v in variables if v.name == "status")
@@ -92,7 +92,7 @@ def built(
     folder = tmp_path_factory.mktemp("fmu")
     path = folder / f"{name}.fmu"
     generate_controller(name, out=folder / "sources", steps=3, fmu=path, fmi=version, counts=False)
-    return path, read_controller(load_scenario(name))
+    return path, read_controller_data_of_scenario(load_scenario(name))
 
 
 def test_an_fmu_is_valid(built: tuple[Path, ControllerData]) -> None:
@@ -114,7 +114,7 @@ def test_an_fmu_steers_as_the_python_loop(
 ) -> None:
     """Every command of the closed loop is within 1e-9 of a rate-limit step."""
     path, data = built
-    expected = record_trajectory(data, "paper_active_set", STEPS).commands
+    expected = record_closed_loop_trajectory(data, "paper_active_set", STEPS).commands
     controller = FmuController(path, data, tmp_path)
     commands = steer(data, controller, len(expected))
     controller.close()
@@ -126,7 +126,7 @@ def test_a_restored_state_goes_on_as_before(
 ) -> None:
     """Saved as bytes and set again, the same inputs lead to the same commands."""
     path, data = built
-    inputs = record_trajectory(data, "paper_active_set", 40).inputs
+    inputs = record_closed_loop_trajectory(data, "paper_active_set", 40).inputs
     controller = FmuController(path, data, tmp_path)
     fmu, is_2 = controller.fmu, controller.version == 2
     for numbers in inputs[:20]:
@@ -154,7 +154,7 @@ def test_the_library_for_windows_gives_the_same_commands(
     import fmpy
 
     path, data = built
-    expected = record_trajectory(data, "paper_active_set", STEPS)
+    expected = record_closed_loop_trajectory(data, "paper_active_set", STEPS)
     fmpy.extract(str(path), unzipdir=str(tmp_path))
     model = fmpy.read_model_description(str(path))
     version = int(model.fmiVersion[0])

@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 
 from dpbench.cli.main import main
-from dpbench.codegen.controller_data import ControllerData, make_names, read_controller
+from dpbench.codegen.controller_data import (
+    ControllerData,
+    make_unique_c_identifiers,
+    read_controller_data_of_scenario,
+)
 from dpbench.codegen.generate import generate_controller
-from dpbench.codegen.trajectory import record_trajectory
+from dpbench.codegen.trajectory import record_closed_loop_trajectory
 from dpbench.errors import InputError, SituationError
 from dpbench.scenario.scenario import load_scenario
 from tests.codegen.c_controller import WARNINGS, CController, compile_c, needs_gcc, steer
@@ -21,7 +25,7 @@ STEPS = 1000
 
 def _generate(name: str, folder: Path, steps: int = 3) -> ControllerData:
     generate_controller(name, out=folder, steps=steps, counts=False)
-    return read_controller(load_scenario(name))
+    return read_controller_data_of_scenario(load_scenario(name))
 
 
 @needs_gcc
@@ -33,7 +37,7 @@ def _generate(name: str, folder: Path, steps: int = 3) -> ControllerData:
 def test_the_c_controller_steers_as_the_python_loop(name: str, tmp_path: Path) -> None:
     """1000 steps in closed loop with the simulated ship, faults included."""
     data = _generate(name, tmp_path)
-    expected = record_trajectory(data, "paper_active_set", STEPS).commands
+    expected = record_closed_loop_trajectory(data, "paper_active_set", STEPS).commands
     controller = CController(tmp_path, data, np.zeros(len(data.du_max)))
     commands = steer(data, controller, len(expected))
     assert np.abs((commands - expected) / data.du_max).max() < 1e-9
@@ -186,4 +190,8 @@ def test_an_fmu_of_a_solver_with_one_workspace_is_refused(tmp_path: Path) -> Non
 
 def test_names_of_thrusters_become_identifiers() -> None:
     """Two that would be the same are numbered."""
-    assert make_names(["Bow 1", "stern-port", "Bow 1"]) == ("bow_1_1", "stern_port", "bow_1_3")
+    assert make_unique_c_identifiers(["Bow 1", "stern-port", "Bow 1"]) == (
+        "bow_1_1",
+        "stern_port",
+        "bow_1_3",
+    )

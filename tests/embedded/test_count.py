@@ -13,10 +13,14 @@ import scipy
 from dpbench import open_workspace
 from dpbench.bench.sequences.recording import thin_sequence
 from dpbench.bench.sequences.sequence_file import load_sequence
-from dpbench.embedded.count import count_sequence
+from dpbench.embedded.count import count_instructions_along_sequence
 from dpbench.embedded.recipe import select_recipes
 from dpbench.embedded.step_counts import StepCounts
-from dpbench.embedded.table import save_steps, summarise, tabulate_steps
+from dpbench.embedded.table import (
+    save_counted_steps_in_folder,
+    summarise_counted_runs,
+    tabulate_counted_steps,
+)
 from dpbench.embedded.targets import TARGETS
 from dpbench.embedded.toolchain import compiler_version, has_extra
 from dpbench.errors import InputError, SituationError
@@ -53,7 +57,7 @@ def count(solver: str, target: str, sequence: QPSequence, **options: Any) -> Ste
     if recipe.missing:
         pytest.skip(recipe.missing)
     try:
-        return count_sequence(recipe, sequence, TARGETS[target], **options)
+        return count_instructions_along_sequence(recipe, sequence, TARGETS[target], **options)
     except SituationError as error:
         if "cannot fetch" in str(error):
             pytest.skip(str(error))
@@ -72,7 +76,7 @@ def test_counts_equal_stored_ones(solver: str, target: str) -> None:
 @pytest.mark.parametrize("target", TARGETS)
 def test_a_repetition_is_identical_to_the_bit(target: str) -> None:
     first, second = (
-        tabulate_steps([count("hildreth", target, load("move-30-5", 4))]) for _ in "12"
+        tabulate_counted_steps([count("hildreth", target, load("move-30-5", 4))]) for _ in "12"
     )
     assert first.equals(second)
     assert (first["instructions"] > 1000).all()
@@ -146,7 +150,7 @@ def test_further_solvers_repeat_their_counts(
     solver: str, most: float, heap: int, name: str
 ) -> None:
     first, second = (count(solver, "a53", load(name, 5)) for _ in "12")
-    assert tabulate_steps([first]).equals(tabulate_steps([second]))
+    assert tabulate_counted_steps([first]).equals(tabulate_counted_steps([second]))
     assert set(first.steps["status"].tolist()) == {0}
     assert first.error_plan.max() < most
     # Memory that is given back is used again.
@@ -175,11 +179,14 @@ def test_the_papers_method_claims_its_optima_if_refined() -> None:
 
 def test_table_and_summary(tmp_path: Path) -> None:
     counts = count("paper_active_set", "m7", load("paper-30-5", 5))
-    table = tabulate_steps([counts])
-    assert save_steps([counts], tmp_path / "out") == tmp_path / "out" / "embedded.parquet"
+    table = tabulate_counted_steps([counts])
+    assert (
+        save_counted_steps_in_folder([counts], tmp_path / "out")
+        == tmp_path / "out" / "embedded.parquet"
+    )
     assert table["k"].tolist() == [0, 1, 2, 3, 4]
     assert set(table["heap_bytes"]) == {0}
-    (summary,) = summarise(table)
+    (summary,) = summarise_counted_runs(table)
     assert summary["instructions_max"] == table["instructions"].max()
     assert summary["instructions_p50"] == table["instructions"].median()
     assert 0 < summary["stack_bytes"] < 1000

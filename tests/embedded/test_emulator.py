@@ -8,8 +8,8 @@ import pytest
 
 from dpbench.embedded import calibration
 from dpbench.embedded.emulator import DATA, STACK_SIZE, Core, Counts, EmulationError
-from dpbench.embedded.program import read_program
-from dpbench.embedded.targets import TARGETS, Target, find_target
+from dpbench.embedded.program import read_program_from_elf_file
+from dpbench.embedded.targets import TARGETS, Target, find_target_by_name
 from dpbench.embedded.toolchain import compile_program
 from dpbench.errors import SituationError, UnknownNameError
 
@@ -24,20 +24,20 @@ def make_core(tmp_path: Path) -> MakeCore:
     def make(text: str, target: Target) -> Core:
         source = tmp_path / "source.c"
         source.write_text(f'#include "embedded.h"\n{text}\n')
-        return Core(read_program(compile_program([source], target)), target)
+        return Core(read_program_from_elf_file(compile_program([source], target)), target)
 
     return make
 
 
 @pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
 def test_counts_of_the_calibration_program(target: Target) -> None:
-    calibration.calibrate(target)
+    calibration.verify_calibration_counts(target)
 
 
 def test_wrong_counts_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(calibration, "THOUSAND", 999)
     with pytest.raises(EmulationError, match="Cortex-A53: embedded_set_up counts"):
-        calibration.calibrate.__wrapped__(TARGETS["a53"])
+        calibration.verify_calibration_counts.__wrapped__(TARGETS["a53"])
 
 
 @pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
@@ -59,12 +59,12 @@ def test_overlapping_moves_roots_and_heap(make_core: MakeCore, target: Target) -
         return -3;
     }"""
     core = make_core(text, target)
-    assert core.call("embedded_set_up", DATA)[0] == 0
-    assert core.heap_bytes() == 112 + 32  # of multiples of 16
+    assert core.call_function_and_count("embedded_set_up", DATA)[0] == 0
+    assert core.count_heap_bytes() == 112 + 32  # of multiples of 16
     place = DATA + 32 + 8 * target.bits // 8
-    core.write(place, np.array([*range(16), 2.0, -5.0]).tobytes())
-    assert core.call("embedded_step", DATA)[0] == -3
-    values = np.frombuffer(core.read(place, 18 * 8)).tolist()
+    core.write_memory(place, np.array([*range(16), 2.0, -5.0]).tobytes())
+    assert core.call_function_and_count("embedded_step", DATA)[0] == -3
+    values = np.frombuffer(core.read_memory(place, 18 * 8)).tolist()
     assert values[:7] == [1, 2, 3, 4, 5, 6, 7]
     assert values[9:16] == [8, 9, 10, 11, 12, 13, 14]
     assert values[16:] == [np.sqrt(2.0), 5.0]
@@ -79,9 +79,9 @@ def test_an_endless_function_and_a_bad_address(
     int embedded_step(embedded_qp *qp) { return *(volatile int *)0x70000000; }"""
     core = make_core(text, TARGETS["a53"])
     with pytest.raises(EmulationError, match=r"a53: embedded_set_up does not end within 0.1 s"):
-        core.call("embedded_set_up", DATA)
+        core.call_function_and_count("embedded_set_up", DATA)
     with pytest.raises(EmulationError, match="a53: embedded_step: Invalid memory read"):
-        core.call("embedded_step", DATA)
+        core.call_function_and_count("embedded_step", DATA)
 
 
 def test_the_whole_stack_is_measured(make_core: MakeCore) -> None:
@@ -93,13 +93,18 @@ def test_the_whole_stack_is_measured(make_core: MakeCore) -> None:
         return x[qp->m];
     }"""
     core = make_core(text, TARGETS["m7"])
-    assert core.call("embedded_set_up", DATA)[1] == Counts(2, -1, -1, 0)
-    core.write(DATA, bytes(8))
-    assert 100_000 <= core.call("embedded_step", DATA)[1].stack < 100_100 < STACK_SIZE
+    assert core.call_function_and_count("embedded_set_up", DATA)[1] == Counts(2, -1, -1, 0)
+    core.write_memory(DATA, bytes(8))
+    assert (
+        100_000
+        <= core.call_function_and_count("embedded_step", DATA)[1].stack
+        < 100_100
+        < STACK_SIZE
+    )
 
 
 def test_refused_source_and_unknown_target(make_core: MakeCore) -> None:
     with pytest.raises(SituationError, match=r"the compiler refused: .*undeclared"):
         make_core("int embedded_set_up(embedded_qp *qp) { return other; }", TARGETS["m7"])
     with pytest.raises(UnknownNameError, match="--target: found 'm8'; allowed: one of m7, a53"):
-        find_target("m8")
+        find_target_by_name("m8")

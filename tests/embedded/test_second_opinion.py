@@ -9,7 +9,7 @@ from dpbench.bench.sequences.recording import thin_sequence
 from dpbench.bench.sequences.sequence_file import load_sequence
 from dpbench.embedded import second_opinion
 from dpbench.embedded.recipe import select_recipes
-from dpbench.embedded.second_opinion import TOOLS, SecondOpinion, compare_counts
+from dpbench.embedded.second_opinion import TOOLS, SecondOpinion, compare_counts_with_second_tool
 from dpbench.embedded.targets import TARGETS
 from dpbench.errors import SituationError
 
@@ -22,25 +22,25 @@ def test_counts_and_answers_are_those_of_another_tool(target: str) -> None:
         pytest.skip(f"{TOOLS[target]} is not installed")
     sequence = thin_sequence(load_sequence("paper-30-5"), 2)
     (recipe,) = select_recipes(["hildreth"])
-    opinion = compare_counts(recipe, sequence, TARGETS[target])
-    assert opinion.agrees
+    opinion = compare_counts_with_second_tool(recipe, sequence, TARGETS[target])
+    assert opinion.has_equal_answers_and_counts
     assert (opinion.others > 1000).all()
 
 
 def test_what_counts_as_agreement() -> None:
     counts = np.array([1000, 2000])
-    assert SecondOpinion("valgrind", counts, counts, 0).agrees
-    assert not SecondOpinion("valgrind", counts, counts + 1, 0).agrees
-    assert not SecondOpinion("valgrind", counts, counts, 1).agrees
-    assert SecondOpinion("qemu-arm", counts, counts + 10, 0).agrees
-    assert not SecondOpinion("qemu-arm", counts, counts + 50, 0).agrees
+    assert SecondOpinion("valgrind", counts, counts, 0).has_equal_answers_and_counts
+    assert not SecondOpinion("valgrind", counts, counts + 1, 0).has_equal_answers_and_counts
+    assert not SecondOpinion("valgrind", counts, counts, 1).has_equal_answers_and_counts
+    assert SecondOpinion("qemu-arm", counts, counts + 10, 0).has_equal_answers_and_counts
+    assert not SecondOpinion("qemu-arm", counts, counts + 50, 0).has_equal_answers_and_counts
 
 
 def test_a_tool_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
     (recipe,) = select_recipes(["hildreth"])
     sequence = thin_sequence(load_sequence("paper-30-5"), 1)
     with pytest.raises(SituationError, match="RISC-V RV64GC: there is no other tool"):
-        compare_counts(recipe, sequence, TARGETS["riscv"])
+        compare_counts_with_second_tool(recipe, sequence, TARGETS["riscv"])
     monkeypatch.setattr(second_opinion, "TOOLS", {"m7": "no-such-tool"})
     with pytest.raises(SituationError, match="Cortex-M7: no-such-tool is not installed"):
-        compare_counts(recipe, sequence, TARGETS["m7"])
+        compare_counts_with_second_tool(recipe, sequence, TARGETS["m7"])

@@ -18,7 +18,7 @@ from dpbench.bench.record.result_folder import load_machine_and_suite, load_resu
 from dpbench.bench.sequences.qpsolvers_files import read_problem
 from dpbench.bench.sequences.recording import hash_sequence_files
 from dpbench.bench.sequences.sequence_file import load_recorded
-from dpbench.embedded.table import EMBEDDED_FILE, load_counts
+from dpbench.embedded.table import EMBEDDED_FILE, load_counted_steps_of_folder
 from dpbench.errors import InputError
 from dpbench.files.opening import open_regular_file, read_bytes
 from dpbench.scenario.hull_files import read_hull_from_csv_table, read_hull_from_mss_file
@@ -43,7 +43,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "shard.json": lambda path: ShardRecord.read(path.parent),
     "design.json": lambda path: load_stability_records(path.parent),
     CAPABILITY_FILE: lambda path: load_capability_plots(path.parent),
-    EMBEDDED_FILE: lambda path: load_counts(path.parent),
+    EMBEDDED_FILE: lambda path: load_counted_steps_of_folder(path.parent),
     "runs.parquet": lambda path: load_results(path.parent),
     "steps.parquet": lambda path: StepsOnDisk(path.parent),
 }

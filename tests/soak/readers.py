@@ -21,7 +21,11 @@ from dpbench.bench.record.result_folder import load_results, read_lost_count_and
 from dpbench.bench.record.step_table import make_batch_part, make_step_record_batch
 from dpbench.bench.sequences.recording import read_sequence
 from dpbench.bench.sequences.shipped import load_rules
-from dpbench.embedded.table import EMBEDDED_FILE, load_counts, write_steps
+from dpbench.embedded.table import (
+    EMBEDDED_FILE,
+    load_counted_steps_of_folder,
+    write_counted_steps_atomically,
+)
 from dpbench.report.report import Report
 from dpbench.scenario.hull_files import read_hull_from_csv_table, read_hull_from_mss_file
 from dpbench.scenario.problem_files import find_folder_of_shipped_problems
@@ -118,7 +122,9 @@ class Results(Soaked):
         out = records.write(folder / "made")
         row = ("plot", 0, "psv", 8, "intact", "", 0.0, 20.0, True, 20.0, 7)
         write_capability_plots(out, [{n: [value] for n, value in zip(COLUMNS, row, strict=True)}])
-        write_steps(make_counts("daqp", [1000, 2000], "paper[0:2]"), out / EMBEDDED_FILE)
+        write_counted_steps_atomically(
+            make_counts("daqp", [1000, 2000], "paper[0:2]"), out / EMBEDDED_FILE
+        )
         held = {"still water": {"holds_m": 8.0, "fails_m": None}}
         design = {"vessel": "psv", "controller": "paper", "tuning": "paper", "N_p": 30, "N_c": 5}
         design |= {"eigenvalues": [[0.9, 0.1]], "held": held}
@@ -137,7 +143,7 @@ class Results(Soaked):
     def read(self, folder: Path, name: str, rng: random.Random) -> None:
         results = load_results(folder)
         designs, plots = load_stability_records(folder), load_capability_plots(folder)
-        counts = load_counts(folder)
+        counts = load_counted_steps_of_folder(folder)
         read_lost_count_and_remarks(folder)
         for table in results.recorded.scan(ALL_COLUMNS):
             len(table)

@@ -16,7 +16,7 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.bench.record.result_folder import UncountedSolver
-from dpbench.embedded.table import summarise
+from dpbench.embedded.table import summarise_counted_runs
 
 APART = 1.1
 """Ratio of p99 below which two solvers are not ranked, on the desk or by instructions."""
@@ -106,7 +106,7 @@ class EmbeddedResults:
             return cls((), missing)
         compilers = dict(zip(steps["solver"], steps["compiler"], strict=True))
         key = ("sequence", "target", "single")
-        runs = sorted(summarise(steps), key=lambda run: [run[name] for name in key])
+        runs = sorted(summarise_counted_runs(steps), key=lambda run: [run[name] for name in key])
         groups = []
         for _, group in groupby(runs, key=lambda run: [run[name] for name in key]):
             rows = list(group)

@@ -20,7 +20,7 @@ from dpbench.bench.record.result_folder import (
     load_results,
     read_suite_description,
 )
-from dpbench.embedded.table import EMBEDDED_FILE, load_counts
+from dpbench.embedded.table import EMBEDDED_FILE, load_counted_steps_of_folder
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.opening import read_bytes
 from dpbench.files.writing import write_file_atomically, write_text_atomically
@@ -182,7 +182,7 @@ def check_sent_folder(folder: Path) -> str:
         )
     sender = read_toml_as_model(folder / SENDER, Sender)
     load_capability_plots(folder)
-    load_counts(folder)
+    load_counted_steps_of_folder(folder)
     _check_runs(folder, results)
     _check_page(folder)
     solvers = plural(results.runs["solver"].nunique(), "solver")

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from dpbench.embedded.table import EMBEDDED_FILE, write_steps
+from dpbench.embedded.table import EMBEDDED_FILE, write_counted_steps_atomically
 from dpbench.report.write import write_report
 from tests.embedded.made_counts import make_counts
 from tests.report.browser.conftest import SIZES, check_accessible, opening, selection
@@ -21,7 +21,7 @@ def counted_page(campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
     """The page of the campaign with counts of two solvers."""
     folder = shutil.copytree(campaign, tmp_path_factory.mktemp("counted") / "standard")
     frames = [make_counts("daqp", [2_000_000] * 200), make_counts("osqp", [4_500_000] * 200)]
-    write_steps(pd.concat(frames), folder / EMBEDDED_FILE)
+    write_counted_steps_atomically(pd.concat(frames), folder / EMBEDDED_FILE)
     return write_report(folder)
 
 

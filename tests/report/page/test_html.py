@@ -16,7 +16,7 @@ import pytest
 from markupsafe import escape
 
 from dpbench.bench.record.result_folder import hash_files
-from dpbench.embedded.table import EMBEDDED_FILE, write_steps
+from dpbench.embedded.table import EMBEDDED_FILE, write_counted_steps_atomically
 from dpbench.report.page.vendored import Vendored, file_digest, read_script, vendored_scripts
 from dpbench.report.page.write import SCRIPTS, read_page_file, software_citation
 from dpbench.report.topics.paper import CITATION as PAPER_CITATION
@@ -90,7 +90,7 @@ def test_the_script_asks_only_for_what_is_there(written: Any, records: Any, tmp_
     asked = set(re.findall(r'\$\("([\w-]+)"\)', JS))
     assert len(asked) > 20
     folder = of_seas(records).write(tmp_path)
-    write_steps(make_counts("daqp", [1000] * 9), folder / EMBEDDED_FILE)
+    write_counted_steps_atomically(make_counts("daqp", [1000] * 9), folder / EMBEDDED_FILE)
     studied = write_report(folder).read_text("utf-8")
     assert asked <= {*checked(written.html).ids, *checked(studied).ids}
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from dpbench.embedded.table import EMBEDDED_FILE, write_steps
+from dpbench.embedded.table import EMBEDDED_FILE, write_counted_steps_atomically
 from dpbench.report.documents.markdown import report_markdown
 from dpbench.report.report import Report
 from dpbench.report.write import write_report_with_summary
@@ -88,7 +88,7 @@ def test_a_folder_with_counts_has_them_in_all_documents(
     judged: MadeRecords, tmp_path: Path
 ) -> None:
     out = judged.write(tmp_path / "out")
-    write_steps(counts(), out / EMBEDDED_FILE)
+    write_counted_steps_atomically(counts(), out / EMBEDDED_FILE)
     page, ended = write_report_with_summary(out)
     assert "15 %" in dict(ended)["counted"]
     html, markdown = page.read_text(), (out / "report.md").read_text()

@@ -20,11 +20,11 @@ def write_sources(
     (folder / "active_set_step.h").write_bytes((FOLDER / "active_set_step.h").read_bytes())
     text = ""
     if all(getattr(sequence, name) is None for name in ("P", "A")):
-        text = _write_constants(sequence.base, refined=bool(settings.get("refine")))
+        text = _format_constants_header(sequence.base, refined=bool(settings.get("refine")))
     (folder / "constants.h").write_text(text)
 
 
-def _write_constants(qp: QuadraticProgram, *, refined: bool) -> str:
+def _format_constants_header(qp: QuadraticProgram, *, refined: bool) -> str:
     """Return the constants of a QP's matrices as text of a C header."""
     problem = Problem(qp.n, qp.m)
     problem.P[:], problem.A[:] = qp.P, qp.A
@@ -33,12 +33,12 @@ def _write_constants(qp: QuadraticProgram, *, refined: bool) -> str:
     lines = [] if refined else ["#define P_ 0 /* the refinement alone reads P */"]
     if not refined:
         del constants["P"]
-    lines += [_array(name, values) for name, values in constants.items()]
+    lines += [_format_c_array(name, values) for name, values in constants.items()]
     scalars = ", ".join(f".{name} = {getattr(problem.head, name)!r}" for name in SCALARS)
     return "\n".join([*lines, f"#define SCALARS {scalars}", ""])
 
 
-def _array(name: str, values: NDArray[Any]) -> str:
+def _format_c_array(name: str, values: NDArray[Any]) -> str:
     """Return an array as C, each number so that it is read back exactly."""
     kind = "as_real" if values.dtype.kind == "f" else "int"
     numbers = ", ".join(repr(value) for value in values.tolist()) or "0"

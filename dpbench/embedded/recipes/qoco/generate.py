@@ -27,9 +27,13 @@ def write_sources(
     """
     qp = sequence.base
     C = np.vstack([qp.A, np.eye(qp.n)])
-    low, high = (_stack_limits(sequence, *names) for names in (("l", "lb"), ("u", "ub")))
+    low, high = (
+        _stack_row_and_bound_limits(sequence, *names) for names in (("l", "lb"), ("u", "ub"))
+    )
     equal = np.flatnonzero((low == high).all(axis=0))
-    upper, lower = (_find_finite(sequence.name, limits, equal) for limits in (high, low))
+    upper, lower = (
+        _find_finite_inequality_limits(sequence.name, limits, equal) for limits in (high, low)
+    )
     G = scipy.sparse.csc_matrix(np.vstack([C[upper], -C[lower]]))
     A = scipy.sparse.csc_matrix(C[equal]) if len(equal) else None
     m = len(upper) + len(lower)
@@ -44,17 +48,17 @@ def write_sources(
             path.rename(folder / path.name)
     shutil.rmtree(generated)
     rows = {"equal": equal, "upper": upper, "lower": lower}
-    (folder / "rows.h").write_text("".join(_array(*row) for row in rows.items()))
+    (folder / "rows.h").write_text("".join(_format_c_index_array(*row) for row in rows.items()))
 
 
-def _stack_limits(sequence: QPSequence, rows: str, bounds: str) -> Matrix:
+def _stack_row_and_bound_limits(sequence: QPSequence, rows: str, bounds: str) -> Matrix:
     """Return the limits (K, m + n) of rows and bounds on one side."""
     of_rows, changing = getattr(sequence, rows), getattr(sequence, bounds)
     of_bounds = np.tile(getattr(sequence.base, bounds), (len(of_rows), 1))
     return np.hstack([of_rows, of_bounds if changing is None else changing])
 
 
-def _find_finite(name: str, limits: Matrix, equal: Any) -> Any:
+def _find_finite_inequality_limits(name: str, limits: Matrix, equal: Any) -> Any:
     """Return the indices of finite limits other than equalities."""
     finite = np.isfinite(limits)
     if (finite.any(axis=0) != finite.all(axis=0)).any():
@@ -62,7 +66,7 @@ def _find_finite(name: str, limits: Matrix, equal: Any) -> Any:
     return np.setdiff1d(np.flatnonzero(finite[0]), equal)
 
 
-def _array(name: str, indices: Any) -> str:
+def _format_c_index_array(name: str, indices: Any) -> str:
     """Return row indices as a C array, with their number."""
     numbers = ", ".join(map(str, indices.tolist())) or "0"
     return f"enum {{{name}_rows = {len(indices)}}};\nstatic const int {name}[] = {{{numbers}}};\n"
