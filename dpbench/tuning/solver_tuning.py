@@ -133,7 +133,7 @@ class Tuning:
 
     @property
     def _not_done(self) -> list[str]:
-        """What an interrupted search has not done."""
+        """Work that an interrupted search has not done, as phrases."""
         left = self.request.trials - self.drawn
         parts = [f"{left} of {self.request.trials} settings to try"] if left else []
         parts.append("the measurement on test sequences, beside the presets")
