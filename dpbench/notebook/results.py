@@ -100,7 +100,7 @@ class Results(result_folder.Results):
         return self.tables["hard_steps"]
 
     def ladder(self) -> pd.DataFrame:
-        """Return each timed solver's best settings with its step times [µs], as a table.
+        """Return step times [µs] of each timed solver's best and your own settings, as a table.
 
         `share` is what calling a library that does nothing takes of its median.
         """

@@ -10,10 +10,12 @@ from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.statistics import LEAST_STEPS
 from dpbench.analysis.times.contrasts import PairedComparison
 from dpbench.analysis.verdict.fastest import (
+    MOST_OWN,
     SolverChoice,
+    best_verdict_by_own_settings,
     best_verdict_by_solver,
-    fastest_first,
     find_solver_record_or_none,
+    group_own_settings,
 )
 from dpbench.analysis.verdict.findings import STATES, Finding, State
 from dpbench.analysis.verdict.requirements import Requirements
@@ -32,8 +34,6 @@ from dpbench.report.formats import (
 from dpbench.report.words import read_words
 from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
 
-MOST_OWN = 12
-"""Settings of one's own that are listed."""
 LEAST_POINTS = 3
 """Settings with the same options that count as a grid."""
 MOST_NAMED = 3
@@ -80,22 +80,10 @@ def count_solvers(verdicts: Verdicts) -> str:
     return "; ".join(wording)
 
 
-def select_own_settings(verdicts: Verdicts) -> list[Verdict]:
-    """Select the best verdict over the call modes of each solver's settings of one's own."""
-    alike = _group_own_settings(verdicts).values()
-    return [min(fastest_first(of), key=lambda v: STATES.index(v.state)) for of in alike]
-
-
-def _group_own_settings(verdicts: Verdicts) -> dict[tuple[str, str], list[Verdict]]:
-    """Group the verdicts on settings of one's own by solver and options."""
-    own = [verdict for verdict in verdicts.all if verdict.configuration.options]
-    return group_by(own, lambda v: (v.configuration.solver, v.configuration.options))
-
-
 def own_settings_lines(verdicts: Verdicts) -> list[str]:
     """State the verdict on each settings of one's own, and the best of each grid."""
-    own = select_own_settings(verdicts)
-    modes = [len(alike) for alike in _group_own_settings(verdicts).values()]
+    own = best_verdict_by_own_settings(verdicts)
+    modes = [len(alike) for alike in group_own_settings(verdicts).values()]
     shown = zip(own[:MOST_OWN], modes, strict=False)
     lines = [_own_settings_line(verdict, count) for verdict, count in shown]
     others = len(own) - MOST_OWN

@@ -20,7 +20,12 @@ from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.records.thinned_runs import ThinnedRun
 from dpbench.analysis.times.contrasts import log_half_width, paired_comparison
 from dpbench.analysis.times.machine import library_call_ns
-from dpbench.analysis.verdict.fastest import best_verdict_by_solver, fastest_first, solver_family
+from dpbench.analysis.verdict.fastest import (
+    best_verdict_by_solver,
+    fastest_first,
+    list_main_verdicts,
+    solver_family,
+)
 from dpbench.analysis.verdict.findings import STATES
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import Verdict
@@ -93,7 +98,7 @@ calibration configuration that only copies; 0 where it was not run."""
 
 
 def time_table(matrix: RunMatrix) -> pd.DataFrame:
-    """Tabulate the step times [ms] of each solver's best configuration."""
+    """Tabulate the step times [ms] of each solver's best configuration and own settings."""
     called_ns = library_call_ns(matrix.records)
     rows = [
         {
@@ -112,7 +117,7 @@ def time_table(matrix: RunMatrix) -> pd.DataFrame:
             "margin": nan if (m := matrix.margin(verdict.configuration)) is None else m.factor,
             "share": 0.0 if isnan(called_ns) else min(1.0, called_ns / verdict.p50_ns),
         }
-        for verdict in best_verdict_by_solver(matrix.verdicts)
+        for verdict in list_main_verdicts(matrix.verdicts)
         if verdict.timed_on
     ]
     return pd.DataFrame(rows, columns=list(TIMES))

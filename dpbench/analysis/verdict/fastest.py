@@ -4,7 +4,7 @@ The fastest of all may exist only as this benchmark's own Python code; it is nam
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,8 @@ from dpbench.solvers.table import find_solver_record
 
 ALIKE = 0.03
 """Settings whose figures differ by less are equally fast: another day may swap them."""
+MOST_OWN = 12
+"""Settings of one's own that are listed."""
 
 
 def fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
@@ -30,6 +32,11 @@ def fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
             v.configuration.solver,
         ),
     )
+
+
+def best_first(verdicts: Iterable[Verdict]) -> list[Verdict]:
+    """Sort verdicts on configurations from pass to fail, then by time."""
+    return sorted(fastest_first([*verdicts]), key=lambda v: STATES.index(v.state))
 
 
 def rank_configurations(verdicts: Verdicts) -> list[Verdict]:
@@ -147,4 +154,26 @@ def best_verdict_by_solver(verdicts: Verdicts) -> list[Verdict]:
         alike = [verdict for verdict in whole if verdict.state == best]
         first = [v for v in (fastest.get(solver), own[0]) if v in alike]
         chosen.append((first or fastest_first(alike))[0])
-    return sorted(fastest_first(chosen), key=lambda v: STATES.index(v.state))
+    return best_first(chosen)
+
+
+def group_own_settings(verdicts: Verdicts) -> dict[tuple[str, str], list[Verdict]]:
+    """Group the verdicts on settings of one's own by solver and options."""
+    own = [verdict for verdict in verdicts.all if verdict.configuration.options]
+    return group_by(own, lambda v: (v.configuration.solver, v.configuration.options))
+
+
+def best_verdict_by_own_settings(verdicts: Verdicts) -> list[Verdict]:
+    """Return the best verdict over the call modes of each solver's settings of one's own."""
+    alike = group_own_settings(verdicts).values()
+    return [best_first(of)[0] for of in alike]
+
+
+def list_main_verdicts(verdicts: Verdicts) -> list[Verdict]:
+    """Return each solver's best verdict and the `MOST_OWN` best on settings of one's own.
+
+    They are sorted from pass to fail, then by time.
+    """
+    own = best_first(best_verdict_by_own_settings(verdicts))[:MOST_OWN]
+    listed = {v.configuration: v for v in (*best_verdict_by_solver(verdicts), *own)}
+    return best_first(listed.values())

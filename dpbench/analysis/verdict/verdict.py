@@ -49,7 +49,8 @@ class Verdict:
         worst p50 where none supports a p99.
     rounds_ns, replay_p99_ns, raw_p99_ns : there, median of the fastest and of the slowest round,
         p99 of the algorithmic step time, and of the single timings.
-    algo_max_ns, raw_max_ns : largest step time and largest single timing of all sequences.
+    algo_max_ns, raw_max_ns : largest step time, in the replay or window `max_run`, and largest
+        single timing of all sequences.
     """
 
     configuration: Configuration
@@ -73,6 +74,7 @@ class Verdict:
     replay_p99_ns: float = math.nan
     raw_p99_ns: float = math.nan
     algo_max_ns: float = math.nan
+    max_run: RunRecord | None = None
     raw_max_ns: float = math.nan
 
     @property

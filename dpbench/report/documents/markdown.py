@@ -1,13 +1,19 @@
 """Markdown for pull requests: `report.md`, and the comparison of one solver with others."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from dpbench.analysis.records.run_record import group_by
+from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.records.run_steps import Measure
 from dpbench.analysis.records.worst_steps import WorstStep, find_step_value, worst_steps
 from dpbench.analysis.times.contrasts import paired_comparison
-from dpbench.analysis.verdict.fastest import best_verdict_by_solver, fastest_first
+from dpbench.analysis.verdict.fastest import (
+    best_first,
+    best_verdict_by_own_settings,
+    best_verdict_by_solver,
+    fastest_first,
+    list_main_verdicts,
+)
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.errors import UnknownNameError, format_allowed_names
 from dpbench.report.embedded_text import not_counted_texts
@@ -17,6 +23,7 @@ from dpbench.report.formats import (
     count_text,
     error_text,
     rounded_down,
+    strip_markdown,
     time_text,
 )
 from dpbench.report.page.data import PageData
@@ -25,18 +32,19 @@ from dpbench.report.report import Report
 from dpbench.report.ship_text import ShipSummary
 from dpbench.report.table import markdown_line, markdown_table, markdown_text, one_line
 from dpbench.report.verdict_text import (
-    MOST_OWN,
     answer_text,
     best_of_grids,
     count_solvers,
     describe_findings,
+    experiment_text,
     paired_text,
     requirements_text,
-    select_own_settings,
 )
 
 MOST_BYTES = 8000
 """Largest size of the report [B]: one or two screens."""
+MOST_ROWS = 24
+"""Configurations up to which the report lists all of them, not only the best of each solver."""
 HEAD = (
     *("solver", "call mode", "verdict", "p50", "p99", "p99 of timings", "worst p99"),
     *("hardest step", "speed margin", "largest error", "failed"),
@@ -60,10 +68,11 @@ def report_markdown(report: Report) -> str:
         f"# dpbench: {markdown_text(str(report.results.suite.get('name', 'results')))}",
         *ship_lines(recommendation.ship),
         *map(markdown_line, [*lead, *wording]),
-        solver_table(data, _listed_verdicts(data.verdicts)),
+        solver_table(data, listed := _list_verdicts(data.verdicts)),
+        _unlisted_text(data.verdicts, len(listed)),
         *_counts_tables(topics),
         markdown_line(f"Solvers: {count_solvers(data.verdicts)}." if data.verdicts.of else ""),
-        *map(markdown_line, [*best_of_grids(select_own_settings(data.verdicts)), *after]),
+        *map(markdown_line, [*best_of_grids(best_verdict_by_own_settings(data.verdicts)), *after]),
         "Everything else: `report.html` (figures, every step), `tables/*.csv`, `figures/*.svg`, "
         "`runs.parquet`, `steps.parquet`.",
     ]
@@ -87,11 +96,28 @@ def _counts_tables(topics: Sequence[Topic]) -> list[str]:
     ]
 
 
-def _listed_verdicts(verdicts: Verdicts) -> list[Verdict]:
-    """Return each solver's best verdict, then those on settings of one's own."""
-    best = best_verdict_by_solver(verdicts)
-    own = select_own_settings(verdicts)[:MOST_OWN]
-    return [*best, *(verdict for verdict in own if verdict not in best)]
+def _list_verdicts(verdicts: Verdicts) -> list[Verdict]:
+    """Return the verdicts of the page's ladder, or all by solver where there are few."""
+    main, ran = list_main_verdicts(verdicts), _count_configurations(verdicts)
+    if ran == len(main) or ran > MOST_ROWS:
+        return main
+    listed = {
+        verdict.configuration: verdict
+        for best in best_verdict_by_solver(verdicts)
+        for verdict in (best, *best_first(verdicts.of[best.configuration.solver]))
+    }
+    return [verdict for verdict in listed.values() if verdict.state != "not run"]
+
+
+def _count_configurations(verdicts: Verdicts) -> int:
+    """Return how many configurations were run."""
+    return sum(verdict.state != "not run" for verdict in verdicts.all)
+
+
+def _unlisted_text(verdicts: Verdicts, listed: int) -> str:
+    """Name the file with the other call modes and settings, where some are not listed."""
+    more = _count_configurations(verdicts) - listed
+    return f"{more} more call modes and settings: `tables/verdicts.csv`." if more > 0 else ""
 
 
 def ship_lines(ship: ShipSummary) -> list[str]:
@@ -114,11 +140,15 @@ def solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
 
 def describe_table(verdicts: Sequence[Verdict]) -> Iterator[str]:
     """Yield the replay of each time where they differ, and the options of the user's settings."""
-    timed = group_by([v for v in verdicts if v.timed_on], lambda v: v.timed_on)
-    most, *others = sorted(timed, key=lambda name: -len(timed[name])) or [""]
-    if others:
-        texts = [f"{and_list([v.configuration.label for v in timed[n]])} ({n})" for n in others]
-        yield f"p50 and p99 are of the replay of {most}, but for {and_list(texts)}."
+    timed = [verdict for verdict in verdicts if verdict.timed_on]
+    usual = {v.configuration.label: f"the replay of {v.timed_on}" for v in timed}
+    worst = {v.configuration.label: _where(v.p99_run) for v in timed if not math.isnan(v.p99_ns)}
+    hardest = {v.configuration.label: _where(v.max_run) for v in timed}
+    if len({*usual.values()}) > 1:
+        yield f"p50 and p99 are of {_most_and_others(usual)}."
+    for name, found in (("worst p99", worst), ("hardest step", hardest)):
+        if any(found[label] != usual[label] for label in found):
+            yield f"The {name} is in {_most_and_others(found)}."
     own = {
         f"{v.configuration.solver} {v.configuration.settings}: {v.configuration.options_text}"
         for v in verdicts
@@ -126,6 +156,25 @@ def describe_table(verdicts: Sequence[Verdict]) -> Iterator[str]:
     }
     if own:
         yield f"Settings of your own: {'; '.join(sorted(own))}."
+
+
+def _where(run: RunRecord | None) -> str:
+    """Name the replay or window of a time in plain text; "" for none."""
+    return "" if run is None else strip_markdown(experiment_text(run))
+
+
+def _most_and_others(names: Mapping[str, str]) -> str:
+    """Return the name that most labels have, and the others with their labels.
+
+    Examples
+    --------
+    >>> _most_and_others({"daqp": "turn", "osqp": "turn", "piqp": "rough"})
+    'turn, but for piqp (rough)'
+    """
+    of_name = group_by(names, lambda label: names[label])
+    most, *others = sorted(of_name, key=lambda name: -len(of_name[name]))
+    texts = [f"{and_list(of_name[n])} ({n.removeprefix('the replay of ')})" for n in others]
+    return f"{most}, but for {and_list(texts)}" if texts else most
 
 
 def solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:
@@ -190,7 +239,7 @@ def compare_solver(
     parts = [
         f"# {markdown_text(solver)} beside {markdown_text(names)}",
         *ship_lines(report.recommendation.ship),
-        markdown_line(_verdict_sentence(data, best[solver])),
+        markdown_line(_verdict_sentence(best[solver], data.verdicts.of[solver][0], len(own))),
         solver_table(data, [*own[:MOST_CONFIGURATIONS], *chosen]),
         "\n".join(f"- {markdown_text(_pair_sentence(data, best[solver], v))}" for v in chosen),
         _worst_table(data, worst, chosen),
@@ -202,15 +251,20 @@ def compare_solver(
     ), worst
 
 
-def _verdict_sentence(data: PageData, verdict: Verdict) -> str:
-    """State whether a configuration passes, and why not."""
-    label = verdict.configuration.label
-    passed = f"`{label}` passes everywhere it was run."
-    if verdict.causes:
-        verb = "is late" if verdict.state == "late" else "fails"
-        return f"`{label}` {verb}: {describe_findings(verdict.causes)}."
-    wording = describe_findings(verdict.missing)
-    return passed if verdict.state == "pass" else f"`{label}` is {verdict.state}: {wording}."
+def _verdict_sentence(verdict: Verdict, reference: Verdict, count: int) -> str:
+    """State whether a solver's best configuration passes, why not, and of how many it is best.
+
+    reference : verdict on its usual call mode and settings.
+    """
+    label, findings = verdict.configuration.label, verdict.causes or verdict.missing
+    verbs = {"pass": "passes everywhere it was run", "late": "is late", "fail": "fails"}
+    why = "" if verdict.state == "pass" else f": {describe_findings(findings)}"
+    sentence = f"`{label}` {verbs.get(verdict.state, f'is {verdict.state}')}{why}."
+    if count > 1:
+        sentence += f" It is the best of {count} call modes and settings"
+        usual = f"; usually called, `{reference.configuration.label}`: {reference.state}"
+        sentence += "." if reference is verdict else f"{usual}."
+    return sentence
 
 
 def _pair_sentence(data: PageData, own: Verdict, other: Verdict) -> str:

@@ -43,6 +43,23 @@ def test_the_ladder_is_that_of_the_verdicts(records: Any) -> None:
     assert times == pytest.approx(expected)
 
 
+def test_the_ladder_has_settings_of_ones_own(records: Any) -> None:
+    """The best of two call modes of each, below the presets' best where that is faster."""
+    records.loop("osqp")
+    records.replay("osqp", median_us=50.0, spread=0.0)
+    for rho, median_us in ((1, 80.0), (2, 90.0)):
+        own = {"settings": f"rho={rho}", "options": f'{{"rho": {rho}}}'}
+        for policy in ("fresh", "warm"):
+            records.loop("osqp", policy=policy, **own)
+            slower = 1.0 if policy == "warm" else 2.0
+            records.replay("osqp", median_us=slower * median_us, policy=policy, **own)
+    assert time_table(_matrix(records))["label"].tolist() == [
+        "osqp (qpsolvers fresh)",
+        "osqp (qpsolvers warm, rho=1)",
+        "osqp (qpsolvers warm, rho=2)",
+    ]
+
+
 def test_a_level_that_was_not_run_somewhere_is_hatched_there(records: Any) -> None:
     records.loop("osqp", "paper", error=0.4)
     records.loop("osqp", "calm", error=0.4)

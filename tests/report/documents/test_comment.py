@@ -10,6 +10,7 @@ from dpbench.analysis.records.worst_steps import worst_steps
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.report.documents.markdown import COMMENT_BYTES, compare_solver
+from dpbench.report.report import Report
 
 
 @pytest.mark.parametrize("solver", ["piqp", "ecos", "scs", "daqp"])
@@ -36,6 +37,37 @@ def test_the_worst_step_is_the_largest_of_all_replays(written: Any) -> None:
     assert time.value == counting.groupby(["run_id", "k"])["total_ns"].min().max()
     row = counting[(counting["run_id"] == error.run.run_id) & (counting["k"] == error.k)]
     assert np.isclose(row["error_move"].max(), error.value)
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (
+            0.4,
+            "\n\n`osqp (qpsolvers fresh, high)` passes everywhere it was run. It is the best of 2 "
+            "call modes and settings; usually called, `osqp (qpsolvers fresh)`: fail.\n\n",
+        ),
+        (
+            1e-9,
+            "\n\n`osqp (qpsolvers fresh)` passes everywhere it was run. It is the best of 2 call "
+            "modes and settings.\n\n",
+        ),
+    ],
+)
+def test_the_comment_names_the_configuration(records: Any, error: float, said: str) -> None:
+    """Settings `high` pass; the default passes where its answers are right, and is faster."""
+    for settings, us, off in (("default", 20.0, error), ("high", 90.0, 1e-9)):
+        records.loop("osqp", settings=settings, error=off)
+        records.replay("osqp", settings=settings, median_us=us, error=off)
+    assert said in compare_solver(Report.of(records.results()), "osqp")[0]
+
+
+def test_a_comment_on_one_configuration_compares_it_with_no_other(records: Any) -> None:
+    records.loop("daqp", error=0.5)
+    records.replay("daqp")
+    text, _ = compare_solver(Report.of(records.results()), "daqp")
+    assert "\n\n`daqp (qpsolvers fresh)` fails: its first move is up to 0.50 of a " in text
+    assert "best of" not in text
 
 
 def test_other_names_and_names_of_nobody(written: Any) -> None:

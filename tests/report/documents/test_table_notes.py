@@ -1,13 +1,26 @@
 """Notes below a Markdown table of solvers: replays that differ, options of the user's settings."""
 
+import math
+from types import SimpleNamespace
+from typing import Any
+
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.cell import Configuration
 from dpbench.report.documents.markdown import describe_table
 
 
-def _verdict(solver: str, timed_on: str, **given: str) -> Verdict:
+def _run(sequence: str, window_of: int = 0) -> Any:
+    return SimpleNamespace(mode="replay", sequence=sequence, scenario=sequence, window_of=window_of)
+
+
+def _verdict(
+    solver: str, timed_on: str, p99_ns: float = 1.0, window: str = "", **given: str
+) -> Verdict:
+    """A verdict whose hardest step, and p99, is in the replay, or in a window of a scenario."""
     configuration = Configuration(solver, "native", "warm", **given)
-    return Verdict(configuration, "pass", timed_on=timed_on)
+    worst = _run(window, 450) if window else _run(timed_on)
+    times: dict[str, Any] = {"p99_ns": p99_ns, "p99_run": worst, "max_run": worst}
+    return Verdict(configuration, "pass", timed_on=timed_on, **times)
 
 
 def test_rows_of_other_replays_and_own_options_are_named() -> None:
@@ -16,6 +29,25 @@ def test_rows_of_other_replays_and_own_options_are_named() -> None:
     assert notes == [
         "p50 and p99 are of the replay of move, but for osqp (native warm, mine) (squall).",
         "Settings of your own: osqp mine: rho=1.6.",
+    ]
+
+
+def test_the_replays_of_worst_p99_and_hardest_step_are_named() -> None:
+    """Those without a p99 are in no note on it."""
+    notes = list(
+        describe_table(
+            [
+                _verdict("daqp", "move", window="turn"),
+                _verdict("osqp", "move", window="turn"),
+                _verdict("scs", "move"),
+                _verdict("piqp", "move", math.nan, window="rough"),
+            ]
+        )
+    )
+    turn = "the hardest steps of turn, but for scs (native warm) (move)"
+    assert notes == [
+        f"The worst p99 is in {turn}.",
+        f"The hardest step is in {turn} and piqp (native warm) (the hardest steps of rough).",
     ]
 
 

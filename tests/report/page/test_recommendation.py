@@ -112,6 +112,25 @@ def test_settings_of_ones_own_have_a_verdict_on_screen_and_in_markdown(records: 
     assert best in text and "| osqp | native warm, rho=1.6 | fail |" in text
 
 
+@pytest.mark.parametrize("solvers", [1, 12])
+def test_a_few_configurations_are_all_listed(records: Any, solvers: int) -> None:
+    """Of more than 24 the best of each solver, and how many more were run."""
+    names = ["daqp", *(f"solver_{i:02d}" for i in range(solvers))]
+    for solver in names:
+        for policy, us in (("fresh", 30.0), ("warm", 20.0)):
+            records.loop(solver, policy=policy)
+            records.replay(solver, policy=policy, median_us=us)
+    text = report_markdown(Report.of(records.results()))
+    rows = [line for line in text.splitlines() if line.startswith(("| daqp", "| solver_"))]
+    modes = [row.split(" | ")[1] for row in rows]
+    if solvers == 1:
+        assert modes == ["qpsolvers warm", "qpsolvers fresh"] * 2
+        assert "more call modes" not in text
+    else:
+        assert modes == ["qpsolvers warm"] * 13
+        assert "\n13 more call modes and settings: `tables/verdicts.csv`.\n" in text
+
+
 def test_a_grid_whose_best_is_inside_needs_no_wider_one(records: Any) -> None:
     """Two settings are no grid."""
     for rho, us in ((0.1, 60.0), (1.0, 20.0)):

@@ -15,8 +15,10 @@ function kept() {
   const which = (...verdicts) => rowsDrawn("ladder").values.filter((row) => verdicts.includes(row.verdict));
   const passing = which("pass"), right = passing.length ? passing : which("borderline", "inconclusive");
   if (!right.length) return own;
-  const safe = right.filter((row) => state.slow <= 1 || row.margin >= state.slow).sort((a, b) => b.margin - a.margin);
-  return `${own}${safe.length} of the ${right.length} that ${passing.length ? "pass" : "nothing contradicts"
+  // A solver has further rows for settings of one's own.
+  const solvers = right.sort((a, b) => b.margin - a.margin).filter((row, i) => right.findIndex((r) => r.solver === row.solver) === i);
+  const safe = solvers.filter((row) => state.slow <= 1 || row.margin >= state.slow);
+  return `${own}${safe.length} of the ${solvers.length} that ${passing.length ? "pass" : "nothing contradicts"
   } here keep the deadline of ${deadline_ms} ms and a p99 of ${p99_ms} ms${
     listed(safe, (row) => `${row.solver} (× ${roundedDown(row.margin)})`)}.`;
 }
