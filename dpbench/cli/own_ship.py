@@ -38,7 +38,7 @@ from dpbench.scenario import own_ship as scaling
 from dpbench.scenario.hull_files import Hull, read_hull_from_csv_table, read_hull_from_mss_file
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.waves import WATER_DENSITY
+from dpbench.ship.weather import WATER_DENSITY
 
 WHERE = "init"
 COMMENT_WIDTH = 96

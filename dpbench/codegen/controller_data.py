@@ -12,9 +12,8 @@ from dpbench.errors import InputError
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.thruster_rows import ThrusterRows
 from dpbench.scenario.controllers.controller import Controller
-from dpbench.scenario.controllers.forces import ForceController
+from dpbench.scenario.controllers.kinds import ForceController, ThrusterController
 from dpbench.scenario.controllers.specification import FIXED_MODEL
-from dpbench.scenario.controllers.thrusters import ThrusterController
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import Thruster
 

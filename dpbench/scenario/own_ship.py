@@ -27,13 +27,16 @@ from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_vessel
 from dpbench.scenario.tables.vessel_file import CapabilityTable
 from dpbench.scenario.tables.weather import CurrentTable, EnvironmentTable, WavesTable, WindTable
-from dpbench.ship.capability.conditions import DP_CONDITIONS, Condition
-from dpbench.ship.capability.loads import DYNAMIC_FACTOR, compute_mean_environmental_loads
+from dpbench.ship.capability.loads import (
+    DP_CONDITIONS,
+    DYNAMIC_FACTOR,
+    Condition,
+    compute_mean_environmental_loads,
+)
 from dpbench.ship.capability.losses import MISCELLANEOUS
-from dpbench.ship.drag import HullDrag
 from dpbench.ship.layout import V
-from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.waves import GRAVITY, WATER_DENSITY
+from dpbench.ship.vessel import HullDrag, Vessel
+from dpbench.ship.weather import GRAVITY, WATER_DENSITY
 
 
 @dataclass(frozen=True)

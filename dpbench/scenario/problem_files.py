@@ -15,8 +15,12 @@ from pydantic import (
 )
 
 from dpbench.errors import InputError, UnknownNameError, format_allowed_names, warn_of_outdated_name
-from dpbench.files.documents import MOST_DEPTH, refuse_deep_or_huge_values
-from dpbench.files.opening import MOST_TEXT_BYTES, read_bytes
+from dpbench.files.opening import (
+    MOST_DEPTH,
+    MOST_TEXT_BYTES,
+    read_bytes,
+    refuse_deep_or_huge_values,
+)
 
 KINDS = ("vessels", "scenarios", "suites")
 SEQUENCES = "sequences"

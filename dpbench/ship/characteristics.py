@@ -14,7 +14,7 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.ship.environment import Environment
 from dpbench.ship.layout import DRIFT_U, WIND_U
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.waves import GRAVITY
+from dpbench.ship.weather import GRAVITY
 
 SWAY = 1
 SLOW_FROUDE_NUMBER = 0.2  # Beyond it waves of the hull's own making take over from linear damping

@@ -29,9 +29,7 @@ from dpbench.ship.layout import (
     WIND_U,
 )
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.harmonics import make_random_generator
-from dpbench.ship.weather.waves import FirstOrderMotion, WaveDrift
-from dpbench.ship.weather.wind import Wind
+from dpbench.ship.weather import FirstOrderMotion, WaveDrift, Wind, make_random_generator
 
 WeatherDraw = dict[str, Matrix]
 """Wind speed and wave height at the stage times, as drawn by an environment."""

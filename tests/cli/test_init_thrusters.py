@@ -11,7 +11,7 @@ import pytest
 from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import load_path_and_suite
 from dpbench.cli.main import main
-from dpbench.scenario.controllers.forces import JointForceController
+from dpbench.scenario.controllers.kinds import JointForceController
 from dpbench.scenario.own_ship import compute_limit_share_of_dp_number
 from dpbench.scenario.own_thrusters import LOADING_KW_PER_M2
 from dpbench.scenario.scenario import load_scenario, load_vessel

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from dpbench.ship.capability.conditions import DP_CONDITIONS
+from dpbench.ship.capability.loads import DP_CONDITIONS
 
 GUIDE = Path(__file__).parents[2] / "docs" / "guide" / "capability.md"
 BEAUFORT_MPS = [0.3, 1.6, 3.4, 5.5, 8.0, 10.8, 13.9, 17.2, 20.8, 24.5, 28.5, 32.7]

@@ -9,8 +9,8 @@ import pytest
 from dpbench.scenario.problem_files import list_shipped_problem_names
 from dpbench.scenario.scenario import load_vessel
 from dpbench.scenario.tables.vessel_file import CapabilityTable
-from dpbench.ship.drag import HullDrag
-from dpbench.ship.weather.wind import Windage
+from dpbench.ship.vessel import HullDrag
+from dpbench.ship.weather import Windage
 
 PAGE = Path(__file__).parents[2] / "docs" / "guide" / "drag.md"
 SPEEDS = (0.05, 0.1, 0.2, 0.5, 0.75, 1.0, 1.5)

@@ -24,7 +24,7 @@ from dpbench.scenario.own_ship import (
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.characteristics import compute_axis_time_constants_s
 from dpbench.ship.froude import Froude
-from dpbench.ship.weather.waves import WATER_DENSITY
+from dpbench.ship.weather import WATER_DENSITY
 
 
 def own_size(ship: LibraryShip, factor: float = 1.0) -> Particulars:

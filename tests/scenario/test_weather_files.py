@@ -15,7 +15,7 @@ from dpbench.scenario.controllers.controller import stack_lower_and_upper_limits
 from dpbench.scenario.scenario import Scenario, build_scenario_from_documents
 from dpbench.ship.estimation.estimator import MeasuredState
 from dpbench.ship.estimation.kalman import KalmanFilter
-from dpbench.ship.estimation.passive_observer import PassiveObserver
+from dpbench.ship.estimation.observer import PassiveObserver
 
 Change = Callable[[dict[str, Any]], None]
 

@@ -11,8 +11,7 @@ from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.environment import Current, Environment
 from dpbench.ship.plant import Plant
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.waves import WaveReflection
-from dpbench.ship.weather.wind import Windage
+from dpbench.ship.weather import WaveReflection, Windage
 
 CALM = Environment(np.zeros(3), np.zeros(3), np.ones(3), np.zeros(3))
 

@@ -19,8 +19,7 @@ from dpbench.ship.characteristics import (
 from dpbench.ship.environment import Current, Environment
 from dpbench.ship.plant import Plant
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.waves import Sea, WaveDrift
-from dpbench.ship.weather.wind import Wind
+from dpbench.ship.weather import Sea, WaveDrift, Wind
 from tests.ship.conftest import CALM, linear_vessel
 
 ZERO = np.zeros(3)

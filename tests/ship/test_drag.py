@@ -10,13 +10,11 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from dpbench.scenario.scenario import load_scenario, load_vessel
-from dpbench.ship.capability.conditions import Condition
-from dpbench.ship.capability.loads import compute_mean_environmental_loads
+from dpbench.ship.capability.loads import Condition, compute_mean_environmental_loads
 from dpbench.ship.characteristics import compute_mean_weather_force
-from dpbench.ship.drag import HullDrag, compute_cross_flow_drag_coefficient
 from dpbench.ship.froude import Froude
 from dpbench.ship.plant import SUBSTEPS, Plant
-from dpbench.ship.vessel import Vessel
+from dpbench.ship.vessel import HullDrag, Vessel, compute_cross_flow_drag_coefficient
 from tests.ship.conftest import flowing, rotation
 
 ZERO = np.zeros(3)

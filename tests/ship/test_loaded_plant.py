@@ -10,8 +10,7 @@ from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.environment import Current, Environment
 from dpbench.ship.plant import SUBSTEPS, Plant
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.waves import Sea, WaveDrift
-from dpbench.ship.weather.wind import Wind
+from dpbench.ship.weather import Sea, WaveDrift, Wind
 from tests.ship.conftest import flowing, rotation
 
 WAVES = Sea(3.1, 8.5, 0.4)

@@ -11,7 +11,7 @@ from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.environment import Environment, SensorNoise
 from dpbench.ship.plant import SUBSTEPS, Plant, Sensors
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.waves import FirstOrderMotion, Sea
+from dpbench.ship.weather import FirstOrderMotion, Sea
 from tests.ship.conftest import CALM, linear_vessel, rotation
 
 FULL_SCALE = ("supply_fs99", "supply_mss", "supply_tmr", "osv")

@@ -29,7 +29,7 @@ from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrust
 from dpbench.files.writing import write_file_atomically
 from dpbench.mpc.thrusters.allocation_qp import StaticAllocation
 from dpbench.qp.program import QPSequence
-from dpbench.ship.capability.conditions import DP_CONDITIONS
+from dpbench.ship.capability.loads import DP_CONDITIONS
 
 EDGE = 1e-3
 """Share of the wind by which a QP lies before or beyond the edge."""

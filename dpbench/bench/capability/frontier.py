@@ -17,8 +17,12 @@ from dpbench.bench.capability.utilisation import (
 from dpbench.bench.progress import Progress, Silent
 from dpbench.errors import InputError
 from dpbench.ship.capability import losses
-from dpbench.ship.capability.conditions import DP_CONDITIONS, interpolate_condition_at_wind_speed
-from dpbench.ship.capability.loads import DYNAMIC_FACTOR, compute_mean_environmental_loads
+from dpbench.ship.capability.loads import (
+    DP_CONDITIONS,
+    DYNAMIC_FACTOR,
+    compute_mean_environmental_loads,
+    interpolate_condition_at_wind_speed,
+)
 from dpbench.ship.capability.shapes import Piece, split_force_set_into_convex_pieces
 from dpbench.ship.vessel import Vessel
 

@@ -13,8 +13,7 @@ from dpbench.arrays import Flags, Floats, Matrix, Vector
 from dpbench.bench.record.schema import FORCES, POSE_AXES
 from dpbench.bench.run.exact_loop import ExactLoop
 from dpbench.mpc.thruster_rows import LimitRampDown, Limits
-from dpbench.scenario.controllers.commanded import ThrusterControl
-from dpbench.scenario.controllers.controller import stack_lower_and_upper_limits
+from dpbench.scenario.controllers.controller import ThrusterControl, stack_lower_and_upper_limits
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.layout import POSE, VELOCITY
 

@@ -27,9 +27,8 @@ from dpbench.bench.run.slow_computer import (
 from dpbench.bench.run.timed_solver import Clock, RunLimit, TimedSolver, is_usable, record_answer
 from dpbench.mpc.law import UnconstrainedLaw
 from dpbench.qp.program import QPStep
-from dpbench.scenario.controllers.commanded import ThrusterControl
-from dpbench.scenario.controllers.controller import Controller
-from dpbench.scenario.controllers.thrusters import CascadeController
+from dpbench.scenario.controllers.controller import Controller, ThrusterControl
+from dpbench.scenario.controllers.kinds import CascadeController
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.environment import WeatherDraw
 from dpbench.ship.layout import AXES, POSE

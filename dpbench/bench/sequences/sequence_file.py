@@ -39,7 +39,7 @@ from dpbench.bench.record.npz import (
     write_npz,
 )
 from dpbench.errors import InputError
-from dpbench.files.documents import parse_json
+from dpbench.files.opening import parse_json
 from dpbench.qp.program import (
     CONSTANT,
     QPSequence,

@@ -20,9 +20,8 @@ from dpbench.mpc.move_limits import write_limited_command
 from dpbench.mpc.reference import shift_target_heading_near_start
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify
-from dpbench.ship.drag import HullDrag
 from dpbench.ship.plant import SUBSTEPS, Plant
-from dpbench.ship.vessel import Vessel
+from dpbench.ship.vessel import HullDrag, Vessel
 
 __all__ = ["worker"]
 

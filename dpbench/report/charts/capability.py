@@ -10,7 +10,7 @@ import pandas as pd
 from dpbench.analysis.suites.consequence import HELD, LOST, UNKNOWN
 from dpbench.arrays import Floats
 from dpbench.report.charts import style
-from dpbench.ship.capability.conditions import DP_CONDITIONS
+from dpbench.ship.capability.loads import DP_CONDITIONS
 
 COLUMNS = ("case", "from_deg", "wind_mps", "number")
 SIZE = 380

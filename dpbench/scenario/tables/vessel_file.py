@@ -13,11 +13,14 @@ from dpbench.errors import InputError
 from dpbench.scenario.problem_files import FileModel
 from dpbench.scenario.tables import key_types as keys
 from dpbench.ship.capability.loads import CapabilityHull
-from dpbench.ship.drag import HullDrag
 from dpbench.ship.thrusters import Screw, Thruster, ThrusterSet, compute_nominal_thrust_N
-from dpbench.ship.vessel import Vessel, convert_bis_damping_to_si, convert_bis_inertia_to_si
-from dpbench.ship.weather.waves import WATER_DENSITY, WaveReflection
-from dpbench.ship.weather.wind import Windage
+from dpbench.ship.vessel import (
+    HullDrag,
+    Vessel,
+    convert_bis_damping_to_si,
+    convert_bis_inertia_to_si,
+)
+from dpbench.ship.weather import WATER_DENSITY, WaveReflection, Windage
 
 
 class LimitsTable(FileModel):

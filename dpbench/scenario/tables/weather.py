@@ -15,8 +15,13 @@ from dpbench.scenario.problem_files import FileModel
 from dpbench.scenario.tables import key_types as keys
 from dpbench.ship.environment import Current, Environment, SensorNoise, Squall
 from dpbench.ship.froude import Froude
-from dpbench.ship.weather.waves import FirstOrderMotion, Sea, WaveDrift
-from dpbench.ship.weather.wind import Wind, convert_from_deg_to_towards_rad
+from dpbench.ship.weather import (
+    FirstOrderMotion,
+    Sea,
+    WaveDrift,
+    Wind,
+    convert_from_deg_to_towards_rad,
+)
 
 _PER_KN = 1000.0
 

@@ -17,8 +17,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 
-from dpbench.ship.capability.conditions import Condition
-from dpbench.ship.capability.loads import CapabilityHull, mirror_angle_to_one_side
+from dpbench.ship.capability.loads import CapabilityHull, Condition, mirror_angle_to_one_side
 from dpbench.ship.thrusters import Thruster
 
 MISCELLANEOUS = 0.9  # β_misc

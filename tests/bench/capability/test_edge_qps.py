@@ -21,7 +21,7 @@ from dpbench.errors import InputError, ResultsError
 from dpbench.qp.referee.referee import certify_all_steps
 from dpbench.report.write import write_report
 from dpbench.scenario.scenario import load_vessel
-from dpbench.ship.capability.conditions import DP_CONDITIONS
+from dpbench.ship.capability.loads import DP_CONDITIONS
 from tests.bench.deterministic import suite_file, suite_toml
 
 SOME = (0.0, 20.0, 100.0, 200.0)

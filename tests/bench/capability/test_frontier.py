@@ -12,7 +12,7 @@ import pytest
 from dpbench.bench.capability.frontier import FROM_DEG, CapabilityPlot, Case, WindLimit
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_vessel
-from dpbench.ship.capability.conditions import DP_CONDITIONS
+from dpbench.ship.capability.loads import DP_CONDITIONS
 
 pytestmark = pytest.mark.slow
 INTACT = Case("intact", frozenset())

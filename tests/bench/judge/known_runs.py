@@ -22,9 +22,8 @@ from dpbench.bench.run.exact_loop import ExactLoop, solve_loop_exactly
 from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.model import StateSpace
 from dpbench.mpc.thruster_rows import Limits
-from dpbench.scenario.controllers.commanded import ThrusterControl
-from dpbench.scenario.controllers.controller import Controller
-from dpbench.scenario.controllers.thrusters import ThrusterController
+from dpbench.scenario.controllers.controller import Controller, ThrusterControl
+from dpbench.scenario.controllers.kinds import ThrusterController
 from dpbench.scenario.scenario import Scenario, load_scenario
 
 SAMPLE_S = 0.5

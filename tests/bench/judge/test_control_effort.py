@@ -10,8 +10,8 @@ import pytest
 from dpbench.bench.record.schema import FORCES
 from dpbench.mpc.thruster_rows import build_limit_rows_of_thrusters
 from dpbench.mpc.thrusters.attainable_set import AttainableSet
-from dpbench.scenario.controllers.commanded import ThrusterControl
-from dpbench.scenario.controllers.forces import JointForceController
+from dpbench.scenario.controllers.controller import ThrusterControl
+from dpbench.scenario.controllers.kinds import JointForceController
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 from tests.bench.judge.known_runs import (

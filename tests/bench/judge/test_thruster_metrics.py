@@ -12,7 +12,7 @@ from dpbench.bench.judge.control_metrics import (
 )
 from dpbench.mpc.thruster_rows import Limits, build_limit_rows_of_thrusters
 from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning
-from dpbench.scenario.controllers.commanded import ThrusterControl, TurningThrusterControl
+from dpbench.scenario.controllers.controller import ThrusterControl, TurningThrusterControl
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 from tests.bench.judge.known_runs import thruster_ship

@@ -17,7 +17,7 @@ from dpbench.report.formats import error_text, time_text
 from dpbench.report.page.recommendation import speed_margin_text
 from dpbench.report.report import Report
 from dpbench.report.ship_text import BANNER
-from dpbench.ship.drag import HullDrag
+from dpbench.ship.vessel import HullDrag
 
 
 def _good(records: Any, tmp_path: Path) -> Path:

@@ -14,7 +14,7 @@ from dpbench.scenario.controllers.controller import (
     list_force_limits_by_sample,
     stack_lower_and_upper_limits,
 )
-from dpbench.scenario.controllers.forces import ForceController
+from dpbench.scenario.controllers.kinds import ForceController
 from dpbench.scenario.scenario import CONTROLLERS, build_scenario_from_documents, load_scenario
 from dpbench.scenario.tables.scenario_file import ControllerTable
 

@@ -9,12 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dpbench.scenario.own_ship import DP_NUMBERS
-from dpbench.ship.capability.conditions import (
+from dpbench.ship.capability.loads import (
     DP_CONDITIONS,
+    CapabilityHull,
     Condition,
+    compute_mean_environmental_loads,
     interpolate_condition_at_wind_speed,
 )
-from dpbench.ship.capability.loads import CapabilityHull, compute_mean_environmental_loads
 
 PORT = np.array([1.0, -1.0, -1.0])
 """From axes with y to port to those with y to starboard, and back."""

@@ -6,12 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.ship.capability.conditions import (
+from dpbench.ship.capability.loads import (
     DP_CONDITIONS,
+    CapabilityHull,
     Condition,
     interpolate_condition_at_wind_speed,
 )
-from dpbench.ship.capability.loads import CapabilityHull
 from dpbench.ship.capability.losses import (
     MISCELLANEOUS,
     compute_thrust_share_when_vented,

@@ -6,8 +6,7 @@ import numpy as np
 
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.estimation.kalman import KalmanFilter
-from dpbench.ship.estimation.observer import WaveModel
-from dpbench.ship.estimation.passive_observer import PassiveObserver
+from dpbench.ship.estimation.observer import PassiveObserver, WaveModel
 from dpbench.ship.vessel import Vessel
 
 SAMPLE_S = 0.3

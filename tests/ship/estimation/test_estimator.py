@@ -11,11 +11,12 @@ from dpbench.ship.environment import Environment
 from dpbench.ship.estimation.estimator import Estimator, MeasuredState
 from dpbench.ship.estimation.kalman import SENSOR_STD, KalmanFilter, KalmanTuning
 from dpbench.ship.estimation.observer import (
+    PassiveObserver,
+    PassiveTuning,
     WaveModel,
     build_matrix_of_sample_change,
     write_model_change_of_sample,
 )
-from dpbench.ship.estimation.passive_observer import PassiveObserver, PassiveTuning
 from dpbench.ship.plant import SUBSTEPS, Plant
 from tests.ship.conftest import linear_vessel
 

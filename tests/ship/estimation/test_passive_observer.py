@@ -7,8 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dpbench.scenario.scenario import load_vessel
-from dpbench.ship.estimation.observer import WaveModel
-from dpbench.ship.estimation.passive_observer import PassiveObserver, PassiveTuning
+from dpbench.ship.estimation.observer import PassiveObserver, PassiveTuning, WaveModel
 from dpbench.ship.vessel import Vessel
 from tests.ship.conftest import rotation
 from tests.ship.estimation.conftest import (

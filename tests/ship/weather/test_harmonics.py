@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import beta
 
-from dpbench.ship.weather.harmonics import (
+from dpbench.ship.weather import (
     Harmonics,
     draw_harmonics_of_spectrum,
     harris_gust_spectrum,

@@ -9,8 +9,7 @@ import pytest
 
 from dpbench.ship.environment import Current, Environment
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.waves import Sea, WaveDrift
-from dpbench.ship.weather.wind import Wind
+from dpbench.ship.weather import Sea, WaveDrift, Wind
 
 # DP number: wind [m/s], Hs [m], Tp [s], force beam-on [kN], head-on [kN]; current 0.75 m/s.
 TABLE = {

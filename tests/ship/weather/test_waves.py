@@ -9,7 +9,7 @@ import pytest
 
 from dpbench.ship.environment import Environment
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.waves import FirstOrderMotion, Sea, WaveDrift, WaveReflection
+from dpbench.ship.weather import FirstOrderMotion, Sea, WaveDrift, WaveReflection
 from tests.ship.conftest import CALM, rotation
 
 Felt = Callable[..., np.ndarray]

@@ -10,8 +10,12 @@ from scipy.integrate import quad
 
 from dpbench.ship.environment import Environment
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather.harmonics import harris_gust_spectrum, norsok_gust_spectrum
-from dpbench.ship.weather.wind import Wind, convert_from_deg_to_towards_rad
+from dpbench.ship.weather import (
+    Wind,
+    convert_from_deg_to_towards_rad,
+    harris_gust_spectrum,
+    norsok_gust_spectrum,
+)
 from tests.ship.conftest import CALM, rotation
 
 Felt = Callable[..., np.ndarray]

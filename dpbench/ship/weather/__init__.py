@@ -1,1 +1,0 @@
-"""Wind, waves, current, squalls, and their random streams."""
