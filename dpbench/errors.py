@@ -4,8 +4,6 @@ Bad input is an `InputError`, one line that the command line prints and exits wi
 failure is never an exception that leaves the run: it is a `Status` in a record.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
@@ -45,7 +43,7 @@ class InputError(DpbenchError, ValueError):
         place = f"{where}: {key}" if key else where
         super().__init__(" ".join(f"{place}: found {found}; allowed: {allowed}".split()))
 
-    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, object, str]]:
+    def __reduce__(self) -> "tuple[type[InputError], tuple[str, str, object, str]]":
         return type(self), (self.where, self.key, self.found, self.allowed)
 
 
@@ -72,7 +70,7 @@ class SituationError(InputError):
         super().__init__(where, "", sentence, "")
         self.args = (" ".join(f"{where}: {sentence}".split()),)
 
-    def __reduce__(self) -> tuple[type[SituationError], tuple[str, str]]:  # type: ignore[override] # of fewer parts
+    def __reduce__(self) -> "tuple[type[SituationError], tuple[str, str]]":  # type: ignore[override] # of fewer parts
         return type(self), (self.where, str(self.found))
 
 
@@ -82,7 +80,7 @@ class ShapeError(InputError):
     @classmethod
     def from_shapes(
         cls, where: str, name: str, found: tuple[int, ...], expected: str
-    ) -> ShapeError:
+    ) -> "ShapeError":
         """Make the error for an array of a wrong shape, from its name and both shapes."""
         return cls(where, name, f"shape {found}", expected)
 

@@ -5,8 +5,6 @@ holder writes its process, its work and the time into the file, for those who wa
 machine's cores, and of its quiet, are files in a folder of this user in the temporary directory.
 """
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os
@@ -44,7 +42,7 @@ class Holder:
         return f"process {self.pid} ({self.work}, since {began})"
 
     @classmethod
-    def from_json_line(cls, line: str) -> Holder:
+    def from_json_line(cls, line: str) -> "Holder":
         """Parse a lock holder from a JSON line; ValueError, KeyError or TypeError if invalid."""
         entry = json.loads(line)
         work = "".join(c for c in str(entry["work"]) if c.isprintable())

@@ -1,7 +1,5 @@
 """The state of the machine while a benchmark ran, stored beside its times."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -44,7 +42,7 @@ class MachineState:
     kernel_after_ns: float
 
     @classmethod
-    def read(cls, stored: Mapping[str, Any]) -> MachineState:
+    def read(cls, stored: Mapping[str, Any]) -> "MachineState":
         """Read a stored state, NaN for a hidden counter; TypeError or ValueError for no number."""
         return cls(*(float(stored.get(one.name, np.nan)) for one in fields(cls)))
 

@@ -1,7 +1,5 @@
 """One benchmark of pytest-benchmark: a pass over a sequence of QPs, its answers checked."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from importlib.metadata import version

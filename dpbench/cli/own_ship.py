@@ -1,7 +1,5 @@
 """`dpbench init`: from the particulars of a ship to its vessel, scenario and suite file."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math
@@ -185,7 +183,7 @@ def _parse_sea_number(text: str | None) -> int | None:
     return None if text is None else int(text)
 
 
-def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None]) -> OwnShip:
+def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None]) -> "OwnShip":
     """Scale the user's ship from a library vessel, its numbers and a hull file."""
     if options.from_mss and options.from_csv:
         both = "--from-csv and --from-mss exclude each other; give one of them"

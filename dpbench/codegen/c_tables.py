@@ -1,7 +1,5 @@
 """Arrays and numbers as C text that reads back to the same bits."""
 
-from __future__ import annotations
-
 import textwrap
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Numbers of a controller for its C code: maps, limits, thrusters, inputs and outputs."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

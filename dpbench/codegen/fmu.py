@@ -4,8 +4,6 @@ An FMU is a zip file with a model description, the sources, and a shared library
 made by one cross-compiler.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import zipfile

@@ -1,7 +1,5 @@
 """`dpbench codegen`: write the complete control step of a scenario as C99."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """C sources of each solver for a controller: template values, constant tables, files."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass

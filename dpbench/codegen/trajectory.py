@@ -1,7 +1,5 @@
 """A recorded closed loop as inputs and commands of the controller, to replay in C."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

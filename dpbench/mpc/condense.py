@@ -26,8 +26,6 @@ Eq. 17 already counts Q at step N_p, hence W and not S: with W and N_c = N_p the
 is the linear-quadratic regulator at any horizon (Rawlings, Mayne & Diehl 2017, section 1.3).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
@@ -173,7 +171,7 @@ class ControlProblem:
         """Prediction horizon N_p and control horizon N_c, by name."""
         return {"N_p": self.N_p, "N_c": self.N_c}
 
-    def relinearise_at_turned_heading(self, turn_rad: float) -> ControlProblem:
+    def relinearise_at_turned_heading(self, turn_rad: float) -> "ControlProblem":
         """Return the MPC problem with its model re-linearised, the heading turned by `turn_rad`."""
         return replace(self, model=relinearise_model_at_turned_heading(self.model, turn_rad))
 

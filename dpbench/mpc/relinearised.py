@@ -11,8 +11,6 @@ step. For a Q that weighs north and east alike, RᵀQR = Q and P is the same at 
 re-linearising then changes q alone.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -52,7 +50,7 @@ class HeadingSeries:
     terms: list[tuple[int, Vector]]
 
     @classmethod
-    def fit_to_samples(cls, samples: Sequence[Matrix]) -> HeadingSeries:
+    def fit_to_samples(cls, samples: Sequence[Matrix]) -> "HeadingSeries":
         """Fit a trigonometric polynomial to matrices sampled at five equally spaced headings."""
         stack = np.array([np.where(np.isfinite(sample), sample, 0.0) for sample in samples])
         size = np.broadcast_to(_NOISE * np.abs(stack).max(axis=(0, 1)), stack.shape[1:]).reshape(-1)

@@ -21,8 +21,6 @@ most. They hold at N_c instants i = N_p/N_c, 2N_p/N_c, …, N_p, one per move, s
 the same rows; each row has a slack of its own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,7 +52,7 @@ class Penalty:
     curvature: float
 
     @classmethod
-    def choose_exact_penalty(cls, problem: ControlProblem, P: Matrix) -> Penalty:
+    def choose_exact_penalty(cls, problem: ControlProblem, P: Matrix) -> "Penalty":
         """Return slack penalties large enough to be exact, from the scaled Hessian P (n, n).
 
         A multiplier of an amplitude row is the slope of the cost along a force: P times the
@@ -139,7 +137,7 @@ class AssembledBlocks:
     si: Units
     block: int
 
-    def convert_to_si_units(self) -> AssembledBlocks:
+    def convert_to_si_units(self) -> "AssembledBlocks":
         """Return the assembled QP with variables and rows converted to SI units."""
         z, row = self.si.z, self.si.row
         P, A = self.P / np.outer(z, z), self.A * row[:, np.newaxis] / z

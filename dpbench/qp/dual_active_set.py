@@ -33,8 +33,6 @@ so that row 2 comes first and λ₂ = 3.5 s. Three more iterations end at x = (1
 ([2.0, 2.0, 0.0], 4)
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -280,7 +278,7 @@ class Projection:
     scale: Vector
 
     @classmethod
-    def factorise_hessian_and_rows(cls, P: Matrix, C: Matrix) -> Projection:
+    def factorise_hessian_and_rows(cls, P: Matrix, C: Matrix) -> "Projection":
         """Factorise P (n, n) and scale rows C (N, n); LinAlgError if P is not positive definite."""
         L = np.linalg.cholesky(0.5 * (P + P.T)).astype(np.float64)
         J = scipy.linalg.solve_triangular(L, C.T, lower=True)

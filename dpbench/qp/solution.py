@@ -4,8 +4,6 @@ Sign convention: y > 0 at an upper limit, y < 0 at a lower one, so that stationa
 P z + q + Aᵀy + y_box = 0.
 """
 
-from __future__ import annotations
-
 import operator
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -108,12 +106,12 @@ class Solution:
     @classmethod
     def without_point(
         cls, n: int, m: int, status: Status, detail: str = "", counters: tuple[int, int] = (-1, -1)
-    ) -> Solution:
+    ) -> "Solution":
         """Return an answer without a point, all arrays NaN; counters: iterations, time [ns]."""
         nan = np.nan
         return cls(status, np.full(n, nan), np.full(m, nan), np.full(n, nan), *counters, detail)
 
-    def copy_with_other_vectors(self, z: Vector, y: Vector, y_box: Vector) -> Solution:
+    def copy_with_other_vectors(self, z: Vector, y: Vector, y_box: Vector) -> "Solution":
         """Return a copy with other arrays z, y and y_box, and the same status and counters."""
         return replace(self, z=z, y=y, y_box=y_box)
 

@@ -1,7 +1,5 @@
 """Contents of a report: results, data made of them, recommendation and topics."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -55,7 +53,7 @@ class Report:
         baseline: str | None = None,
         capability: pd.DataFrame | None = None,
         counted: pd.DataFrame | None = None,
-    ) -> Report:
+    ) -> "Report":
         """Build the report on the results of a folder; write no file.
 
         baseline : solver to compare with; designs, capability, counted : stored tables of the

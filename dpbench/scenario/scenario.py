@@ -1,7 +1,5 @@
 """The one typed description of a run, in SI: vessel, tuning, environment, reference, estimator."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -202,7 +200,7 @@ class Scenario:
         estimator.start_from_state(self.first_state)
         return estimator
 
-    def truncate(self, steps: int) -> Scenario:
+    def truncate(self, steps: int) -> "Scenario":
         """Return the scenario cut to its first `steps` samples."""
         require_integer_at_least(f"scenario {self.name}: steps", steps, 1)
         return replace(self, steps=min(steps, self.steps))

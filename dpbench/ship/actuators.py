@@ -3,8 +3,6 @@
 τ_hull(k) = efficiency · τ(k − delay),   τ = 0 before the start
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,7 +19,7 @@ class Actuators:
     efficiency: Vector = field(default_factory=lambda: np.ones(AXES))
     delay_samples: int = 0
 
-    def make_state_at_rest(self) -> DelayedThrust:
+    def make_state_at_rest(self) -> "DelayedThrust":
         """Return the actuators' state at the start of a run, without thrust."""
         return DelayedThrust(self)
 
@@ -36,7 +34,7 @@ class CommandedThrusters:
     behind: Actuators
     trips: Trips = ()
 
-    def make_state_at_rest(self) -> ThrusterForces:
+    def make_state_at_rest(self) -> "ThrusterForces":
         """Return the thrusters' state at the start of a run, without thrust."""
         return ThrusterForces(self)
 

@@ -17,8 +17,6 @@ definite. Its yaw part stays, as published yaw damping is ten times the strip in
 All of it follows Froude's law. Munk's moment is left out with the Coriolis terms (paper eq. 4).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -65,7 +63,7 @@ class HullDrag:
     fading_mps: float
 
     @classmethod
-    def from_hull(cls, hull: CapabilityHull) -> HullDrag:
+    def from_hull(cls, hull: CapabilityHull) -> "HullDrag":
         """Return the drag of a hull from its dimensions below the water."""
         half, section = 0.5 * WATER_DENSITY, hull.breadth_m * hull.draught_m
         coefficient = compute_cross_flow_drag_coefficient(hull.breadth_m, hull.draught_m)
@@ -77,7 +75,7 @@ class HullDrag:
             fading_mps=FADING_FROUDE_NUMBER * math.sqrt(GRAVITY * hull.length_m),
         )
 
-    def copy_with_scaled_force(self, factor: float) -> HullDrag:
+    def copy_with_scaled_force(self, factor: float) -> "HullDrag":
         """Return the drag of a hull that meets `factor` times the force."""
         return replace(self, along=factor * self.along, across=factor * self.across)
 
@@ -158,7 +156,7 @@ class Vessel:
 
     def copy_with_model_mismatch(
         self, mass_percent: float = 0.0, damping_percent: float = 0.0
-    ) -> Vessel:
+    ) -> "Vessel":
         """Return a vessel with inertia M, and damping D and drag, changed by per cent."""
         mass, damping = 1.0 + mass_percent / 100.0, 1.0 + damping_percent / 100.0
         drag = self.drag and self.drag.copy_with_scaled_force(damping)

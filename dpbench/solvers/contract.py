@@ -12,8 +12,6 @@ The harness hands over arrays for this workspace alone. The vectors of a step ne
 where every step is set up, the matrices come in the same memory each time, restored before.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Literal
@@ -59,7 +57,7 @@ class Workspace(ABC):
     setup_every_step: bool = False
     matrix_updates: int = 0
     form: Form = "dense"
-    reopen: Callable[[], Workspace] | None = None
+    reopen: "Callable[[], Workspace] | None" = None
     requested_settings: Settings = ""
 
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:
@@ -84,7 +82,7 @@ class Workspace(ABC):
     def read(self) -> Solution:
         """Return a copy of the answer: status, solution z and multipliers."""
 
-    def open_again_with_equal_settings(self) -> Workspace:
+    def open_again_with_equal_settings(self) -> "Workspace":
         """Open the same solver again with equal settings; SituationError unless opened by name."""
         if self.reopen is None:
             sentence = "a cascade needs two workspaces; open this one by open_workspace"

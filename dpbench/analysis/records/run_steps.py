@@ -3,8 +3,6 @@
 A table of many runs is turned into arrays at once; a run is then a slice of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -51,7 +49,7 @@ class CountingRows:
         """First and one-past-last row index of each run, by run id."""
         return find_row_ranges_by_label(self.run_id)
 
-    def of(self, run_id: str) -> CountingRows:
+    def of(self, run_id: str) -> "CountingRows":
         """Return the step arrays of one run only; empty where it has none."""
         first, end = self.bounds.get(run_id, (0, 0))
         return CountingRows(*(getattr(self, f.name)[first:end] for f in fields(self)))
@@ -124,7 +122,7 @@ class RunSteps:
         """Return the times [ns], iterations or errors of all steps (K,), by measure."""
         return {"time": self.time_ns, "iterations": self.iterations, "error": self.error}[measure]
 
-    def at(self, places: Ints) -> RunSteps:
+    def at(self, places: Ints) -> "RunSteps":
         """Return a copy of a run's steps with only those at the given indices."""
         arrays = [f.name for f in fields(self) if f.name != "rounds"]
         return RunSteps(**{n: getattr(self, n)[places] for n in arrays}, rounds=self.rounds)

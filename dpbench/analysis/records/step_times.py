@@ -1,7 +1,5 @@
 """Step times of a replay, and single timings that took much longer than their step does."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -97,7 +95,7 @@ class Delays:
     _stalls: dict[float, Ints] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
-    def without_waits(self) -> Delays:
+    def without_waits(self) -> "Delays":
         """Copy of these delays without the recorded waits for the processor core."""
         return replace(self, net_ns=self.delay_ns, has_waits=False)
 

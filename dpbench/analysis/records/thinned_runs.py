@@ -1,7 +1,5 @@
 """Thinned steps of long runs: some of them, the hardest, and points of the ship's track."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -37,7 +35,7 @@ class HardRow(NamedTuple):
     n_active: int
 
     @classmethod
-    def of(cls, run: RunSteps, measure: Measure, i: int) -> HardRow:
+    def of(cls, run: RunSteps, measure: Measure, i: int) -> "HardRow":
         """Return step `i` of a run, hard by one measure."""
         answer = str(run.status[i]), bool(run.claimed[i]), bool(run.true[i]), int(run.n_active[i])
         return cls(int(run.k[i]), float(run.values(measure)[i]), *answer)
@@ -61,7 +59,7 @@ class ThinnedRun:
     track: Track | None
 
     @classmethod
-    def of(cls, run: RunSteps, most: int, track: Track | None = None) -> ThinnedRun:
+    def of(cls, run: RunSteps, most: int, track: Track | None = None) -> "ThinnedRun":
         """Thin a run to about `most` steps: every n-th one and the hardest."""
         chosen, extra = thinned_indices(run, most)
         hard = {

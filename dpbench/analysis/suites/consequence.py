@@ -6,8 +6,6 @@ once, by the round in which a solver was worst:
     QPs = held rightly + refused rightly + missed alarms + other untrue claims + nothing
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Requirements of a controller on a solver, as the suite writes them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 from typing import Any
@@ -23,7 +21,7 @@ class Requirements:
     deadline_ms: float = 300.0
 
     @classmethod
-    def of(cls, suite: SuiteDescription) -> Requirements:
+    def of(cls, suite: SuiteDescription) -> "Requirements":
         """Read the limits on error, failed steps and time from a suite, or take defaults."""
         # Folders of earlier releases have them as `demand`.
         known: dict[str, Any] = {**suite.get("requirements", suite.get("demand", {}))}

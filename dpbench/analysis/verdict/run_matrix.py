@@ -5,8 +5,6 @@ then the realisations of studies. A window of the hardest steps counts in its sc
 loop.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -36,7 +34,7 @@ class Experiment:
     replicate: int = 0
 
     @classmethod
-    def of(cls, run: RunRecord, formulation: str = "") -> Experiment:
+    def of(cls, run: RunRecord, formulation: str = "") -> "Experiment":
         """Return what a run is judged on: scenario, replayed QP sequence or study realisation."""
         if run.study:
             study = run.study, int(run.study_point), int(run.replicate)

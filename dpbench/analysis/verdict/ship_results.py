@@ -4,8 +4,6 @@ A ship that leaves its station there is lost with every solver: none does better
 in every step.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Findings on the times of a configuration: replays, closed loops and single timings."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -199,7 +197,7 @@ class _Percentiles:
     max_ns: float
 
     @classmethod
-    def of(cls, run: RunRecord, times_ns: Floats) -> _Percentiles:
+    def of(cls, run: RunRecord, times_ns: Floats) -> "_Percentiles":
         """Compute the percentiles of a replay's step times (K,) [ns]."""
         p95, p99 = percentile_or_nan(times_ns, 95), p99_ns(run, times_ns)
         return cls(float(np.median(times_ns)), p95, p99, float(times_ns.max()))
@@ -227,7 +225,7 @@ class _ReplayTimes:
     steps: int
 
     @classmethod
-    def of(cls, run: RunRecord, times: StepTimes) -> _ReplayTimes:
+    def of(cls, run: RunRecord, times: StepTimes) -> "_ReplayTimes":
         """Compute the percentiles and extremes of one replay's step times."""
         own_ns = find_own_times_ns(run, times)
         return cls(

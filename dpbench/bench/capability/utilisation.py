@@ -16,8 +16,6 @@ azimuths near each other have 11 664 choices. A balance has three rows only, so 
 optimum lie between pieces (Shapley-Folkman): a few bounds are enough.
 """
 
-from __future__ import annotations
-
 import heapq
 import math
 from collections.abc import Callable, Sequence
@@ -128,7 +126,9 @@ class Utilisation:
         x *= size
         return float(x[-1]), [x[at] for at in cones.sizes]
 
-    def _solve_cone_program(self, cones: _Cones, balance: Matrix, wanted: Vector) -> Vector | None:
+    def _solve_cone_program(
+        self, cones: "_Cones", balance: Matrix, wanted: Vector
+    ) -> Vector | None:
         """Return the optimum of a cone program for a force (3,); None where there is none."""
         A, b = cones.make_matrix_with_balance(balance), cones.zeros.copy()
         b[:AXES] = wanted

@@ -6,8 +6,6 @@ recorded sequences, are sent instead. Few more tasks than slots are submitted at
 that kills its worker takes few others along, and no scheduler holds a whole campaign.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -49,7 +47,7 @@ NOT_ALONE = (
 
 def open_dask_engine(
     scheduler: str | None, workers: int, tls: TlsFiles | None = None
-) -> DaskEngine:
+) -> "DaskEngine":
     """Open an engine on a Dask scheduler's workers, or on `workers` new ones on this machine."""
     engine = DaskEngine(workers)
     with ExitStack() as until_connected:

@@ -1,7 +1,5 @@
 """Parts of a plan that run apart, on several machines."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import asdict, dataclass, field
@@ -54,7 +52,7 @@ class Shard:
         return f"{self.index}/{self.count}"
 
     @classmethod
-    def from_text(cls, text: str | None) -> Shard:
+    def from_text(cls, text: str | None) -> "Shard":
         """Return part i of n from a text "i/n", the whole for None; InputError for other texts."""
         if text is None:
             return WHOLE
@@ -125,7 +123,7 @@ class ShardRecord:
         write_json(folder / SHARD_FILE, json.loads(json.dumps(asdict(self))))
 
     @classmethod
-    def read(cls, folder: Path) -> ShardRecord:
+    def read(cls, folder: Path) -> "ShardRecord":
         """Read `shard.json` of a result folder; InputError where it is missing or damaged."""
         path = folder / SHARD_FILE
         if not path.exists():

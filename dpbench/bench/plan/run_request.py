@@ -1,7 +1,5 @@
 """A request of a user, a suite or a part of it in its call modes, and the plan it means."""
 
-from __future__ import annotations
-
 import hashlib
 from collections import Counter
 from collections.abc import Sequence
@@ -111,7 +109,7 @@ class RunRequest:
         """Return whether the suite can be read on this machine."""
         return self._suite_file is None or self._suite_file.is_file()
 
-    def with_absolute_path(self) -> RunRequest:
+    def with_absolute_path(self) -> "RunRequest":
         """Return the request with the suite's path made absolute."""
         file = self._suite_file
         return self if file is None else replace(self, suite=str(file.resolve()))

@@ -4,8 +4,6 @@ points = product of { the axes of `product`, `zip` as one axis, the draws of `de
 runs   = points × replicates × configurations
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -66,7 +64,7 @@ class DesignOfPointsTable(FileModel):
     """Least and largest value of each key, by its dotted name."""
 
     @model_validator(mode="after")
-    def _refuse_bad_size_or_range(self) -> DesignOfPointsTable:
+    def _refuse_bad_size_or_range(self) -> "DesignOfPointsTable":
         """Raise ValueError for a Sobol size that is no power of two, or a range without growth."""
         if self.kind == "sobol" and self.points & (self.points - 1):
             raise ValueError("a power of two points for sobol: 64, 128, 256, ...")
@@ -118,7 +116,7 @@ class StudyTable(RunsTable):
     """The same points again in other seas; once by default."""
 
     @model_validator(mode="after")
-    def _refuse_repeated_or_unequal_keys(self) -> StudyTable:
+    def _refuse_repeated_or_unequal_keys(self) -> "StudyTable":
         """Raise ValueError for parameters that appear twice, or paired lists of unequal length."""
         lengths = {len(values) for values in self.zip.values()}
         if len(lengths) > 1:

@@ -5,8 +5,6 @@ A configuration is one solver, its call mode and its settings, from the plan to 
 `sequences/source.py` makes and reads the QPs.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Callable, Mapping
@@ -292,7 +290,7 @@ class Cell:
         return json.dumps(self._to_dict(), sort_keys=True, ensure_ascii=False)
 
     @classmethod
-    def from_json(cls, text: str) -> Cell:
+    def from_json(cls, text: str) -> "Cell":
         """Return the description of a run from JSON text, as `to_json` wrote it."""
         values = json.loads(text)
         values["source"] = parse_qp_source(values.get("source", {}))
@@ -300,7 +298,7 @@ class Cell:
             values["study"] = StudyRealisation(**values["study"])
         return cls(**values)
 
-    def with_settings_name(self, name: str) -> Cell:
+    def with_settings_name(self, name: str) -> "Cell":
         """Return this run under another name of its solver settings."""
         return replace(self, settings=name)
 
@@ -388,7 +386,7 @@ class Configuration:
         return f"{solver} ({self.call_text}{units}{formulation})"
 
     @property
-    def moved_to_common_formulation(self) -> Configuration:
+    def moved_to_common_formulation(self) -> "Configuration":
         """The configuration moved to the condensed formulation, in which results are compared."""
         return replace(self, formulation=COMMON_FORMULATION)
 

@@ -6,8 +6,6 @@ are, small ones are merged. A cell is finished when its row is in a part or in `
 its steps can be read. Of several copies, as after a kill, the latest counts.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import re
@@ -185,7 +183,7 @@ class PublicTables(Source):
             return False
         return metadata.get(_CHECKSUM_KEY.encode()) == b"%08x" % _compute_crc32_of_file(self.steps)
 
-    def write(self, rows: pa.Table, steps: StepFile) -> None:
+    def write(self, rows: pa.Table, steps: "StepFile") -> None:
         """Move a finished file of steps to `steps.parquet`, then write `runs.parquet`."""
         steps.close()
         rename_durably(steps.path, self.steps)
@@ -406,7 +404,7 @@ class CellStore:
             some = filter_steps_by_run_id(steps, set(columns["run_id"])) if len(steps) else steps
             self.write_part_file(encode_part(columns, some))
 
-    def copy_runs_of_other_folder(self, other: CellStore) -> None:
+    def copy_runs_of_other_folder(self, other: "CellStore") -> None:
         """Copy the readable finished runs of another result folder into this one."""
         rows, sources = other.collect_rows_and_sources()
         read: set[str] = set()

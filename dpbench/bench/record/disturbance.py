@@ -4,8 +4,6 @@ They are read outside of the timed phases. A hidden counter is NaN; a steal time
 that the host of a virtual machine hides it.
 """
 
-from __future__ import annotations
-
 import os
 import resource
 import time
@@ -115,7 +113,7 @@ class Disturbance:
     throttled: float
 
     @classmethod
-    def from_parts(cls, parts: Sequence[Disturbance]) -> Disturbance:
+    def from_parts(cls, parts: "Sequence[Disturbance]") -> "Disturbance":
         """Return the disturbances summed over several replays; a sum unknown in all is NaN."""
         rows = np.array([list(vars(part).values()) for part in parts]).reshape(-1, len(fields(cls)))
         seen = np.isfinite(rows).any(axis=0)

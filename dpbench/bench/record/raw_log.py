@@ -4,8 +4,6 @@ The worker only assigns into the arrays; its supervisor opens the same file afte
 a kill and finds every completed step.
 """
 
-from __future__ import annotations
-
 import errno
 import json
 import math
@@ -198,12 +196,12 @@ class RawLog(AnswerLog):
             offset += -(-count * np.dtype(dtype).itemsize // _ALIGN) * _ALIGN
 
     @classmethod
-    def in_memory(cls, layout: Layout) -> RawLog:
+    def in_memory(cls, layout: Layout) -> "RawLog":
         """Return a new record of a run in this process's memory."""
         return cls(layout, bytearray(compute_log_bytes(layout)))
 
     @classmethod
-    def create(cls, path: Path, layout: Layout) -> RawLog:
+    def create(cls, path: Path, layout: Layout) -> "RawLog":
         """Create the file that a run is recorded in, at full size; OSError where there is no room.
 
         It appears at `path` whole or not at all, as the supervisor may read it at any moment.
@@ -219,7 +217,7 @@ class RawLog(AnswerLog):
         return cls.open(path)
 
     @classmethod
-    def open(cls, path: Path) -> RawLog:
+    def open(cls, path: Path) -> "RawLog":
         """Open the file that a run is recorded in, writable and shared between processes."""
         layout = json.loads(path.with_suffix(".layout").read_text(encoding="ascii"))
         with path.open("r+b") as file:

@@ -3,8 +3,6 @@
 Every solver's deviation from it is a metric, and the QPs along it are the sequences for replay.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -130,7 +128,7 @@ class ExactLoop:
         write_arrays_uncompressed(path, arrays)
 
     @classmethod
-    def load(cls, path: Path, *, with_optima: bool = True) -> ExactLoop:
+    def load(cls, path: Path, *, with_optima: bool = True) -> "ExactLoop":
         """Return the exactly solved loop in a file; ResultsError where it is damaged or gone."""
         with open_arrays(path) as stored:
             arrays = {name: stored[name] for name in _OF_LOOP}

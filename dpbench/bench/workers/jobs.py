@@ -1,7 +1,5 @@
 """Cells to run and files to make, their results, and batches of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -88,7 +86,7 @@ class CellBatch:
         """Hash keys of the files of the batch's QPs, each once."""
         return [*group_by_source(self.jobs)]
 
-    def split_for_isolated_retry(self, names: Collection[str]) -> list[CellBatch]:
+    def split_for_isolated_retry(self, names: Collection[str]) -> "list[CellBatch]":
         """Return batches to do the runs `names` again, alone; timed replays stay together."""
         jobs = [job for job in self.jobs if job.run_id in names]
         groups = [jobs] if self.is_timed else [[job] for job in jobs]
@@ -118,7 +116,7 @@ class FileBatch:
         """The path of each file of the batch, as text."""
         return [str(path) for path in self.texts]
 
-    def split_for_isolated_retry(self, names: Collection[str]) -> list[FileBatch]:
+    def split_for_isolated_retry(self, names: Collection[str]) -> "list[FileBatch]":
         """Return a batch for each of the files `names`, to be made again alone."""
         return [
             FileBatch(self.target, {path: text}, self.limit_s, self.are_sources, isolated=True)

@@ -4,8 +4,6 @@ Anonymous memory needs no room on a file system, cannot be removed, and outlives
 tells whether the harness or the solver was at work when the process died.
 """
 
-from __future__ import annotations
-
 import fcntl
 import io
 import mmap
@@ -69,7 +67,7 @@ class Output:
         self._descriptor = descriptor
         weakref.finalize(self, os.close, descriptor)
 
-    def __reduce__(self) -> tuple[Callable[..., Output], tuple[Any, ...]]:
+    def __reduce__(self) -> "tuple[Callable[..., Output], tuple[Any, ...]]":
         return _receive_output, (reduction.DupFd(self._descriptor),)
 
     def redirect(self) -> None:
@@ -132,7 +130,7 @@ class SharedStatus:
             os.write(self._descriptor, bytes(mmap.PAGESIZE))
         self._page = mmap.mmap(self._descriptor, mmap.PAGESIZE)
 
-    def __reduce__(self) -> tuple[Callable[..., SharedStatus], tuple[Any, ...]]:
+    def __reduce__(self) -> "tuple[Callable[..., SharedStatus], tuple[Any, ...]]":
         return _receive_status, (reduction.DupFd(self._descriptor), self.output)
 
     def close_descriptor(self) -> None:

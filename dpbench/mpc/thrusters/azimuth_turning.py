@@ -8,8 +8,6 @@ direction is that of the step, so A changes with it. A thruster with hardly any 
 with a twentieth of its thrust; else it could never leave zero but ahead.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Unpack
 
@@ -41,7 +39,7 @@ class AzimuthTurning:
     least_N: Vector
 
     @classmethod
-    def select_from_thrusters(cls, thrusters: ThrusterSet, sample_s: float) -> AzimuthTurning:
+    def select_from_thrusters(cls, thrusters: ThrusterSet, sample_s: float) -> "AzimuthTurning":
         """Select the thrusters of a ship that have a known turning rate."""
         pairs = zip(thrusters.thrusters, thrusters.slices_in_force_vector, strict=True)
         turning = [(t, at) for t, at in pairs if t.turning_radps is not None]

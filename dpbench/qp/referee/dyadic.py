@@ -6,8 +6,6 @@ Sums and products of such arrays are exact, at some 50 ns a term. Fraction-free 
 (Bareiss, Math. Comp. 22, 1968) solves linear systems over the integers.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +25,7 @@ class Dyadic:
     exponent: int
 
     @classmethod
-    def from_floats(cls, array: Floats) -> Dyadic:
+    def from_floats(cls, array: Floats) -> "Dyadic":
         """Convert a finite float64 array to exact dyadic numbers."""
         mantissa, power = np.frexp(array)
         digits = np.ldexp(mantissa, _SHIFT).astype(np.int64)
@@ -39,18 +37,18 @@ class Dyadic:
         return cls(np.asarray(whole, dtype=object), lowest)
 
     @property
-    def T(self) -> Dyadic:
+    def T(self) -> "Dyadic":
         """Transpose of the array of exact numbers."""
         return Dyadic(self.whole.T, self.exponent)
 
-    def __getitem__(self, index: slice | Indices | Flags) -> Dyadic:
+    def __getitem__(self, index: slice | Indices | Flags) -> "Dyadic":
         return Dyadic(self.whole[index], self.exponent)
 
     def integers_at_exponent(self, exponent: int) -> Whole:
         """Return the integers that times a smaller power of two give the same numbers."""
         return np.asarray(self.whole * (1 << (self.exponent - exponent)), dtype=object)
 
-    def __add__(self, other: Dyadic) -> Dyadic:
+    def __add__(self, other: "Dyadic") -> "Dyadic":
         low = min(self.exponent, other.exponent)
         return Dyadic(
             np.asarray(
@@ -59,24 +57,24 @@ class Dyadic:
             low,
         )
 
-    def __sub__(self, other: Dyadic) -> Dyadic:
+    def __sub__(self, other: "Dyadic") -> "Dyadic":
         return self + -other
 
-    def __neg__(self) -> Dyadic:
+    def __neg__(self) -> "Dyadic":
         return Dyadic(np.asarray(-self.whole, dtype=object), self.exponent)
 
-    def __mul__(self, other: Dyadic) -> Dyadic:
+    def __mul__(self, other: "Dyadic") -> "Dyadic":
         product = np.asarray(self.whole * other.whole, dtype=object)
         return Dyadic(product, self.exponent + other.exponent)
 
-    def __matmul__(self, other: Dyadic) -> Dyadic:
+    def __matmul__(self, other: "Dyadic") -> "Dyadic":
         exponent = self.exponent + other.exponent
         if 0 in self.whole.shape or 0 in other.whole.shape:
             shape = np.zeros(self.whole.shape) @ np.zeros(other.whole.shape)
             return Dyadic(np.asarray(shape.astype(np.int64), dtype=object), exponent)
         return Dyadic(np.asarray(self.whole @ other.whole, dtype=object), exponent)
 
-    def exact_sum(self) -> Dyadic:
+    def exact_sum(self) -> "Dyadic":
         """Return the exact sum of all entries."""
         return Dyadic(np.asarray(sum(self.whole.ravel().tolist()), dtype=object), self.exponent)
 

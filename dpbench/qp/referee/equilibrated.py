@@ -6,8 +6,6 @@ D, R and c come from Ruiz's equilibration of [P Aᵀ; A 0] (A scaling algorithm 
 rows and columns norms in matrices, RAL-TR-2001-034), rounded to powers of two.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +26,7 @@ class Scales:
     cost: float
 
     @classmethod
-    def compute_ruiz_scales(cls, P: Matrix, C: Matrix) -> Scales:
+    def compute_ruiz_scales(cls, P: Matrix, C: Matrix) -> "Scales":
         """Compute the equilibration factors of P (n, n) and C (N, n) by Ruiz's method."""
         n = len(P)
         A = np.abs(C[:-n])

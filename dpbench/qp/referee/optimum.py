@@ -5,8 +5,6 @@ Rows and bounds are one list of rows there:
     minimise ½ zᵀPz + qᵀz   subject to   L ≤ C z ≤ U,   C = [A; I],  L = [l; lb],  U = [u; ub]
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 
@@ -92,7 +90,7 @@ class JointQP:
     U: Vector
 
     @classmethod
-    def from_qp(cls, qp: QuadraticProgram) -> JointQP:
+    def from_qp(cls, qp: QuadraticProgram) -> "JointQP":
         """Join the rows and bounds of a QP into rows C with limits L and U."""
         return cls(qp.P, qp.q, np.vstack((qp.A, np.eye(qp.n))), *qp.stack_row_and_bound_limits())
 
@@ -115,6 +113,6 @@ class ExactMatrices:
     C: Dyadic
 
     @classmethod
-    def from_float_matrices(cls, P: Matrix, C: Matrix) -> ExactMatrices:
+    def from_float_matrices(cls, P: Matrix, C: Matrix) -> "ExactMatrices":
         """Convert Hessian P and constraint rows C from float64 to exact arithmetic."""
         return cls(Dyadic.from_floats(P), Dyadic.from_floats(C))

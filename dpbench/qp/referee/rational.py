@@ -42,8 +42,6 @@ G = (3, 0), z = (⅓, ½) and λ = 2/9, both exact. Rounded once, ⅓ is off by 
 (True, True)
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -67,7 +65,7 @@ class _IntegerQP:
     y_exponent: int
 
     @classmethod
-    def from_joint_qp(cls, problem: JointQP, exact: ExactMatrices) -> _IntegerQP:
+    def from_joint_qp(cls, problem: JointQP, exact: ExactMatrices) -> "_IntegerQP":
         """Convert a QP to integers, with powers of two as units."""
         q = Dyadic.from_floats(problem.q)
         L, U = (

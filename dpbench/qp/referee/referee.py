@@ -39,8 +39,6 @@ By hand, the point nearest (3, 3) under z₁ ≤ 1 and z₂ ≤ 1: W = {1, 2}, C
 ([1.0, 1.0], True)
 """
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from copy import copy
@@ -135,14 +133,14 @@ class Referee:
         self._definite = self._finite and is_proven_positive_definite(self._P)
         self._convex = self._definite or (self._finite and self._is_proven_convex())
 
-    def for_changed_matrices(self, P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> Referee:
+    def for_changed_matrices(self, P: Matrix, A: Matrix, lb: Vector, ub: Vector) -> "Referee":
         """Return a checker of optima for a later step's matrices, started at the last set."""
         later = Referee(P, A, lb, ub)
         if len(later._last) == len(self._last):
             later._last = self._last
         return later
 
-    def copy_without_memory(self) -> Referee:
+    def copy_without_memory(self) -> "Referee":
         """Return a copy of this checker without memory of earlier QPs; matrix data are shared."""
         other = copy(self)
         other._last, other._farkas = np.zeros_like(self._last), None

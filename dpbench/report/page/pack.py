@@ -17,8 +17,6 @@ have their low bytes first; linear and count arrays are differences from element
 track of a closed loop is its distance from the run nearest to the exactly solved loop.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import struct
@@ -147,7 +145,7 @@ class Room:
     points: int
 
     @classmethod
-    def of(cls, lengths: Sequence[int]) -> Room:
+    def of(cls, lengths: Sequence[int]) -> "Room":
         """Return the most steps and points to keep of each run, one limit for all runs."""
         more = max(0, len(lengths) - MANY_RUNS)
         points = common_length_limit(lengths, max(0, MOST_POINTS - POINTS_A_RUN * more))

@@ -3,8 +3,6 @@
 The wording of the claims is in `paper.toml`, their criteria are in the analysis.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -74,7 +72,7 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
     )
 
 
-def count_reproduced(judged: Sequence[Claim]) -> str:
+def count_reproduced(judged: "Sequence[Claim]") -> str:
     """State how many of the paper's claims are reproduced, and how many were not measured."""
     states = [claim.state for claim in judged]
     held, missing = states.count("reproduced"), states.count("not measured")

@@ -1,7 +1,5 @@
 """The interface of controllers, which plan by a condensed QP; the thrusters that one commands."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -202,7 +200,7 @@ class Controller(ABC):
     def select_applied_commands(self, tau: Matrix, thrust: Matrix) -> Matrix:
         """Return the applied commands (K, n_u): the forces tau (K, 3) or thrust (K, n_f)."""
 
-    def adapt_to_baseline_law(self) -> Controller:
+    def adapt_to_baseline_law(self) -> "Controller":
         """Return this controller for the unconstrained law, without a thrust-allocation QP."""
         return self
 

@@ -3,8 +3,6 @@
 A cascade plans the force, which a second QP or the pseudo-inverse allocates to the thrusters.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -37,7 +35,7 @@ class ForceController(Controller):
     metric_groups: ClassVar[tuple[MetricGroup, ...]] = ("axis_limits",)
 
     @classmethod
-    def from_specification(cls, spec: ControllerSpec) -> ForceController:
+    def from_specification(cls, spec: ControllerSpec) -> "ForceController":
         """Build the force controller of a scenario, with limits axis by axis or joint ones."""
         spec.refuse_unsupported_faults(
             lost=spec.controller_table.limits != "box",
@@ -112,7 +110,7 @@ class ThrusterController(Controller):
     commands: ClassVar[str] = ", thrusters"
 
     @classmethod
-    def from_specification(cls, spec: ControllerSpec) -> ThrusterController:
+    def from_specification(cls, spec: ControllerSpec) -> "ThrusterController":
         """Build the thruster controller of a scenario; InputError without fitting thrusters."""
         control, planning = build_commanded_thrusters(spec), spec.planning_settings
         spec.refuse_unsupported_faults(lost=True, limit_share=False)
@@ -169,7 +167,7 @@ class CascadeController(ForceController):
     why_no_delay: ClassVar[str] = "slowdown: not of a cascade, whose QPs are two"
 
     @classmethod
-    def from_specification(cls, spec: ControllerSpec) -> CascadeController:
+    def from_specification(cls, spec: ControllerSpec) -> "CascadeController":
         """Build a force controller with thrust allocation; InputError without thrusters."""
         control, table = build_commanded_thrusters(spec), spec.thruster_table
         spec.refuse_unsupported_faults(lost=True, limit_share=spec.controller_table.limits == "box")
@@ -212,6 +210,6 @@ class CascadeController(ForceController):
         """Return the thrusters' force limits at each sample, lost thrusters included."""
         return list_force_limits_by_sample(self.control.rows.intact, self.losses, samples)
 
-    def adapt_to_baseline_law(self) -> CascadeController:
+    def adapt_to_baseline_law(self) -> "CascadeController":
         """Return this controller with allocation by pseudo-inverse in place of a QP."""
         return replace(self, by_qp=False)

@@ -1,7 +1,5 @@
 """Keys, units (kN, kN·m, degrees) and bounds of vessel files, converted to SI."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -114,7 +112,7 @@ class ThrusterTable(FileModel):
         return others | {"sector_deg": edges[::-1]}
 
     @model_validator(mode="after")
-    def _require_thrust_or_propeller(self) -> ThrusterTable:
+    def _require_thrust_or_propeller(self) -> "ThrusterTable":
         """Raise ValueError unless thrust is given either directly or by power and propeller."""
         made_of = [self.power_kW, self.diameter_m, self.propeller]
         given = [value is not None for value in made_of]
@@ -241,7 +239,7 @@ class VesselFile(FileModel):
     """D without dimension in the Bis system."""
 
     @model_validator(mode="after")
-    def _require_keys_of_complete_vessel(self) -> VesselFile:
+    def _require_keys_of_complete_vessel(self) -> "VesselFile":
         """Raise ValueError for keys that do not define one complete vessel."""
         systems = ({"inertia", "damping"}, {"mass_kg", "inertia_bis", "damping_bis"})
         given = {key for key in systems[0] | systems[1] if getattr(self, key) is not None}

@@ -51,8 +51,6 @@ k = p/s = 1/p = 0.618, the share of the innovation that enters the estimate.
 [True, True, True]
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -121,7 +119,7 @@ class KalmanTuning:
         *,
         wave_filter: bool = True,
         where: str = "KalmanTuning",
-    ) -> KalmanTuning:
+    ) -> "KalmanTuning":
         """Choose noise by force limits and wave period; waves that are not filtered are noise."""
         period = waves.peak_period_s
         # Weather pushes no harder along the ship than across it, whatever its main propellers can.

@@ -32,8 +32,6 @@ Gains by the tuning rules of the same paper:
 They give the pose loop a notch at ω0 and the cut-off ω_c.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,7 +76,7 @@ class WaveModel:
     std: Vector
 
     @classmethod
-    def from_peak_period(cls, peak_period_s: float, std: Vector) -> WaveModel:
+    def from_peak_period(cls, peak_period_s: float, std: Vector) -> "WaveModel":
         """Build the wave model of a peak period [s], with the same damping in every axis."""
         return cls(np.full(AXES, peak_period_s), np.full(AXES, JONSWAP_DAMPING), std)
 
@@ -180,7 +178,7 @@ class PassiveTuning:
     @classmethod
     def choose_for_ship(
         cls, ship: Vessel, waves: WaveModel, *, wave_filter: bool = True
-    ) -> PassiveTuning:
+    ) -> "PassiveTuning":
         """Choose observer gains in proportion to the ship's inertia and the wave period."""
         omega0 = waves.natural_frequencies_radps
         return cls(

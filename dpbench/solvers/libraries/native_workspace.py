@@ -8,8 +8,6 @@
 A library object that raised, or left no usable answer, is made anew before the next step.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from importlib import import_module
 from math import isfinite
@@ -51,7 +49,7 @@ class NativeWorkspace(Workspace):
 
     _solver: Any
     _result: Any = None
-    _start: WarmStart
+    _start: "WarmStart"
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
         super().__init__(record.name, "native", policy)

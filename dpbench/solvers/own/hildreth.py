@@ -6,8 +6,6 @@ of the multipliers is below 10e-8. That alone says little about the answer, so t
 criterion can be set.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -35,7 +33,7 @@ class HildrethSettings:
     eps_row: float = np.inf
 
     @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> HildrethSettings:
+    def from_options(cls, options: Mapping[str, object]) -> "HildrethSettings":
         """Make stopping criteria from solver options; SettingsError unless all are positive."""
         for key, value in options.items():
             integer = key == "max_iter"
