@@ -1,5 +1,6 @@
 """Text of what thrusters hold: capability numbers, and losses in a consequence analysis."""
 
+import math
 from collections.abc import Iterator
 
 import pandas as pd
@@ -10,8 +11,11 @@ from dpbench.analysis.suites.consequence import (
     HELD,
     LOST,
     ConsequenceAnalysis,
+    answers_in_all,
     consequence_analyses,
+    largest_share,
 )
+from dpbench.analysis.verdict.fastest import deployment_blocker
 from dpbench.bench.capability.frontier import INTACT
 from dpbench.report.formats import rounded_down
 
@@ -37,7 +41,7 @@ def _least_wind_text(edges: pd.DataFrame) -> str:
     return f"{rounded_down(least['wind_mps'])} m/s, from {least['from_deg']:.0f}°"
 
 
-def _time_held_text(of_group: pd.DataFrame) -> str:
+def time_held_text(of_group: pd.DataFrame) -> str:
     """Describe when a thruster loss can be held: throughout, until a time, or never."""
     states, change_s = of_group["state"].tolist(), of_group["from_s"].iloc[-1]
     if states == [HELD]:
@@ -57,9 +61,25 @@ def describe_losses_held(analysis: ConsequenceAnalysis) -> str:
     """State which losses of thrusters can be held and when, and what of the force is asked for."""
     when: dict[str, list[str]] = {}
     for group, of_group in analysis.spans.groupby("group", sort=False):
-        when.setdefault(_time_held_text(of_group), []).append(str(group))
+        when.setdefault(time_held_text(of_group), []).append(str(group))
     held = [f"the loss of {' or of '.join(of)} can be held {time}" for time, of in when.items()]
     return f"In {analysis.name} {'; '.join(held)} ({margin_text(analysis)})."
+
+
+def consequence_solver_text(records: Records, solver: str) -> str:
+    """Name a solver for the consequence analysis beside that of the MPC; "" where it is the same.
+
+    The configuration that answers all QPs rightly and takes the least share of a sample counts.
+    """
+    own = answers_in_all(consequence_analyses(records))
+    right = {name: of_it for name, of_it in own.items() if all(a.is_all_right for a in of_it)}
+    if not own or any(of_it[0].solver == solver for of_it in right.values()):
+        return ""
+    deployable = [name for name in right if not deployment_blocker(right[name][0].solver)]
+    shares = {name: largest_share(right[name]) for name in deployable}
+    best = min(shares, key=lambda name: (math.isnan(shares[name]), shares[name]), default="")
+    other = best or "no solver that was run answers all its QPs rightly"
+    return f"MPC: {solver}; consequence analysis: {other}."
 
 
 def margin_text(analysis: ConsequenceAnalysis) -> str:

@@ -23,7 +23,8 @@ class ShipSummary:
     """First lines of a report: a warning where the controller does not hold a ship, and results.
 
     warning : begins with `BANNER`; "" where no ship is lost. text : "" without any ship.
-    caution : of ships on station with little margin, or still moving away; "" without any.
+    caution : of ships on station with little margin, still moving away, or farther off since a
+    loss; "" without any.
     """
 
     warning: str = ""
@@ -200,13 +201,21 @@ def _describe_small_margins(known: Sequence[ShipResult]) -> list[str]:
     kept = sorted(
         (ship for ship in known if ship.state == "on station"), key=lambda ship: -ship.used_share
     )
-    moving = [ship for ship in kept if ship.is_moving_away]
+    moving = [ship for ship in kept if ship.is_moving_away and not _has_loss(ship)]
+    rising = [ship for ship in kept if ship.is_moving_away and _has_loss(ship)]
     near = [ship for ship in kept if ship.used_share >= NEAR_SHARE]
     sentences = []
     if moving:
         sentences.append(
             f"The ship is still moving away when the run ends in {_name_ships(moving)}: only a "
             "longer run shows whether it stays on station."
+        )
+    if rising:
+        parts = [_describe_rise(ship) for ship in rising[:MOST_NAMED]]
+        parts += [f"{len(rising) - MOST_NAMED} more"] if rising[MOST_NAMED:] else []
+        sentences.append(
+            f"The offset after a loss still rises when the run ends in {and_list(parts)}: a longer "
+            "`duration_s` shows where it settles."
         )
     if near:
         up_to = "up to " if len(near) > 1 else ""
@@ -215,6 +224,16 @@ def _describe_small_margins(known: Sequence[ShipResult]) -> list[str]:
             f"limits of its station in {_name_ships(near)}."
         )
     return sentences
+
+
+def _describe_rise(ship: ShipResult) -> str:
+    """Name a ship whose offset rises after a loss: how far it is at the end, and how long after."""
+    run = ship.run
+    end_s = run.exact_steps * run.sample_s
+    lost_s = [at_s for at_s, _ in list_losses(run) if at_s < end_s]
+    after = f", {significant(end_s - max(lost_s))} s after it" if lost_s else ""
+    far = f"{significant(run.exact_offset_end_m)} m of {run.station_radius_m:.3g} m"
+    return f"`{ship.name}` ({far}{after})"
 
 
 def _describe_rest(ships: Sequence[ShipResult]) -> list[str]:

@@ -124,6 +124,16 @@ def test_a_run_that_ends_at_the_largest_offset_is_said_to(
     assert _summary(records).caution == (sentence if is_moving else "")
 
 
+def test_an_offset_that_rises_after_a_loss_is_said_to(records: Any) -> None:
+    """With how far and how long after the loss at 90 s; 500 samples of 0.3 s end 60 s later."""
+    rise = MOVING | {"exact_offset_max_s": 149.0, "exact_loss_offset_max_m": 1.0}
+    records.loop("daqp", "thrusters_loss", steps=500, **rise)
+    assert _summary(records).caution == (
+        "The offset after a loss still rises when the run ends in `thrusters_loss` (0.950 m of "
+        "5 m, 60.0 s after it): a longer `duration_s` shows where it settles."
+    )
+
+
 def test_a_lost_ship_that_is_still_moving_away_is_said_to(records: Any) -> None:
     records.loop("daqp", "rough", **MOVING | {"exact_left_s": 30.0, "exact_heading_end_deg": 9.0})
     told = _summary(records)

@@ -1,5 +1,6 @@
 """Picture of the statement: offset, heading error and thrust of a closed loop, as plain SVG."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from html import escape
@@ -142,5 +143,7 @@ def _begins_s(run: RunRecord) -> float:
 
 
 def _offset_share(run: RunRecord) -> float:
-    """Return a run's largest offset in multiples of its station."""
-    return run.exact_offset_max_m / run.station_radius_m
+    """Return a run's largest offset, after its loss if it has one, in multiples of its station."""
+    after_loss_m = run.exact_loss_offset_max_m
+    most_m = run.exact_offset_max_m if math.isnan(after_loss_m) else after_loss_m
+    return most_m / run.station_radius_m

@@ -3,9 +3,8 @@
 It is drawn as SVG and turned into PDF, and claims nothing that is not on the page.
 """
 
-import textwrap
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -13,8 +12,8 @@ from typing import Any
 
 import vl_convert as vlc
 
-from dpbench.analysis.suites.capability import capability_plots
-from dpbench.analysis.suites.consequence import consequence_analyses
+from dpbench.analysis.suites.capability import CapabilityResult, capability_plots
+from dpbench.analysis.suites.consequence import ConsequenceAnalysis, consequence_analyses
 from dpbench.analysis.times.machine import timed_runs, total_disturbance
 from dpbench.analysis.verdict.fastest import best_verdict_by_solver, choose_solver
 from dpbench.analysis.verdict.verdict import Verdict
@@ -24,12 +23,14 @@ from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.errors import InputError
 from dpbench.files.writing import write_bytes_to_file_or_pipe
 from dpbench.report.capability_text import (
+    consequence_solver_text,
     describe_capability,
     describe_losses_held,
     unanswered_text,
 )
 from dpbench.report.charts.style import FAIL, INK, LINE, SOFT
 from dpbench.report.documents.loop_picture import LoopPicture, find_loop_picture
+from dpbench.report.documents.open_losses import find_open_losses
 from dpbench.report.documents.scenario_words import describe_scenario, describe_thrusters
 from dpbench.report.formats import strip_markdown, time_text
 from dpbench.report.machine_verdict import disturbance_text
@@ -77,7 +78,32 @@ def statement_svg(folder: Path, results: Results, data: PageData) -> str:
         found = "no configuration that passes everywhere and can be deployed"
         raise InputError(str(folder), "--statement", found, "results with a recommendation")
     picture = find_loop_picture(data, chosen.configuration.solver)
-    return _render_svg(_format_lines(folder, results, data, chosen, picture), picture)
+    caption = "" if picture is None else picture.caption
+    text = _fill_statement(folder, results, data, chosen, caption)
+    for shrink in SHRINKS:
+        lines = list(_format_lines(text, shrink))
+        if MARGIN + sum(_height(line) for line in lines) <= HEIGHT - BOTTOM:
+            break
+    return _render_svg(lines, picture)
+
+
+def _wrap(text: str, size: float) -> list[str]:
+    """Wrap a text of a font size [points] into lines that fit between the margins."""
+    lines = [""]
+    for word in text.split():
+        longer = f"{lines[-1]} {word}".lstrip()
+        if lines[-1] and size * _width_em(longer) > WIDTH - 2 * MARGIN:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return lines
+
+
+def _width_em(text: str) -> float:
+    """Return the width of a text in DejaVu Sans [em], letters as wide as the widest of a class."""
+    return sum(
+        next((w for w, letters in _WIDTHS.items() if letter in letters), 0.79) for letter in text
+    )
 
 
 def write_statement(path: Path, folder: Path, results: Results, data: PageData) -> Path:
@@ -97,34 +123,51 @@ _LOOKS: dict[str, dict[str, Any]] = {
     ">": {"size": 9, "colour": SOFT},
     "##": {"size": 9.5, "bold": True, "gap": 7.0},
     "!": {"size": 9, "bold": True, "colour": FAIL},
+    "+": {"bold": True},
     "%": {"size": 7, "colour": SOFT, "is_caption": True},
     "`": {"size": 7},
     "~": {"size": 7.5},
     "-": {"size": 6.5},
     "_": {"size": 9, "gap": 8.0},
 }
-WRAPPED = {"!": 100, "": 120, "%": 130, "-": 148, "~": 125}  # Letters of a line, by mark
-PICTURE_HEIGHT = 60.0  # [points]
-"""Look of a line by the mark it begins with; a line without one is wrapped."""
+"""Look of a line by the mark it begins with."""
+WRAPPED = ("", "!", "+", "%", "-", "~")  # Marks of lines that may be longer than the page is wide
+PICTURE_HEIGHT, ABOVE_PICTURE = 60.0, 14.0  # [points]
+BOTTOM = 24  # Space below the last line [points]
+SHRINKS = (1.0, 0.96, 0.92, 0.88, 0.84, 0.8, 0.75)
+"""Factors of the sizes of letters and gaps; the first with which all lines fit the page counts."""
+BOLD_WIDER = 1.15  # Width of bold letters over that of others
+_WIDTHS = {
+    0.34: "ijlI .,:;'|/",
+    0.42: '()[]ft-r"!',
+    0.6: "ckvxyzs",
+    0.64: "abdeghnopqu0123456789J?_°",
+    1.0: "mwMW@%—×±≤≥=",
+}
+"""Largest width [em] of letters in DejaVu Sans; others are capitals of 0.79 em."""
 
 
-def _format_lines(
-    folder: Path,
-    results: Results,
-    data: PageData,
-    chosen: Verdict,
-    picture: LoopPicture | None,
-) -> Iterator[TextLine]:
-    """Yield the text lines of the statement on the recommended solver, styled and wrapped."""
-    caption = "" if picture is None else picture.caption
-    for line in _fill_statement(folder, results, data, chosen, caption).splitlines():
-        mark, _, text = line.partition(" ")
+def _height(line: TextLine) -> float:
+    """Return the height [points] that a line takes on the page, with a picture before it."""
+    picture = PICTURE_HEIGHT + ABOVE_PICTURE if line.is_caption else 0.0
+    return picture + 1.22 * line.size + line.gap
+
+
+def _format_lines(text: str, shrink: float) -> Iterator[TextLine]:
+    """Yield the lines of the statement's text, styled, wrapped, and smaller by a factor."""
+    for line in text.splitlines():
+        mark, _, words = line.partition(" ")
         if mark not in _LOOKS:
-            mark, text = "", line
-        look, wide = _LOOKS.get(mark, {}), WRAPPED.get(mark)
-        lines = [text] if wide is None else textwrap.wrap(" ".join(text.split()), wide)
+            mark, words = "", line
+        look = _LOOKS.get(mark, {})
+        wide = BOLD_WIDER if look.get("bold") else 1.0
+        sizes = {
+            name: shrink * look.get(name, default)
+            for name, default in (("size", TextLine.size), ("gap", TextLine.gap))
+        }
+        lines = _wrap(words, wide * sizes["size"]) if mark in WRAPPED else [words]
         for number, part in enumerate(lines):
-            yield TextLine(part, **look | ({"is_caption": False} if number else {}))
+            yield TextLine(part, **look | sizes | ({"is_caption": False} if number else {}))
 
 
 def _fill_statement(
@@ -132,6 +175,8 @@ def _fill_statement(
 ) -> str:
     """Return the text of the one-page statement: ship, solver, machine, limits, file hashes."""
     c, records = chosen.configuration, data.records
+    plots = capability_plots(records, load_capability_plots(folder))
+    analyses = consequence_analyses(records)
     known = [s for s in map(records.scenario, records.scenarios) if s is not None]
     ships = [ship for ship in data.ships if not ship.run.study]
     ships.sort(key=lambda ship: not ship.has_left)
@@ -155,7 +200,9 @@ def _fill_statement(
             text for file in files if (text := describe_thrusters(file.get("thrusters") or ()))
         ],
         sources=[file["source"] for file in files if file.get("source")],
-        held=_describe_held(folder, data),
+        held=_describe_held(plots, analyses),
+        losses=find_open_losses(records, data.ships, plots, analyses),
+        consequence_solver=consequence_solver_text(records, c.solver),
         caption=caption,
         unmet=describe_unmet(ships, known),
         compared=[
@@ -188,11 +235,12 @@ def _fill_statement(
     )
 
 
-def _describe_held(folder: Path, data: PageData) -> list[str]:
+def _describe_held(
+    plots: Sequence[CapabilityResult], analyses: Sequence[ConsequenceAnalysis]
+) -> list[str]:
     """Describe DP capability and consequence analyses of a folder, a line each."""
-    plots = capability_plots(data.records, load_capability_plots(folder))
     lines = [" ".join(describe_capability(plot)) for plot in plots]
-    return [*lines, *map(describe_losses_held, consequence_analyses(data.records))]
+    return [*lines, *map(describe_losses_held, analyses)]
 
 
 def _render_svg(lines: Iterable[TextLine], picture: LoopPicture | None) -> str:
@@ -201,9 +249,8 @@ def _render_svg(lines: Iterable[TextLine], picture: LoopPicture | None) -> str:
     y = float(MARGIN)
     for line in lines:
         if line.is_caption and picture is not None:
-            parts += picture.svg(MARGIN, y + 14.0, WIDTH - 2 * MARGIN, PICTURE_HEIGHT)
-            y += PICTURE_HEIGHT + 14.0
-        y += line.size * 1.22 + line.gap
+            parts += picture.svg(MARGIN, y + ABOVE_PICTURE, WIDTH - 2 * MARGIN, PICTURE_HEIGHT)
+        y += _height(line)
         weight = "600" if line.bold else "400"
         parts.append(
             f'<text x="{MARGIN}" y="{y:.1f}" font-size="{line.size:g}" font-weight="{weight}" '

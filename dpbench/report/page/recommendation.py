@@ -18,7 +18,7 @@ from dpbench.analysis.verdict.speed_margin import SlowStep, largest_stall_ns
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.cell import Configuration
 from dpbench.errors import InputError, format_allowed_names
-from dpbench.report.capability_text import unanswered_text
+from dpbench.report.capability_text import consequence_solver_text, unanswered_text
 from dpbench.report.embedded_text import counted_text
 from dpbench.report.formats import (
     and_list,
@@ -157,8 +157,9 @@ def _recommendation_sentence(data: PageData, found: SolverChoice, *, is_lost: bo
         heads = {"pass": "Use", "borderline": "Borderline:"}
         opening = f"{heads.get(chosen.state, 'Nothing contradicts')} {call}"
     lacks = "" if chosen.state == "pass" else f"; {Recommendation.why(chosen)}"
+    both = consequence_solver_text(data.records, c.solver)
     return (
-        f"{opening}: right on every step of "
+        f"{both + ' ' if both else ''}{opening}: right on every step of "
         f"{judged_runs_text(chosen)}{_infeasible_steps_text(data, c)}, {usual_time_text(chosen)}, "
         f"largest error of the first move {error_text(chosen.error_move)}{lacks}."
     )

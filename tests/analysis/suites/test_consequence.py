@@ -10,7 +10,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.consequence import HELD, LOST, UNKNOWN, consequence_analyses
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_step_columns
-from dpbench.report.capability_text import unanswered_text
+from dpbench.report.capability_text import consequence_solver_text, unanswered_text
 from dpbench.report.topics.capability import consequence_topic
 from tests.result_folder import StepsInMemory
 
@@ -171,3 +171,23 @@ def test_a_solver_that_is_silent_where_a_loss_cannot_be_held_is_named(records: A
     assert unanswered_text(silent, "daqp") == (
         "daqp leaves 2 of 4 QPs of the consequence analysis unanswered where a loss cannot be held"
     )
+
+
+def test_another_solver_for_the_consequence_analysis_is_named_beside_that_of_the_mpc(
+    storm: Records,
+) -> None:
+    """The fastest one that is right on all QPs; nothing where it is the same."""
+    assert consequence_solver_text(storm, "quadprog") == ""
+    wanted = "MPC: osqp; consequence analysis: quadprog."
+    assert consequence_solver_text(storm, "osqp") == wanted
+
+
+def test_without_a_consequence_analysis_no_solver_for_it_is_named(records: Any) -> None:
+    records.loop("daqp")
+    assert consequence_solver_text(records.view(), "daqp") == ""
+
+
+def test_where_no_solver_is_right_on_all_qps_of_the_analysis_that_is_said(records: Any) -> None:
+    silent = view(records, {"daqp": {"board B": [[TRUE, TRUE, SILENT, SILENT]]}})
+    none = "no solver that was run answers all its QPs rightly"
+    assert consequence_solver_text(silent, "daqp") == f"MPC: daqp; consequence analysis: {none}."

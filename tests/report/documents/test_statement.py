@@ -1,6 +1,7 @@
 """The statement: one page on what holds, with hashes; none where nothing does."""
 
 import hashlib
+import io
 import re
 from copy import copy
 from dataclasses import replace
@@ -8,9 +9,14 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import matplotlib.image
+import numpy as np
 import pytest
+import vl_convert as vlc
 
 from dpbench.cli.main import main
+from dpbench.report.documents import statement
+from dpbench.report.documents.open_losses import OpenLosses
 from dpbench.report.documents.scenario_words import describe_thrusters
 from dpbench.report.documents.statement import HEIGHT, MARGIN, WIDTH, statement_svg
 from dpbench.report.formats import error_text, time_text
@@ -111,15 +117,41 @@ def test_it_names_the_commit_where_the_record_has_one(written: Any) -> None:
 
 
 def test_it_fits_a_page(drawn: str) -> None:
-    """Every line stands within the margins of an A4 sheet, at half an em a letter, below the one
-    before."""
+    """As rendered, nothing is drawn beyond the margins; each line is below the one before."""
     lines = _texts(drawn)
     heights = [float(line.get("y", "nan")) for line in lines]
     assert heights == sorted(heights) and heights[-1] <= HEIGHT - 20
-    for line in lines:
-        length = len("".join(line.itertext())) * float(line.get("font-size", "nan"))
-        assert MARGIN + 0.5 * length <= WIDTH
     assert not re.search(r"\bnan\b|None", drawn)
+    assert _rightmost_ink(drawn) <= WIDTH - MARGIN + 2
+
+
+def _rightmost_ink(svg: str) -> float:
+    """Return how far to the right [points] anything of a page is drawn but its background."""
+    pixels = matplotlib.image.imread(io.BytesIO(vlc.svg_to_png(svg)))
+    dark = (pixels[..., :3] < 0.9).any(axis=(0, 2))
+    return float(np.flatnonzero(dark)[-1]) * WIDTH / len(dark)
+
+
+@pytest.mark.parametrize("letters", ["mmmm", "illi", "WORD", "0123", "(x)/"])
+def test_wrapped_lines_end_before_the_margin_and_use_the_page(letters: str) -> None:
+    """Of wide letters and narrow ones, in the font they are drawn in."""
+    first, *_ = statement._wrap(" ".join(60 * [letters]), 8.0)
+    svg = statement._render_svg([statement.TextLine(first)], None)
+    words = svg.replace('height="1"', 'height="0"')
+    assert MARGIN + 0.6 * (WIDTH - 2 * MARGIN) <= _rightmost_ink(words) <= WIDTH - MARGIN
+
+
+def test_a_text_too_long_for_the_page_is_set_smaller(
+    written: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    losses = OpenLosses(tuple(f"Loss of board {i}: not held (not simulated)." for i in range(16)))
+    monkeypatch.setattr(statement, "find_open_losses", lambda *_: losses)
+    report = written.report
+    svg = statement_svg(written.folder, report.results, report.data)
+    assert float(_texts(svg)[-1].get("y", "nan")) <= HEIGHT - 20
+    texts = ["".join(element.itertext()) for element in _texts(svg)]
+    assert texts[3] == losses.not_held[0]
+    assert "Solver of these QPs alone" in texts and "Recommended solver" not in texts
 
 
 def test_it_says_that_the_model_lacks_the_drag_of_the_ship(written: Any) -> None:

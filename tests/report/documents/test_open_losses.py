@@ -1,0 +1,92 @@
+"""Losses of thrusters that no closed loop shows to be held.
+
+`thrusters_loss` has 13.8 m/s of wind from 40° on `ratownik`, heads north and loses board A at 90 s.
+"""
+
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from dpbench.analysis.suites.capability import EDGES, CapabilityResult
+from dpbench.analysis.suites.consequence import HELD, LOST, SPAN, ConsequenceAnalysis
+from dpbench.analysis.verdict.ship_results import ship_results
+from dpbench.bench.capability.frontier import FROM_DEG
+from dpbench.report.documents.open_losses import OpenLosses, find_open_losses
+
+LONG = {"steps": 500, "exact_loss_offset_max_m": 0.3, "exact_loss_heading_max_deg": 0.1}
+"""A run of 150 s, so of 60 s after the loss."""
+
+
+def plot(**held_mps: float) -> CapabilityResult:
+    """A plot in which these winds are held from 40°, 13 m/s from 30° and 30 m/s from elsewhere."""
+    rows = [
+        (case.replace("_", " "), (), at, {40.0: most_mps, 30.0: 13.0}.get(at, 30.0), 1, 0)
+        for case, most_mps in {"intact": 20.0, **held_mps}.items()
+        for at in FROM_DEG
+    ]
+    return CapabilityResult("ratownik", 24, pd.DataFrame(rows, columns=list(EDGES)), ())
+
+
+def analysis(span: list[tuple[float, float, str]]) -> ConsequenceAnalysis:
+    """An analysis along `thrusters_loss` with these spans of time of board B; A is held."""
+    spans = {"board A": [(0.0, 30.0, HELD)], "board B": span}
+    rows = [(group, *one) for group, own in spans.items() for one in own]
+    table = pd.DataFrame(rows, columns=list(SPAN))
+    return ConsequenceAnalysis("thrusters_loss[0:100]", tuple(spans), 1.25, table, ())
+
+
+def find(records: Any, plots: list[CapabilityResult], *analyses: ConsequenceAnalysis) -> OpenLosses:
+    view = records.view()
+    return find_open_losses(view, ship_results(view), plots, analyses)
+
+
+def test_a_loss_that_level_1_does_not_hold_is_not_held_though_another_is_simulated(
+    records: Any,
+) -> None:
+    records.loop("daqp", "thrusters_loss", **LONG)
+    found = find(records, [plot(board_A=14.0, board_B=1.29)])
+    assert found.lines == [
+        "Loss of board B: not held (not simulated: by level 1 the thrusters then hold 1.29 m/s of "
+        "wind from 40°, and the scenario has 13.8 m/s)."
+    ]
+
+
+def test_a_loss_that_is_held_but_not_simulated_is_not_shown(records: Any) -> None:
+    """The run ends before the loss. Without a plot or an analysis none is listed."""
+    records.loop("daqp", "thrusters_loss", steps=200)
+    found = find(records, [plot(board_A=14.0, board_B=14.0)])
+    sentence = "Loss of board A or of board B: not simulated, so not shown to be held."
+    assert found == OpenLosses((), sentence)
+    assert find(records, []) == OpenLosses()
+
+
+def test_a_ship_on_station_until_a_short_run_ends_is_not_held(records: Any) -> None:
+    records.loop("daqp", "thrusters_loss", **LONG)
+    (sentence,) = find(records, [plot(board_A=2.0)]).not_held
+    assert sentence.startswith(
+        "Loss of board A: not held (on station for the 60.0 s that are simulated: by level 1 the "
+    )
+
+
+def test_a_ship_that_leaves_after_the_loss_has_its_own_banner(records: Any) -> None:
+    records.loop("daqp", "thrusters_loss", exact_left_s=100.0, exact_offset_max_m=9.0, **LONG)
+    assert find(records, [plot(board_A=2.0)]) == OpenLosses()
+
+
+@pytest.mark.parametrize(
+    ("span", "said"),
+    [
+        ([(0.0, 30.0, LOST)], "at no time"),
+        ([(0.0, 12.0, HELD), (12.0, 30.0, LOST)], "until 12 s and not after"),
+    ],
+)
+def test_a_consequence_analysis_that_finds_a_loss_not_held(
+    records: Any, span: list[tuple[float, float, str]], said: str
+) -> None:
+    records.loop("daqp", "thrusters_loss", **LONG)
+    assert find(records, [], analysis([(0.0, 30.0, HELD)])).not_held == ()
+    assert find(records, [], analysis(span)).not_held == (
+        "Loss of board B: not held (not simulated: by the consequence analysis it can be held "
+        f"{said}).",
+    )
