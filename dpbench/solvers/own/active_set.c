@@ -187,38 +187,43 @@ static void multiply_inverse(const active_set *s, as_real *out, as_real sign, co
     for (; order < end; order++) out[*order] = sign * x[*order] * s->G[*order * (s->n + 1)];
 }
 
-/* b := L⁻¹ b over the first w rows, two at a time, after row 0 where w is odd */
+/* b := L⁻¹ b over the first w rows: two rows and two columns at a time, the last row of an odd w apart */
 static void substitute_forward(const as_real *L, as_real *b, int w) {
-    int k = w & 1;
-    if (k) b[0] *= *L++;
-    for (; k < w; k += 2) {
-        const as_real *next = L + k + 1;
+    int k = 0;
+    for (; k + 1 < w; k += 2) {
+        const as_real *next = L + k + 1, *solved = b;
         as_real x = b[k], y = b[k + 1];
-        const as_real *solved = b;
-        for (int left = k; left > 0; left--, solved++) {
-            x -= *L++ * *solved;
-            y -= *next++ * *solved;
+        for (int left = k; left > 0; left -= 2, solved += 2, L += 2, next += 2) {
+            x -= L[0] * solved[0] + L[1] * solved[1];
+            y -= next[0] * solved[0] + next[1] * solved[1];
         }
         b[k] = x *= *L;
         b[k + 1] = (y - next[0] * x) * next[1];
         L = next + 2;
     }
+    if (k < w) b[k] = (b[k] - dot(L, b, k)) * L[k];
 }
 
 /* b := L⁻ᵀ b */
 static void substitute_backward(const as_real *L, as_real *b, int w) {
-    const as_real *row = L + w * (w + 1) / 2;
+    const as_real *end = L + w * (w + 1) / 2;
+    if (w & 1) {
+        b[--w] *= *--end;
+        end -= w;
+        add_scaled(b, -b[w], end, w);
+    }
     for (int k = w - 2; k >= 0; k -= 2) {
-        const as_real *next = row - k - 2;
-        row = next - k - 1;
-        const as_real *lower = row;
+        const as_real *next = end - k - 2, *row = end = next - k - 1;
         const as_real y = b[k + 1] * next[k + 1], x = (b[k] - next[k] * y) * row[k];
         b[k] = x;
         b[k + 1] = y;
         as_real *to = b;
-        for (int left = k; left > 0; left--, to++) *to -= x * *lower++ + y * *next++;
+        for (int left = k; left > 0; left -= 2, to += 2, row += 2, next += 2) {
+            const as_real first = x * row[0] + y * next[0], second = x * row[1] + y * next[1];
+            to[0] -= first;
+            to[1] -= second;
+        }
     }
-    if (w & 1) b[0] *= L[0];
 }
 
 /* ---- rows of C ----------------------------------------------------------------------------- */

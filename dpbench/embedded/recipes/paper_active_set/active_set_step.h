@@ -8,11 +8,14 @@
 #include "embedded.h"
 #include "problem.h"
 
-static active_set s;
 #ifdef SCALARS
+static active_set s = {.n = N, .m = M, .P = P_, .G = G_, .unit = unit_, .a = a_,
+    .column = column_, .first = first_, .parent = parent_, .rest = rest_,
+    .order = order_, .sizes = sizes_, .blocks = blocks_, SCALARS};
 static as_real reals[ACTIVE_SET_STEP_REALS(N, M)];
 static int integers[ACTIVE_SET_STEP_INTEGERS(N, M)];
 #else
+static active_set s;
 static as_real reals[ACTIVE_SET_REALS(N, M)];
 static int integers[ACTIVE_SET_INTEGERS(N, M)];
 #endif
@@ -21,17 +24,14 @@ static void copy(real *to, const real *from, int n) {
     for (int i = 0; i < n; i++) to[i] = from[i];
 }
 
-static void take_bounds(const embedded_qp *qp) {
+/* Rarely called: not copied into its callers. */
+__attribute__((noinline, cold)) static void take_bounds(const embedded_qp *qp) {
     copy(s.low, qp->lb, N);
     copy(s.high, qp->ub, N);
 }
 
 int embedded_set_up(embedded_qp *qp) {
 #ifdef SCALARS
-    const active_set constant = {.n = N, .m = M, .P = P_, .G = G_, .unit = unit_, .a = a_,
-        .column = column_, .first = first_, .parent = parent_, .rest = rest_,
-        .order = order_, .sizes = sizes_, .blocks = blocks_, SCALARS};
-    s = constant;
     active_set_place_step(&s, reals, integers);
 #if SETTING_REFINE /* hildreth has no such setting: 0 */
     active_set_let_refine(&s);
