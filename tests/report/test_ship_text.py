@@ -125,7 +125,7 @@ def test_a_run_that_ends_at_the_largest_offset_is_said_to(
 
 
 def test_an_offset_that_rises_after_a_loss_is_said_to(records: Any) -> None:
-    """With how far and how long after the loss at 90 s; 500 samples of 0.3 s end 60 s later."""
+    """Offset and time since the loss at 90 s; 500 samples of 0.3 s end 60 s later."""
     rise = MOVING | {"exact_offset_max_s": 149.0, "exact_loss_offset_max_m": 1.0}
     records.loop("daqp", "thrusters_loss", steps=500, **rise)
     assert _summary(records).caution == (

@@ -134,7 +134,7 @@ def _rightmost_ink(svg: str) -> float:
 
 @pytest.mark.parametrize("letters", ["mmmm", "illi", "WORD", "0123", "(x)/"])
 def test_wrapped_lines_end_before_the_margin_and_use_the_page(letters: str) -> None:
-    """Of wide letters and narrow ones, in the font they are drawn in."""
+    """Wide letters and narrow ones, in the font they are drawn in."""
     first, *_ = statement._wrap(" ".join(60 * [letters]), 8.0)
     svg = statement._render_svg([statement.TextLine(first)], None)
     words = svg.replace('height="1"', 'height="0"')

@@ -114,7 +114,7 @@ def test_settings_of_ones_own_have_a_verdict_on_screen_and_in_markdown(records: 
 
 @pytest.mark.parametrize("solvers", [1, 12])
 def test_a_few_configurations_are_all_listed(records: Any, solvers: int) -> None:
-    """Of more than 24 the best of each solver, and how many more were run."""
+    """The best of each solver where there are more than 24, and the count of the others."""
     names = ["daqp", *(f"solver_{i:02d}" for i in range(solvers))]
     for solver in names:
         for policy, us in (("fresh", 30.0), ("warm", 20.0)):
