@@ -91,9 +91,10 @@ def _describe_lost(lost: Sequence[ShipResult]) -> str:
     if others := alone[MOST_NAMED:]:
         parts.append(f"it leaves in {plural(len(others), 'more scenario')}")
     for study, seas in by_study.items():
-        far = max(ship.run.exact_offset_max_m for ship in seas)
+        far = max(seas, key=lambda ship: ship.run.exact_offset_max_m)
         parts.append(
-            f"in {plural(len(seas), 'sea')} of `{study}` it leaves, by up to {significant(far)} m"
+            f"in {plural(len(seas), 'sea')} of `{study}` it leaves, by up to "
+            f"{significant(far.run.exact_offset_max_m)} m ({_name_sea(far.run)})"
         )
     return "; ".join(parts)
 
@@ -165,7 +166,8 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
         where, there = f"in `{farthest.name}`", ""
     else:
         kind = "scenarios and seas" if of_study else "scenarios"
-        where, there = f"in {len(kept)} of {len(known)} {kind}", f" in `{farthest.name}`"
+        where = f"in {len(kept)} of {len(known)} {kind}"
+        there = f" at {_locate_ship(farthest)}" if run.study else f" in `{farthest.name}`"
     return (
         f"Solved exactly, the controller holds the ship on station ({_limits_text(farthest)}) "
         f"{where}; largest offset {significant(run.exact_offset_max_m)} m{there} at "
@@ -276,7 +278,12 @@ def _locate_ship(ship: ShipResult) -> str:
     run = ship.run
     if not run.study:
         return f"`{ship.name}`"
-    return f"point {run.study_point:.0f}, sea {run.replicate:.0f} of `{run.study}`"
+    return f"{_name_sea(run)} of `{run.study}`"
+
+
+def _name_sea(run: RunRecord) -> str:
+    """Name the point and realisation of a run of a study."""
+    return f"point {run.study_point:.0f}, sea {run.replicate:.0f}"
 
 
 def _name_ships(ships: Sequence[ShipResult]) -> str:

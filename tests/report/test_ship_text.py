@@ -200,7 +200,8 @@ def test_seas_of_a_study_are_counted(records: Any) -> None:
     told = _summary(records)
     assert (
         told.warning
-        == f"{BANNER}, whatever the solver: in 2 seas of `seas` it leaves, by up to 37.0 m."
+        == f"{BANNER}, whatever the solver: in 2 seas of `seas` it leaves, by up to 37.0 m "
+        "(point 0, sea 2)."
     )
     assert "in 1 of 3 scenarios and seas" in told.text
 
@@ -295,6 +296,13 @@ def test_every_surface_says_that_the_margin_is_small(tmp_path: Path, capsys: Any
         assert moving in surface and small in surface
     run = run_closed_loop(load_scenario(tmp_path / "ship.toml"), open_workspace("paper_active_set"))
     assert moving in run._repr_html_().replace("`", "")
+
+
+def test_the_largest_offset_in_a_study_has_its_point(records: Any) -> None:
+    for point, sea, offset_m in ((0, 1, 1.5), (3, 2, 2.5), (4, 1, 2.0)):
+        records.sea("daqp", point, sea, {"N_p": 20.0}, exact_offset_max_m=offset_m)
+    text = summarise_ships(ship_results(records.view())).text
+    assert "largest offset 2.50 m at point 3, sea 2 of `seas` at 0.300 s, " in text
 
 
 def test_a_study_with_one_point_of_active_limits_was_hard(records: Any) -> None:

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import pandas as pd
 
-from dpbench.analysis.records.run_record import RunRecord, build_records
+from dpbench.analysis.records.run_record import RunRecord, build_records, first_by
 from dpbench.analysis.records.run_steps import COUNTING_COLUMNS, RunSteps, counting_rows, run_steps
 from dpbench.analysis.records.step_times import (
     DELAY_COLUMNS,
@@ -31,7 +31,8 @@ class Records:
     `all_runs` is in one of: `runs`, about the ship in the common formulation of their problem, from
     which all selections below are made; `delayed`, loops on a slow computer; `random`, without a
     ship; `consequence`, whether a loss can be held; `at_edge`, static allocations around a
-    capability plot; `study`, one scenario at many points; or in none, of another formulation. The
+    capability plot; `study`, one scenario at many points, those of equal settings once, under the
+    name that `study_aliases` has for the others; or in none, of another formulation. The
     harness's own configurations are in `calibration` only. A replay that must not be ranked has no
     times.
     """
@@ -52,7 +53,11 @@ class Records:
         self.random = [run for run in self.all_runs if run.family]
         self.consequence = [run for run in self.all_runs if run.lost_group]
         self.at_edge = [run for run in self.all_runs if run.is_at_boundary]
-        self.study = [run for run in self.all_runs if run.study]
+        studied = [run for run in self.all_runs if run.study]
+        measured = first_by(studied, lambda run: run.measurement_key)
+        self.study = list(measured.values())
+        names = {run.name: measured[run.measurement_key].name for run in studied}
+        self.study_aliases = {alias: name for alias, name in names.items() if alias != name}
         undelayed = [run for run in self.all_runs if not run.slowdown > 0.0]
         self.runs = _select_common_formulation([run for run in undelayed if not run.has_topic])
         self._steps = results.recorded

@@ -172,6 +172,14 @@ class RunRecord:
         )
 
     @property
+    def measurement_key(self) -> tuple[object, ...]:
+        """Key that is equal for one measured run listed under several names of settings."""
+        settings = "" if self.has_steps else self.settings
+        where = self.mode, self.problem, self.study, str(self.study_point), str(self.replicate)
+        times = str(self.replay_s), str(self.raw_max_ns)
+        return *where, replace(self.configuration, settings=settings), *times
+
+    @property
     def has_topic(self) -> bool:
         """True if the run counts in no solver's verdict: a study, or a problem without a ship."""
         return bool(self.study) or not self.source.is_judged

@@ -17,7 +17,7 @@ stopped, or that the benchmark lost, is not judged: it is in no share within the
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import itemgetter
@@ -29,8 +29,10 @@ from scipy.stats import t as student
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.statistics import LEAST_SKEW_DF, TAILS, Interval, MeanEstimate, adjust_holm
+from dpbench.analysis.times.machine import separate_own_switches, total_disturbance
 from dpbench.analysis.verdict.fastest import find_solver_record_or_none
 from dpbench.arrays import Floats
+from dpbench.bench.record.disturbance import Disturbance
 from dpbench.solvers.record import TOLERANCES
 from dpbench.solvers.settings import has_distinct_tolerance_presets, parse_tolerance_preset_name
 
@@ -48,8 +50,9 @@ LEAST_PAIRS = 6
 """Least number of pairs for which an interval is stated."""
 ALPHA = 0.05
 """Family-wise error of the claims of a study, each kind of claim a family (Holm 1979)."""
-NOT_JUDGED = ("timed_out", "lost", "invalid")
-"""Outcomes that are no result of the solver: its time limit, or the benchmark, ended the run."""
+NOT_JUDGED = ("timed_out", "lost", "invalid", "refused")
+"""Outcomes that are no result of the solver: its time limit or the benchmark ended the run, or
+nothing was run."""
 EXACT_FIRST = ("paper_active_set", "daqp")
 """Solvers that are the reference of a study before all others: active sets, exact to rounding."""
 
@@ -210,10 +213,24 @@ class StudiedConfiguration:
 
 
 class Study:
-    """All runs of one study: solver configurations over parameter points and sea realisations."""
+    """All runs of one study: solver configurations over parameter points and sea realisations.
 
-    def __init__(self, name: str, runs: Sequence[RunRecord], radius_m: float) -> None:
-        self.name, self.radius_m = name, radius_m
+    refused : runs that were not run; disturbance : of the others, where it is known.
+    aliases : further names of a configuration's settings, with its own name.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        runs: Sequence[RunRecord],
+        radius_m: float,
+        disturbance: Disturbance | None = None,
+        aliases: Mapping[str, str] | None = None,
+    ) -> None:
+        self.name, self.radius_m, self.disturbance = name, radius_m, disturbance
+        self.refused = [run for run in runs if run.outcome == "refused"]
+        names = {run.name for run in runs}
+        self.aliases = {alias: own for alias, own in (aliases or {}).items() if own in names}
         rows = [
             {
                 "run_id": run.run_id,
@@ -323,8 +340,9 @@ class Study:
 
     @cached_property
     def loosest(self) -> dict[str, StudiedConfiguration | None]:
-        """Loosest tolerance of each solver that adds next to no error or cost; None if none."""
-        stated = [(c.tolerance, c) for c in self.configurations if c.tolerance is not None]
+        """Loosest tolerance of each solver that ran with little added error or cost, or None."""
+        ran = [c for c in self.configurations if c.finished]
+        stated = [(c.tolerance, c) for c in ran if c.tolerance is not None]
         loosest: dict[str, StudiedConfiguration | None] = {}
         for solver, of_solver in group_by(stated, lambda one: one[1].solver).items():
             cheap = [one for one in of_solver if one[1].is_cheap]
@@ -345,8 +363,13 @@ def find_studies(records: Records) -> list[Study]:
         table.get("name") or table["base"]: table.get("radius_m", 1.0)
         for table in records.suite.get("study", [])
     }
-    by_name = group_by(records.study, lambda run: run.study)
-    return [Study(name, runs, float(radii.get(name, 1.0))) for name, runs in by_name.items()]
+    studies = []
+    for name, runs in group_by(records.study, lambda run: run.study).items():
+        timed = separate_own_switches([run for run in runs if run.has_steps])
+        disturbance = total_disturbance(timed)
+        radius_m = float(radii.get(name, 1.0))
+        studies.append(Study(name, runs, radius_m, disturbance, records.study_aliases))
+    return studies
 
 
 def _find_tolerance(solver: str, settings: str) -> float | None:

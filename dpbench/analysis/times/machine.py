@@ -38,15 +38,16 @@ def timed_runs(records: Records) -> list[RunRecord]:
     """
     runs = [*records.calibration, *records.all_runs]
     timed = [run for run in runs if run.mode == "replay" and not run.family and run.has_steps]
-    return _separate_own_switches(list(first_by(timed, _measurement_key).values()))
+    measured = first_by(timed, lambda run: run.measurement_key)
+    return separate_own_switches(list(measured.values()))
 
 
 def delayed_runs(records: Records) -> list[RunRecord]:
     """Return every closed loop on a simulated slow computer that did a step."""
-    return _separate_own_switches([run for run in records.delayed if run.has_steps])
+    return separate_own_switches([run for run in records.delayed if run.has_steps])
 
 
-def _separate_own_switches(runs: Sequence[RunRecord]) -> list[RunRecord]:
+def separate_own_switches(runs: Sequence[RunRecord]) -> list[RunRecord]:
     """Separate context switches that a solver causes itself from those of the machine, per run."""
     rates = np.array([run.involuntary_switches / run.replay_s for run in runs])
     known = rates[np.isfinite(rates)]
@@ -62,12 +63,6 @@ def _separate_own_switches(runs: Sequence[RunRecord]) -> list[RunRecord]:
         else:
             separated.append(run)
     return separated
-
-
-def _measurement_key(run: RunRecord) -> tuple[object, ...]:
-    """Return a key equal for one measured replay listed under several names of settings."""
-    unnamed = replace(run.configuration, settings="")
-    return run.sequence, unnamed, str(run.replay_s), str(run.raw_max_ns)
 
 
 def total_disturbance(runs: Sequence[RunRecord]) -> Disturbance:

@@ -1,5 +1,6 @@
 """A study: what holds where, what a configuration costs in the same seas, how loose it may be."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -22,6 +23,7 @@ from dpbench.analysis.suites.study_effects import (
     STEP_TIME,
     study_effects,
 )
+from dpbench.analysis.verdict.verdict import outcome_cause
 from dpbench.report.charts.study import (
     draw_effects,
     draw_excess_errors,
@@ -65,6 +67,7 @@ def _study_lines(study: Study) -> Iterator[str]:
         f"{_larger_errors_text(study)}"
     )
     yield from _unfinished_lines(study)
+    yield from _disturbance_lines(study)
     yield from _failed_steps_lines(study)
     within = study.configurations[0].within
     worst = min(study.configurations, key=lambda c: c.known_within)
@@ -85,7 +88,14 @@ def _study_lines(study: Study) -> Iterator[str]:
 def _unfinished_lines(study: Study) -> Iterator[str]:
     """Yield sentences on the runs that did not finish: those that their limit stopped apart."""
     runs, every = study.runs, plural(len(study.runs), "run")
-    stopped, unfinished = int(runs["stopped"].sum()), int((~runs["finished"]).sum())
+    stopped, refused = int(runs["stopped"].sum()), len(study.refused)
+    unfinished = int((~runs["finished"]).sum()) - refused
+    if refused:
+        counts = Counter(f"{run.name} ({outcome_cause(run)})" for run in study.refused)
+        yield (
+            f"{study.name}: {refused} of {every} refused and not judged: "
+            f"{name_counts(counts.most_common())}."
+        )
     if stopped:
         named = [(c.name, c.stopped) for c in study.configurations if c.stopped]
         yield (
@@ -96,6 +106,16 @@ def _unfinished_lines(study: Study) -> Iterator[str]:
         yield (
             f"{study.name}: {unfinished} of {every} did not finish. Every difference is "
             "conditional on the realisations that both configurations finished."
+        )
+
+
+def _disturbance_lines(study: Study) -> Iterator[str]:
+    """Yield a sentence on other work that disturbed the step times; none on a quiet machine."""
+    complaints = study.disturbance.complaints() if study.disturbance else []
+    if complaints:
+        yield (
+            f"{study.name}: other work disturbed the machine: {and_list(complaints)}. Effects on "
+            "step times may be those of the machine."
         )
 
 
@@ -199,6 +219,9 @@ def _study_tables(study: Study) -> Iterator[Table]:
         "reference is chosen by its settings, not by its results. At least, at most: the 95 % "
         "bound where all or none of the runs are within, 3 over the number of realisations."
     )
+    if study.aliases:
+        same = [f"{alias} is {own}" for alias, own in study.aliases.items()]
+        note += f" Settings without an effect have one row: {and_list(same)}."
     yield Table.of(rows, title, note=note)
     axes = tuple(
         (str(key), str(values.nunique()), str(values.min()), str(values.max()))

@@ -90,6 +90,57 @@ def test_stopped_runs_are_counted_and_named(records: Any) -> None:
     assert found.tables[0].rows[1][:2] == ("osqp", "19 of 20, 1 stopped")
 
 
+def test_refused_runs_are_counted_and_named(records: Any) -> None:
+    """They are in no share within the radius, and have not failed to finish.
+
+    Nothing shows that two settings are the same.
+    """
+    for sea in (1, 2):
+        records.sea("daqp", 0, sea, {EAST: 1.0})
+        refused = {"outcome": "refused", "outcome_detail": "no native route."}
+        for settings in ("default", "high"):
+            records.sea("scs", 0, sea, {EAST: 1.0}, done=0, settings=settings, **refused)
+    found = topic.study_topic(find_studies(records.view()))
+    assert found is not None
+    assert found.lines[1:] == (
+        "seas: 4 of 6 runs refused and not judged: 2 of scs (no native route) and 2 of scs (high) "
+        "(no native route).",
+        "With daqp the ship stays within 1 m in the second half of a run in 100 % (at least 0 %) "
+        "of them, as with all.",
+    )
+    assert found.tables[0].rows[1][:3] == ("scs", "0 of 2", "–")
+
+
+@pytest.mark.parametrize("switches", [99, 101])
+def test_a_disturbed_machine_is_said_of_a_study(records: Any, switches: int) -> None:
+    """Two runs of 10 s each with so many involuntary switches: 10 a second are allowed."""
+    for sea in (1, 2):
+        columns = {"replay_s": 10.0, "involuntary_switches": switches}
+        records.sea("daqp", 0, sea, {EAST: 1.0}, **columns)
+    found = topic.study_topic(find_studies(records.view()))
+    assert found is not None
+    said = [line for line in found.lines if "other work disturbed the machine" in line]
+    expected = (
+        "seas: other work disturbed the machine: 10 involuntary context switches a second. "
+        "Effects on step times may be those of the machine."
+    )
+    assert said == ([expected] if switches == 101 else [])
+
+
+def test_settings_without_an_effect_have_one_row(records: Any) -> None:
+    """A run under a second name has the same times; one of other settings has not."""
+    for sea in (1, 2):
+        for settings, raw_max_ns in (("default", 1e5), ("high", 1e5), ("low", 2e5)):
+            columns = {"settings": settings, "raw_max_ns": raw_max_ns + sea}
+            records.sea("osqp", 0, sea, {EAST: 1.0}, **columns)
+    found = topic.study_topic(find_studies(records.view()))
+    assert found is not None and found.lines[0].startswith("seas: 4 runs at 1 point")
+    assert {row[0] for row in found.tables[0].rows} == {"osqp", "osqp (low)"}
+    assert found.tables[0].note.endswith(
+        "Settings without an effect have one row: osqp (high) is osqp."
+    )
+
+
 @pytest.mark.slow
 def test_a_small_study_is_drawn_whole(records: Any) -> None:
     found = _fill(records, points=5, seas=4)
