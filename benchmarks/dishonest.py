@@ -84,7 +84,7 @@ def states(faults: Sequence[str], folder: Path) -> dict[str, tuple[str, str]]:
     suite = folder / "dishonest.toml"
     solvers = _list([*faults, TWIN, *BESIDE])
     suite.write_text(SUITE.format(solvers=solvers, loops=loops), encoding="utf-8")
-    verdicts = Report.of(load_results(run_campaign(suite, folder / "out"))).data.verdicts
+    verdicts = Report.from_results(load_results(run_campaign(suite, folder / "out"))).data.verdicts
     best = {v.configuration.solver: v for v in best_verdict_by_solver(verdicts)}
     return {name: (v.state, describe_findings(v.causes or v.missing)) for name, v in best.items()}
 

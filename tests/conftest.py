@@ -388,7 +388,7 @@ class MadeRecords:
 
     def ending(self) -> dict[str, str]:
         """The last lines of a run that left these records, by the subject of each."""
-        report = Report.of(self.results())
+        report = Report.from_results(self.results())
         return dict(report.summary_rows())
 
     def write(self, folder: Path) -> Path:

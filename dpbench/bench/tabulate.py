@@ -61,7 +61,7 @@ class RequestedRuns:
         ]
         tables = [
             own,
-            self._alias_rows(finished, aliases),
+            self._copy_rows_under_alias_ids(finished, aliases),
             convert_to_run_columns(pd.DataFrame(others)),
         ]
         filled = [table.set_index("run_id", drop=False) for table in tables if len(table)]
@@ -69,7 +69,9 @@ class RequestedRuns:
             return convert_to_run_columns(pd.DataFrame())
         return pd.concat(filled).loc[list(self.jobs)].reset_index(drop=True)
 
-    def _alias_rows(self, finished: pd.DataFrame, aliases: Mapping[str, str]) -> pd.DataFrame:
+    def _copy_rows_under_alias_ids(
+        self, finished: pd.DataFrame, aliases: Mapping[str, str]
+    ) -> pd.DataFrame:
         """Repeat finished runs' rows of `runs.parquet` under the run ids of their aliases."""
         settings = [self.jobs[run_id][1] for run_id in aliases]
         cells = [

@@ -12,7 +12,7 @@ from rich.text import Text
 from dpbench.analysis.statistics import Interval
 from dpbench.ci.benchmarks import WRONG_ANSWERS
 from dpbench.report.formats import plural
-from dpbench.report.table import Table, markdown_line, markdown_table
+from dpbench.report.table import Table, escape_markdown_paragraph, make_markdown_table
 
 NOT_TIMED, SLOWER, WORSE, GONE = "failed, not timed", "slower", "worse", "gone"
 DISTURBED, NO_KERNEL, NOT_VERIFIED = "disturbed", "no reference kernel", "faster, not verified"
@@ -93,14 +93,16 @@ class RunComparison:
     @property
     def table(self) -> Table | None:
         """A row for each benchmark; None without any."""
-        return Table.of([row.cells for row in self.rows], text_columns=4) if self.rows else None
+        return (
+            Table.from_rows([row.cells for row in self.rows], text_columns=4) if self.rows else None
+        )
 
     def markdown(self, lines: Iterable[str] = ()) -> str:
         """Return a Markdown document that begins with the verdict."""
-        parts = [f"**dpbench: {markdown_line(self.headline)}**"]
+        parts = [f"**dpbench: {escape_markdown_paragraph(self.headline)}**"]
         if self.table is not None:
-            parts.append(markdown_table(self.table.heads, self.table.rows, 4))
-        return "\n\n".join([*parts, *map(markdown_line, lines)]) + "\n"
+            parts.append(make_markdown_table(self.table.heads, self.table.rows, 4))
+        return "\n\n".join([*parts, *map(escape_markdown_paragraph, lines)]) + "\n"
 
     def print(self, console: Console, lines: Iterable[str] = ()) -> None:
         """Print the verdict, a row for each benchmark, and lines below them."""

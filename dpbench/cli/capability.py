@@ -26,7 +26,7 @@ from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.sequences.capability_boundary import write_capability_suite
 from dpbench.cli.terminal import WIDTH, ProgressBar
 from dpbench.errors import InputError
-from dpbench.report.formats import time_text
+from dpbench.report.formats import format_time
 from dpbench.scenario.own_ship import DP_NUMBERS
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.vessel import Vessel
@@ -178,7 +178,7 @@ def answer_lines(answers: Sequence[Answers]) -> list[str]:
     rows: list[tuple[str, ...]] = [("solver", "optimum", "infeasible", "wrong", "p50", "largest")]
     for a in answers:
         counts = f"{a.balanced}/{a.feasible}", f"{a.refused}/{a.infeasible}", str(a.wrong)
-        rows.append((a.solver, *counts, time_text(a.p50_ns), time_text(a.max_ns)))
+        rows.append((a.solver, *counts, format_time(a.p50_ns), format_time(a.max_ns)))
     table = [
         "".join(f"{cell:{'<' if i == 0 else '>'}{widths[i]}}" for i, cell in enumerate(row))
         for row in rows

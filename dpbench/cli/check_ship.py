@@ -17,7 +17,7 @@ from dpbench.bench.design import (
 )
 from dpbench.bench.progress import Progress, Silent
 from dpbench.cli.terminal import WIDTH
-from dpbench.report.formats import rounded_down, rounded_up, significant
+from dpbench.report.formats import format_rounded_down, format_rounded_up, significant
 from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.ship import characteristics as ships
 from dpbench.ship.froude import Froude
@@ -155,7 +155,9 @@ def _sideways_line(vessel: Vessel, current_mps: float, unit: str, per: float) ->
     needs = ships.compute_force_of_unit_current_abeam(vessel)[ships.SWAY] / per
     has = min(-vessel.tau_min[ships.SWAY], vessel.tau_max[ships.SWAY]) / per
     most = ships.compute_linear_damping_speeds(vessel)[ships.SWAY]
-    largest = rounded_down(current_mps, 2) if current_mps <= most else f"> {significant(most, 2)}"
+    largest = (
+        format_rounded_down(current_mps, 2) if current_mps <= most else f"> {significant(most, 2)}"
+    )
     needed = f"1 m/s sideways needs {_format_number(needs)} {unit} of {_format_number(has)}"
     return f"{needed}; holds {largest} m/s of current abeam"
 
@@ -205,10 +207,10 @@ def _try_offsets(tuned: Sequence[Scenario], progress: Progress | None, *, quick:
 
 def _describe_bracket(bracket: Bracket, scale: float) -> str:
     """State the largest sideways offset recovered and the smallest that is not [m]."""
-    holds = f"{float(rounded_down(scale * bracket.holds_m)):g}"
+    holds = f"{float(format_rounded_down(scale * bracket.holds_m)):g}"
     if bracket.fails_m is None:
         return f"holds calm water, from {holds} m sideways and all below"
-    fails = f"{float(rounded_up(scale * bracket.fails_m)):g}"
+    fails = f"{float(format_rounded_up(scale * bracket.fails_m)):g}"
     if bracket.holds_m == 0.0:
         return f"does not hold calm water: {fails} m sideways is too much"
     return f"holds calm water, up to {holds} m sideways (not {fails} m)"

@@ -19,18 +19,18 @@ def doctor_lines() -> list[str]:
     builds = [f"{name} {here.build.text}" for name, here in available if here.build.text]
     loads = ", ".join(f"{load:.2f}" for load in machine["load_average"])
     facts = [
-        *verdict.machine_facts(machine),
+        *verdict.list_machine_facts(machine),
         ("memory", f"{machine['memory_GiB']} GiB"),
         ("system", f"{machine['kernel']}, {machine['python']}"),
         ("versions", ", ".join(f"{k} {v}" for k, v in machine["versions"].items())),
         ("solver builds", ", ".join(builds) or MISSING),
         ("load average", loads or MISSING),
-        *verdict.disturbance_facts(harness.disturbance),
+        *verdict.list_disturbance_facts(harness.disturbance),
     ]
     verdicts = (
-        f"machine: {verdict.disturbance_text(harness.disturbance)}",
+        f"machine: {verdict.describe_disturbance(harness.disturbance)}",
         f"quiet means: {QUIET_RULE}",
-        f"harness: {verdict.calibration_text(harness.p50_ns)}",
+        f"harness: {verdict.describe_calibration(harness.p50_ns)}",
     )
     blank = " " * _WIDTH
     lines = [wrap_paragraph(fact, first=f"{what:<{_WIDTH}}", others=blank) for what, fact in facts]

@@ -25,7 +25,7 @@ from dpbench.embedded.table import (
 from dpbench.embedded.targets import TARGETS, Target, find_target_by_name
 from dpbench.embedded.toolchain import compiler_version, require_extra
 from dpbench.errors import DpbenchError, InputError
-from dpbench.report.formats import count_text, error_text
+from dpbench.report.formats import format_count, format_error
 from dpbench.report.table import Table
 
 REMARK = (
@@ -124,15 +124,15 @@ def _print_second_opinions(
                 {
                     "solver": recipe.solver,
                     "target": target.name,
-                    "Unicorn": count_text(opinion.instructions.sum()),
-                    "other": count_text(opinion.others.sum()),
+                    "Unicorn": format_count(opinion.instructions.sum()),
+                    "other": format_count(opinion.others.sum()),
                     "tool": opinion.tool,
                     "bytes differ": str(opinion.differing_bytes),
                 }
             )
         title = f"{recorded.sequence.name}: instructions of all steps by Unicorn and another tool"
         note = "Bytes differ: of all answers and statuses; none should."
-        screen.print(make_report_table(Table.of(rows, title, note=note), screen))
+        screen.print(make_report_table(Table.from_rows(rows, title, note=note), screen))
     return int(not agrees)
 
 
@@ -199,9 +199,9 @@ def _make_tables(runs: list[dict[str, Any]]) -> Iterator[Table]:
         rows = [
             {
                 "solver": run["solver"],
-                "median": count_text(run["instructions_p50"]),
-                "p99": count_text(run["instructions_p99"]),
-                "worst": count_text(run["instructions_max"]),
+                "median": format_count(run["instructions_p50"]),
+                "p99": format_count(run["instructions_p99"]),
+                "worst": format_count(run["instructions_max"]),
                 "k": str(run["worst_step"]),
                 "iterations": _format_known(run["worst_iterations"]),
                 "active": _format_known(run["worst_active"]),
@@ -209,15 +209,15 @@ def _make_tables(runs: list[dict[str, Any]]) -> Iterator[Table]:
             for run in group
         ]
         note = "k, iterations and active rows are those of the worst step."
-        yield Table.of(rows, f"{title}instructions a step", note=note)
+        yield Table.from_rows(rows, f"{title}instructions a step", note=note)
         sizes = [
             {"solver": run["solver"]}
-            | {size: count_text(run[f"{size}_bytes"]) for size in (*SIZES, "stack")}
-            | {"error": error_text(run["error_move"])}
+            | {size: format_count(run[f"{size}_bytes"]) for size in (*SIZES, "stack")}
+            | {"error": format_error(run["error_move"])}
             for run in group
         ]
         note = "Error: largest of the first move against the optimum, in rate-limit steps."
-        yield Table.of(sizes, f"{title}bytes of memory, error", note=note)
+        yield Table.from_rows(sizes, f"{title}bytes of memory, error", note=note)
 
 
 def _format_known(number: int) -> str:

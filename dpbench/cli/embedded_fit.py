@@ -24,7 +24,7 @@ from dpbench.embedded.table import save_counted_steps_in_folder
 from dpbench.embedded.targets import TARGETS, Target
 from dpbench.embedded.toolchain import compiler_version
 from dpbench.errors import DpbenchError, InputError
-from dpbench.report.formats import MISSING, count_text, error_text
+from dpbench.report.formats import MISSING, format_count, format_error
 from dpbench.report.table import Table
 from dpbench.scenario.scenario import Scenario, load_scenario
 
@@ -129,19 +129,19 @@ def _make_tables(fits: list[dict[str, Any]], *, single: bool) -> Iterator[Table]
                 "kB": _kilobytes(row["memory_bytes"]),
                 "next kB": _kilobytes(row["next_memory_bytes"]),
                 "worst": _number(row["instructions_max"]),
-                "error": MISSING if row["error_move"] is None else error_text(row["error_move"]),
+                "error": MISSING if row["error_move"] is None else format_error(row["error_move"]),
             }
             for row in fits
             if (row["scenario"], row["target"]) == (scenario, target)
         ]
         kind = "float" if single else "double"
         title = f"{scenario} on {TARGETS[target].title}, {kind}: largest control horizon"
-        yield Table.of(rows, title, note=NOTE)
+        yield Table.from_rows(rows, title, note=NOTE)
 
 
 def _number(value: int | None) -> str:
     """Format a count; a dash for None, which is unknown."""
-    return MISSING if value is None else count_text(value)
+    return MISSING if value is None else format_count(value)
 
 
 def _kilobytes(size: int | None) -> str:

@@ -18,7 +18,7 @@ from dpbench.cli.capability import save_rose_figure
 from dpbench.cli.terminal import ProgressBar
 from dpbench.errors import InputError, SituationError
 from dpbench.mpc.thrusters.attainable_set import build_attainable_force_polytope
-from dpbench.report.formats import and_list, rounded_down
+from dpbench.report.formats import format_rounded_down, join_with_and
 from dpbench.scenario import own_ship as scaling
 from dpbench.scenario.own_thrusters import (
     ASSUMED,
@@ -217,7 +217,7 @@ def describe_losses(
     if wind_mps > held.intact_mps:
         lines.append(
             f"CAUTION: the wind of {wind_mps:g} m/s is beyond the "
-            f"{rounded_down(held.intact_mps)} m/s that the thrusters hold from "
+            f"{format_rounded_down(held.intact_mps)} m/s that the thrusters hold from "
             f"{scaling.FROM_DEG:g}° by level 1."
         )
     simulated = ", ".join(f"{group} ({path.name})" for group, path in files.items())
@@ -235,7 +235,7 @@ def describe_losses_left_out(held: HeldSea, simulated: Sequence[str]) -> str:
     """Name the groups whose loss is not simulated, and why; "" where every one is."""
     others = [group for group in held.losses if group not in simulated]
     why = f"the {MOST_LOSSES} losses that leave the least wind are"
-    return f"the loss of {and_list(others)}; {why}" if others else ""
+    return f"the loss of {join_with_and(others)}; {why}" if others else ""
 
 
 def _without(groups: Sequence[str]) -> str:

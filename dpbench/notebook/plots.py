@@ -75,9 +75,9 @@ class RunPlots:
         """
         laws, scenario = self._collect_laws(others)
         if _is_printed(backend):
-            from dpbench.report.charts.ship_tables import path_tables
+            from dpbench.report.charts.ship_tables import make_path_tables
 
-            return _import_printed().draw_path(path_tables(laws, scenario))
+            return _import_printed().draw_path(make_path_tables(laws, scenario))
         from dpbench.report.charts.ship import draw_path
 
         return draw_path(laws, scenario)
@@ -86,9 +86,9 @@ class RunPlots:
         """Plot north, east, heading and radial error of closed loops (Fig. 5 of the paper)."""
         laws, scenario = self._collect_laws(others)
         if _is_printed(backend):
-            from dpbench.report.charts.ship_tables import error_panels
+            from dpbench.report.charts.ship_tables import make_error_panels
 
-            return _import_printed().draw_panels(error_panels(laws, scenario))
+            return _import_printed().draw_panels(make_error_panels(laws, scenario))
         from dpbench.report.charts.ship import draw_pose_errors
 
         return draw_pose_errors(laws, scenario)
@@ -97,9 +97,9 @@ class RunPlots:
         """Plot the applied forces of closed loops with their limits (Fig. 6 of the paper)."""
         laws, scenario = self._collect_laws(others)
         if _is_printed(backend):
-            from dpbench.report.charts.ship_tables import force_panels
+            from dpbench.report.charts.ship_tables import make_force_panels
 
-            return _import_printed().draw_panels(force_panels(laws, scenario))
+            return _import_printed().draw_panels(make_force_panels(laws, scenario))
         from dpbench.report.charts.ship import draw_forces
 
         return draw_forces(laws, scenario)
@@ -199,9 +199,9 @@ def _draw_steps_together(runs: tuple[JudgedRun, ...], limit: float, backend: Bac
         _require_run(run, "`run_closed_loop` and `replay`")
     laws = [replace(law, steps=_make_step_rows(law.steps)) for law in _convert_to_laws(runs)]
     if _is_printed(backend):
-        from dpbench.report.charts.ship_tables import STEP, step_panels
+        from dpbench.report.charts.ship_tables import STEP, make_step_panels
 
-        return _import_printed().draw_panels(step_panels(laws, limit), STEP)
+        return _import_printed().draw_panels(make_step_panels(laws, limit), STEP)
     from dpbench.report.charts.ship import draw_steps_together
 
     return draw_steps_together(laws, limit)

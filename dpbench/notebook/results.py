@@ -167,9 +167,9 @@ class Results(result_folder.Results):
         """Return the recommendation and each solver's best settings as HTML; None without steps."""
         if self.recorded.is_missing:
             return None
-        from dpbench.report.documents.markdown import HEAD, solver_rows
+        from dpbench.report.documents.markdown import HEAD, make_solver_rows
 
-        rows = solver_rows(
+        rows = make_solver_rows(
             self._full_report.data, best_verdict_by_solver(self._full_report.data.verdicts)
         )
         title = str(self.suite.get("name", self.folder.name))
@@ -186,7 +186,7 @@ class Results(result_folder.Results):
             load_capability_plots(self.folder),
             load_counted_steps_of_folder(self.folder),
         )
-        return Report.of(
+        return Report.from_results(
             self, load_stability_records(self.folder), capability=capability, counted=counted
         )
 

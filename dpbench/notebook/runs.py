@@ -41,13 +41,13 @@ from dpbench.mpc.condense import UnitSystem
 from dpbench.notebook.plots import RunPlots
 from dpbench.qp.program import QPSequence
 from dpbench.report.formats import (
-    count_text,
-    error_text,
+    format_count,
+    format_error,
+    format_seconds,
+    format_share,
+    format_time,
     plural,
-    seconds_text,
-    share_text,
     significant,
-    time_text,
 )
 from dpbench.report.ship_text import ShipSummary, summarise_ships
 from dpbench.scenario.scenario import Scenario, resolve_to_scenario
@@ -105,9 +105,10 @@ class Run:
         time, note = self._time_text
         return (
             f"<{'Inaccurate run' if self._is_inaccurate else 'Run'} of {self.label}: "
-            f"{self._sequence_text}, {self._steps_text}, {share_text(row['true_share'])} verified, "
+            f"{self._sequence_text}, {self._steps_text}, "
+            f"{format_share(row['true_share'])} verified, "
             f"{f'{unverified} reported solved but not verified, ' if unverified else ''}"
-            f"error_move ≤ {error_text(row['error_move_max'])}, p50 {time}{note and f' ({note})'}"
+            f"error_move ≤ {format_error(row['error_move_max'])}, p50 {time}{note and f' ({note})'}"
             f"{f', {REMEMBERED}' if self.remembers else ''}"
             f"{f'; {self._ship.warning}' if self._ship.warning else ''}>"
         )
@@ -119,10 +120,10 @@ class Run:
         fields = {
             "warning": "inaccurate" if self._is_inaccurate else "",
             "steps": self._steps_text,
-            "answers verified": share_text(row["true_share"]),
+            "answers verified": format_share(row["true_share"]),
             "reported solved but not verified": self._unverified_text or "0",
-            "failed steps": count_text(row["failed_steps"]),
-            "largest error of the first move": error_text(row["error_move_max"]),
+            "failed steps": format_count(row["failed_steps"]),
+            "largest error of the first move": format_error(row["error_move_max"]),
             f"median step time{note and f', {note}'}": time,
         }
         fields |= {"times": REMEMBERED} if self.remembers else {}
@@ -140,15 +141,17 @@ class Run:
         """Number of answers that the solver reports as solved and that are wrong; "" for none."""
         row = self.summary
         count = row["claimed_not_true"]
-        return f"{count_text(count)} of {count_text(row['raw_samples'])} answers" if count else ""
+        return (
+            f"{format_count(count)} of {format_count(row['raw_samples'])} answers" if count else ""
+        )
 
     @property
     def _time_text(self) -> tuple[str, str]:
         """Median step time, and what it is of: in a replay the minimum over rounds, as the page."""
         if self.scenario is not None:
-            return time_text(self.summary["raw_p50_ns"]), ""
+            return format_time(self.summary["raw_p50_ns"]), ""
         p50_ns = self.summary["algo_p50_ns"]
-        return time_text(p50_ns), "minimum over rounds" if p50_ns > 0.0 else "too few steps"
+        return format_time(p50_ns), "minimum over rounds" if p50_ns > 0.0 else "too few steps"
 
     @property
     def _sequence_text(self) -> str:
@@ -177,10 +180,10 @@ class Run:
         row = self.summary
         return {
             "ship": " ".join(self._ship.lines),
-            "fallbacks": count_text(row["fallbacks"]),
+            "fallbacks": format_count(row["fallbacks"]),
             "position error, rms": f"{significant(row['r_rms_m'])} m",
             "position error, second half": f"≤ {significant(row['r_tail_max_m'])} m",
-            "settled into 0.1 m after": seconds_text(row["settle_0p1m_s"]),
+            "settled into 0.1 m after": format_seconds(row["settle_0p1m_s"]),
             "farthest from the exact loop": f"{significant(row['dev_position_max_m'])} m",
         }
 

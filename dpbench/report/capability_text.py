@@ -17,7 +17,7 @@ from dpbench.analysis.suites.consequence import (
 )
 from dpbench.analysis.verdict.fastest import deployment_blocker
 from dpbench.bench.capability.frontier import INTACT
-from dpbench.report.formats import rounded_down
+from dpbench.report.formats import format_rounded_down
 
 
 def describe_capability(plot: CapabilityResult) -> Iterator[str]:
@@ -26,19 +26,19 @@ def describe_capability(plot: CapabilityResult) -> Iterator[str]:
         return
     intact = plot.edges[plot.edges["case"] == INTACT]
     failed = plot.edges[plot.edges["case"] != INTACT]
-    wording = f"Intact, {plot.vessel} holds at least {_least_wind_text(intact)}"
+    wording = f"Intact, {plot.vessel} holds at least {_format_least_wind(intact)}"
     if len(failed):
         worst = failed.nsmallest(1, "wind_mps").iloc[0]
-        wording += f"; after the loss of {worst['case']} {_least_wind_text(failed)}"
+        wording += f"; after the loss of {worst['case']} {_format_least_wind(failed)}"
     if plot.notation:
         yield f"{plot.notation}."
     yield f"{wording} (DNV-ST-0111, level 1; azimuths as polygons of {plot.sides} sides)."
 
 
-def _least_wind_text(edges: pd.DataFrame) -> str:
+def _format_least_wind(edges: pd.DataFrame) -> str:
     """Format the least wind held over all directions [m/s], and its direction."""
     least = edges.nsmallest(1, "wind_mps").iloc[0]
-    return f"{rounded_down(least['wind_mps'])} m/s, from {least['from_deg']:.0f}°"
+    return f"{format_rounded_down(least['wind_mps'])} m/s, from {least['from_deg']:.0f}°"
 
 
 def time_held_text(of_group: pd.DataFrame) -> str:
@@ -63,7 +63,7 @@ def describe_losses_held(analysis: ConsequenceAnalysis) -> str:
     for group, of_group in analysis.spans.groupby("group", sort=False):
         when.setdefault(time_held_text(of_group), []).append(str(group))
     held = [f"the loss of {' or of '.join(of)} can be held {time}" for time, of in when.items()]
-    return f"In {analysis.name} {'; '.join(held)} ({margin_text(analysis)})."
+    return f"In {analysis.name} {'; '.join(held)} ({describe_required_force(analysis)})."
 
 
 def consequence_solver_text(records: Records, solver: str) -> str:
@@ -82,12 +82,12 @@ def consequence_solver_text(records: Records, solver: str) -> str:
     return f"MPC: {solver}; consequence analysis: {other}."
 
 
-def margin_text(analysis: ConsequenceAnalysis) -> str:
+def describe_required_force(analysis: ConsequenceAnalysis) -> str:
     """Name the force that the thrusters must make after a loss."""
     return f"force through a 60 s filter, times a dynamic margin of {analysis.margin:g}"
 
 
-def unanswered_text(records: Records, solver: str) -> str:
+def describe_unanswered_qps(records: Records, solver: str) -> str:
     """State how many QPs of consequence analyses a solver leaves unanswered; "" for none."""
     best = [a.best[solver] for a in consequence_analyses(records) if solver in a.best]
     silent, asked = sum(a.unanswered for a in best), sum(a.asked for a in best)

@@ -24,7 +24,7 @@ from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.study_effects_table import build_effects_table
-from dpbench.report.table import csv_bytes, markdown_text
+from dpbench.report.table import encode_csv, escape_markdown
 from dpbench.report.words import read_words, render_document
 
 LEGEND = "README.md"
@@ -72,11 +72,11 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
     Raises InputError where the folder is a link.
     """
     written = {name: table for name, table in tables.items() if len(table)}
-    contents = {f"{name}.csv": partial(csv_bytes, table) for name, table in written.items()}
+    contents = {f"{name}.csv": partial(encode_csv, table) for name, table in written.items()}
     of_runs = {"runs": RUN_MEANINGS, "ships": RUN_MEANINGS | COLUMNS}
     known = {name: of_runs.get(name, COLUMNS) for name in written}
     wording = {
-        markdown_text(name): (
+        escape_markdown(name): (
             TABLES.get(name, "A table of a part of the page."),
             {column: known[name][column] for column in table if column in known[name]},
         )

@@ -7,7 +7,7 @@ from dpbench.analysis.suites.embedded import APART, CountedSequence, EmbeddedRes
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.record.result_folder import UncountedSolver
 from dpbench.embedded.targets import TARGETS
-from dpbench.report.formats import and_list, count_text, sample_share_text, time_text
+from dpbench.report.formats import format_count, format_sample_share, format_time, join_with_and
 
 CYCLES = 1.0
 """Cycles per instruction where the reader gives none: an assumption."""
@@ -20,7 +20,7 @@ MOST_PAIRS = 2
 """Number of disagreements between desk and counts that are named for a sequence."""
 
 
-def core_text(target: str, *, single: bool) -> str:
+def name_core_and_precision(target: str, *, single: bool) -> str:
     """Return a core and the precision of the code on it; double precision is not named."""
     title = TARGETS[target].title if target in TARGETS else target
     return f"{title}, float" if single else title
@@ -34,12 +34,14 @@ NOTE = (
 """Meaning of the columns of the table of counts."""
 
 
-def setting_text(sequence: CountedSequence) -> str:
+def name_sequence_and_core(sequence: CountedSequence) -> str:
     """Return sequence and core of a group of counts."""
-    return f"{sequence.sequence} on {core_text(sequence.target, single=sequence.single)}"
+    return (
+        f"{sequence.sequence} on {name_core_and_precision(sequence.target, single=sequence.single)}"
+    )
 
 
-def core_time_ns(instructions: int) -> float:
+def convert_instructions_to_ns(instructions: int) -> float:
     """Return the time of instructions at `CYCLES` each and `CLOCK_MHZ` [ns]."""
     return 1e3 * instructions * CYCLES / CLOCK_MHZ
 
@@ -57,61 +59,66 @@ class CoreTimes:
     @property
     def cells(self) -> tuple[str, ...]:
         """Solver, sequence and core; p99, worst step, and the share of the deadline it takes."""
-        worst_ns = core_time_ns(self.worst)
-        share = sample_share_text(worst_ns / self.deadline_ns)
+        worst_ns = convert_instructions_to_ns(self.worst)
+        share = format_sample_share(worst_ns / self.deadline_ns)
         return (
             self.solver,
             self.where,
-            time_text(core_time_ns(self.p99)),
-            time_text(worst_ns),
+            format_time(convert_instructions_to_ns(self.p99)),
+            format_time(worst_ns),
             share,
         )
 
 
-def calculator_rows(results: EmbeddedResults, requirements: Requirements) -> list[CoreTimes]:
+def make_calculator_rows(results: EmbeddedResults, requirements: Requirements) -> list[CoreTimes]:
     """Return the rows of the calculator, in the order of the table of counts."""
     return [
-        CoreTimes(one.solver, setting_text(group), one.p99, one.worst, requirements.deadline_ns)
+        CoreTimes(
+            one.solver, name_sequence_and_core(group), one.p99, one.worst, requirements.deadline_ns
+        )
         for group in results.sequences
         for one in group.solvers
     ]
 
 
-def counted_text(results: EmbeddedResults, requirements: Requirements, solver: str) -> str:
+def describe_embedded_cost(
+    results: EmbeddedResults, requirements: Requirements, solver: str
+) -> str:
     """State what a solver costs on an embedded core; "" where that was not counted."""
     largest = results.find_largest(solver)
     if largest is None or largest[1].error_move > requirements.error_move:
         return ""
     sequence, one = largest
-    worst_ns = core_time_ns(one.worst)
+    worst_ns = convert_instructions_to_ns(one.worst)
+    core = name_core_and_precision(sequence.target, single=sequence.single)
     return (
-        f"As C on a {core_text(sequence.target, single=sequence.single)} {solver} executes "
-        f"{count_text(one.p99)} instructions a step at p99 and at most {count_text(one.worst)} "
+        f"As C on a {core} {solver} executes "
+        f"{format_count(one.p99)} instructions a step at p99 and at most {format_count(one.worst)} "
         f"in {sequence.sequence}. At {CYCLES:g} cycle per instruction (an assumption) and "
-        f"{CLOCK_MHZ:g} MHz the worst takes {time_text(worst_ns)}, "
-        f"{sample_share_text(worst_ns / requirements.deadline_ns)} of the deadline of "
+        f"{CLOCK_MHZ:g} MHz the worst takes {format_time(worst_ns)}, "
+        f"{format_sample_share(worst_ns / requirements.deadline_ns)} of the deadline of "
         f"{requirements.deadline_ms:g} ms. {CAVEAT}"
     )
 
 
-def cheapest_text(sequence: CountedSequence, requirements: Requirements) -> str:
+def describe_cheapest_solver(sequence: CountedSequence, requirements: Requirements) -> str:
     """State which solver executes the fewest instructions within the required error."""
     right = [one for one in sequence.solvers if one.error_move <= requirements.error_move]
-    where = setting_text(sequence)
+    where = name_sequence_and_core(sequence)
     if not right:
         return f"No solver counted along {where} stays within the required error."
     first, *others = right
     following = ""
     if others:
-        p99, worst = count_text(others[0].p99), count_text(others[0].worst)
+        p99, worst = format_count(others[0].p99), format_count(others[0].worst)
         following = f" Next: {others[0].solver}, {p99} and {worst}."
     return (
         f"Along {where} {first.solver} executes the fewest instructions: "
-        f"{count_text(first.p99)} a step at p99, {count_text(first.worst)} at most.{following}"
+        f"{format_count(first.p99)} a step at p99, {format_count(first.worst)} at most.{following}"
     )
 
 
-def ranking_texts(
+def yield_ranking_sentences(
     sequences: Sequence[CountedSequence], requirements: Requirements
 ) -> Iterator[str]:
     """Yield where instructions and the desk's times rank solvers alike, and where otherwise."""
@@ -122,27 +129,30 @@ def ranking_texts(
             continue
         pairs = sequence.find_disagreements(requirements.error_move)
         if not pairs:
-            alike.append(setting_text(sequence))
+            alike.append(name_sequence_and_core(sequence))
             continue
         # The widest first.
         pairs.sort(key=lambda pair: -pair[1].p99 * pair[0].desk_p99_ns / pair[0].p99)
         named = [
             f"{few.solver} executes fewer instructions than {many.solver} "
-            f"({count_text(few.p99)} against {count_text(many.p99)}) and is slower on the desk "
-            f"({time_text(few.desk_p99_ns)} against {time_text(many.desk_p99_ns)})"
+            f"({format_count(few.p99)} against {format_count(many.p99)}) and is slower on the desk "
+            f"({format_time(few.desk_p99_ns)} against {format_time(many.desk_p99_ns)})"
             for few, many in pairs[:MOST_PAIRS]
         ]
         more = f", and {len(pairs) - MOST_PAIRS} more" if len(pairs) > MOST_PAIRS else ""
-        where = setting_text(sequence)
-        yield f"Desk and counts disagree along {where}: {and_list(named)}{more}, {apart}."
+        where = name_sequence_and_core(sequence)
+        yield f"Desk and counts disagree along {where}: {join_with_and(named)}{more}, {apart}."
     if alike:
-        yield f"Desk and counts rank the solvers alike along {and_list(alike)}, {apart}."
+        yield f"Desk and counts rank the solvers alike along {join_with_and(alike)}, {apart}."
 
 
-def not_counted_texts(missing: Sequence[UncountedSolver]) -> Iterator[str]:
+def yield_uncounted_sentences(missing: Sequence[UncountedSolver]) -> Iterator[str]:
     """Yield a line for each reason why solvers were not counted."""
     for reason in dict.fromkeys(one["reason"] for one in missing):
         own = [one for one in missing if one["reason"] == reason]
-        solvers = and_list(list(dict.fromkeys(one["solver"] for one in own)))
-        where = [f"{one['sequence']} on {core_text(one['target'], single=False)}" for one in own]
-        yield f"Not counted: {solvers}, {and_list(list(dict.fromkeys(where)))}: {reason}."
+        solvers = join_with_and(list(dict.fromkeys(one["solver"] for one in own)))
+        where = [
+            f"{one['sequence']} on {name_core_and_precision(one['target'], single=False)}"
+            for one in own
+        ]
+        yield f"Not counted: {solvers}, {join_with_and(list(dict.fromkeys(where)))}: {reason}."

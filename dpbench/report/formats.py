@@ -10,7 +10,7 @@ NO_ANSWER = "no answer"
 """Stands for an infinite error."""
 
 
-def time_text(nanoseconds: float) -> str:
+def format_time(nanoseconds: float) -> str:
     """Format a duration [ns] in ns, µs, ms or s, whichever suits, three significant digits."""
     if not math.isfinite(nanoseconds):
         return MISSING
@@ -20,7 +20,7 @@ def time_text(nanoseconds: float) -> str:
     return f"{significant(nanoseconds / 1e9)} s"
 
 
-def microseconds_text(nanoseconds: float) -> str:
+def format_microseconds(nanoseconds: float) -> str:
     """Format a duration [ns] as a number of µs without the unit, three significant digits."""
     return significant(nanoseconds / 1e3) if math.isfinite(nanoseconds) else MISSING
 
@@ -40,12 +40,12 @@ def significant(value: float, digits: int = 3) -> str:
     return text if abs(rounded) < 1e5 else f"{rounded:,.0f}".replace(",", "\u202f")
 
 
-def rounded_down(value: float, digits: int = 3) -> str:
+def format_rounded_down(value: float, digits: int = 3) -> str:
     """Format a number in significant digits, rounded down: a bound that still holds."""
     return _round_significant(value, digits, ROUND_DOWN)
 
 
-def rounded_up(value: float, digits: int = 3) -> str:
+def format_rounded_up(value: float, digits: int = 3) -> str:
     """Format a number in significant digits, rounded up: a bound that still holds."""
     return _round_significant(value, digits, ROUND_UP)
 
@@ -59,7 +59,7 @@ def _round_significant(value: float, digits: int, way: str) -> str:
     return significant(float(exact.quantize(unit, rounding=way)), digits)
 
 
-def error_text(value: float) -> str:
+def format_error(value: float) -> str:
     """Format an error: two significant digits, `no answer` when infinite."""
     if math.isnan(value):
         return MISSING
@@ -70,7 +70,7 @@ def error_text(value: float) -> str:
     return f"{value:.1e}" if not 1e-2 <= abs(value) < 1e3 else significant(value, 2)
 
 
-def share_text(share: float) -> str:
+def format_share(share: float) -> str:
     """Format a share in percent; 100 % and 0 % are printed only when they are exact."""
     if not math.isfinite(share):
         return MISSING
@@ -80,7 +80,7 @@ def share_text(share: float) -> str:
     return f"{min(max(percent, 0.1), 99.9):.1f} %"
 
 
-def sample_share_text(share: float) -> str:
+def format_sample_share(share: float) -> str:
     """Format a share of a control sample in percent, two significant digits; may exceed 100 %."""
     return f"{significant(100.0 * share, 2)} %" if math.isfinite(share) else MISSING
 
@@ -93,7 +93,7 @@ def as_float(value: object) -> float:
         return math.nan
 
 
-def count_text(value: object) -> str:
+def format_count(value: object) -> str:
     """Format a count with thin spaces between thousands; a missing one is a dash."""
     number = as_float(value)
     return f"{number:,.0f}".replace(",", "\u202f") if math.isfinite(number) else MISSING
@@ -101,34 +101,34 @@ def count_text(value: object) -> str:
 
 def plural(count: float, word: str) -> str:
     """Format a count with its noun: `1 step`, `2 steps`."""
-    return f"{count_text(count)} {word if count == 1 else word + 's'}"
+    return f"{format_count(count)} {word if count == 1 else word + 's'}"
 
 
-def seconds_text(value: float) -> str:
+def format_seconds(value: float) -> str:
     """Format a settling time in seconds; "never" for an infinite one."""
     if math.isnan(value):
         return MISSING
     return "never" if math.isinf(value) else f"{value:.1f} s"
 
 
-def interval_text(low: float, high: float) -> str:
+def format_interval(low: float, high: float) -> str:
     """Format an interval as `[low, high]`; a dash if an end is not finite."""
     if not (math.isfinite(low) and math.isfinite(high)):
         return MISSING
     return f"[{significant(low)}, {significant(high)}]"
 
 
-def and_list(words: list[str]) -> str:
+def join_with_and(words: list[str]) -> str:
     """Join words: `a`, `a and b`, `a, b and c`."""
     if len(words) < 2:
         return "".join(words)
     return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
-def counted_list(counts: Iterable[tuple[str, int]]) -> str:
+def join_with_counts(counts: Iterable[tuple[str, int]]) -> str:
     """Join names with their counts, `a (3) and b (1)`, the largest count first."""
     ordered = sorted(counts, key=lambda item: -item[1])
-    return and_list([f"{name} ({count})" for name, count in ordered])
+    return join_with_and([f"{name} ({count})" for name, count in ordered])
 
 
 def strip_markdown(text: str) -> str:
@@ -136,9 +136,9 @@ def strip_markdown(text: str) -> str:
     return text.replace("**", "").replace("`", "")
 
 
-def toml_text(value: Any) -> str:
+def format_as_toml(value: Any) -> str:
     """Format a number, or the rows of an array, as TOML text with six significant digits."""
     if isinstance(value, Iterable):
-        return f"[{', '.join(map(toml_text, value))}]"
+        return f"[{', '.join(map(format_as_toml, value))}]"
     text = f"{float(value):.6g}"
     return text if any(sign in text for sign in ".en") else f"{text}.0"

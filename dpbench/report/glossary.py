@@ -21,7 +21,7 @@ def term_meanings() -> dict[str, str]:
     return {term: text for terms in topics().values() for term, text in terms.items()}
 
 
-def glossary_markdown() -> str:
+def format_glossary_as_markdown() -> str:
     """Return the glossary as Markdown, the text of `docs/glossary.md`."""
     parts = [_HEAD]
     for title, terms in topics().items():
@@ -33,4 +33,4 @@ def glossary_markdown() -> str:
 
 
 if __name__ == "__main__":
-    print(glossary_markdown(), end="")
+    print(format_glossary_as_markdown(), end="")

@@ -10,30 +10,30 @@ from dpbench.bench.record.disturbance import Disturbance
 from dpbench.bench.record.result_folder import MachineDescription
 from dpbench.report.formats import (
     MISSING,
-    and_list,
-    count_text,
+    format_count,
+    format_share,
+    format_time,
+    join_with_and,
     plural,
-    share_text,
     significant,
-    time_text,
 )
 
 
-def disturbance_text(disturbance: Disturbance) -> str:
+def describe_disturbance(disturbance: Disturbance) -> str:
     """Describe whether other programs disturbed the timing: "quiet", or disturbed by what."""
     complaints = disturbance.complaints()
-    return f"disturbed: {and_list(complaints)}" if complaints else "quiet"
+    return f"disturbed: {join_with_and(complaints)}" if complaints else "quiet"
 
 
-def calibration_text(p50_ns: dict[str, float]) -> str:
+def describe_calibration(p50_ns: dict[str, float]) -> str:
     """Describe how exactly the benchmark measured waits of known length."""
     missed = [name for name, p50 in p50_ns.items() if is_within_tolerance(name, p50) is False]
-    wording = ", ".join(f"{name} {time_text(p50)}" for name, p50 in p50_ns.items())
-    verdict = f"missed by {and_list(missed)}" if missed else "within the bar"
+    wording = ", ".join(f"{name} {format_time(p50)}" for name, p50 in p50_ns.items())
+    verdict = f"missed by {join_with_and(missed)}" if missed else "within the bar"
     return f"{verdict} ({wording})"
 
 
-def machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
+def list_machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
     """List a machine's processor, cores, frequency, BLAS and clock, as label and text."""
 
     def of(key: str, unit: str = "") -> str:
@@ -53,20 +53,20 @@ def machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
     ]
 
 
-def disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
+def list_disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
     """List what disturbed replays, as label and text: context switches, stolen time, throttling."""
-    disturbed = f"{count_text(disturbance.disturbed)} of {plural(disturbance.rounds, 'round')}"
-    throttled, steal_share = count_text(disturbance.throttled), disturbance.steal_share
-    stolen = "not visible" if isnan(steal_share) else share_text(steal_share)
+    disturbed = f"{format_count(disturbance.disturbed)} of {plural(disturbance.rounds, 'round')}"
+    throttled, steal_share = format_count(disturbance.throttled), disturbance.steal_share
+    stolen = "not visible" if isnan(steal_share) else format_share(steal_share)
     return [
-        ("disturbed rounds left", f"{disturbed}; {count_text(disturbance.rerun)} run again"),
+        ("disturbed rounds left", f"{disturbed}; {format_count(disturbance.rerun)} run again"),
         ("involuntary context switches", f"{significant(disturbance.switches_per_s, 2)} a second"),
         ("time stolen by the host", stolen),
         ("throttle events", "not visible" if throttled == MISSING else throttled),
     ]
 
 
-def list_own_switches(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
+def list_switching_solvers(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
     """List the solvers that cause context switches themselves, as label and text."""
     own = largest_by_name(
         (f"{row.solver} ({row.route} {row.policy})", row.own_switches_a_step) for row in rows

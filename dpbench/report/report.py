@@ -20,15 +20,15 @@ from dpbench.bench.design import Designs
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts.render import NOT_DRAWN, can_draw
 from dpbench.report.csv_tables import build_tables
-from dpbench.report.embedded_text import not_counted_texts
+from dpbench.report.embedded_text import yield_uncounted_sentences
 from dpbench.report.formats import strip_markdown
-from dpbench.report.machine_verdict import calibration_text, disturbance_text
+from dpbench.report.machine_verdict import describe_calibration, describe_disturbance
 from dpbench.report.page.data import PageData
 from dpbench.report.page.live import draw_section_charts, select_static_charts
 from dpbench.report.page.recommendation import Recommendation, build_recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.topics.all import build_topics
-from dpbench.report.verdict_text import count_solvers, own_settings_lines
+from dpbench.report.verdict_text import count_solvers, describe_own_settings
 
 TERMINAL_NOTES = ("counted", "slower", "faster", "inconclusive", "next", "unanswered", "stopped")
 """Notes of the recommendation on a terminal."""
@@ -46,7 +46,7 @@ class Report:
     topics: Sequence[Topic]
 
     @classmethod
-    def of(
+    def from_results(
         cls,
         results: Results,
         designs: Designs | None = None,
@@ -61,7 +61,7 @@ class Report:
         `load_counted_steps_of_folder`.
         """
         records, requirements = Records(results), Requirements.of(results.suite)
-        data = PageData.of(records, judge_solvers(records, requirements), counted)
+        data = PageData.from_verdicts(records, judge_solvers(records, requirements), counted)
         named = results.suite.get("report", {}).get("baseline")
         if named not in {v.configuration.solver for v in data.verdicts.all if v.steps}:
             named = None  # a part of the suite was run, without it
@@ -103,15 +103,15 @@ class Report:
         beside = (topic for topic in self.topics if topic.id in BESIDE and not topic.leads)
         rows += [(topic.id, topic.lines[0]) for topic in beside]
         if self.data.counts.sequences:
-            missing = not_counted_texts(self.data.counts.not_counted)
+            missing = yield_uncounted_sentences(self.data.counts.not_counted)
             rows += [("not counted", line.removeprefix("Not counted: ")) for line in missing]
         if verdicts.of:
             rows.append(("solvers", f"{count_solvers(verdicts)}."))
-            rows += [("options", line) for line in own_settings_lines(verdicts)]
+            rows += [("options", line) for line in describe_own_settings(verdicts)]
         records = self.data.records
         disturbance = total_disturbance(timed_runs(records) or delayed_runs(records))
         if disturbance.seconds > 0:
-            rows.append(("machine", f"{disturbance_text(disturbance)}."))
+            rows.append(("machine", f"{describe_disturbance(disturbance)}."))
         if medians := calibration_medians(records.calibration):
-            rows.append(("harness", f"{calibration_text(medians)}."))
+            rows.append(("harness", f"{describe_calibration(medians)}."))
         return rows if can_draw() else [*rows, ("figures", f"{NOT_DRAWN}.")]

@@ -17,8 +17,13 @@ from dpbench.files.writing import write_bytes_atomically, write_text_atomically
 from dpbench.report.charts.render import encode_figure
 from dpbench.report.formats import plural, strip_markdown
 from dpbench.report.page.section import Topic
-from dpbench.report.table import csv_bytes, markdown_table
-from dpbench.report.topics.paper import Claim, count_reproduced, judge_claims, paper_topic
+from dpbench.report.table import encode_csv, make_markdown_table
+from dpbench.report.topics.paper import (
+    Claim,
+    build_paper_topic,
+    describe_count_reproduced,
+    judge_claims,
+)
 from dpbench.report.words import render_document
 from dpbench.scenario.scenario import Scenario
 
@@ -73,14 +78,14 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
     scenario = records.scenario(PAPER)
     # How far off the ship is brought back from takes a quarter of a minute more: suite `standard`.
     designs = Designs((compute_linear_record(scenario),)) if scenario is not None else None
-    topic = paper_topic(records, designs)
+    topic = build_paper_topic(records, designs)
     lost, remarks = read_lost_count_and_remarks(runs)
     if topic is None or scenario is None:
         nothing = f"nothing is reproduced: no loop of the paper's case was finished; see {runs}"
         return Reproduction((nothing,), tuple(remarks), complete=False)
     _write_paper_figures(folder, topic, find_paper_runs(records), scenario)
-    write_bytes_atomically(folder / "claims.csv", csv_bytes(topic.tables[0].frame))
-    write_text_atomically(folder / "claims.md", _claims_document(topic, results))
+    write_bytes_atomically(folder / "claims.csv", encode_csv(topic.tables[0].frame))
+    write_text_atomically(folder / "claims.md", _make_claims_document(topic, results))
     judged = judge_claims(records)
     radius = compute_linear_record(scenario).spectral_radius
     stable = (
@@ -91,7 +96,12 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
         f"claims: {folder / 'claims.md'} and .csv",
         f"runs: {folder / RUNS}; `dpbench report` makes their page",
     )
-    wording = (f"{count_reproduced(judged)}.", *_list_contradicted(judged), stable, *places)
+    wording = (
+        f"{describe_count_reproduced(judged)}.",
+        *_list_contradicted(judged),
+        stable,
+        *places,
+    )
     return Reproduction(wording, tuple(remarks), complete=lost == 0)
 
 
@@ -105,14 +115,14 @@ def _write_paper_figures(
         for kind in FORMATS:
             write_bytes_atomically(folder / f"{name}.{kind}", encode_figure(figure.chart, kind))
         data = pd.concat([paper_figure_data(short, law, scenario) for law in laws])
-        write_bytes_atomically(folder / f"{name}.csv", csv_bytes(data))
+        write_bytes_atomically(folder / f"{name}.csv", encode_csv(data))
 
 
-def _claims_document(topic: Topic, results: Results) -> str:
+def _make_claims_document(topic: Topic, results: Results) -> str:
     """Return the text on the paper's claims and how far the runs confirm them."""
     versions = results.runs.drop_duplicates("solver")[["solver", "solver_version", "build"]]
     ran = [" ".join(filter(None, row)) for row in versions.itertuples(index=False)]
-    tables = [(t.title, markdown_table(t.heads, t.rows, len(t.heads))) for t in topic.tables]
+    tables = [(t.title, make_markdown_table(t.heads, t.rows, len(t.heads))) for t in topic.tables]
     made = describe_version(results.suite)
     return render_document(
         "claims.md", topic=topic, tables=tables, ran=ran, made_by=made, runs=RUNS

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.run.station import HEADING_DEG
-from dpbench.report.formats import and_list, plural, share_text, significant
+from dpbench.report.formats import format_share, join_with_and, plural, significant
 from dpbench.scenario.scenario import Scenario
 
 BANNER = "The controller does not hold this ship in this weather"
@@ -76,7 +76,7 @@ def _name_failures(lost: Sequence[ShipResult]) -> str:
     ]
     if not all(before):
         return ""
-    losses = dict.fromkeys(and_list(names) for names in before)
+    losses = dict.fromkeys(join_with_and(names) for names in before)
     return f" after the loss of {' or of '.join(losses)}"
 
 
@@ -107,7 +107,7 @@ def _describe_departure(ship: ShipResult) -> str:
     back = " and returns" if ship.is_inside_at_end else ""
     moving = ", still moving away when the run ends" if ship.is_moving_away else ""
     return (
-        f"in `{ship.name}` it leaves its station ({_limits_text(ship)}) at "
+        f"in `{ship.name}` it leaves its station ({_format_station_limits(ship)}) at "
         f"{significant(run.exact_left_s)} s{back}; largest offset "
         f"{significant(run.exact_offset_max_m)} m at {significant(run.exact_offset_max_s)} s, last "
         f"offset {significant(run.exact_offset_end_m)} m{moving}{turned}"
@@ -124,7 +124,7 @@ def describe_ship(ship: ShipResult) -> str:
         f"`{ship.name}`: {ship.state}{left}; largest offset "
         f"{significant(run.exact_offset_max_m)} m at {significant(run.exact_offset_max_s)} s, last "
         f"{significant(run.exact_offset_end_m)} m; limits active in "
-        f"{share_text(run.exact_active_share)} of {plural(run.exact_steps, 'step')}"
+        f"{format_share(run.exact_active_share)} of {plural(run.exact_steps, 'step')}"
     )
 
 
@@ -150,7 +150,7 @@ def describe_unmet(ships: Sequence[ShipResult], scenarios: Sequence[Scenario]) -
     return [what for what, is_unmet in unmet.items() if is_unmet]
 
 
-def _limits_text(ship: ShipResult) -> str:
+def _format_station_limits(ship: ShipResult) -> str:
     """State the limits of a ship's station: radius and heading."""
     return f"{ship.run.station_radius_m:.3g} m, {HEADING_DEG:g}°"
 
@@ -169,8 +169,9 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
         where = f"in {len(kept)} of {len(known)} {kind}"
         there = f" at {_locate_ship(farthest)}" if run.study else f" in `{farthest.name}`"
     return (
-        f"Solved exactly, the controller holds the ship on station ({_limits_text(farthest)}) "
-        f"{where}; largest offset {significant(run.exact_offset_max_m)} m{there} at "
+        f"Solved exactly, the controller holds the ship on station "
+        f"({_format_station_limits(farthest)}) {where}; "
+        f"largest offset {significant(run.exact_offset_max_m)} m{there} at "
         f"{significant(run.exact_offset_max_s)} s, {significant(run.exact_offset_end_m)} m at the "
         "end."
     )
@@ -182,8 +183,8 @@ def _describe_after_losses(known: Sequence[ShipResult]) -> Iterator[str]:
     after.sort(key=lambda ship: -ship.run.exact_loss_offset_max_m / ship.run.station_radius_m)
     for ship in after[:MOST_NAMED]:
         run = ship.run
-        losses = [f"{and_list(names)} at {at_s:g} s" for at_s, names in list_losses(run)]
-        what = and_list(losses) or "some of the force"
+        losses = [f"{join_with_and(names)} at {at_s:g} s" for at_s, names in list_losses(run)]
+        what = join_with_and(losses) or "some of the force"
         yield (
             f"After the loss of {what} (`{ship.name}`): largest offset "
             f"{significant(run.exact_loss_offset_max_m)} m, largest heading error "
@@ -216,14 +217,14 @@ def _describe_small_margins(known: Sequence[ShipResult]) -> list[str]:
         parts = [_describe_rise(ship) for ship in rising[:MOST_NAMED]]
         parts += [f"{len(rising) - MOST_NAMED} more"] if rising[MOST_NAMED:] else []
         sentences.append(
-            f"The offset after a loss still rises when the run ends in {and_list(parts)}: a longer "
-            "`duration_s` shows where it settles."
+            f"The offset after a loss still rises when the run ends in {join_with_and(parts)}: a "
+            "longer `duration_s` shows where it settles."
         )
     if near:
         up_to = "up to " if len(near) > 1 else ""
         sentences.append(
-            f"The margin is small: the ship reaches {up_to}{share_text(near[0].used_share)} of the "
-            f"limits of its station in {_name_ships(near)}."
+            f"The margin is small: the ship reaches {up_to}{format_share(near[0].used_share)} of "
+            f"the limits of its station in {_name_ships(near)}."
         )
     return sentences
 
@@ -258,7 +259,7 @@ def _describe_limits(known: Sequence[ShipResult]) -> list[str]:
     """State the share of steps with active limits, and where the QP was never hard."""
     by_share = sorted(known, key=lambda ship: ship.run.exact_active_share)
     least, most = by_share[0], by_share[-1]
-    low, high = (share_text(ship.run.exact_active_share) for ship in (least, most))
+    low, high = (format_share(ship.run.exact_active_share) for ship in (least, most))
     if high == "0 %":
         return ["No limit is ever active: the QPs were never hard."]
     if low == high:
@@ -290,4 +291,4 @@ def _name_ships(ships: Sequence[ShipResult]) -> str:
     """Name the first scenarios of some ships, and count the others."""
     names = [f"`{name}`" for name in dict.fromkeys(ship.run.study or ship.name for ship in ships)]
     others = len(names) - MOST_NAMED
-    return and_list([*names[:MOST_NAMED], *([f"{others} more"] if others > 0 else [])])
+    return join_with_and([*names[:MOST_NAMED], *([f"{others} more"] if others > 0 else [])])

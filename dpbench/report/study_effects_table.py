@@ -37,7 +37,11 @@ def build_effects_table(studies: Sequence[Study]) -> pd.DataFrame:
         (
             *(study.name, effect.configuration, effect.factor, effect.levels),
             *(effect.measured.change.start, effect.measured.change.end),
-            *(_name_measure(effect.measure, study), effect.measure.unit, *effect_numbers(effect)),
+            *(
+                _name_measure(effect.measure, study),
+                effect.measure.unit,
+                *convert_effect_and_interval(effect),
+            ),
             *(_interval_text(effect), effect.measure.convert(effect.measured.median)),
             *(effect.measured.same_sign, _count_units(effect)),
             *(effect.difference.pairs, effect.difference.points),
@@ -55,10 +59,10 @@ def tabulate_effects(study: Study) -> Table | None:
     for effect in study_effects(study):
         key = (effect.factor, effect.levels, effect.configuration)
         row = rows.setdefault(key, dict(zip(_KEYS, key, strict=True)))
-        row[head_of_measure(effect.measure, study)] = _effect_text(effect, units)
+        row[make_head_of_measure(effect.measure, study)] = _format_effect(effect, units)
     if not rows:
         return None
-    heads = [*_KEYS, *(head_of_measure(one, study) for one in MEASURES)]
+    heads = [*_KEYS, *(make_head_of_measure(one, study) for one in MEASURES)]
     changes = list(dict.fromkeys(key[:2] for key in rows))
     ordered = sorted(rows.items(), key=lambda item: changes.index(item[0][:2]))
     whole = [{head: row.get(head, MISSING) for head in heads} for _, row in ordered]
@@ -73,7 +77,7 @@ def tabulate_effects(study: Study) -> Table | None:
     if len(whole) > MOST_ROWS:
         note += " All rows: tables/study_effects.csv."
     title = f"{study.name}: what each factor changes"
-    return Table.of(whole, title, note=note, text_columns=3, shown=MOST_ROWS)
+    return Table.from_rows(whole, title, note=note, text_columns=3, shown=MOST_ROWS)
 
 
 def _name_measure(measure: Measure, study: Study) -> str:
@@ -81,12 +85,12 @@ def _name_measure(measure: Measure, study: Study) -> str:
     return _WHAT[study.step_time] if measure == STEP_TIME else measure.name
 
 
-def head_of_measure(measure: Measure, study: Study) -> str:
+def make_head_of_measure(measure: Measure, study: Study) -> str:
     """Return the column head of a measure, with its unit."""
     return _HEADS[measure].replace(measure.name, _name_measure(measure, study))
 
 
-def effect_numbers(effect: Effect) -> tuple[float, float, float]:
+def convert_effect_and_interval(effect: Effect) -> tuple[float, float, float]:
     """Return an effect and the ends of its interval in the unit of its measure; NaN for none.
 
     An effect that is the same in every realisation has no interval: its width would be that of
@@ -113,9 +117,11 @@ def _count_units(effect: Effect) -> int:
     return len(effect.measured.units) or effect.difference.points
 
 
-def _effect_text(effect: Effect, units: str) -> str:
+def _format_effect(effect: Effect, units: str) -> str:
     """Format an effect with its interval in the unit of its measure, and if all `units` agree."""
-    value, low, high = (significant(0.0 if abs(n) < 1e-4 else n, 2) for n in effect_numbers(effect))
+    value, low, high = (
+        significant(0.0 if abs(n) < 1e-4 else n, 2) for n in convert_effect_and_interval(effect)
+    )
     if not np.isfinite(effect.difference.mean.low):
         return f"{value} (no interval)"
     if effect.difference.is_constant:

@@ -26,22 +26,22 @@ def one_line(text: str) -> str:
     return "".join(" " if unicodedata.category(c) in _NOT_SHOWN else c for c in text)
 
 
-def markdown_text(text: str) -> str:
+def escape_markdown(text: str) -> str:
     """Escape text within a line of Markdown: no HTML, link or picture; marks such as ` stay."""
     return _LINK.sub(r"]\\", _TAG.sub("&lt;", one_line(text)))
 
 
-def markdown_line(text: str) -> str:
+def escape_markdown_paragraph(text: str) -> str:
     """Escape a paragraph of Markdown, so that it is no heading, list or block of code."""
-    return _BLOCK.sub(r"\\", markdown_text(text).lstrip())
+    return _BLOCK.sub(r"\\", escape_markdown(text).lstrip())
 
 
-def markdown_cell(text: str) -> str:
+def escape_markdown_cell(text: str) -> str:
     """Escape a text for a cell of a Markdown table."""
-    return _PIPE.sub(r"\1\1\\|", markdown_text(text))
+    return _PIPE.sub(r"\1\1\\|", escape_markdown(text))
 
 
-def csv_bytes(table: pd.DataFrame) -> bytes:
+def encode_csv(table: pd.DataFrame) -> bytes:
     """Encode a table as CSV; an apostrophe precedes texts that a spreadsheet takes for formulas."""
     named = table.rename(columns={name: _disarm_formula(name) for name in table.columns})
     texts = [i for i, dtype in enumerate(named.dtypes) if not pd.api.types.is_numeric_dtype(dtype)]
@@ -79,7 +79,7 @@ class Table:
     folded: bool = False
 
     @classmethod
-    def of(cls, rows: Sequence[Mapping[str, str]], title: str = "", **more: Any) -> Self:
+    def from_rows(cls, rows: Sequence[Mapping[str, str]], title: str = "", **more: Any) -> Self:
         """Build a table from rows that map column heads to text cells."""
         return cls(tuple(rows[0]), tuple(tuple(row.values()) for row in rows), title, **more)
 
@@ -99,26 +99,29 @@ class Table:
         return len(self.rows[self.shown :]) if self.shown is not None else 0
 
 
-def markdown_table(
+def make_markdown_table(
     heads: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1
 ) -> str:
     """Return a Markdown table; columns after the first `text_columns` are right-aligned."""
     align = [":--" if i < text_columns else "--:" for i in range(len(heads))]
-    lines = (" | ".join(map(markdown_cell, cells)) for cells in [heads, align, *rows])
+    lines = (" | ".join(map(escape_markdown_cell, cells)) for cells in [heads, align, *rows])
     return "\n".join(f"| {line} |" for line in lines)
 
 
-def markdown_document(title: str, lines: Sequence[str], tables: Sequence[Table]) -> str:
+def make_markdown_document(title: str, lines: Sequence[str], tables: Sequence[Table]) -> str:
     """Return a Markdown document: the lines as a list, then the tables with titles and notes."""
-    parts = [f"# {markdown_text(title)}", "\n".join(f"- {markdown_text(line)}" for line in lines)]
+    parts = [
+        f"# {escape_markdown(title)}",
+        "\n".join(f"- {escape_markdown(line)}" for line in lines),
+    ]
     parts += [
-        f"## {markdown_text(t.title)}\n\n{markdown_line(t.note)}\n\n"
-        f"{markdown_table(t.heads, t.rows, t.text_columns)}"
+        f"## {escape_markdown(t.title)}\n\n{escape_markdown_paragraph(t.note)}\n\n"
+        f"{make_markdown_table(t.heads, t.rows, t.text_columns)}"
         for t in tables
     ]
     return "\n\n".join(parts) + "\n"
 
 
-def html_table(table: Table) -> str:
+def format_table_as_html(table: Table) -> str:
     """Return the table as plain HTML, which a notebook displays."""
     return make_html_table(table.heads, table.rows, title=table.title, note=table.note)

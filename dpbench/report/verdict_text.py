@@ -21,15 +21,15 @@ from dpbench.analysis.verdict.findings import STATES, Finding, State
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, outcome_cause
 from dpbench.report.formats import (
-    and_list,
     as_float,
-    count_text,
-    error_text,
+    format_count,
+    format_error,
+    format_share,
+    format_time,
+    join_with_and,
     plural,
-    share_text,
     significant,
     strip_markdown,
-    time_text,
 )
 from dpbench.report.words import read_words
 from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
@@ -41,7 +41,7 @@ MOST_NAMED = 3
 NOBODY = "No solver was run, so there is nothing to judge."
 
 
-def requirements_text(requirements: Requirements) -> str:
+def describe_requirements(requirements: Requirements) -> str:
     """State the limits on a solver's error, failed steps and time in one sentence."""
     share = f"{100.0 * requirements.p99_ms / requirements.deadline_ms:.2g}"
     failed = (
@@ -80,78 +80,80 @@ def count_solvers(verdicts: Verdicts) -> str:
     return "; ".join(wording)
 
 
-def own_settings_lines(verdicts: Verdicts) -> list[str]:
+def describe_own_settings(verdicts: Verdicts) -> list[str]:
     """State the verdict on each settings of one's own, and the best of each grid."""
     own = best_verdict_by_own_settings(verdicts)
     modes = [len(alike) for alike in group_own_settings(verdicts).values()]
     shown = zip(own[:MOST_OWN], modes, strict=False)
-    lines = [_own_settings_line(verdict, count) for verdict, count in shown]
+    lines = [_describe_verdict_on_settings(verdict, count) for verdict, count in shown]
     others = len(own) - MOST_OWN
     more = [f"{others} more settings: tables/verdicts.csv."] if others > 0 else []
-    return [*lines, *more, *best_of_grids(own)]
+    return [*lines, *more, *describe_best_of_grids(own)]
 
 
-def _own_settings_name(verdict: Verdict) -> str:
+def _name_own_settings(verdict: Verdict) -> str:
     """Name a solver with settings of one's own, such as `osqp[rho=1.6]` or `osqp mine`."""
     c = verdict.configuration
     return f"{c.solver} {c.settings}" if c.options_text else f"{c.solver}[{c.settings}]"
 
 
-def _own_settings_line(verdict: Verdict, modes: int) -> str:
+def _describe_verdict_on_settings(verdict: Verdict, modes: int) -> str:
     """State verdict, error, failed steps and p99 of a solver at settings of one's own.
 
     modes : number of call modes of these settings, of which the verdict is the best.
     """
     c = verdict.configuration
     best = f", best of {modes} call modes" if modes > 1 else ""
-    name = f"{_own_settings_name(verdict)} ({c.route} {c.policy}{best})"
+    name = f"{_name_own_settings(verdict)} ({c.route} {c.policy}{best})"
     if verdict.refusal:
         return f"{name}: {verdict.state}: {verdict.refusal}."
     findings = verdict.causes or verdict.missing
     why = f": {strip_markdown(describe_finding(findings[0]))}" if findings else ""
     return (
-        f"{name}: {verdict.state}, largest error {error_text(verdict.error_move)}, "
-        f"{verdict.failed_steps} failed, p99 {time_text(verdict.p99_ns)}{why}."
+        f"{name}: {verdict.state}, largest error {format_error(verdict.error_move)}, "
+        f"{verdict.failed_steps} failed, p99 {format_time(verdict.p99_ns)}{why}."
     )
 
 
-def best_of_grids(own: Sequence[Verdict]) -> list[str]:
+def describe_best_of_grids(own: Sequence[Verdict]) -> list[str]:
     """Name the best of three or more settings of a solver that set the same options.
 
     Also the options of which it has the least or largest value that was tried.
     """
-    grids = group_by(own, lambda v: (v.configuration.solver, tuple(_option_values(v))))
-    return [_best_of_grid(points) for points in grids.values() if len(points) >= LEAST_POINTS]
+    grids = group_by(own, lambda v: (v.configuration.solver, tuple(_format_options_by_name(v))))
+    return [
+        _describe_best_of_grid(points) for points in grids.values() if len(points) >= LEAST_POINTS
+    ]
 
 
-def _option_values(verdict: Verdict) -> dict[str, str]:
+def _format_options_by_name(verdict: Verdict) -> dict[str, str]:
     """Return the options of a verdict's configuration as text, by name."""
     return format_each_option_as_toml(decode_options_from_json(verdict.configuration.options))
 
 
-def _best_of_grid(points: Sequence[Verdict]) -> str:
+def _describe_best_of_grid(points: Sequence[Verdict]) -> str:
     """State the best of several settings of a solver, and whether it is at the grid's edge."""
-    best = min(points, key=_grid_rank)
+    best = min(points, key=_make_sort_key_in_grid)
     edges = []
-    for option, value in _option_values(best).items():
-        numbers = (as_float(_option_values(verdict)[option]) for verdict in points)
+    for option, value in _format_options_by_name(best).items():
+        numbers = (as_float(_format_options_by_name(verdict)[option]) for verdict in points)
         tried = {number for number in numbers if math.isfinite(number)}
         at = as_float(value)
         if len(tried) >= LEAST_POINTS and at in (min(tried), max(tried)):
             edges.append(option)
-    edge = f", at the edge of the grid in {and_list(edges)}: widen it" if edges else ""
+    edge = f", at the edge of the grid in {join_with_and(edges)}: widen it" if edges else ""
     solver = best.configuration.solver
     return f"Best of {len(points)} settings of {solver}: {best.configuration.settings}{edge}."
 
 
-def _grid_rank(verdict: Verdict) -> tuple[int, float]:
+def _make_sort_key_in_grid(verdict: Verdict) -> tuple[int, float]:
     """Return a sort key: from pass to fail, then by time where it passes, else by error."""
     in_time = verdict.state in ("pass", "borderline", "late")
     figure = verdict.p99_ns if in_time else verdict.error_move
     return STATES.index(verdict.state), figure if math.isfinite(figure) else math.inf
 
 
-def stopped_runs_text(runs: Sequence[RunRecord]) -> str:
+def describe_stopped_runs(runs: Sequence[RunRecord]) -> str:
     """State how many runs their time limit stopped, and of which configurations; "" for none."""
     ran = [run for run in runs if run.outcome != "refused"]
     stopped = [run.configuration.label for run in ran if run.outcome == "timed_out"]
@@ -169,10 +171,10 @@ def name_counts(counts: Sequence[tuple[str, int]]) -> str:
     named = [f"{count} of {name}" for name, count in ordered[:MOST_NAMED]]
     more = len(ordered) - MOST_NAMED
     rest = [f"{sum(n for _, n in ordered[MOST_NAMED:])} of {more} more"] if more > 0 else []
-    return and_list([*named, *rest])
+    return join_with_and([*named, *rest])
 
 
-def deployment_facts(solver: str) -> str:
+def describe_deployment(solver: str) -> str:
     """State a solver's licence, its language, and whether it generates C code."""
     known = find_solver_record_or_none(solver)
     if known is None:
@@ -201,14 +203,16 @@ def explain_no_recommendation(
     return "Nothing is recommended: no solver passes in any configuration that was run."
 
 
-def usual_time_text(verdict: Verdict) -> str:
+def format_usual_time(verdict: Verdict) -> str:
     """Format a configuration's p99 step time, or its p50 if there are too few steps."""
     if verdict.p99_run is None or math.isnan(verdict.p99_ns):
-        return f"p50 {time_text(verdict.p50_ns)} in the replay of {verdict.timed_on}"
-    return f"p99 {time_text(verdict.p99_ns)} in {strip_markdown(experiment_text(verdict.p99_run))}"
+        return f"p50 {format_time(verdict.p50_ns)} in the replay of {verdict.timed_on}"
+    return (
+        f"p99 {format_time(verdict.p99_ns)} in {strip_markdown(name_experiment(verdict.p99_run))}"
+    )
 
 
-def paired_text(compared: PairedComparison) -> str:
+def describe_paired_times(compared: PairedComparison) -> str:
     """State the ratio of two configurations' step times, with its interval or why it has none."""
     if compared.steps == 0:
         return "no step was replayed by both"
@@ -238,37 +242,37 @@ def describe_finding(finding: Finding) -> str:
     if not finding.runs:
         return _WORDS[finding.kind].format(**words)
     first, *others = finding.runs
-    also = _experiments_text(others)
+    also = _name_experiments(others)
     # Failures in replays are counted in the warm-up, too: their number may exceed that of steps.
     in_rounds = finding.kind == "failed" and first.mode == "replay"
     return _WORDS["failed answers" if in_rounds else finding.kind].format(
         **words,
-        where=experiment_text(first),
-        experiments=_experiments_text(finding.runs),
+        where=name_experiment(first),
+        experiments=_name_experiments(finding.runs),
         detail=outcome_cause(first),
         outcome=first.outcome,
-        planned=count_text(first.steps_planned),
+        planned=format_count(first.steps_planned),
         done=plural(first.steps_done, "step"),
         counted=plural(finding.value, "step"),
-        error=error_text(finding.value),
-        time=time_text(finding.value),
-        share=share_text(finding.value),
+        error=format_error(finding.value),
+        time=format_time(finding.value),
+        share=format_share(finding.value),
         timings=plural(finding.steps, "timing"),
-        machine=share_text(finding.machine),
-        net=time_text(finding.machine),
+        machine=format_share(finding.machine),
+        net=format_time(finding.machine),
         also=f" (also in {also})" if also else "",
         some_also=f" (some also in {also})" if also else "",
         also_over=f" (over the requirements also in {also})" if also else "",
     )
 
 
-def answer_text(steps: RunSteps, at: int) -> str:
+def describe_answer(steps: RunSteps, at: int) -> str:
     """Describe a solver's answer at one step: claimed solved or not, true or not."""
     claimed = "claimed" if steps.claimed[at] else "not claimed"
     return f"{claimed}, {'true' if steps.true[at] else 'not true'}"
 
 
-def experiment_text(row: RunRecord) -> str:
+def name_experiment(row: RunRecord) -> str:
     """Name the scenario, replay or hardest steps that a run solved."""
     if row.window_of:
         return f"the hardest steps of `{row.scenario}`"
@@ -277,7 +281,7 @@ def experiment_text(row: RunRecord) -> str:
     return f"`{row.scenario}`"
 
 
-def _experiments_text(rows: Sequence[RunRecord]) -> str:
+def _name_experiments(rows: Sequence[RunRecord]) -> str:
     """List scenarios and replays of some runs as text."""
     loops = [f"`{row.scenario}`" for row in rows if row.mode != "replay"]
     windows = [f"`{row.scenario}`" for row in rows if row.window_of]
@@ -287,10 +291,10 @@ def _experiments_text(rows: Sequence[RunRecord]) -> str:
         loops.append(f"the {word} of {' and '.join(replays)}")
     if windows:
         loops.append(f"the hardest steps of {' and '.join(windows)}")
-    return and_list(loops)
+    return join_with_and(loops)
 
 
-def judged_runs_text(verdict: Verdict) -> str:
+def describe_judged_runs(verdict: Verdict) -> str:
     """State on how many closed loops and replays a configuration was judged."""
     kinds = {"closed loop": verdict.loops, "replay": verdict.replays, "window": verdict.windows}
-    return and_list([plural(count, kind) for kind, count in kinds.items() if count])
+    return join_with_and([plural(count, kind) for kind, count in kinds.items() if count])

@@ -12,16 +12,16 @@ from dpbench.display import format_numbers_with_units
 from dpbench.report import formats
 
 FILTERS = {
-    "and_list": formats.and_list,
-    "count": formats.count_text,
-    "error": formats.error_text,
+    "and_list": formats.join_with_and,
+    "count": formats.format_count,
+    "error": formats.format_error,
     "numbers": format_numbers_with_units,
     "plural": formats.plural,
-    "seconds": formats.seconds_text,
-    "share": formats.share_text,
+    "seconds": formats.format_seconds,
+    "share": formats.format_share,
     "significant": formats.significant,
-    "time": formats.time_text,
-    "toml": formats.toml_text,
+    "time": formats.format_time,
+    "toml": formats.format_as_toml,
 }
 
 

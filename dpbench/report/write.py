@@ -16,10 +16,14 @@ from dpbench.files.writing import (
 )
 from dpbench.report.charts.render import FORMATS, can_draw, encode_figure
 from dpbench.report.csv_tables import write_tables
-from dpbench.report.documents.markdown import compare_solver, report_markdown, worst_text
+from dpbench.report.documents.markdown import (
+    compare_solver,
+    format_worst_steps,
+    make_report_markdown,
+)
 from dpbench.report.documents.sent import PAGE, prepare_sent_folder
 from dpbench.report.documents.statement import write_statement
-from dpbench.report.page.write import page_html
+from dpbench.report.page.write import make_page_html
 from dpbench.report.report import Report
 
 
@@ -83,7 +87,7 @@ def write_report_with_summary(
             load_capability_plots(folder),
             load_counted_steps_of_folder(folder),
         )
-        report = Report.of(load_results(folder), *beside_it)
+        report = Report.from_results(load_results(folder), *beside_it)
         comment, worst = ("", []) if solver is None else compare_solver(report, solver, against)
         drawn, tables = (
             make_folder_if_missing(folder / "figures"),
@@ -93,7 +97,7 @@ def write_report_with_summary(
             write_statement(Path(statement), folder, report.results, report.data)
         _write_figures(drawn, report, ("svg", *figures))
         write_tables(tables, report.tables)
-        write_text_atomically(folder / "report.md", report_markdown(report))
+        write_text_atomically(folder / "report.md", make_report_markdown(report))
         page = folder / "report.html"
         write_text_atomically(page, _render_report_page(folder, report))
         if send is not None:
@@ -104,14 +108,16 @@ def write_report_with_summary(
         ended = report.summary_rows()
         if solver is not None:
             write_text_atomically(folder / f"{solver}.md", comment)
-            ended += [*worst_text(worst), ("comment", str(folder / f"{solver}.md"))]
+            ended += [*format_worst_steps(worst), ("comment", str(folder / f"{solver}.md"))]
     return page, ended
 
 
 def _render_report_page(folder: Path, report: Report, *, light: bool = False) -> str:
     """Return the report page of a folder as HTML; `light` leaves out the scripts."""
     r, light = report, light or not can_draw()
-    return page_html(folder, r.results, r.data, r.recommendation, r.charts, r.topics, light=light)
+    return make_page_html(
+        folder, r.results, r.data, r.recommendation, r.charts, r.topics, light=light
+    )
 
 
 def _write_figures(folder: Path, report: Report, formats: Sequence[str]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.errors import InputError, PolicyError, require_integer_at_least
-from dpbench.report.formats import and_list
+from dpbench.report.formats import join_with_and
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, list_public_settings_attributes
 from dpbench.solvers.contract import Options, Policy, Route
 from dpbench.solvers.own_settings import (
@@ -144,8 +144,8 @@ def _list_remarks(
     remarks = []
     if policy == "warm" and thinned:
         remarks.append(
-            f"warm starts on {and_list(thinned)} begin far from the solution, and their times are "
-            "not those of a control loop; name scenarios, as --train paper --steps 300"
+            f"warm starts on {join_with_and(thinned)} begin far from the solution, and their times "
+            "are not those of a control loop; name scenarios, as --train paper --steps 300"
         )
     edges = space.describe_edges(start or {})
     return remarks + [f"your settings lie at the edge of the searched range, {e}" for e in edges]
@@ -202,7 +202,9 @@ def _describe_searched(adapter: _Adapter, space: SearchSpace) -> list[str]:
         if name not in searched
     ]
     if kept:
-        lines.append(f"not searched: {and_list(kept)}; a step that needs more iterations fails")
+        lines.append(
+            f"not searched: {join_with_and(kept)}; a step that needs more iterations fails"
+        )
     if among := [name for name in limits if name in searched]:
-        lines.append(f"{and_list(among)}: a step that needs more iterations fails")
+        lines.append(f"{join_with_and(among)}: a step that needs more iterations fails")
     return lines

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.requirements import Requirements, is_right
-from dpbench.report.formats import and_list, error_text, significant, time_text
+from dpbench.report.formats import format_error, format_time, join_with_and, significant
 from dpbench.report.table import Table
 from dpbench.solvers.own_settings import format_options_as_toml
 from dpbench.tuning.campaigns import TunedSolver, score_runs, step_times_ns
@@ -24,7 +24,7 @@ class TunedRole:
     title: str
     runs: Mapping[str, Sequence[RunRecord]]
 
-    def summary(self, requirements: Requirements) -> str:
+    def summarise_best_settings(self, requirements: Requirements) -> str:
         """State whether the best settings are right, and their step time beside the presets."""
         best = self.runs[BEST]
         wrong = sum(not is_right(run, requirements) for run in best)
@@ -80,7 +80,7 @@ class Tuning:
                 run.sequence,
                 name,
                 _step_time_text(run),
-                error_text(run.error_move_max),
+                format_error(run.error_move_max),
                 "yes" if is_right(run, limit) else "no",
             )
             for role in self.roles
@@ -127,7 +127,7 @@ class Tuning:
             ]
         return [
             f"{role.title} sequences ({', '.join(run.sequence for run in role.runs[BEST])}): "
-            f"{role.summary(self.solver.requirements)}"
+            f"{role.summarise_best_settings(self.solver.requirements)}"
             for role in self.roles
         ]
 
@@ -138,7 +138,7 @@ class Tuning:
         parts = [f"{left} of {self.request.trials} settings to try"] if left else []
         parts.append("the measurement on test sequences, beside the presets")
         go_on = "the same command goes on"
-        return [f"interrupted, not done: {and_list(parts)}; {go_on}"] * self.is_interrupted
+        return [f"interrupted, not done: {join_with_and(parts)}; {go_on}"] * self.is_interrupted
 
     @property
     def toml(self) -> str:
@@ -159,4 +159,4 @@ class Tuning:
 def _step_time_text(run: RunRecord) -> str:
     """Format the step time that a run is ranked by, with its name unless it is the p99."""
     name, time_ns = next(iter(step_times_ns(run).items()))
-    return time_text(time_ns) if name == "p99" else f"{name} {time_text(time_ns)}"
+    return format_time(time_ns) if name == "p99" else f"{name} {format_time(time_ns)}"

@@ -68,7 +68,7 @@ class ControllerTuning:
     paths: Sequence[Path]
 
     @property
-    def own(self) -> Trial[LoopScore]:
+    def trial_of_own_controller(self) -> Trial[LoopScore]:
         """The trial of the scenario's own controller."""
         return self.trials[0]
 
@@ -82,7 +82,7 @@ class ControllerTuning:
         """Table with a row for each trial: options, share, wear_per_h, kind."""
         front = {trial.name for trial in find_front(self.trials)}
         kinds = {trial.name: "front" if trial.name in front else "tried" for trial in self.trials}
-        kinds |= {self.own.name: "own"} | {self.chosen.name: "chosen"}
+        kinds |= {self.trial_of_own_controller.name: "own"} | {self.chosen.name: "chosen"}
         rows = [{**t.options, **asdict(t.score), "kind": kinds[t.name]} for t in self.trials]
         return pd.DataFrame(rows)
 
@@ -98,7 +98,7 @@ class ControllerTuning:
         return [
             f"{verdict}: {self.chosen.name}",
             f"search, {self.seas}: {_describe_score(self.chosen.score)}; own controller "
-            f"{_describe_score(self.own.score)}",
+            f"{_describe_score(self.trial_of_own_controller.score)}",
             f"fresh realisations, {held} {limit}: {_describe_score(self.fresh)}; own controller "
             f"{_describe_score(self.own_fresh)}",
             *(f"wrote {path}" for path in self.paths),

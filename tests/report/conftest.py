@@ -26,7 +26,7 @@ class Written:
         self.markdown = (folder / "report.md").read_text(encoding="utf-8")
         self.html = self.page.read_text(encoding="utf-8")
         self.results: Results = load_results(folder)
-        self.report = Report.of(self.results)
+        self.report = Report.from_results(self.results)
 
 
 @pytest.fixture(scope="session")

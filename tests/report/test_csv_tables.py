@@ -73,7 +73,7 @@ def test_a_table_that_the_page_cuts_is_whole_in_its_file(records: Any, tmp_path:
     rows = tuple((str(i),) for i in range(9))
     topic = Topic("some", "Some", tables=(Table(("i",), rows, shown=4),))
     records.loop("daqp", steps=20)
-    report = Report.of(records.results())
+    report = Report.from_results(records.results())
     tables = build_tables(report.results, report.data, report.recommendation, [topic])
     assert tables["some"]["i"].tolist() == [row[0] for row in rows]
     assert "some_2" not in tables

@@ -12,31 +12,31 @@ from jinja2.defaults import DEFAULT_FILTERS
 
 import dpbench.report
 from dpbench.report import formats
-from dpbench.report.table import markdown_table
+from dpbench.report.table import make_markdown_table
 from dpbench.report.words import FILTERS, fill_template
 
 REPORT = Path(dpbench.report.__file__).parent
 FILES = sorted(file for file in REPORT.rglob("*.toml") if file.with_suffix(".py").exists())
 PRINTED: list[tuple[Callable[[Any], str], dict[Any, str]]] = [
     (
-        formats.time_text,
+        formats.format_time,
         {7.0: "7.00 ns", 999.9: "1.00 µs", 28_449.0: "28.4 µs", 999_960.0: "1.00 ms"}
         | {3e6: "3.00 ms", 5e9: "5.00 s", nan: "–"},
     ),
     (
-        formats.error_text,
+        formats.format_error,
         {1.23e-9: "1.2e-09", 0.43: "0.43", 0.0: "0", inf: "no answer", nan: "–", 4.2e3: "4.2e+03"},
     ),
     (
-        formats.share_text,
+        formats.format_share,
         {1.0: "100 %", 0.99999: "99.9 %", 1e-5: "0.1 %", 0.0: "0 %", 0.1234: "12.3 %"},
     ),
     (
         formats.significant,
         {0.0: "0", 1234.5: "1230", 123456.0: "123\u202f000", 9.996: "10.0", 1e-6: "1.00e-06"},
     ),
-    (formats.count_text, {None: "–", nan: "–", 12: "12"}),
-    (lambda words: formats.and_list(list(words)), {"": "", "a": "a", "abc": "a, b and c"}),
+    (formats.format_count, {None: "–", nan: "–", 12: "12"}),
+    (lambda words: formats.join_with_and(list(words)), {"": "", "a": "a", "abc": "a, b and c"}),
 ]
 
 
@@ -47,7 +47,7 @@ def test_numbers_and_lists(text: Callable[[Any], str], printed: dict[Any, str]) 
 
 
 def test_pipes_do_not_break_markdown() -> None:
-    text = markdown_table(("a", "b"), (("x | y", "1"),))
+    text = make_markdown_table(("a", "b"), (("x | y", "1"),))
     assert text.splitlines() == ["| a | b |", "| :-- | --: |", "| x \\| y | 1 |"]
 
 

@@ -26,14 +26,18 @@ from dpbench.cli.listing import list_table
 from dpbench.qp.random_sequence import FAMILIES
 from dpbench.qp.referee.optimum import Kind
 from dpbench.qp.solution import Status
-from dpbench.report.compare.comparison import changes_table, solvers_table, times_table
-from dpbench.report.glossary import glossary_markdown, term_meanings, topics
+from dpbench.report.compare.comparison import (
+    make_changes_table,
+    make_solvers_table,
+    make_times_table,
+)
+from dpbench.report.glossary import format_glossary_as_markdown, term_meanings, topics
 from dpbench.report.page.terms import PHRASES, Terms
 from dpbench.report.report import BESIDE, TERMINAL_NOTES
 from dpbench.report.table import Table
-from dpbench.report.topics.capability import consequence_row
-from dpbench.report.topics.study import study_topic
-from dpbench.report.topics.thrusters import wear_row
+from dpbench.report.topics.capability import make_consequence_row
+from dpbench.report.topics.study import build_study_topic
+from dpbench.report.topics.thrusters import make_wear_row
 from dpbench.scenario.scenario import load_vessel
 from dpbench.solvers.record import POLICIES
 from dpbench.solvers.settings import LEVELS
@@ -105,7 +109,11 @@ def test_every_word_that_a_run_ends_with_is_explained(records: Any) -> None:
 
 @pytest.mark.parametrize(
     "table",
-    [solvers_table([TIMED], []), times_table([TIMED], 0.05, 0.05), changes_table([CHANGED], 0.05)],
+    [
+        make_solvers_table([TIMED], []),
+        make_times_table([TIMED], 0.05, 0.05),
+        make_changes_table([CHANGED], 0.05),
+    ],
     ids=["solvers", "times", "answers"],
 )
 def test_every_head_of_a_comparison_is_explained(table: Table) -> None:
@@ -151,17 +159,17 @@ def test_every_head_of_a_table_of_the_page_is_explained(written: Any) -> None:
 
 def test_every_head_of_a_consequence_analysis_is_explained() -> None:
     answers = BatchAnswers("daqp", "daqp", 1, 1, 0, 1, 0, 0, 0, p99=0.01, largest=0.02)
-    heads = set(consequence_row(answers, [True]))
+    heads = set(make_consequence_row(answers, [True]))
     assert len(heads) == 9
     assert heads <= _spoken()
 
 
 @pytest.mark.slow
 def test_every_head_of_a_study_and_of_thrusters_is_explained(records: Any) -> None:
-    topic = study_topic(find_studies(of_seas(records).view()))
+    topic = build_study_topic(find_studies(of_seas(records).view()))
     heads = {re.sub(r" \[.*\]$", "", head) for table in topic.tables for head in table.heads}
     assert len(heads) > 8
-    assert {*heads, *wear_row("", [], {}, Requirements())} <= _spoken()
+    assert {*heads, *make_wear_row("", [], {}, Requirements())} <= _spoken()
 
 
 def test_a_term_is_explained_once_and_in_a_sentence() -> None:
@@ -171,7 +179,7 @@ def test_a_term_is_explained_once_and_in_a_sentence() -> None:
 
 
 def test_the_page_of_the_documentation_is_the_glossary() -> None:
-    assert DOCS.read_text(encoding="utf-8") == glossary_markdown()
+    assert DOCS.read_text(encoding="utf-8") == format_glossary_as_markdown()
 
 
 def test_a_term_is_linked_where_a_section_names_it_first() -> None:
@@ -181,7 +189,7 @@ def test_a_term_is_linked_where_a_section_names_it_first() -> None:
     assert output.startswith('<a class="term" href="#word-replay"')
     assert f'title="{escape(term_meanings()["replay"])}">Replays</a>' in output
     assert "<a " not in terms("The requirements again.")
-    terms.section()
+    terms.start_section()
     assert "<a " in terms("The requirements in a new section.")
     assert [word.term for word in terms.words] == ["replay", "requirements"]
 

@@ -8,7 +8,7 @@ import pytest
 
 from dpbench.analysis.suites.paper import Law
 from dpbench.analysis.times.solver_tables import TIMES
-from dpbench.report.charts.ship_tables import error_panels, force_panels, path_tables
+from dpbench.report.charts.ship_tables import make_error_panels, make_force_panels, make_path_tables
 from dpbench.scenario.scenario import load_scenario
 
 pytest.importorskip("matplotlib", reason="an extra")
@@ -41,7 +41,7 @@ def _legend(figure: Any) -> list[str]:
 
 
 def test_the_path_has_a_line_for_each_law_and_equal_axes() -> None:
-    figure = _printed().draw_path(path_tables(LAWS, SCENARIO))
+    figure = _printed().draw_path(make_path_tables(LAWS, SCENARIO))
     (axes,) = figure.axes
     by_label = {line.get_label(): line for line in axes.lines}
     assert _legend(figure) == ["daqp", "clipped", "start", "reference"]
@@ -52,7 +52,7 @@ def test_the_path_has_a_line_for_each_law_and_equal_axes() -> None:
 
 
 def test_errors_have_four_panels_and_the_circle_in_the_last() -> None:
-    figure = _printed().draw_panels(error_panels(LAWS, SCENARIO))
+    figure = _printed().draw_panels(make_error_panels(LAWS, SCENARIO))
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert labels == ["north [m]", "east [m]", "heading [°]", "radial [m]"]
     assert [len(axes.lines) for axes in figure.axes] == [2, 2, 2, 3]
@@ -64,7 +64,7 @@ def test_errors_have_four_panels_and_the_circle_in_the_last() -> None:
 
 
 def test_limits_of_forces_are_drawn_or_named() -> None:
-    figure = _printed().draw_panels(force_panels(LAWS, SCENARIO))
+    figure = _printed().draw_panels(make_force_panels(LAWS, SCENARIO))
     surge, sway, yaw = figure.axes
     notes = [axes.texts[0].get_text() for axes in figure.axes]
     assert (len(surge.lines), len(sway.lines), len(yaw.lines)) == (2, 4, 2)
@@ -131,5 +131,5 @@ def test_accuracy_has_hollow_points_for_what_does_not_pass() -> None:
 
 @pytest.mark.slow
 def test_a_notebook_gets_a_picture() -> None:
-    figure = _printed().draw_panels(error_panels(LAWS, SCENARIO))
+    figure = _printed().draw_panels(make_error_panels(LAWS, SCENARIO))
     assert figure._repr_png_().startswith(b"\x89PNG")

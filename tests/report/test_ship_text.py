@@ -11,7 +11,7 @@ import pytest
 from dpbench import load_results, open_workspace, run_closed_loop
 from dpbench.analysis.verdict.ship_results import ship_results
 from dpbench.cli.main import main
-from dpbench.report.documents.markdown import report_markdown
+from dpbench.report.documents.markdown import make_report_markdown
 from dpbench.report.report import Report
 from dpbench.report.ship_text import BANNER, NOT_RUN, ShipSummary, summarise_ships
 from dpbench.scenario.scenario import load_scenario
@@ -211,14 +211,14 @@ def test_no_solver_is_recommended_before_the_ship(records: Any) -> None:
     """Report.md, the terminal's rows, the page's data: the banner comes first, none advises."""
     records.loop("daqp", **LOST)
     records.replay("daqp")
-    report = Report.of(records.results())
+    report = Report.from_results(records.results())
     assert "caution" not in dict(report.summary_rows())
     alone = (
         "As a solver of these QPs alone, daqp (qpsolvers, fresh, default) passes: right on every"
     )
     assert report.recommendation.sentence.startswith(alone)
     assert [about for about, _ in report.summary_rows()][:3] == ["warning", "ship", "answer"]
-    first, _, rest = report_markdown(report).partition(alone)
+    first, _, rest = make_report_markdown(report).partition(alone)
     assert f"**{BANNER}" in first and BANNER not in rest
 
 

@@ -148,7 +148,7 @@ class Results(Soaked):
         for table in results.recorded.scan(ALL_COLUMNS):
             len(table)
         if rng.random() < REPORTED:
-            _ = Report.of(results, designs, None, plots, counts).figures
+            _ = Report.from_results(results, designs, None, plots, counts).figures
 
 
 REPORTED = 0.05

@@ -30,7 +30,7 @@ from dpbench.bench.engines.engine import (
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome, RecordedSource
 from dpbench.bench.record.machine import describe_machine
-from dpbench.bench.sequences.source import is_readable, source_file
+from dpbench.bench.sequences.source import choose_source_file, is_readable
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result
 from dpbench.errors import CertificateError, InputError
 from dpbench.files.writing import write_bytes_atomically
@@ -253,7 +253,7 @@ def _read_or_make_source(cell: Cell, path: Path) -> on_worker.MadeFile:
     """Return the file of a run's QPs as bytes; make it where it is missing."""
     if not is_readable(cell, path):
         try:
-            source_file(cell).make(path)
+            choose_source_file(cell).make_file(path)
         except (CertificateError, InputError) as error:
             return on_worker.MadeFile(Outcome("invalid", str(error)))
     return on_worker.MadeFile(Outcome("finished", ""), path.read_bytes())

@@ -26,11 +26,11 @@ from dpbench.bench.workers.jobs import (
     Kind,
     Result,
     Target,
-    cell_label,
     choose_batch_seconds,
     count_steps,
     cut_into_groups,
     group_by_source,
+    make_cell_label,
     split_into_batches,
 )
 from dpbench.bench.workers.worker import make_source
@@ -213,7 +213,7 @@ class Dispatcher:
         """Advance the progress by a finished run; release its QP file after its last user."""
         shown = min(batch.shown_work, count_steps(job.cell))
         batch.shown_work -= shown
-        self._progress.advance(count_steps(job.cell) - shown, cell_label(job.cell))
+        self._progress.advance(count_steps(job.cell) - shown, make_cell_label(job.cell))
         key = job.source_key
         self._left[key] -= 1
         self._uses[key] -= 1

@@ -69,7 +69,7 @@ def read_replay(cell: Cell, path: Path) -> ReplayInput:
     key = cell.problem_key, path
     if key not in _latest:
         _latest.clear()
-        known = source_file(cell).load(path)
+        known = choose_source_file(cell).load_replay_input(path)
         _latest[key] = replace(known, optima=known.optima or certify_all_steps(known.sequence))
     return _latest[key]
 
@@ -77,7 +77,7 @@ def read_replay(cell: Cell, path: Path) -> ReplayInput:
 def is_readable(cell: Cell, path: Path) -> bool:
     """Return whether the file of a run's QPs can be read to its end."""
     try:
-        source_file(cell).check(path)
+        choose_source_file(cell).refuse_damaged_file(path)
     except InputError:
         return False
     return True
@@ -86,7 +86,7 @@ def is_readable(cell: Cell, path: Path) -> bool:
 def log_size(cell: Cell, path: Path) -> int:
     """Return the size of a run's raw log [B]; ResultsError where its file of QPs is missing."""
     with open_arrays(path) as stored:
-        n, m = source_file(cell).size(stored)
+        n, m = choose_source_file(cell).read_n_and_m(stored)
         if cell.mode == "closed_loop":
             n_theta, n_f = stored["theta"].shape[1], stored["thrust"].shape[1]
             sizes = n, m, n_theta, n_f, read_allocation_sizes(stored)
@@ -100,13 +100,13 @@ class _LoopFile:
 
     cell: Cell
 
-    def make(self, path: Path) -> None:
+    def make_file(self, path: Path) -> None:
         """Solve the run's scenario exactly and write the closed loop to `path`."""
         solve_loop_exactly(
             build_or_reuse_scenario(self.cell.scenario).truncate(self.cell.steps_needed_in_file)
         ).save(path)
 
-    def load(self, path: Path) -> ReplayInput:
+    def load_replay_input(self, path: Path) -> ReplayInput:
         """Return the QPs of the replay along the loop in the file, with their optima."""
         cell = self.cell
         scenario, exact = build_or_reuse_scenario(cell.scenario), ExactLoop.load(path)
@@ -120,13 +120,13 @@ class _LoopFile:
         station = compute_station_metrics(scenario, exact, cell.steps_needed_in_file)
         return ReplayInput(sequence, scenario.sample_s, optima, station)
 
-    def check(self, path: Path) -> None:
+    def refuse_damaged_file(self, path: Path) -> None:
         """Read the whole file of a loop; ResultsError where it is damaged or has too few steps."""
         stored, needed = len(ExactLoop.load(path).theta), self.cell.steps_needed_in_file
         if stored < needed:
             raise ResultsError(str(path), "theta", f"{stored} steps", f"{needed} of them")
 
-    def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
+    def read_n_and_m(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
         """Return n and m of the run's QPs from the arrays of the file."""
         return stored["z"].shape[1], stored["optimum_y"].shape[1]
 
@@ -137,7 +137,7 @@ class _ConsequenceFile(_LoopFile):
 
     source: ConsequenceSource
 
-    def load(self, path: Path) -> ReplayInput:
+    def load_replay_input(self, path: Path) -> ReplayInput:
         """Return the consequence-analysis QPs of the replay's failure group, without optima."""
         cell, scenario = self.cell, build_or_reuse_scenario(self.cell.scenario)
         exact = ExactLoop.load(path)
@@ -154,7 +154,7 @@ class _ConsequenceFile(_LoopFile):
         station = compute_station_metrics(scenario, exact, cell.steps_needed_in_file)
         return ReplayInput(sequence, scenario.sample_s, None, station)
 
-    def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
+    def read_n_and_m(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
         """Return n and m of the consequence-analysis QPs."""
         thrusters, rows = select_thruster_rows(build_or_reuse_scenario(self.cell.scenario))
         return thrusters.n_f, AXES + len(rows.low)
@@ -163,18 +163,18 @@ class _ConsequenceFile(_LoopFile):
 class _SequenceFile:
     """File with a sequence of QPs and its certified optima."""
 
-    def load(self, path: Path) -> ReplayInput:
+    def load_replay_input(self, path: Path) -> ReplayInput:
         """Return the sequence of QPs in the file, with its optima and sample time."""
         recorded = load_recorded(path)
         # Random QPs, and some that others recorded, follow each other by no known time.
         sample_s = float(recorded.sequence.meta.get("sample_s", float("nan")))
         return ReplayInput(recorded.sequence, sample_s, recorded.optima)
 
-    def check(self, path: Path) -> None:
+    def refuse_damaged_file(self, path: Path) -> None:
         """Raise InputError where a file of QPs is damaged; the whole of it is read."""
         load_recorded(path)
 
-    def size(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
+    def read_n_and_m(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
         """Return n and m of the QPs from the arrays of the file."""
         return stored["q"].shape[1], stored["A"].shape[0]
 
@@ -185,7 +185,7 @@ class _RandomFile(_SequenceFile):
 
     source: RandomSource
 
-    def make(self, path: Path) -> None:
+    def make_file(self, path: Path) -> None:
         """Generate and certify the random QPs and write them to `path`."""
         sequence = generate_random_sequence(self.source.recipe)
         save_sequence(path, sequence, certify_all_steps(sequence))
@@ -197,7 +197,7 @@ class _CapabilityFile(_SequenceFile):
 
     source: CapabilitySource
 
-    def make(self, path: Path) -> None:
+    def make_file(self, path: Path) -> None:
         """Compute a ship's wind limits and write the plot and its QPs to `path`."""
         source = self.source
         vessel = build_vessel_from_documents(
@@ -212,7 +212,7 @@ class _RecordedFile(_SequenceFile):
 
     source: RecordedSource
 
-    def make(self, path: Path) -> None:
+    def make_file(self, path: Path) -> None:
         """Read recorded QPs, check their SHA-256, certify them and write them to `path`."""
         origin = resolve_sequence_path(self.source.path)
         actual, planned = hash_sequence_files(origin), self.source.sha256
@@ -226,13 +226,13 @@ class _RecordedFile(_SequenceFile):
 SourceFile = _LoopFile | _RandomFile | _CapabilityFile | _RecordedFile
 """The file behind the replays of one problem.
 
-`make` writes it, which may take long (CertificateError when it cannot be done), `load` returns the
-QPs of the cell, `check` reads all of it (ResultsError or InputError where it is damaged), and
-`size` returns n and m of the QPs by its arrays.
+`make_file` writes it, which may take long (CertificateError when it cannot be done),
+`load_replay_input` returns the QPs of the cell, `refuse_damaged_file` reads all of it (ResultsError
+or InputError where it is damaged), and `read_n_and_m` returns n and m of the QPs by its arrays.
 """
 
 
-def source_file(cell: Cell) -> SourceFile:
+def choose_source_file(cell: Cell) -> SourceFile:
     """Return the object that makes and reads the file of a run's QPs, by the kind of these QPs."""
     match cell.source:
         case ControllerSource() | HardestSource():

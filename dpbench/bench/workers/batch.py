@@ -111,7 +111,7 @@ class CellRun:
 
     def start(self, core: int) -> Child:
         """Start the process that does the batch's runs on a core."""
-        return self._start_process(self._cells, core)
+        return self._start_process_of_cells(self._cells, core)
 
     def start_next(self, child: Child, core: int) -> Child | None:
         """Record the outcomes of a batch's process; start the next one; None at the end."""
@@ -131,7 +131,7 @@ class CellRun:
             self._to_run = False
             ran = [cell for cell in self._cells if self._has_steps(cell)]
             rest = [replace(cell, outcome=self.outcomes[cell.name]) for cell in ran]
-        return self._start_process(rest, core) if rest else None
+        return self._start_process_of_cells(rest, core) if rest else None
 
     def _resume_hung_cell(self, ended: dict[str, Outcome]) -> list[BatchCell]:
         """Return the run killed in a hanging step, to be continued after that step; else none."""
@@ -175,7 +175,7 @@ class CellRun:
             return False
         return (self.folder / f"{cell.name}.raw").exists()
 
-    def _start_process(self, cells: Sequence[BatchCell], core: int) -> Child:
+    def _start_process_of_cells(self, cells: Sequence[BatchCell], core: int) -> Child:
         """Start a process on one core that runs cells, or judges those already run."""
         target, verdict = run_batch, "json"
         if not self._to_run:
@@ -219,7 +219,7 @@ class FileRun:
     def start(self, core: int) -> Child:
         """Start the process that makes the batch's files on a core."""
         texts, limit_s = self.batch.texts, self.batch.limit_s
-        return self._start_process(
+        return self._start_process_of_files(
             [FileTask(text, path, limit_s) for path, text in texts.items()], core
         )
 
@@ -230,9 +230,9 @@ class FileRun:
         self.results += [Result(self._paths[name], outcome) for name, outcome in ended.items()]
         for name in ended:
             (self.folder / f"{name}.json").unlink(missing_ok=True)
-        return self._start_process(rest, core) if rest and not child.is_suspect else None
+        return self._start_process_of_files(rest, core) if rest and not child.is_suspect else None
 
-    def _start_process(self, tasks: Sequence[FileTask], core: int) -> Child:
+    def _start_process_of_files(self, tasks: Sequence[FileTask], core: int) -> Child:
         """Start a process on one core that makes files."""
         target, alone = partial(make_files_in_turn, self.batch.target), self.batch.isolated
         return _ItemProcess(

@@ -143,7 +143,7 @@ class CellExecutor(ExitStack):
     def submit(self, batch: Batch, sources: Sources) -> None:
         """Start or queue a batch of runs or files; timed replays only while there is no other."""
         if isinstance(batch, FileBatch):
-            self._start_run(FileRun(self._context, batch, self._scratch.choose_folder()))
+            self._start_batch_in_pool(FileRun(self._context, batch, self._scratch.choose_folder()))
         elif batch.is_timed:
             self._replays.append((batch, sources))
         else:
@@ -162,7 +162,7 @@ class CellExecutor(ExitStack):
                 self._sharing.close()
             yield run.batch, results
 
-    def _start_run(self, run: CellRun | FileRun) -> None:
+    def _start_batch_in_pool(self, run: CellRun | FileRun) -> None:
         """Start a batch in the pool; lock the machine before the first one."""
         self._idle.close()
         if not len(self._pool):
@@ -185,7 +185,7 @@ class CellExecutor(ExitStack):
         cells = [self._make_batch_cell(job, sources) for job in sizes]
         run = CellRun(self._context, batch, folder, cells)
         self._log_bytes[run], self._lost[run] = need, lost
-        self._start_run(run)
+        self._start_batch_in_pool(run)
 
     def _collect_results(self, run: CellRun) -> list[Result]:
         """Return the results of a batch that has ended, with the cells it lost."""

@@ -156,9 +156,9 @@ def split_into_batches(kind: Kind, jobs: Sequence[CellJob], slots: int) -> list[
     if kind == "replays":
         return [CellBatch(kind, group) for group in group_by_problem(jobs)]
     alike = group_jobs(jobs, lambda job: configuration_key(job.cell))
-    size_s = choose_batch_seconds(sum(expected_cell_seconds(job) for job in jobs), slots)
+    size_s = choose_batch_seconds(sum(estimate_cell_seconds(job) for job in jobs), slots)
     groups = [
-        g for some in alike.values() for g in cut_into_groups(some, expected_cell_seconds, size_s)
+        g for some in alike.values() for g in cut_into_groups(some, estimate_cell_seconds, size_s)
     ]
     turn = {key: i for i, key in enumerate(group_by_source(jobs))}
     groups.sort(key=lambda group: turn[group[0].source_key])
@@ -190,7 +190,7 @@ def cut_into_groups(
         yield group
 
 
-def expected_cell_seconds(job: CellJob) -> float:
+def estimate_cell_seconds(job: CellJob) -> float:
     """Return the expected time of a run [s], by measured times of a run and a step."""
     return CELL_S + STEP_S * count_steps(job.cell)
 
@@ -200,6 +200,6 @@ def count_steps(cell: Cell) -> int:
     return cell.steps * max(1, cell.rounds)
 
 
-def cell_label(cell: Cell) -> str:
+def make_cell_label(cell: Cell) -> str:
     """Return a run's solver and scenario or sequence as text, for the progress bar."""
     return f"{cell.solver} {cell.scenario_name or cell.sequence}"

@@ -212,7 +212,7 @@ def discard_output() -> None:
         notice.output.discard()
 
 
-def truncation_note() -> str:
+def describe_truncated_output() -> str:
     """Return a note where this process's captured output was cut; "" otherwise."""
     return CUT if any(notice.output.is_full for notice in _process_status) else ""
 

@@ -42,9 +42,14 @@ from dpbench.bench.run.footprint import (
 )
 from dpbench.bench.run.replay import PREROLL, ReplayRun
 from dpbench.bench.run.timed_solver import MOST_HANGS, STEP_SHARE, TimedSolver, raise_at_step_limit
-from dpbench.bench.sequences.source import is_readable, read_replay, source_file
+from dpbench.bench.sequences.source import choose_source_file, is_readable, read_replay
 from dpbench.bench.workers.orphans import has_children
-from dpbench.bench.workers.shared_status import Phase, discard_output, set_phase, truncation_note
+from dpbench.bench.workers.shared_status import (
+    Phase,
+    describe_truncated_output,
+    discard_output,
+    set_phase,
+)
 from dpbench.errors import CertificateError, InputError
 from dpbench.qp.program import QPSequence
 from dpbench.scenario.scenario import build_or_reuse_scenario
@@ -199,7 +204,7 @@ def run_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
             return
 
 
-def _log_factory(raw: Path, hung: Sequence[Hang]) -> Callable[[Layout], RawLog]:
+def _make_log_opener(raw: Path, hung: Sequence[Hang]) -> Callable[[Layout], RawLog]:
     """Return a function that creates a run's raw log, or opens that of a hung process."""
     return (lambda layout: RawLog.open(raw)) if hung else partial(RawLog.create, raw)
 
@@ -209,7 +214,7 @@ def _run_closed_loop(
 ) -> Outcome:
     """Run a cell's closed loop to its end or a limit; return its outcome."""
     scenario = build_or_reuse_scenario(cell.scenario).truncate(cell.steps)
-    limit_ns, new_log = round(cell.limit_s * 1e9), _log_factory(raw, hung)
+    limit_ns, new_log = round(cell.limit_s * 1e9), _make_log_opener(raw, hung)
     try:
         setup = build_closed_loop_setup(
             cell, scenario, workspace, new_log, limit_ns, hung=[k for _, k in hung]
@@ -232,7 +237,7 @@ def _replay_untimed(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
     """Replay a sequence to check answers alone, without timing; return the outcome."""
-    sequence = source_file(cell).load(source).sequence
+    sequence = choose_source_file(cell).load_replay_input(source).sequence
     # Without a time to take, cold caches do no harm, and a step that hangs should be recorded.
     configuration, timed_solver, log = _prepare_replay(
         cell, workspace, raw, sequence, preroll=0, hung=hung
@@ -256,13 +261,13 @@ def _make_outcome(
 ) -> Outcome:
     """Return the outcome of a run that ended by itself; `stopped` is a note on its time limit."""
     details = [f"stopped after {cell.limit_s:g} s (cell_limit_s) {stopped}"] if stopped else []
-    details += describe_failures(timed_solver.details)
-    detail = "; ".join(filter(None, [*details, truncation_note()]))
+    details += list_failure_descriptions(timed_solver.details)
+    detail = "; ".join(filter(None, [*details, describe_truncated_output()]))
     outcome = "timed_out" if stopped else "finished"
     return Outcome(outcome, detail, workspace.form, *timed_solver.size, process_peak_bytes())
 
 
-def describe_failures(counts: Mapping[str, int]) -> list[str]:
+def list_failure_descriptions(counts: Mapping[str, int]) -> list[str]:
     """Describe a solver's failures by count and the library's words, the most frequent first."""
     named = Counter(counts).most_common(MOST_FAILURES)
     others = sum(counts.values()) - sum(count for _, count in named)
@@ -314,7 +319,7 @@ def _serve_replay(
     if workspace is None:
         return False
     memory.record_memory_after_setup()
-    sequence = source_file(cell).load(order.source).sequence
+    sequence = choose_source_file(cell).load_replay_input(order.source).sequence
     configuration, timed_solver, log = _prepare_replay(
         cell, workspace, folder / f"{name}.raw", sequence, memory=memory, hung=order.hung
     )
@@ -354,7 +359,7 @@ def _prepare_replay(
 ) -> tuple[ReplayRun, TimedSolver, RawLog]:
     """Set up a replay; return it ready for its rounds, with its timed solver and raw log."""
     steps, timed_solver, log = build_sequence_solver_and_log(
-        sequence, workspace, cell.formulation, cell.rounds, _log_factory(raw, hung)
+        sequence, workspace, cell.formulation, cell.rounds, _make_log_opener(raw, hung)
     )
     if memory is not None:
         memory.record_memory_after_loading(log)
@@ -404,7 +409,7 @@ def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> No
     cell, part = Cell.from_json(text), path.with_suffix(".part.npz")
     try:
         if not is_readable(cell, path):
-            source_file(cell).make(part)
+            choose_source_file(cell).make_file(part)
             part.replace(path)
     except (CertificateError, InputError) as error:
         write_outcome(folder / f"{name}.json", Outcome("invalid", str(error)))

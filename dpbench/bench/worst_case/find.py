@@ -123,13 +123,13 @@ def find_worst_case(
     """
     if solver_module is not None:
         load_plugin_solver_from_file(solver_module)
-    _check_options(goal, budget, steps, seed)
+    _refuse_bad_options(goal, budget, steps, seed)
     path = Path("worst-cases") / f"{solver}-{goal}.npz" if out is None else Path(out)
     if path.suffix != ".npz":
         raise InputError("--out", "", repr(path.name), "a file name that ends in .npz")
     base = load_scenario(scenario)
     cell = _make_baseline_cell(solver, route, policy, settings, base)
-    _check_writable(path)
+    _refuse_unwritable(path)
     space = SearchSpace(base, steps, f"{base.name}-worst-{solver}-{goal}")
     with first_signal_only():
         context = start_forkserver()
@@ -142,7 +142,7 @@ def find_worst_case(
         return _save_findings(WorstCase(goal, cell, search, path, {}), seed)
 
 
-def _check_options(goal: str, budget: int, steps: int, seed: int) -> None:
+def _refuse_bad_options(goal: str, budget: int, steps: int, seed: int) -> None:
     """Raise InputError that names the option with a bad value."""
     if goal not in GOALS:
         raise InputError("--goal", "", repr(goal), " | ".join(GOALS))
@@ -152,7 +152,7 @@ def _check_options(goal: str, budget: int, steps: int, seed: int) -> None:
         raise InputError("--steps", "", steps, f"a whole number from 1 to {MAX_STEPS}")
 
 
-def _check_writable(path: Path) -> None:
+def _refuse_unwritable(path: Path) -> None:
     """Raise InputError where a result file cannot be written, before a search of minutes."""
     trial = path.with_name(path.name + ".part")
     try:

@@ -62,7 +62,7 @@ def find_worst_step(evaluated: EvaluatedCell, goal: Goal) -> WorstStep | None:
             return None
         objective = iterations.astype(np.float64)
     else:
-        objective = _error_objective(evaluated)[counting]
+        objective = _rate_steps_by_error(evaluated)[counting]
     if not len(objective):
         return None
     at = int(objective.argmax())
@@ -84,7 +84,7 @@ def find_worst_step(evaluated: EvaluatedCell, goal: Goal) -> WorstStep | None:
     )
 
 
-def _error_objective(evaluated: EvaluatedCell) -> Floats:
+def _rate_steps_by_error(evaluated: EvaluatedCell) -> Floats:
     """Return how bad each step's answer is by its error; inf for a false claim of the solver."""
     columns = evaluated.columns
     status = columns["status"]

@@ -157,7 +157,7 @@ class Search:
         while not self.stopped:
             first = qmc.Sobol(d, seed=rng).random(size)
             differential_evolution(
-                self._point_cost,
+                self._compute_cost_at_point,
                 Bounds(-np.ones(d), np.ones(d)),
                 init=2.0 * first - 1.0,
                 maxiter=self._budget,
@@ -166,19 +166,19 @@ class Search:
                 seed=rng,
             )
 
-    def _point_cost(self, point: Floats) -> float:
+    def _compute_cost_at_point(self, point: Floats) -> float:
         """Return the cost of a scenario variant: the worse its worst step, the lower; else inf."""
         if self.evaluations == self._budget:
             raise _BudgetError
         self.evaluations += 1
-        worst = self._evaluate_case(point)
+        worst = self._replay_variant_at_point(point)
         known = None if self.best is None else self.best.worst
         self._progress.advance(
             1, "nothing yet" if known is None else known.describe_figure(self._goal)
         )
         return np.inf if worst is None else -worst.score
 
-    def _evaluate_case(self, point: Floats) -> WorstStep | None:
+    def _replay_variant_at_point(self, point: Floats) -> WorstStep | None:
         """Replay the scenario variant at a point, keep it if worst; return its worst step."""
         try:
             scenario = self._space.build_variant(point)

@@ -12,11 +12,11 @@ from dpbench.report.charts.ship_tables import (
     STEP,
     TIME,
     Panel,
-    error_panels,
-    force_panels,
-    increment_panels,
-    path_tables,
-    step_panels,
+    make_error_panels,
+    make_force_panels,
+    make_increment_panels,
+    make_path_tables,
+    make_step_panels,
 )
 from dpbench.scenario.scenario import Scenario
 
@@ -25,7 +25,7 @@ _WIDTH = 285
 
 def draw_path(laws: Sequence[Law], scenario: Scenario) -> Any:
     """Draw the ship's north-east path under each control law, with the 1 m circle (Figure 4)."""
-    tables = path_tables(laws, scenario)
+    tables = make_path_tables(laws, scenario)
     x, y = (
         alt.X("e:Q", title="east [m]", scale=alt.Scale(domain=tables.ranges["e"], nice=False)),
         alt.Y("n:Q", title="north [m]", scale=alt.Scale(domain=tables.ranges["n"], nice=False)),
@@ -47,20 +47,20 @@ def draw_path(laws: Sequence[Law], scenario: Scenario) -> Any:
 
 def draw_pose_errors(laws: Sequence[Law], scenario: Scenario) -> Any:
     """Draw north, east, heading and radial error over time under each control law (Figure 5)."""
-    chart = _stack_panels(error_panels(laws, scenario), laws)
+    chart = _stack_panels(make_error_panels(laws, scenario), laws)
     wording = "North, east, heading and radial error against time."
     return style.set_style(chart, "Errors of position and heading", wording)
 
 
 def draw_forces(laws: Sequence[Law], scenario: Scenario) -> Any:
     """Draw the applied force in each axis over time, with its limits (Figure 6)."""
-    chart = _stack_panels(force_panels(laws, scenario), laws)
+    chart = _stack_panels(make_force_panels(laws, scenario), laws)
     return style.set_style(chart, "Forces", "Force applied in each axis, with its limits.")
 
 
 def draw_increments(laws: Sequence[Law], scenario: Scenario) -> Any:
     """Draw the change of force in each step over time, with the rate limits (Figure 7)."""
-    chart = _stack_panels(increment_panels(laws, scenario), laws)
+    chart = _stack_panels(make_increment_panels(laws, scenario), laws)
     about = "Change of the force in each step, with its limits."
     return style.set_style(chart, "Increments", about)
 
@@ -68,9 +68,9 @@ def draw_increments(laws: Sequence[Law], scenario: Scenario) -> Any:
 def draw_steps_together(runs: Sequence[Law], error_limit: float) -> Any:
     """Draw step time, error of the first move and iterations of several runs over their steps.
 
-    runs, error_limit : as of `step_panels`.
+    runs, error_limit : as of `make_step_panels`.
     """
-    chart = _stack_panels(step_panels(runs, error_limit), runs, over=STEP)
+    chart = _stack_panels(make_step_panels(runs, error_limit), runs, over=STEP)
     wording = "Step time, error of the first move and iterations of several runs over their steps."
     return style.set_style(chart, "Step by step", wording)
 

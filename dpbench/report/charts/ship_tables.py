@@ -63,11 +63,11 @@ class Panel:
     is_log: bool = False
 
 
-def path_tables(laws: Sequence[Law], scenario: Scenario) -> PathTables:
+def make_path_tables(laws: Sequence[Law], scenario: Scenario) -> PathTables:
     """Tabulate the ship's path under each control law, thinned for drawing."""
     tables = []
     for law in laws:
-        thin = law.steps.iloc[:: len(law.steps) // _points_per_run(laws) + 1]
+        thin = law.steps.iloc[:: len(law.steps) // _count_points_per_run(laws) + 1]
         places = {"i": range(len(thin)), "n": thin["n_m"], "e": thin["e_m"]}
         tables.append(pd.DataFrame({"law": law.label, **places}))
     north, east = (float(x) for x in scenario.reference[:2])
@@ -78,11 +78,11 @@ def path_tables(laws: Sequence[Law], scenario: Scenario) -> PathTables:
     return PathTables(pd.concat(tables), circle, marks.assign(what=["start", "reference"]))
 
 
-def error_panels(laws: Sequence[Law], scenario: Scenario) -> list[Panel]:
+def make_error_panels(laws: Sequence[Law], scenario: Scenario) -> list[Panel]:
     """Tabulate north, east, heading and radial error over time under each control law."""
     panels = []
     for name, unit in (("north", "m"), ("east", "m"), ("heading", "°"), ("radial", "m")):
-        table = _law_time_series(
+        table = _tabulate_by_law_over_time(
             laws, lambda law, name=name: pose_errors(law.steps, scenario.reference)[name]
         )
         is_log = name == "radial"
@@ -93,18 +93,18 @@ def error_panels(laws: Sequence[Law], scenario: Scenario) -> list[Panel]:
     return panels
 
 
-def force_panels(laws: Sequence[Law], scenario: Scenario) -> list[Panel]:
+def make_force_panels(laws: Sequence[Law], scenario: Scenario) -> list[Panel]:
     """Tabulate the applied force in each axis over time, with its limits."""
-    return _axis_panels(laws, "tau", "", scenario.vessel.tau_min, scenario.vessel.tau_max)
+    return _make_axis_panels(laws, "tau", "", scenario.vessel.tau_min, scenario.vessel.tau_max)
 
 
-def increment_panels(laws: Sequence[Law], scenario: Scenario) -> list[Panel]:
+def make_increment_panels(laws: Sequence[Law], scenario: Scenario) -> list[Panel]:
     """Tabulate the change of force in each step over time, with the rate limits."""
     most = scenario.force_step_max
-    return _axis_panels(laws, "dtau", "Δ", -most, most)
+    return _make_axis_panels(laws, "dtau", "Δ", -most, most)
 
 
-def step_panels(runs: Sequence[Law], error_limit: float) -> list[Panel]:
+def make_step_panels(runs: Sequence[Law], error_limit: float) -> list[Panel]:
     """Tabulate step time, error of the first move and iterations over the steps of several runs.
 
     runs : with steps of the columns `charts.steps.COLUMNS`.
@@ -115,7 +115,7 @@ def step_panels(runs: Sequence[Law], error_limit: float) -> list[Panel]:
         ("error", "error_move", (error_limit,)),
         ("iterations", "iterations", ()),
     ):
-        table = _law_time_series(runs, lambda run, c=column: run.steps[c], over="k")
+        table = _tabulate_by_law_over_time(runs, lambda run, c=column: run.steps[c], over="k")
         is_log = column != "iterations"
         if is_log:
             table["value"] = table["value"].clip(lower=style.FLOOR)
@@ -123,14 +123,16 @@ def step_panels(runs: Sequence[Law], error_limit: float) -> list[Panel]:
     return panels
 
 
-def _axis_panels(
+def _make_axis_panels(
     laws: Sequence[Law], column: str, sign: str, low: Vector, high: Vector
 ) -> list[Panel]:
     """Make a panel per axis: force, or its change a step, over time; with limits or a note."""
     panels = []
     for (name, key, unit, scale, shown), *limits in zip(DRAWN_FORCES, low, high, strict=True):
         field = f"{column}_{key}_{unit}"
-        table = _law_time_series(laws, lambda law, f=field, s=scale: law.steps[f].to_numpy() / s)
+        table = _tabulate_by_law_over_time(
+            laws, lambda law, f=field, s=scale: law.steps[f].to_numpy() / s
+        )
         reach = float(np.abs(table["value"]).max())
         near = [limit / scale for limit in limits if abs(limit / scale) <= 2.5 * max(reach, 1e-12)]
         # Limits far off are named, as a figure without them looks as if there were none.
@@ -139,18 +141,18 @@ def _axis_panels(
     return panels
 
 
-def _law_time_series(
+def _tabulate_by_law_over_time(
     laws: Sequence[Law], value: Callable[..., npt.ArrayLike | pd.Series], over: str = "t_s"
 ) -> pd.DataFrame:
     """Tabulate a quantity over the column `over` for each control law, thinned for drawing."""
     tables = []
     for law in laws:
         values, t = np.asarray(value(law), dtype=np.float64), law.steps[over].to_numpy()
-        shown = extreme_indices(values, _points_per_run(laws))
+        shown = extreme_indices(values, _count_points_per_run(laws))
         tables.append(pd.DataFrame({"law": law.label, "t": t[shown], "value": values[shown]}))
     return pd.concat(tables)
 
 
-def _points_per_run(laws: Sequence[Law]) -> int:
+def _count_points_per_run(laws: Sequence[Law]) -> int:
     """Return the largest number of points drawn of each of several runs."""
     return min(MOST, MOST_TOGETHER // len(laws))

@@ -29,18 +29,18 @@ from dpbench.display import make_html_table
 from dpbench.errors import InputError
 from dpbench.report.formats import (
     MISSING,
-    and_list,
-    count_text,
-    error_text,
-    interval_text,
-    microseconds_text,
+    format_count,
+    format_error,
+    format_interval,
+    format_microseconds,
+    format_share,
+    join_with_and,
     plural,
-    share_text,
     significant,
 )
-from dpbench.report.machine_verdict import disturbance_text
+from dpbench.report.machine_verdict import describe_disturbance
 from dpbench.report.ship_text import summarise_ships
-from dpbench.report.table import Table, html_table, markdown_document
+from dpbench.report.table import Table, format_table_as_html, make_markdown_document
 
 TIMES = ("slower", "faster", "no difference shown", "equivalent")
 """Verdicts on a step time: the two claims, then the weaker ones."""
@@ -50,7 +50,7 @@ CHANGES = ("worse", "better", "same", "not comparable")
 STOPPED = "not comparable (stopped by a time limit)"
 
 
-def solvers_table(compared: Sequence[ComparedTimes], answers: Sequence[FigureChange]) -> Table:
+def make_solvers_table(compared: Sequence[ComparedTimes], answers: Sequence[FigureChange]) -> Table:
     """Tabulate whether each solver became slower, faster, worse or better from run A to B."""
     names = [c.timing.pair.a.solver for c in compared] + [a.pair.a.solver for a in answers]
     rows = []
@@ -65,7 +65,7 @@ def solvers_table(compared: Sequence[ComparedTimes], answers: Sequence[FigureCha
                 "step times": _merge_verdicts(times, TIMES),
                 "accuracy and control": _merge_verdicts(changes, CHANGES),
                 "configurations": counts,
-                "figures": count_text(changes.total()),
+                "figures": format_count(changes.total()),
             }
         )
     note = (
@@ -73,7 +73,7 @@ def solvers_table(compared: Sequence[ComparedTimes], answers: Sequence[FigureCha
         "and none is the contrary; equivalent where every configuration is; same where every "
         "figure that is comparable is. Claims on step times hold together over all solvers."
     )
-    return Table.of(rows, "Verdict per solver", note=note, text_columns=4)
+    return Table.from_rows(rows, "Verdict per solver", note=note, text_columns=4)
 
 
 def _merge_verdicts(counts: Counter[str], order: tuple[str, ...]) -> str:
@@ -84,7 +84,7 @@ def _merge_verdicts(counts: Counter[str], order: tuple[str, ...]) -> str:
     return next((verdict for verdict in order if counts[verdict]), MISSING)
 
 
-def times_table(
+def make_times_table(
     compared: Sequence[ComparedTimes],
     margin: float,
     alpha: float,
@@ -115,21 +115,21 @@ def times_table(
         {
             "configuration": timing.pair.label,
             "sequence": timing.pair.a.problem,
-            "A p50 [µs]": microseconds_text(timing.median_ns[0]),
-            "B p50 [µs]": microseconds_text(timing.median_ns[1]),
+            "A p50 [µs]": format_microseconds(timing.median_ns[0]),
+            "B p50 [µs]": format_microseconds(timing.median_ns[1]),
             "B/A": f"{found.raw:.3f}",
             "machine": f"{found.machine:.3f}",
             "B/A less machine": f"{found.ratio.value:.3f}",
-            "interval": interval_text(found.ratio.low, found.ratio.high),
-            "steps × rounds": f"{count_text(timing.steps)} × {count_text(timing.rounds)}",
+            "interval": format_interval(found.ratio.low, found.ratio.high),
+            "steps × rounds": f"{format_count(timing.steps)} × {format_count(timing.rounds)}",
             "verdict": found.verdict,
         }
         for timing, found in ((row.timing, row.assessment) for row in rows)
     ]
-    return Table.of(cells, "Step times, replays", note=note, text_columns=2)
+    return Table.from_rows(cells, "Step times, replays", note=note, text_columns=2)
 
 
-def shared_line(shared: SharedFactor) -> str:
+def describe_shared_factor(shared: SharedFactor) -> str:
     """State the step time change that all configurations of a QP sequence share, and its cause."""
     moved = "rose" if shared.factor >= 1.0 else "fell"
     wording = f"`{shared.sequence}`: step times of "
@@ -146,7 +146,7 @@ def shared_line(shared: SharedFactor) -> str:
     return f"{wording}: {verdict}{cause}"
 
 
-def changes_table(answers: Sequence[FigureChange], margin: float) -> Table | None:
+def make_changes_table(answers: Sequence[FigureChange], margin: float) -> Table | None:
     """Tabulate the accuracy and control quantities that changed from run A to B; None if none."""
     changed = [answer for answer in answers if answer.change in ("worse", "better")]
     if not changed:
@@ -155,47 +155,47 @@ def changes_table(answers: Sequence[FigureChange], margin: float) -> Table | Non
     unlike = sum(answer.change == "not comparable" for answer in answers)
     left_out = f" {plural(unlike, 'figure')} {STOPPED}." if unlike else ""
     note = (
-        f"{plural(len(changed), 'figure')} of {count_text(len(answers) - unlike)}; the others are "
-        f"the same within {100 * margin:g} %, counts and shares exactly. A range: over the rounds."
-        f"{left_out}"
+        f"{plural(len(changed), 'figure')} of {format_count(len(answers) - unlike)}; the others "
+        f"are the same within {100 * margin:g} %, counts and shares exactly. A range: over the "
+        f"rounds.{left_out}"
     )
     rows = [
         {
             "configuration": answer.pair.label,
             "experiment": f"{answer.pair.a.mode.replace('_', ' ')} of {answer.pair.a.problem}",
             "figure": answer.measure.head,
-            "A": _range_text(answer.measure.column, answer.a),
-            "B": _range_text(answer.measure.column, answer.b),
+            "A": _format_range(answer.measure.column, answer.a),
+            "B": _format_range(answer.measure.column, answer.b),
             "change": answer.change,
         }
         for answer in changed
     ]
-    return Table.of(rows, "Accuracy and control: what changed", note=note, text_columns=3)
+    return Table.from_rows(rows, "Accuracy and control: what changed", note=note, text_columns=3)
 
 
-def change_line(answer: FigureChange) -> str:
+def describe_change(answer: FigureChange) -> str:
     """Describe an accuracy or control quantity in both runs, in one line."""
     column = answer.measure.column
-    values = " → ".join(_range_text(column, values) for values in (answer.a, answer.b))
+    values = " → ".join(_format_range(column, values) for values in (answer.a, answer.b))
     return f"{answer.measure.head} of {answer.pair.label} in {answer.pair.a.problem}, {values}"
 
 
-def _range_text(column: str, values: Range) -> str:
+def _format_range(column: str, values: Range) -> str:
     """Format the range of an accuracy or control quantity; one value if both ends print alike."""
-    texts = [_figure_text(column, value) for value in values]
+    texts = [_format_quantity(column, value) for value in values]
     return texts[0] if texts[0] == texts[1] else f"{texts[0]} … {texts[1]}"
 
 
-def _figure_text(column: str, value: float) -> str:
+def _format_quantity(column: str, value: float) -> str:
     """Format a compared quantity by its column: outcome, error, share or count."""
     if column == "outcome":
         return ORDER[int(value)].replace("_", " ")
     if column.startswith("error"):
-        return error_text(value)
+        return format_error(value)
     if column.endswith("share"):
-        return share_text(value)
+        return format_share(value)
     if column in ("failed_steps", "steps_done"):
-        return count_text(value)
+        return format_count(value)
     return significant(value, 4)
 
 
@@ -236,7 +236,7 @@ class Comparison:
     def _repr_html_(self) -> str:
         """Return the comparison as HTML, which a notebook displays."""
         lines = make_html_table((), [(line,) for line in self.lines], title="Comparison")
-        return lines + "".join(html_table(table) for table in self.tables)
+        return lines + "".join(format_table_as_html(table) for table in self.tables)
 
     @property
     def worse(self) -> bool:
@@ -271,7 +271,7 @@ class Comparison:
 
     def markdown(self) -> str:
         """Return the comparison of two result folders as a Markdown document."""
-        return markdown_document(f"Comparison: {self.headline}", self.lines, self.tables)
+        return make_markdown_document(f"Comparison: {self.headline}", self.lines, self.tables)
 
 
 def compare(
@@ -318,11 +318,11 @@ def compare(
     warnings = [summarise_ships(ship_results(view)).warning for view in views]
     lines = [f"{name}: {text}" for name, text in zip("AB", warnings, strict=True) if text]
     lines += [f"A: {a}{_describe_machine(views[0])}", f"B: {b}{_describe_machine(views[1])}"]
-    lines += [f"another machine: they differ in {and_list(differ)}"] if differ else []
-    lines += [*wording, *_summary_lines(compared, shared, figures, pairs)]
-    changed = changes_table(figures, margin)
-    tables = [solvers_table(compared, figures)] if compared or figures else []
-    tables += [times_table(compared, margin, alpha, reference=solver)] if compared else []
+    lines += [f"another machine: they differ in {join_with_and(differ)}"] if differ else []
+    lines += [*wording, *_make_summary_lines(compared, shared, figures, pairs)]
+    changed = make_changes_table(figures, margin)
+    tables = [make_solvers_table(compared, figures)] if compared or figures else []
+    tables += [make_times_table(compared, margin, alpha, reference=solver)] if compared else []
     tables += [changed] if changed is not None else []
     return Comparison(compared, shared, figures, pairs, lines, tables, margin, alpha, solver)
 
@@ -334,7 +334,9 @@ def _compare_times(
     wording = []
     bare = [name for name, view in zip("AB", views, strict=True) if not view.has_steps]
     if bare and timings:
-        wording.append(f"no steps.parquet in {and_list(bare)}: medians of step times are compared")
+        wording.append(
+            f"no steps.parquet in {join_with_and(bare)}: medians of step times are compared"
+        )
     if not solver:
         unjudged = find_unjudged_sequences(*views, timings)
         return *compare_times(timings, margin, alpha, unjudged), wording
@@ -343,7 +345,7 @@ def _compare_times(
     took = [f"{math.exp(one.log):.3g} on {one.pair.a.problem}" for one in known]
     wording.append(
         f"step times are compared as ratios to {known[0].pair.label}, which takes B/A "
-        f"{and_list(took)}"
+        f"{join_with_and(took)}"
     )
     return compare_to_reference(timings, margin, alpha, rows), [], wording
 
@@ -352,10 +354,10 @@ def _describe_machine(view: Records) -> str:
     """Describe a folder's processor and how far other load disturbed its runs."""
     wording = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
     disturbance = total_disturbance(timed_runs(view))
-    return f"{wording}, {disturbance_text(disturbance)}" if disturbance.seconds > 0 else wording
+    return f"{wording}, {describe_disturbance(disturbance)}" if disturbance.seconds > 0 else wording
 
 
-def options_lines(pairs: Pairs) -> list[str]:
+def describe_changed_options(pairs: Pairs) -> list[str]:
     """State which options of settings of one's own changed under the same name."""
     changed = [pair for pair in pairs.pairs if pair.options_change]
     return list(
@@ -366,18 +368,18 @@ def options_lines(pairs: Pairs) -> list[str]:
     )
 
 
-def _summary_lines(
+def _make_summary_lines(
     compared: list[ComparedTimes],
     shared: list[SharedFactor],
     figures: list[FigureChange],
     pairs: Pairs,
 ) -> list[str]:
     """Summarise a comparison in lines: cells, step times, answers and unpaired runs."""
-    lines = [f"{plural(len(pairs.pairs), 'cell')} compared", *options_lines(pairs)]
+    lines = [f"{plural(len(pairs.pairs), 'cell')} compared", *describe_changed_options(pairs)]
     verdicts = Counter(c.assessment.verdict for c in compared)
     if compared:
         lines.append("step times: " + ", ".join(f"{n} {v}" for v, n in verdicts.most_common()))
-    lines += [shared_line(one) for one in shared]
+    lines += [describe_shared_factor(one) for one in shared]
     changes = Counter(answer.change for answer in figures)
     if figures:
         words = {"not comparable": STOPPED}

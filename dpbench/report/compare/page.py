@@ -17,15 +17,20 @@ from dpbench.report.charts.steps import draw_step_pairs
 from dpbench.report.charts.style import ROW_STEP
 from dpbench.report.compare.comparison import (
     Comparison,
-    change_line,
-    options_lines,
-    shared_line,
-    times_table,
+    describe_change,
+    describe_changed_options,
+    describe_shared_factor,
+    make_times_table,
 )
-from dpbench.report.formats import interval_text, plural, strip_markdown
-from dpbench.report.page.data import columns_by_name
+from dpbench.report.formats import format_interval, plural, strip_markdown
+from dpbench.report.page.data import convert_rows_to_columns
 from dpbench.report.page.pack import Block
-from dpbench.report.page.write import figure_markup, read_page_file, render_page, vega_specification
+from dpbench.report.page.write import (
+    compile_vega_in_page_colours,
+    read_page_file,
+    render_figure_markup,
+    render_page,
+)
 from dpbench.report.table import Table
 
 SHOWN = 12
@@ -41,8 +46,8 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
     order = sort_claims_first(comparison.compared)
     charts, times, left_out = dict[str, Any](), None, 0
     if order:
-        table = ratio_table(order)
-        furthest, times = select_furthest(table, SHOWN), _page_times_table(order, comparison)
+        table = make_ratio_table(order)
+        furthest, times = select_furthest_rows(table, SHOWN), _page_times_table(order, comparison)
         left_out = len(order) - len(furthest)
         charts = {
             "ratios": draw_ratios(furthest, comparison.margin),
@@ -54,9 +59,11 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
         "compare",
         [read_page_file(f"scripts/{name}.js") for name in ("common", "compare")],
         verdict="worse somewhere" if comparison.worse else "no regression shown",
-        lead=lead_sentences(comparison),
+        lead=make_lead_sentences(comparison),
         lines=[strip_markdown(line) for line in comparison.lines],
-        figures={name: figure_markup(chart) for name, chart in charts.items() if name != "steps"},
+        figures={
+            name: render_figure_markup(chart) for name, chart in charts.items() if name != "steps"
+        },
         left_out=left_out,
         times=times,
         tables=[replace(t, shown=MOST_ROWS) for t in others],
@@ -69,7 +76,7 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
 def _page_times_table(order: Sequence[ComparedTimes], comparison: Comparison) -> Table:
     """Return the table of compared step times as on the page, without two wide columns."""
     c = comparison
-    whole = times_table(order, c.margin, c.alpha, ordered=True, reference=c.reference)
+    whole = make_times_table(order, c.margin, c.alpha, ordered=True, reference=c.reference)
     kept = [i for i, head in enumerate(whole.heads) if head not in LEFT_OUT]
     heads, *rows = (tuple(row[i] for i in kept) for row in (whole.heads, *whole.rows))
     return replace(whole, heads=heads, rows=tuple(rows), shown=MOST_ROWS)
@@ -77,26 +84,26 @@ def _page_times_table(order: Sequence[ComparedTimes], comparison: Comparison) ->
 
 def _pack_data(order: Sequence[ComparedTimes], charts: dict[str, Any], times: Table) -> str:
     """Pack the compared step times for the script of a comparison's page."""
-    block, addresses = Block(), _selection_addresses(order)
+    block, addresses = Block(), _make_selection_addresses(order)
     cells_of = replace(times, shown=None).page_rows
     rows = [
         {
             "name": one.timing.pair.a.configuration.label,
             "where": one.timing.pair.a.problem,
             "address": address,
-            "said": verdict_sentence(one),
+            "said": describe_verdict(one),
             "cells": cells,
             **_pack_step_times(block, one.timing),
         }
         for one, address, cells in zip(order, addresses, cells_of, strict=True)
     ]
     document = {
-        "compared": columns_by_name(rows),
+        "compared": convert_rows_to_columns(rows),
         "heads": list(times.heads),
         "row_step": ROW_STEP,
-        "charts": {name: vega_specification(chart) for name, chart in charts.items()},
+        "charts": {name: compile_vega_in_page_colours(chart) for name, chart in charts.items()},
     }
-    return block.text(document)
+    return block.compress_to_base64(document)
 
 
 def _pack_step_times(block: Block, timing: Timing) -> dict[str, int | None]:
@@ -106,10 +113,14 @@ def _pack_step_times(block: Block, timing: Timing) -> dict[str, int | None]:
     first = int(timing.k[0])
     times = np.full((2, int(timing.k[-1]) - first + 1), np.nan)
     times[:, timing.k - first] = timing.a_ns, timing.b_ns
-    return {"first": first, "a": block.add_log(times[0]), "b": block.add_log(times[1])}
+    return {
+        "first": first,
+        "a": block.add_as_uint16_logs(times[0]),
+        "b": block.add_as_uint16_logs(times[1]),
+    }
 
 
-def _selection_addresses(order: Sequence[ComparedTimes]) -> list[str]:
+def _make_selection_addresses(order: Sequence[ComparedTimes]) -> list[str]:
     """Return, for each compared configuration, the URL fragment that selects it on the page."""
     seen: dict[str, int] = {}
     addresses = []
@@ -127,10 +138,10 @@ def _selection_addresses(order: Sequence[ComparedTimes]) -> list[str]:
     return addresses
 
 
-def lead_sentences(comparison: Comparison) -> list[str]:
+def make_lead_sentences(comparison: Comparison) -> list[str]:
     """Summarise a comparison of two runs in sentences: step times, accuracy, shared changes."""
     together = [
-        strip_markdown(f"All together: {shared_line(shared)}.")
+        strip_markdown(f"All together: {describe_shared_factor(shared)}.")
         for shared in comparison.shared
         if shared.assessment is not None and shared.assessment.verdict == "slower"
     ]
@@ -139,16 +150,18 @@ def lead_sentences(comparison: Comparison) -> list[str]:
     figures = f"No figure of accuracy or control of {count} is worse." if count else ""
     if worse:
         figures = (
-            f"Worse: {len(worse)} of {plural(count, 'figure')}, first {change_line(worse[0])}."
+            f"Worse: {len(worse)} of {plural(count, 'figure')}, first {describe_change(worse[0])}."
         )
-    changed = [f"{line[0].upper()}{line[1:]}." for line in options_lines(comparison.pairs)]
-    return [*changed, strip_markdown(f"{_slower_sentence(comparison)} {figures}"), *together]
+    changed = [
+        f"{line[0].upper()}{line[1:]}." for line in describe_changed_options(comparison.pairs)
+    ]
+    return [*changed, strip_markdown(f"{_describe_slower(comparison)} {figures}"), *together]
 
 
-def verdict_sentence(one: ComparedTimes) -> str:
+def describe_verdict(one: ComparedTimes) -> str:
     """State the verdict on one configuration's step time ratio with its interval."""
     assessment, timing = one.assessment, one.timing
-    interval = interval_text(assessment.ratio.low, assessment.ratio.high)
+    interval = format_interval(assessment.ratio.low, assessment.ratio.high)
     return (
         f"B takes {assessment.ratio.value:.3f} times as long as A, the machine's factor "
         f"{assessment.machine:.3f} taken out (interval {interval}, {plural(timing.steps, 'step')}, "
@@ -156,7 +169,7 @@ def verdict_sentence(one: ComparedTimes) -> str:
     )
 
 
-def _slower_sentence(comparison: Comparison) -> str:
+def _describe_slower(comparison: Comparison) -> str:
     """State how many configurations are slower in B, and which one most."""
     slower = [c for c in comparison.compared if c.assessment.verdict == "slower"]
     count = len(comparison.compared)
@@ -169,7 +182,7 @@ def _slower_sentence(comparison: Comparison) -> str:
     return (
         f"Slower: {len(slower)} of {plural(count, 'configuration')}, most of all {pair.label} on "
         f"{pair.a.problem}, {ratio.value:.2f} times as long (interval "
-        f"{interval_text(ratio.low, ratio.high)}, machine factor "
+        f"{format_interval(ratio.low, ratio.high)}, machine factor "
         f"{first.assessment.machine:.2f} taken out)."
     )
 
@@ -192,7 +205,7 @@ _TIPS = [
 def draw_ratios(table: pd.DataFrame, margin: float) -> Any:
     """Draw the step time ratio B/A of each configuration with its interval.
 
-    table : of `ratio_table`; margin : ratio that counts as equal.
+    table : of `make_ratio_table`; margin : ratio that counts as equal.
     """
     base = alt.Chart(table).encode(
         y=alt.Y("name:N", sort=table["name"].tolist(), title=None, axis=style.row_name_axis(330)),
@@ -238,7 +251,7 @@ def sort_claims_first(compared: Sequence[ComparedTimes]) -> list[ComparedTimes]:
     )
 
 
-def ratio_table(compared: Sequence[ComparedTimes]) -> pd.DataFrame:
+def make_ratio_table(compared: Sequence[ComparedTimes]) -> pd.DataFrame:
     """Tabulate the step time ratio of runs B and A by configuration, the largest ratio first."""
     rows = [
         {
@@ -257,7 +270,7 @@ def ratio_table(compared: Sequence[ComparedTimes]) -> pd.DataFrame:
     return pd.DataFrame(rows).sort_values("ratio", ascending=False, kind="stable")
 
 
-def select_furthest(table: pd.DataFrame, ends: int) -> pd.DataFrame:
+def select_furthest_rows(table: pd.DataFrame, ends: int) -> pd.DataFrame:
     """Select of a table of time ratios the rows judged to differ, and those at both ends."""
     judged = table["verdict"].isin(("slower", "faster"))
     place = pd.Series(range(len(table)), index=table.index)

@@ -28,17 +28,17 @@ from dpbench.files.writing import write_bytes_to_file_or_pipe
 from dpbench.report.charts import style
 from dpbench.report.formats import (
     MISSING,
-    and_list,
-    count_text,
-    error_text,
+    format_count,
+    format_error,
+    format_time,
+    join_with_and,
     plural,
     significant,
     strip_markdown,
-    time_text,
 )
-from dpbench.report.page.write import figure_markup, render_page
+from dpbench.report.page.write import render_figure_markup, render_page
 from dpbench.report.ship_text import summarise_ships
-from dpbench.report.table import Table, markdown_document
+from dpbench.report.table import Table, make_markdown_document
 
 BUSY = 0.05
 """Relative change of the load kernel that shows a busier machine."""
@@ -64,7 +64,7 @@ class Releases:
     def markdown(self) -> str:
         """Return the comparison of solver versions as a Markdown document."""
         lines = [*self.warnings, *self.ships, *self.lead, *self.lines]
-        return markdown_document("Solvers over their releases", lines, self.tables)
+        return make_markdown_document("Solvers over their releases", lines, self.tables)
 
 
 def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> Releases:
@@ -81,7 +81,7 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
         `ResultsError` for one that cannot be read.
     """
     if len({Path(folder).resolve() for folder in folders}) < max(2, len(folders)):
-        found = and_list([str(folder) for folder in folders])
+        found = join_with_and([str(folder) for folder in folders])
         raise InputError("--releases", "", found, "two or more result folders, each once")
     names = [Path(folder).name for folder in folders]
     if len(set(names)) < len(names):
@@ -92,8 +92,10 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
     }
     over = compare_releases(records, reference)
     requirements = Requirements.of(next(iter(records.values())).suite)
-    changed = _solvers_with_versions(over)
-    lead = [_solver_sentence(solver, own_histories) for solver, own_histories in changed.items()]
+    changed = _group_histories_by_solver(over)
+    lead = [
+        _describe_solver_history(solver, own_histories) for solver, own_histories in changed.items()
+    ]
     lead = lead or ["No solver has two versions in these folders."]
     ships = {name: summarise_ships(ship_results(view)) for name, view in records.items()}
     return Releases(
@@ -106,8 +108,8 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
             }
         ),
         lead,
-        _comparability_notes(over, records),
-        _version_tables(over),
+        _list_comparability_notes(over, records),
+        _make_version_tables(over),
         requirements,
     )
 
@@ -116,34 +118,34 @@ def _merge_folders(texts: Mapping[str, str]) -> list[str]:
     """List the texts of folders, each with the names of its folders where not all have it."""
     by_text = group_by((name for name, text in texts.items() if text), texts.__getitem__)
     return [
-        text if len(names) == len(texts) else f"{and_list(names)}: {text}"
+        text if len(names) == len(texts) else f"{join_with_and(names)}: {text}"
         for text, names in by_text.items()
     ]
 
 
-def _solvers_with_versions(histories: Histories) -> dict[str, list[History]]:
+def _group_histories_by_solver(histories: Histories) -> dict[str, list[History]]:
     """Return the histories of each solver that was run in more than one version."""
     by_solver = group_by(histories.all, lambda history: history.run.solver)
     return {name: own for name, own in by_solver.items() if any(h.has_changed for h in own)}
 
 
-def _solver_sentence(solver: str, own_histories: Sequence[History]) -> str:
+def _describe_solver_history(solver: str, own_histories: Sequence[History]) -> str:
     """State how step time, error and failed steps of a solver changed over its versions."""
     changed = [history for history in own_histories if history.has_changed]
     ends = [(history.releases[0], history.releases[-1]) for history in changed]
     sides = list(zip(*ends, strict=True))
     errors = " → ".join(
-        error_text(maximum_of_known([r.error_move for r in side])) for side in sides
+        format_error(maximum_of_known([r.error_move for r in side])) for side in sides
     )
     failed = " → ".join(
         _format_count(maximum_of_known([r.failed_steps for r in side])) for side in sides
     )
     versions = " → ".join(release.version for release in ends[0])
-    times = _time_change_text(changed)
+    times = _describe_time_change(changed)
     return f"{solver} {versions}: {times}; largest error {errors}, failed steps {failed}."
 
 
-def _time_change_text(changed: Sequence[History]) -> str:
+def _describe_time_change(changed: Sequence[History]) -> str:
     """State the change of a solver's p50 over its versions, on its first timed problem."""
     timed = next((h for h in changed if math.isfinite(h.whole_change)), None)
     if timed is None:
@@ -158,7 +160,7 @@ def _time_change_text(changed: Sequence[History]) -> str:
     )
 
 
-def _comparability_notes(histories: Histories, records: Mapping[str, Records]) -> list[str]:
+def _list_comparability_notes(histories: Histories, records: Mapping[str, Records]) -> list[str]:
     """List what limits a comparison of folders: machines, reference, scatter, runs left out."""
     lines = [
         f"{name}: {view.machine.get('cpu_model', 'an unnamed CPU')}, machine {view.machine['id']}, "
@@ -168,7 +170,7 @@ def _comparability_notes(histories: Histories, records: Mapping[str, Records]) -
     machines = [view.machine for view in records.values()]
     differ = {word: None for one in machines[1:] for word in machine_differences(machines[0], one)}
     if differ:
-        lines.append(f"the machines differ in {and_list(list(differ))}")
+        lines.append(f"the machines differ in {join_with_and(list(differ))}")
     if histories.reference:
         lines.append(
             f"times are multiples of the p50 of {histories.reference} in the same folder: ratios "
@@ -184,17 +186,17 @@ def _comparability_notes(histories: Histories, records: Mapping[str, Records]) -
     return lines
 
 
-def _version_tables(histories: Histories) -> list[Table]:
+def _make_version_tables(histories: Histories) -> list[Table]:
     """Make a table of versions for each solver, and one of solvers with one version."""
-    changed = _solvers_with_versions(histories)
+    changed = _group_histories_by_solver(histories)
     note = (
         "To the one before: its p50 over that of the release above it, below 1 is faster; the load "
         "kernel, timed in the same rounds, tells what of that its neighbours on the machine did. "
         "Counts are per round. Closed loops run beside each other and are not timed."
     )
     tables = [
-        Table.of(
-            [row for history in own_histories for row in _version_rows(history, histories)],
+        Table.from_rows(
+            [row for history in own_histories for row in _make_version_rows(history, histories)],
             f"{solver} over its releases",
             note=note,
             text_columns=4,
@@ -204,11 +206,13 @@ def _version_tables(histories: Histories) -> list[Table]:
     rest = [history for history in histories.all if history.run.solver not in changed]
     if rest:
         # With one version there is none before it.
-        rows = [{"solver": h.run.solver} | row for h in rest for row in _version_rows(h, histories)]
+        rows = [
+            {"solver": h.run.solver} | row for h in rest for row in _make_version_rows(h, histories)
+        ]
         kept = [{head: row[head] for head in row if head not in BEFORE} for row in rows]
         note = "For comparison: what these differ by is no change of a solver."
         title = "Of one version in all folders"
-        tables.append(Table.of(kept, title, note=note, text_columns=5))
+        tables.append(Table.from_rows(kept, title, note=note, text_columns=5))
     return tables
 
 
@@ -216,7 +220,7 @@ BEFORE = ("to the one before", "load kernel")
 """Columns on the release before."""
 
 
-def _version_rows(history: History, histories: Histories) -> list[dict[str, str]]:
+def _make_version_rows(history: History, histories: Histories) -> list[dict[str, str]]:
     """Return a table row for each version of a solver on one problem."""
     run, unit = history.run, f" [× {histories.reference}]" if histories.reference else ""
     label = run.configuration.label.removeprefix(f"{run.solver} ").strip("()")
@@ -227,7 +231,7 @@ def _version_rows(history: History, histories: Histories) -> list[dict[str, str]
             "version": release.version,
             "folders": "all"
             if len(release.runs) == histories.folders
-            else and_list(list(release.runs)),
+            else join_with_and(list(release.runs)),
             f"p50{unit}": _format_time(release.p50, histories),
             BEFORE[0]: significant(history.change(i)),
             BEFORE[1]: significant(release.load_ns / history.releases[i - 1].load_ns)
@@ -235,7 +239,7 @@ def _version_rows(history: History, histories: Histories) -> list[dict[str, str]
             else MISSING,
             f"p99{unit}": _format_time(release.p99, histories),
             f"largest step{unit}": _format_time(release.largest, histories),
-            "largest error": error_text(release.error_move),
+            "largest error": format_error(release.error_move),
             "claimed, not true": _format_count(release.claimed_not_true),
             "failed steps": _format_count(release.failed_steps),
             "outcome": release.outcome.replace("_", " "),
@@ -246,12 +250,12 @@ def _version_rows(history: History, histories: Histories) -> list[dict[str, str]
 
 def _format_count(value: float) -> str:
     """Format a count per repetition: whole if it is a whole number, else with one decimal."""
-    return count_text(value) if math.isnan(value) or value == round(value) else f"{value:.1f}"
+    return format_count(value) if math.isnan(value) or value == round(value) else f"{value:.1f}"
 
 
 def _format_time(value: float, histories: Histories) -> str:
     """Format a step time [ns] with its unit, or as multiple of the reference solver's."""
-    return significant(value) if histories.reference else time_text(value)
+    return significant(value) if histories.reference else format_time(value)
 
 
 AGES = {0: "newest release", 1: "earlier release"}
@@ -272,7 +276,9 @@ def write_releases(path: Path, releases: Releases) -> Path:
             draw_release_errors(table, releases.requirements.error_move)
         ),
     }
-    figures = [(caption, figure_markup(chart)) for caption, chart in charts.items() if len(table)]
+    figures = [
+        (caption, render_figure_markup(chart)) for caption, chart in charts.items() if len(table)
+    ]
     text = render_page(
         "releases",
         warnings=[strip_markdown(line) for line in releases.warnings],
@@ -292,8 +298,10 @@ def draw_release_times(table: pd.DataFrame, unit: str) -> Any:
 
     table : of `release_table`, age in words, the first row on top; unit : of the times.
     """
-    base = _version_rows_chart(table)
-    x = alt.X("p50:Q", title=f"step time [{unit}]", scale=style.log_scale(), axis=_value_axis("~g"))
+    base = _make_version_rows_chart(table)
+    x = alt.X(
+        "p50:Q", title=f"step time [{unit}]", scale=style.log_scale(), axis=_make_value_axis("~g")
+    )
     line = base.mark_rule(strokeWidth=2).encode(x=x, x2="largest:Q")
     known = base.transform_filter("isValid(datum.p99)")
     bar = known.mark_rule(strokeWidth=8).encode(x=x, x2="p99:Q")
@@ -307,20 +315,22 @@ def draw_release_errors(table: pd.DataFrame, allowed: float) -> Any:
     table : as of `draw_release_times`; an error of 0 or none at all has no point.
     """
     title = "largest error of the first move [rate-limit steps]"
-    x = alt.X("error:Q", title=title, scale=style.log_scale(), axis=_value_axis(".0e"))
-    drawn = _version_rows_chart(table).transform_filter("isFinite(datum.error) && datum.error > 0")
+    x = alt.X("error:Q", title=title, scale=style.log_scale(), axis=_make_value_axis(".0e"))
+    drawn = _make_version_rows_chart(table).transform_filter(
+        "isFinite(datum.error) && datum.error > 0"
+    )
     limit = alt.Chart(table).transform_calculate(limit=f"{allowed}")
     rule = limit.mark_rule(strokeDash=[4, 3], color=style.FAIL).encode(x="limit:Q")
     layers = (rule, drawn.mark_point(filled=True, size=60, opacity=1).encode(x=x))
     return _arrange_panels(layers, "Error", "Largest error of each solver, version by version.")
 
 
-def _value_axis(form: str) -> alt.Axis:
+def _make_value_axis(form: str) -> alt.Axis:
     """Return a chart axis of values in a given number format."""
     return alt.Axis(format=form, tickCount=5, labelOverlap="greedy", labelSeparation=6)
 
 
-def _version_rows_chart(table: pd.DataFrame) -> Any:
+def _make_version_rows_chart(table: pd.DataFrame) -> Any:
     """Return the base of a chart with a row per solver version, coloured newest or earlier."""
     return alt.Chart(table).encode(
         y=style.named_rows("label", list(dict.fromkeys(table["label"])), labelLimit=170),

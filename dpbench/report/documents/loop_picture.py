@@ -12,7 +12,7 @@ from dpbench.analysis.records.thinned_runs import extreme_indices
 from dpbench.arrays import Vector
 from dpbench.bench.run.station import HEADING_DEG
 from dpbench.report.charts.style import ACCENT, FAIL, INK, SOFT
-from dpbench.report.formats import and_list, significant
+from dpbench.report.formats import join_with_and, significant
 from dpbench.report.page.data import PageData
 from dpbench.report.ship_text import list_losses
 
@@ -49,8 +49,10 @@ class LoopPicture:
     def caption(self) -> str:
         """Caption of the picture, in two sentences."""
         run = self.run
-        names = and_list([panel.name for panel in self.panels]).capitalize()
-        around = f" around the loss of {and_list(losses[0][1])}" if (losses := self._losses) else ""
+        names = join_with_and([panel.name for panel in self.panels]).capitalize()
+        around = (
+            f" around the loss of {join_with_and(losses[0][1])}" if (losses := self._losses) else ""
+        )
         return (
             f"{names}{around} in {run.scenario}, {significant(self.t_s[0])} to "
             f"{significant(self.t_s[-1])} s, with {run.solver}: at most "
@@ -69,11 +71,11 @@ class LoopPicture:
         lefts = [left + number * (wide + GAP) for number in range(len(self.panels))]
         for panel, at in zip(self.panels, lefts, strict=True):
             title = f"{panel.name}, to {significant(panel.most)} {panel.unit}"
-            yield _svg_label(at, top - 2.0, title)
+            yield _make_svg_label(at, top - 2.0, title)
         for panel, at in zip(self.panels, lefts, strict=True):
-            yield from self._panel_svg(panel, at, top, wide, height)
+            yield from self._yield_panel_svg(panel, at, top, wide, height)
 
-    def _panel_svg(
+    def _yield_panel_svg(
         self, panel: Panel, left: float, top: float, width: float, height: float
     ) -> Iterator[str]:
         """Yield the SVG elements of one panel, with losses as vertical lines."""
@@ -92,14 +94,14 @@ class LoopPicture:
         for at_s, lost in self._losses:
             at = left + width * (at_s - begins_s) / lasts_s
             yield f'<path d="M{at:.1f} {top}v{height}" stroke="{FAIL}" stroke-width="0.8"/>'
-            yield _svg_label(at, top + 7.0, f"loss of {escape(and_list(lost))}")
+            yield _make_svg_label(at, top + 7.0, f"loss of {escape(join_with_and(lost))}")
         yield (
             f'<path d="M{left:.1f} {top}v{height}h{width:.1f}" fill="none" stroke="{SOFT}"/>'
             f'<polyline points="{line}" fill="none" stroke="{ACCENT}" stroke-width="1.2"/>'
         )
 
 
-def _svg_label(x: float, y: float, text: str) -> str:
+def _make_svg_label(x: float, y: float, text: str) -> str:
     """Return a small SVG text at a point (x, y) of the picture."""
     return f'<text x="{x + 3.0:.1f}" y="{y:.1f}" font-size="7" fill="{INK}">{text}</text>'
 
@@ -116,12 +118,12 @@ def find_loop_picture(data: PageData, solver: str) -> LoopPicture | None:
     ]
     if not loops or not data.records.has_steps:
         return None
-    run = max(loops, key=lambda run: (_begins_s(run) > 0.0, _offset_share(run)))
+    run = max(loops, key=lambda run: (_find_begin_s(run) > 0.0, _compute_offset_share(run)))
     scenario = data.scenario(run)
     assert scenario is not None, "chosen so"
     columns = ("k", "n_m", "e_m", "psi_rad", "thrust_share")
     steps = data.records.counting_steps(run, columns)
-    steps = steps[steps["k"] * scenario.sample_s >= _begins_s(run)]
+    steps = steps[steps["k"] * scenario.sample_s >= _find_begin_s(run)]
     wanted = scenario.build_reference_table(int(steps["k"].max()) + 1)[steps["k"]]
     north, east, turn = (
         steps[name].to_numpy() - wanted[:, i] for i, name in enumerate(("n_m", "e_m", "psi_rad"))
@@ -136,13 +138,13 @@ def find_loop_picture(data: PageData, solver: str) -> LoopPicture | None:
     return LoopPicture(run, steps["k"].to_numpy() * scenario.sample_s, tuple(panels))
 
 
-def _begins_s(run: RunRecord) -> float:
+def _find_begin_s(run: RunRecord) -> float:
     """Return the time [s] at which a picture of a run begins: short before a loss, or 0."""
     lost_s = [at_s for at_s, _ in list_losses(run) if at_s < run.steps_done * run.sample_s]
     return max(0.0, min(lost_s) - BEFORE_LOSS_S) if lost_s else 0.0
 
 
-def _offset_share(run: RunRecord) -> float:
+def _compute_offset_share(run: RunRecord) -> float:
     """Return a run's largest offset, after its loss if it has one, in multiples of its station."""
     after_loss_m = run.exact_loss_offset_max_m
     most_m = run.exact_offset_max_m if math.isnan(after_loss_m) else after_loss_m

@@ -16,29 +16,34 @@ from dpbench.analysis.verdict.fastest import (
 )
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.errors import UnknownNameError, format_allowed_names
-from dpbench.report.embedded_text import not_counted_texts
+from dpbench.report.embedded_text import yield_uncounted_sentences
 from dpbench.report.formats import (
     MISSING,
-    and_list,
-    count_text,
-    error_text,
-    rounded_down,
+    format_count,
+    format_error,
+    format_rounded_down,
+    format_time,
+    join_with_and,
     strip_markdown,
-    time_text,
 )
 from dpbench.report.page.data import PageData
 from dpbench.report.page.section import Topic
 from dpbench.report.report import Report
 from dpbench.report.ship_text import ShipSummary
-from dpbench.report.table import markdown_line, markdown_table, markdown_text, one_line
+from dpbench.report.table import (
+    escape_markdown,
+    escape_markdown_paragraph,
+    make_markdown_table,
+    one_line,
+)
 from dpbench.report.verdict_text import (
-    answer_text,
-    best_of_grids,
     count_solvers,
+    describe_answer,
+    describe_best_of_grids,
     describe_findings,
-    experiment_text,
-    paired_text,
-    requirements_text,
+    describe_paired_times,
+    describe_requirements,
+    name_experiment,
 )
 
 MOST_BYTES = 8000
@@ -51,7 +56,7 @@ HEAD = (
 )
 
 
-def report_markdown(report: Report) -> str:
+def make_report_markdown(report: Report) -> str:
     """Return the report as Markdown text of limited length: recommendation, table of solvers."""
     data, recommendation, topics = report.data, report.recommendation, report.topics
     lead = [topic.lines[0] for topic in topics if topic.leads]
@@ -63,16 +68,21 @@ def report_markdown(report: Report) -> str:
     after += [recommendation.requirements, recommendation.machine]
     after += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
     if data.counts.sequences:
-        after += not_counted_texts(data.counts.not_counted)
+        after += yield_uncounted_sentences(data.counts.not_counted)
     parts = [
-        f"# dpbench: {markdown_text(str(report.results.suite.get('name', 'results')))}",
-        *ship_lines(recommendation.ship),
-        *map(markdown_line, [*lead, *wording]),
-        solver_table(data, listed := _list_verdicts(data.verdicts)),
+        f"# dpbench: {escape_markdown(str(report.results.suite.get('name', 'results')))}",
+        *make_ship_lines(recommendation.ship),
+        *map(escape_markdown_paragraph, [*lead, *wording]),
+        make_solver_table(data, listed := _list_verdicts(data.verdicts)),
         _unlisted_text(data.verdicts, len(listed)),
-        *_counts_tables(topics),
-        markdown_line(f"Solvers: {count_solvers(data.verdicts)}." if data.verdicts.of else ""),
-        *map(markdown_line, [*best_of_grids(best_verdict_by_own_settings(data.verdicts)), *after]),
+        *_make_counts_tables(topics),
+        escape_markdown_paragraph(
+            f"Solvers: {count_solvers(data.verdicts)}." if data.verdicts.of else ""
+        ),
+        *map(
+            escape_markdown_paragraph,
+            [*describe_best_of_grids(best_verdict_by_own_settings(data.verdicts)), *after],
+        ),
         "Everything else: `report.html` (figures, every step), `tables/*.csv`, `figures/*.svg`, "
         "`runs.parquet`, `steps.parquet`.",
     ]
@@ -80,13 +90,13 @@ def report_markdown(report: Report) -> str:
     return truncate_text(text, MOST_BYTES, "tables/verdicts.csv")
 
 
-def _counts_tables(topics: Sequence[Topic]) -> list[str]:
+def _make_counts_tables(topics: Sequence[Topic]) -> list[str]:
     """Return the table of counts on embedded cores with its title and note, if there is one."""
     return [
         "\n\n".join(
             [
                 f"{topic.title}: instructions a step, memory, error, rank on the desk.",
-                markdown_table(table.heads, table.rows, table.text_columns),
+                make_markdown_table(table.heads, table.rows, table.text_columns),
                 table.note,
             ]
         )
@@ -120,25 +130,31 @@ def _unlisted_text(verdicts: Verdicts, listed: int) -> str:
     return f"{more} more call modes and settings: `tables/verdicts.csv`." if more > 0 else ""
 
 
-def ship_lines(ship: ShipSummary) -> list[str]:
+def make_ship_lines(ship: ShipSummary) -> list[str]:
     """Return the first lines of a Markdown document: what the controller does to the ship."""
     bold = (
-        f"**{text}**" if text else "" for text in map(markdown_line, (ship.warning, ship.caution))
+        f"**{text}**" if text else ""
+        for text in map(escape_markdown_paragraph, (ship.warning, ship.caution))
     )
     warning, caution = bold
-    return [line for line in (warning, markdown_line(ship.text), caution) if line]
+    return [line for line in (warning, escape_markdown_paragraph(ship.text), caution) if line]
 
 
-def solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
+def make_solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
     """Return a Markdown table of verdict, times and errors by configuration; "" without one."""
     listed = list(verdicts)
-    rows = solver_rows(data, listed)
+    rows = make_solver_rows(data, listed)
     if not rows:
         return ""
-    return "\n\n".join([markdown_table(HEAD, rows, 3), *map(markdown_line, describe_table(listed))])
+    return "\n\n".join(
+        [
+            make_markdown_table(HEAD, rows, 3),
+            *map(escape_markdown_paragraph, yield_table_remarks(listed)),
+        ]
+    )
 
 
-def describe_table(verdicts: Sequence[Verdict]) -> Iterator[str]:
+def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
     """Yield the replay of each time where they differ, and the options of the user's settings."""
     timed = [verdict for verdict in verdicts if verdict.timed_on]
     usual = {v.configuration.label: f"the replay of {v.timed_on}" for v in timed}
@@ -160,7 +176,7 @@ def describe_table(verdicts: Sequence[Verdict]) -> Iterator[str]:
 
 def _where(run: RunRecord | None) -> str:
     """Name the replay or window of a time in plain text; "" for none."""
-    return "" if run is None else strip_markdown(experiment_text(run))
+    return "" if run is None else strip_markdown(name_experiment(run))
 
 
 def _most_and_others(names: Mapping[str, str]) -> str:
@@ -173,24 +189,24 @@ def _most_and_others(names: Mapping[str, str]) -> str:
     """
     of_name = group_by(names, lambda label: names[label])
     most, *others = sorted(of_name, key=lambda name: -len(of_name[name]))
-    texts = [f"{and_list(of_name[n])} ({n.removeprefix('the replay of ')})" for n in others]
-    return f"{most}, but for {and_list(texts)}" if texts else most
+    texts = [f"{join_with_and(of_name[n])} ({n.removeprefix('the replay of ')})" for n in others]
+    return f"{most}, but for {join_with_and(texts)}" if texts else most
 
 
-def solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:
+def make_solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:
     """Return rows of text cells with each configuration's verdict, times and errors."""
     return [
         (
             verdict.configuration.solver,
             verdict.configuration.call_text,
             verdict.state,
-            time_text(verdict.p50_ns),
-            time_text(verdict.replay_p99_ns),
-            time_text(verdict.raw_p99_ns),
-            time_text(verdict.p99_ns),
-            time_text(verdict.algo_max_ns),
-            MISSING if margin is None else f"× {rounded_down(margin.factor)}",
-            error_text(verdict.error_move),
+            format_time(verdict.p50_ns),
+            format_time(verdict.replay_p99_ns),
+            format_time(verdict.raw_p99_ns),
+            format_time(verdict.p99_ns),
+            format_time(verdict.algo_max_ns),
+            MISSING if margin is None else f"× {format_rounded_down(margin.factor)}",
+            format_error(verdict.error_move),
             str(verdict.failed_steps),
         )
         for verdict in verdicts
@@ -233,25 +249,31 @@ def compare_solver(
     chosen = [best[name] for name in dict.fromkeys(named) if name != solver]
     worst = worst_steps(data.records, solver)
     own = fastest_first([v for v in data.verdicts.of[solver] if v.state != "not run"])
-    names = and_list([v.configuration.solver for v in chosen]) or "no other solver"
+    names = join_with_and([v.configuration.solver for v in chosen]) or "no other solver"
     suite = report.results.suite
     made_by = f"Suite {suite.get('name', '')}, dpbench {suite.get('harness_version', '')}."
     parts = [
-        f"# {markdown_text(solver)} beside {markdown_text(names)}",
-        *ship_lines(report.recommendation.ship),
-        markdown_line(_verdict_sentence(best[solver], data.verdicts.of[solver][0], len(own))),
-        solver_table(data, [*own[:MOST_CONFIGURATIONS], *chosen]),
-        "\n".join(f"- {markdown_text(_pair_sentence(data, best[solver], v))}" for v in chosen),
-        _worst_table(data, worst, chosen),
+        f"# {escape_markdown(solver)} beside {escape_markdown(names)}",
+        *make_ship_lines(report.recommendation.ship),
+        escape_markdown_paragraph(
+            _describe_verdict(best[solver], data.verdicts.of[solver][0], len(own))
+        ),
+        make_solver_table(data, [*own[:MOST_CONFIGURATIONS], *chosen]),
+        "\n".join(
+            f"- {escape_markdown(_compare_step_times(data, best[solver], v))}" for v in chosen
+        ),
+        _make_worst_table(data, worst, chosen),
         "\n".join(f"    {one_line(step.export_command)}" for step in worst),
-        markdown_line(f"{requirements_text(data.requirements)} {made_by} {machine}"),
+        escape_markdown_paragraph(
+            f"{describe_requirements(data.requirements)} {made_by} {machine}"
+        ),
     ]
     return truncate_text(
         "\n\n".join(part for part in parts if part) + "\n", COMMENT_BYTES, "report.md"
     ), worst
 
 
-def _verdict_sentence(verdict: Verdict, reference: Verdict, count: int) -> str:
+def _describe_verdict(verdict: Verdict, reference: Verdict, count: int) -> str:
     """State whether a solver's best configuration passes, why not, and of how many it is best.
 
     reference : verdict on its usual call mode and settings.
@@ -267,15 +289,15 @@ def _verdict_sentence(verdict: Verdict, reference: Verdict, count: int) -> str:
     return sentence
 
 
-def _pair_sentence(data: PageData, own: Verdict, other: Verdict) -> str:
+def _compare_step_times(data: PageData, own: Verdict, other: Verdict) -> str:
     """Compare the step times of two verdicts' configurations in a sentence."""
     faster, slower = fastest_first([own, other])
-    wording = paired_text(paired_comparison(data.records, faster, slower))
+    wording = describe_paired_times(paired_comparison(data.records, faster, slower))
     names = f"`{slower.configuration.label}` against `{faster.configuration.label}`"
     return f"{names}: {wording}."
 
 
-def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Verdict]) -> str:
+def _make_worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Verdict]) -> str:
     """Make a Markdown table of a solver's worst steps, beside other solvers' values there."""
     if not worst:
         return ""
@@ -286,34 +308,34 @@ def _worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Ve
             step.measure,
             f"{step.k} of {step.run.problem}",
             step.run.configuration.call_text,
-            _figure_text(step.measure, step.value),
-            _figure_text(step.measure, step.median),
-            answer_text(step.step, 0),
+            _format_measure(step.measure, step.value),
+            _format_measure(step.measure, step.median),
+            describe_answer(step.step, 0),
             *(
-                _figure_text(step.measure, find_step_value(data.records, step, v.configuration))
+                _format_measure(step.measure, find_step_value(data.records, step, v.configuration))
                 for v in others
             ),
         )
         for step in worst
     ]
-    return markdown_table(heads, rows, 3)
+    return make_markdown_table(heads, rows, 3)
 
 
-def _figure_text(measure: Measure, value: float) -> str:
+def _format_measure(measure: Measure, value: float) -> str:
     """Format a time [ns], an error or a number of iterations, depending on `measure`."""
     if measure == "time":
-        return time_text(value)
-    return error_text(value) if measure == "error" else count_text(value)
+        return format_time(value)
+    return format_error(value) if measure == "error" else format_count(value)
 
 
-def worst_text(worst: Sequence[WorstStep]) -> list[tuple[str, str]]:
+def format_worst_steps(worst: Sequence[WorstStep]) -> list[tuple[str, str]]:
     """Return label and text of each worst step of a solver; the text ends in its export command."""
     return [
         (
             f"worst {step.measure}",
             f"step {step.k} of {step.run.problem} ({step.run.configuration.call_text}): "
-            f"{_figure_text(step.measure, step.value)}, median "
-            f"{_figure_text(step.measure, step.median)}; "
+            f"{_format_measure(step.measure, step.value)}, median "
+            f"{_format_measure(step.measure, step.median)}; "
             f"{step.export_command}",
         )
         for step in worst

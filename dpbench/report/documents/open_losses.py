@@ -14,7 +14,7 @@ from dpbench.analysis.suites.consequence import LOST, ConsequenceAnalysis
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.capability.frontier import FROM_DEG, INTACT
 from dpbench.report.capability_text import time_held_text
-from dpbench.report.formats import rounded_down, significant
+from dpbench.report.formats import format_rounded_down, significant
 from dpbench.report.ship_text import list_losses
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import ThrusterSet
@@ -139,7 +139,7 @@ def _level_1_findings(
                 seen.add((held_mps[from_deg], from_deg, wind["speed_mps"]))
     for most_mps, from_deg, wind_mps in sorted(seen):
         yield (
-            f"by level 1 the thrusters then hold {rounded_down(most_mps)} m/s of wind from "
+            f"by level 1 the thrusters then hold {format_rounded_down(most_mps)} m/s of wind from "
             f"{from_deg:g}°, and the scenario has {wind_mps:g} m/s"
         )
 

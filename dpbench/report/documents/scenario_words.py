@@ -5,7 +5,7 @@ from typing import Any
 
 from dpbench.analysis.records.run_record import group_by
 from dpbench.analysis.verdict.ship_results import ShipResult
-from dpbench.report.formats import and_list
+from dpbench.report.formats import join_with_and
 from dpbench.report.ship_text import describe_ship, list_losses
 from dpbench.ship.thrusters import describe_sector
 
@@ -15,12 +15,14 @@ def describe_scenario(ship: ShipResult) -> Iterator[str]:
     yield describe_ship(ship)
     scenario = (ship.run.scenario_files or {}).get("scenario")
     if scenario is not None:
-        parts = [_weather_text(scenario.get("environment") or {})]
-        parts += [f"loss of {and_list(lost)} at {at_s:g} s" for at_s, lost in list_losses(ship.run)]
+        parts = [_describe_weather(scenario.get("environment") or {})]
+        parts += [
+            f"loss of {join_with_and(lost)} at {at_s:g} s" for at_s, lost in list_losses(ship.run)
+        ]
         yield f"{scenario.get('title', ship.name)}: {'; '.join(parts)}"
 
 
-def _weather_text(environment: Mapping[str, Any]) -> str:
+def _describe_weather(environment: Mapping[str, Any]) -> str:
     """State mean wind, waves and current with their directions; or that there are none."""
     wind, waves, current = (environment.get(key) for key in ("wind", "waves", "current"))
     parts = []
@@ -40,11 +42,11 @@ def _weather_text(environment: Mapping[str, Any]) -> str:
 def describe_thrusters(thrusters: Sequence[Mapping[str, Any]]) -> str:
     """List the thrusters of a vessel document by switchboard, with their powers; "" without any."""
     by_board = group_by(thrusters, lambda one: str(one.get("group") or "no group"))
-    boards = [f"{board}: {', '.join(map(_thruster_text, own))}" for board, own in by_board.items()]
+    boards = [f"{board}: {', '.join(map(_name_thruster, own))}" for board, own in by_board.items()]
     return "; ".join(boards)
 
 
-def _thruster_text(thruster: Mapping[str, Any]) -> str:
+def _name_thruster(thruster: Mapping[str, Any]) -> str:
     """Name a thruster with its power and the directions it pushes in, where they are known."""
     power_kW, sector_deg = thruster.get("power_kW"), thruster.get("sector_deg")
     facts = [f"{power_kW:g} kW"] if power_kW else []

@@ -24,7 +24,7 @@ from dpbench.embedded.table import EMBEDDED_FILE, load_counted_steps_of_folder
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.opening import read_bytes
 from dpbench.files.writing import write_file_atomically, write_text_atomically
-from dpbench.report.formats import and_list, plural
+from dpbench.report.formats import join_with_and, plural
 from dpbench.report.page.write import FILES
 from dpbench.scenario.problem_files import read_toml_as_model
 
@@ -66,7 +66,7 @@ _LOADS = re.compile(r"url\s*\((?!#)|@import|image-set|[\\&]", re.IGNORECASE)
 """Parts of a style that load something, or hide that by an escape."""
 
 
-def check_passive(page: str, where: str) -> None:
+def refuse_active_page(page: str, where: str) -> None:
     """Refuse a page in which a browser would run or load something.
 
     Raises ResultsError naming the line, and the tag or attribute.
@@ -149,13 +149,13 @@ def prepare_sent_folder(folder: Path, target: Path) -> None:
     allowed = "a folder of its own, as results/community/2026-11-22-name"
     if target.resolve() == folder.resolve():
         raise InputError("--send", "", str(target), allowed)
-    strangers = _unknown_files(target) if target.is_dir() else []
+    strangers = _list_unknown_files(target) if target.is_dir() else []
     if strangers:
         raise InputError("--send", "", f"{target} with {strangers[0]}", allowed)
     target.mkdir(parents=True, exist_ok=True)
     for name in WHERE_THERE:
         (target / name).unlink(missing_ok=True)
-    for name in _files_to_send(folder):
+    for name in _list_files_to_send(folder):
         with write_file_atomically(target / name) as part:
             shutil.copyfile(folder / name, part)
     started = str(read_suite_description(folder).get("started_utc", ""))[:10]
@@ -175,10 +175,10 @@ def check_sent_folder(folder: Path) -> str:
     if size > MOST_BYTES:
         raise ResultsError(where, "", f"{size} bytes", f"at most {MOST_BYTES} in all")
     results = load_results(folder, without_steps=True)
-    strangers = _unknown_files(folder)
+    strangers = _list_unknown_files(folder)
     if strangers:
         raise ResultsError(
-            f"{where}/{strangers[0]}", "", "a file", f"only {and_list([*SENT, *WHERE_THERE])}"
+            f"{where}/{strangers[0]}", "", "a file", f"only {join_with_and([*SENT, *WHERE_THERE])}"
         )
     sender = read_toml_as_model(folder / SENDER, Sender)
     load_capability_plots(folder)
@@ -193,13 +193,13 @@ def check_sent_folder(folder: Path) -> str:
     )
 
 
-def _unknown_files(folder: Path) -> list[str]:
+def _list_unknown_files(folder: Path) -> list[str]:
     """List files of a sent folder that do not belong there."""
     allowed = (*SENT, *WHERE_THERE)
     return sorted(path.name for path in folder.iterdir() if path.name not in allowed)
 
 
-def _files_to_send(folder: Path) -> list[str]:
+def _list_files_to_send(folder: Path) -> list[str]:
     """Return the names of the result files to send, without report page and sender's form."""
     return [*COPIED, *(name for name in WHERE_THERE if (folder / name).exists())]
 
@@ -223,8 +223,8 @@ def _check_page(folder: Path) -> None:
     path = folder / PAGE
     data = read_bytes(path, _MADE_BY, most_bytes=MOST_BYTES, error=ResultsError)
     page = data.decode("utf-8", errors="replace")
-    for name, sha in hash_files(folder, _files_to_send(folder)).items():
+    for name, sha in hash_files(folder, _list_files_to_send(folder)).items():
         if sha not in page:
             allowed = "the page of these files: `dpbench report DIR --send FOLDER`"
             raise ResultsError(str(path), "", f"a page of another {name}", allowed)
-    check_passive(page, str(path))
+    refuse_active_page(page, str(path))

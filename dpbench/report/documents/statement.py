@@ -26,23 +26,23 @@ from dpbench.report.capability_text import (
     consequence_solver_text,
     describe_capability,
     describe_losses_held,
-    unanswered_text,
+    describe_unanswered_qps,
 )
 from dpbench.report.charts.style import FAIL, INK, LINE, SOFT
 from dpbench.report.documents.loop_picture import LoopPicture, find_loop_picture
 from dpbench.report.documents.open_losses import find_open_losses
 from dpbench.report.documents.scenario_words import describe_scenario, describe_thrusters
-from dpbench.report.formats import strip_markdown, time_text
-from dpbench.report.machine_verdict import disturbance_text
+from dpbench.report.formats import format_time, strip_markdown
+from dpbench.report.machine_verdict import describe_disturbance
 from dpbench.report.page.data import PageData
-from dpbench.report.page.recommendation import speed_margin_text
+from dpbench.report.page.recommendation import describe_speed_margin
 from dpbench.report.page.terms import DRAG_MISMATCH
 from dpbench.report.ship_text import describe_unmet, summarise_ships
 from dpbench.report.verdict_text import (
-    deployment_facts,
-    judged_runs_text,
-    requirements_text,
-    stopped_runs_text,
+    describe_deployment,
+    describe_judged_runs,
+    describe_requirements,
+    describe_stopped_runs,
 )
 from dpbench.report.words import render_document
 from dpbench.solvers.settings import resolve_settings_with_fixed_options
@@ -68,7 +68,7 @@ class TextLine:
     is_caption: bool = False
 
 
-def statement_svg(folder: Path, results: Results, data: PageData) -> str:
+def make_statement_svg(folder: Path, results: Results, data: PageData) -> str:
     """Return the one-page statement on the recommended solver as SVG, A4.
 
     Raises InputError when nothing can be recommended, so that there is nothing to state.
@@ -108,7 +108,7 @@ def _width_em(text: str) -> float:
 
 def write_statement(path: Path, folder: Path, results: Results, data: PageData) -> Path:
     """Write the one-page statement on the recommended solver, as .pdf or .svg."""
-    drawn = statement_svg(folder, results, data)
+    drawn = make_statement_svg(folder, results, data)
     if path.suffix == ".svg":
         write_bytes_to_file_or_pipe(path, drawn.encode())
     elif path.suffix == ".pdf":
@@ -206,22 +206,22 @@ def _fill_statement(
         caption=caption,
         unmet=describe_unmet(ships, known),
         compared=[
-            f"{solver} {versions[solver]} {v.state}, p99 {time_text(v.p99_ns)}"
+            f"{solver} {versions[solver]} {v.state}, p99 {format_time(v.p99_ns)}"
             for v in best_verdict_by_solver(data.verdicts)
             for solver in [v.configuration.solver]
         ],
-        machine_state=disturbance_text(total_disturbance(timed_runs(records))),
+        machine_state=describe_disturbance(total_disturbance(timed_runs(records))),
         c=c,
         v=chosen,
-        judged_runs_text=judged_runs_text(chosen),
+        judged_runs_text=describe_judged_runs(chosen),
         version=versions[c.solver],
         numbers=", ".join(f"{key} = {value!r}" for key, value in options.items())
         or "the library's own",
-        aboard=deployment_facts(c.solver),
-        requirements=requirements_text(data.requirements),
-        unanswered=unanswered_text(records, c.solver),
-        stopped=stopped_runs_text(records.runs),
-        slower=speed_margin_text(data, chosen),
+        aboard=describe_deployment(c.solver),
+        requirements=describe_requirements(data.requirements),
+        unanswered=describe_unanswered_qps(records, c.solver),
+        stopped=describe_stopped_runs(records.runs),
+        slower=describe_speed_margin(data, chosen),
         ships=[f"{vessel.title} ({vessel.id})" for vessel in vessels.values()],
         mismatch=DRAG_MISMATCH if any(vessel.drag for vessel in vessels.values()) else "",
         experiments=[

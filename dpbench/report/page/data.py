@@ -35,7 +35,7 @@ def select_shown_runs(runs: Iterable[RunRecord]) -> list[RunRecord]:
     return sorted(solving, key=lambda run: run.replicate)[:MOST_RUNS]
 
 
-def study_document(
+def make_study_document(
     study: Study, runs: Mapping[str, RunRecord], number_of: Mapping[str, int]
 ) -> dict[str, Any]:
     """Return a study's points, configurations and runs as JSON data for the page's script.
@@ -60,7 +60,7 @@ def study_document(
         ],
         "names": names,
         "c": [number_of[name] for name in names],
-        "means": [_mean_excess_error(study, name) for name in names],
+        "means": [_compute_mean_excess_error(study, name) for name in names],
         "runs": {
             "of": [place[name] for name in rows["configuration"]],
             "point": rows["point"].tolist(),
@@ -73,7 +73,7 @@ def study_document(
     }
 
 
-def _mean_excess_error(study: Study, name: str) -> dict[str, Any]:
+def _compute_mean_excess_error(study: Study, name: str) -> dict[str, Any]:
     """Return a configuration's mean excess error [cm], its interval, share of seas within."""
     (found,) = (c for c in study.configurations if c.name == name)
     within = None if math.isnan(found.within) else found.within
@@ -96,7 +96,9 @@ class PageData(RunMatrix):
     counts: EmbeddedResults = field(default_factory=lambda: EmbeddedResults(()))
 
     @classmethod
-    def of(cls, records: Records, verdicts: Verdicts, counted: pd.DataFrame | None = None) -> Self:
+    def from_verdicts(
+        cls, records: Records, verdicts: Verdicts, counted: pd.DataFrame | None = None
+    ) -> Self:
         """Build the report page's data from a folder's runs and the verdicts on solvers.
 
         counted : steps of `embedded.parquet`, if there are any.
@@ -120,7 +122,7 @@ class PageData(RunMatrix):
         """Points, configurations and runs of each study, as JSON data for the page's script."""
         runs = {run.run_id: run for run in select_shown_runs(self.records.study)}
         numbers = {run.name: self.index(common_configuration(run)) for run in runs.values()}
-        return [study_document(study, runs, numbers) for study in self.studies]
+        return [make_study_document(study, runs, numbers) for study in self.studies]
 
     @property
     def opening(self) -> tuple[int, int] | None:
@@ -139,7 +141,7 @@ class PageData(RunMatrix):
     def thinned_runs(self) -> dict[str, ThinnedRun]:
         """Steps of every run, thinned to what the report page has room for, by run id."""
         runs = {run.run_id: run for run in self.runs.values()}
-        room = Room.of([run.steps_done for run in runs.values() if run.has_steps])
+        room = Room.from_run_lengths([run.steps_done for run in runs.values() if run.has_steps])
         kept: dict[str, ThinnedRun] = {}
         read = self.records.run_steps(list(runs.values()), (*TRACK, *FORCES))
         for run_id, steps, rows in read:
@@ -168,7 +170,7 @@ class PageData(RunMatrix):
             if kept is not None:
                 hardest = [
                     [
-                        [k, json_number(value), status, int(claimed), int(true), active]
+                        [k, convert_to_json_number(value), status, int(claimed), int(true), active]
                         for k, value, status, claimed, true, active in kept.hard[measure][:hard]
                     ]
                     for measure in MEASURES
@@ -189,20 +191,20 @@ class PageData(RunMatrix):
             "verdict": self.state(c, p),
             "outcome": run.outcome,
             "why": run.outcome_detail[:200],
-            "infeasible": json_number(run.infeasible_steps),
+            "infeasible": convert_to_json_number(run.infeasible_steps),
             "all_true": run.true_share == 1.0,
             "steps": run.steps_done,
             "answers": int(run.steps_done * max(1.0, run.rounds)),
             "planned": run.steps_planned,
-            "error": json_number(run.error_move_max),
-            "failed": json_number(run.failed_steps),
-            "untrue": json_number(run.claimed_not_true),
-            "off_m": json_number(run.dev_position_max_m),
-            "settle_s": json_number(run.settle_s),
+            "error": convert_to_json_number(run.error_move_max),
+            "failed": convert_to_json_number(run.failed_steps),
+            "untrue": convert_to_json_number(run.claimed_not_true),
+            "off_m": convert_to_json_number(run.dev_position_max_m),
+            "settle_s": convert_to_json_number(run.settle_s),
         }
 
 
-def json_number(value: object) -> float | str | None:
+def convert_to_json_number(value: object) -> float | str | None:
     """Convert a number for JSON: None where it is missing, "inf" where infinite."""
     x = as_float(value)
     if math.isnan(x):
@@ -210,7 +212,7 @@ def json_number(value: object) -> float | str | None:
     return x if math.isfinite(x) else "inf"
 
 
-def columns_by_name(rows: Sequence[dict[str, Any]]) -> dict[str, list[Any]]:
+def convert_rows_to_columns(rows: Sequence[dict[str, Any]]) -> dict[str, list[Any]]:
     """Convert a list of rows (dictionaries) to lists of column values by name."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     return {name: [row.get(name) for row in rows] for name in names}

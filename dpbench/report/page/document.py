@@ -15,14 +15,14 @@ from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.cell import Configuration
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts import style
-from dpbench.report.page.data import PageData, columns_by_name, json_number
+from dpbench.report.page.data import PageData, convert_rows_to_columns, convert_to_json_number
 from dpbench.report.page.live import SECTIONS
 from dpbench.report.page.pack import FLAGS
-from dpbench.report.page.recommendation import Recommendation, python_call_text
+from dpbench.report.page.recommendation import Recommendation, format_python_call
 from dpbench.report.page.terms import GlossaryEntry
 
 
-def page_document(
+def make_page_document(
     data: PageData,
     results: Results,
     recommendation: Recommendation,
@@ -44,13 +44,13 @@ def page_document(
             for name in dict.fromkeys(c.solver for c in data.configurations)
             for known in [find_solver_record_or_none(name)]
         },
-        "configurations": columns_by_name(rows),
+        "configurations": convert_rows_to_columns(rows),
         "experiments": [
             _describe_experiment(data, experiment, data.first_runs.get(p))
             | ({"shows": words[p].meaning} if p in words else {})
             for p, experiment in enumerate(data.experiments)
         ],
-        "cells": columns_by_name(cells),
+        "cells": convert_rows_to_columns(cells),
         "flags": FLAGS,
         "row_step": style.ROW_STEP,
         "requirements": {
@@ -58,7 +58,7 @@ def page_document(
             "deadline_ms": data.requirements.deadline_ms,
             "p99_ms": data.requirements.p99_ms,
         },
-        "answer": _opening_selection(data, results, recommendation),
+        "answer": _select_at_opening(data, results, recommendation),
     }
     for section in SECTIONS:
         document |= section.data(data, results)
@@ -75,17 +75,17 @@ def _describe_configuration(
         **configuration_columns(c),
         "verdict": "not judged" if v is None else v.state,
         "why": "" if v is None else recommendation.why(v),
-        **{name: json_number(times.get(name)) for name in ("p50", "p99", "max")},
-        "replay_p99": None if v is None else json_number(v.replay_p99_ns),
-        "raw_p99": None if v is None else json_number(v.raw_p99_ns),
+        **{name: convert_to_json_number(times.get(name)) for name in ("p50", "p99", "max")},
+        "replay_p99": None if v is None else convert_to_json_number(v.replay_p99_ns),
+        "raw_p99": None if v is None else convert_to_json_number(v.raw_p99_ns),
         "p50_in": "" if v is None else v.timed_on,
         "p99_in": "" if v is None else v.p99_on,
-        "error": None if v is None else json_number(v.error_move),
+        "error": None if v is None else convert_to_json_number(v.error_move),
         "failed": None if v is None else v.failed_steps,
         "timed_experiment_index": None if v is None else data.timed_experiment_index(v),
-        "call": python_call_text(c),
+        "call": format_python_call(c),
         **_describe_margin(data, c),
-        "longest": None if longest is None else json_number(longest[1].raw_max_ns),
+        "longest": None if longest is None else convert_to_json_number(longest[1].raw_max_ns),
         "longest_at": None if longest is None else data.experiments.index(longest[0]),
     }
 
@@ -102,14 +102,14 @@ def _describe_margin(data: PageData, c: Configuration) -> dict[str, Any]:
         and not experiment.slowdown
     }
     bounds = [
-        [loops[step.run.scenario], step.k, json_number(step.time_ns)]
+        [loops[step.run.scenario], step.k, convert_to_json_number(step.time_ns)]
         for step in (margin.hardest, margin.p99)
         if step.run.window_of and step.run.scenario in loops
     ]
-    return {"margin": json_number(margin.factor), "bounds": bounds}
+    return {"margin": convert_to_json_number(margin.factor), "bounds": bounds}
 
 
-def _opening_selection(
+def _select_at_opening(
     data: PageData, results: Results, recommendation: Recommendation
 ) -> dict[str, Any]:
     """Return the configurations and the scenario or replay that the page selects as it opens."""

@@ -19,15 +19,15 @@ from dpbench.report.charts.overview import draw_accuracy, draw_deadline_chart, d
 from dpbench.report.charts.steps import COLUMNS as STEP_COLUMNS
 from dpbench.report.charts.steps import draw_step_pairs, draw_step_strips
 from dpbench.report.charts.study import draw_point_errors, draw_point_seas, draw_study_points
-from dpbench.report.embedded_text import calculator_rows, setting_text
+from dpbench.report.embedded_text import make_calculator_rows, name_sequence_and_core
 from dpbench.report.page.data import PageData
 from dpbench.report.page.section import Section
-from dpbench.report.page.tables import runs_table, select_tiles
+from dpbench.report.page.tables import make_table_of_runs, select_tiles
 
 Charts = dict[str, Any]
 
 
-def _draw_ladder(data: PageData) -> Charts:
+def _draw_deadline_charts(data: PageData) -> Charts:
     """Draw the chart of all solvers' step times against the deadline; none if not timed."""
     timed = time_table(data)
     if timed.empty:
@@ -39,7 +39,7 @@ def _draw_ladder(data: PageData) -> Charts:
     }
 
 
-def _draw_matrix(data: PageData) -> Charts:
+def _draw_verdict_grids(data: PageData) -> Charts:
     """Draw the grid of verdicts, wide and for narrow screens."""
     tiles = select_tiles(experiment_table(data)).replace(inf, "inf")  # JSON has no infinity
     if tiles.empty:
@@ -58,7 +58,7 @@ MATRIX = (
 )
 
 
-def _matrix_text(data: PageData) -> str:
+def _explain_verdict_grid(data: PageData) -> str:
     """Explain the chart of verdicts by scenario in text, and how many scenarios it leaves out."""
     tiles = experiment_table(data)
     tables = tiles, select_tiles(tiles)
@@ -78,25 +78,25 @@ def _matrix_text(data: PageData) -> str:
     return " ".join(wording)
 
 
-def _draw_strips(data: PageData) -> Charts:
+def _draw_empty_step_charts(data: PageData) -> Charts:
     """Draw the empty charts of one run's steps, which the page's script fills."""
     if not data.runs:
         return {}
     forces = pd.DataFrame(columns=["k", "force", "share"])
     no_steps = pd.DataFrame(columns=list(STEP_COLUMNS))
     charts = {"strips": draw_step_strips(no_steps, forces, data.requirements.error_move)}
-    if _replayed_configurations(data):
+    if _find_replayed_configurations(data):
         charts["strips_replay"] = draw_step_strips(no_steps, None, data.requirements.error_move)
     return charts
 
 
-def _draw_pairs(data: PageData) -> Charts:
+def _draw_empty_pair_chart(data: PageData) -> Charts:
     """Draw the empty chart of two solvers' step times, which the page's script fills."""
-    has_pair = len(_replayed_configurations(data)) > 1
+    has_pair = len(_find_replayed_configurations(data)) > 1
     return {"pairs": draw_step_pairs("first", "second")} if has_pair else {}
 
 
-def _replayed_configurations(data: PageData) -> set[int]:
+def _find_replayed_configurations(data: PageData) -> set[int]:
     """Return the indices of configurations that have a replay."""
     return {c for c, p in data.runs if data.experiments[p].mode == "replay"}
 
@@ -104,7 +104,7 @@ def _replayed_configurations(data: PageData) -> set[int]:
 def _pack_half_widths(data: PageData, _: Results) -> dict[str, Any]:
     """Pack, for each two configurations, the half-width of their log time ratio's interval."""
     timed, widths = pair_half_widths(data)
-    return {"paired": {"c": timed, "reach": data.block.add_log(widths)}}
+    return {"paired": {"c": timed, "reach": data.block.add_as_uint16_logs(widths)}}
 
 
 def _draw_accuracy(data: PageData) -> Charts:
@@ -130,7 +130,7 @@ def _draw_counts(data: PageData) -> Charts:
     cores = {(sequence.target, sequence.single) for sequence in data.counts.sequences}
     rows, one_core = [], len(cores) == 1
     for sequence in data.counts.sequences:
-        group = setting_text(sequence)
+        group = name_sequence_and_core(sequence)
         for one in sequence.solvers:
             name = f"{one.solver}, {sequence.sequence if one_core else group}"
             row = {"label": name, "group": group, "k": str(one.k)}
@@ -140,16 +140,16 @@ def _draw_counts(data: PageData) -> Charts:
 
 def _pack_counts(data: PageData, _: Results) -> dict[str, Any]:
     """Pack the instructions of the calculator's rows; nothing if not counted."""
-    rows = calculator_rows(data.counts, data.requirements)
+    rows = make_calculator_rows(data.counts, data.requirements)
     counts = [{"solver": row.solver, "p99": row.p99, "worst": row.worst} for row in rows]
     return {"counts": counts} if counts else {}
 
 
 SECTIONS = (
-    Section("answer", "Answer", _draw_ladder, ("ladder",), always=True),
-    Section("matrix", "Scenarios", _draw_matrix, ("matrix",), text=_matrix_text),
-    Section("one", "One solver", _draw_strips, live=True),
-    Section("two", "Two solvers", _draw_pairs, data=_pack_half_widths, live=True),
+    Section("answer", "Answer", _draw_deadline_charts, ("ladder",), always=True),
+    Section("matrix", "Scenarios", _draw_verdict_grids, ("matrix",), text=_explain_verdict_grid),
+    Section("one", "One solver", _draw_empty_step_charts, live=True),
+    Section("two", "Two solvers", _draw_empty_pair_chart, data=_pack_half_widths, live=True),
     Section("accuracy", "Accuracy", _draw_accuracy, ("accuracy",)),
     Section(
         "study",
@@ -168,7 +168,10 @@ SECTIONS = (
         in_topic=True,
     ),
     Section(
-        "data", "Data", data=lambda data, all: {"table": runs_table(data, all.runs)}, always=True
+        "data",
+        "Data",
+        data=lambda data, all: {"table": make_table_of_runs(data, all.runs)},
+        always=True,
     ),
 )
 """Sections of the page in its order; topics precede the last one."""

@@ -49,48 +49,50 @@ class Block:
         self._entries: list[list[Any]] = []
         self._size = 0
 
-    def add_log(self, values: ArrayLike, places: int | None = None) -> int:
+    def add_as_uint16_logs(self, values: ArrayLike, places: int | None = None) -> int:
         """Add positive numbers of many decades as uint16 logarithms; return the array's index."""
-        return self._add_array("log", log_codes(values), 1.0, places)
+        return self._append_encoded_array("log", encode_as_uint16_logs(values), 1.0, places)
 
-    def add_linear(self, values: ArrayLike, scale: float) -> int:
+    def add_as_int16_multiples(self, values: ArrayLike, scale: float) -> int:
         """Add an array of numbers as int16 multiples of `scale`; return its index."""
         x = np.asarray(values, dtype=np.float64) / scale
         codes = np.clip(np.round(np.nan_to_num(x)), -32767, 32767)
         codes[np.isnan(x)] = GAP
-        return self._add_array(
+        return self._append_encoded_array(
             "linear", _encode_differences(codes.astype(np.int16).view(np.uint16)), scale
         )
 
-    def add_count(self, values: ArrayLike, places: int | None = None) -> int:
+    def add_as_uint16_counts(self, values: ArrayLike, places: int | None = None) -> int:
         """Add an array of whole numbers up to 65534, NaN if missing; return its index."""
         x = np.asarray(values, dtype=np.float64)
         codes = np.where(np.isnan(x) | (x < 0), INFINITE, np.minimum(np.nan_to_num(x), 65534))
-        return self._add_array("count", _encode_differences(codes.astype(np.uint16)), 1.0, places)
+        return self._append_encoded_array(
+            "count", _encode_differences(codes.astype(np.uint16)), 1.0, places
+        )
 
-    def add_flag(self, values: ArrayLike, places: int | None = None) -> int:
+    def add_as_flag_bytes(self, values: ArrayLike, places: int | None = None) -> int:
         """Add an array of bytes of bit flags; return its index."""
-        return self._add_array("flag", np.asarray(values, dtype=np.uint8), 1.0, places)
+        return self._append_encoded_array("flag", np.asarray(values, dtype=np.uint8), 1.0, places)
 
-    def add_indices(self, values: ArrayLike, length: int) -> int:
+    def add_rising_indices(self, values: ArrayLike, length: int) -> int:
         """Add rising indices below `length`, return the array's index; ValueError for wide gaps."""
         apart = np.diff(np.asarray(values, dtype=np.int64), prepend=0)
         if apart.size and apart.max() > INFINITE:
             raise ValueError(f"places {apart.max()} apart")
-        return self._add_array("place", apart.astype(np.uint16), length)
+        return self._append_encoded_array("place", apart.astype(np.uint16), length)
 
-    def _add_array(
+    def _append_encoded_array(
         self, kind: Kind, codes: NDArray[Any], scale: float, places: int | None = None
     ) -> int:
         """Append an encoded array to the block; return its index."""
-        raw = _split_bytes(codes) if codes.dtype == np.uint16 else codes.tobytes()
+        raw = _pack_low_then_high_bytes(codes) if codes.dtype == np.uint16 else codes.tobytes()
         entry = [kind, self._size, len(codes), scale]
         self._entries.append(entry if places is None else [*entry, places])
         self._parts.append(raw)
         self._size += len(raw)
         return len(self._entries) - 1
 
-    def text(self, document: dict[str, Any]) -> str:
+    def compress_to_base64(self, document: dict[str, Any]) -> str:
         """Return the compressed arrays, together with a JSON document, as base64 text."""
         head = json.dumps(
             document | {"arrays": self._entries},
@@ -102,7 +104,7 @@ class Block:
         return base64.b64encode(zlib.compress(raw, LEVEL)).decode("ascii")
 
 
-def log_codes(values: ArrayLike) -> NDArray[np.uint16]:
+def encode_as_uint16_logs(values: ArrayLike) -> NDArray[np.uint16]:
     """Encode positive numbers as uint16 logarithms; negative ones and NaN count as missing."""
     x = np.asarray(values, dtype=np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -117,7 +119,7 @@ def _encode_differences(codes: NDArray[np.uint16]) -> NDArray[np.uint16]:
     return np.diff(codes, prepend=np.uint16(0)).astype(np.uint16)
 
 
-def _split_bytes(codes: NDArray[np.uint16]) -> bytes:
+def _pack_low_then_high_bytes(codes: NDArray[np.uint16]) -> bytes:
     """Return a uint16 array as bytes: the low bytes of all elements, then the high ones."""
     return (codes & 0xFF).astype(np.uint8).tobytes() + (codes >> 8).astype(np.uint8).tobytes()
 
@@ -145,7 +147,7 @@ class Room:
     points: int
 
     @classmethod
-    def of(cls, lengths: Sequence[int]) -> "Room":
+    def from_run_lengths(cls, lengths: Sequence[int]) -> "Room":
         """Return the most steps and points to keep of each run, one limit for all runs."""
         more = max(0, len(lengths) - MANY_RUNS)
         points = common_length_limit(lengths, max(0, MOST_POINTS - POINTS_A_RUN * more))
@@ -158,7 +160,7 @@ def pack_steps(block: Block, run: ThinnedRun) -> dict[str, int]:
     steps, first = run.steps, int(run.steps.k[0])
     count = run.last - first + 1
     # Of a whole run the places follow from the missing ones, which pack to nothing.
-    at = None if run.is_whole else block.add_indices(steps.k - first, count)
+    at = None if run.is_whole else block.add_rising_indices(steps.k - first, count)
 
     def spread(values: Floats, missing: float = np.nan) -> Floats:
         if at is not None:
@@ -171,14 +173,14 @@ def pack_steps(block: Block, run: ThinnedRun) -> dict[str, int]:
     bits = np.sum([flag.astype(np.float64) * (1 << bit) for bit, flag in flags], axis=0)
     entry = {
         "first": first,
-        "t": block.add_log(spread(steps.time_ns), at),
-        "e": block.add_log(spread(steps.error), at),
-        "i": block.add_count(spread(steps.iterations), at),
-        "a": block.add_count(spread(steps.n_active), at),
-        "f": block.add_flag(spread(bits, 0.0), at),
+        "t": block.add_as_uint16_logs(spread(steps.time_ns), at),
+        "e": block.add_as_uint16_logs(spread(steps.error), at),
+        "i": block.add_as_uint16_counts(spread(steps.iterations), at),
+        "a": block.add_as_uint16_counts(spread(steps.n_active), at),
+        "f": block.add_as_flag_bytes(spread(bits, 0.0), at),
     }
     if steps.rounds > 1:
-        entry["r"] = block.add_log(spread(steps.raw_ns), at)
+        entry["r"] = block.add_as_uint16_logs(spread(steps.raw_ns), at)
     return entry
 
 
@@ -192,6 +194,6 @@ def pack_track(block: Block, track: Track, reference: Track | None) -> dict[str,
         force -= reference.force[:count]
     return {
         "every": track.every,
-        "x": [block.add_linear(position[:, i], s) for i, s in enumerate(TOLD_APART)],
-        "u": [block.add_linear(force[:, i], FORCE_SHARE) for i in range(len(FORCES))],
+        "x": [block.add_as_int16_multiples(position[:, i], s) for i, s in enumerate(TOLD_APART)],
+        "u": [block.add_as_int16_multiples(force[:, i], FORCE_SHARE) for i in range(len(FORCES))],
     }

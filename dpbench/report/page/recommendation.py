@@ -18,29 +18,29 @@ from dpbench.analysis.verdict.speed_margin import SlowStep, largest_stall_ns
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.cell import Configuration
 from dpbench.errors import InputError, format_allowed_names
-from dpbench.report.capability_text import consequence_solver_text, unanswered_text
-from dpbench.report.embedded_text import counted_text
+from dpbench.report.capability_text import consequence_solver_text, describe_unanswered_qps
+from dpbench.report.embedded_text import describe_embedded_cost
 from dpbench.report.formats import (
-    and_list,
-    error_text,
+    format_error,
+    format_rounded_down,
+    format_time,
+    join_with_and,
     plural,
-    rounded_down,
     strip_markdown,
-    time_text,
 )
-from dpbench.report.machine_verdict import disturbance_text
+from dpbench.report.machine_verdict import describe_disturbance
 from dpbench.report.page.data import PageData
 from dpbench.report.ship_text import ShipSummary, summarise_ships
 from dpbench.report.verdict_text import (
     NOBODY,
-    deployment_facts,
+    describe_deployment,
     describe_findings,
+    describe_judged_runs,
+    describe_paired_times,
+    describe_requirements,
+    describe_stopped_runs,
     explain_no_recommendation,
-    judged_runs_text,
-    paired_text,
-    requirements_text,
-    stopped_runs_text,
-    usual_time_text,
+    format_usual_time,
 )
 from dpbench.solvers.settings import has_preset_or_tolerance, resolve_settings_with_fixed_options
 
@@ -118,11 +118,11 @@ def build_recommendation(
     ship = summarise_ships(data.ships)
     return Recommendation(
         ship=ship,
-        sentence=_recommendation_sentence(data, found, is_lost=bool(ship.warning)),
-        notes=(*_make_notes(data, found), *_stopped_notes(data)),
+        sentence=_describe_choice(data, found, is_lost=bool(ship.warning)),
+        notes=(*_make_notes(data, found), *_yield_stopped_notes(data)),
         chips=tuple(_make_badges(data, first)),
         snippets=tuple(_make_snippets(chosen.configuration)) if chosen else (),
-        requirements=requirements_text(data.requirements) if data.verdicts.of else "",
+        requirements=describe_requirements(data.requirements) if data.verdicts.of else "",
         machine=_describe_machine(data, machine),
         first=first,
         second=second,
@@ -132,14 +132,14 @@ def build_recommendation(
 def _describe_machine(data: PageData, machine: Mapping[str, Any]) -> str:
     """Name the machine, and what disturbed it; "" for nothing."""
     name = f"{machine.get('cpu_model', 'not known')}, {machine.get('cores', '?')} cores"
-    disturbed = disturbance_text(total_disturbance(timed_runs(data.records)))
+    disturbed = describe_disturbance(total_disturbance(timed_runs(data.records)))
     return (
         f"Machine: {name}, {machine.get('python', '')}. Times hold for it alone."
         + f" It was {disturbed}: times are better measured again." * (disturbed != "quiet")
     )
 
 
-def _recommendation_sentence(data: PageData, found: SolverChoice, *, is_lost: bool) -> str:
+def _describe_choice(data: PageData, found: SolverChoice, *, is_lost: bool) -> str:
     """State the solver to use with its p99 and error, or why there is none.
 
     is_lost : the controller does not hold a ship, so that the sentence speaks of the QPs alone.
@@ -160,12 +160,13 @@ def _recommendation_sentence(data: PageData, found: SolverChoice, *, is_lost: bo
     both = consequence_solver_text(data.records, c.solver)
     return (
         f"{both + ' ' if both else ''}{opening}: right on every step of "
-        f"{judged_runs_text(chosen)}{_infeasible_steps_text(data, c)}, {usual_time_text(chosen)}, "
-        f"largest error of the first move {error_text(chosen.error_move)}{lacks}."
+        f"{describe_judged_runs(chosen)}{_describe_infeasible_steps(data, c)}, "
+        f"{format_usual_time(chosen)}, largest error of the first move "
+        f"{format_error(chosen.error_move)}{lacks}."
     )
 
 
-def _infeasible_steps_text(data: PageData, c: Configuration) -> str:
+def _describe_infeasible_steps(data: PageData, c: Configuration) -> str:
     """State how many QPs had no solution, and if the solver reported that; "" for none."""
     steps, is_reported = data.count_infeasible_steps(c)
     wording = ", as the solver reported" if is_reported else ""
@@ -187,35 +188,37 @@ def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]
     chosen = found.chosen
     if chosen is None:
         return
-    yield "aboard", deployment_facts(chosen.configuration.solver)
-    if counted := counted_text(data.counts, data.requirements, chosen.configuration.solver):
+    yield "aboard", describe_deployment(chosen.configuration.solver)
+    if counted := describe_embedded_cost(
+        data.counts, data.requirements, chosen.configuration.solver
+    ):
         yield "counted", counted
-    elif slower := speed_margin_text(data, chosen):
+    elif slower := describe_speed_margin(data, chosen):
         yield "slower", slower
     shortest_ns = shortest_wait_ns(data.records.calibration)
     if chosen.p50_ns < shortest_ns:
-        p50, shortest = time_text(chosen.p50_ns), time_text(shortest_ns)
+        p50, shortest = format_time(chosen.p50_ns), format_time(shortest_ns)
         yield "checked", f"Its p50, {p50}, is below the shortest wait checked, {shortest}."
     if found.faster is not None:
         label = found.faster.configuration.label
         yield "faster", f"{label} is faster, and is not the answer: {found.because}."
-    yield from _inconclusive_notes(data, found)
+    yield from _yield_inconclusive_notes(data, found)
     if found.runner_up is not None:
-        beside = paired_text(paired_comparison(data.records, chosen, found.runner_up))
-        label, time = found.runner_up.configuration.label, usual_time_text(found.runner_up)
+        beside = describe_paired_times(paired_comparison(data.records, chosen, found.runner_up))
+        label, time = found.runner_up.configuration.label, format_usual_time(found.runner_up)
         yield "next", f"Next: {label}, {time}, {beside}."
     for verdict in filter(None, (chosen, found.runner_up)):
-        if silent := unanswered_text(data.records, verdict.configuration.solver):
+        if silent := describe_unanswered_qps(data.records, verdict.configuration.solver):
             yield "unanswered", f"{silent}."
 
 
-def _stopped_notes(data: PageData) -> Iterator[tuple[str, str]]:
+def _yield_stopped_notes(data: PageData) -> Iterator[tuple[str, str]]:
     """Yield a note on the runs that their time limit stopped, if any."""
-    if stopped := stopped_runs_text(data.records.all_runs):
+    if stopped := describe_stopped_runs(data.records.all_runs):
         yield "stopped", stopped
 
 
-def _inconclusive_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
+def _yield_inconclusive_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
     """Yield notes on faster configurations whose verdict is inconclusive."""
     if found.chosen is None or found.chosen.state != "pass":
         return
@@ -233,43 +236,43 @@ def _inconclusive_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[s
         )
 
 
-def speed_margin_text(data: PageData, chosen: Verdict) -> str:
+def describe_speed_margin(data: PageData, chosen: Verdict) -> str:
     """State how much slower a computer may be for a solver, and the steps that limit it."""
     margin, requirements = data.margin(chosen.configuration), data.requirements
     if margin is None:
         return ""
     parts = [
-        f"The computer may be up to × {rounded_down(margin.factor)} slower.",
-        f"The p99 reaches {requirements.p99_ms:g} ms at × {rounded_down(margin.p99_limit)}: it is "
-        f"{_slow_step_text(margin.p99)}.",
+        f"The computer may be up to × {format_rounded_down(margin.factor)} slower.",
+        f"The p99 reaches {requirements.p99_ms:g} ms at × "
+        f"{format_rounded_down(margin.p99_limit)}: it is {_describe_slow_step(margin.p99)}.",
         f"The hardest step takes the deadline of {requirements.deadline_ms:g} ms at × "
-        f"{rounded_down(margin.deadline)}: it is {_slow_step_text(margin.hardest)}.",
+        f"{format_rounded_down(margin.deadline)}: it is {_describe_slow_step(margin.hardest)}.",
     ]
     longest, arms_ns = data.longest_timing(chosen.configuration), largest_stall_ns(data.records)
     if longest is not None:
         experiment, run = longest
-        arms = f", the largest stall of a calibration run {time_text(arms_ns)}" * (arms_ns > 0.0)
-        largest = f"{time_text(run.raw_max_ns)} in {experiment.label}{arms}"
+        arms = f", the largest stall of a calibration run {format_time(arms_ns)}" * (arms_ns > 0.0)
+        largest = f"{format_time(run.raw_max_ns)} in {experiment.label}{arms}"
         parts.append(f"Stalls do not scale with the computer: the largest timing is {largest}.")
-    parts += _untimed_loops_sentences(data)
+    parts += _yield_untimed_loops_sentences(data)
     return " ".join(parts)
 
 
-def _untimed_loops_sentences(data: PageData) -> Iterator[str]:
+def _yield_untimed_loops_sentences(data: PageData) -> Iterator[str]:
     """Name the judged closed loops whose QPs no replay timed, if any."""
     judged = [run for run in data.records.runs if run.units == "scaled" and run.scenario]
     replayed = {run.scenario for run in judged if run.mode == "replay"}
     loops = dict.fromkeys(run.scenario for run in judged if run.mode == "closed_loop")
     if untimed := [name for name in loops if name not in replayed]:
-        yield f"Not timed, as no replay has their QPs: {and_list(untimed)}."
+        yield f"Not timed, as no replay has their QPs: {join_with_and(untimed)}."
 
 
-def _slow_step_text(step: SlowStep) -> str:
+def _describe_slow_step(step: SlowStep) -> str:
     """Describe a slow step: time, scenario, index, iterations, active limits."""
     iterations = "" if isnan(step.iterations) else f"{plural(step.iterations, 'iteration')}, "
     work = f"{iterations}{plural(step.n_active, 'active limit')}"
     where = step.run.scenario or step.run.sequence
-    return f"{time_text(step.time_ns)} in {where}, k {step.k} ({work})"
+    return f"{format_time(step.time_ns)} in {where}, k {step.k} ({work})"
 
 
 def _make_badges(data: PageData, first: Configuration | None) -> list[Badge]:
@@ -284,7 +287,7 @@ def _make_badges(data: PageData, first: Configuration | None) -> list[Badge]:
     marks = {state: "none" if state == "not run" else state for state in states}
     named = [
         Badge(
-            f"{state}{_other_call_modes(data, first, p)}",
+            f"{state}{_describe_other_call_modes(data, first, p)}",
             marks[state],
             data.experiments[p].label,
             p,
@@ -300,7 +303,7 @@ def _make_badges(data: PageData, first: Configuration | None) -> list[Badge]:
     return [*sums, *named]
 
 
-def _other_call_modes(data: PageData, chosen: Configuration, p: int) -> str:
+def _describe_other_call_modes(data: PageData, chosen: Configuration, p: int) -> str:
     """State a solver's verdicts when called otherwise, if not run in the chosen way; or ""."""
     if (data.index(chosen), p) in data.runs:
         return ""
@@ -308,11 +311,13 @@ def _other_call_modes(data: PageData, chosen: Configuration, p: int) -> str:
     for c, other in enumerate(data.configurations):
         if (other.solver, other.settings) == (chosen.solver, chosen.settings):
             modes.setdefault(data.state(c, p), []).append(f"{other.route} {other.policy}")
-    others = [f"{and_list(names)} {state}" for state, names in modes.items() if state != "not run"]
+    others = [
+        f"{join_with_and(names)} {state}" for state, names in modes.items() if state != "not run"
+    ]
     return f" in this call mode ({'; '.join(others)})" if others else ""
 
 
-def python_call_text(c: Configuration) -> str:
+def format_python_call(c: Configuration) -> str:
     """Return Python code to paste that opens a solver with its interface and settings."""
     settings = repr(c.solver_settings) if c.options else f'"{c.settings}"'
     call = (
@@ -330,7 +335,7 @@ def python_call_text(c: Configuration) -> str:
 
 def _make_snippets(c: Configuration) -> Iterator[tuple[str, str]]:
     """Yield language and code to paste that opens a solver: Python, and C if known."""
-    yield "Python", python_call_text(c)
+    yield "Python", format_python_call(c)
     options = resolve_settings_with_fixed_options(c.solver_settings, c.solver)
     known = find_solver_record_or_none(c.solver)
     names = known.project.c_settings if known else None

@@ -9,7 +9,7 @@ import pandas as pd
 from dpbench.analysis.records.run_record import build_records
 from dpbench.analysis.verdict.run_matrix import Experiment
 from dpbench.bench.record.schema import RUN_COLUMNS
-from dpbench.report.page.data import PageData, json_number
+from dpbench.report.page.data import PageData, convert_to_json_number
 
 GROUPS: dict[str, str] = {
     "times": (
@@ -49,7 +49,7 @@ MOST_ROWS = 3000
 """Runs on the page; the file has all."""
 
 
-def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
+def make_table_of_runs(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
     """Return the table of runs as columns for the page's script, without empty columns."""
     runs = runs.iloc[:MOST_ROWS]
     by_id = {run.run_id: key for key, run in data.runs.items()}
@@ -73,7 +73,11 @@ def runs_table(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
         for name in names.split():
             kind, meaning = RUN_COLUMNS[name]
             text = kind == "str"
-            cells = [str(x) for x in runs[name]] if text else [json_number(x) for x in runs[name]]
+            cells = (
+                [str(x) for x in runs[name]]
+                if text
+                else [convert_to_json_number(x) for x in runs[name]]
+            )
             if all(x in ("", None) for x in cells):
                 continue
             label: dict[str, Any] = {"label": name}

@@ -9,7 +9,7 @@ from markupsafe import Markup, escape
 
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.run_matrix import Experiment
-from dpbench.report.formats import share_text
+from dpbench.report.formats import format_share
 from dpbench.report.glossary import term_meanings, topics
 from dpbench.report.page.data import PageData
 
@@ -71,7 +71,7 @@ class Terms:
         self._listed = dict.fromkeys(listed)
         self._here: set[str] = set()
 
-    def section(self) -> str:
+    def start_section(self) -> str:
         """Start a new section of the page, in which every term is linked again; return ""."""
         self._here.clear()
         return ""
@@ -159,5 +159,5 @@ def _describe_replay(data: PageData, run: RunRecord) -> str:
     kept = data.thinned_runs.get(run.run_id)
     if kept is None:
         return f"Here {window}its exactly solved loop, replayed."
-    share = share_text(float(np.mean(kept.steps.n_active > 0)))
+    share = format_share(float(np.mean(kept.steps.n_active > 0)))
     return f"Here {window}its exactly solved loop, replayed: limits are active in {share} of them."

@@ -30,7 +30,7 @@ class Vendored:
 
 
 @cache
-def vendored_scripts() -> tuple[Vendored, ...]:
+def list_vendored_scripts() -> tuple[Vendored, ...]:
     """Return the third-party scripts, in the order the page loads them."""
     return tuple(
         Vendored(**entry) for entry in json.loads(_VENDOR.joinpath("vendored.json").read_text())
@@ -44,7 +44,7 @@ def read_script(entry: Vendored) -> str:
     return text.replace("</script", "<\\/script")
 
 
-def file_digest(entry: Vendored) -> str:
+def compute_sha256_of_script(entry: Vendored) -> str:
     """Return the SHA-256 of a third-party script's file."""
     return hashlib.sha256(_VENDOR.joinpath(entry.file).read_bytes()).hexdigest()
 
@@ -53,7 +53,7 @@ def download_scripts() -> None:
     """Download every third-party script with npm, and write its hash."""
     vendor = Path(__file__).with_name("vendor")
     entries = []
-    for entry in vendored_scripts():
+    for entry in list_vendored_scripts():
         with tempfile.TemporaryDirectory() as folder:
             requested = ["npm", "pack", "--silent", f"{entry.package}@{entry.version}"]
             subprocess.run(requested, cwd=folder, check=True)
@@ -63,7 +63,7 @@ def download_scripts() -> None:
                     taken = archive.extractfile(f"package/{member}")
                     assert taken is not None, f"{entry.package} has no {member}"
                     (vendor / name).write_bytes(taken.read())
-        entries.append(asdict(entry) | {"sha256": file_digest(entry)})
+        entries.append(asdict(entry) | {"sha256": compute_sha256_of_script(entry)})
     text = json.dumps(entries, indent=2) + "\n"
     (vendor / "vendored.json").write_text(text, encoding="utf-8")
 

@@ -15,16 +15,16 @@ from dpbench.bench.record.machine import describe_revisions, describe_version
 from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.report.charts import style
 from dpbench.report.charts.render import FORMATS, compile_vega, render_svg
-from dpbench.report.embedded_text import CLOCK_MHZ, CYCLES, NOTE, calculator_rows
+from dpbench.report.embedded_text import CLOCK_MHZ, CYCLES, NOTE, make_calculator_rows
 from dpbench.report.glossary import topics as glossary
 from dpbench.report.page.data import PageData
-from dpbench.report.page.document import page_document
+from dpbench.report.page.document import make_page_document
 from dpbench.report.page.live import SECTIONS, select_static_charts
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.page.tables import GROUPS, MOST_ROWS
 from dpbench.report.page.terms import Terms, describe_experiments
-from dpbench.report.page.vendored import read_script, vendored_scripts
+from dpbench.report.page.vendored import list_vendored_scripts, read_script
 
 ABOUT = (
     "Quadratic-programming solvers in the predictive controller of a dynamically positioned ship"
@@ -54,7 +54,7 @@ VARIABLES = {
 """Colours of the figures that follow the page into the dark."""
 
 
-def page_html(
+def make_page_html(
     folder: Path,
     results: Results,
     data: PageData,
@@ -85,8 +85,10 @@ def page_html(
     started = results.suite.get("started_utc", "")[:10]
     block = ""
     if not light:
-        document = page_document(data, results, recommendation, experiments)
-        block = data.block.text(document | {"charts": _vega_specifications(figures)})
+        document = make_page_document(data, results, recommendation, experiments)
+        block = data.block.compress_to_base64(
+            document | {"charts": _compile_vega_of_charts(figures)}
+        )
     return render_page(
         "page",
         ["\n".join(read_page_file(f"scripts/{name}.js") for name in SCRIPTS)],
@@ -98,15 +100,16 @@ def page_html(
         texts={section.id: section.text(data) for section in shown},
         answer=recommendation,
         figures={
-            name: figure_markup(chart) for name, chart in select_static_charts(charts).items()
+            name: render_figure_markup(chart)
+            for name, chart in select_static_charts(charts).items()
         },
         lead=lead,
-        core_times=calculator_rows(data.counts, data.requirements),
+        core_times=make_calculator_rows(data.counts, data.requirements),
         counts_note=NOTE,
         cycles=f"{CYCLES:g}",
         clock_mhz=f"{CLOCK_MHZ:g}",
         deadline_ms=f"{data.requirements.deadline_ms:g}",
-        picture=_picture_address,
+        picture=_encode_picture_as_url,
         judged=bool(data.verdicts.of) and not (lead and lead.id == "loops"),
         runs=bool(data.runs),
         studies=len(data.studies),
@@ -117,7 +120,7 @@ def page_html(
         files=hash_files(folder, FILES),
         holds=FILES,
         kinds=[kind for kind in FORMATS[1:] if any((folder / "figures").glob(f"*.{kind}"))],
-        cite=software_citation(results),
+        cite=format_software_citation(results),
         experiments=experiments,
         terms=Terms([*WORDS, *glossary()["Solvers and how they are run"]]),
         footer=f"{describe_version(results.suite)}, run {started}; numpy {numpy}.",
@@ -142,7 +145,7 @@ def use_page_colours(text: str) -> str:
     return text
 
 
-def _picture_address(chart: Any) -> str:
+def _encode_picture_as_url(chart: Any) -> str:
     """Encode a chart as a `data:` URL of an SVG picture in the colours of the page."""
     head, rest = use_page_colours(render_svg(chart)).split(">", 1)
     colours = read_page_file("templates/page.css").split("* {", 1)[0]
@@ -150,7 +153,7 @@ def _picture_address(chart: Any) -> str:
     return "data:image/svg+xml;base64," + base64.b64encode(styled.encode()).decode()
 
 
-def software_citation(results: Results) -> str:
+def format_software_citation(results: Results) -> str:
     """Return a BibTeX entry of the dpbench version that made the results."""
     version = f"Software, version {results.suite.get('harness_version', '')}"
     return f"""@misc{{dpbench,
@@ -162,21 +165,21 @@ def software_citation(results: Results) -> str:
 }}"""
 
 
-def _vega_specifications(charts: Mapping[str, Any]) -> dict[str, Any]:
+def _compile_vega_of_charts(charts: Mapping[str, Any]) -> dict[str, Any]:
     """Return the Vega specifications of charts by name; shared data once."""
-    made = {name: vega_specification(chart) for name, chart in charts.items()}
+    made = {name: compile_vega_in_page_colours(chart) for name, chart in charts.items()}
     for data in made.get("matrix_narrow", {}).get("data", ()):
         if "values" in data:
             data["values"] = []
     return made
 
 
-def figure_markup(chart: Any) -> Markup:
+def render_figure_markup(chart: Any) -> Markup:
     """Return a chart as SVG in the colours of the page."""
     return Markup(use_page_colours(render_svg(chart, titled=False)))
 
 
-def vega_specification(chart: Any) -> dict[str, Any]:
+def compile_vega_in_page_colours(chart: Any) -> dict[str, Any]:
     """Return a chart as a Vega specification in the colours of the page."""
     made: dict[str, Any] = json.loads(use_page_colours(json.dumps(compile_vega(chart))))
     return made
@@ -184,16 +187,16 @@ def vega_specification(chart: Any) -> dict[str, Any]:
 
 def render_page(template: str, scripts: Sequence[str] = (), **shown: Any) -> str:
     """Render an HTML page from a named template, with the common style and scripts."""
-    texts = [*map(read_script, vendored_scripts()), *scripts]
+    texts = [*map(read_script, list_vendored_scripts()), *scripts]
     shown |= {
         "css": Markup(read_page_file("templates/page.css")),
         "scripts": list(map(Markup, texts)),
     }
-    return template_environment().get_template(f"{template}.html.j2").render(**shown)
+    return make_template_environment().get_template(f"{template}.html.j2").render(**shown)
 
 
 @cache
-def template_environment() -> Environment:
+def make_template_environment() -> Environment:
     """Return the Jinja environment that loads the page's HTML templates."""
     return Environment(
         loader=PackageLoader("dpbench.report.page", "templates"),

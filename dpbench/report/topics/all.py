@@ -11,22 +11,22 @@ from dpbench.analysis.suites.study import Study, find_studies
 from dpbench.analysis.verdict.verdict import Verdicts
 from dpbench.bench.design import Designs
 from dpbench.report.page.section import Topic
-from dpbench.report.topics.capability import capability_topic, consequence_topic
-from dpbench.report.topics.embedded import embedded_topic
-from dpbench.report.topics.paper import paper_topic
-from dpbench.report.topics.random import random_topic
+from dpbench.report.topics.capability import build_capability_topic, build_consequence_topic
+from dpbench.report.topics.embedded import build_embedded_topic
+from dpbench.report.topics.paper import build_paper_topic
+from dpbench.report.topics.random import build_random_topic
 from dpbench.report.topics.replays import (
-    formulations_topic,
-    levels_topic,
-    loops_topic,
-    race_topic,
-    routes_topic,
-    worst_case_topic,
+    build_formulations_topic,
+    build_levels_topic,
+    build_loops_topic,
+    build_race_topic,
+    build_routes_topic,
+    build_worst_case_topic,
 )
-from dpbench.report.topics.study import study_topic
-from dpbench.report.topics.sweeps import horizon_topic, slowdown_topic
-from dpbench.report.topics.thrusters import conclusion_topic, thrusters_topic
-from dpbench.report.topics.trust import trust_topic
+from dpbench.report.topics.study import build_study_topic
+from dpbench.report.topics.sweeps import build_horizon_topic, build_slowdown_topic
+from dpbench.report.topics.thrusters import build_conclusion_topic, build_thrusters_topic
+from dpbench.report.topics.trust import build_trust_topic
 
 
 def build_topics(
@@ -45,26 +45,26 @@ def build_topics(
     requirements = verdicts.requirements
     replays, loops = (_is_all_in_mode(records, mode) for mode in ("replay", "closed_loop"))
     candidates = (
-        conclusion_topic(records, verdicts),
-        worst_case_topic(records),
-        horizon_topic(records, requirements),
-        slowdown_topic(records),
-        study_topic(find_studies(records) if known is None else known),
-        random_topic(records),
-        consequence_topic(records),
-        capability_topic(records, capability),
-        formulations_topic(records, requirements),
-        loops_topic(records, requirements) if loops else None,
-        race_topic(records) if replays else None,
-        routes_topic(records) if replays else None,
-        levels_topic(records, requirements) if replays else None,
-        thrusters_topic(records, requirements),
-        embedded_topic(counts, requirements),
-        paper_topic(records, designs),
-        trust_topic(records),
+        build_conclusion_topic(records, verdicts),
+        build_worst_case_topic(records),
+        build_horizon_topic(records, requirements),
+        build_slowdown_topic(records),
+        build_study_topic(find_studies(records) if known is None else known),
+        build_random_topic(records),
+        build_consequence_topic(records),
+        build_capability_topic(records, capability),
+        build_formulations_topic(records, requirements),
+        build_loops_topic(records, requirements) if loops else None,
+        build_race_topic(records) if replays else None,
+        build_routes_topic(records) if replays else None,
+        build_levels_topic(records, requirements) if replays else None,
+        build_thrusters_topic(records, requirements),
+        build_embedded_topic(counts, requirements),
+        build_paper_topic(records, designs),
+        build_trust_topic(records),
     )
     topics = [topic for topic in candidates if topic is not None]
-    question = _leading_topic(records, [topic.id for topic in topics])
+    question = _find_id_of_leading_topic(records, [topic.id for topic in topics])
     topics = [replace(topic, leads=topic.id == question) for topic in topics]
     hidden = ("loops", *(_CONTRASTS if replays else ()))
     shown = [topic for topic in topics if topic.leads or topic.id not in hidden]
@@ -75,7 +75,7 @@ _CONTRASTS = ("formulations", "race", "routes", "levels")
 """Questions about the same replays, in their order of precedence; a page answers one."""
 
 
-def _leading_topic(records: Records, topics: Sequence[str]) -> str:
+def _find_id_of_leading_topic(records: Records, topics: Sequence[str]) -> str:
     """Return the id of the page's part that answers the suite's question; or ""."""
     for name in ("worst-case", "conclusion"):
         if name in topics:

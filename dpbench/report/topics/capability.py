@@ -15,7 +15,7 @@ from dpbench.analysis.suites.consequence import (
 from dpbench.report.capability_text import (
     describe_capability,
     describe_losses_held,
-    margin_text,
+    describe_required_force,
 )
 from dpbench.report.charts.capability import (
     ANSWERS,
@@ -28,12 +28,12 @@ from dpbench.report.charts.capability import (
     draw_loss_spans,
     draw_sample_shares,
 )
-from dpbench.report.formats import and_list, counted_list, plural, sample_share_text
+from dpbench.report.formats import format_sample_share, join_with_and, join_with_counts, plural
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
 
-def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | None:
+def build_capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | None:
     """Build the report's part on largest winds held by thrusters; None without such results."""
     plots = [p for p in capability_plots(records, table) if len(p.edges) or p.answers]
     if not plots:
@@ -47,7 +47,7 @@ def capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | No
             )
             for plot in plots
         ),
-        figures=tuple(figure for plot in plots for figure in _capability_figures(plot)),
+        figures=tuple(figure for plot in plots for figure in _draw_capability_figures(plot)),
     )
 
 
@@ -55,19 +55,19 @@ def _name_right_solvers(plot: CapabilityResult) -> Iterator[str]:
     """Name the solvers right on all QPs at the largest winds held, and those with untrue claims."""
     right = sorted(a.solver for a in plot.answers if a.is_all_right)
     qps = f"all {plural(plot.qps, 'QP')} at that edge"
-    names = f": {and_list(right)}" if right else ""
+    names = f": {join_with_and(right)}" if right else ""
     verb = "answers" if len(right) == 1 else "answer"
     yield f"{len(right)} of {plural(len(plot.answers), 'solver')} {verb} {qps} rightly{names}."
     wrong = [a for a in plot.answers if a.wrong]
     if wrong:
-        yield f"Untrue claims: {counted_list((a.solver, a.wrong) for a in wrong)}."
+        yield f"Untrue claims: {join_with_counts((a.solver, a.wrong) for a in wrong)}."
     else:
         yield "None makes an untrue claim."
     if silent := [(a.solver, a.unanswered) for a in plot.answers if a.unanswered]:
-        yield f"Without an answer, given up or out of time: {counted_list(silent)}."
+        yield f"Without an answer, given up or out of time: {join_with_counts(silent)}."
 
 
-def _capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
+def _draw_capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
     """Yield the capability rose, and a chart of right and wrong claims."""
     if len(plot.edges):
         hollow = bool((plot.edges["untrue"] > 0).any())
@@ -100,7 +100,7 @@ MOST_ROWS = 8
 """A longer table is only a file: the figures show the right solvers."""
 
 
-def consequence_topic(records: Records) -> Topic | None:
+def build_consequence_topic(records: Records) -> Topic | None:
     """Build the report's part on whether thruster losses can be held; None without results."""
     analyses = consequence_analyses(records)
     if not analyses:
@@ -108,7 +108,7 @@ def consequence_topic(records: Records) -> Topic | None:
     tables = [
         (
             [
-                consequence_row(
+                make_consequence_row(
                     best, [a.is_all_right for a in analysis.answers if a.solver == solver]
                 )
                 for solver, best in analysis.best.items()
@@ -122,22 +122,26 @@ def consequence_topic(records: Records) -> Topic | None:
         id="consequence",
         title="Consequence analysis",
         lines=(
-            *map(_consequence_text, analyses),
+            *map(_describe_consequences, analyses),
             "Where a loss cannot be held, work during which the ship must not leave its place has "
             "to be ended safely. Ask no solver that misses such an alarm, or has no answer then."
             + (" The counts of every solver: tables/consequence*.csv." if long else ""),
         ),
-        figures=tuple(figure for analysis in analyses for figure in _consequence_figures(analysis)),
-        tables=tuple(Table.of(rows, name, shown=0 if long else None) for rows, name in tables),
+        figures=tuple(
+            figure for analysis in analyses for figure in _draw_consequence_figures(analysis)
+        ),
+        tables=tuple(
+            Table.from_rows(rows, name, shown=0 if long else None) for rows, name in tables
+        ),
     )
 
 
-def _consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
+def _draw_consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
     """Yield charts of the losses held over time and of the time that takes."""
     yield Figure(
-        f"consequence-{_analysis_file_name(analysis)}",
+        f"consequence-{_name_file_of_analysis(analysis)}",
         draw_loss_spans(analysis.spans, f"Losses held, {analysis.name}"),
-        f"Proven for the {margin_text(analysis)}: an optimum, or that there is none.",
+        f"Proven for the {describe_required_force(analysis)}: an optimum, or that there is none.",
     )
     timed = [answers for answers in analysis.best.values() if not isnan(answers.largest)]
     marks = [
@@ -146,18 +150,18 @@ def _consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
     ]
     if marks:
         yield Figure(
-            f"consequence-time-{_analysis_file_name(analysis)}",
+            f"consequence-time-{_name_file_of_analysis(analysis)}",
             draw_sample_shares(pd.DataFrame(marks), f"What it takes, {analysis.name}"),
             "The best configuration of each solver; the QPs of all groups at one sample.",
         )
 
 
-def _analysis_file_name(analysis: ConsequenceAnalysis) -> str:
+def _name_file_of_analysis(analysis: ConsequenceAnalysis) -> str:
     """Return the name of an analysis as part of a file name."""
     return analysis.name.rstrip("]").replace("[", "-").replace(":", "-")
 
 
-def _consequence_text(analysis: ConsequenceAnalysis) -> str:
+def _describe_consequences(analysis: ConsequenceAnalysis) -> str:
     """State which losses can be held, the solvers right on all QPs, the fastest, missed alarms."""
     answers = analysis.answers
     right = [a for a in answers if a.is_all_right]
@@ -165,21 +169,21 @@ def _consequence_text(analysis: ConsequenceAnalysis) -> str:
     timed = [a for a in right if not isnan(a.largest)]
     if timed:
         best = min(timed, key=lambda a: a.largest)
-        share, batch = sample_share_text(best.largest), plural(len(analysis.groups), "QP")
+        share, batch = format_sample_share(best.largest), plural(len(analysis.groups), "QP")
         head += f", the fastest {best.name} with at most {share} of the sample for its {batch}"
-    silent = counted_list((a.name, a.unanswered) for a in answers if a.unanswered)
+    silent = join_with_counts((a.name, a.unanswered) for a in answers if a.unanswered)
     unanswered = f"; QPs are left without an answer by {silent}" if silent else ""
-    missed = counted_list((a.name, a.missed) for a in answers if a.missed)
+    missed = join_with_counts((a.name, a.missed) for a in answers if a.missed)
     alarms = f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"
     return f"{describe_losses_held(analysis)} {head}; {alarms}{unanswered}."
 
 
-def consequence_row(best: BatchAnswers, right: Sequence[bool]) -> dict[str, str]:
+def make_consequence_row(best: BatchAnswers, right: Sequence[bool]) -> dict[str, str]:
     """Convert a configuration's answers on thruster losses to a table row."""
     return {
         "configuration": best.name,
-        "p99 share": sample_share_text(best.p99),
-        "largest share": sample_share_text(best.largest),
+        "p99 share": format_sample_share(best.p99),
+        "largest share": format_sample_share(best.largest),
         "held": f"{best.held} of {best.feasible}",
         "not held": f"{best.refused} of {best.infeasible}",
         "missed alarms": str(best.missed),

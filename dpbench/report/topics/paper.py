@@ -16,7 +16,7 @@ from dpbench.analysis.suites.paper import (
 )
 from dpbench.bench.design import STILL, WEATHER, Bracket, Designs
 from dpbench.report.charts.ship import draw_forces, draw_increments, draw_path, draw_pose_errors
-from dpbench.report.formats import MISSING, rounded_down, rounded_up, strip_markdown
+from dpbench.report.formats import MISSING, format_rounded_down, format_rounded_up, strip_markdown
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 from dpbench.report.words import fill_template, read_words
@@ -36,7 +36,7 @@ DRAWN = (
 """Figures 4 to 7: name, function, caption."""
 
 
-def paper_topic(records: Records, designs: Designs | None = None) -> Topic | None:
+def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic | None:
     """Build the report's part on the paper's figures and claims; None without its runs."""
     laws, scenario = find_paper_runs(records), records.scenario(PAPER)
     judged = judge_claims(records)
@@ -44,7 +44,7 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
     if scenario is None or not laws or not measured:
         return None
     others = {"not": "not reproduced", "the opposite": "opposite"}
-    wording = [count_reproduced(judged)]
+    wording = [describe_count_reproduced(judged)]
     for word, state in others.items():
         names = [strip_markdown(claim.claim) for claim in measured if claim.state == state]
         wording += [f"{word}: “{'”, “'.join(names)}”"] if names else []
@@ -67,12 +67,12 @@ def paper_topic(records: Records, designs: Designs | None = None) -> Topic | Non
                 "What the paper leaves open",
                 folded=True,
             ),
-            *([_stability_table(designs)] if designs is not None else ()),
+            *([_make_stability_table(designs)] if designs is not None else ()),
         ),
     )
 
 
-def count_reproduced(judged: "Sequence[Claim]") -> str:
+def describe_count_reproduced(judged: "Sequence[Claim]") -> str:
     """State how many of the paper's claims are reproduced, and how many were not measured."""
     states = [claim.state for claim in judged]
     held, missing = states.count("reproduced"), states.count("not measured")
@@ -80,7 +80,7 @@ def count_reproduced(judged: "Sequence[Claim]") -> str:
     return f"{held} of {len(states)} claims of Xia, Liu, Pang & Xue are reproduced{open_ones}"
 
 
-def _stability_table(designs: Designs) -> Table:
+def _make_stability_table(designs: Designs) -> Table:
     """Tabulate each controller's closed-loop spectral radius and the sway offset it holds."""
     return Table(
         (
@@ -93,7 +93,7 @@ def _stability_table(designs: Designs) -> Table:
             (
                 f"{record.tuning} {record.N_p}/{record.N_c} in {record.vessel}",
                 f"{record.spectral_radius:.4f}",
-                *(_bracket_text(record.held.get(weather)) for weather in (STILL, WEATHER)),
+                *(_format_bracket(record.held.get(weather)) for weather in (STILL, WEATHER)),
             )
             for record in designs.records
         ),
@@ -102,15 +102,15 @@ def _stability_table(designs: Designs) -> Table:
     )
 
 
-def _bracket_text(bracket: Bracket | None) -> str:
+def _format_bracket(bracket: Bracket | None) -> str:
     """Format the largest sway offset a controller holds and the least it does not hold [m]."""
     if bracket is None:
         return MISSING
     if bracket.fails_m is None:
         return f"≥ {bracket.holds_m:.3g}"
     if bracket.holds_m == 0.0:
-        return f"< {rounded_up(bracket.fails_m)}"
-    return f"{rounded_down(bracket.holds_m)} – {rounded_up(bracket.fails_m)}"
+        return f"< {format_rounded_up(bracket.fails_m)}"
+    return f"{format_rounded_down(bracket.holds_m)} – {format_rounded_up(bracket.fails_m)}"
 
 
 _WORDS = read_words(__file__)

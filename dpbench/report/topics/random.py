@@ -5,12 +5,12 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.random_claims import RandomClaims
 from dpbench.report.charts.lines import draw_count_tiles
-from dpbench.report.formats import and_list
+from dpbench.report.formats import join_with_and
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
 
-def random_topic(records: Records) -> Topic | None:
+def build_random_topic(records: Records) -> Topic | None:
     """Build the report's part on random QPs with known optima; None without such runs."""
     claims = RandomClaims(records)
     if not claims.runs:
@@ -25,7 +25,7 @@ def random_topic(records: Records) -> Topic | None:
     wrong = sorted((-tally.wrong, name) for (name,), tally in by_solver.items() if tally.wrong)
     none = [name for (name,), tally in by_solver.items() if not tally.wrong]
     wording = [", ".join(f"{name} {-count}" for count, name in wrong)] if wrong else []
-    wording += [f"none by {and_list(none)}"] if none else []
+    wording += [f"none by {join_with_and(none)}"] if none else []
     tallies = sorted(
         by_solver.items(), key=lambda item: (-item[1].wrong, -item[1].nothing, item[0])
     )
@@ -55,5 +55,5 @@ def random_topic(records: Records) -> Topic | None:
                 "random-claims", draw_count_tiles(table, "False claims", "family", "solver"), ""
             ),
         ),
-        tables=(Table.of(rows),),
+        tables=(Table.from_rows(rows),),
     )

@@ -22,19 +22,19 @@ from dpbench.bench.judge.rules import median_of_known, percentile_or_nan
 from dpbench.bench.record.cell import sort_key_of_settings
 from dpbench.report.formats import (
     MISSING,
-    and_list,
-    count_text,
-    error_text,
+    format_count,
+    format_error,
+    format_time,
+    join_with_and,
     plural,
     significant,
-    time_text,
 )
 from dpbench.report.page.section import Topic
 from dpbench.report.table import Table
-from dpbench.report.verdict_text import answer_text
+from dpbench.report.verdict_text import describe_answer
 
 
-def routes_topic(records: Records) -> Topic | None:
+def build_routes_topic(records: Records) -> Topic | None:
     """Build the report's part on ways to call a solver: cost of a wrapper, gain of warm start."""
     tables = []
     gains: dict[str, list[float]] = {}
@@ -43,7 +43,7 @@ def routes_topic(records: Records) -> Topic | None:
         for found in compare_routes(records, sequence):
             change = f"{' '.join(found.above)} → {' '.join(found.route)}"
             gains.setdefault(change, []).append(found.gain.value)
-            figures = _ratio_text(found.gain), time_text(found.median_ns)
+            figures = _format_ratio(found.gain), format_time(found.median_ns)
             rows.append((found.solver, found.settings, change, *figures))
         if rows:
             head = ("solver", "settings", "from → to", "times as fast (95 %)", "p50")
@@ -61,16 +61,16 @@ def routes_topic(records: Records) -> Topic | None:
     return Topic("routes", "Routes", wording, (), tuple(tables))
 
 
-def _ratio_text(ratio: Interval) -> str:
+def _format_ratio(ratio: Interval) -> str:
     """Format a ratio with its interval, where that is finite."""
     if not (isfinite(ratio.low) and isfinite(ratio.high)):
         return significant(ratio.value)
     return f"{significant(ratio.value)} ({significant(ratio.low)} to {significant(ratio.high)})"
 
 
-def formulations_topic(records: Records, requirements: Requirements) -> Topic | None:
+def build_formulations_topic(records: Records, requirements: Requirements) -> Topic | None:
     """Build the report's part on QP formulations; None if no QPs were solved in two."""
-    tables = _median_tables(
+    tables = _make_median_tables(
         records,
         requirements,
         [run for run in records.all_runs if not run.has_topic],
@@ -89,10 +89,10 @@ def formulations_topic(records: Records, requirements: Requirements) -> Topic | 
     return Topic("formulations", "Formulations", wording, (), tuple(tables))
 
 
-def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
+def build_levels_topic(records: Records, requirements: Requirements) -> Topic | None:
     """Build the report's part on solvers' tolerance settings; None if only one was run."""
     runs = sorted(records.runs, key=lambda run: sort_key_of_settings(run.settings))
-    tables = _median_tables(
+    tables = _make_median_tables(
         records,
         requirements,
         runs,
@@ -102,29 +102,31 @@ def levels_topic(records: Records, requirements: Requirements) -> Topic | None:
     if not tables:
         return None
     wording = (
-        _right_levels_text(records, requirements),
+        _describe_right_levels(records, requirements),
         "Median step time at each settings level, from the library's own to the tightest.",
     )
     return Topic("levels", "Settings", wording, (), tuple(tables))
 
 
-def _right_levels_text(records: Records, requirements: Requirements) -> str:
+def _describe_right_levels(records: Records, requirements: Requirements) -> str:
     """State with which tolerance levels each solver is right on every step."""
     good = find_right_levels(records, requirements)
     by_default = [name for name, levels in good.items() if "default" in levels]
     others = [
-        f"{name} at {and_list(levels)}"
+        f"{name} at {join_with_and(levels)}"
         for name, levels in good.items()
         if levels and "default" not in levels
     ]
     never = [name for name, levels in good.items() if not levels]
-    parts = [f"Right on every step with default settings: {and_list(by_default) or 'no solver'}"]
+    parts = [
+        f"Right on every step with default settings: {join_with_and(by_default) or 'no solver'}"
+    ]
     parts += [f"with others only: {', '.join(others)}"] if others else []
-    parts += [f"with none that was run: {and_list(never)}"] if never else []
+    parts += [f"with none that was run: {join_with_and(never)}"] if never else []
     return "; ".join(parts) + "."
 
 
-def race_topic(records: Records) -> Topic | None:
+def build_race_topic(records: Records) -> Topic | None:
     """Build the report's part that compares two solvers step by step; None unless just two ran."""
     if len(records.solvers) != 2:
         return None
@@ -136,10 +138,10 @@ def race_topic(records: Records) -> Topic | None:
     for run, *both in replays:
         ratio = paired_ratio(*match_steps(*both))
         options = run.configuration.call_text
-        wording.append(f"{_ratio_text(ratio)} in {run.sequence} ({options})")
-        p50 = [time_text(median_of_known(times.algo_ns)) for times in both]
-        p99 = [time_text(percentile_or_nan(times.algo_ns, 99)) for times in both]
-        rows.append((run.sequence, options, *p50, *p99, _ratio_text(ratio)))
+        wording.append(f"{_format_ratio(ratio)} in {run.sequence} ({options})")
+        p50 = [format_time(median_of_known(times.algo_ns)) for times in both]
+        p99 = [format_time(percentile_or_nan(times.algo_ns, 99)) for times in both]
+        rows.append((run.sequence, options, *p50, *p99, _format_ratio(ratio)))
     times = [f"{solver} {time}" for time in ("p50", "p99") for solver in (first, second)]
     head = ("sequence", "call mode", *times, "ratio (95 %)")
     lead = f"{first} takes {', '.join(wording)} times as long a step as {second}."
@@ -147,7 +149,7 @@ def race_topic(records: Records) -> Topic | None:
     return Topic("race", f"{first} against {second}", (lead, note), (), (Table(head, tuple(rows)),))
 
 
-def _median_tables(
+def _make_median_tables(
     records: Records,
     requirements: Requirements,
     runs: Sequence[RunRecord],
@@ -165,23 +167,25 @@ def _median_tables(
         rows = []
         for name, of_row in group_by(of_problem, kept).items():
             own = {varied(run): run for run in of_row}
-            cells = (_median_text(records, own.get(column), requirements) for column in columns)
+            cells = (
+                _format_median_time(records, own.get(column), requirements) for column in columns
+            )
             rows.append((name, *cells))
         title = sequence + (" (SI units)" if units == "si" else "")
         tables.append(Table(("configuration", *columns), tuple(rows), title))
     return tables
 
 
-def _median_text(records: Records, run: RunRecord | None, requirements: Requirements) -> str:
+def _format_median_time(records: Records, run: RunRecord | None, requirements: Requirements) -> str:
     """Format the median step time of a run, or why there is none."""
     times = None if run is None else records.times(run)
     if run is None or times is None:
         return MISSING if run is None else run.outcome.replace("_", " ")
-    text = time_text(median_of_known(times.algo_ns))
+    text = format_time(median_of_known(times.algo_ns))
     return text if is_right(run, requirements) else f"{text} (not right)"
 
 
-def worst_case_topic(records: Records) -> Topic | None:
+def build_worst_case_topic(records: Records) -> Topic | None:
     """Build the report's part on the worst step that a search found; None without a search."""
     requested = records.suite.get("report", {})
     k = requested.get("step")
@@ -189,7 +193,7 @@ def worst_case_topic(records: Records) -> Topic | None:
         return None
     runs = {run.run_id: run for run in records.runs}
     steps = records.run_steps(records.runs)
-    row_of = {run_id: _step_row(runs[run_id], of_run, k) for run_id, of_run, _ in steps}
+    row_of = {run_id: _make_step_row(runs[run_id], of_run, k) for run_id, of_run, _ in steps}
     rows = [row for run_id in runs if (row := row_of.get(run_id)) is not None]
     if not rows:
         return None
@@ -211,7 +215,7 @@ def worst_case_topic(records: Records) -> Topic | None:
     )
 
 
-def _step_row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None:
+def _make_step_row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None:
     """Convert a run's time, iterations and error at one step to a row of texts; or None."""
     at = np.flatnonzero(steps.k == k)
     if not len(at):
@@ -219,16 +223,16 @@ def _step_row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None
     i = int(at[0])
     return (
         run.configuration.label,
-        time_text(steps.time_ns[i]),
-        time_text(float(np.median(steps.time_ns))),
-        count_text(steps.iterations[i]),
-        count_text(median_of_known(steps.iterations)),
-        error_text(float(steps.error[i])),
-        answer_text(steps, i),
+        format_time(steps.time_ns[i]),
+        format_time(float(np.median(steps.time_ns))),
+        format_count(steps.iterations[i]),
+        format_count(median_of_known(steps.iterations)),
+        format_error(float(steps.error[i])),
+        describe_answer(steps, i),
     )
 
 
-def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
+def build_loops_topic(records: Records, requirements: Requirements) -> Topic | None:
     """Build the report's part on solvers in closed loop; None without such runs."""
     loops = records.select(mode="closed_loop")
     steered = [run for run in loops if not run.is_baseline_law and run.outcome != "refused"]
@@ -246,7 +250,7 @@ def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
     lead = f"Nobody is right on every step of {requested}; {best} is in {whole[best]}."
     if right:
         rest = len(by_name) - len(right)
-        names = and_list(right) if len(right) <= 4 else f"{len(right)} configurations"
+        names = join_with_and(right) if len(right) <= 4 else f"{len(right)} configurations"
         others = f" {plural(rest, 'configuration')} {'is' if rest == 1 else 'are'} not."
         lead = f"Right on every step of {requested}: {names}.{others if rest else ''}"
     rows = []
@@ -258,11 +262,11 @@ def loops_topic(records: Records, requirements: Requirements) -> Topic | None:
             {
                 "configuration": name,
                 "right in": f"{whole[name]} of {len(runs)}",
-                "steps with a fallback": count_text(np.nansum([run.fallbacks for run in runs])),
+                "steps with a fallback": format_count(np.nansum([run.fallbacks for run in runs])),
                 "farthest from the exact loop": farthest,
                 "in": MISSING if worst is None else worst.scenario,
             }
         )
     rows.sort(key=lambda row: -whole[row["configuration"]])
     note = "The distance from the exactly solved loop is what wrong or late answers do to the ship."
-    return Topic("loops", "Closed loops", (lead, note), (), (Table.of(rows),))
+    return Topic("loops", "Closed loops", (lead, note), (), (Table.from_rows(rows),))

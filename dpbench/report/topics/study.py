@@ -30,11 +30,11 @@ from dpbench.report.charts.study import (
     draw_within_lines,
     draw_within_maps,
 )
-from dpbench.report.formats import MISSING, and_list, plural, significant
+from dpbench.report.formats import MISSING, join_with_and, plural, significant
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.study_effects_table import (
-    effect_numbers,
-    head_of_measure,
+    convert_effect_and_interval,
+    make_head_of_measure,
     tabulate_effects,
 )
 from dpbench.report.table import Table
@@ -45,47 +45,47 @@ MOST_DRAWN = 6
 DRAWN = (STEP_TIME, ERROR)
 
 
-def study_topic(known: Sequence[Study]) -> Topic | None:
+def build_study_topic(known: Sequence[Study]) -> Topic | None:
     """Build the report's part on studies over many sea realisations; None without one."""
     if not known:
         return None
     return Topic(
         id="study",
         title="Studies: many seas, paired",
-        lines=tuple(line for study in known for line in _study_lines(study)),
-        figures=tuple(figure for study in known for figure in _study_figures(study)),
-        tables=tuple(table for study in known for table in _study_tables(study)),
+        lines=tuple(line for study in known for line in _yield_study_sentences(study)),
+        figures=tuple(figure for study in known for figure in _draw_study_figures(study)),
+        tables=tuple(table for study in known for table in _make_study_tables(study)),
     )
 
 
-def _study_lines(study: Study) -> Iterator[str]:
+def _yield_study_sentences(study: Study) -> Iterator[str]:
     """Yield sentences on a study: larger errors, unfinished runs, runs within the radius."""
     runs, points = study.runs, len(study.points)
     seas = plural(study.replicates, "realisation")
     yield (
         f"{study.name}: {plural(len(runs), 'run')} at {plural(points, 'point')} in {seas}; "
-        f"{_larger_errors_text(study)}"
+        f"{_describe_larger_errors(study)}"
     )
-    yield from _unfinished_lines(study)
-    yield from _disturbance_lines(study)
-    yield from _failed_steps_lines(study)
+    yield from _yield_unfinished_sentences(study)
+    yield from _yield_disturbance_sentences(study)
+    yield from _yield_failed_steps_sentences(study)
     within = study.configurations[0].within
     worst = min(study.configurations, key=lambda c: c.known_within)
     radius = f"within {study.radius_m:g} m in the second half of a run"
     yield (
-        f"With {study.reference} the ship stays {radius} in {_share_with_bound(within, study)} of "
-        "them"
+        f"With {study.reference} the ship stays {radius} in "
+        f"{_format_share_with_bound(within, study)} of them"
         + (
-            f", with {worst.name} in {_share_with_bound(worst.within, study)}."
+            f", with {worst.name} in {_format_share_with_bound(worst.within, study)}."
             if worst.within < within
             else ", as with all."
         )
     )
     if study.loosest:
-        yield _loosest_text(study)
+        yield _describe_loosest_tolerances(study)
 
 
-def _unfinished_lines(study: Study) -> Iterator[str]:
+def _yield_unfinished_sentences(study: Study) -> Iterator[str]:
     """Yield sentences on the runs that did not finish: those that their limit stopped apart."""
     runs, every = study.runs, plural(len(study.runs), "run")
     stopped, refused = int(runs["stopped"].sum()), len(study.refused)
@@ -109,17 +109,17 @@ def _unfinished_lines(study: Study) -> Iterator[str]:
         )
 
 
-def _disturbance_lines(study: Study) -> Iterator[str]:
+def _yield_disturbance_sentences(study: Study) -> Iterator[str]:
     """Yield a sentence on other work that disturbed the step times; none on a quiet machine."""
     complaints = study.disturbance.complaints() if study.disturbance else []
     if complaints:
         yield (
-            f"{study.name}: other work disturbed the machine: {and_list(complaints)}. Effects on "
-            "step times may be those of the machine."
+            f"{study.name}: other work disturbed the machine: {join_with_and(complaints)}. Effects "
+            "on step times may be those of the machine."
         )
 
 
-def _failed_steps_lines(study: Study) -> Iterator[str]:
+def _yield_failed_steps_sentences(study: Study) -> Iterator[str]:
     """Yield a sentence on the runs in which the solver failed steps; none without such a run."""
     failing = study.runs[study.runs["failed_steps"] > 0]
     if failing.empty:
@@ -135,7 +135,7 @@ def _failed_steps_lines(study: Study) -> Iterator[str]:
     )
 
 
-def _larger_errors_text(study: Study) -> str:
+def _describe_larger_errors(study: Study) -> str:
     """State which configurations have significantly larger errors than the reference."""
     others = study.configurations[1:]
     excess_m = {c.name: c.error_excess_m.mean.value for c in others if c.error_excess_m}
@@ -152,7 +152,7 @@ def _larger_errors_text(study: Study) -> str:
     )
 
 
-def _share_with_bound(share: float, study: Study) -> str:
+def _format_share_with_bound(share: float, study: Study) -> str:
     """Format a share of seas in percent; at 0 % or 100 % with its 95 % bound; of no sea a dash."""
     if np.isnan(share):
         return MISSING
@@ -163,22 +163,22 @@ def _share_with_bound(share: float, study: Study) -> str:
     return wording
 
 
-def _loosest_text(study: Study) -> str:
+def _describe_loosest_tolerances(study: Study) -> str:
     """State the loosest tolerance of each solver that costs no more than a small limit."""
     cheap = {s: c for s, c in study.loosest.items() if c is not None}
     none = [s for s, c in study.loosest.items() if c is None]
     limits = f"less than {100 * SMALL_M:g} cm and {100 * SMALL_COST:g} % of the cost"
     parts = [f"{solver} {c.tolerance:g}" for solver, c in cheap.items()]
     wording = (
-        f"The loosest tolerance that costs significantly {limits}: {and_list(parts)}"
+        f"The loosest tolerance that costs significantly {limits}: {join_with_and(parts)}"
         if parts
         else ""
     )
-    without = f"No tolerance of {and_list(none)} costs significantly {limits}" if none else ""
+    without = f"No tolerance of {join_with_and(none)} costs significantly {limits}" if none else ""
     return ". ".join(filter(None, (wording if parts else "", without))) + "."
 
 
-def _study_figures(study: Study) -> Iterator[Figure]:
+def _draw_study_figures(study: Study) -> Iterator[Figure]:
     """Yield charts of a study: share within the radius over its points, errors by realisation."""
     name = study.name.replace("@", "-").replace("/", "-")
     maps, whole = pictures.within_maps(study), pictures.has_point_per_tile(study)
@@ -194,7 +194,7 @@ def _study_figures(study: Study) -> Iterator[Figure]:
     elif keys:
         chart = draw_within_lines(maps, title, keys[0])
         yield Figure(f"study-within-{name}", chart, "Share of seas at each value.")
-    yield from figure_effects(study, name)
+    yield from draw_effect_figures(study, name)
     table, seas, seas_all = pictures.error_excess_by_sea(study)
     if len(table):
         chart = draw_excess_errors(
@@ -208,9 +208,9 @@ def _study_figures(study: Study) -> Iterator[Figure]:
         yield Figure(f"study-behind-{name}", chart, caption)
 
 
-def _study_tables(study: Study) -> Iterator[Table]:
+def _make_study_tables(study: Study) -> Iterator[Table]:
     """Yield the tables of a study: its configurations, its points, the effects of its factors."""
-    rows = [_configuration_row(configuration, study) for configuration in study.configurations]
+    rows = [_make_configuration_row(configuration, study) for configuration in study.configurations]
     title = f"{study.name}: against {study.reference} in the same realisation"
     note = (
         "Intervals hold at 95 % for each row alone and are conditional on the realisations that "
@@ -221,8 +221,8 @@ def _study_tables(study: Study) -> Iterator[Table]:
     )
     if study.aliases:
         same = [f"{alias} is {own}" for alias, own in study.aliases.items()]
-        note += f" Settings without an effect have one row: {and_list(same)}."
-    yield Table.of(rows, title, note=note)
+        note += f" Settings without an effect have one row: {join_with_and(same)}."
+    yield Table.from_rows(rows, title, note=note)
     axes = tuple(
         (str(key), str(values.nunique()), str(values.min()), str(values.max()))
         for key, values in study.points.items()
@@ -234,7 +234,7 @@ def _study_tables(study: Study) -> Iterator[Table]:
         yield effects
 
 
-def _configuration_row(configuration: StudiedConfiguration, study: Study) -> dict[str, str]:
+def _make_configuration_row(configuration: StudiedConfiguration, study: Study) -> dict[str, str]:
     """Return the table row of a configuration in a study."""
     behind_it, dearer = configuration.error_excess_m, configuration.log_cost_excess
     cost = configuration.cost
@@ -242,11 +242,11 @@ def _configuration_row(configuration: StudiedConfiguration, study: Study) -> dic
         "configuration": configuration.name,
         "runs": f"{configuration.finished} of {configuration.runs}"
         + (f", {configuration.stopped} stopped" if configuration.stopped else ""),
-        "within": _share_with_bound(configuration.within, study),
+        "within": _format_share_with_bound(configuration.within, study),
         # Rounding alone is 0.
         "cost over exact": f"{0 if abs(cost) < NOTHING else significant(100.0 * cost, 2)} %",
-        "behind [cm]": "reference" if behind_it is None else _difference_text(behind_it, 100.0),
-        "dearer": "" if dearer is None else f"{_difference_text(dearer, 100.0)} %",
+        "behind [cm]": "reference" if behind_it is None else _format_difference(behind_it, 100.0),
+        "dearer": "" if dearer is None else f"{_format_difference(dearer, 100.0)} %",
     }
     if behind_it is None:
         return row | {"shown": "", "seas for 1 cm": ""}
@@ -254,7 +254,7 @@ def _configuration_row(configuration: StudiedConfiguration, study: Study) -> dic
     return row | {"shown": "yes" if configuration.differs else "no", "seas for 1 cm": seas}
 
 
-def _difference_text(difference: PairedDifference, scale: float) -> str:
+def _format_difference(difference: PairedDifference, scale: float) -> str:
     """Format a mean difference between configurations, times a scale, with its interval."""
     mean = difference.mean
     if not np.isfinite(mean.low):
@@ -266,15 +266,15 @@ def _difference_text(difference: PairedDifference, scale: float) -> str:
     return f"{significant(scale * mean.value, 2)} [{low}, {high}]"
 
 
-def figure_effects(study: Study, name: str) -> Iterator[Figure]:
+def draw_effect_figures(study: Study, name: str) -> Iterator[Figure]:
     """Draw what each factor changes in the step time and the radial error."""
     names = [configuration.name for configuration in study.configurations][:MOST_DRAWN]
     rows = [
         {
-            "measure": head_of_measure(effect.measure, study),
-            "effect": f"{_short_factor(effect.factor)}: {effect.levels}",
+            "measure": make_head_of_measure(effect.measure, study),
+            "effect": f"{_shorten_factor(effect.factor)}: {effect.levels}",
             "configuration": effect.configuration,
-            **dict(zip(("value", "low", "high"), effect_numbers(effect), strict=True)),
+            **dict(zip(("value", "low", "high"), convert_effect_and_interval(effect), strict=True)),
         }
         for effect in study_effects(study)
         if effect.configuration in names and effect.measure in DRAWN
@@ -290,6 +290,6 @@ def figure_effects(study: Study, name: str) -> Iterator[Figure]:
         yield Figure(f"study-effects-{name}", chart, caption)
 
 
-def _short_factor(factor: str) -> str:
+def _shorten_factor(factor: str) -> str:
     """Shorten the dotted keys of a factor to their last parts."""
     return ", ".join(key.rpartition(".")[2] for key in factor.split(", "))

@@ -15,18 +15,18 @@ from dpbench.analysis.times.horizon_sweep import (
 )
 from dpbench.analysis.verdict.requirements import MARGIN, Requirements, cost_ratio
 from dpbench.report.charts.lines import draw_lines
-from dpbench.report.formats import MISSING, and_list, significant, time_text
+from dpbench.report.formats import MISSING, format_time, join_with_and, significant
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
 
-def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
+def build_horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
     """Build the report's part on step time over MPC horizon; None if it was not varied."""
     figures, tables = [], []
     all_sweeps = find_sweeps(records, requirements)
     for sweep in all_sweeps:
         rows, points = [], []
-        limit = f"{_judging_statistic(sweep)} within {requirements.p99_ms:g} ms"
+        limit = f"{_name_judging_statistic(sweep)} within {requirements.p99_ms:g} ms"
         for swept in sweep.best:
             name = swept.configuration.label
             growth = swept.growth
@@ -38,7 +38,9 @@ def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
                 {
                     "configuration": name,
                     "grows as n^": MISSING if growth is None else significant(growth, 2),
-                    f"largest horizon, {limit}": _longest_text(sweep, swept, requirements.p99_ns),
+                    f"largest horizon, {limit}": _format_longest_horizons(
+                        sweep, swept, requirements.p99_ns
+                    ),
                 }
             )
         if points:
@@ -50,18 +52,20 @@ def horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
                 limit=requirements.p99_ms * 1e3,
             )
             figures.append(Figure(f"horizon-{sweep.name}", chart, "Hollow: answers fail there."))
-            tables.append(Table.of(rows, sweep.name))
+            tables.append(Table.from_rows(rows, sweep.name))
     if not figures:
         return None
     wording = (
-        *_longest_horizons(all_sweeps, requirements),
+        *_describe_longest_horizons(all_sweeps, requirements),
         "How the step time grows with the horizon, and the longest with right answers within the "
         "limit. ≥: no longer one has a p99; ?: the 95 % interval of a p99 holds the limit.",
     )
     return Topic("horizon", "Longer horizons", wording, tuple(figures), tuple(tables))
 
 
-def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -> list[str]:
+def _describe_longest_horizons(
+    all_sweeps: Sequence[Sweep], requirements: Requirements
+) -> list[str]:
     """State for each sweep the longest horizons that a solver manages within the limit."""
     wording = []
     for sweep in all_sweeps:
@@ -70,13 +74,15 @@ def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -
             for swept in sweep.best
             if (fits := sweep.longest_within(swept, requirements.p99_ns)) is not None
         }
-        limit = f"with {_judging_statistic(sweep)} within {requirements.p99_ms:g} ms"
+        limit = f"with {_name_judging_statistic(sweep)} within {requirements.p99_ms:g} ms"
         if not largest:
             wording.append(f"In {sweep.name} no solver is right and {limit} at any horizon.")
             continue
         longest = max(largest.values(), key=count_variables)
         who = [name for name, horizons in largest.items() if horizons == longest]
-        some = and_list(who) if len(who) <= 3 else f"{', '.join(who[:3])} and {len(who) - 3} more"
+        some = (
+            join_with_and(who) if len(who) <= 3 else f"{', '.join(who[:3])} and {len(who) - 3} more"
+        )
         beyond = "" if longest != sweep.horizons[-1] else ", the longest that was run"
         wording.append(
             f"In {sweep.name} {some} {'fits' if len(who) == 1 else 'fit'} "
@@ -85,12 +91,12 @@ def _longest_horizons(all_sweeps: Sequence[Sweep], requirements: Requirements) -
     return wording
 
 
-def _judging_statistic(sweep: Sweep) -> str:
+def _name_judging_statistic(sweep: Sweep) -> str:
     """Name what must be within the time limit: "p99", or each step if there are few."""
     return "p99" if sweep.has_p99 else f"each of {sweep.steps} steps"
 
 
-def _longest_text(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> str:
+def _format_longest_horizons(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> str:
     """Format a solver's longest horizons within a time limit, with `?` if in doubt."""
     if sweep.has_p99 and not swept.has_p99:
         return MISSING
@@ -102,7 +108,7 @@ def _longest_text(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> s
     return f"{least}{largest[0]}/{largest[1]}{doubt}"
 
 
-def slowdown_topic(records: Records) -> Topic | None:
+def build_slowdown_topic(records: Records) -> Topic | None:
     """Build the report's part on simulated slower computers; None where none was simulated."""
     figures, tables, leads = [], [], []
     for group in delayed_groups(records):
@@ -135,8 +141,8 @@ def slowdown_topic(records: Records) -> Topic | None:
             )
             row = {"configuration": delayed.configuration.label}
             row["survives ×"] = MISSING if math.isnan(survived) else f"{survived:g}"
-            rows.append(row | {"latest answer": time_text(latest_ns)})
-        tables.append(Table.of(rows, group.scenario))
+            rows.append(row | {"latest answer": format_time(latest_ns)})
+        tables.append(Table.from_rows(rows, group.scenario))
         survivors = [c for c in group.configurations if c.survived_slowdown > 0]
         best = [f"{c.configuration.label} × {c.survived_slowdown:g}" for c in survivors[:3]]
         named = ", ".join(best) if best else "no solver survives a slow-down"

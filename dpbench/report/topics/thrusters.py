@@ -31,10 +31,10 @@ from dpbench.analysis.verdict.thruster_verdicts import (
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.report.formats import (
     MISSING,
-    and_list,
+    format_rounded_up,
+    format_sample_share,
+    join_with_and,
     plural,
-    rounded_up,
-    sample_share_text,
     significant,
 )
 from dpbench.report.page.section import Topic
@@ -46,17 +46,19 @@ LIKE = 0.01
 """Relative difference of power or wear that counts as equal."""
 
 
-def thrusters_topic(records: Records, requirements: Requirements) -> Topic | None:
+def build_thrusters_topic(records: Records, requirements: Requirements) -> Topic | None:
     """Build the report's part on thruster power and wear by solver; None without such runs."""
     found = thruster_control_loops(records, requirements)
     if not found.best:
         return None
     best, configurations = found.best, found.configurations
-    lead = _thruster_load_sentence(best, configurations, requirements)
+    lead = _describe_thruster_load(best, configurations, requirements)
     if not is_about_thrusters(records):
         # Where thrusters are one scenario among others, what they cost is not what is asked.
         return Topic("thrusters", "Thrusters", (lead,))
-    rows = [wear_row(name, of_it, best, requirements) for name, of_it in configurations.items()]
+    rows = [
+        make_wear_row(name, of_it, best, requirements) for name, of_it in configurations.items()
+    ]
     rows.sort(key=lambda row: (-int(row["right in"].split(" ")[0]), row["configuration"]))
     by_solver = {row["configuration"].split(" (")[0]: row for row in reversed(rows)}
     kept = list(by_solver.values())[::-1]
@@ -67,11 +69,11 @@ def thrusters_topic(records: Records, requirements: Requirements) -> Topic | Non
     )
     if len(kept) > MOST_ROWS:
         note += " All of them: tables/thrusters.csv."
-    table = Table.of(kept, shown=MOST_ROWS)
+    table = Table.from_rows(kept, shown=MOST_ROWS)
     return Topic("thrusters", "Thrusters", (lead, note), (), (table,))
 
 
-def _thruster_load_sentence(
+def _describe_thruster_load(
     best: dict[str, RunRecord],
     configurations: dict[str, list[RunRecord]],
     requirements: Requirements,
@@ -87,11 +89,11 @@ def _thruster_load_sentence(
         f"{100.0 * hardest.at_limit_thrusters:.0f} % of the "
         f"{plural(hardest.steps_done, 'step')} run; {whole} of "
         f"{plural(len(configurations), 'configuration')} {'is' if whole == 1 else 'are'} right on "
-        f"every step of {and_list(sorted(best))}."
+        f"every step of {join_with_and(sorted(best))}."
     )
 
 
-def wear_row(
+def make_wear_row(
     name: str, runs: Sequence[RunRecord], best: dict[str, RunRecord], requirements: Requirements
 ) -> dict[str, str]:
     """Convert a solver's closed loops to a table row: loops right, power, wear, largest offset."""
@@ -101,14 +103,16 @@ def wear_row(
     return {
         "configuration": name,
         "right in": f"{right} of {len(best)}",
-        "power": _ratio_text(ended, best, "power_share"),
-        "wear": _ratio_text(ended, best, "thrust_variation"),
-        "azimuth travel": _ratio_text(ended, best, "azimuth_travel_deg"),
+        "power": _format_largest_ratio(ended, best, "power_share"),
+        "wear": _format_largest_ratio(ended, best, "thrust_variation"),
+        "azimuth travel": _format_largest_ratio(ended, best, "azimuth_travel_deg"),
         "farthest off": f"{significant(max(off))} m" if off else MISSING,
     }
 
 
-def _ratio_text(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str) -> str:
+def _format_largest_ratio(
+    runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str
+) -> str:
     """Format the largest ratio of a loop's metric, as wear, to that of the best loop."""
     largest = largest_ratio(runs, best, column)
     if math.isnan(largest):
@@ -116,7 +120,7 @@ def _ratio_text(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: s
     return "alike" if abs(largest - 1.0) < LIKE else f"× {significant(largest)}"
 
 
-def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
+def build_conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     """Build the report's conclusions for an operator; None unless most loops command thrusters."""
     if not is_about_thrusters(records):
         return None
@@ -126,16 +130,16 @@ def conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
         return None
     margins = speed_margins(records, requirements)
     margin = None if chosen is None else margins.get(chosen.configuration)
-    first = [_solver_to_use_sentence(chosen, margin), _compare_with_forces(commanded)]
+    first = [_describe_solver_to_use(chosen, margin), _compare_with_forces(commanded)]
     second = [
-        *_offset_after_loss_sentences(records, chosen, requirements),
-        *_consequence_sentences(records, chosen),
+        *_yield_offset_after_loss_sentences(records, chosen, requirements),
+        *_yield_consequence_sentences(records, chosen),
     ]
     lines = [" ".join(part for part in parts if part) for parts in (first, second)]
     return Topic("conclusion", "What to conclude", tuple(line for line in lines if line))
 
 
-def _solver_to_use_sentence(chosen: Verdict | None, margin: SpeedMargin | None) -> str:
+def _describe_solver_to_use(chosen: Verdict | None, margin: SpeedMargin | None) -> str:
     """State which solver to use if the MPC commands thrusters, and its share of the deadline."""
     if chosen is None:
         return "No solver can be recommended for a controller that steers thrusters."
@@ -145,7 +149,7 @@ def _solver_to_use_sentence(chosen: Verdict | None, margin: SpeedMargin | None) 
         label = f"Nothing contradicts {c.label}"
     if margin is None:
         return f"{label}."
-    step, share = margin.hardest, sample_share_text(1.0 / margin.deadline)
+    step, share = margin.hardest, format_sample_share(1.0 / margin.deadline)
     where = f"k {step.k} of the replay of {step.run.sequence}"
     return f"{label}: its hardest step, {where}, takes {share} of the sample."
 
@@ -155,7 +159,7 @@ def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
     before = commanded.passing_with_forces
     if not before:
         return ""
-    missed, where = commanded.names(*MISSED), and_list(list(commanded.forces))
+    missed, where = commanded.names(*MISSED), join_with_and(list(commanded.forces))
     lost = [solver for solver in before if solver in missed]
     verb = "passes" if len(before) == 1 else "pass"
     head = f"Of {plural(len(before), 'solver')} that {verb} with three forces ({where})"
@@ -168,10 +172,10 @@ def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
 def _group_by_fault(commanded: ThrusterVerdicts, solvers: Sequence[str]) -> str:
     """List solvers as text, grouped by why they fail with thrusters."""
     of_fault = group_by(solvers, lambda solver: commanded.faults[solver])
-    return "; ".join(f"{and_list(names)}, {fault}" for fault, names in of_fault.items())
+    return "; ".join(f"{join_with_and(names)}, {fault}" for fault, names in of_fault.items())
 
 
-def _offset_after_loss_sentences(
+def _yield_offset_after_loss_sentences(
     records: Records, chosen: Verdict | None, requirements: Requirements
 ) -> Iterator[str]:
     """State how far from its reference the ship stays after thrusters are lost."""
@@ -183,22 +187,26 @@ def _offset_after_loss_sentences(
             run.configuration.moved_to_common_formulation == chosen.configuration,
         )
         if own and lost and isfinite(run.r_tail_max_m) and is_right_to_the_end(run, requirements):
-            opening = f"After the loss of {and_list(lost)} ({run.scenario}) the ship"
+            opening = f"After the loss of {join_with_and(lost)} ({run.scenario}) the ship"
             if run.r_tail_max_m > run.station_radius_m:
-                far, after = significant(run.r_tail_max_m), f"{_seconds_after_loss(run):.0f} s"
+                far, after = (
+                    significant(run.r_tail_max_m),
+                    f"{_compute_seconds_after_loss(run):.0f} s",
+                )
                 yield f"{opening} drifts away: up to {far} m off within {after} of the loss."
             else:
-                yield f"{opening} it steers stays within {rounded_up(run.r_tail_max_m, 2)} m."
+                within = format_rounded_up(run.r_tail_max_m, 2)
+                yield f"{opening} it steers stays within {within} m."
 
 
-def _seconds_after_loss(run: RunRecord) -> float:
+def _compute_seconds_after_loss(run: RunRecord) -> float:
     """Return how long a closed loop runs after its first loss of thrusters [s]."""
     scenario = (run.scenario_files or {})["scenario"]
     at_s = min(fault["at_s"] for fault in scenario["faults"] if fault.get("lost"))
     return float(scenario["sample_s"] * run.steps_done - at_s)
 
 
-def _consequence_sentences(records: Records, chosen: Verdict | None) -> Iterator[str]:
+def _yield_consequence_sentences(records: Records, chosen: Verdict | None) -> Iterator[str]:
     """State which further thruster losses could be held, and which solvers report so rightly."""
     analyses = consequence_analyses(records)
     if not analyses:
@@ -219,7 +227,7 @@ def _consequence_sentences(records: Records, chosen: Verdict | None) -> Iterator
     wording = ["no solver answers all of that correctly"]
     if timed:
         best = min(timed, key=lambda name: timed[name])
-        share = sample_share_text(timed[best])
+        share = format_sample_share(timed[best])
         wording = [f"to know so at every sample takes {best} at most {share} of a sample"]
     label = ""
     if chosen is not None:
@@ -232,5 +240,5 @@ def _consequence_sentences(records: Records, chosen: Verdict | None) -> Iterator
         requested = plural(sum(a.asked for a in own[label]), "QP")
         wording.append(f"{label} leaves {wrong} of {requested} without a right answer")
     missing = sorted({a.solver for of_it in own.values() for a in of_it if a.missed})
-    wording += [f"alarms are missed by {and_list(missing)}"] if missing else []
+    wording += [f"alarms are missed by {join_with_and(missing)}"] if missing else []
     yield f"{wording[0][0].upper()}{'; '.join(wording)[1:]}."

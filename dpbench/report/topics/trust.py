@@ -18,8 +18,12 @@ from dpbench.analysis.times.machine import (
 from dpbench.bench.judge.calibration import compute_excess_over_wait_ns, is_within_tolerance
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.report.charts.lines import draw_dots
-from dpbench.report.formats import and_list, count_text, plural, share_text, significant
-from dpbench.report.machine_verdict import disturbance_facts, list_own_switches, machine_facts
+from dpbench.report.formats import format_count, format_share, join_with_and, plural, significant
+from dpbench.report.machine_verdict import (
+    list_disturbance_facts,
+    list_machine_facts,
+    list_switching_solvers,
+)
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 from dpbench.solvers.calibration import WAITS_NS
@@ -31,7 +35,7 @@ COVERED = (
 )
 
 
-def _round_spread_sentences(records: Records) -> list[str]:
+def _describe_round_spread(records: Records) -> list[str]:
     """State by which ratio two step times must differ, within a run and between runs."""
     usual, high = round_spread(records)
     if math.isnan(high):
@@ -44,7 +48,7 @@ def _round_spread_sentences(records: Records) -> list[str]:
     ]
 
 
-def _waits_text(measured: Mapping[str, float], shortest_ns: float) -> str:
+def _describe_measured_waits(measured: Mapping[str, float], shortest_ns: float) -> str:
     """State how exactly the benchmark measured waits of known length.
 
     measured : median of each [ns]; shortest_ns : the shortest wait.
@@ -56,30 +60,31 @@ def _waits_text(measured: Mapping[str, float], shortest_ns: float) -> str:
     waits = [f"{WAITS_NS[n] / 1e3:g} µs as {p50 / 1e3:.1f} µs" for n, p50 in missed.items()]
     worst = max(abs(compute_excess_over_wait_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
     return (
-        f"Waits of known length: {and_list(waits)} (p50 of the timings that count, the largest of "
-        f"its replays), so absolute times of that length are known to {share_text(worst)}.{below}"
+        f"Waits of known length: {join_with_and(waits)} (p50 of the timings that count, the "
+        f"largest of its replays), so absolute times of that length are known to "
+        f"{format_share(worst)}.{below}"
     )
 
 
-def _machine_load_text(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
+def _describe_machine_load(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
     """State whether other work disturbed the machine while it timed solvers."""
     if complaints := disturbance.complaints():
         return (
-            f"Other work disturbed the machine: {and_list(complaints)}. Times may be too long; "
-            "run again when it is idle."
+            f"Other work disturbed the machine: {join_with_and(complaints)}. Times may be too "
+            "long; run again when it is idle."
         )
     rounds = plural(disturbance.rounds, "round")
     keys = {"governor": "its frequency", "throttle_counters": "throttling"}
     hidden = [name for key, name in keys.items() if machine.get(key, UNSEEN) == UNSEEN]
-    unwatched = f" Not watched, as the machine hides it: {and_list(hidden)}." if hidden else ""
+    unwatched = f" Not watched, as the machine hides it: {join_with_and(hidden)}." if hidden else ""
     return (
         "The machine was quiet by the operating system's counters: "
-        f"{count_text(disturbance.disturbed)} of {rounds} disturbed even when run again, as "
-        f"{count_text(disturbance.rerun)} were.{unwatched}"
+        f"{format_count(disturbance.disturbed)} of {rounds} disturbed even when run again, as "
+        f"{format_count(disturbance.rerun)} were.{unwatched}"
     )
 
 
-def trust_topic(records: Records) -> Topic | None:
+def build_trust_topic(records: Records) -> Topic | None:
     """Build the report's part on how far its times can be trusted; None if nothing was timed."""
     timed = timed_runs(records) or delayed_runs(records)
     disturbance = total_disturbance(timed)
@@ -87,20 +92,20 @@ def trust_topic(records: Records) -> Topic | None:
     waits = {name: p50_ns for name, p50_ns in medians.items() if name in WAITS_NS}
     if not disturbance.seconds > 0 and not waits:
         return None
-    lines = _round_spread_sentences(records)
+    lines = _describe_round_spread(records)
     figures = []
     if waits:
-        lines.append(_waits_text(waits, shortest_wait_ns(records.calibration)))
+        lines.append(_describe_measured_waits(waits, shortest_wait_ns(records.calibration)))
         requested = [(name, WAITS_NS[name] / 1e3, p50_ns / 1e3) for name, p50_ns in waits.items()]
         table = pd.DataFrame(requested, columns=["name", "x", "y"])
         chart = draw_dots(table, "Waits of known length", "requested [µs]", "p50 of timings [µs]")
         figures.append(Figure("calibration", chart, "Requested against measured wait."))
     if disturbance.seconds > 0:
-        lines.append(_machine_load_text(disturbance, records.machine))
+        lines.append(_describe_machine_load(disturbance, records.machine))
     data = [
-        *machine_facts(records.machine),
-        *(disturbance_facts(disturbance) if disturbance.seconds > 0 else ()),
-        *list_own_switches(timed),
+        *list_machine_facts(records.machine),
+        *(list_disturbance_facts(disturbance) if disturbance.seconds > 0 else ()),
+        *list_switching_solvers(timed),
     ]
     return Topic(
         id="trust",

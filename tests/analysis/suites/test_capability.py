@@ -10,7 +10,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.capability import Answers, capability_plots, count_answers
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_run_columns, convert_to_step_columns
-from dpbench.report.topics.capability import capability_topic
+from dpbench.report.topics.capability import build_capability_topic
 from tests.result_folder import StepsInMemory
 
 TRUE = {"true": True, "true_1e4": True, "true_1e6": True}
@@ -127,20 +127,22 @@ def test_the_notation_is_that_of_the_plot_and_none_of_a_plot_with_gaps(records: 
 
 def test_the_topic_says_what_is_held_and_who_knows(records: Any) -> None:
     runs = edge_runs(records)
-    topic = capability_topic(runs, plot_table())
+    topic = build_capability_topic(runs, plot_table())
     assert topic.lines == (
         "Intact, osv holds at least 12.0 m/s, from 90° (DNV-ST-0111, level 1; azimuths as polygons "
         "of 8 sides). 1 of 2 solvers answers all 4 QPs at that edge rightly: quadprog. Untrue "
         "claims: osqp (1). Without an answer, given up or out of time: osqp (1).",
     )
     assert len(topic.figures) == 2
-    without_plot = capability_topic(runs, None)
+    without_plot = build_capability_topic(runs, None)
     assert without_plot.lines[0].startswith("1 of 2 solvers") and len(without_plot.figures) == 1
-    without_runs = capability_topic(Records(replace(records.results(), runs=NOBODY)), plot_table())
+    without_runs = build_capability_topic(
+        Records(replace(records.results(), runs=NOBODY)), plot_table()
+    )
     assert without_runs.lines[0].endswith("sides).") and len(without_runs.figures) == 1
 
 
 def test_runs_at_an_edge_are_no_part_of_a_verdict(records: Any) -> None:
     runs = edge_runs(records)
     assert runs.runs == [] and len(runs.at_edge) == 2
-    assert capability_topic(Records(replace(records.results(), runs=NOBODY)), None) is None
+    assert build_capability_topic(Records(replace(records.results(), runs=NOBODY)), None) is None

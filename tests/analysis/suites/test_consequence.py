@@ -10,8 +10,8 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.consequence import HELD, LOST, UNKNOWN, consequence_analyses
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_step_columns
-from dpbench.report.capability_text import consequence_solver_text, unanswered_text
-from dpbench.report.topics.capability import consequence_topic
+from dpbench.report.capability_text import consequence_solver_text, describe_unanswered_qps
+from dpbench.report.topics.capability import build_consequence_topic
 from tests.result_folder import StepsInMemory
 
 TRUE = {"true": True, "true_1e4": True, "true_1e6": True}
@@ -134,13 +134,13 @@ def test_the_topic_says_when_a_loss_can_be_held(
 ) -> None:
     monkeypatch.setitem(CERTIFICATES, "board A", certificates)
     answers = [REFUSED if kind == "infeasible" else TRUE for kind in certificates]
-    topic = consequence_topic(view(records, {"quadprog": {"board A": [answers]}}))
+    topic = build_consequence_topic(view(records, {"quadprog": {"board A": [answers]}}))
     margin = "(force through a 60 s filter, times a dynamic margin of "
     assert f"the loss of board A can be held {said} {margin}" in topic.lines[0]
 
 
 def test_the_topic_names_who_misses_alarms(storm: Records) -> None:
-    topic = consequence_topic(storm)
+    topic = build_consequence_topic(storm)
     assert "1 of 3 configurations answer all QPs rightly, the fastest quadprog" in topic.lines[0]
     said = "by osqp (1); QPs are left without an answer by daqp (1) and osqp (1)."
     assert topic.lines[0].endswith(said)
@@ -161,14 +161,16 @@ def test_it_says_nothing_of_what_steers_the_ship(records: Any, storm: Records) -
 
 
 def test_a_solver_that_leaves_qps_unanswered_is_named(storm: Records) -> None:
-    assert unanswered_text(storm, "quadprog") == unanswered_text(storm, "piqp") == ""
+    assert (
+        describe_unanswered_qps(storm, "quadprog") == describe_unanswered_qps(storm, "piqp") == ""
+    )
     left = "daqp leaves 1 of 8 QPs of the consequence analysis unanswered"
-    assert unanswered_text(storm, "daqp") == left
+    assert describe_unanswered_qps(storm, "daqp") == left
 
 
 def test_a_solver_that_is_silent_where_a_loss_cannot_be_held_is_named(records: Any) -> None:
     silent = view(records, {"daqp": {"board B": [[TRUE, TRUE, SILENT, SILENT]]}})
-    assert unanswered_text(silent, "daqp") == (
+    assert describe_unanswered_qps(silent, "daqp") == (
         "daqp leaves 2 of 4 QPs of the consequence analysis unanswered where a loss cannot be held"
     )
 

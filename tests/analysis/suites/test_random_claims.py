@@ -11,7 +11,7 @@ from dpbench.analysis.suites.random_claims import RandomClaims
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_step_columns
 from dpbench.qp.random_sequence import RandomRecipe
-from dpbench.report.topics.random import random_topic
+from dpbench.report.topics.random import build_random_topic
 from tests.result_folder import StepsInMemory
 
 INF, NAN = float("inf"), float("nan")
@@ -119,7 +119,7 @@ def test_the_topic_puts_who_lies_first(records: Any) -> None:
     view = Records(
         Results(found.runs, StepsInMemory(convert_to_step_columns(pd.DataFrame(rows))), {}, {})
     )
-    topic = random_topic(view)
+    topic = build_random_topic(view)
     assert [row[:4] for row in topic.tables[0].rows] == [
         ("osqp", "2", "0", "2"),
         ("scs", "2", "1", "1"),
@@ -132,6 +132,6 @@ def test_the_topic_puts_who_lies_first(records: Any) -> None:
 def test_what_never_ran_is_counted_as_never_reached(records: Any) -> None:
     records.replay("daqp", outcome="crashed", steps_done=0, steps_planned=24, **cell())
     records.replay("ecos", outcome="refused", steps_done=0, **cell())
-    topic = random_topic(records.view())
+    topic = build_random_topic(records.view())
     (row,) = topic.tables[0].rows
     assert (row[0], row[1], row[-1]) == ("daqp", "0", "24")

@@ -8,9 +8,9 @@ import pytest
 from dpbench.analysis.suites.slowdown import DelayedGroup, delayed_groups
 from dpbench.analysis.verdict.requirements import Requirements, cost_ratio
 from dpbench.analysis.verdict.verdict import judge_solvers
-from dpbench.report.topics.capability import consequence_topic
-from dpbench.report.topics.random import random_topic
-from dpbench.report.topics.sweeps import slowdown_topic
+from dpbench.report.topics.capability import build_consequence_topic
+from dpbench.report.topics.random import build_random_topic
+from dpbench.report.topics.sweeps import build_slowdown_topic
 
 COSTS = {
     "daqp": {1: 100.0, 100: 100.0, 1000: 109.9, 10000: 130.0},
@@ -75,7 +75,7 @@ def test_budgets_are_groups_of_their_own(records: Any, budget: float) -> None:
 
 def test_the_topic_shows_who_survives_best_first(records: Any) -> None:
     fill(records)
-    topic = slowdown_topic(records.view())
+    topic = build_slowdown_topic(records.view())
     (table,) = topic.tables
     assert [(row[0].split()[0], row[1]) for row in table.rows] == [
         ("daqp", "1000"),
@@ -122,7 +122,9 @@ def test_the_machine_of_slow_loops_is_judged(records: Any) -> None:
     assert "involuntary context switches a second" in records.ending()["machine"]
 
 
-@pytest.mark.parametrize("topic", [slowdown_topic, random_topic, consequence_topic])
+@pytest.mark.parametrize(
+    "topic", [build_slowdown_topic, build_random_topic, build_consequence_topic]
+)
 def test_without_runs_of_its_kind_there_is_no_topic(records: Any, topic: Any) -> None:
     records.loop("daqp")
     records.replay("daqp")

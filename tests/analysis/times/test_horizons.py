@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from dpbench.analysis.times.horizon_sweep import SweptConfiguration, find_sweeps, growth_exponent
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.report.topics.sweeps import horizon_topic
+from dpbench.report.topics.sweeps import build_horizon_topic
 
 REQUIREMENTS = Requirements()
 PAIRS = ((30, 5), (60, 10), (100, 20), (200, 40))
@@ -127,7 +127,7 @@ def test_the_topic_says_no_more_of_a_limit_than_the_runs(records: Any) -> None:
     for pair in PAIRS[:2]:
         _replay(records, "piqp", pair, median_us=30.0 * pair[1], spread=0.0, rounds=1)
     _law(records, "scs", 1000.0, 1.0)
-    topic = horizon_topic(records.view(), REQUIREMENTS)
+    topic = build_horizon_topic(records.view(), REQUIREMENTS)
     shown = {row[0].split()[0]: row for row in topic.tables[0].rows}
     assert {name: row[2] for name, row in shown.items()} == {
         "daqp": "100/20",
@@ -147,7 +147,7 @@ def test_a_thin_sweep_has_no_p99(records: Any) -> None:
     (swept,) = _best(records).values()
     assert all(math.isnan(point.p99_ns) for point in swept.points.values())
     assert swept.largest_within(1e9) is None
-    topic = horizon_topic(records.view(), REQUIREMENTS)
+    topic = build_horizon_topic(records.view(), REQUIREMENTS)
     assert topic is not None and topic.lines[0].endswith("with each of 999 steps within 3 ms.")
     assert topic.tables[0].rows[0][2] == "200/40"
 
@@ -156,7 +156,7 @@ def test_the_figure_is_over_the_variables_of_the_qp(records: Any) -> None:
     """Three forces times the control horizon: 15 to 120; points with wrong answers are hollow."""
     _law(records, "daqp", 10.0, 1.0)
     _law(records, "osqp", 10.0, 1.0, error=0.4)
-    topic = horizon_topic(records.view(), REQUIREMENTS)
+    topic = build_horizon_topic(records.view(), REQUIREMENTS)
     (data, *_) = (d for d in topic.figures[0].chart.to_dict()["datasets"].values() if len(d) > 1)
     assert sorted({row["x"] for row in data}) == [3 * N_c for _, N_c in PAIRS]
     assert {row["name"].split()[0]: row["good"] for row in data} == {"daqp": True, "osqp": False}
@@ -180,7 +180,7 @@ def test_there_is_a_sweep_only_with_two_horizons_of_one_scenario(records: Any) -
     _replay(records, "daqp", (60, 10), steps=40)
     _replay(records, "osqp", (60, 10), steps=50)
     assert find_sweeps(records.view(), REQUIREMENTS) == []
-    assert horizon_topic(records.view(), REQUIREMENTS) is None
+    assert build_horizon_topic(records.view(), REQUIREMENTS) is None
     _replay(records, "daqp", (30, 5), steps=40)
     (sweep,) = find_sweeps(records.view(), REQUIREMENTS)
     assert sweep.horizons == [(30, 5), (60, 10)]

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.times.machine import round_spread, timed_runs, total_disturbance
-from dpbench.report.formats import and_list, share_text
-from dpbench.report.topics.trust import trust_topic
+from dpbench.report.formats import format_share, join_with_and
+from dpbench.report.topics.trust import build_trust_topic
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
 
 QUIET = {
@@ -73,14 +73,14 @@ def test_the_bar_is_1_us_or_a_hundredth(records: Any, off_us: float, missed: lis
     """5, 20, 50 and 200 µs and nothing at all: within 1, 1, 1, 2 and 1 µs; 1000 µs within 10."""
     _with_calibration(records, off_us)
     verdict, _, figures = records.ending()["harness"].partition(" (")
-    assert verdict == (f"missed by {and_list(missed)}" if missed else "within the bar")
+    assert verdict == (f"missed by {join_with_and(missed)}" if missed else "within the bar")
     assert all(name in figures for name in CALIBRATION)
-    topic = trust_topic(records.view())
+    topic = build_trust_topic(records.view())
     waits = [us / 1e3 for name, us in WAITS_NS.items() if name in missed]
-    off = and_list([f"{us:g} µs as {us + off_us:.1f} µs" for us in waits])
+    off = join_with_and([f"{us:g} µs as {us + off_us:.1f} µs" for us in waits])
     assert (off or "within 1 µs or 1 %") in topic.lines[0]
     if waits:
-        worst = f"known to {share_text(max(off_us / us for us in waits))}."
+        worst = f"known to {format_share(max(off_us / us for us in waits))}."
         assert worst in topic.lines[0]
 
 
@@ -112,7 +112,7 @@ def test_switches_a_configuration_makes_itself_are_not_the_machines(records: Any
     _switching(records, "threads", 2.0, 2e-3, 1.0)
     view = records.view()
     assert records.ending()["machine"] == "quiet."
-    topic = trust_topic(view)
+    topic = build_trust_topic(view)
     said = dict(topic.tables[0].rows)
     assert said["switches a configuration makes itself, not counted above"] == (
         "threads (qpsolvers fresh): 1.0 a step"
@@ -132,14 +132,14 @@ def test_disturbed_rounds_are_part_of_all_rounds(records: Any) -> None:
     assert "1 of 4 rounds disturbed" in records.ending()["machine"]
     records._runs[-1] |= {"disturbed_rounds": 3, "counting_disturbed": 3}
     assert "3 of 3 rounds disturbed" in records.ending()["machine"]
-    topic = trust_topic(records.view())
+    topic = build_trust_topic(records.view())
     assert topic is not None and "3 of 3 rounds disturbed" in topic.lines[1]
     assert dict(topic.tables[0].rows)["disturbed rounds left"] == "3 of 3 rounds; 1 run again"
 
 
 def test_records_without_counters_say_nothing(records: Any) -> None:
     records.loop("daqp")
-    assert trust_topic(records.view()) is None
+    assert build_trust_topic(records.view()) is None
     assert "machine" not in records.ending()
 
 
@@ -149,5 +149,5 @@ def test_how_far_rounds_lie_apart_is_said(records: Any) -> None:
     for repeat, total_ns in zip((1, 2, 3), (10_000, 15_000, 20_000), strict=True):
         steps.loc[steps["repeat"] == repeat, "total_ns"] = total_ns
     assert round_spread(records.view()) == (2.0, 2.0)
-    topic = trust_topic(records.view())
+    topic = build_trust_topic(records.view())
     assert "only a ratio beyond × 2.00 counts" in topic.lines[0]

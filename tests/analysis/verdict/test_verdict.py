@@ -16,8 +16,8 @@ from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.verdict_text import (
     count_solvers,
     describe_findings,
-    paired_text,
-    requirements_text,
+    describe_paired_times,
+    describe_requirements,
 )
 
 REQUIREMENTS = Requirements()
@@ -156,7 +156,7 @@ def test_the_requirements_are_read_from_the_suite(records: Any) -> None:
     looser = Requirements.of({"requirements": {"error_move": 0.1, "unknown": 1}})
     assert judge_solvers(records.view(), looser).references[0].state == "pass"
     assert _verdict(records, "osqp").state == "fail"
-    assert "within 0.1 of a rate-limit step" in requirements_text(looser)
+    assert "within 0.1 of a rate-limit step" in describe_requirements(looser)
 
 
 def test_a_loop_of_200_timings_that_is_slow_in_the_median_is_late(records: Any) -> None:
@@ -281,13 +281,13 @@ def test_a_clear_lead_is_called_so(records: Any) -> None:
     assert found.ratio.value == pytest.approx(2.0, rel=0.02)
     assert not found.is_tied and found.finding == "slower"
     said = r"[\d.]+ times as long over the same steps \(geometric mean, [\d.]+ to [\d.]+\)"
-    assert re.fullmatch(said, paired_text(found))
+    assert re.fullmatch(said, describe_paired_times(found))
 
 
 def test_a_tie_is_called_a_tie(records: Any) -> None:
     found = _duel(records, 20.0)
     assert found.is_tied and found.finding == "tied"
-    assert "no significant difference" in paired_text(found)
+    assert "no significant difference" in describe_paired_times(found)
 
 
 @pytest.mark.parametrize("median_us", [20.2, 45_200.0])
@@ -299,7 +299,7 @@ def test_few_steps_state_the_ratio_and_no_more(records: Any, median_us: float) -
     view = records.view()
     found = paired_comparison(view, *fastest_first(judge_solvers(view, REQUIREMENTS).references))
     assert found.finding == "too few steps"
-    said = paired_text(found)
+    said = describe_paired_times(found)
     assert said.startswith("1.01 times" if median_us < 21.0 else "2260 times")
     assert said.endswith("(geometric mean of 40 steps; fewer than 500 steps, so no interval)")
 
@@ -314,7 +314,7 @@ def test_an_order_that_turns_with_the_yardstick_is_called_unstable(records: Any)
     ranked = fastest_first(judge_solvers(view, REQUIREMENTS).references)
     assert [v.configuration.solver for v in ranked] == ["steady", "nervous"]
     found = paired_comparison(view, *ranked)
-    assert found.finding == "unstable" and "depends on the measure" in paired_text(found)
+    assert found.finding == "unstable" and "depends on the measure" in describe_paired_times(found)
 
 
 def test_terminal_lines_carry_no_markup(records: Any) -> None:

@@ -17,7 +17,7 @@ from dpbench.bench.sequences.loop_sequences import (
     find_window_start,
     measure_hardness,
 )
-from dpbench.bench.sequences.source import read_replay, source_file
+from dpbench.bench.sequences.source import choose_source_file, read_replay
 from dpbench.errors import InputError
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.scenario.scenario import load_scenario
@@ -130,9 +130,9 @@ def test_fewer_steps_cut_the_window_and_its_stretch() -> None:
 @pytest.mark.slow
 def test_its_qps_are_those_of_the_whole_replay(tmp_path: Path) -> None:
     whole, path, short = cell(), tmp_path / "whole.npz", tmp_path / "short.npz"
-    source_file(whole).make(path)
+    choose_source_file(whole).make_file(path)
     window = cell(steps=200, hardest=30)
-    source_file(window).make(short)
+    choose_source_file(window).make_file(short)
     all_of, found = read_replay(whole, path), read_replay(window, path)
     first = found.sequence.meta["first"]
     again = read_replay(window, short)
@@ -153,7 +153,7 @@ def test_an_infeasible_step_is_in_the_window(tmp_path: Path) -> None:
     scenario = load_scenario("thruster_loss_hard")
     source = HardestSource(scenario.name, 450)
     window = Cell("replay", scenario.files, "daqp", "native", "fresh", "default", 10, source=source)
-    source_file(window).make(tmp_path / "loop.npz")
+    choose_source_file(window).make_file(tmp_path / "loop.npz")
     kinds = [o.kind for o in read_replay(window, tmp_path / "loop.npz").optima or []]
     assert kinds.count("infeasible") >= 1
     assert read_replay(window, tmp_path / "loop.npz").sequence.meta["first"] >= 400

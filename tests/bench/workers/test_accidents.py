@@ -23,7 +23,7 @@ from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.record.raw_log import RawLog, is_log_full_size_and_writable, make_replay_layout
 from dpbench.bench.record.result_folder import read_lost_count_and_remarks
 from dpbench.bench.record.step_table import BatchPart
-from dpbench.bench.sequences.source import source_file
+from dpbench.bench.sequences.source import choose_source_file
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.workers import interleaved as interleave
 from dpbench.bench.workers import scratch
@@ -297,7 +297,7 @@ def made_source(out: Path) -> tuple[Cell, Path]:
     """A cell of a result folder, and the exactly solved loop behind it, as while it is needed."""
     cell = Cell.from_json(load_results(out).runs["cell"].iloc[0])
     path = out / "cells" / f"exact-{cell.source_key(HARNESS_VERSION)}.npz"
-    source_file(cell).make(path)
+    choose_source_file(cell).make_file(path)
     return cell, path
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dpbench.bench.workers.worker import describe_failures
+from dpbench.bench.workers.worker import list_failure_descriptions
 
 
 @pytest.mark.parametrize(
@@ -17,4 +17,4 @@ from dpbench.bench.workers.worker import describe_failures
     ],
 )
 def test_failures_are_counted_by_their_words(counts: dict[str, int], output: list[str]) -> None:
-    assert describe_failures(counts) == output
+    assert list_failure_descriptions(counts) == output

@@ -10,8 +10,8 @@ import pytest
 
 from dpbench.analysis.times.contrasts import paired_comparison
 from dpbench.bench.record.cell import Configuration
-from dpbench.report.formats import rounded_down
-from dpbench.report.page.recommendation import python_call_text
+from dpbench.report.formats import format_rounded_down
+from dpbench.report.page.recommendation import format_python_call
 from dpbench.report.write import write_report
 from dpbench.scenario.scenario import load_scenario
 from tests.conftest import MadeRecords
@@ -186,7 +186,7 @@ def test_the_call_is_that_of_the_chosen_one(opened: Any) -> None:
     assert not opened().locator("#one-call").is_visible(), "it would stand there twice"
     page = opened("#s=osqp&w=qpsolvers-fresh&set=high&sc=paper")
     first = page.text_content("#paste-1")
-    assert page.text_content("#one-call") == python_call_text(
+    assert page.text_content("#one-call") == format_python_call(
         Configuration("osqp", "qpsolvers", "fresh", "high")
     )
     assert "eps_abs=" in page.text_content("#one-call")
@@ -278,7 +278,7 @@ def test_replays_alone_are_counted_as_uncontradicted(chromium: Any, tmp_path: Pa
 def test_a_bound_is_never_rounded_up(opened: Any) -> None:
     page = opened()
     for value in (245.9, 246.0, 29.96, 1234.9, 1.0049, 0.4567, 99_950.0):
-        assert page.evaluate(f"Number(roundedDown({value}))") == float(rounded_down(value))
+        assert page.evaluate(f"Number(roundedDown({value}))") == float(format_rounded_down(value))
 
 
 @pytest.mark.parametrize("slow", [1, 200, 2000, 10_000])
@@ -300,7 +300,7 @@ def test_the_speed_margin_decides_on_slower_computers(opened: Any, written: Any,
     output = page.inner_text("#slow-kept")
     assert f"{len(keep)} of the {len(right)} that pass here keep the deadline" in output
     assert len(right) < len(drawn)
-    named = [f"{r['solver']} (× {rounded_down(bounds[int(r['id'])])})" for r in keep]
+    named = [f"{r['solver']} (× {format_rounded_down(bounds[int(r['id'])])})" for r in keep]
     assert all((name in output) == (slow > 1 or len(keep) <= 6) for name in named)
     labels = page.locator("#figure-ladder .mark-symbol path[aria-label]").evaluate_all(
         "(all) => all.map((one) => one.getAttribute('aria-label'))"

@@ -17,7 +17,7 @@ from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_run_columns, convert_to_step_columns
 from dpbench.cli.main import main
 from dpbench.report.compare.comparison import _merge_verdicts
-from dpbench.report.compare.page import lead_sentences, write_comparison
+from dpbench.report.compare.page import make_lead_sentences, write_comparison
 from dpbench.report.ship_text import BANNER
 from tests.report.conftest import run_row
 from tests.result_folder import StepsInMemory, write_results
@@ -518,7 +518,7 @@ def test_settings_whose_options_changed_are_compared_by_their_name(make: Make) -
     (pair,) = compared.pairs.pairs
     assert pair.label == f"daqp (native fresh, mine) with {change}"
     assert f"options changed: daqp mine: {change}" in compared.lines
-    assert lead_sentences(compared)[0] == f"Options changed: daqp mine: {change}."
+    assert make_lead_sentences(compared)[0] == f"Options changed: daqp mine: {change}."
     assert not compared.worse and "better" in set(compared.answers["change"])
     assert compare(b, a).worse
     assert not any("options changed" in line for line in compare(a, a).lines)

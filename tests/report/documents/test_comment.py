@@ -59,13 +59,13 @@ def test_the_comment_names_the_configuration(records: Any, error: float, said: s
     for settings, us, off in (("default", 20.0, error), ("high", 90.0, 1e-9)):
         records.loop("osqp", settings=settings, error=off)
         records.replay("osqp", settings=settings, median_us=us, error=off)
-    assert said in compare_solver(Report.of(records.results()), "osqp")[0]
+    assert said in compare_solver(Report.from_results(records.results()), "osqp")[0]
 
 
 def test_a_comment_on_one_configuration_compares_it_with_no_other(records: Any) -> None:
     records.loop("daqp", error=0.5)
     records.replay("daqp")
-    text, _ = compare_solver(Report.of(records.results()), "daqp")
+    text, _ = compare_solver(Report.from_results(records.results()), "daqp")
     assert "\n\n`daqp (qpsolvers fresh)` fails: its first move is up to 0.50 of a " in text
     assert "best of" not in text
 

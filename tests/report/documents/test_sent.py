@@ -17,7 +17,13 @@ from dpbench.bench.capability.edge_qps import (
 )
 from dpbench.cli.main import main
 from dpbench.errors import ResultsError
-from dpbench.report.documents.sent import MOST_BYTES, SENDER, SENT, check_passive, check_sent_folder
+from dpbench.report.documents.sent import (
+    MOST_BYTES,
+    SENDER,
+    SENT,
+    check_sent_folder,
+    refuse_active_page,
+)
 
 COMMUNITY = Path(__file__).parents[3] / "results" / "community"
 SIGNED = 'who = "Ada"\nwhen = 2026-11-22\ncommand = "dpbench run smoke"\n'
@@ -198,7 +204,7 @@ UTF_8 = '<meta charset="utf-8">'
 def test_a_page_is_read_in_the_encoding_that_it_was_checked_in(page: str, found: str) -> None:
     """In ISO-2022-JP a quote may be half of a character, and end no attribute."""
     if not found:
-        check_passive(page, "page")
+        refuse_active_page(page, "page")
         return
     with pytest.raises(ResultsError, match=found):
-        check_passive(page, "page")
+        refuse_active_page(page, "page")

@@ -18,9 +18,9 @@ from dpbench.cli.main import main
 from dpbench.report.documents import statement
 from dpbench.report.documents.open_losses import OpenLosses
 from dpbench.report.documents.scenario_words import describe_thrusters
-from dpbench.report.documents.statement import HEIGHT, MARGIN, WIDTH, statement_svg
-from dpbench.report.formats import error_text, time_text
-from dpbench.report.page.recommendation import speed_margin_text
+from dpbench.report.documents.statement import HEIGHT, MARGIN, WIDTH, make_statement_svg
+from dpbench.report.formats import format_error, format_time
+from dpbench.report.page.recommendation import describe_speed_margin
 from dpbench.report.report import Report
 from dpbench.report.ship_text import BANNER
 from dpbench.ship.vessel import HullDrag
@@ -36,7 +36,7 @@ def _good(records: Any, tmp_path: Path) -> Path:
 @pytest.fixture(scope="module")
 def drawn(written: Any) -> str:
     report = written.report
-    return statement_svg(written.folder, report.results, report.data)
+    return make_statement_svg(written.folder, report.results, report.data)
 
 
 def _texts(svg: str) -> list[ElementTree.Element]:
@@ -82,10 +82,10 @@ def test_it_has_the_verdict_where_it_is_valid_and_what_is_not(drawn: str, writte
     (verdict,) = (v for v in facts.verdicts.all if v.configuration == first)
     assert "Solver daqp 1.0, route qpsolvers, policy fresh, settings default" in text
     for figure in (
-        error_text(verdict.error_move),
-        time_text(verdict.p99_ns),
-        time_text(verdict.algo_max_ns),
-        speed_margin_text(facts, verdict).split(":")[0],
+        format_error(verdict.error_move),
+        format_time(verdict.p99_ns),
+        format_time(verdict.algo_max_ns),
+        describe_speed_margin(facts, verdict).split(":")[0],
         *("Synthetic CPU", "0123456789ab", "Its state: quiet", "does not cover other vessels"),
         *("DNV-ST-0111", "IMCA M 220", "This statement is none of these"),
         *("Compared: daqp 1.0 pass", "ecos 1.0 fail", "Author ___", "Date ___", "Signature ___"),
@@ -109,9 +109,9 @@ def test_a_sector_is_listed_with_its_thruster() -> None:
 
 def test_it_names_the_commit_where_the_record_has_one(written: Any) -> None:
     results, facts = written.results, written.report.data
-    old = statement_svg(written.folder, results, facts)
+    old = make_statement_svg(written.folder, results, facts)
     suite = results.suite | {"revisions": [{"commit": "c0ffee" * 6, "clean": False}]}
-    new = statement_svg(written.folder, replace(results, suite=suite), facts)
+    new = make_statement_svg(written.folder, replace(results, suite=suite), facts)
     assert "commit" not in old
     assert "commit c0ffeec0ffee with changes" in new
 
@@ -147,7 +147,7 @@ def test_a_text_too_long_for_the_page_is_set_smaller(
     losses = OpenLosses(tuple(f"Loss of board {i}: not held (not simulated)." for i in range(16)))
     monkeypatch.setattr(statement, "find_open_losses", lambda *_: losses)
     report = written.report
-    svg = statement_svg(written.folder, report.results, report.data)
+    svg = make_statement_svg(written.folder, report.results, report.data)
     assert float(_texts(svg)[-1].get("y", "nan")) <= HEIGHT - 20
     texts = ["".join(element.itertext()) for element in _texts(svg)]
     assert texts[3] == losses.not_held[0]
@@ -163,7 +163,7 @@ def test_it_says_that_the_model_lacks_the_drag_of_the_ship(written: Any) -> None
     records._scenarios = {**records._scenarios, name: dragged}
     with_drag = replace(facts, records=records)
     for data, count in ((facts, 0), (with_drag, 1)):
-        svg = statement_svg(written.folder, written.results, data)
+        svg = make_statement_svg(written.folder, written.results, data)
         text = " ".join("".join(element.itertext()) for element in _texts(svg))
         assert text.count("The ship meets cross-flow drag") == count
 
@@ -199,8 +199,8 @@ def test_it_states_weather_losses_thrusters_and_source(records: Any, tmp_path: P
     records.loop("daqp", "thrusters_loss", steps=500)
     records.replay("daqp", "thrusters_loss", spread=0.1)
     results = records.results()
-    report = Report.of(results)
-    svg = statement_svg(records.write(tmp_path / "out"), results, report.data)
+    report = Report.from_results(results)
+    svg = make_statement_svg(records.write(tmp_path / "out"), results, report.data)
     lines = ["".join(element.itertext()) for element in _texts(svg)]
     text = " ".join(lines)
     assert "loss of board A at 90 s" in text and "loss of board A" in lines

@@ -6,7 +6,7 @@ from typing import Any
 
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.cell import Configuration
-from dpbench.report.documents.markdown import describe_table
+from dpbench.report.documents.markdown import yield_table_remarks
 
 
 def _run(sequence: str, window_of: int = 0) -> Any:
@@ -25,7 +25,7 @@ def _verdict(
 
 def test_rows_of_other_replays_and_own_options_are_named() -> None:
     own = _verdict("osqp", "squall", settings="mine", options='{"rho": 1.6}')
-    notes = list(describe_table([_verdict("daqp", "move"), own, _verdict("piqp", "move")]))
+    notes = list(yield_table_remarks([_verdict("daqp", "move"), own, _verdict("piqp", "move")]))
     assert notes == [
         "p50 and p99 are of the replay of move, but for osqp (native warm, mine) (squall).",
         "Settings of your own: osqp mine: rho=1.6.",
@@ -35,7 +35,7 @@ def test_rows_of_other_replays_and_own_options_are_named() -> None:
 def test_the_replays_of_worst_p99_and_hardest_step_are_named() -> None:
     """Those without a p99 are in no note on it."""
     notes = list(
-        describe_table(
+        yield_table_remarks(
             [
                 _verdict("daqp", "move", window="turn"),
                 _verdict("osqp", "move", window="turn"),
@@ -52,5 +52,5 @@ def test_the_replays_of_worst_p99_and_hardest_step_are_named() -> None:
 
 
 def test_nothing_is_said_of_one_replay_with_presets() -> None:
-    assert list(describe_table([_verdict("daqp", "move"), _verdict("piqp", "")])) == []
-    assert list(describe_table([])) == []
+    assert list(yield_table_remarks([_verdict("daqp", "move"), _verdict("piqp", "")])) == []
+    assert list(yield_table_remarks([])) == []

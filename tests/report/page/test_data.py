@@ -10,8 +10,8 @@ from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.report.page import data as page_data
 from dpbench.report.page import tables
-from dpbench.report.page.data import PageData, json_number
-from dpbench.report.page.live import _matrix_text
+from dpbench.report.page.data import PageData, convert_to_json_number
+from dpbench.report.page.live import _explain_verdict_grid
 from dpbench.report.page.tables import select_tiles
 from dpbench.report.page.terms import describe_experiments
 from dpbench.report.report import Report
@@ -23,7 +23,7 @@ REQUIREMENTS = Requirements()
 
 def _facts(records: Any) -> PageData:
     view = records.view()
-    return PageData.of(view, judge_solvers(view, REQUIREMENTS))
+    return PageData.from_verdicts(view, judge_solvers(view, REQUIREMENTS))
 
 
 def test_a_cell_holds_the_figures_of_its_run(records: Any) -> None:
@@ -52,7 +52,7 @@ def test_the_track_is_a_distance_from_the_loop_closest_to_the_exact_one(records:
     ("value", "output"), [(1.5, 1.5), (float("nan"), None), (float("inf"), "inf"), (None, None)]
 )
 def test_numbers_are_such_as_json_has(value: Any, output: Any) -> None:
-    assert json_number(value) == output
+    assert convert_to_json_number(value) == output
 
 
 def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None:
@@ -100,21 +100,25 @@ def test_of_many_experiments_those_that_miss_most_are_drawn(records: Any, monkey
     monkeypatch.setattr(tables, "MOST_TILES", 5)
     drawn = select_tiles(tiles)
     assert drawn["experiment"].unique().tolist() == ["rough", "turn"] and len(drawn) == 4
-    output = _matrix_text(facts)
+    output = _explain_verdict_grid(facts)
     assert (
         "The 2 of 4 scenarios and replays with the fewest passes" in output and "N·m" not in output
     )
     monkeypatch.undo()
     records.loop("daqp", units="si")
-    assert _matrix_text(_facts(records)).endswith("In N and N·m is an extra, in no verdict.")
+    assert _explain_verdict_grid(_facts(records)).endswith(
+        "In N and N·m is an extra, in no verdict."
+    )
     records.loop("osqp", units="si", error=0.5)
-    assert _matrix_text(_facts(records)).endswith("; 1 of 2 solvers fail there: scale the QP.")
+    assert _explain_verdict_grid(_facts(records)).endswith(
+        "; 1 of 2 solvers fail there: scale the QP."
+    )
 
 
 @pytest.mark.slow
 def test_every_sea_has_its_errors(records: Any) -> None:
     made = of_seas(records)
-    facts = Report.of(made.results()).data
+    facts = Report.from_results(made.results()).data
     (study,) = facts.study_documents
     runs = made.results().runs.set_index("run_id")
     own = study["runs"]
@@ -135,7 +139,7 @@ def test_every_sea_has_its_errors(records: Any) -> None:
 
 @pytest.mark.slow
 def test_it_opens_where_least_is_within(records: Any) -> None:
-    facts = Report.of(of_seas(records).results()).data
+    facts = Report.from_results(of_seas(records).results()).data
     c, p = facts.opening
     experiment = facts.experiments[p]
     assert (facts.configurations[c].solver, facts.configurations[c].settings) == ("osqp", LOOSE)
@@ -149,7 +153,7 @@ def test_seas_enter_no_verdict(records: Any) -> None:
     made = of_seas(records)
     made.loop("daqp", "calm", steps=40)
     made.replay("daqp", "calm")
-    report = Report.of(made.results())
+    report = Report.from_results(made.results())
     assert [report.data.experiments[p].label for p in report.data.judged_experiments] == [
         "calm",
         "calm (replay)",
@@ -164,7 +168,7 @@ def test_seas_enter_no_verdict(records: Any) -> None:
 def test_a_page_keeps_the_first_seas_of_all_points(records: Any, monkeypatch: Any) -> None:
     room = 3 * len(HEIGHTS) * len(OFFSETS)
     monkeypatch.setattr(page_data, "MOST_LOOPS", room)
-    facts = Report.of(of_seas(records).results()).data
+    facts = Report.from_results(of_seas(records).results()).data
     assert len(facts.runs) == room
     assert {facts.experiments[p].replicate for _, p in facts.runs} == {1}
     assert len(facts.experiments) == len(HEIGHTS) * len(OFFSETS) * SEAS

@@ -17,8 +17,13 @@ from markupsafe import escape
 
 from dpbench.bench.record.result_folder import hash_files
 from dpbench.embedded.table import EMBEDDED_FILE, write_counted_steps_atomically
-from dpbench.report.page.vendored import Vendored, file_digest, read_script, vendored_scripts
-from dpbench.report.page.write import SCRIPTS, read_page_file, software_citation
+from dpbench.report.page.vendored import (
+    Vendored,
+    compute_sha256_of_script,
+    list_vendored_scripts,
+    read_script,
+)
+from dpbench.report.page.write import SCRIPTS, format_software_citation, read_page_file
 from dpbench.report.topics.paper import CITATION as PAPER_CITATION
 from dpbench.report.write import write_report
 from tests.embedded.made_counts import make_counts
@@ -182,7 +187,7 @@ def test_citations_are_those_of_the_citation_file(written: Any) -> None:
     of: dict[str, list[str]] = {}
     for name, *values in output:
         of.setdefault(name, []).extend(value.strip('"') for value in values)
-    entry = software_citation(written.results)
+    entry = format_software_citation(written.results)
     title, of_the_paper = of["title"]
     assert title in " ".join(entry.split())
     assert f"{{{of['name'][0]}}}" in entry
@@ -199,14 +204,16 @@ def test_citations_are_those_of_the_citation_file(written: Any) -> None:
 VENDOR = files("dpbench.report.page").joinpath("vendor")
 
 
-@pytest.mark.parametrize("entry", vendored_scripts(), ids=lambda entry: entry.file)
+@pytest.mark.parametrize("entry", list_vendored_scripts(), ids=lambda entry: entry.file)
 def test_a_script_is_what_the_list_says(entry: Vendored) -> None:
-    assert file_digest(entry) == entry.sha256
+    assert compute_sha256_of_script(entry) == entry.sha256
     assert "Redistribution" in VENDOR.joinpath(entry.licence_file).read_text()
     assert entry.version in read_script(entry)
     assert "</script" not in read_script(entry)
 
 
 def test_nothing_lies_there_unlisted() -> None:
-    listed = {name for entry in vendored_scripts() for name in (entry.file, entry.licence_file)}
+    listed = {
+        name for entry in list_vendored_scripts() for name in (entry.file, entry.licence_file)
+    }
     assert {item.name for item in VENDOR.iterdir()} == listed | {"vendored.json"}

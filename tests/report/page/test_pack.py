@@ -78,7 +78,7 @@ def _number(kind: str, code: int, scale: float) -> float:
 
 
 def _one(block: Block) -> list[float]:
-    _, (array,) = unpacked(block.text({}))
+    _, (array,) = unpacked(block.compress_to_base64({}))
     return array
 
 
@@ -87,7 +87,7 @@ def test_numbers_over_many_decades_are_told_apart_by_a_percent(values: list[floa
     """Half a code is 10^(1/400), 0.58 %; missing, zero and infinite are themselves. The largest
     code but one is 10^(65532/200 − 16), beyond every number."""
     block = Block()
-    assert block.add_log([*values, 1e-20, -1.0]) == 0
+    assert block.add_as_uint16_logs([*values, 1e-20, -1.0]) == 0
     *numbers, smallest, negative = _one(block)
     assert smallest == pytest.approx(1e-16) and math.isnan(negative)
     for value, found in zip(values, numbers, strict=True):
@@ -104,7 +104,7 @@ def test_numbers_over_many_decades_are_told_apart_by_a_percent(values: list[floa
 def test_multiples_are_within_half_a_unit_or_cut_off(values: list[float], scale: float) -> None:
     """A value within 32767 units is rounded to the nearest; one beyond stands at the end."""
     block = Block()
-    block.add_linear(values, scale)
+    block.add_as_int16_multiples(values, scale)
     for value, found in zip(values, _one(block), strict=True):
         if math.isnan(value):
             assert math.isnan(found)
@@ -120,7 +120,7 @@ def test_multiples_are_within_half_a_unit_or_cut_off(values: list[float], scale:
 )
 def test_counts_are_exact(values: list[float]) -> None:
     block = Block()
-    block.add_count([*values, 70_000.0])
+    block.add_as_uint16_counts([*values, 70_000.0])
     expected = [math.nan if math.isnan(v) or v < 0 else float(v) for v in values]
     np.testing.assert_equal(_one(block), [*expected, 65534.0])
 
@@ -131,11 +131,14 @@ def test_some_elements_of_a_long_array_stand_in_their_places(places: set[int]) -
     length = rising[-1] + 3
     if max(np.diff(rising, prepend=0)) > 65535:
         with pytest.raises(ValueError, match="apart"):
-            block.add_indices(rising, length)
+            block.add_rising_indices(rising, length)
         return
-    at = block.add_indices(rising, length)
-    numbers = block.add_count(range(len(rising)), at), block.add_flag([7] * len(rising), at)
-    counts, flags = (unpacked(block.text({}))[1][number] for number in numbers)
+    at = block.add_rising_indices(rising, length)
+    numbers = (
+        block.add_as_uint16_counts(range(len(rising)), at),
+        block.add_as_flag_bytes([7] * len(rising), at),
+    )
+    counts, flags = (unpacked(block.compress_to_base64({}))[1][number] for number in numbers)
     assert len(counts) == len(flags) == length
     assert [counts[place] for place in rising] == [float(i) for i in range(len(rising))]
     assert sum(not math.isnan(count) for count in counts) == len(rising)
@@ -146,11 +149,11 @@ def test_some_elements_of_a_long_array_stand_in_their_places(places: set[int]) -
 def test_arrays_of_a_block_stay_apart(arrays: list[list[float]], flags: list[int]) -> None:
     block = Block()
     numbers = [
-        block.add_flag(flags),
-        *(block.add_log(array) for array in arrays),
-        block.add_count([3, 1]),
+        block.add_as_flag_bytes(flags),
+        *(block.add_as_uint16_logs(array) for array in arrays),
+        block.add_as_uint16_counts([3, 1]),
     ]
-    document, found = unpacked(block.text({"output": "µs ≥ 1"}))
+    document, found = unpacked(block.compress_to_base64({"output": "µs ≥ 1"}))
     assert numbers == list(range(len(arrays) + 2))
     assert document["output"] == "µs ≥ 1"
     assert found[0] == [float(flag) for flag in flags]
@@ -160,7 +163,7 @@ def test_arrays_of_a_block_stay_apart(arrays: list[list[float]], flags: list[int
 
 def test_a_document_with_a_number_that_json_has_not_is_refused() -> None:
     with pytest.raises(ValueError, match="JSON"):
-        Block().text({"x": math.nan})
+        Block().compress_to_base64({"x": math.nan})
 
 
 def _long(count: int, seed: int = 1) -> RunSteps:
@@ -184,10 +187,10 @@ def _long(count: int, seed: int = 1) -> RunSteps:
     "lengths", [[100_000] * 10, [1000] * 1000, [500] * 800 + [100_000] * 6, [1] * 3 + [10**6]]
 )
 def test_a_million_steps_share_the_room(lengths: list[int]) -> None:
-    share = Room.of(lengths).steps
+    share = Room.from_run_lengths(lengths).steps
     taken = sum(min(length, share) for length in lengths)
     assert packing.MOST_STEPS - len(lengths) <= taken <= packing.MOST_STEPS
-    assert Room.of(lengths).points * len(lengths) <= packing.MOST_POINTS
+    assert Room.from_run_lengths(lengths).points * len(lengths) <= packing.MOST_POINTS
 
 
 @pytest.mark.parametrize("most", [90, 600, 5000])
@@ -205,9 +208,9 @@ def test_left_out_steps_are_missing_in_the_block() -> None:
     of_whole = pack_steps(whole, ThinnedRun.of(run, 20_000))
     of_thin = pack_steps(thin, ThinnedRun.of(run, 600))
     assert of_whole["first"] == of_thin["first"] == 7
-    assert len(thin.text({})) < 0.1 * len(whole.text({}))
+    assert len(thin.compress_to_base64({})) < 0.1 * len(whole.compress_to_base64({}))
     all_steps, some = (
-        unpacked(block.text({}))[1][entry["t"]]
+        unpacked(block.compress_to_base64({}))[1][entry["t"]]
         for block, entry in ((whole, of_whole), (thin, of_thin))
     )
     kept_ones = ~np.isnan(some)
@@ -239,10 +242,10 @@ def test_the_block_of_many_long_runs_stays_within_its_room(records: Any, monkeyp
 
     def size() -> int:
         view, requirements = Records(results), Requirements.of(results.suite)
-        facts = PageData.of(view, judge_solvers(view, requirements))
+        facts = PageData.from_verdicts(view, judge_solvers(view, requirements))
         cells = list(facts.cells())
         assert len(cells) == 4
-        return len(facts.block.text({}))
+        return len(facts.block.compress_to_base64({}))
 
     whole = size()
     monkeypatch.setattr(packing, "MOST_STEPS", 400)
@@ -256,7 +259,7 @@ def test_of_many_runs_fewer_hard_steps_are_listed(records: Any, monkeypatch: Any
     def listed(most: int) -> set[int]:
         monkeypatch.setattr(page_data, "MOST_HARD", most)
         view, requirements = records.view(), Requirements.of({})
-        facts = PageData.of(view, judge_solvers(view, requirements))
+        facts = PageData.from_verdicts(view, judge_solvers(view, requirements))
         assert all(
             len(rows) == 5 for run in facts.thinned_runs.values() for rows in run.hard.values()
         )

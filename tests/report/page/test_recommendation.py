@@ -11,8 +11,8 @@ from dpbench.analysis.verdict.fastest import best_verdict_by_solver, choose_solv
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.errors import InputError
-from dpbench.report.documents.markdown import MOST_BYTES, report_markdown
-from dpbench.report.formats import error_text, rounded_down, time_text
+from dpbench.report.documents.markdown import MOST_BYTES, make_report_markdown
+from dpbench.report.formats import format_error, format_rounded_down, format_time
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import Recommendation, build_recommendation
 from dpbench.report.report import Report
@@ -20,7 +20,7 @@ from dpbench.report.report import Report
 
 def _facts(records: Any) -> PageData:
     view, requirements = records.view(), Requirements()
-    return PageData.of(view, judge_solvers(view, requirements))
+    return PageData.from_verdicts(view, judge_solvers(view, requirements))
 
 
 def _answer(records: Any, baseline: str | None = None) -> Recommendation:
@@ -45,14 +45,16 @@ def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
         assert (
             "Use daqp (qpsolvers, fresh, default): right on every step of 4 closed loops" in output
         )
-        assert f"p99 {time_text(chosen.p99_ns)}" in output
-        assert error_text(chosen.error_move) in output
-        assert f"The computer may be up to × {rounded_down(margin.factor)} slower." in output
-        assert f"The p99 reaches 3 ms at × {rounded_down(margin.p99_limit)}: it is " in output
-        deadline = rounded_down(margin.deadline)
+        assert f"p99 {format_time(chosen.p99_ns)}" in output
+        assert format_error(chosen.error_move) in output
+        assert f"The computer may be up to × {format_rounded_down(margin.factor)} slower." in output
+        assert (
+            f"The p99 reaches 3 ms at × {format_rounded_down(margin.p99_limit)}: it is " in output
+        )
+        deadline = format_rounded_down(margin.deadline)
         assert f"The hardest step takes the deadline of 300 ms at × {deadline}: it is " in output
         for step in (margin.p99, margin.hardest):
-            where = f"{time_text(step.time_ns)} in {step.run.scenario}, k {step.k} ("
+            where = f"{format_time(step.time_ns)} in {step.run.scenario}, k {step.k} ("
             assert where in output
     output = dict(written.lines)
     assert "native warm" not in output["answer"], (
@@ -75,11 +77,11 @@ def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) 
         assert row["solver"] == verdict.configuration.solver
         assert row["call mode"] == verdict.configuration.call_text
         assert row["verdict"] == verdict.state
-        assert row["p99"] == time_text(verdict.replay_p99_ns)
-        assert row["worst p99"] == time_text(verdict.p99_ns)
-        assert row["p99 of timings"] == time_text(verdict.raw_p99_ns)
-        assert row["hardest step"] == time_text(verdict.algo_max_ns)
-        assert row["largest error"] == error_text(verdict.error_move)
+        assert row["p99"] == format_time(verdict.replay_p99_ns)
+        assert row["worst p99"] == format_time(verdict.p99_ns)
+        assert row["p99 of timings"] == format_time(verdict.raw_p99_ns)
+        assert row["hardest step"] == format_time(verdict.algo_max_ns)
+        assert row["largest error"] == format_error(verdict.error_move)
         assert row["failed"] == str(verdict.failed_steps)
 
 
@@ -87,7 +89,7 @@ def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) 
 def test_a_markdown_of_very_many_solvers_is_cut_at_a_line(records: Any) -> None:
     for i in range(150):
         records.loop(f"somebody_elses_solver_{i:03d}")
-    text = report_markdown(Report.of(records.results()))
+    text = make_report_markdown(Report.from_results(records.results()))
     assert len(text.encode()) <= MOST_BYTES
     assert text.endswith("More rows: `tables/verdicts.csv`.\n")
     assert all(line.endswith("|") for line in text.splitlines() if line.startswith("|"))
@@ -102,13 +104,13 @@ def test_settings_of_ones_own_have_a_verdict_on_screen_and_in_markdown(records: 
         columns = options | {"route": "native", "policy": "warm"}
         records.loop("osqp", error=error, failed=2, **columns)
         records.replay("osqp", **columns)
-    report = Report.of(records.results())
+    report = Report.from_results(records.results())
     lines = [text for about, text in report.summary_rows() if about == "options"]
     assert lines[0].startswith("osqp[rho=0.16] (native warm): fail, largest error 0.55, 2 failed, ")
     assert "its first move is up to 0.55 of a rate-limit step off the optimum in paper" in lines[0]
     best = "Best of 3 settings of osqp: rho=16.0, at the edge of the grid in rho: widen it."
     assert lines[3:] == [best]
-    text = report_markdown(report)
+    text = make_report_markdown(report)
     assert best in text and "| osqp | native warm, rho=1.6 | fail |" in text
 
 
@@ -120,7 +122,7 @@ def test_a_few_configurations_are_all_listed(records: Any, solvers: int) -> None
         for policy, us in (("fresh", 30.0), ("warm", 20.0)):
             records.loop(solver, policy=policy)
             records.replay(solver, policy=policy, median_us=us)
-    text = report_markdown(Report.of(records.results()))
+    text = make_report_markdown(Report.from_results(records.results()))
     rows = [line for line in text.splitlines() if line.startswith(("| daqp", "| solver_"))]
     modes = [row.split(" | ")[1] for row in rows]
     if solvers == 1:
@@ -137,11 +139,13 @@ def test_a_grid_whose_best_is_inside_needs_no_wider_one(records: Any) -> None:
         options = {"settings": f"rho={rho}", "options": json.dumps({"rho": rho})}
         records.loop("osqp", **options)
         records.replay("osqp", median_us=us, **options)
-    assert "Best of" not in report_markdown(Report.of(records.results()))
+    assert "Best of" not in make_report_markdown(Report.from_results(records.results()))
     options = {"settings": "rho=10.0", "options": json.dumps({"rho": 10.0})}
     records.loop("osqp", **options)
     records.replay("osqp", median_us=90.0, **options)
-    assert "Best of 3 settings of osqp: rho=1.0.\n" in report_markdown(Report.of(records.results()))
+    assert "Best of 3 settings of osqp: rho=1.0.\n" in make_report_markdown(
+        Report.from_results(records.results())
+    )
 
 
 def test_chips_say_of_each_experiment_what_the_first_did_there(records: Any) -> None:
@@ -339,7 +343,7 @@ def test_the_suite_names_the_baseline(records: Any, named: str | None, second: s
     for solver, us in (("daqp", 10.0), ("osqp", 20.0), ("piqp", 30.0)):
         records.replay(solver, median_us=us, steps=60)
     records.suite["report"] = {"baseline": named}
-    found = Report.of(records.results()).recommendation.second
+    found = Report.from_results(records.results()).recommendation.second
     assert found is not None and found.solver == second
 
 

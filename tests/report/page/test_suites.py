@@ -161,7 +161,7 @@ def test_a_suite_shows_what_it_has_alone(records: Any, tmp_path: Path, kind: str
     answer = _words(html.split('<section id="answer">')[1].split("</section>")[0])
     assert "issing" not in shown and "issing" not in text
     assert all(lines) and lines
-    report = Report.of(load_results(out))
+    report = Report.from_results(load_results(out))
     assert {topic.id for topic in report.topics} == topics | ({lead} - {""})
     first = report.topics[0] if lead else None
     opening = first.lines[0] if first else report.recommendation.sentence
@@ -178,7 +178,7 @@ def test_a_suite_shows_what_it_has_alone(records: Any, tmp_path: Path, kind: str
 @pytest.mark.parametrize("kind", ["random", "consequence", "slow computers", "calibration"])
 def test_without_a_solver_on_a_ship_no_requirements_are_named(records: Any, kind: str) -> None:
     KINDS[kind][0](records)
-    report = Report.of(records.results())
+    report = Report.from_results(records.results())
     answer, lead = report.recommendation, report.topics[0]
     starts = {
         "random": "0 false claims on ",

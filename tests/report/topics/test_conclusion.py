@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from dpbench.report.report import Report
-from dpbench.report.topics.thrusters import conclusion_topic
+from dpbench.report.topics.thrusters import build_conclusion_topic
 
 WARM = {"route": "native", "policy": "warm"}
 
@@ -25,8 +25,8 @@ def campaign(records: Any, solvers: dict[str, tuple[float, float]], *, forces: b
 
 def output(records: Any) -> tuple[str, ...]:
     """The lines of the topic; none where there is none."""
-    report = Report.of(records.results())
-    topic = conclusion_topic(report.data.records, report.data.verdicts)
+    report = Report.from_results(records.results())
+    topic = build_conclusion_topic(report.data.records, report.data.verdicts)
     assert topic is None or report.topics[0].id == "conclusion"
     return () if topic is None else topic.lines
 

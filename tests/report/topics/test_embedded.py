@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from dpbench.embedded.table import EMBEDDED_FILE, write_counted_steps_atomically
-from dpbench.report.documents.markdown import report_markdown
+from dpbench.report.documents.markdown import make_report_markdown
 from dpbench.report.report import Report
 from dpbench.report.write import write_report_with_summary
 from tests.conftest import MadeRecords
@@ -35,8 +35,8 @@ def notes(report: Report) -> dict[str, str]:
 
 
 def test_counts_replace_the_speed_margin(judged: MadeRecords) -> None:
-    assert "up to ×" in notes(Report.of(judged.results()))["slower"]
-    found = notes(Report.of(judged.results(), counted=counts()))
+    assert "up to ×" in notes(Report.from_results(judged.results()))["slower"]
+    found = notes(Report.from_results(judged.results(), counted=counts()))
     assert "slower" not in found
     # 4.5 million instructions at one cycle each and 100 MHz: 45 ms of 300 ms.
     assert "at most 4\u202f500\u202f000 in paper[0:200]" in found["counted"]
@@ -46,11 +46,11 @@ def test_counts_replace_the_speed_margin(judged: MadeRecords) -> None:
 
 def test_counts_beyond_the_required_error_replace_nothing(judged: MadeRecords) -> None:
     loose = make_counts("quadprog", [1000] * 200, error=0.5)
-    assert "slower" in notes(Report.of(judged.results(), counted=loose))
+    assert "slower" in notes(Report.from_results(judged.results(), counted=loose))
 
 
 def test_the_topic_names_the_disagreement(judged: MadeRecords) -> None:
-    report = Report.of(judged.results(), counted=counts())
+    report = Report.from_results(judged.results(), counted=counts())
     (topic,) = (topic for topic in report.topics if topic.id == "embedded")
     assert topic.lines[0].startswith("Along paper[0:200] on Cortex-M7 daqp executes the fewest")
     (line,) = (line for line in topic.lines if "disagree" in line)
@@ -68,19 +68,19 @@ def test_what_was_not_counted_is_stated_once_a_reason(judged: MadeRecords) -> No
         {"solver": solver, "target": "m7", "sequence": "paper[0:200]", "reason": "no compiler"}
         for solver in ("daqp", "osqp")
     ]
-    report = Report.of(judged.results())
+    report = Report.from_results(judged.results())
     (topic,) = (topic for topic in report.topics if topic.id == "embedded")
     line = "Not counted: daqp and osqp, paper[0:200] on Cortex-M7: no compiler."
     assert topic.lines == (line,)
     assert dict(report.summary_rows())["embedded"] == line
-    some = Report.of(judged.results(), counted=counts())
+    some = Report.from_results(judged.results(), counted=counts())
     ended = dict(some.summary_rows())
     assert line == f"Not counted: {ended['not counted']}" != ended["embedded"]
-    assert line in report_markdown(some)
+    assert line in make_report_markdown(some)
 
 
 def test_a_report_without_counts_has_no_such_part(judged: MadeRecords) -> None:
-    assert "embedded" not in {topic.id for topic in Report.of(judged.results()).topics}
+    assert "embedded" not in {topic.id for topic in Report.from_results(judged.results()).topics}
 
 
 @pytest.mark.slow

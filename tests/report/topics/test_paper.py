@@ -11,7 +11,7 @@ import pytest
 from dpbench.analysis.records.records import Records
 from dpbench.bench.design import Bracket, DesignRecord, Designs, UnanalysedStability
 from dpbench.bench.record.result_folder import Results
-from dpbench.report.topics.paper import judge_claims, list_choices, paper_topic
+from dpbench.report.topics.paper import build_paper_topic, judge_claims, list_choices
 from tests.result_folder import StepsInMemory
 
 WHOLE = 1000
@@ -37,7 +37,7 @@ def test_claims_of_the_paper_case(records: Any) -> None:
     _pair(records)
     _pair(records, "paper_tight", tail_m=9.0, settle_0p1m_s=np.inf)
     states = _states(records)
-    topic = paper_topic(records.view())
+    topic = build_paper_topic(records.view())
     assert topic.lines[0].startswith(f"{len(states) - 2} of {len(states)} claims")
     assert [row[2] for row in topic.tables[0].rows] == list(states.values())
     failed = [claim for claim, state in states.items() if state != "reproduced"]
@@ -61,7 +61,7 @@ def test_contradicting_rows_are_believed(
 ) -> None:
     _pair(records, **{column: value})
     assert _states(records)[claim] == "opposite"
-    topic = paper_topic(records.view())
+    topic = build_paper_topic(records.view())
     assert topic is not None and "; the opposite: “" in topic.lines[0]
     assert f"“{claim}”" in topic.lines[0].split("the opposite: ")[1]
 
@@ -121,7 +121,7 @@ def test_claims_that_were_not_measured_are_counted(records: Any) -> None:
     reproduced, missing = states.count("reproduced"), states.count("not measured")
     assert reproduced > 0
     assert missing > 0
-    topic = paper_topic(records.view())
+    topic = build_paper_topic(records.view())
     assert topic is not None
     assert topic.lines[0].startswith(f"{reproduced} of {len(states)} claims")
     assert f"not measured, without whole runs of both laws: {missing}" in topic.lines[0]
@@ -131,7 +131,7 @@ def test_claims_that_were_not_measured_are_counted(records: Any) -> None:
 def test_choices_are_those_of_the_rows(records: Any) -> None:
     _pair(records)
     found = dict(list_choices(records.view()))
-    topic = paper_topic(records.view())
+    topic = build_paper_topic(records.view())
     assert topic is not None and dict(topic.tables[1].rows) == found
     assert found["Q"].startswith("diag(1, 1, 100)")
     assert found["disturbance, amplitude"].startswith("100, 80, 3000")
@@ -169,7 +169,7 @@ def test_a_namesake_is_not_the_paper(records: Any, part: str) -> None:
     view = Records(results)
     assert {claim.state for claim in judge_claims(view)} == {"not measured"}
     assert list_choices(view) == []
-    assert paper_topic(view) is None
+    assert build_paper_topic(view) is None
 
 
 @pytest.mark.slow
@@ -178,7 +178,7 @@ def test_reworded_prose_is_still_the_paper(records: Any) -> None:
     def change(files: dict[str, Any]) -> None:
         files["scenario"]["title"] = "Another title"
 
-    topic = paper_topic(Records(_called_paper(records, change)))
+    topic = build_paper_topic(Records(_called_paper(records, change)))
     assert [figure.name for figure in topic.figures] == [
         "paper-path",
         "paper-errors",
@@ -211,7 +211,7 @@ MISSING = UnanalysedStability("tug", "turn", "killed by SIGKILL")
 def _rows(designs: Designs | None, records: Any) -> list[tuple[str, ...]]:
     """The rows of the table on stability; none where there is no such table."""
     records.loop("daqp", steps=1000)
-    topic = paper_topic(records.view(), designs)
+    topic = build_paper_topic(records.view(), designs)
     return [row for table in topic.tables if "Stability" in table.title for row in table.rows]
 
 

@@ -8,8 +8,8 @@ from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import Verdict, judge_solvers
 from dpbench.report.formats import significant
 from dpbench.report.table import Table
-from dpbench.report.topics.replays import formulations_topic
-from dpbench.report.topics.trust import trust_topic
+from dpbench.report.topics.replays import build_formulations_topic
+from dpbench.report.topics.trust import build_trust_topic
 
 REQUIREMENTS = Requirements()
 
@@ -31,7 +31,7 @@ def test_the_forms_stand_side_by_side(records: Any) -> None:
     records.replay("osqp", median_us=20.0, formulation="condensed_stacked", error=0.5, **exact)
     records.replay("daqp", median_us=10.0, **exact)
     records.refused("daqp", "P is only semidefinite", "replay", formulation="sparse")
-    topic = formulations_topic(records.view(), REQUIREMENTS)
+    topic = build_formulations_topic(records.view(), REQUIREMENTS)
     (table,) = topic.tables
     assert _rows(table) == {
         "osqp (qpsolvers fresh)": {
@@ -53,7 +53,7 @@ def test_route_settings_and_units_are_told_apart(records: Any) -> None:
             configuration = {"route": route, "units": units, "spread": 0.0}
             records.replay("piqp", median_us=median, **configuration)
             records.replay("piqp", median_us=90.0, formulation="sparse", **configuration)
-    topic = formulations_topic(records.view(), REQUIREMENTS)
+    topic = build_formulations_topic(records.view(), REQUIREMENTS)
     scaled, si = topic.tables
     assert [cells["condensed_box"] for cells in _rows(scaled).values()] == ["50.0 µs", "40.0 µs"]
     assert len(si.rows) == 2 and si.title == "paper (SI units)"
@@ -63,7 +63,7 @@ def test_without_a_second_form_there_is_nothing_to_say(records: Any) -> None:
     records.replay("daqp")
     records.replay("daqp", sequence="rough", formulation="sparse")
     view = records.view()
-    assert formulations_topic(view, REQUIREMENTS) is None
+    assert build_formulations_topic(view, REQUIREMENTS) is None
     # The only formulation of a sequence is its common one.
     assert [run.formulation for run in view.replays("rough")] == ["sparse"]
 
@@ -96,7 +96,7 @@ def test_one_sentence_says_which_figure_applies_to_what(records: Any) -> None:
     """The interval within the run; against another run what the rounds of 95 % differ by."""
     records.replay("daqp", replay_s=9.0)
     view = records.view()
-    topic = trust_topic(view)
+    topic = build_trust_topic(view)
     usual, high = round_spread(view)
     rule = topic.lines[0]
     assert "95 % interval of their ratio" in rule
@@ -106,7 +106,7 @@ def test_one_sentence_says_which_figure_applies_to_what(records: Any) -> None:
 
 def test_what_the_machine_hides_is_said(records: Any) -> None:
     records.replay("daqp", replay_s=9.0, rerun_rounds=2, involuntary_switches=0, steal_s=0.0)
-    topic = trust_topic(records.view())
+    topic = build_trust_topic(records.view())
     (quiet,) = (line for line in topic.lines if line.startswith("The machine was quiet"))
     assert "disturbed even when run again, as 2 were." in quiet
     assert quiet.endswith("Not watched, as the machine hides it: its frequency and throttling.")
@@ -115,7 +115,7 @@ def test_what_the_machine_hides_is_said(records: Any) -> None:
 def test_a_wait_is_said_by_its_largest_replay(records: Any) -> None:
     for sequence, median_us in (("calm", 50.1), ("paper", 52.0), ("rough", 50.2)):
         records.replay("busy_wait_50us", sequence, median_us=median_us, replay_s=1.0)
-    topic = trust_topic(records.view())
+    topic = build_trust_topic(records.view())
     (waits,) = (line for line in topic.lines if line.startswith("Waits of known length"))
     assert "50 µs as 52.0 µs (p50 of the timings that count, the largest of its replays)" in waits
     assert "known to 4.0 %" in waits

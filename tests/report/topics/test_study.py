@@ -13,7 +13,7 @@ from dpbench.analysis.suites.study import find_studies
 from dpbench.analysis.suites.study_tables import tabulate_behind, tabulate_points
 from dpbench.report.charts.render import compile_vega
 from dpbench.report.study_effects_table import build_effects_table, tabulate_effects
-from dpbench.report.table import csv_bytes
+from dpbench.report.table import encode_csv
 from dpbench.report.topics import study as topic
 
 WIND, EAST = "environment.wind.speed_mps", "start.east_m"
@@ -47,7 +47,7 @@ def _fill(
                     exact_cost=100.0 - (solver == "osqp"),
                     outcome=outcome if behind and (point, sea) == lost else "finished",
                 )
-    return topic.study_topic(find_studies(records.view()))
+    return topic.build_study_topic(find_studies(records.view()))
 
 
 def _drawn(figure: Any, column: str) -> list[float]:
@@ -67,7 +67,7 @@ def test_the_files_of_a_study_hold_numbers(records: Any) -> None:
     _fill(records, points=5, seas=4, lost=(2, 3), outcome="timed_out")
     studies = find_studies(records.view())
     behind, points = (
-        pd.read_csv(io.BytesIO(csv_bytes(table(studies))))
+        pd.read_csv(io.BytesIO(encode_csv(table(studies))))
         for table in (tabulate_behind, tabulate_points)
     )
     texts = {"study", "configuration", "reference"}
@@ -181,7 +181,7 @@ def test_failed_steps_of_runs_are_said(records: Any) -> None:
     records.sea("daqp", 0, 1, {EAST: 1.0})
     records.sea("osqp", 0, 1, {EAST: 1.0}, failed=3)
     records.sea("osqp", 0, 2, {EAST: 1.0}, failed=4, done=20)
-    found = topic.study_topic(find_studies(records.view()))
+    found = topic.build_study_topic(find_studies(records.view()))
     assert found is not None and found.lines[1] == (
         "seas: steps failed in 2 of 3 runs, most of them with osqp at point 0, sea 2: 4 of 20 "
         "steps. The fallback steered there, or an unfinished iterate."
