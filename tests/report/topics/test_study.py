@@ -100,7 +100,7 @@ def test_refused_runs_are_counted_and_named(records: Any) -> None:
         refused = {"outcome": "refused", "outcome_detail": "no native route."}
         for settings in ("default", "high"):
             records.sea("scs", 0, sea, {EAST: 1.0}, done=0, settings=settings, **refused)
-    found = topic.study_topic(find_studies(records.view()))
+    found = topic.build_study_topic(find_studies(records.view()))
     assert found is not None
     assert found.lines[1:] == (
         "seas: 4 of 6 runs refused and not judged: 2 of scs (no native route) and 2 of scs (high) "
@@ -117,7 +117,7 @@ def test_a_disturbed_machine_is_said_of_a_study(records: Any, switches: int) -> 
     for sea in (1, 2):
         columns = {"replay_s": 10.0, "involuntary_switches": switches}
         records.sea("daqp", 0, sea, {EAST: 1.0}, **columns)
-    found = topic.study_topic(find_studies(records.view()))
+    found = topic.build_study_topic(find_studies(records.view()))
     assert found is not None
     said = [line for line in found.lines if "other work disturbed the machine" in line]
     expected = (
@@ -133,7 +133,7 @@ def test_settings_without_an_effect_have_one_row(records: Any) -> None:
         for settings, raw_max_ns in (("default", 1e5), ("high", 1e5), ("low", 2e5)):
             columns = {"settings": settings, "raw_max_ns": raw_max_ns + sea}
             records.sea("osqp", 0, sea, {EAST: 1.0}, **columns)
-    found = topic.study_topic(find_studies(records.view()))
+    found = topic.build_study_topic(find_studies(records.view()))
     assert found is not None and found.lines[0].startswith("seas: 4 runs at 1 point")
     assert {row[0] for row in found.tables[0].rows} == {"osqp", "osqp (low)"}
     assert found.tables[0].note.endswith(
