@@ -11,8 +11,7 @@ from dpbench import load_scenario, open_workspace
 from dpbench.bench.run.exact_loop import ExactLoop, rebuild_sequence, solve_loop_exactly
 from dpbench.embedded.count import count_instructions_along_sequence
 from dpbench.embedded.recipe import select_recipes
-from dpbench.embedded.targets import TARGETS
-from dpbench.embedded.toolchain import has_extra
+from dpbench.embedded.toolchain import TARGETS, has_extra
 from dpbench.qp.program import QPSequence
 from dpbench.scenario.scenario import Scenario
 

@@ -28,8 +28,7 @@ from dpbench.embedded.table import (
     tabulate_counted_steps,
     write_counted_steps_atomically,
 )
-from dpbench.embedded.targets import find_target_by_name
-from dpbench.embedded.toolchain import installed_compiler, require_extra
+from dpbench.embedded.toolchain import find_target_by_name, installed_compiler, require_extra
 from dpbench.errors import DpbenchError, InputError, ResultsError, format_allowed_names
 from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.scenario.scenario import build_or_reuse_scenario, load_scenario

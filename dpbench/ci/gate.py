@@ -20,8 +20,14 @@ from rich.console import Console
 
 from dpbench.bench.record.machine import describe_machine
 from dpbench.ci.benchmarks import Benchmark, BenchmarkRun, load_run
-from dpbench.ci.comparison import compare_runs, find_exact_changes
-from dpbench.ci.verdicts import DISTURBED, SLOWER, WORSE, describe_end
+from dpbench.ci.comparison import (
+    DISTURBED,
+    SLOWER,
+    WORSE,
+    compare_runs,
+    describe_end,
+    find_exact_changes,
+)
 from dpbench.errors import InputError
 
 

@@ -23,8 +23,7 @@ from rich.console import Console
 from dpbench.bench.workers.interrupts import first_signal_only
 from dpbench.ci import MARGIN
 from dpbench.ci.benchmarks import BenchmarkRun, is_installed, load_run
-from dpbench.ci.comparison import compare_runs
-from dpbench.ci.verdicts import DISTURBED, NOT_TIMED, Row, RunComparison
+from dpbench.ci.comparison import DISTURBED, NOT_TIMED, Row, RunComparison, compare_runs
 from dpbench.errors import InputError, SituationError
 from dpbench.files.writing import write_bytes_to_file_or_pipe
 from dpbench.report.formats import plural

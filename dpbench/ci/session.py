@@ -8,8 +8,7 @@ import pytest
 from rich.console import Console
 
 from dpbench.ci.benchmarks import BenchmarkRun, load_run
-from dpbench.ci.comparison import compare_runs
-from dpbench.ci.verdicts import describe_end
+from dpbench.ci.comparison import compare_runs, describe_end
 from dpbench.errors import InputError
 
 

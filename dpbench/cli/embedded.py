@@ -22,8 +22,13 @@ from dpbench.embedded.table import (
     summarise_counted_runs,
     tabulate_counted_steps,
 )
-from dpbench.embedded.targets import TARGETS, Target, find_target_by_name
-from dpbench.embedded.toolchain import compiler_version, require_extra
+from dpbench.embedded.toolchain import (
+    TARGETS,
+    Target,
+    compiler_version,
+    find_target_by_name,
+    require_extra,
+)
 from dpbench.errors import DpbenchError, InputError
 from dpbench.report.formats import format_count, format_error
 from dpbench.report.table import Table

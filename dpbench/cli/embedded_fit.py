@@ -21,8 +21,7 @@ from dpbench.embedded.fit import (
 from dpbench.embedded.recipe import Recipe, Setting
 from dpbench.embedded.step_counts import StepCounts
 from dpbench.embedded.table import save_counted_steps_in_folder
-from dpbench.embedded.targets import TARGETS, Target
-from dpbench.embedded.toolchain import compiler_version
+from dpbench.embedded.toolchain import TARGETS, Target, compiler_version
 from dpbench.errors import DpbenchError, InputError
 from dpbench.report.formats import MISSING, format_count, format_error
 from dpbench.report.table import Table

@@ -12,10 +12,8 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.codegen.trajectory import Trajectory
 from dpbench.embedded.calibration import verify_calibration_counts
-from dpbench.embedded.emulator import DATA, Core
-from dpbench.embedded.program import Program, read_program_from_elf_file
-from dpbench.embedded.targets import TARGETS, Target
-from dpbench.embedded.toolchain import compile_program
+from dpbench.embedded.emulator import DATA, Core, Program, read_program_from_elf_file
+from dpbench.embedded.toolchain import TARGETS, Target, compile_program
 from dpbench.errors import SituationError
 from dpbench.temporary_folders import make_temporary_folder_for_block, process_temporary_folder
 

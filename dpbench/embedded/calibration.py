@@ -2,10 +2,8 @@
 
 from functools import cache
 
-from dpbench.embedded.emulator import DATA, Core, Counts, EmulationError
-from dpbench.embedded.program import read_program_from_elf_file
-from dpbench.embedded.targets import Target
-from dpbench.embedded.toolchain import RUNTIME, compile_program
+from dpbench.embedded.emulator import DATA, Core, Counts, EmulationError, read_program_from_elf_file
+from dpbench.embedded.toolchain import RUNTIME, Target, compile_program
 
 THOUSAND = 1000
 STACK_BYTES = 480  # As in `calibration.c`

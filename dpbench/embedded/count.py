@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Floats, Matrix, Vector
 from dpbench.embedded.calibration import verify_calibration_counts
-from dpbench.embedded.emulator import DATA, Core
-from dpbench.embedded.program import Program, read_program_from_elf_file
+from dpbench.embedded.emulator import DATA, Core, Program, read_program_from_elf_file
 from dpbench.embedded.recipe import Recipe, Settings
 from dpbench.embedded.step_counts import COUNTED, StepCounts
-from dpbench.embedded.targets import Target
+from dpbench.embedded.toolchain import Target
 from dpbench.errors import SituationError
 from dpbench.qp.program import CONSTANT, QPSequence, QPStep
 from dpbench.qp.referee.optimum import Optimum

@@ -1,4 +1,4 @@
-"""Run a program's functions on an emulated core and count what they execute.
+"""Run a compiled program's functions on an emulated core and count what they execute.
 
 Instructions, loads and stores are counted by functions that Numba compiles, as Unicorn calls them
 for every instruction. They are there before the first run: what the emulator translated before is
@@ -8,15 +8,17 @@ not counted. The stack is painted before each call, and what is no longer paint 
 import ctypes
 from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
 
-from dpbench.embedded.program import Program
-from dpbench.embedded.targets import Target
+from dpbench.embedded.toolchain import Target
 from dpbench.errors import DpbenchError
 
+SIZES = {".text": "code", ".rodata": "constants", ".data": "static", ".bss": "static"}
+"""Kind of memory that each section of a program counts as."""
 RETURN = 0x0001_0000  # Where a function returns to: nothing is executed there
 PROGRAM, PROGRAM_SIZE = 0x0010_0000, 0x1000_0000  # Code, constants, static data, heap
 DATA, DATA_SIZE = 0x2000_0000, 0x1000_0000  # Arrays of the harness
@@ -32,6 +34,41 @@ _carray: Any = numba.carray  # type: ignore[attr-defined,unused-ignore] # not in
 _VOID, _POINTER = _types.void, _types.voidptr
 _CODE = _VOID(_POINTER, _types.uint64, _types.uint32, _POINTER)
 _MEMORY = _VOID(_POINTER, _types.int32, _types.uint64, _types.int32, _types.int64, _POINTER)
+
+
+@dataclass(frozen=True)
+class Program:
+    """A program of a bare core.
+
+    Parameters
+    ----------
+    parts : address and bytes of what is loaded.
+    symbols : address of each name; of a Thumb function with its lowest bit set.
+    sizes : bytes of code, constants and static data.
+    """
+
+    parts: list[tuple[int, bytes]]
+    symbols: dict[str, int]
+    sizes: dict[str, int]
+
+
+def read_program_from_elf_file(path: Path) -> Program:
+    """Read a compiled program from its ELF file: bytes to load, symbols and sizes."""
+    elf_file: Any = import_module("elftools.elf.elffile").ELFFile
+    with path.open("rb") as file:
+        elf = elf_file(file)
+        parts = [
+            (segment["p_vaddr"], segment.data())
+            for segment in elf.iter_segments()
+            if segment["p_type"] == "PT_LOAD" and segment["p_filesz"]
+        ]
+        table = elf.get_section_by_name(".symtab")
+        symbols = {symbol.name: symbol["st_value"] for symbol in table.iter_symbols()}
+        sizes = dict.fromkeys(SIZES.values(), 0)
+        for section in elf.iter_sections():
+            if section.name in SIZES:
+                sizes[SIZES[section.name]] += section["sh_size"]
+    return Program(parts, symbols, sizes)
 
 
 class EmulationError(DpbenchError):

@@ -16,8 +16,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dpbench.embedded.fetch import fetch_sources
-from dpbench.embedded.targets import Target
-from dpbench.embedded.toolchain import FOLDER, compile_program
+from dpbench.embedded.toolchain import FOLDER, Target, compile_program
 from dpbench.errors import InputError, SituationError, UnknownNameError, format_allowed_names
 from dpbench.qp.program import QPSequence
 

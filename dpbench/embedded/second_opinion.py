@@ -18,11 +18,9 @@ import numpy as np
 
 from dpbench.arrays import Ints
 from dpbench.embedded.count import open_core_with_solver_set_up, run_all_steps_and_count
-from dpbench.embedded.emulator import DATA, DATA_SIZE, PROGRAM, PROGRAM_SIZE, Core, Counts
-from dpbench.embedded.program import Program
+from dpbench.embedded.emulator import DATA, DATA_SIZE, PROGRAM, PROGRAM_SIZE, Core, Counts, Program
 from dpbench.embedded.recipe import Recipe, Settings
-from dpbench.embedded.targets import Target
-from dpbench.embedded.toolchain import RUNTIME, cache_folder, compile_loader
+from dpbench.embedded.toolchain import RUNTIME, Target, cache_folder, compile_loader
 from dpbench.errors import SituationError
 from dpbench.qp.program import QPSequence
 from dpbench.temporary_folders import process_temporary_folder

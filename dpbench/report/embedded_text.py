@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from dpbench.analysis.suites.embedded import APART, CountedSequence, EmbeddedResults
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.record.result_folder import UncountedSolver
-from dpbench.embedded.targets import TARGETS
+from dpbench.embedded.toolchain import TARGETS
 from dpbench.report.formats import format_count, format_sample_share, format_time, join_with_and
 
 CYCLES = 1.0

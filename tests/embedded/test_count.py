@@ -21,8 +21,7 @@ from dpbench.embedded.table import (
     summarise_counted_runs,
     tabulate_counted_steps,
 )
-from dpbench.embedded.targets import TARGETS
-from dpbench.embedded.toolchain import compiler_version, has_extra
+from dpbench.embedded.toolchain import TARGETS, compiler_version, has_extra
 from dpbench.errors import InputError, SituationError
 from dpbench.qp.program import QPSequence
 from dpbench.qp.referee.referee import certify_all_steps

@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 
 from dpbench.embedded import calibration
-from dpbench.embedded.emulator import DATA, STACK_SIZE, Core, Counts, EmulationError
-from dpbench.embedded.program import read_program_from_elf_file
-from dpbench.embedded.targets import TARGETS, Target, find_target_by_name
-from dpbench.embedded.toolchain import compile_program
+from dpbench.embedded.emulator import (
+    DATA,
+    STACK_SIZE,
+    Core,
+    Counts,
+    EmulationError,
+    read_program_from_elf_file,
+)
+from dpbench.embedded.toolchain import TARGETS, Target, compile_program, find_target_by_name
 from dpbench.errors import SituationError, UnknownNameError
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("embedded_extra")]

@@ -10,7 +10,7 @@ from dpbench.bench.sequences.sequence_file import load_sequence
 from dpbench.embedded import second_opinion
 from dpbench.embedded.recipe import select_recipes
 from dpbench.embedded.second_opinion import TOOLS, SecondOpinion, compare_counts_with_second_tool
-from dpbench.embedded.targets import TARGETS
+from dpbench.embedded.toolchain import TARGETS
 from dpbench.errors import SituationError
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("embedded_extra")]

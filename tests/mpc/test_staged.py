@@ -16,7 +16,7 @@ from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.staged_qp import StagedQP
 from dpbench.mpc.thruster_rows import Limits
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.referee.feasibility.farkas import is_farkas_vector_proof
+from dpbench.qp.referee.farkas import is_farkas_vector_proof
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Solution, Status

@@ -12,7 +12,7 @@ from dpbench.qp.random_sequence import (
     RandomRecipe,
     generate_random_sequence_with_optima,
 )
-from dpbench.qp.referee.feasibility.farkas import is_farkas_vector_proof
+from dpbench.qp.referee.farkas import is_farkas_vector_proof
 from dpbench.qp.residuals import is_answer_correct, residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.contract import Policy

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, WithJsonSchema
 from dpbench.bench.plan.study_points import RouteName, RunsTable, StudyTable
 from dpbench.bench.record.cell import DEFAULT_FALLBACK, SLOWEST, Units
 from dpbench.bench.run.backup import FALLBACKS
-from dpbench.embedded.targets import TARGETS
+from dpbench.embedded.toolchain import TARGETS
 from dpbench.errors import InputError
 from dpbench.qp.random_sequence import RandomRecipe
 from dpbench.scenario.problem_files import (

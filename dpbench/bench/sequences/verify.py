@@ -10,7 +10,7 @@ from dpbench.bench.sequences.recording import describe_sequence, read_sequence
 from dpbench.bench.sequences.sequence_file import WHAT, active_set
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence, QuadraticProgram
-from dpbench.qp.referee.feasibility.farkas import is_farkas_vector_proof
+from dpbench.qp.referee.farkas import is_farkas_vector_proof
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.referee import yield_certified_optima
 from dpbench.qp.residuals import residuals

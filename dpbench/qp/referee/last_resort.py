@@ -40,10 +40,6 @@ from scipy.optimize import linprog, nnls
 from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic
 from dpbench.qp.referee.equilibrated import Scales, is_exact_after_power_of_two_scaling
-from dpbench.qp.referee.feasibility.implied import (
-    remove_limits_of_zero_rows,
-    turn_always_met_limits_into_equalities,
-)
 from dpbench.qp.referee.gap import (
     EXCHANGES,
     TAU_EXPONENT,
@@ -53,6 +49,10 @@ from dpbench.qp.referee.gap import (
     select_independent_active_rows,
 )
 from dpbench.qp.referee.guesses import yield_active_set_guesses
+from dpbench.qp.referee.implied import (
+    remove_limits_of_zero_rows,
+    turn_always_met_limits_into_equalities,
+)
 from dpbench.qp.referee.kernels import OUTWARD, UNIT
 from dpbench.qp.referee.kkt import (
     Geometry,

@@ -56,16 +56,13 @@ from dpbench.qp.referee.equilibrated import (
     is_exact_after_power_of_two_scaling,
     scale_to_unit_diagonal,
 )
-from dpbench.qp.referee.feasibility.farkas import (
+from dpbench.qp.referee.farkas import (
+    bound_least_constraint_violation,
     find_farkas_vector,
+    find_farkas_vector_by_magnified_lps,
     find_unbounded_direction,
     is_direction_proof_of_unboundedness,
     is_farkas_vector_proof,
-)
-from dpbench.qp.referee.feasibility.implied import fix_variables_forced_to_bounds
-from dpbench.qp.referee.feasibility.rounding import (
-    bound_least_constraint_violation,
-    find_farkas_vector_by_magnified_lps,
 )
 from dpbench.qp.referee.gap import (
     find_signs_of_limits_met,
@@ -73,6 +70,7 @@ from dpbench.qp.referee.gap import (
     select_independent_active_rows,
 )
 from dpbench.qp.referee.guesses import guess_active_set_from_last_step, yield_active_set_guesses
+from dpbench.qp.referee.implied import fix_variables_forced_to_bounds
 from dpbench.qp.referee.kernels import (
     CROSSED_LIMITS,
     INVALID_DATA,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.referee.feasibility.implied import fix_variables_forced_to_bounds
+from dpbench.qp.referee.implied import fix_variables_forced_to_bounds
 from dpbench.qp.referee.optimum import ExactMatrices, JointQP
 from dpbench.qp.referee.rational import prove_optimum_in_exact_arithmetic
 from dpbench.qp.referee.referee import certify

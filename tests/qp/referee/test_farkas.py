@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee import referee
-from dpbench.qp.referee.feasibility.farkas import (
+from dpbench.qp.referee.farkas import (
     find_farkas_vector,
     find_unbounded_direction,
     is_direction_proof_of_unboundedness,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee import guesses
 from dpbench.qp.referee.equilibrated import Scales, is_exact_after_power_of_two_scaling
-from dpbench.qp.referee.feasibility.implied import (
+from dpbench.qp.referee.implied import (
     remove_limits_of_zero_rows,
     turn_always_met_limits_into_equalities,
 )

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.referee.feasibility.farkas import is_farkas_vector_proof
-from dpbench.qp.referee.feasibility.rounding import (
+from dpbench.qp.referee.farkas import (
     bound_least_constraint_violation,
     compute_reference_sizes_of_limits,
+    is_farkas_vector_proof,
 )
 from dpbench.qp.referee.optimum import JointQP
 from dpbench.qp.referee.referee import certify

@@ -7,7 +7,7 @@ import pytest
 
 from dpbench.errors import SettingsError
 from dpbench.qp.program import QPStep, QuadraticProgram
-from dpbench.qp.referee.feasibility.farkas import is_farkas_vector_proof
+from dpbench.qp.referee.farkas import is_farkas_vector_proof
 from dpbench.qp.residuals import residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace

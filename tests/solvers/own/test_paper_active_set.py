@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench.qp.program import QPStep, QuadraticProgram
-from dpbench.qp.referee.feasibility.farkas import is_farkas_vector_proof
+from dpbench.qp.referee.farkas import is_farkas_vector_proof
 from dpbench.qp.referee.referee import Referee
 from dpbench.qp.residuals import is_answer_correct, residuals
 from dpbench.qp.solution import Status

@@ -20,7 +20,7 @@ from scipy.optimize import linprog
 
 from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic
-from dpbench.qp.referee.feasibility.farkas import round_to_integer_proportions
+from dpbench.qp.referee.farkas import round_to_integer_proportions
 from dpbench.qp.referee.gap import select_independent_active_rows
 from dpbench.qp.referee.optimum import JointQP, Signs
 

@@ -1,1 +1,0 @@
-"""Certificates of infeasibility, rounding of limits, forced and implied equalities."""
