@@ -254,6 +254,18 @@ def hold_free_core_lock() -> Iterator[int]:
     yield cores[0]
 
 
+def find_machine_lock_holders() -> list[Holder]:
+    """Return the processes whose campaigns use this machine now, other than this one."""
+    try:
+        lock = os.open(find_safe_lock_folder() / "machine", os.O_RDONLY | os.O_NOFOLLOW)
+    except OSError:
+        return []
+    try:
+        return _read_holders_named_in_lock_file(lock)
+    finally:
+        os.close(lock)
+
+
 def hold_machine_lock(
     how: int,
     holder: Holder,

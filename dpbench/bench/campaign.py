@@ -54,6 +54,19 @@ CELL_KEYS = (
 """Keys of a suite that are part of many or all of its cells: a change runs these again."""
 
 
+def make_jobs(cells: Sequence[PlannedCell], machine_id: str) -> list[CellJob]:
+    """Return planned runs with their run_ids and the versions of their solvers' libraries."""
+    solvers = {planned.cell.solver for planned in cells}
+    libraries = {solver: find_solver_availability(solver) for solver in solvers}
+    jobs = []
+    for planned in cells:
+        library = libraries[planned.cell.solver]
+        identity = identify_libraries_of_cell(planned.cell, library)
+        run_id = planned.cell.run_id(identity, machine_id, HARNESS_VERSION)
+        jobs.append(CellJob(planned, run_id, library, machine_id))
+    return jobs
+
+
 class Campaign:
     """Execution of all runs of a suite into a result folder; can be interrupted and continued."""
 
@@ -72,9 +85,7 @@ class Campaign:
         self.store = CellStore(out)
         self.set_stability_studies(designs, machine["id"], fresh=fresh)
         self.counts = EmbeddedCounts(counts, self.store.folder, fresh=fresh)
-        solvers = {p.cell.solver for p in plan.cells}
-        self._libraries = {solver: find_solver_availability(solver) for solver in solvers}
-        self.work = shard.select_jobs([self._make_job_of_planned_cell(p) for p in plan.cells])
+        self.work = shard.select_jobs(make_jobs(plan.cells, machine["id"]))
         self._fresh = fresh
         if fresh:
             self.store.mark_unfinished(RequestedRuns(self.work).jobs)
@@ -90,13 +101,6 @@ class Campaign:
         """Set the controllers whose stability is studied; records are kept by `machine_id`."""
         cells = self.store.folder
         self.designs = DesignStudy(designs, cells, machine_id, fresh=fresh)
-
-    def _make_job_of_planned_cell(self, planned: PlannedCell) -> CellJob:
-        """Return a planned run with its run_id and the version of its solver's library."""
-        library = self._libraries[planned.cell.solver]
-        identity = identify_libraries_of_cell(planned.cell, library)
-        run_id = planned.cell.run_id(identity, self.machine["id"], HARNESS_VERSION)
-        return CellJob(planned, run_id, library, self.machine["id"])
 
     def run(self, engine: Engine, progress: Progress) -> None:
         """Do all unfinished runs and stability studies on an engine; write the result tables."""

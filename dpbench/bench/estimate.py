@@ -2,6 +2,7 @@
 
     time = START_S + Σ over loops and replays (CELL_S + TIMED_CELL_S + solving + judging) / slots
          + Σ over sources of QPs (SOURCE_STEP_S · steps) / slots
+         + REPORT_S + REPORT_CELL_S · cells, and COMPILE_S where kernels are not compiled yet
 
     solving = step of its kind · steps, within the limits of the suite
 
@@ -11,8 +12,9 @@ stated by the size of the QP. Judging and sources take longer with the size, too
 """
 
 import math
+import os
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -21,10 +23,10 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
-from dpbench.bench.campaign import choose_result_folder
+from dpbench.bench.campaign import choose_result_folder, make_jobs
 from dpbench.bench.engines.open_engine import count_slots
 from dpbench.bench.plan.cells import PlannedCell
-from dpbench.bench.plan.run_request import RunRequest
+from dpbench.bench.plan.run_request import Plan, RunRequest
 from dpbench.bench.record.cell import (
     CONFIGURATION_COLUMNS,
     CapabilitySource,
@@ -32,16 +34,26 @@ from dpbench.bench.record.cell import (
     RandomSource,
     RecordedSource,
 )
+from dpbench.bench.record.cell_store import read_finished_outcomes
+from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.sequences.recording import read_sequence
+from dpbench.bench.workers.child import has_compiled_kernels
 from dpbench.bench.workers.interleaved import FEWEST_ROUNDS
 from dpbench.bench.workers.jobs import CELL_S
 from dpbench.errors import InputError, ResultsError
+from dpbench.locks import find_machine_lock_holders
 from dpbench.scenario.problem_files import resolve_sequence_path
 from dpbench.scenario.scenario import build_scenario_from_documents
 
 START_S, TIMED_CELL_S = 1.0, 0.25
 """Start of a campaign; processes, warm-up and kernels of a replay by turns, rounds again [s]."""
+REPORT_S, REPORT_CELL_S = 4.0, 0.006
+"""The report with the libraries it loads, and what each cell adds to it [s]."""
+COMPILE_S = 15.0
+"""Compilation of the kernels, once after an installation [s]."""
+LOADED = 1.1
+"""Slow-down by other programs from which a forecast names it."""
 JUDGE_STEP_S, SOURCE_STEP_S, USUAL_SIZE = 0.00015, 0.0003, 60
 """A step for the referee and the tables, and a step of an exactly solved loop [s], at this size."""
 STEP_BYTES, RUN_BYTES = 90.0, 500.0
@@ -79,15 +91,20 @@ STATED_RATES = Rates(
 class Estimate:
     """Expected duration, table size and number of runs of a campaign.
 
-    `refused` cells leave rows without running; `unmeasured` ones are in no figure of time and size.
-    `time_s` is that on `slots` closed loops at a time, without the report.
+    `cells` are to run; `finished` ones have been, `refused` ones leave rows without running;
+    `unmeasured` ones are in no figure of time and size. `time_s` is that on `slots` closed loops at
+    a time, with `report_s` for the report and `compile_s` for kernels; `size_bytes` that of the
+    tables with finished runs.
     """
 
     cells: int
+    finished: int
     refused: int
     unmeasured: int
     steps: int
     time_s: float
+    report_s: float
+    compile_s: float
     size_bytes: float
     slots: int
     rates: str
@@ -96,15 +113,19 @@ class Estimate:
     @property
     def lines(self) -> list[str]:
         """Lines to print for `--dry-run`: runs, duration, table size, origin of the step times."""
-        counts = self.cells, self.refused, self.unmeasured, self.steps
-        cells, refused, more, steps = (f"{count:,}".replace(",", " ") for count in counts)
+        numbers = self.cells, self.finished, self.refused, self.unmeasured, self.steps
+        cells, finished, refused, more, steps = (f"{n:,}".replace(",", " ") for n in numbers)
+        done = f"{', ' if self.refused else ' and '}{finished} finished" if self.finished else ""
         without = f" and {refused} refused" if self.refused else ""
         apart = f"; {more} more of capability plots" if self.unmeasured else ""
+        parts = f"{_format_duration(self.report_s)} for the report"
+        if self.compile_s:
+            parts += f" and {_format_duration(self.compile_s)} to compile kernels, once"
         return [
-            f"{cells} cells to run{without}: {steps} recorded steps",
+            f"{cells} cells to run{done}{without}: {steps} recorded steps",
             f"about {_format_duration(self.time_s)} on this machine, {self.slots} closed loops at "
-            f"a time, and {self.size_bytes / 1e6:.1f} MB of tables; without the report{apart}",
-            f"by {self.rates}",
+            f"a time, with {parts}; {self.size_bytes / 1e6:.1f} MB of tables{apart}",
+            *([f"by {self.rates}"] if self.cells else []),
             *self.remarks,
         ]
 
@@ -153,29 +174,80 @@ def _estimate_sources_s(cells: Iterable[Cell]) -> float:
     return sum(seconds.values())
 
 
-def estimate_time_and_size(planned: Sequence[PlannedCell], slots: int, rates: Rates) -> Estimate:
-    """Return expected time and table size of planned runs on `slots`, without capability plots."""
-    to_run = [p for p in planned if not p.refused]
+def estimate_time_and_size(
+    planned: Sequence[PlannedCell],
+    slots: int,
+    rates: Rates,
+    *,
+    finished: Collection[int] = (),
+    is_compiled: bool = True,
+) -> Estimate:
+    """Return expected time and table size of planned runs on `slots`, without capability plots.
+
+    finished : indices of planned runs that are not run again.
+    """
+    stored = [p for p in planned if not p.refused]
+    to_run = [p for i, p in enumerate(planned) if not p.refused and i not in finished]
     measured = [p for p in to_run if not isinstance(p.cell.source, CapabilitySource)]
+    tabulated = [p for p in stored if not isinstance(p.cell.source, CapabilitySource)]
+    report_s = REPORT_S + REPORT_CELL_S * len(planned)
+    compile_s = 0.0 if is_compiled or not to_run else COMPILE_S
     return Estimate(
         cells=len(to_run),
-        refused=len(planned) - len(to_run),
+        finished=len(stored) - len(to_run),
+        refused=len(planned) - len(stored),
         unmeasured=len(to_run) - len(measured),
         steps=sum(count_step_rows_of_cell(p.cell) for p in to_run),
-        time_s=START_S * bool(measured)
-        + _estimate_sources_s(p.cell for p in measured) / slots
-        + sum(
-            rates.estimate_cell_seconds(p.cell) / (1 if p.cell.is_timed else slots)
-            for p in measured
-        ),
+        time_s=estimate_run_seconds(measured, slots, rates) + report_s + compile_s,
+        report_s=report_s,
+        compile_s=compile_s,
         size_bytes=sum(
             (1 + len(p.alias_settings))
             * (rates.run_bytes + rates.step_bytes * count_step_rows_of_cell(p.cell))
-            for p in measured
+            for p in tabulated
         ),
         slots=slots,
         rates=rates.origin,
     )
+
+
+def estimate_run_seconds(measured: Sequence[PlannedCell], slots: int, rates: Rates) -> float:
+    """Return the expected time of a campaign's runs on `slots` [s]."""
+    return (
+        START_S * bool(measured)
+        + _estimate_sources_s(p.cell for p in measured) / slots
+        + sum(
+            rates.estimate_cell_seconds(p.cell) / (1 if p.cell.is_timed else slots)
+            for p in measured
+        )
+    )
+
+
+def find_finished_cells(planned: Sequence[PlannedCell], folder: Path) -> set[int]:
+    """Return the indices of planned runs that are finished in a result folder, which is only read.
+
+    They were run on this machine, with the same versions of dpbench and of the solver's library.
+    """
+    finished = read_finished_outcomes(folder)
+    if not finished:
+        return set()
+    jobs = make_jobs(planned, describe_machine()["id"])
+    return {i for i, job in enumerate(jobs) if not job.planned.refused and job.run_id in finished}
+
+
+def describe_what_is_not_forecast(slots: int) -> list[str]:
+    """Describe waits for other campaigns and the load of the machine, on `slots` of its cores."""
+    lines = ["not in it: waits for other campaigns on this machine (--wait), other programs"]
+    if holders := find_machine_lock_holders():
+        lines.append(f"now in use by {' and '.join(map(str, holders))}: perhaps to be waited for")
+    cores, load = len(os.sched_getaffinity(0)), os.getloadavg()[0]
+    slower = (load + slots) / cores
+    if slower > LOADED:
+        lines.append(
+            f"other programs load this machine now ({load:.1f} processes, {cores} cores): up to "
+            f"{slower:.2g} times as long"
+        )
+    return lines
 
 
 def read_measured_rates(folder: Path) -> Rates:
@@ -196,22 +268,36 @@ def read_measured_rates(folder: Path) -> Rates:
     return Rates(f"the runs in {folder}", steps_s, step_bytes, run_bytes)
 
 
+def estimate_plan(plan: Plan, folder: Path, slots: int, *, fresh: bool = False) -> Estimate:
+    """Return the expected duration and table size of a plan run into a folder on this machine."""
+    estimate = estimate_time_and_size(
+        plan.cells,
+        slots,
+        read_measured_rates(folder),
+        finished=set() if fresh else find_finished_cells(plan.cells, folder),
+        is_compiled=has_compiled_kernels(),
+    )
+    if not estimate.cells:
+        return replace(estimate, remarks=plan.remarks)
+    timed_alone = all(p.cell.is_timed for p in plan.cells if not p.refused)
+    aside = describe_what_is_not_forecast(1 if timed_alone else slots)
+    return replace(estimate, remarks=[*aside, *plan.remarks])
+
+
 def estimate_campaign(
     suite: str | Path | None = None,
     out: str | Path | None = None,
     *,
     jobs: int | None = None,
     engine: str = "local",
+    fresh: bool = False,
     **asked: Any,
 ) -> Estimate:
     """Return a campaign's expected duration and table size on this machine, without running it."""
     if engine != "local":
         raise InputError("--dry-run", "", f"engine {engine}", "engine local")
     plan = RunRequest(None if suite is None else str(suite), **asked).make_plan()
-    rates = read_measured_rates(choose_result_folder(plan, out))
-    return replace(
-        estimate_time_and_size(plan.cells, count_slots(jobs), rates), remarks=plan.remarks
-    )
+    return estimate_plan(plan, choose_result_folder(plan, out), count_slots(jobs), fresh=fresh)
 
 
 def estimate_step_s(solver: str, route: str, size: int) -> float:

@@ -125,7 +125,7 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
     from dpbench.bench.design import pair_controllers_with_vessels
     from dpbench.bench.embedded_counts import pair_sequences_with_cores
     from dpbench.bench.engines.open_engine import count_slots
-    from dpbench.bench.estimate import estimate_time_and_size, read_measured_rates
+    from dpbench.bench.estimate import estimate_plan
     from dpbench.bench.plan.run_request import RunRequest
 
     plan = RunRequest(str(file)).make_plan()
@@ -137,10 +137,10 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
         )
     also = [f"and {len(counts)} counts on embedded cores"] if counts else []
     missing = [] if _can_pass(plan.cells) else [f"{file}: {NONE_PASSES}"]
-    rates = read_measured_rates(Path("results") / suite_path.stem)
-    _, *expected = estimate_time_and_size(plan.cells, count_slots(None), rates).lines
-    counted = f"{file}: a suite of {len(plan.cells)} cells"
-    return "\n".join([*missing, counted, *expected, *plan.remarks, *also])
+    estimate = estimate_plan(plan, Path("results") / suite_path.stem, count_slots(None))
+    to_run, *expected = estimate.lines
+    counted = [f"{file}: a suite of {len(plan.cells)} cells", *[to_run] * bool(estimate.finished)]
+    return "\n".join([*missing, *counted, *expected, *also])
 
 
 def _can_pass(planned: Sequence[PlannedCell]) -> bool:

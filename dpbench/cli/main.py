@@ -177,7 +177,7 @@ def _print_estimate(arguments: argparse.Namespace) -> int:
     """Print cells, time and size of a campaign without running it (`dpbench run --dry-run`)."""
     from dpbench.bench.estimate import estimate_campaign
 
-    unused = ("dry_run", "fresh", "scheduler", "tls", "wait_s")
+    unused = ("dry_run", "scheduler", "tls", "wait_s")
     estimate = estimate_campaign(**_named_parameters(arguments, *unused, *HOW_TO_END))
     print(json.dumps(vars(estimate), indent=2) if arguments.json else "\n".join(estimate.lines))
     return 0

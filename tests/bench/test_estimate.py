@@ -1,5 +1,8 @@
 """The estimate of a campaign equals the times of its last runs, or what stated rates give."""
 
+import json
+import os
+import tempfile
 import tomllib
 from pathlib import Path
 
@@ -8,13 +11,17 @@ import pytest
 from dpbench import load_results
 from dpbench.bench import estimate
 from dpbench.bench.estimate import (
+    COMPILE_S,
     JUDGE_STEP_S,
+    REPORT_CELL_S,
+    REPORT_S,
     SMALL,
     SOURCE_STEP_S,
     START_S,
     STATED_RATES,
     TIMED_CELL_S,
     Rates,
+    describe_what_is_not_forecast,
     estimate_step_s,
     estimate_time_and_size,
     measure_qp_size,
@@ -31,6 +38,7 @@ from dpbench.bench.record.cell import (
 )
 from dpbench.bench.workers.jobs import CELL_S
 from dpbench.cli.main import main
+from dpbench.locks import find_safe_lock_folder
 from dpbench.qp.random_sequence import RandomRecipe
 from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.table import find_solver_record
@@ -56,8 +64,12 @@ def test_time_goes_by_cells_steps_and_configurations(slots: int) -> None:
     )
     judged = 400 * JUDGE_STEP_S
     assert alone.time_s == pytest.approx(
-        START_S + (400 * SOURCE_STEP_S + 90 * (CELL_S + 400 * 0.004 + judged)) / slots
+        START_S
+        + (400 * SOURCE_STEP_S + 90 * (CELL_S + 400 * 0.004 + judged)) / slots
+        + REPORT_S
+        + 90 * REPORT_CELL_S
     )
+    assert alone.report_s == pytest.approx(REPORT_S + 90 * REPORT_CELL_S)
     assert both.time_s - alone.time_s >= 3 * (205 * 0.002 + TIMED_CELL_S)
     assert (both.cells, both.steps) == (93, 36_000 + 3 * 205)
     assert both.size_bytes == pytest.approx(93 * 500 + 90 * both.steps)
@@ -113,8 +125,49 @@ def test_what_does_not_run_takes_nothing() -> None:
     cells = [cell("daqp", 20, **random), refused, cell("daqp", 9, **edge)]
     found = estimate_time_and_size(cells, 1, STATED_RATES)
     assert (found.cells, found.refused, found.unmeasured) == (2, 1, 1)
-    assert found.time_s == estimate_time_and_size(cells[:1], 1, STATED_RATES).time_s > START_S
-    assert estimate_time_and_size([refused], 1, STATED_RATES).time_s == 0.0
+    of_first = estimate_time_and_size(cells[:1], 1, STATED_RATES)
+    assert found.time_s - found.report_s == pytest.approx(of_first.time_s - of_first.report_s)
+    assert of_first.time_s - of_first.report_s > START_S
+    alone = estimate_time_and_size([refused], 1, STATED_RATES)
+    assert alone.time_s == alone.report_s == REPORT_S + REPORT_CELL_S
+
+
+def test_finished_cells_take_nothing_but_have_rows() -> None:
+    loops = [cell("daqp", 400), cell("osqp", 200)]
+    one, both = (
+        estimate_time_and_size(loops, 1, STATED_RATES, finished=done) for done in ({0}, {0, 1})
+    )
+    assert (one.cells, one.finished, one.steps) == (1, 1, 200)
+    assert one.lines[0] == "1 cells to run and 1 finished: 200 recorded steps"
+    assert (both.cells, both.time_s) == (0, both.report_s)
+    assert one.size_bytes == estimate_time_and_size(loops, 1, STATED_RATES).size_bytes
+
+
+def test_kernels_are_compiled_once() -> None:
+    """Their time is in the forecast of a run where none is in the cache, and named."""
+    loops = [cell("daqp", 400)]
+    usual, first = (
+        estimate_time_and_size(loops, 1, STATED_RATES, is_compiled=there) for there in (True, False)
+    )
+    assert first.time_s - usual.time_s == pytest.approx(COMPILE_S)
+    assert "to compile kernels, once" in first.lines[1] and "compile" not in usual.lines[1]
+    done = estimate_time_and_size(loops, 1, STATED_RATES, finished={0}, is_compiled=False)
+    assert done.time_s == done.report_s
+
+
+@pytest.mark.parametrize(("load", "factor"), [(0.1, ""), (4.0, "up to 3 times as long")])
+def test_load_and_waits_are_named(
+    load: float, factor: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "getloadavg", lambda: (load, 0.0, 0.0))
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    first, *others = describe_what_is_not_forecast(2)
+    assert first.startswith("not in it: waits for other campaigns")
+    assert [line.endswith(factor) for line in others] == [True] * bool(factor)
+    other = json.dumps({"work": "dpbench run seas", "since": 0.0, "pid": os.getppid()})
+    (find_safe_lock_folder() / "machine").write_text(f"{other}\n")
+    assert "(dpbench run seas, since" in describe_what_is_not_forecast(2)[1]
 
 
 SUITE = suite_toml(
@@ -133,14 +186,26 @@ def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
     assert main(["run", "tiny.toml", "--dry-run"]) == 0
     said = capsys.readouterr()
     assert said.err == ""
-    cells, cost, rates, remark = said.out.splitlines()
+    cells, cost, rates, *others, remark = said.out.splitlines()
     assert cells == "83 cells to run and 1 refused: 1 089 recorded steps"
     assert "s on this machine" in cost and "MB of tables" in cost
     assert rates.startswith("by stated rates") and "for a p99" in remark
+    assert others[0].startswith("not in it: waits")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["tiny.toml"]
     assert main(["run", "tiny.toml", "--quiet", "--solver", "daqp", "--out", "mine"]) == 0
     assert main(["run", "tiny.toml", "--dry-run", "--out", "mine"]) == 0
-    assert capsys.readouterr().out.splitlines()[-2] == "by the runs in mine"
+    found_lines = capsys.readouterr().out.splitlines()
+    assert found_lines[1] == "41 cells to run, 42 finished and 1 refused: 523 recorded steps"
+    assert "by the runs in mine" in found_lines
+    before = {path: path.stat().st_mtime_ns for path in Path("mine").rglob("*")}
+    assert main(["run", "tiny.toml", "--dry-run", "--solver", "daqp", "--out", "mine"]) == 0
+    done, cost = capsys.readouterr().out.splitlines()[:2]
+    assert done == "0 cells to run and 42 finished: 0 recorded steps"
+    assert cost.startswith("about 4.3 s on this machine")
+    assert before == {path: path.stat().st_mtime_ns for path in Path("mine").rglob("*")}
+    command = ["run", "tiny.toml", "--dry-run", "--fresh", "--solver", "daqp", "--out", "mine"]
+    assert main(command) == 0
+    assert capsys.readouterr().out.startswith("42 cells to run: ")
     runs, found = load_results("mine").runs, read_measured_rates(Path("mine"))
     # 40 loops of 12 steps; the replays take 2 rounds of 20 and 3 steps to warm up.
     assert len(found.steps_s) == 3

@@ -348,20 +348,12 @@ class CellStore:
         make_folder_if_missing(self.folder)
         self._stale: set[str] = set()
         self._delete_unfinished_files()
-        numbers = {
-            path: int(named["number"])
-            for path in self.folder.iterdir()
-            if (named := _PART.fullmatch(path.name))
-        }
-        self.parts = [
-            Part(path) for path in sorted(numbers, key=lambda path: (numbers[path], path))
-        ]
+        numbers = _number_part_files(self.folder)
+        self.parts = [Part(path) for path in numbers]
         self._next = max(numbers.values(), default=0) + 1
         self._before: set[Source] = {self.public, *self.parts}
         self._latest = b""
-        self.finished: dict[str, str] = {}
-        for source in (self.public, *self.parts):
-            self.finished |= source.read_outcomes_by_run_id()
+        self.finished = _read_outcomes(self.public, self.parts)
 
     def _delete_unfinished_files(self) -> None:
         """Remove the unfinished files of an earlier run from the result folder."""
@@ -450,6 +442,31 @@ class CellStore:
         for part in list(parts):
             part.remove()
             self.parts.remove(part)
+
+
+def read_finished_outcomes(out: Path) -> dict[str, str]:
+    """Return the outcome of each finished run of a result folder by run_id; change no file."""
+    folder = out / "cells"
+    parts = [Part(path) for path in _number_part_files(folder)] if folder.is_dir() else []
+    return _read_outcomes(PublicTables(out), parts)
+
+
+def _number_part_files(folder: Path) -> dict[Path, int]:
+    """Return the files of finished batches in a folder with their numbers, in this order."""
+    numbers = {
+        path: int(named["number"])
+        for path in folder.iterdir()
+        if (named := _PART.fullmatch(path.name))
+    }
+    return {path: numbers[path] for path in sorted(numbers, key=lambda one: (numbers[one], one))}
+
+
+def _read_outcomes(public: PublicTables, parts: Iterable[Part]) -> dict[str, str]:
+    """Return the outcome of each finished run by run_id, of several copies the latest."""
+    finished: dict[str, str] = {}
+    for source in (public, *parts):
+        finished |= source.read_outcomes_by_run_id()
+    return finished
 
 
 def select_runs_without_steps(runs: pa.Table, read: Collection[str]) -> pa.Table:
