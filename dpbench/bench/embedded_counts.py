@@ -21,9 +21,9 @@ from dpbench.bench.record.result_folder import UncountedSolver
 from dpbench.bench.run.exact_loop import rebuild_sequence, solve_loop_exactly
 from dpbench.bench.workers.worker import disable_gc_and_warnings, pin_to_core, write_outcome
 from dpbench.embedded.recipe import find_recipes, select_recipes
-from dpbench.embedded.step_counts import StepCounts
 from dpbench.embedded.table import (
     EMBEDDED_FILE,
+    StepCounts,
     read_counted_steps_of_file,
     tabulate_counted_steps,
     write_counted_steps_atomically,

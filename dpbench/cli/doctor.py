@@ -4,7 +4,7 @@ from dpbench.bench.judge.calibration import time_dummy_solvers
 from dpbench.bench.record.disturbance import QUIET_RULE
 from dpbench.bench.record.machine import describe_machine
 from dpbench.cli.terminal import wrap_paragraph
-from dpbench.report import machine_verdict as verdict
+from dpbench.report import verdict_text as verdict
 from dpbench.report.formats import MISSING
 from dpbench.solvers.table import find_solver_availability, list_all_solver_names
 

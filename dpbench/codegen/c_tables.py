@@ -1,9 +1,13 @@
-"""Arrays and numbers as C text that reads back to the same bits."""
+"""Files of a generated controller from their templates; numbers that read back to the same bits."""
 
 import textwrap
 from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import version
+from typing import Any
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from dpbench.arrays import Vector
 
@@ -58,3 +62,22 @@ def _format_vector_for_c(row: Vector, whole: bool) -> str:
     """Format a vector as wrapped lines of a C array."""
     text = ", ".join(str(int(x)) if whole else format_number_for_c(x) for x in row)
     return textwrap.fill(text, _WIDTH, initial_indent="    ", subsequent_indent="    ")
+
+
+@cache
+def _make_c_template_environment() -> Environment:
+    """Return the Jinja environment of the templates of generated C."""
+    made = Environment(
+        loader=PackageLoader("dpbench.codegen"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    made.globals["version"] = version("dpbench")
+    return made
+
+
+def render_c_template(template: str, **values: Any) -> bytes:
+    """Return a file of the generated controller in UTF-8, from its template."""
+    return _make_c_template_environment().get_template(f"{template}.j2").render(values).encode()

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.codegen.trajectory import Trajectory
-from dpbench.embedded.calibration import verify_calibration_counts
+from dpbench.codegen.controller_data import Trajectory
+from dpbench.embedded.count import verify_calibration_counts
 from dpbench.embedded.emulator import DATA, Core, Program, read_program_from_elf_file
 from dpbench.embedded.toolchain import TARGETS, Target, compile_program
 from dpbench.errors import SituationError

@@ -12,9 +12,8 @@ from dataclasses import asdict, dataclass
 from html import escape
 from typing import Any
 
-from dpbench.codegen.c_tables import format_number_for_c
+from dpbench.codegen.c_tables import format_number_for_c, render_c_template
 from dpbench.codegen.controller_data import ControllerData, Signal, make_unique_c_identifiers
-from dpbench.codegen.rendering import render_c_template
 from dpbench.embedded.toolchain import compile_library
 from dpbench.temporary_folders import make_temporary_folder_for_block, process_temporary_folder
 

@@ -7,13 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.codegen.c_tables import Table, format_number_for_c, make_c_table
-from dpbench.codegen.controller_data import ControllerData, read_controller_data_of_scenario
+from dpbench.codegen.c_tables import Table, format_number_for_c, make_c_table, render_c_template
+from dpbench.codegen.controller_data import (
+    ControllerData,
+    Trajectory,
+    read_controller_data_of_scenario,
+    record_closed_loop_trajectory,
+)
 from dpbench.codegen.counted_replay import StepCost, count_replay
 from dpbench.codegen.fmu import SYSTEMS, build_fmu_bytes
-from dpbench.codegen.rendering import render_c_template
 from dpbench.codegen.solver_sources import SOLVERS, SolverSources, round_up_to_multiple_of_8
-from dpbench.codegen.trajectory import Trajectory, record_closed_loop_trajectory
 from dpbench.embedded.toolchain import has_extra
 from dpbench.errors import InputError
 from dpbench.files.writing import write_bytes_to_file_or_pipe, write_file_set_into_folder

@@ -11,8 +11,7 @@ import numpy as np
 import scipy
 
 from dpbench.codegen.c_tables import Table, format_number_for_c, make_c_table
-from dpbench.embedded.fetch import fetch_sources
-from dpbench.embedded.recipe import RECIPES, Recipe
+from dpbench.embedded.recipe import RECIPES, Recipe, fetch_sources
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.solvers.own import compiling
 from dpbench.solvers.own.library import ActiveSet, Problem, load_own_c_library

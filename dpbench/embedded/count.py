@@ -7,6 +7,7 @@ pipeline and no bus in it, and the worst step is the worst of this sequence.
 import struct
 import tempfile
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,11 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Floats, Matrix, Vector
-from dpbench.embedded.calibration import verify_calibration_counts
-from dpbench.embedded.emulator import DATA, Core, Program, read_program_from_elf_file
+from dpbench.embedded.emulator import (
+    DATA,
+    Core,
+    Counts,
+    EmulationError,
+    Program,
+    read_program_from_elf_file,
+)
 from dpbench.embedded.recipe import Recipe, Settings
-from dpbench.embedded.step_counts import COUNTED, StepCounts
-from dpbench.embedded.toolchain import Target
+from dpbench.embedded.table import COUNTED, StepCounts
+from dpbench.embedded.toolchain import RUNTIME, Target, compile_program
 from dpbench.errors import SituationError
 from dpbench.qp.program import CONSTANT, QPSequence, QPStep
 from dpbench.qp.referee.optimum import Optimum
@@ -29,6 +36,8 @@ _ARRAYS = ("P", "q", "A", "l", "u", "lb", "ub", "z")
 """Pointers of `embedded_qp`, in their order."""
 _Core = TypeVar("_Core", bound=Core)
 _INTEGERS = struct.Struct("<8i")
+THOUSAND = 1000
+STACK_BYTES = 480  # As in `calibration.c`
 
 
 class Mailbox:
@@ -153,3 +162,28 @@ def _run_step_and_count(
     status, iterations, active, z = mailbox.read_status_iterations_and_answer()
     executed = counts.instructions, counts.loads, counts.stores, counts.stack
     return np.array([*executed, iterations, active, status]), z
+
+
+@cache
+def verify_calibration_counts(target: Target) -> None:
+    """Run the calibration program of a core; EmulationError unless every count is as known."""
+    core = Core(
+        read_program_from_elf_file(compile_program([RUNTIME / "calibration.c"], target)), target
+    )
+    # A return of x86 loads the address, which the caller has put on the stack.
+    popped = 0 if target.link else 1
+
+    def expect(instructions: int, loads: int, stores: int, stack: int) -> Counts:
+        memory = (loads + popped, stores) if target.counts_memory else (-1, -1)
+        return Counts(instructions, *memory, stack or 8 * popped)
+
+    known = {
+        "embedded_set_up": expect(THOUSAND + 1, 0, 0, 0),
+        "embedded_loads": expect(THOUSAND + 1, THOUSAND, 0, 0),
+        "embedded_stores": expect(THOUSAND + 1, 0, THOUSAND, 0),
+        "embedded_stack": expect(4, 0, 1, STACK_BYTES),
+    }
+    for name, expected in known.items():
+        _, counts = core.call_function_and_count(name, DATA)
+        if counts != expected:
+            raise EmulationError(f"{target.title}: {name} counts {counts}, and not {expected}")

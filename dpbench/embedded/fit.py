@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from dpbench.embedded.step_counts import StepCounts
+from dpbench.embedded.table import StepCounts
 
 KILOBYTE = 1024
 FIRST, MOST = 5, 100

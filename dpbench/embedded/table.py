@@ -2,18 +2,22 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pyarrow as pa
 
-from dpbench.embedded.step_counts import COUNTED, StepCounts
+from dpbench.arrays import Ints, Matrix, Vector
+from dpbench.embedded.recipe import Settings
 from dpbench.embedded.toolchain import compiler_version
 from dpbench.errors import ResultsError
 from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
 from dpbench.files.writing import make_folder_if_missing, write_file_atomically
 
+COUNTED = ("instructions", "loads", "stores", "stack", "iterations", "active", "status")
+"""Columns of each step: executed, bytes of stack, then what the solver reports."""
 EMBEDDED_FILE = "embedded.parquet"
 SIZES = ("code", "constants", "static", "heap")
 COLUMNS = {
@@ -26,6 +30,33 @@ COLUMNS = {
     **dict.fromkeys(("settings", "compiler"), "str"),
 }
 """Columns of `embedded.parquet` and their types."""
+
+
+@dataclass(frozen=True, eq=False)
+class StepCounts:
+    """Counts of a solver's C along a sequence of K QPs.
+
+    Parameters
+    ----------
+    solver, target, sequence : names.
+    single : whether in single precision.
+    settings : of the solver.
+    steps : (K,) of each of `COUNTED`; −1 where not counted or reported.
+    z : (K, n) answers, in the units of the sequence.
+    error_move, error_plan : (K,) distance to the certified optimum, of first move and whole plan.
+    sizes : bytes of code, constants, static data and heap.
+    """
+
+    solver: str
+    target: str
+    sequence: str
+    single: bool
+    settings: Settings
+    steps: dict[str, Ints]
+    z: Matrix
+    error_move: Vector
+    error_plan: Vector
+    sizes: dict[str, int]
 
 
 def tabulate_counted_steps(counts: Sequence[StepCounts]) -> pd.DataFrame:

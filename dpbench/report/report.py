@@ -22,13 +22,17 @@ from dpbench.report.charts.render import NOT_DRAWN, can_draw
 from dpbench.report.csv_tables import build_tables
 from dpbench.report.embedded_text import yield_uncounted_sentences
 from dpbench.report.formats import strip_markdown
-from dpbench.report.machine_verdict import describe_calibration, describe_disturbance
 from dpbench.report.page.data import PageData
 from dpbench.report.page.live import draw_section_charts, select_static_charts
 from dpbench.report.page.recommendation import Recommendation, build_recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.topics.all import build_topics
-from dpbench.report.verdict_text import count_solvers, describe_own_settings
+from dpbench.report.verdict_text import (
+    count_solvers,
+    describe_calibration,
+    describe_disturbance,
+    describe_own_settings,
+)
 
 TERMINAL_NOTES = ("counted", "slower", "faster", "inconclusive", "next", "unanswered", "stopped")
 """Notes of the recommendation on a terminal."""

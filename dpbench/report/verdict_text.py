@@ -1,14 +1,16 @@
-"""Verdicts in plain words; every number in them comes from rows."""
+"""Verdicts on solvers and on the machine in plain words; every number comes from rows."""
 
 import math
 from collections import Counter
 from collections.abc import Sequence
+from math import isnan
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.statistics import LEAST_STEPS
 from dpbench.analysis.times.contrasts import PairedComparison
+from dpbench.analysis.times.machine import largest_by_name
 from dpbench.analysis.verdict.fastest import (
     MOST_OWN,
     SolverChoice,
@@ -20,7 +22,11 @@ from dpbench.analysis.verdict.fastest import (
 from dpbench.analysis.verdict.findings import STATES, Finding, State
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, outcome_cause
+from dpbench.bench.judge.calibration import is_within_tolerance
+from dpbench.bench.record.disturbance import Disturbance
+from dpbench.bench.record.result_folder import MachineDescription
 from dpbench.report.formats import (
+    MISSING,
     as_float,
     format_count,
     format_error,
@@ -298,3 +304,59 @@ def describe_judged_runs(verdict: Verdict) -> str:
     """State on how many closed loops and replays a configuration was judged."""
     kinds = {"closed loop": verdict.loops, "replay": verdict.replays, "window": verdict.windows}
     return join_with_and([plural(count, kind) for kind, count in kinds.items() if count])
+
+
+def describe_disturbance(disturbance: Disturbance) -> str:
+    """Describe whether other programs disturbed the timing: "quiet", or disturbed by what."""
+    complaints = disturbance.complaints()
+    return f"disturbed: {join_with_and(complaints)}" if complaints else "quiet"
+
+
+def describe_calibration(p50_ns: dict[str, float]) -> str:
+    """Describe how exactly the benchmark measured waits of known length."""
+    missed = [name for name, p50 in p50_ns.items() if is_within_tolerance(name, p50) is False]
+    wording = ", ".join(f"{name} {format_time(p50)}" for name, p50 in p50_ns.items())
+    verdict = f"missed by {join_with_and(missed)}" if missed else "within the bar"
+    return f"{verdict} ({wording})"
+
+
+def list_machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
+    """List a machine's processor, cores, frequency, BLAS and clock, as label and text."""
+
+    def of(key: str, unit: str = "") -> str:
+        value = machine.get(key, "not recorded")
+        return f"{value} {unit}" if unit and isinstance(value, int | float) else str(value)
+
+    cores = [str(core) for core in machine.get("affinity") or []]
+    return [
+        ("processor", f"{of('cpu_model')}, {of('cores')} cores"),
+        ("cores allowed", ", ".join(cores) or "not recorded"),
+        ("frequency governor", of("governor")),
+        ("frequency at the start", of("frequency_MHz", "MHz")),
+        ("throttle counters", of("throttle_counters")),
+        ("BLAS", ", ".join(machine.get("blas") or ["none seen"])),
+        ("reading the clock", of("clock_read_ns", "ns")),
+        ("resolution of the clock", of("timer_resolution_ns", "ns")),
+    ]
+
+
+def list_disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
+    """List what disturbed replays, as label and text: context switches, stolen time, throttling."""
+    disturbed = f"{format_count(disturbance.disturbed)} of {plural(disturbance.rounds, 'round')}"
+    throttled, steal_share = format_count(disturbance.throttled), disturbance.steal_share
+    stolen = "not visible" if isnan(steal_share) else format_share(steal_share)
+    return [
+        ("disturbed rounds left", f"{disturbed}; {format_count(disturbance.rerun)} run again"),
+        ("involuntary context switches", f"{significant(disturbance.switches_per_s, 2)} a second"),
+        ("time stolen by the host", stolen),
+        ("throttle events", "not visible" if throttled == MISSING else throttled),
+    ]
+
+
+def list_switching_solvers(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
+    """List the solvers that cause context switches themselves, as label and text."""
+    own = largest_by_name(
+        (f"{row.solver} ({row.route} {row.policy})", row.own_switches_a_step) for row in rows
+    )
+    wording = ", ".join(f"{name}: {significant(a_step, 2)} a step" for name, a_step in own.items())
+    return [("switches a configuration makes itself, not counted above", wording)] if own else []

@@ -23,8 +23,7 @@ from dpbench.ship.environment import WeatherDraw
 from dpbench.ship.plant import SUBSTEPS
 from dpbench.solvers.contract import Options
 from dpbench.solvers.open import open_workspace
-from dpbench.tuning.search import Trial
-from dpbench.tuning.space import OptionRange, SearchSpace
+from dpbench.tuning.search import OptionRange, SearchSpace, Trial
 
 SOLVER = "paper_active_set"
 """Exact and fast: its loop is that of the controller."""

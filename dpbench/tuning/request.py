@@ -31,9 +31,14 @@ from dpbench.solvers.table import (
     load_plugin_solver_from_file,
     require_solver_available,
 )
-from dpbench.tuning.campaigns import DEFAULT, TunedSolver
-from dpbench.tuning.sequences import TunedProblem, load_problem, refuse_overlap
-from dpbench.tuning.space import SearchSpace, make_space
+from dpbench.tuning.campaigns import (
+    DEFAULT,
+    TunedProblem,
+    TunedSolver,
+    load_problem,
+    refuse_overlap,
+)
+from dpbench.tuning.search import SearchSpace, make_space
 
 TRAINING = ("paper", "rough", "turn")
 TEST = ("move", "extreme", "weather")

@@ -1,18 +1,32 @@
-"""Search by trials: a Sobol sample of all ranges, then batches near the best of them."""
+"""Search by trials: a Sobol sample of all ranges, then batches near the best of them.
+
+The options that are searched are each a coordinate of a unit cube.
+"""
 
 import math
+import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from functools import cache
+from pathlib import Path
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from scipy.stats import qmc
 
 from dpbench.arrays import Matrix, Vector
+from dpbench.errors import InputError
 from dpbench.solvers.contract import Options
-from dpbench.solvers.own_settings import format_options_as_toml
-from dpbench.tuning.space import SearchSpace
+from dpbench.solvers.own_settings import format_options_as_toml, parse_options_of_choice
+from dpbench.solvers.table import find_solver_record
 
+LOGARITHMIC_FROM = 20.0
+"""A range whose ends differ by this factor is searched on a logarithmic scale."""
+_DIGITS = 3
+_EDGE = 0.01
+"""A value this near to an end is at the edge of its range [share of the range]."""
+_WIDER = 100.0
+"""Factor by which a wider range goes on, on a logarithmic scale."""
 BATCH = 8
 """Trials of one batch, those of a solver timed by turns; a power of two for Sobol."""
 FIRST_RADIUS = 0.25
@@ -20,6 +34,154 @@ FIRST_RADIUS = 0.25
 gained."""
 
 _Score = TypeVar("_Score")
+
+
+@dataclass(frozen=True)
+class OptionRange:
+    """The least and the largest value of an option; whole numbers where both are.
+
+    is_limited : whether the solver takes no value much beyond the ends.
+    """
+
+    name: str
+    low: float
+    high: float
+    is_limited: bool = False
+
+    @property
+    def is_logarithmic(self) -> bool:
+        """Return whether the range is searched on a logarithmic scale."""
+        return self.low > 0.0 and self.high >= LOGARITHMIC_FROM * self.low
+
+    @property
+    def is_whole(self) -> bool:
+        """Return whether the values are whole numbers."""
+        return isinstance(self.low, int) and isinstance(self.high, int)
+
+    def value_at(self, share: float) -> float:
+        """Return the value at a share of the range from 0 to 1, to three significant digits."""
+        if self.is_logarithmic:
+            value = math.exp(math.log(self.low) + share * math.log(self.high / self.low))
+        else:
+            value = self.low + share * (self.high - self.low)
+        if self.is_whole:
+            return round(value)
+        return min(max(_round(value), self.low), self.high)
+
+    def share_of(self, value: float) -> float:
+        """Return the share of the range at which a value is, 0 or 1 for one outside."""
+        inside = min(max(value, self.low), self.high)
+        if self.is_logarithmic:
+            return math.log(inside / self.low) / math.log(self.high / self.low)
+        return (inside - self.low) / (self.high - self.low)
+
+    def describe_edge(self, value: float) -> str:
+        """State that a value is at the edge of the range, with a wider one; "" elsewhere."""
+        share, width = self.share_of(value), self.high - self.low
+        if self.is_limited or _EDGE < share < 1.0 - _EDGE:
+            return ""
+        low, high = self.low, self.high
+        if share > 0.5:
+            high = _round(high * _WIDER) if self.is_logarithmic else high + width
+        elif self.is_logarithmic and not self.is_whole:
+            low = _round(low / _WIDER)
+        else:
+            low = max(low - width, min(low, int(self.is_whole)))
+        if (low, high) == (self.low, self.high):
+            return ""
+        wider = format_options_as_toml({self.name: [low, round(high) if self.is_whole else high]})
+        return f"{self.name} = {value:g}: widen it by --widen '{wider}'"
+
+
+def _round(value: float) -> float:
+    """Round a number to `_DIGITS` significant digits."""
+    return float(f"{value:.{_DIGITS}g}")
+
+
+@dataclass(frozen=True)
+class SearchSpace:
+    """The ranges of all options that are searched; a point is a share of each.
+
+    fixed : options that are the same at every point.
+    """
+
+    ranges: tuple[OptionRange, ...]
+    fixed: Options = field(default_factory=dict)
+
+    def options_at(self, point: Vector) -> Options:
+        """Return the solver options at a point of the unit cube."""
+        searched = {
+            own.name: own.value_at(share)
+            for own, share in zip(self.ranges, point.tolist(), strict=True)
+        }
+        return {**self.fixed, **searched}
+
+    def with_types(self, options: Options) -> Options:
+        """Return options whose numbers are of the type of their range, whole or not."""
+        decimal = {own.name for own in self.ranges if not own.is_whole}
+        return {
+            name: float(value) if name in decimal and type(value) is int else value
+            for name, value in options.items()
+        }
+
+    def point_of(self, options: Options) -> Vector:
+        """Return the point of some options; the middle of a range for an option without value."""
+        values = ((own, options.get(own.name)) for own in self.ranges)
+        return np.array(
+            [own.share_of(v) if isinstance(v, int | float) else 0.5 for own, v in values]
+        )
+
+    def describe_edges(self, options: Options) -> list[str]:
+        """State which options are at the edge of their range, with a wider range for each."""
+        values = ((own, options.get(own.name)) for own in self.ranges)
+        texts = (own.describe_edge(v) for own, v in values if isinstance(v, int | float))
+        return [text for text in texts if text]
+
+
+def make_space(
+    solver: str, ranges: Sequence[str] = (), widened: Sequence[str] = (), own: Options | None = None
+) -> SearchSpace:
+    """Return the option ranges to search for a solver: the stated ones, or those given instead.
+
+    ranges : texts such as `rho=[1e-3,10]`, in place of all stated ranges.
+    widened : such texts beside the others, or in place of that of the same option.
+    own : the user's options; those that are not searched are fixed.
+
+    Raises
+    ------
+    UnknownNameError : there is no such solver.
+    InputError : for a text that is no range, or a solver without stated ranges and none given.
+    """
+    record = find_solver_record(solver)
+    found: dict[str, OptionRange] = {}
+    if not ranges:
+        stated = _stated_ranges()
+        usual = stated.get(solver) or stated.get(record.module)
+        if usual is None and not widened:
+            allowed = f"one of {', '.join(sorted(stated))}; or --range 'OPTION=[LEAST,LARGEST]'"
+            raise InputError("tune-solver", "", f"{solver}, which has no stated range", allowed)
+        found = {name: OptionRange(name, *ends) for name, ends in (usual or {}).items()}
+    for option, texts in (("--range", ranges), ("--widen", widened)):
+        for text in texts:
+            given = parse_options_of_choice(f"{solver}[{text}]")
+            found |= {name: _check_range(option, name, ends) for name, ends in given.items()}
+    fixed = {name: value for name, value in (own or {}).items() if name not in found}
+    return SearchSpace(tuple(found.values()), fixed)
+
+
+def _check_range(option: str, name: str, ends: object) -> OptionRange:
+    """Return a range from a list of two numbers; InputError for anything else."""
+    numbers = ends if isinstance(ends, list) else []
+    known = all(isinstance(x, int | float) and not isinstance(x, bool) for x in numbers)
+    if len(numbers) != 2 or not known or not -math.inf < numbers[0] < numbers[1] < math.inf:
+        raise InputError(option, name, repr(ends), "two numbers that grow, such as [1e-3,10]")
+    return OptionRange(name, *numbers)
+
+
+@cache
+def _stated_ranges() -> dict[str, dict[str, list[Any]]]:
+    """Read the ranges of all solvers' settings that a search tries."""
+    return tomllib.loads(Path(__file__).with_name("ranges.toml").read_text(encoding="utf-8"))
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,12 @@ from pathlib import Path
 import pytest
 
 from dpbench.codegen import generate
-from dpbench.codegen.controller_data import read_controller_data_of_scenario
+from dpbench.codegen.controller_data import (
+    read_controller_data_of_scenario,
+    record_closed_loop_trajectory,
+)
 from dpbench.codegen.generate import count_steps, generate_controller, list_constant_tables
 from dpbench.codegen.solver_sources import make_c_sources_of_active_set
-from dpbench.codegen.trajectory import record_closed_loop_trajectory
 from dpbench.embedded.toolchain import has_extra
 from dpbench.errors import SituationError
 from dpbench.scenario.scenario import load_scenario

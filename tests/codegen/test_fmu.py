@@ -14,10 +14,13 @@ import pytest
 
 from dpbench.arrays import Vector
 from dpbench.cli.main import main
-from dpbench.codegen.controller_data import ControllerData, read_controller_data_of_scenario
+from dpbench.codegen.controller_data import (
+    ControllerData,
+    read_controller_data_of_scenario,
+    record_closed_loop_trajectory,
+)
 from dpbench.codegen.fmu import SYSTEMS, list_fmu_variables
 from dpbench.codegen.generate import generate_controller
-from dpbench.codegen.trajectory import record_closed_loop_trajectory
 from dpbench.scenario.scenario import load_scenario
 from tests.codegen.c_controller import steer
 

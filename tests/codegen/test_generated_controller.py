@@ -13,9 +13,9 @@ from dpbench.codegen.controller_data import (
     ControllerData,
     make_unique_c_identifiers,
     read_controller_data_of_scenario,
+    record_closed_loop_trajectory,
 )
 from dpbench.codegen.generate import generate_controller
-from dpbench.codegen.trajectory import record_closed_loop_trajectory
 from dpbench.errors import InputError, SituationError
 from dpbench.scenario.scenario import load_scenario
 from tests.codegen.c_controller import WARNINGS, CController, compile_c, needs_gcc, steer

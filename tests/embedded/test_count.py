@@ -15,8 +15,8 @@ from dpbench.bench.sequences.recording import thin_sequence
 from dpbench.bench.sequences.sequence_file import load_sequence
 from dpbench.embedded.count import count_instructions_along_sequence
 from dpbench.embedded.recipe import select_recipes
-from dpbench.embedded.step_counts import StepCounts
 from dpbench.embedded.table import (
+    StepCounts,
     save_counted_steps_in_folder,
     summarise_counted_runs,
     tabulate_counted_steps,

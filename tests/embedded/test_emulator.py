@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpbench.embedded import calibration
+from dpbench.embedded import count
 from dpbench.embedded.emulator import (
     DATA,
     STACK_SIZE,
@@ -36,13 +36,13 @@ def make_core(tmp_path: Path) -> MakeCore:
 
 @pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
 def test_counts_of_the_calibration_program(target: Target) -> None:
-    calibration.verify_calibration_counts(target)
+    count.verify_calibration_counts(target)
 
 
 def test_wrong_counts_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(calibration, "THOUSAND", 999)
+    monkeypatch.setattr(count, "THOUSAND", 999)
     with pytest.raises(EmulationError, match="Cortex-A53: embedded_set_up counts"):
-        calibration.verify_calibration_counts.__wrapped__(TARGETS["a53"])
+        count.verify_calibration_counts.__wrapped__(TARGETS["a53"])
 
 
 @pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)

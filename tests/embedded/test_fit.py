@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dpbench.embedded.fit import MOST, Trial, find_largest_fitting_horizon, summarise_fit_as_dict
-from dpbench.embedded.step_counts import COUNTED, StepCounts
+from dpbench.embedded.table import COUNTED, StepCounts
 
 STACK = 24
 

@@ -4,9 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from dpbench.embedded import fetch
-from dpbench.embedded.fetch import fetch_sources
-from dpbench.embedded.recipe import Recipe, find_recipes, select_recipes
+from dpbench.embedded import recipe
+from dpbench.embedded.recipe import Recipe, fetch_sources, find_recipes, select_recipes
 from dpbench.errors import InputError, SituationError, UnknownNameError
 
 TEXT = 'solver = "mine"\nlicence = "MIT"\norigin = "here"\nstart = "none"\ntuned = "nothing"\n'
@@ -64,7 +63,7 @@ def test_a_recipe_whose_sources_are_in_a_folder_of_the_user(tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_a_source_that_cannot_be_fetched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fetch, "cache_folder", lambda name: tmp_path)
+    monkeypatch.setattr(recipe, "cache_folder", lambda name: tmp_path)
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
     with pytest.raises(SituationError) as error:

@@ -31,13 +31,13 @@ from dpbench.report.compare.comparison import (
     make_solvers_table,
     make_times_table,
 )
-from dpbench.report.glossary import format_glossary_as_markdown, term_meanings, topics
 from dpbench.report.page.terms import PHRASES, Terms
 from dpbench.report.report import BESIDE, TERMINAL_NOTES
 from dpbench.report.table import Table
 from dpbench.report.topics.capability import make_consequence_row
 from dpbench.report.topics.study import build_study_topic
 from dpbench.report.topics.thrusters import make_wear_row
+from dpbench.report.words import format_glossary_as_markdown, term_meanings, topics
 from dpbench.scenario.scenario import load_vessel
 from dpbench.solvers.record import POLICIES
 from dpbench.solvers.settings import LEVELS

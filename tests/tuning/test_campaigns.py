@@ -13,8 +13,14 @@ from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.plan.suite import SuiteFile
 from dpbench.bench.record.schema import convert_to_run_columns
 from dpbench.solvers.own_settings import parse_options_of_choice
-from dpbench.tuning.campaigns import FAILED, TunedSolver, score_runs, score_settings, suite_text
-from dpbench.tuning.sequences import TunedProblem
+from dpbench.tuning.campaigns import (
+    FAILED,
+    TunedProblem,
+    TunedSolver,
+    score_runs,
+    score_settings,
+    suite_text,
+)
 
 LIMIT = Requirements(error_move=1e-2)
 SOLVER = TunedSolver("hpipm", "native", "warm", LIMIT)

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 import pytest
 
 from dpbench.solvers.contract import Options
-from dpbench.tuning.search import BATCH, Score, SettingsSearch
-from dpbench.tuning.space import OptionRange, SearchSpace
+from dpbench.tuning.search import BATCH, OptionRange, Score, SearchSpace, SettingsSearch
 
 SPACE = SearchSpace((OptionRange("a", 1e-3, 1e3), OptionRange("b", 0.0, 1.0)))
 

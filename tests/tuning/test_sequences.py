@@ -7,7 +7,7 @@ import pytest
 from dpbench import load_sequence
 from dpbench.bench.sequences.sequence_file import save_sequence
 from dpbench.errors import InputError, UnknownNameError
-from dpbench.tuning.sequences import load_problem, refuse_overlap
+from dpbench.tuning.campaigns import load_problem, refuse_overlap
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from dpbench.solvers.table import (
     get_native_adapter,
     get_qpsolvers_adapter,
 )
-from dpbench.tuning.space import OptionRange, make_space
+from dpbench.tuning.search import OptionRange, make_space
 
 
 @pytest.mark.parametrize(

@@ -17,8 +17,8 @@ from dpbench.errors import InputError, SettingsError
 from dpbench.solvers.contract import Options
 from dpbench.solvers.own_settings import format_options_as_toml
 from dpbench.tuning import tune
+from dpbench.tuning.campaigns import TunedProblem
 from dpbench.tuning.request import make_request
-from dpbench.tuning.sequences import TunedProblem
 from dpbench.tuning.tune import tune_solver
 
 

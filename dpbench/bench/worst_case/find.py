@@ -19,8 +19,7 @@ from dpbench.bench.sequences.sequence_file import save_sequence
 from dpbench.bench.workers.child import start_forkserver
 from dpbench.bench.workers.interrupts import first_signal_only
 from dpbench.bench.workers.scratch import open_scratch_folder
-from dpbench.bench.worst_case.goal import GOALS, Goal, WorstStep
-from dpbench.bench.worst_case.search import Case, Search, SearchedSolver
+from dpbench.bench.worst_case.search import GOALS, Case, Goal, Search, SearchedSolver, WorstStep
 from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.errors import InputError, require_integer_at_least
 from dpbench.scenario.scenario import MAX_STEPS, Scenario, load_scenario

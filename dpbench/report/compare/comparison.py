@@ -38,9 +38,9 @@ from dpbench.report.formats import (
     plural,
     significant,
 )
-from dpbench.report.machine_verdict import describe_disturbance
 from dpbench.report.ship_text import summarise_ships
 from dpbench.report.table import Table, format_table_as_html, make_markdown_document
+from dpbench.report.verdict_text import describe_disturbance
 
 TIMES = ("slower", "faster", "no difference shown", "equivalent")
 """Verdicts on a step time: the two claims, then the weaker ones."""

@@ -4,7 +4,7 @@ It is drawn as SVG and turned into PDF, and claims nothing that is not on the pa
 """
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -12,10 +12,12 @@ from typing import Any
 
 import vl_convert as vlc
 
+from dpbench.analysis.records.run_record import group_by
 from dpbench.analysis.suites.capability import CapabilityResult, capability_plots
 from dpbench.analysis.suites.consequence import ConsequenceAnalysis, consequence_analyses
 from dpbench.analysis.times.machine import timed_runs, total_disturbance
 from dpbench.analysis.verdict.fastest import best_verdict_by_solver, choose_solver
+from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.capability.edge_qps import load_capability_plots
 from dpbench.bench.record.machine import describe_version
@@ -31,20 +33,20 @@ from dpbench.report.capability_text import (
 from dpbench.report.charts.style import FAIL, INK, LINE, SOFT
 from dpbench.report.documents.loop_picture import LoopPicture, find_loop_picture
 from dpbench.report.documents.open_losses import find_open_losses
-from dpbench.report.documents.scenario_words import describe_scenario, describe_thrusters
-from dpbench.report.formats import format_time, strip_markdown
-from dpbench.report.machine_verdict import describe_disturbance
+from dpbench.report.formats import format_time, join_with_and, strip_markdown
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import describe_speed_margin
 from dpbench.report.page.terms import DRAG_MISMATCH
-from dpbench.report.ship_text import describe_unmet, summarise_ships
+from dpbench.report.ship_text import describe_ship, describe_unmet, list_losses, summarise_ships
 from dpbench.report.verdict_text import (
     describe_deployment,
+    describe_disturbance,
     describe_judged_runs,
     describe_requirements,
     describe_stopped_runs,
 )
 from dpbench.report.words import render_document
+from dpbench.ship.thrusters import describe_sector
 from dpbench.solvers.settings import resolve_settings_with_fixed_options
 
 MOST_SHIPS = 5
@@ -263,3 +265,47 @@ def _render_svg(lines: Iterable[TextLine], picture: LoopPicture | None) -> str:
         f'<rect x="{MARGIN}" y="{MARGIN - 8}" width="{WIDTH - 2 * MARGIN}" height="1" '
         f'fill="{LINE}"/>' + "".join(parts) + "</svg>"
     )
+
+
+def describe_scenario(ship: ShipResult) -> Iterator[str]:
+    """Yield one line on a scenario: what became of the ship, its title, weather and losses."""
+    yield describe_ship(ship)
+    scenario = (ship.run.scenario_files or {}).get("scenario")
+    if scenario is not None:
+        parts = [_describe_weather(scenario.get("environment") or {})]
+        parts += [
+            f"loss of {join_with_and(lost)} at {at_s:g} s" for at_s, lost in list_losses(ship.run)
+        ]
+        yield f"{scenario.get('title', ship.name)}: {'; '.join(parts)}"
+
+
+def _describe_weather(environment: Mapping[str, Any]) -> str:
+    """State mean wind, waves and current with their directions; or that there are none."""
+    wind, waves, current = (environment.get(key) for key in ("wind", "waves", "current"))
+    parts = []
+    if wind:
+        parts.append(f"wind {wind['speed_mps']:g} m/s from {wind['from_deg']:g}°")
+    if waves:
+        height = f"Hs {waves['hs_m']:g} m, Tp {waves['tp_s']:g} s"
+        parts.append(f"{height} from {waves['from_deg']:g}°")
+    if current:
+        parts.append(f"current {current['speed_mps']:g} m/s to {current['towards_deg']:g}°")
+    if any(environment.get("mean_kN") or ()):
+        surge, sway, yaw = environment["mean_kN"]
+        parts.append(f"mean force {surge:g} kN, {sway:g} kN, {yaw:g} kN·m")
+    return ", ".join(parts) or "no wind, waves or current"
+
+
+def describe_thrusters(thrusters: Sequence[Mapping[str, Any]]) -> str:
+    """List the thrusters of a vessel document by switchboard, with their powers; "" without any."""
+    by_board = group_by(thrusters, lambda one: str(one.get("group") or "no group"))
+    boards = [f"{board}: {', '.join(map(_name_thruster, own))}" for board, own in by_board.items()]
+    return "; ".join(boards)
+
+
+def _name_thruster(thruster: Mapping[str, Any]) -> str:
+    """Name a thruster with its power and the directions it pushes in, where they are known."""
+    power_kW, sector_deg = thruster.get("power_kW"), thruster.get("sector_deg")
+    facts = [f"{power_kW:g} kW"] if power_kW else []
+    facts += [describe_sector(*sector_deg)] if sector_deg else []
+    return str(thruster["name"]) + (f" ({', '.join(facts)})" if facts else "")

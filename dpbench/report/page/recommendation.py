@@ -28,12 +28,12 @@ from dpbench.report.formats import (
     plural,
     strip_markdown,
 )
-from dpbench.report.machine_verdict import describe_disturbance
 from dpbench.report.page.data import PageData
 from dpbench.report.ship_text import ShipSummary, summarise_ships
 from dpbench.report.verdict_text import (
     NOBODY,
     describe_deployment,
+    describe_disturbance,
     describe_findings,
     describe_judged_runs,
     describe_paired_times,

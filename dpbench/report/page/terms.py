@@ -10,8 +10,8 @@ from markupsafe import Markup, escape
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.run_matrix import Experiment
 from dpbench.report.formats import format_share
-from dpbench.report.glossary import term_meanings, topics
 from dpbench.report.page.data import PageData
+from dpbench.report.words import term_meanings, topics
 
 _OWN_PHRASES = (
     "active limits, certified optimum, claimed, closed loop, deadline, requirements, "

@@ -16,7 +16,6 @@ from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.report.charts import style
 from dpbench.report.charts.render import FORMATS, compile_vega, render_svg
 from dpbench.report.embedded_text import CLOCK_MHZ, CYCLES, NOTE, make_calculator_rows
-from dpbench.report.glossary import topics as glossary
 from dpbench.report.page.data import PageData
 from dpbench.report.page.document import make_page_document
 from dpbench.report.page.live import SECTIONS, select_static_charts
@@ -25,6 +24,7 @@ from dpbench.report.page.section import Topic
 from dpbench.report.page.tables import GROUPS, MOST_ROWS
 from dpbench.report.page.terms import Terms, describe_experiments
 from dpbench.report.page.vendored import list_vendored_scripts, read_script
+from dpbench.report.words import topics as glossary
 
 ABOUT = (
     "Quadratic-programming solvers in the predictive controller of a dynamically positioned ship"

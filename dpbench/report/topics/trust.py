@@ -19,13 +19,13 @@ from dpbench.bench.judge.calibration import compute_excess_over_wait_ns, is_with
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.report.charts.lines import draw_dots
 from dpbench.report.formats import format_count, format_share, join_with_and, plural, significant
-from dpbench.report.machine_verdict import (
+from dpbench.report.page.section import Figure, Topic
+from dpbench.report.table import Table
+from dpbench.report.verdict_text import (
     list_disturbance_facts,
     list_machine_facts,
     list_switching_solvers,
 )
-from dpbench.report.page.section import Figure, Topic
-from dpbench.report.table import Table
 from dpbench.solvers.calibration import WAITS_NS
 
 UNSEEN = "not visible"

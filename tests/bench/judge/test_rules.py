@@ -16,7 +16,7 @@ from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import PHASES, RawLog, make_replay_layout
 from dpbench.bench.record.schema import convert_to_run_columns
 from dpbench.bench.run.exact_loop import ExactWorkspace
-from dpbench.bench.worst_case.goal import find_worst_step
+from dpbench.bench.worst_case.search import find_worst_step
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.solution import Status
 from dpbench.solvers.table import Availability

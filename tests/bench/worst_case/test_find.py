@@ -16,7 +16,7 @@ from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.worst_case import search as case_search
 from dpbench.bench.worst_case.find import find_worst_case
-from dpbench.bench.worst_case.goal import find_worst_step
+from dpbench.bench.worst_case.search import find_worst_step
 from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.cli.main import main
 from dpbench.qp.solution import Status

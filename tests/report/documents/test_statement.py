@@ -17,8 +17,13 @@ import vl_convert as vlc
 from dpbench.cli.main import main
 from dpbench.report.documents import statement
 from dpbench.report.documents.open_losses import OpenLosses
-from dpbench.report.documents.scenario_words import describe_thrusters
-from dpbench.report.documents.statement import HEIGHT, MARGIN, WIDTH, make_statement_svg
+from dpbench.report.documents.statement import (
+    HEIGHT,
+    MARGIN,
+    WIDTH,
+    describe_thrusters,
+    make_statement_svg,
+)
 from dpbench.report.formats import format_error, format_time
 from dpbench.report.page.recommendation import describe_speed_margin
 from dpbench.report.report import Report
