@@ -238,7 +238,8 @@ def _add_init_arguments(init: Command) -> None:
     init.description = (
         "Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml, with what "
         "was derived how in their comments; with --thrusters also NAME_thrusters.toml, whose "
-        "controller commands them, and the plot NAME_capability.svg. With NAME.toml there "
+        "controller commands them, NAME_loss_*.toml, which lose other switchboards, and the "
+        "plot NAME_capability.svg. With NAME.toml there "
         "and --sea N alone: the same ship in another sea."
     )
     init.add_argument("name", metavar="NAME", help="of the ship: letters, digits, _ and -")
