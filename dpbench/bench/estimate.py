@@ -118,19 +118,19 @@ class Estimate:
         done = f"{', ' if self.refused else ' and '}{finished} finished" if self.finished else ""
         without = f" and {refused} refused" if self.refused else ""
         apart = f"; {more} more of capability plots" if self.unmeasured else ""
-        parts = f"{_format_duration(self.report_s)} for the report"
+        parts = f"{format_duration(self.report_s)} for the report"
         if self.compile_s:
-            parts += f" and {_format_duration(self.compile_s)} to compile kernels, once"
+            parts += f" and {format_duration(self.compile_s)} to compile kernels, once"
         return [
             f"{cells} cells to run{done}{without}: {steps} recorded steps",
-            f"about {_format_duration(self.time_s)} on this machine, {self.slots} closed loops at "
+            f"about {format_duration(self.time_s)} on this machine, {self.slots} closed loops at "
             f"a time, with {parts}; {self.size_bytes / 1e6:.1f} MB of tables{apart}",
             *([f"by {self.rates}"] if self.cells else []),
             *self.remarks,
         ]
 
 
-def _format_duration(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """Return a duration [s] as text, rounded to two digits."""
     for size, unit in ((86_400.0, "days"), (3600.0, "h"), (60.0, "min")):
         if seconds >= 2 * size:

@@ -355,6 +355,7 @@ def _add_tune_solver_arguments(tune: Command) -> None:
     option("--name", "NAME", "of the settings found (tuned)", default="tuned")
     option("--out", "DIR", "folder (results/tune-SOLVER)")
     option("--solver-module", "FILE.py", "a plug-in that brings the solver")
+    tune.add_argument("--dry-run", action="store_true", help="forecast the time, run nothing")
     _add_wait_arguments(tune)
 
 

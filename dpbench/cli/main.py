@@ -347,10 +347,16 @@ def _tune(arguments: argparse.Namespace) -> int:
 def _tune_solver(arguments: argparse.Namespace) -> int:
     """Search a solver's settings on some sequences, test them on others (`dpbench tune-solver`)."""
     from dpbench.cli.terminal import ProgressBar, make_console, make_report_table, print_wrapped
+
+    if arguments.dry_run:
+        from dpbench.tuning.forecast import estimate_tuning
+
+        print_wrapped(estimate_tuning(**_named_parameters(arguments, "dry_run", "wait_s")).lines)
+        return 0
     from dpbench.tuning.tune import tune_solver
 
     with ProgressBar() as bar:
-        tuning = tune_solver(**_named_parameters(arguments), progress=bar)
+        tuning = tune_solver(**_named_parameters(arguments, "dry_run"), progress=bar)
     if tuning.roles:
         screen = make_console()
         screen.print(make_report_table(tuning.table, screen))

@@ -18,6 +18,7 @@ from dpbench.solvers.contract import Options
 from dpbench.solvers.own_settings import format_options_as_toml
 from dpbench.tuning import tune
 from dpbench.tuning.campaigns import TunedProblem
+from dpbench.tuning.forecast import estimate_tuning
 from dpbench.tuning.request import make_request
 from dpbench.tuning.tune import tune_solver
 
@@ -138,6 +139,29 @@ def test_a_search_interrupted_in_its_first_batch_has_no_best(
     assert not (tmp_path / "tuned.toml").exists()
 
 
+def test_a_dry_run_forecasts_and_writes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = "--train calm-30-5 --test move-30-5 --trials 11 --dry-run --wait 5"
+    assert main(["tune-solver", "osqp[rho=1.6]", *words.split()]) == 0
+    first, then, time, waits, *_ = capsys.readouterr().out.splitlines()
+    assert first == "11 settings of osqp in batches on calm-30-5[:300:4]: 2 batches"
+    assert then == "then default, high, yours, best on these and move-30-5[:300:4]"
+    assert time.startswith("about ") and waits.startswith("not in it: waits")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_more_settings_and_longer_sequences_take_longer(tmp_path: Path) -> None:
+    """Without a finished batch the forecast goes by stated rates."""
+    usual = {"training": ["calm"], "test": ["move"], "steps": 100, "trials": 8, "out": tmp_path}
+    time_s, more_s, longer_s = (
+        estimate_tuning("osqp", **usual | other).time_s
+        for other in ({}, {"trials": 40}, {"steps": 400})
+    )
+    assert time_s < more_s and time_s < longer_s
+
+
 @pytest.mark.parametrize(
     ("solver", "ranges", "lines"),
     [
@@ -176,6 +200,10 @@ def test_settings_are_found_measured_and_written(
     assert {name for batch in searched for name in batch["sequence"]} == {"calm-60-10[:300:8]"}
     wrong = {name for batch in searched for name in batch["settings"][batch["failed_steps"] > 0]}
     assert wrong and f"max_iter={options['max_iter']}" not in wrong
+    assert main([*command, "--dry-run"]) == 0
+    forecast = " ".join(capsys.readouterr().out.split())
+    assert "2 batches, 2 of them finished" in forecast
+    assert "about 0 s on this machine, by finished batches" in forecast
     # The same command goes on where it ended: nothing is run again.
     before = {path: path.stat().st_mtime_ns for path in Path("out").rglob("runs.parquet")}
     assert main(command) == 0

@@ -123,6 +123,7 @@ class SuiteDescription(TypedDict, total=False):
     title: str
     harness_version: str
     started_utc: str
+    wall_s: float
     run_rows: Required[int]
     step_rows: Required[int]
     lost_cells: int
