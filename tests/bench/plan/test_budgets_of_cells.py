@@ -55,8 +55,12 @@ def test_the_limit_of_a_table_replaces_that_of_the_suite() -> None:
         ClosedLoopTable(scenarios=["calm"], steps=3, limit_s=1.5),
         ClosedLoopTable(scenarios=["paper"], steps=3),
     ]
-    limits = [cell.limit_s for cell in cells_of(closed_loop=tables, cell_limit_s=7.0)]
-    assert limits == [1.5, 7.0]
+    cells = cells_of(closed_loop=tables, cell_limit_s=7.0)
+    assert [cell.limit_s for cell in cells] == [1.5, 7.0]
+    # Other cells than those of the table are not run again.
+    longer = [tables[0].model_copy(update={"limit_s": 3.0}), tables[1]]
+    others = cells_of(closed_loop=longer, cell_limit_s=7.0)
+    assert [a.key == b.key for a, b in zip(cells, others, strict=True)] == [False, True]
 
 
 def test_a_cell_that_names_no_budget_has_the_fallback_values() -> None:
