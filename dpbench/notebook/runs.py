@@ -4,8 +4,6 @@ A campaign runs cells in processes of their own; here nothing protects the calle
 that crashes, and no core is pinned. The assessment is the same.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -78,7 +76,7 @@ class Run:
     """
 
     steps: pd.DataFrame
-    summary: pd.Series[Any]
+    summary: "pd.Series[Any]"
     scenario: Scenario | None = None
 
     @property

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.verdict.ship_results import ShipResult
-from dpbench.bench.run.station import HEADING_DEG
+from dpbench.bench.run.exact_loop import HEADING_DEG
 from dpbench.report.formats import format_share, join_with_and, plural, significant
 from dpbench.scenario.scenario import Scenario
 

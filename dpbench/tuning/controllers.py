@@ -15,7 +15,7 @@ from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.assemble import NO_LIMIT_NS, build_closed_loop_setup
 from dpbench.bench.run.closed_loop import record_closed_loop
-from dpbench.bench.run.station import compute_largest_offset_share
+from dpbench.bench.run.exact_loop import compute_largest_offset_share
 from dpbench.scenario.own_ship import make_environment_of_dp_number
 from dpbench.scenario.scenario import Scenario
 from dpbench.scenario.variation import copy_scenario_with_values

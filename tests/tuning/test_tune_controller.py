@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.bench.run.exact_loop import solve_loop_exactly
-from dpbench.bench.run.station import compute_station_metrics
+from dpbench.bench.run.exact_loop import compute_station_metrics, solve_loop_exactly
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_scenario

@@ -13,7 +13,7 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by
-from dpbench.bench.run.station import HEADING_DEG
+from dpbench.bench.run.exact_loop import HEADING_DEG
 
 ShipState = Literal["on station", "leaves", "leaves and returns", "not there", "not run"]
 """Result for the ship: it stays on its station, leaves it, leaves it and is within its limits at

@@ -22,9 +22,8 @@ from dpbench.bench.judge.control_metrics import (
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import COUNTERS, PHASES, AnswerLog, RawLog
 from dpbench.bench.run.assemble import adapt_scenario_to_cell
-from dpbench.bench.run.exact_loop import ExactLoop, build_problem_at_rest
+from dpbench.bench.run.exact_loop import ExactLoop, build_problem_at_rest, compute_station_metrics
 from dpbench.bench.run.formulation import QPBuilder
-from dpbench.bench.run.station import compute_station_metrics
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh, Units
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
 from dpbench.qp.referee.referee import (

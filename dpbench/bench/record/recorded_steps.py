@@ -4,8 +4,6 @@ Only requested columns are read, and only row groups with requested runs: memory
 group, however many runs there are.
 """
 
-from __future__ import annotations
-
 from collections.abc import Container, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property, lru_cache
@@ -202,7 +200,7 @@ def make_wrong_type_error(path: Path, which: str) -> ResultsError:
     )
 
 
-def find_row_ranges_by_label(labels: pd.Series[Any] | np.ndarray) -> dict[str, tuple[int, int]]:
+def find_row_ranges_by_label(labels: "pd.Series[Any] | np.ndarray") -> dict[str, tuple[int, int]]:
     """Return the first row of each label in sorted labels (N,), and the row after its last."""
     codes, names = pd.factorize(labels)
     ends = np.append(np.flatnonzero(np.diff(codes)) + 1, len(codes)).tolist() if len(codes) else []

@@ -4,8 +4,6 @@ All keys of these files but the required ones may be missing, and unknown ones m
 releases differ.
 """
 
-from __future__ import annotations
-
 import fcntl
 import hashlib
 import json
@@ -68,7 +66,7 @@ class MachineDescription(ComparedMachine, total=False):
     clock_read_ns: float
     timer_resolution_ns: float
     load_average: list[float]
-    others: list[MachineDescription]
+    others: "list[MachineDescription]"
 
 
 _Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -176,7 +174,7 @@ def refuse_impossible_runs(runs: pd.DataFrame, path: Path) -> None:
 
 def _yield_columns_and_invalid_masks(
     runs: pd.DataFrame,
-) -> Iterator[tuple[str, pd.Series[Any], str]]:
+) -> "Iterator[tuple[str, pd.Series[Any], str]]":
     """Yield a column of `runs.parquet`, a mask of its invalid values, and the allowed ones."""
     for column, words in _WORDS.items():
         yield column, ~runs[column].isin(words), " | ".join(words)

@@ -3,8 +3,6 @@
 Types and meanings are in `schema.toml`.
 """
 
-from __future__ import annotations
-
 import json
 import tomllib
 from pathlib import Path
@@ -69,7 +67,7 @@ def convert_to_columns(frame: pd.DataFrame, columns: Columns) -> pd.DataFrame:
     return pd.DataFrame(out, index=frame.index)
 
 
-def _convert_column(column: pd.Series[Any], dtype: DType) -> Any:
+def _convert_column(column: "pd.Series[Any]", dtype: DType) -> Any:
     """Return a data-frame column converted to a type, without a copy where it has it already."""
     # Converting a column to the type it has copies it, and takes ten times as long as looking.
     return column.array if column.dtype == _PANDAS[dtype] else column.astype(dtype).array

@@ -24,11 +24,11 @@ from dpbench.bench.record.npz import open_arrays
 from dpbench.bench.record.raw_log import compute_log_bytes, make_loop_layout, make_replay_layout
 from dpbench.bench.run.exact_loop import (
     ExactLoop,
+    compute_station_metrics,
     read_allocation_sizes,
     rebuild_sequence,
     solve_loop_exactly,
 )
-from dpbench.bench.run.station import compute_station_metrics
 from dpbench.bench.sequences.capability_boundary import write_capability_boundary
 from dpbench.bench.sequences.loop_sequences import (
     build_consequence_sequence,

@@ -39,7 +39,6 @@ from scipy.optimize import linprog, nnls
 
 from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.qp.referee.dyadic import Dyadic
-from dpbench.qp.referee.equilibrated import Scales, is_exact_after_power_of_two_scaling
 from dpbench.qp.referee.gap import (
     EXCHANGES,
     TAU_EXPONENT,
@@ -61,7 +60,15 @@ from dpbench.qp.referee.kkt import (
     is_proven_positive_definite,
     prove_optimum_by_kkt_error_bounds,
 )
-from dpbench.qp.referee.optimum import ExactMatrices, JointQP, Kind, Proof, Signs
+from dpbench.qp.referee.optimum import (
+    ExactMatrices,
+    JointQP,
+    Kind,
+    Proof,
+    Scales,
+    Signs,
+    is_exact_after_power_of_two_scaling,
+)
 
 NO_MULTIPLIER = 1e-12  # A multiplier of less than this share of the largest one is no support for M
 LEAST_MULTIPLIER = 2.0 ** (TAU_EXPONENT // 2)  # Moving limits by τ makes them of √τ at most

@@ -52,10 +52,6 @@ from scipy.sparse.csgraph import connected_components
 from dpbench.arrays import Matrix, Vector
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.referee.dyadic import Dyadic, is_integer_matrix_semidefinite
-from dpbench.qp.referee.equilibrated import (
-    is_exact_after_power_of_two_scaling,
-    scale_to_unit_diagonal,
-)
 from dpbench.qp.referee.farkas import (
     bound_least_constraint_violation,
     find_farkas_vector,
@@ -83,7 +79,16 @@ from dpbench.qp.referee.kkt import (
     prove_optimum_by_kkt_error_bounds,
 )
 from dpbench.qp.referee.last_resort import LastResort
-from dpbench.qp.referee.optimum import ExactMatrices, JointQP, Kind, Optimum, Proof, Signs
+from dpbench.qp.referee.optimum import (
+    ExactMatrices,
+    JointQP,
+    Kind,
+    Optimum,
+    Proof,
+    Signs,
+    is_exact_after_power_of_two_scaling,
+    scale_to_unit_diagonal,
+)
 from dpbench.qp.referee.rational import prove_optimum_in_exact_arithmetic
 from dpbench.qp.residuals import fit_row_and_bound_multipliers
 from dpbench.qp.solution import Solution, Status

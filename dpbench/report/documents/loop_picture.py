@@ -10,7 +10,7 @@ import numpy as np
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.thinned_runs import extreme_indices
 from dpbench.arrays import Vector
-from dpbench.bench.run.station import HEADING_DEG
+from dpbench.bench.run.exact_loop import HEADING_DEG
 from dpbench.report.charts.style import ACCENT, FAIL, INK, SOFT
 from dpbench.report.formats import join_with_and, significant
 from dpbench.report.page.data import PageData

@@ -5,8 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.bench.run.exact_loop import ExactLoop, solve_loop_exactly
-from dpbench.bench.run.station import compute_station_metrics, mask_arrived_samples
+from dpbench.bench.run.exact_loop import (
+    ExactLoop,
+    compute_station_metrics,
+    mask_arrived_samples,
+    solve_loop_exactly,
+)
 from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.scenario.variation import copy_scenario_with_values
 

@@ -9,8 +9,7 @@ from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.run_request import reduce_suite
 from dpbench.bench.plan.suite import ReplayTable, SuiteFile
 from dpbench.bench.record.cell import Cell, HardestSource
-from dpbench.bench.run.exact_loop import ExactLoop, solve_loop_exactly
-from dpbench.bench.run.station import compute_station_metrics
+from dpbench.bench.run.exact_loop import ExactLoop, compute_station_metrics, solve_loop_exactly
 from dpbench.bench.sequences.loop_sequences import (
     find_active_limits,
     find_hardest_window,

@@ -12,14 +12,20 @@ from numpy.typing import NDArray
 
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee import guesses
-from dpbench.qp.referee.equilibrated import Scales, is_exact_after_power_of_two_scaling
 from dpbench.qp.referee.implied import (
     remove_limits_of_zero_rows,
     turn_always_met_limits_into_equalities,
 )
 from dpbench.qp.referee.kkt import KKTSystem
 from dpbench.qp.referee.last_resort import LastResort, enclose_all_optima
-from dpbench.qp.referee.optimum import ExactMatrices, JointQP, Optimum, Proof
+from dpbench.qp.referee.optimum import (
+    ExactMatrices,
+    JointQP,
+    Optimum,
+    Proof,
+    Scales,
+    is_exact_after_power_of_two_scaling,
+)
 from dpbench.qp.referee.rational import prove_optimum_in_exact_arithmetic
 from dpbench.qp.referee.referee import Referee, certify
 from dpbench.qp.residuals import is_answer_correct, residuals
