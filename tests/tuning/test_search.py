@@ -1,12 +1,23 @@
-"""The search on functions with a known best point."""
+"""The search on functions with a known best point, and the ranges of options that it searches."""
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
+import numpy as np
 import pytest
 
+from dpbench.errors import InputError
 from dpbench.solvers.contract import Options
-from dpbench.tuning.search import BATCH, OptionRange, Score, SearchSpace, SettingsSearch
+from dpbench.solvers.settings import resolve_settings_to_options
+from dpbench.solvers.table import (
+    TABLE,
+    find_solver_availability,
+    find_solver_record,
+    get_native_adapter,
+    get_qpsolvers_adapter,
+)
+from dpbench.tuning.search import BATCH, OptionRange, Score, SearchSpace, SettingsSearch, make_space
 
 SPACE = SearchSpace((OptionRange("a", 1e-3, 1e3), OptionRange("b", 0.0, 1.0)))
 
@@ -84,3 +95,112 @@ def test_the_search_tries_the_start_first() -> None:
     assert search.best.score.ratio < 1.0001
     near = [trial.point for trial in search.trials[-BATCH:]]
     assert all(abs(point - search.trials[0].point).max() <= 0.25 for point in near)
+
+
+@pytest.mark.parametrize(
+    ("ends", "middle"),
+    [((1e-4, 1e2), 0.1), ((1.0, 2.0), 1.5), ((1, 50), 7), ((1, 4), 2), ((0, 100), 50)],
+)
+def test_wide_ranges_are_logarithmic_and_whole_numbers_stay_whole(
+    ends: tuple[float, float], middle: float
+) -> None:
+    own = OptionRange("x", *ends)
+    assert own.value_at(0.0) == ends[0] and own.value_at(1.0) == ends[1]
+    value = own.value_at(0.5)
+    assert value == middle and type(value) is type(ends[0])
+
+
+def test_a_value_has_three_digits() -> None:
+    """It is read by people, and is the same in every file."""
+    assert OptionRange("x", 1e-3, 1e2).value_at(0.3) == float(f"{10 ** (-3 + 5 * 0.3):.3g}")
+
+
+def test_ranges_of_ones_own_take_the_place_of_the_stated_ones() -> None:
+    space = make_space("osqp", ["rho=[0.1,10]", "max_iter=[10,20]"])
+    assert [own.name for own in space.ranges] == ["rho", "max_iter"]
+    assert space.options_at(np.array([0.5, 1.0])) == {"rho": 1.0, "max_iter": 20}
+
+
+@pytest.mark.parametrize("text", ["rho=1", "rho=[1]", "rho=[2,1]", "rho=[1,inf]", 'rho=["a","b"]'])
+def test_what_is_no_range_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match=r"--range: rho: found .*allowed: two numbers that grow"):
+        make_space("osqp", [text])
+
+
+def test_a_solver_without_stated_ranges_needs_some() -> None:
+    with pytest.raises(InputError, match=r"quadprog, which has no stated range; .*--range"):
+        make_space("quadprog")
+
+
+def _solvers_with_ranges() -> list[Any]:
+    found = []
+    for name in TABLE:
+        try:
+            found.append((name, make_space(name)))
+        except InputError:
+            continue
+    return found
+
+
+@pytest.mark.parametrize(("solver", "space"), _solvers_with_ranges(), ids=lambda x: str(x)[:20])
+def test_every_stated_range_is_of_an_option_of_the_solver(solver: str, space: Any) -> None:
+    """A library accepts both ends; a renamed option would be found here."""
+    if not find_solver_availability(solver).ok:
+        pytest.skip(f"{solver} is not installed")
+    native = "native" in find_solver_record(solver).routes
+    adapter = get_native_adapter(solver) if native else get_qpsolvers_adapter(solver)
+    for share in (0.0, 1.0):
+        options = space.options_at(np.full(len(space.ranges), share))
+        assert all(math.isfinite(value) for value in options.values())
+        assert resolve_settings_to_options(options, adapter).items() >= options.items()
+
+
+def test_a_wider_range_keeps_the_other_stated_ones() -> None:
+    stated, wider = make_space("osqp"), make_space("osqp", widened=["rho=[1e-3,1e4]"])
+    assert [own.name for own in wider.ranges] == [own.name for own in stated.ranges]
+    changed = set(wider.ranges) - set(stated.ranges)
+    assert changed == {OptionRange("rho", 1e-3, 1e4)}
+    assert make_space("quadprog", widened=["x=[1,2]"]).ranges == (OptionRange("x", 1, 2),)
+    with pytest.raises(InputError, match=r"--widen: rho: found \[2, 1\]"):
+        make_space("osqp", widened=["rho=[2,1]"])
+
+
+def test_own_options_that_are_not_searched_are_fixed() -> None:
+    own = {"rho": 1, "adaptive_rho": False}
+    space = make_space("osqp", ["rho=[0.1,10.0]", "max_iter=[10,20]"], own=own)
+    assert space.options_at(np.array([1.0, 0.0])) == {
+        "adaptive_rho": False,
+        "rho": 10.0,
+        "max_iter": 10,
+    }
+    assert type(space.with_types(own)["rho"]) is float
+    assert space.point_of(own).tolist() == [0.5, 0.5]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.5, 1.0])
+@pytest.mark.parametrize("ends", [(1e-4, 1e2), (1.0, 2.0), (-5.0, 5.0)])
+def test_the_share_of_a_value_gives_the_value(ends: tuple[float, float], share: float) -> None:
+    own = OptionRange("x", *ends)
+    assert own.share_of(own.value_at(share)) == pytest.approx(share, abs=2e-3)
+    assert own.share_of(ends[0] - 1e-5) == 0.0 and own.share_of(2 * ends[1]) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("own", "value", "wider"),
+    [
+        (OptionRange("rho", 1e-3, 1e2), 99.0, "[0.001, 10000.0]"),
+        (OptionRange("rho", 1e-3, 1e2), 1e-3, "[1e-05, 100.0]"),
+        (OptionRange("rho", 1e-3, 1e2), 1.0, ""),
+        (OptionRange("a", 1.0, 2.0), 2.0, "[1.0, 3.0]"),
+        (OptionRange("a", 1.0, 2.0), 1.0, "[0.0, 2.0]"),
+        (OptionRange("a", 1.0, 2.0, is_limited=True), 2.0, ""),
+        (OptionRange("k", 1, 50), 50, "[1, 5000]"),
+        (OptionRange("k", 1, 50), 1, ""),
+        (OptionRange("k", 20, 50), 20, "[1, 50]"),
+    ],
+)
+def test_a_value_at_the_edge_names_a_wider_range(
+    own: OptionRange, value: float, wider: str
+) -> None:
+    expected = f"{own.name} = {value:g}: widen it by --widen '{own.name}={wider}'" if wider else ""
+    assert own.describe_edge(value) == expected

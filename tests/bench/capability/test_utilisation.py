@@ -1,14 +1,26 @@
-"""The least use of thrust against a linear program of the corners of each thruster's forces."""
+"""The least use of thrust against a linear program of corners; the best choice of pieces; reach."""
+
+import math
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from dpbench.bench.capability.utilisation import Utilisation
+from dpbench.bench.capability.frontier import CapabilityPlot
+from dpbench.bench.capability.utilisation import (
+    Choices,
+    ThrusterReach,
+    Utilisation,
+    find_least_use_and_pieces,
+)
 from dpbench.errors import InputError
+from dpbench.mpc.thrusters.attainable_set import build_attainable_force_polytope
+from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.capability.shapes import Piece
-from dpbench.ship.thrusters import Thruster, ThrusterKind, ThrusterSet
+from dpbench.ship.thrusters import Screw, Thruster, ThrusterKind, ThrusterSet
 
 Vector = NDArray[np.float64]
 KINDS: tuple[ThrusterKind, ...] = ("azimuth", "tunnel", "main")
@@ -141,3 +153,117 @@ def test_a_small_load_is_as_exact_as_a_large_one() -> None:
     for size in (1e-4, 1e-9):
         assert use.least_use(size * load, *posed) == pytest.approx(size * whole, rel=1e-8)
         assert use.least_use(-size * load, *posed) == np.inf
+
+
+def test_a_tunnel_in_the_bow_alone_is_held_straight_by_the_mains() -> None:
+    """A tunnel 18 m ahead; mains 4 m off, with 100 kN astern each, balance a moment of 800 kN·m."""
+    mains = [Thruster(f"main {y}", "main", -30.0, y, 200e3, 10.0, astern=0.5) for y in (-4.0, 4.0)]
+    reach = ThrusterReach(ThrusterSet((*mains, Thruster("bow", "tunnel", 18.0, 0.0, 100e3, 10.0))))
+    low, high = reach.find_least_and_largest_pure_forces()
+    # Ahead on one side is at most what the other gives astern: no force in surge is left.
+    np.testing.assert_allclose(high, [400e3, 2 * 100e3 * 4.0 / 18.0, 2 * 100e3 * 4.0], rtol=1e-6)
+    np.testing.assert_allclose(low, [-200e3, -high[1], -high[2]], rtol=1e-6)
+    assert reach.find_least_thrust_share(np.array([0.0, 44.4e3, 0.0])) < 1.0
+    assert reach.find_least_thrust_share(np.array([0.0, 44.5e3, 0.0])) > 1.0
+
+
+def test_the_share_is_that_of_the_attainable_polytope() -> None:
+    """The polytope has 48 sides an azimuth, which lose 0.2 % of the thrust, for forces in any
+    direction."""
+    thrusters = load_vessel("ratownik").thrusters
+    assert thrusters is not None
+    rows = build_attainable_force_polytope(thrusters, 48).to_linear_limit_rows()
+    reach, rng = ThrusterReach(thrusters), np.random.default_rng(3)
+    for direction in rng.normal(size=(20, 3)) * [1e5, 1e5, 1e6]:
+        along = rows.G @ direction
+        expected = np.max(np.where(along > 0.0, along / rows.high, along / rows.low))
+        assert reach.find_least_thrust_share(direction) == pytest.approx(expected, rel=3e-3)
+
+
+def test_a_sector_that_excludes_a_force_leaves_none_of_it() -> None:
+    """Two azimuths in line that may push ahead only make no force astern."""
+    sector = (-0.5, 0.5)
+    bow, stern = (
+        Thruster(f"at {x}", "azimuth", x, 0.0, 1e5, 10.0, sector_rad=sector) for x in (30.0, -30.0)
+    )
+    low, high = ThrusterReach(ThrusterSet((bow, stern))).find_least_and_largest_pure_forces()
+    assert low[0] == 0.0
+    assert high[0] == pytest.approx(2e5, rel=3e-3)
+
+
+def ship_of_azimuths(count: int, sides: int | None = None) -> CapabilityPlot:
+    """Azimuths in pairs along a ship, each in the race of its neighbours."""
+    screw = Screw(3.1, "open", 1.5)
+    steps = np.linspace(-40.0, 40.0, (count + 1) // 2)
+    places = [(x, y) for x in steps for y in (-5.0, 5.0)][:count]
+    azimuths = tuple(
+        Thruster(f"t{i}", "azimuth", float(x), y, 1.9e5, 10.0, screw=screw)
+        for i, (x, y) in enumerate(places)
+    )
+    return CapabilityPlot(
+        replace(load_vessel("ratownik"), thrusters=ThrusterSet(azimuths)), sides=sides
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sides", [None, 24])
+def test_the_best_choice_is_the_best_of_all(sides: int | None) -> None:
+    """Four azimuths, intact and without one, in mild and heavy weather."""
+    plot = ship_of_azimuths(4, sides)
+    for case, from_deg, wind_mps in product(
+        plot.intact_and_failure_cases[:2], (0.0, 70.0, 200.0), (5.0, 14.0)
+    ):
+        at = case, math.radians(from_deg), wind_mps
+        every = [
+            plot.least_use(*at, chosen)
+            for chosen in product(*(some or [Piece()] for some in plot.pieces_of(case)))
+        ]
+        use, chosen = plot.find_least_use_and_pieces(*at)
+        assert len(every) > 10
+        assert use == pytest.approx(min(every), rel=1e-7)
+        assert plot.least_use(*at, chosen) == use
+
+
+def test_few_bounds_are_enough_for_many_choices() -> None:
+    """The bound of each thruster's best piece is the best choice at once, if uses are sums."""
+    pieces: Choices = tuple(tuple(Piece() for _ in range(4)) for _ in range(12))
+    costs = {id(piece): 1.0 + k for some in pieces for k, piece in enumerate(some)}
+    asked: list[Choices] = []
+
+    def relax(some: Choices) -> tuple[float, list[np.ndarray]]:
+        asked.append(some)
+        own = [np.array([costs[id(piece)] for piece in one]) for one in some]
+        return float(sum(cost.min() for cost in own)), [1.0 / cost for cost in own]
+
+    use, chosen = find_least_use_and_pieces(relax, pieces)
+    assert use == 12.0
+    assert chosen == tuple(some[0] for some in pieces)
+    assert len(asked) == 2
+
+
+@pytest.mark.slow
+def test_eight_azimuths_in_each_others_race_have_an_edge() -> None:
+    """11 664 choices; one direction took a minute where each was tried."""
+    plot = ship_of_azimuths(8)
+    assert (
+        math.prod(len(some) for some in plot.pieces_of(plot.intact_and_failure_cases[0])) == 11_664
+    )
+    edge = plot.find_wind_limit(plot.intact_and_failure_cases[0], math.radians(70.0))
+    assert plot.find_least_use_and_pieces(
+        plot.intact_and_failure_cases[0], math.radians(70.0), edge.wind_mps
+    )[0] == pytest.approx(1)
+    mirrored = plot.find_wind_limit(plot.intact_and_failure_cases[0], math.radians(-70.0))
+    assert mirrored.wind_mps == pytest.approx(edge.wind_mps, abs=1e-5)
+
+
+@pytest.mark.slow
+def test_a_ship_whose_first_pieces_balance_nothing_has_an_edge() -> None:
+    """In a calm all choices are alike; the edge is that of the choice that holds some wind."""
+    plot = ship_of_azimuths(2)
+    case = plot.intact_and_failure_cases[0]
+    first = tuple(some[0] for some in plot.pieces_of(case))
+    starboard, port = math.radians(90.0), math.radians(270.0)
+    assert plot.least_use(case, starboard, 1e-3, first) < 1.0
+    assert plot.least_use(case, port, 1e-3, first) == math.inf
+    edge = plot.find_wind_limit(case, starboard).wind_mps
+    assert plot.find_wind_limit(case, port).wind_mps == pytest.approx(edge)
